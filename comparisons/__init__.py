@@ -1,0 +1,1 @@
+"""Logs in, two independent estimates out, and a verdict on whether they agree."""

@@ -1,0 +1,107 @@
+"""Errors against truth or GPS, with the coverage that tells what they were computed on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from comparisons.logs.log import Log
+from comparisons.runs.estimate import Estimate
+
+Array = NDArray[np.float64]
+
+MATCH_M = 1.0
+"""Unlabelled landmarks match true ones within this distance."""
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """Errors of one estimate; None where the log has no such reference.
+
+    ate_m: root mean square position error against true poses. gps_median_m: median distance to
+    the absolute positions. landmark_rmse_m: over the true landmarks found. `aligned` figures
+    come after the rigid motion (no scale) that fits best. coverage: share of the reference
+    instants (true poses, else positions) inside the estimate's time span.
+    """
+
+    ate_m: float | None = None
+    ate_aligned_m: float | None = None
+    landmark_rmse_m: float | None = None
+    landmark_rmse_aligned_m: float | None = None
+    landmarks_found: int | None = None
+    landmarks_true: int | None = None
+    gps_median_m: float | None = None
+    gps_median_aligned_m: float | None = None
+    coverage: float | None = None
+
+
+def assess(estimate: Estimate, log: Log, *, labelled: bool) -> Accuracy | None:
+    """Errors of an estimate against everything the log knows, or None when it knows nothing.
+
+    labelled: landmark ids are the log's own, so that true landmarks are found by id; otherwise
+    they are matched one to one by distance, in the log's frame.
+    """
+    figures: dict[str, float | int | None] = {}
+    truth, positions = log.truth, log.positions
+    if positions is not None:
+        at, fixes, figures["coverage"] = _at_times(estimate, positions.time_s, positions.position_m)
+        if len(at):
+            figures["gps_median_m"] = _median(at - fixes)
+            figures["gps_median_aligned_m"] = _median(aligned(at, fixes) - fixes)
+    if truth.poses is not None:
+        at, true, figures["coverage"] = _at_times(
+            estimate, truth.poses.time_s, truth.poses.pose[:, :2]
+        )
+        if len(at):
+            figures["ate_m"] = _rms(at - true)
+            figures["ate_aligned_m"] = _rms(aligned(at, true) - true)
+    if truth.landmarks is not None:
+        table = truth.landmarks
+        if labelled:
+            _, ours, theirs = np.intersect1d(
+                estimate.landmark_id, table.id, assume_unique=True, return_indices=True
+            )
+        else:
+            ours, theirs = match_by_distance(estimate.landmark, table.position_m)
+        found, true = estimate.landmark[ours], table.position_m[theirs]
+        figures["landmarks_found"], figures["landmarks_true"] = len(found), len(table.id)
+        if len(found):
+            figures["landmark_rmse_m"] = _rms(found - true)
+            figures["landmark_rmse_aligned_m"] = _rms(aligned(found, true) - true)
+    return Accuracy(**figures) if figures else None  # type: ignore[arg-type]
+
+
+def aligned(points: Array, reference: Array) -> Array:
+    """Points (N, 2) moved rigidly, without scale, to fit the reference (N, 2) best."""
+    centre, target = points.mean(axis=0), reference.mean(axis=0)
+    moving = (points - centre) @ np.array([1.0, 1.0j])
+    fixed = (reference - target) @ np.array([1.0, 1.0j])
+    turned = moving * np.exp(1j * np.angle(np.vdot(moving, fixed)))
+    return np.column_stack((turned.real, turned.imag)) + target
+
+
+def match_by_distance(points: Array, reference: Array) -> tuple[Array, Array]:
+    """Indices of the one-to-one matches with least total distance, none beyond MATCH_M."""
+    distance = np.linalg.norm(points[:, None] - reference[None], axis=2)
+    rows, columns = linear_sum_assignment(np.minimum(distance, 2.0 * MATCH_M))
+    near = distance[rows, columns] <= MATCH_M
+    return rows[near], columns[near]
+
+
+def _at_times(estimate: Estimate, time_s: Array, reference: Array) -> tuple[Array, Array, float]:
+    """Estimated positions at the reference times within its span, those references, coverage."""
+    t = estimate.time_s
+    inside = (time_s >= t[0]) & (time_s <= t[-1])
+    at = np.column_stack([np.interp(time_s[inside], t, estimate.pose[:, i]) for i in (0, 1)])
+    return at, reference[inside], float(np.mean(inside)) if len(inside) else 0.0
+
+
+def _rms(error: Array) -> float:
+    return float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
+
+
+def _median(error: Array) -> float:
+    return float(np.median(np.linalg.norm(error, axis=1)))

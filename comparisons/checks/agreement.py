@@ -1,0 +1,133 @@
+"""The gaps between the EKF (E), the frozen smoothers (F1, F2) and the smoother (S).
+
+All four are Gaussians over the same vector, the last pose and all landmarks, given the same data.
+E - F1 is the filter's algebra, F1 - F2 the model, F2 - S the linearisation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import LinAlgError, eigh, eigvalsh
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Gaussian:
+    """mean: (n,), pose first, heading unwrapped, then landmarks. covariance: (n, n)."""
+
+    mean: Array
+    covariance: Array
+
+
+@dataclass(frozen=True)
+class Gap:
+    """The distance of two Gaussians.
+
+    sigma: largest difference of a component, in units of S's standard deviation.
+    covariance: largest |lambda - 1| over the generalised eigenvalues of the covariance pair, or
+    the largest asymmetry of either in units of sigma^2 if that is more; infinite when a
+    covariance is not positive definite.
+    """
+
+    sigma: float
+    covariance: float
+
+    def within(self, tolerance: float) -> bool:
+        """Both are at most the tolerance; never true for NaN."""
+        return self.sigma <= tolerance and self.covariance <= tolerance
+
+
+@dataclass(frozen=True)
+class BlockAgreement:
+    """E against S in one block of the state, the pose's three or a landmark's two components.
+
+    difference_m: distance of the positions. distance: root of d^T P_S^-1 d / dim; 1 means that
+    the filter's deviation carries as much error as the optimum itself is uncertain.
+    least, largest: generalised eigenvalues of the pair (P_E, P_S); below 1 is optimistic.
+    """
+
+    difference_m: float
+    distance: float
+    least: float
+    largest: float
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """All gaps, and E against S for the pose, every landmark and the whole.
+
+    difference: (n,) E - S, heading wrapped. landmark_difference_rms_m: over all landmarks.
+    """
+
+    algebra: Gap
+    model: Gap
+    linearisation: Gap
+    pose: BlockAgreement
+    landmarks: tuple[BlockAgreement, ...]
+    whole: BlockAgreement
+    difference: Array
+    landmark_difference_rms_m: float
+
+
+def compare(ekf: Gaussian, recorded: Gaussian, own: Gaussian, smoother: Gaussian) -> Agreement:
+    """Compare E, F1, F2 and S. Raises ValueError when S's covariance is not positive definite."""
+    sigma = np.sqrt(np.diag(smoother.covariance))
+    difference = _difference(ekf.mean, smoother.mean)
+    landmarks = tuple(
+        _block(ekf, smoother, difference, slice(i, i + 2)) for i in range(3, len(sigma), 2)
+    )
+    return Agreement(
+        gap(ekf, recorded, sigma),
+        gap(recorded, own, sigma),
+        gap(own, smoother, sigma),
+        _block(ekf, smoother, difference, slice(0, 3)),
+        landmarks,
+        _block(ekf, smoother, difference, slice(0, len(sigma))),
+        difference,
+        float(np.sqrt(np.mean([b.difference_m**2 for b in landmarks]))) if landmarks else 0.0,
+    )
+
+
+def gap(first: Gaussian, second: Gaussian, sigma: Array) -> Gap:
+    """The distance of two Gaussians, in units of sigma (n,)."""
+    low, high = eigenvalue_range(first.covariance, second.covariance)
+    scale = np.outer(sigma, sigma)
+    spread = max(
+        abs(low - 1.0),
+        abs(high - 1.0),
+        *(float(np.max(np.abs(g.covariance - g.covariance.T) / scale)) for g in (first, second)),
+    )
+    return Gap(float(np.max(np.abs(_difference(first.mean, second.mean)) / sigma)), spread)
+
+
+def eigenvalue_range(first: Array, second: Array) -> tuple[float, float]:
+    """Least and largest generalised eigenvalue of a covariance pair.
+
+    (-inf, inf) when `second` is not positive definite or either is not finite: no comparison of
+    such a pair may pass.
+    """
+    try:
+        values = eigh(first, second, eigvals_only=True)
+    except (LinAlgError, ValueError):
+        return float("-inf"), float("inf")
+    return float(values[0]), float(values[-1])
+
+
+def _block(ekf: Gaussian, smoother: Gaussian, difference: Array, part: slice) -> BlockAgreement:
+    d = difference[part]
+    covariance = smoother.covariance[part, part]
+    if eigvalsh(covariance)[0] <= 0.0:
+        raise ValueError("the smoother's covariance is not positive definite")
+    distance = float(np.sqrt(d @ np.linalg.solve(covariance, d) / len(d)))
+    low, high = eigenvalue_range(ekf.covariance[part, part], covariance)
+    return BlockAgreement(float(np.hypot(d[0], d[1])), distance, low, high)
+
+
+def _difference(first: Array, second: Array) -> Array:
+    difference = first - second
+    difference[2] = np.pi - np.mod(np.pi - difference[2], 2.0 * np.pi)
+    return difference

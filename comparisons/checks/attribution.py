@@ -1,0 +1,169 @@
+"""From gaps to a verdict and its causes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from comparisons.checks.agreement import Agreement, BlockAgreement, Gap
+from comparisons.runs.ekf_run import EkfRun
+from graphslam.optimum import Proof
+
+ROUNDING = 1e-6
+"""Largest algebra and model gap, in sigma and in covariance, that rounding explains."""
+LARGEST_DISTANCE = 1.0
+"""A block agrees when the filter deviates by no more than the optimum itself is uncertain."""
+LEAST_VARIANCE_RATIO = 0.25
+"""A block agrees when no direction's variance is below this share of the smoother's (half its
+sigma), nor above the inverse share."""
+
+Outcome = Literal["agree", "disagree", "unproven"]
+
+
+@dataclass(frozen=True)
+class Cause:
+    """One reason for the outcome: the gap it shows in, the numbers, and what to look at."""
+
+    gap: str
+    evidence: str
+    hint: str
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The outcome, its causes (worst kind first), and remarks that change nothing."""
+
+    outcome: Outcome
+    causes: tuple[Cause, ...]
+    remarks: tuple[str, ...]
+
+
+def block_agrees(block: BlockAgreement) -> bool:
+    """Whether the pose, a landmark or the whole agrees in mean and covariance."""
+    return (
+        block.distance <= LARGEST_DISTANCE
+        and block.least >= LEAST_VARIANCE_RATIO
+        and block.largest <= 1.0 / LEAST_VARIANCE_RATIO
+    )
+
+
+def judge(agreement: Agreement, proof: Proof, run: EkfRun) -> Verdict:
+    """The verdict on a run.
+
+    A red algebra or model gap is a disagreement whatever the smoother found, for it compares the
+    filter with linear algebra. Otherwise an unproven optimum gives no verdict at all.
+    """
+    causes: list[Cause] = []
+    if not agreement.algebra.within(ROUNDING):
+        causes.append(
+            Cause(
+                "algebra",
+                f"the filter and the solution of its own linear equations {_apart(agreement.algebra)}",
+                "look for a covariance block that is dropped, stale or not transposed: prediction, "
+                "update, augmentation",
+            )
+        )
+    if not agreement.model.within(ROUNDING):
+        causes.append(
+            Cause(
+                "model",
+                "the filter's and the smoother's equations, linearised at the same points, "
+                f"{_apart(agreement.model)}",
+                "look for a Jacobian's sign, an unwrapped innovation, a sigma squared twice, a "
+                "steering or bearing convention",
+            )
+        )
+    outcome: Outcome
+    if causes:
+        outcome = "disagree"
+    elif not proof.proven:
+        outcome = "unproven"
+        causes.append(_unproven(proof))
+    else:
+        blocks = (agreement.pose, *agreement.landmarks, agreement.whole)
+        outcome = "agree" if all(map(block_agrees, blocks)) else "disagree"
+        if outcome == "disagree":
+            causes.append(_linearisation(agreement, run))
+    return Verdict(outcome, tuple(causes), tuple(_remarks(proof, run)))
+
+
+def _apart(gap: Gap) -> str:
+    return (
+        f"differ by {gap.sigma:.2g} sigma in the mean and by {gap.covariance:.2g} in the covariance, "
+        f"where rounding allows {ROUNDING:g}"
+    )
+
+
+def _unproven(proof: Proof) -> Cause:
+    if not proof.stationarity.holds:
+        evidence = "the smoother's best result is not a strict local minimum"
+    else:
+        test = proof.chi_square
+        evidence = (
+            f"only {proof.agreeing[0]} reached the lowest error, and chi-square {test.chi2:.0f} lies "
+            f"above {test.upper:.0f} for {test.dof} degrees of freedom"
+        )
+    return Cause(
+        "oracle",
+        evidence,
+        "the smoother may sit in a local minimum: check the noise figures and the association",
+    )
+
+
+def _linearisation(agreement: Agreement, run: EkfRun) -> Cause:
+    ids = run.estimate.landmark_id
+    off = [i for i, block in enumerate(agreement.landmarks) if not block_agrees(block)]
+    parts = []
+    if off:
+        worst = max(off, key=lambda i: agreement.landmarks[i].distance)
+        block = agreement.landmarks[worst]
+        parts.append(
+            f"{len(off)} of {len(ids)} landmarks disagree, worst landmark {ids[worst]} by "
+            f"{block.difference_m:.2f} m ({block.distance:.1f} sigma)"
+        )
+    if not block_agrees(agreement.pose):
+        parts.append(
+            f"the last pose is off by {agreement.pose.difference_m:.2f} m "
+            f"({agreement.pose.distance:.1f} sigma)"
+        )
+    least = agreement.whole.least
+    if least < LEAST_VARIANCE_RATIO:
+        parts.append(
+            f"the filter claims {100 * least:.2g} % of the justified variance in its most optimistic "
+            "direction"
+        )
+    if agreement.whole.largest > 1.0 / LEAST_VARIANCE_RATIO:
+        parts.append(
+            f"it claims {agreement.whole.largest:.1f} times the justified variance in its most "
+            "pessimistic one"
+        )
+    if not parts:
+        parts.append(f"the whole map is off by {agreement.whole.distance:.1f} sigma")
+    sigma = np.sqrt(run.estimate.pose_covariance[:, 2, 2])
+    k = int(np.argmax(sigma))
+    return Cause(
+        "linearisation",
+        "; ".join(parts),
+        f"algebra and model are right, so the linearisation points are not: the heading's sigma "
+        f"reached {np.degrees(sigma[k]):.1f} degrees at {run.estimate.time_s[k]:.1f} s; smaller "
+        "heading uncertainty, local maps or relinearisation would help",
+    )
+
+
+def _remarks(proof: Proof, run: EkfRun) -> list[str]:
+    remarks = []
+    test = proof.chi_square
+    if test.reading != "plausible":
+        meaning = {
+            "too high": "noise is larger than stated, or the model or the association is wrong",
+            "too low": "the stated noise is conservative",
+        }[test.reading]
+        remarks.append(
+            f"chi-square {test.chi2:.0f} for {test.dof} degrees of freedom is {test.reading} "
+            f"(band {test.lower:.0f} to {test.upper:.0f}): {meaning}"
+        )
+    if run.rejected:
+        remarks.append(f"{run.rejected} of {len(run.slot)} sightings were rejected by association")
+    return remarks

@@ -1,0 +1,202 @@
+"""The command line, `slamcheck`. Heavy imports stay inside the commands."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from comparisons.errors import InputError
+
+if TYPE_CHECKING:
+    from comparisons.compare import Progress
+    from comparisons.logs.log import Log
+
+AGREE, DISAGREE, UNUSABLE, UNPROVEN = 0, 1, 2, 3
+
+app = typer.Typer(
+    name="slamcheck",
+    help="Is my EKF-SLAM right? Runs an EKF and a smoother on one log and judges the EKF.",
+    epilog="Exit codes: 0 agree, 1 disagree, 2 unusable input or usage, 3 unproven.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+
+LogArgument = Annotated[
+    str, typer.Argument(metavar="LOG", help="A bundled name (see `slamcheck logs`) or a path.")
+]
+FormatOption = Annotated[
+    str | None, typer.Option("--format", metavar="F", help="The log's format; recognised if left out.")
+]
+RobotOption = Annotated[int, typer.Option(help="Robot number, for MR.CLAM folders.")]
+SeedOption = Annotated[int, typer.Option(help="Seed of a simulated log.")]
+LoopsOption = Annotated[int, typer.Option(help="Loops of a simulated log.")]
+NoiseOption = Annotated[
+    float, typer.Option("--noise-scale", help="Factor on the noise of a simulated log.")
+]
+
+
+@app.command()
+def run(
+    log: LogArgument = "victoria-park",
+    format_name: FormatOption = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Folder to write [default: slamcheck-NAME]."),
+    ] = None,
+    association: Annotated[
+        str | None,
+        typer.Option(metavar="known|nn", help="known: the log's labels; nn: nearest neighbour."),
+    ] = None,
+    robot: RobotOption = 1,
+    seed: SeedOption = 0,
+    loops: LoopsOption = 1,
+    noise_scale: NoiseOption = 1.0,
+) -> None:
+    """Run both estimators on a log, check one against the other, write a report folder.
+
+    \b
+    Examples:
+      slamcheck run                                   the bundled Victoria Park log
+      slamcheck run simulated-loop --loops 2 --seed 7
+      slamcheck run path/to/MRCLAM_Dataset6 --robot 2
+      slamcheck run my-log-folder --association nn --out report
+    """
+    with _one_line_errors():
+        import time
+
+        start = time.perf_counter()
+        source = _open(log, format_name, robot, seed, loops, noise_scale)
+        read_s = time.perf_counter() - start
+        raise SystemExit(_run(source, association, out, read_s))
+
+
+def _run(log: Log, association: str | None, out: Path | None, read_s: float) -> int:
+    from rich.console import Console
+
+    from comparisons.atomic import check_replaceable
+    from comparisons.compare import compare_estimators
+    from comparisons.report.result import build_result
+    from comparisons.report.run_folder import MARK, write_run_folder
+    from comparisons.report.summary import print_summary
+
+    folder = out or Path(f"slamcheck-{log.name}")
+    check_replaceable(folder, MARK)
+    with _progress() as progress:
+        comparison = compare_estimators(log, association, progress)
+        result = build_result(comparison, read_s)
+        progress("report", 0, 0)
+        write_run_folder(comparison, result, folder)
+    console = Console(soft_wrap=True)
+    print_summary(result, console)
+    console.print(f"report: {folder}", highlight=False, markup=False)
+    return {"agree": AGREE, "disagree": DISAGREE, "unproven": UNPROVEN}[result.verdict]
+
+
+@app.command()
+def logs() -> None:
+    """List the logs that can be named, and the formats that can be read."""
+    from comparisons.logs.bundled import NAMED
+    from comparisons.logs.readers import READERS
+
+    typer.echo("Logs by name:")
+    for name, entry in NAMED.items():
+        typer.echo(f"  {name:16} {entry.kind}: {entry.what}")
+    typer.echo("Formats of logs by path (--format):")
+    for name, reader in READERS.items():
+        typer.echo(f"  {name:16} {reader.what}")
+
+
+@app.command()
+def convert(
+    log: LogArgument,
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="The log folder to write.")],
+    format_name: FormatOption = None,
+    robot: RobotOption = 1,
+    seed: SeedOption = 0,
+    loops: LoopsOption = 1,
+    noise_scale: NoiseOption = 1.0,
+) -> None:
+    """Write any readable log as a log folder.
+
+    \b
+    Example:
+      slamcheck convert path/to/acfr_car_park car-park
+    """
+    with _one_line_errors():
+        from comparisons.logs.log_folder import write_log_folder
+
+        source = _open(log, format_name, robot, seed, loops, noise_scale)
+        write_log_folder(source, folder)
+        records = ", ".join(f"{n:,} {name}" for name, n in source.records.items())
+        typer.echo(f"{folder}: {records}")
+
+
+@app.callback(invoke_without_command=True)
+def _main(
+    version: Annotated[bool, typer.Option("--version", help="Show the version and exit.")] = False,
+) -> None:
+    if version:
+        from importlib.metadata import version as installed
+
+        typer.echo(f"slamcheck {installed('slamcheck')}")
+        raise typer.Exit
+
+
+def _open(
+    name: str, format_name: str | None, robot: int, seed: int, loops: int, noise_scale: float
+) -> Log:
+    from comparisons.logs.bundled import SimulationChoices, open_log
+
+    return open_log(name, format_name, robot, SimulationChoices(seed, loops, noise_scale))
+
+
+@contextmanager
+def _one_line_errors() -> Iterator[None]:
+    """Known faults become one line on standard error and an exit code."""
+    try:
+        yield
+    except InputError as error:
+        _fail(str(error), UNUSABLE)
+    except MemoryError:
+        _fail("not enough memory for this log", UNUSABLE)
+    except ArithmeticError as error:
+        if type(error).__name__ != "SingularProblemError":
+            raise
+        _fail(f"unproven: {error}", UNPROVEN)
+
+
+def _fail(message: str, code: int) -> None:
+    print(f"slamcheck: {' '.join(message.split())}", file=sys.stderr)
+    raise SystemExit(code)
+
+
+@contextmanager
+def _progress() -> Iterator[Progress]:
+    """A progress bar on standard error, when that is a terminal."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    console = Console(stderr=True)
+    with Progress(
+        *columns, console=console, transient=True, disable=not console.is_terminal
+    ) as bar:
+        task = bar.add_task("reading", total=None)
+
+        def show(stage: str, done: int, total: int) -> None:
+            bar.update(task, description=stage, completed=done, total=total or None)
+
+        update: Callable[[str, int, int], None] = show
+        yield update
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    app()

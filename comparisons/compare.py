@@ -1,0 +1,110 @@
+"""The main job: one log through both estimators and all checks."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from comparisons.checks.accuracy import Accuracy, assess
+from comparisons.checks.agreement import Agreement, Gaussian, compare
+from comparisons.checks.attribution import Verdict, judge
+from comparisons.errors import InputError
+from comparisons.logs.log import Log
+from comparisons.runs.ekf_run import EkfRun, choose_association, run_ekf
+from comparisons.runs.estimate import Estimate
+from comparisons.runs.smoother_run import (
+    build_problem,
+    run_frozen_own,
+    run_frozen_recorded,
+    run_smoother,
+    smoothed_estimate,
+)
+from comparisons.runs.timeline import build_timeline
+from ekf_reference.full_ekf import FullEkf
+from graphslam.smoother import SmootherResult
+
+Progress = Callable[[str, int, int], None]
+"""Called with the stage, what is done and what there is to do (0 when not known)."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Everything one run found out. seconds: by stage."""
+
+    log: Log
+    association: str
+    ekf: EkfRun
+    smoother: SmootherResult
+    smoothed: Estimate
+    agreement: Agreement
+    accuracy_ekf: Accuracy | None
+    accuracy_smoother: Accuracy | None
+    verdict: Verdict
+    seconds: dict[str, float]
+
+
+def compare_estimators(
+    log: Log,
+    association: str | None = None,
+    progress: Progress = lambda stage, done, total: None,
+    modify: Callable[[FullEkf], None] = lambda ekf: None,
+) -> Comparison:
+    """Run both estimators over a log and judge them.
+
+    association: `known`, `nn`, or None to choose by the log. modify: see run_ekf. Raises
+    InputError when the log cannot be used, and graphslam.marginals.SingularProblemError when the
+    smoother has no solution.
+    """
+    chosen = choose_association(log, association)
+    clock = _Clock()
+    timeline = build_timeline(log)
+    with clock.stage("ekf"):
+        run = run_ekf(log, timeline, chosen, lambda k, n: progress("EKF", k, n), modify)
+    if not len(run.estimate.landmark):
+        raise InputError(f"{log.name}: no sighting could be used, so there is no map to compare")
+    problem = build_problem(log, timeline, run)
+    with clock.stage("frozen"):
+        progress("frozen smoothers", 0, 0)
+        recorded, own = run_frozen_recorded(log, run), run_frozen_own(problem, run)
+    with clock.stage("smoother"):
+        result = run_smoother(problem, run, lambda stage: progress(stage, 0, 0))
+    with clock.stage("marginals"):
+        progress("marginals", 0, 0)
+        smoothed = smoothed_estimate(result, timeline, run)
+    with clock.stage("checks"):
+        progress("checks", 0, 0)
+        agreement = compare(
+            _gaussian(run.estimate), Gaussian(*recorded), Gaussian(*own), _gaussian(smoothed)
+        )
+        labelled = chosen == "known"
+        return Comparison(
+            log,
+            chosen,
+            run,
+            result,
+            smoothed,
+            agreement,
+            assess(run.estimate, log, labelled=labelled),
+            assess(smoothed, log, labelled=labelled),
+            judge(agreement, result.proof, run),
+            clock.seconds,
+        )
+
+
+def _gaussian(estimate: Estimate) -> Gaussian:
+    return Gaussian(estimate.joint_mean, estimate.joint_covariance)
+
+
+class _Clock:
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[name] = time.perf_counter() - start

@@ -1,0 +1,20 @@
+"""Faults a user can mend, each told in one line."""
+
+from __future__ import annotations
+
+
+class InputError(ValueError):
+    """Unusable input or usage: what, where, what was expected. The command line exits with 2."""
+
+
+class RecordError(InputError):
+    """A record of a log that breaks its contract.
+
+    row: zero-based row within the stream, for readers that can name the file's line instead.
+    """
+
+    def __init__(self, stream: str, row: int | None, fault: str) -> None:
+        """fault: the column, its value and what was expected."""
+        self.stream, self.row, self.fault = stream, row, fault
+        place = stream if row is None else f"{stream}, row {row}"
+        super().__init__(f"{place}: {fault}")

@@ -1,0 +1,1 @@
+"""Logs: records, the folder format, readers of public data sets, simulation."""

@@ -1,0 +1,79 @@
+"""Logs that can be named instead of a path."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from comparisons.errors import InputError
+from comparisons.logs.log import Log
+from comparisons.logs.readers import gtsam_2d, read_log
+
+
+@dataclass(frozen=True)
+class SimulationChoices:
+    """What a user may vary in a simulated log."""
+
+    seed: int = 0
+    loops: int = 1
+    noise_scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        if self.seed < 0:
+            raise InputError(f"--seed is {self.seed}, expected 0 or more")
+        if not 1 <= self.loops <= 1000:
+            raise InputError(f"--loops is {self.loops}, expected 1 to 1000")
+        if not (np.isfinite(self.noise_scale) and self.noise_scale >= 0):
+            raise InputError(f"--noise-scale is {self.noise_scale}, expected 0 or more")
+
+
+class NamedLog(NamedTuple):
+    """A log by name: what it is, and how to get it."""
+
+    kind: str
+    what: str
+    open: Callable[[SimulationChoices], Log]
+
+
+def _victoria_park(choices: SimulationChoices) -> Log:
+    import gtsam
+
+    return gtsam_2d.read(Path(gtsam.findExampleDataFile("victoria_park.txt")))
+
+
+def _simulated_loop(choices: SimulationChoices) -> Log:
+    from comparisons.logs.simulate.drive import Drive, simulate
+
+    drive = Drive(loops=choices.loops, noise_scale=choices.noise_scale)
+    return simulate(np.random.default_rng(choices.seed), drive)
+
+
+NAMED: dict[str, NamedLog] = {
+    "victoria-park": NamedLog(
+        "bundled with gtsam",
+        "6,969 poses and 151 trees of Victoria Park, Sydney, associations solved",
+        _victoria_park,
+    ),
+    "simulated-loop": NamedLog(
+        "simulated",
+        "255 m loops among 60 landmarks, Nieto 2005 section 2.9 (--seed, --loops, --noise-scale)",
+        _simulated_loop,
+    ),
+}
+
+
+def open_log(
+    name: str,
+    format_name: str | None = None,
+    robot: int = 1,
+    choices: SimulationChoices | None = None,
+) -> Log:
+    """A log by bundled name, or else by path. Raises InputError."""
+    if format_name is None and name in NAMED and not Path(name).exists():
+        return NAMED[name].open(choices or SimulationChoices())
+    return read_log(Path(name), format_name, robot)

@@ -1,0 +1,421 @@
+"""The records of a log: frozen, validated, SI units, east-north plane, bearings from the heading.
+
+Arrays are float64 and read-only. Every stream is ordered by time. Equal times are allowed for
+sightings (one scan) and for wheel odometry (the later sample holds). Validation raises RecordError naming stream, row, value and
+expectation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.errors import InputError, RecordError
+
+Array = NDArray[np.float64]
+Ids = NDArray[np.int64]
+
+NO_LANDMARK = -1
+"""Landmark id of a sighting whose landmark the sensor did not name."""
+
+
+@dataclass(frozen=True)
+class Ackermann:
+    """Car-like vehicle; see Nieto 2005, Fig. A.2. Lengths in metres, zeros give a plain bicycle."""
+
+    wheelbase_m: float
+    encoder_offset_m: float = 0.0
+    sensor_forward_m: float = 0.0
+    sensor_left_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        for f in fields(self):
+            if not np.isfinite(getattr(self, f.name)):
+                raise InputError(f"vehicle: {f.name} is not a finite number")
+        if self.wheelbase_m <= 0:
+            raise InputError(f"vehicle: wheelbase_m is {self.wheelbase_m}, expected above 0")
+
+
+@dataclass(frozen=True)
+class OdometryNoise:
+    """Standard deviations of a wheel odometry sample, and the stabilisation noise.
+
+    sigma_speed_mps; sigma_turn: of the steering angle [rad] or of the yaw rate [rad/s].
+    variance_rate_position [m^2/s], variance_rate_heading [rad^2/s]: small noise both estimators
+    add (Nieto 2005, section 2.1.1); above zero, since one sample's control noise is singular.
+    """
+
+    sigma_speed_mps: float
+    sigma_turn: float
+    variance_rate_position: float = 1e-6
+    variance_rate_heading: float = 1e-8
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        for f in fields(self):
+            value = getattr(self, f.name)
+            least = 0.0 if f.name.startswith("sigma") else np.nextafter(0, 1)
+            if not (np.isfinite(value) and value >= least):
+                raise InputError(f"odometry noise: {f.name} is {value}, expected above 0")
+
+
+@dataclass(frozen=True)
+class SteeringOdometry:
+    """Speed [m/s] and steering angle [rad, left positive], each held until the next sample."""
+
+    time_s: Array
+    speed_mps: Array
+    steering_rad: Array
+    vehicle: Ackermann
+    noise: OdometryNoise
+
+    def __post_init__(self) -> None:
+        """Check the stream."""
+        _check(self, "steering odometry", rows="time_s")
+        _increasing("steering odometry", self.time_s, equal=True)
+        _within("steering odometry", "steering_rad", self.steering_rad, -1.55, 1.55)
+
+
+@dataclass(frozen=True)
+class VelocityOdometry:
+    """Speed [m/s] and yaw rate [rad/s], each held until the next sample."""
+
+    time_s: Array
+    speed_mps: Array
+    yaw_rate_radps: Array
+    noise: OdometryNoise
+
+    def __post_init__(self) -> None:
+        """Check the stream."""
+        _check(self, "velocity odometry", rows="time_s")
+        _increasing("velocity odometry", self.time_s, equal=True)
+
+
+@dataclass(frozen=True)
+class RelativePoses:
+    """Displacements between consecutive poses; the first departs from the prior.
+
+    time_s: (N,) of arrival. displacement: (N, 3) dx, dy [m], dheading [rad] in the departing
+    frame. covariance: (N, 3, 3) in the arriving frame (the convention of g2o and gtsam).
+    """
+
+    time_s: Array
+    displacement: Array
+    covariance: Array
+
+    def __post_init__(self) -> None:
+        """Check the stream."""
+        _check(self, "relative poses", rows="time_s", displacement=(3,), covariance=(3, 3))
+        _increasing("relative poses", self.time_s)
+        _positive_definite("relative poses", self.covariance)
+
+
+Odometry = SteeringOdometry | VelocityOdometry | RelativePoses
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """Range-bearing detections of landmarks, bearings counter-clockwise from straight ahead.
+
+    time_s, range_m, bearing_rad, sigma_range_m, sigma_bearing_rad: (M,). landmark: (M,) ids, or
+    NO_LANDMARK. diameter_m: (M,), NaN where unknown. label_gate: normalised innovation squared
+    beyond which an id is taken for a misread; infinite where ids are certain.
+    """
+
+    time_s: Array
+    range_m: Array
+    bearing_rad: Array
+    sigma_range_m: Array
+    sigma_bearing_rad: Array
+    landmark: Ids
+    diameter_m: Array
+    label_gate: float = float("inf")
+
+    def __post_init__(self) -> None:
+        """Check the stream."""
+        if not self.label_gate > 0:
+            raise InputError(f"sightings: label_gate is {self.label_gate}, expected above 0")
+        _check(self, "sightings", rows="time_s", gaps=("diameter_m",))
+        _increasing("sightings", self.time_s, equal=True)
+        for name in ("range_m", "sigma_range_m", "sigma_bearing_rad"):
+            _above_zero("sightings", name, getattr(self, name))
+        _within("sightings", "bearing_rad", self.bearing_rad, -2 * np.pi, 2 * np.pi)
+        bad = np.flatnonzero(self.landmark < NO_LANDMARK)
+        if len(bad):
+            raise RecordError(
+                "sightings",
+                int(bad[0]),
+                f"landmark is {self.landmark[bad[0]]}, expected an id from 0 or {NO_LANDMARK}",
+            )
+
+    @property
+    def labelled(self) -> bool:
+        """Every sighting names its landmark."""
+        return bool((self.landmark != NO_LANDMARK).all())
+
+
+@dataclass(frozen=True)
+class Positions:
+    """Absolute positions, such as GPS. time_s: (N,). position_m: (N, 2). covariance: (N, 2, 2)."""
+
+    time_s: Array
+    position_m: Array
+    covariance: Array
+
+    def __post_init__(self) -> None:
+        """Check the stream."""
+        _check(self, "positions", rows="time_s", position_m=(2,), covariance=(2, 2))
+        _increasing("positions", self.time_s)
+        _positive_definite("positions", self.covariance)
+
+
+@dataclass(frozen=True)
+class Landmarks:
+    """A map. id: (L,), unique. position_m: (L, 2). covariance: (L, 2, 2), zero for exact."""
+
+    id: Ids
+    position_m: Array
+    covariance: Array
+
+    def __post_init__(self) -> None:
+        """Check the table."""
+        _check(self, "landmarks", rows="id", position_m=(2,), covariance=(2, 2))
+        values, first = np.unique(self.id, return_index=True)
+        if len(values) < len(self.id):
+            row = int(np.setdiff1d(np.arange(len(self.id)), first)[0])
+            raise RecordError("landmarks", row, f"id {self.id[row]} appears twice")
+
+
+@dataclass(frozen=True)
+class Scans:
+    """Planar laser scans. time_s: (N,). angle_rad: (B,) from straight ahead, counter-clockwise.
+
+    range_m: (N, B), NaN for no return. intensity: (N, B), zero where not measured.
+    """
+
+    time_s: Array
+    angle_rad: Array
+    range_m: Array
+    intensity: Array
+
+    def __post_init__(self) -> None:
+        """Check the stream."""
+        beams = (len(self.angle_rad),)
+        _check(
+            self,
+            "scans",
+            rows="time_s",
+            gaps=("range_m",),
+            angle_rad=None,
+            range_m=beams,
+            intensity=beams,
+        )
+        _increasing("scans", self.time_s)
+
+
+@dataclass(frozen=True)
+class Poses:
+    """A trajectory. time_s: (N,). pose: (N, 3) x, y [m], heading [rad]."""
+
+    time_s: Array
+    pose: Array
+
+    def __post_init__(self) -> None:
+        """Check the stream."""
+        _check(self, "poses", rows="time_s", pose=(3,))
+        _increasing("poses", self.time_s)
+
+
+@dataclass(frozen=True)
+class Surfaces:
+    """Walls and outlines as segments. segment: (S, 4) x1, y1, x2, y2 [m]."""
+
+    segment: Array
+
+    def __post_init__(self) -> None:
+        """Check the table."""
+        _check(self, "surfaces", rows="segment", segment=(4,))
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What is known independently of the estimators' sensors."""
+
+    poses: Poses | None = None
+    landmarks: Landmarks | None = None
+    surfaces: Surfaces | None = None
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Where the vehicle starts. pose: (3,). covariance: (3, 3) of the additive global error."""
+
+    time_s: float
+    pose: Array
+    covariance: Array
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        if not np.isfinite(self.time_s):
+            raise InputError("prior: time_s is not a finite number")
+        for name, shape in (("pose", (3,)), ("covariance", (3, 3))):
+            value = _frozen(getattr(self, name))
+            object.__setattr__(self, name, value)
+            if value.shape != shape or not np.isfinite(value).all():
+                raise InputError(f"prior: {name} must hold {shape} finite numbers")
+        _positive_definite("prior", self.covariance[None])
+
+
+@dataclass(frozen=True)
+class Log:
+    """One drive: its streams, its prior, and where they come from.
+
+    format: the reader's name. provenance: free text by key, for reports. known_landmarks and
+    known_sightings: landmarks surveyed beforehand, and the sightings that refer to their ids.
+    """
+
+    name: str
+    format: str
+    prior: Prior
+    odometry: Odometry
+    sightings: Sightings
+    positions: Positions | None = None
+    known_landmarks: Landmarks | None = None
+    known_sightings: Sightings | None = None
+    scans: Scans | None = None
+    truth: Truth = field(default_factory=Truth)
+    provenance: dict[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Check the streams against each other."""
+        if not len(self.odometry.time_s):
+            raise InputError(f"{self.name}: the odometry is empty, expected at least one record")
+        if not len(self.sightings.time_s):
+            raise InputError(f"{self.name}: there are no sightings, expected at least one")
+        start = self.prior.time_s
+        for stream, times in (("odometry", self.odometry.time_s), ("sightings", self.sightings.time_s)):
+            if times[0] < start:
+                raise RecordError(
+                    stream, 0, f"time {times[0]} s lies before the prior's {start} s"
+                )
+        if self.known_sightings is not None:
+            ids = np.zeros(0) if self.known_landmarks is None else self.known_landmarks.id
+            unknown = np.flatnonzero(~np.isin(self.known_sightings.landmark, ids))
+            if len(unknown):
+                row = int(unknown[0])
+                raise RecordError(
+                    "known sightings",
+                    row,
+                    f"landmark {self.known_sightings.landmark[row]} is not among the known ones",
+                )
+
+    @property
+    def end_s(self) -> float:
+        """Time of the last odometry or sighting record."""
+        return float(max(self.odometry.time_s[-1], self.sightings.time_s[-1]))
+
+    @property
+    def duration_s(self) -> float:
+        """From the prior to the last record."""
+        return self.end_s - self.prior.time_s
+
+    @property
+    def records(self) -> dict[str, int]:
+        """Number of records in each stream that is present."""
+        streams = {
+            "odometry": self.odometry,
+            "sightings": self.sightings,
+            "positions": self.positions,
+            "known sightings": self.known_sightings,
+            "scans": self.scans,
+            "truth poses": self.truth.poses,
+        }
+        return {name: len(s.time_s) for name, s in streams.items() if s is not None}
+
+
+def _frozen(value: object) -> Array:
+    array = np.array(value, dtype=float)
+    array.flags.writeable = False
+    return array
+
+
+def _check(
+    record: object,
+    stream: str,
+    rows: str,
+    gaps: tuple[str, ...] = (),
+    **shapes: tuple[int, ...] | None,
+) -> None:
+    """Freeze the arrays; check their shapes against the stream's length, and that all are finite.
+
+    gaps: columns in which NaN means not measured. shapes: each row's shape, None to leave alone.
+    """
+    for f in fields(record):  # type: ignore[arg-type]
+        value = getattr(record, f.name)
+        if not isinstance(value, np.ndarray | list | tuple):
+            continue
+        if f.name in ("id", "landmark"):
+            frozen: NDArray[np.generic] = np.array(value, dtype=np.int64)
+            frozen.flags.writeable = False
+        else:
+            frozen = _frozen(value)
+        object.__setattr__(record, f.name, frozen)
+    count = len(getattr(record, rows))
+    for f in fields(record):  # type: ignore[arg-type]
+        value = getattr(record, f.name)
+        if not isinstance(value, np.ndarray):
+            continue
+        shape = shapes.get(f.name, ())
+        if shape is not None and value.shape != (count, *shape):
+            raise RecordError(
+                stream, None, f"{f.name} has shape {value.shape}, expected {(count, *shape)}"
+            )
+        bad = np.isinf(value) if f.name in gaps else ~np.isfinite(value)
+        if bad.any():
+            row = int(np.argwhere(bad)[0][0])
+            raise RecordError(stream, row, f"{f.name} is {value[bad][0]}, expected a finite number")
+
+
+def _increasing(stream: str, time_s: Array, *, equal: bool = False) -> None:
+    steps = np.diff(time_s)
+    bad = np.flatnonzero(steps < 0 if equal else steps <= 0)
+    if len(bad):
+        row = int(bad[0]) + 1
+        raise RecordError(
+            stream,
+            row,
+            f"time {time_s[row]:.6f} s follows {time_s[row - 1]:.6f} s, expected times to increase",
+        )
+
+
+def _above_zero(stream: str, name: str, values: Array) -> None:
+    bad = np.flatnonzero(values <= 0)
+    if len(bad):
+        raise RecordError(stream, int(bad[0]), f"{name} is {values[bad[0]]}, expected above 0")
+
+
+def _within(stream: str, name: str, values: Array, low: float, high: float) -> None:
+    bad = np.flatnonzero((values < low) | (values > high))
+    if len(bad):
+        raise RecordError(
+            stream,
+            int(bad[0]),
+            f"{name} is {values[bad[0]]}, expected between {low:.4g} and {high:.4g}",
+        )
+
+
+def _positive_definite(stream: str, covariance: Array) -> None:
+    scale = np.abs(covariance).max(axis=(1, 2), initial=0.0)
+    skew = np.abs(covariance - covariance.transpose(0, 2, 1)).max(axis=(1, 2), initial=0.0)
+    bad = np.flatnonzero(
+        (skew > 1e-9 * scale) | (np.linalg.eigvalsh(covariance)[:, 0] <= 0.0)
+    )
+    if len(bad):
+        raise RecordError(
+            stream,
+            int(bad[0]),
+            "covariance is not positive definite, expected a symmetric one with positive variances",
+        )

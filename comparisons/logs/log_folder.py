@@ -1,0 +1,349 @@
+"""A log on disk: `log.toml`, one CSV per stream, one `.npz` for scans. Read and write.
+
+Numbers are written so that they read back to the same bits.
+"""
+
+from __future__ import annotations
+
+import json
+import tomllib
+import zipfile
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from comparisons.atomic import fresh_folder
+from comparisons.errors import InputError
+from comparisons.logs.log import (
+    NO_LANDMARK,
+    Ackermann,
+    Array,
+    Landmarks,
+    Log,
+    Odometry,
+    OdometryNoise,
+    Poses,
+    Positions,
+    Prior,
+    RelativePoses,
+    Scans,
+    Sightings,
+    SteeringOdometry,
+    Surfaces,
+    Truth,
+    VelocityOdometry,
+)
+from comparisons.logs.table import Table, read_text
+
+MARK = "log.toml"
+
+_SIGHTINGS = (
+    "time_s",
+    "range_m",
+    "bearing_rad",
+    "sigma_range_m",
+    "sigma_bearing_rad",
+    "landmark",
+    "diameter_m",
+)
+_POSITIONS = ("time_s", "x_m", "y_m", "var_x_m2", "cov_xy_m2", "var_y_m2")
+_LANDMARKS = ("id", "x_m", "y_m", "var_x_m2", "cov_xy_m2", "var_y_m2")
+_POSES = ("time_s", "x_m", "y_m", "heading_rad")
+_SURFACES = ("x1_m", "y1_m", "x2_m", "y2_m")
+_STEERING = ("time_s", "speed_mps", "steering_rad")
+_VELOCITY = ("time_s", "speed_mps", "yaw_rate_radps")
+_RELATIVE = (
+    "time_s",
+    "dx_m",
+    "dy_m",
+    "dheading_rad",
+    *(f"cov_{i}{j}" for i in range(3) for j in range(i, 3)),
+)
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class _PriorModel(_Model):
+    time_s: float
+    pose: tuple[float, float, float]
+    covariance: list[list[float]]
+
+
+class _VehicleModel(_Model):
+    wheelbase_m: float
+    encoder_offset_m: float = 0.0
+    sensor_forward_m: float = 0.0
+    sensor_left_m: float = 0.0
+
+
+class _NoiseModel(_Model):
+    sigma_speed_mps: float
+    sigma_turn: float
+    variance_rate_position: float = 1e-6
+    variance_rate_heading: float = 1e-8
+
+
+class _SteeringModel(_Model):
+    kind: Literal["steering"]
+    vehicle: _VehicleModel
+    noise: _NoiseModel
+
+
+class _VelocityModel(_Model):
+    kind: Literal["velocity"]
+    noise: _NoiseModel
+
+
+class _RelativeModel(_Model):
+    kind: Literal["relative-poses"]
+
+
+class _SightingsModel(_Model):
+    label_gate: float = float("inf")
+
+
+class _LogModel(_Model):
+    version: Literal[1]
+    name: str
+    source: str = "log-folder"
+    units: str = ""
+    prior: _PriorModel
+    odometry: Annotated[
+        _SteeringModel | _VelocityModel | _RelativeModel, Field(discriminator="kind")
+    ]
+    sightings: _SightingsModel = _SightingsModel()
+    provenance: dict[str, str] = {}
+
+
+def read_log_folder(folder: Path) -> Log:
+    """Read a log folder. Raises InputError naming file, line, value and expectation."""
+    meta = _read_meta(folder / MARK)
+    truth = Truth(
+        _read_poses(folder / "truth_poses.csv"),
+        _read_landmarks(folder / "truth_landmarks.csv"),
+        _read_surfaces(folder / "truth_surfaces.csv"),
+    )
+    sightings = _read_sightings(folder / "sightings.csv", meta.sightings.label_gate)
+    if sightings is None:
+        raise InputError(f"{folder / 'sightings.csv'}: no such file")
+    return Log(
+        meta.name,
+        "log-folder",
+        Prior(meta.prior.time_s, np.array(meta.prior.pose), np.array(meta.prior.covariance)),
+        _read_odometry(folder / "odometry.csv", meta),
+        sightings,
+        _read_positions(folder / "positions.csv"),
+        _read_landmarks(folder / "known_landmarks.csv"),
+        _read_sightings(folder / "known_sightings.csv"),
+        _read_scans(folder / "scans.npz"),
+        truth,
+        meta.provenance,
+    )
+
+
+def write_log_folder(log: Log, folder: Path) -> None:
+    """Write a log; the folder appears whole or not at all."""
+    with fresh_folder(folder, MARK) as work:
+        _write_odometry(work / "odometry.csv", log.odometry)
+        _write_sightings(work / "sightings.csv", log.sightings)
+        if log.known_sightings is not None:
+            _write_sightings(work / "known_sightings.csv", log.known_sightings)
+        if log.positions is not None:
+            p = log.positions
+            _write_csv(
+                work / "positions.csv", _POSITIONS, p.time_s, p.position_m, _upper(p.covariance)
+            )
+        for name, table in (
+            ("known_landmarks", log.known_landmarks),
+            ("truth_landmarks", log.truth.landmarks),
+        ):
+            if table is not None:
+                _write_csv(
+                    work / f"{name}.csv",
+                    _LANDMARKS,
+                    table.id,
+                    table.position_m,
+                    _upper(table.covariance),
+                )
+        if log.truth.poses is not None:
+            poses = log.truth.poses
+            _write_csv(work / "truth_poses.csv", _POSES, poses.time_s, poses.pose)
+        if log.truth.surfaces is not None:
+            _write_csv(work / "truth_surfaces.csv", _SURFACES, log.truth.surfaces.segment)
+        if log.scans is not None:
+            s = log.scans
+            np.savez_compressed(
+                work / "scans.npz",
+                time_s=s.time_s,
+                angle_rad=s.angle_rad,
+                range_m=s.range_m,
+                intensity=s.intensity,
+            )
+        (work / MARK).write_text(_meta_text(log), encoding="utf-8")
+
+
+def _read_meta(path: Path) -> _LogModel:
+    try:
+        return _LogModel.model_validate(tomllib.loads(read_text(path)))
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: not valid TOML: {error}") from None
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        raise InputError(f"{path}: {key}: {first['msg'].lower()}") from None
+
+
+def _read_odometry(path: Path, meta: _LogModel) -> Odometry:
+    settings = meta.odometry
+    if isinstance(settings, _RelativeModel):
+        table = Table(path, _RELATIVE, comma=True, header=True)
+        covariance = np.empty((len(table), 3, 3))
+        upper = np.triu_indices(3)
+        covariance[:, *upper] = covariance[:, *upper[::-1]] = table.data[:, 4:]
+        with table.locating():
+            return RelativePoses(table["time_s"], table.data[:, 1:4], covariance)
+    noise = OdometryNoise(**settings.noise.model_dump())
+    if isinstance(settings, _SteeringModel):
+        table = Table(path, _STEERING, comma=True, header=True)
+        vehicle = Ackermann(**settings.vehicle.model_dump())
+        with table.locating():
+            return SteeringOdometry(*table.data.T, vehicle, noise)
+    table = Table(path, _VELOCITY, comma=True, header=True)
+    with table.locating():
+        return VelocityOdometry(*table.data.T, noise)
+
+
+def _write_odometry(path: Path, odometry: Odometry) -> None:
+    if isinstance(odometry, RelativePoses):
+        upper = odometry.covariance[:, *np.triu_indices(3)]
+        _write_csv(path, _RELATIVE, odometry.time_s, odometry.displacement, upper)
+    elif isinstance(odometry, SteeringOdometry):
+        _write_csv(path, _STEERING, odometry.time_s, odometry.speed_mps, odometry.steering_rad)
+    else:
+        _write_csv(path, _VELOCITY, odometry.time_s, odometry.speed_mps, odometry.yaw_rate_radps)
+
+
+def _read_sightings(path: Path, label_gate: float = float("inf")) -> Sightings | None:
+    if not path.exists():
+        return None
+    table = Table(path, _SIGHTINGS, comma=True, header=True, gaps=("diameter_m",))
+    ids = table["landmark"]
+    fraction = np.flatnonzero(ids != np.round(ids))
+    if len(fraction):
+        row = int(fraction[0])
+        raise InputError(
+            f"{path}:{table.line(row)}: landmark is {ids[row]}, expected a whole number "
+            f"({NO_LANDMARK} for none)"
+        )
+    with table.locating():
+        return Sightings(*table.data.T[:5], ids.astype(np.int64), table["diameter_m"], label_gate)
+
+
+def _write_sightings(path: Path, s: Sightings) -> None:
+    columns = (
+        s.time_s, s.range_m, s.bearing_rad, s.sigma_range_m, s.sigma_bearing_rad, s.landmark,
+        s.diameter_m,
+    )  # fmt: skip
+    _write_csv(path, _SIGHTINGS, *columns)
+
+
+def _read_positions(path: Path) -> Positions | None:
+    if not path.exists():
+        return None
+    table = Table(path, _POSITIONS, comma=True, header=True)
+    with table.locating():
+        return Positions(table["time_s"], table.data[:, 1:3], _symmetric(table.data[:, 3:]))
+
+
+def _read_landmarks(path: Path) -> Landmarks | None:
+    if not path.exists():
+        return None
+    table = Table(path, _LANDMARKS, comma=True, header=True)
+    with table.locating():
+        ids = table["id"].astype(np.int64)
+        return Landmarks(ids, table.data[:, 1:3], _symmetric(table.data[:, 3:]))
+
+
+def _read_poses(path: Path) -> Poses | None:
+    if not path.exists():
+        return None
+    table = Table(path, _POSES, comma=True, header=True)
+    with table.locating():
+        return Poses(table["time_s"], table.data[:, 1:])
+
+
+def _read_surfaces(path: Path) -> Surfaces | None:
+    if not path.exists():
+        return None
+    return Surfaces(Table(path, _SURFACES, comma=True, header=True).data)
+
+
+def _read_scans(path: Path) -> Scans | None:
+    if not path.exists():
+        return None
+    names = ("time_s", "angle_rad", "range_m", "intensity")
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            return Scans(*(archive[name] for name in names))
+    except (ValueError, KeyError, OSError, zipfile.BadZipFile) as error:
+        if isinstance(error, InputError):
+            raise InputError(f"{path}: {error}") from None
+        raise InputError(f"{path}: not an archive of {', '.join(names)}") from None
+
+
+def _symmetric(upper: Array) -> Array:
+    """(N, 3) xx, xy, yy to (N, 2, 2)."""
+    return upper[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
+
+
+def _upper(covariance: Array) -> Array:
+    """(N, 2, 2) to (N, 3) xx, xy, yy."""
+    return covariance.reshape(-1, 4)[:, [0, 1, 3]]
+
+
+def _write_csv(path: Path, columns: tuple[str, ...], *parts: Array | np.ndarray) -> None:
+    lists = [
+        column.tolist()
+        for part in parts
+        for column in (part.T if part.ndim == 2 else part[None])
+    ]
+    with path.open("w", encoding="utf-8") as file:
+        file.write(",".join(columns) + "\n")
+        file.writelines(",".join(map(repr, row)) + "\n" for row in zip(*lists, strict=True))
+
+
+def _meta_text(log: Log) -> str:
+    """The TOML; its strings and numbers are spelt as JSON, which TOML shares."""
+    prior, odometry = log.prior, log.odometry
+    lines = [
+        "version = 1",
+        f"name = {json.dumps(log.name)}",
+        f"source = {json.dumps(log.format)}",
+        'units = "SI, radians; bearings counter-clockwise from straight ahead"',
+        "",
+        "[prior]",
+        f"time_s = {float(prior.time_s)!r}",
+        f"pose = {prior.pose.tolist()}",
+        f"covariance = {prior.covariance.tolist()}",
+        "",
+        "[odometry]",
+    ]
+    if isinstance(odometry, RelativePoses):
+        lines.append('kind = "relative-poses"')
+    else:
+        steering = isinstance(odometry, SteeringOdometry)
+        lines.append(f"kind = {json.dumps('steering' if steering else 'velocity')}")
+        groups: dict[str, object] = {"noise": odometry.noise}
+        if isinstance(odometry, SteeringOdometry):
+            groups["vehicle"] = odometry.vehicle
+        for group, record in groups.items():
+            lines += ["", f"[odometry.{group}]"]
+            lines += [f"{name} = {float(value)!r}" for name, value in vars(record).items()]
+    lines += ["", "[sightings]", f"label_gate = {log.sightings.label_gate!r}"]
+    lines += ["", "[provenance]"]
+    lines += [f"{json.dumps(k)} = {json.dumps(v)}" for k, v in log.provenance.items()]
+    return "\n".join(lines) + "\n"

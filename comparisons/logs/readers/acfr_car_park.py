@@ -1,0 +1,174 @@
+"""The ACFR car park: `data_set.mat` (wheel, steering, scans, GPS) and `beac_juan3.mat` (beacons).
+
+Reflectors light up in the scans' intensity; a run of lit beams is one sighting. The prior's
+position and heading come from laying the first seconds of dead reckoning onto the RTK GPS.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.errors import InputError
+from comparisons.logs.log import (
+    NO_LANDMARK,
+    Array,
+    Landmarks,
+    Log,
+    OdometryNoise,
+    Positions,
+    Prior,
+    Scans,
+    Sightings,
+    SteeringOdometry,
+    Truth,
+)
+from comparisons.logs.readers.victoria_park import UTE
+
+_NOISE = OdometryNoise(0.1, np.deg2rad(2.0), 1e-5, 1e-6)
+_SIGMA_RANGE_M = 0.05
+_SIGMA_BEARING_RAD = np.deg2rad(1.0)
+_SIGMA_GPS_M = 0.05
+_NO_RETURN_M = 80.0
+_CLUSTER_GAP_M = 0.5
+_CLUSTER_GAP_BEAMS = 2
+_ALIGNED_S = 6.0
+_FILES = ("data_set.mat", "beac_juan3.mat")
+
+
+def recognises(path: Path) -> bool:
+    """A folder with the first of the two files."""
+    return (path / _FILES[0]).is_file()
+
+
+def read(path: Path) -> Log:
+    """Read the pair of files. Raises InputError naming file and variable."""
+    data = _load(
+        path / _FILES[0],
+        ("Time_VS", "Velocity", "Steering", "TimeLaser", "Laser", "Intensity", "TimeGPS", "GPSLon",
+         "GPSLat"),
+    )  # fmt: skip
+    beacons = _load(path / _FILES[1], ("estbeac",))["estbeac"]
+    if beacons.ndim != 2 or beacons.shape[1] != 2:
+        raise InputError(f"{path / _FILES[1]}: estbeac has shape {beacons.shape}, expected (L, 2)")
+    time = {name: data[name].ravel() for name in ("Time_VS", "TimeLaser", "TimeGPS")}
+    start = min(float(t[0]) for t in time.values() if len(t))
+    try:
+        odometry = SteeringOdometry(
+            time["Time_VS"] - start, data["Velocity"].ravel(), data["Steering"].ravel(), UTE, _NOISE
+        )
+        scans = Scans(
+            time["TimeLaser"] - start,
+            np.deg2rad(np.linspace(-90.0, 90.0, data["Laser"].shape[-1])),
+            np.where(data["Laser"] < _NO_RETURN_M, data["Laser"], np.nan),
+            data["Intensity"],
+        )
+        position = np.column_stack((data["GPSLon"].ravel(), data["GPSLat"].ravel()))
+        covariance = np.broadcast_to(_SIGMA_GPS_M**2 * np.eye(2), (len(position), 2, 2))
+        positions = Positions(time["TimeGPS"] - start, position, covariance)
+        sightings = reflector_sightings(scans)
+    except InputError as error:
+        raise InputError(f"{path / _FILES[0]}: {error}") from None
+    if not len(odometry.time_s) or not len(positions.time_s):
+        raise InputError(f"{path / _FILES[0]}: no odometry or no GPS, expected both")
+    return Log(
+        "acfr-car-park",
+        "acfr-car-park",
+        _prior(odometry, positions),
+        odometry,
+        sightings,
+        positions,
+        scans=scans,
+        truth=Truth(
+            landmarks=Landmarks(
+                np.arange(len(beacons)), beacons, np.zeros((len(beacons), 2, 2))
+            )
+        ),
+        provenance={
+            "folder": path.name,
+            "time_origin_s": f"{start:.3f}",
+            "prior": f"dead reckoning of the first {_ALIGNED_S:g} s laid onto the GPS",
+        },
+    )
+
+
+def reflector_sightings(scans: Scans) -> Sightings:
+    """One sighting per run of lit beams: mean range and bearing of the run.
+
+    Beams belong to one run when at most two dark beams lie between them and their ranges differ
+    by less than half a metre.
+    """
+    scan, beam = np.nonzero((scans.intensity > 0) & np.isfinite(scans.range_m))
+    distance, angle = scans.range_m[scan, beam], scans.angle_rad[beam]
+    fresh = (
+        (np.diff(scan, prepend=-1) != 0)
+        | (np.diff(beam, prepend=-1) > _CLUSTER_GAP_BEAMS + 1)
+        | (np.abs(np.diff(distance, prepend=0.0)) > _CLUSTER_GAP_M)
+    )
+    run = np.cumsum(fresh) - 1
+    size = np.bincount(run)
+    count = len(size)
+    return Sightings(
+        scans.time_s[scan[fresh]],
+        np.bincount(run, distance) / size,
+        np.bincount(run, angle) / size,
+        np.full(count, _SIGMA_RANGE_M),
+        np.full(count, _SIGMA_BEARING_RAD),
+        np.full(count, NO_LANDMARK),
+        np.full(count, np.nan),
+    )
+
+
+def _prior(odometry: SteeringOdometry, positions: Positions) -> Prior:
+    """Fit the start: the rigid motion that lays dead reckoning onto the first GPS fixes.
+
+    Dead reckoning is the vehicle's own equations (Nieto 2005, A.4) from the origin; the GPS
+    antenna of this vehicle behaves as if at the laser.
+    """
+    vehicle = odometry.vehicle
+    dt = np.diff(odometry.time_s)
+    tan = np.tan(odometry.steering_rad[:-1])
+    speed = odometry.speed_mps[:-1] / (1.0 - tan * vehicle.encoder_offset_m / vehicle.wheelbase_m)
+    turn = dt * speed * tan / vehicle.wheelbase_m
+    heading = np.concatenate(([0.0], np.cumsum(turn)))
+    forward = dt * speed - vehicle.sensor_left_m * turn
+    left = vehicle.sensor_forward_m * turn
+    step = (forward + 1j * left) * np.exp(1j * heading[:-1])
+    path = np.concatenate(([0.0], np.cumsum(step)))
+    early = (positions.time_s <= _ALIGNED_S) & (positions.time_s >= odometry.time_s[0])
+    times = positions.time_s[early]
+    at_fixes = np.interp(times, odometry.time_s, path.real) + 1j * np.interp(
+        times, odometry.time_s, path.imag
+    )
+    fixes = positions.position_m[early] @ np.array([1.0, 1j])
+    centre_path, centre_fixes = at_fixes.mean(), fixes.mean()
+    start_heading = float(np.angle(np.vdot(at_fixes - centre_path, fixes - centre_fixes)))
+    start = centre_fixes - np.exp(1j * start_heading) * centre_path
+    sigma = np.array([0.05, 0.05, np.deg2rad(0.5)])
+    return Prior(0.0, np.array([start.real, start.imag, start_heading]), np.diag(sigma**2))
+
+
+def _load(path: Path, names: tuple[str, ...]) -> dict[str, Array]:
+    from scipy.io import loadmat
+    from scipy.io.matlab import MatReadError
+
+    try:
+        content: dict[str, Any] = loadmat(path)
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except (MatReadError, ValueError, TypeError, OSError, NotImplementedError, EOFError) as error:
+        raise InputError(f"{path}: not a MATLAB file of version 5 ({error})") from None
+    result: dict[str, Array] = {}
+    for name in names:
+        if name not in content:
+            raise InputError(f"{path}: no variable {name}, expected {', '.join(names)}")
+        value: NDArray[Any] = content[name]
+        if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiu":
+            raise InputError(f"{path}: {name} is not numeric")
+        if not np.isfinite(value).all():
+            raise InputError(f"{path}: {name} holds a value that is not a finite number")
+        result[name] = value.astype(float)
+    return result

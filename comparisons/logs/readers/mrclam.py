@@ -1,0 +1,113 @@
+"""UTIAS MR.CLAM folders: one robot's odometry and sightings, motion capture as truth.
+
+Subjects 1 to 5 are robots, the others landmarks; sightings carry barcodes, which `Barcodes.dat`
+maps to subjects. Barcodes are now and then misread, hence the gate on labels. The sigmas are those
+that the residuals against motion capture show; odometry errs by up to 0.04 rad and 1 cm a second.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from comparisons.errors import InputError
+from comparisons.logs.log import (
+    Landmarks,
+    Log,
+    OdometryNoise,
+    Poses,
+    Prior,
+    Sightings,
+    Truth,
+    VelocityOdometry,
+)
+from comparisons.logs.table import Table
+
+_ROBOTS = 5
+_SIGMA_RANGE_M = 0.25
+_SIGMA_RANGE_SHARE = 0.06
+_SIGMA_BEARING_RAD = 0.03
+_LABEL_GATE = 60.0
+_NOISE = OdometryNoise(0.06, 0.2, 1e-6, 1e-6)
+_PRIOR_SIGMA = np.array([0.01, 0.01, 0.01])
+
+
+def recognises(path: Path) -> bool:
+    """A folder with the barcode table."""
+    return (path / "Barcodes.dat").is_file()
+
+
+def read(path: Path, robot: int) -> Log:
+    """Read one robot's log; times count from its first odometry record.
+
+    The prior is the motion capture's pose then. Sightings of other robots and of unlisted
+    barcodes are left out, and the provenance says how many. Raises InputError.
+    """
+    odometry = Table(path / f"Robot{robot}_Odometry.dat", ("time", "v", "omega"))
+    measured = Table(
+        path / f"Robot{robot}_Measurement.dat", ("time", "barcode", "range", "bearing")
+    )
+    captured = Table(path / f"Robot{robot}_Groundtruth.dat", ("time", "x", "y", "heading"))
+    surveyed = Table(
+        path / "Landmark_Groundtruth.dat", ("subject", "x", "y", "sigma_x", "sigma_y")
+    )
+    barcodes = Table(path / "Barcodes.dat", ("subject", "barcode"))
+    for table in (odometry, measured, captured, surveyed, barcodes):
+        if not len(table):
+            raise InputError(f"{table.path}: holds no records")
+    start = float(odometry["time"][0])
+    with odometry.locating():
+        motion = VelocityOdometry(
+            odometry["time"] - start, odometry["v"], odometry["omega"], _NOISE
+        )
+    with captured.locating():
+        truth = Poses(captured["time"] - start, _unwrapped(captured.data[:, 1:]))
+    subject_of = dict(zip(barcodes["barcode"].tolist(), barcodes["subject"].tolist(), strict=True))
+    subject = np.array([subject_of.get(code, 0.0) for code in measured["barcode"].tolist()])
+    early = measured["time"] < start
+    kept = (subject > _ROBOTS) & ~early
+    with measured.locating():
+        Sightings(*_columns(measured, start, np.full(len(measured), 0)))
+    rows = _columns(measured, start, subject)
+    sightings = Sightings(*(column[kept] for column in rows), label_gate=_LABEL_GATE)
+    variance = surveyed.data[:, 3:5] ** 2
+    landmarks = Landmarks(
+        surveyed["subject"].astype(np.int64),
+        surveyed.data[:, 1:3],
+        variance[:, :, None] * np.eye(2),
+    )
+    first = np.array([np.interp(0.0, truth.time_s, truth.pose[:, i]) for i in range(3)])
+    return Log(
+        f"{path.name.lower()}-robot-{robot}",
+        "mrclam",
+        Prior(0.0, first, np.diag(_PRIOR_SIGMA**2)),
+        motion,
+        sightings,
+        truth=Truth(truth, landmarks),
+        provenance={
+            "folder": path.name,
+            "robot": str(robot),
+            "time_origin_s": f"{start:.3f}",
+            "left_out": f"{np.count_nonzero((subject > 0) & (subject <= _ROBOTS))} sightings of "
+            f"robots, {np.count_nonzero(subject == 0)} of unlisted barcodes, "
+            f"{np.count_nonzero(early)} before the odometry",
+        },
+    )
+
+
+def _columns(measured: Table, start: float, landmark: np.ndarray) -> tuple[np.ndarray, ...]:
+    count = len(measured)
+    return (
+        measured["time"] - start,
+        measured["range"],
+        measured["bearing"],
+        np.hypot(_SIGMA_RANGE_M, _SIGMA_RANGE_SHARE * measured["range"]),
+        np.full(count, _SIGMA_BEARING_RAD),
+        landmark.astype(np.int64),
+        np.full(count, np.nan),
+    )
+
+
+def _unwrapped(pose: np.ndarray) -> np.ndarray:
+    return np.column_stack((pose[:, :2], np.unwrap(pose[:, 2])))

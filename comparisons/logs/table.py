@@ -1,0 +1,131 @@
+"""Numbers in text files, with errors that name file, line, value and expectation."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.errors import InputError, RecordError
+
+Array = NDArray[np.float64]
+
+
+class Table:
+    """A rectangular text file: one record per line, numbers separated by blanks or commas.
+
+    Lines that are empty or start with `#` are passed over, and a header line when `header` says so.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        columns: tuple[str, ...],
+        *,
+        comma: bool = False,
+        header: bool = False,
+        gaps: tuple[str, ...] = (),
+    ) -> None:
+        """Read the file; `gaps` are columns in which nan means not measured.
+
+        Raises InputError at the first line that is not a full record.
+        """
+        self.path, self.columns = path, columns
+        self._delimiter, self._header, self._gaps = "," if comma else None, header, gaps
+        text = read_text(path)
+        lines = text.splitlines()
+        if header and (not lines or tuple(lines[0].strip().split(",")) != columns):
+            raise InputError(f"{path}:1: expected the header {','.join(columns)}")
+        records = self._lines(text)
+        if not records:
+            self.data: Array = np.zeros((0, len(columns)))
+            return
+        try:
+            self.data = np.loadtxt(
+                [line for _, line in records], delimiter=self._delimiter, ndmin=2, dtype=float
+            )
+        except ValueError:
+            self._explain(records)
+        if self.data.shape[1] != len(columns):
+            self._explain(records)
+        required = [name not in gaps for name in columns]
+        if not np.isfinite(self.data[:, required]).all() or np.isinf(self.data).any():
+            self._explain(records)
+
+    def __getitem__(self, column: str) -> Array:
+        """One column (N,) by name."""
+        return self.data[:, self.columns.index(column)]
+
+    def __len__(self) -> int:
+        """Number of records."""
+        return len(self.data)
+
+    def line(self, row: int) -> int:
+        """The file's line number, from 1, of a zero-based record."""
+        return self._lines(read_text(self.path))[row][0]
+
+    @contextmanager
+    def locating(self) -> Iterator[None]:
+        """Turn a RecordError about a row of this table into one that names file and line."""
+        try:
+            yield
+        except RecordError as error:
+            if error.row is None:
+                raise InputError(f"{self.path}: {error.fault}") from error
+            raise InputError(f"{self.path}:{self.line(error.row)}: {error.fault}") from error
+
+    def _lines(self, text: str) -> list[tuple[int, str]]:
+        """Line numbers and contents of the records."""
+        start = int(self._header)
+        return [
+            (number, line)
+            for number, line in enumerate(text.splitlines()[start:], start=start + 1)
+            if line and not line.isspace() and not line.lstrip().startswith("#")
+        ]
+
+    def _explain(self, records: list[tuple[int, str]]) -> NoReturn:
+        """Raise for the first line that does not hold one number per column."""
+        for number, line in records:
+            words = [w.strip() for w in line.split("#")[0].strip().split(self._delimiter)]
+            if len(words) != len(self.columns):
+                raise InputError(
+                    f"{self.path}:{number}: {len(words)} values, expected {len(self.columns)} "
+                    f"({', '.join(self.columns)})"
+                )
+            for name, word in zip(self.columns, words, strict=True):
+                if not (name in self._gaps and word == "nan"):
+                    number_or_fail(word, self.path, number, name)
+        raise InputError(f"{self.path}: not a table of {', '.join(self.columns)}")
+
+
+def number_or_fail(word: str, path: Path, line: int, name: str) -> float:
+    """The finite number a word spells, or an InputError naming where it stands."""
+    try:
+        value = float(word)
+    except ValueError:
+        value = float("nan")
+    if not np.isfinite(value):
+        raise InputError(f"{path}:{line}: {name} is '{shorten(word)}', expected a finite number")
+    return value
+
+
+def read_text(path: Path) -> str:
+    """A file's text. Raises InputError when it is missing, unreadable or not text."""
+    try:
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: not a text file") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+
+
+def shorten(word: str, limit: int = 40) -> str:
+    """A word as it may stand in a one-line error."""
+    shown = "".join(c if c.isprintable() else "?" for c in word)
+    return shown if len(shown) <= limit else shown[: limit - 3] + "..."

@@ -1,0 +1,115 @@
+"""Pictures. Functions draw on a given axis and compute nothing; `map_figure` puts one together."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from comparisons.compare import Comparison
+from comparisons.runs.estimate import Estimate
+
+Array = NDArray[np.float64]
+
+EKF_COLOUR = "#d1495b"
+SMOOTHER_COLOUR = "#00798c"
+TRUTH_COLOUR = "#444444"
+
+
+def ellipses(centre: Array, covariance: Array, sigmas: float, points: int = 48) -> Array:
+    """Outlines (L, points, 2) of the error ellipses of centres (L, 2), covariances (L, 2, 2)."""
+    values, axes = np.linalg.eigh(covariance)
+    angle = np.linspace(0.0, 2.0 * np.pi, points)
+    circle = np.column_stack((np.cos(angle), np.sin(angle)))
+    scaled = axes * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+    return centre[:, None] + sigmas * circle @ scaled.transpose(0, 2, 1)
+
+
+def landmark_covariances(estimate: Estimate) -> Array:
+    """Covariance (L, 2, 2) of each landmark of an estimate."""
+    count = len(estimate.landmark)
+    blocks = estimate.joint_covariance[3:, 3:].reshape(count, 2, count, 2)
+    which = np.arange(count)
+    result: Array = blocks[which, :, which, :]
+    return result
+
+
+def draw_trajectory(axis: Axes, position: Array, colour: str, label: str, style: str = "-") -> None:
+    """A path (K, 2)."""
+    axis.plot(position[:, 0], position[:, 1], style, color=colour, linewidth=0.9, label=label)
+
+
+def draw_landmarks(
+    axis: Axes, position: Array, outline: Array, colour: str, marker: str, label: str
+) -> None:
+    """Landmarks (L, 2) with their ellipses' outlines (L, P, 2)."""
+    axis.add_collection(LineCollection(list(outline), colors=colour, linewidths=0.7, alpha=0.8))
+    axis.plot(
+        position[:, 0],
+        position[:, 1],
+        marker,
+        color=colour,
+        markersize=4,
+        markerfacecolor="none",
+        label=label,
+    )
+
+
+def draw_reference(axis: Axes, position: Array, marker: str, label: str) -> None:
+    """True or surveyed places (N, 2), without uncertainty."""
+    axis.plot(
+        position[:, 0],
+        position[:, 1],
+        marker,
+        color=TRUTH_COLOUR,
+        markersize=5 if marker == "*" else 1.5,
+        linestyle="none",
+        label=label,
+        zorder=1,
+    )
+
+
+def map_figure(comparison: Comparison) -> Figure:
+    """The map: both trajectories, landmarks and 3-sigma ellipses of both, truth where known."""
+    figure = Figure(figsize=(9.0, 7.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    axis = figure.add_subplot()
+    log = comparison.log
+    if log.truth.poses is not None:
+        pose = log.truth.poses.pose
+        axis.plot(pose[:, 0], pose[:, 1], color="#bbbbbb", linewidth=2.5, label="truth", zorder=0)
+    if log.positions is not None:
+        draw_reference(axis, log.positions.position_m, ".", "GPS")
+    if log.truth.landmarks is not None:
+        draw_reference(axis, log.truth.landmarks.position_m, "*", "true landmarks")
+    for estimate, colour, marker, name, style in (
+        (comparison.smoothed, SMOOTHER_COLOUR, "s", "smoother", "-"),
+        (comparison.ekf.estimate, EKF_COLOUR, "o", "EKF", "--"),
+    ):
+        draw_trajectory(axis, estimate.pose[:, :2], colour, f"{name} trajectory", style)
+        outline = ellipses(estimate.landmark, landmark_covariances(estimate), 3.0)
+        label = f"{name} landmarks, 3 sigma"
+        draw_landmarks(axis, estimate.landmark, outline, colour, marker, label)
+    axis.set_aspect("equal", adjustable="datalim")
+    axis.set_xlabel("east [m]")
+    axis.set_ylabel("north [m]")
+    a = comparison.agreement
+    axis.set_title(
+        f"{log.name}: EKF and smoother {comparison.verdict.outcome}\n"
+        f"gaps: algebra {a.algebra.sigma:.1e}, model {a.model.sigma:.1e}, "
+        f"linearisation {a.linearisation.sigma:.2g} sigma; optimism {a.whole.least:.3g}",
+        fontsize=10,
+    )
+    axis.grid(visible=True, color="#eeeeee")
+    axis.legend(fontsize=8, loc="best")
+    return figure
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a PNG."""
+    figure.savefig(path, dpi=130, metadata={"Software": None})

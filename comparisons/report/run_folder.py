@@ -1,0 +1,26 @@
+"""The folder a run leaves: result.json, map.png, and both estimates."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from comparisons.atomic import fresh_folder
+from comparisons.compare import Comparison
+from comparisons.report.plots import map_figure, save
+from comparisons.report.result import Result
+from comparisons.runs.estimate_folder import write_estimate
+
+MARK = "result.json"
+
+
+def write_run_folder(comparison: Comparison, result: Result, folder: Path) -> None:
+    """Write everything; the folder appears whole or not at all. Raises InputError."""
+    with fresh_folder(folder, MARK) as work:
+        for name, estimate in (
+            ("ekf", comparison.ekf.estimate),
+            ("smoother", comparison.smoothed),
+        ):
+            (work / name).mkdir()
+            write_estimate(estimate, work / name)
+        save(map_figure(comparison), work / "map.png")
+        (work / MARK).write_text(result.model_dump_json(indent=2) + "\n", encoding="utf-8")

@@ -1,0 +1,89 @@
+"""The run's findings as a short table for a terminal."""
+
+from __future__ import annotations
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from comparisons.report.result import AccuracyResult, Result
+
+_STYLE = {"agree": "bold green", "disagree": "bold red", "unproven": "bold yellow"}
+
+
+def print_summary(result: Result, console: Console) -> None:
+    """Print log, evidence, gaps, accuracy, verdict and causes."""
+    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
+    table.add_column(style="bold", no_wrap=True)
+    table.add_column(overflow="fold")
+    log, ekf, smoother, gaps = result.log, result.ekf, result.smoother, result.agreement
+    table.add_row("log", escape(f"{log.name} ({log.format}), {log.duration_s:.0f} s"))
+    table.add_row("records", ", ".join(f"{n:,} {name}" for name, n in log.records.items()))
+    table.add_row(
+        "EKF", f"{ekf.landmarks} landmarks, {ekf.rejected} sightings rejected ({ekf.association})"
+    )
+    table.add_row(
+        "smoother",
+        f"{smoother.poses:,} poses, error {smoother.error:.2f}, "
+        f"{'optimum proven' if smoother.proven else 'optimum NOT proven'} "
+        f"(chi2 {smoother.chi2:.0f} for {smoother.dof} dof; starts: "
+        + ", ".join(f"{s.name} {_number(s.error, '.2f')}" for s in smoother.starts)
+        + ")",
+    )
+    for name, sigma, covariance in (
+        ("algebra gap", gaps.algebra_gap_sigma, gaps.algebra_gap_covariance),
+        ("model gap", gaps.model_gap_sigma, gaps.model_gap_covariance),
+        ("linearisation gap", gaps.linearisation_gap_sigma, gaps.linearisation_gap_covariance),
+    ):
+        table.add_row(
+            name, f"{_number(sigma, '.2g')} sigma, {_number(covariance, '.2g')} in covariance"
+        )
+    table.add_row(
+        "optimism",
+        f"{_number(gaps.optimism, '.3g')} (EKF's variance over the smoother's, worst direction; "
+        f"largest {_number(gaps.pessimism, '.3g')})",
+    )
+    agreeing = sum(row.agrees for row in gaps.landmarks)
+    table.add_row(
+        "landmarks",
+        f"{agreeing} of {len(gaps.landmarks)} agree; EKF and smoother "
+        f"{gaps.landmark_difference_rms_m:.3f} m apart (rms)",
+    )
+    table.add_row(
+        "last pose",
+        f"{'agrees' if gaps.pose.agrees else 'disagrees'}: {gaps.pose.difference_m:.3f} m apart, "
+        f"{gaps.pose.distance_sigma:.2g} sigma",
+    )
+    if result.accuracy is not None:
+        table.add_row("EKF accuracy", _accuracy(result.accuracy.ekf))
+        table.add_row("smoother accuracy", _accuracy(result.accuracy.smoother))
+    table.add_row(
+        "seconds", ", ".join(f"{stage} {s:.2f}" for stage, s in result.seconds.items())
+    )
+    console.print(table)
+    console.print(f"verdict: [{_STYLE[result.verdict]}]{result.verdict}[/]", highlight=False)
+    for cause in result.causes:
+        console.print(f"  {cause.gap} gap: {escape(cause.evidence)}", highlight=False)
+        console.print(f"    {escape(cause.hint)}", style="dim", highlight=False)
+    for remark in result.remarks:
+        console.print(f"  note: {escape(remark)}", highlight=False)
+
+
+def _accuracy(a: AccuracyResult) -> str:
+    parts = []
+    for name, plain, aligned in (
+        ("ATE", a.ate_m, a.ate_aligned_m),
+        ("landmarks", a.landmark_rmse_m, a.landmark_rmse_aligned_m),
+        ("GPS median", a.gps_median_m, a.gps_median_aligned_m),
+    ):
+        if plain is not None:
+            parts.append(f"{name} {plain:.3f} m (aligned {_number(aligned, '.3f')})")
+    if a.landmarks_true is not None:
+        parts.append(f"{a.landmarks_found} of {a.landmarks_true} true landmarks found")
+    if a.coverage is not None:
+        parts.append(f"coverage {100 * a.coverage:.1f} %")
+    return ", ".join(parts)
+
+
+def _number(value: float | None, form: str) -> str:
+    return "none" if value is None else format(value, form)

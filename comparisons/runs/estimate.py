@@ -1,0 +1,37 @@
+"""What an estimator says: a trajectory, a map, and how sure it is of both."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """The result of one estimator on one log.
+
+    time_s: (K,). pose: (K, 3), headings unwrapped. pose_covariance: (K, 3, 3), each pose alone.
+    landmark_id: (L,). landmark: (L, 2). joint_covariance: (3 + 2 L, 3 + 2 L) of the last pose and
+    all landmarks. All covariances are of the additive global error.
+    information: `filtered` (pose k knows the log up to k) or `smoothed` (every pose has seen the
+    future). Only the last pose and the map of the two may be compared directly.
+    """
+
+    time_s: Array
+    pose: Array
+    pose_covariance: Array
+    landmark_id: NDArray[np.int64]
+    landmark: Array
+    joint_covariance: Array
+    information: Literal["filtered", "smoothed"]
+    provenance: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def joint_mean(self) -> Array:
+        """(3 + 2 L,) the last pose and all landmarks."""
+        return np.concatenate((self.pose[-1], self.landmark.ravel()))

@@ -1,0 +1,89 @@
+"""An estimate on disk: TUM trajectory, landmarks.csv, covariances.npz, estimate.toml."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+import zipfile
+from pathlib import Path
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from comparisons.errors import InputError
+from comparisons.logs.table import Table, read_text
+from comparisons.runs.estimate import Estimate
+
+_TUM = ("time_s", "x", "y", "z", "qx", "qy", "qz", "qw")
+_LANDMARKS = ("id", "x_m", "y_m")
+
+
+class _Meta(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    version: int
+    information: str
+    provenance: dict[str, str] = {}
+
+
+def write_estimate(estimate: Estimate, folder: Path) -> None:
+    """Write into a folder that exists and is empty."""
+    half = 0.5 * estimate.pose[:, 2]
+    tum = np.column_stack(
+        (estimate.time_s, estimate.pose[:, :2], np.zeros((len(half), 3)), np.sin(half), np.cos(half))
+    )
+    (folder / "trajectory.tum").write_text(
+        "".join(" ".join(map(repr, row)) + "\n" for row in tum.tolist()), encoding="utf-8"
+    )
+    rows = zip(estimate.landmark_id.tolist(), estimate.landmark.tolist(), strict=True)
+    (folder / "landmarks.csv").write_text(
+        ",".join(_LANDMARKS) + "\n" + "".join(f"{i},{x!r},{y!r}\n" for i, (x, y) in rows),
+        encoding="utf-8",
+    )
+    np.savez_compressed(
+        folder / "covariances.npz",
+        pose=estimate.pose_covariance,
+        last_pose_and_landmarks=estimate.joint_covariance,
+    )
+    lines = ["version = 1", f"information = {json.dumps(estimate.information)}", "", "[provenance]"]
+    lines += [f"{json.dumps(k)} = {json.dumps(v)}" for k, v in estimate.provenance.items()]
+    (folder / "estimate.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def read_estimate(folder: Path) -> Estimate:
+    """Read a folder. Headings are unwrapped from pose to pose. Raises InputError."""
+    path = folder / "estimate.toml"
+    try:
+        meta = _Meta.model_validate(tomllib.loads(read_text(path)))
+    except (tomllib.TOMLDecodeError, ValidationError) as error:
+        raise InputError(f"{path}: {str(error).splitlines()[0]}") from None
+    if meta.information not in ("filtered", "smoothed"):
+        raise InputError(
+            f"{path}: information is '{meta.information}', expected filtered or smoothed"
+        )
+    tum = Table(folder / "trajectory.tum", _TUM)
+    table = Table(folder / "landmarks.csv", _LANDMARKS, comma=True, header=True)
+    heading = np.unwrap(2.0 * np.arctan2(tum["qz"], tum["qw"]))
+    archive_path = folder / "covariances.npz"
+    try:
+        with np.load(archive_path, allow_pickle=False) as archive:
+            pose, joint = archive["pose"], archive["last_pose_and_landmarks"]
+    except (ValueError, KeyError, OSError, zipfile.BadZipFile):
+        raise InputError(f"{archive_path}: not an archive of covariances") from None
+    size = 3 + 2 * len(table)
+    if pose.shape != (len(tum), 3, 3) or joint.shape != (size, size):
+        raise InputError(
+            f"{archive_path}: shapes {pose.shape} and {joint.shape}, expected "
+            f"{(len(tum), 3, 3)} and {(size, size)}"
+        )
+    if not (np.isfinite(pose).all() and np.isfinite(joint).all()):
+        raise InputError(f"{archive_path}: holds a value that is not a finite number")
+    return Estimate(
+        tum["time_s"],
+        np.column_stack((tum["x"], tum["y"], heading)),
+        pose,
+        table["id"].astype(np.int64),
+        table.data[:, 1:],
+        joint,
+        "filtered" if meta.information == "filtered" else "smoothed",
+        meta.provenance,
+    )

@@ -1,0 +1,123 @@
+"""Run the smoother, and the two frozen smoothers, over what the EKF was given."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from comparisons.logs.log import Log, RelativePoses, SteeringOdometry
+from comparisons.runs.ekf_run import EkfRun
+from comparisons.runs.estimate import Estimate
+from comparisons.runs.timeline import Timeline
+from ekf_reference.association import REJECTED
+from ekf_reference.trace import SightingRecords
+from graphslam import increments
+from graphslam.frozen import (
+    FrozenPoints,
+    LinearMotion,
+    LinearSightings,
+    solve_own_factors,
+    solve_recorded,
+)
+from graphslam.graph_builder import SlamProblem
+from graphslam.marginals import Marginal
+from graphslam.smoother import SmootherResult, smooth
+
+
+def build_problem(log: Log, timeline: Timeline, run: EkfRun) -> SlamProblem:
+    """The log as the smoother's arrays, with the EKF's association of sightings to landmarks."""
+    used = np.flatnonzero(run.slot != REJECTED)
+    seen = log.sightings
+    composed = increments.compose(
+        _samples(log, timeline), timeline.step_epoch - 1, len(timeline.epoch_time_s) - 1
+    )
+    return SlamProblem(
+        log.prior.pose,
+        log.prior.covariance,
+        composed.displacement,
+        composed.covariance,
+        timeline.sighting_epoch[used],
+        run.slot[used],
+        np.column_stack((seen.range_m, seen.bearing_rad))[used],
+        np.column_stack((seen.sigma_range_m, seen.sigma_bearing_rad))[used],
+        len(run.estimate.landmark),
+    )
+
+
+def run_frozen_recorded(log: Log, run: EkfRun) -> Marginal:
+    """F1: one linear problem from the EKF's own recorded matrices."""
+    trace, estimate = run.trace, run.estimate
+    parts = (_from_updates(trace.updates), _from_augmentations(trace.augmentations))
+    sightings = LinearSightings(*(np.concatenate(c) for c in zip(*parts, strict=True)))
+    return solve_recorded(
+        log.prior.pose,
+        log.prior.covariance,
+        LinearMotion(trace.departed, trace.arrived, trace.f, trace.q),
+        sightings,
+        estimate.pose[-1],
+        estimate.landmark,
+    )
+
+
+def run_frozen_own(problem: SlamProblem, run: EkfRun) -> Marginal:
+    """F2: the smoother's own factors, linearised where the EKF was."""
+    order = np.cumsum(run.slot != REJECTED) - 1  # a log's sighting to the problem's
+    pose, landmark = np.empty((len(problem.z), 3)), np.empty((len(problem.z), 2))
+    for records in (run.trace.updates, run.trace.augmentations):
+        pose[order[records.sighting]] = records.pose
+        landmark[order[records.sighting]] = records.landmark
+    points = FrozenPoints(run.departed, run.arrived, pose, landmark)
+    return solve_own_factors(problem, points, run.estimate.landmark)
+
+
+def run_smoother(
+    problem: SlamProblem, run: EkfRun, progress: Callable[[str], None] = lambda stage: None
+) -> SmootherResult:
+    """The relinearised smoother, the EKF's estimate being one of its starts."""
+    guess = (run.departed, run.estimate.landmark)
+    return smooth(problem, {"ekf": guess}, progress)
+
+
+def smoothed_estimate(result: SmootherResult, timeline: Timeline, run: EkfRun) -> Estimate:
+    """The smoother's result with its marginals."""
+    return Estimate(
+        timeline.epoch_time_s,
+        result.poses,
+        result.pose_covariances(),
+        run.estimate.landmark_id,
+        result.landmarks,
+        result.marginal().covariance,
+        "smoothed",
+        {"estimator": "graphslam, batch Levenberg-Marquardt", "association": "the EKF's"},
+    )
+
+
+def _samples(log: Log, timeline: Timeline) -> increments.Samples:
+    odometry = log.odometry
+    if isinstance(odometry, RelativePoses):
+        return increments.relative_pose_samples(odometry.displacement, odometry.covariance)
+    noise = odometry.noise
+    stabilisation = increments.Stabilisation(
+        noise.variance_rate_position, noise.variance_rate_heading
+    )
+    first, second = timeline.control.T
+    common = (timeline.step_duration_s, noise.sigma_speed_mps, noise.sigma_turn, stabilisation)
+    if isinstance(odometry, SteeringOdometry):
+        return increments.ackermann_samples(first, second, *common, **vars(odometry.vehicle))
+    return increments.unicycle_samples(first, second, *common)
+
+
+def _from_updates(r: SightingRecords) -> tuple[np.ndarray, ...]:
+    return (
+        r.step, r.slot, r.pose, r.landmark, r.innovation, r.jacobian_pose, r.jacobian_other, r.noise
+    )  # fmt: skip
+
+
+def _from_augmentations(r: SightingRecords) -> tuple[np.ndarray, ...]:
+    """l = landmark + G_x (x - pose) + G_z v as a relation with residual zero."""
+    identity = np.broadcast_to(np.eye(2), r.noise.shape)
+    spread = r.jacobian_other @ r.noise @ r.jacobian_other.transpose(0, 2, 1)
+    return (
+        r.step, r.slot, r.pose, r.landmark, r.innovation, -r.jacobian_pose, identity, spread
+    )  # fmt: skip

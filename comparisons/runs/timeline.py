@@ -1,0 +1,94 @@
+"""A log's streams in the order of time: which control acts how long, which sightings come when.
+
+Both estimators are fed from here, so that they read the same log; what they make of it is theirs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.errors import RecordError
+from comparisons.logs.log import Array, Log, RelativePoses, SteeringOdometry
+
+Index = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """Epochs are the instants at which a pose is estimated; steps fill the time between them.
+
+    epoch_time_s: (K,), the first is the prior's. step_epoch: (N,) the epoch at which the step's
+    interval ends, not decreasing. step_duration_s: (N,). control: (N, m) and
+    control_covariance: (N, m, m). sighting_epoch: (M,) epoch of each of the log's sightings.
+    """
+
+    epoch_time_s: Array
+    step_epoch: Index
+    step_duration_s: Array
+    control: Array
+    control_covariance: Array
+    sighting_epoch: Index
+
+    def steps_until(self) -> Index:
+        """(K,) number of steps made when each epoch is reached."""
+        return np.searchsorted(self.step_epoch, np.arange(len(self.epoch_time_s)), side="right")
+
+    def sightings_until(self) -> Index:
+        """(K + 1,) first sighting of each epoch, and the end."""
+        return np.searchsorted(self.sighting_epoch, np.arange(len(self.epoch_time_s) + 1))
+
+
+def build_timeline(log: Log) -> Timeline:
+    """Cut the log into epochs and steps.
+
+    Wheel odometry: an epoch at every instant with sightings and at the end of the log; a sample's
+    control acts until the next sample, and is cut where an epoch falls in between; before the
+    first sample the vehicle is taken to stand still. Relative poses: an epoch per record, and
+    sightings belong to the pose of their time. Raises InputError for sightings between poses.
+    """
+    if isinstance(log.odometry, RelativePoses):
+        return _from_relative_poses(log, log.odometry)
+    odometry, start = log.odometry, log.prior.time_s
+    epochs = np.unique(np.concatenate(([start], log.sightings.time_s, [log.end_s])))
+    cuts = np.unique(np.concatenate((epochs, odometry.time_s)))
+    begin = cuts[:-1]
+    sample = np.searchsorted(odometry.time_s, begin, side="right") - 1
+    if isinstance(odometry, SteeringOdometry):
+        recorded = np.column_stack((odometry.speed_mps, odometry.steering_rad))
+    else:
+        recorded = np.column_stack((odometry.speed_mps, odometry.yaw_rate_radps))
+    control = np.where(sample[:, None] >= 0, recorded[sample], 0.0)
+    noise = odometry.noise
+    covariance = np.diag((noise.sigma_speed_mps**2, noise.sigma_turn**2))
+    return Timeline(
+        epochs,
+        np.searchsorted(epochs, begin, side="right"),
+        np.diff(cuts),
+        control,
+        np.broadcast_to(covariance, (len(control), 2, 2)),
+        np.searchsorted(epochs, log.sightings.time_s),
+    )
+
+
+def _from_relative_poses(log: Log, odometry: RelativePoses) -> Timeline:
+    epochs = np.concatenate(([log.prior.time_s], odometry.time_s))
+    where = np.minimum(np.searchsorted(epochs, log.sightings.time_s), len(epochs) - 1)
+    stray = np.flatnonzero(epochs[where] != log.sightings.time_s)
+    if len(stray):
+        row = int(stray[0])
+        raise RecordError(
+            "sightings",
+            row,
+            f"time {log.sightings.time_s[row]} s is no pose's, expected one of the relative poses'",
+        )
+    return Timeline(
+        epochs,
+        np.arange(1, len(epochs)),
+        np.diff(epochs),
+        odometry.displacement,
+        odometry.covariance,
+        where,
+    )

@@ -1,0 +1,147 @@
+"""EKF-SLAM with the full covariance (Nieto 2005, section 2.3; Guivant 2002, section 2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ekf_reference.association import REJECTED, Association, Slots
+from ekf_reference.kalman import Array, Index, KalmanState
+from ekf_reference.motion import MotionModel
+from ekf_reference.observation import RangeBearing
+from ekf_reference.trace import NullTrace, Trace
+
+
+@dataclass(frozen=True)
+class Stabilisation:
+    """Small noise that keeps one step's covariance regular (Nieto 2005, section 2.1.1).
+
+    Isotropic in position, so that it is the same in every frame. Variances grow with time.
+    variance_rate_position: m^2 / s. variance_rate_heading: rad^2 / s.
+    """
+
+    variance_rate_position: float = 0.0
+    variance_rate_heading: float = 0.0
+
+    def covariance(self, duration_s: float) -> Array:
+        """(3, 3) noise of a step."""
+        position = self.variance_rate_position * duration_s
+        return np.diag((position, position, self.variance_rate_heading * duration_s))
+
+
+class FullEkf:
+    """Predict, associate, update, augment. Public attributes are its parts; all can be replaced."""
+
+    def __init__(
+        self,
+        motion: MotionModel,
+        association: Association,
+        prior_pose: Array,
+        prior_covariance: Array,
+        stabilisation: Stabilisation | None = None,
+        trace: Trace | None = None,
+    ) -> None:
+        """prior_pose: (3,). prior_covariance: (3, 3), of the additive global error."""
+        self.motion = motion
+        self.association = association
+        self.observation = RangeBearing()
+        self.stabilisation = stabilisation or Stabilisation()
+        self.trace: Trace = trace or NullTrace()
+        self.state = KalmanState(prior_pose, prior_covariance)
+        self._sightings_seen = 0
+
+    def predict(self, control: Array, covariance: Array, duration_s: float) -> None:
+        """Move under a control (m,) with covariance (m, m) for a time (Nieto 2005, 2.32, 2.36)."""
+        departed = self.state.pose
+        step = self.motion.step(departed, control, duration_s)
+        b = step.jacobian_control
+        noise = b @ covariance @ b.T + self.stabilisation.covariance(duration_s)
+        self.state.predict(step.pose, step.jacobian_pose, noise)
+        self.trace.prediction(departed, step.pose, step.jacobian_pose, noise)
+
+    def observe(self, z: Array, sigma: Array, identity: NDArray[np.int64]) -> Slots:
+        """Fuse the sightings of one instant; returns their slots, REJECTED where unused.
+
+        z: (m, 2) range and bearing. sigma: (m, 2). identity: (m,) labels, negative for none.
+        New landmarks are added after the update, at the updated pose; a second sighting of the
+        same new landmark is fused after that.
+        """
+        noise = self.observation.noise(sigma)
+        mapped = self.state.landmark_count
+        slots = self.association.assign(self.state, self.observation, z, noise, identity)
+        first = np.zeros(len(slots), dtype=bool)
+        first[np.unique(slots, return_index=True)[1]] = True
+        new = slots >= mapped
+        self._update((slots != REJECTED) & ~new, slots, z, noise)
+        self._augment(new & first, slots, z, noise)
+        self._update(new & ~first, slots, z, noise)
+        self._sightings_seen += len(slots)
+        return slots
+
+    def _update(self, chosen: NDArray[np.bool_], slots: Slots, z: Array, noise: Array) -> None:
+        rows = np.flatnonzero(chosen)
+        if not len(rows):
+            return
+        slot, r = slots[rows], noise[rows]
+        pose, landmarks = self.state.pose, self.state.landmarks[slot]
+        predicted = self.observation.predict(pose, landmarks)
+        innovation = self.observation.innovation(z[rows], predicted.z)
+        columns, jacobian = stack(slot, predicted.jacobian_pose, predicted.jacobian_landmark)
+        self.state.update(columns, jacobian, innovation.ravel(), block_diagonal(r))
+        self.trace.update(
+            self._sightings_seen + rows,
+            slot,
+            pose,
+            landmarks,
+            innovation,
+            predicted.jacobian_pose,
+            predicted.jacobian_landmark,
+            r,
+        )
+
+    def _augment(self, chosen: NDArray[np.bool_], slots: Slots, z: Array, noise: Array) -> None:
+        rows = np.flatnonzero(chosen)
+        if not len(rows):
+            return
+        pose, r = self.state.pose, noise[rows]
+        new = self.observation.invert(pose, z[rows])
+        self.state.augment(new.point, new.jacobian_pose, new.jacobian_sighting, r)
+        self.trace.augmentation(
+            self._sightings_seen + rows,
+            slots[rows],
+            pose,
+            new.point,
+            new.jacobian_pose,
+            new.jacobian_sighting,
+            r,
+        )
+
+
+def stack(slot: Slots, jacobian_pose: Array, jacobian_landmark: Array) -> tuple[Index, Array]:
+    """One Jacobian for m sightings: state columns (3 + 2 m,) and matrix (2 m, 3 + 2 m).
+
+    Two sightings of one landmark get two pairs of columns with the same state entries, which
+    sums their effect on S and on the gain as it should.
+    """
+    m = len(slot)
+    columns = np.empty(3 + 2 * m, dtype=np.intp)
+    columns[:3] = (0, 1, 2)
+    columns[3::2] = 3 + 2 * slot
+    columns[4::2] = 4 + 2 * slot
+    jacobian = np.zeros((m, 2, 3 + 2 * m))
+    jacobian[:, :, :3] = jacobian_pose
+    which = np.arange(m)
+    jacobian[which, :, 3 + 2 * which] = jacobian_landmark[:, :, 0]
+    jacobian[which, :, 4 + 2 * which] = jacobian_landmark[:, :, 1]
+    return columns, jacobian.reshape(2 * m, -1)
+
+
+def block_diagonal(blocks: Array) -> Array:
+    """(m, 2, 2) blocks to a (2 m, 2 m) matrix."""
+    m = len(blocks)
+    full = np.zeros((m, 2, m, 2))
+    which = np.arange(m)
+    full[which, :, which, :] = blocks
+    return full.reshape(2 * m, 2 * m)

@@ -1,0 +1,94 @@
+"""Range-bearing observation of point landmarks, and its inverse."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class PredictedSightings(NamedTuple):
+    """Expected sightings of m landmarks from one pose.
+
+    z: (m, 2) range [m] and bearing [rad]. jacobian_pose: (m, 2, 3). jacobian_landmark: (m, 2, 2).
+    """
+
+    z: Array
+    jacobian_pose: Array
+    jacobian_landmark: Array
+
+
+class NewLandmarks(NamedTuple):
+    """Landmarks computed from m sightings.
+
+    point: (m, 2) position [m]. jacobian_pose: (m, 2, 3). jacobian_sighting: (m, 2, 2).
+    """
+
+    point: Array
+    jacobian_pose: Array
+    jacobian_sighting: Array
+
+
+def wrap_angle(angle_rad: Array) -> Array:
+    """Wrap angles of any shape to (-pi, pi]."""
+    return math.pi - np.mod(math.pi - angle_rad, 2.0 * math.pi)
+
+
+@dataclass(frozen=True)
+class RangeBearing:
+    """Range and bearing to a point, the bearing relative to the vehicle's heading.
+
+    Source: Nieto 2005, eqs. 2.8 and 2.40 to 2.44 (A.16 to A.20). Errata: the printed arctangent
+    loses the quadrant, and the bearing row of 2.42 is printed with the position terms' signs
+    exchanged; atan2 and the corrected row are used.
+    """
+
+    def predict(self, pose: Array, landmarks: Array) -> PredictedSightings:
+        """Expected sightings of landmarks (m, 2) from pose (3,)."""
+        dx = landmarks[:, 0] - pose[0]
+        dy = landmarks[:, 1] - pose[1]
+        q = dx * dx + dy * dy
+        r = np.sqrt(q)
+        z = np.column_stack((r, np.arctan2(dy, dx) - pose[2]))
+        jacobian_landmark = np.empty((len(r), 2, 2))
+        jacobian_landmark[:, 0, 0] = dx / r
+        jacobian_landmark[:, 0, 1] = dy / r
+        jacobian_landmark[:, 1, 0] = -dy / q
+        jacobian_landmark[:, 1, 1] = dx / q
+        jacobian_pose = np.zeros((len(r), 2, 3))
+        jacobian_pose[:, :, :2] = -jacobian_landmark
+        jacobian_pose[:, 1, 2] = -1.0
+        return PredictedSightings(z, jacobian_pose, jacobian_landmark)
+
+    def innovation(self, z: Array, predicted: Array) -> Array:
+        """z - predicted (..., 2), the bearing wrapped (Nieto 2005, eqs. 2.38 and 2.57)."""
+        difference = z - predicted
+        difference[..., 1] = wrap_angle(difference[..., 1])
+        return difference
+
+    def noise(self, sigma: Array) -> Array:
+        """R of each sighting (m, 2, 2) from sigmas (m, 2) [m, rad] (Nieto 2005, eq. 2.41)."""
+        covariance = np.zeros((len(sigma), 2, 2))
+        covariance[:, 0, 0] = sigma[:, 0] ** 2
+        covariance[:, 1, 1] = sigma[:, 1] ** 2
+        return covariance
+
+    def invert(self, pose: Array, z: Array) -> NewLandmarks:
+        """Positions of newly seen landmarks (Nieto 2005, eqs. 2.50, 2.54 and 2.55)."""
+        r = z[:, 0]
+        cos, sin = np.cos(pose[2] + z[:, 1]), np.sin(pose[2] + z[:, 1])
+        point = np.column_stack((pose[0] + r * cos, pose[1] + r * sin))
+        jacobian_sighting = np.empty((len(r), 2, 2))
+        jacobian_sighting[:, 0, 0] = cos
+        jacobian_sighting[:, 1, 0] = sin
+        jacobian_sighting[:, 0, 1] = -r * sin
+        jacobian_sighting[:, 1, 1] = r * cos
+        jacobian_pose = np.zeros((len(r), 2, 3))
+        jacobian_pose[:, 0, 0] = jacobian_pose[:, 1, 1] = 1.0
+        jacobian_pose[:, :, 2] = jacobian_sighting[:, :, 1]
+        return NewLandmarks(point, jacobian_pose, jacobian_sighting)

@@ -1,0 +1,161 @@
+"""The SLAM problem as arrays, and as a gtsam factor graph."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+POSE_KEY = gtsam.symbol("x", 0)
+LANDMARK_KEY = gtsam.symbol("l", 0)
+
+
+@dataclass(frozen=True)
+class SlamProblem:
+    """Everything the smoother is told, for K poses, L landmarks and M sightings.
+
+    prior_pose: (3,), prior_covariance: (3, 3) of the additive global error of pose 0.
+    increment: (K-1, 3) from pose k to k+1 in the frame of k; increment_covariance: (K-1, 3, 3)
+    of the right perturbation (frame of k+1).
+    sighting_pose, sighting_landmark: (M,) indices. z: (M, 2) range and bearing; sigma: (M, 2).
+    """
+
+    prior_pose: Array
+    prior_covariance: Array
+    increment: Array
+    increment_covariance: Array
+    sighting_pose: Index
+    sighting_landmark: Index
+    z: Array
+    sigma: Array
+    landmark_count: int
+
+    @property
+    def pose_count(self) -> int:
+        """K."""
+        return len(self.increment) + 1
+
+    @property
+    def residual_dimension(self) -> int:
+        """Scalar measurements, the prior's three included."""
+        return 3 * self.pose_count + 2 * len(self.z)
+
+    @property
+    def state_dimension(self) -> int:
+        """Scalar unknowns."""
+        return 3 * self.pose_count + 2 * self.landmark_count
+
+    def prefix(self, pose_count: int) -> SlamProblem:
+        """The same problem up to its first `pose_count` poses; landmark numbers are kept."""
+        inside = self.sighting_pose < pose_count
+        return SlamProblem(
+            self.prior_pose,
+            self.prior_covariance,
+            self.increment[: pose_count - 1],
+            self.increment_covariance[: pose_count - 1],
+            self.sighting_pose[inside],
+            self.sighting_landmark[inside],
+            self.z[inside],
+            self.sigma[inside],
+            self.landmark_count,
+        )
+
+
+def prior_factor(key: int, problem: SlamProblem) -> gtsam.PriorFactorPose2:
+    """The prior, its covariance turned into gtsam's tangent at the prior pose."""
+    turn = to_tangent(problem.prior_pose[2:3])[0]
+    noise = gtsam.noiseModel.Gaussian.Covariance(turn @ problem.prior_covariance @ turn.T)
+    return gtsam.PriorFactorPose2(key, gtsam.Pose2(*problem.prior_pose), noise)
+
+
+def increment_factors(
+    departures: list[int], arrivals: list[int], problem: SlamProblem
+) -> list[gtsam.BetweenFactorPose2]:
+    """One factor per increment, between the keys given."""
+    return [
+        gtsam.BetweenFactorPose2(i, j, gtsam.Pose2(*d), gtsam.noiseModel.Gaussian.Covariance(c))
+        for i, j, d, c in zip(
+            departures,
+            arrivals,
+            problem.increment.tolist(),
+            problem.increment_covariance,
+            strict=True,
+        )
+    ]
+
+
+def sighting_factors(
+    poses: list[int], landmarks: list[int], problem: SlamProblem
+) -> list[gtsam.BearingRangeFactor2D]:
+    """One factor per sighting, between the keys given; gtsam wants the bearing first."""
+    diagonal = gtsam.noiseModel.Diagonal.Sigmas
+    return [
+        gtsam.BearingRangeFactor2D(i, j, gtsam.Rot2(bearing), r, diagonal(s))
+        for i, j, (r, bearing), s in zip(
+            poses, landmarks, problem.z.tolist(), problem.sigma[:, ::-1].copy(), strict=True
+        )
+    ]
+
+
+def build_graph(problem: SlamProblem) -> gtsam.NonlinearFactorGraph:
+    """The graph of the whole problem; pose k has key POSE_KEY + k, landmark j LANDMARK_KEY + j."""
+    graph = gtsam.NonlinearFactorGraph()
+    graph.push_back(prior_factor(POSE_KEY, problem))
+    poses = list(range(POSE_KEY, POSE_KEY + problem.pose_count))
+    for between in increment_factors(poses[:-1], poses[1:], problem):
+        graph.push_back(between)
+    for sighting in sighting_factors(
+        (POSE_KEY + problem.sighting_pose).tolist(),
+        (LANDMARK_KEY + problem.sighting_landmark).tolist(),
+        problem,
+    ):
+        graph.push_back(sighting)
+    return graph
+
+
+def to_tangent(heading_rad: Array) -> Array:
+    """(N, 3, 3) matrices that take additive global pose errors into the pose's own tangent."""
+    cos, sin = np.cos(heading_rad), np.sin(heading_rad)
+    turn = np.zeros((len(cos), 3, 3))
+    turn[:, 0, 0] = turn[:, 1, 1] = cos
+    turn[:, 0, 1] = sin
+    turn[:, 1, 0] = -sin
+    turn[:, 2, 2] = 1.0
+    return turn
+
+
+def to_values(poses: Array, landmarks: Array, seen: Index) -> gtsam.Values:
+    """gtsam values of poses (K, 3) and of those landmarks (L, 2) that `seen` lists."""
+    values = gtsam.Values()
+    for key, pose in enumerate(poses.tolist(), start=POSE_KEY):
+        values.insert(key, gtsam.Pose2(*pose))
+    for slot in seen.tolist():
+        values.insert(LANDMARK_KEY + slot, landmarks[slot])
+    return values
+
+
+def from_values(values: gtsam.Values, problem: SlamProblem) -> tuple[Array, Array]:
+    """Poses (K, 3) and landmarks (L, 2) of a solution; NaN where a landmark is absent.
+
+    gtsam wraps headings; they are unwrapped along the odometry, so that a whole turn between two
+    poses counts.
+    """
+    poses = np.array(
+        [
+            (p.x(), p.y(), p.theta())
+            for p in (values.atPose2(POSE_KEY + k) for k in range(problem.pose_count))
+        ]
+    )
+    expected = np.concatenate((problem.prior_pose[2:], problem.increment[:, 2]))
+    excess = np.diff(poses[:, 2], prepend=0.0) - expected
+    poses[:, 2] = np.cumsum(expected + excess - 2.0 * np.pi * np.round(excess / (2.0 * np.pi)))
+    landmarks = np.full((problem.landmark_count, 2), np.nan)
+    for slot in range(problem.landmark_count):
+        if values.exists(LANDMARK_KEY + slot):
+            landmarks[slot] = values.atPoint2(LANDMARK_KEY + slot)
+    return poses, landmarks
