@@ -32,7 +32,8 @@ LogArgument = Annotated[
     str, typer.Argument(metavar="LOG", help="A bundled name (see `slamcheck logs`) or a path.")
 ]
 FormatOption = Annotated[
-    str | None, typer.Option("--format", metavar="F", help="The log's format; recognised if left out.")
+    str | None,
+    typer.Option("--format", metavar="F", help="The log's format; recognised if left out."),
 ]
 RobotOption = Annotated[int, typer.Option(help="Robot number, for MR.CLAM folders.")]
 SeedOption = Annotated[int, typer.Option(help="Seed of a simulated log.")]
@@ -59,7 +60,7 @@ def run(
     loops: LoopsOption = 1,
     noise_scale: NoiseOption = 1.0,
 ) -> None:
-    """Run both estimators on a log, check one against the other, write a report folder.
+    r"""Run both estimators on a log, check one against the other, write a report folder.
 
     \b
     Examples:
@@ -123,7 +124,7 @@ def convert(
     loops: LoopsOption = 1,
     noise_scale: NoiseOption = 1.0,
 ) -> None:
-    """Write any readable log as a log folder.
+    r"""Write any readable log as a log folder.
 
     \b
     Example:

@@ -66,7 +66,7 @@ class RangeBearing:
         return PredictedSightings(z, jacobian_pose, jacobian_landmark)
 
     def innovation(self, z: Array, predicted: Array) -> Array:
-        """z - predicted (..., 2), the bearing wrapped (Nieto 2005, eqs. 2.38 and 2.57)."""
+        """Innovation z - predicted (..., 2), bearing wrapped (Nieto 2005, eqs. 2.38, 2.57)."""
         difference = z - predicted
         difference[..., 1] = wrap_angle(difference[..., 1])
         return difference

@@ -34,7 +34,7 @@ class Trace(Protocol):
         h_landmark: Array,
         noise: Array,
     ) -> None:
-        """m sightings fused together: innovation = H (x - point) + v, v ~ N(0, R)."""
+        """Sightings fused together (m): innovation = H (x - point) + v, v ~ N(0, R)."""
         ...
 
     def augmentation(
@@ -47,7 +47,7 @@ class Trace(Protocol):
         g_sighting: Array,
         noise: Array,
     ) -> None:
-        """m new landmarks: l = landmark + G_x (x - pose) + G_z v, v ~ N(0, R)."""
+        """New landmarks (m): l = landmark + G_x (x - pose) + G_z v, v ~ N(0, R)."""
         ...
 
 

@@ -106,7 +106,8 @@ def solve_recorded(
         + np.einsum("nij,nj->ni", chain.f, reference[:-1] - chain.departed)
     )
     factors.add_motion(
-        _whiten(root, -chain.f), _whiten(root, np.broadcast_to(np.eye(3), chain.f.shape)),
+        _whiten(root, -chain.f),
+        _whiten(root, np.broadcast_to(np.eye(3), chain.f.shape)),
         _whiten(root, constant),
     )
     node = np.searchsorted(nodes, sightings.step)
@@ -127,9 +128,7 @@ def solve_recorded(
     return factors.solve(reference[-1], landmarks)
 
 
-def solve_own_factors(
-    problem: SlamProblem, points: FrozenPoints, landmarks: Array
-) -> Marginal:
+def solve_own_factors(problem: SlamProblem, points: FrozenPoints, landmarks: Array) -> Marginal:
     """F2: the estimate that this package's factors imply at the filter's points.
 
     Every factor gets variables of its own, so that one gtsam call linearises each where the
@@ -221,7 +220,9 @@ class _Factors:
     def solve(self, last_pose: Array, landmarks: Array) -> Marginal:
         """The marginal, its mean in absolute coordinates around the reference given."""
         error = last_pose_and_landmarks(self._graph, self._poses, self._landmarks)
-        return Marginal(np.concatenate((last_pose, landmarks.ravel())) + error.mean, error.covariance)
+        return Marginal(
+            np.concatenate((last_pose, landmarks.ravel())) + error.mean, error.covariance
+        )
 
 
 def _compose(motion: LinearMotion, nodes: Index) -> LinearMotion:
@@ -243,8 +244,8 @@ def _compose(motion: LinearMotion, nodes: Index) -> LinearMotion:
     return LinearMotion(departed, arrived, f, q)
 
 
-def _whiten(root: Array, array: Array) -> Array:
+def _whiten(root: NDArray[np.floating], array: NDArray[np.floating]) -> Array:
     """L^-1 array for stacked lower-triangular roots (n, d, d) and arrays (n, d) or (n, d, c)."""
     columns = array if array.ndim == 3 else array[..., None]
-    result: Array = np.linalg.solve(root, columns)
+    result: Array = np.linalg.solve(root, columns).astype(np.float64, copy=False)
     return result if array.ndim == 3 else result[..., 0]

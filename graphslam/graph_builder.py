@@ -130,7 +130,7 @@ def to_tangent(heading_rad: Array) -> Array:
 
 
 def to_values(poses: Array, landmarks: Array, seen: Index) -> gtsam.Values:
-    """gtsam values of poses (K, 3) and of those landmarks (L, 2) that `seen` lists."""
+    """Values of poses (K, 3) and of those landmarks (L, 2) that `seen` lists."""
     values = gtsam.Values()
     for key, pose in enumerate(poses.tolist(), start=POSE_KEY):
         values.insert(key, gtsam.Pose2(*pose))

@@ -71,9 +71,7 @@ def ackermann_samples(
         jacobian[:, 0, column] = forward - sensor_left_m * angle
         jacobian[:, 1, column] = sensor_forward_m * angle
         jacobian[:, 2, column] = angle
-    displacement = np.column_stack(
-        (advance - sensor_left_m * turn, sensor_forward_m * turn, turn)
-    )
+    displacement = np.column_stack((advance - sensor_left_m * turn, sensor_forward_m * turn, turn))
     variances = (sigma_speed_mps**2, sigma_steering_rad**2)
     return _with_noise(displacement, jacobian, variances, duration_s, stabilisation)
 

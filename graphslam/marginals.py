@@ -51,7 +51,7 @@ def last_pose_and_landmarks(
 
 
 def to_global(covariance: Array, heading_rad: float) -> Array:
-    """Turn the pose's part of a joint covariance (n, n), pose first, into the additive global error.
+    """Turn the pose's part of a joint covariance (n, n), pose first, into the global error.
 
     P_global = blkdiag(R, I) P_local blkdiag(R, I)^T, R the pose's rotation.
     """
@@ -65,8 +65,7 @@ def pose_covariances(
 ) -> Array:
     """Covariance (K, 3, 3) of every pose on its own, additive global error."""
     marginals = gtsam.Marginals(graph, values)
-    local = np.array(
-        [marginals.marginalCovariance(POSE_KEY + k) for k in range(len(headings_rad))]
-    )
+    local = np.array([marginals.marginalCovariance(POSE_KEY + k) for k in range(len(headings_rad))])
     turn = to_tangent(headings_rad).transpose(0, 2, 1)
-    return turn @ local @ turn.transpose(0, 2, 1)
+    result: Array = turn @ local @ turn.transpose(0, 2, 1)
+    return result

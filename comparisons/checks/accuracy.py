@@ -12,6 +12,7 @@ from comparisons.logs.log import Log
 from comparisons.runs.estimate import Estimate
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 
 MATCH_M = 1.0
 """Unlabelled landmarks match true ones within this distance."""
@@ -23,7 +24,8 @@ class Accuracy:
 
     ate_m: root mean square position error against true poses. gps_median_m: median distance to
     the absolute positions. landmark_rmse_m: over the true landmarks found. `aligned` figures
-    come after the rigid motion (no scale) that fits best. coverage: share of the reference
+    come after the rigid motion (no scale) that fits best: in least squares, but in least
+    distances for positions, which hold outliers. coverage: share of the reference
     instants (true poses, else positions) inside the estimate's time span.
     """
 
@@ -50,7 +52,7 @@ def assess(estimate: Estimate, log: Log, *, labelled: bool) -> Accuracy | None:
         at, fixes, figures["coverage"] = _at_times(estimate, positions.time_s, positions.position_m)
         if len(at):
             figures["gps_median_m"] = _median(at - fixes)
-            figures["gps_median_aligned_m"] = _median(aligned(at, fixes) - fixes)
+            figures["gps_median_aligned_m"] = _median(aligned(at, fixes, robust=True) - fixes)
     if truth.poses is not None:
         at, true, figures["coverage"] = _at_times(
             estimate, truth.poses.time_s, truth.poses.pose[:, :2]
@@ -74,16 +76,26 @@ def assess(estimate: Estimate, log: Log, *, labelled: bool) -> Accuracy | None:
     return Accuracy(**figures) if figures else None  # type: ignore[arg-type]
 
 
-def aligned(points: Array, reference: Array) -> Array:
-    """Points (N, 2) moved rigidly, without scale, to fit the reference (N, 2) best."""
-    centre, target = points.mean(axis=0), reference.mean(axis=0)
-    moving = (points - centre) @ np.array([1.0, 1.0j])
-    fixed = (reference - target) @ np.array([1.0, 1.0j])
-    turned = moving * np.exp(1j * np.angle(np.vdot(moving, fixed)))
-    return np.column_stack((turned.real, turned.imag)) + target
+def aligned(points: Array, reference: Array, *, robust: bool = False) -> Array:
+    """Points (N, 2) moved rigidly, without scale, to fit the reference (N, 2) best.
+
+    Least squares, or with `robust` least sum of distances (by reweighting), which outliers in the
+    reference, such as GPS, do not pull.
+    """
+    weight = np.ones(len(points))
+    moved = points
+    for _ in range(30 if robust else 1):
+        centre = np.average(points, axis=0, weights=weight)
+        target = np.average(reference, axis=0, weights=weight)
+        moving = (points - centre) @ np.array([1.0, 1.0j])
+        fixed = (reference - target) @ np.array([1.0, 1.0j])
+        turned = moving * np.exp(1j * np.angle(np.vdot(moving, weight * fixed)))
+        moved = np.column_stack((turned.real, turned.imag)) + target
+        weight = 1.0 / np.maximum(np.linalg.norm(moved - reference, axis=1), 1e-3)
+    return moved
 
 
-def match_by_distance(points: Array, reference: Array) -> tuple[Array, Array]:
+def match_by_distance(points: Array, reference: Array) -> tuple[Index, Index]:
     """Indices of the one-to-one matches with least total distance, none beyond MATCH_M."""
     distance = np.linalg.norm(points[:, None] - reference[None], axis=2)
     rows, columns = linear_sum_assignment(np.minimum(distance, 2.0 * MATCH_M))

@@ -60,7 +60,8 @@ def judge(agreement: Agreement, proof: Proof, run: EkfRun) -> Verdict:
         causes.append(
             Cause(
                 "algebra",
-                f"the filter and the solution of its own linear equations {_apart(agreement.algebra)}",
+                "the filter and the solution of its own linear equations "
+                f"{_apart(agreement.algebra)}",
                 "look for a covariance block that is dropped, stale or not transposed: prediction, "
                 "update, augmentation",
             )
@@ -91,8 +92,8 @@ def judge(agreement: Agreement, proof: Proof, run: EkfRun) -> Verdict:
 
 def _apart(gap: Gap) -> str:
     return (
-        f"differ by {gap.sigma:.2g} sigma in the mean and by {gap.covariance:.2g} in the covariance, "
-        f"where rounding allows {ROUNDING:g}"
+        f"differ by {gap.sigma:.2g} sigma in the mean and by {gap.covariance:.2g} in the "
+        f"covariance, where rounding allows {ROUNDING:g}"
     )
 
 
@@ -102,8 +103,8 @@ def _unproven(proof: Proof) -> Cause:
     else:
         test = proof.chi_square
         evidence = (
-            f"only {proof.agreeing[0]} reached the lowest error, and chi-square {test.chi2:.0f} lies "
-            f"above {test.upper:.0f} for {test.dof} degrees of freedom"
+            f"only {proof.agreeing[0]} reached the lowest error, and chi-square {test.chi2:.0f} "
+            f"lies above {test.upper:.0f} for {test.dof} degrees of freedom"
         )
     return Cause(
         "oracle",
@@ -120,27 +121,26 @@ def _linearisation(agreement: Agreement, run: EkfRun) -> Cause:
         worst = max(off, key=lambda i: agreement.landmarks[i].distance)
         block = agreement.landmarks[worst]
         parts.append(
-            f"{len(off)} of {len(ids)} landmarks disagree, worst landmark {ids[worst]} by "
+            f"{len(off)} of {len(ids)} landmarks disagree, the farthest, {ids[worst]}, by "
             f"{block.difference_m:.2f} m ({block.distance:.1f} sigma)"
         )
-    if not block_agrees(agreement.pose):
+    if agreement.pose.distance > LARGEST_DISTANCE:
         parts.append(
             f"the last pose is off by {agreement.pose.difference_m:.2f} m "
             f"({agreement.pose.distance:.1f} sigma)"
         )
-    least = agreement.whole.least
-    if least < LEAST_VARIANCE_RATIO:
+    if agreement.whole.distance > LARGEST_DISTANCE:
+        parts.append(f"map and pose together are off by {agreement.whole.distance:.1f} sigma")
+    if agreement.whole.least < LEAST_VARIANCE_RATIO:
         parts.append(
-            f"the filter claims {100 * least:.2g} % of the justified variance in its most optimistic "
-            "direction"
+            f"the filter claims {100 * agreement.whole.least:.2g} % of the justified variance in "
+            "its most optimistic direction"
         )
     if agreement.whole.largest > 1.0 / LEAST_VARIANCE_RATIO:
         parts.append(
             f"it claims {agreement.whole.largest:.1f} times the justified variance in its most "
-            "pessimistic one"
+            "pessimistic direction"
         )
-    if not parts:
-        parts.append(f"the whole map is off by {agreement.whole.distance:.1f} sigma")
     sigma = np.sqrt(run.estimate.pose_covariance[:, 2, 2])
     k = int(np.argmax(sigma))
     return Cause(

@@ -43,7 +43,8 @@ class NamedLog(NamedTuple):
 def _victoria_park(choices: SimulationChoices) -> Log:
     import gtsam
 
-    return gtsam_2d.read(Path(gtsam.findExampleDataFile("victoria_park.txt")))
+    path = gtsam.findExampleDataFile("victoria_park.txt")  # type: ignore[no-untyped-call]
+    return gtsam_2d.read(Path(path))
 
 
 def _simulated_loop(choices: SimulationChoices) -> Log:

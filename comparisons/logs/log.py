@@ -1,8 +1,8 @@
 """The records of a log: frozen, validated, SI units, east-north plane, bearings from the heading.
 
 Arrays are float64 and read-only. Every stream is ordered by time. Equal times are allowed for
-sightings (one scan) and for wheel odometry (the later sample holds). Validation raises RecordError naming stream, row, value and
-expectation.
+sightings (one scan) and for wheel odometry (the later sample holds). Validation raises
+RecordError naming stream, row, value and expectation.
 """
 
 from __future__ import annotations
@@ -13,6 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.errors import InputError, RecordError
+from comparisons.logs.validation import (
+    above_zero,
+    check,
+    frozen,
+    increasing,
+    positive_definite,
+    within,
+)
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
@@ -74,9 +82,9 @@ class SteeringOdometry:
 
     def __post_init__(self) -> None:
         """Check the stream."""
-        _check(self, "steering odometry", rows="time_s")
-        _increasing("steering odometry", self.time_s, equal=True)
-        _within("steering odometry", "steering_rad", self.steering_rad, -1.55, 1.55)
+        check(self, "steering odometry", rows="time_s")
+        increasing("steering odometry", self.time_s, equal=True)
+        within("steering odometry", "steering_rad", self.steering_rad, -1.55, 1.55)
 
 
 @dataclass(frozen=True)
@@ -90,8 +98,8 @@ class VelocityOdometry:
 
     def __post_init__(self) -> None:
         """Check the stream."""
-        _check(self, "velocity odometry", rows="time_s")
-        _increasing("velocity odometry", self.time_s, equal=True)
+        check(self, "velocity odometry", rows="time_s")
+        increasing("velocity odometry", self.time_s, equal=True)
 
 
 @dataclass(frozen=True)
@@ -108,9 +116,9 @@ class RelativePoses:
 
     def __post_init__(self) -> None:
         """Check the stream."""
-        _check(self, "relative poses", rows="time_s", displacement=(3,), covariance=(3, 3))
-        _increasing("relative poses", self.time_s)
-        _positive_definite("relative poses", self.covariance)
+        check(self, "relative poses", rows="time_s", displacement=(3,), covariance=(3, 3))
+        increasing("relative poses", self.time_s)
+        positive_definite("relative poses", self.covariance)
 
 
 Odometry = SteeringOdometry | VelocityOdometry | RelativePoses
@@ -138,11 +146,11 @@ class Sightings:
         """Check the stream."""
         if not self.label_gate > 0:
             raise InputError(f"sightings: label_gate is {self.label_gate}, expected above 0")
-        _check(self, "sightings", rows="time_s", gaps=("diameter_m",))
-        _increasing("sightings", self.time_s, equal=True)
+        check(self, "sightings", rows="time_s", gaps=("diameter_m",))
+        increasing("sightings", self.time_s, equal=True)
         for name in ("range_m", "sigma_range_m", "sigma_bearing_rad"):
-            _above_zero("sightings", name, getattr(self, name))
-        _within("sightings", "bearing_rad", self.bearing_rad, -2 * np.pi, 2 * np.pi)
+            above_zero("sightings", name, getattr(self, name))
+        within("sightings", "bearing_rad", self.bearing_rad, -2 * np.pi, 2 * np.pi)
         bad = np.flatnonzero(self.landmark < NO_LANDMARK)
         if len(bad):
             raise RecordError(
@@ -167,9 +175,9 @@ class Positions:
 
     def __post_init__(self) -> None:
         """Check the stream."""
-        _check(self, "positions", rows="time_s", position_m=(2,), covariance=(2, 2))
-        _increasing("positions", self.time_s)
-        _positive_definite("positions", self.covariance)
+        check(self, "positions", rows="time_s", position_m=(2,), covariance=(2, 2))
+        increasing("positions", self.time_s)
+        positive_definite("positions", self.covariance)
 
 
 @dataclass(frozen=True)
@@ -182,7 +190,7 @@ class Landmarks:
 
     def __post_init__(self) -> None:
         """Check the table."""
-        _check(self, "landmarks", rows="id", position_m=(2,), covariance=(2, 2))
+        check(self, "landmarks", rows="id", position_m=(2,), covariance=(2, 2))
         values, first = np.unique(self.id, return_index=True)
         if len(values) < len(self.id):
             row = int(np.setdiff1d(np.arange(len(self.id)), first)[0])
@@ -204,7 +212,7 @@ class Scans:
     def __post_init__(self) -> None:
         """Check the stream."""
         beams = (len(self.angle_rad),)
-        _check(
+        check(
             self,
             "scans",
             rows="time_s",
@@ -213,7 +221,7 @@ class Scans:
             range_m=beams,
             intensity=beams,
         )
-        _increasing("scans", self.time_s)
+        increasing("scans", self.time_s)
 
 
 @dataclass(frozen=True)
@@ -225,8 +233,8 @@ class Poses:
 
     def __post_init__(self) -> None:
         """Check the stream."""
-        _check(self, "poses", rows="time_s", pose=(3,))
-        _increasing("poses", self.time_s)
+        check(self, "poses", rows="time_s", pose=(3,))
+        increasing("poses", self.time_s)
 
 
 @dataclass(frozen=True)
@@ -237,7 +245,7 @@ class Surfaces:
 
     def __post_init__(self) -> None:
         """Check the table."""
-        _check(self, "surfaces", rows="segment", segment=(4,))
+        check(self, "surfaces", rows="segment", segment=(4,))
 
 
 @dataclass(frozen=True)
@@ -262,11 +270,11 @@ class Prior:
         if not np.isfinite(self.time_s):
             raise InputError("prior: time_s is not a finite number")
         for name, shape in (("pose", (3,)), ("covariance", (3, 3))):
-            value = _frozen(getattr(self, name))
+            value = frozen(getattr(self, name))
             object.__setattr__(self, name, value)
             if value.shape != shape or not np.isfinite(value).all():
                 raise InputError(f"prior: {name} must hold {shape} finite numbers")
-        _positive_definite("prior", self.covariance[None])
+        positive_definite("prior", self.covariance[None])
 
 
 @dataclass(frozen=True)
@@ -296,11 +304,12 @@ class Log:
         if not len(self.sightings.time_s):
             raise InputError(f"{self.name}: there are no sightings, expected at least one")
         start = self.prior.time_s
-        for stream, times in (("odometry", self.odometry.time_s), ("sightings", self.sightings.time_s)):
+        for stream, times in (
+            ("odometry", self.odometry.time_s),
+            ("sightings", self.sightings.time_s),
+        ):
             if times[0] < start:
-                raise RecordError(
-                    stream, 0, f"time {times[0]} s lies before the prior's {start} s"
-                )
+                raise RecordError(stream, 0, f"time {times[0]} s lies before the prior's {start} s")
         if self.known_sightings is not None:
             ids = np.zeros(0) if self.known_landmarks is None else self.known_landmarks.id
             unknown = np.flatnonzero(~np.isin(self.known_sightings.landmark, ids))
@@ -334,88 +343,3 @@ class Log:
             "truth poses": self.truth.poses,
         }
         return {name: len(s.time_s) for name, s in streams.items() if s is not None}
-
-
-def _frozen(value: object) -> Array:
-    array = np.array(value, dtype=float)
-    array.flags.writeable = False
-    return array
-
-
-def _check(
-    record: object,
-    stream: str,
-    rows: str,
-    gaps: tuple[str, ...] = (),
-    **shapes: tuple[int, ...] | None,
-) -> None:
-    """Freeze the arrays; check their shapes against the stream's length, and that all are finite.
-
-    gaps: columns in which NaN means not measured. shapes: each row's shape, None to leave alone.
-    """
-    for f in fields(record):  # type: ignore[arg-type]
-        value = getattr(record, f.name)
-        if not isinstance(value, np.ndarray | list | tuple):
-            continue
-        if f.name in ("id", "landmark"):
-            frozen: NDArray[np.generic] = np.array(value, dtype=np.int64)
-            frozen.flags.writeable = False
-        else:
-            frozen = _frozen(value)
-        object.__setattr__(record, f.name, frozen)
-    count = len(getattr(record, rows))
-    for f in fields(record):  # type: ignore[arg-type]
-        value = getattr(record, f.name)
-        if not isinstance(value, np.ndarray):
-            continue
-        shape = shapes.get(f.name, ())
-        if shape is not None and value.shape != (count, *shape):
-            raise RecordError(
-                stream, None, f"{f.name} has shape {value.shape}, expected {(count, *shape)}"
-            )
-        bad = np.isinf(value) if f.name in gaps else ~np.isfinite(value)
-        if bad.any():
-            row = int(np.argwhere(bad)[0][0])
-            raise RecordError(stream, row, f"{f.name} is {value[bad][0]}, expected a finite number")
-
-
-def _increasing(stream: str, time_s: Array, *, equal: bool = False) -> None:
-    steps = np.diff(time_s)
-    bad = np.flatnonzero(steps < 0 if equal else steps <= 0)
-    if len(bad):
-        row = int(bad[0]) + 1
-        raise RecordError(
-            stream,
-            row,
-            f"time {time_s[row]:.6f} s follows {time_s[row - 1]:.6f} s, expected times to increase",
-        )
-
-
-def _above_zero(stream: str, name: str, values: Array) -> None:
-    bad = np.flatnonzero(values <= 0)
-    if len(bad):
-        raise RecordError(stream, int(bad[0]), f"{name} is {values[bad[0]]}, expected above 0")
-
-
-def _within(stream: str, name: str, values: Array, low: float, high: float) -> None:
-    bad = np.flatnonzero((values < low) | (values > high))
-    if len(bad):
-        raise RecordError(
-            stream,
-            int(bad[0]),
-            f"{name} is {values[bad[0]]}, expected between {low:.4g} and {high:.4g}",
-        )
-
-
-def _positive_definite(stream: str, covariance: Array) -> None:
-    scale = np.abs(covariance).max(axis=(1, 2), initial=0.0)
-    skew = np.abs(covariance - covariance.transpose(0, 2, 1)).max(axis=(1, 2), initial=0.0)
-    bad = np.flatnonzero(
-        (skew > 1e-9 * scale) | (np.linalg.eigvalsh(covariance)[:, 0] <= 0.0)
-    )
-    if len(bad):
-        raise RecordError(
-            stream,
-            int(bad[0]),
-            "covariance is not positive definite, expected a symmetric one with positive variances",
-        )

@@ -5,17 +5,13 @@ Numbers are written so that they read back to the same bits.
 
 from __future__ import annotations
 
-import json
-import tomllib
 import zipfile
 from pathlib import Path
-from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from comparisons.atomic import fresh_folder
-from comparisons.errors import InputError
+from comparisons.errors import InputError, RecordError
 from comparisons.logs.log import (
     NO_LANDMARK,
     Ackermann,
@@ -35,9 +31,15 @@ from comparisons.logs.log import (
     Truth,
     VelocityOdometry,
 )
-from comparisons.logs.table import Table, read_text
-
-MARK = "log.toml"
+from comparisons.logs.log_meta import (
+    MARK,
+    LogModel,
+    RelativeModel,
+    SteeringModel,
+    meta_text,
+    read_meta,
+)
+from comparisons.logs.table import Table
 
 _SIGHTINGS = (
     "time_s",
@@ -63,65 +65,9 @@ _RELATIVE = (
 )
 
 
-class _Model(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class _PriorModel(_Model):
-    time_s: float
-    pose: tuple[float, float, float]
-    covariance: list[list[float]]
-
-
-class _VehicleModel(_Model):
-    wheelbase_m: float
-    encoder_offset_m: float = 0.0
-    sensor_forward_m: float = 0.0
-    sensor_left_m: float = 0.0
-
-
-class _NoiseModel(_Model):
-    sigma_speed_mps: float
-    sigma_turn: float
-    variance_rate_position: float = 1e-6
-    variance_rate_heading: float = 1e-8
-
-
-class _SteeringModel(_Model):
-    kind: Literal["steering"]
-    vehicle: _VehicleModel
-    noise: _NoiseModel
-
-
-class _VelocityModel(_Model):
-    kind: Literal["velocity"]
-    noise: _NoiseModel
-
-
-class _RelativeModel(_Model):
-    kind: Literal["relative-poses"]
-
-
-class _SightingsModel(_Model):
-    label_gate: float = float("inf")
-
-
-class _LogModel(_Model):
-    version: Literal[1]
-    name: str
-    source: str = "log-folder"
-    units: str = ""
-    prior: _PriorModel
-    odometry: Annotated[
-        _SteeringModel | _VelocityModel | _RelativeModel, Field(discriminator="kind")
-    ]
-    sightings: _SightingsModel = _SightingsModel()
-    provenance: dict[str, str] = {}
-
-
 def read_log_folder(folder: Path) -> Log:
     """Read a log folder. Raises InputError naming file, line, value and expectation."""
-    meta = _read_meta(folder / MARK)
+    meta = read_meta(folder / MARK)
     truth = Truth(
         _read_poses(folder / "truth_poses.csv"),
         _read_landmarks(folder / "truth_landmarks.csv"),
@@ -130,19 +76,22 @@ def read_log_folder(folder: Path) -> Log:
     sightings = _read_sightings(folder / "sightings.csv", meta.sightings.label_gate)
     if sightings is None:
         raise InputError(f"{folder / 'sightings.csv'}: no such file")
-    return Log(
-        meta.name,
-        "log-folder",
-        Prior(meta.prior.time_s, np.array(meta.prior.pose), np.array(meta.prior.covariance)),
-        _read_odometry(folder / "odometry.csv", meta),
-        sightings,
-        _read_positions(folder / "positions.csv"),
-        _read_landmarks(folder / "known_landmarks.csv"),
-        _read_sightings(folder / "known_sightings.csv"),
-        _read_scans(folder / "scans.npz"),
-        truth,
-        meta.provenance,
-    )
+    try:
+        return Log(
+            meta.name,
+            "log-folder",
+            Prior(meta.prior.time_s, np.array(meta.prior.pose), np.array(meta.prior.covariance)),
+            _read_odometry(folder / "odometry.csv", meta),
+            sightings,
+            _read_positions(folder / "positions.csv"),
+            _read_landmarks(folder / "known_landmarks.csv"),
+            _read_sightings(folder / "known_sightings.csv"),
+            _read_scans(folder / "scans.npz"),
+            truth,
+            meta.provenance,
+        )
+    except RecordError as error:
+        raise InputError(f"{folder}: {error}") from None
 
 
 def write_log_folder(log: Log, folder: Path) -> None:
@@ -183,23 +132,12 @@ def write_log_folder(log: Log, folder: Path) -> None:
                 range_m=s.range_m,
                 intensity=s.intensity,
             )
-        (work / MARK).write_text(_meta_text(log), encoding="utf-8")
+        (work / MARK).write_text(meta_text(log), encoding="utf-8")
 
 
-def _read_meta(path: Path) -> _LogModel:
-    try:
-        return _LogModel.model_validate(tomllib.loads(read_text(path)))
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: not valid TOML: {error}") from None
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        raise InputError(f"{path}: {key}: {first['msg'].lower()}") from None
-
-
-def _read_odometry(path: Path, meta: _LogModel) -> Odometry:
+def _read_odometry(path: Path, meta: LogModel) -> Odometry:
     settings = meta.odometry
-    if isinstance(settings, _RelativeModel):
+    if isinstance(settings, RelativeModel):
         table = Table(path, _RELATIVE, comma=True, header=True)
         covariance = np.empty((len(table), 3, 3))
         upper = np.triu_indices(3)
@@ -207,14 +145,16 @@ def _read_odometry(path: Path, meta: _LogModel) -> Odometry:
         with table.locating():
             return RelativePoses(table["time_s"], table.data[:, 1:4], covariance)
     noise = OdometryNoise(**settings.noise.model_dump())
-    if isinstance(settings, _SteeringModel):
+    if isinstance(settings, SteeringModel):
         table = Table(path, _STEERING, comma=True, header=True)
         vehicle = Ackermann(**settings.vehicle.model_dump())
         with table.locating():
-            return SteeringOdometry(*table.data.T, vehicle, noise)
+            return SteeringOdometry(
+                table["time_s"], table["speed_mps"], table["steering_rad"], vehicle, noise
+            )
     table = Table(path, _VELOCITY, comma=True, header=True)
     with table.locating():
-        return VelocityOdometry(*table.data.T, noise)
+        return VelocityOdometry(table["time_s"], table["speed_mps"], table["yaw_rate_radps"], noise)
 
 
 def _write_odometry(path: Path, odometry: Odometry) -> None:
@@ -240,7 +180,16 @@ def _read_sightings(path: Path, label_gate: float = float("inf")) -> Sightings |
             f"({NO_LANDMARK} for none)"
         )
     with table.locating():
-        return Sightings(*table.data.T[:5], ids.astype(np.int64), table["diameter_m"], label_gate)
+        return Sightings(
+            table["time_s"],
+            table["range_m"],
+            table["bearing_rad"],
+            table["sigma_range_m"],
+            table["sigma_bearing_rad"],
+            ids.astype(np.int64),
+            table["diameter_m"],
+            label_gate,
+        )
 
 
 def _write_sightings(path: Path, s: Sightings) -> None:
@@ -307,43 +256,8 @@ def _upper(covariance: Array) -> Array:
 
 def _write_csv(path: Path, columns: tuple[str, ...], *parts: Array | np.ndarray) -> None:
     lists = [
-        column.tolist()
-        for part in parts
-        for column in (part.T if part.ndim == 2 else part[None])
+        column.tolist() for part in parts for column in (part.T if part.ndim == 2 else part[None])
     ]
     with path.open("w", encoding="utf-8") as file:
         file.write(",".join(columns) + "\n")
         file.writelines(",".join(map(repr, row)) + "\n" for row in zip(*lists, strict=True))
-
-
-def _meta_text(log: Log) -> str:
-    """The TOML; its strings and numbers are spelt as JSON, which TOML shares."""
-    prior, odometry = log.prior, log.odometry
-    lines = [
-        "version = 1",
-        f"name = {json.dumps(log.name)}",
-        f"source = {json.dumps(log.format)}",
-        'units = "SI, radians; bearings counter-clockwise from straight ahead"',
-        "",
-        "[prior]",
-        f"time_s = {float(prior.time_s)!r}",
-        f"pose = {prior.pose.tolist()}",
-        f"covariance = {prior.covariance.tolist()}",
-        "",
-        "[odometry]",
-    ]
-    if isinstance(odometry, RelativePoses):
-        lines.append('kind = "relative-poses"')
-    else:
-        steering = isinstance(odometry, SteeringOdometry)
-        lines.append(f"kind = {json.dumps('steering' if steering else 'velocity')}")
-        groups: dict[str, object] = {"noise": odometry.noise}
-        if isinstance(odometry, SteeringOdometry):
-            groups["vehicle"] = odometry.vehicle
-        for group, record in groups.items():
-            lines += ["", f"[odometry.{group}]"]
-            lines += [f"{name} = {float(value)!r}" for name, value in vars(record).items()]
-    lines += ["", "[sightings]", f"label_gate = {log.sightings.label_gate!r}"]
-    lines += ["", "[provenance]"]
-    lines += [f"{json.dumps(k)} = {json.dumps(v)}" for k, v in log.provenance.items()]
-    return "\n".join(lines) + "\n"

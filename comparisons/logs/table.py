@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import NoReturn
 
@@ -68,15 +68,9 @@ class Table:
         """The file's line number, from 1, of a zero-based record."""
         return self._lines(read_text(self.path))[row][0]
 
-    @contextmanager
-    def locating(self) -> Iterator[None]:
+    def locating(self) -> AbstractContextManager[None]:
         """Turn a RecordError about a row of this table into one that names file and line."""
-        try:
-            yield
-        except RecordError as error:
-            if error.row is None:
-                raise InputError(f"{self.path}: {error.fault}") from error
-            raise InputError(f"{self.path}:{self.line(error.row)}: {error.fault}") from error
+        return locate_rows(self.path, self.line)
 
     def _lines(self, text: str) -> list[tuple[int, str]]:
         """Line numbers and contents of the records."""
@@ -100,6 +94,16 @@ class Table:
                 if not (name in self._gaps and word == "nan"):
                     number_or_fail(word, self.path, number, name)
         raise InputError(f"{self.path}: not a table of {', '.join(self.columns)}")
+
+
+@contextmanager
+def locate_rows(path: Path, line_of: Callable[[int], int]) -> Iterator[None]:
+    """Turn a RecordError about a row into an InputError that names file and line."""
+    try:
+        yield
+    except RecordError as error:
+        place = f"{path}" if error.row is None else f"{path}:{line_of(error.row)}"
+        raise InputError(f"{place}: {error.fault}") from error
 
 
 def number_or_fail(word: str, path: Path, line: int, name: str) -> float:

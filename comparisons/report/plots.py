@@ -27,7 +27,8 @@ def ellipses(centre: Array, covariance: Array, sigmas: float, points: int = 48) 
     angle = np.linspace(0.0, 2.0 * np.pi, points)
     circle = np.column_stack((np.cos(angle), np.sin(angle)))
     scaled = axes * np.sqrt(np.maximum(values, 0.0))[:, None, :]
-    return centre[:, None] + sigmas * circle @ scaled.transpose(0, 2, 1)
+    result: Array = centre[:, None] + sigmas * circle @ scaled.transpose(0, 2, 1)
+    return result
 
 
 def landmark_covariances(estimate: Estimate) -> Array:

@@ -57,9 +57,7 @@ def print_summary(result: Result, console: Console) -> None:
     if result.accuracy is not None:
         table.add_row("EKF accuracy", _accuracy(result.accuracy.ekf))
         table.add_row("smoother accuracy", _accuracy(result.accuracy.smoother))
-    table.add_row(
-        "seconds", ", ".join(f"{stage} {s:.2f}" for stage, s in result.seconds.items())
-    )
+    table.add_row("seconds", ", ".join(f"{stage} {s:.2f}" for stage, s in result.seconds.items()))
     console.print(table)
     console.print(f"verdict: [{_STYLE[result.verdict]}]{result.verdict}[/]", highlight=False)
     for cause in result.causes:

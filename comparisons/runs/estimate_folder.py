@@ -29,7 +29,13 @@ def write_estimate(estimate: Estimate, folder: Path) -> None:
     """Write into a folder that exists and is empty."""
     half = 0.5 * estimate.pose[:, 2]
     tum = np.column_stack(
-        (estimate.time_s, estimate.pose[:, :2], np.zeros((len(half), 3)), np.sin(half), np.cos(half))
+        (
+            estimate.time_s,
+            estimate.pose[:, :2],
+            np.zeros((len(half), 3)),
+            np.sin(half),
+            np.cos(half),
+        )
     )
     (folder / "trajectory.tum").write_text(
         "".join(" ".join(map(repr, row)) + "\n" for row in tum.tolist()), encoding="utf-8"

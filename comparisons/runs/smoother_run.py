@@ -115,7 +115,7 @@ def _from_updates(r: SightingRecords) -> tuple[np.ndarray, ...]:
 
 
 def _from_augmentations(r: SightingRecords) -> tuple[np.ndarray, ...]:
-    """l = landmark + G_x (x - pose) + G_z v as a relation with residual zero."""
+    """Landmark = point + G_x (x - pose) + G_z v, as a relation with residual zero."""
     identity = np.broadcast_to(np.eye(2), r.noise.shape)
     spread = r.jacobian_other @ r.noise @ r.jacobian_other.transpose(0, 2, 1)
     return (

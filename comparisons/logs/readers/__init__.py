@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
-from comparisons.logs.log_folder import MARK, read_log_folder
+from comparisons.logs.log_folder import read_log_folder
+from comparisons.logs.log_meta import MARK
 from comparisons.logs.readers import acfr_car_park, gtsam_2d, mrclam, victoria_park
 
 

@@ -83,9 +83,7 @@ def read(path: Path) -> Log:
         positions,
         scans=scans,
         truth=Truth(
-            landmarks=Landmarks(
-                np.arange(len(beacons)), beacons, np.zeros((len(beacons), 2, 2))
-            )
+            landmarks=Landmarks(np.arange(len(beacons)), beacons, np.zeros((len(beacons), 2, 2)))
         ),
         provenance={
             "folder": path.name,

@@ -8,16 +8,20 @@ gets k seconds.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from comparisons.errors import InputError
-from comparisons.logs.log import Log, Prior, RelativePoses, Sightings
-from comparisons.logs.table import number_or_fail, read_text, shorten
+from comparisons.logs.log import Array, Log, Prior, RelativePoses, Sightings
+from comparisons.logs.table import locate_rows, number_or_fail, read_text, shorten
 
-_ODOMETRY = ("i", "j", "dx", "dy", "dheading", "c00", "c01", "c02", "c11", "c12", "c22")
-_LANDMARK = ("i", "j", "x", "y", "c00", "c01", "c11")
+_COLUMNS = {
+    "ODOMETRY": ("i", "j", "dx", "dy", "dheading", "c00", "c01", "c02", "c11", "c12", "c22"),
+    "LANDMARK": ("i", "j", "x", "y", "c00", "c01", "c11"),
+}
 _PRIOR_SIGMA = 1e-6
 
 
@@ -36,74 +40,95 @@ def read(path: Path) -> Log:
     sigma_r = sqrt(v) and sigma_b = sigma_r / r. Raises InputError naming the line at fault.
     """
     moves: list[list[float]] = []
-    seen: list[tuple[float, ...]] = []
+    seen: list[list[float]] = []
+    move_line: list[int] = []
+    seen_line: list[int] = []
     pose_of: dict[int, int] = {}
-    for number, line in enumerate(read_text(path).splitlines(), start=1):
-        words = line.split()
-        if not words or words[0].startswith("#"):
-            continue
-        columns = {"ODOMETRY": _ODOMETRY, "LANDMARK": _LANDMARK}.get(words[0])
-        if columns is None:
-            raise InputError(
-                f"{path}:{number}: starts with '{shorten(words[0])}', expected ODOMETRY or LANDMARK"
-            )
-        if len(words) - 1 != len(columns):
-            raise InputError(
-                f"{path}:{number}: {len(words) - 1} values after {words[0]}, expected {len(columns)}"
-                f" ({', '.join(columns)})"
-            )
-        values = [
-            number_or_fail(word, path, number, name)
-            for name, word in zip(columns, words[1:], strict=True)
-        ]
-        i, j = int(values[0]), int(values[1])
-        if columns is _ODOMETRY:
+    for number, tag, (i, j, *values) in _records(path):
+        place = f"{path}:{number}"
+        if tag == "ODOMETRY":
             if not moves:
                 pose_of[i] = 0
             if pose_of.get(i) != len(moves):
-                raise InputError(f"{path}:{number}: departs from {i}, expected the latest pose")
+                raise InputError(f"{place}: departs from {i}, expected the latest pose")
+            if j in pose_of:
+                raise InputError(f"{place}: arrives at {j}, which is a pose already")
             pose_of[j] = len(moves) + 1
-            upper = values[5:]
-            covariance = np.array([[upper[0], upper[1], upper[2]], [upper[1], upper[3], upper[4]],
-                                   [upper[2], upper[4], upper[5]]])  # fmt: skip
-            if np.linalg.eigvalsh(covariance)[0] <= 0:
-                raise InputError(
-                    f"{path}:{number}: the covariance is not positive definite, expected positive "
-                    "variances"
-                )
             moves.append(values)
+            move_line.append(number)
         else:
             if i not in pose_of:
-                raise InputError(f"{path}:{number}: seen from {i}, which is no pose so far")
-            x, y, vxx, vxy, vyy = values[2:]
+                raise InputError(f"{place}: seen from {i}, which is no pose so far")
+            vxx, vxy, vyy = values[2:]
             if vxx <= 0 or abs(vxy) > 1e-9 * vxx or abs(vxx - vyy) > 1e-9 * vxx:
                 raise InputError(
-                    f"{path}:{number}: covariance {vxx} {vxy} {vyy}, expected positive and equal in "
-                    "every direction"
+                    f"{place}: covariance {vxx:g} {vxy:g} {vyy:g} is not positive definite and "
+                    "equal in every direction"
                 )
-            distance = float(np.hypot(x, y))
-            if distance == 0.0:
-                raise InputError(f"{path}:{number}: the landmark lies at the sensor")
-            sigma = float(np.sqrt(vxx))
-            seen.append((pose_of[i], distance, np.arctan2(y, x), sigma, sigma / distance, j))
+            seen.append([pose_of[i], j, *values[:2], vxx])
+            seen_line.append(number)
     if not moves or not seen:
         raise InputError(f"{path}: expected at least one ODOMETRY and one LANDMARK line")
-    return _assemble(path, np.array(moves), np.array(seen))
-
-
-def _assemble(path: Path, moves: np.ndarray, seen: np.ndarray) -> Log:
-    upper = moves[:, 5:]
-    covariance = upper[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
-    seen = seen[np.argsort(seen[:, 0], kind="stable")]
+    for row, number in enumerate(seen_line):
+        if int(seen[row][1]) in pose_of:
+            raise InputError(f"{path}:{number}: landmark {int(seen[row][1])} is a pose's number")
+    order = sorted(range(len(seen)), key=lambda row: seen[row][0])
+    with locate_rows(path, move_line.__getitem__):
+        odometry = _odometry(np.array(moves))
+    with locate_rows(path, lambda row: seen_line[order[row]]):
+        sightings = _sightings(np.array(seen)[order])
     return Log(
         path.stem.replace("_", "-"),
         "gtsam-2d",
         Prior(0.0, np.zeros(3), _PRIOR_SIGMA**2 * np.eye(3)),
-        RelativePoses(np.arange(1.0, len(moves) + 1), moves[:, 2:5], covariance),
-        Sightings(
-            *seen[:, :5].T,
-            seen[:, 5].astype(np.int64),
-            np.full(len(seen), np.nan),
-        ),
-        provenance={"file": path.name, "times": "pose number in place of seconds"},
+        odometry,
+        sightings,
+        provenance={"file": path.name, "times": "pose numbers in place of seconds"},
+    )
+
+
+def _records(path: Path) -> Iterator[tuple[int, str, tuple[Any, ...]]]:
+    """Line number, tag, and the values, the first two being whole numbers."""
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
+        words = line.split()
+        if not words or words[0].startswith("#"):
+            continue
+        place, columns = f"{path}:{number}", _COLUMNS.get(words[0])
+        if columns is None:
+            raise InputError(
+                f"{place}: starts with '{shorten(words[0])}', expected ODOMETRY or LANDMARK"
+            )
+        if len(words) - 1 != len(columns):
+            raise InputError(
+                f"{place}: {len(words) - 1} values after {words[0]}, expected {len(columns)} "
+                f"({', '.join(columns)})"
+            )
+        for name, word in zip(columns[:2], words[1:3], strict=True):
+            if not (word.isascii() and word.isdigit()):
+                raise InputError(f"{place}: {name} is '{shorten(word)}', expected a whole number")
+        values = (
+            number_or_fail(word, path, number, name)
+            for name, word in zip(columns[2:], words[3:], strict=True)
+        )
+        yield number, words[0], (int(words[1]), int(words[2]), *values)
+
+
+def _odometry(moves: Array) -> RelativePoses:
+    upper = moves[:, 3:]
+    covariance = upper[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
+    return RelativePoses(np.arange(1.0, len(moves) + 1), moves[:, :3], covariance)
+
+
+def _sightings(seen: Array) -> Sightings:
+    pose, landmark, x, y, variance = seen.T
+    distance, sigma = np.hypot(x, y), np.sqrt(variance)
+    safe = np.where(distance > 0, distance, np.nan)  # a zero range is reported as such
+    return Sightings(
+        pose,
+        distance,
+        np.arctan2(y, x),
+        sigma,
+        np.where(distance > 0, sigma / safe, 1.0),
+        landmark.astype(np.int64),
+        np.full(len(seen), np.nan),
     )

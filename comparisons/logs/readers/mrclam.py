@@ -13,6 +13,7 @@ import numpy as np
 
 from comparisons.errors import InputError
 from comparisons.logs.log import (
+    Array,
     Landmarks,
     Log,
     OdometryNoise,
@@ -49,9 +50,7 @@ def read(path: Path, robot: int) -> Log:
         path / f"Robot{robot}_Measurement.dat", ("time", "barcode", "range", "bearing")
     )
     captured = Table(path / f"Robot{robot}_Groundtruth.dat", ("time", "x", "y", "heading"))
-    surveyed = Table(
-        path / "Landmark_Groundtruth.dat", ("subject", "x", "y", "sigma_x", "sigma_y")
-    )
+    surveyed = Table(path / "Landmark_Groundtruth.dat", ("subject", "x", "y", "sigma_x", "sigma_y"))
     barcodes = Table(path / "Barcodes.dat", ("subject", "barcode"))
     for table in (odometry, measured, captured, surveyed, barcodes):
         if not len(table):
@@ -66,11 +65,19 @@ def read(path: Path, robot: int) -> Log:
     subject_of = dict(zip(barcodes["barcode"].tolist(), barcodes["subject"].tolist(), strict=True))
     subject = np.array([subject_of.get(code, 0.0) for code in measured["barcode"].tolist()])
     early = measured["time"] < start
-    kept = (subject > _ROBOTS) & ~early
     with measured.locating():
-        Sightings(*_columns(measured, start, np.full(len(measured), 0)))
-    rows = _columns(measured, start, subject)
-    sightings = Sightings(*(column[kept] for column in rows), label_gate=_LABEL_GATE)
+        everything = _sightings(measured, start, subject)
+    kept = (subject > _ROBOTS) & ~early
+    sightings = Sightings(
+        everything.time_s[kept],
+        everything.range_m[kept],
+        everything.bearing_rad[kept],
+        everything.sigma_range_m[kept],
+        everything.sigma_bearing_rad[kept],
+        everything.landmark[kept],
+        everything.diameter_m[kept],
+        _LABEL_GATE,
+    )
     variance = surveyed.data[:, 3:5] ** 2
     landmarks = Landmarks(
         surveyed["subject"].astype(np.int64),
@@ -96,9 +103,10 @@ def read(path: Path, robot: int) -> Log:
     )
 
 
-def _columns(measured: Table, start: float, landmark: np.ndarray) -> tuple[np.ndarray, ...]:
+def _sightings(measured: Table, start: float, landmark: Array) -> Sightings:
+    """All records, robots included, so that a fault in any is reported by its line."""
     count = len(measured)
-    return (
+    return Sightings(
         measured["time"] - start,
         measured["range"],
         measured["bearing"],
@@ -109,5 +117,5 @@ def _columns(measured: Table, start: float, landmark: np.ndarray) -> tuple[np.nd
     )
 
 
-def _unwrapped(pose: np.ndarray) -> np.ndarray:
+def _unwrapped(pose: Array) -> Array:
     return np.column_stack((pose[:, :2], np.unwrap(pose[:, 2])))

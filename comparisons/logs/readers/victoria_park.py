@@ -22,9 +22,7 @@ from comparisons.logs.log import (
 )
 from comparisons.logs.table import Table
 
-UTE = Ackermann(
-    wheelbase_m=2.83, encoder_offset_m=0.76, sensor_forward_m=3.78, sensor_left_m=0.5
-)
+UTE = Ackermann(wheelbase_m=2.83, encoder_offset_m=0.76, sensor_forward_m=3.78, sensor_left_m=0.5)
 """The vehicle of Nieto 2005, Appendix A."""
 
 _NOISE = OdometryNoise(np.hypot(0.2, 0.2), np.deg2rad(3.0), 1e-5, 1e-6)
@@ -48,7 +46,9 @@ def read(path: Path) -> Log:
             raise InputError(f"{table.path}: holds no records")
     count = len(seen)
     with inputs.locating():
-        odometry = SteeringOdometry(*inputs.data.T, UTE, _NOISE)
+        odometry = SteeringOdometry(
+            inputs["time"], inputs["speed"], inputs["steering"], UTE, _NOISE
+        )
     with seen.locating():
         sightings = Sightings(
             seen["time"],

@@ -58,7 +58,7 @@ def simulate(
     """One simulated log with truth. The same generator state gives the same log."""
     drive, world = drive or Drive(), world or nieto_loop()
     count = round(drive.loops * drive.loop_s / drive.sample_s)
-    time = drive.sample_s * np.arange(count + 1)
+    time: Array = drive.sample_s * np.arange(float(count + 1))
     control, pose = _true_drive(drive, world, count)
     scale = drive.noise_scale
     noise = scale * rng.standard_normal((count, 2))

@@ -1,0 +1,123 @@
+"""`log.toml`: what a log folder says about its streams. Unknown keys are errors."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from comparisons.errors import InputError
+from comparisons.logs.log import Log, RelativePoses, SteeringOdometry
+from comparisons.logs.table import read_text
+
+MARK = "log.toml"
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class _PriorModel(_Model):
+    time_s: float
+    pose: tuple[float, float, float]
+    covariance: list[list[float]]
+
+
+class _VehicleModel(_Model):
+    wheelbase_m: float
+    encoder_offset_m: float = 0.0
+    sensor_forward_m: float = 0.0
+    sensor_left_m: float = 0.0
+
+
+class _NoiseModel(_Model):
+    sigma_speed_mps: float
+    sigma_turn: float
+    variance_rate_position: float = 1e-6
+    variance_rate_heading: float = 1e-8
+
+
+class SteeringModel(_Model):
+    """Odometry of speed and steering."""
+
+    kind: Literal["steering"]
+    vehicle: _VehicleModel
+    noise: _NoiseModel
+
+
+class VelocityModel(_Model):
+    """Odometry of speed and yaw rate."""
+
+    kind: Literal["velocity"]
+    noise: _NoiseModel
+
+
+class RelativeModel(_Model):
+    """Odometry of displacements, each with its covariance."""
+
+    kind: Literal["relative-poses"]
+
+
+class _SightingsModel(_Model):
+    label_gate: float = float("inf")
+
+
+class LogModel(_Model):
+    """The whole file."""
+
+    version: Literal[1]
+    name: str
+    source: str = "log-folder"
+    units: str = ""
+    prior: _PriorModel
+    odometry: Annotated[SteeringModel | VelocityModel | RelativeModel, Field(discriminator="kind")]
+    sightings: _SightingsModel = _SightingsModel()
+    provenance: dict[str, str] = {}
+
+
+def read_meta(path: Path) -> LogModel:
+    """Read and check `log.toml`. Raises InputError naming the key at fault."""
+    try:
+        return LogModel.model_validate(tomllib.loads(read_text(path)))
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: not valid TOML: {error}") from None
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        raise InputError(f"{path}: {key}: {first['msg'].lower()}") from None
+
+
+def meta_text(log: Log) -> str:
+    """The TOML; its strings and numbers are spelt as JSON, which TOML shares."""
+    prior, odometry = log.prior, log.odometry
+    lines = [
+        "version = 1",
+        f"name = {json.dumps(log.name)}",
+        f"source = {json.dumps(log.format)}",
+        'units = "SI, radians; bearings counter-clockwise from straight ahead"',
+        "",
+        "[prior]",
+        f"time_s = {float(prior.time_s)!r}",
+        f"pose = {prior.pose.tolist()}",
+        f"covariance = {prior.covariance.tolist()}",
+        "",
+        "[odometry]",
+    ]
+    if isinstance(odometry, RelativePoses):
+        lines.append('kind = "relative-poses"')
+    else:
+        steering = isinstance(odometry, SteeringOdometry)
+        lines.append(f"kind = {json.dumps('steering' if steering else 'velocity')}")
+        groups: dict[str, object] = {"noise": odometry.noise}
+        if isinstance(odometry, SteeringOdometry):
+            groups["vehicle"] = odometry.vehicle
+        for group, record in groups.items():
+            lines += ["", f"[odometry.{group}]"]
+            lines += [f"{name} = {float(value)!r}" for name, value in vars(record).items()]
+    lines += ["", "[sightings]", f"label_gate = {log.sightings.label_gate!r}"]
+    lines += ["", "[provenance]"]
+    lines += [f"{json.dumps(k)} = {json.dumps(v)}" for k, v in log.provenance.items()]
+    return "\n".join(lines) + "\n"

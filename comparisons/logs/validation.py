@@ -1,0 +1,100 @@
+"""Checks shared by the records of a log; each raises RecordError naming stream, row and value."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.errors import RecordError
+
+Array = NDArray[np.float64]
+
+
+def frozen(value: object) -> Array:
+    """A read-only float64 copy."""
+    array = np.array(value, dtype=float)
+    array.flags.writeable = False
+    return array
+
+
+def check(
+    record: object,
+    stream: str,
+    rows: str,
+    gaps: tuple[str, ...] = (),
+    **shapes: tuple[int, ...] | None,
+) -> None:
+    """Freeze the arrays; check their shapes against the stream's length, and that all are finite.
+
+    gaps: columns in which NaN means not measured. shapes: each row's shape, None to leave alone.
+    """
+    for f in fields(record):  # type: ignore[arg-type]
+        value = getattr(record, f.name)
+        if not isinstance(value, np.ndarray | list | tuple):
+            continue
+        if f.name in ("id", "landmark"):
+            kept: NDArray[np.generic] = np.array(value, dtype=np.int64)
+            kept.flags.writeable = False
+        else:
+            kept = frozen(value)
+        object.__setattr__(record, f.name, kept)
+    count = len(getattr(record, rows))
+    for f in fields(record):  # type: ignore[arg-type]
+        value = getattr(record, f.name)
+        if not isinstance(value, np.ndarray):
+            continue
+        shape = shapes.get(f.name, ())
+        if shape is not None and value.shape != (count, *shape):
+            raise RecordError(
+                stream, None, f"{f.name} has shape {value.shape}, expected {(count, *shape)}"
+            )
+        bad = np.isinf(value) if f.name in gaps else ~np.isfinite(value)
+        if bad.any():
+            row = int(np.argwhere(bad)[0][0])
+            raise RecordError(stream, row, f"{f.name} is {value[bad][0]}, expected a finite number")
+
+
+def increasing(stream: str, time_s: Array, *, equal: bool = False) -> None:
+    """Times must not run backwards, nor repeat unless `equal`."""
+    steps = np.diff(time_s)
+    bad = np.flatnonzero(steps < 0 if equal else steps <= 0)
+    if len(bad):
+        row = int(bad[0]) + 1
+        raise RecordError(
+            stream,
+            row,
+            f"time {time_s[row]:.6f} s follows {time_s[row - 1]:.6f} s, expected times to increase",
+        )
+
+
+def above_zero(stream: str, name: str, values: Array) -> None:
+    """Every value must lie above zero."""
+    bad = np.flatnonzero(values <= 0)
+    if len(bad):
+        raise RecordError(stream, int(bad[0]), f"{name} is {values[bad[0]]}, expected above 0")
+
+
+def within(stream: str, name: str, values: Array, low: float, high: float) -> None:
+    """Every value must lie in a closed interval."""
+    bad = np.flatnonzero((values < low) | (values > high))
+    if len(bad):
+        raise RecordError(
+            stream,
+            int(bad[0]),
+            f"{name} is {values[bad[0]]}, expected between {low:.4g} and {high:.4g}",
+        )
+
+
+def positive_definite(stream: str, covariance: Array) -> None:
+    """Every covariance (N, d, d) must be symmetric with positive eigenvalues."""
+    scale = np.abs(covariance).max(axis=(1, 2), initial=0.0)
+    skew = np.abs(covariance - covariance.transpose(0, 2, 1)).max(axis=(1, 2), initial=0.0)
+    bad = np.flatnonzero((skew > 1e-9 * scale) | (np.linalg.eigvalsh(covariance)[:, 0] <= 0.0))
+    if len(bad):
+        raise RecordError(
+            stream,
+            int(bad[0]),
+            "covariance is not positive definite, expected a symmetric one with positive variances",
+        )

@@ -1,0 +1,124 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ekf_reference.motion import AckermannModel, MotionModel, UnicycleModel
+from graphslam.graph_builder import to_tangent
+from graphslam.increments import (
+    Samples,
+    Stabilisation,
+    ackermann_samples,
+    compose,
+    relative_pose_samples,
+    unicycle_samples,
+)
+from tests.helpers import Array, central_difference, relative_error
+
+GEOMETRY = (2.83, 0.76, 3.78, 0.5)
+STABILISATION = Stabilisation(1e-5, 1e-7)
+
+
+def controls(n: int, seed: int) -> tuple[Array, Array, Array]:
+    rng = np.random.default_rng(seed)
+    return rng.uniform(0.5, 3, n), rng.uniform(-0.5, 0.5, n), rng.uniform(0.01, 0.1, n)
+
+
+def samples(kind: str, u: Array, w: Array, dt: Array) -> Samples:
+    if kind == "ackermann":
+        length, h, a, b = GEOMETRY
+        return ackermann_samples(
+            u, w, dt, 0.2, 0.05, STABILISATION, wheelbase_m=length, encoder_offset_m=h,
+            sensor_forward_m=a, sensor_left_m=b,
+        )  # fmt: skip
+    return unicycle_samples(u, w, dt, 0.2, 0.05, STABILISATION)
+
+
+def exponential(xi: Array) -> Array:
+    """Motion (x, y, heading) of a constant twist."""
+    w = xi[2]
+    s, c = (np.sin(w) / w, (1 - np.cos(w)) / w) if abs(w) > 1e-9 else (1.0, 0.5 * w)
+    return np.array((s * xi[0] - c * xi[1], c * xi[0] + s * xi[1], w))
+
+
+def then(first: Array, second: Array) -> Array:
+    cos, sin = np.cos(first[2]), np.sin(first[2])
+    return first + (
+        cos * second[0] - sin * second[1],
+        sin * second[0] + cos * second[1],
+        second[2],
+    )
+
+
+@pytest.mark.parametrize("kind", ["ackermann", "unicycle"])
+def test_increment_carries_what_the_filter_predicts(kind: str) -> None:
+    """Composed by this package, or stepped through by the EKF's models: the same Gaussian."""
+    model: MotionModel = AckermannModel(*GEOMETRY) if kind == "ackermann" else UnicycleModel()
+    u, w, dt = controls(40, 3)
+    start = np.array((4.0, -7.0, 2.1))
+    pose, covariance = start, np.zeros((3, 3))
+    for i in range(40):
+        step = model.step(pose, np.array((u[i], w[i])), float(dt[i]))
+        b = step.jacobian_control
+        noise = b @ np.diag((0.04, 0.0025)) @ b.T + dt[i] * np.diag((1e-5, 1e-5, 1e-7))
+        covariance = step.jacobian_pose @ covariance @ step.jacobian_pose.T + noise
+        pose = step.pose
+    whole = compose(samples(kind, u, w, dt), np.zeros(40, dtype=np.intp), 1)
+    assert np.allclose(then(start, whole.displacement[0]), pose, rtol=0, atol=1e-12)
+    turn = to_tangent(pose[2:])[0].T
+    assert relative_error(turn @ whole.covariance[0] @ turn.T, covariance) < 1e-12
+
+
+@pytest.mark.parametrize("kind", ["ackermann", "unicycle"])
+def test_sample_noise_equals_central_differences(kind: str) -> None:
+    """The covariance is B Q B^T with B numeric, in the frame of arrival."""
+    u, w, dt = controls(1, 5)
+
+    def displacement(control: Array) -> Array:
+        return samples(kind, control[:1], control[1:], dt).displacement[0]
+
+    b = central_difference(displacement, np.array((u[0], w[0])))
+    turn = to_tangent(displacement(np.array((u[0], w[0])))[2:])[0]
+    expected = turn @ b @ np.diag((0.04, 0.0025)) @ b.T @ turn.T
+    expected += dt[0] * np.diag((1e-5, 1e-5, 1e-7))
+    assert relative_error(samples(kind, u, w, dt).covariance[0], expected) < 1e-8
+
+
+def test_composition_transports_perturbations_exactly() -> None:
+    """Against central differences through the product of perturbed motions."""
+    rng = np.random.default_rng(0)
+    moves = rng.uniform(-1, 1, (5, 3))
+    covariances = np.array([np.diag(rng.uniform(0.1, 1, 3)) for _ in moves])
+    whole = compose(relative_pose_samples(moves, covariances), np.zeros(5, dtype=np.intp), 1)
+
+    def perturbed(xi: Array) -> Array:
+        """Right perturbation of the end when every sample's arrival is perturbed."""
+        pose = np.zeros(3)
+        for move, e in zip(moves, xi.reshape(5, 3), strict=True):
+            pose = then(then(pose, move), exponential(e))
+        end = whole.displacement[0]
+        difference = pose - end
+        difference[:2] = to_tangent(end[2:])[0][:2, :2] @ difference[:2]
+        return difference
+
+    j = central_difference(perturbed, np.zeros(15))
+    full = np.zeros((15, 15))
+    for i in range(5):
+        full[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = covariances[i]
+    assert relative_error(whole.covariance[0], j @ full @ j.T) < 1e-8
+
+
+def test_intervals_are_composed_apart_and_may_be_empty() -> None:
+    u, w, dt = controls(6, 1)
+    every = samples("unicycle", u, w, dt)
+    parts = compose(every, np.array((0, 0, 2, 2, 2, 3)), 4)
+    for interval, rows in ((0, slice(0, 2)), (2, slice(2, 5)), (3, slice(5, 6))):
+        alone = compose(
+            Samples(every.displacement[rows], every.covariance[rows]),
+            np.zeros(rows.stop - rows.start, dtype=np.intp),
+            1,
+        )
+        assert np.allclose(parts.displacement[interval], alone.displacement[0], atol=1e-13)
+        assert np.allclose(parts.covariance[interval], alone.covariance[0], atol=1e-16)
+    assert np.array_equal(parts.displacement[1], np.zeros(3))
+    assert np.array_equal(parts.covariance[1], np.zeros((3, 3)))

@@ -1,0 +1,178 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+import pytest
+
+from comparisons.runs.ekf_run import run_ekf
+from comparisons.runs.smoother_run import build_problem
+from comparisons.runs.timeline import build_timeline
+from graphslam.frozen import LinearMotion, LinearSightings, solve_recorded
+from graphslam.graph_builder import (
+    LANDMARK_KEY,
+    POSE_KEY,
+    SlamProblem,
+    build_graph,
+    to_tangent,
+    to_values,
+)
+from graphslam.marginals import SingularProblemError, last_pose_and_landmarks, to_global
+from graphslam.optimum import Proof, Stationarity, chi_square_test, stationarity
+from graphslam.smoother import smooth
+from tests.helpers import Array, relative_error, simulated
+
+
+@pytest.fixture(scope="module")
+def problem() -> SlamProblem:
+    log = simulated(seed=1, loop_s=20.0)
+    timeline = build_timeline(log)
+    return build_problem(log, timeline, run_ekf(log, timeline, "known"))
+
+
+def residuals(problem: SlamProblem, poses: Array, landmarks: Array) -> Array:
+    """All whitened residuals, written out without gtsam."""
+    parts = [
+        np.linalg.solve(np.linalg.cholesky(problem.prior_covariance), poses[0] - problem.prior_pose)
+    ]
+    for k, (d, c) in enumerate(zip(problem.increment, problem.increment_covariance, strict=True)):
+        a, b = poses[k], poses[k + 1]
+        local = to_tangent(a[2:])[0] @ (b - a)
+        error = local - d
+        w = np.angle(np.exp(1j * error[2]))
+        shift = to_tangent(d[2:])[0][:2, :2] @ error[:2]
+        s, q = (np.sin(w) / w, (1 - np.cos(w)) / w) if abs(w) > 1e-12 else (1.0, 0.0)
+        v = np.linalg.solve(np.array(((s, -q), (q, s))), shift)
+        parts.append(np.linalg.solve(np.linalg.cholesky(c), np.array((*v, w))))
+    offset = landmarks[problem.sighting_landmark] - poses[problem.sighting_pose, :2]
+    r = np.hypot(*offset.T) - problem.z[:, 0]
+    bearing = np.arctan2(offset[:, 1], offset[:, 0]) - poses[problem.sighting_pose, 2]
+    beta = np.angle(np.exp(1j * (bearing - problem.z[:, 1])))
+    parts.append((np.column_stack((r, beta)) / problem.sigma).ravel())
+    return np.concatenate(parts)
+
+
+def test_error_is_half_the_squared_norm_of_the_residuals(problem: SlamProblem) -> None:
+    result = smooth(problem, {})
+    own = residuals(problem, result.poses, result.landmarks)
+    assert np.isclose(result.error, 0.5 * own @ own, rtol=1e-9)
+    assert len(own) == problem.residual_dimension
+
+
+def test_every_start_reaches_the_same_optimum(problem: SlamProblem) -> None:
+    rng = np.random.default_rng(0)
+    truth = smooth(problem, {})
+    shaken = (
+        truth.poses + 0.05 * rng.standard_normal(truth.poses.shape),
+        truth.landmarks + rng.standard_normal(truth.landmarks.shape),
+    )
+    result = smooth(problem, {"shaken": shaken})
+    assert result.proof.agreeing == ("shaken", "incremental")
+    assert result.proof.proven
+    assert result.proof.chi_square.reading == "plausible"
+    assert np.allclose(result.poses, truth.poses, atol=1e-5)
+
+
+def test_a_point_beside_the_optimum_is_no_stationary_point(problem: SlamProblem) -> None:
+    result = smooth(problem, {})
+    beside = to_values(
+        result.poses + (1e-3, 0.0, 0.0), result.landmarks, np.unique(problem.sighting_landmark)
+    )
+    found = stationarity(result.graph, beside)
+    assert found.definite
+    assert found.decrement > 1e-3
+    assert not found.holds
+
+
+def test_whole_turns_between_poses_are_counted(problem: SlamProblem) -> None:
+    """A robot that spins once between two sightings keeps a continuous heading."""
+    spun = problem.increment.copy()
+    spun[10, 2] += 2.0 * np.pi
+    plain, turned = smooth(problem, {}), smooth(replace(problem, increment=spun), {})
+    difference = turned.poses[:, 2] - plain.poses[:, 2]
+    assert np.allclose(difference[:11], 0.0, atol=1e-6)
+    assert np.allclose(difference[11:], 2.0 * np.pi, atol=1e-6)
+
+
+def test_marginal_equals_the_dense_inverse(problem: SlamProblem) -> None:
+    """Elimination against inverting the whole information matrix."""
+    result = smooth(problem, {})
+    keys = [POSE_KEY + k for k in range(problem.pose_count)]
+    keys += [LANDMARK_KEY + j for j in range(problem.landmark_count)]
+    information, _ = result.graph.linearize(result.values).hessian(gtsam.Ordering(keys))
+    last = 3 * (problem.pose_count - 1)
+    dense = to_global(np.linalg.inv(information)[last:, last:], result.poses[-1, 2])
+    marginal = result.marginal()
+    assert relative_error(marginal.covariance, dense) < 1e-6
+    assert np.array_equal(marginal.mean[:3], result.poses[-1])
+    assert relative_error(marginal.covariance[:3, :3], result.pose_covariances()[-1]) < 1e-8
+
+
+def test_global_covariance_is_that_of_the_additive_error() -> None:
+    """A tangent-frame covariance turned by the heading: forward noise shows up along it."""
+    turned = to_global(np.diag((4.0, 1.0, 0.5, 9.0, 9.0)), np.pi / 2)
+    assert np.allclose(turned, np.diag((1.0, 4.0, 0.5, 9.0, 9.0)))
+
+
+def test_missing_information_is_reported(problem: SlamProblem) -> None:
+    graph = build_graph(problem)
+    result = smooth(problem, {})
+    linear = graph.linearize(result.values)
+    with pytest.raises(SingularProblemError, match="do not fix"):
+        last_pose_and_landmarks(linear, problem.pose_count, problem.landmark_count + 1)
+
+
+def test_frozen_smoother_on_one_step_equals_the_kalman_filter() -> None:
+    """By hand: prior, one step, one sighting of a landmark that a first sighting placed."""
+    rng = np.random.default_rng(2)
+    p0, q, r = np.diag((0.1, 0.2, 0.01)), np.diag((0.05, 0.04, 0.002)), np.diag((0.01, 0.02))
+    f, gx = np.eye(3) + 0.1 * rng.standard_normal((3, 3)), rng.standard_normal((2, 3))
+    hv, hl = rng.standard_normal((2, 3)), rng.standard_normal((2, 2)) + 2 * np.eye(2)
+    x0, x1, l0 = rng.standard_normal(3), rng.standard_normal(3), rng.standard_normal(2)
+    nu = rng.standard_normal(2)
+    full = np.zeros((5, 5))
+    full[:3, :3], full[:3, 3:], full[3:, :3] = p0, p0 @ gx.T, gx @ p0
+    full[3:, 3:] = gx @ p0 @ gx.T + r
+    step = np.eye(5)
+    step[:3, :3] = f
+    predicted = step @ full @ step.T
+    predicted[:3, :3] += q
+    h = np.hstack((hv, hl))
+    gain = predicted @ h.T @ np.linalg.inv(h @ predicted @ h.T + r)
+    mean = np.concatenate((x1, l0)) + gain @ nu
+    covariance = predicted - gain @ h @ predicted
+    sightings = LinearSightings(
+        np.array((0, 1)), np.array((0, 0)), np.array((x0, x1)), np.array((l0, l0)),
+        np.array((np.zeros(2), nu)), np.array((-gx, hv)), np.array((np.eye(2), hl)),
+        np.array((r, r)),
+    )  # fmt: skip
+    motion = LinearMotion(x0[None], x1[None], f[None], q[None])
+    frozen = solve_recorded(x0, p0, motion, sightings, x1, l0[None])
+    assert relative_error(frozen.mean, mean) < 1e-10
+    assert relative_error(frozen.covariance, covariance) < 1e-10
+
+
+@pytest.mark.parametrize(
+    ("error", "reading"), [(10.0, "too low"), (50.0, "plausible"), (100.0, "too high")]
+)
+def test_chi_square_has_two_sides(error: float, reading: str) -> None:
+    test = chi_square_test(error, 100)
+    assert test.reading == reading
+    assert 50 < test.lower < 100 < test.upper < 160
+
+
+@pytest.mark.parametrize(
+    ("holds", "agreeing", "chi2", "proven"),
+    [
+        (True, ("ekf", "incremental"), 900.0, True),
+        (True, ("ekf",), 100.0, True),
+        (True, ("ekf",), 900.0, False),
+        (False, ("ekf", "incremental"), 100.0, False),
+    ],
+)
+def test_what_proves_an_optimum(
+    holds: bool, agreeing: tuple[str, ...], chi2: float, proven: bool
+) -> None:
+    conditions = Stationarity(0.0 if holds else 1.0, definite=True)
+    assert Proof(conditions, chi_square_test(0.5 * chi2, 100), agreeing).proven is proven

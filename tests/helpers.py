@@ -1,0 +1,39 @@
+"""What several tests need."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.logs.log import Log
+from comparisons.logs.simulate.drive import Drive, simulate
+
+Array = NDArray[np.float64]
+
+
+def central_difference(f: Callable[[Array], Array], x: Array, step: float = 1e-6) -> Array:
+    """Jacobian of f at x, (len(f), len(x))."""
+    columns = []
+    for i in range(len(x)):
+        d = np.zeros(len(x))
+        d[i] = step
+        columns.append((f(x + d) - f(x - d)) / (2.0 * step))
+    return np.column_stack(columns)
+
+
+def relative_error(actual: NDArray[np.floating], expected: NDArray[np.floating]) -> float:
+    """Largest difference over the largest expected entry."""
+    return float(np.max(np.abs(actual - expected)) / np.max(np.abs(expected)))
+
+
+def simulated(seed: int = 0, **drive: float) -> Log:
+    """A simulated log; keywords go to Drive."""
+    return simulate(np.random.default_rng(seed), Drive(**drive))  # type: ignore[arg-type]
+
+
+def random_covariance(rng: np.random.Generator, n: int) -> Array:
+    """A well-conditioned random covariance."""
+    a = rng.standard_normal((n, n))
+    return a @ a.T + n * np.eye(n)

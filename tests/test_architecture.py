@@ -1,0 +1,48 @@
+"""The estimators are independent: neither imports the other, nor the harness."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+ALLOWED = {
+    "ekf_reference": {"ekf_reference", "numpy", "scipy"},
+    "graphslam": {"graphslam", "numpy", "scipy", "gtsam", "kiss_icp", "open3d"},
+}
+STANDARD = {"__future__", "collections", "dataclasses", "math", "typing"}
+
+
+def imported(source: str) -> set[str]:
+    """Top-level names of everything a module imports, anywhere in it."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            names |= {alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "relative import"
+            names.add((node.module or "").split(".")[0])
+    return names
+
+
+@pytest.mark.parametrize("package", sorted(ALLOWED))
+def test_estimators_import_nothing_of_the_house(package: str) -> None:
+    modules = list((ROOT / package).rglob("*.py"))
+    assert len(modules) > 3
+    for module in modules:
+        extra = imported(module.read_text()) - ALLOWED[package] - STANDARD
+        assert not extra, f"{module.relative_to(ROOT)} imports {sorted(extra)}"
+
+
+def test_the_check_itself_sees_a_hidden_import() -> None:
+    hidden = "def f():\n    if True:\n        from graphslam.smoother import smooth\n"
+    assert imported(hidden) == {"graphslam"}
+
+
+def test_files_stay_readable() -> None:
+    for package in ("ekf_reference", "graphslam", "comparisons", "tests"):
+        for module in (ROOT / package).rglob("*.py"):
+            lines = len(module.read_text().splitlines())
+            assert lines <= 400, f"{module.relative_to(ROOT)} has {lines} lines"
