@@ -64,7 +64,7 @@ def compare_estimators(
         run = run_ekf(log, timeline, chosen, lambda k, n: progress("EKF", k, n), modify)
     if not len(run.estimate.landmark):
         raise InputError(f"{log.name}: no sighting could be used, so there is no map to compare")
-    problem = build_problem(log, timeline, run)
+    problem = build_problem(log, run)
     with clock.stage("frozen"):
         progress("frozen smoothers", 0, 0)
         recorded, own = run_frozen_recorded(log, run), run_frozen_own(problem, run)
@@ -72,7 +72,7 @@ def compare_estimators(
         result = run_smoother(problem, run, lambda stage: progress(stage, 0, 0))
     with clock.stage("marginals"):
         progress("marginals", 0, 0)
-        smoothed = smoothed_estimate(result, timeline, run)
+        smoothed = smoothed_estimate(result, run)
     with clock.stage("checks"):
         progress("checks", 0, 0)
         agreement = compare(

@@ -41,6 +41,8 @@ def last_pose_and_landmarks(
         if eliminated:
             _, remaining = graph.eliminatePartialMultifrontal(eliminated)
         information, vector = remaining.hessian(gtsam.Ordering(kept))
+        if len(information) != 3 + 2 * landmark_count or not _regular(information):
+            raise np.linalg.LinAlgError
         factor = cho_factor(information, lower=True)
     except (RuntimeError, np.linalg.LinAlgError) as error:
         raise SingularProblemError(
@@ -48,6 +50,15 @@ def last_pose_and_landmarks(
         ) from error
     covariance = cho_solve(factor, np.eye(len(information)))
     return Marginal(cho_solve(factor, vector.ravel()), 0.5 * (covariance + covariance.T))
+
+
+def _regular(information: Array) -> bool:
+    """Whether the information, each entry in units of its own, is positive beyond rounding."""
+    scale = np.sqrt(np.diag(information))
+    if not (np.isfinite(scale).all() and (scale > 0.0).all()):
+        return False
+    least = float(np.linalg.eigvalsh(information / np.outer(scale, scale))[0])
+    return least > len(scale) * np.finfo(float).eps
 
 
 def to_global(covariance: Array, heading_rad: float) -> Array:

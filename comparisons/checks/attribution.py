@@ -76,6 +76,14 @@ def judge(agreement: Agreement, proof: Proof, run: EkfRun) -> Verdict:
                 "steering or bearing convention",
             )
         )
+    if run.breakdown and not causes:
+        causes.append(
+            Cause(
+                "breakdown",
+                run.breakdown,
+                "gaps are compared up to there; look at the sightings and sigmas of that instant",
+            )
+        )
     outcome: Outcome
     if causes:
         outcome = "disagree"
@@ -87,7 +95,10 @@ def judge(agreement: Agreement, proof: Proof, run: EkfRun) -> Verdict:
         outcome = "agree" if all(map(block_agrees, blocks)) else "disagree"
         if outcome == "disagree":
             causes.append(_linearisation(agreement, run))
-    return Verdict(outcome, tuple(causes), tuple(_remarks(proof, run)))
+    remarks = _remarks(proof, run)
+    if run.breakdown and causes[0].gap != "breakdown":
+        remarks.insert(0, f"{run.breakdown}; everything is compared up to there")
+    return Verdict(outcome, tuple(causes), tuple(remarks))
 
 
 def _apart(gap: Gap) -> str:

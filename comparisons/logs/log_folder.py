@@ -5,11 +5,11 @@ Numbers are written so that they read back to the same bits.
 
 from __future__ import annotations
 
-import zipfile
 from pathlib import Path
 
 import numpy as np
 
+from comparisons.archive import read_archive
 from comparisons.atomic import fresh_folder
 from comparisons.errors import InputError, RecordError
 from comparisons.logs.log import (
@@ -234,14 +234,11 @@ def _read_surfaces(path: Path) -> Surfaces | None:
 def _read_scans(path: Path) -> Scans | None:
     if not path.exists():
         return None
-    names = ("time_s", "angle_rad", "range_m", "intensity")
+    arrays = read_archive(path, ("time_s", "angle_rad", "range_m", "intensity"))
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            return Scans(*(archive[name] for name in names))
-    except (ValueError, KeyError, OSError, zipfile.BadZipFile) as error:
-        if isinstance(error, InputError):
-            raise InputError(f"{path}: {error}") from None
-        raise InputError(f"{path}: not an archive of {', '.join(names)}") from None
+        return Scans(*arrays)
+    except RecordError as error:
+        raise InputError(f"{path}: {error}") from None
 
 
 def _symmetric(upper: Array) -> Array:

@@ -25,15 +25,19 @@ ASSOCIATIONS = ("known", "nn")
 class EkfRun:
     """An estimate with what the other estimators need of it.
 
-    slot: (M,) landmark of each of the log's sightings, REJECTED where unused.
+    timeline: what the filter was given; when it broke down, only up to there.
+    slot: (M,) landmark of each of the timeline's sightings, REJECTED where unused.
     departed: (K, 3) the pose when each epoch was done. arrived: (K, 3) as predicted there.
+    breakdown: what stopped the filter, None when it reached the end.
     """
 
     estimate: Estimate
+    timeline: Timeline
     trace: TraceArrays
     slot: NDArray[np.intp]
     departed: Array
     arrived: Array
+    breakdown: str | None = None
 
     @property
     def rejected(self) -> int:
@@ -84,10 +88,10 @@ def run_ekf(
     progress: Callable[[int, int], None] = lambda done, total: None,
     modify: Callable[[FullEkf], None] = lambda ekf: None,
 ) -> EkfRun:
-    """Drive the filter through all epochs.
+    """Drive the filter through all epochs, or as far as it comes.
 
     progress: called with epochs done and in all. modify: may replace parts of the filter before
-    it starts, which is how defects are planted. Raises InputError when the filter diverges.
+    it starts, which is how defects are planted.
     """
     trace = RecordedTrace()
     ekf = build_ekf(log, association, trace)
@@ -99,45 +103,55 @@ def run_ekf(
     sigma = np.column_stack((seen.sigma_range_m, seen.sigma_bearing_rad))
     departed, arrived = np.empty((epochs, 3)), np.empty((epochs, 3))
     covariance = np.empty((epochs, 3, 3))
-    slot = np.full(len(z), REJECTED, dtype=np.intp)
-    done = 0
+    breakdown, done = None, 0
     for k in range(epochs):
-        try:
-            for i in range(done, int(steps[k])):
-                ekf.predict(
-                    timeline.control[i],
-                    timeline.control_covariance[i],
-                    float(timeline.step_duration_s[i]),
-                )
-            arrived[k] = ekf.state.pose
-            rows = slice(int(first[k]), int(first[k + 1]))
-            if rows.start < rows.stop:
-                slot[rows] = ekf.observe(z[rows], sigma[rows], seen.landmark[rows])
-        except FilterDivergedError as error:
-            raise InputError(
-                f"{log.name}: the EKF broke down at {timeline.epoch_time_s[k]:.3f} s: {error}"
-            ) from None
+        for i in range(done, int(steps[k])):
+            ekf.predict(
+                timeline.control[i],
+                timeline.control_covariance[i],
+                float(timeline.step_duration_s[i]),
+            )
         done = int(steps[k])
+        arrived[k] = ekf.state.pose
+        rows = slice(int(first[k]), int(first[k + 1]))
+        try:
+            if rows.start < rows.stop:
+                ekf.observe(z[rows], sigma[rows], seen.landmark[rows])
+        except FilterDivergedError as error:
+            breakdown = f"the EKF broke down at {timeline.epoch_time_s[k]:.3f} s: {error}"
+            epochs = k + 1
         departed[k] = ekf.state.pose
         covariance[k] = ekf.state.covariance[:3, :3]
+        if breakdown:
+            break
         if k % 64 == 0:
             progress(k, epochs)
     progress(epochs, epochs)
     joint = np.array(ekf.state.covariance)
     if not (np.isfinite(joint).all() and np.isfinite(ekf.state.mean).all()):
         raise InputError(f"{log.name}: the EKF's estimate is not finite")
-    count = ekf.state.landmark_count
+    timeline = timeline.prefix(epochs)
+    arrays = trace.arrays()
+    slot = _slots(arrays, len(timeline.sighting_epoch))
     estimate = Estimate(
         timeline.epoch_time_s,
-        departed,
-        covariance,
-        _landmark_ids(seen.landmark, slot, count, association),
+        departed[:epochs],
+        covariance[:epochs],
+        _landmark_ids(seen.landmark[: len(slot)], slot, ekf.state.landmark_count, association),
         ekf.state.landmarks.copy(),
         joint,
         "filtered",
         {"estimator": "ekf_reference, full EKF", "association": association},
     )
-    return EkfRun(estimate, trace.arrays(), slot, departed, arrived)
+    return EkfRun(estimate, timeline, arrays, slot, departed[:epochs], arrived[:epochs], breakdown)
+
+
+def _slots(trace: TraceArrays, count: int) -> NDArray[np.intp]:
+    """Which landmark each sighting was used for, from what the filter recorded."""
+    slot = np.full(count, REJECTED, dtype=np.intp)
+    for records in (trace.updates, trace.augmentations):
+        slot[records.sighting] = records.slot
+    return slot
 
 
 def _landmark_ids(

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import tomllib
-import zipfile
 from pathlib import Path
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from comparisons.archive import read_archive
 from comparisons.errors import InputError
 from comparisons.logs.table import Table, read_text
 from comparisons.runs.estimate import Estimate
@@ -70,11 +70,7 @@ def read_estimate(folder: Path) -> Estimate:
     table = Table(folder / "landmarks.csv", _LANDMARKS, comma=True, header=True)
     heading = np.unwrap(2.0 * np.arctan2(tum["qz"], tum["qw"]))
     archive_path = folder / "covariances.npz"
-    try:
-        with np.load(archive_path, allow_pickle=False) as archive:
-            pose, joint = archive["pose"], archive["last_pose_and_landmarks"]
-    except (ValueError, KeyError, OSError, zipfile.BadZipFile):
-        raise InputError(f"{archive_path}: not an archive of covariances") from None
+    pose, joint = read_archive(archive_path, ("pose", "last_pose_and_landmarks"))
     size = 3 + 2 * len(table)
     if pose.shape != (len(tum), 3, 3) or joint.shape != (size, size):
         raise InputError(

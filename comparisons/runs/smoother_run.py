@@ -25,9 +25,9 @@ from graphslam.marginals import Marginal
 from graphslam.smoother import SmootherResult, smooth
 
 
-def build_problem(log: Log, timeline: Timeline, run: EkfRun) -> SlamProblem:
+def build_problem(log: Log, run: EkfRun) -> SlamProblem:
     """The log as the smoother's arrays, with the EKF's association of sightings to landmarks."""
-    used = np.flatnonzero(run.slot != REJECTED)
+    timeline, used = run.timeline, np.flatnonzero(run.slot != REJECTED)
     seen = log.sightings
     composed = increments.compose(
         _samples(log, timeline), timeline.step_epoch - 1, len(timeline.epoch_time_s) - 1
@@ -79,10 +79,10 @@ def run_smoother(
     return smooth(problem, {"ekf": guess}, progress)
 
 
-def smoothed_estimate(result: SmootherResult, timeline: Timeline, run: EkfRun) -> Estimate:
+def smoothed_estimate(result: SmootherResult, run: EkfRun) -> Estimate:
     """The smoother's result with its marginals."""
     return Estimate(
-        timeline.epoch_time_s,
+        run.timeline.epoch_time_s,
         result.poses,
         result.pose_covariances(),
         run.estimate.landmark_id,
@@ -96,7 +96,7 @@ def smoothed_estimate(result: SmootherResult, timeline: Timeline, run: EkfRun) -
 def _samples(log: Log, timeline: Timeline) -> increments.Samples:
     odometry = log.odometry
     if isinstance(odometry, RelativePoses):
-        return increments.relative_pose_samples(odometry.displacement, odometry.covariance)
+        return increments.relative_pose_samples(timeline.control, timeline.control_covariance)
     noise = odometry.noise
     stabilisation = increments.Stabilisation(
         noise.variance_rate_position, noise.variance_rate_heading

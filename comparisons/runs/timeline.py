@@ -36,6 +36,18 @@ class Timeline:
         """(K,) number of steps made when each epoch is reached."""
         return np.searchsorted(self.step_epoch, np.arange(len(self.epoch_time_s)), side="right")
 
+    def prefix(self, epochs: int) -> Timeline:
+        """The same up to the first `epochs` epochs."""
+        steps = int(self.steps_until()[epochs - 1])
+        return Timeline(
+            self.epoch_time_s[:epochs],
+            self.step_epoch[:steps],
+            self.step_duration_s[:steps],
+            self.control[:steps],
+            self.control_covariance[:steps],
+            self.sighting_epoch[: int(self.sightings_until()[epochs])],
+        )
+
     def sightings_until(self) -> Index:
         """(K + 1,) first sighting of each epoch, and the end."""
         return np.searchsorted(self.sighting_epoch, np.arange(len(self.epoch_time_s) + 1))

@@ -27,8 +27,7 @@ from tests.helpers import Array, relative_error, simulated
 @pytest.fixture(scope="module")
 def problem() -> SlamProblem:
     log = simulated(seed=1, loop_s=20.0)
-    timeline = build_timeline(log)
-    return build_problem(log, timeline, run_ekf(log, timeline, "known"))
+    return build_problem(log, run_ekf(log, build_timeline(log), "known"))
 
 
 def residuals(problem: SlamProblem, poses: Array, landmarks: Array) -> Array:
@@ -121,6 +120,10 @@ def test_missing_information_is_reported(problem: SlamProblem) -> None:
     linear = graph.linearize(result.values)
     with pytest.raises(SingularProblemError, match="do not fix"):
         last_pose_and_landmarks(linear, problem.pose_count, problem.landmark_count + 1)
+    graph.remove(0)  # the prior, which fixes the frame
+    linear = graph.linearize(result.values)
+    with pytest.raises(SingularProblemError, match="do not fix"):
+        last_pose_and_landmarks(linear, problem.pose_count, problem.landmark_count)
 
 
 def test_frozen_smoother_on_one_step_equals_the_kalman_filter() -> None:

@@ -7,7 +7,6 @@ import pytest
 
 from comparisons.compare import Comparison
 from comparisons.runs.smoother_run import build_problem
-from comparisons.runs.timeline import build_timeline
 from graphslam.graph_builder import SlamProblem, build_graph, to_values
 from graphslam.optimum import Proof, chi_square_test, stationarity
 from graphslam.smoother import smooth
@@ -15,8 +14,7 @@ from graphslam.smoother import smooth
 
 @pytest.fixture(scope="module")
 def problem(victoria_park: Comparison) -> SlamProblem:
-    log = victoria_park.log
-    return build_problem(log, build_timeline(log), victoria_park.ekf)
+    return build_problem(victoria_park.log, victoria_park.ekf)
 
 
 def test_growing_prefixes_reach_the_optimum_from_nothing(problem: SlamProblem) -> None:

@@ -1,0 +1,26 @@
+"""Arrays in `.npz` files, never unpickled."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.errors import InputError
+
+
+def read_archive(path: Path, names: tuple[str, ...]) -> list[NDArray[np.float64]]:
+    """The named arrays as float64. Raises InputError for anything but an archive of numbers."""
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            arrays = [archive[name] for name in names]
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except (ValueError, KeyError, OSError, EOFError, TypeError, zipfile.BadZipFile):
+        raise InputError(f"{path}: not an archive of {', '.join(names)}") from None
+    for name, array in zip(names, arrays, strict=True):
+        if array.dtype.kind not in "fiu":
+            raise InputError(f"{path}: {name} is not numeric")
+    return [array.astype(np.float64) for array in arrays]

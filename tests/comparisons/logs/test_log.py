@@ -1,0 +1,172 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from comparisons.errors import InputError
+from comparisons.logs.log import (
+    Ackermann,
+    Landmarks,
+    Log,
+    OdometryNoise,
+    Positions,
+    Prior,
+    RelativePoses,
+    Scans,
+    Sightings,
+)
+from comparisons.runs.timeline import build_timeline
+from tests.helpers import simulated
+
+EYE = np.eye(2)
+
+
+def sightings(**changes: object) -> Sightings:
+    base: dict[str, object] = {
+        "time_s": np.array((1.0, 1.0, 2.0)),
+        "range_m": np.array((3.0, 4.0, 5.0)),
+        "bearing_rad": np.zeros(3),
+        "sigma_range_m": np.full(3, 0.1),
+        "sigma_bearing_rad": np.full(3, 0.1),
+        "landmark": np.array((0, 1, -1)),
+        "diameter_m": np.full(3, np.nan),
+    }
+    return Sightings(**{**base, **changes})  # type: ignore[arg-type]
+
+
+FAULTS: dict[str, tuple[Callable[[], object], str]] = {
+    "nan": (
+        lambda: sightings(range_m=np.array((3.0, np.nan, 5.0))),
+        "sightings, row 1: range_m is nan, expected a finite number",
+    ),
+    "infinite diameter": (
+        lambda: sightings(diameter_m=np.array((1.0, np.inf, np.nan))),
+        "row 1: diameter_m is inf",
+    ),
+    "time backwards": (
+        lambda: sightings(time_s=np.array((1.0, 2.0, 1.5))),
+        "sightings, row 2: time 1.500000 s follows 2.000000 s",
+    ),
+    "zero range": (lambda: sightings(range_m=np.zeros(3)), "row 0: range_m is 0.0, expected above"),
+    "degrees": (
+        lambda: sightings(bearing_rad=np.array((0.0, 45.0, 0.0))),
+        "row 1: bearing_rad is 45.0, expected between",
+    ),
+    "bad id": (lambda: sightings(landmark=np.array((0, -7, 1))), "row 1: landmark is -7"),
+    "length": (lambda: sightings(range_m=np.ones(2)), r"range_m has shape \(2,\), expected"),
+    "label gate": (lambda: sightings(label_gate=float("nan")), "label_gate is nan"),
+    "indefinite prior": (
+        lambda: Prior(0.0, np.zeros(3), np.diag((1.0, 1.0, -1.0))),
+        "prior, row 0: covariance is not positive definite",
+    ),
+    "prior shape": (lambda: Prior(0.0, np.zeros(2), np.eye(3)), r"prior: pose must hold \(3,\)"),
+    "prior time": (lambda: Prior(float("inf"), np.zeros(3), np.eye(3)), "prior: time_s"),
+    "indefinite increment": (
+        lambda: RelativePoses(
+            np.array((1.0, 2.0)), np.zeros((2, 3)), np.array((np.eye(3), np.zeros((3, 3))))
+        ),
+        "relative poses, row 1: covariance is not positive definite",
+    ),
+    "skew position covariance": (
+        lambda: Positions(np.zeros(1), np.zeros((1, 2)), np.array([[[1.0, 0.5], [0.0, 1.0]]])),
+        "positions, row 0: covariance",
+    ),
+    "repeated landmark": (
+        lambda: Landmarks(np.array((4, 4)), np.zeros((2, 2)), np.array((EYE, EYE))),
+        "landmarks, row 1: id 4 appears twice",
+    ),
+    "wheelbase": (lambda: Ackermann(0.0), "wheelbase_m is 0.0, expected above 0"),
+    "vehicle nan": (lambda: Ackermann(1.0, float("nan")), "encoder_offset_m is not a finite"),
+    "stabilisation": (lambda: OdometryNoise(0.1, 0.1, 0.0), "variance_rate_position is 0.0"),
+    "scan shape": (
+        lambda: Scans(np.zeros(1), np.zeros(3), np.zeros((1, 2)), np.zeros((1, 2))),
+        "scans: range_m has shape",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_faults_name_stream_row_value_and_expectation(name: str) -> None:
+    make, message = FAULTS[name]
+    with pytest.raises(InputError, match=message):
+        make()
+
+
+def test_records_are_frozen_copies() -> None:
+    source = np.array((3.0, 4.0, 5.0))
+    record = sightings(range_m=source)
+    source[0] = 99.0
+    assert record.range_m[0] == 3.0
+    with pytest.raises(ValueError, match="read-only"):
+        record.range_m[0] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda log: {"sightings": sightings(time_s=np.full(3, -1.0))}, "before the prior's"),
+        (
+            lambda log: {"known_sightings": sightings(landmark=np.array((1, 2, 99)))},
+            "known sightings, row 0: landmark 1 is not among the known ones",
+        ),
+        (
+            lambda log: {"sightings": sightings(**{k: np.zeros(0) for k in (
+                "time_s", "range_m", "bearing_rad", "sigma_range_m", "sigma_bearing_rad",
+                "landmark", "diameter_m")})},
+            "there are no sightings",
+        ),
+    ],
+)  # fmt: skip
+def test_streams_are_checked_against_each_other(
+    change: Callable[[Log], dict[str, Sightings]], message: str
+) -> None:
+    log = simulated(loop_s=5.0)
+    with pytest.raises(InputError, match=message):
+        replace(log, **change(log))  # type: ignore[arg-type]
+
+
+def test_timeline_cuts_samples_where_sightings_fall() -> None:
+    """Durations add up, and every piece carries the control that held then."""
+    log = simulated(loop_s=10.0)
+    shifted = replace(log, sightings=replace(log.sightings, time_s=log.sightings.time_s - 0.011))
+    timeline = build_timeline(shifted)
+    assert np.isclose(timeline.step_duration_s.sum(), shifted.duration_s)
+    begin = np.cumsum(np.concatenate(([0.0], timeline.step_duration_s[:-1])))
+    sample = np.searchsorted(log.odometry.time_s, begin + 1e-9, side="right") - 1
+    assert np.array_equal(timeline.control[:, 0], log.odometry.speed_mps[sample])  # type: ignore[union-attr]
+    epoch_of = timeline.epoch_time_s[timeline.sighting_epoch]
+    assert np.array_equal(epoch_of, shifted.sightings.time_s)
+    ends = np.cumsum(timeline.step_duration_s)[timeline.steps_until()[1:] - 1]
+    assert np.allclose(ends, timeline.epoch_time_s[1:], rtol=0, atol=1e-9)
+
+
+def test_the_vehicle_stands_still_before_the_first_sample() -> None:
+    log = simulated(loop_s=10.0)
+    late = replace(log, prior=replace(log.prior, time_s=-1.0))
+    timeline = build_timeline(late)
+    assert timeline.control[0].tolist() == [0.0, 0.0]
+    assert np.isclose(timeline.step_duration_s[0], 1.0)
+
+
+def test_of_two_samples_at_one_instant_the_later_holds() -> None:
+    log = simulated(loop_s=10.0)
+    odometry = log.odometry
+    time = odometry.time_s.copy()
+    time[5] = time[4]
+    doubled = build_timeline(replace(log, odometry=replace(odometry, time_s=time)))
+    assert np.array_equal(doubled.control[4], build_timeline(log).control[5])
+    assert np.all(doubled.step_duration_s > 0)
+
+
+def test_sightings_between_relative_poses_are_refused(victoria_park: object) -> None:
+    from comparisons.compare import Comparison
+
+    assert isinstance(victoria_park, Comparison)
+    log = victoria_park.log
+    time = log.sightings.time_s.copy()
+    time[3] += 0.5
+    with pytest.raises(InputError, match=r"sightings, row 3: time .* is no pose's"):
+        build_timeline(replace(log, sightings=replace(log.sightings, time_s=np.sort(time))))

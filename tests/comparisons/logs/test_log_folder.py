@@ -1,0 +1,147 @@
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from comparisons.errors import InputError
+from comparisons.logs.bundled import open_log
+from comparisons.logs.log import (
+    Landmarks,
+    Log,
+    OdometryNoise,
+    Positions,
+    Scans,
+    Surfaces,
+    VelocityOdometry,
+)
+from comparisons.logs.log_folder import read_log_folder, write_log_folder
+from comparisons.report.result import log_hash
+from tests.helpers import simulated
+
+
+def full_log() -> Log:
+    """Every stream that a log can have."""
+    rng = np.random.default_rng(0)
+    log = simulated(loop_s=10.0)
+    covariance = np.array([[[0.1, 0.01], [0.01, 0.2]]] * 3)
+    return replace(
+        log,
+        name='odd "name"\nwith a line',
+        format="log-folder",
+        sightings=replace(log.sightings, label_gate=50.0),
+        positions=Positions(np.arange(3.0), rng.standard_normal((3, 2)), covariance),
+        known_landmarks=Landmarks(
+            np.arange(60), rng.standard_normal((60, 2)), np.tile(0.1 * np.eye(2), (60, 1, 1))
+        ),
+        known_sightings=log.sightings,
+        scans=Scans(
+            np.arange(2.0),
+            np.arange(3.0) / 7,
+            np.array(((1, np.nan, 3), (4, 5, 6))) / 3,
+            np.ones((2, 3)),
+        ),
+        truth=replace(log.truth, surfaces=Surfaces(rng.standard_normal((4, 4)))),
+    )
+
+
+def assert_same(first: object, second: object) -> None:
+    """Equal to the bit, records by field."""
+    if isinstance(first, np.ndarray):
+        assert isinstance(second, np.ndarray)
+        assert first.dtype == second.dtype
+        assert np.array_equal(first, second, equal_nan=first.dtype.kind == "f")
+    elif hasattr(first, "__dataclass_fields__"):
+        assert type(first) is type(second)
+        for f in fields(first):  # type: ignore[arg-type]
+            assert_same(getattr(first, f.name), getattr(second, f.name))
+    else:
+        assert first == second
+
+
+def velocity_log() -> Log:
+    log = simulated(loop_s=5.0)
+    time = log.odometry.time_s
+    odometry = VelocityOdometry(time, np.sin(time), np.cos(time) / 3, OdometryNoise(0.1, 0.2))
+    return replace(log, odometry=odometry, format="log-folder")
+
+
+@pytest.mark.parametrize("kind", ["full", "velocity", "victoria-park"])
+def test_round_trip_is_exact(kind: str, tmp_path: Path) -> None:
+    log = {
+        "full": full_log,
+        "velocity": velocity_log,
+        "victoria-park": lambda: replace(open_log("victoria-park"), format="log-folder"),
+    }[kind]()
+    write_log_folder(log, tmp_path / "log")
+    again = read_log_folder(tmp_path / "log")
+    assert_same(log, again)
+    assert log_hash(log) == log_hash(again)
+
+
+def test_a_hash_tells_logs_apart() -> None:
+    log = simulated(loop_s=5.0)
+    other = replace(log, prior=replace(log.prior, time_s=-1e-9))
+    assert log_hash(log) != log_hash(other)
+
+
+def test_writing_replaces_only_a_log(tmp_path: Path) -> None:
+    folder = tmp_path / "log"
+    write_log_folder(simulated(seed=1, loop_s=5.0), folder)
+    write_log_folder(simulated(seed=2, loop_s=5.0), folder)
+    assert_same(read_log_folder(folder).sightings, simulated(seed=2, loop_s=5.0).sightings)
+    precious = tmp_path / "precious"
+    precious.mkdir()
+    (precious / "thesis.tex").write_text("years of work")
+    with pytest.raises(InputError, match=r"is not empty and holds no log\.toml"):
+        write_log_folder(simulated(loop_s=5.0), precious)
+    assert (precious / "thesis.tex").read_text() == "years of work"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["log", "precious"]
+
+
+FAULTS = {
+    "toml": ("log.toml", "version = 1", "version = ", "not valid TOML"),
+    "version": ("log.toml", "version = 1", "version = 2", "log.toml: version: input should be 1"),
+    "misspelt": ("log.toml", "[prior]", "[prior]\npoze = 1", "log.toml: prior.poze: extra inputs"),
+    "kind": ("log.toml", 'kind = "steering"', 'kind = "sail"', "odometry: input tag 'sail'"),
+    "wheelbase": ("log.toml", "wheelbase_m = 2.83", "wheelbase_m = 0", "wheelbase_m is 0"),
+    "prior": ("log.toml", "covariance = [[1e-10", "covariance = [[-1.0", "not positive definite"),
+    "header": ("sightings.csv", "range_m", "r", "sightings.csv:1: expected the header"),
+    "value": ("sightings.csv", "0.15,", "a,", "sightings.csv:2: sigma_range_m is 'a'"),
+    "id": ("sightings.csv", ",nan", ".5,nan", "expected a whole number (-1 for none)"),
+    "time": ("odometry.csv", "\n0.05,", "\n0.0,", "odometry.csv"),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_damaged_folders(name: str, tmp_path: Path) -> None:
+    file, old, new, message = FAULTS[name]
+    write_log_folder(simulated(loop_s=5.0), tmp_path / "log")
+    path = tmp_path / "log" / file
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(InputError) as caught:
+        read_log_folder(tmp_path / "log")
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_scans_are_never_unpickled(tmp_path: Path) -> None:
+    write_log_folder(full_log(), tmp_path / "log")
+    hostile = np.array([{"a": 1}], dtype=object)
+    np.savez(tmp_path / "log" / "scans.npz", time_s=hostile, allow_pickle=True)
+    with pytest.raises(InputError, match=r"scans\.npz: not an archive of time_s"):
+        read_log_folder(tmp_path / "log")
+    (tmp_path / "log" / "scans.npz").write_bytes(b"PK\x03\x04broken")
+    with pytest.raises(InputError, match=r"scans\.npz: not an archive"):
+        read_log_folder(tmp_path / "log")
+
+
+def test_missing_streams(tmp_path: Path) -> None:
+    write_log_folder(simulated(loop_s=5.0), tmp_path / "log")
+    (tmp_path / "log" / "sightings.csv").unlink()
+    with pytest.raises(InputError, match=r"sightings\.csv: no such file"):
+        read_log_folder(tmp_path / "log")

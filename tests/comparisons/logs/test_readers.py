@@ -1,0 +1,271 @@
+"""Readers on small files made here; every fault names file, line, value and expectation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from comparisons.errors import InputError
+from comparisons.logs.log import RelativePoses, Scans, SteeringOdometry, VelocityOdometry
+from comparisons.logs.readers import READERS, read_log
+from comparisons.logs.readers.acfr_car_park import reflector_sightings
+
+GRAPH = """ODOMETRY 0 1 1.0 0.0 0.1 0.01 0 0 0.01 0 0.001
+LANDMARK 0 2 3.0 4.0 0.04 0 0.04
+ODOMETRY 1 3 1.0 0.0 0.1 0.01 0 0 0.02 0.0001 0.001
+LANDMARK 3 2 1.0 3.0 0.04 0 0.04
+"""
+
+
+def graph(folder: Path, text: str = GRAPH) -> Path:
+    path = folder / "graph_file.txt"
+    path.write_text(text)
+    return path
+
+
+def mrclam(folder: Path) -> Path:
+    (folder / "Barcodes.dat").write_text("# Subject Barcode\n1 5\n6 72\n7 25\n")
+    (folder / "Landmark_Groundtruth.dat").write_text(
+        "6 1.0 2.0 0.001 0.002\n7 3.0 -1.0 0.001 0.001\n"
+    )
+    (folder / "Robot1_Groundtruth.dat").write_text("1000.0 0.0 0.0 3.1\n1004.0 1.0 0.0 -3.1\n")
+    (folder / "Robot1_Odometry.dat").write_text("1001.0 0.1 0.2\n1001.5 0.1 0.3\n1003.0 0 0\n")
+    (folder / "Robot1_Measurement.dat").write_text(
+        "# Time Barcode r b\n1000.5 72 2.0 0.1\n1002.0 5 1.0 0.0\n1002.0 72 2.0 0.1\n"
+        "1002.5 25 3.0 -0.2\n1002.6 99 3.0 -0.2\n"
+    )
+    return folder
+
+
+def victoria(folder: Path) -> Path:
+    (folder / "measurements.dat").write_text("0.5 10 1.5707963267948966 0.3\n1.5 9 2.0 0.3\n")
+    (folder / "inputs.dat").write_text("0.6 1.0 0.1\n1.0 1.0 0.1\n")
+    (folder / "gps.dat").write_text("0.0 1.0 2.0\n")
+    return folder
+
+
+def car_park(folder: Path, **changes: object) -> Path:
+    ranges = np.full((2, 361), 81.9)
+    intensity = np.zeros((2, 361))
+    ranges[:, 180:183], intensity[:, 180:183] = 10.0, 1.0
+    ranges[0, 300], intensity[0, 300] = 81.91, 1.0
+    data: dict[str, object] = {
+        "Time_VS": np.arange(10.0, 12.0, 0.1),
+        "Velocity": np.full(20, 1.0),
+        "Steering": np.zeros(20),
+        "TimeLaser": np.array((10.5, 11.0)),
+        "Laser": ranges,
+        "Intensity": intensity,
+        "TimeGPS": np.array((10.1, 10.6, 11.1)),
+        "GPSLon": np.array((0.0, 0.0, 0.0)) + 5.0,
+        "GPSLat": np.array((0.1, 0.6, 1.1)),
+    }
+    savemat(folder / "data_set.mat", {**data, **changes})
+    savemat(folder / "beac_juan3.mat", {"estbeac": np.array([[5.0, 10.5], [1.0, 2.0]])})
+    return folder
+
+
+def test_graph(tmp_path: Path) -> None:
+    log = read_log(graph(tmp_path))
+    assert (log.name, log.format) == ("graph-file", "gtsam-2d")
+    assert isinstance(log.odometry, RelativePoses)
+    expected = [[0.01, 0, 0], [0, 0.02, 0.0001], [0, 0.0001, 0.001]]
+    assert np.allclose(log.odometry.covariance[1], expected)
+    assert np.allclose(log.sightings.range_m, (5.0, np.sqrt(10.0)))
+    assert np.allclose(log.sightings.bearing_rad, (np.arctan2(4, 3), np.arctan2(3, 1)))
+    assert np.allclose(log.sightings.sigma_range_m, 0.2)
+    assert np.allclose(log.sightings.sigma_bearing_rad, 0.2 / log.sightings.range_m)
+    assert log.sightings.time_s.tolist() == [0.0, 2.0]
+    assert log.sightings.landmark.tolist() == [2, 2]
+
+
+def test_mrclam(tmp_path: Path) -> None:
+    log = read_log(mrclam(tmp_path))
+    assert isinstance(log.odometry, VelocityOdometry)
+    assert log.odometry.time_s.tolist() == [0.0, 0.5, 2.0]
+    assert log.sightings.landmark.tolist() == [6, 7]
+    assert np.allclose(log.sightings.time_s, (1.0, 1.5))
+    assert log.truth.poses is not None
+    assert np.isclose(log.truth.poses.pose[1, 2], 2 * np.pi - 3.1)
+    turned = 3.1 + 0.25 * (2 * np.pi - 6.2)
+    assert np.allclose(log.prior.pose, (0.25, 0.0, turned))
+    assert log.provenance["left_out"].startswith("1 sightings of robots, 1 of unlisted")
+
+
+def test_victoria_park_detections(tmp_path: Path) -> None:
+    log = read_log(victoria(tmp_path))
+    assert isinstance(log.odometry, SteeringOdometry)
+    assert np.allclose(log.sightings.bearing_rad, (0.0, 2.0 - np.pi / 2))
+    assert not log.sightings.labelled
+    assert log.prior.time_s == 0.5
+    assert log.positions is not None
+
+
+def test_car_park(tmp_path: Path) -> None:
+    log = read_log(car_park(tmp_path))
+    assert log.scans is not None
+    assert np.isnan(log.scans.range_m[0, 300])
+    assert log.sightings.range_m.tolist() == [10.0, 10.0]
+    assert np.allclose(log.sightings.bearing_rad, np.deg2rad(0.5))
+    # North along the GPS track, one metre per second, from y = 0.
+    assert np.allclose(log.prior.pose, (5.0, 0.0, np.pi / 2), atol=1e-9)
+
+
+def test_reflector_runs_part_at_gaps_and_at_range_jumps() -> None:
+    angle = np.deg2rad(np.arange(12.0))
+    lit = np.zeros((1, 12))
+    distance = np.full((1, 12), 8.0)
+    lit[0, [0, 1, 4, 8, 9]] = 1.0  # a gap of two dark beams, then of three
+    distance[0, 9] = 9.0
+    found = reflector_sightings(Scans(np.zeros(1), angle, distance, lit))
+    assert found.range_m.tolist() == [8.0, 8.0, 9.0]
+    assert np.allclose(np.rad2deg(found.bearing_rad), (5 / 3, 8.0, 9.0))
+
+
+BAD_GRAPH = {
+    "nan": (GRAPH.replace("3.0 4.0", "nan 4.0"), ":2: x is 'nan', expected a finite number"),
+    "word": (GRAPH.replace("0.001\nL", "oops\nL"), ":1: c22 is 'oops'"),
+    "short": (GRAPH.replace(" 0.04\nO", "\nO"), ":2: 6 values after LANDMARK, expected 7"),
+    "tag": ("EDGE 1 2\n" + GRAPH, ":1: starts with 'EDGE', expected ODOMETRY or LANDMARK"),
+    "unknown pose": (GRAPH.replace("LANDMARK 3", "LANDMARK 8"), ":4: seen from 8"),
+    "landmark is a pose": (GRAPH.replace("LANDMARK 3 2", "LANDMARK 3 1"), ":4: landmark 1 is a"),
+    "broken chain": (GRAPH.replace("ODOMETRY 1 3", "ODOMETRY 0 3"), ":3: departs from 0"),
+    "revisit": (GRAPH.replace("ODOMETRY 1 3", "ODOMETRY 1 0"), ":3: arrives at 0"),
+    "indefinite": (
+        GRAPH.replace("0.02 0.0001 0.001", "0.02 0.0001 -1"),
+        ":3: covariance is not positive definite",
+    ),
+    "landmark covariance": (
+        GRAPH.replace("0.04 0 0.04\nO", "0.04 0 -1\nO"),
+        ":2: covariance 0.04 0",
+    ),
+    "at the sensor": (GRAPH.replace("3.0 4.0", "0 0"), ":2: range_m is 0.0, expected above 0"),
+    "fraction": (GRAPH.replace("LANDMARK 0 2 3", "LANDMARK 0 2.5 3"), ":2: j is '2.5'"),
+    "empty": ("# nothing\n", "expected at least one ODOMETRY"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_GRAPH)
+def test_damaged_graphs(name: str, tmp_path: Path) -> None:
+    text, message = BAD_GRAPH[name]
+    with pytest.raises(InputError, match=r"graph_file\.txt") as caught:
+        read_log(graph(tmp_path, text), "gtsam-2d")
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def edit(name: str, old: str, new: str) -> Callable[[Path], None]:
+    def change(folder: Path) -> None:
+        path = folder / name
+        text = path.read_text()
+        assert old in text
+        path.write_text(text.replace(old, new))
+
+    return change
+
+
+BAD_FOLDERS: dict[str, tuple[Callable[[Path], Path], Callable[[Path], None], str]] = {
+    "mrclam word": (
+        mrclam,
+        edit("Robot1_Odometry.dat", "1001.5 0.1", "1001.5 x"),
+        "Robot1_Odometry.dat:2: v is 'x', expected a finite number",
+    ),
+    "mrclam time": (
+        mrclam,
+        edit("Robot1_Odometry.dat", "1003.0", "1001.2"),
+        "Robot1_Odometry.dat:3: time 0.200000 s follows 0.500000 s",
+    ),
+    "mrclam range": (
+        mrclam,
+        edit("Robot1_Measurement.dat", "25 3.0", "25 -3.0"),
+        "Robot1_Measurement.dat:5: range_m is -3.0, expected above 0",
+    ),
+    "mrclam columns": (
+        mrclam,
+        edit("Landmark_Groundtruth.dat", " 0.002", ""),
+        "Landmark_Groundtruth.dat:1: 4 values, expected 5",
+    ),
+    "mrclam missing": (
+        mrclam,
+        lambda folder: (folder / "Robot1_Groundtruth.dat").unlink(),
+        "Robot1_Groundtruth.dat: no such file",
+    ),
+    "victoria nan": (
+        victoria,
+        edit("measurements.dat", "1.5 9", "1.5 nan"),
+        "measurements.dat:2: range is 'nan'",
+    ),
+    "victoria empty": (
+        victoria,
+        lambda folder: (folder / "inputs.dat").write_text("") and None,
+        "inputs.dat: holds no records",
+    ),
+    "victoria binary": (
+        victoria,
+        lambda folder: (folder / "gps.dat").write_bytes(b"\xff\xfe\x00") and None,
+        "gps.dat: not a text file",
+    ),
+    "car park truncated": (
+        car_park,
+        lambda folder: (
+            (folder / "data_set.mat").write_bytes((folder / "data_set.mat").read_bytes()[:500])
+            and None
+        ),
+        "data_set.mat: not a MATLAB file",
+    ),
+    "car park missing variable": (
+        car_park,
+        lambda folder: savemat(folder / "beac_juan3.mat", {"other": 1.0}),
+        "beac_juan3.mat: no variable estbeac",
+    ),
+    "car park nan": (
+        car_park,
+        lambda folder: car_park(folder, Steering=np.full(20, np.nan)) and None,
+        "data_set.mat: Steering holds a value that is not a finite number",
+    ),
+    "car park length": (
+        car_park,
+        lambda folder: car_park(folder, Velocity=np.ones(19)) and None,
+        "data_set.mat: steering odometry: speed_mps has shape",
+    ),
+    "car park text": (
+        car_park,
+        lambda folder: car_park(folder, GPSLat="abc") and None,
+        "data_set.mat: GPSLat is not numeric",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BAD_FOLDERS)
+def test_damaged_folders(name: str, tmp_path: Path) -> None:
+    make, damage, message = BAD_FOLDERS[name]
+    folder = make(tmp_path)
+    damage(folder)
+    with pytest.raises(InputError) as caught:
+        read_log(folder)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_unknown_paths_and_formats(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such file or folder"):
+        read_log(tmp_path / "missing")
+    with pytest.raises(InputError, match="format not recognised, expected one of log-folder"):
+        read_log(tmp_path)
+    with pytest.raises(InputError, match="format 'rosbag' is unknown"):
+        read_log(tmp_path, "rosbag")
+    assert set(READERS) == {"log-folder", "gtsam-2d", "mrclam", "acfr-car-park", "victoria-park"}
+
+
+@pytest.mark.parametrize("name", sorted(READERS))
+def test_a_named_format_on_the_wrong_path_is_an_input_error(name: str, tmp_path: Path) -> None:
+    """Neither a text file nor an empty folder makes any reader fail otherwise."""
+    text = tmp_path / "text.txt"
+    text.write_text("hello\n")
+    for path in (text, tmp_path):
+        with pytest.raises(InputError):
+            read_log(path, name)

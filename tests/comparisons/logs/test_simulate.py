@@ -1,0 +1,70 @@
+from __future__ import annotations
+
+import numpy as np
+
+from comparisons.logs.log import SteeringOdometry
+from comparisons.logs.simulate.drive import Drive, simulate
+from comparisons.logs.simulate.worlds import nieto_loop
+from ekf_reference.motion import AckermannModel
+from ekf_reference.observation import RangeBearing
+from tests.helpers import simulated
+
+
+def test_the_environment_is_that_of_section_2_9() -> None:
+    world = nieto_loop()
+    closed = np.vstack((world.path, world.path[:1]))
+    assert np.isclose(np.linalg.norm(np.diff(closed, axis=0), axis=1).sum(), 255.0)
+    everything = np.vstack((world.path, world.landmark))
+    assert np.all(np.abs(np.ptp(everything, axis=0) - (100.0, 80.0)) < 5.0)
+    (x0, y0), (x1, y1) = world.path[0], world.path[1]
+    assert x0 * y1 - y0 * x1 > 0  # counter-clockwise
+
+
+def test_truth_obeys_the_models_exactly_when_there_is_no_noise() -> None:
+    log = simulated(noise_scale=0.0)
+    odometry, truth = log.odometry, log.truth
+    assert isinstance(odometry, SteeringOdometry)
+    assert truth.poses is not None
+    assert truth.landmarks is not None
+    model, pose = AckermannModel(**vars(odometry.vehicle)), truth.poses.pose
+    for k in range(0, len(odometry.time_s), 97):
+        control = np.array((odometry.speed_mps[k], odometry.steering_rad[k]))
+        step = model.step(pose[k], control, Drive().sample_s)
+        assert np.allclose(step.pose, pose[k + 1], rtol=0, atol=1e-12)
+    at = pose[np.searchsorted(truth.poses.time_s, log.sightings.time_s)]
+    landmark = truth.landmarks.position_m[log.sightings.landmark]
+    for k in range(0, len(at), 41):
+        expected = RangeBearing().predict(at[k], landmark[k : k + 1]).z
+        seen = np.array([[log.sightings.range_m[k], log.sightings.bearing_rad[k]]])
+        assert np.allclose(RangeBearing().innovation(seen, expected), 0.0, atol=1e-12)
+
+
+def test_the_loop_closes_and_repeats() -> None:
+    log = simulated(noise_scale=0.0, loops=2)
+    assert log.truth.poses is not None
+    pose = log.truth.poses.pose
+    middle = len(pose) // 2
+    assert np.linalg.norm(pose[middle, :2] - pose[0, :2]) < 5.0
+    assert np.isclose(pose[-1, 2] - pose[0, 2], 4 * np.pi, atol=0.2)
+
+
+def test_noise_has_the_stated_sigmas() -> None:
+    quiet, noisy = simulated(noise_scale=0.0), simulated(noise_scale=1.0)
+    assert isinstance(quiet.odometry, SteeringOdometry)
+    assert isinstance(noisy.odometry, SteeringOdometry)
+    for difference, sigma in (
+        (noisy.odometry.speed_mps - quiet.odometry.speed_mps, 0.3),
+        (noisy.odometry.steering_rad - quiet.odometry.steering_rad, np.deg2rad(3.0)),
+        (noisy.sightings.range_m - quiet.sightings.range_m, 0.15),
+        (noisy.sightings.bearing_rad - quiet.sightings.bearing_rad, np.deg2rad(1.0)),
+    ):
+        n = len(difference)
+        assert abs(np.mean(difference)) < 4 * sigma / np.sqrt(n)
+        assert abs(np.std(difference) / sigma - 1) < 4 / np.sqrt(2 * n)
+
+
+def test_a_seed_is_a_log() -> None:
+    first, again = (simulate(np.random.default_rng(3)) for _ in range(2))
+    other = simulate(np.random.default_rng(4))
+    assert np.array_equal(first.sightings.range_m, again.sightings.range_m)
+    assert not np.array_equal(first.odometry.speed_mps, other.odometry.speed_mps)  # type: ignore[union-attr]

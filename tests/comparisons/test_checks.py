@@ -1,0 +1,153 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from comparisons.checks.accuracy import aligned, assess, match_by_distance
+from comparisons.checks.agreement import BlockAgreement, Gaussian, compare, gap
+from comparisons.checks.attribution import block_agrees, judge
+from comparisons.compare import Comparison, compare_estimators
+from graphslam.optimum import Proof, Stationarity, chi_square_test
+from tests.helpers import random_covariance, simulated
+
+
+@pytest.fixture(scope="module")
+def comparison() -> Comparison:
+    return compare_estimators(simulated(seed=2, loop_s=30.0))
+
+
+def gaussian(seed: int) -> Gaussian:
+    rng = np.random.default_rng(seed)
+    return Gaussian(rng.standard_normal(7), random_covariance(rng, 7))
+
+
+def test_a_gaussian_has_no_gap_to_itself() -> None:
+    same = gaussian(0)
+    nothing = compare(same, same, same, same)
+    for found in (nothing.algebra, nothing.model, nothing.linearisation):
+        assert found.within(1e-12)
+    assert nothing.whole.distance == 0.0
+    assert np.isclose(nothing.whole.least, 1.0)
+
+
+def test_gaps_land_where_they_arise() -> None:
+    e = gaussian(0)
+    shifted = Gaussian(e.mean + np.eye(7)[4], e.covariance)
+    wider = Gaussian(e.mean, 2.0 * e.covariance)
+    sigma = np.sqrt(np.diag(e.covariance))
+    assert np.isclose(compare(e, shifted, shifted, e).algebra.sigma, 1.0 / sigma[4])
+    assert compare(e, shifted, shifted, e).model.sigma == 0.0
+    assert np.isclose(compare(e, e, wider, e).model.covariance, 0.5)
+    assert np.isclose(compare(e, e, e, wider).whole.least, 0.5)
+    assert np.isclose(compare(e, e, e, wider).linearisation.covariance, 0.5)
+
+
+def test_headings_are_compared_on_the_circle() -> None:
+    e = gaussian(0)
+    turned = Gaussian(e.mean + 2 * np.pi * np.eye(7)[2], e.covariance)
+    assert compare(e, turned, e, e).algebra.sigma < 1e-12
+
+
+def test_asymmetry_and_indefiniteness_are_gaps() -> None:
+    e = gaussian(0)
+    skew = e.covariance.copy()
+    skew[0, 5] += 0.1
+    sigma = np.sqrt(np.diag(e.covariance))
+    assert gap(Gaussian(e.mean, skew), e, sigma).covariance > 1e-3
+    assert gap(e, Gaussian(e.mean, -e.covariance), sigma).covariance == float("inf")
+    assert not gap(Gaussian(e.mean * np.nan, e.covariance), e, sigma).within(1.0)
+
+
+@pytest.mark.parametrize(
+    ("distance", "least", "largest", "agrees"),
+    [
+        (0.9, 0.3, 3.0, True),
+        (1.1, 0.9, 1.1, False),
+        (0.1, 0.2, 1.1, False),
+        (0.1, 0.9, 4.5, False),
+        (float("nan"), 0.9, 1.1, False),
+    ],
+)
+def test_block_limits(distance: float, least: float, largest: float, agrees: bool) -> None:
+    assert block_agrees(BlockAgreement(0.0, distance, least, largest)) is agrees
+
+
+def test_without_proof_there_is_no_agreement(comparison: Comparison) -> None:
+    assert comparison.verdict.outcome == "agree"
+    unproven = Proof(Stationarity(0.0, definite=True), chi_square_test(9e9, 100), ("ekf",))
+    verdict = judge(comparison.agreement, unproven, comparison.ekf)
+    assert verdict.outcome == "unproven"
+    assert [cause.gap for cause in verdict.causes] == ["oracle"]
+    assert "only ekf reached the lowest error" in verdict.causes[0].evidence
+
+
+def test_a_red_algebra_gap_needs_no_oracle(comparison: Comparison) -> None:
+    unproven = Proof(Stationarity(1.0, definite=False), chi_square_test(9e9, 100), ())
+    a = comparison.agreement
+    red = replace(a, algebra=replace(a.algebra, covariance=float("inf")))
+    assert judge(red, unproven, comparison.ekf).outcome == "disagree"
+
+
+def test_alignment_is_rigid_and_without_scale() -> None:
+    rng = np.random.default_rng(0)
+    reference = rng.standard_normal((20, 2))
+    cos, sin = np.cos(2.0), np.sin(2.0)
+    moved = reference @ np.array(((cos, -sin), (sin, cos))) + (5.0, -3.0)
+    assert np.allclose(aligned(moved, reference), reference, atol=1e-12)
+    stretched = aligned(1.1 * moved, reference)
+    assert np.isclose(np.ptp(stretched), 1.1 * np.ptp(reference), rtol=0.1)
+    assert not np.allclose(stretched, reference, atol=0.05)
+
+
+def test_robust_alignment_leaves_outliers_aside() -> None:
+    rng = np.random.default_rng(1)
+    points = rng.uniform(-20, 20, (40, 2))
+    reference = points + (1.0, 2.0)
+    reference[:8] += 30.0
+    good = slice(8, None)
+    robust = aligned(points, reference, robust=True)[good] - reference[good]
+    plain = aligned(points, reference)[good] - reference[good]
+    assert np.max(np.abs(robust)) < 0.01
+    assert np.min(np.linalg.norm(plain, axis=1)) > 1.0
+
+
+def test_matching_is_one_to_one_and_near() -> None:
+    ours = np.array(((0.0, 0.0), (0.4, 0.0), (9.0, 9.0)))
+    theirs = np.array(((0.1, 0.0), (50.0, 0.0)))
+    rows, columns = match_by_distance(ours, theirs)
+    assert rows.tolist() == [0]
+    assert columns.tolist() == [0]
+
+
+def test_accuracy_of_the_truth_is_perfect_and_coverage_counts(comparison: Comparison) -> None:
+    log, estimate = comparison.log, comparison.ekf.estimate
+    truth = log.truth
+    assert truth.poses is not None
+    assert truth.landmarks is not None
+    perfect = replace(
+        estimate,
+        time_s=truth.poses.time_s,
+        pose=truth.poses.pose,
+        landmark=truth.landmarks.position_m[estimate.landmark_id],
+    )
+    found = assess(perfect, log, labelled=True)
+    assert found is not None
+    assert found.ate_m == 0.0
+    assert found.landmark_rmse_m == 0.0
+    assert found.coverage == 1.0
+    assert found.landmarks_found == len(estimate.landmark)
+    assert found.landmarks_true == 60
+    half = replace(perfect, time_s=perfect.time_s[:601], pose=perfect.pose[:601])
+    lost = assess(half, log, labelled=True)
+    assert lost is not None
+    assert lost.coverage is not None
+    assert 0.45 < lost.coverage < 0.55
+
+
+def test_no_reference_no_accuracy(comparison: Comparison) -> None:
+    from comparisons.logs.log import Truth
+
+    bare = replace(comparison.log, truth=Truth())
+    assert assess(comparison.ekf.estimate, bare, labelled=True) is None

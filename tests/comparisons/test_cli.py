@@ -1,0 +1,156 @@
+"""The command line as a user meets it, in processes of its own."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from comparisons.logs.log_folder import write_log_folder
+from comparisons.report.result import Result
+from comparisons.runs.estimate_folder import read_estimate
+from tests.helpers import simulated
+
+
+def slamcheck(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", "from comparisons.cli import main; main()", *arguments],
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        check=False,
+        env={"PYTHONPATH": str(Path(__file__).resolve().parents[2]), "PATH": "", "COLUMNS": "100"},
+    )
+
+
+def test_a_run_leaves_a_whole_folder(tmp_path: Path) -> None:
+    done = slamcheck("run", "simulated-loop", "--seed", "3", "--out", "report", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "verdict: agree" in done.stdout
+    folder = tmp_path / "report"
+    names = sorted(str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file())
+    estimate = ["covariances.npz", "estimate.toml", "landmarks.csv", "trajectory.tum"]
+    assert names == sorted(
+        ["map.png", "result.json", *(f"{e}/{n}" for e in ("ekf", "smoother") for n in estimate)]
+    )
+    text = (folder / "result.json").read_text()
+    result = Result.model_validate_json(text)
+    assert result.verdict == "agree"
+    assert set(result.seconds) == {"read", "ekf", "frozen", "smoother", "marginals", "checks"}
+    assert len(result.agreement.landmarks) == result.ekf.landmarks
+    assert "NaN" not in text
+    assert (folder / "map.png").read_bytes().startswith(b"\x89PNG")
+    again = read_estimate(folder / "ekf")
+    assert again.information == "filtered"
+    assert again.landmark[0].tolist() == list(result.agreement.landmarks[0].ekf_m)
+    assert [p.name for p in tmp_path.iterdir()] == ["report"]
+
+
+def test_disagreement_exits_with_1_and_says_why(tmp_path: Path) -> None:
+    done = slamcheck("run", cwd=tmp_path)
+    assert done.returncode == 1, done.stderr
+    assert "verdict: disagree" in done.stdout
+    assert "linearisation gap: 151 of 151 landmarks disagree" in done.stdout
+    result = json.loads((tmp_path / "slamcheck-victoria-park" / "result.json").read_text())
+    assert result["verdict"] == "disagree"
+    assert abs(result["smoother"]["error"] - 3173.49) < 0.01
+
+
+def test_bad_input_is_one_line_and_exit_2(tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "mine.txt").write_text("keep")
+    (tmp_path / "file").write_text("")
+    cases = {
+        ("run", "nowhere"): "nowhere: no such file or folder",
+        ("run", "empty"): "empty: format not recognised",
+        ("run", "empty", "--format", "bag"): "format 'bag' is unknown",
+        ("run", "--association", "jcbb"): "association 'jcbb' is unknown, expected known or nn",
+        ("run", "simulated-loop", "--out", "full"): "full: is not empty and holds no result.json",
+        ("run", "simulated-loop", "--out", "file"): "file: is a file, expected a folder",
+        ("run", "simulated-loop", "--out", "file/x"): "file/x: cannot be written",
+        ("run", "simulated-loop", "--loops", "0"): "--loops is 0, expected 1 to 1000",
+        ("run", "simulated-loop", "--noise-scale", "nan"): "--noise-scale is nan",
+        ("convert", "nowhere", "out"): "nowhere: no such file or folder",
+    }
+    for arguments, message in cases.items():
+        done = slamcheck(*arguments, cwd=tmp_path)
+        assert done.returncode == 2, arguments
+        assert done.stdout == ""
+        assert done.stderr.startswith("slamcheck: ")
+        assert message in done.stderr
+        assert done.stderr.count("\n") == 1
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["empty", "file", "full"]
+    assert [p.name for p in (tmp_path / "full").iterdir()] == ["mine.txt"]
+
+
+def test_a_damaged_log_leaves_no_report(tmp_path: Path) -> None:
+    write_log_folder(simulated(loop_s=5.0), tmp_path / "log")
+    path = tmp_path / "log" / "sightings.csv"
+    lines = path.read_text().splitlines()
+    lines[3] = lines[3].replace(lines[3].split(",")[1], "nan", 1)
+    path.write_text("\n".join(lines))
+    done = slamcheck("run", "log", "--out", "report", cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr == (
+        "slamcheck: log/sightings.csv:4: range_m is 'nan', expected a finite number\n"
+    )
+    assert [p.name for p in tmp_path.iterdir()] == ["log"]
+
+
+def test_known_association_needs_labels(tmp_path: Path) -> None:
+    log = simulated(loop_s=5.0)
+    write_log_folder(log, tmp_path / "log")
+    path = tmp_path / "log" / "sightings.csv"
+    header, *rows = path.read_text().splitlines()
+    unlabelled = [",".join([*row.split(",")[:5], "-1", "nan"]) for row in rows]
+    path.write_text("\n".join([header, *unlabelled]))
+    done = slamcheck("run", "log", "--association", "known", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "do not all name their landmark; use --association nn" in done.stderr
+
+
+def test_convert_then_run(tmp_path: Path) -> None:
+    done = slamcheck("convert", "simulated-loop", "log", "--seed", "5", cwd=tmp_path)
+    assert done.returncode == 0
+    assert "3,400 odometry" in done.stdout
+    direct = slamcheck("run", "simulated-loop", "--seed", "5", "--out", "a", cwd=tmp_path)
+    through = slamcheck("run", "log", "--out", "b", cwd=tmp_path)
+    assert direct.returncode == through.returncode == 0
+    results = [json.loads((tmp_path / n / "result.json").read_text()) for n in "ab"]
+    assert results[0]["agreement"] == results[1]["agreement"]
+    assert results[0]["log"]["sha256"] == results[1]["log"]["sha256"]
+
+
+def test_lists_and_help(tmp_path: Path) -> None:
+    listed = slamcheck("logs", cwd=tmp_path)
+    assert listed.returncode == 0
+    for name in ("victoria-park", "simulated-loop", "gtsam-2d", "mrclam", "acfr-car-park"):
+        assert name in listed.stdout
+    helped = slamcheck("run", "--help", cwd=tmp_path)
+    assert helped.returncode == 0
+    assert "slamcheck run path/to/MRCLAM_Dataset6 --robot 2" in helped.stdout
+    assert "Exit codes" in slamcheck("--help", cwd=tmp_path).stdout
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["run", "--help"]])
+def test_help_imports_nothing_heavy(arguments: list[str], tmp_path: Path) -> None:
+    code = (
+        "import sys\nfrom comparisons.cli import main\n"
+        f"sys.argv[1:] = {arguments!r}\n"
+        "try:\n    main()\nexcept SystemExit:\n    pass\n"
+        "heavy = {'numpy', 'scipy', 'gtsam', 'matplotlib', 'open3d'} & set(sys.modules)\n"
+        "assert not heavy, heavy\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+        env={"PYTHONPATH": str(Path(__file__).resolve().parents[2]), "PATH": ""},
+    )
+    assert done.returncode == 0, done.stderr

@@ -1,0 +1,104 @@
+"""The main job on gtsam's Victoria Park, and the real logs beside the project."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from comparisons.compare import Comparison, compare_estimators
+from comparisons.logs.bundled import open_log
+from comparisons.logs.log import Log
+
+
+def test_victoria_park_disagrees_through_linearisation(victoria_park: Comparison) -> None:
+    c = victoria_park
+    assert len(c.smoother.poses) == 6969
+    assert len(c.ekf.estimate.landmark) == 151
+    assert abs(c.smoother.error - 3173.49) < 0.01
+    assert c.smoother.proof.proven
+    assert set(c.smoother.proof.agreeing) == {"ekf", "incremental"}
+    assert c.agreement.algebra.within(1e-6)
+    assert c.agreement.model.within(1e-6)
+    assert c.agreement.linearisation.sigma > 3.0
+    assert c.agreement.whole.least < 0.05
+    assert c.verdict.outcome == "disagree"
+    assert [cause.gap for cause in c.verdict.causes] == ["linearisation"]
+    assert any("too low" in remark for remark in c.verdict.remarks)
+
+
+def test_two_runs_are_identical(victoria_park: Comparison) -> None:
+    again = compare_estimators(open_log("victoria-park"))
+    assert np.array_equal(again.ekf.estimate.joint_mean, victoria_park.ekf.estimate.joint_mean)
+    assert again.smoother.error == victoria_park.smoother.error
+    assert np.array_equal(again.smoothed.joint_covariance, victoria_park.smoothed.joint_covariance)
+
+
+def test_car_park(shared_data: Path) -> None:
+    c = compare_estimators(open_log(str(shared_data / "acfr_car_park")))
+    assert c.association == "nn"
+    assert c.agreement.algebra.within(1e-6)
+    assert c.agreement.model.within(1e-6)
+    assert c.smoother.proof.proven
+    for accuracy in (c.accuracy_ekf, c.accuracy_smoother):
+        assert accuracy is not None
+        assert accuracy.landmarks_found == accuracy.landmarks_true == 15
+        assert accuracy.landmark_rmse_m is not None
+        assert accuracy.landmark_rmse_m < 0.30
+        assert accuracy.coverage is not None
+        assert accuracy.coverage > 0.99
+
+
+@pytest.mark.parametrize("robot", [1, 2, 3])
+def test_mrclam(shared_data: Path, robot: int) -> None:
+    log = open_log(str(shared_data / "mrclam" / "MRCLAM_Dataset6"), robot=robot)
+    c = compare_estimators(log, "known")
+    assert c.agreement.algebra.within(1e-6)
+    assert c.agreement.model.within(1e-6)
+    assert c.smoother.proof.proven
+    assert c.ekf.rejected == (4 if robot == 3 else 0)  # one misread label, four times
+    for accuracy in (c.accuracy_ekf, c.accuracy_smoother):
+        assert accuracy is not None
+        assert accuracy.landmarks_found == 15
+        assert accuracy.landmark_rmse_aligned_m is not None
+        assert accuracy.landmark_rmse_aligned_m < 0.12
+
+
+def test_the_same_associations_from_the_bundled_and_the_raw_log(shared_data: Path) -> None:
+    """Victoria Park's raw detections can be read whole; running them is for a later filter."""
+    log = open_log(str(shared_data / "victoria_park"))
+    assert log.records == {"odometry": 61945, "sightings": 52974, "positions": 4466}
+    straight_ahead = np.abs(log.sightings.bearing_rad) <= np.pi / 2 + 1e-9
+    assert straight_ahead.all()
+
+
+def first_seconds(log: Log, seconds: float) -> Log:
+    from dataclasses import replace
+
+    from comparisons.logs.log import Sightings, SteeringOdometry
+
+    odometry, seen = log.odometry, log.sightings
+    assert isinstance(odometry, SteeringOdometry)
+    n = int(np.searchsorted(odometry.time_s, seconds))
+    m = int(np.searchsorted(seen.time_s, seconds))
+    return replace(
+        log,
+        odometry=replace(
+            odometry,
+            time_s=odometry.time_s[:n],
+            speed_mps=odometry.speed_mps[:n],
+            steering_rad=odometry.steering_rad[:n],
+        ),
+        sightings=Sightings(
+            *(value[:m] for value in vars(seen).values() if isinstance(value, np.ndarray))
+        ),
+    )
+
+
+def test_victoria_park_detections_run(shared_data: Path) -> None:
+    """The first minutes, by nearest neighbour: both gaps at rounding."""
+    log = first_seconds(open_log(str(shared_data / "victoria_park")), 120.0)
+    c = compare_estimators(log)
+    assert c.agreement.algebra.within(1e-6)
+    assert c.agreement.model.within(1e-6)
