@@ -60,7 +60,7 @@ def run(
     loops: LoopsOption = 1,
     noise_scale: NoiseOption = 1.0,
 ) -> None:
-    r"""Run both estimators on a log, check one against the other, write a report folder.
+    """Run both estimators on a log, check one against the other, write a report folder.
 
     \b
     Examples:
@@ -124,7 +124,7 @@ def convert(
     loops: LoopsOption = 1,
     noise_scale: NoiseOption = 1.0,
 ) -> None:
-    r"""Write any readable log as a log folder.
+    """Write any readable log as a log folder.
 
     \b
     Example:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -84,9 +83,9 @@ class KalmanState:
             raise FilterDivergedError(
                 "the innovation covariance is not positive definite"
             ) from error
-        u = solve_triangular(root, gain_left.T, lower=True, check_finite=False)
-        whitened = solve_triangular(root, innovation, lower=True, check_finite=False)
-        self._mean[:n] += u.T @ whitened
+        inverse_root = np.linalg.inv(root)
+        u = inverse_root @ gain_left.T
+        self._mean[:n] += u.T @ (inverse_root @ innovation)
         p -= u.T @ u
 
     def augment(

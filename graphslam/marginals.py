@@ -58,7 +58,7 @@ def _regular(information: Array) -> bool:
     if not (np.isfinite(scale).all() and (scale > 0.0).all()):
         return False
     least = float(np.linalg.eigvalsh(information / np.outer(scale, scale))[0])
-    return least > len(scale) * np.finfo(float).eps
+    return least > len(scale) * float(np.finfo(float).eps)
 
 
 def to_global(covariance: Array, heading_rad: float) -> Array:

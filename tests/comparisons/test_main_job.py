@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from comparisons.compare import Comparison, compare_estimators
 from comparisons.logs.bundled import open_log
-from comparisons.logs.log import Log
+from comparisons.logs.log import Log, SteeringOdometry
 
 
 def test_victoria_park_disagrees_through_linearisation(victoria_park: Comparison) -> None:
@@ -74,10 +75,6 @@ def test_the_same_associations_from_the_bundled_and_the_raw_log(shared_data: Pat
 
 
 def first_seconds(log: Log, seconds: float) -> Log:
-    from dataclasses import replace
-
-    from comparisons.logs.log import Sightings, SteeringOdometry
-
     odometry, seen = log.odometry, log.sightings
     assert isinstance(odometry, SteeringOdometry)
     n = int(np.searchsorted(odometry.time_s, seconds))
@@ -90,8 +87,15 @@ def first_seconds(log: Log, seconds: float) -> Log:
             speed_mps=odometry.speed_mps[:n],
             steering_rad=odometry.steering_rad[:n],
         ),
-        sightings=Sightings(
-            *(value[:m] for value in vars(seen).values() if isinstance(value, np.ndarray))
+        sightings=replace(
+            seen,
+            time_s=seen.time_s[:m],
+            range_m=seen.range_m[:m],
+            bearing_rad=seen.bearing_rad[:m],
+            sigma_range_m=seen.sigma_range_m[:m],
+            sigma_bearing_rad=seen.sigma_bearing_rad[:m],
+            landmark=seen.landmark[:m],
+            diameter_m=seen.diameter_m[:m],
         ),
     )
 

@@ -66,7 +66,7 @@ def test_printed_gain_without_transpose_fails() -> None:
     state = KalmanState(np.zeros(3), p)
     state.update(np.arange(3), h, np.ones(3), r)
     printed: Array = p @ h @ np.linalg.inv(h @ p @ h + r) @ np.ones(3)
-    exact: Array = np.linalg.solve(
+    exact = np.linalg.solve(
         np.linalg.inv(p) + h.T @ np.linalg.inv(r) @ h, h.T @ np.linalg.inv(r) @ np.ones(3)
     )
     assert relative_error(state.mean, exact) < 1e-12

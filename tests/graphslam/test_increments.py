@@ -43,11 +43,9 @@ def exponential(xi: Array) -> Array:
 
 def then(first: Array, second: Array) -> Array:
     cos, sin = np.cos(first[2]), np.sin(first[2])
-    return first + (
-        cos * second[0] - sin * second[1],
-        sin * second[0] + cos * second[1],
-        second[2],
-    )
+    east, north = cos * second[0] - sin * second[1], sin * second[0] + cos * second[1]
+    result: Array = first + (east, north, second[2])
+    return result
 
 
 @pytest.mark.parametrize("kind", ["ackermann", "unicycle"])
@@ -75,7 +73,8 @@ def test_sample_noise_equals_central_differences(kind: str) -> None:
     u, w, dt = controls(1, 5)
 
     def displacement(control: Array) -> Array:
-        return samples(kind, control[:1], control[1:], dt).displacement[0]
+        moved: Array = samples(kind, control[:1], control[1:], dt).displacement[0]
+        return moved
 
     b = central_difference(displacement, np.array((u[0], w[0])))
     turn = to_tangent(displacement(np.array((u[0], w[0])))[2:])[0]
@@ -97,7 +96,7 @@ def test_composition_transports_perturbations_exactly() -> None:
         for move, e in zip(moves, xi.reshape(5, 3), strict=True):
             pose = then(then(pose, move), exponential(e))
         end = whole.displacement[0]
-        difference = pose - end
+        difference: Array = pose - end
         difference[:2] = to_tangent(end[2:])[0][:2, :2] @ difference[:2]
         return difference
 

@@ -101,7 +101,8 @@ def test_marginal_equals_the_dense_inverse(problem: SlamProblem) -> None:
     keys += [LANDMARK_KEY + j for j in range(problem.landmark_count)]
     information, _ = result.graph.linearize(result.values).hessian(gtsam.Ordering(keys))
     last = 3 * (problem.pose_count - 1)
-    dense = to_global(np.linalg.inv(information)[last:, last:], result.poses[-1, 2])
+    inverse: Array = np.linalg.inv(information).astype(np.float64)
+    dense = to_global(inverse[last:, last:], result.poses[-1, 2])
     marginal = result.marginal()
     assert relative_error(marginal.covariance, dense) < 1e-6
     assert np.array_equal(marginal.mean[:3], result.poses[-1])

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -70,11 +71,12 @@ def velocity_log() -> Log:
 
 @pytest.mark.parametrize("kind", ["full", "velocity", "victoria-park"])
 def test_round_trip_is_exact(kind: str, tmp_path: Path) -> None:
-    log = {
+    make: dict[str, Callable[[], Log]] = {
         "full": full_log,
         "velocity": velocity_log,
         "victoria-park": lambda: replace(open_log("victoria-park"), format="log-folder"),
-    }[kind]()
+    }
+    log = make[kind]()
     write_log_folder(log, tmp_path / "log")
     again = read_log_folder(tmp_path / "log")
     assert_same(log, again)

@@ -168,7 +168,7 @@ def edit(name: str, old: str, new: str) -> Callable[[Path], None]:
     return change
 
 
-BAD_FOLDERS: dict[str, tuple[Callable[[Path], Path], Callable[[Path], None], str]] = {
+BAD_FOLDERS: dict[str, tuple[Callable[[Path], Path], Callable[[Path], object], str]] = {
     "mrclam word": (
         mrclam,
         edit("Robot1_Odometry.dat", "1001.5 0.1", "1001.5 x"),
@@ -201,12 +201,12 @@ BAD_FOLDERS: dict[str, tuple[Callable[[Path], Path], Callable[[Path], None], str
     ),
     "victoria empty": (
         victoria,
-        lambda folder: (folder / "inputs.dat").write_text("") and None,
+        lambda folder: (folder / "inputs.dat").write_text(""),
         "inputs.dat: holds no records",
     ),
     "victoria binary": (
         victoria,
-        lambda folder: (folder / "gps.dat").write_bytes(b"\xff\xfe\x00") and None,
+        lambda folder: (folder / "gps.dat").write_bytes(b"\xff\xfe\x00"),
         "gps.dat: not a text file",
     ),
     "car park truncated": (
@@ -224,17 +224,17 @@ BAD_FOLDERS: dict[str, tuple[Callable[[Path], Path], Callable[[Path], None], str
     ),
     "car park nan": (
         car_park,
-        lambda folder: car_park(folder, Steering=np.full(20, np.nan)) and None,
+        lambda folder: car_park(folder, Steering=np.full(20, np.nan)),
         "data_set.mat: Steering holds a value that is not a finite number",
     ),
     "car park length": (
         car_park,
-        lambda folder: car_park(folder, Velocity=np.ones(19)) and None,
+        lambda folder: car_park(folder, Velocity=np.ones(19)),
         "data_set.mat: steering odometry: speed_mps has shape",
     ),
     "car park text": (
         car_park,
-        lambda folder: car_park(folder, GPSLat="abc") and None,
+        lambda folder: car_park(folder, GPSLat="abc"),
         "data_set.mat: GPSLat is not numeric",
     ),
 }

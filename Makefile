@@ -1,0 +1,34 @@
+# `make run` runs the main job, `make test` lint, types and tests. Both set everything up.
+VENV ?= .venv
+BIN := $(VENV)/bin
+CANDIDATES := $(PYTHON) python3 python3.13 python3.12 python3.11
+FITS := import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))
+
+.PHONY: run test clean
+
+# slamcheck exits with 0, 1 or 3 for its verdict; only 2 and crashes are failures of the job.
+run: $(VENV)/installed
+	@$(BIN)/slamcheck run; code=$$?; [ $$code -eq 0 ] || [ $$code -eq 1 ] || [ $$code -eq 3 ]
+
+test: $(VENV)/installed-dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/python -m pytest
+
+$(VENV)/bin/python:
+	@for p in $(CANDIDATES); do \
+		if $$p -c "$(FITS)" 2>/dev/null; then exec $$p -m venv $(VENV); fi; \
+	done; \
+	echo "no Python 3.11 to 3.13 found; name one: make PYTHON=/path/to/python3" >&2; exit 2
+
+$(VENV)/installed: $(VENV)/bin/python pyproject.toml
+	$(BIN)/python -m pip install --quiet --editable .
+	@touch $@
+
+$(VENV)/installed-dev: $(VENV)/bin/python pyproject.toml
+	$(BIN)/python -m pip install --quiet --editable ".[dev]"
+	@touch $@ $(VENV)/installed
+
+clean:
+	rm -rf $(VENV) build *.egg-info .mypy_cache .ruff_cache .pytest_cache
