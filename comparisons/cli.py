@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -51,9 +52,21 @@ def run(
         Path | None,
         typer.Option("--out", metavar="DIR", help="Folder to write [default: slamcheck-NAME]."),
     ] = None,
+    filter_name: Annotated[
+        str,
+        typer.Option(
+            "--filter",
+            metavar="full|compressed|compressed-suboptimal",
+            help="Which EKF. [default: full]",
+            show_default=False,
+        ),
+    ] = "full",
     association: Annotated[
         str | None,
-        typer.Option(metavar="known|nn", help="known: the log's labels; nn: nearest neighbour."),
+        typer.Option(
+            metavar="known|nn|jcbb|euclidean",
+            help="The log's labels, nearest neighbour, joint compatibility, or distance in metres.",
+        ),
     ] = None,
     robot: RobotOption = 1,
     seed: SeedOption = 0,
@@ -75,10 +88,12 @@ def run(
         start = time.perf_counter()
         source = _open(log, format_name, robot, seed, loops, noise_scale)
         read_s = time.perf_counter() - start
-        raise SystemExit(_run(source, association, out, read_s))
+        raise SystemExit(_run(source, filter_name, association, out, read_s))
 
 
-def _run(log: Log, association: str | None, out: Path | None, read_s: float) -> int:
+def _run(
+    log: Log, filter_name: str, association: str | None, out: Path | None, read_s: float
+) -> int:
     from rich.console import Console
 
     from comparisons.atomic import check_replaceable
@@ -86,11 +101,13 @@ def _run(log: Log, association: str | None, out: Path | None, read_s: float) -> 
     from comparisons.report.result import build_result
     from comparisons.report.run_folder import MARK, write_run_folder
     from comparisons.report.summary import print_summary
+    from comparisons.runs.ekf_build import EkfChoices
 
     folder = out or Path(f"slamcheck-{log.name}")
     check_replaceable(folder, MARK)
     with _progress() as progress:
-        comparison = compare_estimators(log, association, progress)
+        choices = EkfChoices(filter_name, association)
+        comparison = compare_estimators(log, choices, progress)
         result = build_result(comparison, read_s)
         progress("report", 0, 0)
         write_run_folder(comparison, result, folder)
@@ -199,5 +216,10 @@ def _progress() -> Iterator[Progress]:
 
 
 def main() -> None:
-    """Entry point of the console script."""
+    """Entry point of the console script.
+
+    BLAS gets one thread unless the user says otherwise: the matrices are small, and threads that
+    wait for each other on a busy machine cost several times the work.
+    """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     app()

@@ -12,7 +12,8 @@ from comparisons.checks.agreement import Agreement, Gaussian, compare
 from comparisons.checks.attribution import Verdict, judge
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
-from comparisons.runs.ekf_run import EkfRun, choose_association, run_ekf
+from comparisons.runs.ekf_build import EkfChoices
+from comparisons.runs.ekf_run import EkfRun, run_ekf
 from comparisons.runs.estimate import Estimate
 from comparisons.runs.smoother_run import (
     build_problem,
@@ -34,7 +35,7 @@ class Comparison:
     """Everything one run found out. seconds: by stage."""
 
     log: Log
-    association: str
+    choices: EkfChoices
     ekf: EkfRun
     smoother: SmootherResult
     smoothed: Estimate
@@ -47,17 +48,17 @@ class Comparison:
 
 def compare_estimators(
     log: Log,
-    association: str | None = None,
+    choices: EkfChoices | None = None,
     progress: Progress = lambda stage, done, total: None,
     modify: Callable[[FullEkf], None] = lambda ekf: None,
 ) -> Comparison:
     """Run both estimators over a log and judge them.
 
-    association: `known`, `nn`, or None to choose by the log. modify: see run_ekf. Raises
-    InputError when the log cannot be used, and graphslam.marginals.SingularProblemError when the
-    smoother has no solution.
+    choices: filter and association; what is left open is chosen by the log. modify: see run_ekf.
+    Raises InputError when the log cannot be used, and graphslam.marginals.SingularProblemError
+    when the smoother has no solution.
     """
-    chosen = choose_association(log, association)
+    chosen = (choices or EkfChoices()).settle(log)
     clock = _Clock()
     timeline = build_timeline(log)
     with clock.stage("ekf"):
@@ -78,7 +79,7 @@ def compare_estimators(
         agreement = compare(
             _gaussian(run.estimate), Gaussian(*recorded), Gaussian(*own), _gaussian(smoothed)
         )
-        labelled = chosen == "known"
+        labelled = chosen.association == "known"
         return Comparison(
             log,
             chosen,
@@ -88,7 +89,7 @@ def compare_estimators(
             agreement,
             assess(run.estimate, log, labelled=labelled),
             assess(smoothed, log, labelled=labelled),
-            judge(agreement, result.proof, run),
+            judge(agreement, result.proof, run, conservative=chosen.conservative),
             clock.seconds,
         )
 

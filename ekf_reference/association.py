@@ -1,42 +1,101 @@
 """Which landmark a sighting belongs to.
 
 An assignment is a slot per sighting, (m,) integers: the landmark's place in the state's map, or
-REJECTED. Slots from the current landmark count upward name landmarks to be added, in order.
+one of the negative codes below. Slots from the current landmark count upward name landmarks to
+be added, in order.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ekf_reference.kalman import KalmanState
+from ekf_reference.kalman import LocalMap
 from ekf_reference.observation import RangeBearing
+from ekf_reference.sightings import Sightings
 
 Array = NDArray[np.float64]
 Slots = NDArray[np.intp]
 
 REJECTED = -1
+"""Not used: without a label, or a label that the gate contradicts."""
+AMBIGUOUS = -2
+"""Not used: too far from every landmark to join it, too near to start another, or beaten to it."""
+CANDIDATE = -3
+"""Not used yet: it may become a landmark (see track_management)."""
+
+SEARCH_MARGIN_M = 10.0
+"""Landmarks are sought this much farther than the longest range of a scan."""
+
+
+class MappedState(Protocol):
+    """What association asks of a filter's state."""
+
+    @property
+    def landmark_count(self) -> int:
+        """Number of landmarks in the map."""
+        ...
+
+    @property
+    def pose(self) -> Array:
+        """(3,) x, y, heading."""
+        ...
+
+    def local_map(self, reach_m: float) -> LocalMap:
+        """The landmarks within reach."""
+        ...
+
+    def map_of(self, slot: Slots) -> LocalMap:
+        """Some landmarks by slot."""
+        ...
 
 
 class Association(Protocol):
     """Contract of all association rules."""
 
-    def assign(
-        self,
-        state: KalmanState,
-        observation: RangeBearing,
-        z: Array,
-        noise: Array,
-        identity: NDArray[np.int64],
-    ) -> Slots:
-        """Slots (m,) of sightings z (m, 2) with covariances noise (m, 2, 2).
-
-        identity: (m,) labels from the log, negative where the sensor gave none.
-        """
+    def assign(self, state: MappedState, observation: RangeBearing, sightings: Sightings) -> Slots:
+        """Slots (m,) of the sightings of one instant."""
         ...
+
+
+class Distances(NamedTuple):
+    """From m sightings to L landmarks (Nieto 2005, eqs. 2.57, 2.58 and 2.60).
+
+    nis: (m, L) normalised innovation squared. n: (m, L) nis + ln |S|. innovation: (m, L, 2).
+    """
+
+    nis: Array
+    n: Array
+    innovation: Array
+
+
+def surroundings(state: MappedState, sightings: Sightings) -> LocalMap:
+    """The landmarks that these sightings could be of."""
+    return state.local_map(float(sightings.z[:, 0].max()) + SEARCH_MARGIN_M)
+
+
+def normalised_distances(
+    local: LocalMap, observation: RangeBearing, sightings: Sightings
+) -> Distances:
+    """Distances of all sightings to all landmarks."""
+    predicted = observation.predict(local.pose, local.landmark)
+    hv, hl = predicted.jacobian_pose, predicted.jacobian_landmark
+    through_pose = hv @ local.vehicle @ hv.transpose(0, 2, 1)
+    cross = hv @ local.cross @ hl.transpose(0, 2, 1)
+    through_map = hl @ local.own @ hl.transpose(0, 2, 1)
+    spread = through_pose + cross + cross.transpose(0, 2, 1) + through_map  # H P H^T, (L, 2, 2)
+    s = spread[None] + sightings.noise[:, None]  # (m, L, 2, 2)
+    nu = observation.innovation(sightings.z[:, None], predicted.z[None])  # (m, L, 2)
+    determinant = s[..., 0, 0] * s[..., 1, 1] - s[..., 0, 1] ** 2
+    nis = (
+        s[..., 1, 1] * nu[..., 0] ** 2
+        - 2.0 * s[..., 0, 1] * nu[..., 0] * nu[..., 1]
+        + s[..., 0, 0] * nu[..., 1] ** 2
+    ) / determinant
+    return Distances(nis, nis + np.log(determinant), nu)
 
 
 @dataclass
@@ -50,26 +109,20 @@ class KnownAssociation:
     gate: float = float("inf")
     slot_of: dict[int, int] = field(default_factory=dict)
 
-    def assign(
-        self,
-        state: KalmanState,
-        observation: RangeBearing,
-        z: Array,
-        noise: Array,
-        identity: NDArray[np.int64],
-    ) -> Slots:
+    def assign(self, state: MappedState, observation: RangeBearing, sightings: Sightings) -> Slots:
         """Look the labels up, giving unseen ones the next slots. Unlabelled are rejected."""
         slots = np.array(
             [
                 self.slot_of.setdefault(label, len(self.slot_of)) if label >= 0 else REJECTED
-                for label in identity.tolist()
+                for label in sightings.identity.tolist()
             ],
             dtype=np.intp,
         )
-        if np.isfinite(self.gate) and state.landmark_count:
-            nis, _ = normalised_distances(state, observation, z, noise)
-            known = np.flatnonzero((slots != REJECTED) & (slots < state.landmark_count))
-            slots[known[nis[known, slots[known]] > self.gate]] = REJECTED
+        known = np.flatnonzero((slots >= 0) & (slots < state.landmark_count))
+        if np.isfinite(self.gate) and len(known):
+            local = state.map_of(slots[known])
+            nis = normalised_distances(local, observation, sightings.take(known)).nis
+            slots[known[nis.diagonal() > self.gate]] = REJECTED
         return slots
 
 
@@ -78,9 +131,9 @@ class NearestNeighbour:
     """Gated nearest neighbour, each landmark taken at most once in a scan.
 
     A sighting may join a landmark when its normalised innovation squared (Nieto 2005, eq. 2.58)
-    is within `gate`; among those the least N = nis + ln |S| (eq. 2.60) wins, over the whole scan
-    in order of N. A sighting whose nis exceeds `new_gate` for every landmark starts a new one;
-    between the two gates, or beaten to its landmark, it is ambiguous and rejected.
+    is within `gate`; among those the least N (eq. 2.60) wins, over the whole scan in order of N.
+    A sighting whose nis exceeds `new_gate` for every landmark starts a new one; between the two
+    gates, or beaten to its landmark, it is ambiguous.
 
     gate, new_gate: bounds of the chi-square variable with 2 degrees of freedom.
     """
@@ -88,71 +141,54 @@ class NearestNeighbour:
     gate: float = 13.82  # 99.9 %
     new_gate: float = 25.0
 
-    def assign(
-        self,
-        state: KalmanState,
-        observation: RangeBearing,
-        z: Array,
-        noise: Array,
-        identity: NDArray[np.int64],
-    ) -> Slots:
-        """Assign by position alone; `identity` is not used."""
-        count = state.landmark_count
-        slots = np.full(len(z), REJECTED, dtype=np.intp)
-        if count:
-            nis, distance = normalised_distances(state, observation, z, noise)
-            unseen = nis.min(axis=1) > self.new_gate
-            self._match(nis, distance, slots)
-        else:
-            unseen = np.ones(len(z), dtype=bool)
-        slots[unseen] = count + np.arange(np.count_nonzero(unseen))
-        return slots
-
-    def _match(self, nis: Array, distance: Array, slots: Slots) -> None:
-        rows, columns = np.nonzero(nis <= self.gate)
-        taken: set[int] = set()
-        for k in np.argsort(distance[rows, columns], kind="stable"):
-            row, column = int(rows[k]), int(columns[k])
-            if slots[row] == REJECTED and column not in taken:
-                slots[row] = column
-                taken.add(column)
-
-
-def normalised_distances(
-    state: KalmanState, observation: RangeBearing, z: Array, noise: Array
-) -> tuple[Array, Array]:
-    """Normalised innovation squared and N, both (m, L), of every sighting and landmark.
-
-    Nieto 2005, eqs. 2.57, 2.58 and 2.60.
-    """
-    predicted = observation.predict(state.pose, state.landmarks)
-    hv, hl = predicted.jacobian_pose, predicted.jacobian_landmark
-    blocks = _covariance_blocks(state)
-    through_pose = hv @ blocks.vehicle @ hv.transpose(0, 2, 1)
-    cross = hv @ blocks.cross @ hl.transpose(0, 2, 1)
-    through_map = hl @ blocks.own @ hl.transpose(0, 2, 1)
-    spread = through_pose + cross + cross.transpose(0, 2, 1) + through_map  # H P H^T, (L, 2, 2)
-    s = spread[None] + noise[:, None]  # (m, L, 2, 2)
-    nu = observation.innovation(z[:, None], predicted.z[None])  # (m, L, 2)
-    determinant = s[..., 0, 0] * s[..., 1, 1] - s[..., 0, 1] ** 2
-    nis = (
-        s[..., 1, 1] * nu[..., 0] ** 2
-        - 2.0 * s[..., 0, 1] * nu[..., 0] * nu[..., 1]
-        + s[..., 0, 0] * nu[..., 1] ** 2
-    ) / determinant
-    return nis, nis + np.log(determinant)
+    def assign(self, state: MappedState, observation: RangeBearing, sightings: Sightings) -> Slots:
+        """Assign by position alone; labels are not used."""
+        local = surroundings(state, sightings)
+        distances = normalised_distances(local, observation, sightings)
+        column = match_in_order(distances.n, distances.nis <= self.gate)
+        unseen = distances.nis.min(axis=1, initial=np.inf) > self.new_gate
+        return slots_of(column, unseen, local.slot, state.landmark_count)
 
 
 @dataclass(frozen=True)
-class _Blocks:
-    vehicle: Array  # (3, 3)
-    cross: Array  # (L, 3, 2)
-    own: Array  # (L, 2, 2)
+class EuclideanNeighbour:
+    """Nearest landmark within d_min of the sighting's place in the map (Misono 2007, eq. 17).
+
+    Eq. 16 is printed with a sign lost; the inverse of the observation model takes its place.
+    A sighting with no landmark within d_min starts a new one; beaten to it, it is ambiguous.
+    """
+
+    d_min_m: float = 1.0
+
+    def assign(self, state: MappedState, observation: RangeBearing, sightings: Sightings) -> Slots:
+        """Assign by distance in metres."""
+        local = surroundings(state, sightings)
+        place = observation.invert(local.pose, sightings.z).point
+        distance = np.linalg.norm(place[:, None] - local.landmark[None], axis=2)
+        column = match_in_order(distance, distance < self.d_min_m)
+        unseen = distance.min(axis=1, initial=np.inf) >= self.d_min_m
+        return slots_of(column, unseen, local.slot, state.landmark_count)
 
 
-def _covariance_blocks(state: KalmanState) -> _Blocks:
-    p, count = state.covariance, state.landmark_count
-    cross = p[:3, 3:].reshape(3, count, 2).transpose(1, 0, 2)
-    diagonal = np.arange(count)
-    own = p[3:, 3:].reshape(count, 2, count, 2)[diagonal, :, diagonal, :]
-    return _Blocks(p[:3, :3], cross, own)
+def match_in_order(cost: Array, allowed: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Column of each row (m,), -1 for none: the cheapest allowed pairs first, none used twice."""
+    column = np.full(len(cost), -1, dtype=np.intp)
+    rows, columns = np.nonzero(allowed)
+    taken: set[int] = set()
+    for k in np.argsort(cost[rows, columns], kind="stable").tolist():
+        i, j = int(rows[k]), int(columns[k])
+        if column[i] < 0 and j not in taken:
+            column[i] = j
+            taken.add(j)
+    return column
+
+
+def slots_of(
+    column: NDArray[np.intp], unseen: NDArray[np.bool_], local_slot: Slots, count: int
+) -> Slots:
+    """Slots from columns of a local map; unseen sightings get new slots, the rest is ambiguous."""
+    slots = np.full(len(column), AMBIGUOUS, dtype=np.intp)
+    matched = column >= 0
+    slots[matched] = local_slot[column[matched]]
+    slots[unseen] = count + np.arange(np.count_nonzero(unseen))
+    return slots

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ekf_reference.association import REJECTED, Association, Slots
-from ekf_reference.kalman import Array, Index, KalmanState
+from ekf_reference.association import Association, MappedState, Slots
+from ekf_reference.kalman import Array, Correction, Index, KalmanState, state_columns
 from ekf_reference.motion import MotionModel
 from ekf_reference.observation import RangeBearing
+from ekf_reference.sightings import Sightings
 from ekf_reference.trace import NullTrace, Trace
 
 
@@ -31,6 +33,55 @@ class Stabilisation:
         return np.diag((position, position, self.variance_rate_heading * duration_s))
 
 
+class FilterState(MappedState, Protocol):
+    """What the filter's steps ask of a state; KalmanState is one."""
+
+    @property
+    def mean(self) -> Array:
+        """(n,) pose, then landmarks."""
+        ...
+
+    @property
+    def covariance(self) -> Array:
+        """(n, n)."""
+        ...
+
+    @property
+    def pose(self) -> Array:
+        """(3,) x, y, heading."""
+        ...
+
+    @property
+    def pose_covariance(self) -> Array:
+        """(3, 3)."""
+        ...
+
+    @property
+    def landmarks(self) -> Array:
+        """(L, 2)."""
+        ...
+
+    def landmark(self, slot: Index) -> Array:
+        """(m, 2) positions of some landmarks."""
+        ...
+
+    def predict(self, pose: Array, jacobian_pose: Array, noise: Array) -> None:
+        """Move the vehicle."""
+        ...
+
+    def update(
+        self, columns: Index, jacobian: Array, innovation: Array, noise: Array
+    ) -> Correction:
+        """Fuse one stacked observation."""
+        ...
+
+    def augment(
+        self, point: Array, jacobian_pose: Array, jacobian_sighting: Array, noise: Array
+    ) -> None:
+        """Append landmarks."""
+        ...
+
+
 class FullEkf:
     """Predict, associate, update, augment. Public attributes are its parts; all can be replaced."""
 
@@ -49,7 +100,7 @@ class FullEkf:
         self.observation = RangeBearing()
         self.stabilisation = stabilisation or Stabilisation()
         self.trace: Trace = trace or NullTrace()
-        self.state = KalmanState(prior_pose, prior_covariance)
+        self.state: FilterState = KalmanState(prior_pose, prior_covariance)
         self._sightings_seen = 0
 
     def predict(self, control: Array, covariance: Array, duration_s: float) -> None:
@@ -61,8 +112,10 @@ class FullEkf:
         self.state.predict(step.pose, step.jacobian_pose, noise)
         self.trace.prediction(departed, step.pose, step.jacobian_pose, noise)
 
-    def observe(self, z: Array, sigma: Array, identity: NDArray[np.int64]) -> Slots:
-        """Fuse the sightings of one instant; returns their slots, REJECTED where unused.
+    def observe(
+        self, z: Array, sigma: Array, identity: NDArray[np.int64], time_s: float = 0.0
+    ) -> Slots:
+        """Fuse the sightings of one instant; returns their slots, negative where unused.
 
         z: (m, 2) range and bearing. sigma: (m, 2). identity: (m,) labels, negative for none.
         New landmarks are added after the update, at the updated pose; a second sighting of the
@@ -70,11 +123,13 @@ class FullEkf:
         """
         noise = self.observation.noise(sigma)
         mapped = self.state.landmark_count
-        slots = self.association.assign(self.state, self.observation, z, noise, identity)
+        slots = self.association.assign(
+            self.state, self.observation, Sightings(z, noise, identity, time_s)
+        )
         first = np.zeros(len(slots), dtype=bool)
         first[np.unique(slots, return_index=True)[1]] = True
         new = slots >= mapped
-        self._update((slots != REJECTED) & ~new, slots, z, noise)
+        self._update((slots >= 0) & ~new, slots, z, noise)
         self._augment(new & first, slots, z, noise)
         self._update(new & ~first, slots, z, noise)
         self._sightings_seen += len(slots)
@@ -85,7 +140,7 @@ class FullEkf:
         if not len(rows):
             return
         slot, r = slots[rows], noise[rows]
-        pose, landmarks = self.state.pose, self.state.landmarks[slot]
+        pose, landmarks = self.state.pose, self.state.landmark(slot)
         predicted = self.observation.predict(pose, landmarks)
         innovation = self.observation.innovation(z[rows], predicted.z)
         columns, jacobian = stack(slot, predicted.jacobian_pose, predicted.jacobian_landmark)
@@ -125,11 +180,7 @@ def stack(slot: Slots, jacobian_pose: Array, jacobian_landmark: Array) -> tuple[
     Two sightings of one landmark get two pairs of columns with the same state entries, which
     sums their effect on S and on the gain as it should.
     """
-    m = len(slot)
-    columns = np.empty(3 + 2 * m, dtype=np.intp)
-    columns[:3] = (0, 1, 2)
-    columns[3::2] = 3 + 2 * slot
-    columns[4::2] = 4 + 2 * slot
+    m, columns = len(slot), state_columns(slot)
     jacobian = np.zeros((m, 2, 3 + 2 * m))
     jacobian[:, :, :3] = jacobian_pose
     which = np.arange(m)

@@ -2,11 +2,60 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class LocalMap:
+    """The landmarks that may be seen from here, as association needs them.
+
+    pose: (3,). slot: (L,) places in the map. landmark: (L, 2). covariance: (3 + 2 L, 3 + 2 L) of
+    the pose and these landmarks.
+    """
+
+    pose: Array
+    slot: Index
+    landmark: Array
+    covariance: Array
+
+    @property
+    def vehicle(self) -> Array:
+        """(3, 3) P_vv."""
+        return self.covariance[:3, :3]
+
+    @property
+    def cross(self) -> Array:
+        """(L, 3, 2) P_vl of each landmark."""
+        return self.covariance[:3, 3:].reshape(3, len(self.slot), 2).transpose(1, 0, 2)
+
+    @property
+    def own(self) -> Array:
+        """(L, 2, 2) P_ll of each landmark."""
+        diagonal, above = self.covariance.diagonal(), self.covariance.diagonal(1)
+        own = np.empty((len(self.slot), 2, 2))
+        own[:, 0, 0] = diagonal[3::2]
+        own[:, 1, 1] = diagonal[4::2]
+        own[:, 0, 1] = own[:, 1, 0] = above[3::2]
+        return own
+
+
+class Correction(NamedTuple):
+    """What an update did, with S = L L^T.
+
+    inverse_root: (m, m) L^-1. gain_root: (m, n) U = L^-1 H P, so that W = U^T L^-1. whitened:
+    (m,) L^-1 innovation.
+    """
+
+    inverse_root: Array
+    gain_root: Array
+    whitened: Array
 
 
 class FilterDivergedError(ArithmeticError):
@@ -42,6 +91,11 @@ class KalmanState:
         return self._mean[:3].copy()
 
     @property
+    def pose_covariance(self) -> Array:
+        """(3, 3); a copy."""
+        return self._covariance[:3, :3].copy()
+
+    @property
     def landmarks(self) -> Array:
         """(L, 2) positions."""
         return self.mean[3:].reshape(-1, 2)
@@ -64,7 +118,24 @@ class KalmanState:
         p[:3, 3:n] = cross
         p[3:n, :3] = cross.T
 
-    def update(self, columns: Index, jacobian: Array, innovation: Array, noise: Array) -> None:
+    def landmark(self, slot: Index) -> Array:
+        """(m, 2) positions of some landmarks; a copy."""
+        return self.landmarks[slot]
+
+    def local_map(self, reach_m: float) -> LocalMap:
+        """The landmarks at most `reach_m` east, west, north or south of the vehicle."""
+        near = np.abs(self.landmarks - self._mean[:2]).max(axis=1, initial=0.0) <= reach_m
+        return self.map_of(np.flatnonzero(near))
+
+    def map_of(self, slot: Index) -> LocalMap:
+        """Some landmarks (m,), by their places in the map."""
+        columns = state_columns(slot)
+        covariance = self._covariance[columns[:, None], columns]
+        return LocalMap(self.pose, slot, self.landmarks[slot], covariance)
+
+    def update(
+        self, columns: Index, jacobian: Array, innovation: Array, noise: Array
+    ) -> Correction:
         """Fuse one stacked observation (Nieto 2005, eqs. 2.39, 2.45 to 2.47 as corrected).
 
         columns: (c,) state entries the observation depends on. jacobian: (m, c) with respect to
@@ -85,8 +156,10 @@ class KalmanState:
             ) from error
         inverse_root = np.linalg.inv(root)
         u = inverse_root @ gain_left.T
-        self._mean[:n] += u.T @ (inverse_root @ innovation)
+        whitened = inverse_root @ innovation
+        self._mean[:n] += u.T @ whitened
         p -= u.T @ u
+        return Correction(inverse_root, u, whitened)
 
     def augment(
         self, point: Array, jacobian_pose: Array, jacobian_sighting: Array, noise: Array
@@ -111,6 +184,52 @@ class KalmanState:
         self._mean[n : n + added] = point.ravel()
         self._size = n + added
 
+    def part(self, columns: Index) -> KalmanState:
+        """The marginal of some state entries (c,), the pose's three first."""
+        chosen = KalmanState(self._mean[:3], self._covariance[:3, :3])
+        chosen._reserve(len(columns))
+        chosen._size = len(columns)
+        chosen._mean[: len(columns)] = self._mean[columns]
+        chosen._covariance[: len(columns), : len(columns)] = self._covariance[
+            columns[:, None], columns
+        ]
+        return chosen
+
+    def merge(
+        self,
+        columns: Index,
+        local: KalmanState,
+        transition: Array,
+        root: Array,
+        shift: Array,
+        spared: Index,
+    ) -> None:
+        """Take over what a local filter learnt (the global update of the compressed filter).
+
+        columns: (a,) entries that the local state started from. local: its state now, further
+        landmarks behind the first a. transition: (a', a) phi. root: (n, k) with
+        Delta P = root root^T, shift: (n,) correction of the mean, for entries outside. spared:
+        entries whose covariance with each other stays as it is (Guivant 2002, eqs. 22 and 23).
+        """
+        n, a = self._size, len(columns)
+        total = n + local._size - a
+        self._reserve(total)
+        mean, p = self._mean, self._covariance
+        cross = transition @ p[columns, :n]  # P_ab = phi P_ab(0), all columns
+        if len(spared):
+            changed = np.setdiff1d(np.arange(n), spared)
+            p[changed, :n] -= root[changed] @ root.T
+            p[spared[:, None], changed] = p[changed[:, None], spared].T
+        else:
+            p[:n, :n] -= root @ root.T
+        mean[:n] += shift
+        everywhere = np.concatenate((columns, np.arange(n, total)))
+        p[everywhere, :n] = cross
+        p[:n, everywhere] = cross.T
+        p[everywhere[:, None], everywhere] = local.covariance
+        mean[everywhere] = local.mean
+        self._size = total
+
     def _reserve(self, size: int) -> None:
         """Grow the buffers geometrically, so that adding landmarks stays cheap."""
         if size <= len(self._mean):
@@ -121,6 +240,15 @@ class KalmanState:
         mean[:n] = self._mean[:n]
         covariance[:n, :n] = self._covariance[:n, :n]
         self._mean, self._covariance = mean, covariance
+
+
+def state_columns(slot: Index) -> Index:
+    """State entries (3 + 2 m,) of the pose and some landmarks (m,)."""
+    columns = np.empty(3 + 2 * len(slot), dtype=np.intp)
+    columns[:3] = (0, 1, 2)
+    columns[3::2] = 3 + 2 * slot
+    columns[4::2] = 4 + 2 * slot
+    return columns
 
 
 def _read_only(array: Array) -> Array:

@@ -31,10 +31,12 @@ class Gap:
     covariance: largest |lambda - 1| over the generalised eigenvalues of the covariance pair, or
     the largest asymmetry of either in units of sigma^2 if that is more; infinite when a
     covariance is not positive definite.
+    least: the smallest of those eigenvalues; at least 1 says the first covariance is conservative.
     """
 
     sigma: float
     covariance: float
+    least: float = 1.0
 
     def within(self, tolerance: float) -> bool:
         """Both are at most the tolerance; never true for NaN."""
@@ -101,7 +103,7 @@ def gap(first: Gaussian, second: Gaussian, sigma: Array) -> Gap:
         abs(high - 1.0),
         *(float(np.max(np.abs(g.covariance - g.covariance.T) / scale)) for g in (first, second)),
     )
-    return Gap(float(np.max(np.abs(_difference(first.mean, second.mean)) / sigma)), spread)
+    return Gap(float(np.max(np.abs(_difference(first.mean, second.mean)) / sigma)), spread, low)
 
 
 def eigenvalue_range(first: Array, second: Array) -> tuple[float, float]:

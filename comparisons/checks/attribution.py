@@ -49,19 +49,23 @@ def block_agrees(block: BlockAgreement) -> bool:
     )
 
 
-def judge(agreement: Agreement, proof: Proof, run: EkfRun) -> Verdict:
+def judge(
+    agreement: Agreement, proof: Proof, run: EkfRun, *, conservative: bool = False
+) -> Verdict:
     """The verdict on a run.
 
-    A red algebra or model gap is a disagreement whatever the smoother found, for it compares the
-    filter with linear algebra. Otherwise an unproven optimum gives no verdict at all.
+    conservative: the filter is meant to leave some covariance too large, so its algebra is right
+    when P_E - P_F1 is positive semidefinite, to rounding. A red algebra or model gap is a
+    disagreement whatever the smoother found, for it compares the filter with linear algebra.
+    Otherwise an unproven optimum gives no verdict at all.
     """
     causes: list[Cause] = []
-    if not agreement.algebra.within(ROUNDING):
+    algebra = agreement.algebra
+    if not (algebra.least >= 1.0 - ROUNDING if conservative else algebra.within(ROUNDING)):
         causes.append(
             Cause(
                 "algebra",
-                "the filter and the solution of its own linear equations "
-                f"{_apart(agreement.algebra)}",
+                f"the filter and the solution of its own linear equations {_apart(algebra)}",
                 "look for a covariance block that is dropped, stale or not transposed: prediction, "
                 "update, augmentation",
             )
@@ -96,6 +100,11 @@ def judge(agreement: Agreement, proof: Proof, run: EkfRun) -> Verdict:
         if outcome == "disagree":
             causes.append(_linearisation(agreement, run))
     remarks = _remarks(proof, run)
+    if conservative and not algebra.within(ROUNDING):
+        remarks.append(
+            f"the filter is conservative as meant: its covariance exceeds the exact one by up to "
+            f"{algebra.covariance:.2g}, its mean differs by {algebra.sigma:.2g} sigma"
+        )
     if run.breakdown and causes[0].gap != "breakdown":
         remarks.insert(0, f"{run.breakdown}; everything is compared up to there")
     return Verdict(outcome, tuple(causes), tuple(remarks))
@@ -175,6 +184,10 @@ def _remarks(proof: Proof, run: EkfRun) -> list[str]:
             f"chi-square {test.chi2:.0f} for {test.dof} degrees of freedom is {test.reading} "
             f"(band {test.lower:.0f} to {test.upper:.0f}): {meaning}"
         )
-    if run.rejected:
-        remarks.append(f"{run.rejected} of {len(run.slot)} sightings were rejected by association")
+    unused = {reason: count for reason, count in run.unused.items() if count}
+    if unused:
+        remarks.append(
+            f"{sum(unused.values())} of {len(run.slot)} sightings were not used: "
+            + ", ".join(f"{count} {reason}" for reason, count in unused.items())
+        )
     return remarks

@@ -131,6 +131,7 @@ class Sightings:
     time_s, range_m, bearing_rad, sigma_range_m, sigma_bearing_rad: (M,). landmark: (M,) ids, or
     NO_LANDMARK. diameter_m: (M,), NaN where unknown. label_gate: normalised innovation squared
     beyond which an id is taken for a misread; infinite where ids are certain.
+    needs_confirmation: detections may be spurious, so that a new landmark wants several.
     """
 
     time_s: Array
@@ -141,6 +142,7 @@ class Sightings:
     landmark: Ids
     diameter_m: Array
     label_gate: float = float("inf")
+    needs_confirmation: bool = False
 
     def __post_init__(self) -> None:
         """Check the stream."""

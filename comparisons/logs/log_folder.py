@@ -35,6 +35,7 @@ from comparisons.logs.log_meta import (
     MARK,
     LogModel,
     RelativeModel,
+    SightingsModel,
     SteeringModel,
     meta_text,
     read_meta,
@@ -73,7 +74,7 @@ def read_log_folder(folder: Path) -> Log:
         _read_landmarks(folder / "truth_landmarks.csv"),
         _read_surfaces(folder / "truth_surfaces.csv"),
     )
-    sightings = _read_sightings(folder / "sightings.csv", meta.sightings.label_gate)
+    sightings = _read_sightings(folder / "sightings.csv", meta.sightings)
     if sightings is None:
         raise InputError(f"{folder / 'sightings.csv'}: no such file")
     try:
@@ -167,9 +168,10 @@ def _write_odometry(path: Path, odometry: Odometry) -> None:
         _write_csv(path, _VELOCITY, odometry.time_s, odometry.speed_mps, odometry.yaw_rate_radps)
 
 
-def _read_sightings(path: Path, label_gate: float = float("inf")) -> Sightings | None:
+def _read_sightings(path: Path, settings: SightingsModel | None = None) -> Sightings | None:
     if not path.exists():
         return None
+    settings = settings or SightingsModel()
     table = Table(path, _SIGHTINGS, comma=True, header=True, gaps=("diameter_m",))
     ids = table["landmark"]
     fraction = np.flatnonzero(ids != np.round(ids))
@@ -188,7 +190,8 @@ def _read_sightings(path: Path, label_gate: float = float("inf")) -> Sightings |
             table["sigma_bearing_rad"],
             ids.astype(np.int64),
             table["diameter_m"],
-            label_gate,
+            settings.label_gate,
+            settings.needs_confirmation,
         )
 
 

@@ -61,8 +61,11 @@ class RelativeModel(_Model):
     kind: Literal["relative-poses"]
 
 
-class _SightingsModel(_Model):
+class SightingsModel(_Model):
+    """What holds for all sightings."""
+
     label_gate: float = float("inf")
+    needs_confirmation: bool = False
 
 
 class LogModel(_Model):
@@ -74,7 +77,7 @@ class LogModel(_Model):
     units: str = ""
     prior: _PriorModel
     odometry: Annotated[SteeringModel | VelocityModel | RelativeModel, Field(discriminator="kind")]
-    sightings: _SightingsModel = _SightingsModel()
+    sightings: SightingsModel = SightingsModel()
     provenance: dict[str, str] = {}
 
 
@@ -118,6 +121,7 @@ def meta_text(log: Log) -> str:
             lines += ["", f"[odometry.{group}]"]
             lines += [f"{name} = {float(value)!r}" for name, value in vars(record).items()]
     lines += ["", "[sightings]", f"label_gate = {log.sightings.label_gate!r}"]
+    lines += [f"needs_confirmation = {json.dumps(log.sightings.needs_confirmation)}"]
     lines += ["", "[provenance]"]
     lines += [f"{json.dumps(k)} = {json.dumps(v)}" for k, v in log.provenance.items()]
     return "\n".join(lines) + "\n"

@@ -33,12 +33,14 @@ class LogResult(_Model):
 
 
 class EkfResult(_Model):
-    """The filter. rejected: sightings that association did not use."""
+    """The filter. rejected, ambiguous, candidate: sightings that association did not use."""
 
     filter: str
     association: str
     landmarks: int
     rejected: int
+    ambiguous: int
+    candidate: int
 
 
 class StartResult(_Model):
@@ -158,10 +160,10 @@ def build_result(comparison: Comparison, read_s: float) -> Result:
             provenance=c.log.provenance,
         ),
         ekf=EkfResult(
-            filter="full",
-            association=c.association,
+            filter=c.choices.filter,
+            association=str(c.choices.association),
             landmarks=len(c.ekf.estimate.landmark),
-            rejected=c.ekf.rejected,
+            **c.ekf.unused,
         ),
         smoother=SmootherResult(
             poses=len(c.smoother.poses),

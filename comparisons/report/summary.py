@@ -20,7 +20,9 @@ def print_summary(result: Result, console: Console) -> None:
     table.add_row("log", escape(f"{log.name} ({log.format}), {log.duration_s:.0f} s"))
     table.add_row("records", ", ".join(f"{n:,} {name}" for name, n in log.records.items()))
     table.add_row(
-        "EKF", f"{ekf.landmarks} landmarks, {ekf.rejected} sightings rejected ({ekf.association})"
+        "EKF",
+        f"{ekf.filter}, {ekf.landmarks} landmarks; sightings {ekf.rejected} rejected, "
+        f"{ekf.ambiguous} ambiguous, {ekf.candidate} of candidates ({ekf.association})",
     )
     table.add_row(
         "smoother",

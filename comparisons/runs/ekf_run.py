@@ -9,16 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.errors import InputError
-from comparisons.logs.log import Log, RelativePoses, SteeringOdometry
+from comparisons.logs.log import Log
+from comparisons.runs.ekf_build import EkfChoices, build_ekf
 from comparisons.runs.estimate import Array, Estimate
 from comparisons.runs.timeline import Timeline
-from ekf_reference.association import REJECTED, Association, KnownAssociation, NearestNeighbour
-from ekf_reference.full_ekf import FullEkf, Stabilisation
+from ekf_reference.association import AMBIGUOUS, CANDIDATE, REJECTED
+from ekf_reference.full_ekf import FullEkf
 from ekf_reference.kalman import FilterDivergedError
-from ekf_reference.motion import AckermannModel, MotionModel, RelativePoseModel, UnicycleModel
 from ekf_reference.trace import RecordedTrace, TraceArrays
-
-ASSOCIATIONS = ("known", "nn")
 
 
 @dataclass(frozen=True)
@@ -26,7 +24,8 @@ class EkfRun:
     """An estimate with what the other estimators need of it.
 
     timeline: what the filter was given; when it broke down, only up to there.
-    slot: (M,) landmark of each of the timeline's sightings, REJECTED where unused.
+    slot: (M,) landmark of each of the timeline's sightings, a negative code where unused (see
+    ekf_reference.association).
     departed: (K, 3) the pose when each epoch was done. arrived: (K, 3) as predicted there.
     breakdown: what stopped the filter, None when it reached the end.
     """
@@ -40,51 +39,16 @@ class EkfRun:
     breakdown: str | None = None
 
     @property
-    def rejected(self) -> int:
-        """Sightings that were not used."""
-        return int(np.count_nonzero(self.slot == REJECTED))
-
-
-def choose_association(log: Log, name: str | None) -> str:
-    """The name itself, or `known` when every sighting is labelled, else `nn`.
-
-    Raises InputError for an unknown name, or for `known` without labels.
-    """
-    if name is None:
-        return "known" if log.sightings.labelled else "nn"
-    if name not in ASSOCIATIONS:
-        raise InputError(f"association '{name}' is unknown, expected {' or '.join(ASSOCIATIONS)}")
-    if name == "known" and not log.sightings.labelled:
-        raise InputError(
-            f"{log.name}: its sightings do not all name their landmark; use --association nn"
-        )
-    return name
-
-
-def build_ekf(log: Log, association: str, trace: RecordedTrace) -> FullEkf:
-    """The filter that a log calls for, standing at its prior."""
-    odometry = log.odometry
-    stabilisation = Stabilisation()
-    motion: MotionModel
-    if isinstance(odometry, RelativePoses):
-        motion = RelativePoseModel()
-    else:
-        noise = odometry.noise
-        stabilisation = Stabilisation(noise.variance_rate_position, noise.variance_rate_heading)
-        if isinstance(odometry, SteeringOdometry):
-            motion = AckermannModel(**vars(odometry.vehicle))
-        else:
-            motion = UnicycleModel()
-    rule: Association = (
-        KnownAssociation(log.sightings.label_gate) if association == "known" else NearestNeighbour()
-    )
-    return FullEkf(motion, rule, log.prior.pose, log.prior.covariance, stabilisation, trace)
+    def unused(self) -> dict[str, int]:
+        """Sightings that were not used, by reason."""
+        codes = {"rejected": REJECTED, "ambiguous": AMBIGUOUS, "candidate": CANDIDATE}
+        return {name: int(np.count_nonzero(self.slot == code)) for name, code in codes.items()}
 
 
 def run_ekf(
     log: Log,
     timeline: Timeline,
-    association: str,
+    choices: EkfChoices,
     progress: Callable[[int, int], None] = lambda done, total: None,
     modify: Callable[[FullEkf], None] = lambda ekf: None,
 ) -> EkfRun:
@@ -94,7 +58,7 @@ def run_ekf(
     it starts, which is how defects are planted.
     """
     trace = RecordedTrace()
-    ekf = build_ekf(log, association, trace)
+    ekf = build_ekf(log, choices, trace)
     modify(ekf)
     epochs = len(timeline.epoch_time_s)
     steps, first = timeline.steps_until(), timeline.sightings_until()
@@ -103,6 +67,7 @@ def run_ekf(
     sigma = np.column_stack((seen.sigma_range_m, seen.sigma_bearing_rad))
     departed, arrived = np.empty((epochs, 3)), np.empty((epochs, 3))
     covariance = np.empty((epochs, 3, 3))
+    slot = np.full(len(z), REJECTED, dtype=np.intp)
     breakdown, done = None, 0
     for k in range(epochs):
         for i in range(done, int(steps[k])):
@@ -116,12 +81,14 @@ def run_ekf(
         rows = slice(int(first[k]), int(first[k + 1]))
         try:
             if rows.start < rows.stop:
-                ekf.observe(z[rows], sigma[rows], seen.landmark[rows])
+                slot[rows] = ekf.observe(
+                    z[rows], sigma[rows], seen.landmark[rows], float(timeline.epoch_time_s[k])
+                )
         except FilterDivergedError as error:
             breakdown = f"the EKF broke down at {timeline.epoch_time_s[k]:.3f} s: {error}"
             epochs = k + 1
         departed[k] = ekf.state.pose
-        covariance[k] = ekf.state.covariance[:3, :3]
+        covariance[k] = ekf.state.pose_covariance
         if breakdown:
             break
         if k % 64 == 0:
@@ -132,34 +99,37 @@ def run_ekf(
         raise InputError(f"{log.name}: the EKF's estimate is not finite")
     timeline = timeline.prefix(epochs)
     arrays = trace.arrays()
-    slot = _slots(arrays, len(timeline.sighting_epoch))
+    slot = _as_used(slot[: len(timeline.sighting_epoch)], arrays)
     estimate = Estimate(
         timeline.epoch_time_s,
         departed[:epochs],
         covariance[:epochs],
-        _landmark_ids(seen.landmark[: len(slot)], slot, ekf.state.landmark_count, association),
+        _landmark_ids(seen.landmark[: len(slot)], slot, ekf.state.landmark_count, choices),
         ekf.state.landmarks.copy(),
         joint,
         "filtered",
-        {"estimator": "ekf_reference, full EKF", "association": association},
+        {
+            "estimator": f"ekf_reference, {choices.filter} EKF",
+            "association": str(choices.association),
+        },
     )
     return EkfRun(estimate, timeline, arrays, slot, departed[:epochs], arrived[:epochs], breakdown)
 
 
-def _slots(trace: TraceArrays, count: int) -> NDArray[np.intp]:
-    """Which landmark each sighting was used for, from what the filter recorded."""
-    slot = np.full(count, REJECTED, dtype=np.intp)
+def _as_used(slot: NDArray[np.intp], trace: TraceArrays) -> NDArray[np.intp]:
+    """Slots as recorded: a breakdown in the midst of a scan leaves part of it used."""
+    used = np.where(slot >= 0, REJECTED, slot)
     for records in (trace.updates, trace.augmentations):
-        slot[records.sighting] = records.slot
-    return slot
+        used[records.sighting] = records.slot
+    return used
 
 
 def _landmark_ids(
-    label: NDArray[np.int64], slot: NDArray[np.intp], count: int, association: str
+    label: NDArray[np.int64], slot: NDArray[np.intp], count: int, choices: EkfChoices
 ) -> NDArray[np.int64]:
     """The log's labels where they were trusted, else the slots themselves."""
     ids = np.arange(count)
-    if association == "known":
-        used = slot != REJECTED
+    if choices.association == "known":
+        used = slot >= 0
         ids[slot[used]] = label[used]
     return ids

@@ -10,7 +10,6 @@ from comparisons.logs.log import Log, RelativePoses, SteeringOdometry
 from comparisons.runs.ekf_run import EkfRun
 from comparisons.runs.estimate import Estimate
 from comparisons.runs.timeline import Timeline
-from ekf_reference.association import REJECTED
 from ekf_reference.trace import SightingRecords
 from graphslam import increments
 from graphslam.frozen import (
@@ -27,7 +26,7 @@ from graphslam.smoother import SmootherResult, smooth
 
 def build_problem(log: Log, run: EkfRun) -> SlamProblem:
     """The log as the smoother's arrays, with the EKF's association of sightings to landmarks."""
-    timeline, used = run.timeline, np.flatnonzero(run.slot != REJECTED)
+    timeline, used = run.timeline, np.flatnonzero(run.slot >= 0)
     seen = log.sightings
     composed = increments.compose(
         _samples(log, timeline), timeline.step_epoch - 1, len(timeline.epoch_time_s) - 1
@@ -62,7 +61,7 @@ def run_frozen_recorded(log: Log, run: EkfRun) -> Marginal:
 
 def run_frozen_own(problem: SlamProblem, run: EkfRun) -> Marginal:
     """F2: the smoother's own factors, linearised where the EKF was."""
-    order = np.cumsum(run.slot != REJECTED) - 1  # a log's sighting to the problem's
+    order = np.cumsum(run.slot >= 0) - 1  # a log's sighting to the problem's
     pose, landmark = np.empty((len(problem.z), 3)), np.empty((len(problem.z), 2))
     for records in (run.trace.updates, run.trace.augmentations):
         pose[order[records.sighting]] = records.pose

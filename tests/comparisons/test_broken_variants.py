@@ -12,7 +12,7 @@ from comparisons.checks.attribution import ROUNDING
 from comparisons.compare import compare_estimators
 from comparisons.logs.log import Log
 from ekf_reference.full_ekf import FullEkf
-from ekf_reference.kalman import Array, Index, KalmanState
+from ekf_reference.kalman import Array, Correction, Index, KalmanState
 from ekf_reference.motion import MotionModel, MotionStep
 from ekf_reference.observation import PredictedSightings, RangeBearing
 from tests.helpers import simulated
@@ -44,16 +44,19 @@ class NoCrossAtPrediction(KalmanState):
 class GainNotTransposed(KalmanState):
     """Joseph's form with (I - W H) where its transpose belongs."""
 
-    def update(self, columns: Index, jacobian: Array, innovation: Array, noise: Array) -> None:
+    def update(
+        self, columns: Index, jacobian: Array, innovation: Array, noise: Array
+    ) -> Correction:
         n = self._size
         p = self._covariance[:n, :n].copy()
         h = np.zeros((len(jacobian), n))
         np.add.at(h.T, columns, jacobian.T)
         w = p @ h.T @ np.linalg.inv(h @ p @ h.T + noise)
         keep = np.eye(n) - w @ h
-        super().update(columns, jacobian, innovation, noise)
+        done = super().update(columns, jacobian, innovation, noise)
         broken = keep @ p @ keep + w @ noise @ w.T
         self._covariance[:n, :n] = 0.5 * (broken + broken.T)
+        return done
 
 
 class PrintedBearingRow(RangeBearing):

@@ -68,7 +68,7 @@ def test_bad_input_is_one_line_and_exit_2(tmp_path: Path) -> None:
         ("run", "nowhere"): "nowhere: no such file or folder",
         ("run", "empty"): "empty: format not recognised",
         ("run", "empty", "--format", "bag"): "format 'bag' is unknown",
-        ("run", "--association", "jcbb"): "association 'jcbb' is unknown, expected known or nn",
+        ("run", "--association", "magic"): "association 'magic' is unknown, expected known, nn",
         ("run", "simulated-loop", "--out", "full"): "full: is not empty and holds no result.json",
         ("run", "simulated-loop", "--out", "file"): "file: is a file, expected a folder",
         ("run", "simulated-loop", "--out", "file/x"): "file/x: cannot be written",

@@ -11,6 +11,7 @@ import pytest
 from comparisons.compare import Comparison, compare_estimators
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log, SteeringOdometry
+from comparisons.runs.ekf_build import EkfChoices
 
 
 def test_victoria_park_disagrees_through_linearisation(victoria_park: Comparison) -> None:
@@ -38,7 +39,7 @@ def test_two_runs_are_identical(victoria_park: Comparison) -> None:
 
 def test_car_park(shared_data: Path) -> None:
     c = compare_estimators(open_log(str(shared_data / "acfr_car_park")))
-    assert c.association == "nn"
+    assert c.choices.association == "nn"
     assert c.agreement.algebra.within(1e-6)
     assert c.agreement.model.within(1e-6)
     assert c.smoother.proof.proven
@@ -54,11 +55,11 @@ def test_car_park(shared_data: Path) -> None:
 @pytest.mark.parametrize("robot", [1, 2, 3])
 def test_mrclam(shared_data: Path, robot: int) -> None:
     log = open_log(str(shared_data / "mrclam" / "MRCLAM_Dataset6"), robot=robot)
-    c = compare_estimators(log, "known")
+    c = compare_estimators(log, EkfChoices(association="known"))
     assert c.agreement.algebra.within(1e-6)
     assert c.agreement.model.within(1e-6)
     assert c.smoother.proof.proven
-    assert c.ekf.rejected == (4 if robot == 3 else 0)  # one misread label, four times
+    assert c.ekf.unused["rejected"] == (4 if robot == 3 else 0)  # one misread label, four times
     for accuracy in (c.accuracy_ekf, c.accuracy_smoother):
         assert accuracy is not None
         assert accuracy.landmarks_found == 15

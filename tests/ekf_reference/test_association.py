@@ -3,7 +3,9 @@ from __future__ import annotations
 import numpy as np
 
 from ekf_reference.association import (
+    AMBIGUOUS,
     REJECTED,
+    Distances,
     KnownAssociation,
     NearestNeighbour,
     normalised_distances,
@@ -11,9 +13,9 @@ from ekf_reference.association import (
 from ekf_reference.full_ekf import stack
 from ekf_reference.kalman import KalmanState
 from ekf_reference.observation import RangeBearing
+from ekf_reference.sightings import Sightings
 
 MODEL = RangeBearing()
-NONE = np.full(9, -1)
 
 
 def state_with(points: list[tuple[float, float]], sigmas: list[float]) -> KalmanState:
@@ -25,9 +27,14 @@ def state_with(points: list[tuple[float, float]], sigmas: list[float]) -> Kalman
     return state
 
 
-def sightings(points: list[tuple[float, float]]) -> tuple[np.ndarray, np.ndarray]:
+def sightings(points: list[tuple[float, float]], labels: tuple[int, ...] = ()) -> Sightings:
     z = MODEL.predict(np.zeros(3), np.array(points)).z
-    return z, MODEL.noise(np.tile((0.1, 0.01), (len(z), 1)))
+    identity = np.array(labels or [-1] * len(z))
+    return Sightings(z, MODEL.noise(np.tile((0.1, 0.01), (len(z), 1))), identity)
+
+
+def distances(state: KalmanState, seen: Sightings) -> Distances:
+    return normalised_distances(state.local_map(1e3), MODEL, seen)
 
 
 def test_distances_equal_the_textbook_for_every_pair() -> None:
@@ -37,16 +44,16 @@ def test_distances_equal_the_textbook_for_every_pair() -> None:
     state.augment(
         np.array([[7.0, 7.0]]), rng.standard_normal((1, 2, 3)), np.eye(2)[None], np.eye(2)[None]
     )
-    z, noise = sightings([(10.2, 3.1), (-4.1, 9.3)])
-    nis, distance = normalised_distances(state, MODEL, z, noise)
+    seen = sightings([(10.2, 3.1), (-4.1, 9.3)])
+    nis, distance, _ = distances(state, seen)
     predicted = MODEL.predict(state.pose, state.landmarks)
-    for i in range(len(z)):
+    for i in range(len(seen)):
         for j in range(state.landmark_count):
             columns, h = stack(
                 np.array([j]), predicted.jacobian_pose[[j]], predicted.jacobian_landmark[[j]]
             )
-            s = h @ state.covariance[np.ix_(columns, columns)] @ h.T + noise[i]
-            nu = MODEL.innovation(z[i], predicted.z[j])
+            s = h @ state.covariance[np.ix_(columns, columns)] @ h.T + seen.noise[i]
+            nu = MODEL.innovation(seen.z[i], predicted.z[j])
             expected = nu @ np.linalg.solve(s, nu)
             assert np.isclose(nis[i, j], expected, rtol=1e-10)
             assert np.isclose(distance[i, j], expected + np.log(np.linalg.det(s)), rtol=1e-10)
@@ -55,47 +62,45 @@ def test_distances_equal_the_textbook_for_every_pair() -> None:
 def test_nearest_by_n_not_by_nis() -> None:
     """Between a vague and a sharp landmark, N of eq. 2.60 prefers the sharp one."""
     state = state_with([(10.0, 0.0), (10.45, 0.0)], [3.0, 0.12])
-    z, noise = sightings([(10.15, 0.0)])
-    nis, distance = normalised_distances(state, MODEL, z, noise)
+    seen = sightings([(10.15, 0.0)])
+    nis, distance, _ = distances(state, seen)
     assert nis[0, 0] < nis[0, 1] < 9.0
     assert distance[0, 1] < distance[0, 0]
-    assert NearestNeighbour().assign(state, MODEL, z, noise, NONE[:1]).tolist() == [1]
+    assert NearestNeighbour().assign(state, MODEL, seen).tolist() == [1]
 
 
 def test_gate_ambiguity_and_new_landmarks() -> None:
     state = state_with([(10.0, 0.0), (0.0, 12.0)], [0.1, 0.1])
     rule = NearestNeighbour()
     inside, between, far = (10.2, 0.0), (10.62, 0.0), (10.0, 8.0)
-    z, noise = sightings([inside, between, far])
-    nis, _ = normalised_distances(state, MODEL, z, noise)
+    seen = sightings([inside, between, far])
+    nis = distances(state, seen).nis
     assert rule.gate < nis[1].min() < rule.new_gate < nis[2].min()
-    assert rule.assign(state, MODEL, z, noise, NONE[:3]).tolist() == [0, REJECTED, 2]
+    assert rule.assign(state, MODEL, seen).tolist() == [0, AMBIGUOUS, 2]
 
 
 def test_each_landmark_is_taken_once_in_a_scan() -> None:
     state = state_with([(10.0, 0.0)], [0.2])
-    z, noise = sightings([(10.25, 0.0), (10.05, 0.0)])
-    slots = NearestNeighbour().assign(state, MODEL, z, noise, NONE[:2])
-    assert slots.tolist() == [REJECTED, 0]
+    slots = NearestNeighbour().assign(state, MODEL, sightings([(10.25, 0.0), (10.05, 0.0)]))
+    assert slots.tolist() == [AMBIGUOUS, 0]
 
 
 def test_empty_map_makes_everything_new() -> None:
     state = KalmanState(np.zeros(3), np.eye(3))
-    z, noise = sightings([(1, 1), (2, 2)])
-    assert NearestNeighbour().assign(state, MODEL, z, noise, NONE[:2]).tolist() == [0, 1]
+    seen = sightings([(1, 1), (2, 2)])
+    assert NearestNeighbour().assign(state, MODEL, seen).tolist() == [0, 1]
 
 
 def test_labels_map_to_slots_in_order_of_arrival() -> None:
     state = KalmanState(np.zeros(3), np.eye(3))
-    z, noise = sightings([(1, 1), (2, 2), (3, 3), (1, 1)])
-    rule = KnownAssociation()
-    slots = rule.assign(state, MODEL, z, noise, np.array((40, 7, -1, 40)))
+    seen = sightings([(1, 1), (2, 2), (3, 3), (1, 1)], (40, 7, -1, 40))
+    slots = KnownAssociation().assign(state, MODEL, seen)
     assert slots.tolist() == [0, 1, REJECTED, 0]
 
 
 def test_a_misread_label_is_rejected_by_the_gate_only() -> None:
     state = state_with([(10.0, 0.0)], [0.1])
-    z, noise = sightings([(-10.0, 1.0)])
+    seen = sightings([(-10.0, 1.0)], (5,))
     for gate, expected in ((60.0, REJECTED), (float("inf"), 0)):
         rule = KnownAssociation(gate, {5: 0})
-        assert rule.assign(state, MODEL, z, noise, np.array([5])).tolist() == [expected]
+        assert rule.assign(state, MODEL, seen).tolist() == [expected]

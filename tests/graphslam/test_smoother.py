@@ -6,6 +6,7 @@ import gtsam
 import numpy as np
 import pytest
 
+from comparisons.runs.ekf_build import EkfChoices
 from comparisons.runs.ekf_run import run_ekf
 from comparisons.runs.smoother_run import build_problem
 from comparisons.runs.timeline import build_timeline
@@ -27,7 +28,7 @@ from tests.helpers import Array, relative_error, simulated
 @pytest.fixture(scope="module")
 def problem() -> SlamProblem:
     log = simulated(seed=1, loop_s=20.0)
-    return build_problem(log, run_ekf(log, build_timeline(log), "known"))
+    return build_problem(log, run_ekf(log, build_timeline(log), EkfChoices(association="known")))
 
 
 def residuals(problem: SlamProblem, poses: Array, landmarks: Array) -> Array:

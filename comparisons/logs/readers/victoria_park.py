@@ -26,8 +26,8 @@ UTE = Ackermann(wheelbase_m=2.83, encoder_offset_m=0.76, sensor_forward_m=3.78, 
 """The vehicle of Nieto 2005, Appendix A."""
 
 _NOISE = OdometryNoise(np.hypot(0.2, 0.2), np.deg2rad(3.0), 1e-5, 1e-6)
-_SIGMA_RANGE_M = 0.3
-_SIGMA_BEARING_RAD = np.deg2rad(1.5)
+_SIGMA_RANGE_M = 0.5
+_SIGMA_BEARING_RAD = np.deg2rad(2.0)
 _SIGMA_GPS_M = 0.5
 _START_SIGMA = np.array([0.05, 0.05, np.deg2rad(1.0)])
 
@@ -58,6 +58,7 @@ def read(path: Path) -> Log:
             np.full(count, _SIGMA_BEARING_RAD),
             np.full(count, NO_LANDMARK),
             seen["diameter"],
+            needs_confirmation=True,
         )
     positions = None
     if (path / "gps.dat").is_file():

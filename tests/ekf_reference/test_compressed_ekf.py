@@ -1,0 +1,178 @@
+"""The compressed filter is the full filter; its suboptimal form is conservative."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from comparisons.checks.agreement import eigenvalue_range
+from comparisons.logs.bundled import open_log
+from comparisons.logs.log import Log
+from comparisons.runs.ekf_build import EkfChoices, build_ekf
+from comparisons.runs.ekf_run import EkfRun, run_ekf
+from comparisons.runs.smoother_run import run_frozen_recorded
+from comparisons.runs.timeline import build_timeline
+from ekf_reference.compressed_ekf import CompressedEkf, CompressedState, LocalAreas
+from ekf_reference.full_ekf import FullEkf
+from ekf_reference.kalman import Array, Correction, Index
+from tests.helpers import random_covariance, relative_error, simulated
+
+SMALL = LocalAreas(half_m=8.0, reach_m=12.0)
+
+
+def run(log: Log, areas: LocalAreas | None, association: str | None = None) -> EkfRun:
+    """The full filter for None, else the compressed one with these areas."""
+    choices = EkfChoices("full", association).settle(log)
+    if areas is None:
+        return run_ekf(log, build_timeline(log), choices)
+
+    def compress(ekf: FullEkf) -> None:
+        ekf.state = CompressedState(log.prior.pose, log.prior.covariance, areas)
+
+    return run_ekf(log, build_timeline(log), choices, modify=compress)
+
+
+def assert_equal(first: EkfRun, second: EkfRun) -> None:
+    """Means to 1e-9 of their size and covariances to 1e-9 of theirs, entry by entry in sigmas."""
+    assert np.array_equal(first.slot, second.slot)
+    p, q = first.estimate.joint_covariance, second.estimate.joint_covariance
+    sigma = np.sqrt(np.diag(q))
+    assert np.max(np.abs(p - q) / np.outer(sigma, sigma)) < 1e-9
+    assert relative_error(first.estimate.joint_mean, second.estimate.joint_mean) < 1e-9
+    assert relative_error(first.estimate.pose, second.estimate.pose) < 1e-9
+
+
+@pytest.mark.parametrize("association", ["known", "nn"])
+def test_equals_the_full_filter_in_simulation(association: str) -> None:
+    log = simulated(seed=1, loops=2)
+    compressed = run(log, SMALL, association)
+    assert_equal(compressed, run(log, None, association))
+
+
+@pytest.mark.parametrize("name", ["acfr_car_park", "mrclam/MRCLAM_Dataset6"])
+def test_equals_the_full_filter_on_real_logs(name: str, shared_data: Path) -> None:
+    log = open_log(str(shared_data / name))
+    assert_equal(run(log, LocalAreas(2.0, 4.0)), run(log, None))
+
+
+def test_equals_the_full_filter_on_victoria_park() -> None:
+    log = open_log("victoria-park")
+    assert_equal(run(log, SMALL), run(log, None))
+
+
+def test_areas_are_left_and_landmarks_added_inside() -> None:
+    log = simulated(seed=1)
+    ekf = build_ekf(log, EkfChoices("compressed", "known"), NullRecorder())
+    assert isinstance(ekf, CompressedEkf)
+    assert isinstance(ekf.state, CompressedState)
+    states: list[CompressedState] = []
+
+    def compress(filter_: FullEkf) -> None:
+        states.append(CompressedState(log.prior.pose, log.prior.covariance, SMALL))
+        filter_.state = states[0]
+
+    run_ekf(log, build_timeline(log), EkfChoices("full", "known"), modify=compress)
+    updates = states[0].updates
+    assert len(updates) > 10
+    assert max(u.passive for u in updates) > 80
+    assert max(u.active for u in updates) < 60
+    assert all(u.spared == 0 for u in updates)
+
+
+def test_reading_the_state_midway_changes_nothing() -> None:
+    log = simulated(seed=2, loop_s=40.0)
+    quiet = run(log, SMALL, "known")
+
+    def watched(ekf: FullEkf) -> None:
+        class Watched(CompressedState):
+            def predict(
+                self, pose: np.ndarray, jacobian_pose: np.ndarray, noise: np.ndarray
+            ) -> None:
+                super().predict(pose, jacobian_pose, noise)
+                assert np.all(np.isfinite(self.mean))
+                assert np.array_equal(self.mean[:3], self.pose)
+
+        ekf.state = Watched(log.prior.pose, log.prior.covariance, SMALL)
+
+    read = run_ekf(log, build_timeline(log), EkfChoices("full", "known"), modify=watched)
+    assert_equal(read, quiet)
+
+
+@pytest.mark.parametrize("defect", ["psi", "phi", "theta"])
+def test_the_equality_rejects_a_broken_recursion(defect: str) -> None:
+    """Forgetting psi, theta, or the update of phi is seen."""
+    log = simulated(seed=1)
+
+    class Broken(CompressedState):
+        def update(
+            self, columns: Index, jacobian: Array, innovation: Array, noise: Array
+        ) -> Correction:
+            kept = self._phi.copy()
+            done = super().update(columns, jacobian, innovation, noise)
+            if defect == "psi":
+                self._psi[:] = 0.0
+            elif defect == "theta":
+                self._theta[:] = 0.0
+            else:
+                self._phi = kept
+            return done
+
+    def plant(ekf: FullEkf) -> None:
+        ekf.state = Broken(log.prior.pose, log.prior.covariance, SMALL)
+
+    broken = run_ekf(log, build_timeline(log), EkfChoices("full", "known"), modify=plant)
+    with pytest.raises(AssertionError):
+        assert_equal(broken, run(log, None, "known"))
+
+
+@pytest.mark.parametrize("c1", [1e-4, 1e-2])
+def test_suboptimal_update_is_conservative_and_nearly_free(c1: float) -> None:
+    """P* - P is positive semidefinite (Guivant 2002, eq. 23), and small for the paper's c1.
+
+    P is that of the same linear equations solved exactly, from the filter's own trace.
+    """
+    log = simulated(seed=3, loops=2)
+    states: list[CompressedState] = []
+
+    def plant(ekf: FullEkf) -> None:
+        areas = LocalAreas(8.0, 12.0, c1)
+        states.append(CompressedState(log.prior.pose, log.prior.covariance, areas))
+        ekf.state = states[0]
+
+    spared = run_ekf(log, build_timeline(log), EkfChoices("full", "known"), modify=plant)
+    exact = run_frozen_recorded(log, spared)
+    low, high = eigenvalue_range(spared.estimate.joint_covariance, exact.covariance)
+    assert sum(u.spared for u in states[0].updates) > 0
+    assert max(u.saved for u in states[0].updates) > 0.1
+    assert low > 1.0 - 1e-8
+    assert high > 1.0 + 1e-6  # it is an approximation indeed
+    if c1 == 1e-4:
+        sigma = np.sqrt(np.diag(exact.covariance))
+        assert np.max(np.diag(spared.estimate.joint_covariance) / sigma**2) < 1.01
+        assert np.max(np.abs(spared.estimate.joint_mean - exact.mean) / sigma) < 0.05
+
+
+def test_sparing_the_cross_covariance_too_would_not_be_conservative() -> None:
+    """The broken variant: P12 left alone with P22; the check of eigenvalues rejects it."""
+    rng = np.random.default_rng(0)
+    p = random_covariance(rng, 8)
+    h = rng.standard_normal((2, 8))
+    delta = p @ h.T @ np.linalg.solve(h @ p @ h.T + np.eye(2), h @ p)
+    spared, wrong = p - delta, p - delta
+    spared[4:, 4:] = p[4:, 4:]
+    wrong[4:, :] = p[4:, :]
+    wrong[:, 4:] = p[:, 4:]
+    assert eigenvalue_range(spared, p - delta)[0] > 1.0 - 1e-12
+    assert np.linalg.eigvalsh(wrong - (p - delta))[0] < -1e-3
+
+
+class NullRecorder:
+    """A trace that forgets."""
+
+    def prediction(self, *record: np.ndarray) -> None: ...
+
+    def update(self, *record: np.ndarray) -> None: ...
+
+    def augmentation(self, *record: np.ndarray) -> None: ...
