@@ -16,6 +16,7 @@ from comparisons.errors import InputError
 if TYPE_CHECKING:
     from comparisons.compare import Progress
     from comparisons.logs.log import Log
+    from comparisons.runs.ekf_build import EkfChoices
 
 AGREE, DISAGREE, UNUSABLE, UNPROVEN = 0, 1, 2, 3
 
@@ -68,6 +69,10 @@ def run(
             help="The log's labels, nearest neighbour, joint compatibility, or distance in metres.",
         ),
     ] = None,
+    gps: Annotated[
+        str,
+        typer.Option(metavar="off|on|half", help="Fuse positions; half holds every second back."),
+    ] = "off",
     robot: RobotOption = 1,
     seed: SeedOption = 0,
     loops: LoopsOption = 1,
@@ -85,15 +90,16 @@ def run(
     with _one_line_errors():
         import time
 
+        from comparisons.runs.ekf_build import EkfChoices
+
         start = time.perf_counter()
         source = _open(log, format_name, robot, seed, loops, noise_scale)
         read_s = time.perf_counter() - start
-        raise SystemExit(_run(source, filter_name, association, out, read_s))
+        choices = EkfChoices(filter_name, association, gps)
+        raise SystemExit(_run(source, choices, out, read_s))
 
 
-def _run(
-    log: Log, filter_name: str, association: str | None, out: Path | None, read_s: float
-) -> int:
+def _run(log: Log, choices: EkfChoices, out: Path | None, read_s: float) -> int:
     from rich.console import Console
 
     from comparisons.atomic import check_replaceable
@@ -101,12 +107,10 @@ def _run(
     from comparisons.report.result import build_result
     from comparisons.report.run_folder import MARK, write_run_folder
     from comparisons.report.summary import print_summary
-    from comparisons.runs.ekf_build import EkfChoices
 
     folder = out or Path(f"slamcheck-{log.name}")
     check_replaceable(folder, MARK)
     with _progress() as progress:
-        choices = EkfChoices(filter_name, association)
         comparison = compare_estimators(log, choices, progress)
         result = build_result(comparison, read_s)
         progress("report", 0, 0)

@@ -5,14 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from comparisons.checks.accuracy import Accuracy, assess
 from comparisons.checks.agreement import Agreement, Gaussian, compare
 from comparisons.checks.attribution import Verdict, judge
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
-from comparisons.runs.ekf_build import EkfChoices
+from comparisons.runs.ekf_build import EkfChoices, fused_positions, judging_positions
 from comparisons.runs.ekf_run import EkfRun, run_ekf
 from comparisons.runs.estimate import Estimate
 from comparisons.runs.smoother_run import (
@@ -60,9 +60,10 @@ def compare_estimators(
     """
     chosen = (choices or EkfChoices()).settle(log)
     clock = _Clock()
-    timeline = build_timeline(log)
+    positions = fused_positions(log, chosen)
+    timeline = build_timeline(log, positions)
     with clock.stage("ekf"):
-        run = run_ekf(log, timeline, chosen, lambda k, n: progress("EKF", k, n), modify)
+        run = run_ekf(log, timeline, chosen, positions, lambda k, n: progress("EKF", k, n), modify)
     if not len(run.estimate.landmark):
         raise InputError(f"{log.name}: no sighting could be used, so there is no map to compare")
     problem = build_problem(log, run)
@@ -80,6 +81,7 @@ def compare_estimators(
             _gaussian(run.estimate), Gaussian(*recorded), Gaussian(*own), _gaussian(smoothed)
         )
         labelled = chosen.association == "known"
+        judged = replace(log, positions=judging_positions(log, chosen))
         return Comparison(
             log,
             chosen,
@@ -87,8 +89,8 @@ def compare_estimators(
             result,
             smoothed,
             agreement,
-            assess(run.estimate, log, labelled=labelled),
-            assess(smoothed, log, labelled=labelled),
+            assess(run.estimate, judged, labelled=labelled),
+            assess(smoothed, judged, labelled=labelled),
             judge(agreement, result.proof, run, conservative=chosen.conservative),
             clock.seconds,
         )

@@ -8,6 +8,13 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ekf_reference.absolute_updates import (
+    NO_LANDMARKS,
+    POSE_COLUMNS,
+    Linearised,
+    PositionFixes,
+    Steps,
+)
 from ekf_reference.association import Association, MappedState, Slots
 from ekf_reference.kalman import Array, Correction, Index, KalmanState, state_columns
 from ekf_reference.motion import MotionModel
@@ -83,7 +90,11 @@ class FilterState(MappedState, Protocol):
 
 
 class FullEkf:
-    """Predict, associate, update, augment. Public attributes are its parts; all can be replaced."""
+    """Predict, associate, update, augment. Public attributes are its parts; all can be replaced.
+
+    steps: bounds beyond which one update is split; without bounds by default.
+    fixes: how absolute positions are fused.
+    """
 
     def __init__(
         self,
@@ -98,10 +109,13 @@ class FullEkf:
         self.motion = motion
         self.association = association
         self.observation = RangeBearing()
+        self.steps = Steps()
+        self.fixes = PositionFixes()
         self.stabilisation = stabilisation or Stabilisation()
         self.trace: Trace = trace or NullTrace()
         self.state: FilterState = KalmanState(prior_pose, prior_covariance)
         self._sightings_seen = 0
+        self._fixes_seen = 0
 
     def predict(self, control: Array, covariance: Array, duration_s: float) -> None:
         """Move under a control (m,) with covariance (m, m) for a time (Nieto 2005, 2.32, 2.36)."""
@@ -135,26 +149,49 @@ class FullEkf:
         self._sightings_seen += len(slots)
         return slots
 
+    def fix_position(self, z: Array, covariance: Array) -> bool:
+        """Fuse an absolute position (2,) with covariance (2, 2); False when the gate rejects it."""
+        number, self._fixes_seen = self._fixes_seen, self._fixes_seen + 1
+
+        def linearise() -> Linearised:
+            return self.fixes.linearise(self.state.map_of(NO_LANDMARKS), z)
+
+        if not self.fixes.accepts(linearise(), covariance):
+            return False
+        for weight, at in self.fixes.steps.split(linearise, covariance):
+            noise = covariance / weight
+            self.state.update(POSE_COLUMNS, at.jacobian, at.innovation, noise)
+            self.trace.position(number, at.local.pose, at.innovation, at.jacobian, noise, weight)
+        return True
+
     def _update(self, chosen: NDArray[np.bool_], slots: Slots, z: Array, noise: Array) -> None:
         rows = np.flatnonzero(chosen)
         if not len(rows):
             return
         slot, r = slots[rows], noise[rows]
-        pose, landmarks = self.state.pose, self.state.landmark(slot)
-        predicted = self.observation.predict(pose, landmarks)
-        innovation = self.observation.innovation(z[rows], predicted.z)
-        columns, jacobian = stack(slot, predicted.jacobian_pose, predicted.jacobian_landmark)
-        self.state.update(columns, jacobian, innovation.ravel(), block_diagonal(r))
-        self.trace.update(
-            self._sightings_seen + rows,
-            slot,
-            pose,
-            landmarks,
-            innovation,
-            predicted.jacobian_pose,
-            predicted.jacobian_landmark,
-            r,
-        )
+        stacked = block_diagonal(r)
+        for weight, at in self.steps.split(lambda: self._linearise(slot, z[rows]), stacked):
+            self.state.update(state_columns(slot), at.jacobian, at.innovation, stacked / weight)
+            blocks = at.jacobian.reshape(len(slot), 2, -1)
+            which = np.arange(len(slot))[:, None]
+            self.trace.update(
+                self._sightings_seen + rows,
+                slot,
+                at.local.pose,
+                at.local.landmark,
+                at.innovation.reshape(-1, 2),
+                blocks[:, :, :3],
+                blocks[which, :, 3 + 2 * which + (0, 1)].transpose(0, 2, 1),
+                r / weight,
+                weight,
+            )
+
+    def _linearise(self, slot: Slots, z: Array) -> Linearised:
+        local = self.state.map_of(slot)
+        predicted = self.observation.predict(local.pose, local.landmark)
+        innovation = self.observation.innovation(z, predicted.z)
+        _, jacobian = stack(slot, predicted.jacobian_pose, predicted.jacobian_landmark)
+        return Linearised(local, jacobian, innovation.ravel())
 
     def _augment(self, chosen: NDArray[np.bool_], slots: Slots, z: Array, noise: Array) -> None:
         rows = np.flatnonzero(chosen)

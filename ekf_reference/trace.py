@@ -33,8 +33,12 @@ class Trace(Protocol):
         h_pose: Array,
         h_landmark: Array,
         noise: Array,
+        weight: float,
     ) -> None:
-        """Sightings fused together (m): innovation = H (x - point) + v, v ~ N(0, R)."""
+        """Sightings fused together (m): innovation = H (x - point) + v, v ~ N(0, noise).
+
+        noise is R / weight; weights of the parts of one observation add up to one.
+        """
         ...
 
     def augmentation(
@@ -50,6 +54,18 @@ class Trace(Protocol):
         """New landmarks (m): l = landmark + G_x (x - pose) + G_z v, v ~ N(0, R)."""
         ...
 
+    def position(
+        self,
+        number: int,
+        pose: Array,
+        innovation: Array,
+        h_pose: Array,
+        noise: Array,
+        weight: float,
+    ) -> None:
+        """A position fix or a part of it: innovation = H (x - pose) + v, v ~ N(0, R / weight)."""
+        ...
+
 
 class NullTrace:
     """Keeps nothing."""
@@ -57,10 +73,13 @@ class NullTrace:
     def prediction(self, *record: Array) -> None:
         """Discard."""
 
-    def update(self, *record: Array | Index) -> None:
+    def update(self, *record: Array | Index | float) -> None:
         """Discard."""
 
     def augmentation(self, *record: Array | Index) -> None:
+        """Discard."""
+
+    def position(self, *record: Array | float) -> None:
         """Discard."""
 
 
@@ -71,7 +90,8 @@ class SightingRecords:
     step: (M,) predictions made before. sighting: (M,) number in the order of arrival, from 0.
     slot: (M,) landmark's place in the map. pose: (M, 3) and landmark: (M, 2), the points of
     linearisation. innovation: (M, 2), zero for augmentations. jacobian_pose: (M, 2, 3), H_v or
-    G_x. jacobian_other: (M, 2, 2), H_l or G_z. noise: (M, 2, 2), R.
+    G_x. jacobian_other: (M, 2, 2), H_l or G_z. noise: (M, 2, 2), R / weight. weight: (M,), one
+    but for observations that were fused in parts.
     """
 
     step: Index
@@ -83,6 +103,25 @@ class SightingRecords:
     jacobian_pose: Array
     jacobian_other: Array
     noise: Array
+    weight: Array
+
+
+@dataclass(frozen=True)
+class PositionRecords:
+    """G position fixes, or parts of them.
+
+    step: (G,) predictions made before. number: (G,) in the order of arrival, from 0. pose:
+    (G, 3), the point of linearisation. innovation: (G, 2). jacobian_pose: (G, 2, 3). noise:
+    (G, 2, 2), R / weight. weight: (G,).
+    """
+
+    step: Index
+    number: Index
+    pose: Array
+    innovation: Array
+    jacobian_pose: Array
+    noise: Array
+    weight: Array
 
 
 @dataclass(frozen=True)
@@ -90,6 +129,7 @@ class TraceArrays:
     """A finished trace.
 
     departed, arrived: (N, 3) poses. f, q: (N, 3, 3). updates, augmentations: sightings.
+    positions: absolute fixes.
     """
 
     departed: Array
@@ -98,6 +138,7 @@ class TraceArrays:
     q: Array
     updates: SightingRecords
     augmentations: SightingRecords
+    positions: PositionRecords
 
 
 @dataclass
@@ -105,13 +146,16 @@ class _Sightings:
     step: list[int] = field(default_factory=list)
     rows: list[tuple[Array | Index, ...]] = field(default_factory=list)
 
-    def add(self, step: int, sighting: Index, slot: Index, pose: Array, *rest: Array) -> None:
+    def add(
+        self, step: int, weight: float, sighting: Index, slot: Index, pose: Array, *rest: Array
+    ) -> None:
         count = len(slot)
         self.step += [step] * count
-        self.rows.append((sighting, slot, np.broadcast_to(pose, (count, 3)), *rest))
+        weights = np.full(count, weight)
+        self.rows.append((sighting, slot, np.broadcast_to(pose, (count, 3)), *rest, weights))
 
     def finish(self) -> SightingRecords:
-        shapes = ((0,), (0,), (0, 3), (0, 2), (0, 2), (0, 2, 3), (0, 2, 2), (0, 2, 2))
+        shapes = ((0,), (0,), (0, 3), (0, 2), (0, 2), (0, 2, 3), (0, 2, 2), (0, 2, 2), (0,))
         columns = [np.concatenate(c) for c in zip(*self.rows, strict=True)] or [
             np.zeros(shape, dtype=np.intp if i < 2 else float) for i, shape in enumerate(shapes)
         ]
@@ -126,6 +170,7 @@ class RecordedTrace:
         self._steps: list[tuple[Array, Array, Array, Array]] = []
         self._updates = _Sightings()
         self._augmentations = _Sightings()
+        self._positions: list[tuple[int, int, Array, Array, Array, Array, float]] = []
 
     def prediction(self, departed: Array, arrived: Array, f: Array, q: Array) -> None:
         """Keep one step."""
@@ -141,11 +186,11 @@ class RecordedTrace:
         h_pose: Array,
         h_landmark: Array,
         noise: Array,
+        weight: float,
     ) -> None:
         """Keep one stacked update."""
-        self._updates.add(
-            len(self._steps), sighting, slot, pose, landmark, innovation, h_pose, h_landmark, noise
-        )
+        where = (len(self._steps), weight, sighting, slot, pose, landmark)
+        self._updates.add(*where, innovation, h_pose, h_landmark, noise)
 
     def augmentation(
         self,
@@ -159,9 +204,21 @@ class RecordedTrace:
     ) -> None:
         """Keep one augmentation."""
         nothing = np.zeros((len(slot), 2))
-        self._augmentations.add(
-            len(self._steps), sighting, slot, pose, landmark, nothing, g_pose, g_sighting, noise
-        )
+        where = (len(self._steps), 1.0, sighting, slot, pose, landmark)
+        self._augmentations.add(*where, nothing, g_pose, g_sighting, noise)
+
+    def position(
+        self,
+        number: int,
+        pose: Array,
+        innovation: Array,
+        h_pose: Array,
+        noise: Array,
+        weight: float,
+    ) -> None:
+        """Keep one fix or a part of it."""
+        record = (len(self._steps), number, pose, innovation, h_pose, noise, weight)
+        self._positions.append(record)
 
     def arrays(self) -> TraceArrays:
         """Everything so far, stacked."""
@@ -175,4 +232,20 @@ class RecordedTrace:
             q.reshape(n, 3, 3),
             self._updates.finish(),
             self._augmentations.finish(),
+            self._finish_positions(),
+        )
+
+    def _finish_positions(self) -> PositionRecords:
+        count = len(self._positions)
+        step, number, pose, innovation, h_pose, noise, weight = (
+            zip(*self._positions, strict=True) if count else ((),) * 7
+        )
+        return PositionRecords(
+            np.array(step, dtype=np.intp),
+            np.array(number, dtype=np.intp),
+            np.array(pose).reshape(count, 3),
+            np.array(innovation).reshape(count, 2),
+            np.array(h_pose).reshape(count, 2, 3),
+            np.array(noise).reshape(count, 2, 2),
+            np.array(weight, dtype=float),
         )

@@ -9,7 +9,7 @@ State: pose nodes, then landmarks; unknowns are the additive global errors aroun
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -50,6 +50,21 @@ class LinearSightings:
 
 
 @dataclass(frozen=True)
+class LinearPositions:
+    """G relations residual = jacobian_pose (x - point_pose) + v.
+
+    step: (G,) motion steps before each. point_pose: (G, 3). residual: (G, 2). jacobian_pose:
+    (G, 2, 3). covariance: (G, 2, 2) of v.
+    """
+
+    step: Index
+    point_pose: Array
+    residual: Array
+    jacobian_pose: Array
+    covariance: Array
+
+
+@dataclass(frozen=True)
 class LinearMotion:
     """N relations x' = arrived + f (x - departed) + w, w ~ N(0, q), one after the other.
 
@@ -64,17 +79,24 @@ class LinearMotion:
 
 @dataclass(frozen=True)
 class FrozenPoints:
-    """Where the filter linearised this package's factors, for K poses and M sightings.
+    """Where the filter linearised this package's factors, for K poses.
 
     departed: (K, 3) pose when motion left it; for the last, the filter's final pose.
     arrived: (K, 3) pose predicted on arrival; for the first, the prior.
-    sighting_pose: (M, 3) and sighting_landmark: (M, 2).
+    For R uses of sightings, a sighting fused in parts counting once a part: sighting: (R,) row in
+    the problem, sighting_weight: (R,) share of its information, sighting_pose: (R, 3) and
+    sighting_landmark: (R, 2). For positions alike: position, position_weight, position_pose.
     """
 
     departed: Array
     arrived: Array
+    sighting: Index
+    sighting_weight: Array
     sighting_pose: Array
     sighting_landmark: Array
+    position: Index
+    position_weight: Array
+    position_pose: Array
 
 
 def solve_recorded(
@@ -82,6 +104,7 @@ def solve_recorded(
     prior_covariance: Array,
     motion: LinearMotion,
     sightings: LinearSightings,
+    positions: LinearPositions,
     final_pose: Array,
     landmarks: Array,
 ) -> Marginal:
@@ -90,7 +113,7 @@ def solve_recorded(
     final_pose: (3,) and landmarks: (L, 2), the filter's result, serve as reference only: they
     set where the unknowns are zero, not what the equations say.
     """
-    nodes = np.unique(np.concatenate(([0], sightings.step, [len(motion.f)])))
+    nodes = np.unique(np.concatenate(([0], sightings.step, positions.step, [len(motion.f)])))
     reference = np.vstack((motion.departed, final_pose))[nodes]
     chain = _compose(motion, nodes)
     factors = _Factors(len(nodes), len(landmarks))
@@ -125,6 +148,11 @@ def solve_recorded(
         _whiten(root, h_landmark),
         _whiten(root, constant),
     )
+    node = np.searchsorted(nodes, positions.step)
+    root = np.linalg.cholesky(positions.covariance)
+    offset = positions.point_pose - reference[node]
+    constant = positions.residual + np.einsum("nij,nj->ni", positions.jacobian_pose, offset)
+    factors.add_positions(node, _whiten(root, positions.jacobian_pose), _whiten(root, constant))
     return factors.solve(reference[-1], landmarks)
 
 
@@ -135,8 +163,13 @@ def solve_own_factors(problem: SlamProblem, points: FrozenPoints, landmarks: Arr
     filter did; gtsam's tangents are then turned into additive global errors, and the copies of a
     variable are joined again. landmarks: (L, 2) reference, as in solve_recorded.
     """
-    k, m = problem.pose_count, len(problem.z)
+    k, m = problem.pose_count, len(points.sighting)
     moves = k - 1
+    used = replace(
+        problem,
+        z=problem.z[points.sighting],
+        sigma=problem.sigma[points.sighting] / np.sqrt(points.sighting_weight)[:, None],
+    )
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     graph.push_back(prior_factor(0, problem))
     values.insert(0, gtsam.Pose2(*problem.prior_pose))
@@ -149,7 +182,7 @@ def solve_own_factors(problem: SlamProblem, points: FrozenPoints, landmarks: Arr
         values.insert(key, gtsam.Pose2(*departed))
         values.insert(key + 1, gtsam.Pose2(*arrived))
     first = list(range(1 + 2 * moves, 1 + 2 * moves + 2 * m, 2))
-    for sighting in sighting_factors(first, [key + 1 for key in first], problem):
+    for sighting in sighting_factors(first, [key + 1 for key in first], used):
         graph.push_back(sighting)
     for key, pose, landmark in zip(
         first, points.sighting_pose.tolist(), points.sighting_landmark, strict=True
@@ -178,7 +211,8 @@ def solve_own_factors(problem: SlamProblem, points: FrozenPoints, landmarks: Arr
     motion = block((moved, seen), (3, 3 + 6 * moves), 3, 6)
     sightings = block((seen, seen + 2 * m), (3 + 6 * moves, width), 2, 5)
 
-    reference, node = points.departed, problem.sighting_pose
+    reference, node = points.departed, problem.sighting_pose[points.sighting]
+    slot = problem.sighting_landmark[points.sighting]
     factors = _Factors(k, problem.landmark_count)
     a = prior[:, :3] @ to_tangent(problem.prior_pose[2:3])[0]
     factors.add_prior(a, prior[:, 3] + a @ (problem.prior_pose - reference[0]))
@@ -189,10 +223,29 @@ def solve_own_factors(problem: SlamProblem, points: FrozenPoints, landmarks: Arr
     a = sightings[:, :, :3] @ to_tangent(points.sighting_pose[:, 2])
     c = sightings[:, :, 3:5]
     offset = np.einsum("nij,nj->ni", a, points.sighting_pose - reference[node]) + np.einsum(
-        "nij,nj->ni", c, points.sighting_landmark - landmarks[problem.sighting_landmark]
+        "nij,nj->ni", c, points.sighting_landmark - landmarks[slot]
     )
-    factors.add_sightings(node, problem.sighting_landmark, a, c, sightings[:, :, 5] + offset)
+    factors.add_sightings(node, slot, a, c, sightings[:, :, 5] + offset)
+    _add_positions(factors, problem, points)
     return factors.solve(reference[-1], landmarks)
+
+
+def _add_positions(factors: _Factors, problem: SlamProblem, points: FrozenPoints) -> None:
+    """Position fixes, in closed form: the antenna is at p + R lever."""
+    forward, left = problem.lever_m
+    cos, sin = np.cos(points.position_pose[:, 2]), np.sin(points.position_pose[:, 2])
+    arm = np.column_stack((cos * forward - sin * left, sin * forward + cos * left))
+    jacobian = np.zeros((len(arm), 2, 3))
+    jacobian[:, 0, 0] = jacobian[:, 1, 1] = 1.0
+    jacobian[:, 0, 2], jacobian[:, 1, 2] = -arm[:, 1], arm[:, 0]
+    node = problem.position_pose[points.position]
+    residual = problem.position[points.position] - points.position_pose[:, :2] - arm
+    residual = residual + np.einsum(
+        "nij,nj->ni", jacobian, points.position_pose - points.departed[node]
+    )
+    covariance = problem.position_covariance[points.position]
+    root = np.linalg.cholesky(covariance / points.position_weight[:, None, None])
+    factors.add_positions(node, _whiten(root, jacobian), _whiten(root, residual))
 
 
 class _Factors:
@@ -216,6 +269,10 @@ class _Factors:
         poses, points = (POSE_KEY + node).tolist(), (LANDMARK_KEY + slot).tolist()
         for pose, point, a_k, c_k, b_k in zip(poses, points, a, c, b, strict=True):
             add(factor(pose, a_k, point, c_k, b_k, unit))
+
+    def add_positions(self, node: Index, a: Array, b: Array) -> None:
+        for pose, a_k, b_k in zip((POSE_KEY + node).tolist(), a, b, strict=True):
+            self._graph.push_back(gtsam.JacobianFactor(pose, a_k, b_k, self._unit[2]))
 
     def solve(self, last_pose: Array, landmarks: Array) -> Marginal:
         """The marginal, its mean in absolute coordinates around the reference given."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import gtsam
 import numpy as np
@@ -23,6 +23,8 @@ class SlamProblem:
     increment: (K-1, 3) from pose k to k+1 in the frame of k; increment_covariance: (K-1, 3, 3)
     of the right perturbation (frame of k+1).
     sighting_pose, sighting_landmark: (M,) indices. z: (M, 2) range and bearing; sigma: (M, 2).
+    position_pose: (G,) indices. position: (G, 2) of an antenna at `lever_m` (forward, left) of
+    the pose, with position_covariance: (G, 2, 2).
     """
 
     prior_pose: Array
@@ -34,6 +36,10 @@ class SlamProblem:
     z: Array
     sigma: Array
     landmark_count: int
+    position_pose: Index = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    position: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    position_covariance: Array = field(default_factory=lambda: np.zeros((0, 2, 2)))
+    lever_m: tuple[float, float] = (0.0, 0.0)
 
     @property
     def pose_count(self) -> int:
@@ -43,7 +49,7 @@ class SlamProblem:
     @property
     def residual_dimension(self) -> int:
         """Scalar measurements, the prior's three included."""
-        return 3 * self.pose_count + 2 * len(self.z)
+        return 3 * self.pose_count + 2 * len(self.z) + 2 * len(self.position)
 
     @property
     def state_dimension(self) -> int:
@@ -53,6 +59,7 @@ class SlamProblem:
     def prefix(self, pose_count: int) -> SlamProblem:
         """The same problem up to its first `pose_count` poses; landmark numbers are kept."""
         inside = self.sighting_pose < pose_count
+        fixed = self.position_pose < pose_count
         return SlamProblem(
             self.prior_pose,
             self.prior_covariance,
@@ -63,6 +70,10 @@ class SlamProblem:
             self.z[inside],
             self.sigma[inside],
             self.landmark_count,
+            self.position_pose[fixed],
+            self.position[fixed],
+            self.position_covariance[fixed],
+            self.lever_m,
         )
 
 
@@ -102,6 +113,28 @@ def sighting_factors(
     ]
 
 
+def position_factor(
+    key: int, z: Array, covariance: Array, lever_m: tuple[float, float]
+) -> gtsam.NonlinearFactor:
+    """An absolute position (2,) of the antenna; our own factor only where there is a lever arm."""
+    noise = gtsam.noiseModel.Gaussian.Covariance(covariance)
+    if lever_m == (0.0, 0.0):
+        return gtsam.PoseTranslationPrior2D(key, z, noise)
+
+    def error(
+        factor: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None
+    ) -> Array:
+        pose = values.atPose2(key)
+        rotation = pose.rotation().matrix()
+        if jacobians is not None:  # in the pose's tangent: the antenna moves by v + w x lever
+            swing = np.array([[1.0, 0.0, -lever_m[1]], [0.0, 1.0, lever_m[0]]])
+            jacobians[0] = np.asfortranarray(rotation @ swing)
+        difference: Array = pose.translation() + rotation @ np.array(lever_m) - z
+        return difference
+
+    return gtsam.CustomFactor(noise, [key], error)
+
+
 def build_graph(problem: SlamProblem) -> gtsam.NonlinearFactorGraph:
     """The graph of the whole problem; pose k has key POSE_KEY + k, landmark j LANDMARK_KEY + j."""
     graph = gtsam.NonlinearFactorGraph()
@@ -115,6 +148,13 @@ def build_graph(problem: SlamProblem) -> gtsam.NonlinearFactorGraph:
         problem,
     ):
         graph.push_back(sighting)
+    for key, z, covariance in zip(
+        (POSE_KEY + problem.position_pose).tolist(),
+        problem.position,
+        problem.position_covariance,
+        strict=True,
+    ):
+        graph.push_back(position_factor(key, z, covariance, problem.lever_m))
     return graph
 
 

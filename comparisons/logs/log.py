@@ -169,14 +169,23 @@ class Sightings:
 
 @dataclass(frozen=True)
 class Positions:
-    """Absolute positions, such as GPS. time_s: (N,). position_m: (N, 2). covariance: (N, 2, 2)."""
+    """Absolute positions, such as GPS.
+
+    time_s: (N,). position_m: (N, 2) of the antenna. covariance: (N, 2, 2). antenna_m: where the
+    antenna is, forward and left of the pose that the log estimates.
+    """
 
     time_s: Array
     position_m: Array
     covariance: Array
+    antenna_m: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         """Check the stream."""
+        antenna = tuple(float(value) for value in self.antenna_m)
+        if len(antenna) != 2 or not np.isfinite(antenna).all():
+            raise InputError(f"positions: antenna_m is {self.antenna_m}, expected two numbers")
+        object.__setattr__(self, "antenna_m", antenna)
         check(self, "positions", rows="time_s", position_m=(2,), covariance=(2, 2))
         increasing("positions", self.time_s)
         positive_definite("positions", self.covariance)

@@ -84,7 +84,7 @@ def read_log_folder(folder: Path) -> Log:
             Prior(meta.prior.time_s, np.array(meta.prior.pose), np.array(meta.prior.covariance)),
             _read_odometry(folder / "odometry.csv", meta),
             sightings,
-            _read_positions(folder / "positions.csv"),
+            _read_positions(folder / "positions.csv", meta.positions.antenna_m),
             _read_landmarks(folder / "known_landmarks.csv"),
             _read_sightings(folder / "known_sightings.csv"),
             _read_scans(folder / "scans.npz"),
@@ -203,12 +203,13 @@ def _write_sightings(path: Path, s: Sightings) -> None:
     _write_csv(path, _SIGHTINGS, *columns)
 
 
-def _read_positions(path: Path) -> Positions | None:
+def _read_positions(path: Path, antenna_m: tuple[float, float]) -> Positions | None:
     if not path.exists():
         return None
     table = Table(path, _POSITIONS, comma=True, header=True)
     with table.locating():
-        return Positions(table["time_s"], table.data[:, 1:3], _symmetric(table.data[:, 3:]))
+        covariance = _symmetric(table.data[:, 3:])
+        return Positions(table["time_s"], table.data[:, 1:3], covariance, antenna_m)
 
 
 def _read_landmarks(path: Path) -> Landmarks | None:

@@ -68,6 +68,12 @@ class SightingsModel(_Model):
     needs_confirmation: bool = False
 
 
+class PositionsModel(_Model):
+    """Where the antenna is: forward and left of the pose."""
+
+    antenna_m: tuple[float, float] = (0.0, 0.0)
+
+
 class LogModel(_Model):
     """The whole file."""
 
@@ -78,6 +84,7 @@ class LogModel(_Model):
     prior: _PriorModel
     odometry: Annotated[SteeringModel | VelocityModel | RelativeModel, Field(discriminator="kind")]
     sightings: SightingsModel = SightingsModel()
+    positions: PositionsModel = PositionsModel()
     provenance: dict[str, str] = {}
 
 
@@ -122,6 +129,8 @@ def meta_text(log: Log) -> str:
             lines += [f"{name} = {float(value)!r}" for name, value in vars(record).items()]
     lines += ["", "[sightings]", f"label_gate = {log.sightings.label_gate!r}"]
     lines += [f"needs_confirmation = {json.dumps(log.sightings.needs_confirmation)}"]
+    if log.positions is not None:
+        lines += ["", "[positions]", f"antenna_m = {list(log.positions.antenna_m)}"]
     lines += ["", "[provenance]"]
     lines += [f"{json.dumps(k)} = {json.dumps(v)}" for k, v in log.provenance.items()]
     return "\n".join(lines) + "\n"

@@ -32,7 +32,7 @@ def check(
     """
     for f in fields(record):  # type: ignore[arg-type]
         value = getattr(record, f.name)
-        if not isinstance(value, np.ndarray | list | tuple):
+        if not isinstance(value, np.ndarray | list):
             continue
         if f.name in ("id", "landmark"):
             kept: NDArray[np.generic] = np.array(value, dtype=np.int64)

@@ -41,6 +41,9 @@ class EkfResult(_Model):
     rejected: int
     ambiguous: int
     candidate: int
+    gps: str
+    fixes_fused: int
+    fixes_rejected: int
 
 
 class StartResult(_Model):
@@ -164,6 +167,9 @@ def build_result(comparison: Comparison, read_s: float) -> Result:
             association=str(c.choices.association),
             landmarks=len(c.ekf.estimate.landmark),
             **c.ekf.unused,
+            gps=c.choices.gps,
+            fixes_fused=len(c.ekf.fix_number),
+            fixes_rejected=c.ekf.rejected_fixes,
         ),
         smoother=SmootherResult(
             poses=len(c.smoother.poses),

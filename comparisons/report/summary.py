@@ -24,6 +24,8 @@ def print_summary(result: Result, console: Console) -> None:
         f"{ekf.filter}, {ekf.landmarks} landmarks; sightings {ekf.rejected} rejected, "
         f"{ekf.ambiguous} ambiguous, {ekf.candidate} of candidates ({ekf.association})",
     )
+    if ekf.gps != "off":
+        table.add_row("positions", f"{ekf.fixes_fused} fused, {ekf.fixes_rejected} rejected")
     table.add_row(
         "smoother",
         f"{smoother.poses:,} poses, error {smoother.error:.2f}, "

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+from numpy.typing import NDArray
+
 from comparisons.errors import InputError
-from comparisons.logs.log import Log, RelativePoses, SteeringOdometry
+from comparisons.logs.log import Log, Positions, RelativePoses, SteeringOdometry
+from ekf_reference.absolute_updates import PositionFixes, PositionModel
 from ekf_reference.association import (
     Association,
     EuclideanNeighbour,
@@ -21,16 +25,22 @@ from ekf_reference.track_management import TrackManagement
 
 FILTERS = ("full", "compressed", "compressed-suboptimal")
 ASSOCIATIONS = ("known", "nn", "jcbb", "euclidean")
+GPS = ("off", "on", "half")
 LEAST_GAIN = 1e-4
 """c1 of the suboptimal global update, the example of Guivant 2002, eq. 22."""
 
 
 @dataclass(frozen=True)
 class EkfChoices:
-    """What a user may choose. association: None to choose by the log."""
+    """What a user may choose.
+
+    association: None to choose by the log. gps: whether absolute positions are fused: `off`, `on`,
+    or `half` for every second one, the others being held back to judge by.
+    """
 
     filter: str = "full"
     association: str | None = None
+    gps: str = "off"
 
     @property
     def conservative(self) -> bool:
@@ -41,6 +51,10 @@ class EkfChoices:
         """The same with nothing left open. Raises InputError for what the log cannot serve."""
         if self.filter not in FILTERS:
             raise InputError(f"filter '{self.filter}' is unknown, expected {_either(FILTERS)}")
+        if self.gps not in GPS:
+            raise InputError(f"gps '{self.gps}' is unknown, expected {_either(GPS)}")
+        if self.gps != "off" and log.positions is None:
+            raise InputError(f"{log.name}: holds no positions to fuse; use --gps off")
         name = self.association
         if name is None:
             return replace(self, association="known" if log.sightings.labelled else "nn")
@@ -70,9 +84,35 @@ def build_ekf(log: Log, choices: EkfChoices, trace: Trace) -> FullEkf:
     rule = build_association(log, choices)
     common = (motion, rule, prior.pose, prior.covariance, stabilisation, trace)
     if choices.filter == "full":
-        return FullEkf(*common)
-    gain = LEAST_GAIN if choices.filter == "compressed-suboptimal" else 0.0
-    return CompressedEkf(*common, LocalAreas(least_gain=gain))
+        ekf = FullEkf(*common)
+    else:
+        gain = LEAST_GAIN if choices.filter == "compressed-suboptimal" else 0.0
+        ekf = CompressedEkf(*common, LocalAreas(least_gain=gain))
+    if log.positions is not None:
+        ekf.fixes = PositionFixes(PositionModel(log.positions.antenna_m))
+    return ekf
+
+
+def fused_positions(log: Log, choices: EkfChoices) -> Positions | None:
+    """The positions that the estimators are given: within the log's time, in order."""
+    if log.positions is None or choices.gps == "off":
+        return None
+    p = log.positions
+    inside = np.flatnonzero((p.time_s >= log.prior.time_s) & (p.time_s <= log.end_s))
+    return _rows(p, inside[::2] if choices.gps == "half" else inside)
+
+
+def judging_positions(log: Log, choices: EkfChoices) -> Positions | None:
+    """The positions that accuracy is measured against: those held back, if any were."""
+    fused = fused_positions(log, choices)
+    if log.positions is None or fused is None or choices.gps != "half":
+        return log.positions
+    held = ~np.isin(log.positions.time_s, fused.time_s)
+    return _rows(log.positions, np.flatnonzero(held))
+
+
+def _rows(p: Positions, rows: NDArray[np.intp]) -> Positions:
+    return Positions(p.time_s[rows], p.position_m[rows], p.covariance[rows], p.antenna_m)
 
 
 def build_association(log: Log, choices: EkfChoices) -> Association:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.errors import InputError
-from comparisons.logs.log import Log
+from comparisons.logs.log import Log, Positions
 from comparisons.runs.ekf_build import EkfChoices, build_ekf
 from comparisons.runs.estimate import Array, Estimate
 from comparisons.runs.timeline import Timeline
@@ -24,6 +24,8 @@ class EkfRun:
     """An estimate with what the other estimators need of it.
 
     timeline: what the filter was given; when it broke down, only up to there.
+    positions: those that were given. fix_number: (G,) which of them were fused. rejected_fixes:
+    how many the gate rejected.
     slot: (M,) landmark of each of the timeline's sightings, a negative code where unused (see
     ekf_reference.association).
     departed: (K, 3) the pose when each epoch was done. arrived: (K, 3) as predicted there.
@@ -36,6 +38,9 @@ class EkfRun:
     slot: NDArray[np.intp]
     departed: Array
     arrived: Array
+    positions: Positions | None
+    fix_number: NDArray[np.intp]
+    rejected_fixes: int
     breakdown: str | None = None
 
     @property
@@ -49,12 +54,14 @@ def run_ekf(
     log: Log,
     timeline: Timeline,
     choices: EkfChoices,
+    positions: Positions | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
     modify: Callable[[FullEkf], None] = lambda ekf: None,
 ) -> EkfRun:
     """Drive the filter through all epochs, or as far as it comes.
 
-    progress: called with epochs done and in all. modify: may replace parts of the filter before
+    positions: to be fused; the timeline is built with the same. progress: called with epochs done
+    and in all. modify: may replace parts of the filter before
     it starts, which is how defects are planted.
     """
     trace = RecordedTrace()
@@ -68,6 +75,10 @@ def run_ekf(
     departed, arrived = np.empty((epochs, 3)), np.empty((epochs, 3))
     covariance = np.empty((epochs, 3, 3))
     slot = np.full(len(z), REJECTED, dtype=np.intp)
+    first_fix = timeline.positions_until()
+    fix, fix_covariance = (
+        (positions.position_m, positions.covariance) if positions else (np.zeros(0), np.zeros(0))
+    )
     breakdown, done = None, 0
     for k in range(epochs):
         for i in range(done, int(steps[k])):
@@ -84,6 +95,8 @@ def run_ekf(
                 slot[rows] = ekf.observe(
                     z[rows], sigma[rows], seen.landmark[rows], float(timeline.epoch_time_s[k])
                 )
+            for g in range(int(first_fix[k]), int(first_fix[k + 1])):
+                ekf.fix_position(fix[g], fix_covariance[g])
         except FilterDivergedError as error:
             breakdown = f"the EKF broke down at {timeline.epoch_time_s[k]:.3f} s: {error}"
             epochs = k + 1
@@ -113,7 +126,19 @@ def run_ekf(
             "association": str(choices.association),
         },
     )
-    return EkfRun(estimate, timeline, arrays, slot, departed[:epochs], arrived[:epochs], breakdown)
+    fused = np.unique(arrays.positions.number)
+    return EkfRun(
+        estimate,
+        timeline,
+        arrays,
+        slot,
+        departed[:epochs],
+        arrived[:epochs],
+        positions,
+        fused,
+        len(timeline.position_epoch) - len(fused),
+        breakdown,
+    )
 
 
 def _as_used(slot: NDArray[np.intp], trace: TraceArrays) -> NDArray[np.intp]:

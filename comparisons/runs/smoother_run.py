@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from comparisons.logs.log import Log, RelativePoses, SteeringOdometry
 from comparisons.runs.ekf_run import EkfRun
@@ -15,6 +16,7 @@ from graphslam import increments
 from graphslam.frozen import (
     FrozenPoints,
     LinearMotion,
+    LinearPositions,
     LinearSightings,
     solve_own_factors,
     solve_recorded,
@@ -22,6 +24,9 @@ from graphslam.frozen import (
 from graphslam.graph_builder import SlamProblem
 from graphslam.marginals import Marginal
 from graphslam.smoother import SmootherResult, smooth
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 
 
 def build_problem(log: Log, run: EkfRun) -> SlamProblem:
@@ -41,7 +46,17 @@ def build_problem(log: Log, run: EkfRun) -> SlamProblem:
         np.column_stack((seen.range_m, seen.bearing_rad))[used],
         np.column_stack((seen.sigma_range_m, seen.sigma_bearing_rad))[used],
         len(run.estimate.landmark),
+        *_positions(run),
     )
+
+
+def _positions(run: EkfRun) -> tuple[Index, Array, Array, tuple[float, float]]:
+    """The fixes that the filter accepted: poses, positions, covariances, lever arm."""
+    if run.positions is None:
+        return np.zeros(0, dtype=np.intp), np.zeros((0, 2)), np.zeros((0, 2, 2)), (0.0, 0.0)
+    p, rows = run.positions, run.fix_number
+    epoch = run.timeline.position_epoch[rows]
+    return epoch, p.position_m[rows], p.covariance[rows], p.antenna_m
 
 
 def run_frozen_recorded(log: Log, run: EkfRun) -> Marginal:
@@ -49,11 +64,13 @@ def run_frozen_recorded(log: Log, run: EkfRun) -> Marginal:
     trace, estimate = run.trace, run.estimate
     parts = (_from_updates(trace.updates), _from_augmentations(trace.augmentations))
     sightings = LinearSightings(*(np.concatenate(c) for c in zip(*parts, strict=True)))
+    fixes = trace.positions
     return solve_recorded(
         log.prior.pose,
         log.prior.covariance,
         LinearMotion(trace.departed, trace.arrived, trace.f, trace.q),
         sightings,
+        LinearPositions(fixes.step, fixes.pose, fixes.innovation, fixes.jacobian_pose, fixes.noise),
         estimate.pose[-1],
         estimate.landmark,
     )
@@ -61,12 +78,22 @@ def run_frozen_recorded(log: Log, run: EkfRun) -> Marginal:
 
 def run_frozen_own(problem: SlamProblem, run: EkfRun) -> Marginal:
     """F2: the smoother's own factors, linearised where the EKF was."""
-    order = np.cumsum(run.slot >= 0) - 1  # a log's sighting to the problem's
-    pose, landmark = np.empty((len(problem.z), 3)), np.empty((len(problem.z), 2))
-    for records in (run.trace.updates, run.trace.augmentations):
-        pose[order[records.sighting]] = records.pose
-        landmark[order[records.sighting]] = records.landmark
-    points = FrozenPoints(run.departed, run.arrived, pose, landmark)
+    trace = run.trace
+    sighting_row = np.cumsum(run.slot >= 0) - 1  # a log's sighting to the problem's
+    fix_row = np.zeros(int(run.fix_number.max(initial=-1)) + 1, dtype=np.intp)
+    fix_row[run.fix_number] = np.arange(len(run.fix_number))
+    both = (trace.updates, trace.augmentations)
+    points = FrozenPoints(
+        run.departed,
+        run.arrived,
+        sighting_row[np.concatenate([r.sighting for r in both])],
+        np.concatenate([r.weight for r in both]),
+        np.concatenate([r.pose for r in both]),
+        np.concatenate([r.landmark for r in both]),
+        fix_row[trace.positions.number],
+        trace.positions.weight,
+        trace.positions.pose,
+    )
     return solve_own_factors(problem, points, run.estimate.landmark)
 
 

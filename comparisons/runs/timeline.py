@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.errors import RecordError
-from comparisons.logs.log import Array, Log, RelativePoses, SteeringOdometry
+from comparisons.logs.log import Array, Log, Positions, RelativePoses, SteeringOdometry
 
 Index = NDArray[np.intp]
 
@@ -23,6 +23,7 @@ class Timeline:
     epoch_time_s: (K,), the first is the prior's. step_epoch: (N,) the epoch at which the step's
     interval ends, not decreasing. step_duration_s: (N,). control: (N, m) and
     control_covariance: (N, m, m). sighting_epoch: (M,) epoch of each of the log's sightings.
+    position_epoch: (G,) epoch of each of the log's positions, when they are to be fused.
     """
 
     epoch_time_s: Array
@@ -31,6 +32,7 @@ class Timeline:
     control: Array
     control_covariance: Array
     sighting_epoch: Index
+    position_epoch: Index
 
     def steps_until(self) -> Index:
         """(K,) number of steps made when each epoch is reached."""
@@ -46,25 +48,32 @@ class Timeline:
             self.control[:steps],
             self.control_covariance[:steps],
             self.sighting_epoch[: int(self.sightings_until()[epochs])],
+            self.position_epoch[: int(self.positions_until()[epochs])],
         )
 
     def sightings_until(self) -> Index:
         """(K + 1,) first sighting of each epoch, and the end."""
         return np.searchsorted(self.sighting_epoch, np.arange(len(self.epoch_time_s) + 1))
 
+    def positions_until(self) -> Index:
+        """(K + 1,) first position of each epoch, and the end."""
+        return np.searchsorted(self.position_epoch, np.arange(len(self.epoch_time_s) + 1))
 
-def build_timeline(log: Log) -> Timeline:
-    """Cut the log into epochs and steps.
 
-    Wheel odometry: an epoch at every instant with sightings and at the end of the log; a sample's
-    control acts until the next sample, and is cut where an epoch falls in between; before the
-    first sample the vehicle is taken to stand still. Relative poses: an epoch per record, and
-    sightings belong to the pose of their time. Raises InputError for sightings between poses.
+def build_timeline(log: Log, positions: Positions | None = None) -> Timeline:
+    """Cut the log into epochs and steps; `positions` are those to be fused, if any.
+
+    Wheel odometry: an epoch at every instant with sightings or positions and at the end of the
+    log; a sample's control acts until the next sample, and is cut where an epoch falls in between;
+    before the first sample the vehicle is taken to stand still. Relative poses: an epoch per
+    record, and sightings and positions belong to the pose of their time. Raises InputError for
+    those between poses.
     """
+    fixes = positions.time_s if positions is not None else np.zeros(0)
     if isinstance(log.odometry, RelativePoses):
-        return _from_relative_poses(log, log.odometry)
+        return _from_relative_poses(log, log.odometry, fixes)
     odometry, start = log.odometry, log.prior.time_s
-    epochs = np.unique(np.concatenate(([start], log.sightings.time_s, [log.end_s])))
+    epochs = np.unique(np.concatenate(([start], log.sightings.time_s, fixes, [log.end_s])))
     cuts = np.unique(np.concatenate((epochs, odometry.time_s)))
     begin = cuts[:-1]
     sample = np.searchsorted(odometry.time_s, begin, side="right") - 1
@@ -82,25 +91,28 @@ def build_timeline(log: Log) -> Timeline:
         control,
         np.broadcast_to(covariance, (len(control), 2, 2)),
         np.searchsorted(epochs, log.sightings.time_s),
+        np.searchsorted(epochs, fixes),
     )
 
 
-def _from_relative_poses(log: Log, odometry: RelativePoses) -> Timeline:
+def _from_relative_poses(log: Log, odometry: RelativePoses, fixes: Array) -> Timeline:
     epochs = np.concatenate(([log.prior.time_s], odometry.time_s))
-    where = np.minimum(np.searchsorted(epochs, log.sightings.time_s), len(epochs) - 1)
-    stray = np.flatnonzero(epochs[where] != log.sightings.time_s)
-    if len(stray):
-        row = int(stray[0])
-        raise RecordError(
-            "sightings",
-            row,
-            f"time {log.sightings.time_s[row]} s is no pose's, expected one of the relative poses'",
-        )
+    places = []
+    for stream, times in (("sightings", log.sightings.time_s), ("positions", fixes)):
+        where = np.minimum(np.searchsorted(epochs, times), len(epochs) - 1)
+        stray = np.flatnonzero(epochs[where] != times)
+        if len(stray):
+            raise RecordError(
+                stream,
+                int(stray[0]),
+                f"time {times[stray[0]]} s is no pose's, expected one of the relative poses'",
+            )
+        places.append(where)
     return Timeline(
         epochs,
         np.arange(1, len(epochs)),
         np.diff(epochs),
         odometry.displacement,
         odometry.covariance,
-        where,
+        *places,
     )

@@ -17,6 +17,7 @@ from comparisons.runs.timeline import build_timeline
 from ekf_reference.compressed_ekf import CompressedEkf, CompressedState, LocalAreas
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.kalman import Array, Correction, Index
+from ekf_reference.trace import NullTrace
 from tests.helpers import random_covariance, relative_error, simulated
 
 SMALL = LocalAreas(half_m=8.0, reach_m=12.0)
@@ -64,7 +65,7 @@ def test_equals_the_full_filter_on_victoria_park() -> None:
 
 def test_areas_are_left_and_landmarks_added_inside() -> None:
     log = simulated(seed=1)
-    ekf = build_ekf(log, EkfChoices("compressed", "known"), NullRecorder())
+    ekf = build_ekf(log, EkfChoices("compressed", "known"), NullTrace())
     assert isinstance(ekf, CompressedEkf)
     assert isinstance(ekf.state, CompressedState)
     states: list[CompressedState] = []
@@ -166,13 +167,3 @@ def test_sparing_the_cross_covariance_too_would_not_be_conservative() -> None:
     wrong[:, 4:] = p[:, 4:]
     assert eigenvalue_range(spared, p - delta)[0] > 1.0 - 1e-12
     assert np.linalg.eigvalsh(wrong - (p - delta))[0] < -1e-3
-
-
-class NullRecorder:
-    """A trace that forgets."""
-
-    def prediction(self, *record: np.ndarray) -> None: ...
-
-    def update(self, *record: np.ndarray) -> None: ...
-
-    def augmentation(self, *record: np.ndarray) -> None: ...

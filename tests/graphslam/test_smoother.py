@@ -10,7 +10,7 @@ from comparisons.runs.ekf_build import EkfChoices
 from comparisons.runs.ekf_run import run_ekf
 from comparisons.runs.smoother_run import build_problem
 from comparisons.runs.timeline import build_timeline
-from graphslam.frozen import LinearMotion, LinearSightings, solve_recorded
+from graphslam.frozen import LinearMotion, LinearPositions, LinearSightings, solve_recorded
 from graphslam.graph_builder import (
     LANDMARK_KEY,
     POSE_KEY,
@@ -153,7 +153,11 @@ def test_frozen_smoother_on_one_step_equals_the_kalman_filter() -> None:
         np.array((r, r)),
     )  # fmt: skip
     motion = LinearMotion(x0[None], x1[None], f[None], q[None])
-    frozen = solve_recorded(x0, p0, motion, sightings, x1, l0[None])
+    nothing = LinearPositions(
+        np.zeros(0, dtype=np.intp), np.zeros((0, 3)), np.zeros((0, 2)), np.zeros((0, 2, 3)),
+        np.zeros((0, 2, 2)),
+    )  # fmt: skip
+    frozen = solve_recorded(x0, p0, motion, sightings, nothing, x1, l0[None])
     assert relative_error(frozen.mean, mean) < 1e-10
     assert relative_error(frozen.covariance, covariance) < 1e-10
 
