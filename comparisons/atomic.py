@@ -13,42 +13,76 @@ from comparisons.errors import InputError
 
 
 @contextmanager
-def fresh_folder(target: Path, mark: str) -> Iterator[Path]:
+def fresh_folder(target: Path, replaceable: frozenset[str] = frozenset()) -> Iterator[Path]:
     """Yield a folder beside `target` to fill; it takes the target's place when all went well.
 
-    An existing target is replaced only when it is empty or holds the file `mark`, which says
-    that it is an earlier output of ours. On any exception nothing is left behind.
+    replaceable: names of the files and folders that an earlier output of ours holds; see
+    check_replaceable. On any exception the target is as it was and nothing else is left behind.
     """
-    check_replaceable(target, mark)
+    target = check_replaceable(target, replaceable)
+    made = [p for p in (target.parent, *target.parent.parents) if not p.exists()]
+    work = old = None
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        work = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
-    except OSError as error:
-        raise InputError(f"{target}: cannot be written ({error.strerror})") from None
-    try:
+        work = Path(tempfile.mkdtemp(prefix=f".{target.name[:40]}-", dir=target.parent))
         work.chmod(0o777 & ~_umask())
         yield work
         if target.exists():
-            old = Path(tempfile.mkdtemp(prefix=f".{target.name}-old-", dir=target.parent))
+            old = Path(tempfile.mkdtemp(prefix=f".{target.name[:40]}-old-", dir=target.parent))
             os.replace(target, old / "old")
-            os.replace(work, target)
-            shutil.rmtree(old)
-        else:
-            os.replace(work, target)
-    except BaseException:
-        shutil.rmtree(work, ignore_errors=True)
+        os.replace(work, target)
+    except BaseException as error:
+        if old is not None and (old / "old").exists() and not target.exists():
+            os.replace(old / "old", target)
+        if work is not None:
+            shutil.rmtree(work, ignore_errors=True)
+        for folder in made:
+            _remove_if_empty(folder)
+        if isinstance(error, OSError):
+            raise InputError(f"{target}: cannot be written ({error.strerror or error})") from None
         raise
+    finally:
+        if old is not None and target.exists():
+            shutil.rmtree(old, ignore_errors=True)
 
 
-def check_replaceable(target: Path, mark: str) -> None:
-    """Raise InputError when writing `target` would destroy something that is not ours."""
-    if target.is_dir():
-        if any(target.iterdir()) and not (target / mark).exists():
-            raise InputError(
-                f"{target}: is not empty and holds no {mark}; give a new folder or empty this one"
-            )
-    elif target.exists():
-        raise InputError(f"{target}: is a file, expected a folder to write")
+def check_replaceable(target: Path, replaceable: frozenset[str] = frozenset()) -> Path:
+    """The target's full path, links followed. Raises InputError where it must not be written.
+
+    It may be missing, an empty folder, or a folder with no other contents than `replaceable`.
+    """
+    try:
+        full = Path(os.path.realpath(target))
+        current = Path.cwd()
+        if full == current or full in current.parents:
+            raise InputError(f"{target}: is the current folder or holds it; give another one")
+        if not full.exists():
+            return full
+        if not full.is_dir():
+            raise InputError(f"{target}: is a file, expected a folder to write")
+        strange = sorted(set(os.listdir(full)) - replaceable)
+    except (OSError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{target}: cannot be written ({error})") from None
+    if strange:
+        raise InputError(
+            f"{target}: already holds {strange[0]}; give a new folder or empty this one"
+        )
+    return full
+
+
+def folder_name(name: str) -> str:
+    """A log's name as a folder's: letters, digits, dots and dashes only, not too long."""
+    kept = "".join(c if c.isascii() and (c.isalnum() or c in "._-") else "-" for c in name)
+    return kept.strip(".-")[:80] or "log"
+
+
+def _remove_if_empty(folder: Path) -> None:
+    try:
+        folder.rmdir()
+    except OSError:
+        return
 
 
 def _umask() -> int:

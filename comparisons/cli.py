@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
+import traceback
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
-from comparisons.errors import InputError
+from comparisons.errors import InputError, printable
 
 if TYPE_CHECKING:
     from comparisons.compare import Progress
@@ -19,11 +21,13 @@ if TYPE_CHECKING:
     from comparisons.runs.ekf_build import EkfChoices
 
 AGREE, DISAGREE, UNUSABLE, UNPROVEN = 0, 1, 2, 3
+BROKEN, INTERRUPTED = 70, 130
 
 app = typer.Typer(
     name="slamcheck",
     help="Is my EKF-SLAM right? Runs an EKF and a smoother on one log and judges the EKF.",
-    epilog="Exit codes: 0 agree, 1 disagree, 2 unusable input or usage, 3 unproven.",
+    epilog="Exit codes: 0 agree, 1 disagree, 2 unusable input or usage, 3 unproven, "
+    "70 a fault of slamcheck itself, 130 interrupted.",
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
@@ -87,7 +91,7 @@ def run(
       slamcheck run path/to/MRCLAM_Dataset6 --robot 2
       slamcheck run my-log-folder --association nn --out report
     """
-    with _one_line_errors():
+    with _guarded():
         import time
 
         from comparisons.runs.ekf_build import EkfChoices
@@ -102,22 +106,24 @@ def run(
 def _run(log: Log, choices: EkfChoices, out: Path | None, read_s: float) -> int:
     from rich.console import Console
 
-    from comparisons.atomic import check_replaceable
+    from comparisons.atomic import check_replaceable, folder_name
     from comparisons.compare import compare_estimators
     from comparisons.report.result import build_result
-    from comparisons.report.run_folder import MARK, write_run_folder
+    from comparisons.report.run_folder import CONTENTS, write_run_folder
     from comparisons.report.summary import print_summary
 
-    folder = out or Path(f"slamcheck-{log.name}")
-    check_replaceable(folder, MARK)
+    folder = out or Path(f"slamcheck-{folder_name(log.name)}")
+    check_replaceable(folder, CONTENTS)
     with _progress() as progress:
         comparison = compare_estimators(log, choices, progress)
         result = build_result(comparison, read_s)
         progress("report", 0, 0)
         write_run_folder(comparison, result, folder)
-    console = Console(soft_wrap=True)
-    print_summary(result, console)
-    console.print(f"report: {folder}", highlight=False, markup=False)
+    with suppress(OSError, UnicodeError):  # a closed pipe does not change the verdict
+        console = Console(soft_wrap=True)
+        print_summary(result, console)
+        console.print(f"report: {folder}", highlight=False, markup=False)
+        sys.stdout.flush()
     return {"agree": AGREE, "disagree": DISAGREE, "unproven": UNPROVEN}[result.verdict]
 
 
@@ -151,7 +157,7 @@ def convert(
     Example:
       slamcheck convert path/to/acfr_car_park car-park
     """
-    with _one_line_errors():
+    with _guarded():
         from comparisons.logs.log_folder import write_log_folder
 
         source = _open(log, format_name, robot, seed, loops, noise_scale)
@@ -180,22 +186,35 @@ def _open(
 
 
 @contextmanager
-def _one_line_errors() -> Iterator[None]:
-    """Known faults become one line on standard error and an exit code."""
+def _guarded() -> Iterator[None]:
+    """Known faults become one line on standard error and an exit code; warnings stay silent.
+
+    What the numbers mean is checked where they are used, so numpy's and matplotlib's remarks
+    would only tell the same twice.
+    """
+    import warnings
+
+    import numpy as np
+
     try:
-        yield
+        with np.errstate(all="ignore"), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
     except InputError as error:
         _fail(str(error), UNUSABLE)
+    except OSError as error:
+        _fail(f"{error.filename or 'a file'}: {error.strerror or error}", UNUSABLE)
     except MemoryError:
         _fail("not enough memory for this log", UNUSABLE)
-    except ArithmeticError as error:
+    except (ArithmeticError, ValueError) as error:
         if type(error).__name__ != "SingularProblemError":
             raise
         _fail(f"unproven: {error}", UNPROVEN)
 
 
-def _fail(message: str, code: int) -> None:
-    print(f"slamcheck: {' '.join(message.split())}", file=sys.stderr)
+def _fail(message: str, code: int) -> NoReturn:
+    with suppress(OSError, ValueError):
+        print(f"slamcheck: {printable(' '.join(message.split()))}", file=sys.stderr)
     raise SystemExit(code)
 
 
@@ -223,7 +242,20 @@ def main() -> None:
     """Entry point of the console script.
 
     BLAS gets one thread unless the user says otherwise: the matrices are small, and threads that
-    wait for each other on a busy machine cost several times the work.
+    wait for each other on a busy machine cost several times the work. A failure that is nobody's
+    known fault shows its traceback and exits with 70, never with a verdict's code.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    app()
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
+    try:
+        code = app(standalone_mode=False)
+        sys.exit(code if isinstance(code, int) else 0)
+    except KeyboardInterrupt:
+        sys.exit(INTERRUPTED)
+    except Exception as error:
+        if hasattr(error, "format_message"):  # a usage error of the option parser
+            _fail(f"{error.format_message()} (see slamcheck --help)", UNUSABLE)
+        if type(error).__name__ == "Abort":
+            sys.exit(INTERRUPTED)
+        traceback.print_exc()
+        sys.exit(BROKEN)

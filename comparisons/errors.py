@@ -18,3 +18,8 @@ class RecordError(InputError):
         self.stream, self.row, self.fault = stream, row, fault
         place = stream if row is None else f"{stream}, row {row}"
         super().__init__(f"{place}: {fault}")
+
+
+def printable(text: str) -> str:
+    """Text without control characters or broken code points, which a terminal might obey."""
+    return "".join(c if c.isprintable() else "?" for c in text)

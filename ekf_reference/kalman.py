@@ -142,12 +142,14 @@ class KalmanState:
         them. innovation: (m,), wrapped. noise: (m, m).
 
         With S = L L^T the term W S W^T is U^T U, U = L^-1 H P: symmetric as computed.
-        Raises FilterDivergedError when S is not positive definite.
+        Raises FilterDivergedError when S is not positive definite, or anything is not finite.
         """
         n = self._size
         p = self._covariance[:n, :n]
         gain_left = p[:, columns] @ jacobian.T  # P H^T, (n, m)
         innovation_covariance = jacobian @ gain_left[columns] + noise
+        if not (np.isfinite(innovation_covariance).all() and np.isfinite(innovation).all()):
+            raise FilterDivergedError("the innovation or its covariance is not finite")
         try:
             root = np.linalg.cholesky(innovation_covariance)
         except np.linalg.LinAlgError as error:

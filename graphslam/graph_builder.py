@@ -77,10 +77,18 @@ class SlamProblem:
         )
 
 
+def gaussian(covariance: Array) -> gtsam.noiseModel.Gaussian:
+    """A noise model with all correlations.
+
+    By default gtsam takes every off-diagonal entry below 1e-9, whatever its unit, for zero.
+    """
+    return gtsam.noiseModel.Gaussian.Covariance(covariance, False)
+
+
 def prior_factor(key: int, problem: SlamProblem) -> gtsam.PriorFactorPose2:
     """The prior, its covariance turned into gtsam's tangent at the prior pose."""
     turn = to_tangent(problem.prior_pose[2:3])[0]
-    noise = gtsam.noiseModel.Gaussian.Covariance(turn @ problem.prior_covariance @ turn.T)
+    noise = gaussian(turn @ problem.prior_covariance @ turn.T)
     return gtsam.PriorFactorPose2(key, gtsam.Pose2(*problem.prior_pose), noise)
 
 
@@ -89,7 +97,7 @@ def increment_factors(
 ) -> list[gtsam.BetweenFactorPose2]:
     """One factor per increment, between the keys given."""
     return [
-        gtsam.BetweenFactorPose2(i, j, gtsam.Pose2(*d), gtsam.noiseModel.Gaussian.Covariance(c))
+        gtsam.BetweenFactorPose2(i, j, gtsam.Pose2(*d), gaussian(c))
         for i, j, d, c in zip(
             departures,
             arrivals,
@@ -117,7 +125,7 @@ def position_factor(
     key: int, z: Array, covariance: Array, lever_m: tuple[float, float]
 ) -> gtsam.NonlinearFactor:
     """An absolute position (2,) of the antenna; our own factor only where there is a lever arm."""
-    noise = gtsam.noiseModel.Gaussian.Covariance(covariance)
+    noise = gaussian(covariance)
     if lever_m == (0.0, 0.0):
         return gtsam.PoseTranslationPrior2D(key, z, noise)
 

@@ -7,11 +7,14 @@ from typing import NamedTuple
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import solve_triangular
 
 from graphslam.graph_builder import LANDMARK_KEY, POSE_KEY, to_tangent
 
 Array = NDArray[np.float64]
+
+_ROUNDING = 1e-13
+_UNFIXED = "the measurements do not fix the last pose and every landmark"
 
 
 class SingularProblemError(ArithmeticError):
@@ -25,40 +28,41 @@ class Marginal(NamedTuple):
     covariance: Array
 
 
+def eliminate(graph: gtsam.GaussianFactorGraph) -> gtsam.GaussianBayesTree:
+    """Eliminate all variables by QR; raises RuntimeError when the graph is singular."""
+    ordering = gtsam.Ordering.ColamdGaussianFactorGraph(graph)
+    return graph.eliminateMultifrontal(ordering, gtsam.EliminateQR)
+
+
 def last_pose_and_landmarks(
     graph: gtsam.GaussianFactorGraph, pose_count: int, landmark_count: int
 ) -> Marginal:
     """Eliminate all other poses and invert what remains.
 
-    The result is in the coordinates of the graph's own increments. Raises SingularProblemError
-    when the remaining information is not positive definite.
+    By QR: gtsam's default, Cholesky, squares the condition number, and two sightings a
+    millisecond apart would cost half the digits. The result is in the coordinates of the graph's
+    own increments. Raises SingularProblemError when some direction is left without information.
     """
     eliminated = list(range(POSE_KEY, POSE_KEY + pose_count - 1))
     kept = [POSE_KEY + pose_count - 1]
     kept += range(LANDMARK_KEY, LANDMARK_KEY + landmark_count)
+    size = 3 + 2 * landmark_count
     try:
         remaining = graph
         if eliminated:
-            _, remaining = graph.eliminatePartialMultifrontal(eliminated)
-        information, vector = remaining.hessian(gtsam.Ordering(kept))
-        if len(information) != 3 + 2 * landmark_count or not _regular(information):
-            raise np.linalg.LinAlgError
-        factor = cho_factor(information, lower=True)
-    except (RuntimeError, np.linalg.LinAlgError) as error:
-        raise SingularProblemError(
-            "the measurements do not fix the last pose and every landmark"
-        ) from error
-    covariance = cho_solve(factor, np.eye(len(information)))
-    return Marginal(cho_solve(factor, vector.ravel()), 0.5 * (covariance + covariance.T))
-
-
-def _regular(information: Array) -> bool:
-    """Whether the information, each entry in units of its own, is positive beyond rounding."""
-    scale = np.sqrt(np.diag(information))
-    if not (np.isfinite(scale).all() and (scale > 0.0).all()):
-        return False
-    least = float(np.linalg.eigvalsh(information / np.outer(scale, scale))[0])
-    return least > len(scale) * float(np.finfo(float).eps)
+            _, remaining = graph.eliminatePartialMultifrontal(eliminated, gtsam.EliminateQR)
+        jacobian, residual = remaining.jacobian(gtsam.Ordering(kept))
+    except (RuntimeError, ValueError) as error:  # singular, or a landmark never seen
+        raise SingularProblemError(_UNFIXED) from error
+    if jacobian.shape[1] != size or len(jacobian) < size:
+        raise SingularProblemError(_UNFIXED)
+    root: Array = np.asarray(np.linalg.qr(np.column_stack((jacobian, residual)), mode="r"))
+    r, d = root[:size, :size], root[:size, size]
+    scale = np.linalg.norm(r, axis=0)
+    if not np.isfinite(root).all() or (np.abs(np.diag(r)) <= _ROUNDING * scale).any():
+        raise SingularProblemError(_UNFIXED)
+    inverse = solve_triangular(r, np.eye(size))
+    return Marginal(inverse @ d, inverse @ inverse.T)
 
 
 def to_global(covariance: Array, heading_rad: float) -> Array:
@@ -74,9 +78,15 @@ def to_global(covariance: Array, heading_rad: float) -> Array:
 def pose_covariances(
     graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, headings_rad: Array
 ) -> Array:
-    """Covariance (K, 3, 3) of every pose on its own, additive global error."""
-    marginals = gtsam.Marginals(graph, values)
-    local = np.array([marginals.marginalCovariance(POSE_KEY + k) for k in range(len(headings_rad))])
+    """Covariance (K, 3, 3) of every pose on its own, additive global error.
+
+    Raises SingularProblemError when some direction is left without information.
+    """
+    try:
+        tree = eliminate(graph.linearize(values))
+        local = np.array([tree.marginalCovariance(POSE_KEY + k) for k in range(len(headings_rad))])
+    except RuntimeError as error:
+        raise SingularProblemError("the measurements do not fix every pose") from error
     turn = to_tangent(headings_rad).transpose(0, 2, 1)
     result: Array = turn @ local @ turn.transpose(0, 2, 1)
     return result

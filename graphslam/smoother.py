@@ -20,6 +20,7 @@ from graphslam.graph_builder import (
 from graphslam.marginals import (
     Marginal,
     SingularProblemError,
+    eliminate,
     last_pose_and_landmarks,
     pose_covariances,
     to_global,
@@ -93,7 +94,8 @@ def smooth(
     def attempt(name: str, values: gtsam.Values, spent: int = 0) -> None:
         progress(f"smoother, start {name}")
         try:
-            end, error, iterations, converged = _optimise(graph, values)
+            end, _, iterations, converged = _optimise(graph, values)
+            end, error = _polish(graph, end)
         except RuntimeError:  # gtsam's indeterminate linear system
             attempts.append((Start(name, float("inf"), spent, converged=False), values))
             return
@@ -150,15 +152,39 @@ def _optimise(
     relative_tolerance: float = 1e-12,
     limit: int = 100,
 ) -> tuple[gtsam.Values, float, int, bool]:
-    """Levenberg-Marquardt; returns the end, its error, iterations, and whether it converged."""
+    """Levenberg-Marquardt; returns the end, its error, iterations, and whether it converged.
+
+    By Cholesky, and by the slower QR where that breaks down on an ill-conditioned problem.
+    Raises RuntimeError when both do.
+    """
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setMaxIterations(limit)
     parameters.setRelativeErrorTol(relative_tolerance)
     parameters.setAbsoluteErrorTol(1e-9)
     optimiser = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters)
-    end = optimiser.optimize()
+    try:
+        end = optimiser.optimize()
+    except RuntimeError:
+        parameters.setLinearSolverType("MULTIFRONTAL_QR")
+        optimiser = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters)
+        end = optimiser.optimize()
     iterations = optimiser.iterations()
     return end, optimiser.error(), iterations, iterations < limit
+
+
+def _polish(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> tuple[gtsam.Values, float]:
+    """Gauss-Newton by QR for as long as it lowers the error; LM's Cholesky stops short of that."""
+    error = graph.error(values)
+    for _ in range(10):
+        step = eliminate(graph.linearize(values)).optimize()
+        nearer = values.retract(step)
+        lower = graph.error(nearer)
+        if not lower < error:
+            break
+        gain, values, error = error - lower, nearer, lower
+        if gain < 1e-12 * (1.0 + error):
+            break
+    return values, error
 
 
 def _incremental(problem: SlamProblem) -> tuple[gtsam.Values, int]:

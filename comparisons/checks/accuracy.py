@@ -98,8 +98,8 @@ def aligned(points: Array, reference: Array, *, robust: bool = False) -> Array:
 def match_by_distance(points: Array, reference: Array) -> tuple[Index, Index]:
     """Indices of the one-to-one matches with least total distance, none beyond MATCH_M."""
     distance = np.linalg.norm(points[:, None] - reference[None], axis=2)
-    rows, columns = linear_sum_assignment(np.minimum(distance, 2.0 * MATCH_M))
-    near = distance[rows, columns] <= MATCH_M
+    rows, columns = linear_sum_assignment(np.minimum(distance, MATCH_M))
+    near = distance[rows, columns] < MATCH_M
     return rows[near], columns[near]
 
 

@@ -74,7 +74,7 @@ def open_log(
     robot: int = 1,
     choices: SimulationChoices | None = None,
 ) -> Log:
-    """A log by bundled name, or else by path. Raises InputError."""
+    """A log by bundled name, unless a path of that name exists, or by path. Raises InputError."""
     if format_name is None and name in NAMED and not Path(name).exists():
         return NAMED[name].open(choices or SimulationChoices())
     return read_log(Path(name), format_name, robot)

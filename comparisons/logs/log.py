@@ -12,13 +12,15 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.errors import InputError, RecordError
+from comparisons.errors import InputError, RecordError, printable
 from comparisons.logs.validation import (
+    LARGEST,
     above_zero,
     check,
     frozen,
     increasing,
     positive_definite,
+    standard_deviation,
     within,
 )
 
@@ -41,10 +43,12 @@ class Ackermann:
     def __post_init__(self) -> None:
         """Check the numbers."""
         for f in fields(self):
-            if not np.isfinite(getattr(self, f.name)):
-                raise InputError(f"vehicle: {f.name} is not a finite number")
-        if self.wheelbase_m <= 0:
-            raise InputError(f"vehicle: wheelbase_m is {self.wheelbase_m}, expected above 0")
+            value = getattr(self, f.name)
+            object.__setattr__(self, f.name, float(value))
+            if not abs(value) <= 1e3:
+                raise InputError(f"vehicle: {f.name} is {value}, expected at most 1000 m")
+        if self.wheelbase_m < 0.01:
+            raise InputError(f"vehicle: wheelbase_m is {self.wheelbase_m}, expected at least 0.01")
 
 
 @dataclass(frozen=True)
@@ -65,9 +69,12 @@ class OdometryNoise:
         """Check the numbers."""
         for f in fields(self):
             value = getattr(self, f.name)
-            least = 0.0 if f.name.startswith("sigma") else np.nextafter(0, 1)
-            if not (np.isfinite(value) and value >= least):
-                raise InputError(f"odometry noise: {f.name} is {value}, expected above 0")
+            object.__setattr__(self, f.name, float(value))
+            least = 0.0 if f.name.startswith("sigma") else 1e-12
+            if not least <= value <= 1e6:
+                raise InputError(
+                    f"odometry noise: {f.name} is {value}, expected between {least:g} and 1e+06"
+                )
 
 
 @dataclass(frozen=True)
@@ -85,6 +92,15 @@ class SteeringOdometry:
         check(self, "steering odometry", rows="time_s")
         increasing("steering odometry", self.time_s, equal=True)
         within("steering odometry", "steering_rad", self.steering_rad, -1.55, 1.55)
+        slip = np.tan(self.steering_rad) * self.vehicle.encoder_offset_m / self.vehicle.wheelbase_m
+        bad = np.flatnonzero(slip > 0.95)
+        if len(bad):
+            raise RecordError(
+                "steering odometry",
+                int(bad[0]),
+                f"steering_rad is {self.steering_rad[bad[0]]}, which turns about the wheel that "
+                "carries the encoder",
+            )
 
 
 @dataclass(frozen=True)
@@ -150,8 +166,9 @@ class Sightings:
             raise InputError(f"sightings: label_gate is {self.label_gate}, expected above 0")
         check(self, "sightings", rows="time_s", gaps=("diameter_m",))
         increasing("sightings", self.time_s, equal=True)
-        for name in ("range_m", "sigma_range_m", "sigma_bearing_rad"):
-            above_zero("sightings", name, getattr(self, name))
+        above_zero("sightings", "range_m", self.range_m)
+        for name in ("sigma_range_m", "sigma_bearing_rad"):
+            standard_deviation("sightings", name, getattr(self, name))
         within("sightings", "bearing_rad", self.bearing_rad, -2 * np.pi, 2 * np.pi)
         bad = np.flatnonzero(self.landmark < NO_LANDMARK)
         if len(bad):
@@ -202,6 +219,7 @@ class Landmarks:
     def __post_init__(self) -> None:
         """Check the table."""
         check(self, "landmarks", rows="id", position_m=(2,), covariance=(2, 2))
+        positive_definite("landmarks", self.covariance, singular=True)
         values, first = np.unique(self.id, return_index=True)
         if len(values) < len(self.id):
             row = int(np.setdiff1d(np.arange(len(self.id)), first)[0])
@@ -278,13 +296,16 @@ class Prior:
 
     def __post_init__(self) -> None:
         """Check the numbers."""
-        if not np.isfinite(self.time_s):
-            raise InputError("prior: time_s is not a finite number")
+        object.__setattr__(self, "time_s", float(self.time_s))
+        if not abs(self.time_s) <= LARGEST:
+            raise InputError(f"prior: time_s is {self.time_s}, expected at most {LARGEST:g}")
         for name, shape in (("pose", (3,)), ("covariance", (3, 3))):
             value = frozen(getattr(self, name))
             object.__setattr__(self, name, value)
-            if value.shape != shape or not np.isfinite(value).all():
-                raise InputError(f"prior: {name} must hold {shape} finite numbers")
+            if value.shape != shape or not (np.abs(value) <= LARGEST).all():
+                raise InputError(
+                    f"prior: {name} must hold {shape} finite numbers, at most {LARGEST:g}"
+                )
         positive_definite("prior", self.covariance[None])
 
 
@@ -310,6 +331,9 @@ class Log:
 
     def __post_init__(self) -> None:
         """Check the streams against each other."""
+        object.__setattr__(self, "name", printable(self.name))
+        texts = {printable(k): printable(v) for k, v in self.provenance.items()}
+        object.__setattr__(self, "provenance", texts)
         if not len(self.odometry.time_s):
             raise InputError(f"{self.name}: the odometry is empty, expected at least one record")
         if not len(self.sightings.time_s):

@@ -13,7 +13,6 @@ from comparisons.archive import read_archive
 from comparisons.atomic import fresh_folder
 from comparisons.errors import InputError, RecordError
 from comparisons.logs.log import (
-    NO_LANDMARK,
     Ackermann,
     Array,
     Landmarks,
@@ -41,6 +40,7 @@ from comparisons.logs.log_meta import (
     read_meta,
 )
 from comparisons.logs.table import Table
+from comparisons.logs.validation import whole_numbers
 
 _SIGHTINGS = (
     "time_s",
@@ -96,8 +96,11 @@ def read_log_folder(folder: Path) -> Log:
 
 
 def write_log_folder(log: Log, folder: Path) -> None:
-    """Write a log; the folder appears whole or not at all."""
-    with fresh_folder(folder, MARK) as work:
+    """Write a log into a new or empty folder, which appears whole or not at all.
+
+    Raises InputError where something is there already: a log may be the only copy of its data.
+    """
+    with fresh_folder(folder) as work:
         _write_odometry(work / "odometry.csv", log.odometry)
         _write_sightings(work / "sightings.csv", log.sightings)
         if log.known_sightings is not None:
@@ -173,14 +176,6 @@ def _read_sightings(path: Path, settings: SightingsModel | None = None) -> Sight
         return None
     settings = settings or SightingsModel()
     table = Table(path, _SIGHTINGS, comma=True, header=True, gaps=("diameter_m",))
-    ids = table["landmark"]
-    fraction = np.flatnonzero(ids != np.round(ids))
-    if len(fraction):
-        row = int(fraction[0])
-        raise InputError(
-            f"{path}:{table.line(row)}: landmark is {ids[row]}, expected a whole number "
-            f"({NO_LANDMARK} for none)"
-        )
     with table.locating():
         return Sightings(
             table["time_s"],
@@ -188,7 +183,7 @@ def _read_sightings(path: Path, settings: SightingsModel | None = None) -> Sight
             table["bearing_rad"],
             table["sigma_range_m"],
             table["sigma_bearing_rad"],
-            ids.astype(np.int64),
+            whole_numbers("sightings", "landmark", table["landmark"]),
             table["diameter_m"],
             settings.label_gate,
             settings.needs_confirmation,
@@ -217,8 +212,11 @@ def _read_landmarks(path: Path) -> Landmarks | None:
         return None
     table = Table(path, _LANDMARKS, comma=True, header=True)
     with table.locating():
-        ids = table["id"].astype(np.int64)
-        return Landmarks(ids, table.data[:, 1:3], _symmetric(table.data[:, 3:]))
+        return Landmarks(
+            whole_numbers("landmarks", "id", table["id"]),
+            table.data[:, 1:3],
+            _symmetric(table.data[:, 3:]),
+        )
 
 
 def _read_poses(path: Path) -> Poses | None:

@@ -20,10 +20,13 @@ class _Model(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
+_Three = tuple[float, float, float]
+
+
 class _PriorModel(_Model):
     time_s: float
-    pose: tuple[float, float, float]
-    covariance: list[list[float]]
+    pose: _Three
+    covariance: tuple[_Three, _Three, _Three]
 
 
 class _VehicleModel(_Model):
@@ -92,12 +95,19 @@ def read_meta(path: Path) -> LogModel:
     """Read and check `log.toml`. Raises InputError naming the key at fault."""
     try:
         return LogModel.model_validate(tomllib.loads(read_text(path)))
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: not valid TOML: {error}") from None
     except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        raise InputError(f"{path}: {key}: {first['msg'].lower()}") from None
+        raise InputError(f"{path}: {first_fault(error)}") from None
+    except (ValueError, RecursionError) as error:  # TOMLDecodeError is a ValueError
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{path}: not valid TOML: {error}") from None
+
+
+def first_fault(error: ValidationError) -> str:
+    """The first key at fault and what is wrong with it, in one line."""
+    first = error.errors()[0]
+    key = ".".join(str(part) for part in first["loc"])
+    return f"{key}: {first['msg'].lower()}"
 
 
 def meta_text(log: Log) -> str:
@@ -105,8 +115,8 @@ def meta_text(log: Log) -> str:
     prior, odometry = log.prior, log.odometry
     lines = [
         "version = 1",
-        f"name = {json.dumps(log.name)}",
-        f"source = {json.dumps(log.format)}",
+        f"name = {_text(log.name)}",
+        f"source = {_text(log.format)}",
         'units = "SI, radians; bearings counter-clockwise from straight ahead"',
         "",
         "[prior]",
@@ -132,5 +142,10 @@ def meta_text(log: Log) -> str:
     if log.positions is not None:
         lines += ["", "[positions]", f"antenna_m = {list(log.positions.antenna_m)}"]
     lines += ["", "[provenance]"]
-    lines += [f"{json.dumps(k)} = {json.dumps(v)}" for k, v in log.provenance.items()]
+    lines += [f"{_text(k)} = {_text(v)}" for k, v in log.provenance.items()]
     return "\n".join(lines) + "\n"
+
+
+def _text(value: str) -> str:
+    """A TOML string: JSON's spelling, which TOML shares for printable text."""
+    return json.dumps(value, ensure_ascii=False)

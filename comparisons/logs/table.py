@@ -10,7 +10,7 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.errors import InputError, RecordError
+from comparisons.errors import InputError, RecordError, printable
 
 Array = NDArray[np.float64]
 
@@ -120,7 +120,9 @@ def number_or_fail(word: str, path: Path, line: int, name: str) -> float:
 def read_text(path: Path) -> str:
     """A file's text. Raises InputError when it is missing, unreadable or not text."""
     try:
-        return path.read_text(encoding="utf-8")
+        if path.exists() and not path.is_file():
+            raise InputError(f"{path}: is not a regular file")
+        return path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
     except UnicodeDecodeError:
@@ -131,5 +133,5 @@ def read_text(path: Path) -> str:
 
 def shorten(word: str, limit: int = 40) -> str:
     """A word as it may stand in a one-line error."""
-    shown = "".join(c if c.isprintable() else "?" for c in word)
+    shown = printable(word)
     return shown if len(shown) <= limit else shown[: limit - 3] + "..."

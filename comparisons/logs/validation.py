@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,11 @@ from numpy.typing import NDArray
 from comparisons.errors import RecordError
 
 Array = NDArray[np.float64]
+
+LARGEST = 1e10
+"""Beyond this no time, length, speed or angle of a drive lies; squares of it stay finite."""
+LARGEST_ID = 2**53
+"""Beyond this whole numbers are not exact as floating point."""
 
 
 def frozen(value: object) -> Array:
@@ -35,7 +41,7 @@ def check(
         if not isinstance(value, np.ndarray | list):
             continue
         if f.name in ("id", "landmark"):
-            kept: NDArray[np.generic] = np.array(value, dtype=np.int64)
+            kept: NDArray[np.generic] = whole_numbers(stream, f.name, np.array(value))
             kept.flags.writeable = False
         else:
             kept = frozen(value)
@@ -54,6 +60,26 @@ def check(
         if bad.any():
             row = int(np.argwhere(bad)[0][0])
             raise RecordError(stream, row, f"{f.name} is {value[bad][0]}, expected a finite number")
+        if f.name not in ("id", "landmark", "intensity") and (np.abs(value) > LARGEST).any():
+            row = int(np.argwhere(np.abs(value) > LARGEST)[0][0])
+            raise RecordError(
+                stream,
+                row,
+                f"{f.name} is {value[np.abs(value) > LARGEST][0]}, expected at most {LARGEST:g}",
+            )
+
+
+def whole_numbers(stream: str, name: str, values: NDArray[Any]) -> NDArray[np.int64]:
+    """Ids as integers; a fraction, or a number too large to be exact, is an error."""
+    if values.dtype.kind not in "iuf":
+        raise RecordError(stream, None, f"{name} is not numeric")
+    with np.errstate(invalid="ignore"):
+        bad = np.flatnonzero(~(np.abs(values) < LARGEST_ID) | (values != np.round(values)))
+    if len(bad):
+        raise RecordError(
+            stream, int(bad[0]), f"{name} is {values[bad[0]]}, expected a whole number below 2^53"
+        )
+    return values.astype(np.int64)
 
 
 def increasing(stream: str, time_s: Array, *, equal: bool = False) -> None:
@@ -87,11 +113,22 @@ def within(stream: str, name: str, values: Array, low: float, high: float) -> No
         )
 
 
-def positive_definite(stream: str, covariance: Array) -> None:
-    """Every covariance (N, d, d) must be symmetric with positive eigenvalues."""
+def standard_deviation(stream: str, name: str, values: Array) -> None:
+    """Sigmas must lie between 1e-7 and 1e6, in whatever unit: beyond that they are mistakes."""
+    bad = np.flatnonzero((values < 1e-7) | (values > 1e6))
+    if len(bad):
+        raise RecordError(
+            stream, int(bad[0]), f"{name} is {values[bad[0]]}, expected between 1e-07 and 1e+06"
+        )
+
+
+def positive_definite(stream: str, covariance: Array, *, singular: bool = False) -> None:
+    """Covariances (N, d, d) must be symmetric, eigenvalues above zero (or zero, if `singular`)."""
     scale = np.abs(covariance).max(axis=(1, 2), initial=0.0)
     skew = np.abs(covariance - covariance.transpose(0, 2, 1)).max(axis=(1, 2), initial=0.0)
-    bad = np.flatnonzero((skew > 1e-9 * scale) | (np.linalg.eigvalsh(covariance)[:, 0] <= 0.0))
+    least = np.linalg.eigvalsh(covariance)[:, 0]
+    wrong = least < -1e-12 * scale if singular else least <= 0.0
+    bad = np.flatnonzero((skew > 1e-9 * scale) | wrong)
     if len(bad):
         raise RecordError(
             stream,

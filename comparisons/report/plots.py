@@ -105,6 +105,7 @@ def map_figure(comparison: Comparison) -> Figure:
         f"gaps: algebra {a.algebra.sigma:.1e}, model {a.model.sigma:.1e}, "
         f"linearisation {a.linearisation.sigma:.2g} sigma; optimism {a.whole.least:.3g}",
         fontsize=10,
+        parse_math=False,
     )
     axis.grid(visible=True, color="#eeeeee")
     axis.legend(fontsize=8, loc="best")

@@ -211,7 +211,7 @@ def log_hash(log: Log) -> str:
             digest.update(
                 np.ascontiguousarray(value).tobytes()
                 if isinstance(value, np.ndarray | float)
-                else repr(value).encode()
+                else repr(value).encode()  # records of plain numbers
             )
     return digest.hexdigest()
 

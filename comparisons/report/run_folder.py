@@ -10,12 +10,13 @@ from comparisons.report.plots import map_figure, save
 from comparisons.report.result import Result
 from comparisons.runs.estimate_folder import write_estimate
 
-MARK = "result.json"
+CONTENTS = frozenset({"result.json", "map.png", "ekf", "smoother"})
+"""What a run folder holds; a folder with nothing else may be replaced by the next run."""
 
 
 def write_run_folder(comparison: Comparison, result: Result, folder: Path) -> None:
     """Write everything; the folder appears whole or not at all. Raises InputError."""
-    with fresh_folder(folder, MARK) as work:
+    with fresh_folder(folder, CONTENTS) as work:
         for name, estimate in (
             ("ekf", comparison.ekf.estimate),
             ("smoother", comparison.smoothed),
@@ -23,4 +24,4 @@ def write_run_folder(comparison: Comparison, result: Result, folder: Path) -> No
             (work / name).mkdir()
             write_estimate(estimate, work / name)
         save(map_figure(comparison), work / "map.png")
-        (work / MARK).write_text(result.model_dump_json(indent=2) + "\n", encoding="utf-8")
+        (work / "result.json").write_text(result.model_dump_json(indent=2) + "\n", encoding="utf-8")

@@ -5,13 +5,16 @@ from __future__ import annotations
 import json
 import tomllib
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from comparisons.archive import read_archive
 from comparisons.errors import InputError
+from comparisons.logs.log_meta import first_fault
 from comparisons.logs.table import Table, read_text
+from comparisons.logs.validation import increasing, whole_numbers, within
 from comparisons.runs.estimate import Estimate
 
 _TUM = ("time_s", "x", "y", "z", "qx", "qy", "qz", "qw")
@@ -20,8 +23,8 @@ _LANDMARKS = ("id", "x_m", "y_m")
 
 class _Meta(BaseModel):
     model_config = ConfigDict(extra="forbid")
-    version: int
-    information: str
+    version: Literal[1]
+    information: Literal["filtered", "smoothed"]
     provenance: dict[str, str] = {}
 
 
@@ -51,7 +54,10 @@ def write_estimate(estimate: Estimate, folder: Path) -> None:
         last_pose_and_landmarks=estimate.joint_covariance,
     )
     lines = ["version = 1", f"information = {json.dumps(estimate.information)}", "", "[provenance]"]
-    lines += [f"{json.dumps(k)} = {json.dumps(v)}" for k, v in estimate.provenance.items()]
+    lines += [
+        f"{json.dumps(k, ensure_ascii=False)} = {json.dumps(v, ensure_ascii=False)}"
+        for k, v in estimate.provenance.items()
+    ]
     (folder / "estimate.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
@@ -60,17 +66,21 @@ def read_estimate(folder: Path) -> Estimate:
     path = folder / "estimate.toml"
     try:
         meta = _Meta.model_validate(tomllib.loads(read_text(path)))
-    except (tomllib.TOMLDecodeError, ValidationError) as error:
-        raise InputError(f"{path}: {str(error).splitlines()[0]}") from None
-    if meta.information not in ("filtered", "smoothed"):
-        raise InputError(
-            f"{path}: information is '{meta.information}', expected filtered or smoothed"
-        )
+    except ValidationError as error:
+        raise InputError(f"{path}: {first_fault(error)}") from None
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise InputError(f"{path}: not valid TOML: {error}") from None
     tum = Table(folder / "trajectory.tum", _TUM)
     table = Table(folder / "landmarks.csv", _LANDMARKS, comma=True, header=True)
+    with tum.locating():
+        increasing("trajectory", tum["time_s"])
+        norm = np.linalg.norm(tum.data[:, 4:], axis=1)
+        within("trajectory", "quaternion's norm", norm, 0.99, 1.01)
     heading = np.unwrap(2.0 * np.arctan2(tum["qz"], tum["qw"]))
     archive_path = folder / "covariances.npz"
     pose, joint = read_archive(archive_path, ("pose", "last_pose_and_landmarks"))
+    with table.locating():
+        ids = whole_numbers("landmarks", "id", table["id"])
     size = 3 + 2 * len(table)
     if pose.shape != (len(tum), 3, 3) or joint.shape != (size, size):
         raise InputError(
@@ -83,9 +93,9 @@ def read_estimate(folder: Path) -> Estimate:
         tum["time_s"],
         np.column_stack((tum["x"], tum["y"], heading)),
         pose,
-        table["id"].astype(np.int64),
+        ids,
         table.data[:, 1:],
         joint,
-        "filtered" if meta.information == "filtered" else "smoothed",
+        meta.information,
         meta.provenance,
     )

@@ -68,15 +68,22 @@ def build_timeline(log: Log, positions: Positions | None = None) -> Timeline:
     before the first sample the vehicle is taken to stand still. Relative poses: an epoch per
     record, and sightings and positions belong to the pose of their time. Raises InputError for
     those between poses.
+
+    Times of wheel odometry, sightings and positions are resolved to 0.1 ms: a motion shorter than
+    that is below any clock, but leaves the two poses all but the same and costs digits.
     """
     fixes = positions.time_s if positions is not None else np.zeros(0)
     if isinstance(log.odometry, RelativePoses):
         return _from_relative_poses(log, log.odometry, fixes)
-    odometry, start = log.odometry, log.prior.time_s
-    epochs = np.unique(np.concatenate(([start], log.sightings.time_s, fixes, [log.end_s])))
-    cuts = np.unique(np.concatenate((epochs, odometry.time_s)))
+    odometry, start = log.odometry, _resolved(np.array([log.prior.time_s]))
+    seen, fixes, sampled = (
+        _resolved(times) for times in (log.sightings.time_s, fixes, odometry.time_s)
+    )
+    end = _resolved(np.array([log.end_s]))
+    epochs = np.unique(np.concatenate((start, seen, fixes, end)))
+    cuts = np.unique(np.concatenate((epochs, sampled)))
     begin = cuts[:-1]
-    sample = np.searchsorted(odometry.time_s, begin, side="right") - 1
+    sample = np.searchsorted(sampled, begin, side="right") - 1
     if isinstance(odometry, SteeringOdometry):
         recorded = np.column_stack((odometry.speed_mps, odometry.steering_rad))
     else:
@@ -90,9 +97,13 @@ def build_timeline(log: Log, positions: Positions | None = None) -> Timeline:
         np.diff(cuts),
         control,
         np.broadcast_to(covariance, (len(control), 2, 2)),
-        np.searchsorted(epochs, log.sightings.time_s),
+        np.searchsorted(epochs, seen),
         np.searchsorted(epochs, fixes),
     )
+
+
+def _resolved(time_s: Array) -> Array:
+    return np.round(time_s, 4)
 
 
 def _from_relative_poses(log: Log, odometry: RelativePoses, fixes: Array) -> Timeline:

@@ -69,7 +69,12 @@ def test_bad_input_is_one_line_and_exit_2(tmp_path: Path) -> None:
         ("run", "empty"): "empty: format not recognised",
         ("run", "empty", "--format", "bag"): "format 'bag' is unknown",
         ("run", "--association", "magic"): "association 'magic' is unknown, expected known, nn",
-        ("run", "simulated-loop", "--out", "full"): "full: is not empty and holds no result.json",
+        (
+            "run",
+            "simulated-loop",
+            "--out",
+            "full",
+        ): "full: already holds mine.txt; give a new folder",
         ("run", "simulated-loop", "--out", "file"): "file: is a file, expected a folder",
         ("run", "simulated-loop", "--out", "file/x"): "file/x: cannot be written",
         ("run", "simulated-loop", "--loops", "0"): "--loops is 0, expected 1 to 1000",

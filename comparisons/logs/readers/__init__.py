@@ -11,6 +11,7 @@ from comparisons.logs.log import Log
 from comparisons.logs.log_folder import read_log_folder
 from comparisons.logs.log_meta import MARK
 from comparisons.logs.readers import acfr_car_park, gtsam_2d, mrclam, victoria_park
+from comparisons.logs.table import shorten
 
 
 class Reader(NamedTuple):
@@ -48,8 +49,13 @@ READERS: dict[str, Reader] = {
 
 def read_log(path: Path, format_name: str | None = None, robot: int = 1) -> Log:
     """Read a log of any known format, recognised unless it is named. Raises InputError."""
-    if not path.exists():
-        raise InputError(f"{path}: no such file or folder (slamcheck logs lists bundled names)")
+    try:
+        found = path.exists()
+    except (OSError, ValueError):  # a name too long, or with a null character
+        found = False
+    if not found:
+        shown = shorten(str(path), 200)
+        raise InputError(f"{shown}: no such file or folder (slamcheck logs lists bundled names)")
     if format_name is None:
         names = [name for name, reader in READERS.items() if reader.recognises(path)]
         if not names:

@@ -36,6 +36,7 @@ _NO_RETURN_M = 80.0
 _CLUSTER_GAP_M = 0.5
 _CLUSTER_GAP_BEAMS = 2
 _ALIGNED_S = 6.0
+_LEAST_MOTION_M = 0.5
 _FILES = ("data_set.mat", "beac_juan3.mat")
 
 
@@ -55,7 +56,12 @@ def read(path: Path) -> Log:
     if beacons.ndim != 2 or beacons.shape[1] != 2:
         raise InputError(f"{path / _FILES[1]}: estbeac has shape {beacons.shape}, expected (L, 2)")
     time = {name: data[name].ravel() for name in ("Time_VS", "TimeLaser", "TimeGPS")}
-    start = min(float(t[0]) for t in time.values() if len(t))
+    for name, instants in time.items():
+        if not len(instants):
+            raise InputError(f"{path / _FILES[0]}: {name} is empty")
+    if data["GPSLon"].size != data["GPSLat"].size:
+        raise InputError(f"{path / _FILES[0]}: GPSLon and GPSLat differ in length")
+    start = min(float(instants[0]) for instants in time.values())
     try:
         odometry = SteeringOdometry(
             time["Time_VS"] - start, data["Velocity"].ravel(), data["Steering"].ravel(), UTE, _NOISE
@@ -70,14 +76,13 @@ def read(path: Path) -> Log:
         covariance = np.broadcast_to(_SIGMA_GPS_M**2 * np.eye(2), (len(position), 2, 2))
         positions = Positions(time["TimeGPS"] - start, position, covariance)
         sightings = reflector_sightings(scans)
+        prior = _prior(odometry, positions)
     except InputError as error:
         raise InputError(f"{path / _FILES[0]}: {error}") from None
-    if not len(odometry.time_s) or not len(positions.time_s):
-        raise InputError(f"{path / _FILES[0]}: no odometry or no GPS, expected both")
     return Log(
         "acfr-car-park",
         "acfr-car-park",
-        _prior(odometry, positions),
+        prior,
         odometry,
         sightings,
         positions,
@@ -142,6 +147,11 @@ def _prior(odometry: SteeringOdometry, positions: Positions) -> Prior:
         times, odometry.time_s, path.imag
     )
     fixes = positions.position_m[early] @ np.array([1.0, 1j])
+    if len(fixes) < 2 or np.ptp(np.abs(at_fixes - at_fixes[0])) < _LEAST_MOTION_M:
+        raise InputError(
+            f"positions: the first {_ALIGNED_S:g} s do not show the heading, expected fixes along "
+            f"{_LEAST_MOTION_M:g} m at least"
+        )
     centre_path, centre_fixes = at_fixes.mean(), fixes.mean()
     start_heading = float(np.angle(np.vdot(at_fixes - centre_path, fixes - centre_fixes)))
     start = centre_fixes - np.exp(1j * start_heading) * centre_path
@@ -151,13 +161,12 @@ def _prior(odometry: SteeringOdometry, positions: Positions) -> Prior:
 
 def _load(path: Path, names: tuple[str, ...]) -> dict[str, Array]:
     from scipy.io import loadmat
-    from scipy.io.matlab import MatReadError
 
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
     try:
         content: dict[str, Any] = loadmat(path)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except (MatReadError, ValueError, TypeError, OSError, NotImplementedError, EOFError) as error:
+    except Exception as error:  # a damaged file fails in as many ways as zlib and scipy know
         raise InputError(f"{path}: not a MATLAB file of version 5 ({error})") from None
     result: dict[str, Array] = {}
     for name in names:

@@ -26,11 +26,14 @@ _PRIOR_SIGMA = 1e-6
 
 
 def recognises(path: Path) -> bool:
-    """A text file whose first word is one of the two tags."""
+    """A text file whose first record starts with one of the two tags."""
     if not path.is_file():
         return False
     with path.open("rb") as file:
-        return file.read(16).split(b" ")[0] in (b"ODOMETRY", b"LANDMARK")
+        for line in file.read(4096).splitlines():
+            if line.strip() and not line.startswith(b"#"):
+                return line.split()[0] in (b"ODOMETRY", b"LANDMARK")
+    return False
 
 
 def read(path: Path) -> Log:
@@ -104,7 +107,7 @@ def _records(path: Path) -> Iterator[tuple[int, str, tuple[Any, ...]]]:
                 f"({', '.join(columns)})"
             )
         for name, word in zip(columns[:2], words[1:3], strict=True):
-            if not (word.isascii() and word.isdigit()):
+            if not (word.isascii() and word.isdigit() and len(word) <= 15):
                 raise InputError(f"{place}: {name} is '{shorten(word)}', expected a whole number")
         values = (
             number_or_fail(word, path, number, name)

@@ -24,6 +24,7 @@ from comparisons.logs.log import (
     VelocityOdometry,
 )
 from comparisons.logs.table import Table
+from comparisons.logs.validation import whole_numbers
 
 _ROBOTS = 5
 _SIGMA_RANGE_M = 0.25
@@ -79,11 +80,14 @@ def read(path: Path, robot: int) -> Log:
         _LABEL_GATE,
     )
     variance = surveyed.data[:, 3:5] ** 2
-    landmarks = Landmarks(
-        surveyed["subject"].astype(np.int64),
-        surveyed.data[:, 1:3],
-        variance[:, :, None] * np.eye(2),
-    )
+    with surveyed.locating():
+        landmarks = Landmarks(
+            whole_numbers("landmarks", "subject", surveyed["subject"]),
+            surveyed.data[:, 1:3],
+            variance[:, :, None] * np.eye(2),
+        )
+    if not truth.time_s[0] <= 0.0 <= truth.time_s[-1]:
+        raise InputError(f"{captured.path}: does not cover the odometry's start, needed as prior")
     first = np.array([np.interp(0.0, truth.time_s, truth.pose[:, i]) for i in range(3)])
     return Log(
         f"{path.name.lower()}-robot-{robot}",
@@ -112,7 +116,7 @@ def _sightings(measured: Table, start: float, landmark: Array) -> Sightings:
         measured["bearing"],
         np.hypot(_SIGMA_RANGE_M, _SIGMA_RANGE_SHARE * measured["range"]),
         np.full(count, _SIGMA_BEARING_RAD),
-        landmark.astype(np.int64),
+        whole_numbers("sightings", "subject", landmark),
         np.full(count, np.nan),
     )
 
