@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 import sys
@@ -119,11 +120,13 @@ def _run(log: Log, choices: EkfChoices, out: Path | None, read_s: float) -> int:
         result = build_result(comparison, read_s)
         progress("report", 0, 0)
         write_run_folder(comparison, result, folder)
-    with suppress(OSError, UnicodeError):  # a closed pipe does not change the verdict
+    try:
         console = Console(soft_wrap=True)
         print_summary(result, console)
         console.print(f"report: {folder}", highlight=False, markup=False)
         sys.stdout.flush()
+    except OSError:  # nobody listens any more; that does not change the verdict
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     return {"agree": AGREE, "disagree": DISAGREE, "unproven": UNPROVEN}[result.verdict]
 
 
@@ -246,6 +249,8 @@ def main() -> None:
     known fault shows its traceback and exits with 70, never with a verdict's code.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
     try:
         code = app(standalone_mode=False)

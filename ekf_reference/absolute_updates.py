@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 
 from ekf_reference.kalman import Array, Index, LocalMap
 
+_WEAKEST = 2.0**-40
+
 
 class Linearised(NamedTuple):
     """An observation at the present state.
@@ -51,19 +53,20 @@ class Steps:
     def split(self, linearise: Callable[[], Linearised], noise: Array) -> Iterator[Part]:
         """Yield parts until their weights add up to one; the caller fuses each with noise / weight.
 
-        noise: (m, m), R. Weights are halved until the predicted correction of the pose is within
-        the bounds.
+        noise: (m, m), R. A weight is halved until the predicted correction of the pose is within
+        the bounds; the first parts of a strong correction are therefore very weak. When only one
+        part may follow, it takes what is left.
         """
         left = 1.0
-        while left > 0.0:
+        for remaining in range(self.most, 0, -1):
             at = linearise()
             weight = left
-            while weight > 1.0 / self.most and not self._within(at, noise / weight):
+            while remaining > 1 and weight > _WEAKEST and not self._within(at, noise / weight):
                 weight *= 0.5
-            if left - weight < 1e-12:
-                weight = left
             left -= weight
             yield Part(weight, at)
+            if left == 0.0:
+                return
 
     def _within(self, at: Linearised, noise: Array) -> bool:
         if self.largest_turn_rad == self.largest_move_m == float("inf"):

@@ -136,7 +136,9 @@ class KalmanState:
     def update(
         self, columns: Index, jacobian: Array, innovation: Array, noise: Array
     ) -> Correction:
-        """Fuse one stacked observation (Nieto 2005, eqs. 2.39, 2.45 to 2.47 as corrected).
+        """Fuse one stacked observation (Nieto 2005, eqs. 2.39 and 2.45 to 2.47).
+
+        Errata: 2.39 is printed S = H P H + R and 2.47 W = P H S^-1; the transposes belong there.
 
         columns: (c,) state entries the observation depends on. jacobian: (m, c) with respect to
         them. innovation: (m,), wrapped. noise: (m, m).

@@ -34,7 +34,7 @@ Index = NDArray[np.intp]
 class LinearSightings:
     """M relations residual = jacobian_pose (x - point_pose) + jacobian_landmark (l - point) + v.
 
-    step: (M,) motion steps before each (F1) or pose node (F2). slot: (M,) landmark.
+    step: (M,) motion steps before each. slot: (M,) landmark.
     point_pose: (M, 3). point_landmark, residual: (M, 2). jacobian_pose: (M, 2, 3).
     jacobian_landmark: (M, 2, 2). covariance: (M, 2, 2) of v.
     """

@@ -62,7 +62,7 @@ class BlockAgreement:
 class Agreement:
     """All gaps, and E against S for the pose, every landmark and the whole.
 
-    difference: (n,) E - S, heading wrapped. landmark_difference_rms_m: over all landmarks.
+    landmark_difference_rms_m: root mean square distance of all landmarks.
     """
 
     algebra: Gap
@@ -71,7 +71,6 @@ class Agreement:
     pose: BlockAgreement
     landmarks: tuple[BlockAgreement, ...]
     whole: BlockAgreement
-    difference: Array
     landmark_difference_rms_m: float
 
 
@@ -89,7 +88,6 @@ def compare(ekf: Gaussian, recorded: Gaussian, own: Gaussian, smoother: Gaussian
         _block(ekf, smoother, difference, slice(0, 3)),
         landmarks,
         _block(ekf, smoother, difference, slice(0, len(sigma))),
-        difference,
         float(np.sqrt(np.mean([b.difference_m**2 for b in landmarks]))) if landmarks else 0.0,
     )
 

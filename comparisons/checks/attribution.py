@@ -137,12 +137,20 @@ def _linearisation(agreement: Agreement, run: EkfRun) -> Cause:
     ids = run.estimate.landmark_id
     off = [i for i, block in enumerate(agreement.landmarks) if not block_agrees(block)]
     parts = []
-    if off:
-        worst = max(off, key=lambda i: agreement.landmarks[i].distance)
+    far = [i for i in off if agreement.landmarks[i].distance > LARGEST_DISTANCE]
+    if far:
+        worst = max(far, key=lambda i: agreement.landmarks[i].distance)
         block = agreement.landmarks[worst]
         parts.append(
-            f"{len(off)} of {len(ids)} landmarks disagree, the farthest, {ids[worst]}, by "
+            f"{len(far)} of {len(ids)} landmarks are too far off, landmark {ids[worst]} by "
             f"{block.difference_m:.2f} m ({block.distance:.1f} sigma)"
+        )
+    unsure = [i for i in off if i not in far]
+    if unsure:
+        worst = min(unsure, key=lambda i: agreement.landmarks[i].least)
+        parts.append(
+            f"{len(unsure)} of {len(ids)} landmarks have a wrong covariance, landmark "
+            f"{ids[worst]} {agreement.landmarks[worst].least:.2g} times the justified variance"
         )
     if agreement.pose.distance > LARGEST_DISTANCE:
         parts.append(

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from comparisons.errors import InputError
-from comparisons.logs.log import Log, RelativePoses, SteeringOdometry
+from comparisons.logs.log import Ackermann, Log, OdometryNoise, RelativePoses, SteeringOdometry
 from comparisons.logs.table import read_text
 
 MARK = "log.toml"
@@ -31,16 +31,16 @@ class _PriorModel(_Model):
 
 class _VehicleModel(_Model):
     wheelbase_m: float
-    encoder_offset_m: float = 0.0
-    sensor_forward_m: float = 0.0
-    sensor_left_m: float = 0.0
+    encoder_offset_m: float = Ackermann.encoder_offset_m
+    sensor_forward_m: float = Ackermann.sensor_forward_m
+    sensor_left_m: float = Ackermann.sensor_left_m
 
 
 class _NoiseModel(_Model):
     sigma_speed_mps: float
     sigma_turn: float
-    variance_rate_position: float = 1e-6
-    variance_rate_heading: float = 1e-8
+    variance_rate_position: float = OdometryNoise.variance_rate_position
+    variance_rate_heading: float = OdometryNoise.variance_rate_heading
 
 
 class SteeringModel(_Model):

@@ -22,7 +22,12 @@ TRUTH_COLOUR = "#444444"
 
 
 def ellipses(centre: Array, covariance: Array, sigmas: float, points: int = 48) -> Array:
-    """Outlines (L, points, 2) of the error ellipses of centres (L, 2), covariances (L, 2, 2)."""
+    """Outlines (L, points, 2) of the error ellipses of centres (L, 2), covariances (L, 2, 2).
+
+    A covariance that is not finite, as a broken filter leaves it, is drawn as a point.
+    """
+    finite = np.isfinite(covariance).all(axis=(1, 2), keepdims=True)
+    covariance = np.where(finite, covariance, 0.0)
     values, axes = np.linalg.eigh(covariance)
     angle = np.linspace(0.0, 2.0 * np.pi, points)
     circle = np.column_stack((np.cos(angle), np.sin(angle)))

@@ -61,8 +61,8 @@ def run_ekf(
     """Drive the filter through all epochs, or as far as it comes.
 
     positions: to be fused; the timeline is built with the same. progress: called with epochs done
-    and in all. modify: may replace parts of the filter before
-    it starts, which is how defects are planted.
+    and in all. modify: may replace parts of the filter before it starts, which is how defects are
+    planted.
     """
     trace = RecordedTrace()
     ekf = build_ekf(log, choices, trace)
@@ -108,8 +108,12 @@ def run_ekf(
             progress(k, epochs)
     progress(epochs, epochs)
     joint = np.array(ekf.state.covariance)
-    if not (np.isfinite(joint).all() and np.isfinite(ekf.state.mean).all()):
-        raise InputError(f"{log.name}: the EKF's estimate is not finite")
+    if not np.isfinite(ekf.state.mean).all():
+        raise InputError(
+            f"{log.name}: the EKF's mean is not finite, so there is nothing to compare"
+        )
+    if breakdown is None and not np.isfinite(joint).all():
+        breakdown = "the EKF broke down: its covariance is not finite at the end"
     timeline = timeline.prefix(epochs)
     arrays = trace.arrays()
     slot = _as_used(slot[: len(timeline.sighting_epoch)], arrays)

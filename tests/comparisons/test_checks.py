@@ -121,6 +121,14 @@ def test_matching_is_one_to_one_and_near() -> None:
     assert columns.tolist() == [0]
 
 
+def test_a_far_pairing_does_not_cost_a_near_one() -> None:
+    """Pairs beyond the limit must not compete with those within."""
+    ours, theirs = np.array(((0.0, 0.0), (2.3, 0.0))), np.array(((0.9, 0.0), (-1.4, 0.0)))
+    rows, columns = match_by_distance(ours, theirs)
+    assert rows.tolist() == [0]
+    assert columns.tolist() == [0]
+
+
 def test_accuracy_of_the_truth_is_perfect_and_coverage_counts(comparison: Comparison) -> None:
     log, estimate = comparison.log, comparison.ekf.estimate
     truth = log.truth

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -15,15 +16,19 @@ from comparisons.runs.estimate_folder import read_estimate
 from tests.helpers import simulated
 
 
-def slamcheck(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+def python(code: str, cwd: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-c", "from comparisons.cli import main; main()", *arguments],
+        [sys.executable, "-c", code, *arguments],
         cwd=cwd,
         capture_output=True,
         text=True,
         check=False,
         env={"PYTHONPATH": str(Path(__file__).resolve().parents[2]), "PATH": "", "COLUMNS": "100"},
     )
+
+
+def slamcheck(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    return python("from comparisons.cli import main; main()", cwd, *arguments)
 
 
 def test_a_run_leaves_a_whole_folder(tmp_path: Path) -> None:
@@ -53,7 +58,7 @@ def test_disagreement_exits_with_1_and_says_why(tmp_path: Path) -> None:
     done = slamcheck("run", cwd=tmp_path)
     assert done.returncode == 1, done.stderr
     assert "verdict: disagree" in done.stdout
-    assert "linearisation gap: 151 of 151 landmarks disagree" in done.stdout
+    assert "linearisation gap: 151 of 151 landmarks are too far off" in done.stdout
     result = json.loads((tmp_path / "slamcheck-victoria-park" / "result.json").read_text())
     assert result["verdict"] == "disagree"
     assert abs(result["smoother"]["error"] - 3173.49) < 0.01
@@ -79,7 +84,16 @@ def test_bad_input_is_one_line_and_exit_2(tmp_path: Path) -> None:
         ("run", "simulated-loop", "--out", "file/x"): "file/x: cannot be written",
         ("run", "simulated-loop", "--loops", "0"): "--loops is 0, expected 1 to 1000",
         ("run", "simulated-loop", "--noise-scale", "nan"): "--noise-scale is nan",
+        ("run", "simulated-loop", "--out", "."): ".: is the current folder or holds it",
+        ("run", "simulated-loop", "--filter", "ukf"): "filter 'ukf' is unknown, expected full,",
+        ("run", "simulated-loop", "--gps", "on"): "holds no positions to fuse; use --gps off",
+        ("run", "simulated-loop", "--gps", "maybe"): "gps 'maybe' is unknown, expected off, on",
+        ("run", "n" * 300): "no such file or folder",
+        ("run", "--bogus"): "No such option: --bogus",
+        ("run", "--seed", "abc"): "abc",
+        ("convert", "simulated-loop"): "FOLDER",
         ("convert", "nowhere", "out"): "nowhere: no such file or folder",
+        ("convert", "simulated-loop", "full"): "full: already holds mine.txt",
     }
     for arguments, message in cases.items():
         done = slamcheck(*arguments, cwd=tmp_path)
@@ -90,6 +104,51 @@ def test_bad_input_is_one_line_and_exit_2(tmp_path: Path) -> None:
         assert done.stderr.count("\n") == 1
     assert sorted(p.name for p in tmp_path.iterdir()) == ["empty", "file", "full"]
     assert [p.name for p in (tmp_path / "full").iterdir()] == ["mine.txt"]
+
+
+def test_a_crash_is_no_verdict(tmp_path: Path) -> None:
+    """An unforeseen failure shows its traceback and exits with 70."""
+    code = (
+        "import sys, comparisons.compare as c\n"
+        "def fails(*a, **k): raise ZeroDivisionError('planted')\n"
+        "c.compare_estimators = fails\n"
+        "sys.argv[1:] = ['run', 'simulated-loop', '--out', 'report']\n"
+        "from comparisons.cli import main\nmain()\n"
+    )
+    done = python(code, tmp_path)
+    assert done.returncode == 70
+    assert "ZeroDivisionError: planted" in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_interrupt_leaves_nothing(tmp_path: Path) -> None:
+    code = (
+        "import sys, comparisons.compare as c\n"
+        "def stop(*a, **k): raise KeyboardInterrupt\n"
+        "c.compare_estimators = stop\n"
+        "sys.argv[1:] = ['run', 'simulated-loop', '--out', 'a/report']\n"
+        "from comparisons.cli import main\nmain()\n"
+    )
+    done = python(code, tmp_path)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_closed_pipe_keeps_the_verdict(tmp_path: Path) -> None:
+    code = (
+        "import os, sys\nos.close(1)\n"
+        "sys.argv[1:] = ['run', 'simulated-loop', '--out', 'report']\n"
+        "from comparisons.cli import main\nmain()\n"
+    )
+    assert python(code, tmp_path).returncode == 0
+    assert (tmp_path / "report" / "result.json").exists()
+
+
+def test_a_log_called_like_a_path_stays_here(tmp_path: Path) -> None:
+    write_log_folder(replace(simulated(loop_s=5.0), name="$x/../../up$"), tmp_path / "log")
+    done = slamcheck("run", "log", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["log", "slamcheck-x-..-..-up"]
 
 
 def test_a_damaged_log_leaves_no_report(tmp_path: Path) -> None:
@@ -150,12 +209,5 @@ def test_help_imports_nothing_heavy(arguments: list[str], tmp_path: Path) -> Non
         "heavy = {'numpy', 'scipy', 'gtsam', 'matplotlib', 'open3d'} & set(sys.modules)\n"
         "assert not heavy, heavy\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-        env={"PYTHONPATH": str(Path(__file__).resolve().parents[2]), "PATH": ""},
-    )
+    done = python(code, tmp_path)
     assert done.returncode == 0, done.stderr

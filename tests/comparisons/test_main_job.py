@@ -67,8 +67,7 @@ def test_mrclam(shared_data: Path, robot: int) -> None:
         assert accuracy.landmark_rmse_aligned_m < 0.12
 
 
-def test_the_same_associations_from_the_bundled_and_the_raw_log(shared_data: Path) -> None:
-    """Victoria Park's raw detections can be read whole; running them is for a later filter."""
+def test_victoria_park_detections_read_whole(shared_data: Path) -> None:
     log = open_log(str(shared_data / "victoria_park"))
     assert log.records == {"odometry": 61945, "sightings": 52974, "positions": 4466}
     straight_ahead = np.abs(log.sightings.bearing_rad) <= np.pi / 2 + 1e-9

@@ -57,6 +57,15 @@ def test_inverse_undoes_prediction_and_its_jacobians_hold(seed: int) -> None:
     assert np.allclose(h @ new.jacobian_sighting[0], np.eye(2), atol=1e-12)
 
 
+def test_printed_arctangent_fails_behind_the_vehicle() -> None:
+    """Equation 2.8 prints atan(dy / dx), which loses the quadrant (errata)."""
+    for dx, dy, same in ((3.0, 4.0, True), (-3.0, 4.0, False), (-3.0, -4.0, False)):
+        printed = np.arctan(dy / dx)
+        bearing = MODEL.predict(np.zeros(3), np.array([[dx, dy]])).z[0, 1]
+        assert np.isclose(bearing, printed) is np.bool_(same)
+        assert np.allclose((np.cos(bearing), np.sin(bearing)), (dx / 5, dy / 5))
+
+
 def test_quadrants_and_wrap() -> None:
     behind = MODEL.predict(np.zeros(3), np.array([[-1.0, 1e-3], [-1.0, -1e-3]])).z[:, 1]
     assert behind[0] > 3.1

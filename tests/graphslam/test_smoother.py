@@ -162,6 +162,22 @@ def test_frozen_smoother_on_one_step_equals_the_kalman_filter() -> None:
     assert relative_error(frozen.covariance, covariance) < 1e-10
 
 
+def test_the_limit_on_the_decrement_is_tight(problem: SlamProblem) -> None:
+    """A hundredth of a sigma beside the optimum already counts as not there."""
+    result = smooth(problem, {})
+    sigma = float(np.sqrt(result.pose_covariances()[-1, 0, 0]))
+    poses = result.poses.copy()
+    poses[-1, 0] += 1e-2 * sigma
+    beside = to_values(poses, result.landmarks, np.unique(problem.sighting_landmark))
+    found = stationarity(result.graph, beside)
+    assert 1e-6 < found.decrement < 0.1
+    assert not found.holds
+
+
+def test_without_degrees_of_freedom_nothing_is_read_into_chi_square() -> None:
+    assert chi_square_test(0.0, 0).reading == "plausible"
+
+
 @pytest.mark.parametrize(
     ("error", "reading"), [(10.0, "too low"), (50.0, "plausible"), (100.0, "too high")]
 )

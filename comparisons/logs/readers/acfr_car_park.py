@@ -27,6 +27,7 @@ from comparisons.logs.log import (
     Truth,
 )
 from comparisons.logs.readers.victoria_park import UTE
+from graphslam.increments import Stabilisation, ackermann_samples
 
 _NOISE = OdometryNoise(0.1, np.deg2rad(2.0), 1e-5, 1e-6)
 _SIGMA_RANGE_M = 0.05
@@ -131,15 +132,17 @@ def _prior(odometry: SteeringOdometry, positions: Positions) -> Prior:
     Dead reckoning is the vehicle's own equations (Nieto 2005, A.4) from the origin; the GPS
     antenna of this vehicle behaves as if at the laser.
     """
-    vehicle = odometry.vehicle
-    dt = np.diff(odometry.time_s)
-    tan = np.tan(odometry.steering_rad[:-1])
-    speed = odometry.speed_mps[:-1] / (1.0 - tan * vehicle.encoder_offset_m / vehicle.wheelbase_m)
-    turn = dt * speed * tan / vehicle.wheelbase_m
-    heading = np.concatenate(([0.0], np.cumsum(turn)))
-    forward = dt * speed - vehicle.sensor_left_m * turn
-    left = vehicle.sensor_forward_m * turn
-    step = (forward + 1j * left) * np.exp(1j * heading[:-1])
+    forward, left, turn = ackermann_samples(
+        odometry.speed_mps[:-1],
+        odometry.steering_rad[:-1],
+        np.diff(odometry.time_s),
+        0.0,
+        0.0,
+        Stabilisation(),
+        **vars(odometry.vehicle),
+    ).displacement.T
+    heading = np.concatenate(([0.0], np.cumsum(turn[:-1])))
+    step = (forward + 1j * left) * np.exp(1j * heading)
     path = np.concatenate(([0.0], np.cumsum(step)))
     early = (positions.time_s <= _ALIGNED_S) & (positions.time_s >= odometry.time_s[0])
     times = positions.time_s[early]

@@ -17,6 +17,7 @@ from comparisons.logs.log import (
     RelativePoses,
     Scans,
     Sightings,
+    SteeringOdometry,
 )
 from comparisons.runs.timeline import build_timeline
 from tests.helpers import simulated
@@ -57,6 +58,33 @@ FAULTS: dict[str, tuple[Callable[[], object], str]] = {
     ),
     "bad id": (lambda: sightings(landmark=np.array((0, -7, 1))), "row 1: landmark is -7"),
     "length": (lambda: sightings(range_m=np.ones(2)), r"range_m has shape \(2,\), expected"),
+    "huge": (lambda: sightings(range_m=np.array((3.0, 1e300, 5.0))), "row 1: range_m is 1e.300"),
+    "tiny sigma": (
+        lambda: sightings(sigma_range_m=np.full(3, 1e-200)),
+        "row 0: sigma_range_m is 1e-200, expected between",
+    ),
+    "fractional id": (
+        lambda: sightings(landmark=np.array((0.0, 1.5, 2.0))),
+        "row 1: landmark is 1.5, expected a whole number",
+    ),
+    "id beyond 2^53": (
+        lambda: sightings(landmark=np.array((0, 2**60, 1))),
+        "row 1: landmark is 11",
+    ),
+    "negative landmark covariance": (
+        lambda: Landmarks(np.array([4]), np.zeros((1, 2)), -EYE[None]),
+        "landmarks, row 0: covariance is not positive definite",
+    ),
+    "turning about the encoder's wheel": (
+        lambda: SteeringOdometry(
+            np.zeros(1), np.ones(1), np.array([1.4]), Ackermann(1.0, 0.5), OdometryNoise(0.1, 0.1)
+        ),
+        "steering odometry, row 0: steering_rad is 1.4, which turns about",
+    ),
+    "antenna": (
+        lambda: Positions(np.zeros(0), np.zeros((0, 2)), np.zeros((0, 2, 2)), (0.0, float("inf"))),
+        "antenna_m is",
+    ),
     "label gate": (lambda: sightings(label_gate=float("nan")), "label_gate is nan"),
     "indefinite prior": (
         lambda: Prior(0.0, np.zeros(3), np.diag((1.0, 1.0, -1.0))),
@@ -96,6 +124,12 @@ def test_faults_name_stream_row_value_and_expectation(name: str) -> None:
     make, message = FAULTS[name]
     with pytest.raises(InputError, match=message):
         make()
+
+
+def test_names_cannot_command_a_terminal() -> None:
+    log = replace(simulated(loop_s=5.0), name="a\x1b]0;b\n", provenance={"k": "v\udcff"})
+    assert log.name == "a?]0;b?"
+    assert log.provenance == {"k": "v?"}
 
 
 def test_records_are_frozen_copies() -> None:

@@ -144,6 +144,7 @@ BAD_GRAPH = {
         ":2: covariance 0.04 0",
     ),
     "at the sensor": (GRAPH.replace("3.0 4.0", "0 0"), ":2: range_m is 0.0, expected above 0"),
+    "endless id": (GRAPH.replace("LANDMARK 0 2 3", "LANDMARK 0 " + "9" * 30 + " 3"), ":2: j is '9"),
     "fraction": (GRAPH.replace("LANDMARK 0 2 3", "LANDMARK 0 2.5 3"), ":2: j is '2.5'"),
     "empty": ("# nothing\n", "expected at least one ODOMETRY"),
 }
@@ -166,6 +167,10 @@ def edit(name: str, old: str, new: str) -> Callable[[Path], None]:
         path.write_text(text.replace(old, new))
 
     return change
+
+
+def few_fixes(folder: Path) -> None:
+    car_park(folder, TimeGPS=np.array([10.1]), GPSLon=np.array([5.0]), GPSLat=np.array([0.1]))
 
 
 BAD_FOLDERS: dict[str, tuple[Callable[[Path], Path], Callable[[Path], object], str]] = {
@@ -193,6 +198,31 @@ BAD_FOLDERS: dict[str, tuple[Callable[[Path], Path], Callable[[Path], object], s
         mrclam,
         lambda folder: (folder / "Robot1_Groundtruth.dat").unlink(),
         "Robot1_Groundtruth.dat: no such file",
+    ),
+    "mrclam truth too late": (
+        mrclam,
+        edit("Robot1_Groundtruth.dat", "1000.0 0.0", "1001.5 0.0"),
+        "Robot1_Groundtruth.dat: does not cover the odometry's start",
+    ),
+    "mrclam fraction": (
+        mrclam,
+        edit("Landmark_Groundtruth.dat", "7 3.0", "7.5 3.0"),
+        "Landmark_Groundtruth.dat:2: subject is 7.5, expected a whole number",
+    ),
+    "car park without heading": (
+        car_park,
+        few_fixes,
+        "data_set.mat: positions: the first 6 s do not show the heading",
+    ),
+    "car park lengths of GPS": (
+        car_park,
+        lambda folder: car_park(folder, GPSLat=np.zeros(2)),
+        "data_set.mat: GPSLon and GPSLat differ in length",
+    ),
+    "car park no beacons": (
+        car_park,
+        lambda folder: (folder / "beac_juan3.mat").unlink(),
+        "beac_juan3.mat: no such file",
     ),
     "victoria nan": (
         victoria,

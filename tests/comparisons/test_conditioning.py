@@ -1,0 +1,113 @@
+"""Sound filters stay green where numbers are awkward; broken ones are reported as such."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from comparisons.compare import compare_estimators
+from comparisons.logs.log import Log, Prior, RelativePoses, Sightings
+from ekf_reference.full_ekf import FullEkf
+from ekf_reference.kalman import Array, Correction, Index, KalmanState
+from tests.helpers import simulated
+
+
+@pytest.mark.parametrize("jitter_s", [0.02, 1e-3, 1e-4, 1e-6])
+def test_sightings_that_come_one_by_one(jitter_s: float) -> None:
+    """A millisecond or less between poses costs no digits that matter."""
+    log = simulated(loop_s=20.0)
+    shift = np.random.default_rng(0).uniform(0.0, jitter_s, len(log.sightings.time_s))
+    time = np.sort(log.sightings.time_s + shift)
+    c = compare_estimators(replace(log, sightings=replace(log.sightings, time_s=time)))
+    assert c.agreement.algebra.within(1e-8)
+    assert c.agreement.model.within(1e-8)
+    assert c.smoother.proof.proven
+    assert c.verdict.outcome == "agree"
+
+
+def precise_log() -> Log:
+    """Increments known to 20 micrometres, with errors that go together."""
+    rng = np.random.default_rng(0)
+    steps = 30
+    covariance = 4e-10 * np.array([[1.0, 0.9, 0.3], [0.9, 1.0, 0.3], [0.3, 0.3, 1.0]])
+    root = np.linalg.cholesky(covariance)
+    move = np.array((0.5, 0.0, 0.2))
+    displacement = move + rng.standard_normal((steps, 3)) @ root.T
+    pose = np.zeros(3)
+    z, when = [], []
+    post = np.array((1.0, 4.0))
+    for k in range(1, steps + 1):
+        cos, sin = np.cos(pose[2]), np.sin(pose[2])
+        pose = pose + (cos * 0.5, sin * 0.5, 0.2)
+        offset = post - pose[:2]
+        z.append((np.hypot(*offset), np.angle(np.exp(1j * (np.arctan2(*offset[::-1]) - pose[2])))))
+        when.append(float(k))
+    seen = np.array(z) + rng.standard_normal((steps, 2)) * (1e-3, 1e-3)
+    return Log(
+        "precise",
+        "test",
+        Prior(0.0, np.zeros(3), 1e-10 * (np.eye(3) + 0.5)),
+        RelativePoses(np.array(when), displacement, np.broadcast_to(covariance, (steps, 3, 3))),
+        Sightings(
+            np.array(when), seen[:, 0], seen[:, 1], np.full(steps, 1e-3), np.full(steps, 1e-3),
+            np.zeros(steps, dtype=np.int64), np.full(steps, np.nan),
+        ),
+    )  # fmt: skip
+
+
+def test_small_correlations_are_kept() -> None:
+    """gtsam's default takes covariances below 1e-9 for zero; ours must not."""
+    c = compare_estimators(precise_log())
+    assert c.agreement.algebra.within(1e-8)
+    assert c.agreement.model.within(1e-8)
+    assert c.verdict.outcome == "agree"
+
+
+class NotANumber(KalmanState):
+    """From the fifth update on, one entry of the covariance is NaN."""
+
+    updates = 0
+
+    def update(
+        self, columns: Index, jacobian: Array, innovation: Array, noise: Array
+    ) -> Correction:
+        self.updates += 1
+        done = super().update(columns, jacobian, innovation, noise)
+        if self.updates == 5:
+            self._covariance[0, 0] = np.nan
+        return done
+
+
+class Indefinite(KalmanState):
+    """The covariance loses far too much at the fifth update."""
+
+    updates = 0
+
+    def update(
+        self, columns: Index, jacobian: Array, innovation: Array, noise: Array
+    ) -> Correction:
+        self.updates += 1
+        done = super().update(columns, jacobian, innovation, noise)
+        if self.updates == 5:
+            self._covariance[:3, :3] -= 1e3 * np.eye(3)
+        return done
+
+
+@pytest.mark.parametrize("state", [NotANumber, Indefinite])
+def test_a_filter_that_breaks_down_disagrees(state: type[KalmanState]) -> None:
+    """It is the filter's fault, not the log's; everything is compared up to there."""
+    log = simulated(loop_s=20.0)
+
+    def plant(ekf: FullEkf) -> None:
+        ekf.state = state(ekf.state.pose, np.array(ekf.state.covariance))
+
+    c = compare_estimators(log, modify=plant)
+    assert c.verdict.outcome == "disagree"
+    assert c.ekf.breakdown is not None
+    assert "broke down at 1." in c.ekf.breakdown
+    assert c.ekf.timeline.epoch_time_s[-1] < 3.0
+    assert len(c.ekf.slot) < len(log.sightings.time_s)
+    said = [*(cause.evidence for cause in c.verdict.causes), *c.verdict.remarks]
+    assert any("broke down" in line for line in said)

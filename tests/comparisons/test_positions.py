@@ -1,0 +1,130 @@
+"""Absolute positions through both estimators and both frozen smoothers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import gtsam
+import numpy as np
+import pytest
+
+from comparisons.compare import compare_estimators
+from comparisons.logs.bundled import open_log
+from comparisons.logs.log import Log, Positions
+from comparisons.runs.ekf_build import EkfChoices
+from ekf_reference.absolute_updates import Steps
+from ekf_reference.full_ekf import FullEkf
+from graphslam.graph_builder import position_factor
+from tests.helpers import Array, central_difference, relative_error, simulated
+
+
+def with_fixes(log: Log, antenna: tuple[float, float], outlier: int | None = None) -> Log:
+    """A fix every second, 0.3 m, of an antenna; one of them 40 m off if asked for."""
+    truth = log.truth.poses
+    assert truth is not None
+    rng = np.random.default_rng(5)
+    pose, time = truth.pose[40::40], truth.time_s[40::40]
+    cos, sin = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+    arm = np.column_stack(
+        (cos * antenna[0] - sin * antenna[1], sin * antenna[0] + cos * antenna[1])
+    )
+    position = pose[:, :2] + arm + 0.3 * rng.standard_normal((len(pose), 2))
+    if outlier is not None:
+        position[outlier] += 40.0
+    covariance = np.broadcast_to(0.09 * np.eye(2), (len(pose), 2, 2))
+    return replace(log, positions=Positions(time, position, covariance, antenna))
+
+
+@pytest.mark.parametrize("antenna", [(0.0, 0.0), (2.0, -0.8)])
+@pytest.mark.parametrize("name", ["full", "compressed"])
+def test_gaps_stay_at_rounding_with_positions(antenna: tuple[float, float], name: str) -> None:
+    log = with_fixes(simulated(seed=3, loop_s=30.0), antenna, outlier=10)
+    c = compare_estimators(log, EkfChoices(name, "known", "on"))
+    assert c.agreement.algebra.within(1e-8)
+    assert c.agreement.model.within(1e-8)
+    assert c.ekf.rejected_fixes == 1
+    assert 10 not in c.ekf.fix_number
+    assert c.verdict.outcome == "agree"
+
+
+def test_positions_reduce_the_covariance_of_vehicle_and_map() -> None:
+    """Guivant 2002, Fig. 8: the deviations drop when absolute information arrives."""
+    log = with_fixes(simulated(seed=3), (0.0, 0.0))
+    without = compare_estimators(log, EkfChoices(association="known"))
+    fused = compare_estimators(log, EkfChoices(association="known", gps="on"))
+    before, after = (np.diag(c.ekf.estimate.joint_covariance) for c in (without, fused))
+    assert np.all(after < before)
+    assert np.median(after[3:] / before[3:]) < 0.2
+
+
+def test_split_updates_are_replayed_part_by_part() -> None:
+    """Bounds on every step, sightings included: the frozen smoothers follow the weights."""
+    log = with_fixes(simulated(seed=3, loop_s=30.0), (0.0, 0.0))
+
+    def gradual(ekf: FullEkf) -> None:
+        ekf.steps = Steps(largest_turn_rad=np.deg2rad(0.2), largest_move_m=0.05)
+        ekf.fixes = replace(ekf.fixes, steps=ekf.steps)
+
+    c = compare_estimators(log, EkfChoices(association="known", gps="on"), modify=gradual)
+    assert (c.ekf.trace.updates.weight < 1.0).any()
+    assert (c.ekf.trace.positions.weight < 1.0).any()
+    assert c.agreement.algebra.within(1e-8)
+    assert c.agreement.model.within(1e-8)
+
+
+def test_held_back_positions_judge() -> None:
+    log = with_fixes(simulated(seed=3, loop_s=30.0), (0.0, 0.0))
+    assert log.positions is not None
+    c = compare_estimators(log, EkfChoices(association="known", gps="half"))
+    assert len(c.ekf.fix_number) + c.ekf.rejected_fixes == (len(log.positions.time_s) + 1) // 2
+    assert c.accuracy_ekf is not None
+    assert c.accuracy_ekf.gps_median_m is not None
+    assert c.accuracy_ekf.gps_median_m < 0.6
+
+
+def test_our_position_factor_equals_central_differences() -> None:
+    lever, z = (1.5, -0.4), np.array((3.0, 4.0))
+    factor = position_factor(0, z, np.diag((0.04, 0.09)), lever)
+    pose = gtsam.Pose2(1.0, 2.0, 0.8)
+
+    def values(xi: Array) -> gtsam.Values:
+        result = gtsam.Values()
+        result.insert(0, pose.retract(xi))
+        return result
+
+    def whitened(xi: Array) -> Array:
+        p = pose.retract(xi)
+        antenna = p.transformFrom(np.array(lever))
+        residual: Array = (antenna - z) / (0.2, 0.3)
+        return residual
+
+    linear = factor.linearize(values(np.zeros(3)))
+    a, b = linear.jacobian()
+    assert relative_error(a, central_difference(whitened, np.zeros(3))) < 1e-8
+    assert np.allclose(b.ravel(), -whitened(np.zeros(3)))
+
+
+def test_car_park_with_gps(shared_data: Path) -> None:
+    """Landmark RMSE against the 15 beacons without alignment."""
+    log = open_log(str(shared_data / "acfr_car_park"))
+    c = compare_estimators(log, EkfChoices(gps="on"))
+    assert c.agreement.algebra.within(1e-6)
+    assert c.agreement.model.within(1e-6)
+    for accuracy, limit in ((c.accuracy_ekf, 0.08), (c.accuracy_smoother, 0.05)):
+        assert accuracy is not None
+        assert accuracy.landmarks_found == 15
+        assert accuracy.landmark_rmse_m is not None
+        assert accuracy.landmark_rmse_m < limit
+
+
+def test_victoria_park_with_gps(shared_data: Path) -> None:
+    """Every second fix fused, the others held back to judge by; outliers are gated."""
+    log = open_log(str(shared_data / "victoria_park"))
+    c = compare_estimators(log, EkfChoices("compressed", gps="half"))
+    assert c.agreement.algebra.within(1e-6)
+    assert c.agreement.model.within(1e-6)
+    assert c.ekf.rejected_fixes > 0
+    assert c.accuracy_ekf is not None
+    assert c.accuracy_ekf.gps_median_m is not None
+    assert c.accuracy_ekf.gps_median_m < 0.8

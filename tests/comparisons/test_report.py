@@ -1,0 +1,204 @@
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from comparisons.atomic import check_replaceable, folder_name, fresh_folder
+from comparisons.compare import Comparison, compare_estimators
+from comparisons.errors import InputError
+from comparisons.logs.bundled import open_log
+from comparisons.logs.log_folder import read_log_folder, write_log_folder
+from comparisons.report.plots import ellipses, landmark_covariances, map_figure
+from comparisons.report.result import build_result, log_hash
+from comparisons.runs.estimate_folder import read_estimate, write_estimate
+from tests.helpers import random_covariance, simulated
+
+
+@pytest.fixture(scope="module")
+def comparison() -> Comparison:
+    return compare_estimators(simulated(seed=2, loop_s=20.0))
+
+
+def test_ellipses_lie_at_their_sigmas() -> None:
+    """Every point of a 3-sigma ellipse is at Mahalanobis distance 3."""
+    rng = np.random.default_rng(0)
+    covariance = np.array([random_covariance(rng, 2) for _ in range(4)])
+    centre = rng.standard_normal((4, 2))
+    offset = ellipses(centre, covariance, 3.0) - centre[:, None]
+    distance = np.einsum("lpi,lij,lpj->lp", offset, np.linalg.inv(covariance), offset)
+    assert np.allclose(distance, 9.0)
+
+
+def test_the_map_shows_both_estimates_and_truth(comparison: Comparison) -> None:
+    figure = map_figure(comparison)
+    legend = figure.axes[0].get_legend()
+    assert legend is not None
+    assert {text.get_text() for text in legend.get_texts()} == {
+        "truth", "true landmarks", "smoother trajectory", "EKF trajectory",
+        "smoother landmarks, 3 sigma", "EKF landmarks, 3 sigma",
+    }  # fmt: skip
+    joint = comparison.ekf.estimate.joint_covariance
+    assert np.array_equal(landmark_covariances(comparison.ekf.estimate)[3], joint[9:11, 9:11])
+
+
+@pytest.mark.parametrize("stream", ["prior", "odometry", "sightings"])
+def test_the_hash_sees_every_stream(stream: str) -> None:
+    log = simulated(loop_s=5.0)
+    changed = {
+        "prior": replace(log, prior=replace(log.prior, time_s=-1e-9)),
+        "odometry": replace(log, odometry=replace(log.odometry, time_s=log.odometry.time_s + 1e-9)),
+        "sightings": replace(
+            log, sightings=replace(log.sightings, range_m=log.sightings.range_m + 1e-9)
+        ),
+    }[stream]
+    assert log_hash(changed) != log_hash(log)
+
+
+@pytest.mark.parametrize("name", ["acfr_car_park", "victoria_park"])
+def test_a_converted_log_keeps_its_hash(name: str, shared_data: Path, tmp_path: Path) -> None:
+    log = open_log(str(shared_data / name))
+    write_log_folder(log, tmp_path / "log")
+    assert log_hash(read_log_folder(tmp_path / "log")) == log_hash(log)
+
+
+def test_figures_that_do_not_exist_are_null(comparison: Comparison) -> None:
+    broken = replace(
+        comparison,
+        agreement=replace(
+            comparison.agreement,
+            algebra=replace(comparison.agreement.algebra, covariance=float("inf")),
+        ),
+    )
+    text = build_result(broken, 0.1).model_dump_json()
+    assert '"algebra_gap_covariance":null' in text
+    assert "Infinity" not in text
+
+
+def test_nothing_is_left_when_writing_fails(tmp_path: Path) -> None:
+    def write() -> None:
+        with fresh_folder(tmp_path / "a" / "b" / "report") as work:
+            (work / "half").write_text("x")
+            raise OSError(28, "disk full")
+
+    with pytest.raises(InputError, match=r"cannot be written \(disk full\)"):
+        write()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_earlier_report_survives_a_failure(tmp_path: Path) -> None:
+    target = tmp_path / "report"
+    names = frozenset({"result.json"})
+    with fresh_folder(target, names) as work:
+        (work / "result.json").write_text("first")
+
+    def interrupted() -> None:
+        with fresh_folder(target, names) as work:
+            (work / "result.json").write_text("second")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert (target / "result.json").read_text() == "first"
+    with fresh_folder(target, names) as work:
+        (work / "result.json").write_text("third")
+    assert (target / "result.json").read_text() == "third"
+    assert [p.name for p in tmp_path.iterdir()] == ["report"]
+
+
+def test_the_earlier_report_is_put_back_when_the_new_one_cannot_take_its_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    target = tmp_path / "report"
+    target.mkdir()
+    (target / "result.json").write_text("first")
+    moves: list[str] = []
+    move = os.replace
+
+    def fails_once(source: Path, destination: Path) -> None:
+        moves.append(str(destination))
+        if len(moves) == 2:
+            raise OSError(5, "input/output error")
+        move(source, destination)
+
+    monkeypatch.setattr("comparisons.atomic.os.replace", fails_once)
+    with (
+        pytest.raises(InputError, match="input/output error"),
+        fresh_folder(target, frozenset({"result.json"})) as work,
+    ):
+        (work / "result.json").write_text("second")
+    assert (target / "result.json").read_text() == "first"
+    assert [p.name for p in tmp_path.iterdir()] == ["report"]
+
+
+def test_other_peoples_folders_are_safe(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    (mine / "result.json").write_text("{}")
+    (mine / "thesis.tex").write_text("years of work")
+    with pytest.raises(InputError, match=r"already holds thesis\.tex"):
+        check_replaceable(mine, frozenset({"result.json"}))
+    monkeypatch.chdir(mine)
+    for target in (Path(), Path(".."), Path("../mine")):
+        with pytest.raises(InputError, match="is the current folder or holds it"):
+            check_replaceable(target, frozenset({"result.json", "thesis.tex"}))
+    link = tmp_path / "link"
+    link.symlink_to(tmp_path / "elsewhere")
+    with fresh_folder(link) as work:
+        (work / "x").write_text("")
+    assert link.is_symlink()
+    assert (tmp_path / "elsewhere" / "x").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "folder"),
+    [
+        ("victoria-park", "victoria-park"),
+        ("x/../../escaped", "x-..-..-escaped"),
+        ("..", "log"),
+        ("a\0b\x1b]0;t", "a-b--0-t"),
+        ("日本", "log"),
+        ("n" * 300, "n" * 80),
+    ],
+)
+def test_a_logs_name_is_no_path(name: str, folder: str) -> None:
+    assert folder_name(name) == folder
+    assert "/" not in folder_name(name)
+
+
+ESTIMATE_FAULTS = {
+    "version": ("estimate.toml", "version = 1", "version = 9", "version: input should be 1"),
+    "kind": ("estimate.toml", '"filtered"', '"guessed"', "information: input should be 'filtered'"),
+    "misspelt": ("estimate.toml", "version = 1", "version = 1\nvresion = 1", "vresion: extra"),
+    "toml": ("estimate.toml", "version = 1", "version =", "not valid TOML"),
+}
+
+
+def test_estimates_read_back_and_faults_are_named(comparison: Comparison, tmp_path: Path) -> None:
+    estimate = comparison.ekf.estimate
+    write_estimate(estimate, tmp_path)
+    again = read_estimate(tmp_path)
+    assert np.allclose(again.pose, estimate.pose, rtol=0, atol=1e-12)
+    assert np.array_equal(again.joint_covariance, estimate.joint_covariance)
+    assert again.information == "filtered"
+    for file, old, new, message in ESTIMATE_FAULTS.values():
+        path = tmp_path / file
+        text = path.read_text()
+        path.write_text(text.replace(old, new, 1))
+        with pytest.raises(InputError) as caught:
+            read_estimate(tmp_path)
+        assert message in str(caught.value)
+        path.write_text(text)
+    path = tmp_path / "trajectory.tum"
+    lines = path.read_text().splitlines()
+    for damaged, message in (
+        ([lines[1], lines[0], *lines[2:]], "trajectory.tum:2: time"),
+        ([" ".join([*lines[0].split()[:4], "0 0 0 0"]), *lines[1:]], "quaternion's norm is 0.0"),
+    ):
+        path.write_text("\n".join(damaged))
+        with pytest.raises(InputError) as caught:
+            read_estimate(tmp_path)
+        assert message in str(caught.value)
