@@ -13,22 +13,16 @@ from comparisons.archive import read_archive
 from comparisons.atomic import fresh_folder
 from comparisons.errors import InputError, RecordError
 from comparisons.logs.log import (
-    Ackermann,
     Array,
     Landmarks,
     Log,
-    Odometry,
-    OdometryNoise,
     Poses,
     Positions,
     Prior,
-    RelativePoses,
     Scans,
     Sightings,
-    SteeringOdometry,
     Surfaces,
     Truth,
-    VelocityOdometry,
 )
 from comparisons.logs.log_meta import (
     MARK,
@@ -38,6 +32,14 @@ from comparisons.logs.log_meta import (
     SteeringModel,
     meta_text,
     read_meta,
+)
+from comparisons.logs.odometry import (
+    Ackermann,
+    Odometry,
+    OdometryNoise,
+    RelativePoses,
+    SteeringOdometry,
+    VelocityOdometry,
 )
 from comparisons.logs.table import Table
 from comparisons.logs.validation import whole_numbers

@@ -10,7 +10,8 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from comparisons.errors import InputError
-from comparisons.logs.log import Ackermann, Log, OdometryNoise, RelativePoses, SteeringOdometry
+from comparisons.logs.log import Log
+from comparisons.logs.odometry import Ackermann, OdometryNoise, RelativePoses, SteeringOdometry
 from comparisons.logs.table import read_text
 
 MARK = "log.toml"

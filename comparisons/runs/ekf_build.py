@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.errors import InputError
-from comparisons.logs.log import Log, Positions, RelativePoses, SteeringOdometry
+from comparisons.logs.log import Log, Positions
+from comparisons.logs.odometry import RelativePoses, SteeringOdometry
 from ekf_reference.absolute_updates import PositionFixes, PositionModel
 from ekf_reference.association import (
     Association,

@@ -7,7 +7,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.logs.log import Log, RelativePoses, SteeringOdometry
+from comparisons.logs.log import Log
+from comparisons.logs.odometry import RelativePoses, SteeringOdometry
 from comparisons.runs.ekf_run import EkfRun
 from comparisons.runs.estimate import Estimate
 from comparisons.runs.timeline import Timeline

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.errors import RecordError
-from comparisons.logs.log import Array, Log, Positions, RelativePoses, SteeringOdometry
+from comparisons.logs.log import Array, Log, Positions
+from comparisons.logs.odometry import RelativePoses, SteeringOdometry
 
 Index = NDArray[np.intp]
 

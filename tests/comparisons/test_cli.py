@@ -90,7 +90,7 @@ def test_bad_input_is_one_line_and_exit_2(tmp_path: Path) -> None:
         ("run", "simulated-loop", "--gps", "maybe"): "gps 'maybe' is unknown, expected off, on",
         ("run", "n" * 300): "no such file or folder",
         ("run", "--bogus"): "No such option: --bogus",
-        ("run", "--seed", "abc"): "abc",
+        ("run", "--seed", "abc"): "--seed",
         ("convert", "simulated-loop"): "FOLDER",
         ("convert", "nowhere", "out"): "nowhere: no such file or folder",
         ("convert", "simulated-loop", "full"): "full: already holds mine.txt",

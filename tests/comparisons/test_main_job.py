@@ -10,7 +10,8 @@ import pytest
 
 from comparisons.compare import Comparison, compare_estimators
 from comparisons.logs.bundled import open_log
-from comparisons.logs.log import Log, SteeringOdometry
+from comparisons.logs.log import Log
+from comparisons.logs.odometry import SteeringOdometry
 from comparisons.runs.ekf_build import EkfChoices
 
 

@@ -18,14 +18,13 @@ from comparisons.logs.log import (
     Array,
     Landmarks,
     Log,
-    OdometryNoise,
     Positions,
     Prior,
     Scans,
     Sightings,
-    SteeringOdometry,
     Truth,
 )
+from comparisons.logs.odometry import OdometryNoise, SteeringOdometry
 from comparisons.logs.readers.victoria_park import UTE
 from graphslam.increments import Stabilisation, ackermann_samples
 

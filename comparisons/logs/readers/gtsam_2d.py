@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from comparisons.errors import InputError
-from comparisons.logs.log import Array, Log, Prior, RelativePoses, Sightings
+from comparisons.logs.log import Array, Log, Prior, Sightings
+from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.table import locate_rows, number_or_fail, read_text, shorten
 
 _COLUMNS = {

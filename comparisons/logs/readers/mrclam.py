@@ -12,17 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from comparisons.errors import InputError
-from comparisons.logs.log import (
-    Array,
-    Landmarks,
-    Log,
-    OdometryNoise,
-    Poses,
-    Prior,
-    Sightings,
-    Truth,
-    VelocityOdometry,
-)
+from comparisons.logs.log import Array, Landmarks, Log, Poses, Prior, Sightings, Truth
+from comparisons.logs.odometry import OdometryNoise, VelocityOdometry
 from comparisons.logs.table import Table
 from comparisons.logs.validation import whole_numbers
 

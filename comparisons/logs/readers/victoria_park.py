@@ -10,16 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from comparisons.errors import InputError
-from comparisons.logs.log import (
-    NO_LANDMARK,
-    Ackermann,
-    Log,
-    OdometryNoise,
-    Positions,
-    Prior,
-    Sightings,
-    SteeringOdometry,
-)
+from comparisons.logs.log import NO_LANDMARK, Log, Positions, Prior, Sightings
+from comparisons.logs.odometry import Ackermann, OdometryNoise, SteeringOdometry
 from comparisons.logs.table import Table
 
 UTE = Ackermann(wheelbase_m=2.83, encoder_offset_m=0.76, sensor_forward_m=3.78, sensor_left_m=0.5)

@@ -12,17 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.logs.log import (
-    Ackermann,
-    Landmarks,
-    Log,
-    OdometryNoise,
-    Poses,
-    Prior,
-    Sightings,
-    SteeringOdometry,
-    Truth,
-)
+from comparisons.logs.log import Landmarks, Log, Poses, Prior, Sightings, Truth
+from comparisons.logs.odometry import Ackermann, OdometryNoise, SteeringOdometry
 from comparisons.logs.readers.victoria_park import UTE
 from comparisons.logs.simulate.worlds import World, nieto_loop
 

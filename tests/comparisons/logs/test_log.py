@@ -7,18 +7,8 @@ import numpy as np
 import pytest
 
 from comparisons.errors import InputError
-from comparisons.logs.log import (
-    Ackermann,
-    Landmarks,
-    Log,
-    OdometryNoise,
-    Positions,
-    Prior,
-    RelativePoses,
-    Scans,
-    Sightings,
-    SteeringOdometry,
-)
+from comparisons.logs.log import Landmarks, Log, Positions, Prior, Scans, Sightings
+from comparisons.logs.odometry import Ackermann, OdometryNoise, RelativePoses, SteeringOdometry
 from comparisons.runs.timeline import build_timeline
 from tests.helpers import simulated
 

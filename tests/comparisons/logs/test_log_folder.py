@@ -9,16 +9,9 @@ import pytest
 
 from comparisons.errors import InputError
 from comparisons.logs.bundled import open_log
-from comparisons.logs.log import (
-    Landmarks,
-    Log,
-    OdometryNoise,
-    Positions,
-    Scans,
-    Surfaces,
-    VelocityOdometry,
-)
+from comparisons.logs.log import Landmarks, Log, Positions, Scans, Surfaces
 from comparisons.logs.log_folder import read_log_folder, write_log_folder
+from comparisons.logs.odometry import OdometryNoise, VelocityOdometry
 from comparisons.report.result import log_hash
 from tests.helpers import simulated
 

@@ -10,7 +10,8 @@ import pytest
 from scipy.io import savemat
 
 from comparisons.errors import InputError
-from comparisons.logs.log import RelativePoses, Scans, SteeringOdometry, VelocityOdometry
+from comparisons.logs.log import Scans
+from comparisons.logs.odometry import RelativePoses, SteeringOdometry, VelocityOdometry
 from comparisons.logs.readers import READERS, read_log
 from comparisons.logs.readers.acfr_car_park import reflector_sightings
 

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from comparisons.logs.log import SteeringOdometry
+from comparisons.logs.odometry import SteeringOdometry
 from comparisons.logs.simulate.drive import Drive, simulate
 from comparisons.logs.simulate.worlds import nieto_loop
 from ekf_reference.motion import AckermannModel

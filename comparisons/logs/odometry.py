@@ -1,0 +1,122 @@
+"""How the vehicle moved, as its own sensors tell: wheels, or measured displacements."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.errors import InputError, RecordError
+from comparisons.logs.validation import check, increasing, positive_definite, within
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Ackermann:
+    """Car-like vehicle; see Nieto 2005, Fig. A.2. Lengths in metres, zeros give a plain bicycle."""
+
+    wheelbase_m: float
+    encoder_offset_m: float = 0.0
+    sensor_forward_m: float = 0.0
+    sensor_left_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        for f in fields(self):
+            value = getattr(self, f.name)
+            object.__setattr__(self, f.name, float(value))
+            if not abs(value) <= 1e3:
+                raise InputError(f"vehicle: {f.name} is {value}, expected at most 1000 m")
+        if self.wheelbase_m < 0.01:
+            raise InputError(f"vehicle: wheelbase_m is {self.wheelbase_m}, expected at least 0.01")
+
+
+@dataclass(frozen=True)
+class OdometryNoise:
+    """Standard deviations of a wheel odometry sample, and the stabilisation noise.
+
+    sigma_speed_mps; sigma_turn: of the steering angle [rad] or of the yaw rate [rad/s].
+    variance_rate_position [m^2/s], variance_rate_heading [rad^2/s]: small noise both estimators
+    add (Nieto 2005, section 2.1.1); above zero, since one sample's control noise is singular.
+    """
+
+    sigma_speed_mps: float
+    sigma_turn: float
+    variance_rate_position: float = 1e-6
+    variance_rate_heading: float = 1e-8
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        for f in fields(self):
+            value = getattr(self, f.name)
+            object.__setattr__(self, f.name, float(value))
+            least = 0.0 if f.name.startswith("sigma") else 1e-12
+            if not least <= value <= 1e6:
+                raise InputError(
+                    f"odometry noise: {f.name} is {value}, expected between {least:g} and 1e+06"
+                )
+
+
+@dataclass(frozen=True)
+class SteeringOdometry:
+    """Speed [m/s] and steering angle [rad, left positive], each held until the next sample."""
+
+    time_s: Array
+    speed_mps: Array
+    steering_rad: Array
+    vehicle: Ackermann
+    noise: OdometryNoise
+
+    def __post_init__(self) -> None:
+        """Check the stream."""
+        check(self, "steering odometry", rows="time_s")
+        increasing("steering odometry", self.time_s, equal=True)
+        within("steering odometry", "steering_rad", self.steering_rad, -1.55, 1.55)
+        slip = np.tan(self.steering_rad) * self.vehicle.encoder_offset_m / self.vehicle.wheelbase_m
+        bad = np.flatnonzero(slip > 0.95)
+        if len(bad):
+            raise RecordError(
+                "steering odometry",
+                int(bad[0]),
+                f"steering_rad is {self.steering_rad[bad[0]]}, which turns about the wheel that "
+                "carries the encoder",
+            )
+
+
+@dataclass(frozen=True)
+class VelocityOdometry:
+    """Speed [m/s] and yaw rate [rad/s], each held until the next sample."""
+
+    time_s: Array
+    speed_mps: Array
+    yaw_rate_radps: Array
+    noise: OdometryNoise
+
+    def __post_init__(self) -> None:
+        """Check the stream."""
+        check(self, "velocity odometry", rows="time_s")
+        increasing("velocity odometry", self.time_s, equal=True)
+
+
+@dataclass(frozen=True)
+class RelativePoses:
+    """Displacements between consecutive poses; the first departs from the prior.
+
+    time_s: (N,) of arrival. displacement: (N, 3) dx, dy [m], dheading [rad] in the departing
+    frame. covariance: (N, 3, 3) in the arriving frame (the convention of g2o and gtsam).
+    """
+
+    time_s: Array
+    displacement: Array
+    covariance: Array
+
+    def __post_init__(self) -> None:
+        """Check the stream."""
+        check(self, "relative poses", rows="time_s", displacement=(3,), covariance=(3, 3))
+        increasing("relative poses", self.time_s)
+        positive_definite("relative poses", self.covariance)
+
+
+Odometry = SteeringOdometry | VelocityOdometry | RelativePoses
