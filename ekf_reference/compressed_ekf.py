@@ -152,6 +152,10 @@ class CompressedState:
         self._slots = np.concatenate((self._slots, added))
         self._fresh = False
 
+    def leave(self) -> None:
+        """Leave the area now: a global update, and a new area around the vehicle."""
+        self._enter(self.areas.reach_m)
+
     def _local_slots(self, slot: Index) -> Index:
         """Places in the local map; passive landmarks are made active first."""
         if self._place[slot].min(initial=0) < 0:
