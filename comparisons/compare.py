@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 from comparisons.checks.accuracy import Accuracy, assess
 from comparisons.checks.agreement import Agreement, Gaussian, compare
+from comparisons.checks.association import AssociationScore, score_association
 from comparisons.checks.attribution import Verdict, judge
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
@@ -32,7 +33,11 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class Comparison:
-    """Everything one run found out. seconds: by stage."""
+    """Everything one run found out.
+
+    association: how it compares with the log's labels, when it was made without them. seconds: by
+    stage.
+    """
 
     log: Log
     choices: EkfChoices
@@ -42,6 +47,7 @@ class Comparison:
     agreement: Agreement
     accuracy_ekf: Accuracy | None
     accuracy_smoother: Accuracy | None
+    association: AssociationScore | None
     verdict: Verdict
     seconds: dict[str, float]
 
@@ -91,6 +97,7 @@ def compare_estimators(
             agreement,
             assess(run.estimate, judged, labelled=labelled),
             assess(smoothed, judged, labelled=labelled),
+            None if labelled else score_association(run.slot, run.estimate.landmark, log),
             judge(agreement, result.proof, run, conservative=chosen.conservative),
             clock.seconds,
         )

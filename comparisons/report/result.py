@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict
 
 from comparisons.checks.accuracy import Accuracy
 from comparisons.checks.agreement import BlockAgreement
+from comparisons.checks.association import AssociationScore
 from comparisons.checks.attribution import block_agrees
 from comparisons.compare import Comparison
 from comparisons.logs.log import Log
@@ -127,6 +128,20 @@ class BothAccuracies(_Model):
     smoother: AccuracyResult
 
 
+class PartitionResult(_Model):
+    """Pairs of sightings put together, against those that belong together."""
+
+    precision: float
+    recall: float
+
+
+class AssociationResult(_Model):
+    """An association made without labels against the log's. See comparisons.checks.association."""
+
+    landmarks: PartitionResult
+    clusters: PartitionResult | None
+
+
 class CauseResult(_Model):
     """One reason for the verdict."""
 
@@ -143,6 +158,7 @@ class Result(_Model):
     smoother: SmootherResult
     agreement: AgreementResult
     accuracy: BothAccuracies | None
+    association: AssociationResult | None
     verdict: Literal["agree", "disagree", "unproven"]
     causes: list[CauseResult]
     remarks: list[str]
@@ -194,6 +210,7 @@ def build_result(comparison: Comparison, read_s: float) -> Result:
         ),
         agreement=_agreement(c),
         accuracy=_accuracies(c.accuracy_ekf, c.accuracy_smoother),
+        association=_association(c.association),
         verdict=c.verdict.outcome,
         causes=[CauseResult(**vars(cause)) for cause in c.verdict.causes],
         remarks=list(c.verdict.remarks),
@@ -258,6 +275,13 @@ def _accuracies(ekf: Accuracy | None, smoother: Accuracy | None) -> BothAccuraci
     return BothAccuracies(
         ekf=AccuracyResult(**vars(ekf)), smoother=AccuracyResult(**vars(smoother))
     )
+
+
+def _association(score: AssociationScore | None) -> AssociationResult | None:
+    if score is None:
+        return None
+    clusters = None if score.clusters is None else PartitionResult(**vars(score.clusters))
+    return AssociationResult(landmarks=PartitionResult(**vars(score.landmarks)), clusters=clusters)
 
 
 def _finite(value: float) -> float | None:

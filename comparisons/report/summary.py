@@ -61,6 +61,12 @@ def print_summary(result: Result, console: Console) -> None:
     if result.accuracy is not None:
         table.add_row("EKF accuracy", _accuracy(result.accuracy.ekf))
         table.add_row("smoother accuracy", _accuracy(result.accuracy.smoother))
+    if result.association is not None:
+        parts = [("landmarks", result.association.landmarks)]
+        if result.association.clusters is not None:
+            parts.append(("clusters", result.association.clusters))
+        scores = (f"{n}: precision {p.precision:.3f}, recall {p.recall:.3f}" for n, p in parts)
+        table.add_row("association", "; ".join(scores) + " (pairs of sightings)")
     table.add_row("seconds", ", ".join(f"{stage} {s:.2f}" for stage, s in result.seconds.items()))
     console.print(table)
     console.print(f"verdict: [{_STYLE[result.verdict]}]{result.verdict}[/]", highlight=False)
