@@ -74,6 +74,9 @@ def run(
             help="The log's labels, nearest neighbour, joint compatibility, or distance in metres.",
         ),
     ] = None,
+    features: Annotated[
+        str, typer.Option(metavar="log|trees", help="The log's sightings, or trunks in its scans.")
+    ] = "log",
     gps: Annotated[
         str,
         typer.Option(metavar="off|on|half", help="Fuse positions; half holds every second back."),
@@ -96,9 +99,10 @@ def run(
         import time
 
         from comparisons.runs.ekf_build import EkfChoices
+        from comparisons.runs.features import choose_features
 
         start = time.perf_counter()
-        source = _open(log, format_name, robot, seed, loops, noise_scale)
+        source = choose_features(_open(log, format_name, robot, seed, loops, noise_scale), features)
         read_s = time.perf_counter() - start
         choices = EkfChoices(filter_name, association, gps)
         raise SystemExit(_run(source, choices, out, read_s))

@@ -93,7 +93,8 @@ class FullEkf:
     """Predict, associate, update, augment. Public attributes are its parts; all can be replaced.
 
     steps: bounds beyond which one update is split; without bounds by default.
-    fixes: how absolute positions are fused.
+    fixes: how absolute positions are fused. boundless_variance: None to begin landmarks by Nieto
+    2005, eq. 2.53; or the P_LL* [m^2] of eq. 2.56, which the thesis advises against.
     """
 
     def __init__(
@@ -111,6 +112,7 @@ class FullEkf:
         self.observation = RangeBearing()
         self.steps = Steps()
         self.fixes = PositionFixes()
+        self.boundless_variance: float | None = None
         self.stabilisation = stabilisation or Stabilisation()
         self.trace: Trace = trace or NullTrace()
         self.state: FilterState = KalmanState(prior_pose, prior_covariance)
@@ -197,18 +199,20 @@ class FullEkf:
         rows = np.flatnonzero(chosen)
         if not len(rows):
             return
-        pose, r = self.state.pose, noise[rows]
+        pose, spread = self.state.pose, noise[rows]
         new = self.observation.invert(pose, z[rows])
-        self.state.augment(new.point, new.jacobian_pose, new.jacobian_sighting, r)
+        by_pose, by_sighting, weight = new.jacobian_pose, new.jacobian_sighting, 1.0
+        if self.boundless_variance is not None:  # eq. 2.56: know nothing, then fuse the sighting
+            by_pose, weight = np.zeros_like(by_pose), 0.0
+            by_sighting = np.broadcast_to(np.eye(2), by_sighting.shape)
+            spread = self.boundless_variance * by_sighting
+        self.state.augment(new.point, by_pose, by_sighting, spread)
+        seen = self._sightings_seen + rows
         self.trace.augmentation(
-            self._sightings_seen + rows,
-            slots[rows],
-            pose,
-            new.point,
-            new.jacobian_pose,
-            new.jacobian_sighting,
-            r,
+            seen, slots[rows], pose, new.point, by_pose, by_sighting, spread, weight
         )
+        if self.boundless_variance is not None:
+            self._update(chosen, slots, z, noise)
 
 
 def stack(slot: Slots, jacobian_pose: Array, jacobian_landmark: Array) -> tuple[Index, Array]:

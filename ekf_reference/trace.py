@@ -50,8 +50,9 @@ class Trace(Protocol):
         g_pose: Array,
         g_sighting: Array,
         noise: Array,
+        weight: float,
     ) -> None:
-        """New landmarks (m): l = landmark + G_x (x - pose) + G_z v, v ~ N(0, R)."""
+        """New landmarks (m): l = landmark + G_x (x - pose) + G_z v, v ~ N(0, noise)."""
         ...
 
     def position(
@@ -76,7 +77,7 @@ class NullTrace:
     def update(self, *record: Array | Index | float) -> None:
         """Discard."""
 
-    def augmentation(self, *record: Array | Index) -> None:
+    def augmentation(self, *record: Array | Index | float) -> None:
         """Discard."""
 
     def position(self, *record: Array | float) -> None:
@@ -90,8 +91,9 @@ class SightingRecords:
     step: (M,) predictions made before. sighting: (M,) number in the order of arrival, from 0.
     slot: (M,) landmark's place in the map. pose: (M, 3) and landmark: (M, 2), the points of
     linearisation. innovation: (M, 2), zero for augmentations. jacobian_pose: (M, 2, 3), H_v or
-    G_x. jacobian_other: (M, 2, 2), H_l or G_z. noise: (M, 2, 2), R / weight. weight: (M,), one
-    but for observations that were fused in parts.
+    G_x. jacobian_other: (M, 2, 2), H_l or G_z. noise: (M, 2, 2), R / weight. weight: (M,), the
+    share of the sighting's information: one, less for parts of an update, zero for a landmark
+    begun with a boundless prior, whose noise is that prior's covariance.
     """
 
     step: Index
@@ -104,6 +106,10 @@ class SightingRecords:
     jacobian_other: Array
     noise: Array
     weight: Array
+
+    def rows(self, rows: Index) -> SightingRecords:
+        """Some of them."""
+        return SightingRecords(*(column[rows] for column in vars(self).values()))
 
 
 @dataclass(frozen=True)
@@ -201,10 +207,11 @@ class RecordedTrace:
         g_pose: Array,
         g_sighting: Array,
         noise: Array,
+        weight: float,
     ) -> None:
         """Keep one augmentation."""
         nothing = np.zeros((len(slot), 2))
-        where = (len(self._steps), 1.0, sighting, slot, pose, landmark)
+        where = (len(self._steps), weight, sighting, slot, pose, landmark)
         self._augmentations.add(*where, nothing, g_pose, g_sighting, noise)
 
     def position(

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.logs.log import Log
+from comparisons.logs.odometry import SteeringOdometry
 from comparisons.logs.simulate.drive import Drive, simulate
 
 Array = NDArray[np.float64]
@@ -31,6 +33,33 @@ def relative_error(actual: NDArray[np.floating], expected: NDArray[np.floating])
 def simulated(seed: int = 0, **drive: float) -> Log:
     """A simulated log; keywords go to Drive."""
     return simulate(np.random.default_rng(seed), Drive(**drive))  # type: ignore[arg-type]
+
+
+def first_seconds(log: Log, seconds: float) -> Log:
+    """The beginning of a log with steering odometry."""
+    odometry, seen = log.odometry, log.sightings
+    assert isinstance(odometry, SteeringOdometry)
+    n = int(np.searchsorted(odometry.time_s, seconds))
+    m = int(np.searchsorted(seen.time_s, seconds))
+    return replace(
+        log,
+        odometry=replace(
+            odometry,
+            time_s=odometry.time_s[:n],
+            speed_mps=odometry.speed_mps[:n],
+            steering_rad=odometry.steering_rad[:n],
+        ),
+        sightings=replace(
+            seen,
+            time_s=seen.time_s[:m],
+            range_m=seen.range_m[:m],
+            bearing_rad=seen.bearing_rad[:m],
+            sigma_range_m=seen.sigma_range_m[:m],
+            sigma_bearing_rad=seen.sigma_bearing_rad[:m],
+            landmark=seen.landmark[:m],
+            diameter_m=seen.diameter_m[:m],
+        ),
+    )
 
 
 def random_covariance(rng: np.random.Generator, n: int) -> Array:

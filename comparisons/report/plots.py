@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from comparisons.compare import Comparison
 from comparisons.runs.estimate import Estimate
+from ekf_reference.correlation import correlation_coefficients
 
 Array = NDArray[np.float64]
 
@@ -114,6 +115,26 @@ def map_figure(comparison: Comparison) -> Figure:
     )
     axis.grid(visible=True, color="#eeeeee")
     axis.legend(fontsize=8, loc="best")
+    return figure
+
+
+def draw_correlation(axis: Axes, coefficients: Array) -> None:
+    """Correlation coefficients (n, n) as grey levels, black for 1 (Nieto 2005, Fig. 2.11)."""
+    axis.imshow(coefficients, cmap="Greys", vmin=0.0, vmax=1.0, interpolation="nearest")
+    axis.set_xlabel("state entry: pose, then landmarks in order of arrival")
+
+
+def correlation_figure(comparison: Comparison) -> Figure:
+    """Correlation coefficients of the last pose and all landmarks, EKF beside smoother."""
+    figure = Figure(figsize=(9.0, 4.8), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(1, 2)
+    for axis, estimate, name in (
+        (axes[0], comparison.ekf.estimate, "EKF"),
+        (axes[1], comparison.smoothed, "smoother"),
+    ):
+        draw_correlation(axis, correlation_coefficients(estimate.joint_covariance))
+        axis.set_title(f"{name}: correlation coefficients", fontsize=10)
     return figure
 
 

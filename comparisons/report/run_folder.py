@@ -1,4 +1,4 @@
-"""The folder a run leaves: result.json, map.png, and both estimates."""
+"""The folder a run leaves: result.json, pictures, and both estimates."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from pathlib import Path
 
 from comparisons.atomic import fresh_folder
 from comparisons.compare import Comparison
-from comparisons.report.plots import map_figure, save
+from comparisons.report.plots import correlation_figure, map_figure, save
 from comparisons.report.result import Result
 from comparisons.runs.estimate_folder import write_estimate
 
-CONTENTS = frozenset({"result.json", "map.png", "ekf", "smoother"})
+CONTENTS = frozenset({"result.json", "map.png", "correlation.png", "ekf", "smoother"})
 """What a run folder holds; a folder with nothing else may be replaced by the next run."""
 
 
@@ -24,4 +24,5 @@ def write_run_folder(comparison: Comparison, result: Result, folder: Path) -> No
             (work / name).mkdir()
             write_estimate(estimate, work / name)
         save(map_figure(comparison), work / "map.png")
+        save(correlation_figure(comparison), work / "correlation.png")
         (work / "result.json").write_text(result.model_dump_json(indent=2) + "\n", encoding="utf-8")

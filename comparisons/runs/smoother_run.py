@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.logs.log import Log
-from comparisons.logs.odometry import RelativePoses, SteeringOdometry
 from comparisons.runs.ekf_run import EkfRun
 from comparisons.runs.estimate import Estimate
-from comparisons.runs.timeline import Timeline
+from comparisons.runs.motion import motion_samples
 from ekf_reference.trace import SightingRecords
 from graphslam import increments
 from graphslam.frozen import (
@@ -35,7 +34,7 @@ def build_problem(log: Log, run: EkfRun) -> SlamProblem:
     timeline, used = run.timeline, np.flatnonzero(run.slot >= 0)
     seen = log.sightings
     composed = increments.compose(
-        _samples(log, timeline), timeline.step_epoch - 1, len(timeline.epoch_time_s) - 1
+        motion_samples(log, timeline), timeline.step_epoch - 1, len(timeline.epoch_time_s) - 1
     )
     return SlamProblem(
         log.prior.pose,
@@ -83,7 +82,9 @@ def run_frozen_own(problem: SlamProblem, run: EkfRun) -> Marginal:
     sighting_row = np.cumsum(run.slot >= 0) - 1  # a log's sighting to the problem's
     fix_row = np.zeros(int(run.fix_number.max(initial=-1)) + 1, dtype=np.intp)
     fix_row[run.fix_number] = np.arange(len(run.fix_number))
-    both = (trace.updates, trace.augmentations)
+    # A landmark begun with a boundless prior is augmented without its sighting's information.
+    begun = trace.augmentations
+    both = (trace.updates, begun.rows(np.flatnonzero(begun.weight > 0.0)))
     points = FrozenPoints(
         run.departed,
         run.arrived,
@@ -118,21 +119,6 @@ def smoothed_estimate(result: SmootherResult, run: EkfRun) -> Estimate:
         "smoothed",
         {"estimator": "graphslam, batch Levenberg-Marquardt", "association": "the EKF's"},
     )
-
-
-def _samples(log: Log, timeline: Timeline) -> increments.Samples:
-    odometry = log.odometry
-    if isinstance(odometry, RelativePoses):
-        return increments.relative_pose_samples(timeline.control, timeline.control_covariance)
-    noise = odometry.noise
-    stabilisation = increments.Stabilisation(
-        noise.variance_rate_position, noise.variance_rate_heading
-    )
-    first, second = timeline.control.T
-    common = (timeline.step_duration_s, noise.sigma_speed_mps, noise.sigma_turn, stabilisation)
-    if isinstance(odometry, SteeringOdometry):
-        return increments.ackermann_samples(first, second, *common, **vars(odometry.vehicle))
-    return increments.unicycle_samples(first, second, *common)
 
 
 def _from_updates(r: SightingRecords) -> tuple[np.ndarray, ...]:

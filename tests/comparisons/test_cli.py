@@ -39,7 +39,12 @@ def test_a_run_leaves_a_whole_folder(tmp_path: Path) -> None:
     names = sorted(str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file())
     estimate = ["covariances.npz", "estimate.toml", "landmarks.csv", "trajectory.tum"]
     assert names == sorted(
-        ["map.png", "result.json", *(f"{e}/{n}" for e in ("ekf", "smoother") for n in estimate)]
+        [
+            "correlation.png",
+            "map.png",
+            "result.json",
+            *(f"{e}/{n}" for e in ("ekf", "smoother") for n in estimate),
+        ]
     )
     text = (folder / "result.json").read_text()
     result = Result.model_validate_json(text)

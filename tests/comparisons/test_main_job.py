@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +9,8 @@ import pytest
 
 from comparisons.compare import Comparison, compare_estimators
 from comparisons.logs.bundled import open_log
-from comparisons.logs.log import Log
-from comparisons.logs.odometry import SteeringOdometry
 from comparisons.runs.ekf_build import EkfChoices
+from tests.helpers import first_seconds
 
 
 def test_victoria_park_disagrees_through_linearisation(victoria_park: Comparison) -> None:
@@ -73,32 +71,6 @@ def test_victoria_park_detections_read_whole(shared_data: Path) -> None:
     assert log.records == {"odometry": 61945, "sightings": 52974, "positions": 4466}
     straight_ahead = np.abs(log.sightings.bearing_rad) <= np.pi / 2 + 1e-9
     assert straight_ahead.all()
-
-
-def first_seconds(log: Log, seconds: float) -> Log:
-    odometry, seen = log.odometry, log.sightings
-    assert isinstance(odometry, SteeringOdometry)
-    n = int(np.searchsorted(odometry.time_s, seconds))
-    m = int(np.searchsorted(seen.time_s, seconds))
-    return replace(
-        log,
-        odometry=replace(
-            odometry,
-            time_s=odometry.time_s[:n],
-            speed_mps=odometry.speed_mps[:n],
-            steering_rad=odometry.steering_rad[:n],
-        ),
-        sightings=replace(
-            seen,
-            time_s=seen.time_s[:m],
-            range_m=seen.range_m[:m],
-            bearing_rad=seen.bearing_rad[:m],
-            sigma_range_m=seen.sigma_range_m[:m],
-            sigma_bearing_rad=seen.sigma_bearing_rad[:m],
-            landmark=seen.landmark[:m],
-            diameter_m=seen.diameter_m[:m],
-        ),
-    )
 
 
 def test_victoria_park_detections_run(shared_data: Path) -> None:

@@ -1,0 +1,82 @@
+"""Sightings made from a log's raw scans, in place of those that the log brings."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from comparisons.errors import InputError
+from comparisons.logs.log import NO_LANDMARK, Array, Log, Scans, Sightings
+from comparisons.runs.motion import motion_samples
+from comparisons.runs.timeline import build_timeline
+from ekf_reference.tree_detection import ROUNDNESS, TreeTracker
+from graphslam.increments import compose
+
+FEATURES = ("log", "trees")
+SIGMA_BEARING_RAD = np.deg2rad(1.0)
+
+
+def choose_features(log: Log, name: str) -> Log:
+    """The log with the sightings asked for: its own, or trunks found in its scans."""
+    if name not in FEATURES:
+        raise InputError(f"features '{name}' is unknown, expected {' or '.join(FEATURES)}")
+    if name == "log":
+        return log
+    if log.scans is None:
+        raise InputError(f"{log.name}: holds no scans to find trees in; use --features log")
+    return with_tree_sightings(log, log.scans)
+
+
+def with_tree_sightings(log: Log, scans: Scans) -> Log:
+    """Range, bearing and diameter of tracked trunks (Guivant 2002, section 3.1).
+
+    The vehicle's motion between scans, which the tracks need, is dead reckoned.
+    """
+    inside = (scans.time_s >= log.prior.time_s) & (scans.time_s <= log.odometry.time_s[-1])
+    rows = np.flatnonzero(inside)
+    tracker = TreeTracker()
+    parts = []
+    motion = _motion_between(log, scans.time_s[rows])
+    for row, moved in zip(rows.tolist(), motion, strict=True):
+        trunks = tracker.detect(scans.angle_rad, scans.range_m[row], moved)
+        sigma = np.hypot(tracker.model.sigma_range_m, ROUNDNESS * np.sqrt(trunks.diameter_variance))
+        count = len(trunks.track)
+        time = np.full(count, scans.time_s[row])
+        parts.append((time, trunks.range_m, trunks.bearing_rad, sigma, trunks.diameter_m))
+    if not sum(len(part[0]) for part in parts):
+        raise InputError(f"{log.name}: no trunks in its scans")
+    time, distance, bearing, sigma, diameter = (
+        np.concatenate(column) for column in zip(*parts, strict=True)
+    )
+    sightings = Sightings(
+        time,
+        distance,
+        bearing,
+        sigma,
+        np.full(len(time), SIGMA_BEARING_RAD),
+        np.full(len(time), NO_LANDMARK),
+        diameter,
+        needs_confirmation=True,
+    )
+    provenance = {**log.provenance, "features": "tree trunks from the scans"}
+    return replace(log, sightings=sightings, provenance=provenance)
+
+
+def _motion_between(log: Log, time_s: Array) -> Array:
+    """(N, 3) dead reckoned motion up to each instant, from the one before or from the start."""
+    count = len(time_s)
+    marks = Sightings(
+        time_s,
+        np.ones(count),
+        np.zeros(count),
+        np.ones(count),
+        np.ones(count),
+        np.zeros(count, dtype=np.int64),
+        np.full(count, np.nan),
+    )
+    timeline = build_timeline(replace(log, sightings=marks))
+    epochs = len(timeline.epoch_time_s)
+    moved = compose(motion_samples(log, timeline), timeline.step_epoch - 1, epochs - 1)
+    at = np.vstack((np.zeros(3), moved.displacement))
+    return at[timeline.sighting_epoch]

@@ -1,0 +1,69 @@
+"""Sightings made from raw scans."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from comparisons.compare import compare_estimators
+from comparisons.errors import InputError
+from comparisons.logs.bundled import open_log
+from comparisons.logs.log import Log, Scans
+from comparisons.runs.ekf_build import EkfChoices
+from comparisons.runs.features import choose_features
+from tests.ekf_reference.test_tree_detection import ANGLES, scan_of
+from tests.helpers import simulated
+
+
+def with_scans(log: Log) -> Log:
+    """Scans of trunks, 0.4 m thick, where the landmarks stand."""
+    truth = log.truth
+    assert truth.poses is not None
+    assert truth.landmarks is not None
+    rng = np.random.default_rng(0)
+    places = truth.landmarks.position_m
+    trunks = np.column_stack((places, np.full(len(places), 0.4)))
+    rows = np.arange(8, len(truth.poses.time_s), 8)
+    ranges = np.array([scan_of(trunks, truth.poses.pose[k], 0.02, rng) for k in rows])
+    scans = Scans(truth.poses.time_s[rows], ANGLES, ranges, np.zeros_like(ranges))
+    return replace(log, scans=scans)
+
+
+def test_trunks_become_landmarks_with_their_diameters() -> None:
+    log = choose_features(with_scans(simulated(seed=1)), "trees")
+    near = log.sightings.range_m < 15.0
+    assert abs(np.median(log.sightings.diameter_m[near]) - 0.4) < 0.03
+    c = compare_estimators(log, EkfChoices(association="nn"))
+    assert c.agreement.algebra.within(1e-8)
+    assert c.agreement.model.within(1e-8)
+    assert len(c.ekf.estimate.landmark) == 60  # every trunk once, and nothing else
+    assert c.accuracy_smoother is not None
+    assert c.accuracy_smoother.landmarks_found == 60
+    assert c.accuracy_smoother.landmark_rmse_aligned_m is not None
+    assert c.accuracy_smoother.landmark_rmse_aligned_m < 0.05
+
+
+def test_car_park_by_tree_features(shared_data: Path) -> None:
+    """Raw scans alone carry the vehicle through; the trajectory is judged by RTK GPS."""
+    log = choose_features(open_log(str(shared_data / "acfr_car_park")), "trees")
+    c = compare_estimators(log)
+    assert c.agreement.algebra.within(1e-6)
+    assert c.agreement.model.within(1e-6)
+    assert c.smoother.proof.proven
+    assert c.accuracy_smoother is not None
+    assert c.accuracy_smoother.gps_median_aligned_m is not None
+    assert c.accuracy_smoother.gps_median_aligned_m < 0.15
+
+
+def test_features_that_cannot_be_had() -> None:
+    log = simulated(loop_s=5.0)
+    with pytest.raises(InputError, match="holds no scans to find trees in"):
+        choose_features(log, "trees")
+    with pytest.raises(InputError, match="features 'corners' is unknown, expected log or trees"):
+        choose_features(log, "corners")
+    blank = Scans(np.array([1.0, 2.0]), ANGLES, np.full((2, 361), np.nan), np.zeros((2, 361)))
+    with pytest.raises(InputError, match="no trunks in its scans"):
+        choose_features(replace(log, scans=blank), "trees")
