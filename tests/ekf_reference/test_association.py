@@ -6,6 +6,7 @@ from ekf_reference.association import (
     AMBIGUOUS,
     REJECTED,
     Distances,
+    EuclideanNeighbour,
     KnownAssociation,
     NearestNeighbour,
     normalised_distances,
@@ -104,3 +105,24 @@ def test_a_misread_label_is_rejected_by_the_gate_only() -> None:
     for gate, expected in ((60.0, REJECTED), (float("inf"), 0)):
         rule = KnownAssociation(gate, {5: 0})
         assert rule.assign(state, MODEL, seen).tolist() == [expected]
+
+
+def test_euclidean_distance_decides() -> None:
+    """Misono 2007, eq. 17: within d_min or new, whatever the covariances say."""
+    state = state_with([(10.0, 0.0), (10.0, 3.0)], [5.0, 0.01])
+    seen = sightings([(10.6, 0.0), (10.0, 3.9), (10.0, -1.2), (10.3, 0.3)])
+    slots = EuclideanNeighbour(d_min_m=1.0).assign(state, MODEL, seen)
+    assert slots.tolist() == [AMBIGUOUS, 1, 2, 0]  # the fourth is nearer to the first landmark
+    assert NearestNeighbour().assign(state, MODEL, seen).tolist()[1] != 1
+
+
+def test_the_printed_transformation_of_misono_is_no_rotation() -> None:
+    """Eq. 16 as printed maps right and forward to the same half plane; corrected, it rotates."""
+    xi, eta = np.cos(0.7), np.sin(0.7)
+    printed, corrected = np.array(((eta, -xi), (-xi, eta))), np.array(((eta, xi), (-xi, eta)))
+    right_forward = np.array((-np.sin(0.4), np.cos(0.4))) * 5.0  # bearing 0.4, range 5
+    point = MODEL.invert(np.array((0.0, 0.0, 0.7)), np.array([[5.0, 0.4]])).point[0]
+    assert np.allclose(corrected @ right_forward, point)
+    assert not np.allclose(printed @ right_forward, point, atol=0.5)
+    assert np.allclose(corrected.T @ corrected, np.eye(2))
+    assert not np.allclose(printed.T @ printed, np.eye(2), atol=0.1)
