@@ -16,6 +16,7 @@ from comparisons.logs.log import Log
 from comparisons.runs.ekf_build import EkfChoices, fused_positions, judging_positions
 from comparisons.runs.ekf_run import EkfRun, run_ekf
 from comparisons.runs.estimate import Estimate
+from comparisons.runs.known_landmarks import join_known_sightings
 from comparisons.runs.smoother_run import (
     build_problem,
     run_frozen_own,
@@ -65,6 +66,7 @@ def compare_estimators(
     when the smoother has no solution.
     """
     chosen = (choices or EkfChoices()).settle(log)
+    log = join_known_sightings(log)
     clock = _Clock()
     positions = fused_positions(log, chosen)
     timeline = build_timeline(log, positions)

@@ -103,27 +103,62 @@ class KnownAssociation:
     """Takes the labels that the log carries; the n-th new label becomes the n-th landmark.
 
     gate: normalised innovation squared beyond which a label is taken for a misread and its
-    sighting rejected (Nieto 2005, section 2.4.1); infinite where labels are certain.
+    sighting rejected (Nieto 2005, section 2.4.1); infinite where labels are certain. first_slot:
+    where landmarks by label begin in the map.
     """
 
     gate: float = float("inf")
     slot_of: dict[int, int] = field(default_factory=dict)
+    first_slot: int = 0
 
     def assign(self, state: MappedState, observation: RangeBearing, sightings: Sightings) -> Slots:
         """Look the labels up, giving unseen ones the next slots. Unlabelled are rejected."""
         slots = np.array(
             [
-                self.slot_of.setdefault(label, len(self.slot_of)) if label >= 0 else REJECTED
+                self.slot_of.setdefault(label, self.first_slot + len(self.slot_of))
+                if label >= 0
+                else REJECTED
                 for label in sightings.identity.tolist()
             ],
             dtype=np.intp,
         )
-        known = np.flatnonzero((slots >= 0) & (slots < state.landmark_count))
-        if np.isfinite(self.gate) and len(known):
-            local = state.map_of(slots[known])
-            nis = normalised_distances(local, observation, sightings.take(known)).nis
-            slots[known[nis.diagonal() > self.gate]] = REJECTED
+        return reject_beyond(self.gate, slots, state, observation, sightings)
+
+
+@dataclass(frozen=True)
+class SurveyedLandmarks:
+    """Sightings of landmarks that were in the map beforehand go by label, others by a rule.
+
+    slot_of: place in the map of each surveyed landmark's label. gate: as in KnownAssociation; a
+    wrong sighting of a landmark that is known for certain does the most harm.
+    """
+
+    rule: Association
+    slot_of: dict[int, int]
+    gate: float = 30.0
+
+    def assign(self, state: MappedState, observation: RangeBearing, sightings: Sightings) -> Slots:
+        """Surveyed landmarks first, then the rule for the rest."""
+        labels = sightings.identity.tolist()
+        slots = np.array([self.slot_of.get(label, REJECTED) for label in labels], dtype=np.intp)
+        others = np.flatnonzero(slots < 0)
+        slots = reject_beyond(self.gate, slots, state, observation, sightings)
+        if len(others):
+            slots[others] = self.rule.assign(state, observation, sightings.take(others))
         return slots
+
+
+def reject_beyond(
+    gate: float, slots: Slots, state: MappedState, observation: RangeBearing, sightings: Sightings
+) -> Slots:
+    """The slots, REJECTED where a mapped landmark's nis exceeds the gate."""
+    mapped = np.flatnonzero((slots >= 0) & (slots < state.landmark_count))
+    if np.isfinite(gate) and len(mapped):
+        local = state.map_of(slots[mapped])
+        nis = normalised_distances(local, observation, sightings.take(mapped)).nis
+        slots = slots.copy()
+        slots[mapped[nis.diagonal() > gate]] = REJECTED
+    return slots
 
 
 @dataclass(frozen=True)

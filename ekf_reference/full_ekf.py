@@ -151,6 +151,22 @@ class FullEkf:
         self._sightings_seen += len(slots)
         return slots
 
+    def insert_surveyed(self, point: Array, covariance: Array) -> None:
+        """Put landmarks of known position (k, 2) and covariance (k, 2, 2) into the map.
+
+        Guivant 2002, section 4.2: their sightings are absolute information. They are independent
+        of the vehicle and of each other to begin with.
+        """
+        count = len(point)
+        if not count:
+            return
+        first = self.state.landmark_count
+        apart, own = np.zeros((count, 2, 3)), np.broadcast_to(np.eye(2), (count, 2, 2))
+        pose = self.state.pose
+        self.state.augment(point, apart, own, covariance)
+        slots, unseen = first + np.arange(count), np.full(count, -1)
+        self.trace.augmentation(unseen, slots, pose, point, apart, own, covariance, 0.0)
+
     def fix_position(self, z: Array, covariance: Array) -> bool:
         """Fuse an absolute position (2,) with covariance (2, 2); False when the gate rejects it."""
         number, self._fixes_seen = self._fixes_seen, self._fixes_seen + 1

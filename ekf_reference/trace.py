@@ -88,12 +88,13 @@ class NullTrace:
 class SightingRecords:
     """M sightings, in the order in which the filter used them.
 
-    step: (M,) predictions made before. sighting: (M,) number in the order of arrival, from 0.
+    step: (M,) predictions made before. sighting: (M,) number in the order of arrival, from 0, or
+    -1 for a surveyed landmark put into the map without one.
     slot: (M,) landmark's place in the map. pose: (M, 3) and landmark: (M, 2), the points of
     linearisation. innovation: (M, 2), zero for augmentations. jacobian_pose: (M, 2, 3), H_v or
     G_x. jacobian_other: (M, 2, 2), H_l or G_z. noise: (M, 2, 2), R / weight. weight: (M,), the
-    share of the sighting's information: one, less for parts of an update, zero for a landmark
-    begun with a boundless prior, whose noise is that prior's covariance.
+    share of the sighting's information: one, less for parts of an update, zero for a landmark that
+    is surveyed or begun with a boundless prior, whose noise is that prior's covariance.
     """
 
     step: Index

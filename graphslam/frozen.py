@@ -227,6 +227,11 @@ def solve_own_factors(problem: SlamProblem, points: FrozenPoints, landmarks: Arr
     )
     factors.add_sightings(node, slot, a, c, sightings[:, :, 5] + offset)
     _add_positions(factors, problem, points)
+    root = np.linalg.cholesky(problem.surveyed_covariance)
+    factors.add_surveyed(
+        _whiten(root, np.broadcast_to(np.eye(2), root.shape)),
+        _whiten(root, problem.surveyed - landmarks[: len(problem.surveyed)]),
+    )
     return factors.solve(reference[-1], landmarks)
 
 
@@ -273,6 +278,10 @@ class _Factors:
     def add_positions(self, node: Index, a: Array, b: Array) -> None:
         for pose, a_k, b_k in zip((POSE_KEY + node).tolist(), a, b, strict=True):
             self._graph.push_back(gtsam.JacobianFactor(pose, a_k, b_k, self._unit[2]))
+
+    def add_surveyed(self, a: Array, b: Array) -> None:
+        for key, (a_k, b_k) in enumerate(zip(a, b, strict=True), start=LANDMARK_KEY):
+            self._graph.push_back(gtsam.JacobianFactor(key, a_k, b_k, self._unit[2]))
 
     def solve(self, last_pose: Array, landmarks: Array) -> Marginal:
         """The marginal, its mean in absolute coordinates around the reference given."""

@@ -25,6 +25,8 @@ class SlamProblem:
     sighting_pose, sighting_landmark: (M,) indices. z: (M, 2) range and bearing; sigma: (M, 2).
     position_pose: (G,) indices. position: (G, 2) of an antenna at `lever_m` (forward, left) of
     the pose, with position_covariance: (G, 2, 2).
+    surveyed: (S, 2) positions of the first S landmarks, known beforehand with
+    surveyed_covariance: (S, 2, 2).
     """
 
     prior_pose: Array
@@ -40,6 +42,8 @@ class SlamProblem:
     position: Array = field(default_factory=lambda: np.zeros((0, 2)))
     position_covariance: Array = field(default_factory=lambda: np.zeros((0, 2, 2)))
     lever_m: tuple[float, float] = (0.0, 0.0)
+    surveyed: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    surveyed_covariance: Array = field(default_factory=lambda: np.zeros((0, 2, 2)))
 
     @property
     def pose_count(self) -> int:
@@ -49,7 +53,9 @@ class SlamProblem:
     @property
     def residual_dimension(self) -> int:
         """Scalar measurements, the prior's three included."""
-        return 3 * self.pose_count + 2 * len(self.z) + 2 * len(self.position)
+        return (
+            3 * self.pose_count + 2 * len(self.z) + 2 * len(self.position) + 2 * len(self.surveyed)
+        )
 
     @property
     def state_dimension(self) -> int:
@@ -74,6 +80,8 @@ class SlamProblem:
             self.position[fixed],
             self.position_covariance[fixed],
             self.lever_m,
+            self.surveyed,
+            self.surveyed_covariance,
         )
 
 
@@ -163,6 +171,10 @@ def build_graph(problem: SlamProblem) -> gtsam.NonlinearFactorGraph:
         strict=True,
     ):
         graph.push_back(position_factor(key, z, covariance, problem.lever_m))
+    for slot, (place, covariance) in enumerate(
+        zip(problem.surveyed, problem.surveyed_covariance, strict=True)
+    ):
+        graph.push_back(gtsam.PriorFactorPoint2(LANDMARK_KEY + slot, place, gaussian(covariance)))
     return graph
 
 

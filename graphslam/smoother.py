@@ -88,7 +88,7 @@ def smooth(
     Raises SingularProblemError when every attempt fails for want of information.
     """
     graph = build_graph(problem)
-    seen = np.unique(problem.sighting_landmark)
+    seen = np.union1d(problem.sighting_landmark, np.arange(len(problem.surveyed)))
     attempts: list[tuple[Start, gtsam.Values]] = []
 
     def attempt(name: str, values: gtsam.Values, spent: int = 0) -> None:
@@ -217,6 +217,8 @@ def _extend(problem: SlamProblem, values: gtsam.Values, known: int, count: int) 
     else:
         pose = gtsam.Pose2(*problem.prior_pose)
         extended.insert(POSE_KEY, pose)
+        for slot, place in enumerate(problem.surveyed):
+            extended.insert(LANDMARK_KEY + slot, place)
     poses = {known - 1: pose} if known else {0: pose}
     for k in range(max(known, 1), count):
         pose = pose.compose(gtsam.Pose2(*problem.increment[k - 1]))

@@ -10,12 +10,14 @@ from numpy.typing import NDArray
 from comparisons.errors import InputError
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry
+from comparisons.runs.known_landmarks import surveyed
 from ekf_reference.absolute_updates import PositionFixes, PositionModel
 from ekf_reference.association import (
     Association,
     EuclideanNeighbour,
     KnownAssociation,
     NearestNeighbour,
+    SurveyedLandmarks,
 )
 from ekf_reference.compressed_ekf import CompressedEkf, LocalAreas
 from ekf_reference.full_ekf import FullEkf, Stabilisation
@@ -117,15 +119,24 @@ def _rows(p: Positions, rows: NDArray[np.intp]) -> Positions:
 
 
 def build_association(log: Log, choices: EkfChoices) -> Association:
-    """The rule; detections that need confirmation pass as candidates first."""
+    """The rule; detections that need confirmation pass as candidates first.
+
+    Sightings of surveyed landmarks go by their labels in any case.
+    """
+    slot_of, _, _ = surveyed(log)
+    rule: Association
     if choices.association == "known":
-        return KnownAssociation(log.sightings.label_gate)
-    rule: Association = {
-        "nn": NearestNeighbour,
-        "jcbb": JointCompatibility,
-        "euclidean": EuclideanNeighbour,
-    }[choices.association or "nn"]()
-    return TrackManagement(rule) if log.sightings.needs_confirmation else rule
+        rule = KnownAssociation(log.sightings.label_gate, first_slot=len(slot_of))
+    else:
+        kinds = {
+            "nn": NearestNeighbour,
+            "jcbb": JointCompatibility,
+            "euclidean": EuclideanNeighbour,
+        }
+        rule = kinds[choices.association or "nn"]()
+        if log.sightings.needs_confirmation:
+            rule = TrackManagement(rule)
+    return SurveyedLandmarks(rule, slot_of) if slot_of else rule
 
 
 def _either(names: tuple[str, ...]) -> str:

@@ -12,6 +12,7 @@ from comparisons.errors import InputError
 from comparisons.logs.log import Log, Positions
 from comparisons.runs.ekf_build import EkfChoices, build_ekf
 from comparisons.runs.estimate import Array, Estimate
+from comparisons.runs.known_landmarks import surveyed
 from comparisons.runs.timeline import Timeline
 from ekf_reference.association import AMBIGUOUS, CANDIDATE, REJECTED
 from ekf_reference.full_ekf import FullEkf
@@ -67,6 +68,7 @@ def run_ekf(
     trace = RecordedTrace()
     ekf = build_ekf(log, choices, trace)
     modify(ekf)
+    ekf.insert_surveyed(*surveyed(log)[1:])
     epochs = len(timeline.epoch_time_s)
     steps, first = timeline.steps_until(), timeline.sightings_until()
     seen = log.sightings
@@ -121,7 +123,9 @@ def run_ekf(
         timeline.epoch_time_s,
         departed[:epochs],
         covariance[:epochs],
-        _landmark_ids(seen.landmark[: len(slot)], slot, ekf.state.landmark_count, choices),
+        _landmark_ids(
+            seen.landmark[: len(slot)], slot, ekf.state.landmark_count, choices, surveyed(log)[0]
+        ),
         ekf.state.landmarks.copy(),
         joint,
         "filtered",
@@ -149,15 +153,21 @@ def _as_used(slot: NDArray[np.intp], trace: TraceArrays) -> NDArray[np.intp]:
     """Slots as recorded: a breakdown in the midst of a scan leaves part of it used."""
     used = np.where(slot >= 0, REJECTED, slot)
     for records in (trace.updates, trace.augmentations):
-        used[records.sighting] = records.slot
+        seen = records.sighting >= 0
+        used[records.sighting[seen]] = records.slot[seen]
     return used
 
 
 def _landmark_ids(
-    label: NDArray[np.int64], slot: NDArray[np.intp], count: int, choices: EkfChoices
+    label: NDArray[np.int64],
+    slot: NDArray[np.intp],
+    count: int,
+    choices: EkfChoices,
+    slot_of: dict[int, int],
 ) -> NDArray[np.int64]:
     """The log's labels where they were trusted, else the slots themselves."""
     ids = np.arange(count)
+    ids[list(slot_of.values())] = list(slot_of)
     if choices.association == "known":
         used = slot >= 0
         ids[slot[used]] = label[used]

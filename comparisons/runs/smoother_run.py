@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from comparisons.logs.log import Log
 from comparisons.runs.ekf_run import EkfRun
 from comparisons.runs.estimate import Estimate
+from comparisons.runs.known_landmarks import surveyed
 from comparisons.runs.motion import motion_samples
 from ekf_reference.trace import SightingRecords
 from graphslam import increments
@@ -47,6 +48,7 @@ def build_problem(log: Log, run: EkfRun) -> SlamProblem:
         np.column_stack((seen.sigma_range_m, seen.sigma_bearing_rad))[used],
         len(run.estimate.landmark),
         *_positions(run),
+        *surveyed(log)[1:],
     )
 
 

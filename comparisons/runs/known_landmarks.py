@@ -1,0 +1,44 @@
+"""Sightings of surveyed landmarks join the other sightings, under labels of their own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from comparisons.logs.log import Array, Log, Sightings
+
+SURVEYED = 10**9
+"""Added to a surveyed landmark's id, so that it meets no other landmark's."""
+
+
+def join_known_sightings(log: Log) -> Log:
+    """The log with one stream of sightings, in order of time; ids of surveyed ones raised."""
+    known = log.known_sightings
+    if known is None or not len(known.time_s):
+        return log
+    seen = log.sightings
+    order = np.argsort(np.concatenate((seen.time_s, known.time_s)), kind="stable")
+    raised = replace(known, landmark=known.landmark + SURVEYED)
+    columns = {
+        name: np.concatenate((value, getattr(raised, name)))[order]
+        for name, value in vars(seen).items()
+        if isinstance(value, np.ndarray)
+    }
+    joined = Sightings(
+        **columns, label_gate=seen.label_gate, needs_confirmation=seen.needs_confirmation
+    )
+    return replace(log, sightings=joined, known_sightings=None)
+
+
+def surveyed(log: Log) -> tuple[dict[int, int], Array, Array]:
+    """Slot by raised id, positions (K, 2) and covariances (K, 2, 2) of the surveyed landmarks.
+
+    They take the first slots. A covariance of zero becomes a tenth of a millimetre, so that the
+    state's stays regular.
+    """
+    table = log.known_landmarks
+    if table is None:
+        return {}, np.zeros((0, 2)), np.zeros((0, 2, 2))
+    slots = {SURVEYED + i: slot for slot, i in enumerate(table.id.tolist())}
+    return slots, table.position_m, table.covariance + 1e-8 * np.eye(2)

@@ -1,0 +1,100 @@
+"""Landmarks surveyed beforehand: absolute information through sightings (Guivant 2002, 4.2)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from comparisons.compare import compare_estimators
+from comparisons.logs.log import Landmarks, Log, Sightings
+from comparisons.logs.log_folder import read_log_folder, write_log_folder
+from comparisons.runs.ekf_build import EkfChoices
+from comparisons.runs.known_landmarks import SURVEYED, join_known_sightings
+from tests.helpers import simulated
+
+SIGMA = 0.05
+
+
+def with_survey(log: Log, every: int = 6) -> Log:
+    """Every sixth landmark is surveyed to 5 cm, and its sightings refer to the survey."""
+    truth = log.truth.landmarks
+    assert truth is not None
+    rng = np.random.default_rng(1)
+    ids = truth.id[::every]
+    place = truth.position_m[::every] + SIGMA * rng.standard_normal((len(ids), 2))
+    covariance = np.broadcast_to(SIGMA**2 * np.eye(2), (len(ids), 2, 2))
+    is_known = np.isin(log.sightings.landmark, ids)
+
+    def part(rows: np.ndarray) -> Sightings:
+        s = log.sightings
+        return Sightings(
+            s.time_s[rows], s.range_m[rows], s.bearing_rad[rows], s.sigma_range_m[rows],
+            s.sigma_bearing_rad[rows], s.landmark[rows], s.diameter_m[rows],
+        )  # fmt: skip
+
+    return replace(
+        log,
+        sightings=part(~is_known),
+        known_landmarks=Landmarks(ids, place, covariance),
+        known_sightings=part(is_known),
+    )
+
+
+@pytest.mark.parametrize("name", ["full", "compressed"])
+@pytest.mark.parametrize("association", ["known", "nn"])
+def test_gaps_stay_at_rounding(name: str, association: str) -> None:
+    c = compare_estimators(with_survey(simulated(seed=2)), EkfChoices(name, association))
+    assert c.agreement.algebra.within(1e-8)
+    assert c.agreement.model.within(1e-8)
+    assert c.smoother.proof.proven
+    assert c.smoother.proof.chi_square.reading == "plausible"
+    assert c.ekf.unused["rejected"] == 0
+
+
+def test_the_survey_bounds_the_error() -> None:
+    log = simulated(seed=2)
+    plain = compare_estimators(log).ekf.estimate
+    fixed = compare_estimators(with_survey(log)).ekf.estimate
+    assert fixed.landmark_id[:3].tolist() == [SURVEYED, SURVEYED + 6, SURVEYED + 12]
+    sigma = np.sqrt(np.trace(plain.pose_covariance[:, :2, :2], axis1=1, axis2=2))
+    bounded = np.sqrt(np.trace(fixed.pose_covariance[:, :2, :2], axis1=1, axis2=2))
+    assert bounded.max() < 0.5 * sigma.max()
+
+
+def test_a_surveyed_landmark_never_seen_keeps_its_prior() -> None:
+    log = with_survey(simulated(seed=2, loop_s=10.0))
+    c = compare_estimators(log)
+    assert log.known_sightings is not None
+    assert log.known_landmarks is not None
+    unseen = np.flatnonzero(~np.isin(log.known_landmarks.id, log.known_sightings.landmark))
+    assert len(unseen)
+    for estimate in (c.ekf.estimate, c.smoothed):
+        k = 3 + 2 * int(unseen[0])
+        own = estimate.joint_covariance[k : k + 2, k : k + 2]
+        assert np.allclose(own, SIGMA**2 * np.eye(2), rtol=1e-4)
+        assert np.allclose(estimate.landmark[unseen[0]], log.known_landmarks.position_m[unseen[0]])
+
+
+def test_a_wrong_sighting_of_a_surveyed_landmark_is_rejected() -> None:
+    log = with_survey(simulated(seed=2))
+    known = log.known_sightings
+    assert known is not None
+    distance = known.range_m.copy()
+    distance[40] += 8.0
+    c = compare_estimators(replace(log, known_sightings=replace(known, range_m=distance)))
+    assert c.ekf.unused["rejected"] == 1
+
+
+def test_streams_join_in_order_of_time_and_survive_the_disk(tmp_path: Path) -> None:
+    log = with_survey(simulated(seed=2, loop_s=20.0))
+    joined = join_known_sightings(log).sightings
+    assert np.all(np.diff(joined.time_s) >= 0)
+    assert len(joined.time_s) == len(simulated(seed=2, loop_s=20.0).sightings.time_s)
+    write_log_folder(log, tmp_path / "log")
+    again = compare_estimators(read_log_folder(tmp_path / "log"))
+    assert np.array_equal(
+        again.ekf.estimate.joint_mean, compare_estimators(log).ekf.estimate.joint_mean
+    )
