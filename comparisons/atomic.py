@@ -16,7 +16,7 @@ from comparisons.errors import InputError
 def fresh_folder(target: Path, replaceable: frozenset[str] = frozenset()) -> Iterator[Path]:
     """Yield a folder beside `target` to fill; it takes the target's place when all went well.
 
-    replaceable: names of the files and folders that an earlier output of ours holds; see
+    replaceable: files that an earlier output of ours holds, as paths within it; see
     check_replaceable. On any exception the target is as it was and nothing else is left behind.
     """
     target = check_replaceable(target, replaceable)
@@ -49,7 +49,7 @@ def fresh_folder(target: Path, replaceable: frozenset[str] = frozenset()) -> Ite
 def check_replaceable(target: Path, replaceable: frozenset[str] = frozenset()) -> Path:
     """The target's full path, links followed. Raises InputError where it must not be written.
 
-    It may be missing, an empty folder, or a folder with no other contents than `replaceable`.
+    It may be missing, or a folder that holds no other files, at any depth, than `replaceable`.
     """
     try:
         full = Path(os.path.realpath(target))
@@ -60,7 +60,8 @@ def check_replaceable(target: Path, replaceable: frozenset[str] = frozenset()) -
             return full
         if not full.is_dir():
             raise InputError(f"{target}: is a file, expected a folder to write")
-        strange = sorted(set(os.listdir(full)) - replaceable)
+        files = {p.relative_to(full).as_posix() for p in full.rglob("*") if not _is_folder(p)}
+        strange = sorted(files - replaceable)
     except (OSError, ValueError) as error:
         if isinstance(error, InputError):
             raise
@@ -76,6 +77,10 @@ def folder_name(name: str) -> str:
     """A log's name as a folder's: letters, digits, dots and dashes only, not too long."""
     kept = "".join(c if c.isascii() and (c.isalnum() or c in "._-") else "-" for c in name)
     return kept.strip(".-")[:80] or "log"
+
+
+def _is_folder(path: Path) -> bool:
+    return path.is_dir() and not path.is_symlink()
 
 
 def _remove_if_empty(folder: Path) -> None:

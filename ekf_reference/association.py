@@ -7,6 +7,7 @@ be added, in order.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
@@ -28,7 +29,9 @@ CANDIDATE = -3
 """Not used yet: it may become a landmark (see track_management)."""
 
 SEARCH_MARGIN_M = 10.0
-"""Landmarks are sought this much farther than the longest range of a scan."""
+SEARCH_SIGMAS = 4.0
+"""Landmarks are sought this much farther than the longest range of a scan, whichever is more:
+metres, or standard deviations of where the vehicle puts the end of that range."""
 
 
 class MappedState(Protocol):
@@ -42,6 +45,11 @@ class MappedState(Protocol):
     @property
     def pose(self) -> Array:
         """(3,) x, y, heading."""
+        ...
+
+    @property
+    def pose_covariance(self) -> Array:
+        """(3, 3)."""
         ...
 
     def local_map(self, reach_m: float) -> LocalMap:
@@ -74,7 +82,9 @@ class Distances(NamedTuple):
 
 def surroundings(state: MappedState, sightings: Sightings) -> LocalMap:
     """The landmarks that these sightings could be of."""
-    return state.local_map(float(sightings.z[:, 0].max()) + SEARCH_MARGIN_M)
+    longest, p = float(sightings.z[:, 0].max()), state.pose_covariance
+    sigma = math.sqrt(p[0, 0] + p[1, 1]) + longest * math.sqrt(p[2, 2])
+    return state.local_map(longest + max(SEARCH_MARGIN_M, SEARCH_SIGMAS * sigma))
 
 
 def normalised_distances(

@@ -16,6 +16,7 @@ from scipy.special import gammaincinv
 from ekf_reference.association import (
     MappedState,
     Slots,
+    match_in_order,
     normalised_distances,
     slots_of,
     surroundings,
@@ -33,12 +34,14 @@ class JointCompatibility:
     """Each pairing within `gate`, all together within the joint gate of the same probability.
 
     probability: of the chi-square gates. new_gate: as in NearestNeighbour. most_nodes: branches
-    visited at the most in one scan; beyond that the best set so far is taken.
+    visited at the most in one scan; beyond that the best set so far is taken. Of a scan with more
+    than `most_sightings` to match, the nearest neighbour decides.
     """
 
     probability: float = 0.999
     new_gate: float = 25.0
     most_nodes: int = 4000
+    most_sightings: int = 100
 
     def assign(self, state: MappedState, observation: RangeBearing, sightings: Sightings) -> Slots:
         """Assign by position, all sightings of the scan together."""
@@ -47,7 +50,9 @@ class JointCompatibility:
         compatible = distances.nis <= self._gate(1)
         sighting, landmark = np.nonzero(compatible)
         column = np.full(len(sightings), -1, dtype=np.intp)
-        if len(sighting):
+        if len(np.unique(sighting)) > self.most_sightings:
+            column = match_in_order(distances.n, compatible)
+        elif len(sighting):
             nu = distances.innovation[sighting, landmark]
             spread = _pair_covariance(local, observation, sightings, sighting, landmark)
             order = np.lexsort((distances.n[sighting, landmark], sighting))
@@ -128,14 +133,18 @@ class _Search:
     def _descend(
         self, level: int, chosen: list[int], distance: float, root: Array, whitened: Array
     ) -> None:
-        """root: inverse-free lower Cholesky factor of the chosen pairs' covariance."""
+        """The distance grows with every pair; the gate of the whole set is tested at its end.
+
+        root: lower Cholesky factor of the chosen pairs' covariance.
+        """
         possible = len(chosen) + len(self._pairs) - level
         if possible < len(self._best) or (
             possible == len(self._best) and distance >= self._best_distance
         ):
             return
         if level == len(self._pairs):
-            self._best, self._best_distance = list(chosen), distance
+            if distance <= self._gates[len(chosen)]:
+                self._best, self._best_distance = list(chosen), distance
             return
         k = 2 * len(chosen)
         taken = {int(self.landmark[pair]) for pair in chosen}
@@ -159,7 +168,7 @@ class _Search:
                 continue  # two copies of one pairing: nothing new to test
             tail = np.linalg.solve(corner, self._nu[pair] - below @ whitened[:k])
             total = distance + float(tail @ tail)
-            if total > self._gates[len(chosen) + 1]:
+            if total > self._gates[possible]:  # the widest gate that this branch may still meet
                 continue
             root[k : k + 2, :k], root[k : k + 2, k : k + 2] = below, corner
             whitened[k : k + 2] = tail

@@ -9,9 +9,10 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 
 
-def test_main_job_benchmark_runs() -> None:
+def run(*arguments: str) -> list[str]:
+    """The lines that a benchmark prints."""
     done = subprocess.run(
-        [sys.executable, "benchmarks/main_job.py", "--repeat", "1", "simulated-loop"],
+        [sys.executable, *arguments],
         cwd=ROOT,
         capture_output=True,
         text=True,
@@ -19,6 +20,20 @@ def test_main_job_benchmark_runs() -> None:
         env={"PYTHONPATH": str(ROOT), "PATH": ""},
     )
     assert done.returncode == 0, done.stderr
-    names = [line.split("  ")[0].strip() for line in done.stdout.splitlines()]
+    return done.stdout.splitlines()
+
+
+def test_map_size_benchmark_runs(tmp_path: Path) -> None:
+    picture = tmp_path / "cost.png"
+    lines = run(
+        "benchmarks/map_size.py", "--sizes", "30", "70", "--scans", "3", "--plot", str(picture)
+    )
+    assert [line.split()[0] for line in lines[2:]] == ["30", "70"]
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_main_job_benchmark_runs() -> None:
+    lines = run("benchmarks/main_job.py", "--repeat", "1", "simulated-loop")
+    names = [line.split("  ")[0].strip() for line in lines]
     assert names[0] == "wall"
     assert "frozen" in names

@@ -49,7 +49,9 @@ def assess(estimate: Estimate, log: Log, *, labelled: bool) -> Accuracy | None:
     figures: dict[str, float | int | None] = {}
     truth, positions = log.truth, log.positions
     if positions is not None:
-        at, fixes, figures["coverage"] = _at_times(estimate, positions.time_s, positions.position_m)
+        at, fixes, figures["coverage"] = _at_times(
+            estimate, positions.time_s, positions.position_m, positions.antenna_m
+        )
         if len(at):
             figures["gps_median_m"] = _median(at - fixes)
             figures["gps_median_aligned_m"] = _median(aligned(at, fixes, robust=True) - fixes)
@@ -103,11 +105,19 @@ def match_by_distance(points: Array, reference: Array) -> tuple[Index, Index]:
     return rows[near], columns[near]
 
 
-def _at_times(estimate: Estimate, time_s: Array, reference: Array) -> tuple[Array, Array, float]:
-    """Estimated positions at the reference times within its span, those references, coverage."""
+def _at_times(
+    estimate: Estimate, time_s: Array, reference: Array, point_m: tuple[float, float] = (0.0, 0.0)
+) -> tuple[Array, Array, float]:
+    """Estimated places of a point on the vehicle (forward, left), their references, coverage.
+
+    At the reference times within the estimate's span, between its poses by interpolation.
+    """
     t = estimate.time_s
     inside = (time_s >= t[0]) & (time_s <= t[-1])
-    at = np.column_stack([np.interp(time_s[inside], t, estimate.pose[:, i]) for i in (0, 1)])
+    x, y, heading = (np.interp(time_s[inside], t, estimate.pose[:, i]) for i in range(3))
+    forward, left = point_m
+    cos, sin = np.cos(heading), np.sin(heading)
+    at = np.column_stack((x + cos * forward - sin * left, y + sin * forward + cos * left))
     return at, reference[inside], float(np.mean(inside)) if len(inside) else 0.0
 
 

@@ -32,11 +32,13 @@ class Gap:
     the largest asymmetry of either in units of sigma^2 if that is more; infinite when a
     covariance is not positive definite.
     least: the smallest of those eigenvalues; at least 1 says the first covariance is conservative.
+    asymmetry: the largest asymmetry alone.
     """
 
     sigma: float
     covariance: float
     least: float = 1.0
+    asymmetry: float = 0.0
 
     def within(self, tolerance: float) -> bool:
         """Both are at most the tolerance; never true for NaN."""
@@ -96,12 +98,12 @@ def gap(first: Gaussian, second: Gaussian, sigma: Array) -> Gap:
     """The distance of two Gaussians, in units of sigma (n,)."""
     low, high = eigenvalue_range(first.covariance, second.covariance)
     scale = np.outer(sigma, sigma)
-    spread = max(
-        abs(low - 1.0),
-        abs(high - 1.0),
-        *(float(np.max(np.abs(g.covariance - g.covariance.T) / scale)) for g in (first, second)),
+    skew = max(
+        float(np.max(np.abs(g.covariance - g.covariance.T) / scale)) for g in (first, second)
     )
-    return Gap(float(np.max(np.abs(_difference(first.mean, second.mean)) / sigma)), spread, low)
+    spread = max(abs(low - 1.0), abs(high - 1.0), skew)
+    largest = float(np.max(np.abs(_difference(first.mean, second.mean)) / sigma))
+    return Gap(largest, spread, low, skew)
 
 
 def eigenvalue_range(first: Array, second: Array) -> tuple[float, float]:

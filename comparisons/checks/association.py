@@ -54,7 +54,8 @@ def score_association(
     truth, clusters = log.truth.landmarks, None
     if truth is not None and len(truth.id) > 1 and len(landmark) > 1:
         group = dict(zip(truth.id.tolist(), _clusters(truth.position_m).tolist(), strict=True))
-        merged = np.where(slot >= 0, _clusters(landmark)[slot], slot)
+        merged, used = slot.copy(), slot >= 0
+        merged[used] = _clusters(landmark)[slot[used]]
         clusters = score_partition(merged, np.array([group.get(i, -1 - i) for i in label.tolist()]))
     return AssociationScore(score_partition(slot, label), clusters)
 

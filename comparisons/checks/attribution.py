@@ -13,6 +13,8 @@ from graphslam.optimum import Proof
 
 ROUNDING = 1e-6
 """Largest algebra and model gap, in sigma and in covariance, that rounding explains."""
+SPARED_SIGMA = 0.05
+"""Largest difference of the means that sparing part of the covariance may cause, in sigma."""
 LARGEST_DISTANCE = 1.0
 """A block agrees when the filter deviates by no more than the optimum itself is uncertain."""
 LEAST_VARIANCE_RATIO = 0.25
@@ -55,13 +57,13 @@ def judge(
     """The verdict on a run.
 
     conservative: the filter is meant to leave some covariance too large, so its algebra is right
-    when P_E - P_F1 is positive semidefinite, to rounding. A red algebra or model gap is a
-    disagreement whatever the smoother found, for it compares the filter with linear algebra.
-    Otherwise an unproven optimum gives no verdict at all.
+    when P_E - P_F1 is positive semidefinite, to rounding, and the mean hardly moves. A red
+    algebra or model gap is a disagreement whatever the smoother found, for it compares the filter
+    with linear algebra. Otherwise an unproven optimum gives no verdict at all.
     """
     causes: list[Cause] = []
     algebra = agreement.algebra
-    if not (algebra.least >= 1.0 - ROUNDING if conservative else algebra.within(ROUNDING)):
+    if not (_conservative(algebra) if conservative else algebra.within(ROUNDING)):
         causes.append(
             Cause(
                 "algebra",
@@ -110,6 +112,10 @@ def judge(
     return Verdict(outcome, tuple(causes), tuple(remarks))
 
 
+def _conservative(gap: Gap) -> bool:
+    return gap.least >= 1.0 - ROUNDING and gap.asymmetry <= ROUNDING and gap.sigma <= SPARED_SIGMA
+
+
 def _apart(gap: Gap) -> str:
     return (
         f"differ by {gap.sigma:.2g} sigma in the mean and by {gap.covariance:.2g} in the "
@@ -147,10 +153,13 @@ def _linearisation(agreement: Agreement, run: EkfRun) -> Cause:
         )
     unsure = [i for i in off if i not in far]
     if unsure:
-        worst = min(unsure, key=lambda i: agreement.landmarks[i].least)
+        worst, ratio = max(
+            ((i, r) for i in unsure for r in _ratios(agreement.landmarks[i])),
+            key=lambda pair: max(pair[1], 1.0 / max(pair[1], 1e-300)),
+        )
         parts.append(
             f"{len(unsure)} of {len(ids)} landmarks have a wrong covariance, landmark "
-            f"{ids[worst]} {agreement.landmarks[worst].least:.2g} times the justified variance"
+            f"{ids[worst]} {ratio:.2g} times the justified variance"
         )
     if agreement.pose.distance > LARGEST_DISTANCE:
         parts.append(
@@ -178,6 +187,10 @@ def _linearisation(agreement: Agreement, run: EkfRun) -> Cause:
         f"reached {np.degrees(sigma[k]):.1f} degrees at {run.estimate.time_s[k]:.1f} s; smaller "
         "heading uncertainty, local maps or relinearisation would help",
     )
+
+
+def _ratios(block: BlockAgreement) -> tuple[float, float]:
+    return block.least, block.largest
 
 
 def _remarks(proof: Proof, run: EkfRun) -> list[str]:

@@ -23,7 +23,7 @@ class _Model(BaseModel):
 
 
 class LogResult(_Model):
-    """What was read. sha256: of the streams that the estimators used, in their order."""
+    """What was read. sha256: of all streams that an estimator may be given."""
 
     name: str
     format: str
@@ -34,7 +34,11 @@ class LogResult(_Model):
 
 
 class EkfResult(_Model):
-    """The filter. rejected, ambiguous, candidate: sightings that association did not use."""
+    """The filter.
+
+    rejected, ambiguous, candidate: sightings that association did not use. global_updates: of a
+    compressed filter, and the share of the passive covariance that they left alone (set I).
+    """
 
     filter: str
     association: str
@@ -45,6 +49,8 @@ class EkfResult(_Model):
     gps: str
     fixes_fused: int
     fixes_rejected: int
+    global_updates: int
+    global_update_spared: float
 
 
 class StartResult(_Model):
@@ -186,6 +192,8 @@ def build_result(comparison: Comparison, read_s: float) -> Result:
             gps=c.choices.gps,
             fixes_fused=len(c.ekf.fix_number),
             fixes_rejected=c.ekf.rejected_fixes,
+            global_updates=c.ekf.spared[0],
+            global_update_spared=c.ekf.spared[1],
         ),
         smoother=SmootherResult(
             poses=len(c.smoother.poses),
@@ -220,9 +228,20 @@ def build_result(comparison: Comparison, read_s: float) -> Result:
 
 
 def log_hash(log: Log) -> str:
-    """SHA-256 of the prior, the odometry and the sightings, as the estimators saw them."""
+    """SHA-256 of everything that an estimator may be given: all streams but scans and truth."""
     digest = hashlib.sha256()
-    for record in (log.prior, log.odometry, log.sightings):
+    records = (
+        log.prior,
+        log.odometry,
+        log.sightings,
+        log.positions,
+        log.known_landmarks,
+        log.known_sightings,
+    )
+    for record in records:
+        if record is None:
+            digest.update(b"absent")
+            continue
         for name, value in sorted(vars(record).items()):
             digest.update(name.encode())
             digest.update(

@@ -8,9 +8,13 @@ from comparisons.atomic import fresh_folder
 from comparisons.compare import Comparison
 from comparisons.report.plots import correlation_figure, map_figure, save
 from comparisons.report.result import Result
+from comparisons.runs.estimate_folder import FILES as ESTIMATE_FILES
 from comparisons.runs.estimate_folder import write_estimate
 
-CONTENTS = frozenset({"result.json", "map.png", "correlation.png", "ekf", "smoother"})
+CONTENTS = frozenset(
+    {"result.json", "map.png", "correlation.png"}
+    | {f"{estimator}/{name}" for estimator in ("ekf", "smoother") for name in ESTIMATE_FILES}
+)
 """What a run folder holds; a folder with nothing else may be replaced by the next run."""
 
 

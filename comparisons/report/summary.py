@@ -17,13 +17,21 @@ def print_summary(result: Result, console: Console) -> None:
     table.add_column(style="bold", no_wrap=True)
     table.add_column(overflow="fold")
     log, ekf, smoother, gaps = result.log, result.ekf, result.smoother, result.agreement
-    table.add_row("log", escape(f"{log.name} ({log.format}), {log.duration_s:.0f} s"))
+    times = log.provenance.get("times")
+    note = f", {times}" if times else ""
+    table.add_row("log", escape(f"{log.name} ({log.format}), {log.duration_s:.0f} s{note}"))
     table.add_row("records", ", ".join(f"{n:,} {name}" for name, n in log.records.items()))
     table.add_row(
         "EKF",
         f"{ekf.filter}, {ekf.landmarks} landmarks; sightings {ekf.rejected} rejected, "
         f"{ekf.ambiguous} ambiguous, {ekf.candidate} of candidates ({ekf.association})",
     )
+    if ekf.global_updates:
+        table.add_row(
+            "global updates",
+            f"{ekf.global_updates}, sparing {100 * ekf.global_update_spared:.0f} % of the passive "
+            "covariance",
+        )
     if ekf.gps != "off":
         table.add_row("positions", f"{ekf.fixes_fused} fused, {ekf.fixes_rejected} rejected")
     table.add_row(

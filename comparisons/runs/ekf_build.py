@@ -98,23 +98,28 @@ def build_ekf(log: Log, choices: EkfChoices, trace: Trace) -> FullEkf:
 
 def fused_positions(log: Log, choices: EkfChoices) -> Positions | None:
     """The positions that the estimators are given: within the log's time, in order."""
-    if log.positions is None or choices.gps == "off":
-        return None
-    p = log.positions
-    inside = np.flatnonzero((p.time_s >= log.prior.time_s) & (p.time_s <= log.end_s))
-    return _rows(p, inside[::2] if choices.gps == "half" else inside)
+    return None if log.positions is None else _rows(log.positions, _fused(log, choices))
 
 
 def judging_positions(log: Log, choices: EkfChoices) -> Positions | None:
-    """The positions that accuracy is measured against: those held back, if any were."""
-    fused = fused_positions(log, choices)
-    if log.positions is None or fused is None or choices.gps != "half":
-        return log.positions
-    held = ~np.isin(log.positions.time_s, fused.time_s)
-    return _rows(log.positions, np.flatnonzero(held))
+    """The positions that accuracy is measured against: none that was given to the estimators."""
+    if log.positions is None:
+        return None
+    count = len(log.positions.time_s)
+    return _rows(log.positions, np.setdiff1d(np.arange(count), _fused(log, choices)))
 
 
-def _rows(p: Positions, rows: NDArray[np.intp]) -> Positions:
+def _fused(log: Log, choices: EkfChoices) -> NDArray[np.intp]:
+    if log.positions is None or choices.gps == "off":
+        return np.zeros(0, dtype=np.intp)
+    time = log.positions.time_s
+    inside = np.flatnonzero((time >= log.prior.time_s) & (time <= log.end_s))
+    return inside[::2] if choices.gps == "half" else inside
+
+
+def _rows(p: Positions, rows: NDArray[np.intp]) -> Positions | None:
+    if not len(rows):
+        return None
     return Positions(p.time_s[rows], p.position_m[rows], p.covariance[rows], p.antenna_m)
 
 

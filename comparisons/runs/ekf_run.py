@@ -15,6 +15,7 @@ from comparisons.runs.estimate import Array, Estimate
 from comparisons.runs.known_landmarks import surveyed
 from comparisons.runs.timeline import Timeline
 from ekf_reference.association import AMBIGUOUS, CANDIDATE, REJECTED
+from ekf_reference.compressed_ekf import CompressedState
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.kalman import FilterDivergedError
 from ekf_reference.trace import RecordedTrace, TraceArrays
@@ -30,7 +31,8 @@ class EkfRun:
     slot: (M,) landmark of each of the timeline's sightings, a negative code where unused (see
     ekf_reference.association).
     departed: (K, 3) the pose when each epoch was done. arrived: (K, 3) as predicted there.
-    breakdown: what stopped the filter, None when it reached the end.
+    spared: what the global updates of a compressed filter left alone: (updates, mean share of the
+    passive covariance). breakdown: what stopped the filter, None when it reached the end.
     """
 
     estimate: Estimate
@@ -42,6 +44,7 @@ class EkfRun:
     positions: Positions | None
     fix_number: NDArray[np.intp]
     rejected_fixes: int
+    spared: tuple[int, float] = (0, 0.0)
     breakdown: str | None = None
 
     @property
@@ -81,7 +84,7 @@ def run_ekf(
     fix, fix_covariance = (
         (positions.position_m, positions.covariance) if positions else (np.zeros(0), np.zeros(0))
     )
-    breakdown, done = None, 0
+    breakdown, done, rejected_fixes = None, 0, 0
     for k in range(epochs):
         for i in range(done, int(steps[k])):
             ekf.predict(
@@ -98,7 +101,7 @@ def run_ekf(
                     z[rows], sigma[rows], seen.landmark[rows], float(timeline.epoch_time_s[k])
                 )
             for g in range(int(first_fix[k]), int(first_fix[k + 1])):
-                ekf.fix_position(fix[g], fix_covariance[g])
+                rejected_fixes += not ekf.fix_position(fix[g], fix_covariance[g])
         except FilterDivergedError as error:
             breakdown = f"the EKF broke down at {timeline.epoch_time_s[k]:.3f} s: {error}"
             epochs = k + 1
@@ -144,9 +147,17 @@ def run_ekf(
         arrived[:epochs],
         positions,
         fused,
-        len(timeline.position_epoch) - len(fused),
+        rejected_fixes,
+        _spared(ekf),
         breakdown,
     )
+
+
+def _spared(ekf: FullEkf) -> tuple[int, float]:
+    if not isinstance(ekf.state, CompressedState):
+        return 0, 0.0
+    updates = [u for u in ekf.state.updates if u.passive]
+    return len(updates), float(np.mean([u.saved for u in updates])) if updates else 0.0
 
 
 def _as_used(slot: NDArray[np.intp], trace: TraceArrays) -> NDArray[np.intp]:

@@ -17,6 +17,9 @@ from comparisons.logs.table import Table, read_text
 from comparisons.logs.validation import increasing, whole_numbers, within
 from comparisons.runs.estimate import Estimate
 
+FILES = ("trajectory.tum", "landmarks.csv", "covariances.npz", "estimate.toml")
+"""What an estimate folder holds."""
+
 _TUM = ("time_s", "x", "y", "z", "qx", "qy", "qz", "qw")
 _LANDMARKS = ("id", "x_m", "y_m")
 

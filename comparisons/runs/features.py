@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from comparisons.errors import InputError
+from comparisons.errors import InputError, RecordError
 from comparisons.logs.log import NO_LANDMARK, Array, Log, Scans, Sightings
 from comparisons.runs.motion import motion_samples
 from comparisons.runs.timeline import build_timeline
@@ -75,7 +75,10 @@ def _motion_between(log: Log, time_s: Array) -> Array:
         np.zeros(count, dtype=np.int64),
         np.full(count, np.nan),
     )
-    timeline = build_timeline(replace(log, sightings=marks))
+    try:
+        timeline = build_timeline(replace(log, sightings=marks))
+    except RecordError as error:
+        raise InputError(f"{log.name}: scans, row {error.row}: {error.fault}") from None
     epochs = len(timeline.epoch_time_s)
     moved = compose(motion_samples(log, timeline), timeline.step_epoch - 1, epochs - 1)
     at = np.vstack((np.zeros(3), moved.displacement))

@@ -69,3 +69,12 @@ def test_no_score_with_labels_or_without_any() -> None:
     c = compare_estimators(replace(log, sightings=blank))
     assert c.choices.association == "nn"
     assert c.association is None
+
+
+def test_codes_of_unused_sightings_index_nothing() -> None:
+    log = simulated(loop_s=5.0)
+    slot = np.resize((0, 1, -3), len(log.sightings.time_s))
+    score = score_association(slot, np.array(((0.0, 0.0), (5.0, 0.0))), log)
+    assert score is not None
+    assert score.clusters is not None
+    assert 0.0 <= score.clusters.recall < 1.0

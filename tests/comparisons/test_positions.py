@@ -12,7 +12,7 @@ import pytest
 from comparisons.compare import compare_estimators
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log, Positions
-from comparisons.runs.ekf_build import EkfChoices
+from comparisons.runs.ekf_build import EkfChoices, fused_positions, judging_positions
 from ekf_reference.absolute_updates import Steps
 from ekf_reference.full_ekf import FullEkf
 from graphslam.graph_builder import position_factor
@@ -73,14 +73,31 @@ def test_split_updates_are_replayed_part_by_part() -> None:
     assert c.agreement.model.within(1e-8)
 
 
-def test_held_back_positions_judge() -> None:
+@pytest.mark.parametrize("antenna", [(0.0, 0.0), (3.0, -1.0)])
+def test_held_back_positions_judge(antenna: tuple[float, float]) -> None:
+    """The antenna's place is compared with the fixes, wherever it sits."""
+    log = with_fixes(simulated(seed=3, loop_s=30.0), antenna)
+    c = compare_estimators(log, EkfChoices(association="known", gps="half"))
+    for accuracy in (c.accuracy_ekf, c.accuracy_smoother):
+        assert accuracy is not None
+        assert accuracy.gps_median_m is not None
+        assert accuracy.gps_median_m < 0.6
+
+
+def test_no_position_judges_what_it_was_given_to() -> None:
     log = with_fixes(simulated(seed=3, loop_s=30.0), (0.0, 0.0))
     assert log.positions is not None
-    c = compare_estimators(log, EkfChoices(association="known", gps="half"))
-    assert len(c.ekf.fix_number) + c.ekf.rejected_fixes == (len(log.positions.time_s) + 1) // 2
+    every = log.positions.time_s.tolist()
+    for gps, fused_count in (("off", 0), ("half", (len(every) + 1) // 2), ("on", len(every))):
+        choices = EkfChoices(association="known", gps=gps)
+        fused, judging = fused_positions(log, choices), judging_positions(log, choices)
+        given = [] if fused is None else fused.time_s.tolist()
+        judges = [] if judging is None else judging.time_s.tolist()
+        assert len(given) == fused_count
+        assert sorted(given + judges) == every
+    c = compare_estimators(log, EkfChoices(association="known", gps="on"))
     assert c.accuracy_ekf is not None
-    assert c.accuracy_ekf.gps_median_m is not None
-    assert c.accuracy_ekf.gps_median_m < 0.6
+    assert c.accuracy_ekf.gps_median_m is None
 
 
 def test_our_position_factor_equals_central_differences() -> None:

@@ -11,6 +11,7 @@ from comparisons.atomic import check_replaceable, folder_name, fresh_folder
 from comparisons.compare import Comparison, compare_estimators
 from comparisons.errors import InputError
 from comparisons.logs.bundled import open_log
+from comparisons.logs.log import Positions
 from comparisons.logs.log_folder import read_log_folder, write_log_folder
 from comparisons.report.plots import ellipses, landmark_covariances, map_figure
 from comparisons.report.result import build_result, log_hash
@@ -45,12 +46,15 @@ def test_the_map_shows_both_estimates_and_truth(comparison: Comparison) -> None:
     assert np.array_equal(landmark_covariances(comparison.ekf.estimate)[3], joint[9:11, 9:11])
 
 
-@pytest.mark.parametrize("stream", ["prior", "odometry", "sightings"])
+@pytest.mark.parametrize("stream", ["prior", "odometry", "sightings", "positions"])
 def test_the_hash_sees_every_stream(stream: str) -> None:
     log = simulated(loop_s=5.0)
     changed = {
         "prior": replace(log, prior=replace(log.prior, time_s=-1e-9)),
         "odometry": replace(log, odometry=replace(log.odometry, time_s=log.odometry.time_s + 1e-9)),
+        "positions": replace(
+            log, positions=Positions(np.zeros(1), np.zeros((1, 2)), np.eye(2)[None])
+        ),
         "sightings": replace(
             log, sightings=replace(log.sightings, range_m=log.sightings.range_m + 1e-9)
         ),
@@ -141,6 +145,11 @@ def test_other_peoples_folders_are_safe(tmp_path: Path, monkeypatch: pytest.Monk
     (mine / "thesis.tex").write_text("years of work")
     with pytest.raises(InputError, match=r"already holds thesis\.tex"):
         check_replaceable(mine, frozenset({"result.json"}))
+    deep = tmp_path / "deep"
+    (deep / "ekf").mkdir(parents=True)
+    (deep / "ekf" / "thesis.tex").write_text("years of work")
+    with pytest.raises(InputError, match=r"already holds ekf/thesis\.tex"):
+        check_replaceable(deep, frozenset({"result.json", "ekf/trajectory.tum"}))
     monkeypatch.chdir(mine)
     for target in (Path(), Path(".."), Path("../mine")):
         with pytest.raises(InputError, match="is the current folder or holds it"):

@@ -109,6 +109,13 @@ def test_a_wild_fix_is_rejected_and_changes_nothing() -> None:
     assert set(trace.arrays().positions.number.tolist()) == {1}
 
 
+def test_the_gate_decides_just_inside_and_just_outside() -> None:
+    for nis, accepted in ((13.5, True), (14.1, False)):
+        ekf = ekf_at(np.zeros(3), np.diag((3.0, 3.0, 1e-6)), PositionFixes())
+        z = np.array((np.sqrt(4.0 * nis), 0.0))
+        assert ekf.fix_position(z, np.eye(2)) is accepted
+
+
 def test_the_gate_is_the_normalised_innovation() -> None:
     state = KalmanState(np.zeros(3), np.diag((3.0, 3.0, 0.1)))
     at = PositionFixes().linearise(state.map_of(NO_LANDMARKS), np.array((4.0, 0.0)))

@@ -126,3 +126,13 @@ def test_the_printed_transformation_of_misono_is_no_rotation() -> None:
     assert not np.allclose(printed @ right_forward, point, atol=0.5)
     assert np.allclose(corrected.T @ corrected, np.eye(2))
     assert not np.allclose(printed.T @ printed, np.eye(2), atol=0.1)
+
+
+def test_a_lost_vehicle_searches_farther() -> None:
+    """At loop closing the pose may be off by more than any fixed margin; the gate still decides."""
+    state = KalmanState(np.zeros(3), np.diag((225.0, 1e-4, 1e-8)))
+    state.augment(
+        np.array([[28.0, 0.0]]), np.zeros((1, 2, 3)), np.eye(2)[None], 1e-4 * np.eye(2)[None]
+    )
+    seen = sightings([(10.0, 0.0)])  # 18 m short: 1.2 sigma
+    assert NearestNeighbour().assign(state, MODEL, seen).tolist() == [0]

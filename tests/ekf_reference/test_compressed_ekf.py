@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from comparisons.checks.agreement import eigenvalue_range
+from comparisons.compare import compare_estimators
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
 from comparisons.runs.ekf_build import EkfChoices, build_ekf
@@ -16,9 +17,9 @@ from comparisons.runs.smoother_run import run_frozen_recorded
 from comparisons.runs.timeline import build_timeline
 from ekf_reference.compressed_ekf import CompressedEkf, CompressedState, LocalAreas
 from ekf_reference.full_ekf import FullEkf
-from ekf_reference.kalman import Array, Correction, Index
+from ekf_reference.kalman import Array, Correction, Index, KalmanState
 from ekf_reference.trace import NullTrace
-from tests.helpers import random_covariance, relative_error, simulated
+from tests.helpers import relative_error, simulated
 
 SMALL = LocalAreas(half_m=8.0, reach_m=12.0)
 
@@ -155,15 +156,58 @@ def test_suboptimal_update_is_conservative_and_nearly_free(c1: float) -> None:
         assert np.max(np.abs(spared.estimate.joint_mean - exact.mean) / sigma) < 0.05
 
 
-def test_sparing_the_cross_covariance_too_would_not_be_conservative() -> None:
-    """The broken variant: P12 left alone with P22; the check of eigenvalues rejects it."""
-    rng = np.random.default_rng(0)
-    p = random_covariance(rng, 8)
-    h = rng.standard_normal((2, 8))
-    delta = p @ h.T @ np.linalg.solve(h @ p @ h.T + np.eye(2), h @ p)
-    spared, wrong = p - delta, p - delta
-    spared[4:, 4:] = p[4:, 4:]
-    wrong[4:, :] = p[4:, :]
-    wrong[:, 4:] = p[:, 4:]
-    assert eigenvalue_range(spared, p - delta)[0] > 1.0 - 1e-12
-    assert np.linalg.eigvalsh(wrong - (p - delta))[0] < -1e-3
+class CrossSpared(KalmanState):
+    """Broken: the spared entries' covariance with the changed ones is left alone, too."""
+
+    def merge(
+        self,
+        columns: Index,
+        local: KalmanState,
+        transition: Array,
+        root: Array,
+        shift: Array,
+        spared: Index,
+    ) -> None:
+        n = self._size
+        before = self._covariance[:n, :n].copy()
+        super().merge(columns, local, transition, root, shift, spared)
+        changed = np.setdiff1d(np.setdiff1d(np.arange(n), spared), columns)
+        block = before[np.ix_(spared, changed)]
+        self._covariance[np.ix_(spared, changed)] = block
+        self._covariance[np.ix_(changed, spared)] = block.T
+
+
+def test_sparing_the_cross_covariance_too_is_not_conservative() -> None:
+    """Guivant 2002: P12 and P21 have to be updated; the eigenvalues tell when they are not."""
+    log = simulated(seed=3, loops=2)
+
+    def plant(ekf: FullEkf) -> None:
+        state = CompressedState(log.prior.pose, log.prior.covariance, LocalAreas(8.0, 12.0, 1e-2))
+        state._whole = CrossSpared(log.prior.pose, np.array(log.prior.covariance))
+        ekf.state = state
+
+    run_ = run_ekf(log, build_timeline(log), EkfChoices("full", "known"), modify=plant)
+    exact = run_frozen_recorded(log, run_)
+    assert eigenvalue_range(run_.estimate.joint_covariance, exact.covariance)[0] < 1.0 - 1e-4
+
+
+def test_a_mean_that_is_forgotten_is_no_conservatism() -> None:
+    """The suboptimal filter may spare covariance, not the correction of the mean (theta)."""
+
+    class NoTheta(CompressedState):
+        def update(
+            self, columns: Index, jacobian: Array, innovation: Array, noise: Array
+        ) -> Correction:
+            done = super().update(columns, jacobian, innovation, noise)
+            self._theta[:] = 0.0
+            return done
+
+    log = simulated(seed=3, loops=2)
+
+    def plant(ekf: FullEkf) -> None:
+        ekf.state = NoTheta(log.prior.pose, log.prior.covariance, LocalAreas(8.0, 12.0, 1e-4))
+
+    choices = EkfChoices("compressed-suboptimal", "known")
+    assert compare_estimators(log, choices).verdict.outcome == "agree"
+    broken = compare_estimators(log, choices, modify=plant)
+    assert [cause.gap for cause in broken.verdict.causes] == ["algebra"]

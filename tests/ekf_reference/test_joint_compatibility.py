@@ -90,3 +90,27 @@ def test_a_crowded_scan_ends_within_its_bound() -> None:
     slots = JointCompatibility(most_nodes=500).assign(state, MODEL, seen)
     used = slots[(slots >= 0) & (slots < 7)]
     assert len(used) == len(set(used.tolist())) > 0
+
+
+def test_the_order_of_sightings_does_not_matter() -> None:
+    """A set that passes its own gate counts, even where a part of it would not pass a smaller one.
+
+    Three posts far apart and a certain pose: nis 10, 10 and 0 are each within 13.8, and 20
+    together within 22.5 for three pairs, though not within 18.5 for two.
+    """
+    state = KalmanState(np.zeros(3), 1e-12 * np.eye(3))
+    points = np.array(((10.0, 0.0), (0.0, 12.0), (-9.0, -9.0)))
+    for point in points:
+        state.augment(point[None], np.zeros((1, 2, 3)), np.eye(2)[None], 1e-12 * np.eye(2)[None])
+    z = MODEL.predict(np.zeros(3), points).z
+    z[:2, 0] += np.sqrt(10.0) * 0.05
+    for order in ([0, 1, 2], [2, 0, 1], [1, 2, 0]):
+        seen = Sightings(z[order], MODEL.noise(np.tile((0.05, 0.005), (3, 1))), np.full(3, -1))
+        assert JointCompatibility().assign(state, MODEL, seen).tolist() == order
+
+
+def test_a_scan_of_a_thousand_falls_back_to_the_nearest_neighbour() -> None:
+    state = row_of_posts(0.3)
+    seen = seen_from(0.0, [(10.0, 0.002 * k) for k in range(1100)])
+    slots = JointCompatibility().assign(state, MODEL, seen)
+    assert np.array_equal(slots, NearestNeighbour().assign(state, MODEL, seen))

@@ -128,6 +128,18 @@ def test_tracks_follow_the_vehicle_and_end() -> None:
     assert again.track.min() == 2
 
 
+def test_a_long_way_between_scans_is_made_up_for() -> None:
+    """Two metres forward and a turn, with trunks nearer together than that: tracks still hold."""
+    rng = np.random.default_rng(4)
+    trunks = np.array([[12.0, 1.5, 0.4], [12.0, -1.5, 0.4], [15.0, 0.0, 0.4]])
+    motion = np.array((2.0, 0.3, -0.2))
+    tracker = TreeTracker()
+    before = tracker.detect(ANGLES, scan_of(trunks, STILL, 0.01, rng), STILL)
+    after = tracker.detect(ANGLES, scan_of(trunks, motion, 0.01, rng), motion)
+    assert sorted(after.track.tolist()) == sorted(before.track.tolist()) == [0, 1, 2]
+    assert after.scans.tolist() == [2, 2, 2]
+
+
 def test_walls_and_far_things_are_no_trunks() -> None:
     ranges = np.full(361, np.nan)
     ranges[100:200] = 6.0  # five metres wide
