@@ -220,12 +220,14 @@ class KalmanState:
         self._reserve(total)
         mean, p = self._mean, self._covariance
         cross = transition @ p[columns, :n]  # P_ab = phi P_ab(0), all columns
-        if len(spared):
-            changed = np.setdiff1d(np.arange(n), spared)
+        changed = np.setdiff1d(np.arange(n), spared)
+        if 2 * len(changed) < n:
             p[changed, :n] -= root[changed] @ root.T
             p[spared[:, None], changed] = p[changed[:, None], spared].T
-        else:
+        else:  # contiguous and therefore faster where most entries change
+            kept = p[spared[:, None], spared]
             p[:n, :n] -= root @ root.T
+            p[spared[:, None], spared] = kept
         mean[:n] += shift
         everywhere = np.concatenate((columns, np.arange(n, total)))
         p[everywhere, :n] = cross
