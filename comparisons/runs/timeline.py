@@ -16,6 +16,8 @@ from comparisons.logs.odometry import RelativePoses, SteeringOdometry
 
 Index = NDArray[np.intp]
 
+_LONGEST_S = 0.5
+
 
 @dataclass(frozen=True)
 class Timeline:
@@ -64,11 +66,11 @@ class Timeline:
 def build_timeline(log: Log, positions: Positions | None = None) -> Timeline:
     """Cut the log into epochs and steps; `positions` are those to be fused, if any.
 
-    Wheel odometry: an epoch at every instant with sightings or positions and at the end of the
-    log; a sample's control acts until the next sample, and is cut where an epoch falls in between;
-    before the first sample the vehicle is taken to stand still. Relative poses: an epoch per
-    record, and sightings and positions belong to the pose of their time. Raises InputError for
-    those between poses.
+    Wheel odometry: an epoch at every instant with sightings or positions, at the end of the log,
+    and in every half second in which the vehicle drove without either; a sample's control acts
+    until the next sample, and is cut where an epoch falls in between; before the first sample the
+    vehicle is taken to stand still. Relative poses: an epoch per record, and sightings and
+    positions belong to the pose of their time. Raises InputError for those between poses.
 
     Times of wheel odometry, sightings and positions are resolved to 0.1 ms: a motion shorter than
     that is below any clock, but leaves the two poses all but the same and costs digits.
@@ -82,6 +84,7 @@ def build_timeline(log: Log, positions: Positions | None = None) -> Timeline:
     )
     end = _resolved(np.array([log.end_s]))
     epochs = np.unique(np.concatenate((start, seen, fixes, end)))
+    epochs = np.union1d(epochs, _between(epochs, sampled[(sampled > start) & (sampled < end)]))
     cuts = np.unique(np.concatenate((epochs, sampled)))
     begin = cuts[:-1]
     sample = np.searchsorted(sampled, begin, side="right") - 1
@@ -101,6 +104,17 @@ def build_timeline(log: Log, positions: Positions | None = None) -> Timeline:
         np.searchsorted(epochs, seen),
         np.searchsorted(epochs, fixes),
     )
+
+
+def _between(epochs: Array, sampled: Array) -> Array:
+    """Odometry samples that become epochs: one in every half second that has none yet.
+
+    Without them a trajectory would cut its corners wherever nothing was seen for a while.
+    """
+    cell = np.floor(sampled / _LONGEST_S)
+    first = np.unique(cell, return_index=True)[1]
+    empty = ~np.isin(cell[first], np.floor(epochs / _LONGEST_S))
+    return sampled[first[empty]]
 
 
 def _resolved(time_s: Array) -> Array:

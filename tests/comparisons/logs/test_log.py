@@ -170,6 +170,20 @@ def test_timeline_cuts_samples_where_sightings_fall() -> None:
     assert np.allclose(ends, timeline.epoch_time_s[1:], rtol=0, atol=1e-9)
 
 
+def test_a_blind_drive_keeps_its_corners() -> None:
+    """Without sightings there is still an epoch every half second, at odometry samples."""
+    log = simulated(loop_s=20.0)
+    seen = log.sightings
+    early = seen.time_s < 5.0
+    names = ("time_s", "range_m", "bearing_rad", "sigma_range_m", "sigma_bearing_rad", "landmark")
+    columns = {name: getattr(seen, name)[early] for name in (*names, "diameter_m")}
+    blind = build_timeline(replace(log, sightings=Sightings(**columns)))
+    assert np.max(np.diff(blind.epoch_time_s)) < 1.0
+    assert np.isin(blind.epoch_time_s[:-1], np.round(log.odometry.time_s, 4)).all()
+    assert len(blind.epoch_time_s) < 80
+    assert len(build_timeline(log).epoch_time_s) == 1 + len(np.unique(seen.time_s))
+
+
 def test_the_vehicle_stands_still_before_the_first_sample() -> None:
     log = simulated(loop_s=10.0)
     late = replace(log, prior=replace(log.prior, time_s=-1.0))
