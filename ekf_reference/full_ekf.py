@@ -20,7 +20,7 @@ from ekf_reference.kalman import Array, Correction, Index, KalmanState, state_co
 from ekf_reference.motion import MotionModel
 from ekf_reference.observation import RangeBearing
 from ekf_reference.sightings import Sightings
-from ekf_reference.trace import NullTrace, Trace
+from ekf_reference.trace import NullTrace, PositionUse, Prediction, SightingUse, Trace
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ class FullEkf:
         b = step.jacobian_control
         noise = b @ covariance @ b.T + self.stabilisation.covariance(duration_s)
         self.state.predict(step.pose, step.jacobian_pose, noise)
-        self.trace.prediction(departed, step.pose, step.jacobian_pose, noise)
+        self.trace.prediction(Prediction(departed, step.pose, step.jacobian_pose, noise))
 
     def observe(
         self, z: Array, sigma: Array, identity: NDArray[np.int64], time_s: float = 0.0
@@ -160,12 +160,9 @@ class FullEkf:
         count = len(point)
         if not count:
             return
-        first = self.state.landmark_count
+        slots = self.state.landmark_count + np.arange(count)
         apart, own = np.zeros((count, 2, 3)), np.broadcast_to(np.eye(2), (count, 2, 2))
-        pose = self.state.pose
-        self.state.augment(point, apart, own, covariance)
-        slots, unseen = first + np.arange(count), np.full(count, -1)
-        self.trace.augmentation(unseen, slots, pose, point, apart, own, covariance, 0.0)
+        self._begin(np.full(count, -1), slots, point, apart, own, covariance, weight=0.0)
 
     def fix_position(self, z: Array, covariance: Array) -> bool:
         """Fuse an absolute position (2,) with covariance (2, 2); False when the gate rejects it."""
@@ -179,7 +176,9 @@ class FullEkf:
         for weight, at in self.fixes.steps.split(linearise, covariance):
             noise = covariance / weight
             self.state.update(POSE_COLUMNS, at.jacobian, at.innovation, noise)
-            self.trace.position(number, at.local.pose, at.innovation, at.jacobian, noise, weight)
+            self.trace.position(
+                PositionUse(number, at.local.pose, at.innovation, at.jacobian, noise, weight)
+            )
         return True
 
     def _update(self, chosen: NDArray[np.bool_], slots: Slots, z: Array, noise: Array) -> None:
@@ -193,15 +192,17 @@ class FullEkf:
             blocks = at.jacobian.reshape(len(slot), 2, -1)
             which = np.arange(len(slot))[:, None]
             self.trace.update(
-                self._sightings_seen + rows,
-                slot,
-                at.local.pose,
-                at.local.landmark,
-                at.innovation.reshape(-1, 2),
-                blocks[:, :, :3],
-                blocks[which, :, 3 + 2 * which + (0, 1)].transpose(0, 2, 1),
-                r / weight,
-                weight,
+                SightingUse(
+                    self._sightings_seen + rows,
+                    slot,
+                    at.local.pose,
+                    at.local.landmark,
+                    at.innovation.reshape(-1, 2),
+                    blocks[:, :, :3],
+                    blocks[which, :, 3 + 2 * which + (0, 1)].transpose(0, 2, 1),
+                    r / weight,
+                    weight,
+                )
             )
 
     def _linearise(self, slot: Slots, z: Array) -> Linearised:
@@ -215,20 +216,33 @@ class FullEkf:
         rows = np.flatnonzero(chosen)
         if not len(rows):
             return
-        pose, spread = self.state.pose, noise[rows]
-        new = self.observation.invert(pose, z[rows])
+        spread, new = noise[rows], self.observation.invert(self.state.pose, z[rows])
         by_pose, by_sighting, weight = new.jacobian_pose, new.jacobian_sighting, 1.0
         if self.boundless_variance is not None:  # eq. 2.56: know nothing, then fuse the sighting
             by_pose, weight = np.zeros_like(by_pose), 0.0
             by_sighting = np.broadcast_to(np.eye(2), by_sighting.shape)
             spread = self.boundless_variance * by_sighting
-        self.state.augment(new.point, by_pose, by_sighting, spread)
         seen = self._sightings_seen + rows
-        self.trace.augmentation(
-            seen, slots[rows], pose, new.point, by_pose, by_sighting, spread, weight
-        )
+        self._begin(seen, slots[rows], new.point, by_pose, by_sighting, spread, weight)
         if self.boundless_variance is not None:
             self._update(chosen, slots, z, noise)
+
+    def _begin(
+        self,
+        sighting: Index,
+        slot: Slots,
+        point: Array,
+        by_pose: Array,
+        by_sighting: Array,
+        noise: Array,
+        weight: float,
+    ) -> None:
+        """Append landmarks to the state and note how."""
+        pose, nothing = self.state.pose, np.zeros((len(slot), 2))
+        self.state.augment(point, by_pose, by_sighting, noise)
+        self.trace.augmentation(
+            SightingUse(sighting, slot, pose, point, nothing, by_pose, by_sighting, noise, weight)
+        )
 
 
 def stack(slot: Slots, jacobian_pose: Array, jacobian_landmark: Array) -> tuple[Index, Array]:

@@ -6,8 +6,9 @@ same linear equations must reach the same estimate, or the filter's algebra is w
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Protocol
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,71 +17,84 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 
+class Prediction(NamedTuple):
+    """One step: x' = arrived + f (x - departed) + w, w ~ N(0, q).
+
+    departed, arrived: (3,). f, q: (3, 3).
+    """
+
+    departed: Array
+    arrived: Array
+    f: Array
+    q: Array
+
+
+class SightingUse(NamedTuple):
+    """m sightings fused together, or m landmarks begun together, at one pose (3,).
+
+    An update says innovation = H_v (x - pose) + H_l (l - landmark) + v, an augmentation
+    l = landmark + G_x (x - pose) + G_z v, v ~ N(0, noise). jacobian_pose is H_v or G_x,
+    jacobian_other H_l or G_z. The other shapes and `weight` are as in SightingRecords.
+    """
+
+    sighting: Index
+    slot: Index
+    pose: Array
+    landmark: Array
+    innovation: Array
+    jacobian_pose: Array
+    jacobian_other: Array
+    noise: Array
+    weight: float = 1.0
+
+
+class PositionUse(NamedTuple):
+    """A position fix or a part of it: innovation = H (x - pose) + v, v ~ N(0, noise).
+
+    Shapes are as in PositionRecords, of one.
+    """
+
+    number: int
+    pose: Array
+    innovation: Array
+    jacobian_pose: Array
+    noise: Array
+    weight: float
+
+
 class Trace(Protocol):
-    """Receives every linearisation of a filter. See RecordedTrace for the shapes."""
+    """Receives every linearisation of a filter, in order."""
 
-    def prediction(self, departed: Array, arrived: Array, f: Array, q: Array) -> None:
-        """One step: x' = arrived + F (x - departed) + w, w ~ N(0, Q)."""
+    def prediction(self, step: Prediction) -> None:
+        """One step of the vehicle."""
         ...
 
-    def update(
-        self,
-        sighting: Index,
-        slot: Index,
-        pose: Array,
-        landmark: Array,
-        innovation: Array,
-        h_pose: Array,
-        h_landmark: Array,
-        noise: Array,
-        weight: float,
-    ) -> None:
-        """Sightings fused together (m): innovation = H (x - point) + v, v ~ N(0, noise).
-
-        noise is R / weight; weights of the parts of one observation add up to one.
-        """
+    def update(self, use: SightingUse) -> None:
+        """Sightings of mapped landmarks."""
         ...
 
-    def augmentation(
-        self,
-        sighting: Index,
-        slot: Index,
-        pose: Array,
-        landmark: Array,
-        g_pose: Array,
-        g_sighting: Array,
-        noise: Array,
-        weight: float,
-    ) -> None:
-        """New landmarks (m): l = landmark + G_x (x - pose) + G_z v, v ~ N(0, noise)."""
+    def augmentation(self, use: SightingUse) -> None:
+        """New landmarks."""
         ...
 
-    def position(
-        self,
-        number: int,
-        pose: Array,
-        innovation: Array,
-        h_pose: Array,
-        noise: Array,
-        weight: float,
-    ) -> None:
-        """A position fix or a part of it: innovation = H (x - pose) + v, v ~ N(0, R / weight)."""
+    def position(self, use: PositionUse) -> None:
+        """An absolute position."""
         ...
 
 
 class NullTrace:
     """Keeps nothing."""
 
-    def prediction(self, *record: Array) -> None:
+    def prediction(self, step: Prediction) -> None:
         """Discard."""
 
-    def update(self, *record: Array | Index | float) -> None:
+    def update(self, use: SightingUse) -> None:
         """Discard."""
 
-    def augmentation(self, *record: Array | Index | float) -> None:
+    def augmentation(self, use: SightingUse) -> None:
         """Discard."""
 
-    def position(self, *record: Array | float) -> None:
+    def position(self, use: PositionUse) -> None:
         """Discard."""
 
 
@@ -148,112 +162,83 @@ class TraceArrays:
     positions: PositionRecords
 
 
-@dataclass
-class _Sightings:
-    step: list[int] = field(default_factory=list)
-    rows: list[tuple[Array | Index, ...]] = field(default_factory=list)
-
-    def add(
-        self, step: int, weight: float, sighting: Index, slot: Index, pose: Array, *rest: Array
-    ) -> None:
-        count = len(slot)
-        self.step += [step] * count
-        weights = np.full(count, weight)
-        self.rows.append((sighting, slot, np.broadcast_to(pose, (count, 3)), *rest, weights))
-
-    def finish(self) -> SightingRecords:
-        shapes = ((0,), (0,), (0, 3), (0, 2), (0, 2), (0, 2, 3), (0, 2, 2), (0, 2, 2), (0,))
-        columns = [np.concatenate(c) for c in zip(*self.rows, strict=True)] or [
-            np.zeros(shape, dtype=np.intp if i < 2 else float) for i, shape in enumerate(shapes)
-        ]
-        return SightingRecords(np.array(self.step, dtype=np.intp), *columns)
-
-
 class RecordedTrace:
     """Keeps everything, in memory."""
 
     def __init__(self) -> None:
         """Start empty."""
-        self._steps: list[tuple[Array, Array, Array, Array]] = []
-        self._updates = _Sightings()
-        self._augmentations = _Sightings()
-        self._positions: list[tuple[int, int, Array, Array, Array, Array, float]] = []
+        self._steps: list[Prediction] = []
+        self._updates: list[tuple[int, SightingUse]] = []
+        self._augmentations: list[tuple[int, SightingUse]] = []
+        self._positions: list[tuple[int, PositionUse]] = []
 
-    def prediction(self, departed: Array, arrived: Array, f: Array, q: Array) -> None:
+    def prediction(self, step: Prediction) -> None:
         """Keep one step."""
-        self._steps.append((departed, arrived, f, q))
+        self._steps.append(step)
 
-    def update(
-        self,
-        sighting: Index,
-        slot: Index,
-        pose: Array,
-        landmark: Array,
-        innovation: Array,
-        h_pose: Array,
-        h_landmark: Array,
-        noise: Array,
-        weight: float,
-    ) -> None:
+    def update(self, use: SightingUse) -> None:
         """Keep one stacked update."""
-        where = (len(self._steps), weight, sighting, slot, pose, landmark)
-        self._updates.add(*where, innovation, h_pose, h_landmark, noise)
+        self._updates.append((len(self._steps), use))
 
-    def augmentation(
-        self,
-        sighting: Index,
-        slot: Index,
-        pose: Array,
-        landmark: Array,
-        g_pose: Array,
-        g_sighting: Array,
-        noise: Array,
-        weight: float,
-    ) -> None:
+    def augmentation(self, use: SightingUse) -> None:
         """Keep one augmentation."""
-        nothing = np.zeros((len(slot), 2))
-        where = (len(self._steps), weight, sighting, slot, pose, landmark)
-        self._augmentations.add(*where, nothing, g_pose, g_sighting, noise)
+        self._augmentations.append((len(self._steps), use))
 
-    def position(
-        self,
-        number: int,
-        pose: Array,
-        innovation: Array,
-        h_pose: Array,
-        noise: Array,
-        weight: float,
-    ) -> None:
+    def position(self, use: PositionUse) -> None:
         """Keep one fix or a part of it."""
-        record = (len(self._steps), number, pose, innovation, h_pose, noise, weight)
-        self._positions.append(record)
+        self._positions.append((len(self._steps), use))
 
     def arrays(self) -> TraceArrays:
         """Everything so far, stacked."""
-        n = len(self._steps)
-        columns = [np.array(c) for c in zip(*self._steps, strict=True)] or [np.zeros(0)] * 4
-        departed, arrived, f, q = columns
+        shapes = ((3,), (3,), (3, 3), (3, 3))
+        departed, arrived, f, q = _stacked(self._steps, shapes)
         return TraceArrays(
-            departed.reshape(n, 3),
-            arrived.reshape(n, 3),
-            f.reshape(n, 3, 3),
-            q.reshape(n, 3, 3),
-            self._updates.finish(),
-            self._augmentations.finish(),
-            self._finish_positions(),
+            departed,
+            arrived,
+            f,
+            q,
+            _sighting_records(self._updates),
+            _sighting_records(self._augmentations),
+            self._position_records(),
         )
 
-    def _finish_positions(self) -> PositionRecords:
-        count = len(self._positions)
-        step, number, pose, innovation, h_pose, noise, weight = (
-            zip(*self._positions, strict=True) if count else ((),) * 7
-        )
-        return PositionRecords(
-            np.array(step, dtype=np.intp),
-            np.array(number, dtype=np.intp),
-            np.array(pose).reshape(count, 3),
-            np.array(innovation).reshape(count, 2),
-            np.array(h_pose).reshape(count, 2, 3),
-            np.array(noise).reshape(count, 2, 2),
-            np.array(weight, dtype=float),
-        )
+    def _position_records(self) -> PositionRecords:
+        step = np.array([step for step, _ in self._positions], dtype=np.intp)
+        uses = [use for _, use in self._positions]
+        number, *columns = _stacked(uses, ((), (3,), (2,), (2, 3), (2, 2), ()))
+        return PositionRecords(step, number.astype(np.intp), *columns)
+
+
+def _sighting_records(uses: list[tuple[int, SightingUse]]) -> SightingRecords:
+    """One row per sighting; what a use says once holds for all of its rows."""
+    each = [use for _, use in uses]
+    count = [len(use.slot) for use in each]
+
+    def repeated(values: Sequence[Any], shape: tuple[int, ...]) -> Array:
+        once = np.array(values, dtype=float).reshape(len(each), *shape)
+        return np.repeat(once, count, axis=0)
+
+    def joined(parts: Sequence[Any], shape: tuple[int, ...]) -> Array:
+        return np.concatenate((np.zeros((0, *shape)), *parts))
+
+    return SightingRecords(
+        repeated([step for step, _ in uses], ()).astype(np.intp),
+        joined([use.sighting for use in each], ()).astype(np.intp),
+        joined([use.slot for use in each], ()).astype(np.intp),
+        repeated([use.pose for use in each], (3,)),
+        joined([use.landmark for use in each], (2,)),
+        joined([use.innovation for use in each], (2,)),
+        joined([use.jacobian_pose for use in each], (2, 3)),
+        joined([use.jacobian_other for use in each], (2, 2)),
+        joined([use.noise for use in each], (2, 2)),
+        repeated([use.weight for use in each], ()),
+    )
+
+
+def _stacked(rows: Sequence[tuple[Any, ...]], shapes: tuple[tuple[int, ...], ...]) -> list[Array]:
+    """Columns of equal tuples as arrays (N, *shape), also of none."""
+    columns = zip(*rows, strict=True) if rows else ((),) * len(shapes)
+    return [
+        np.array(column, dtype=float).reshape(len(rows), *shape)
+        for column, shape in zip(columns, shapes, strict=True)
+    ]
