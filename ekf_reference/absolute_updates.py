@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ekf_reference.kalman import Array, Index, LocalMap
 
@@ -127,7 +126,5 @@ def _pose_step(at: Linearised, noise: Array) -> Array:
     return step
 
 
-NO_LANDMARKS: NDArray[np.intp] = np.zeros(0, dtype=np.intp)
+NO_LANDMARKS: Index = np.zeros(0, dtype=np.intp)
 """The slots of an observation of the pose alone."""
-
-POSE_COLUMNS: Index = np.arange(3)

@@ -99,11 +99,6 @@ class CompressedState:
         self._bring_up_to_date()
         return self._whole.landmarks
 
-    def landmark(self, slot: Index) -> Array:
-        """(m, 2) positions of some landmarks, made active if they are not."""
-        place = self._local_slots(slot)  # may replace the local state
-        return self._local.landmark(place)
-
     def local_map(self, reach_m: float) -> LocalMap:
         """The landmarks within reach of the vehicle; enters a new area when they lie beyond it."""
         if self._offset() + reach_m > self._extent:
@@ -113,7 +108,7 @@ class CompressedState:
 
     def map_of(self, slot: Index) -> LocalMap:
         """Some landmarks, made active if they are not."""
-        place = self._local_slots(slot)
+        place = self._local_slots(slot)  # may replace the local state
         found = self._local.map_of(place)
         return LocalMap(found.pose, slot, found.landmark, found.covariance)
 

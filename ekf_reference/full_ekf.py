@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -10,13 +11,22 @@ from numpy.typing import NDArray
 
 from ekf_reference.absolute_updates import (
     NO_LANDMARKS,
-    POSE_COLUMNS,
     Linearised,
+    Part,
     PositionFixes,
     Steps,
 )
 from ekf_reference.association import Association, MappedState, Slots
-from ekf_reference.kalman import Array, Correction, Index, KalmanState, state_columns
+from ekf_reference.kalman import (
+    Array,
+    Correction,
+    Index,
+    KalmanState,
+    block_diagonal,
+    stack,
+    state_columns,
+    unstack,
+)
 from ekf_reference.motion import MotionModel
 from ekf_reference.observation import RangeBearing
 from ekf_reference.sightings import Sightings
@@ -66,10 +76,6 @@ class FilterState(MappedState, Protocol):
     @property
     def landmarks(self) -> Array:
         """(L, 2)."""
-        ...
-
-    def landmark(self, slot: Index) -> Array:
-        """(m, 2) positions of some landmarks."""
         ...
 
     def predict(self, pose: Array, jacobian_pose: Array, noise: Array) -> None:
@@ -173,24 +179,32 @@ class FullEkf:
 
         if not self.fixes.accepts(linearise(), covariance):
             return False
-        for weight, at in self.fixes.steps.split(linearise, covariance):
+        for weight, at in self._fuse(self.fixes.steps, linearise, covariance):
             noise = covariance / weight
-            self.state.update(POSE_COLUMNS, at.jacobian, at.innovation, noise)
             self.trace.position(
                 PositionUse(number, at.local.pose, at.innovation, at.jacobian, noise, weight)
             )
         return True
+
+    def _fuse(
+        self, steps: Steps, linearise: Callable[[], Linearised], noise: Array
+    ) -> Iterator[Part]:
+        """Fuse an observation in as many parts as the steps ask for; yields each once it is."""
+        for weight, at in steps.split(linearise, noise):
+            columns = state_columns(at.local.slot)
+            self.state.update(columns, at.jacobian, at.innovation, noise / weight)
+            yield Part(weight, at)
 
     def _update(self, chosen: NDArray[np.bool_], slots: Slots, z: Array, noise: Array) -> None:
         rows = np.flatnonzero(chosen)
         if not len(rows):
             return
         slot, r = slots[rows], noise[rows]
-        stacked = block_diagonal(r)
-        for weight, at in self.steps.split(lambda: self._linearise(slot, z[rows]), stacked):
-            self.state.update(state_columns(slot), at.jacobian, at.innovation, stacked / weight)
-            blocks = at.jacobian.reshape(len(slot), 2, -1)
-            which = np.arange(len(slot))[:, None]
+
+        def linearise() -> Linearised:
+            return self._linearise(slot, z[rows])
+
+        for weight, at in self._fuse(self.steps, linearise, block_diagonal(r)):
             self.trace.update(
                 SightingUse(
                     self._sightings_seen + rows,
@@ -198,8 +212,7 @@ class FullEkf:
                     at.local.pose,
                     at.local.landmark,
                     at.innovation.reshape(-1, 2),
-                    blocks[:, :, :3],
-                    blocks[which, :, 3 + 2 * which + (0, 1)].transpose(0, 2, 1),
+                    *unstack(at.jacobian),
                     r / weight,
                     weight,
                 )
@@ -209,7 +222,7 @@ class FullEkf:
         local = self.state.map_of(slot)
         predicted = self.observation.predict(local.pose, local.landmark)
         innovation = self.observation.innovation(z, predicted.z)
-        _, jacobian = stack(slot, predicted.jacobian_pose, predicted.jacobian_landmark)
+        jacobian = stack(predicted.jacobian_pose, predicted.jacobian_landmark)
         return Linearised(local, jacobian, innovation.ravel())
 
     def _augment(self, chosen: NDArray[np.bool_], slots: Slots, z: Array, noise: Array) -> None:
@@ -243,27 +256,3 @@ class FullEkf:
         self.trace.augmentation(
             SightingUse(sighting, slot, pose, point, nothing, by_pose, by_sighting, noise, weight)
         )
-
-
-def stack(slot: Slots, jacobian_pose: Array, jacobian_landmark: Array) -> tuple[Index, Array]:
-    """One Jacobian for m sightings: state columns (3 + 2 m,) and matrix (2 m, 3 + 2 m).
-
-    Two sightings of one landmark get two pairs of columns with the same state entries, which
-    sums their effect on S and on the gain as it should.
-    """
-    m, columns = len(slot), state_columns(slot)
-    jacobian = np.zeros((m, 2, 3 + 2 * m))
-    jacobian[:, :, :3] = jacobian_pose
-    which = np.arange(m)
-    jacobian[which, :, 3 + 2 * which] = jacobian_landmark[:, :, 0]
-    jacobian[which, :, 4 + 2 * which] = jacobian_landmark[:, :, 1]
-    return columns, jacobian.reshape(2 * m, -1)
-
-
-def block_diagonal(blocks: Array) -> Array:
-    """(m, 2, 2) blocks to a (2 m, 2 m) matrix."""
-    m = len(blocks)
-    full = np.zeros((m, 2, m, 2))
-    which = np.arange(m)
-    full[which, :, which, :] = blocks
-    return full.reshape(2 * m, 2 * m)

@@ -21,7 +21,7 @@ from ekf_reference.association import (
     slots_of,
     surroundings,
 )
-from ekf_reference.kalman import LocalMap, state_columns
+from ekf_reference.kalman import LocalMap, block_diagonal, stack, state_columns
 from ekf_reference.observation import RangeBearing
 from ekf_reference.sightings import Sightings
 
@@ -85,17 +85,10 @@ def _pair_covariance(
     chosen, where = np.unique(landmark, return_inverse=True)
     predicted = observation.predict(local.pose, local.landmark[chosen])
     columns = state_columns(chosen)
-    h = np.zeros((len(chosen), 2, len(columns)))
-    h[:, :, :3] = predicted.jacobian_pose
-    which = np.arange(len(chosen))
-    h[which, :, 3 + 2 * which] = predicted.jacobian_landmark[:, :, 0]
-    h[which, :, 4 + 2 * which] = predicted.jacobian_landmark[:, :, 1]
+    h = stack(predicted.jacobian_pose, predicted.jacobian_landmark).reshape(len(chosen), 2, -1)
     stacked = h[where].reshape(2 * len(landmark), -1)
     spread = stacked @ local.covariance[columns[:, None], columns] @ stacked.T
-    for pair, row in enumerate(sighting.tolist()):
-        part = slice(2 * pair, 2 * pair + 2)
-        spread[part, part] += sightings.noise[row]
-    return spread
+    return spread + block_diagonal(sightings.noise[sighting])
 
 
 def _reorder(spread: Array, order: Index) -> Array:

@@ -118,10 +118,6 @@ class KalmanState:
         p[:3, 3:n] = cross
         p[3:n, :3] = cross.T
 
-    def landmark(self, slot: Index) -> Array:
-        """(m, 2) positions of some landmarks; a copy."""
-        return self.landmarks[slot]
-
     def local_map(self, reach_m: float) -> LocalMap:
         """The landmarks at most `reach_m` east, west, north or south of the vehicle."""
         near = np.abs(self.landmarks - self._mean[:2]).max(axis=1, initial=0.0) <= reach_m
@@ -180,10 +176,8 @@ class KalmanState:
         cross = stacked @ p[:3, :n]
         p[n : n + added, :n] = cross
         p[:n, n : n + added] = cross.T
-        own = cross[:, :3] @ stacked.T
         spread = jacobian_sighting @ noise @ jacobian_sighting.transpose(0, 2, 1)
-        for i in range(len(point)):
-            own[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += spread[i]
+        own = cross[:, :3] @ stacked.T + block_diagonal(spread)
         p[n : n + added, n : n + added] = 0.5 * (own + own.T)
         self._mean[n : n + added] = point.ravel()
         self._size = n + added
@@ -255,6 +249,38 @@ def state_columns(slot: Index) -> Index:
     columns[3::2] = 3 + 2 * slot
     columns[4::2] = 4 + 2 * slot
     return columns
+
+
+def stack(jacobian_pose: Array, jacobian_landmark: Array) -> Array:
+    """One Jacobian (2 m, 3 + 2 m) for m sightings, in the order of state_columns.
+
+    Two sightings of one landmark get two pairs of columns with the same state entries, which
+    sums their effect on S and on the gain as it should.
+    """
+    m = len(jacobian_pose)
+    jacobian = np.zeros((m, 2, 3 + 2 * m))
+    jacobian[:, :, :3] = jacobian_pose
+    which = np.arange(m)
+    jacobian[which, :, 3 + 2 * which] = jacobian_landmark[:, :, 0]
+    jacobian[which, :, 4 + 2 * which] = jacobian_landmark[:, :, 1]
+    return jacobian.reshape(2 * m, -1)
+
+
+def unstack(jacobian: Array) -> tuple[Array, Array]:
+    """The blocks (m, 2, 3) and (m, 2, 2) that `stack` put together."""
+    m = len(jacobian) // 2
+    blocks, which = jacobian.reshape(m, 2, -1), np.arange(m)[:, None]
+    by_landmark: Array = blocks[which, :, 3 + 2 * which + (0, 1)].transpose(0, 2, 1)
+    return blocks[:, :, :3], by_landmark
+
+
+def block_diagonal(blocks: Array) -> Array:
+    """(m, 2, 2) blocks to a (2 m, 2 m) matrix."""
+    m = len(blocks)
+    full = np.zeros((m, 2, m, 2))
+    which = np.arange(m)
+    full[which, :, which, :] = blocks
+    return full.reshape(2 * m, 2 * m)
 
 
 def _read_only(array: Array) -> Array:

@@ -123,11 +123,7 @@ def solve_recorded(
         _whiten(root[None], (prior_pose - reference[0])[None])[0],
     )
     root = np.linalg.cholesky(chain.q)
-    constant = (
-        chain.arrived
-        - reference[1:]
-        + np.einsum("nij,nj->ni", chain.f, reference[:-1] - chain.departed)
-    )
+    constant = chain.arrived - reference[1:] + _times(chain.f, reference[:-1] - chain.departed)
     factors.add_motion(
         _whiten(root, -chain.f),
         _whiten(root, np.broadcast_to(np.eye(3), chain.f.shape)),
@@ -138,8 +134,8 @@ def solve_recorded(
     h_pose, h_landmark = sightings.jacobian_pose, sightings.jacobian_landmark
     constant = (
         sightings.residual
-        + np.einsum("nij,nj->ni", h_pose, sightings.point_pose - reference[node])
-        + np.einsum("nij,nj->ni", h_landmark, sightings.point_landmark - landmarks[sightings.slot])
+        + _times(h_pose, sightings.point_pose - reference[node])
+        + _times(h_landmark, sightings.point_landmark - landmarks[sightings.slot])
     )
     factors.add_sightings(
         node,
@@ -151,7 +147,7 @@ def solve_recorded(
     node = np.searchsorted(nodes, positions.step)
     root = np.linalg.cholesky(positions.covariance)
     offset = positions.point_pose - reference[node]
-    constant = positions.residual + np.einsum("nij,nj->ni", positions.jacobian_pose, offset)
+    constant = positions.residual + _times(positions.jacobian_pose, offset)
     factors.add_positions(node, _whiten(root, positions.jacobian_pose), _whiten(root, constant))
     return factors.solve(reference[-1], landmarks)
 
@@ -218,12 +214,12 @@ def solve_own_factors(problem: SlamProblem, points: FrozenPoints, landmarks: Arr
     factors.add_prior(a, prior[:, 3] + a @ (problem.prior_pose - reference[0]))
     a = motion[:, :, :3] @ to_tangent(points.departed[:-1, 2])
     c = motion[:, :, 3:6] @ to_tangent(points.arrived[1:, 2])
-    offset = np.einsum("nij,nj->ni", c, points.arrived[1:] - reference[1:])
+    offset = _times(c, points.arrived[1:] - reference[1:])
     factors.add_motion(a, c, motion[:, :, 6] + offset)
     a = sightings[:, :, :3] @ to_tangent(points.sighting_pose[:, 2])
     c = sightings[:, :, 3:5]
-    offset = np.einsum("nij,nj->ni", a, points.sighting_pose - reference[node]) + np.einsum(
-        "nij,nj->ni", c, points.sighting_landmark - landmarks[slot]
+    offset = _times(a, points.sighting_pose - reference[node]) + _times(
+        c, points.sighting_landmark - landmarks[slot]
     )
     factors.add_sightings(node, slot, a, c, sightings[:, :, 5] + offset)
     _add_positions(factors, problem, points)
@@ -245,9 +241,7 @@ def _add_positions(factors: _Factors, problem: SlamProblem, points: FrozenPoints
     jacobian[:, 0, 2], jacobian[:, 1, 2] = -arm[:, 1], arm[:, 0]
     node = problem.position_pose[points.position]
     residual = problem.position[points.position] - points.position_pose[:, :2] - arm
-    residual = residual + np.einsum(
-        "nij,nj->ni", jacobian, points.position_pose - points.departed[node]
-    )
+    residual = residual + _times(jacobian, points.position_pose - points.departed[node])
     covariance = problem.position_covariance[points.position]
     root = np.linalg.cholesky(covariance / points.position_weight[:, None, None])
     factors.add_positions(node, _whiten(root, jacobian), _whiten(root, residual))
@@ -308,6 +302,12 @@ def _compose(motion: LinearMotion, nodes: Index) -> LinearMotion:
         departed[i], arrived[i] = motion.departed[begin], motion.arrived[end - 1] + offset
         f[i], q[i] = total_f, total_q
     return LinearMotion(departed, arrived, f, q)
+
+
+def _times(matrices: Array, vectors: Array) -> Array:
+    """Products (n, i) of stacked matrices (n, i, j) and vectors (n, j)."""
+    products: Array = np.einsum("nij,nj->ni", matrices, vectors)
+    return products
 
 
 def _whiten(root: NDArray[np.floating], array: NDArray[np.floating]) -> Array:

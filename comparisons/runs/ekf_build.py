@@ -89,7 +89,7 @@ def build_ekf(log: Log, choices: EkfChoices, trace: Trace) -> FullEkf:
     if choices.filter == "full":
         ekf = FullEkf(*common)
     else:
-        gain = LEAST_GAIN if choices.filter == "compressed-suboptimal" else 0.0
+        gain = LEAST_GAIN if choices.conservative else 0.0
         ekf = CompressedEkf(*common, LocalAreas(least_gain=gain))
     if log.positions is not None:
         ekf.fixes = PositionFixes(PositionModel(log.positions.antenna_m))

@@ -66,8 +66,8 @@ def test_small_correlations_are_kept() -> None:
     assert c.verdict.outcome == "agree"
 
 
-class NotANumber(KalmanState):
-    """From the fifth update on, one entry of the covariance is NaN."""
+class Corrupted(KalmanState):
+    """Goes wrong at the fifth update."""
 
     updates = 0
 
@@ -77,23 +77,25 @@ class NotANumber(KalmanState):
         self.updates += 1
         done = super().update(columns, jacobian, innovation, noise)
         if self.updates == 5:
-            self._covariance[0, 0] = np.nan
+            self.corrupt()
         return done
 
+    def corrupt(self) -> None:
+        raise NotImplementedError
 
-class Indefinite(KalmanState):
-    """The covariance loses far too much at the fifth update."""
 
-    updates = 0
+class NotANumber(Corrupted):
+    """One entry of the covariance is NaN."""
 
-    def update(
-        self, columns: Index, jacobian: Array, innovation: Array, noise: Array
-    ) -> Correction:
-        self.updates += 1
-        done = super().update(columns, jacobian, innovation, noise)
-        if self.updates == 5:
-            self._covariance[:3, :3] -= 1e3 * np.eye(3)
-        return done
+    def corrupt(self) -> None:
+        self._covariance[0, 0] = np.nan
+
+
+class Indefinite(Corrupted):
+    """The covariance loses far too much."""
+
+    def corrupt(self) -> None:
+        self._covariance[:3, :3] -= 1e3 * np.eye(3)
 
 
 @pytest.mark.parametrize("state", [NotANumber, Indefinite])

@@ -11,8 +11,7 @@ from ekf_reference.association import (
     NearestNeighbour,
     normalised_distances,
 )
-from ekf_reference.full_ekf import stack
-from ekf_reference.kalman import KalmanState
+from ekf_reference.kalman import KalmanState, stack, state_columns
 from ekf_reference.observation import RangeBearing
 from ekf_reference.sightings import Sightings
 
@@ -50,9 +49,8 @@ def test_distances_equal_the_textbook_for_every_pair() -> None:
     predicted = MODEL.predict(state.pose, state.landmarks)
     for i in range(len(seen)):
         for j in range(state.landmark_count):
-            columns, h = stack(
-                np.array([j]), predicted.jacobian_pose[[j]], predicted.jacobian_landmark[[j]]
-            )
+            columns = state_columns(np.array([j]))
+            h = stack(predicted.jacobian_pose[[j]], predicted.jacobian_landmark[[j]])
             s = h @ state.covariance[np.ix_(columns, columns)] @ h.T + seen.noise[i]
             nu = MODEL.innovation(seen.z[i], predicted.z[j])
             expected = nu @ np.linalg.solve(s, nu)

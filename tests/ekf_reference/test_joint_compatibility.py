@@ -7,9 +7,8 @@ import pytest
 from scipy.stats import chi2
 
 from ekf_reference.association import AMBIGUOUS, NearestNeighbour, normalised_distances
-from ekf_reference.full_ekf import stack
 from ekf_reference.joint_compatibility import JointCompatibility
-from ekf_reference.kalman import KalmanState
+from ekf_reference.kalman import KalmanState, stack, state_columns
 from ekf_reference.observation import RangeBearing
 from ekf_reference.sightings import Sightings
 
@@ -44,8 +43,9 @@ def test_a_row_seen_with_a_turned_heading() -> None:
 def joint_nis(state: KalmanState, seen: Sightings, slots: list[int]) -> float:
     rows = [i for i, s in enumerate(slots) if s >= 0]
     chosen = np.array([slots[i] for i in rows])
-    predicted = MODEL.predict(state.pose, state.landmark(chosen))
-    columns, h = stack(chosen, predicted.jacobian_pose, predicted.jacobian_landmark)
+    predicted = MODEL.predict(state.pose, state.landmarks[chosen])
+    columns = state_columns(chosen)
+    h = stack(predicted.jacobian_pose, predicted.jacobian_landmark)
     s = h @ state.covariance[np.ix_(columns, columns)] @ h.T
     for k, i in enumerate(rows):
         s[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += seen.noise[i]

@@ -4,8 +4,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ekf_reference.full_ekf import block_diagonal, stack
-from ekf_reference.kalman import FilterDivergedError, KalmanState
+from ekf_reference.kalman import (
+    FilterDivergedError,
+    KalmanState,
+    block_diagonal,
+    stack,
+    state_columns,
+)
 from tests.helpers import Array, random_covariance, relative_error
 
 
@@ -44,9 +49,8 @@ def test_prediction_equals_the_full_product() -> None:
 def test_update_equals_joseph_form(slots: list[int]) -> None:
     rng = np.random.default_rng(len(slots))
     state, m = mapped_state(rng, 4), len(slots)
-    columns, jacobian = stack(
-        np.array(slots), rng.standard_normal((m, 2, 3)), rng.standard_normal((m, 2, 2))
-    )
+    columns = state_columns(np.array(slots))
+    jacobian = stack(rng.standard_normal((m, 2, 3)), rng.standard_normal((m, 2, 2)))
     nu = rng.standard_normal(2 * m)
     r = block_diagonal(np.array([random_covariance(rng, 2) for _ in slots]))
     x, p = state.mean.copy(), state.covariance.copy()
