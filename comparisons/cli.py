@@ -62,7 +62,7 @@ def run(
         str,
         typer.Option(
             "--filter",
-            metavar="full|compressed|compressed-suboptimal",
+            metavar="full|compressed|compressed-suboptimal|misono|misono-full",
             help="Which EKF. [default: full]",
             show_default=False,
         ),

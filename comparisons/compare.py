@@ -7,25 +7,29 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
-from comparisons.checks.accuracy import Accuracy, assess
+from comparisons.checks.accuracy import Accuracy, assess, assess_trajectory
 from comparisons.checks.agreement import Agreement, Gaussian, compare
 from comparisons.checks.association import AssociationScore, score_association
-from comparisons.checks.attribution import Verdict, judge
+from comparisons.checks.attribution import ROUNDING, Verdict, judge
+from comparisons.checks.model_differences import model_differences
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
 from comparisons.runs.ekf_build import EkfChoices, fused_positions, judging_positions
 from comparisons.runs.ekf_run import EkfRun, run_ekf
-from comparisons.runs.estimate import Estimate
+from comparisons.runs.estimate import Array, Estimate
 from comparisons.runs.known_landmarks import join_known_sightings
 from comparisons.runs.smoother_run import (
     build_problem,
-    run_frozen_own,
-    run_frozen_recorded,
+    linear_own,
+    linear_recorded,
     run_smoother,
     smoothed_estimate,
+    solve_own,
+    solve_recorded,
 )
 from comparisons.runs.timeline import build_timeline
 from ekf_reference.full_ekf import FullEkf
+from graphslam.increments import dead_reckoned
 from graphslam.smoother import SmootherResult
 
 Progress = Callable[[str, int, int], None]
@@ -36,8 +40,8 @@ Progress = Callable[[str, int, int], None]
 class Comparison:
     """Everything one run found out.
 
-    association: how it compares with the log's labels, when it was made without them. seconds: by
-    stage.
+    dead_reckoned: (K, 3) where the odometry alone leads. association: how it compares with the
+    log's labels, when it was made without them. seconds: by stage.
     """
 
     log: Log
@@ -45,9 +49,11 @@ class Comparison:
     ekf: EkfRun
     smoother: SmootherResult
     smoothed: Estimate
+    dead_reckoned: Array
     agreement: Agreement
     accuracy_ekf: Accuracy | None
     accuracy_smoother: Accuracy | None
+    accuracy_dead_reckoned: Accuracy | None
     association: AssociationScore | None
     verdict: Verdict
     seconds: dict[str, float]
@@ -77,7 +83,8 @@ def compare_estimators(
     problem = build_problem(log, run)
     with clock.stage("frozen"):
         progress("frozen smoothers", 0, 0)
-        recorded, own = run_frozen_recorded(log, run), run_frozen_own(problem, run)
+        said, meant = linear_recorded(run), linear_own(problem, run)
+        recorded, own = solve_recorded(said, run), solve_own(meant, run)
     with clock.stage("smoother"):
         result = run_smoother(problem, run, lambda stage: progress(stage, 0, 0))
     with clock.stage("marginals"):
@@ -89,6 +96,7 @@ def compare_estimators(
             _gaussian(run.estimate), Gaussian(*recorded), Gaussian(*own), _gaussian(smoothed)
         )
         labelled = chosen.association == "known"
+        reckoned = dead_reckoned(problem.prior_pose, problem.increment)
         judged = replace(log, positions=judging_positions(log, chosen))
         return Comparison(
             log,
@@ -96,11 +104,19 @@ def compare_estimators(
             run,
             result,
             smoothed,
+            reckoned,
             agreement,
             assess(run.estimate, judged, labelled=labelled),
             assess(smoothed, judged, labelled=labelled),
+            assess_trajectory(run.timeline.epoch_time_s, reckoned, judged),
             None if labelled else score_association(run.slot, run.estimate.landmark, log),
-            judge(agreement, result.proof, run, conservative=chosen.conservative),
+            judge(
+                agreement,
+                result.proof,
+                run,
+                lambda: model_differences(said, meant, ROUNDING),
+                conservative=chosen.conservative,
+            ),
             clock.seconds,
         )
 

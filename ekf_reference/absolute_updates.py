@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -22,7 +22,7 @@ _WEAKEST = 2.0**-40
 class Linearised(NamedTuple):
     """An observation at the present state.
 
-    local: the pose and landmarks it depends on. jacobian: (m, 3 + 2 l) with respect to them.
+    local: the pose and landmarks it depends on. jacobian: (m, p + 2 l) with respect to them.
     innovation: (m,), wrapped.
     """
 
@@ -71,8 +71,16 @@ class Steps:
         if self.largest_turn_rad == self.largest_move_m == float("inf"):
             return True
         step = _pose_step(at, noise)
-        turn, move = abs(float(step[2])), float(np.hypot(step[0], step[1]))
+        turn, move = float(np.linalg.norm(step[2:])), float(np.hypot(step[0], step[1]))
         return turn <= self.largest_turn_rad and move <= self.largest_move_m
+
+
+class AbsolutePosition(Protocol):
+    """Contract of all models of an absolute position."""
+
+    def predict(self, pose: Array) -> tuple[Array, Array]:
+        """Expected position (2,) and its Jacobian (2, p) with respect to the pose (p,)."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -98,7 +106,7 @@ class PositionFixes:
     wrong fix fused in silence is worse than none. steps: how far one part may move the vehicle.
     """
 
-    model: PositionModel = PositionModel()
+    model: AbsolutePosition = PositionModel()
     gate: float = 13.82  # 99.9 %
     steps: Steps = Steps(largest_turn_rad=np.deg2rad(1.0), largest_move_m=1.0)
 
@@ -119,10 +127,10 @@ def normalised_innovation_squared(at: Linearised, noise: Array) -> float:
 
 
 def _pose_step(at: Linearised, noise: Array) -> Array:
-    """(3,) what an update would add to the pose."""
+    """(p,) what an update would add to the pose."""
     gain_left = at.local.covariance @ at.jacobian.T
     s = at.jacobian @ gain_left + noise
-    step: Array = gain_left[:3] @ np.linalg.solve(s, at.innovation)
+    step: Array = gain_left[: len(at.local.pose)] @ np.linalg.solve(s, at.innovation)
     return step
 
 

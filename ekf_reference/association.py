@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ekf_reference.kalman import LocalMap
-from ekf_reference.observation import RangeBearing
+from ekf_reference.observation import Observation
 from ekf_reference.sightings import Sightings
 
 Array = NDArray[np.float64]
@@ -44,12 +44,12 @@ class MappedState(Protocol):
 
     @property
     def pose(self) -> Array:
-        """(3,) x, y, heading."""
+        """(p,) x, y and the direction."""
         ...
 
     @property
     def pose_covariance(self) -> Array:
-        """(3, 3)."""
+        """(p, p)."""
         ...
 
     def local_map(self, reach_m: float) -> LocalMap:
@@ -64,7 +64,7 @@ class MappedState(Protocol):
 class Association(Protocol):
     """Contract of all association rules."""
 
-    def assign(self, state: MappedState, observation: RangeBearing, sightings: Sightings) -> Slots:
+    def assign(self, state: MappedState, observation: Observation, sightings: Sightings) -> Slots:
         """Slots (m,) of the sightings of one instant."""
         ...
 
@@ -80,15 +80,18 @@ class Distances(NamedTuple):
     innovation: Array
 
 
-def surroundings(state: MappedState, sightings: Sightings) -> LocalMap:
+def surroundings(state: MappedState, observation: Observation, sightings: Sightings) -> LocalMap:
     """The landmarks that these sightings could be of."""
-    longest, p = float(sightings.z[:, 0].max()), state.pose_covariance
-    sigma = math.sqrt(p[0, 0] + p[1, 1]) + longest * math.sqrt(p[2, 2])
+    longest, variance = (
+        float(observation.range_m(sightings.z).max()),
+        state.pose_covariance.diagonal(),
+    )
+    sigma = math.sqrt(variance[:2].sum()) + longest * math.sqrt(variance[2:].sum())
     return state.local_map(longest + max(SEARCH_MARGIN_M, SEARCH_SIGMAS * sigma))
 
 
 def normalised_distances(
-    local: LocalMap, observation: RangeBearing, sightings: Sightings
+    local: LocalMap, observation: Observation, sightings: Sightings
 ) -> Distances:
     """Distances of all sightings to all landmarks."""
     predicted = observation.predict(local.pose, local.landmark)
@@ -121,7 +124,7 @@ class KnownAssociation:
     slot_of: dict[int, int] = field(default_factory=dict)
     first_slot: int = 0
 
-    def assign(self, state: MappedState, observation: RangeBearing, sightings: Sightings) -> Slots:
+    def assign(self, state: MappedState, observation: Observation, sightings: Sightings) -> Slots:
         """Look the labels up, giving unseen ones the next slots. Unlabelled are rejected."""
         slots = np.array(
             [
@@ -147,7 +150,7 @@ class SurveyedLandmarks:
     slot_of: dict[int, int]
     gate: float = 30.0
 
-    def assign(self, state: MappedState, observation: RangeBearing, sightings: Sightings) -> Slots:
+    def assign(self, state: MappedState, observation: Observation, sightings: Sightings) -> Slots:
         """Surveyed landmarks first, then the rule for the rest."""
         labels = sightings.identity.tolist()
         slots = np.array([self.slot_of.get(label, REJECTED) for label in labels], dtype=np.intp)
@@ -159,7 +162,7 @@ class SurveyedLandmarks:
 
 
 def reject_beyond(
-    gate: float, slots: Slots, state: MappedState, observation: RangeBearing, sightings: Sightings
+    gate: float, slots: Slots, state: MappedState, observation: Observation, sightings: Sightings
 ) -> Slots:
     """The slots, REJECTED where a mapped landmark's nis exceeds the gate."""
     mapped = np.flatnonzero((slots >= 0) & (slots < state.landmark_count))
@@ -186,9 +189,9 @@ class NearestNeighbour:
     gate: float = 13.82  # 99.9 %
     new_gate: float = 25.0
 
-    def assign(self, state: MappedState, observation: RangeBearing, sightings: Sightings) -> Slots:
+    def assign(self, state: MappedState, observation: Observation, sightings: Sightings) -> Slots:
         """Assign by position alone; labels are not used."""
-        local = surroundings(state, sightings)
+        local = surroundings(state, observation, sightings)
         distances = normalised_distances(local, observation, sightings)
         column = match_in_order(distances.n, distances.nis <= self.gate)
         unseen = distances.nis.min(axis=1, initial=np.inf) > self.new_gate
@@ -205,9 +208,9 @@ class EuclideanNeighbour:
 
     d_min_m: float = 1.0
 
-    def assign(self, state: MappedState, observation: RangeBearing, sightings: Sightings) -> Slots:
+    def assign(self, state: MappedState, observation: Observation, sightings: Sightings) -> Slots:
         """Assign by distance in metres."""
-        local = surroundings(state, sightings)
+        local = surroundings(state, observation, sightings)
         place = observation.invert(local.pose, sightings.z).point
         distance = np.linalg.norm(place[:, None] - local.landmark[None], axis=2)
         column = match_in_order(distance, distance < self.d_min_m)

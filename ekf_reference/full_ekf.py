@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,13 +24,20 @@ from ekf_reference.kalman import (
     KalmanState,
     block_diagonal,
     stack,
-    state_columns,
     unstack,
 )
 from ekf_reference.motion import MotionModel
-from ekf_reference.observation import RangeBearing
+from ekf_reference.observation import Observation, RangeBearing
 from ekf_reference.sightings import Sightings
-from ekf_reference.trace import NullTrace, PositionUse, Prediction, SightingUse, Trace
+from ekf_reference.trace import Beginning, NullTrace, PositionUse, Prediction, SightingUse, Trace
+
+
+class StepNoise(Protocol):
+    """Contract of the noise that every step adds, whatever the control."""
+
+    def covariance(self, duration_s: float, pose: Array) -> Array:
+        """(p, p) noise of a step that arrives at a pose (p,)."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -44,10 +51,21 @@ class Stabilisation:
     variance_rate_position: float = 0.0
     variance_rate_heading: float = 0.0
 
-    def covariance(self, duration_s: float) -> Array:
-        """(3, 3) noise of a step."""
+    def covariance(self, duration_s: float, pose: Array) -> Array:
+        """(3, 3) noise of a step, the same everywhere."""
         position = self.variance_rate_position * duration_s
         return np.diag((position, position, self.variance_rate_heading * duration_s))
+
+
+class PoseReading(NamedTuple):
+    """A pose as x, y, heading. pose: (3,). own: (p,) the same as it is kept, with p entries.
+
+    jacobian: (3, p) of the former by the latter.
+    """
+
+    pose: Array
+    own: Array
+    jacobian: Array
 
 
 class FilterState(MappedState, Protocol):
@@ -65,12 +83,12 @@ class FilterState(MappedState, Protocol):
 
     @property
     def pose(self) -> Array:
-        """(3,) x, y, heading."""
+        """(p,) x, y and the direction."""
         ...
 
     @property
     def pose_covariance(self) -> Array:
-        """(3, 3)."""
+        """(p, p)."""
         ...
 
     @property
@@ -109,28 +127,38 @@ class FullEkf:
         association: Association,
         prior_pose: Array,
         prior_covariance: Array,
-        stabilisation: Stabilisation | None = None,
+        stabilisation: StepNoise | None = None,
         trace: Trace | None = None,
     ) -> None:
-        """prior_pose: (3,). prior_covariance: (3, 3), of the additive global error."""
+        """prior_pose: (p,). prior_covariance: (p, p), of the additive global error."""
         self.motion = motion
         self.association = association
-        self.observation = RangeBearing()
+        self.observation: Observation = RangeBearing()
         self.steps = Steps()
         self.fixes = PositionFixes()
         self.boundless_variance: float | None = None
-        self.stabilisation = stabilisation or Stabilisation()
+        self.stabilisation: StepNoise = stabilisation or Stabilisation()
         self.trace: Trace = trace or NullTrace()
         self.state: FilterState = KalmanState(prior_pose, prior_covariance)
         self._sightings_seen = 0
         self._fixes_seen = 0
+        self.trace.prior(Beginning(prior_pose, prior_covariance))
+
+    def read_pose(self) -> PoseReading:
+        """The pose now, against the state's."""
+        pose = self.state.pose
+        return PoseReading(pose, pose, np.eye(3))
+
+    def read_recorded_pose(self) -> PoseReading:
+        """The pose now, against the trace's."""
+        return self.read_pose()
 
     def predict(self, control: Array, covariance: Array, duration_s: float) -> None:
         """Move under a control (m,) with covariance (m, m) for a time (Nieto 2005, 2.32, 2.36)."""
         departed = self.state.pose
         step = self.motion.step(departed, control, duration_s)
         b = step.jacobian_control
-        noise = b @ covariance @ b.T + self.stabilisation.covariance(duration_s)
+        noise = b @ covariance @ b.T + self.stabilisation.covariance(duration_s, step.pose)
         self.state.predict(step.pose, step.jacobian_pose, noise)
         self.trace.prediction(Prediction(departed, step.pose, step.jacobian_pose, noise))
 
@@ -143,7 +171,7 @@ class FullEkf:
         New landmarks are added after the update, at the updated pose; a second sighting of the
         same new landmark is fused after that.
         """
-        noise = self.observation.noise(sigma)
+        z, noise = self.observation.measured(z, sigma)
         mapped = self.state.landmark_count
         slots = self.association.assign(
             self.state, self.observation, Sightings(z, noise, identity, time_s)
@@ -167,7 +195,8 @@ class FullEkf:
         if not count:
             return
         slots = self.state.landmark_count + np.arange(count)
-        apart, own = np.zeros((count, 2, 3)), np.broadcast_to(np.eye(2), (count, 2, 2))
+        apart = np.zeros((count, 2, len(self.state.pose)))
+        own = np.broadcast_to(np.eye(2), (count, 2, 2))
         self._begin(np.full(count, -1), slots, point, apart, own, covariance, weight=0.0)
 
     def fix_position(self, z: Array, covariance: Array) -> bool:
@@ -191,8 +220,7 @@ class FullEkf:
     ) -> Iterator[Part]:
         """Fuse an observation in as many parts as the steps ask for; yields each once it is."""
         for weight, at in steps.split(linearise, noise):
-            columns = state_columns(at.local.slot)
-            self.state.update(columns, at.jacobian, at.innovation, noise / weight)
+            self.state.update(at.local.columns, at.jacobian, at.innovation, noise / weight)
             yield Part(weight, at)
 
     def _update(self, chosen: NDArray[np.bool_], slots: Slots, z: Array, noise: Array) -> None:

@@ -22,7 +22,7 @@ from ekf_reference.association import (
     surroundings,
 )
 from ekf_reference.kalman import LocalMap, block_diagonal, stack, state_columns
-from ekf_reference.observation import RangeBearing
+from ekf_reference.observation import Observation
 from ekf_reference.sightings import Sightings
 
 Array = NDArray[np.float64]
@@ -43,9 +43,9 @@ class JointCompatibility:
     most_nodes: int = 4000
     most_sightings: int = 100
 
-    def assign(self, state: MappedState, observation: RangeBearing, sightings: Sightings) -> Slots:
+    def assign(self, state: MappedState, observation: Observation, sightings: Sightings) -> Slots:
         """Assign by position, all sightings of the scan together."""
-        local = surroundings(state, sightings)
+        local = surroundings(state, observation, sightings)
         distances = normalised_distances(local, observation, sightings)
         compatible = distances.nis <= self._gate(1)
         sighting, landmark = np.nonzero(compatible)
@@ -76,7 +76,7 @@ class JointCompatibility:
 
 def _pair_covariance(
     local: LocalMap,
-    observation: RangeBearing,
+    observation: Observation,
     sightings: Sightings,
     sighting: Index,
     landmark: Index,
@@ -84,7 +84,7 @@ def _pair_covariance(
     """Covariance (2 p, 2 p) of the innovations of p pairs, all correlations included."""
     chosen, where = np.unique(landmark, return_inverse=True)
     predicted = observation.predict(local.pose, local.landmark[chosen])
-    columns = state_columns(chosen)
+    columns = state_columns(chosen, len(local.pose))
     h = stack(predicted.jacobian_pose, predicted.jacobian_landmark).reshape(len(chosen), 2, -1)
     stacked = h[where].reshape(2 * len(landmark), -1)
     spread = stacked @ local.covariance[columns[:, None], columns] @ stacked.T

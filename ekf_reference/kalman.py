@@ -16,7 +16,7 @@ Index = NDArray[np.intp]
 class LocalMap:
     """The landmarks that may be seen from here, as association needs them.
 
-    pose: (3,). slot: (L,) places in the map. landmark: (L, 2). covariance: (3 + 2 L, 3 + 2 L) of
+    pose: (p,). slot: (L,) places in the map. landmark: (L, 2). covariance: (p + 2 L, p + 2 L) of
     the pose and these landmarks.
     """
 
@@ -26,23 +26,31 @@ class LocalMap:
     covariance: Array
 
     @property
+    def columns(self) -> Index:
+        """(p + 2 L,) state entries of the pose and these landmarks."""
+        return state_columns(self.slot, len(self.pose))
+
+    @property
     def vehicle(self) -> Array:
-        """(3, 3) P_vv."""
-        return self.covariance[:3, :3]
+        """(p, p) P_vv."""
+        p = len(self.pose)
+        return self.covariance[:p, :p]
 
     @property
     def cross(self) -> Array:
-        """(L, 3, 2) P_vl of each landmark."""
-        return self.covariance[:3, 3:].reshape(3, len(self.slot), 2).transpose(1, 0, 2)
+        """(L, p, 2) P_vl of each landmark."""
+        p = len(self.pose)
+        return self.covariance[:p, p:].reshape(p, len(self.slot), 2).transpose(1, 0, 2)
 
     @property
     def own(self) -> Array:
         """(L, 2, 2) P_ll of each landmark."""
+        p = len(self.pose)
         diagonal, above = self.covariance.diagonal(), self.covariance.diagonal(1)
         own = np.empty((len(self.slot), 2, 2))
-        own[:, 0, 0] = diagonal[3::2]
-        own[:, 1, 1] = diagonal[4::2]
-        own[:, 0, 1] = own[:, 1, 0] = above[3::2]
+        own[:, 0, 0] = diagonal[p::2]
+        own[:, 1, 1] = diagonal[p + 1 :: 2]
+        own[:, 0, 1] = own[:, 1, 0] = above[p::2]
         return own
 
 
@@ -63,15 +71,16 @@ class FilterDivergedError(ArithmeticError):
 
 
 class KalmanState:
-    """Mean and covariance of the pose (x, y, heading), then of the landmarks (x, y each).
+    """Mean and covariance of the pose (p entries), then of the landmarks (x, y each).
 
-    The arrays handed out are read-only views; they change with the next write. The heading is
-    unwrapped, the covariance is of the additive global error.
+    The pose is x, y, heading, or x, y, cosine, sine. The arrays handed out are read-only views;
+    they change with the next write. The heading is unwrapped, the covariance is of the additive
+    global error.
     """
 
     def __init__(self, pose: Array, covariance: Array) -> None:
-        """pose: (3,). covariance: (3, 3), symmetric positive definite."""
-        self._size = 3
+        """pose: (p,). covariance: (p, p), symmetric positive definite."""
+        self._pose_size = self._size = len(pose)
         self._mean = np.array(pose, dtype=float)
         self._covariance = np.array(covariance, dtype=float)
 
@@ -87,36 +96,36 @@ class KalmanState:
 
     @property
     def pose(self) -> Array:
-        """(3,) x, y, heading; a copy."""
-        return self._mean[:3].copy()
+        """(p,) x, y and the direction; a copy."""
+        return self._mean[: self._pose_size].copy()
 
     @property
     def pose_covariance(self) -> Array:
-        """(3, 3); a copy."""
-        return self._covariance[:3, :3].copy()
+        """(p, p); a copy."""
+        return self._covariance[: self._pose_size, : self._pose_size].copy()
 
     @property
     def landmarks(self) -> Array:
         """(L, 2) positions."""
-        return self.mean[3:].reshape(-1, 2)
+        return self.mean[self._pose_size :].reshape(-1, 2)
 
     @property
     def landmark_count(self) -> int:
         """Number of landmarks in the state."""
-        return (self._size - 3) // 2
+        return (self._size - self._pose_size) // 2
 
     def predict(self, pose: Array, jacobian_pose: Array, noise: Array) -> None:
         """Move the vehicle; the map stays (Nieto 2005, eqs. 2.32 and 2.36).
 
-        pose: (3,) f(x, u). jacobian_pose: (3, 3). noise: (3, 3), all of the step's noise.
+        pose: (p,) f(x, u). jacobian_pose: (p, p). noise: (p, p), all of the step's noise.
         """
-        n, p = self._size, self._covariance
-        self._mean[:3] = pose
-        vehicle = jacobian_pose @ p[:3, :3] @ jacobian_pose.T + noise
-        p[:3, :3] = 0.5 * (vehicle + vehicle.T)
-        cross = jacobian_pose @ p[:3, 3:n]
-        p[:3, 3:n] = cross
-        p[3:n, :3] = cross.T
+        v, n, p = self._pose_size, self._size, self._covariance
+        self._mean[:v] = pose
+        vehicle = jacobian_pose @ p[:v, :v] @ jacobian_pose.T + noise
+        p[:v, :v] = 0.5 * (vehicle + vehicle.T)
+        cross = jacobian_pose @ p[:v, v:n]
+        p[:v, v:n] = cross
+        p[v:n, :v] = cross.T
 
     def local_map(self, reach_m: float) -> LocalMap:
         """The landmarks at most `reach_m` east, west, north or south of the vehicle."""
@@ -125,7 +134,7 @@ class KalmanState:
 
     def map_of(self, slot: Index) -> LocalMap:
         """Some landmarks (m,), by their places in the map."""
-        columns = state_columns(slot)
+        columns = state_columns(slot, self._pose_size)
         covariance = self._covariance[columns[:, None], columns]
         return LocalMap(self.pose, slot, self.landmarks[slot], covariance)
 
@@ -166,25 +175,25 @@ class KalmanState:
     ) -> None:
         """Append m landmarks, correlated through the vehicle (Nieto 2005, eqs. 2.51 to 2.53).
 
-        point: (m, 2). jacobian_pose: (m, 2, 3). jacobian_sighting: (m, 2, 2). noise: (m, 2, 2),
+        point: (m, 2). jacobian_pose: (m, 2, p). jacobian_sighting: (m, 2, 2). noise: (m, 2, 2),
         the sightings' covariances.
         """
-        n, added = self._size, 2 * len(point)
+        v, n, added = self._pose_size, self._size, 2 * len(point)
         self._reserve(n + added)
         p = self._covariance
-        stacked = jacobian_pose.reshape(added, 3)
-        cross = stacked @ p[:3, :n]
+        stacked = jacobian_pose.reshape(added, v)
+        cross = stacked @ p[:v, :n]
         p[n : n + added, :n] = cross
         p[:n, n : n + added] = cross.T
         spread = jacobian_sighting @ noise @ jacobian_sighting.transpose(0, 2, 1)
-        own = cross[:, :3] @ stacked.T + block_diagonal(spread)
+        own = cross[:, :v] @ stacked.T + block_diagonal(spread)
         p[n : n + added, n : n + added] = 0.5 * (own + own.T)
         self._mean[n : n + added] = point.ravel()
         self._size = n + added
 
     def part(self, columns: Index) -> KalmanState:
-        """The marginal of some state entries (c,), the pose's three first."""
-        chosen = KalmanState(self._mean[:3], self._covariance[:3, :3])
+        """The marginal of some state entries (c,), the pose's first."""
+        chosen = KalmanState(self.pose, self.pose_covariance)
         chosen._reserve(len(columns))
         chosen._size = len(columns)
         chosen._mean[: len(columns)] = self._mean[columns]
@@ -242,36 +251,39 @@ class KalmanState:
         self._mean, self._covariance = mean, covariance
 
 
-def state_columns(slot: Index) -> Index:
-    """State entries (3 + 2 m,) of the pose and some landmarks (m,)."""
-    columns = np.empty(3 + 2 * len(slot), dtype=np.intp)
-    columns[:3] = (0, 1, 2)
-    columns[3::2] = 3 + 2 * slot
-    columns[4::2] = 4 + 2 * slot
+def state_columns(slot: Index, pose_size: int = 3) -> Index:
+    """State entries (p + 2 m,) of the pose and some landmarks (m,)."""
+    columns = np.empty(pose_size + 2 * len(slot), dtype=np.intp)
+    columns[:pose_size] = np.arange(pose_size)
+    columns[pose_size::2] = pose_size + 2 * slot
+    columns[pose_size + 1 :: 2] = pose_size + 1 + 2 * slot
     return columns
 
 
 def stack(jacobian_pose: Array, jacobian_landmark: Array) -> Array:
-    """One Jacobian (2 m, 3 + 2 m) for m sightings, in the order of state_columns.
+    """One Jacobian (2 m, p + 2 m) for m sightings, in the order of state_columns.
+
+    jacobian_pose: (m, 2, p). jacobian_landmark: (m, 2, 2).
 
     Two sightings of one landmark get two pairs of columns with the same state entries, which
     sums their effect on S and on the gain as it should.
     """
-    m = len(jacobian_pose)
-    jacobian = np.zeros((m, 2, 3 + 2 * m))
-    jacobian[:, :, :3] = jacobian_pose
+    m, _, p = jacobian_pose.shape
+    jacobian = np.zeros((m, 2, p + 2 * m))
+    jacobian[:, :, :p] = jacobian_pose
     which = np.arange(m)
-    jacobian[which, :, 3 + 2 * which] = jacobian_landmark[:, :, 0]
-    jacobian[which, :, 4 + 2 * which] = jacobian_landmark[:, :, 1]
+    jacobian[which, :, p + 2 * which] = jacobian_landmark[:, :, 0]
+    jacobian[which, :, p + 1 + 2 * which] = jacobian_landmark[:, :, 1]
     return jacobian.reshape(2 * m, -1)
 
 
 def unstack(jacobian: Array) -> tuple[Array, Array]:
-    """The blocks (m, 2, 3) and (m, 2, 2) that `stack` put together."""
+    """The blocks (m, 2, p) and (m, 2, 2) that `stack` put together."""
     m = len(jacobian) // 2
+    p = jacobian.shape[1] - 2 * m
     blocks, which = jacobian.reshape(m, 2, -1), np.arange(m)[:, None]
-    by_landmark: Array = blocks[which, :, 3 + 2 * which + (0, 1)].transpose(0, 2, 1)
-    return blocks[:, :, :3], by_landmark
+    by_landmark: Array = blocks[which, :, p + 2 * which + (0, 1)].transpose(0, 2, 1)
+    return blocks[:, :, :p], by_landmark
 
 
 def block_diagonal(blocks: Array) -> Array:

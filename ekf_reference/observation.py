@@ -1,10 +1,10 @@
-"""Range-bearing observation of point landmarks, and its inverse."""
+"""What a sensor sees of point landmarks, range and bearing, and its inverse."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,8 @@ Array = NDArray[np.float64]
 class PredictedSightings(NamedTuple):
     """Expected sightings of m landmarks from one pose.
 
-    z: (m, 2) range [m] and bearing [rad]. jacobian_pose: (m, 2, 3). jacobian_landmark: (m, 2, 2).
+    z: (m, 2), such as range [m] and bearing [rad]. jacobian_pose: (m, 2, p). jacobian_landmark:
+    (m, 2, 2).
     """
 
     z: Array
@@ -26,12 +27,36 @@ class PredictedSightings(NamedTuple):
 class NewLandmarks(NamedTuple):
     """Landmarks computed from m sightings.
 
-    point: (m, 2) position [m]. jacobian_pose: (m, 2, 3). jacobian_sighting: (m, 2, 2).
+    point: (m, 2) position [m]. jacobian_pose: (m, 2, p). jacobian_sighting: (m, 2, 2).
     """
 
     point: Array
     jacobian_pose: Array
     jacobian_sighting: Array
+
+
+class Observation(Protocol):
+    """Contract of all observation models of point landmarks, for a pose of p entries."""
+
+    def measured(self, z: Array, sigma: Array) -> tuple[Array, Array]:
+        """The model's own z (m, 2) and R (m, 2, 2) of ranges and bearings (m, 2) with sigmas."""
+        ...
+
+    def range_m(self, z: Array) -> Array:
+        """(m,) how far away a sighting is."""
+        ...
+
+    def predict(self, pose: Array, landmarks: Array) -> PredictedSightings:
+        """Expected sightings of landmarks (m, 2) from pose (p,)."""
+        ...
+
+    def innovation(self, z: Array, predicted: Array) -> Array:
+        """Z - predicted (..., 2), angles wrapped."""
+        ...
+
+    def invert(self, pose: Array, z: Array) -> NewLandmarks:
+        """Where landmarks seen at z (m, 2) from pose (p,) are."""
+        ...
 
 
 def wrap_angle(angle_rad: Array) -> Array:
@@ -47,6 +72,14 @@ class RangeBearing:
     loses the quadrant, and the bearing row of 2.42 is printed with the position terms' signs
     exchanged; atan2 and the corrected row are used.
     """
+
+    def measured(self, z: Array, sigma: Array) -> tuple[Array, Array]:
+        """Ranges and bearings as they come, and R."""
+        return z, self.noise(sigma)
+
+    def range_m(self, z: Array) -> Array:
+        """(m,) the range."""
+        return z[:, 0]
 
     def predict(self, pose: Array, landmarks: Array) -> PredictedSightings:
         """Expected sightings of landmarks (m, 2) from pose (3,)."""

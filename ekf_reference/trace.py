@@ -17,10 +17,17 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 
+class Beginning(NamedTuple):
+    """The prior. pose: (p,). covariance: (p, p)."""
+
+    pose: Array
+    covariance: Array
+
+
 class Prediction(NamedTuple):
     """One step: x' = arrived + f (x - departed) + w, w ~ N(0, q).
 
-    departed, arrived: (3,). f, q: (3, 3).
+    departed, arrived: (p,). f, q: (p, p).
     """
 
     departed: Array
@@ -30,7 +37,7 @@ class Prediction(NamedTuple):
 
 
 class SightingUse(NamedTuple):
-    """m sightings fused together, or m landmarks begun together, at one pose (3,).
+    """m sightings fused together, or m landmarks begun together, at one pose (p,).
 
     An update says innovation = H_v (x - pose) + H_l (l - landmark) + v, an augmentation
     l = landmark + G_x (x - pose) + G_z v, v ~ N(0, noise). jacobian_pose is H_v or G_x,
@@ -63,7 +70,14 @@ class PositionUse(NamedTuple):
 
 
 class Trace(Protocol):
-    """Receives every linearisation of a filter, in order."""
+    """Receives every linearisation of a filter, in order.
+
+    Poses have p entries: three (x, y, heading), or more where a filter's state has more.
+    """
+
+    def prior(self, start: Beginning) -> None:
+        """Where the filter starts."""
+        ...
 
     def prediction(self, step: Prediction) -> None:
         """One step of the vehicle."""
@@ -85,6 +99,9 @@ class Trace(Protocol):
 class NullTrace:
     """Keeps nothing."""
 
+    def prior(self, start: Beginning) -> None:
+        """Discard."""
+
     def prediction(self, step: Prediction) -> None:
         """Discard."""
 
@@ -104,8 +121,8 @@ class SightingRecords:
 
     step: (M,) predictions made before. sighting: (M,) number in the order of arrival, from 0, or
     -1 for a surveyed landmark put into the map without one.
-    slot: (M,) landmark's place in the map. pose: (M, 3) and landmark: (M, 2), the points of
-    linearisation. innovation: (M, 2), zero for augmentations. jacobian_pose: (M, 2, 3), H_v or
+    slot: (M,) landmark's place in the map. pose: (M, p) and landmark: (M, 2), the points of
+    linearisation. innovation: (M, 2), zero for augmentations. jacobian_pose: (M, 2, p), H_v or
     G_x. jacobian_other: (M, 2, 2), H_l or G_z. noise: (M, 2, 2), R / weight. weight: (M,), the
     share of the sighting's information: one, less for parts of an update, zero for a landmark that
     is surveyed or begun with a boundless prior, whose noise is that prior's covariance.
@@ -132,7 +149,7 @@ class PositionRecords:
     """G position fixes, or parts of them.
 
     step: (G,) predictions made before. number: (G,) in the order of arrival, from 0. pose:
-    (G, 3), the point of linearisation. innovation: (G, 2). jacobian_pose: (G, 2, 3). noise:
+    (G, p), the point of linearisation. innovation: (G, 2). jacobian_pose: (G, 2, p). noise:
     (G, 2, 2), R / weight. weight: (G,).
     """
 
@@ -149,10 +166,12 @@ class PositionRecords:
 class TraceArrays:
     """A finished trace.
 
-    departed, arrived: (N, 3) poses. f, q: (N, 3, 3). updates, augmentations: sightings.
-    positions: absolute fixes.
+    prior_pose: (p,). prior_covariance: (p, p). departed, arrived: (N, p) poses. f, q: (N, p, p).
+    updates, augmentations: sightings. positions: absolute fixes.
     """
 
+    prior_pose: Array
+    prior_covariance: Array
     departed: Array
     arrived: Array
     f: Array
@@ -167,10 +186,15 @@ class RecordedTrace:
 
     def __init__(self) -> None:
         """Start empty."""
+        self._prior = Beginning(np.zeros(3), np.eye(3))
         self._steps: list[Prediction] = []
         self._updates: list[tuple[int, SightingUse]] = []
         self._augmentations: list[tuple[int, SightingUse]] = []
         self._positions: list[tuple[int, PositionUse]] = []
+
+    def prior(self, start: Beginning) -> None:
+        """Keep the prior."""
+        self._prior = start
 
     def prediction(self, step: Prediction) -> None:
         """Keep one step."""
@@ -190,26 +214,28 @@ class RecordedTrace:
 
     def arrays(self) -> TraceArrays:
         """Everything so far, stacked."""
-        shapes = ((3,), (3,), (3, 3), (3, 3))
-        departed, arrived, f, q = _stacked(self._steps, shapes)
+        p = len(self._prior.pose)
+        departed, arrived, f, q = _stacked(self._steps, ((p,), (p,), (p, p), (p, p)))
         return TraceArrays(
+            self._prior.pose,
+            self._prior.covariance,
             departed,
             arrived,
             f,
             q,
-            _sighting_records(self._updates),
-            _sighting_records(self._augmentations),
-            self._position_records(),
+            _sighting_records(self._updates, p),
+            _sighting_records(self._augmentations, p),
+            self._position_records(p),
         )
 
-    def _position_records(self) -> PositionRecords:
+    def _position_records(self, p: int) -> PositionRecords:
         step = np.array([step for step, _ in self._positions], dtype=np.intp)
         uses = [use for _, use in self._positions]
-        number, *columns = _stacked(uses, ((), (3,), (2,), (2, 3), (2, 2), ()))
+        number, *columns = _stacked(uses, ((), (p,), (2,), (2, p), (2, 2), ()))
         return PositionRecords(step, number.astype(np.intp), *columns)
 
 
-def _sighting_records(uses: list[tuple[int, SightingUse]]) -> SightingRecords:
+def _sighting_records(uses: list[tuple[int, SightingUse]], p: int) -> SightingRecords:
     """One row per sighting; what a use says once holds for all of its rows."""
     each = [use for _, use in uses]
     count = [len(use.slot) for use in each]
@@ -225,10 +251,10 @@ def _sighting_records(uses: list[tuple[int, SightingUse]]) -> SightingRecords:
         repeated([step for step, _ in uses], ()).astype(np.intp),
         joined([use.sighting for use in each], ()).astype(np.intp),
         joined([use.slot for use in each], ()).astype(np.intp),
-        repeated([use.pose for use in each], (3,)),
+        repeated([use.pose for use in each], (p,)),
         joined([use.landmark for use in each], (2,)),
         joined([use.innovation for use in each], (2,)),
-        joined([use.jacobian_pose for use in each], (2, 3)),
+        joined([use.jacobian_pose for use in each], (2, p)),
         joined([use.jacobian_other for use in each], (2, 2)),
         joined([use.noise for use in each], (2, 2)),
         repeated([use.weight for use in each], ()),

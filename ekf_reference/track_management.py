@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ekf_reference.association import CANDIDATE, Association, MappedState, Slots
-from ekf_reference.observation import RangeBearing
+from ekf_reference.observation import Observation
 from ekf_reference.sightings import Sightings
 
 Array = NDArray[np.float64]
@@ -52,7 +52,7 @@ class TrackManagement:
     _first_s: Array = field(default_factory=lambda: np.zeros(0))
     _last_s: Array = field(default_factory=lambda: np.zeros(0))
 
-    def assign(self, state: MappedState, observation: RangeBearing, sightings: Sightings) -> Slots:
+    def assign(self, state: MappedState, observation: Observation, sightings: Sightings) -> Slots:
         """As the rule says, but new landmarks are CANDIDATE until they are reliable."""
         slots = self.rule.assign(state, observation, sightings)
         self._forget(sightings.time_s)

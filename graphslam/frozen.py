@@ -3,12 +3,11 @@
 Grade F1 takes the matrices that a filter recorded; grade F2 takes this package's own factors at
 the filter's points. An EKF is the exact recursive solution of such a problem, so F1 must equal
 the filter and F2 must equal F1, to rounding.
-
-State: pose nodes, then landmarks; unknowns are the additive global errors around a reference.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import gtsam
@@ -16,33 +15,52 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphslam.graph_builder import (
-    LANDMARK_KEY,
-    POSE_KEY,
     SlamProblem,
     increment_factors,
     prior_factor,
     sighting_factors,
     to_tangent,
 )
-from graphslam.marginals import Marginal, last_pose_and_landmarks
+from graphslam.linear_problem import (
+    LinearMotion,
+    LinearPositions,
+    LinearPrior,
+    LinearProblem,
+    LinearSightings,
+    LinearSurvey,
+    times,
+    whiten,
+)
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
-class LinearSightings:
-    """M relations residual = jacobian_pose (x - point_pose) + jacobian_landmark (l - point) + v.
+class RecordedSteps:
+    """N predictions x' = arrived + f (x - departed) + w, w ~ N(0, q), one after the other.
 
-    step: (M,) motion steps before each. slot: (M,) landmark.
-    point_pose: (M, 3). point_landmark, residual: (M, 2). jacobian_pose: (M, 2, 3).
-    jacobian_landmark: (M, 2, 2). covariance: (M, 2, 2) of v.
+    departed, arrived: (N, p). f, q: (N, p, p).
     """
 
-    step: Index
+    departed: Array
+    arrived: Array
+    f: Array
+    q: Array
+
+
+@dataclass(frozen=True)
+class RecordedSightings:
+    """M relations residual = jacobian_pose (x - pose) + jacobian_landmark (l - landmark) + v.
+
+    node: (M,) pose and slot: (M,) landmark. pose: (M, p). landmark, residual: (M, 2).
+    jacobian_pose: (M, 2, p). jacobian_landmark: (M, 2, 2). covariance: (M, 2, 2) of v.
+    """
+
+    node: Index
     slot: Index
-    point_pose: Array
-    point_landmark: Array
+    pose: Array
+    landmark: Array
     residual: Array
     jacobian_pose: Array
     jacobian_landmark: Array
@@ -50,31 +68,18 @@ class LinearSightings:
 
 
 @dataclass(frozen=True)
-class LinearPositions:
-    """G relations residual = jacobian_pose (x - point_pose) + v.
+class RecordedPositions:
+    """G relations residual = jacobian_pose (x - pose) + v.
 
-    step: (G,) motion steps before each. point_pose: (G, 3). residual: (G, 2). jacobian_pose:
-    (G, 2, 3). covariance: (G, 2, 2) of v.
+    node: (G,) pose. pose: (G, p). residual: (G, 2). jacobian_pose: (G, 2, p). covariance:
+    (G, 2, 2) of v.
     """
 
-    step: Index
-    point_pose: Array
+    node: Index
+    pose: Array
     residual: Array
     jacobian_pose: Array
     covariance: Array
-
-
-@dataclass(frozen=True)
-class LinearMotion:
-    """N relations x' = arrived + f (x - departed) + w, w ~ N(0, q), one after the other.
-
-    departed, arrived: (N, 3). f, q: (N, 3, 3).
-    """
-
-    departed: Array
-    arrived: Array
-    f: Array
-    q: Array
 
 
 @dataclass(frozen=True)
@@ -99,139 +104,150 @@ class FrozenPoints:
     position_pose: Array
 
 
-def solve_recorded(
+def recorded_problem(
     prior_pose: Array,
     prior_covariance: Array,
-    motion: LinearMotion,
-    sightings: LinearSightings,
-    positions: LinearPositions,
-    final_pose: Array,
-    landmarks: Array,
-) -> Marginal:
-    """F1: the estimate that the filter's own recorded matrices imply.
+    steps: RecordedSteps,
+    until: Index,
+    sightings: RecordedSightings,
+    positions: RecordedPositions,
+) -> LinearProblem:
+    """F1: what the filter's own recorded matrices say.
 
-    final_pose: (3,) and landmarks: (L, 2), the filter's result, serve as reference only: they
-    set where the unknowns are zero, not what the equations say.
+    prior_pose: (p,). prior_covariance: (p, p). until: (K,) steps made when each pose is reached,
+    ascending from 0.
     """
-    nodes = np.unique(np.concatenate(([0], sightings.step, positions.step, [len(motion.f)])))
-    reference = np.vstack((motion.departed, final_pose))[nodes]
-    chain = _compose(motion, nodes)
-    factors = _Factors(len(nodes), len(landmarks))
-    root = np.linalg.cholesky(prior_covariance)
-    factors.add_prior(
-        _whiten(root[None], np.eye(3)[None])[0],
-        _whiten(root[None], (prior_pose - reference[0])[None])[0],
+    chain = _compose(steps, until)
+    identity = np.broadcast_to(np.eye(len(prior_pose)), chain.f.shape)
+    return LinearProblem(
+        LinearPrior(prior_pose, whiten(prior_covariance[None], np.eye(len(prior_pose))[None])[0]),
+        LinearMotion(
+            chain.departed,
+            chain.arrived,
+            whiten(chain.q, -chain.f),
+            whiten(chain.q, identity),
+            np.zeros_like(chain.arrived),
+        ),
+        LinearSightings(
+            sightings.node,
+            sightings.slot,
+            sightings.pose,
+            sightings.landmark,
+            whiten(sightings.covariance, sightings.jacobian_pose),
+            whiten(sightings.covariance, sightings.jacobian_landmark),
+            whiten(sightings.covariance, sightings.residual),
+        ),
+        LinearPositions(
+            positions.node,
+            positions.pose,
+            whiten(positions.covariance, positions.jacobian_pose),
+            whiten(positions.covariance, positions.residual),
+        ),
+        LinearSurvey(np.zeros((0, 2)), np.zeros((0, 2, 2))),
     )
-    root = np.linalg.cholesky(chain.q)
-    constant = chain.arrived - reference[1:] + _times(chain.f, reference[:-1] - chain.departed)
-    factors.add_motion(
-        _whiten(root, -chain.f),
-        _whiten(root, np.broadcast_to(np.eye(3), chain.f.shape)),
-        _whiten(root, constant),
-    )
-    node = np.searchsorted(nodes, sightings.step)
-    root = np.linalg.cholesky(sightings.covariance)
-    h_pose, h_landmark = sightings.jacobian_pose, sightings.jacobian_landmark
-    constant = (
-        sightings.residual
-        + _times(h_pose, sightings.point_pose - reference[node])
-        + _times(h_landmark, sightings.point_landmark - landmarks[sightings.slot])
-    )
-    factors.add_sightings(
-        node,
-        sightings.slot,
-        _whiten(root, h_pose),
-        _whiten(root, h_landmark),
-        _whiten(root, constant),
-    )
-    node = np.searchsorted(nodes, positions.step)
-    root = np.linalg.cholesky(positions.covariance)
-    offset = positions.point_pose - reference[node]
-    constant = positions.residual + _times(positions.jacobian_pose, offset)
-    factors.add_positions(node, _whiten(root, positions.jacobian_pose), _whiten(root, constant))
-    return factors.solve(reference[-1], landmarks)
 
 
-def solve_own_factors(problem: SlamProblem, points: FrozenPoints, landmarks: Array) -> Marginal:
-    """F2: the estimate that this package's factors imply at the filter's points.
+def own_problem(problem: SlamProblem, points: FrozenPoints) -> LinearProblem:
+    """F2: what this package's factors say at the filter's points.
 
     Every factor gets variables of its own, so that one gtsam call linearises each where the
-    filter did; gtsam's tangents are then turned into additive global errors, and the copies of a
-    variable are joined again. landmarks: (L, 2) reference, as in solve_recorded.
+    filter did; gtsam's tangents are then turned into additive global errors.
     """
-    k, m = problem.pose_count, len(points.sighting)
-    moves = k - 1
-    used = replace(
-        problem,
-        z=problem.z[points.sighting],
-        sigma=problem.sigma[points.sighting] / np.sqrt(points.sighting_weight)[:, None],
+    start = gtsam.Values()
+    start.insert(0, gtsam.Pose2(*problem.prior_pose))
+    prior = _linearised([prior_factor(0, problem)], start, 3, 3)[0]
+    return LinearProblem(
+        LinearPrior(problem.prior_pose, prior[:, :3] @ to_tangent(problem.prior_pose[2:3])[0]),
+        _own_motion(problem, points),
+        _own_sightings(problem, points),
+        _own_positions(problem, points),
+        LinearSurvey(
+            problem.surveyed,
+            whiten(
+                problem.surveyed_covariance,
+                np.broadcast_to(np.eye(2), problem.surveyed_covariance.shape),
+            ),
+        ),
     )
-    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    graph.push_back(prior_factor(0, problem))
-    values.insert(0, gtsam.Pose2(*problem.prior_pose))
-    first = list(range(1, 1 + 2 * moves, 2))
-    for between in increment_factors(first, [key + 1 for key in first], problem):
-        graph.push_back(between)
-    for key, departed, arrived in zip(
-        first, points.departed[:-1].tolist(), points.arrived[1:].tolist(), strict=True
-    ):
-        values.insert(key, gtsam.Pose2(*departed))
-        values.insert(key + 1, gtsam.Pose2(*arrived))
-    first = list(range(1 + 2 * moves, 1 + 2 * moves + 2 * m, 2))
-    for sighting in sighting_factors(first, [key + 1 for key in first], used):
-        graph.push_back(sighting)
-    for key, pose, landmark in zip(
-        first, points.sighting_pose.tolist(), points.sighting_landmark, strict=True
-    ):
-        values.insert(key, gtsam.Pose2(*pose))
-        values.insert(key + 1, landmark)
 
+
+def _own_motion(problem: SlamProblem, points: FrozenPoints) -> LinearMotion:
+    departed, arrived = points.departed[:-1], points.arrived[1:]
+    first, values = list(range(0, 2 * len(departed), 2)), gtsam.Values()
+    for key, before, after in zip(first, departed.tolist(), arrived.tolist(), strict=True):
+        values.insert(key, gtsam.Pose2(*before))
+        values.insert(key + 1, gtsam.Pose2(*after))
+    factors = increment_factors(first, [key + 1 for key in first], problem)
+    rows = _linearised(factors, values, 3, 6)
+    a, c = rows[:, :, :3] @ to_tangent(departed[:, 2]), rows[:, :, 3:6] @ to_tangent(arrived[:, 2])
+    return LinearMotion(departed, arrived, a, c, rows[:, :, 6])
+
+
+def _own_sightings(problem: SlamProblem, points: FrozenPoints) -> LinearSightings:
+    chosen, pose = points.sighting, points.sighting_pose
+    sigma = problem.sigma[chosen] / np.sqrt(points.sighting_weight)[:, None]
+    used = replace(problem, z=problem.z[chosen], sigma=sigma)
+    if problem.own_axes:
+        a, c, b = _in_own_axes(used, points)
+    else:
+        first, values = list(range(0, 2 * len(pose), 2)), gtsam.Values()
+        for key, seen_from, landmark in zip(
+            first, pose.tolist(), points.sighting_landmark, strict=True
+        ):
+            values.insert(key, gtsam.Pose2(*seen_from))
+            values.insert(key + 1, landmark)
+        factors = sighting_factors(first, [key + 1 for key in first], used)
+        rows = _linearised(factors, values, 2, 5)
+        a, c, b = rows[:, :, :3] @ to_tangent(pose[:, 2]), rows[:, :, 3:5], rows[:, :, 5]
+    node, slot = problem.sighting_pose[chosen], problem.sighting_landmark[chosen]
+    return LinearSightings(node, slot, pose, points.sighting_landmark, a, c, b)
+
+
+def _linearised(
+    factors: Sequence[gtsam.NonlinearFactor], values: gtsam.Values, height: int, span: int
+) -> Array:
+    """(N, height, span + 1) whitened rows of equal factors, right-hand side last.
+
+    Each factor has variables of its own, `span` numbers, with keys in the factors' order.
+    """
+    rows = np.zeros((len(factors), height, span + 1))
+    if not factors:
+        return rows
+    graph = gtsam.NonlinearFactorGraph()
+    for factor in factors:
+        graph.push_back(factor)
     entries = graph.linearize(values).sparseJacobian_()
     row, column = entries[:2].astype(np.intp) - 1
-    value = entries[2]
-    width = 3 + 6 * moves + 5 * m  # unknowns; the next column is the right-hand side
-    moved, seen = 3, 3 + 3 * moves  # first rows of the increments and of the sightings
-
-    def block(rows: tuple[int, int], columns: tuple[int, int], height: int, span: int) -> Array:
-        """Rows of one kind of factor as (factors, height, span + 1), right-hand side last."""
-        inside = (row >= rows[0]) & (row < rows[1])
-        factor, local = np.divmod(row[inside] - rows[0], height)
-        position = np.where(
-            column[inside] == width, span, column[inside] - columns[0] - span * factor
-        )
-        result = np.zeros(((rows[1] - rows[0]) // height, height, span + 1))
-        result[factor, local, position] = value[inside]
-        return result
-
-    prior = block((0, 3), (0, 3), 3, 3)[0]
-    motion = block((moved, seen), (3, 3 + 6 * moves), 3, 6)
-    sightings = block((seen, seen + 2 * m), (3 + 6 * moves, width), 2, 5)
-
-    reference, node = points.departed, problem.sighting_pose[points.sighting]
-    slot = problem.sighting_landmark[points.sighting]
-    factors = _Factors(k, problem.landmark_count)
-    a = prior[:, :3] @ to_tangent(problem.prior_pose[2:3])[0]
-    factors.add_prior(a, prior[:, 3] + a @ (problem.prior_pose - reference[0]))
-    a = motion[:, :, :3] @ to_tangent(points.departed[:-1, 2])
-    c = motion[:, :, 3:6] @ to_tangent(points.arrived[1:, 2])
-    offset = _times(c, points.arrived[1:] - reference[1:])
-    factors.add_motion(a, c, motion[:, :, 6] + offset)
-    a = sightings[:, :, :3] @ to_tangent(points.sighting_pose[:, 2])
-    c = sightings[:, :, 3:5]
-    offset = _times(a, points.sighting_pose - reference[node]) + _times(
-        c, points.sighting_landmark - landmarks[slot]
-    )
-    factors.add_sightings(node, slot, a, c, sightings[:, :, 5] + offset)
-    _add_positions(factors, problem, points)
-    root = np.linalg.cholesky(problem.surveyed_covariance)
-    factors.add_surveyed(
-        _whiten(root, np.broadcast_to(np.eye(2), root.shape)),
-        _whiten(root, problem.surveyed - landmarks[: len(problem.surveyed)]),
-    )
-    return factors.solve(reference[-1], landmarks)
+    which, local = np.divmod(row, height)
+    place = np.where(column == span * len(factors), span, column - span * which)
+    rows[which, local, place] = entries[2]
+    return rows
 
 
-def _add_positions(factors: _Factors, problem: SlamProblem, points: FrozenPoints) -> None:
+def _in_own_axes(used: SlamProblem, points: FrozenPoints) -> tuple[Array, Array, Array]:
+    """Sightings as points in the vehicle's axes, in closed form: residual z - R^T (l - p).
+
+    The noise is that of range and bearing, carried over at the measurement.
+    """
+    r, cos, sin = used.z[:, 0], np.cos(used.z[:, 1]), np.sin(used.z[:, 1])
+    root = np.empty((len(r), 2, 2))  # of the noise: its columns along and across the ray
+    root[:, 0, 0], root[:, 1, 0] = cos * used.sigma[:, 0], sin * used.sigma[:, 0]
+    root[:, 0, 1], root[:, 1, 1] = -r * sin * used.sigma[:, 1], r * cos * used.sigma[:, 1]
+    heading = points.sighting_pose[:, 2]
+    into = np.empty_like(root)  # R^T, global to forward and left
+    into[:, 0, 0] = into[:, 1, 1] = np.cos(heading)
+    into[:, 0, 1], into[:, 1, 0] = np.sin(heading), -np.sin(heading)
+    expected = times(into, points.sighting_landmark - points.sighting_pose[:, :2])
+    by_pose = np.empty((len(r), 2, 3))
+    by_pose[:, :, :2] = -into
+    by_pose[:, 0, 2], by_pose[:, 1, 2] = expected[:, 1], -expected[:, 0]
+    residual = np.column_stack((r * cos, r * sin)) - expected
+    whitened = np.linalg.solve(root, np.concatenate((by_pose, into, residual[..., None]), axis=2))
+    rows: Array = whitened.astype(np.float64, copy=False)
+    return rows[:, :, :3], rows[:, :, 3:5], rows[:, :, 5]
+
+
+def _own_positions(problem: SlamProblem, points: FrozenPoints) -> LinearPositions:
     """Position fixes, in closed form: the antenna is at p + R lever."""
     forward, left = problem.lever_m
     cos, sin = np.cos(points.position_pose[:, 2]), np.sin(points.position_pose[:, 2])
@@ -239,79 +255,31 @@ def _add_positions(factors: _Factors, problem: SlamProblem, points: FrozenPoints
     jacobian = np.zeros((len(arm), 2, 3))
     jacobian[:, 0, 0] = jacobian[:, 1, 1] = 1.0
     jacobian[:, 0, 2], jacobian[:, 1, 2] = -arm[:, 1], arm[:, 0]
-    node = problem.position_pose[points.position]
     residual = problem.position[points.position] - points.position_pose[:, :2] - arm
-    residual = residual + _times(jacobian, points.position_pose - points.departed[node])
     covariance = problem.position_covariance[points.position]
-    root = np.linalg.cholesky(covariance / points.position_weight[:, None, None])
-    factors.add_positions(node, _whiten(root, jacobian), _whiten(root, residual))
+    covariance = covariance / points.position_weight[:, None, None]
+    return LinearPositions(
+        problem.position_pose[points.position],
+        points.position_pose,
+        whiten(covariance, jacobian),
+        whiten(covariance, residual),
+    )
 
 
-class _Factors:
-    """Whitened linear factors on poses 0..K-1 and landmarks 0..L-1, solved by elimination."""
-
-    def __init__(self, pose_count: int, landmark_count: int) -> None:
-        self._poses, self._landmarks = pose_count, landmark_count
-        self._graph = gtsam.GaussianFactorGraph()
-        self._unit = {size: gtsam.noiseModel.Unit.Create(size) for size in (2, 3)}
-
-    def add_prior(self, a: Array, b: Array) -> None:
-        self._graph.push_back(gtsam.JacobianFactor(POSE_KEY, a, b, self._unit[3]))
-
-    def add_motion(self, a: Array, c: Array, b: Array) -> None:
-        unit, factor, add = self._unit[3], gtsam.JacobianFactor, self._graph.push_back
-        for key, (a_k, c_k, b_k) in enumerate(zip(a, c, b, strict=True), start=POSE_KEY):
-            add(factor(key, a_k, key + 1, c_k, b_k, unit))
-
-    def add_sightings(self, node: Index, slot: Index, a: Array, c: Array, b: Array) -> None:
-        unit, factor, add = self._unit[2], gtsam.JacobianFactor, self._graph.push_back
-        poses, points = (POSE_KEY + node).tolist(), (LANDMARK_KEY + slot).tolist()
-        for pose, point, a_k, c_k, b_k in zip(poses, points, a, c, b, strict=True):
-            add(factor(pose, a_k, point, c_k, b_k, unit))
-
-    def add_positions(self, node: Index, a: Array, b: Array) -> None:
-        for pose, a_k, b_k in zip((POSE_KEY + node).tolist(), a, b, strict=True):
-            self._graph.push_back(gtsam.JacobianFactor(pose, a_k, b_k, self._unit[2]))
-
-    def add_surveyed(self, a: Array, b: Array) -> None:
-        for key, (a_k, b_k) in enumerate(zip(a, b, strict=True), start=LANDMARK_KEY):
-            self._graph.push_back(gtsam.JacobianFactor(key, a_k, b_k, self._unit[2]))
-
-    def solve(self, last_pose: Array, landmarks: Array) -> Marginal:
-        """The marginal, its mean in absolute coordinates around the reference given."""
-        error = last_pose_and_landmarks(self._graph, self._poses, self._landmarks)
-        return Marginal(
-            np.concatenate((last_pose, landmarks.ravel())) + error.mean, error.covariance
-        )
-
-
-def _compose(motion: LinearMotion, nodes: Index) -> LinearMotion:
-    """Chain the steps between consecutive nodes; exact, as nothing is observed in between."""
-    count = len(nodes) - 1
-    departed, arrived = np.empty((count, 3)), np.empty((count, 3))
-    f, q = np.empty((count, 3, 3)), np.empty((count, 3, 3))
+def _compose(steps: RecordedSteps, until: Index) -> RecordedSteps:
+    """Chain the steps between consecutive poses; exact, as nothing is observed in between."""
+    count, p = len(until) - 1, steps.departed.shape[1]
+    departed, arrived = np.empty((count, p)), np.empty((count, p))
+    f, q = np.empty((count, p, p)), np.empty((count, p, p))
     for i in range(count):
-        begin, end = int(nodes[i]), int(nodes[i + 1])
-        total_f, total_q = motion.f[begin], motion.q[begin]
-        offset = np.zeros(3)
+        begin, end = int(until[i]), int(until[i + 1])
+        total_f, total_q = steps.f[begin], steps.q[begin]
+        offset = np.zeros(p)
         for k in range(begin + 1, end):
-            step = motion.f[k]
-            offset = step @ (offset + motion.arrived[k - 1] - motion.departed[k])
+            step = steps.f[k]
+            offset = step @ (offset + steps.arrived[k - 1] - steps.departed[k])
             total_f = step @ total_f
-            total_q = step @ total_q @ step.T + motion.q[k]
-        departed[i], arrived[i] = motion.departed[begin], motion.arrived[end - 1] + offset
+            total_q = step @ total_q @ step.T + steps.q[k]
+        departed[i], arrived[i] = steps.departed[begin], steps.arrived[end - 1] + offset
         f[i], q[i] = total_f, total_q
-    return LinearMotion(departed, arrived, f, q)
-
-
-def _times(matrices: Array, vectors: Array) -> Array:
-    """Products (n, i) of stacked matrices (n, i, j) and vectors (n, j)."""
-    products: Array = np.einsum("nij,nj->ni", matrices, vectors)
-    return products
-
-
-def _whiten(root: NDArray[np.floating], array: NDArray[np.floating]) -> Array:
-    """L^-1 array for stacked lower-triangular roots (n, d, d) and arrays (n, d) or (n, d, c)."""
-    columns = array if array.ndim == 3 else array[..., None]
-    result: Array = np.linalg.solve(root, columns).astype(np.float64, copy=False)
-    return result if array.ndim == 3 else result[..., 0]
+    return RecordedSteps(departed, arrived, f, q)

@@ -25,6 +25,8 @@ class SlamProblem:
     sighting_pose, sighting_landmark: (M,) indices. z: (M, 2) range and bearing; sigma: (M, 2).
     position_pose: (G,) indices. position: (G, 2) of an antenna at `lever_m` (forward, left) of
     the pose, with position_covariance: (G, 2, 2).
+    own_axes: whether the filter fuses sightings as points in the vehicle's axes, not as range and
+    bearing; the frozen smoother then does, too, while the smoother keeps to range and bearing.
     surveyed: (S, 2) positions of the first S landmarks, known beforehand with
     surveyed_covariance: (S, 2, 2).
     """
@@ -44,6 +46,7 @@ class SlamProblem:
     lever_m: tuple[float, float] = (0.0, 0.0)
     surveyed: Array = field(default_factory=lambda: np.zeros((0, 2)))
     surveyed_covariance: Array = field(default_factory=lambda: np.zeros((0, 2, 2)))
+    own_axes: bool = False
 
     @property
     def pose_count(self) -> int:
@@ -82,6 +85,7 @@ class SlamProblem:
             self.lever_m,
             self.surveyed,
             self.surveyed_covariance,
+            self.own_axes,
         )
 
 

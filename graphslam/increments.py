@@ -137,6 +137,15 @@ def compose(samples: Samples, interval: Index, count: int) -> Samples:
     return Samples(displacement, covariance)
 
 
+def dead_reckoned(prior_pose: Array, displacement: Array) -> Array:
+    """(N + 1, 3) poses that displacements (N, 3) lead to from the prior (3,) on their own."""
+    heading, x, y = _dead_reckoning(displacement)
+    cos, sin = np.cos(prior_pose[2]), np.sin(prior_pose[2])
+    turned = np.column_stack((cos * x - sin * y, sin * x + cos * y, heading))
+    poses: Array = prior_pose + turned
+    return poses
+
+
 def _dead_reckoning(displacement: Array) -> tuple[Array, Array, Array]:
     """Heading, x, y (N + 1,) of the samples chained from the origin."""
     heading = np.concatenate(([0.0], np.cumsum(displacement[:, 2])))

@@ -35,9 +35,9 @@ def eliminate(graph: gtsam.GaussianFactorGraph) -> gtsam.GaussianBayesTree:
 
 
 def last_pose_and_landmarks(
-    graph: gtsam.GaussianFactorGraph, pose_count: int, landmark_count: int
+    graph: gtsam.GaussianFactorGraph, pose_count: int, landmark_count: int, pose_size: int = 3
 ) -> Marginal:
-    """Eliminate all other poses and invert what remains.
+    """Eliminate all other poses and invert what remains. pose_size: entries of a pose.
 
     By QR: gtsam's default, Cholesky, squares the condition number, and two sightings a
     millisecond apart would cost half the digits. The result is in the coordinates of the graph's
@@ -46,7 +46,7 @@ def last_pose_and_landmarks(
     eliminated = list(range(POSE_KEY, POSE_KEY + pose_count - 1))
     kept = [POSE_KEY + pose_count - 1]
     kept += range(LANDMARK_KEY, LANDMARK_KEY + landmark_count)
-    size = 3 + 2 * landmark_count
+    size = pose_size + 2 * landmark_count
     try:
         remaining = graph
         if eliminated:

@@ -37,3 +37,10 @@ def test_main_job_benchmark_runs() -> None:
     names = [line.split("  ")[0].strip() for line in lines]
     assert names[0] == "wall"
     assert "frozen" in names
+
+
+def test_waypoint_run_benchmark_runs(tmp_path: Path) -> None:
+    picture = tmp_path / "run.png"
+    lines = run("benchmarks/waypoint_run.py", "--seeds", "1", "--plot", str(picture))
+    assert [line.split()[0] for line in lines[1:]] == ["dead", "misono", "misono-full"]
+    assert picture.read_bytes().startswith(b"\x89PNG")

@@ -46,24 +46,9 @@ def assess(estimate: Estimate, log: Log, *, labelled: bool) -> Accuracy | None:
     labelled: landmark ids are the log's own, so that true landmarks are found by id; otherwise
     they are matched one to one by distance, in the log's frame.
     """
-    figures: dict[str, float | int | None] = {}
-    truth, positions = log.truth, log.positions
-    if positions is not None:
-        at, fixes, figures["coverage"] = _at_times(
-            estimate, positions.time_s, positions.position_m, positions.antenna_m
-        )
-        if len(at):
-            figures["gps_median_m"] = _median(at - fixes)
-            figures["gps_median_aligned_m"] = _median(aligned(at, fixes, robust=True) - fixes)
-    if truth.poses is not None:
-        at, true, figures["coverage"] = _at_times(
-            estimate, truth.poses.time_s, truth.poses.pose[:, :2]
-        )
-        if len(at):
-            figures["ate_m"] = _rms(at - true)
-            figures["ate_aligned_m"] = _rms(aligned(at, true) - true)
-    if truth.landmarks is not None:
-        table = truth.landmarks
+    figures = _of_trajectory(estimate.time_s, estimate.pose, log)
+    if log.truth.landmarks is not None:
+        table = log.truth.landmarks
         if labelled:
             _, ours, theirs = np.intersect1d(
                 estimate.landmark_id, table.id, assume_unique=True, return_indices=True
@@ -76,6 +61,32 @@ def assess(estimate: Estimate, log: Log, *, labelled: bool) -> Accuracy | None:
             figures["landmark_rmse_m"] = _rms(found - true)
             figures["landmark_rmse_aligned_m"] = _rms(aligned(found, true) - true)
     return Accuracy(**figures) if figures else None  # type: ignore[arg-type]
+
+
+def assess_trajectory(time_s: Array, pose: Array, log: Log) -> Accuracy | None:
+    """The same of poses (K, 3) alone."""
+    figures = _of_trajectory(time_s, pose, log)
+    return Accuracy(**figures) if figures else None  # type: ignore[arg-type]
+
+
+def _of_trajectory(time_s: Array, pose: Array, log: Log) -> dict[str, float | int | None]:
+    figures: dict[str, float | int | None] = {}
+    truth, positions = log.truth, log.positions
+    if positions is not None:
+        at, fixes, figures["coverage"] = _at_times(
+            time_s, pose, positions.time_s, positions.position_m, positions.antenna_m
+        )
+        if len(at):
+            figures["gps_median_m"] = _median(at - fixes)
+            figures["gps_median_aligned_m"] = _median(aligned(at, fixes, robust=True) - fixes)
+    if truth.poses is not None:
+        at, true, figures["coverage"] = _at_times(
+            time_s, pose, truth.poses.time_s, truth.poses.pose[:, :2]
+        )
+        if len(at):
+            figures["ate_m"] = _rms(at - true)
+            figures["ate_aligned_m"] = _rms(aligned(at, true) - true)
+    return figures
 
 
 def aligned(points: Array, reference: Array, *, robust: bool = False) -> Array:
@@ -106,15 +117,18 @@ def match_by_distance(points: Array, reference: Array) -> tuple[Index, Index]:
 
 
 def _at_times(
-    estimate: Estimate, time_s: Array, reference: Array, point_m: tuple[float, float] = (0.0, 0.0)
+    t: Array,
+    pose: Array,
+    time_s: Array,
+    reference: Array,
+    point_m: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[Array, Array, float]:
     """Estimated places of a point on the vehicle (forward, left), their references, coverage.
 
     At the reference times within the estimate's span, between its poses by interpolation.
     """
-    t = estimate.time_s
     inside = (time_s >= t[0]) & (time_s <= t[-1])
-    x, y, heading = (np.interp(time_s[inside], t, estimate.pose[:, i]) for i in range(3))
+    x, y, heading = (np.interp(time_s[inside], t, pose[:, i]) for i in range(3))
     forward, left = point_m
     cos, sin = np.cos(heading), np.sin(heading)
     at = np.column_stack((x + cos * forward - sin * left, y + sin * forward + cos * left))

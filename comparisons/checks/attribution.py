@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from comparisons.checks.agreement import Agreement, BlockAgreement, Gap
+from comparisons.checks.model_differences import ModelDifference
 from comparisons.runs.ekf_run import EkfRun
 from graphslam.optimum import Proof
 
@@ -17,6 +19,8 @@ SPARED_SIGMA = 0.05
 """Largest difference of the means that sparing part of the covariance may cause, in sigma."""
 LARGEST_DISTANCE = 1.0
 """A block agrees when the filter deviates by no more than the optimum itself is uncertain."""
+_NAMED = 3
+"""So many differences of the models are named."""
 LEAST_VARIANCE_RATIO = 0.25
 """A block agrees when no direction's variance is below this share of the smoother's (half its
 sigma), nor above the inverse share."""
@@ -52,14 +56,20 @@ def block_agrees(block: BlockAgreement) -> bool:
 
 
 def judge(
-    agreement: Agreement, proof: Proof, run: EkfRun, *, conservative: bool = False
+    agreement: Agreement,
+    proof: Proof,
+    run: EkfRun,
+    differences: Callable[[], Sequence[ModelDifference]] = tuple,
+    *,
+    conservative: bool = False,
 ) -> Verdict:
     """The verdict on a run.
 
-    conservative: the filter is meant to leave some covariance too large, so its algebra is right
-    when P_E - P_F1 is positive semidefinite, to rounding, and the mean hardly moves. A red
-    algebra or model gap is a disagreement whatever the smoother found, for it compares the filter
-    with linear algebra. Otherwise an unproven optimum gives no verdict at all.
+    differences: finds out where the models differ, when they do. conservative: the filter is meant
+    to leave some covariance too large, so its algebra is right when P_E - P_F1 is positive
+    semidefinite, to rounding, and the mean hardly moves. A red algebra or model gap is a
+    disagreement whatever the smoother found, for it compares the filter with linear algebra.
+    Otherwise an unproven optimum gives no verdict at all.
     """
     causes: list[Cause] = []
     algebra = agreement.algebra
@@ -73,15 +83,7 @@ def judge(
             )
         )
     if not agreement.model.within(ROUNDING):
-        causes.append(
-            Cause(
-                "model",
-                "the filter's and the smoother's equations, linearised at the same points, "
-                f"{_apart(agreement.model)}",
-                "look for a Jacobian's sign, an unwrapped innovation, a sigma squared twice, a "
-                "steering or bearing convention",
-            )
-        )
+        causes.append(_model(agreement.model, differences()))
     if run.breakdown and not causes:
         causes.append(
             Cause(
@@ -120,6 +122,25 @@ def _apart(gap: Gap) -> str:
     return (
         f"differ by {gap.sigma:.2g} sigma in the mean and by {gap.covariance:.2g} in the "
         f"covariance, where rounding allows {ROUNDING:g}"
+    )
+
+
+def _model(gap: Gap, differences: Sequence[ModelDifference]) -> Cause:
+    named = "; ".join(map(str, differences[:_NAMED]))
+    hint = (
+        "look for a Jacobian's sign, an unwrapped innovation, a sigma squared twice, a steering or "
+        "bearing convention"
+    )
+    if differences and differences[0].absent:
+        hint = (
+            f"complete {differences[0].quantity}: its columns are zero in the filter, and the "
+            "observation does depend on it"
+        )
+    return Cause(
+        "model",
+        "the filter's and the smoother's equations, linearised at the same points, "
+        f"{_apart(gap)}" + (f"; {named}" if named else ""),
+        hint,
     )
 
 

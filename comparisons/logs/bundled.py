@@ -54,6 +54,13 @@ def _simulated_loop(choices: SimulationChoices) -> Log:
     return simulate(np.random.default_rng(choices.seed), drive)
 
 
+def _waypoint_run(choices: SimulationChoices) -> Log:
+    from comparisons.logs.simulate.waypoints import WaypointRun, simulate
+
+    run = WaypointRun(noise_scale=choices.noise_scale)
+    return simulate(np.random.default_rng(choices.seed), run)
+
+
 NAMED: dict[str, NamedLog] = {
     "victoria-park": NamedLog(
         "bundled with gtsam",
@@ -64,6 +71,11 @@ NAMED: dict[str, NamedLog] = {
         "simulated",
         "255 m loops among 60 landmarks, Nieto 2005 section 2.9 (--seed, --loops, --noise-scale)",
         _simulated_loop,
+    ),
+    "waypoint-run": NamedLog(
+        "simulated",
+        "along waypoints and back among obstacles, Misono 2007 section 4.1 (--seed, --noise-scale)",
+        _waypoint_run,
     ),
 }
 

@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from comparisons.compare import Comparison
@@ -49,6 +50,13 @@ def landmark_covariances(estimate: Estimate) -> Array:
 def draw_trajectory(axis: Axes, position: Array, colour: str, label: str, style: str = "-") -> None:
     """A path (K, 2)."""
     axis.plot(position[:, 0], position[:, 1], style, color=colour, linewidth=0.9, label=label)
+
+
+def draw_aside(axis: Axes, position: Array, label: str) -> None:
+    """A path (K, 2 or more columns) that is cut off where it leaves what else is drawn."""
+    x, y = position[:, 0], position[:, 1]
+    line = Line2D(x, y, color="#999999", linestyle=":", linewidth=0.9, label=label)
+    axis.add_artist(line)  # unlike plot, this leaves the limits alone
 
 
 def draw_landmarks(
@@ -103,6 +111,8 @@ def map_figure(comparison: Comparison) -> Figure:
         label = f"{name} landmarks, 3 sigma"
         draw_landmarks(axis, estimate.landmark, outline, colour, marker, label)
     axis.set_aspect("equal", adjustable="datalim")
+    if log.truth.poses is not None:
+        draw_aside(axis, comparison.dead_reckoned, "dead reckoning")
     axis.set_xlabel("east [m]")
     axis.set_ylabel("north [m]")
     a = comparison.agreement

@@ -10,7 +10,6 @@ from typing import Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from comparisons.checks.accuracy import Accuracy
 from comparisons.checks.agreement import BlockAgreement
 from comparisons.checks.association import AssociationScore
 from comparisons.checks.attribution import block_agrees
@@ -127,11 +126,12 @@ class AccuracyResult(_Model):
     coverage: float | None
 
 
-class BothAccuracies(_Model):
-    """One entry per estimator."""
+class Accuracies(_Model):
+    """One entry per estimator, and what the odometry alone reaches."""
 
     ekf: AccuracyResult
     smoother: AccuracyResult
+    dead_reckoning: AccuracyResult | None
 
 
 class PartitionResult(_Model):
@@ -163,7 +163,7 @@ class Result(_Model):
     ekf: EkfResult
     smoother: SmootherResult
     agreement: AgreementResult
-    accuracy: BothAccuracies | None
+    accuracy: Accuracies | None
     association: AssociationResult | None
     verdict: Literal["agree", "disagree", "unproven"]
     causes: list[CauseResult]
@@ -217,7 +217,7 @@ def build_result(comparison: Comparison, read_s: float) -> Result:
             ],
         ),
         agreement=_agreement(c),
-        accuracy=_accuracies(c.accuracy_ekf, c.accuracy_smoother),
+        accuracy=_accuracies(c),
         association=_association(c.association),
         verdict=c.verdict.outcome,
         causes=[CauseResult(**vars(cause)) for cause in c.verdict.causes],
@@ -288,11 +288,14 @@ def _agreement(c: Comparison) -> AgreementResult:
     )
 
 
-def _accuracies(ekf: Accuracy | None, smoother: Accuracy | None) -> BothAccuracies | None:
-    if ekf is None or smoother is None:
+def _accuracies(c: Comparison) -> Accuracies | None:
+    if c.accuracy_ekf is None or c.accuracy_smoother is None:
         return None
-    return BothAccuracies(
-        ekf=AccuracyResult(**vars(ekf)), smoother=AccuracyResult(**vars(smoother))
+    alone = c.accuracy_dead_reckoned
+    return Accuracies(
+        ekf=AccuracyResult(**vars(c.accuracy_ekf)),
+        smoother=AccuracyResult(**vars(c.accuracy_smoother)),
+        dead_reckoning=None if alone is None else AccuracyResult(**vars(alone)),
     )
 
 

@@ -69,6 +69,8 @@ def print_summary(result: Result, console: Console) -> None:
     if result.accuracy is not None:
         table.add_row("EKF accuracy", _accuracy(result.accuracy.ekf))
         table.add_row("smoother accuracy", _accuracy(result.accuracy.smoother))
+        if result.accuracy.dead_reckoning is not None:
+            table.add_row("dead reckoning", _accuracy(result.accuracy.dead_reckoning))
     if result.association is not None:
         parts = [("landmarks", result.association.landmarks)]
         if result.association.clusters is not None:

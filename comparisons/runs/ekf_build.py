@@ -20,13 +20,15 @@ from ekf_reference.association import (
     SurveyedLandmarks,
 )
 from ekf_reference.compressed_ekf import CompressedEkf, LocalAreas
+from ekf_reference.direction_cosine import DirectionCosinePosition
+from ekf_reference.direction_cosine_ekf import DirectionCosineEkf
 from ekf_reference.full_ekf import FullEkf, Stabilisation
 from ekf_reference.joint_compatibility import JointCompatibility
 from ekf_reference.motion import AckermannModel, MotionModel, RelativePoseModel, UnicycleModel
 from ekf_reference.trace import Trace
 from ekf_reference.track_management import TrackManagement
 
-FILTERS = ("full", "compressed", "compressed-suboptimal")
+FILTERS = ("full", "compressed", "compressed-suboptimal", "misono", "misono-full")
 ASSOCIATIONS = ("known", "nn", "jcbb", "euclidean")
 GPS = ("off", "on", "half")
 LEAST_GAIN = 1e-4
@@ -86,13 +88,19 @@ def build_ekf(log: Log, choices: EkfChoices, trace: Trace) -> FullEkf:
             motion = UnicycleModel()
     rule = build_association(log, choices)
     common = (motion, rule, prior.pose, prior.covariance, stabilisation, trace)
+    ekf: FullEkf
+    antenna = log.positions.antenna_m if log.positions is not None else (0.0, 0.0)
+    if choices.filter.startswith("misono"):
+        complete = choices.filter == "misono-full"
+        ekf = DirectionCosineEkf(*common, full_jacobian=complete, renormalise=complete)
+        ekf.fixes = PositionFixes(DirectionCosinePosition(antenna))
+        return ekf
     if choices.filter == "full":
         ekf = FullEkf(*common)
     else:
         gain = LEAST_GAIN if choices.conservative else 0.0
         ekf = CompressedEkf(*common, LocalAreas(least_gain=gain))
-    if log.positions is not None:
-        ekf.fixes = PositionFixes(PositionModel(log.positions.antenna_m))
+    ekf.fixes = PositionFixes(PositionModel(antenna))
     return ekf
 
 

@@ -16,7 +16,8 @@ from comparisons.runs.known_landmarks import surveyed
 from comparisons.runs.timeline import Timeline
 from ekf_reference.association import AMBIGUOUS, CANDIDATE, REJECTED
 from ekf_reference.compressed_ekf import CompressedState
-from ekf_reference.full_ekf import FullEkf
+from ekf_reference.direction_cosine import OwnAxesObservation
+from ekf_reference.full_ekf import FullEkf, PoseReading
 from ekf_reference.kalman import FilterDivergedError
 from ekf_reference.trace import RecordedTrace, TraceArrays
 
@@ -31,6 +32,8 @@ class EkfRun:
     slot: (M,) landmark of each of the timeline's sightings, a negative code where unused (see
     ekf_reference.association).
     departed: (K, 3) the pose when each epoch was done. arrived: (K, 3) as predicted there.
+    final: the last pose, against the trace's. own_axes: the filter fuses sightings as points in
+    the vehicle's axes, not as range and bearing.
     spared: what the global updates of a compressed filter left alone: (updates, mean share of the
     passive covariance). breakdown: what stopped the filter, None when it reached the end.
     """
@@ -41,6 +44,8 @@ class EkfRun:
     slot: NDArray[np.intp]
     departed: Array
     arrived: Array
+    final: PoseReading
+    own_axes: bool
     positions: Positions | None
     fix_number: NDArray[np.intp]
     rejected_fixes: int
@@ -93,7 +98,7 @@ def run_ekf(
                 float(timeline.step_duration_s[i]),
             )
         done = int(steps[k])
-        arrived[k] = ekf.state.pose
+        arrived[k] = ekf.read_pose().pose
         rows = slice(int(first[k]), int(first[k + 1]))
         try:
             if rows.start < rows.stop:
@@ -105,14 +110,14 @@ def run_ekf(
         except FilterDivergedError as error:
             breakdown = f"the EKF broke down at {timeline.epoch_time_s[k]:.3f} s: {error}"
             epochs = k + 1
-        departed[k] = ekf.state.pose
-        covariance[k] = ekf.state.pose_covariance
+        departed[k], _, read = ekf.read_pose()
+        covariance[k] = read @ ekf.state.pose_covariance @ read.T
         if breakdown:
             break
         if k % 64 == 0:
             progress(k, epochs)
     progress(epochs, epochs)
-    joint = np.array(ekf.state.covariance)
+    joint = _joint_covariance(ekf)
     if not np.isfinite(ekf.state.mean).all():
         raise InputError(
             f"{log.name}: the EKF's mean is not finite, so there is nothing to compare"
@@ -145,12 +150,26 @@ def run_ekf(
         slot,
         departed[:epochs],
         arrived[:epochs],
+        ekf.read_recorded_pose(),
+        isinstance(ekf.observation, OwnAxesObservation),
         positions,
         fused,
         rejected_fixes,
         _spared(ekf),
         breakdown,
     )
+
+
+def _joint_covariance(ekf: FullEkf) -> Array:
+    """Of the last pose as x, y, heading, and all landmarks."""
+    read, own = ekf.read_pose().jacobian, ekf.state.covariance
+    p = read.shape[1]
+    joint = np.empty((len(own) - p + 3, len(own) - p + 3))
+    joint[:3, :3] = read @ own[:p, :p] @ read.T
+    joint[:3, 3:] = read @ own[:p, p:]
+    joint[3:, :3] = joint[:3, 3:].T
+    joint[3:, 3:] = own[p:, p:]
+    return joint
 
 
 def _spared(ekf: FullEkf) -> tuple[int, float]:

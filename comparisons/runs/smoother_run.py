@@ -16,13 +16,14 @@ from ekf_reference.trace import SightingRecords
 from graphslam import increments
 from graphslam.frozen import (
     FrozenPoints,
-    LinearMotion,
-    LinearPositions,
-    LinearSightings,
-    solve_own_factors,
-    solve_recorded,
+    RecordedPositions,
+    RecordedSightings,
+    RecordedSteps,
+    own_problem,
+    recorded_problem,
 )
 from graphslam.graph_builder import SlamProblem
+from graphslam.linear_problem import LinearProblem, solve
 from graphslam.marginals import Marginal
 from graphslam.smoother import SmootherResult, smooth
 
@@ -49,6 +50,7 @@ def build_problem(log: Log, run: EkfRun) -> SlamProblem:
         len(run.estimate.landmark),
         *_positions(run),
         *surveyed(log)[1:],
+        own_axes=run.own_axes,
     )
 
 
@@ -61,24 +63,34 @@ def _positions(run: EkfRun) -> tuple[Index, Array, Array, tuple[float, float]]:
     return epoch, p.position_m[rows], p.covariance[rows], p.antenna_m
 
 
-def run_frozen_recorded(log: Log, run: EkfRun) -> Marginal:
-    """F1: one linear problem from the EKF's own recorded matrices."""
-    trace, estimate = run.trace, run.estimate
-    parts = (_from_updates(trace.updates), _from_augmentations(trace.augmentations))
-    sightings = LinearSightings(*(np.concatenate(c) for c in zip(*parts, strict=True)))
+def linear_recorded(run: EkfRun) -> LinearProblem:
+    """F1: one linear problem from the EKF's own recorded matrices.
+
+    Landmarks that were put into the map without a sighting come last.
+    """
+    trace, begun = run.trace, run.trace.augmentations
+    until = run.timeline.steps_until()
+    begun = begun.rows(np.argsort(begun.weight <= 0.0, kind="stable"))
+    parts = (_from_updates(trace.updates), _from_augmentations(begun))
+    step, *columns = (np.concatenate(c) for c in zip(*parts, strict=True))
     fixes = trace.positions
-    return solve_recorded(
-        log.prior.pose,
-        log.prior.covariance,
-        LinearMotion(trace.departed, trace.arrived, trace.f, trace.q),
-        sightings,
-        LinearPositions(fixes.step, fixes.pose, fixes.innovation, fixes.jacobian_pose, fixes.noise),
-        estimate.pose[-1],
-        estimate.landmark,
+    return recorded_problem(
+        trace.prior_pose,
+        trace.prior_covariance,
+        RecordedSteps(trace.departed, trace.arrived, trace.f, trace.q),
+        until,
+        RecordedSightings(np.searchsorted(until, step), *columns),
+        RecordedPositions(
+            np.searchsorted(until, fixes.step),
+            fixes.pose,
+            fixes.innovation,
+            fixes.jacobian_pose,
+            fixes.noise,
+        ),
     )
 
 
-def run_frozen_own(problem: SlamProblem, run: EkfRun) -> Marginal:
+def linear_own(problem: SlamProblem, run: EkfRun) -> LinearProblem:
     """F2: the smoother's own factors, linearised where the EKF was."""
     trace = run.trace
     sighting_row = np.cumsum(run.slot >= 0) - 1  # a log's sighting to the problem's
@@ -92,13 +104,33 @@ def run_frozen_own(problem: SlamProblem, run: EkfRun) -> Marginal:
         run.arrived,
         sighting_row[np.concatenate([r.sighting for r in both])],
         np.concatenate([r.weight for r in both]),
-        np.concatenate([r.pose for r in both]),
+        _as_headings(
+            run, *(np.concatenate([getattr(r, n) for r in both]) for n in ("pose", "step"))
+        ),
         np.concatenate([r.landmark for r in both]),
         fix_row[trace.positions.number],
         trace.positions.weight,
-        trace.positions.pose,
+        _as_headings(run, trace.positions.pose, trace.positions.step),
     )
-    return solve_own_factors(problem, points, run.estimate.landmark)
+    return own_problem(problem, points)
+
+
+def solve_recorded(linear: LinearProblem, run: EkfRun) -> Marginal:
+    """F1's estimate of the last pose, as x, y, heading, and all landmarks."""
+    final, size = run.final, 2 * len(run.estimate.landmark)
+    own = np.vstack((run.trace.departed, final.own))[run.timeline.steps_until()]
+    found = solve(linear, own, run.estimate.landmark)
+    p = len(final.own)
+    read = np.zeros((3 + size, p + size))
+    read[:3, :p], read[3:, p:] = final.jacobian, np.eye(size)
+    mean = np.concatenate((final.pose, found.mean[p:]))
+    mean[:3] += final.jacobian @ (found.mean[:p] - final.own)
+    return Marginal(mean, read @ found.covariance @ read.T)
+
+
+def solve_own(linear: LinearProblem, run: EkfRun) -> Marginal:
+    """F2's estimate of the last pose and all landmarks."""
+    return solve(linear, run.departed, run.estimate.landmark)
 
 
 def run_smoother(
@@ -121,6 +153,16 @@ def smoothed_estimate(result: SmootherResult, run: EkfRun) -> Estimate:
         "smoothed",
         {"estimator": "graphslam, batch Levenberg-Marquardt", "association": "the EKF's"},
     )
+
+
+def _as_headings(run: EkfRun, pose: Array, step: Index) -> Array:
+    """Recorded poses (M, p) as x, y, heading, the heading near the one of its epoch."""
+    if pose.shape[1] == 3:
+        return pose
+    epoch = np.searchsorted(run.timeline.steps_until(), step)
+    heading, about = np.arctan2(pose[:, 3], pose[:, 2]), run.departed[epoch, 2]
+    heading += 2.0 * np.pi * np.round((about - heading) / (2.0 * np.pi))
+    return np.column_stack((pose[:, :2], heading))
 
 
 def _from_updates(r: SightingRecords) -> tuple[np.ndarray, ...]:

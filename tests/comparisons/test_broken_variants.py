@@ -112,6 +112,15 @@ def turn_steering(ekf: FullEkf) -> None:
     ekf.motion = SteeringSign(ekf.motion)
 
 
+class NoHeadingColumn(RangeBearing):
+    """The bearing's Jacobian forgets that the vehicle turns."""
+
+    def predict(self, pose: Array, landmarks: Array) -> PredictedSightings:
+        z, jacobian_pose, jacobian_landmark = super().predict(pose, landmarks)
+        jacobian_pose[:, :, 2] = 0.0
+        return PredictedSightings(z, jacobian_pose, jacobian_landmark)
+
+
 DEFECTS: dict[str, tuple[str, Callable[[FullEkf], None]]] = {
     "cross-covariance dropped at augmentation": ("algebra", with_state(NoCrossAtAugmentation)),
     "cross-covariance dropped at prediction": ("algebra", with_state(NoCrossAtPrediction)),
@@ -120,6 +129,14 @@ DEFECTS: dict[str, tuple[str, Callable[[FullEkf], None]]] = {
     "innovation not wrapped": ("model", with_observation(UnwrappedInnovation())),
     "sigma squared twice": ("model", with_observation(SigmaSquaredTwice())),
     "steering sign": ("model", turn_steering),
+    "no heading column": ("model", with_observation(NoHeadingColumn())),
+}
+NAMED_FIRST = {
+    "bearing Jacobian as printed": ("the innovation", "uses of sightings"),
+    "innovation not wrapped": ("the innovation", "uses of sightings"),
+    "sigma squared twice": ("the noise covariance", "uses of sightings"),
+    "steering sign": ("the predicted pose", "steps"),
+    "no heading column": ("the Jacobian by heading", "uses of sightings"),
 }
 
 
@@ -150,3 +167,9 @@ def test_a_defect_turns_its_gap_red_and_only_that(name: str, log: Log) -> None:
     assert green.within(ROUNDING), f"{green}"
     assert comparison.verdict.outcome == "disagree"
     assert [cause.gap for cause in comparison.verdict.causes] == [gap]
+    if gap == "model":
+        quantity, relation = NAMED_FIRST[name]
+        first = comparison.verdict.causes[0].evidence.split("; ")[1]
+        how = "is missing" if name == "no heading column" else "differs"
+        assert first.startswith(f"{quantity} {how}")
+        assert first.endswith(relation)

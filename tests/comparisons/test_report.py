@@ -39,7 +39,7 @@ def test_the_map_shows_both_estimates_and_truth(comparison: Comparison) -> None:
     legend = figure.axes[0].get_legend()
     assert legend is not None
     assert {text.get_text() for text in legend.get_texts()} == {
-        "truth", "true landmarks", "smoother trajectory", "EKF trajectory",
+        "truth", "true landmarks", "smoother trajectory", "EKF trajectory", "dead reckoning",
         "smoother landmarks, 3 sigma", "EKF landmarks, 3 sigma",
     }  # fmt: skip
     joint = comparison.ekf.estimate.joint_covariance

@@ -10,7 +10,7 @@ from comparisons.runs.ekf_build import EkfChoices
 from comparisons.runs.ekf_run import run_ekf
 from comparisons.runs.smoother_run import build_problem
 from comparisons.runs.timeline import build_timeline
-from graphslam.frozen import LinearMotion, LinearPositions, LinearSightings, solve_recorded
+from graphslam.frozen import RecordedPositions, RecordedSightings, RecordedSteps, recorded_problem
 from graphslam.graph_builder import (
     LANDMARK_KEY,
     POSE_KEY,
@@ -19,6 +19,7 @@ from graphslam.graph_builder import (
     to_tangent,
     to_values,
 )
+from graphslam.linear_problem import solve
 from graphslam.marginals import SingularProblemError, last_pose_and_landmarks, to_global
 from graphslam.optimum import Proof, Stationarity, chi_square_test, stationarity
 from graphslam.smoother import smooth
@@ -147,17 +148,18 @@ def test_frozen_smoother_on_one_step_equals_the_kalman_filter() -> None:
     gain = predicted @ h.T @ np.linalg.inv(h @ predicted @ h.T + r)
     mean = np.concatenate((x1, l0)) + gain @ nu
     covariance = predicted - gain @ h @ predicted
-    sightings = LinearSightings(
+    sightings = RecordedSightings(
         np.array((0, 1)), np.array((0, 0)), np.array((x0, x1)), np.array((l0, l0)),
         np.array((np.zeros(2), nu)), np.array((-gx, hv)), np.array((np.eye(2), hl)),
         np.array((r, r)),
     )  # fmt: skip
-    motion = LinearMotion(x0[None], x1[None], f[None], q[None])
-    nothing = LinearPositions(
+    motion = RecordedSteps(x0[None], x1[None], f[None], q[None])
+    nothing = RecordedPositions(
         np.zeros(0, dtype=np.intp), np.zeros((0, 3)), np.zeros((0, 2)), np.zeros((0, 2, 3)),
         np.zeros((0, 2, 2)),
     )  # fmt: skip
-    frozen = solve_recorded(x0, p0, motion, sightings, nothing, x1, l0[None])
+    linear = recorded_problem(x0, p0, motion, np.array((0, 1)), sightings, nothing)
+    frozen = solve(linear, np.array((x0, x1)), l0[None])
     assert relative_error(frozen.mean, mean) < 1e-10
     assert relative_error(frozen.covariance, covariance) < 1e-10
 

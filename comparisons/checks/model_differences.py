@@ -1,0 +1,163 @@
+"""Which part of a filter's model differs from the smoother's: the recorded relations, one by one.
+
+A relation may be multiplied by anything invertible without saying something else, so both sides
+are solved for what they place: a sighting for its landmark, a step for the pose it arrives at.
+What is compared is then the place, its Jacobian and its covariance, at the same linearisation
+points. Differences are relative to the smoother's figures: Jacobians to the largest entry of their
+columns, places to their sigma, covariances as generalised eigenvalues.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ekf_reference.direction_cosine import along_circle
+from graphslam.linear_problem import (
+    LinearMotion,
+    LinearPositions,
+    LinearProblem,
+    LinearSightings,
+    whiten,
+)
+
+Array = NDArray[np.float64]
+
+_PLACES = ("position", "heading")
+
+
+@dataclass(frozen=True)
+class ModelDifference:
+    """One quantity of one kind of relation.
+
+    count: of relations in which it differs, of `total`. largest: difference, in `unit`. absent: it
+    is zero in the filter wherever it differs.
+    """
+
+    relation: str
+    quantity: str
+    count: int
+    total: int
+    largest: float
+    unit: str
+    absent: bool
+
+    def __str__(self) -> str:
+        """For people to read."""
+        how = "is missing" if self.absent else f"differs by up to {self.largest:.2g} {self.unit}"
+        return f"{self.quantity} {how} in {self.count} of {self.total} {self.relation}"
+
+
+@dataclass(frozen=True)
+class _Places:
+    """What N relations of one kind place: (N, d), by a pose (N, d, 3), covariance (N, d, d)."""
+
+    place: Array
+    jacobian: Array
+    covariance: Array
+
+
+def model_differences(
+    recorded: LinearProblem, own: LinearProblem, tolerance: float
+) -> tuple[ModelDifference, ...]:
+    """What differs by more than the tolerance, the largest first; what is missing before that."""
+    from_sightings = _first(recorded.sightings, len(own.sightings.slot))
+    kinds = (
+        ("steps", "the predicted pose", _of_motion(recorded.motion), _of_motion(own.motion)),
+        (
+            "uses of sightings",
+            "the innovation",
+            _of_sightings(from_sightings),
+            _of_sightings(own.sightings),
+        ),
+        (
+            "uses of positions",
+            "the innovation",
+            _of_positions(recorded.positions),
+            _of_positions(own.positions),
+        ),
+    )
+    found = []
+    for relation, place, said, meant in kinds:
+        for quantity, unit, difference, absent in _compare(place, said, meant):
+            off = difference > tolerance
+            if off.any():
+                found.append(
+                    ModelDifference(
+                        relation,
+                        quantity,
+                        int(np.count_nonzero(off)),
+                        len(off),
+                        float(difference.max()),
+                        unit,
+                        bool(absent[off].all()),
+                    )
+                )
+    return tuple(sorted(found, key=lambda d: (not d.absent, -d.largest)))
+
+
+def _compare(
+    place: str, said: _Places, meant: _Places
+) -> list[tuple[str, str, Array, NDArray[np.bool_]]]:
+    """Quantity, unit, difference (N,), and whether the filter has zeros there (N,)."""
+    if not len(said.place):
+        return []
+    results: list[tuple[str, str, Array, NDArray[np.bool_]]] = []
+    for name, columns in zip(_PLACES, (slice(0, 2), slice(2, 3)), strict=True):
+        have, want = said.jacobian[:, :, columns], meant.jacobian[:, :, columns]
+        size = np.abs(want).max(axis=(1, 2))
+        difference = np.abs(have - want).max(axis=(1, 2)) / np.where(size > 0.0, size, 1.0)
+        absent = np.logical_not(have.any(axis=(1, 2)))
+        results.append((f"the Jacobian by {name}", "of its size", difference, absent))
+    nothing = np.zeros(len(said.place), dtype=bool)
+    apart = whiten(meant.covariance, said.place - meant.place)
+    results.append((place, "sigma", np.abs(apart).max(axis=1), nothing))
+    within = whiten(meant.covariance, said.covariance)
+    within = whiten(meant.covariance, within.transpose(0, 2, 1))
+    spread = np.abs(np.linalg.eigvalsh(within) - 1.0).max(axis=1)
+    results.append(("the noise covariance", "of its size", spread, nothing))
+    return results
+
+
+def _of_sightings(s: LinearSightings) -> _Places:
+    """Landmark place l = landmark + c^-1 (b - a (x - pose) - noise)."""
+    inverse = np.linalg.inv(s.c)
+    jacobian = -inverse @ _by_heading(s.a, s.pose)
+    place = (inverse @ s.b[..., None])[..., 0]
+    return _Places(place, jacobian, inverse @ inverse.transpose(0, 2, 1))
+
+
+def _of_motion(m: LinearMotion) -> _Places:
+    """Pose x' = arrived + c^-1 (b - a (x - departed) - noise), in x, y, heading."""
+    inverse = np.linalg.inv(m.c)
+    if m.departed.shape[1] == 4:
+        inverse = np.array([along_circle(pose).T for pose in m.arrived]) @ inverse
+    jacobian = -inverse @ _by_heading(m.a, m.departed)
+    place = (inverse @ m.b[..., None])[..., 0]
+    return _Places(place, jacobian, inverse @ inverse.transpose(0, 2, 1))
+
+
+def _by_heading(a: Array, pose: Array) -> Array:
+    """Columns by x, y, heading of a Jacobian (N, d, p) at poses (N, p)."""
+    if pose.shape[1] == 3:
+        return a
+    lift = np.array([along_circle(own) for own in pose]).reshape(len(pose), 4, 3)
+    turned: Array = a @ lift
+    return turned
+
+
+def _of_positions(p: LinearPositions) -> _Places:
+    """(x, y) = pose + a_xy^-1 (b - a_heading (heading - pose's) - noise)."""
+    a = _by_heading(p.a, p.pose)
+    inverse = np.linalg.inv(a[:, :, :2])
+    jacobian = -inverse @ a
+    place = (inverse @ p.b[..., None])[..., 0]
+    return _Places(place, jacobian, inverse @ inverse.transpose(0, 2, 1))
+
+
+def _first(s: LinearSightings, count: int) -> LinearSightings:
+    """Only what comes from a sighting: behind that are priors of landmarks."""
+    rows = slice(0, count)
+    return LinearSightings(*(column[rows] for column in vars(s).values()))

@@ -1,0 +1,42 @@
+"""A filter that says where the robot is while a simulated run goes on."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ekf_reference.full_ekf import FullEkf
+
+Array = NDArray[np.float64]
+
+
+class FilterNavigator:
+    """A filter with a relative-pose motion model, as Navigator of the waypoint run."""
+
+    def __init__(self, ekf: FullEkf, *, use_sightings: bool = True, use_fixes: bool = True) -> None:
+        """ekf: at its prior. Without sightings and fixes it is dead reckoning."""
+        self.ekf = ekf
+        self.use_sightings = use_sightings
+        self.use_fixes = use_fixes
+        self.path: list[Array] = [self.pose()]
+
+    def departed(self, displacement: Array, covariance: Array, true_pose: Array) -> None:
+        """Predict; the truth stays unread."""
+        self.ekf.predict(displacement, covariance, 0.0)
+        self.path.append(self.pose())
+
+    def saw(self, z: Array, sigma: Array, landmark: NDArray[np.int64]) -> None:
+        """Associate and update."""
+        if self.use_sightings and len(z):
+            self.ekf.observe(z, sigma, landmark)
+            self.path[-1] = self.pose()
+
+    def fixed(self, position: Array, covariance: Array) -> None:
+        """Fuse the position, gated."""
+        if self.use_fixes:
+            self.ekf.fix_position(position, covariance)
+            self.path[-1] = self.pose()
+
+    def pose(self) -> Array:
+        """(3,) the filter's estimate."""
+        return self.ekf.read_pose().pose

@@ -1,0 +1,139 @@
+"""The waypoint run: what is simulated, and Misono's claim about it (Figs. 5 and 6)."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from comparisons.checks.accuracy import assess, assess_trajectory
+from comparisons.logs.log import Log
+from comparisons.logs.odometry import RelativePoses
+from comparisons.logs.simulate.waypoints import WaypointRun, simulate
+from comparisons.runs.ekf_build import EkfChoices
+from comparisons.runs.ekf_run import run_ekf
+from comparisons.runs.features import choose_features
+from comparisons.runs.navigator import FilterNavigator
+from comparisons.runs.timeline import build_timeline
+from ekf_reference.association import KnownAssociation
+from ekf_reference.direction_cosine_ekf import DirectionCosineEkf
+from ekf_reference.motion import RelativePoseModel
+from ekf_reference.observation import RangeBearing
+from graphslam.increments import dead_reckoned
+
+RUN = WaypointRun()
+
+
+def run_of(seed: int, **settings: float) -> Log:
+    return simulate(np.random.default_rng(seed), WaypointRun(**settings))  # type: ignore[arg-type]
+
+
+def end_from_base(log: Log) -> float:
+    assert log.truth.poses is not None
+    return float(np.hypot(*log.truth.poses.pose[-1, :2]))
+
+
+def test_the_truth_passes_all_waypoints_and_ends_at_the_base() -> None:
+    log = run_of(0)
+    assert log.truth.poses is not None
+    way = log.truth.poses.pose[:, :2]
+    for waypoint in RUN.waypoint:
+        assert np.linalg.norm(way - waypoint, axis=1).min() < RUN.reached_m
+    assert end_from_base(log) < RUN.reached_m
+    assert log.positions is not None
+    assert len(log.positions.time_s) == len(RUN.waypoint) + 1
+    assert np.linalg.norm(log.positions.position_m[:-1] - RUN.waypoint, axis=1).max() < 2.0
+    assert log.provenance["goals_reached"] == "10 of 10"
+
+
+def test_without_noise_odometry_sightings_and_positions_are_exact() -> None:
+    log = run_of(1, noise_scale=0.0)
+    assert isinstance(log.odometry, RelativePoses)
+    assert log.truth.poses is not None
+    assert log.truth.landmarks is not None
+    pose = log.truth.poses.pose
+    assert np.allclose(dead_reckoned(log.prior.pose, log.odometry.displacement), pose, atol=1e-9)
+    seen = log.sightings
+    at = np.rint(seen.time_s / RUN.sample_s).astype(int)
+    for k in np.unique(at)[::40]:
+        rows = at == k
+        expected = RangeBearing().predict(
+            pose[k], log.truth.landmarks.position_m[seen.landmark[rows]]
+        )
+        z = np.column_stack((seen.range_m, seen.bearing_rad))[rows]
+        assert np.allclose(RangeBearing().innovation(z, expected.z), 0.0, atol=1e-9)
+
+
+def test_odometry_is_as_uncertain_as_it_says() -> None:
+    """Normalised squared errors of the increments: chi-square, two-sided."""
+    log = run_of(2)
+    assert isinstance(log.odometry, RelativePoses)
+    assert log.truth.poses is not None
+    pose, said = log.truth.poses.pose, log.odometry
+    nis = []
+    for k, (before, after) in enumerate(pairwise(pose)):
+        cos, sin = np.cos(before[2]), np.sin(before[2])
+        true = np.array([[cos, sin], [-sin, cos]]) @ (after - before)[:2]
+        turn = said.displacement[k, 2]
+        cos, sin = np.cos(turn), np.sin(turn)
+        apart = np.array([[cos, sin], [-sin, cos]]) @ (true - said.displacement[k, :2])
+        error = np.array([*apart, after[2] - before[2] - turn])
+        nis.append(error @ np.linalg.solve(said.covariance[k], error))
+    assert 1.8 < np.mean(nis) < 2.2  # way and turn, two numbers
+
+
+def test_obstacles_of_the_range_profile() -> None:
+    """Runs of returns become obstacles within centimetres of the true ones."""
+    log = choose_features(run_of(3), "trees")
+    assert log.truth.poses is not None
+    assert log.truth.landmarks is not None
+    pose = log.truth.poses.pose[np.rint(log.sightings.time_s / RUN.sample_s).astype(int)]
+    angle = pose[:, 2] + log.sightings.bearing_rad
+    place = pose[:, :2] + log.sightings.range_m[:, None] * np.column_stack(
+        (np.cos(angle), np.sin(angle))
+    )
+    true = log.truth.landmarks.position_m
+    nearest = np.linalg.norm(place[:, None] - true[None], axis=2).min(axis=1)
+    assert len(place) > 500
+    assert np.median(nearest) < 0.05
+    assert np.mean(nearest < 0.3) > 0.97
+
+
+@pytest.mark.parametrize("filter_name", ["misono", "misono-full"])
+def test_slam_cancels_what_dead_reckoning_accumulates(filter_name: str) -> None:
+    """M Fig. 5, on one drive."""
+    log = run_of(4)
+    timeline = build_timeline(log)
+    assert isinstance(log.odometry, RelativePoses)
+    alone = dead_reckoned(log.prior.pose, log.odometry.displacement)
+    reckoned = assess_trajectory(timeline.epoch_time_s, alone, log)
+    slam = assess(
+        run_ekf(log, timeline, EkfChoices(filter_name).settle(log)).estimate, log, labelled=True
+    )
+    assert reckoned is not None
+    assert slam is not None
+    assert slam.ate_m is not None
+    assert reckoned.ate_m is not None
+    assert slam.ate_m < 0.5 * reckoned.ate_m
+
+
+@pytest.mark.parametrize("complete", [False, True])
+def test_slam_returns_to_the_base_and_dead_reckoning_does_not(complete: bool) -> None:
+    """M Fig. 6: steered by its own estimate the robot comes home, by dead reckoning it does not."""
+    ends = {}
+    for slam in (True, False):
+        ekf = DirectionCosineEkf(
+            RelativePoseModel(),
+            KnownAssociation(),
+            np.zeros(3),
+            1e-10 * np.eye(3),
+            full_jacobian=complete,
+            renormalise=complete,
+        )
+        pilot = FilterNavigator(ekf, use_sightings=slam, use_fixes=slam)
+        log = simulate(np.random.default_rng(0), RUN, pilot)
+        ends[slam] = end_from_base(log)
+        assert len(pilot.path) == len(log.odometry.time_s) + 1
+    assert ends[True] < 1.0
+    assert ends[False] > 3.0
