@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -13,6 +14,8 @@ from comparisons.compare import compare_estimators
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log, Positions
 from comparisons.runs.ekf_build import EkfChoices, fused_positions, judging_positions
+from comparisons.runs.ekf_run import EkfRun, run_ekf
+from comparisons.runs.timeline import build_timeline
 from ekf_reference.absolute_updates import Steps
 from ekf_reference.full_ekf import FullEkf
 from graphslam.graph_builder import position_factor
@@ -71,6 +74,57 @@ def test_split_updates_are_replayed_part_by_part() -> None:
     assert (c.ekf.trace.positions.weight < 1.0).any()
     assert c.agreement.algebra.within(1e-8)
     assert c.agreement.model.within(1e-8)
+
+
+def closing_by_positions(log: Log, first_s: float, until_s: float) -> EkfRun:
+    """SLAM alone until the first position, then positions until the end."""
+    positions = log.positions
+    assert positions is not None
+    late = np.flatnonzero((positions.time_s >= first_s) & (positions.time_s <= log.end_s))
+    log = replace(
+        log,
+        positions=Positions(
+            positions.time_s[late],
+            positions.position_m[late],
+            positions.covariance[late],
+            positions.antenna_m,
+        ),
+    )
+    timeline = build_timeline(log, log.positions)
+    timeline = timeline.prefix(int(np.searchsorted(timeline.epoch_time_s, until_s)))
+    return run_ekf(log, timeline, EkfChoices("compressed", gps="on").settle(log), log.positions)
+
+
+def parts_of_first_fix(run: EkfRun) -> tuple[Array, Array]:
+    """Innovations [m] before each part, and the parts' weights."""
+    fixes = run.trace.positions
+    first = fixes.number == fixes.number[0]
+    return np.linalg.norm(fixes.innovation[first], axis=1), fixes.weight[first]
+
+
+def test_a_loop_is_closed_by_a_position_in_parts() -> None:
+    """Guivant 2002, Fig. 9: after a blind stretch, one fix counts as a sequence of weaker ones."""
+    log = with_fixes(simulated(seed=3), (0.0, 0.0))
+    seen = log.sightings
+    rows = np.flatnonzero((seen.time_s < 10.0) | (seen.time_s > 70.0))
+    columns: dict[str, Any] = {
+        k: v[rows] for k, v in vars(seen).items() if isinstance(v, np.ndarray)
+    }
+    run = closing_by_positions(replace(log, sightings=replace(seen, **columns)), 60.0, 62.0)
+    innovation, weight = parts_of_first_fix(run)
+    assert innovation[0] > 1.5
+    assert len(weight) > 2
+    assert weight.sum() == 1.0
+    assert np.all(-np.diff(innovation) < 1.0 + 1e-9)  # no part moves the vehicle by more
+
+
+def test_victoria_park_loop_closed_by_gps(shared_data: Path) -> None:
+    """The same on real data: 300 s of SLAM alone, then GPS, 2.4 m away and fused in parts."""
+    log = open_log(str(shared_data / "victoria_park"))
+    innovation, weight = parts_of_first_fix(closing_by_positions(log, 300.0, 330.0))
+    assert 1.5 < innovation[0] < 4.0
+    assert len(weight) > 1
+    assert np.all(np.diff(innovation) < 0.0)
 
 
 @pytest.mark.parametrize("antenna", [(0.0, 0.0), (3.0, -1.0)])
