@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from comparisons.compare import Progress
     from comparisons.logs.log import Log
     from comparisons.runs.ekf_build import EkfChoices
+    from graphslam.smoother import SmootherOptions
 
 AGREE, DISAGREE, UNUSABLE, UNPROVEN = 0, 1, 2, 3
 BROKEN, INTERRUPTED = 70, 130
@@ -45,6 +46,22 @@ FormatOption = Annotated[
 RobotOption = Annotated[int, typer.Option(help="Robot number, for MR.CLAM folders.")]
 SeedOption = Annotated[int, typer.Option(help="Seed of a simulated log.")]
 LoopsOption = Annotated[int, typer.Option(help="Loops of a simulated log.")]
+MethodOption = Annotated[
+    str,
+    typer.Option(metavar="batch|isam2|fixed-lag", help="How the smoother works."),
+]
+LagOption = Annotated[int, typer.Option(help="Poses that a fixed lag holds.")]
+OptimiserOption = Annotated[
+    str,
+    typer.Option(metavar="levenberg-marquardt|gauss-newton|dogleg", help="Of the batch smoother."),
+]
+RobustOption = Annotated[
+    str,
+    typer.Option(
+        metavar="none|huber|cauchy|gnc",
+        help="Against wild sightings and positions in the smoother; changes its marginals.",
+    ),
+]
 NoiseOption = Annotated[
     float, typer.Option("--noise-scale", help="Factor on the noise of a simulated log.")
 ]
@@ -81,6 +98,10 @@ def run(
         str,
         typer.Option(metavar="off|on|half", help="Fuse positions; half holds every second back."),
     ] = "off",
+    smoother: MethodOption = "batch",
+    lag: LagOption = 100,
+    optimiser: OptimiserOption = "levenberg-marquardt",
+    robust: RobustOption = "none",
     robot: RobotOption = 1,
     seed: SeedOption = 0,
     loops: LoopsOption = 1,
@@ -105,10 +126,22 @@ def run(
         source = choose_features(_open(log, format_name, robot, seed, loops, noise_scale), features)
         read_s = time.perf_counter() - start
         choices = EkfChoices(filter_name, association, gps)
-        raise SystemExit(_run(source, choices, out, read_s))
+        options = _options(smoother, lag, optimiser, robust)
+        raise SystemExit(_run(source, choices, options, out, read_s))
 
 
-def _run(log: Log, choices: EkfChoices, out: Path | None, read_s: float) -> int:
+def _options(method: str, lag: int, optimiser: str, robust: str) -> SmootherOptions:
+    from graphslam.smoother import SmootherOptions
+
+    try:
+        return SmootherOptions(method, lag, optimiser, robust)
+    except ValueError as error:
+        raise InputError(f"smoother: {error}") from None
+
+
+def _run(
+    log: Log, choices: EkfChoices, options: SmootherOptions, out: Path | None, read_s: float
+) -> int:
     from rich.console import Console
 
     from comparisons.atomic import check_replaceable, folder_name
@@ -120,7 +153,7 @@ def _run(log: Log, choices: EkfChoices, out: Path | None, read_s: float) -> int:
     folder = out or Path(f"slamcheck-{folder_name(log.name)}")
     check_replaceable(folder, CONTENTS)
     with _progress() as progress:
-        comparison = compare_estimators(log, choices, progress)
+        comparison = compare_estimators(log, choices, options, progress)
         result = build_result(comparison, read_s)
         progress("report", 0, 0)
         write_run_folder(comparison, result, folder)

@@ -30,7 +30,7 @@ from comparisons.runs.smoother_run import (
 from comparisons.runs.timeline import build_timeline
 from ekf_reference.full_ekf import FullEkf
 from graphslam.increments import dead_reckoned
-from graphslam.smoother import SmootherResult
+from graphslam.smoother import SmootherOptions, SmootherResult
 
 Progress = Callable[[str, int, int], None]
 """Called with the stage, what is done and what there is to do (0 when not known)."""
@@ -62,12 +62,14 @@ class Comparison:
 def compare_estimators(
     log: Log,
     choices: EkfChoices | None = None,
+    options: SmootherOptions | None = None,
     progress: Progress = lambda stage, done, total: None,
     modify: Callable[[FullEkf], None] = lambda ekf: None,
 ) -> Comparison:
     """Run both estimators over a log and judge them.
 
-    choices: filter and association; what is left open is chosen by the log. modify: see run_ekf.
+    choices: filter and association; what is left open is chosen by the log. options: of the
+    smoother. modify: see run_ekf.
     Raises InputError when the log cannot be used, and graphslam.marginals.SingularProblemError
     when the smoother has no solution.
     """
@@ -86,7 +88,9 @@ def compare_estimators(
         said, meant = linear_recorded(run), linear_own(problem, run)
         recorded, own = solve_recorded(said, run), solve_own(meant, run)
     with clock.stage("smoother"):
-        result = run_smoother(problem, run, lambda stage: progress(stage, 0, 0))
+        result = run_smoother(
+            problem, run, options or SmootherOptions(), lambda stage: progress(stage, 0, 0)
+        )
     with clock.stage("marginals"):
         progress("marginals", 0, 0)
         smoothed = smoothed_estimate(result, run)
@@ -116,6 +120,7 @@ def compare_estimators(
                 run,
                 lambda: model_differences(said, meant, ROUNDING),
                 conservative=chosen.conservative,
+                robust=result.options.robust,
             ),
             clock.seconds,
         )

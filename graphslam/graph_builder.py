@@ -13,6 +13,7 @@ Index = NDArray[np.intp]
 
 POSE_KEY = gtsam.symbol("x", 0)
 LANDMARK_KEY = gtsam.symbol("l", 0)
+KERNELS = ("none", "huber", "cauchy")
 
 
 @dataclass(frozen=True)
@@ -121,12 +122,12 @@ def increment_factors(
 
 
 def sighting_factors(
-    poses: list[int], landmarks: list[int], problem: SlamProblem
+    poses: list[int], landmarks: list[int], problem: SlamProblem, kernel: str = "none"
 ) -> list[gtsam.BearingRangeFactor2D]:
     """One factor per sighting, between the keys given; gtsam wants the bearing first."""
     diagonal = gtsam.noiseModel.Diagonal.Sigmas
     return [
-        gtsam.BearingRangeFactor2D(i, j, gtsam.Rot2(bearing), r, diagonal(s))
+        gtsam.BearingRangeFactor2D(i, j, gtsam.Rot2(bearing), r, robust(diagonal(s), kernel))
         for i, j, (r, bearing), s in zip(
             poses, landmarks, problem.z.tolist(), problem.sigma[:, ::-1].copy(), strict=True
         )
@@ -134,10 +135,10 @@ def sighting_factors(
 
 
 def position_factor(
-    key: int, z: Array, covariance: Array, lever_m: tuple[float, float]
+    key: int, z: Array, covariance: Array, lever_m: tuple[float, float], kernel: str = "none"
 ) -> gtsam.NonlinearFactor:
     """An absolute position (2,) of the antenna; our own factor only where there is a lever arm."""
-    noise = gaussian(covariance)
+    noise = robust(gaussian(covariance), kernel)
     if lever_m == (0.0, 0.0):
         return gtsam.PoseTranslationPrior2D(key, z, noise)
 
@@ -155,8 +156,23 @@ def position_factor(
     return gtsam.CustomFactor(noise, [key], error)
 
 
-def build_graph(problem: SlamProblem) -> gtsam.NonlinearFactorGraph:
-    """The graph of the whole problem; pose k has key POSE_KEY + k, landmark j LANDMARK_KEY + j."""
+def robust(noise: gtsam.noiseModel.Base, kernel: str) -> gtsam.noiseModel.Base:
+    """The noise under a robust kernel of KERNELS, with its usual constant (95 % efficiency)."""
+    if kernel == "none":
+        return noise
+    estimator = gtsam.noiseModel.mEstimator
+    if kernel == "huber":
+        return gtsam.noiseModel.Robust.Create(estimator.Huber.Create(1.345), noise)
+    if kernel == "cauchy":
+        return gtsam.noiseModel.Robust.Create(estimator.Cauchy.Create(2.385), noise)
+    raise ValueError(f"kernel is '{kernel}', expected one of {', '.join(KERNELS)}")
+
+
+def build_graph(problem: SlamProblem, kernel: str = "none") -> gtsam.NonlinearFactorGraph:
+    """The graph of the whole problem; pose k has key POSE_KEY + k, landmark j LANDMARK_KEY + j.
+
+    kernel: of KERNELS, for sightings and positions.
+    """
     graph = gtsam.NonlinearFactorGraph()
     graph.push_back(prior_factor(POSE_KEY, problem))
     poses = list(range(POSE_KEY, POSE_KEY + problem.pose_count))
@@ -166,6 +182,7 @@ def build_graph(problem: SlamProblem) -> gtsam.NonlinearFactorGraph:
         (POSE_KEY + problem.sighting_pose).tolist(),
         (LANDMARK_KEY + problem.sighting_landmark).tolist(),
         problem,
+        kernel,
     ):
         graph.push_back(sighting)
     for key, z, covariance in zip(
@@ -174,12 +191,24 @@ def build_graph(problem: SlamProblem) -> gtsam.NonlinearFactorGraph:
         problem.position_covariance,
         strict=True,
     ):
-        graph.push_back(position_factor(key, z, covariance, problem.lever_m))
+        graph.push_back(position_factor(key, z, covariance, problem.lever_m, kernel))
     for slot, (place, covariance) in enumerate(
         zip(problem.surveyed, problem.surveyed_covariance, strict=True)
     ):
         graph.push_back(gtsam.PriorFactorPoint2(LANDMARK_KEY + slot, place, gaussian(covariance)))
     return graph
+
+
+def last_poses(problem: SlamProblem) -> Index:
+    """(F,) the last pose that each factor of build_graph touches, 0 for priors of landmarks."""
+    return np.concatenate(
+        (
+            np.arange(problem.pose_count),
+            problem.sighting_pose,
+            problem.position_pose,
+            np.zeros(len(problem.surveyed), dtype=np.intp),
+        )
+    )
 
 
 def to_tangent(heading_rad: Array) -> Array:
@@ -203,6 +232,13 @@ def to_values(poses: Array, landmarks: Array, seen: Index) -> gtsam.Values:
     return values
 
 
+def unwrap(poses: Array, problem: SlamProblem) -> None:
+    """Unwrap the headings of poses (K, 3), in place, along the odometry."""
+    expected = np.concatenate((problem.prior_pose[2:], problem.increment[:, 2]))
+    excess = np.diff(poses[:, 2], prepend=0.0) - expected
+    poses[:, 2] = np.cumsum(expected + excess - 2.0 * np.pi * np.round(excess / (2.0 * np.pi)))
+
+
 def from_values(values: gtsam.Values, problem: SlamProblem) -> tuple[Array, Array]:
     """Poses (K, 3) and landmarks (L, 2) of a solution; NaN where a landmark is absent.
 
@@ -215,9 +251,7 @@ def from_values(values: gtsam.Values, problem: SlamProblem) -> tuple[Array, Arra
             for p in (values.atPose2(POSE_KEY + k) for k in range(problem.pose_count))
         ]
     )
-    expected = np.concatenate((problem.prior_pose[2:], problem.increment[:, 2]))
-    excess = np.diff(poses[:, 2], prepend=0.0) - expected
-    poses[:, 2] = np.cumsum(expected + excess - 2.0 * np.pi * np.round(excess / (2.0 * np.pi)))
+    unwrap(poses, problem)
     landmarks = np.full((problem.landmark_count, 2), np.nan)
     for slot in range(problem.landmark_count):
         if values.exists(LANDMARK_KEY + slot):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import gtsam
@@ -37,21 +38,25 @@ def eliminate(graph: gtsam.GaussianFactorGraph) -> gtsam.GaussianBayesTree:
 def last_pose_and_landmarks(
     graph: gtsam.GaussianFactorGraph, pose_count: int, landmark_count: int, pose_size: int = 3
 ) -> Marginal:
-    """Eliminate all other poses and invert what remains. pose_size: entries of a pose.
+    """The joint marginal of these. pose_size: entries of a pose. See joint_marginal."""
+    kept = [POSE_KEY + pose_count - 1, *range(LANDMARK_KEY, LANDMARK_KEY + landmark_count)]
+    return joint_marginal(graph, kept, pose_size + 2 * landmark_count)
+
+
+def joint_marginal(graph: gtsam.GaussianFactorGraph, kept: Sequence[int], size: int) -> Marginal:
+    """Eliminate all other variables and invert what remains of `kept`, `size` numbers.
 
     By QR: gtsam's default, Cholesky, squares the condition number, and two sightings a
     millisecond apart would cost half the digits. The result is in the coordinates of the graph's
     own increments. Raises SingularProblemError when some direction is left without information.
     """
-    eliminated = list(range(POSE_KEY, POSE_KEY + pose_count - 1))
-    kept = [POSE_KEY + pose_count - 1]
-    kept += range(LANDMARK_KEY, LANDMARK_KEY + landmark_count)
-    size = pose_size + 2 * landmark_count
+    wanted = set(kept)
+    eliminated = [key for key in graph.keyVector() if key not in wanted]
     try:
         remaining = graph
         if eliminated:
             _, remaining = graph.eliminatePartialMultifrontal(eliminated, gtsam.EliminateQR)
-        jacobian, residual = remaining.jacobian(gtsam.Ordering(kept))
+        jacobian, residual = remaining.jacobian(gtsam.Ordering(list(kept)))
     except (RuntimeError, ValueError) as error:  # singular, or a landmark never seen
         raise SingularProblemError(_UNFIXED) from error
     if jacobian.shape[1] != size or len(jacobian) < size:

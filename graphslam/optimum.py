@@ -12,6 +12,9 @@ from graphslam.marginals import eliminate
 DECREMENT_LIMIT = 1e-6
 """A full Newton step must not promise to lower the error by more than this."""
 
+DISTANCE_LIMIT = 0.05
+"""An incremental estimate must not be farther from the optimum than this, in sigma."""
+
 
 @dataclass(frozen=True)
 class ChiSquareTest:
@@ -78,19 +81,23 @@ def stationarity(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Sta
 class Proof:
     """The case for a result being the global optimum.
 
-    agreeing: starts that ended at the lowest error. It is proven when the point is a strict local
-    minimum and either two starts agree on it or its chi-square is not too high, which a wrong
-    minimum's is.
+    agreeing: starts that ended at the lowest error. distance_sigma: how far the estimate is from
+    that point, where it is an incremental smoother's. It is proven when the point is a strict
+    local minimum, the estimate is there, and either two starts agree on it or its chi-square is
+    not too high, which a wrong minimum's is.
     """
 
     stationarity: Stationarity
     chi_square: ChiSquareTest
     agreeing: tuple[str, ...]
+    distance_sigma: float = 0.0
 
     @property
     def proven(self) -> bool:
         """Whether the evidence suffices."""
         independent = len(self.agreeing) >= 2
-        return self.stationarity.holds and (
-            independent or self.chi_square.chi2 <= self.chi_square.upper
+        return (
+            self.stationarity.holds
+            and self.distance_sigma <= DISTANCE_LIMIT
+            and (independent or self.chi_square.chi2 <= self.chi_square.upper)
         )

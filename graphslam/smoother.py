@@ -1,43 +1,71 @@
-"""Batch smoothing: Levenberg-Marquardt from several starts, the lowest kept and examined."""
+"""The smoother: the optimum of a whole log, from several starts, with the evidence for it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from graphslam.graph_builder import (
-    LANDMARK_KEY,
-    POSE_KEY,
-    SlamProblem,
-    build_graph,
-    from_values,
-    to_values,
-)
+from graphslam.graph_builder import KERNELS, SlamProblem, build_graph, from_values, to_values
+from graphslam.incremental import LagEnd, run_fixed_lag, run_isam2
+from graphslam.initialisation import extension, track
 from graphslam.marginals import (
     Marginal,
     SingularProblemError,
-    eliminate,
     last_pose_and_landmarks,
     pose_covariances,
     to_global,
 )
+from graphslam.optimisers import OPTIMISERS, optimise, polish
 from graphslam.optimum import Proof, Stationarity, chi_square_test, stationarity
+from graphslam.robust import NOTHING_REJECTED, Rejected, reject_wild
+from graphslam.singular import explain_singularity
 
 Array = NDArray[np.float64]
 
 AGREEMENT = 1e-6
 """Starts agree when their errors differ by less than this, relative to 1 + error."""
-GROWTH = 1.3
-"""Each prefix of the incremental start is this much longer than the one before."""
+METHODS = ("batch", "isam2", "fixed-lag")
+ROBUST = (*KERNELS, "gnc")
+
+
+@dataclass(frozen=True)
+class SmootherOptions:
+    """What a user may choose.
+
+    method: of METHODS. lag: poses that a fixed lag holds. optimiser: of the batch, one of
+    OPTIMISERS. robust: against wild sightings and positions, one of ROBUST; it changes marginals.
+    """
+
+    method: str = "batch"
+    lag: int = 100
+    optimiser: str = OPTIMISERS[0]
+    robust: str = "none"
+
+    @property
+    def kernel(self) -> str:
+        """The kernel that stays in the graph, of KERNELS."""
+        return self.robust if self.robust in KERNELS else "none"
+
+    def __post_init__(self) -> None:
+        """Check the choices. Raises ValueError."""
+        for name, value, known in (
+            ("method", self.method, METHODS),
+            ("optimiser", self.optimiser, OPTIMISERS),
+            ("robust", self.robust, ROBUST),
+        ):
+            if value not in known:
+                raise ValueError(f"{name} is '{value}', expected one of {', '.join(known)}")
+        if self.lag < 1:
+            raise ValueError(f"lag is {self.lag}, expected at least 1")
 
 
 @dataclass(frozen=True)
 class Start:
-    """One attempt: where it began and where Levenberg-Marquardt ended."""
+    """One attempt: where it began and where the optimiser ended."""
 
     name: str
     error: float
@@ -47,12 +75,15 @@ class Start:
 
 @dataclass(frozen=True)
 class SmootherResult:
-    """The lowest of all attempts with its evidence.
+    """The estimate asked for, and the evidence from the lowest of all attempts.
 
     poses: (K, 3), headings unwrapped. landmarks: (L, 2). error: half the squared norm of the
-    whitened residuals. values, graph: the gtsam objects, for marginals.
+    whitened residuals at the optimum. rejected: wild observations that were left out. values,
+    graph: the gtsam objects of the optimum, for marginals. lagged: what a fixed-lag smoother
+    said; its poses and landmarks are then the result's.
     """
 
+    options: SmootherOptions
     poses: Array
     landmarks: Array
     error: float
@@ -60,11 +91,20 @@ class SmootherResult:
     converged: bool
     starts: tuple[Start, ...]
     proof: Proof
+    rejected: Rejected
     values: gtsam.Values
     graph: gtsam.NonlinearFactorGraph
+    lagged: LagEnd | None = None
+
+    @property
+    def rank(self) -> int:
+        """Unknowns that the measurements determine; a result is only had when they all are."""
+        return int(self.values.dim())
 
     def marginal(self) -> Marginal:
         """Last pose and all landmarks jointly: mean and covariance, additive global error."""
+        if self.lagged is not None:
+            return self.lagged.marginal
         mean = np.concatenate((self.poses[-1], self.landmarks.ravel()))
         local = last_pose_and_landmarks(
             self.graph.linearize(self.values), len(self.poses), len(self.landmarks)
@@ -72,7 +112,9 @@ class SmootherResult:
         return Marginal(mean, to_global(local.covariance, self.poses[-1, 2]))
 
     def pose_covariances(self) -> Array:
-        """Covariance (K, 3, 3) of every pose, given all measurements; additive global error."""
+        """Covariance (K, 3, 3) of every pose, given all it was told; additive global error."""
+        if self.lagged is not None:
+            return self.lagged.pose_covariance
         return pose_covariances(self.graph, self.values, self.poses[:, 2])
 
 
@@ -80,22 +122,30 @@ def smooth(
     problem: SlamProblem,
     guesses: Mapping[str, tuple[Array, Array]],
     progress: Callable[[str], None] = lambda stage: None,
+    options: SmootherOptions | None = None,
 ) -> SmootherResult:
-    """Find the optimum of a problem.
+    """Find the optimum of a problem, or follow it along the way and say how far it is.
 
     guesses: other estimators' poses (K, 3) and landmarks (L, 2) by name, tried first. Then comes
-    the incremental start, which needs no guess, and dead reckoning when the proof is still open.
-    Raises SingularProblemError when every attempt fails for want of information.
+    the tracked start, which needs no guess, or the incremental method's end, and dead reckoning
+    when the proof is still open. Raises SingularProblemError when every attempt fails for want of
+    information.
     """
-    graph = build_graph(problem)
+    options = options or SmootherOptions()
+    rejected = NOTHING_REJECTED
+    if options.robust == "gnc":
+        progress("smoother, wild observations")
+        graph = build_graph(problem)
+        problem, rejected = reject_wild(problem, graph, track(problem, graph)[0])
+    graph = build_graph(problem, options.kernel)
     seen = np.union1d(problem.sighting_landmark, np.arange(len(problem.surveyed)))
     attempts: list[tuple[Start, gtsam.Values]] = []
 
     def attempt(name: str, values: gtsam.Values, spent: int = 0) -> None:
         progress(f"smoother, start {name}")
         try:
-            end, _, iterations, converged = _optimise(graph, values)
-            end, error = _polish(graph, end)
+            end, iterations, converged = optimise(graph, values, options.optimiser)
+            end, error = polish(graph, end)
         except RuntimeError:  # gtsam's indeterminate linear system
             attempts.append((Start(name, float("inf"), spent, converged=False), values))
             return
@@ -103,17 +153,30 @@ def smooth(
 
     for name, (poses, landmarks) in guesses.items():
         attempt(name, to_values(poses, landmarks, seen))
-    progress("smoother, growing prefixes")
-    attempt("incremental", *_incremental(problem))
-    proof = _prove(problem, graph, attempts)
+    progress(f"smoother, {options.method}")
+    lagged = None
+    if options.method == "isam2":
+        end = run_isam2(problem, graph)
+        followed = from_values(end.values, problem)
+        attempt("isam2", end.values, end.updates)
+    elif options.method == "fixed-lag":
+        lagged = run_fixed_lag(problem, graph, options.lag)
+        followed = lagged.poses, lagged.landmarks
+        attempt("fixed-lag", to_values(*followed, seen), lagged.updates)
+    else:
+        attempt("tracked", *track(problem, graph))
+    proof = _prove(problem, graph, attempts, weighted=options.kernel != "none")
     if not proof.proven:
-        attempt("dead-reckoning", _extend(problem, gtsam.Values(), 0, problem.pose_count))
-        proof = _prove(problem, graph, attempts)
+        start = extension(problem, gtsam.Values(), 0, problem.pose_count)
+        attempt("dead-reckoning", start)
+        proof = _prove(problem, graph, attempts, weighted=options.kernel != "none")
     best, values = min(attempts, key=lambda a: a[0].error)
     if not np.isfinite(best.error):
-        raise SingularProblemError("the measurements do not fix every pose and landmark")
+        why = explain_singularity(graph, values)
+        raise SingularProblemError(why or "the measurements do not fix every pose and landmark")
     poses, landmarks = from_values(values, problem)
-    return SmootherResult(
+    result = SmootherResult(
+        options,
         poses,
         landmarks,
         best.error,
@@ -121,114 +184,47 @@ def smooth(
         best.converged,
         tuple(start for start, _ in attempts),
         proof,
+        rejected,
         values,
         graph,
     )
+    if options.method == "batch":
+        return result
+    return replace(
+        result,
+        poses=followed[0],
+        landmarks=followed[1],
+        proof=replace(proof, distance_sigma=_distance(result, *followed)),
+        lagged=lagged,
+    )
+
+
+def _distance(optimum: SmootherResult, poses: Array, landmarks: Array) -> float:
+    """Largest difference of the last pose and the landmarks from the optimum, in its sigma."""
+    mean, covariance = optimum.marginal()
+    apart = np.concatenate((poses[-1], landmarks.ravel())) - mean
+    apart[2] = np.angle(np.exp(1j * apart[2]))
+    return float(np.max(np.abs(apart) / np.sqrt(np.diag(covariance))))
 
 
 def _prove(
     problem: SlamProblem,
     graph: gtsam.NonlinearFactorGraph,
     attempts: list[tuple[Start, gtsam.Values]],
+    *,
+    weighted: bool,
 ) -> Proof:
+    """weighted: a kernel has changed the residuals, so that chi-square says nothing."""
     best, values = min(attempts, key=lambda a: a[0].error)
     agreeing = tuple(
         start.name
         for start, _ in attempts
         if start.error - best.error <= AGREEMENT * (1.0 + best.error)
     )
-    dof = problem.residual_dimension - problem.state_dimension
+    dof = 0 if weighted else problem.residual_dimension - problem.state_dimension
     conditions = (
         stationarity(graph, values)
         if np.isfinite(best.error)
         else Stationarity(float("nan"), definite=False)
     )
     return Proof(conditions, chi_square_test(best.error, dof), agreeing)
-
-
-def _optimise(
-    graph: gtsam.NonlinearFactorGraph,
-    values: gtsam.Values,
-    relative_tolerance: float = 1e-12,
-    limit: int = 100,
-) -> tuple[gtsam.Values, float, int, bool]:
-    """Levenberg-Marquardt; returns the end, its error, iterations, and whether it converged.
-
-    By Cholesky, and by the slower QR where that breaks down on an ill-conditioned problem.
-    Raises RuntimeError when both do.
-    """
-    parameters = gtsam.LevenbergMarquardtParams()
-    parameters.setMaxIterations(limit)
-    parameters.setRelativeErrorTol(relative_tolerance)
-    parameters.setAbsoluteErrorTol(1e-9)
-    optimiser = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters)
-    try:
-        end = optimiser.optimize()
-    except RuntimeError:
-        parameters.setLinearSolverType("MULTIFRONTAL_QR")
-        optimiser = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters)
-        end = optimiser.optimize()
-    iterations = optimiser.iterations()
-    return end, optimiser.error(), iterations, iterations < limit
-
-
-def _polish(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> tuple[gtsam.Values, float]:
-    """Gauss-Newton by QR for as long as it lowers the error; LM's Cholesky stops short of that."""
-    error = graph.error(values)
-    for _ in range(10):
-        step = eliminate(graph.linearize(values)).optimize()
-        nearer = values.retract(step)
-        lower = graph.error(nearer)
-        if not lower < error:
-            break
-        gain, values, error = error - lower, nearer, lower
-        if gain < 1e-12 * (1.0 + error):
-            break
-    return values, error
-
-
-def _incremental(problem: SlamProblem) -> tuple[gtsam.Values, int]:
-    """Values from growing prefixes of the log, each solved before the next is dead reckoned on.
-
-    Drift never gets far before the sightings correct it, so the path stays in the basin of the
-    optimum where dead reckoning over the whole log would not. Returns values and iterations.
-    """
-    values = gtsam.Values()
-    known, iterations = 0, 0
-    count = min(50, problem.pose_count)
-    while True:
-        values = _extend(problem, values, known, count)
-        if count == problem.pose_count:
-            return values, iterations
-        graph = build_graph(problem.prefix(count))
-        try:
-            values, _, spent, _ = _optimise(graph, values, relative_tolerance=1e-4, limit=20)
-        except RuntimeError:
-            spent = 0
-        iterations += spent
-        known, count = count, min(int(GROWTH * count) + 1, problem.pose_count)
-
-
-def _extend(problem: SlamProblem, values: gtsam.Values, known: int, count: int) -> gtsam.Values:
-    """Add poses `known` to `count` - 1 by dead reckoning, landmarks where first seen."""
-    extended = gtsam.Values(values)
-    if known:
-        pose = values.atPose2(POSE_KEY + known - 1)
-    else:
-        pose = gtsam.Pose2(*problem.prior_pose)
-        extended.insert(POSE_KEY, pose)
-        for slot, place in enumerate(problem.surveyed):
-            extended.insert(LANDMARK_KEY + slot, place)
-    poses = {known - 1: pose} if known else {0: pose}
-    for k in range(max(known, 1), count):
-        pose = pose.compose(gtsam.Pose2(*problem.increment[k - 1]))
-        extended.insert(POSE_KEY + k, pose)
-        poses[k] = pose
-    fresh = (problem.sighting_pose >= known) & (problem.sighting_pose < count)
-    for row in np.flatnonzero(fresh).tolist():
-        key = LANDMARK_KEY + int(problem.sighting_landmark[row])
-        if not extended.exists(key):
-            r, bearing = problem.z[row]
-            place = np.array([r * np.cos(bearing), r * np.sin(bearing)])
-            extended.insert(key, poses[int(problem.sighting_pose[row])].transformFrom(place))
-    return extended

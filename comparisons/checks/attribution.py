@@ -11,7 +11,7 @@ import numpy as np
 from comparisons.checks.agreement import Agreement, BlockAgreement, Gap
 from comparisons.checks.model_differences import ModelDifference
 from comparisons.runs.ekf_run import EkfRun
-from graphslam.optimum import Proof
+from graphslam.optimum import DISTANCE_LIMIT, Proof
 
 ROUNDING = 1e-6
 """Largest algebra and model gap, in sigma and in covariance, that rounding explains."""
@@ -62,6 +62,7 @@ def judge(
     differences: Callable[[], Sequence[ModelDifference]] = tuple,
     *,
     conservative: bool = False,
+    robust: str = "none",
 ) -> Verdict:
     """The verdict on a run.
 
@@ -69,7 +70,8 @@ def judge(
     to leave some covariance too large, so its algebra is right when P_E - P_F1 is positive
     semidefinite, to rounding, and the mean hardly moves. A red algebra or model gap is a
     disagreement whatever the smoother found, for it compares the filter with linear algebra.
-    Otherwise an unproven optimum gives no verdict at all.
+    Otherwise an unproven optimum gives no verdict at all. robust: how the smoother meets wild
+    observations.
     """
     causes: list[Cause] = []
     algebra = agreement.algebra
@@ -104,6 +106,13 @@ def judge(
         if outcome == "disagree":
             causes.append(_linearisation(agreement, run))
     remarks = _remarks(proof, run)
+    if robust in ("huber", "cauchy"):
+        remarks.append(
+            f"the smoother's {robust} kernel lowers the weight of what fits badly: its covariances "
+            "are the weighted problem's, and chi-square is not tested"
+        )
+    elif robust == "gnc":
+        remarks.append("the smoother left out what it found wild; the filter did not")
     if conservative and not algebra.within(ROUNDING):
         remarks.append(
             f"the filter is conservative as meant: its covariance exceeds the exact one by up to "
@@ -147,6 +156,12 @@ def _model(gap: Gap, differences: Sequence[ModelDifference]) -> Cause:
 def _unproven(proof: Proof) -> Cause:
     if not proof.stationarity.holds:
         evidence = "the smoother's best result is not a strict local minimum"
+    elif proof.distance_sigma > DISTANCE_LIMIT:
+        evidence = (
+            f"the estimate along the way is {proof.distance_sigma:.2g} sigma from the optimum, "
+            f"expected at most {DISTANCE_LIMIT}"
+        )
+        return Cause("oracle", evidence, "use the batch, or a longer lag")
     else:
         test = proof.chi_square
         evidence = (

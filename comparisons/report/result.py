@@ -62,8 +62,19 @@ class StartResult(_Model):
 
 
 class SmootherResult(_Model):
-    """The smoother and the evidence for its optimum. See graphslam.optimum."""
+    """The smoother and the evidence for its optimum. See graphslam.optimum.
 
+    distance_sigma: of an incremental estimate from the optimum. rejected: wild sightings and
+    positions that were left out. rank: unknowns that the measurements determine.
+    """
+
+    method: str
+    optimiser: str
+    robust: str
+    rejected_sightings: int
+    rejected_positions: int
+    distance_sigma: float | None
+    rank: int
     poses: int
     error: float
     chi2: float
@@ -196,6 +207,13 @@ def build_result(comparison: Comparison, read_s: float) -> Result:
             global_update_spared=c.ekf.spared[1],
         ),
         smoother=SmootherResult(
+            method=c.smoother.options.method,
+            optimiser=c.smoother.options.optimiser,
+            robust=c.smoother.options.robust,
+            rejected_sightings=len(c.smoother.rejected.sightings),
+            rejected_positions=len(c.smoother.rejected.positions),
+            distance_sigma=_finite(proof.distance_sigma),
+            rank=c.smoother.rank,
             poses=len(c.smoother.poses),
             error=c.smoother.error,
             chi2=proof.chi_square.chi2,

@@ -42,6 +42,17 @@ def print_summary(result: Result, console: Console) -> None:
         + ", ".join(f"{s.name} {_number(s.error, '.2f')}" for s in smoother.starts)
         + ")",
     )
+    if smoother.method != "batch":
+        table.add_row(
+            smoother.method,
+            f"{_number(smoother.distance_sigma, '.2g')} sigma from the optimum at most",
+        )
+    if smoother.robust != "none":
+        table.add_row(
+            "robust",
+            f"{smoother.robust}: {smoother.rejected_sightings} sightings and "
+            f"{smoother.rejected_positions} positions left out",
+        )
     for name, sigma, covariance in (
         ("algebra gap", gaps.algebra_gap_sigma, gaps.algebra_gap_covariance),
         ("model gap", gaps.model_gap_sigma, gaps.model_gap_covariance),

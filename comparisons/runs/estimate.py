@@ -18,8 +18,9 @@ class Estimate:
     time_s: (K,). pose: (K, 3), headings unwrapped. pose_covariance: (K, 3, 3), each pose alone.
     landmark_id: (L,). landmark: (L, 2). joint_covariance: (3 + 2 L, 3 + 2 L) of the last pose and
     all landmarks. All covariances are of the additive global error.
-    information: `filtered` (pose k knows the log up to k) or `smoothed` (every pose has seen the
-    future). Only the last pose and the map of the two may be compared directly.
+    information: `filtered` (pose k knows the log up to k), `smoothed` (every pose has seen the
+    future) or `fixed-lag` (pose k has seen the next few). Only the last
+    pose and the map of the two may be compared directly.
     """
 
     time_s: Array
@@ -28,7 +29,7 @@ class Estimate:
     landmark_id: NDArray[np.int64]
     landmark: Array
     joint_covariance: Array
-    information: Literal["filtered", "smoothed"]
+    information: Literal["filtered", "smoothed", "fixed-lag"]
     provenance: dict[str, str] = field(default_factory=dict)
 
     @property

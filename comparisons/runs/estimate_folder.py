@@ -27,7 +27,7 @@ _LANDMARKS = ("id", "x_m", "y_m")
 class _Meta(BaseModel):
     model_config = ConfigDict(extra="forbid")
     version: Literal[1]
-    information: Literal["filtered", "smoothed"]
+    information: Literal["filtered", "smoothed", "fixed-lag"]
     provenance: dict[str, str] = {}
 
 

@@ -25,7 +25,7 @@ from graphslam.frozen import (
 from graphslam.graph_builder import SlamProblem
 from graphslam.linear_problem import LinearProblem, solve
 from graphslam.marginals import Marginal
-from graphslam.smoother import SmootherResult, smooth
+from graphslam.smoother import SmootherOptions, SmootherResult, smooth
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -134,11 +134,14 @@ def solve_own(linear: LinearProblem, run: EkfRun) -> Marginal:
 
 
 def run_smoother(
-    problem: SlamProblem, run: EkfRun, progress: Callable[[str], None] = lambda stage: None
+    problem: SlamProblem,
+    run: EkfRun,
+    options: SmootherOptions,
+    progress: Callable[[str], None] = lambda stage: None,
 ) -> SmootherResult:
     """The relinearised smoother, the EKF's estimate being one of its starts."""
     guess = (run.departed, run.estimate.landmark)
-    return smooth(problem, {"ekf": guess}, progress)
+    return smooth(problem, {"ekf": guess}, progress, options)
 
 
 def smoothed_estimate(result: SmootherResult, run: EkfRun) -> Estimate:
@@ -150,8 +153,8 @@ def smoothed_estimate(result: SmootherResult, run: EkfRun) -> Estimate:
         run.estimate.landmark_id,
         result.landmarks,
         result.marginal().covariance,
-        "smoothed",
-        {"estimator": "graphslam, batch Levenberg-Marquardt", "association": "the EKF's"},
+        "fixed-lag" if result.lagged else "smoothed",
+        {"estimator": f"graphslam, {result.options.method}", "association": "the EKF's"},
     )
 
 

@@ -69,7 +69,7 @@ def test_every_start_reaches_the_same_optimum(problem: SlamProblem) -> None:
         truth.landmarks + rng.standard_normal(truth.landmarks.shape),
     )
     result = smooth(problem, {"shaken": shaken})
-    assert result.proof.agreeing == ("shaken", "incremental")
+    assert result.proof.agreeing == ("shaken", "tracked")
     assert result.proof.proven
     assert result.proof.chi_square.reading == "plausible"
     assert np.allclose(result.poses, truth.poses, atol=1e-5)
@@ -192,10 +192,10 @@ def test_chi_square_has_two_sides(error: float, reading: str) -> None:
 @pytest.mark.parametrize(
     ("holds", "agreeing", "chi2", "proven"),
     [
-        (True, ("ekf", "incremental"), 900.0, True),
+        (True, ("ekf", "tracked"), 900.0, True),
         (True, ("ekf",), 100.0, True),
         (True, ("ekf",), 900.0, False),
-        (False, ("ekf", "incremental"), 100.0, False),
+        (False, ("ekf", "tracked"), 100.0, False),
     ],
 )
 def test_what_proves_an_optimum(

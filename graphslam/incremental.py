@@ -1,0 +1,252 @@
+"""Smoothing along the way: iSAM2 over the whole past, or over a fixed lag."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, SupportsFloat, SupportsIndex, SupportsInt
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from graphslam.graph_builder import (
+    LANDMARK_KEY,
+    POSE_KEY,
+    SlamProblem,
+    from_values,
+    last_poses,
+    to_tangent,
+    unwrap,
+)
+from graphslam.initialisation import extension
+from graphslam.marginals import Marginal, joint_marginal, to_global
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+RELINEARISE = 0.1
+"""A variable is linearised anew when it has moved by this much [m or rad] ..."""
+RELINEARISE_EVERY = 10
+"""... which is looked at in every so many updates, and always where an estimate is taken."""
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """What was known at a pose: the joint mean and covariance of this pose and the landmarks.
+
+    slot: (L',) the landmarks seen so far. marginal: of the pose and these, additive global error.
+    """
+
+    pose: int
+    slot: Index
+    marginal: Marginal
+
+
+@dataclass(frozen=True)
+class IncrementalEnd:
+    """What an incremental smoother leaves.
+
+    filtered: (K, 3) every pose as it was when it was the last one observed from or passed over.
+    """
+
+    values: gtsam.Values
+    updates: int
+    filtered: Array
+    checkpoints: tuple[Checkpoint, ...]
+
+
+@dataclass(frozen=True)
+class LagEnd:
+    """What a fixed-lag smoother leaves.
+
+    poses: (K, 3) as they were when they left the lag, headings unwrapped; pose_covariance:
+    (K, 3, 3) then. marginal: last pose and all landmarks at the end. All of the additive global
+    error.
+    """
+
+    poses: Array
+    pose_covariance: Array
+    landmarks: Array
+    marginal: Marginal
+    updates: int
+
+
+POSE = gtsam.symbolChr(POSE_KEY)
+
+
+class _Piece(NamedTuple):
+    """What one update adds. end: number of poses then."""
+
+    end: int
+    graph: gtsam.NonlinearFactorGraph
+    new: gtsam.Values
+
+
+class _Known:
+    """The variables that a smoother has, and where it has them now."""
+
+    def __init__(self, pose_at: Callable[[int], gtsam.Pose2]) -> None:
+        self._pose_at = pose_at
+        self._keys: set[int] = set()
+
+    def exists(self, key: int) -> bool:
+        return key in self._keys
+
+    def atPose2(self, key: int) -> gtsam.Pose2:  # noqa: N802, gtsam's name
+        return self._pose_at(key)
+
+    def add(self, values: gtsam.Values) -> None:
+        self._keys.update(values.keys())
+
+
+def _pieces(
+    problem: SlamProblem,
+    graph: gtsam.NonlinearFactorGraph,
+    known: _Known,
+    stops: Sequence[int] = (),
+) -> Iterator[_Piece]:
+    """One piece for every pose with observations, at `stops` (poses) and at the end."""
+    last = last_poses(problem)
+    order = np.argsort(last, kind="stable")
+    last = last[order]
+    ends = np.unique(
+        np.concatenate(
+            (problem.sighting_pose, problem.position_pose, stops, [problem.pose_count - 1])
+        )
+    ).astype(np.intp)
+    done = 0
+    for end in (ends + 1).tolist():
+        rows = order[np.searchsorted(last, done) : np.searchsorted(last, end)]
+        piece = gtsam.NonlinearFactorGraph()
+        for row in rows.tolist():
+            piece.push_back(graph.at(row))
+        new = extension(problem, known, done, end)
+        yield _Piece(end, piece, new)
+        known.add(new)
+        done = end
+
+
+def run_isam2(
+    problem: SlamProblem,
+    graph: gtsam.NonlinearFactorGraph,
+    checkpoints: Sequence[int] = (),
+) -> IncrementalEnd:
+    """iSAM2, one update per pose with observations. graph: build_graph(problem).
+
+    checkpoints: poses at which the joint marginal is wanted. By QR, as odometry is often exact
+    enough to make Cholesky break down. Where an estimate is taken everything is linearised anew
+    until the error stays; iSAM2 by itself stops at its thresholds, up to a sigma away.
+    """
+    parameters = gtsam.ISAM2Params()
+    parameters.setRelinearizeThreshold(RELINEARISE)
+    parameters.relinearizeSkip = RELINEARISE_EVERY
+    parameters.setFactorization("QR")
+    isam, updates = gtsam.ISAM2(parameters), 0
+    filtered = np.empty((problem.pose_count, 3))
+    taken: list[Checkpoint] = []
+    done = 0
+    for piece in _pieces(problem, graph, _Known(isam.calculateEstimatePose2), checkpoints):
+        isam.update(piece.graph, piece.new)
+        updates += 1
+        for k in range(done, piece.end):
+            pose = isam.calculateEstimatePose2(POSE_KEY + k)
+            filtered[k] = pose.x(), pose.y(), pose.theta()
+        done = piece.end
+        if piece.end - 1 in checkpoints:
+            taken.append(_checkpoint(problem, graph, _settled(isam), piece.end))
+    values = _settled(isam)
+    unwrap(filtered, problem)
+    return IncrementalEnd(values, updates, filtered, tuple(taken))
+
+
+def _settled(isam: gtsam.ISAM2) -> gtsam.Values:
+    """The estimate after linearising everything anew, for as long as that lowers the error."""
+    settings = gtsam.ISAM2UpdateParams()
+    settings.forceFullSolve = settings.force_relinearize = True
+    factors = isam.getFactorsUnsafe()
+    values = isam.calculateEstimate()
+    error = factors.error(values)
+    for _ in range(10):
+        isam.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), settings)
+        values = isam.calculateEstimate()
+        lower = factors.error(values)
+        if not error - lower > 1e-9 * (1.0 + error):
+            break
+        error = lower
+    return values
+
+
+def _checkpoint(
+    problem: SlamProblem, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, end: int
+) -> Checkpoint:
+    """The joint marginal of pose end - 1 and the landmarks seen until then."""
+    prefix = gtsam.NonlinearFactorGraph()
+    for row in np.flatnonzero(last_poses(problem) < end).tolist():
+        prefix.push_back(graph.at(row))
+    part = problem.prefix(end)
+    poses, landmarks = from_values(values, part)
+    slot = np.flatnonzero(np.isfinite(landmarks[:, 0]))
+    kept = [POSE_KEY + end - 1, *(LANDMARK_KEY + slot).tolist()]
+    local = joint_marginal(prefix.linearize(values), kept, 3 + 2 * len(slot))
+    mean = np.concatenate((poses[-1], landmarks[slot].ravel()))
+    return Checkpoint(end - 1, slot, Marginal(mean, to_global(local.covariance, poses[-1, 2])))
+
+
+def run_fixed_lag(problem: SlamProblem, graph: gtsam.NonlinearFactorGraph, lag: int) -> LagEnd:
+    """Poses leave after `lag` more poses, for good; landmarks stay. graph: build_graph(problem).
+
+    What left is summed up in a linear prior at the values of then, so that errors of linearisation
+    stay in: the result is no optimum, and `smooth` says how far it is from it.
+    """
+    parameters = gtsam.ISAM2Params()
+    parameters.setRelinearizeThreshold(RELINEARISE)
+    parameters.relinearizeSkip = 1
+    parameters.setFactorization("QR")
+    parameters.findUnusedFactorSlots = True
+    smoother = gtsam.IncrementalFixedLagSmoother(float(lag), parameters)
+    count = problem.pose_count
+    poses, covariance = np.empty((count, 3)), np.empty((count, 3, 3))
+    landmarks: list[int] = []
+    left, updates = 0, 0
+
+    def leave(until: int) -> None:
+        for k in range(left, until):
+            pose = smoother.calculateEstimatePose2(POSE_KEY + k)
+            poses[k] = pose.x(), pose.y(), pose.theta()
+            covariance[k] = smoother.marginalCovariance(POSE_KEY + k)
+
+    for piece in _pieces(problem, graph, _Known(smoother.calculateEstimatePose2)):
+        leave(piece.end - lag - 1)  # these the update is going to drop
+        left = max(left, piece.end - lag - 1)
+        added = list(piece.new.keys())
+        stamps: dict[SupportsInt | SupportsIndex, SupportsFloat | SupportsIndex] = {
+            key: float(key - POSE_KEY) for key in added if gtsam.symbolChr(key) == POSE
+        }
+        landmarks += [key for key in added if key not in stamps]
+        stamps.update(dict.fromkeys(landmarks, float(piece.end - 1)))
+        smoother.update(piece.graph, piece.new, stamps)
+        updates += 1
+    leave(count)
+    unwrap(poses, problem)
+    turn = to_tangent(poses[:, 2]).transpose(0, 2, 1)
+    factors = gtsam.NonlinearFactorGraph()
+    remaining = smoother.getFactors()
+    for i in range(remaining.size()):
+        if remaining.exists(i):
+            factors.push_back(remaining.at(i))
+    seen = sorted(landmarks)
+    places = np.full((problem.landmark_count, 2), np.nan)
+    for key in seen:
+        places[key - LANDMARK_KEY] = smoother.calculateEstimatePoint2(key)
+    linear = factors.linearize(smoother.getLinearizationPoint())
+    local = joint_marginal(linear, [POSE_KEY + count - 1, *seen], 3 + 2 * len(seen))
+    slots = np.array(seen, dtype=np.int64) - LANDMARK_KEY
+    mean = np.concatenate((poses[-1], places[slots].ravel()))
+    return LagEnd(
+        poses,
+        turn @ covariance @ turn.transpose(0, 2, 1),
+        places,
+        Marginal(mean, to_global(local.covariance, poses[-1, 2])),
+        updates,
+    )

@@ -1,0 +1,79 @@
+"""Nonlinear least squares by gtsam's optimisers, with what they leave to be done."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import gtsam
+
+from graphslam.marginals import eliminate
+
+OPTIMISERS = ("levenberg-marquardt", "gauss-newton", "dogleg")
+
+
+def optimise(
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, name: str = OPTIMISERS[0]
+) -> tuple[gtsam.Values, int, bool]:
+    """The end, the iterations, and whether it converged.
+
+    Raises RuntimeError where the linear systems are indeterminate, ValueError for another name.
+    """
+    if name == "levenberg-marquardt":
+        return levenberg_marquardt(graph, values)
+    kinds = {
+        "gauss-newton": (gtsam.GaussNewtonOptimizer, gtsam.GaussNewtonParams),
+        "dogleg": (gtsam.DoglegOptimizer, gtsam.DoglegParams),
+    }
+    if name not in kinds:
+        raise ValueError(f"optimiser is '{name}', expected one of {', '.join(OPTIMISERS)}")
+    optimiser, parameters = kinds[name]
+    return _run(optimiser, graph, values, parameters(), 1e-12, 100)
+
+
+def levenberg_marquardt(
+    graph: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    relative_tolerance: float = 1e-12,
+    limit: int = 100,
+) -> tuple[gtsam.Values, int, bool]:
+    """The end, the iterations, and whether it converged. Raises RuntimeError as `optimise`."""
+    parameters = gtsam.LevenbergMarquardtParams()
+    kind = gtsam.LevenbergMarquardtOptimizer
+    return _run(kind, graph, values, parameters, relative_tolerance, limit)
+
+
+def _run(
+    kind: Callable[..., gtsam.NonlinearOptimizer],
+    graph: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    parameters: gtsam.NonlinearOptimizerParams,
+    relative_tolerance: float,
+    limit: int,
+) -> tuple[gtsam.Values, int, bool]:
+    """By Cholesky, and by the slower QR where that breaks down on an ill-conditioned problem."""
+    parameters.setMaxIterations(limit)
+    parameters.setRelativeErrorTol(relative_tolerance)
+    parameters.setAbsoluteErrorTol(1e-9)
+    optimiser = kind(graph, values, parameters)
+    try:
+        end = optimiser.optimize()
+    except RuntimeError:
+        parameters.setLinearSolverType("MULTIFRONTAL_QR")
+        optimiser = kind(graph, values, parameters)
+        end = optimiser.optimize()
+    return end, optimiser.iterations(), optimiser.iterations() < limit
+
+
+def polish(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> tuple[gtsam.Values, float]:
+    """Gauss-Newton by QR for as long as it lowers the error; Cholesky stops short of that."""
+    error = graph.error(values)
+    for _ in range(10):
+        step = eliminate(graph.linearize(values)).optimize()
+        nearer = values.retract(step)
+        lower = graph.error(nearer)
+        if not lower < error:
+            break
+        gain, values, error = error - lower, nearer, lower
+        if gain < 1e-12 * (1.0 + error):
+            break
+    return values, error

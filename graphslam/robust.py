@@ -1,0 +1,77 @@
+"""Sightings and positions that may be wild: robust kernels, and graduated non-convexity.
+
+A kernel stays in the graph and lowers the weight of what fits badly, so that marginals, too, are
+those of the weighted problem. Graduated non-convexity decides which observations are wild; they
+are left out, and what remains is an ordinary problem.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from graphslam.graph_builder import SlamProblem
+
+Index = NDArray[np.intp]
+
+INLIER_PROBABILITY = 0.999
+"""Observations beyond this quantile of chi-square count as wild."""
+
+
+@dataclass(frozen=True)
+class Rejected:
+    """What was left out: rows of the problem's sightings and of its positions."""
+
+    sightings: Index
+    positions: Index
+
+
+NOTHING_REJECTED = Rejected(np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp))
+
+
+def reject_wild(
+    problem: SlamProblem, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values
+) -> tuple[SlamProblem, Rejected]:
+    """The problem without wild observations (Yang et al. 2020, by gtsam).
+
+    graph: build_graph(problem). values: a start. The prior, the increments and what was surveyed
+    are taken to be sound; every landmark keeps at least its best sighting.
+    """
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setMaxIterations(20)
+    parameters.setRelativeErrorTol(1e-4)
+    settings = gtsam.GncLMParams(parameters)
+    first, count = problem.pose_count, len(problem.z) + len(problem.position)
+    sound = [*range(first), *range(first + count, graph.size())]
+    settings.setKnownInliers(sound)
+    optimiser = gtsam.GncLMOptimizer(graph, values, settings)
+    optimiser.setInlierCostThresholdsAtProbability(INLIER_PROBABILITY)
+    end = optimiser.optimize()
+    weight = np.asarray(optimiser.getWeights())[first : first + count]
+    kept = weight[: len(problem.z)] > 0.5
+    error = np.array([graph.at(first + row).error(end) for row in range(len(problem.z))])
+    for slot in np.setdiff1d(problem.sighting_landmark, problem.sighting_landmark[kept]):
+        rows = np.flatnonzero(problem.sighting_landmark == slot)
+        kept[rows[np.argmin(error[rows])]] = True
+    fixed = weight[len(problem.z) :] > 0.5
+    rejected = Rejected(np.flatnonzero(~kept), np.flatnonzero(~fixed))
+    return keep(problem, kept, fixed), rejected
+
+
+def keep(
+    problem: SlamProblem, sightings: NDArray[np.bool_], positions: NDArray[np.bool_]
+) -> SlamProblem:
+    """The problem with some of its sightings (M,) and positions (G,)."""
+    return replace(
+        problem,
+        sighting_pose=problem.sighting_pose[sightings],
+        sighting_landmark=problem.sighting_landmark[sightings],
+        z=problem.z[sightings],
+        sigma=problem.sigma[sightings],
+        position_pose=problem.position_pose[positions],
+        position=problem.position[positions],
+        position_covariance=problem.position_covariance[positions],
+    )

@@ -1,0 +1,81 @@
+"""Which poses or landmarks a singular problem leaves undetermined, by name."""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix, diags, identity
+from scipy.sparse.linalg import splu
+
+from graphslam.graph_builder import LANDMARK_KEY, POSE_KEY
+
+Array = NDArray[np.float64]
+
+_FREE = 1e-10
+"""A direction is free when what the measurements say of it is this small against its columns."""
+_POSE = gtsam.symbolChr(POSE_KEY)
+_NAMED = 3
+
+
+def explain_singularity(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> str:
+    """What is not determined around `values`, in one sentence; empty when everything is.
+
+    The columns of the whitened Jacobian are scaled to length one; inverse iteration finds the
+    direction in which they cancel.
+    """
+    keys = sorted(values.keys())
+    touched = set(graph.keyVector())
+    never = [key for key in keys if key not in touched]
+    if never:
+        return f"no measurement says anything of {_listed(never)}"
+    width = np.array([3 if gtsam.symbolChr(key) == _POSE else 2 for key in keys])
+    first = np.concatenate(([0], np.cumsum(width)))
+    row, column, value = graph.linearize(values).sparseJacobian_()
+    size = int(first[-1])
+    inside = column <= size  # the last column is the right-hand side
+    jacobian = coo_matrix(
+        (value[inside], (row[inside].astype(int) - 1, column[inside].astype(int) - 1)),
+        shape=(int(row.max(initial=1)), size),
+    ).tocsc()
+    length = np.sqrt(np.asarray(jacobian.multiply(jacobian).sum(axis=0))).ravel()
+    nothing = np.flatnonzero(length == 0.0)
+    if len(nothing):
+        which = np.unique(np.searchsorted(first, nothing, side="right") - 1)
+        return f"no measurement says anything of {_listed([keys[i] for i in which])}"
+    scaled = (jacobian @ diags(1.0 / length)).tocsc()
+    direction = _weakest(scaled)
+    if float(np.linalg.norm(scaled @ direction) ** 2) > _FREE:
+        return ""
+    share = np.add.reduceat(direction**2, first[:-1])
+    moving = np.flatnonzero(share > 0.05 * share.max())
+    if len(moving) > 0.5 * len(keys):
+        return "the whole map may move: no prior, position or survey fixes the frame"
+    weakest = [keys[i] for i in moving[np.argsort(-share[moving])]]
+    count = sum(weakest[0] in graph.at(i).keys() for i in range(graph.size()))  # noqa: SIM118
+    said = "one measurement leaves" if count == 1 else f"{count} measurements leave"
+    return f"{_listed(weakest)} may move freely: {said} {_name(weakest[0])} a direction open"
+
+
+def _weakest(scaled: Array) -> Array:
+    """(n,) unit vector of about the smallest singular value of a sparse matrix (m, n)."""
+    size = scaled.shape[1]
+    factor = splu((scaled.T @ scaled + 1e-14 * identity(size)).tocsc())
+    direction = np.random.default_rng(0).standard_normal((size, 1))
+    for _ in range(8):
+        direction = factor.solve(direction)
+        direction /= np.linalg.norm(direction)
+    return direction[:, 0]
+
+
+def _listed(keys: list[int]) -> str:
+    """The first few by name."""
+    names = ", ".join(_name(key) for key in keys[:_NAMED])
+    more = len(keys) - _NAMED
+    return names + (f" and {more} more" if more > 0 else "")
+
+
+def _name(key: int) -> str:
+    if gtsam.symbolChr(key) == _POSE:
+        return f"pose {key - POSE_KEY}"
+    return f"landmark {key - LANDMARK_KEY}"
