@@ -7,16 +7,36 @@ import os
 import signal
 import sys
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
+from comparisons.cli_options import (
+    AssociationOption,
+    FeaturesOption,
+    FilterOption,
+    FormatOption,
+    GpsOption,
+    LagOption,
+    LogArgument,
+    LoopsOption,
+    MethodOption,
+    NoiseOption,
+    OptimiserOption,
+    OutOption,
+    RobotOption,
+    RobustOption,
+    SeedOption,
+    SolveAssociationOption,
+)
 from comparisons.errors import InputError, printable
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from comparisons.compare import Progress
     from comparisons.logs.log import Log
     from comparisons.runs.ekf_build import EkfChoices
@@ -36,68 +56,16 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-LogArgument = Annotated[
-    str, typer.Argument(metavar="LOG", help="A bundled name (see `slamcheck logs`) or a path.")
-]
-FormatOption = Annotated[
-    str | None,
-    typer.Option("--format", metavar="F", help="The log's format; recognised if left out."),
-]
-RobotOption = Annotated[int, typer.Option(help="Robot number, for MR.CLAM folders.")]
-SeedOption = Annotated[int, typer.Option(help="Seed of a simulated log.")]
-LoopsOption = Annotated[int, typer.Option(help="Loops of a simulated log.")]
-MethodOption = Annotated[
-    str,
-    typer.Option(metavar="batch|isam2|fixed-lag", help="How the smoother works."),
-]
-LagOption = Annotated[int, typer.Option(help="Poses that a fixed lag holds.")]
-OptimiserOption = Annotated[
-    str,
-    typer.Option(metavar="levenberg-marquardt|gauss-newton|dogleg", help="Of the batch smoother."),
-]
-RobustOption = Annotated[
-    str,
-    typer.Option(
-        metavar="none|huber|cauchy|gnc",
-        help="Against wild sightings and positions in the smoother; changes its marginals.",
-    ),
-]
-NoiseOption = Annotated[
-    float, typer.Option("--noise-scale", help="Factor on the noise of a simulated log.")
-]
-
 
 @app.command()
 def run(
     log: LogArgument = "victoria-park",
     format_name: FormatOption = None,
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", metavar="DIR", help="Folder to write [default: slamcheck-NAME]."),
-    ] = None,
-    filter_name: Annotated[
-        str,
-        typer.Option(
-            "--filter",
-            metavar="full|compressed|compressed-suboptimal|misono|misono-full",
-            help="Which EKF. [default: full]",
-            show_default=False,
-        ),
-    ] = "full",
-    association: Annotated[
-        str | None,
-        typer.Option(
-            metavar="known|nn|jcbb|euclidean",
-            help="The log's labels, nearest neighbour, joint compatibility, or distance in metres.",
-        ),
-    ] = None,
-    features: Annotated[
-        str, typer.Option(metavar="log|trees", help="The log's sightings, or trunks in its scans.")
-    ] = "log",
-    gps: Annotated[
-        str,
-        typer.Option(metavar="off|on|half", help="Fuse positions; half holds every second back."),
-    ] = "off",
+    out: OutOption = None,
+    filter_name: FilterOption = "full",
+    association: AssociationOption = None,
+    features: FeaturesOption = "log",
+    gps: GpsOption = "off",
     smoother: MethodOption = "batch",
     lag: LagOption = 100,
     optimiser: OptimiserOption = "levenberg-marquardt",
@@ -142,8 +110,6 @@ def _options(method: str, lag: int, optimiser: str, robust: str) -> SmootherOpti
 def _run(
     log: Log, choices: EkfChoices, options: SmootherOptions, out: Path | None, read_s: float
 ) -> int:
-    from rich.console import Console
-
     from comparisons.atomic import check_replaceable, folder_name
     from comparisons.compare import compare_estimators
     from comparisons.report.result import build_result
@@ -157,14 +123,68 @@ def _run(
         result = build_result(comparison, read_s)
         progress("report", 0, 0)
         write_run_folder(comparison, result, folder)
+    _print(lambda console: print_summary(result, console), folder)
+    return {"agree": AGREE, "disagree": DISAGREE, "unproven": UNPROVEN}[result.verdict]
+
+
+def _print(summary: Callable[[Console], None], folder: Path) -> None:
+    from rich.console import Console
+
     try:
         console = Console(soft_wrap=True)
-        print_summary(result, console)
+        summary(console)
         console.print(f"report: {folder}", highlight=False, markup=False)
         sys.stdout.flush()
     except OSError:  # nobody listens any more; that does not change the verdict
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-    return {"agree": AGREE, "disagree": DISAGREE, "unproven": UNPROVEN}[result.verdict]
+
+
+@app.command()
+def solve(
+    log: LogArgument = "victoria-park",
+    format_name: FormatOption = None,
+    out: OutOption = None,
+    association: SolveAssociationOption = None,
+    features: FeaturesOption = "log",
+    gps: GpsOption = "off",
+    smoother: MethodOption = "batch",
+    lag: LagOption = 100,
+    optimiser: OptimiserOption = "levenberg-marquardt",
+    robust: RobustOption = "none",
+    robot: RobotOption = 1,
+    seed: SeedOption = 0,
+    loops: LoopsOption = 1,
+    noise_scale: NoiseOption = 1.0,
+) -> None:
+    """Run the smoother alone; write its estimate and its graph. Exits with 0 when proven, else 3.
+
+    \b
+    Examples:
+      slamcheck solve                                 Victoria Park from dead reckoning
+      slamcheck solve path/to/MRCLAM_Dataset6 --robot 3 --robust gnc
+    """
+    with _guarded():
+        import time
+
+        from comparisons.atomic import check_replaceable, folder_name
+        from comparisons.report.solution_folder import SOLUTION_CONTENTS, write_solution_folder
+        from comparisons.report.solution_result import build_solution_result, print_solution
+        from comparisons.runs.features import choose_features
+        from comparisons.solve import solve_log
+
+        start = time.perf_counter()
+        source = choose_features(_open(log, format_name, robot, seed, loops, noise_scale), features)
+        read_s = time.perf_counter() - start
+        folder = out or Path(f"slamcheck-solve-{folder_name(source.name)}")
+        check_replaceable(folder, SOLUTION_CONTENTS)
+        options = _options(smoother, lag, optimiser, robust)
+        with _progress() as progress:
+            solution = solve_log(source, association, gps, options, progress)
+            result = build_solution_result(solution, read_s)
+            progress("report", 0, 0)
+            write_solution_folder(solution, result, folder)
+        _print(lambda console: print_solution(result, console), folder)
+        raise SystemExit(AGREE if result.verdict == "proven" else UNPROVEN)
 
 
 @app.command()

@@ -130,6 +130,7 @@ def compose(samples: Samples, interval: Index, count: int) -> Samples:
         cos * east + sin * north, -sin * east + cos * north, heading[last] - heading[after]
     )
     carried = transport @ samples.covariance @ transport.transpose(0, 2, 1)
+    carried = 0.5 * (carried + carried.transpose(0, 2, 1))
     covariance = np.zeros((count, 3, 3))
     filled = start < end
     if filled.any():

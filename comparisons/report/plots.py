@@ -1,4 +1,4 @@
-"""Pictures. Functions draw on a given axis and compute nothing; `map_figure` puts one together."""
+"""Pictures. Functions draw on a given axis and compute nothing; `..._figure` puts one together."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from comparisons.compare import Comparison
+from comparisons.logs.log import Log
 from comparisons.runs.estimate import Estimate
+from comparisons.solve import Solution
 from ekf_reference.correlation import correlation_coefficients
 
 Array = NDArray[np.float64]
@@ -21,6 +23,7 @@ Array = NDArray[np.float64]
 EKF_COLOUR = "#d1495b"
 SMOOTHER_COLOUR = "#00798c"
 TRUTH_COLOUR = "#444444"
+_LOOK = {"smoother": (SMOOTHER_COLOUR, "s", "-"), "EKF": (EKF_COLOUR, "o", "--")}
 
 
 def ellipses(centre: Array, covariance: Array, sigmas: float, points: int = 48) -> Array:
@@ -91,10 +94,31 @@ def draw_reference(axis: Axes, position: Array, marker: str, label: str) -> None
 
 def map_figure(comparison: Comparison) -> Figure:
     """The map: both trajectories, landmarks and 3-sigma ellipses of both, truth where known."""
+    a = comparison.agreement
+    title = (
+        f"{comparison.log.name}: EKF and smoother {comparison.verdict.outcome}\n"
+        f"gaps: algebra {a.algebra.sigma:.1e}, model {a.model.sigma:.1e}, "
+        f"linearisation {a.linearisation.sigma:.2g} sigma; optimism {a.whole.least:.3g}"
+    )
+    estimates = {"smoother": comparison.smoothed, "EKF": comparison.ekf.estimate}
+    return _map(comparison.log, comparison.dead_reckoned, estimates, title)
+
+
+def solution_figure(solution: Solution) -> Figure:
+    """The same of the smoother alone."""
+    proof = solution.result.proof
+    title = (
+        f"{solution.log.name}: optimum {'proven' if proof.proven else 'NOT proven'}, "
+        f"chi2 {proof.chi_square.chi2:.0f} for {proof.chi_square.dof} degrees of freedom"
+    )
+    return _map(solution.log, solution.dead_reckoned, {"smoother": solution.estimate}, title)
+
+
+def _map(log: Log, dead_reckoned: Array, estimates: dict[str, Estimate], title: str) -> Figure:
+    """Estimates by name, on top of what the log knows."""
     figure = Figure(figsize=(9.0, 7.5), layout="constrained")
     FigureCanvasAgg(figure)
     axis = figure.add_subplot()
-    log = comparison.log
     if log.truth.poses is not None:
         pose = log.truth.poses.pose
         axis.plot(pose[:, 0], pose[:, 1], color="#bbbbbb", linewidth=2.5, label="truth", zorder=0)
@@ -102,27 +126,18 @@ def map_figure(comparison: Comparison) -> Figure:
         draw_reference(axis, log.positions.position_m, ".", "GPS")
     if log.truth.landmarks is not None:
         draw_reference(axis, log.truth.landmarks.position_m, "*", "true landmarks")
-    for estimate, colour, marker, name, style in (
-        (comparison.smoothed, SMOOTHER_COLOUR, "s", "smoother", "-"),
-        (comparison.ekf.estimate, EKF_COLOUR, "o", "EKF", "--"),
-    ):
+    for name, estimate in estimates.items():
+        colour, marker, style = _LOOK[name]
         draw_trajectory(axis, estimate.pose[:, :2], colour, f"{name} trajectory", style)
         outline = ellipses(estimate.landmark, landmark_covariances(estimate), 3.0)
         label = f"{name} landmarks, 3 sigma"
         draw_landmarks(axis, estimate.landmark, outline, colour, marker, label)
     axis.set_aspect("equal", adjustable="datalim")
     if log.truth.poses is not None:
-        draw_aside(axis, comparison.dead_reckoned, "dead reckoning")
+        draw_aside(axis, dead_reckoned, "dead reckoning")
     axis.set_xlabel("east [m]")
     axis.set_ylabel("north [m]")
-    a = comparison.agreement
-    axis.set_title(
-        f"{log.name}: EKF and smoother {comparison.verdict.outcome}\n"
-        f"gaps: algebra {a.algebra.sigma:.1e}, model {a.model.sigma:.1e}, "
-        f"linearisation {a.linearisation.sigma:.2g} sigma; optimism {a.whole.least:.3g}",
-        fontsize=10,
-        parse_math=False,
-    )
+    axis.set_title(title, fontsize=10, parse_math=False)
     axis.grid(visible=True, color="#eeeeee")
     axis.legend(fontsize=8, loc="best")
     return figure

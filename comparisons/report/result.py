@@ -1,200 +1,41 @@
-"""`result.json`: the run's findings for machines. The models are the file's documentation."""
+"""From findings to the models of `result.json`."""
 
 from __future__ import annotations
 
 import hashlib
 import platform
 from importlib.metadata import PackageNotFoundError, version
-from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
 from comparisons.checks.agreement import BlockAgreement
 from comparisons.checks.association import AssociationScore
 from comparisons.checks.attribution import block_agrees
 from comparisons.compare import Comparison
 from comparisons.logs.log import Log
-
-
-class _Model(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class LogResult(_Model):
-    """What was read. sha256: of all streams that an estimator may be given."""
-
-    name: str
-    format: str
-    records: dict[str, int]
-    duration_s: float
-    sha256: str
-    provenance: dict[str, str]
-
-
-class EkfResult(_Model):
-    """The filter.
-
-    rejected, ambiguous, candidate: sightings that association did not use. global_updates: of a
-    compressed filter, and the share of the passive covariance that they left alone (set I).
-    """
-
-    filter: str
-    association: str
-    landmarks: int
-    rejected: int
-    ambiguous: int
-    candidate: int
-    gps: str
-    fixes_fused: int
-    fixes_rejected: int
-    global_updates: int
-    global_update_spared: float
-
-
-class StartResult(_Model):
-    """One start of the smoother; error is None where it broke down."""
-
-    name: str
-    error: float | None
-    iterations: int
-    converged: bool
-
-
-class SmootherResult(_Model):
-    """The smoother and the evidence for its optimum. See graphslam.optimum.
-
-    distance_sigma: of an incremental estimate from the optimum. rejected: wild sightings and
-    positions that were left out. rank: unknowns that the measurements determine.
-    """
-
-    method: str
-    optimiser: str
-    robust: str
-    rejected_sightings: int
-    rejected_positions: int
-    distance_sigma: float | None
-    rank: int
-    poses: int
-    error: float
-    chi2: float
-    dof: int
-    chi2_band: tuple[float, float]
-    newton_decrement: float
-    iterations: int
-    converged: bool
-    proven: bool
-    agreeing_starts: list[str]
-    starts: list[StartResult]
-
-
-class BlockResult(_Model):
-    """EKF against smoother in one block. See comparisons.checks.agreement.BlockAgreement."""
-
-    difference_m: float
-    distance_sigma: float
-    variance_ratio_least: float | None
-    variance_ratio_largest: float | None
-    agrees: bool
-
-
-class LandmarkResult(BlockResult):
-    """One landmark's row; positions in metres."""
-
-    id: int
-    ekf_m: tuple[float, float]
-    smoother_m: tuple[float, float]
-
-
-class AgreementResult(_Model):
-    """The gaps. Covariance gaps are None where a covariance is not positive definite."""
-
-    algebra_gap_sigma: float | None
-    algebra_gap_covariance: float | None
-    model_gap_sigma: float | None
-    model_gap_covariance: float | None
-    linearisation_gap_sigma: float | None
-    linearisation_gap_covariance: float | None
-    optimism: float | None
-    pessimism: float | None
-    landmark_difference_rms_m: float
-    pose: BlockResult
-    map: BlockResult
-    landmarks: list[LandmarkResult]
-
-
-class AccuracyResult(_Model):
-    """Against truth or GPS; None where the log has no such reference."""
-
-    ate_m: float | None
-    ate_aligned_m: float | None
-    landmark_rmse_m: float | None
-    landmark_rmse_aligned_m: float | None
-    landmarks_found: int | None
-    landmarks_true: int | None
-    gps_median_m: float | None
-    gps_median_aligned_m: float | None
-    coverage: float | None
-
-
-class Accuracies(_Model):
-    """One entry per estimator, and what the odometry alone reaches."""
-
-    ekf: AccuracyResult
-    smoother: AccuracyResult
-    dead_reckoning: AccuracyResult | None
-
-
-class PartitionResult(_Model):
-    """Pairs of sightings put together, against those that belong together."""
-
-    precision: float
-    recall: float
-
-
-class AssociationResult(_Model):
-    """An association made without labels against the log's. See comparisons.checks.association."""
-
-    landmarks: PartitionResult
-    clusters: PartitionResult | None
-
-
-class CauseResult(_Model):
-    """One reason for the verdict."""
-
-    gap: str
-    evidence: str
-    hint: str
-
-
-class Result(_Model):
-    """The whole file."""
-
-    log: LogResult
-    ekf: EkfResult
-    smoother: SmootherResult
-    agreement: AgreementResult
-    accuracy: Accuracies | None
-    association: AssociationResult | None
-    verdict: Literal["agree", "disagree", "unproven"]
-    causes: list[CauseResult]
-    remarks: list[str]
-    seconds: dict[str, float]
-    versions: dict[str, str]
+from comparisons.report.models import (
+    Accuracies,
+    AccuracyResult,
+    AgreementResult,
+    AssociationResult,
+    BlockResult,
+    CauseResult,
+    EkfResult,
+    LandmarkResult,
+    LogResult,
+    PartitionResult,
+    Result,
+    SmootherResult,
+    StartResult,
+)
+from graphslam import smoother
 
 
 def build_result(comparison: Comparison, read_s: float) -> Result:
     """The findings of a run, read_s being the seconds that reading the log took."""
-    c, proof = comparison, comparison.smoother.proof
+    c = comparison
     return Result(
-        log=LogResult(
-            name=c.log.name,
-            format=c.log.format,
-            records=c.log.records,
-            duration_s=c.log.duration_s,
-            sha256=log_hash(c.log),
-            provenance=c.log.provenance,
-        ),
+        log=log_result(c.log),
         ekf=EkfResult(
             filter=c.choices.filter,
             association=str(c.choices.association),
@@ -206,42 +47,60 @@ def build_result(comparison: Comparison, read_s: float) -> Result:
             global_updates=c.ekf.spared[0],
             global_update_spared=c.ekf.spared[1],
         ),
-        smoother=SmootherResult(
-            method=c.smoother.options.method,
-            optimiser=c.smoother.options.optimiser,
-            robust=c.smoother.options.robust,
-            rejected_sightings=len(c.smoother.rejected.sightings),
-            rejected_positions=len(c.smoother.rejected.positions),
-            distance_sigma=_finite(proof.distance_sigma),
-            rank=c.smoother.rank,
-            poses=len(c.smoother.poses),
-            error=c.smoother.error,
-            chi2=proof.chi_square.chi2,
-            dof=proof.chi_square.dof,
-            chi2_band=(proof.chi_square.lower, proof.chi_square.upper),
-            newton_decrement=proof.stationarity.decrement,
-            iterations=c.smoother.iterations,
-            converged=c.smoother.converged,
-            proven=proof.proven,
-            agreeing_starts=list(proof.agreeing),
-            starts=[
-                StartResult(
-                    name=s.name,
-                    error=_finite(s.error),
-                    iterations=s.iterations,
-                    converged=s.converged,
-                )
-                for s in c.smoother.starts
-            ],
-        ),
+        smoother=smoother_result(c.smoother),
         agreement=_agreement(c),
         accuracy=_accuracies(c),
-        association=_association(c.association),
+        association=association_result(c.association),
         verdict=c.verdict.outcome,
         causes=[CauseResult(**vars(cause)) for cause in c.verdict.causes],
         remarks=list(c.verdict.remarks),
         seconds={"read": read_s, **c.seconds},
-        versions=_versions(),
+        versions=package_versions(),
+    )
+
+
+def log_result(log: Log) -> LogResult:
+    """What was read."""
+    return LogResult(
+        name=log.name,
+        format=log.format,
+        records=log.records,
+        duration_s=log.duration_s,
+        sha256=log_hash(log),
+        provenance=log.provenance,
+    )
+
+
+def smoother_result(result: smoother.SmootherResult) -> SmootherResult:
+    """The smoother and its evidence."""
+    options, proof = result.options, result.proof
+    return SmootherResult(
+        method=options.method,
+        optimiser=options.optimiser,
+        robust=options.robust,
+        rejected_sightings=len(result.rejected.sightings),
+        rejected_positions=len(result.rejected.positions),
+        distance_sigma=_finite(proof.distance_sigma),
+        rank=result.rank,
+        poses=len(result.poses),
+        error=result.error,
+        chi2=proof.chi_square.chi2,
+        dof=proof.chi_square.dof,
+        chi2_band=(proof.chi_square.lower, proof.chi_square.upper),
+        newton_decrement=proof.stationarity.decrement,
+        iterations=result.iterations,
+        converged=result.converged,
+        proven=proof.proven,
+        agreeing_starts=list(proof.agreeing),
+        starts=[
+            StartResult(
+                name=s.name,
+                error=_finite(s.error),
+                iterations=s.iterations,
+                converged=s.converged,
+            )
+            for s in result.starts
+        ],
     )
 
 
@@ -317,7 +176,8 @@ def _accuracies(c: Comparison) -> Accuracies | None:
     )
 
 
-def _association(score: AssociationScore | None) -> AssociationResult | None:
+def association_result(score: AssociationScore | None) -> AssociationResult | None:
+    """Precision and recall, of landmarks and of clusters."""
     if score is None:
         return None
     clusters = None if score.clusters is None else PartitionResult(**vars(score.clusters))
@@ -329,7 +189,8 @@ def _finite(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
-def _versions() -> dict[str, str]:
+def package_versions() -> dict[str, str]:
+    """Of Python and of what the results depend on."""
     versions = {"python": platform.python_version()}
     for package in ("slamcheck", "gtsam", "numpy", "scipy"):
         try:

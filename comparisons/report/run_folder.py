@@ -6,8 +6,8 @@ from pathlib import Path
 
 from comparisons.atomic import fresh_folder
 from comparisons.compare import Comparison
+from comparisons.report.models import Result
 from comparisons.report.plots import correlation_figure, map_figure, save
-from comparisons.report.result import Result
 from comparisons.runs.estimate_folder import FILES as ESTIMATE_FILES
 from comparisons.runs.estimate_folder import write_estimate
 

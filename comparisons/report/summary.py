@@ -6,7 +6,13 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from comparisons.report.result import AccuracyResult, Result
+from comparisons.report.models import (
+    AccuracyResult,
+    AssociationResult,
+    LogResult,
+    Result,
+    SmootherResult,
+)
 
 _STYLE = {"agree": "bold green", "disagree": "bold red", "unproven": "bold yellow"}
 
@@ -16,11 +22,8 @@ def print_summary(result: Result, console: Console) -> None:
     table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
     table.add_column(style="bold", no_wrap=True)
     table.add_column(overflow="fold")
-    log, ekf, smoother, gaps = result.log, result.ekf, result.smoother, result.agreement
-    times = log.provenance.get("times")
-    note = f", {times}" if times else ""
-    table.add_row("log", escape(f"{log.name} ({log.format}), {log.duration_s:.0f} s{note}"))
-    table.add_row("records", ", ".join(f"{n:,} {name}" for name, n in log.records.items()))
+    ekf, gaps = result.ekf, result.agreement
+    add_log(table, result.log)
     table.add_row(
         "EKF",
         f"{ekf.filter}, {ekf.landmarks} landmarks; sightings {ekf.rejected} rejected, "
@@ -34,25 +37,7 @@ def print_summary(result: Result, console: Console) -> None:
         )
     if ekf.gps != "off":
         table.add_row("positions", f"{ekf.fixes_fused} fused, {ekf.fixes_rejected} rejected")
-    table.add_row(
-        "smoother",
-        f"{smoother.poses:,} poses, error {smoother.error:.2f}, "
-        f"{'optimum proven' if smoother.proven else 'optimum NOT proven'} "
-        f"(chi2 {smoother.chi2:.0f} for {smoother.dof} dof; starts: "
-        + ", ".join(f"{s.name} {_number(s.error, '.2f')}" for s in smoother.starts)
-        + ")",
-    )
-    if smoother.method != "batch":
-        table.add_row(
-            smoother.method,
-            f"{_number(smoother.distance_sigma, '.2g')} sigma from the optimum at most",
-        )
-    if smoother.robust != "none":
-        table.add_row(
-            "robust",
-            f"{smoother.robust}: {smoother.rejected_sightings} sightings and "
-            f"{smoother.rejected_positions} positions left out",
-        )
+    add_smoother(table, result.smoother)
     for name, sigma, covariance in (
         ("algebra gap", gaps.algebra_gap_sigma, gaps.algebra_gap_covariance),
         ("model gap", gaps.model_gap_sigma, gaps.model_gap_covariance),
@@ -78,16 +63,10 @@ def print_summary(result: Result, console: Console) -> None:
         f"{gaps.pose.distance_sigma:.2g} sigma",
     )
     if result.accuracy is not None:
-        table.add_row("EKF accuracy", _accuracy(result.accuracy.ekf))
-        table.add_row("smoother accuracy", _accuracy(result.accuracy.smoother))
-        if result.accuracy.dead_reckoning is not None:
-            table.add_row("dead reckoning", _accuracy(result.accuracy.dead_reckoning))
-    if result.association is not None:
-        parts = [("landmarks", result.association.landmarks)]
-        if result.association.clusters is not None:
-            parts.append(("clusters", result.association.clusters))
-        scores = (f"{n}: precision {p.precision:.3f}, recall {p.recall:.3f}" for n, p in parts)
-        table.add_row("association", "; ".join(scores) + " (pairs of sightings)")
+        add_accuracy(table, "EKF accuracy", result.accuracy.ekf)
+        add_accuracy(table, "smoother accuracy", result.accuracy.smoother)
+        add_accuracy(table, "dead reckoning", result.accuracy.dead_reckoning)
+    add_association(table, result.association)
     table.add_row("seconds", ", ".join(f"{stage} {s:.2f}" for stage, s in result.seconds.items()))
     console.print(table)
     console.print(f"verdict: [{_STYLE[result.verdict]}]{result.verdict}[/]", highlight=False)
@@ -96,6 +75,54 @@ def print_summary(result: Result, console: Console) -> None:
         console.print(f"    {escape(cause.hint)}", style="dim", highlight=False)
     for remark in result.remarks:
         console.print(f"  note: {escape(remark)}", highlight=False)
+
+
+def add_log(table: Table, log: LogResult) -> None:
+    """What was read."""
+    times = log.provenance.get("times")
+    note = f", {times}" if times else ""
+    table.add_row("log", escape(f"{log.name} ({log.format}), {log.duration_s:.0f} s{note}"))
+    table.add_row("records", ", ".join(f"{n:,} {name}" for name, n in log.records.items()))
+
+
+def add_smoother(table: Table, smoother: SmootherResult) -> None:
+    """The smoother's evidence."""
+    table.add_row(
+        "smoother",
+        f"{smoother.poses:,} poses, error {smoother.error:.2f}, "
+        f"{'optimum proven' if smoother.proven else 'optimum NOT proven'} "
+        f"(chi2 {smoother.chi2:.0f} for {smoother.dof} dof; starts: "
+        + ", ".join(f"{s.name} {_number(s.error, '.2f')}" for s in smoother.starts)
+        + ")",
+    )
+    if smoother.method != "batch":
+        table.add_row(
+            smoother.method,
+            f"{_number(smoother.distance_sigma, '.2g')} sigma from the optimum at most",
+        )
+    if smoother.robust != "none":
+        table.add_row(
+            "robust",
+            f"{smoother.robust}: {smoother.rejected_sightings} sightings and "
+            f"{smoother.rejected_positions} positions left out",
+        )
+
+
+def add_association(table: Table, association: AssociationResult | None) -> None:
+    """How an association made without labels scores."""
+    if association is None:
+        return
+    parts = [("landmarks", association.landmarks)]
+    if association.clusters is not None:
+        parts.append(("clusters", association.clusters))
+    scores = (f"{n}: precision {p.precision:.3f}, recall {p.recall:.3f}" for n, p in parts)
+    table.add_row("association", "; ".join(scores) + " (pairs of sightings)")
+
+
+def add_accuracy(table: Table, name: str, a: AccuracyResult | None) -> None:
+    """Errors against truth or GPS."""
+    if a is not None:
+        table.add_row(name, _accuracy(a))
 
 
 def _accuracy(a: AccuracyResult) -> str:

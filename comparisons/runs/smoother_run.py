@@ -7,11 +7,12 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.logs.log import Log
+from comparisons.logs.log import Log, Positions
 from comparisons.runs.ekf_run import EkfRun
 from comparisons.runs.estimate import Estimate
 from comparisons.runs.known_landmarks import surveyed
 from comparisons.runs.motion import motion_samples
+from comparisons.runs.timeline import Timeline
 from ekf_reference.trace import SightingRecords
 from graphslam import increments
 from graphslam.frozen import (
@@ -33,7 +34,24 @@ Index = NDArray[np.intp]
 
 def build_problem(log: Log, run: EkfRun) -> SlamProblem:
     """The log as the smoother's arrays, with the EKF's association of sightings to landmarks."""
-    timeline, used = run.timeline, np.flatnonzero(run.slot >= 0)
+    count = len(run.estimate.landmark)
+    return assemble(log, run.timeline, run.slot, count, *_positions(run), own_axes=run.own_axes)
+
+
+def assemble(
+    log: Log,
+    timeline: Timeline,
+    slot: Index,
+    landmark_count: int,
+    position_epoch: Index,
+    position: Array,
+    position_covariance: Array,
+    antenna_m: tuple[float, float],
+    *,
+    own_axes: bool = False,
+) -> SlamProblem:
+    """The log as the smoother's arrays. slot: (M,) of the timeline's sightings, negative unused."""
+    used = np.flatnonzero(slot >= 0)
     seen = log.sightings
     composed = increments.compose(
         motion_samples(log, timeline), timeline.step_epoch - 1, len(timeline.epoch_time_s) - 1
@@ -44,23 +62,34 @@ def build_problem(log: Log, run: EkfRun) -> SlamProblem:
         composed.displacement,
         composed.covariance,
         timeline.sighting_epoch[used],
-        run.slot[used],
+        slot[used],
         np.column_stack((seen.range_m, seen.bearing_rad))[used],
         np.column_stack((seen.sigma_range_m, seen.sigma_bearing_rad))[used],
-        len(run.estimate.landmark),
-        *_positions(run),
+        landmark_count,
+        position_epoch,
+        position,
+        position_covariance,
+        antenna_m,
         *surveyed(log)[1:],
-        own_axes=run.own_axes,
+        own_axes=own_axes,
     )
 
 
 def _positions(run: EkfRun) -> tuple[Index, Array, Array, tuple[float, float]]:
     """The fixes that the filter accepted: poses, positions, covariances, lever arm."""
-    if run.positions is None:
+    epoch, z, covariance, antenna_m = position_rows(run.timeline, run.positions)
+    rows = run.fix_number
+    return epoch[rows], z[rows], covariance[rows], antenna_m
+
+
+def position_rows(
+    timeline: Timeline, positions: Positions | None
+) -> tuple[Index, Array, Array, tuple[float, float]]:
+    """Pose, position and covariance of each fix, and the lever arm."""
+    if positions is None:
         return np.zeros(0, dtype=np.intp), np.zeros((0, 2)), np.zeros((0, 2, 2)), (0.0, 0.0)
-    p, rows = run.positions, run.fix_number
-    epoch = run.timeline.position_epoch[rows]
-    return epoch, p.position_m[rows], p.covariance[rows], p.antenna_m
+    p, count = positions, len(timeline.position_epoch)
+    return timeline.position_epoch, p.position_m[:count], p.covariance[:count], p.antenna_m
 
 
 def linear_recorded(run: EkfRun) -> LinearProblem:

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from comparisons.logs.log_folder import write_log_folder
-from comparisons.report.result import Result
+from comparisons.report.models import Result
 from comparisons.runs.estimate_folder import read_estimate
 from tests.helpers import simulated
 

@@ -10,7 +10,7 @@ from comparisons.errors import InputError
 from comparisons.logs.log import Log
 from comparisons.logs.log_folder import read_log_folder
 from comparisons.logs.log_meta import MARK
-from comparisons.logs.readers import acfr_car_park, gtsam_2d, mrclam, victoria_park
+from comparisons.logs.readers import acfr_car_park, g2o, gtsam_2d, mrclam, victoria_park
 from comparisons.logs.table import shorten
 
 
@@ -32,6 +32,11 @@ READERS: dict[str, Reader] = {
         gtsam_2d.recognises,
         lambda path, robot: gtsam_2d.read(path),
         "text with ODOMETRY and LANDMARK lines, as gtsam's victoria_park.txt",
+    ),
+    "g2o": Reader(
+        g2o.recognises,
+        lambda path, robot: g2o.read(path),
+        "g2o text: one chain of poses, landmarks as points",
     ),
     "mrclam": Reader(mrclam.recognises, mrclam.read, "a UTIAS MR.CLAM folder; see --robot"),
     "acfr-car-park": Reader(

@@ -1,0 +1,72 @@
+"""The command line's arguments and options, which several commands share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+LogArgument = Annotated[
+    str, typer.Argument(metavar="LOG", help="A bundled name (see `slamcheck logs`) or a path.")
+]
+FormatOption = Annotated[
+    str | None,
+    typer.Option("--format", metavar="F", help="The log's format; recognised if left out."),
+]
+RobotOption = Annotated[int, typer.Option(help="Robot number, for MR.CLAM folders.")]
+SeedOption = Annotated[int, typer.Option(help="Seed of a simulated log.")]
+LoopsOption = Annotated[int, typer.Option(help="Loops of a simulated log.")]
+MethodOption = Annotated[
+    str,
+    typer.Option(metavar="batch|isam2|fixed-lag", help="How the smoother works."),
+]
+LagOption = Annotated[int, typer.Option(help="Poses that a fixed lag holds.")]
+OptimiserOption = Annotated[
+    str,
+    typer.Option(metavar="levenberg-marquardt|gauss-newton|dogleg", help="Of the batch smoother."),
+]
+RobustOption = Annotated[
+    str,
+    typer.Option(
+        metavar="none|huber|cauchy|gnc",
+        help="Against wild sightings and positions in the smoother; changes its marginals.",
+    ),
+]
+NoiseOption = Annotated[
+    float, typer.Option("--noise-scale", help="Factor on the noise of a simulated log.")
+]
+OutOption = Annotated[
+    Path | None,
+    typer.Option("--out", metavar="DIR", help="Folder to write [default: slamcheck-NAME]."),
+]
+FilterOption = Annotated[
+    str,
+    typer.Option(
+        "--filter",
+        metavar="full|compressed|compressed-suboptimal|misono|misono-full",
+        help="Which EKF. [default: full]",
+        show_default=False,
+    ),
+]
+AssociationOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="known|nn|jcbb|euclidean",
+        help="The log's labels, nearest neighbour, joint compatibility, or distance in metres.",
+    ),
+]
+SolveAssociationOption = Annotated[
+    str | None,
+    typer.Option(
+        "--association",
+        metavar="known|own",
+        help="The log's labels, or the smoother's own reasoning.",
+    ),
+]
+FeaturesOption = Annotated[
+    str, typer.Option(metavar="log|trees", help="The log's sightings, or trunks in its scans.")
+]
+GpsOption = Annotated[
+    str, typer.Option(metavar="off|on|half", help="Fuse positions; half holds every second back.")
+]

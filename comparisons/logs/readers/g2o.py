@@ -1,0 +1,65 @@
+"""g2o graphs of one chain of poses and of landmarks, as graphslam.g2o reads them.
+
+There are no times, so pose k gets k seconds; landmarks keep the order of their numbers.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from comparisons.errors import InputError
+from comparisons.logs.log import Log, Positions, Prior, Sightings
+from comparisons.logs.odometry import RelativePoses
+from graphslam.g2o import TAGS, read_g2o
+
+
+def recognises(path: Path) -> bool:
+    """A text file whose first record starts with one of g2o's tags."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        for line in file.read(4096).splitlines():
+            if line.strip() and not line.startswith(b"#"):
+                return line.split()[0].decode("ascii", "replace") in TAGS
+    return False
+
+
+def read(path: Path) -> Log:
+    """Read the file. Raises InputError naming the line at fault."""
+    try:
+        problem = read_g2o(path).problem
+    except (ValueError, ArithmeticError) as error:
+        raise InputError(str(error)) from None
+    if not len(problem.increment) or not len(problem.z):
+        raise InputError(f"{path}: expected at least one EDGE_SE2 and one EDGE_SE2_XY line")
+    if len(problem.surveyed):
+        raise InputError(f"{path}: EDGE_PRIOR_XY lines can be solved, but not read as a log")
+    order = np.argsort(problem.sighting_pose, kind="stable")
+    fixes = np.argsort(problem.position_pose, kind="stable")
+    return Log(
+        path.stem,
+        "g2o",
+        Prior(0.0, problem.prior_pose, problem.prior_covariance),
+        RelativePoses(
+            np.arange(1.0, problem.pose_count), problem.increment, problem.increment_covariance
+        ),
+        Sightings(
+            problem.sighting_pose[order].astype(float),
+            problem.z[order, 0],
+            problem.z[order, 1],
+            problem.sigma[order, 0],
+            problem.sigma[order, 1],
+            problem.sighting_landmark[order].astype(np.int64),
+            np.full(len(order), np.nan),
+        ),
+        positions=Positions(
+            problem.position_pose[fixes].astype(float),
+            problem.position[fixes],
+            problem.position_covariance[fixes],
+        )
+        if len(fixes)
+        else None,
+        provenance={"times": "pose numbers in place of seconds"},
+    )

@@ -1,0 +1,191 @@
+"""`result.json` and `solution.json`, for machines. The models are the files' documentation."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class LogResult(_Model):
+    """What was read. sha256: of all streams that an estimator may be given."""
+
+    name: str
+    format: str
+    records: dict[str, int]
+    duration_s: float
+    sha256: str
+    provenance: dict[str, str]
+
+
+class EkfResult(_Model):
+    """The filter.
+
+    rejected, ambiguous, candidate: sightings that association did not use. global_updates: of a
+    compressed filter, and the share of the passive covariance that they left alone (set I).
+    """
+
+    filter: str
+    association: str
+    landmarks: int
+    rejected: int
+    ambiguous: int
+    candidate: int
+    gps: str
+    fixes_fused: int
+    fixes_rejected: int
+    global_updates: int
+    global_update_spared: float
+
+
+class StartResult(_Model):
+    """One start of the smoother; error is None where it broke down."""
+
+    name: str
+    error: float | None
+    iterations: int
+    converged: bool
+
+
+class SmootherResult(_Model):
+    """The smoother and the evidence for its optimum. See graphslam.optimum.
+
+    distance_sigma: of an incremental estimate from the optimum. rejected: wild sightings and
+    positions that were left out. rank: unknowns that the measurements determine.
+    """
+
+    method: str
+    optimiser: str
+    robust: str
+    rejected_sightings: int
+    rejected_positions: int
+    distance_sigma: float | None
+    rank: int
+    poses: int
+    error: float
+    chi2: float
+    dof: int
+    chi2_band: tuple[float, float]
+    newton_decrement: float
+    iterations: int
+    converged: bool
+    proven: bool
+    agreeing_starts: list[str]
+    starts: list[StartResult]
+
+
+class BlockResult(_Model):
+    """EKF against smoother in one block. See comparisons.checks.agreement.BlockAgreement."""
+
+    difference_m: float
+    distance_sigma: float
+    variance_ratio_least: float | None
+    variance_ratio_largest: float | None
+    agrees: bool
+
+
+class LandmarkResult(BlockResult):
+    """One landmark's row; positions in metres."""
+
+    id: int
+    ekf_m: tuple[float, float]
+    smoother_m: tuple[float, float]
+
+
+class AgreementResult(_Model):
+    """The gaps. Covariance gaps are None where a covariance is not positive definite."""
+
+    algebra_gap_sigma: float | None
+    algebra_gap_covariance: float | None
+    model_gap_sigma: float | None
+    model_gap_covariance: float | None
+    linearisation_gap_sigma: float | None
+    linearisation_gap_covariance: float | None
+    optimism: float | None
+    pessimism: float | None
+    landmark_difference_rms_m: float
+    pose: BlockResult
+    map: BlockResult
+    landmarks: list[LandmarkResult]
+
+
+class AccuracyResult(_Model):
+    """Against truth or GPS; None where the log has no such reference."""
+
+    ate_m: float | None
+    ate_aligned_m: float | None
+    landmark_rmse_m: float | None
+    landmark_rmse_aligned_m: float | None
+    landmarks_found: int | None
+    landmarks_true: int | None
+    gps_median_m: float | None
+    gps_median_aligned_m: float | None
+    coverage: float | None
+
+
+class Accuracies(_Model):
+    """One entry per estimator, and what the odometry alone reaches."""
+
+    ekf: AccuracyResult
+    smoother: AccuracyResult
+    dead_reckoning: AccuracyResult | None
+
+
+class PartitionResult(_Model):
+    """Pairs of sightings put together, against those that belong together."""
+
+    precision: float
+    recall: float
+
+
+class AssociationResult(_Model):
+    """An association made without labels against the log's. See comparisons.checks.association."""
+
+    landmarks: PartitionResult
+    clusters: PartitionResult | None
+
+
+class CauseResult(_Model):
+    """One reason for the verdict."""
+
+    gap: str
+    evidence: str
+    hint: str
+
+
+class Result(_Model):
+    """The whole file."""
+
+    log: LogResult
+    ekf: EkfResult
+    smoother: SmootherResult
+    agreement: AgreementResult
+    accuracy: Accuracies | None
+    association: AssociationResult | None
+    verdict: Literal["agree", "disagree", "unproven"]
+    causes: list[CauseResult]
+    remarks: list[str]
+    seconds: dict[str, float]
+    versions: dict[str, str]
+
+
+class SolutionResult(_Model):
+    """`solution.json`: the smoother alone. sightings_used: of the log's."""
+
+    log: LogResult
+    association_by: str
+    landmarks: int
+    sightings_used: int
+    gps: str
+    smoother: SmootherResult
+    accuracy: AccuracyResult | None
+    dead_reckoning: AccuracyResult | None
+    association: AssociationResult | None
+    verdict: Literal["proven", "unproven"]
+    remarks: list[str]
+    seconds: dict[str, float]
+    versions: dict[str, str]

@@ -1,0 +1,124 @@
+"""The smoother alone: one log to its optimum, without a filter."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.checks.accuracy import Accuracy, assess, assess_trajectory
+from comparisons.checks.association import AssociationScore, score_association
+from comparisons.errors import InputError
+from comparisons.logs.log import Log
+from comparisons.runs.ekf_build import EkfChoices, fused_positions, judging_positions
+from comparisons.runs.estimate import Array, Estimate
+from comparisons.runs.known_landmarks import SURVEYED, join_known_sightings, surveyed
+from comparisons.runs.smoother_run import assemble, position_rows
+from comparisons.runs.timeline import Timeline, build_timeline
+from graphslam.increments import dead_reckoned
+from graphslam.smoother import SmootherOptions, SmootherResult, smooth
+
+Index = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Solution:
+    """What the smoother found.
+
+    slot: (M,) landmark of each of the log's sightings, negative where unused. association: how it
+    compares with the log's labels, when it was made without them.
+    """
+
+    log: Log
+    association_by: str
+    gps: str
+    slot: Index
+    result: SmootherResult
+    estimate: Estimate
+    dead_reckoned: Array
+    accuracy: Accuracy | None
+    accuracy_dead_reckoned: Accuracy | None
+    association: AssociationScore | None
+    seconds: dict[str, float]
+
+
+def solve_log(
+    log: Log,
+    association: str | None = None,
+    gps: str = "off",
+    options: SmootherOptions | None = None,
+    progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
+) -> Solution:
+    """Associate, solve and assess.
+
+    association: `known` by the log's labels, `own` by the smoother's reasoning; None for whichever
+    the log allows. gps: `off`, `on` or `half`. Raises InputError for what the log cannot serve,
+    and graphslam.marginals.SingularProblemError when there is no solution.
+    """
+    name = association or ("known" if log.sightings.labelled else "own")
+    if name not in ("known", "own"):
+        raise InputError(f"association '{name}' is unknown, expected known or own")
+    given = EkfChoices(association="known" if name == "known" else "nn", gps=gps).settle(log)
+    log = join_known_sightings(log)
+    positions = fused_positions(log, given)
+    timeline = build_timeline(log, positions)
+    seconds: dict[str, float] = {}
+    start = time.perf_counter()
+    rows = position_rows(timeline, positions)
+    slot, ids = _associate(log, timeline, name, rows)
+    if not len(ids):
+        raise InputError(f"{log.name}: no sighting could be used, so there is no map to solve for")
+    problem = assemble(log, timeline, slot, len(ids), *rows)
+    seconds["association"] = time.perf_counter() - start
+    start = time.perf_counter()
+    result = smooth(problem, {}, lambda stage: progress(stage, 0, 0), options)
+    seconds["smoother"] = time.perf_counter() - start
+    start = time.perf_counter()
+    progress("marginals", 0, 0)
+    estimate = Estimate(
+        timeline.epoch_time_s,
+        result.poses,
+        result.pose_covariances(),
+        ids,
+        result.landmarks,
+        result.marginal().covariance,
+        "fixed-lag" if result.lagged else "smoothed",
+        {"estimator": f"graphslam, {result.options.method}", "association": name},
+    )
+    seconds["marginals"] = time.perf_counter() - start
+    reckoned = dead_reckoned(problem.prior_pose, problem.increment)
+    judged = replace(log, positions=judging_positions(log, given))
+    labelled = name == "known"
+    return Solution(
+        log,
+        name,
+        gps,
+        slot,
+        result,
+        estimate,
+        reckoned,
+        assess(estimate, judged, labelled=labelled),
+        assess_trajectory(timeline.epoch_time_s, reckoned, judged),
+        None if labelled else score_association(slot, result.landmarks, log),
+        seconds,
+    )
+
+
+def _associate(
+    log: Log, timeline: Timeline, name: str, rows: tuple[Index, Array, Array, tuple[float, float]]
+) -> tuple[Index, NDArray[np.int64]]:
+    """Slots (M,) of the sightings and ids (L,) of the landmarks, surveyed ones first."""
+    slot_of, _, _ = surveyed(log)
+    label = log.sightings.landmark
+    if name == "known":
+        seen = np.where(label >= 0)[0]
+        slots = dict(slot_of)
+        for key in label[seen].tolist():
+            slots.setdefault(key, len(slots))
+        slot = np.full(len(label), -1, dtype=np.intp)
+        slot[seen] = [slots[key] for key in label[seen].tolist()]
+        return slot, np.array(list(slots), dtype=np.int64)
+    raise InputError(f"association '{name}' is not here yet; SURVEYED is {SURVEYED}")

@@ -1,0 +1,271 @@
+"""The smoother's ways: starts, optimisers, kernels, iSAM2, fixed lag."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import gtsam
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from comparisons.logs.bundled import open_log
+from comparisons.runs.ekf_build import EkfChoices
+from comparisons.runs.ekf_run import run_ekf
+from comparisons.runs.smoother_run import build_problem
+from comparisons.runs.timeline import build_timeline
+from comparisons.solve import solve_log
+from graphslam.graph_builder import (
+    SlamProblem,
+    build_graph,
+    from_values,
+    last_poses,
+    to_values,
+)
+from graphslam.incremental import run_fixed_lag, run_isam2
+from graphslam.initialisation import extension, track
+from graphslam.marginals import SingularProblemError
+from graphslam.optimisers import OPTIMISERS, optimise
+from graphslam.singular import explain_singularity
+from graphslam.smoother import SmootherOptions, smooth
+from tests.helpers import simulated
+
+
+def problem_of(seed: int, **drive: float) -> SlamProblem:
+    return solve_log(simulated(seed, **drive)).result.problem
+
+
+@pytest.fixture(scope="module")
+def problem() -> SlamProblem:
+    return problem_of(1, loop_s=60.0)
+
+
+def wild(problem: SlamProblem, share: float) -> tuple[SlamProblem, NDArray[np.bool_]]:
+    """Some sightings replaced by anything; which."""
+    rng = np.random.default_rng(0)
+    rows = rng.random(len(problem.z)) < share
+    z = problem.z.copy()
+    z[rows] = rng.uniform((1.0, -1.5), (20.0, 1.5), (int(rows.sum()), 2))
+    return replace(problem, z=z), rows
+
+
+def test_last_poses_follow_the_order_of_the_graph(problem: SlamProblem) -> None:
+    graph, last = build_graph(problem), last_poses(problem)
+    assert len(last) == graph.size()
+    pose = gtsam.symbolChr(gtsam.symbol("x", 0))
+    for row in range(0, graph.size(), 7):
+        keys = list(graph.at(row).keys())
+        poses = [gtsam.symbolIndex(key) for key in keys if gtsam.symbolChr(key) == pose]
+        assert max(poses, default=0) == last[row]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_tracking_ends_where_the_truth_would(seed: int) -> None:
+    """Two loops at twice the noise: the optimum is the one that a start at the truth reaches."""
+    log = simulated(seed, loops=2, noise_scale=2.0)
+    tracked = solve_log(log).result
+    truth, landmarks = log.truth.poses, log.truth.landmarks
+    assert truth is not None
+    assert landmarks is not None
+    timeline = build_timeline(log)
+    rows = np.searchsorted(truth.time_s, timeline.epoch_time_s - 1e-6)
+    ids = list(dict.fromkeys(log.sightings.landmark.tolist()))
+    best = smooth(tracked.problem, {"truth": (truth.pose[rows], landmarks.position_m[ids])})
+    assert abs(tracked.error - best.error) < 1e-6 * best.error
+
+
+def test_tracking_solves_the_raw_detections(shared_data: Path) -> None:
+    """Growing prefixes ended at twice the error here."""
+    log = open_log(str(shared_data / "victoria_park"))
+    run = run_ekf(log, build_timeline(log), EkfChoices("compressed").settle(log))
+    given = build_problem(log, run)
+    graph = build_graph(given)
+    seen = np.unique(given.sighting_landmark)
+    errors = [
+        graph.error(optimise(graph, start)[0])
+        for start in (
+            track(given, graph)[0],
+            to_values(run.departed, run.estimate.landmark, seen),
+        )
+    ]
+    assert abs(errors[0] - errors[1]) < 1e-3
+
+
+@pytest.mark.parametrize("name", OPTIMISERS)
+def test_optimisers_agree(problem: SlamProblem, name: str) -> None:
+    reference = smooth(problem, {})
+    other = smooth(problem, {}, options=SmootherOptions(optimiser=name))
+    assert abs(other.error - reference.error) < 1e-9 * reference.error
+    assert other.proof.proven
+    assert other.rank == problem.state_dimension
+
+
+def test_isam2_reaches_the_optimum(problem: SlamProblem) -> None:
+    result = smooth(problem, {}, options=SmootherOptions("isam2"))
+    assert result.proof.distance_sigma < 0.05
+    assert result.proof.proven
+    assert result.starts[0].name == "isam2"
+
+
+def test_fixed_lag_says_how_far_it_drifts(problem: SlamProblem) -> None:
+    """A lag as long as the log is the batch; a short one drifts, and is not taken for proven."""
+    batch = smooth(problem, {})
+    whole = smooth(problem, {}, options=SmootherOptions("fixed-lag", lag=10_000))
+    assert whole.proof.distance_sigma < 0.05
+    sigma = np.sqrt(batch.marginal().covariance.diagonal())
+    assert np.allclose(
+        whole.marginal().covariance / np.outer(sigma, sigma),
+        batch.marginal().covariance / np.outer(sigma, sigma),
+        atol=0.02,
+    )
+    loop = problem_of(0)  # which comes back to its beginning
+    short = smooth(loop, {}, options=SmootherOptions("fixed-lag", lag=5))
+    assert short.proof.distance_sigma > 0.05
+    assert not short.proof.proven
+    assert short.pose_covariances().shape == (loop.pose_count, 3, 3)
+    assert np.linalg.eigvalsh(short.pose_covariances()).min() > 0.0
+
+
+def test_fixed_lag_keeps_every_pose(problem: SlamProblem) -> None:
+    end = run_fixed_lag(problem, build_graph(problem), 20)
+    batch = smooth(problem, {})
+    assert np.abs(end.poses - batch.poses)[:, :2].max() < 2.0
+    assert np.abs(end.poses - batch.poses)[:, 2].max() < 0.2
+
+
+def test_wild_sightings_are_found_and_left_out(problem: SlamProblem) -> None:
+    """30 % of them; what is left is the problem without them."""
+    spoilt, rows = wild(problem, 0.3)
+    plain = smooth(spoilt, {})
+    assert plain.proof.chi_square.reading == "too high"
+    result = smooth(spoilt, {}, options=SmootherOptions(robust="gnc"))
+    rejected = np.zeros(len(rows), dtype=bool)
+    rejected[result.rejected.sightings] = True
+    assert np.mean(rejected[rows]) > 0.98
+    assert np.mean(rejected[~rows]) < 0.02
+    mean, covariance = smooth(problem, {}).marginal()
+    apart = result.landmarks.ravel() - mean[3:]
+    assert np.max(np.abs(apart) / np.sqrt(covariance.diagonal()[3:])) < 3.0
+    assert len(result.problem.z) == len(problem.z) - len(result.rejected.sightings)
+
+
+@pytest.mark.parametrize("kernel", ["huber", "cauchy"])
+def test_kernels_resist_a_few_wild_sightings(problem: SlamProblem, kernel: str) -> None:
+    spoilt, _ = wild(problem, 0.05)
+    clean = smooth(problem, {}).landmarks
+    plain = np.linalg.norm(smooth(spoilt, {}).landmarks - clean, axis=1)
+    result = smooth(spoilt, {}, options=SmootherOptions(robust=kernel))
+    assert np.median(np.linalg.norm(result.landmarks - clean, axis=1)) < 0.5 * np.median(plain)
+    assert result.proof.chi_square.dof == 0  # not tested under a kernel
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"method": "best"}, {"lag": 0}, {"optimiser": "adam"}, {"robust": "tukey"}]
+)
+def test_unknown_choices_are_named(wrong: dict[str, str]) -> None:
+    [name] = wrong
+    with pytest.raises(ValueError, match=name):
+        SmootherOptions(**wrong)  # type: ignore[arg-type]
+
+
+def test_checkpoints_are_as_sure_as_they_should_be() -> None:
+    """NEES of pose and landmarks at five prefixes, 50 seeds, inside two-sided 99.8 % bands."""
+    fractions, seeds = np.array((0.2, 0.4, 0.6, 0.8, 1.0)), 50
+    total, freedom = np.zeros(len(fractions)), np.zeros(len(fractions))
+    for seed in range(seeds):
+        log = simulated(seed, loop_s=12.0)
+        truth, landmarks = log.truth.poses, log.truth.landmarks
+        assert truth is not None
+        assert landmarks is not None
+        problem = solve_log(log).result.problem
+        stops = [int(f * (problem.pose_count - 1)) for f in fractions]
+        end = run_isam2(problem, build_graph(problem), stops)
+        ids = list(dict.fromkeys(log.sightings.landmark.tolist()))
+        times = build_timeline(log).epoch_time_s
+        for i, checkpoint in enumerate(end.checkpoints):
+            k = int(np.searchsorted(truth.time_s, times[checkpoint.pose] - 1e-6))
+            true = np.concatenate(
+                (truth.pose[k], landmarks.position_m[ids][checkpoint.slot].ravel())
+            )
+            error = checkpoint.marginal.mean - true
+            error[2] = np.angle(np.exp(1j * error[2]))
+            total[i] += float(error @ np.linalg.solve(checkpoint.marginal.covariance, error))
+            freedom[i] += len(error)
+    spread = 3.1 * np.sqrt(2.0 * freedom)
+    assert np.all(np.abs(total - freedom) < spread), total / freedom
+    # A smoother that were surer than it may be, its sigmas 10 % too small, would be caught.
+    assert np.any(np.abs(total / 0.81 - freedom) > spread)
+
+
+def test_checkpoints_equal_the_batch_of_their_prefix(problem: SlamProblem) -> None:
+    stop = problem.pose_count // 2
+    [checkpoint] = run_isam2(problem, build_graph(problem), [stop]).checkpoints
+    part = problem.prefix(stop + 1)
+    slot = np.unique(part.sighting_landmark)
+    part = replace(
+        part,
+        sighting_landmark=np.searchsorted(slot, part.sighting_landmark),
+        landmark_count=len(slot),
+    )
+    batch = smooth(part, {}).marginal()
+    assert np.array_equal(checkpoint.slot, slot)
+    sigma = np.sqrt(batch.covariance.diagonal())
+    assert np.max(np.abs(checkpoint.marginal.mean - batch.mean) / sigma) < 0.01
+    assert np.allclose(
+        checkpoint.marginal.covariance / np.outer(sigma, sigma),
+        batch.covariance / np.outer(sigma, sigma),
+        atol=1e-3,
+    )
+
+
+def test_filtered_poses_come_before_their_future(problem: SlamProblem) -> None:
+    end = run_isam2(problem, build_graph(problem))
+    poses, _ = from_values(end.values, problem)
+    assert np.allclose(end.filtered[-1], poses[-1], atol=0.05)
+    assert np.abs(end.filtered - poses).max() > 1e-3
+
+
+def singular(problem: SlamProblem, graph: gtsam.NonlinearFactorGraph) -> str:
+    values = extension(problem, gtsam.Values(), 0, problem.pose_count)
+    return explain_singularity(graph, values)
+
+
+def test_what_is_not_determined_is_named(problem: SlamProblem) -> None:
+    graph = build_graph(problem)
+    assert not singular(problem, graph)
+    loose = gtsam.NonlinearFactorGraph()
+    for row in range(1, graph.size()):
+        loose.push_back(graph.at(row))
+    assert "no prior" in singular(problem, loose)
+    of_landmark = set(
+        (np.flatnonzero(problem.sighting_landmark == 3) + problem.pose_count).tolist()
+    )
+    kept = gtsam.NonlinearFactorGraph()
+    for row in set(range(graph.size())) - of_landmark:
+        kept.push_back(graph.at(row))
+    assert singular(problem, kept) == "no measurement says anything of landmark 3"
+
+
+def test_a_landmark_seen_by_bearing_only_is_named(problem: SlamProblem) -> None:
+    """One sighting whose range says nothing."""
+    once = problem.sighting_landmark != 5
+    once[np.flatnonzero(~once)[0]] = True
+    sigma = problem.sigma.copy()
+    sigma[problem.sighting_landmark == 5, 0] = 1e9
+    lone = replace(
+        problem,
+        sighting_pose=problem.sighting_pose[once],
+        sighting_landmark=problem.sighting_landmark[once],
+        z=problem.z[once],
+        sigma=sigma[once],
+    )
+    said = singular(lone, build_graph(lone))
+    assert said.startswith("landmark 5 may move freely")
+    assert "one measurement" in said
+
+
+def test_a_landmark_that_nobody_saw_is_no_crash(problem: SlamProblem) -> None:
+    more = replace(problem, landmark_count=problem.landmark_count + 1)
+    with pytest.raises(SingularProblemError):
+        smooth(more, {}).marginal()
