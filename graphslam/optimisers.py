@@ -8,18 +8,20 @@ import gtsam
 
 from graphslam.marginals import eliminate
 
+SETTLED = 1e-8
+"""A step that lowers the error by less leaves every unknown within 1.5e-4 sigma of the minimum."""
 OPTIMISERS = ("levenberg-marquardt", "gauss-newton", "dogleg")
 
 
 def optimise(
     graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, name: str = OPTIMISERS[0]
 ) -> tuple[gtsam.Values, int, bool]:
-    """The end, the iterations, and whether it converged.
+    """Near the minimum, for `polish` to go on: the end, the iterations, whether it converged.
 
     Raises RuntimeError where the linear systems are indeterminate, ValueError for another name.
     """
     if name == "levenberg-marquardt":
-        return levenberg_marquardt(graph, values)
+        return levenberg_marquardt(graph, values, 1e-5)
     kinds = {
         "gauss-newton": (gtsam.GaussNewtonOptimizer, gtsam.GaussNewtonParams),
         "dogleg": (gtsam.DoglegOptimizer, gtsam.DoglegParams),
@@ -27,13 +29,13 @@ def optimise(
     if name not in kinds:
         raise ValueError(f"optimiser is '{name}', expected one of {', '.join(OPTIMISERS)}")
     optimiser, parameters = kinds[name]
-    return _run(optimiser, graph, values, parameters(), 1e-12, 100)
+    return _run(optimiser, graph, values, parameters(), 1e-5, 100)
 
 
 def levenberg_marquardt(
     graph: gtsam.NonlinearFactorGraph,
     values: gtsam.Values,
-    relative_tolerance: float = 1e-12,
+    relative_tolerance: float,
     limit: int = 100,
 ) -> tuple[gtsam.Values, int, bool]:
     """The end, the iterations, and whether it converged. Raises RuntimeError as `optimise`."""
@@ -65,15 +67,28 @@ def _run(
 
 
 def polish(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> tuple[gtsam.Values, float]:
-    """Gauss-Newton by QR for as long as it lowers the error; Cholesky stops short of that."""
-    error = graph.error(values)
-    for _ in range(10):
-        step = eliminate(graph.linearize(values)).optimize()
-        nearer = values.retract(step)
-        lower = graph.error(nearer)
+    """Gauss-Newton until a step gains next to nothing; the end and its error.
+
+    By Cholesky, and from where that fails by QR, which loses half as many digits but takes twice
+    as long.
+    """
+    error, exact = graph.error(values), False
+    for _ in range(20):
+        linear = graph.linearize(values)
+        try:
+            step = eliminate(linear).optimize() if exact else linear.optimize()
+            nearer = values.retract(step)
+            lower = graph.error(nearer)
+        except RuntimeError:
+            if exact:
+                raise
+            lower = float("inf")
         if not lower < error:
-            break
+            if exact:
+                break
+            exact = True
+            continue
         gain, values, error = error - lower, nearer, lower
-        if gain < 1e-12 * (1.0 + error):
+        if gain < SETTLED:
             break
     return values, error

@@ -44,3 +44,9 @@ def test_waypoint_run_benchmark_runs(tmp_path: Path) -> None:
     lines = run("benchmarks/waypoint_run.py", "--seeds", "1", "--plot", str(picture))
     assert [line.split()[0] for line in lines[1:]] == ["dead", "misono", "misono-full"]
     assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_smoother_benchmark_runs() -> None:
+    lines = run("benchmarks/smoother.py", "--quick")
+    assert lines[1].startswith("graph ")
+    assert lines[-1].startswith("errors: ours ")
