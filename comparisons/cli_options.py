@@ -52,8 +52,9 @@ FilterOption = Annotated[
 AssociationOption = Annotated[
     str | None,
     typer.Option(
-        metavar="known|nn|jcbb|euclidean",
-        help="The log's labels, nearest neighbour, joint compatibility, or distance in metres.",
+        metavar="known|nn|jcbb|euclidean|agreed",
+        help="The log's labels, nearest neighbour, joint compatibility, distance in metres, or "
+        "only what all likely hypotheses agree on.",
     ),
 ]
 SolveAssociationOption = Annotated[

@@ -54,7 +54,7 @@ class JointCompatibility:
             column = match_in_order(distances.n, compatible)
         elif len(sighting):
             nu = distances.innovation[sighting, landmark]
-            spread = _pair_covariance(local, observation, sightings, sighting, landmark)
+            spread = pair_covariance(local, observation, sightings, sighting, landmark)
             order = np.lexsort((distances.n[sighting, landmark], sighting))
             search = _Search(
                 sighting[order],
@@ -74,7 +74,7 @@ class JointCompatibility:
         return 2.0 * float(gammaincinv(max(pairs, 1), self.probability))
 
 
-def _pair_covariance(
+def pair_covariance(
     local: LocalMap,
     observation: Observation,
     sightings: Sightings,

@@ -12,7 +12,7 @@ ALLOWED = {
     "ekf_reference": {"ekf_reference", "numpy", "scipy"},
     "graphslam": {"graphslam", "numpy", "scipy", "gtsam", "kiss_icp", "open3d"},
 }
-STANDARD = {"__future__", "collections", "dataclasses", "math", "typing"}
+STANDARD = {"__future__", "collections", "dataclasses", "math", "pathlib", "typing"}
 
 
 def imported(source: str) -> set[str]:

@@ -12,6 +12,7 @@ from comparisons.logs.log import Log, Positions
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry
 from comparisons.runs.known_landmarks import surveyed
 from ekf_reference.absolute_updates import PositionFixes, PositionModel
+from ekf_reference.agreed_association import AgreedAssociation
 from ekf_reference.association import (
     Association,
     EuclideanNeighbour,
@@ -29,7 +30,7 @@ from ekf_reference.trace import Trace
 from ekf_reference.track_management import TrackManagement
 
 FILTERS = ("full", "compressed", "compressed-suboptimal", "misono", "misono-full")
-ASSOCIATIONS = ("known", "nn", "jcbb", "euclidean")
+ASSOCIATIONS = ("known", "nn", "jcbb", "euclidean", "agreed")
 GPS = ("off", "on", "half")
 LEAST_GAIN = 1e-4
 """c1 of the suboptimal global update, the example of Guivant 2002, eq. 22."""
@@ -145,6 +146,7 @@ def build_association(log: Log, choices: EkfChoices) -> Association:
             "nn": NearestNeighbour,
             "jcbb": JointCompatibility,
             "euclidean": EuclideanNeighbour,
+            "agreed": AgreedAssociation,
         }
         rule = kinds[choices.association or "nn"]()
         if log.sightings.needs_confirmation:

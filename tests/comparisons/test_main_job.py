@@ -66,6 +66,16 @@ def test_mrclam(shared_data: Path, robot: int) -> None:
         assert accuracy.landmark_rmse_aligned_m < 0.12
 
 
+@pytest.mark.parametrize(("robot", "recall"), [(1, 0.93), (2, 0.97), (3, 0.97)])
+def test_mrclam_with_its_labels_hidden(shared_data: Path, robot: int, recall: float) -> None:
+    log = open_log(str(shared_data / "mrclam" / "MRCLAM_Dataset6"), robot=robot)
+    score = compare_estimators(log, EkfChoices(association="agreed")).association
+    assert score is not None
+    assert score.clusters is not None
+    assert score.clusters.precision > 0.99
+    assert score.clusters.recall > recall
+
+
 def test_victoria_park_detections_read_whole(shared_data: Path) -> None:
     log = open_log(str(shared_data / "victoria_park"))
     assert log.records == {"odometry": 61945, "sightings": 52974, "positions": 4466}

@@ -30,6 +30,8 @@ def read(path: Path) -> Log:
     """Read the file. Raises InputError naming the line at fault."""
     try:
         problem = read_g2o(path).problem
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
     except (ValueError, ArithmeticError) as error:
         raise InputError(str(error)) from None
     if not len(problem.increment) or not len(problem.z):
