@@ -22,10 +22,11 @@ import numpy as np
 
 from comparisons.logs.bundled import open_log
 from comparisons.solve import solve_log
-from graphslam.graph_builder import LANDMARK_KEY, POSE_KEY, SlamProblem, build_graph
+from graphslam.graph_builder import LANDMARK_KEY, POSE_KEY, build_graph
 from graphslam.incremental import run_isam2
 from graphslam.initialisation import extension, track
 from graphslam.optimisers import optimise, polish
+from graphslam.problem import SlamProblem
 from graphslam.smoother import smooth
 
 

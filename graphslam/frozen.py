@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphslam.graph_builder import (
-    SlamProblem,
     increment_factors,
     prior_factor,
     sighting_factors,
@@ -31,6 +30,7 @@ from graphslam.linear_problem import (
     times,
     whiten,
 )
+from graphslam.problem import SlamProblem
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

@@ -19,7 +19,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from graphslam.graph_builder import SlamProblem, to_tangent
+from graphslam.graph_builder import to_tangent
+from graphslam.problem import SlamProblem
 
 Array = NDArray[np.float64]
 
@@ -52,6 +53,8 @@ def write_g2o(path: Path, contents: G2oContents) -> None:
     g2o has no edge for one; such positions would be taken for the pose's own.
     """
     problem, poses, landmarks = contents
+    if problem.oriented.count:
+        raise ValueError("oriented landmarks cannot be told from poses in g2o")
     if len(problem.position) and problem.lever_m != (0.0, 0.0):
         raise ValueError("g2o has no edge for positions of an antenna away from the pose")
     count = problem.pose_count

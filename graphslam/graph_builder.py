@@ -1,93 +1,20 @@
-"""The SLAM problem as arrays, and as a gtsam factor graph."""
+"""The SLAM problem as a gtsam factor graph."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass, field
 
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
+
+from graphslam.problem import SlamProblem
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 POSE_KEY = gtsam.symbol("x", 0)
 LANDMARK_KEY = gtsam.symbol("l", 0)
+ORIENTED_KEY = gtsam.symbol("t", 0)
 KERNELS = ("none", "huber", "cauchy")
-
-
-@dataclass(frozen=True)
-class SlamProblem:
-    """Everything the smoother is told, for K poses, L landmarks and M sightings.
-
-    prior_pose: (3,), prior_covariance: (3, 3) of the additive global error of pose 0.
-    increment: (K-1, 3) from pose k to k+1 in the frame of k; increment_covariance: (K-1, 3, 3)
-    of the right perturbation (frame of k+1).
-    sighting_pose, sighting_landmark: (M,) indices. z: (M, 2) range and bearing; sigma: (M, 2).
-    position_pose: (G,) indices. position: (G, 2) of an antenna at `lever_m` (forward, left) of
-    the pose, with position_covariance: (G, 2, 2).
-    own_axes: whether the filter fuses sightings as points in the vehicle's axes, not as range and
-    bearing; the frozen smoother then does, too, while the smoother keeps to range and bearing.
-    surveyed: (S, 2) positions of the first S landmarks, known beforehand with
-    surveyed_covariance: (S, 2, 2).
-    """
-
-    prior_pose: Array
-    prior_covariance: Array
-    increment: Array
-    increment_covariance: Array
-    sighting_pose: Index
-    sighting_landmark: Index
-    z: Array
-    sigma: Array
-    landmark_count: int
-    position_pose: Index = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
-    position: Array = field(default_factory=lambda: np.zeros((0, 2)))
-    position_covariance: Array = field(default_factory=lambda: np.zeros((0, 2, 2)))
-    lever_m: tuple[float, float] = (0.0, 0.0)
-    surveyed: Array = field(default_factory=lambda: np.zeros((0, 2)))
-    surveyed_covariance: Array = field(default_factory=lambda: np.zeros((0, 2, 2)))
-    own_axes: bool = False
-
-    @property
-    def pose_count(self) -> int:
-        """K."""
-        return len(self.increment) + 1
-
-    @property
-    def residual_dimension(self) -> int:
-        """Scalar measurements, the prior's three included."""
-        return (
-            3 * self.pose_count + 2 * len(self.z) + 2 * len(self.position) + 2 * len(self.surveyed)
-        )
-
-    @property
-    def state_dimension(self) -> int:
-        """Scalar unknowns."""
-        return 3 * self.pose_count + 2 * self.landmark_count
-
-    def prefix(self, pose_count: int) -> SlamProblem:
-        """The same problem up to its first `pose_count` poses; landmark numbers are kept."""
-        inside = self.sighting_pose < pose_count
-        fixed = self.position_pose < pose_count
-        return SlamProblem(
-            self.prior_pose,
-            self.prior_covariance,
-            self.increment[: pose_count - 1],
-            self.increment_covariance[: pose_count - 1],
-            self.sighting_pose[inside],
-            self.sighting_landmark[inside],
-            self.z[inside],
-            self.sigma[inside],
-            self.landmark_count,
-            self.position_pose[fixed],
-            self.position[fixed],
-            self.position_covariance[fixed],
-            self.lever_m,
-            self.surveyed,
-            self.surveyed_covariance,
-            self.own_axes,
-        )
 
 
 def gaussian(covariance: Array) -> gtsam.noiseModel.Gaussian:
@@ -169,8 +96,9 @@ def robust(noise: gtsam.noiseModel.Base, kernel: str) -> gtsam.noiseModel.Base:
 
 
 def build_graph(problem: SlamProblem, kernel: str = "none") -> gtsam.NonlinearFactorGraph:
-    """The graph of the whole problem; pose k has key POSE_KEY + k, landmark j LANDMARK_KEY + j.
+    """The graph of the whole problem.
 
+    Pose k has key POSE_KEY + k, landmark j LANDMARK_KEY + j, oriented landmark j ORIENTED_KEY + j.
     kernel: of KERNELS, for sightings and positions.
     """
     graph = gtsam.NonlinearFactorGraph()
@@ -196,6 +124,16 @@ def build_graph(problem: SlamProblem, kernel: str = "none") -> gtsam.NonlinearFa
         zip(problem.surveyed, problem.surveyed_covariance, strict=True)
     ):
         graph.push_back(gtsam.PriorFactorPoint2(LANDMARK_KEY + slot, place, gaussian(covariance)))
+    seen = problem.oriented
+    for i, j, measured, covariance in zip(
+        (POSE_KEY + seen.pose).tolist(),
+        (ORIENTED_KEY + seen.landmark).tolist(),
+        seen.measured.tolist(),
+        seen.covariance,
+        strict=True,
+    ):
+        noise = robust(gaussian(covariance), kernel)
+        graph.push_back(gtsam.BetweenFactorPose2(i, j, gtsam.Pose2(*measured), noise))
     return graph
 
 
@@ -207,6 +145,7 @@ def last_poses(problem: SlamProblem) -> Index:
             problem.sighting_pose,
             problem.position_pose,
             np.zeros(len(problem.surveyed), dtype=np.intp),
+            problem.oriented.pose,
         )
     )
 
@@ -240,7 +179,7 @@ def unwrap(poses: Array, problem: SlamProblem) -> None:
 
 
 def from_values(values: gtsam.Values, problem: SlamProblem) -> tuple[Array, Array]:
-    """Poses (K, 3) and landmarks (L, 2) of a solution; NaN where a landmark is absent.
+    """Poses (K, 3) and point landmarks (L, 2) of a solution; NaN where a landmark is absent.
 
     gtsam wraps headings; they are unwrapped along the odometry, so that a whole turn between two
     poses counts.
@@ -257,3 +196,9 @@ def from_values(values: gtsam.Values, problem: SlamProblem) -> tuple[Array, Arra
         if values.exists(LANDMARK_KEY + slot):
             landmarks[slot] = values.atPoint2(LANDMARK_KEY + slot)
     return poses, landmarks
+
+
+def oriented_from(values: gtsam.Values, problem: SlamProblem) -> Array:
+    """(Q, 3) oriented landmarks of a solution: x, y, heading."""
+    poses = [values.atPose2(ORIENTED_KEY + j) for j in range(problem.oriented.count)]
+    return np.array([(p.x(), p.y(), p.theta()) for p in poses]).reshape(-1, 3)

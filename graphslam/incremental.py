@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from graphslam.graph_builder import (
     LANDMARK_KEY,
     POSE_KEY,
-    SlamProblem,
     from_values,
     last_poses,
     to_tangent,
@@ -21,6 +20,7 @@ from graphslam.graph_builder import (
 )
 from graphslam.initialisation import extension
 from graphslam.marginals import Marginal, joint_marginal, to_global
+from graphslam.problem import SlamProblem
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

@@ -14,8 +14,9 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from graphslam.graph_builder import LANDMARK_KEY, POSE_KEY, SlamProblem, last_poses
+from graphslam.graph_builder import LANDMARK_KEY, ORIENTED_KEY, POSE_KEY, last_poses
 from graphslam.optimisers import levenberg_marquardt
+from graphslam.problem import SlamProblem
 
 Array = NDArray[np.float64]
 
@@ -25,7 +26,7 @@ MISFIT = 3.0
 """A piece does not fit when its error per observation exceeds the map's by this factor."""
 GROWTH = 1.5
 """Everything is solved together at the latest when the log has grown by this factor."""
-_POSE = gtsam.symbolChr(POSE_KEY)
+_POINT = gtsam.symbolChr(LANDMARK_KEY)
 _HELD_POSE = gtsam.noiseModel.Isotropic.Sigma(3, 1e-3)
 _HELD_POINT = gtsam.noiseModel.Isotropic.Sigma(2, 1e-2)
 
@@ -94,6 +95,12 @@ def extension(problem: SlamProblem, values: Placed, known: int, count: int) -> g
         pose = pose.compose(gtsam.Pose2(*problem.increment[k - 1]))
         new.insert(POSE_KEY + k, pose)
         poses[k] = pose
+    seen = problem.oriented
+    for row in np.flatnonzero((seen.pose >= known) & (seen.pose < count)).tolist():
+        key = ORIENTED_KEY + int(seen.landmark[row])
+        if not values.exists(key) and not new.exists(key):
+            measured = gtsam.Pose2(*seen.measured[row])
+            new.insert(key, poses[int(seen.pose[row])].compose(measured))
     fresh = np.flatnonzero((problem.sighting_pose >= known) & (problem.sighting_pose < count))
     for row in fresh[np.argsort(problem.sighting_pose[fresh], kind="stable")].tolist():
         key = LANDMARK_KEY + int(problem.sighting_landmark[row])
@@ -114,7 +121,7 @@ def _fit(
     start, graph = gtsam.Values(new), gtsam.NonlinearFactorGraph(piece)
     held = [key for key in piece.keyVector() if values.exists(key)]
     for key in held:
-        if gtsam.symbolChr(key) == _POSE:
+        if gtsam.symbolChr(key) != _POINT:
             pose = values.atPose2(key)
             start.insert(key, pose)
             graph.push_back(gtsam.PriorFactorPose2(key, pose, _HELD_POSE))

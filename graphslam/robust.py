@@ -13,7 +13,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from graphslam.graph_builder import SlamProblem
+from graphslam.problem import SlamProblem
 
 Index = NDArray[np.intp]
 

@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, diags, identity
 from scipy.sparse.linalg import splu
 
-from graphslam.graph_builder import LANDMARK_KEY, POSE_KEY
+from graphslam.graph_builder import LANDMARK_KEY, ORIENTED_KEY, POSE_KEY
 
 Array = NDArray[np.float64]
 
 _FREE = 1e-10
 """A direction is free when what the measurements say of it is this small against its columns."""
-_POSE = gtsam.symbolChr(POSE_KEY)
+_POSE, _POINT = gtsam.symbolChr(POSE_KEY), gtsam.symbolChr(LANDMARK_KEY)
 _NAMED = 3
 
 
@@ -29,7 +29,7 @@ def explain_singularity(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values)
     never = [key for key in keys if key not in touched]
     if never:
         return f"no measurement says anything of {_listed(never)}"
-    width = np.array([3 if gtsam.symbolChr(key) == _POSE else 2 for key in keys])
+    width = np.array([2 if gtsam.symbolChr(key) == _POINT else 3 for key in keys])
     first = np.concatenate(([0], np.cumsum(width)))
     row, column, value = graph.linearize(values).sparseJacobian_()
     size = int(first[-1])
@@ -78,4 +78,6 @@ def _listed(keys: list[int]) -> str:
 def _name(key: int) -> str:
     if gtsam.symbolChr(key) == _POSE:
         return f"pose {key - POSE_KEY}"
-    return f"landmark {key - LANDMARK_KEY}"
+    if gtsam.symbolChr(key) == _POINT:
+        return f"landmark {key - LANDMARK_KEY}"
+    return f"oriented landmark {key - ORIENTED_KEY}"

@@ -2,25 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from graphslam.graph_builder import KERNELS, SlamProblem, build_graph, from_values, to_values
+from graphslam.graph_builder import (
+    KERNELS,
+    LANDMARK_KEY,
+    POSE_KEY,
+    build_graph,
+    from_values,
+    oriented_from,
+    to_tangent,
+    to_values,
+)
 from graphslam.incremental import LagEnd, run_fixed_lag, run_isam2
 from graphslam.initialisation import extension, track
 from graphslam.marginals import (
     Marginal,
     SingularProblemError,
+    joint_marginal,
     last_pose_and_landmarks,
     pose_covariances,
     to_global,
 )
 from graphslam.optimisers import OPTIMISERS, optimise, polish
 from graphslam.optimum import Proof, Stationarity, chi_square_test, stationarity
+from graphslam.problem import SlamProblem
 from graphslam.robust import NOTHING_REJECTED, Rejected, reject_wild
 from graphslam.singular import explain_singularity
 
@@ -102,6 +113,25 @@ class SmootherResult:
     def rank(self) -> int:
         """Unknowns that the measurements determine; a result is only had when they all are."""
         return int(self.values.dim())
+
+    def oriented(self) -> Array:
+        """(Q, 3) oriented landmarks: x, y, heading."""
+        return oriented_from(self.values, self.problem)
+
+    def joint(self, poses: Sequence[int], landmarks: Sequence[int]) -> Array:
+        """Joint covariance (3 P + 2 L, 3 P + 2 L) of any poses and landmarks, in this order.
+
+        Of the additive global error, at the optimum.
+        """
+        keys = [POSE_KEY + k for k in poses] + [LANDMARK_KEY + j for j in landmarks]
+        size = 3 * len(poses) + 2 * len(landmarks)
+        local = joint_marginal(self.graph.linearize(self.values), keys, size).covariance
+        turn = np.eye(size)
+        headings = np.array([self.values.atPose2(POSE_KEY + k).theta() for k in poses])
+        for i, block in enumerate(to_tangent(headings)):
+            turn[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = block.T
+        covariance: Array = turn @ local @ turn.T
+        return covariance
 
     def marginal(self) -> Marginal:
         """Last pose and all landmarks jointly: mean and covariance, additive global error."""

@@ -23,9 +23,9 @@ from graphslam.frozen import (
     own_problem,
     recorded_problem,
 )
-from graphslam.graph_builder import SlamProblem
 from graphslam.linear_problem import LinearProblem, solve
 from graphslam.marginals import Marginal
+from graphslam.problem import SlamProblem
 from graphslam.smoother import SmootherOptions, SmootherResult, smooth
 
 Array = NDArray[np.float64]

@@ -14,7 +14,7 @@ from comparisons.errors import InputError
 from comparisons.logs.bundled import open_log
 from comparisons.solve import solve_log
 from graphslam.g2o import G2oContents, read_g2o, write_g2o
-from graphslam.graph_builder import SlamProblem
+from graphslam.problem import SlamProblem
 from tests.helpers import relative_error, simulated
 
 
@@ -46,6 +46,8 @@ def test_round_trip_is_exact(contents: G2oContents, tmp_path: Path) -> None:
     assert np.array_equal(again.poses, contents.poses)
     assert np.array_equal(again.landmarks, contents.landmarks)
     for field in fields(SlamProblem):
+        if field.name == "oriented":
+            continue
         before, after = (getattr(c.problem, field.name) for c in (contents, again))
         assert np.array_equal(before, after), field.name
 

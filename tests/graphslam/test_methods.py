@@ -17,7 +17,6 @@ from comparisons.runs.smoother_run import build_problem
 from comparisons.runs.timeline import build_timeline
 from comparisons.solve import solve_log
 from graphslam.graph_builder import (
-    SlamProblem,
     build_graph,
     from_values,
     last_poses,
@@ -27,9 +26,10 @@ from graphslam.incremental import run_fixed_lag, run_isam2
 from graphslam.initialisation import extension, track
 from graphslam.marginals import SingularProblemError
 from graphslam.optimisers import OPTIMISERS, optimise
+from graphslam.problem import OrientedSightings, SlamProblem
 from graphslam.singular import explain_singularity
 from graphslam.smoother import SmootherOptions, smooth
-from tests.helpers import simulated
+from tests.helpers import relative_error, simulated
 
 
 def problem_of(seed: int, **drive: float) -> SlamProblem:
@@ -269,3 +269,41 @@ def test_a_landmark_that_nobody_saw_is_no_crash(problem: SlamProblem) -> None:
     more = replace(problem, landmark_count=problem.landmark_count + 1)
     with pytest.raises(SingularProblemError):
         smooth(more, {}).marginal()
+
+
+def test_any_block_has_a_covariance(problem: SlamProblem) -> None:
+    """Two poses and two landmarks jointly; their own blocks are those of the usual marginals."""
+    result = smooth(problem, {})
+    last = problem.pose_count - 1
+    joint = result.joint([last, 40], [3, 0])
+    assert np.allclose(joint, joint.T)
+    marginal, poses = result.marginal().covariance, result.pose_covariances()
+    assert relative_error(joint[:3, :3], marginal[:3, :3]) < 1e-8
+    assert relative_error(joint[3:6, 3:6], poses[40]) < 1e-8
+    assert relative_error(joint[6:8, 6:8], marginal[9:11, 9:11]) < 1e-8
+    assert relative_error(joint[:3, 8:], marginal[:3, 3:5]) < 1e-8
+
+
+def test_oriented_landmarks_are_solved_for(problem: SlamProblem) -> None:
+    """Landmarks with a place and a direction, seen without error, are found and tighten the map."""
+    rng = np.random.default_rng(0)
+    plain = smooth(problem, {})
+    true = np.column_stack((plain.landmarks[:3] + 2.0, rng.uniform(-3.0, 3.0, 3)))
+    pose = rng.integers(0, problem.pose_count, 30)
+    which = np.arange(30) % 3
+    measured = []
+    for k, j in zip(pose.tolist(), which.tolist(), strict=True):
+        seen = gtsam.Pose2(*plain.poses[k]).between(gtsam.Pose2(*true[j]))
+        measured.append((seen.x(), seen.y(), seen.theta()))
+    covariance = np.broadcast_to(np.diag((0.01, 0.01, 1e-4)), (30, 3, 3))
+    oriented = OrientedSightings(pose, which, np.array(measured), covariance)
+    more = replace(problem, oriented=oriented)
+    result = smooth(more, {})
+    assert result.proof.proven
+    assert result.rank == more.state_dimension == problem.state_dimension + 9
+    found = result.oriented()
+    assert np.abs(found[:, :2] - true[:, :2]).max() < 0.01
+    assert np.abs(np.angle(np.exp(1j * (found[:, 2] - true[:, 2])))).max() < 0.001
+    before, after = (r.pose_covariances()[:, 2, 2] for r in (plain, result))
+    assert np.all(after < before * (1.0 + 1e-9))
+    assert len(more.prefix(50).oriented.pose) == np.count_nonzero(pose < 50)

@@ -14,7 +14,6 @@ from graphslam.frozen import RecordedPositions, RecordedSightings, RecordedSteps
 from graphslam.graph_builder import (
     LANDMARK_KEY,
     POSE_KEY,
-    SlamProblem,
     build_graph,
     to_tangent,
     to_values,
@@ -22,6 +21,7 @@ from graphslam.graph_builder import (
 from graphslam.linear_problem import solve
 from graphslam.marginals import SingularProblemError, last_pose_and_landmarks, to_global
 from graphslam.optimum import Proof, Stationarity, chi_square_test, stationarity
+from graphslam.problem import SlamProblem
 from graphslam.smoother import smooth
 from tests.helpers import Array, relative_error, simulated
 

@@ -9,10 +9,11 @@ import pytest
 
 from comparisons.compare import Comparison
 from comparisons.runs.smoother_run import build_problem
-from graphslam.graph_builder import SlamProblem, build_graph
+from graphslam.graph_builder import build_graph
 from graphslam.initialisation import extension
 from graphslam.optimisers import levenberg_marquardt
 from graphslam.optimum import Proof, Stationarity, chi_square_test, stationarity
+from graphslam.problem import SlamProblem
 from graphslam.smoother import smooth
 
 

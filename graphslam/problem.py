@@ -1,0 +1,111 @@
+"""The SLAM problem as arrays: what a smoother is told, before any graph is made of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class OrientedSightings:
+    """N sightings of landmarks that have a place and a direction, such as templates of scans.
+
+    pose: (N,) and landmark: (N,) indices, these landmarks being numbered apart from the others.
+    measured: (N, 3) x, y, heading of the landmark in the pose's frame. covariance: (N, 3, 3) of
+    the right perturbation, in the landmark's frame.
+    """
+
+    pose: Index = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    landmark: Index = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    measured: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    covariance: Array = field(default_factory=lambda: np.zeros((0, 3, 3)))
+
+    @property
+    def count(self) -> int:
+        """Number of landmarks."""
+        return int(self.landmark.max(initial=-1)) + 1
+
+    def before(self, pose_count: int) -> OrientedSightings:
+        """Those from the first `pose_count` poses."""
+        rows = self.pose < pose_count
+        return OrientedSightings(*(column[rows] for column in vars(self).values()))
+
+
+@dataclass(frozen=True)
+class SlamProblem:
+    """Everything the smoother is told, for K poses, L landmarks and M sightings.
+
+    prior_pose: (3,), prior_covariance: (3, 3) of the additive global error of pose 0.
+    increment: (K-1, 3) from pose k to k+1 in the frame of k; increment_covariance: (K-1, 3, 3)
+    of the right perturbation (frame of k+1).
+    sighting_pose, sighting_landmark: (M,) indices. z: (M, 2) range and bearing; sigma: (M, 2).
+    position_pose: (G,) indices. position: (G, 2) of an antenna at `lever_m` (forward, left) of
+    the pose, with position_covariance: (G, 2, 2).
+    own_axes: whether the filter fuses sightings as points in the vehicle's axes, not as range and
+    bearing; the frozen smoother then does, too, while the smoother keeps to range and bearing.
+    surveyed: (S, 2) positions of the first S landmarks, known beforehand with
+    surveyed_covariance: (S, 2, 2). oriented: sightings of landmarks that have a direction, too.
+    """
+
+    prior_pose: Array
+    prior_covariance: Array
+    increment: Array
+    increment_covariance: Array
+    sighting_pose: Index
+    sighting_landmark: Index
+    z: Array
+    sigma: Array
+    landmark_count: int
+    position_pose: Index = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    position: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    position_covariance: Array = field(default_factory=lambda: np.zeros((0, 2, 2)))
+    lever_m: tuple[float, float] = (0.0, 0.0)
+    surveyed: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    surveyed_covariance: Array = field(default_factory=lambda: np.zeros((0, 2, 2)))
+    own_axes: bool = False
+    oriented: OrientedSightings = field(default_factory=OrientedSightings)
+
+    @property
+    def pose_count(self) -> int:
+        """K."""
+        return len(self.increment) + 1
+
+    @property
+    def residual_dimension(self) -> int:
+        """Scalar measurements, the prior's three included."""
+        pairs = len(self.z) + len(self.position) + len(self.surveyed)
+        return 3 * self.pose_count + 2 * pairs + 3 * len(self.oriented.measured)
+
+    @property
+    def state_dimension(self) -> int:
+        """Scalar unknowns."""
+        return 3 * (self.pose_count + self.oriented.count) + 2 * self.landmark_count
+
+    def prefix(self, pose_count: int) -> SlamProblem:
+        """The same problem up to its first `pose_count` poses; landmark numbers are kept."""
+        inside = self.sighting_pose < pose_count
+        fixed = self.position_pose < pose_count
+        return SlamProblem(
+            self.prior_pose,
+            self.prior_covariance,
+            self.increment[: pose_count - 1],
+            self.increment_covariance[: pose_count - 1],
+            self.sighting_pose[inside],
+            self.sighting_landmark[inside],
+            self.z[inside],
+            self.sigma[inside],
+            self.landmark_count,
+            self.position_pose[fixed],
+            self.position[fixed],
+            self.position_covariance[fixed],
+            self.lever_m,
+            self.surveyed,
+            self.surveyed_covariance,
+            self.own_axes,
+            self.oriented.before(pose_count),
+        )
