@@ -8,8 +8,8 @@ import gtsam
 
 from graphslam.marginals import eliminate
 
-SETTLED = 1e-8
-"""A step that lowers the error by less leaves every unknown within 1.5e-4 sigma of the minimum."""
+SETTLED = 1e-6
+"""The last step lowers the error by less; it moves no unknown by more than 1.5e-3 sigma."""
 OPTIMISERS = ("levenberg-marquardt", "gauss-newton", "dogleg")
 
 
