@@ -30,6 +30,7 @@ from comparisons.cli_options import (
     RobotOption,
     RobustOption,
     SeedOption,
+    SmootherAssociationOption,
     SolveAssociationOption,
 )
 from comparisons.errors import InputError, printable
@@ -67,6 +68,7 @@ def run(
     features: FeaturesOption = "log",
     gps: GpsOption = "off",
     smoother: MethodOption = "batch",
+    smoother_association: SmootherAssociationOption = "ekf",
     lag: LagOption = 100,
     optimiser: OptimiserOption = "levenberg-marquardt",
     robust: RobustOption = "none",
@@ -95,7 +97,11 @@ def run(
         read_s = time.perf_counter() - start
         choices = EkfChoices(filter_name, association, gps)
         options = _options(smoother, lag, optimiser, robust)
-        raise SystemExit(_run(source, choices, options, out, read_s))
+        if smoother_association not in ("ekf", "own"):
+            raise InputError(
+                f"smoother association '{smoother_association}' is unknown, expected ekf or own"
+            )
+        raise SystemExit(_run(source, choices, options, smoother_association, out, read_s))
 
 
 def _options(method: str, lag: int, optimiser: str, robust: str) -> SmootherOptions:
@@ -108,7 +114,12 @@ def _options(method: str, lag: int, optimiser: str, robust: str) -> SmootherOpti
 
 
 def _run(
-    log: Log, choices: EkfChoices, options: SmootherOptions, out: Path | None, read_s: float
+    log: Log,
+    choices: EkfChoices,
+    options: SmootherOptions,
+    smoother_association: str,
+    out: Path | None,
+    read_s: float,
 ) -> int:
     from comparisons.atomic import check_replaceable, folder_name
     from comparisons.compare import compare_estimators
@@ -119,7 +130,9 @@ def _run(
     folder = out or Path(f"slamcheck-{folder_name(log.name)}")
     check_replaceable(folder, CONTENTS)
     with _progress() as progress:
-        comparison = compare_estimators(log, choices, options, progress)
+        comparison = compare_estimators(
+            log, choices, options, progress, smoother_association=smoother_association
+        )
         result = build_result(comparison, read_s)
         progress("report", 0, 0)
         write_run_folder(comparison, result, folder)

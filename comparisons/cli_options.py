@@ -65,6 +65,13 @@ SolveAssociationOption = Annotated[
         help="The log's labels, or the smoother's own reasoning.",
     ),
 ]
+SmootherAssociationOption = Annotated[
+    str,
+    typer.Option(
+        metavar="ekf|own",
+        help="Own: solve for a second time, with the smoother's own association.",
+    ),
+]
 FeaturesOption = Annotated[
     str, typer.Option(metavar="log|trees", help="The log's sightings, or trunks in its scans.")
 ]

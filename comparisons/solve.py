@@ -15,9 +15,10 @@ from comparisons.errors import InputError
 from comparisons.logs.log import Log
 from comparisons.runs.ekf_build import EkfChoices, fused_positions, judging_positions
 from comparisons.runs.estimate import Array, Estimate
-from comparisons.runs.known_landmarks import SURVEYED, join_known_sightings, surveyed
+from comparisons.runs.known_landmarks import join_known_sightings, surveyed
+from comparisons.runs.own_association import associate_own
 from comparisons.runs.smoother_run import assemble, position_rows
-from comparisons.runs.timeline import Timeline, build_timeline
+from comparisons.runs.timeline import build_timeline
 from graphslam.increments import dead_reckoned
 from graphslam.smoother import SmootherOptions, SmootherResult, smooth
 
@@ -68,13 +69,21 @@ def solve_log(
     seconds: dict[str, float] = {}
     start = time.perf_counter()
     rows = position_rows(timeline, positions)
-    slot, ids = _associate(log, timeline, name, rows)
+    guesses = {}
+    if name == "own":
+        progress("association", 0, 0)
+        own = associate_own(log, timeline, rows)
+        slot, problem = own.slot, own.problem
+        ids = np.arange(problem.landmark_count)
+        guesses["association"] = (own.poses, own.landmarks)
+    else:
+        slot, ids = _by_label(log)
+        problem = assemble(log, timeline, slot, len(ids), *rows)
     if not len(ids):
         raise InputError(f"{log.name}: no sighting could be used, so there is no map to solve for")
-    problem = assemble(log, timeline, slot, len(ids), *rows)
     seconds["association"] = time.perf_counter() - start
     start = time.perf_counter()
-    result = smooth(problem, {}, lambda stage: progress(stage, 0, 0), options)
+    result = smooth(problem, guesses, lambda stage: progress(stage, 0, 0), options)
     seconds["smoother"] = time.perf_counter() - start
     start = time.perf_counter()
     progress("marginals", 0, 0)
@@ -107,18 +116,10 @@ def solve_log(
     )
 
 
-def _associate(
-    log: Log, timeline: Timeline, name: str, rows: tuple[Index, Array, Array, tuple[float, float]]
-) -> tuple[Index, NDArray[np.int64]]:
+def _by_label(log: Log) -> tuple[Index, NDArray[np.int64]]:
     """Slots (M,) of the sightings and ids (L,) of the landmarks, surveyed ones first."""
-    slot_of, _, _ = surveyed(log)
-    label = log.sightings.landmark
-    if name == "known":
-        seen = np.where(label >= 0)[0]
-        slots = dict(slot_of)
-        for key in label[seen].tolist():
-            slots.setdefault(key, len(slots))
-        slot = np.full(len(label), -1, dtype=np.intp)
-        slot[seen] = [slots[key] for key in label[seen].tolist()]
-        return slot, np.array(list(slots), dtype=np.int64)
-    raise InputError(f"association '{name}' is not here yet; SURVEYED is {SURVEYED}")
+    slots, label = dict(surveyed(log)[0]), log.sightings.landmark
+    for key in label[label >= 0].tolist():
+        slots.setdefault(key, len(slots))
+    slot = np.array([slots.get(key, -1) for key in label.tolist()], dtype=np.intp)
+    return slot, np.array(list(slots), dtype=np.int64)

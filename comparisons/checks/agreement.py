@@ -119,6 +119,11 @@ def eigenvalue_range(first: Array, second: Array) -> tuple[float, float]:
     return float(values[0]), float(values[-1])
 
 
+def block_agreement(first: Gaussian, second: Gaussian) -> BlockAgreement:
+    """Two Gaussians of one pose (3,), the second being the reference."""
+    return _block(first, second, _difference(first.mean, second.mean), slice(0, 3))
+
+
 def _block(ekf: Gaussian, smoother: Gaussian, difference: Array, part: slice) -> BlockAgreement:
     d = difference[part]
     covariance = smoother.covariance[part, part]

@@ -79,3 +79,71 @@ def _clusters(place: NDArray[np.float64]) -> NDArray[np.int64]:
     """Cluster of each place (L, 2), by single linkage."""
     groups: NDArray[np.int64] = fcluster(linkage(place, "single"), CLUSTER_M, "distance")
     return groups.astype(np.int64)
+
+
+@dataclass(frozen=True)
+class PartitionAgreement:
+    """Two associations of the same sightings, neither being the truth.
+
+    pairs_both: pairs of sightings that both put together; pairs_first, pairs_second: that only one
+    does. splits: landmarks of the first whose sightings the second gives to several, merges: the
+    reverse; a share below SHARE does not count. only_first, only_second: sightings that only one
+    uses.
+    """
+
+    pairs_both: int
+    pairs_first: int
+    pairs_second: int
+    splits: int
+    merges: int
+    only_first: int
+    only_second: int
+
+    @property
+    def agreement(self) -> float:
+        """Share of the pairs put together by either that both put together."""
+        every = self.pairs_both + self.pairs_first + self.pairs_second
+        return self.pairs_both / every if every else 1.0
+
+
+SHARE = 0.1
+"""Of a landmark's sightings; fewer do not make a split or a merge."""
+
+
+def compare_partitions(first: NDArray[np.intp], second: NDArray[np.intp]) -> PartitionAgreement:
+    """Slots (M,) of the same sightings by two associations, negative for unused."""
+    both = (first >= 0) & (second >= 0)
+    table = np.zeros((first.max(initial=-1) + 1, second.max(initial=-1) + 1), dtype=np.int64)
+    np.add.at(table, (first[both], second[both]), 1)
+    together = _pairs(table.ravel())
+    own = [_pairs(np.bincount(slot[slot >= 0])) for slot in (first, second)]
+    return PartitionAgreement(
+        together,
+        own[0] - together,
+        own[1] - together,
+        _divided(table),
+        _divided(table.T),
+        int(np.count_nonzero((first >= 0) & (second < 0))),
+        int(np.count_nonzero((first < 0) & (second >= 0))),
+    )
+
+
+def counterparts(
+    first: NDArray[np.intp], second: NDArray[np.intp]
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Landmarks of two associations that share most of each other's sightings, one to one."""
+    both = (first >= 0) & (second >= 0)
+    table = np.zeros((first.max(initial=-1) + 1, second.max(initial=-1) + 1), dtype=np.int64)
+    np.add.at(table, (first[both], second[both]), 1)
+    if not table.size:
+        return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
+    best = table.argmax(axis=1)
+    rows = np.arange(len(table))
+    mutual = (table[rows, best] > 0) & (table.argmax(axis=0)[best] == rows)
+    return rows[mutual], best[mutual]
+
+
+def _divided(table: Ids) -> int:
+    """Rows whose counts fall on several columns."""
+    total = table.sum(axis=1, keepdims=True)
+    return int(np.count_nonzero((table > SHARE * np.maximum(total, 1)).sum(axis=1) > 1))

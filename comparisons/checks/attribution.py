@@ -10,6 +10,7 @@ import numpy as np
 
 from comparisons.checks.agreement import Agreement, BlockAgreement, Gap
 from comparisons.checks.model_differences import ModelDifference
+from comparisons.checks.own_association import OwnAssociationCheck
 from comparisons.runs.ekf_run import EkfRun
 from graphslam.optimum import DISTANCE_LIMIT, Proof
 
@@ -63,6 +64,7 @@ def judge(
     *,
     conservative: bool = False,
     robust: str = "none",
+    own: OwnAssociationCheck | None = None,
 ) -> Verdict:
     """The verdict on a run.
 
@@ -71,7 +73,8 @@ def judge(
     semidefinite, to rounding, and the mean hardly moves. A red algebra or model gap is a
     disagreement whatever the smoother found, for it compares the filter with linear algebra.
     Otherwise an unproven optimum gives no verdict at all. robust: how the smoother meets wild
-    observations.
+    observations. own: the smoother with its own association; when its last pose is another, the
+    associations differ in what matters.
     """
     causes: list[Cause] = []
     algebra = agreement.algebra
@@ -105,6 +108,9 @@ def judge(
         outcome = "agree" if all(map(block_agrees, blocks)) else "disagree"
         if outcome == "disagree":
             causes.append(_linearisation(agreement, run))
+        if own is not None and own.proof.proven and not block_agrees(own.pose):
+            outcome = "disagree"
+            causes.append(_association(own))
     remarks = _remarks(proof, run)
     if robust in ("huber", "cauchy"):
         remarks.append(
@@ -150,6 +156,19 @@ def _model(gap: Gap, differences: Sequence[ModelDifference]) -> Cause:
         "the filter's and the smoother's equations, linearised at the same points, "
         f"{_apart(gap)}" + (f"; {named}" if named else ""),
         hint,
+    )
+
+
+def _association(own: OwnAssociationCheck) -> Cause:
+    p = own.partition
+    return Cause(
+        "association",
+        f"with its own association the smoother's last pose is {own.pose.difference_m:.2f} m "
+        f"({own.pose.distance:.1f} sigma) elsewhere; of the pairs of sightings put together "
+        f"{100.0 * p.agreement:.0f} % are the same, {p.splits} of the filter's landmarks are split "
+        f"and {p.merges} of the smoother's",
+        "look at the sightings where the two differ: a wrong closure, or landmarks too near to "
+        "tell apart",
     )
 
 

@@ -149,6 +149,28 @@ class AssociationResult(_Model):
     clusters: PartitionResult | None
 
 
+class OwnAssociationResult(_Model):
+    """The smoother with its own association. See comparisons.checks.own_association.
+
+    agreement: share of the pairs of sightings put together by either that both put together.
+    pose_distance_sigma: between the last poses with the one and the other association.
+    """
+
+    landmarks: int
+    agreement: float
+    pairs_both: int
+    pairs_filter: int
+    pairs_smoother: int
+    splits: int
+    merges: int
+    pose_difference_m: float
+    pose_distance_sigma: float
+    landmark_rms_m: float | None
+    proven: bool
+    accuracy: AccuracyResult | None
+    association: AssociationResult | None
+
+
 class CauseResult(_Model):
     """One reason for the verdict."""
 
@@ -166,6 +188,7 @@ class Result(_Model):
     agreement: AgreementResult
     accuracy: Accuracies | None
     association: AssociationResult | None
+    own_association: OwnAssociationResult | None
     verdict: Literal["agree", "disagree", "unproven"]
     causes: list[CauseResult]
     remarks: list[str]

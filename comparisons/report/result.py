@@ -11,6 +11,7 @@ import numpy as np
 from comparisons.checks.agreement import BlockAgreement
 from comparisons.checks.association import AssociationScore
 from comparisons.checks.attribution import block_agrees
+from comparisons.checks.own_association import OwnAssociationCheck
 from comparisons.compare import Comparison
 from comparisons.logs.log import Log
 from comparisons.report.models import (
@@ -23,6 +24,7 @@ from comparisons.report.models import (
     EkfResult,
     LandmarkResult,
     LogResult,
+    OwnAssociationResult,
     PartitionResult,
     Result,
     SmootherResult,
@@ -51,6 +53,7 @@ def build_result(comparison: Comparison, read_s: float) -> Result:
         agreement=_agreement(c),
         accuracy=_accuracies(c),
         association=association_result(c.association),
+        own_association=_own_association(c.own_association),
         verdict=c.verdict.outcome,
         causes=[CauseResult(**vars(cause)) for cause in c.verdict.causes],
         remarks=list(c.verdict.remarks),
@@ -173,6 +176,27 @@ def _accuracies(c: Comparison) -> Accuracies | None:
         ekf=AccuracyResult(**vars(c.accuracy_ekf)),
         smoother=AccuracyResult(**vars(c.accuracy_smoother)),
         dead_reckoning=None if alone is None else AccuracyResult(**vars(alone)),
+    )
+
+
+def _own_association(own: OwnAssociationCheck | None) -> OwnAssociationResult | None:
+    if own is None:
+        return None
+    p = own.partition
+    return OwnAssociationResult(
+        landmarks=len(own.estimate.landmark),
+        agreement=p.agreement,
+        pairs_both=p.pairs_both,
+        pairs_filter=p.pairs_first,
+        pairs_smoother=p.pairs_second,
+        splits=p.splits,
+        merges=p.merges,
+        pose_difference_m=own.pose.difference_m,
+        pose_distance_sigma=own.pose.distance,
+        landmark_rms_m=own.landmark_rms_m,
+        proven=own.proof.proven,
+        accuracy=None if own.accuracy is None else AccuracyResult(**vars(own.accuracy)),
+        association=association_result(own.score),
     )
 
 

@@ -67,6 +67,16 @@ def print_summary(result: Result, console: Console) -> None:
         add_accuracy(table, "smoother accuracy", result.accuracy.smoother)
         add_accuracy(table, "dead reckoning", result.accuracy.dead_reckoning)
     add_association(table, result.association)
+    own = result.own_association
+    if own is not None:
+        table.add_row(
+            "own association",
+            f"{own.landmarks} landmarks; {100.0 * own.agreement:.1f} % of pairs as the filter's, "
+            f"{own.splits} splits, {own.merges} merges; last pose {own.pose_difference_m:.3f} m "
+            f"apart, {own.pose_distance_sigma:.2g} sigma",
+        )
+        add_accuracy(table, "with it", own.accuracy)
+        add_association(table, own.association)
     table.add_row("seconds", ", ".join(f"{stage} {s:.2f}" for stage, s in result.seconds.items()))
     console.print(table)
     console.print(f"verdict: [{_STYLE[result.verdict]}]{result.verdict}[/]", highlight=False)

@@ -32,6 +32,10 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 
+PositionRows = tuple[Index, Array, Array, tuple[float, float]]
+"""Pose, position and covariance of each fix, and the antenna's lever arm."""
+
+
 def build_problem(log: Log, run: EkfRun) -> SlamProblem:
     """The log as the smoother's arrays, with the EKF's association of sightings to landmarks."""
     count = len(run.estimate.landmark)
@@ -75,17 +79,15 @@ def assemble(
     )
 
 
-def _positions(run: EkfRun) -> tuple[Index, Array, Array, tuple[float, float]]:
+def _positions(run: EkfRun) -> PositionRows:
     """The fixes that the filter accepted: poses, positions, covariances, lever arm."""
     epoch, z, covariance, antenna_m = position_rows(run.timeline, run.positions)
     rows = run.fix_number
     return epoch[rows], z[rows], covariance[rows], antenna_m
 
 
-def position_rows(
-    timeline: Timeline, positions: Positions | None
-) -> tuple[Index, Array, Array, tuple[float, float]]:
-    """Pose, position and covariance of each fix, and the lever arm."""
+def position_rows(timeline: Timeline, positions: Positions | None) -> PositionRows:
+    """Of the positions that the timeline has."""
     if positions is None:
         return np.zeros(0, dtype=np.intp), np.zeros((0, 2)), np.zeros((0, 2, 2)), (0.0, 0.0)
     p, count = positions, len(timeline.position_epoch)

@@ -6,7 +6,12 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from comparisons.checks.association import score_association, score_partition
+from comparisons.checks.association import (
+    compare_partitions,
+    counterparts,
+    score_association,
+    score_partition,
+)
 from comparisons.compare import compare_estimators
 from comparisons.logs.log import NO_LANDMARK, Landmarks, Truth
 from comparisons.runs.ekf_build import EkfChoices
@@ -78,3 +83,32 @@ def test_codes_of_unused_sightings_index_nothing() -> None:
     assert score is not None
     assert score.clusters is not None
     assert 0.0 <= score.clusters.recall < 1.0
+
+
+def test_partitions_are_compared_pair_by_pair() -> None:
+    """The second splits landmark 0, merges 1 and 2, and leaves out one sighting."""
+    first = np.array([0, 0, 0, 0, 1, 1, 2, 2, 2, -1])
+    second = np.array([5, 5, 6, 6, 3, 3, 3, 3, -1, 3])
+    found = compare_partitions(first, second)
+    by_hand = {"both": 0, "first": 0, "second": 0}
+    for i, j in combinations(range(len(first)), 2):
+        a = first[i] >= 0 and first[i] == first[j]
+        b = second[i] >= 0 and second[i] == second[j]
+        if a or b:
+            by_hand["both" if a and b else "first" if a else "second"] += 1
+    assert (found.pairs_both, found.pairs_first, found.pairs_second) == tuple(by_hand.values())
+    assert (found.splits, found.merges) == (1, 1)
+    assert (found.only_first, found.only_second) == (1, 1)
+    assert found.agreement == by_hand["both"] / sum(by_hand.values())
+    same = compare_partitions(first, np.where(first >= 0, 7 - first, -1))
+    assert same.agreement == 1.0
+    assert (same.splits, same.merges, same.pairs_first) == (0, 0, 0)
+
+
+def test_counterparts_are_mutual() -> None:
+    first = np.array([0, 0, 0, 0, 1, 1, 2, 2, 2, -1])
+    second = np.array([5, 5, 5, 6, 3, 3, 3, 3, 3, 3])
+    ours, theirs = counterparts(first, second)
+    assert ours.tolist() == [0, 2]
+    assert theirs.tolist() == [5, 3]
+    assert counterparts(np.array([-1]), np.array([0]))[0].tolist() == []

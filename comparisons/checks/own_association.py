@@ -1,0 +1,63 @@
+"""S': the smoother with its own association beside S, which has the filter's."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.checks.accuracy import Accuracy
+from comparisons.checks.agreement import BlockAgreement, Gaussian, block_agreement
+from comparisons.checks.association import (
+    AssociationScore,
+    PartitionAgreement,
+    compare_partitions,
+    counterparts,
+)
+from comparisons.runs.estimate import Estimate
+from graphslam.optimum import Proof
+
+Index = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class OwnAssociationCheck:
+    """The association gap, S - S'.
+
+    partition: the filter's association first, the smoother's own second. pose: S against S' in the
+    last pose. landmark_rms_m: between landmarks that share most of their sightings, None without
+    any. estimate, proof, accuracy, score: of S'.
+    """
+
+    partition: PartitionAgreement
+    pose: BlockAgreement
+    landmark_rms_m: float | None
+    estimate: Estimate
+    proof: Proof
+    accuracy: Accuracy | None
+    score: AssociationScore | None
+
+
+def check_own_association(
+    filters: Index,
+    own: Index,
+    smoothed: Estimate,
+    estimate: Estimate,
+    proof: Proof,
+    accuracy: Accuracy | None,
+    score: AssociationScore | None,
+) -> OwnAssociationCheck:
+    """Compare. filters, own: (M,) slots. smoothed: S. estimate, proof, accuracy, score: of S'."""
+    first, second = counterparts(filters, own)
+    apart = smoothed.landmark[first] - estimate.landmark[second]
+    poses = [Gaussian(e.pose[-1], e.joint_covariance[:3, :3]) for e in (smoothed, estimate)]
+    return OwnAssociationCheck(
+        compare_partitions(filters, own),
+        block_agreement(*poses),
+        float(np.sqrt(np.mean(np.sum(apart**2, axis=1)))) if len(apart) else None,
+        estimate,
+        proof,
+        accuracy,
+        score,
+    )

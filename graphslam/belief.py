@@ -1,0 +1,109 @@
+"""The Gaussian of the last pose and the map, carried through one piece of a log.
+
+A smoother gives it at the end of a piece; through the next it is moved by the odometry and narrowed
+by what has been recognised, only to judge what is seen. The smoother then starts it anew.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+
+class Expected(NamedTuple):
+    """Sightings expected of n landmarks. z: (n, 2). jacobian: (n, 2, 5) by pose and landmark."""
+
+    z: Array
+    jacobian: Array
+
+
+class Belief:
+    """Mean and covariance of pose (3) and landmarks (2 each), additive global error."""
+
+    def __init__(self, mean: Array, covariance: Array) -> None:
+        """mean: (3 + 2 L,). covariance: of it."""
+        self.mean, self.covariance = mean.copy(), covariance.copy()
+
+    @property
+    def pose(self) -> Array:
+        """(3,)."""
+        return self.mean[:3]
+
+    @property
+    def landmarks(self) -> Array:
+        """(L, 2)."""
+        return self.mean[3:].reshape(-1, 2)
+
+    def move(self, increment: Array, covariance: Array) -> None:
+        """By an increment (3,) with covariance (3, 3) of the right perturbation."""
+        x, y, heading = self.pose
+        cos, sin = np.cos(heading), np.sin(heading)
+        east = cos * increment[0] - sin * increment[1]
+        north = sin * increment[0] + cos * increment[1]
+        f = np.array([[1.0, 0.0, -north], [0.0, 1.0, east], [0.0, 0.0, 1.0]])
+        self.mean[:3] = x + east, y + north, heading + increment[2]
+        cos, sin = np.cos(self.mean[2]), np.sin(self.mean[2])
+        turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        p = self.covariance
+        own = f @ p[:3, :3] @ f.T + turn @ covariance @ turn.T
+        p[:3, 3:] = f @ p[:3, 3:]
+        p[3:, :3] = p[:3, 3:].T
+        p[:3, :3] = own
+
+    def near(self, reach_m: float) -> Index:
+        """Landmarks within reach of the vehicle."""
+        distance = np.linalg.norm(self.landmarks - self.pose[:2], axis=1)
+        return np.flatnonzero(distance <= reach_m)
+
+    def expect(self, slots: Index) -> Expected:
+        """What landmarks (n,) would look like from here."""
+        offset = self.landmarks[slots] - self.pose[:2]
+        r = np.hypot(offset[:, 0], offset[:, 1])
+        z = np.column_stack((r, np.arctan2(offset[:, 1], offset[:, 0]) - self.pose[2]))
+        along, across = offset / r[:, None], offset[:, ::-1] * (-1.0, 1.0) / r[:, None] ** 2
+        jacobian = np.zeros((len(r), 2, 5))
+        jacobian[:, 0, 3:], jacobian[:, 1, 3:] = along, across
+        jacobian[:, :, :2] = -jacobian[:, :, 3:]
+        jacobian[:, 1, 2] = -1.0
+        return Expected(z, jacobian)
+
+    def spread(self, slots: Index, jacobian: Array) -> Array:
+        """(2 n, 2 n) covariance of the expected sightings of landmarks (n,), noise left out."""
+        columns = np.concatenate(([0, 1, 2], (3 + 2 * slots[:, None] + (0, 1)).ravel()))
+        stacked = np.zeros((len(slots), 2, len(columns)))
+        stacked[:, :, :3] = jacobian[:, :, :3]
+        which = np.arange(len(slots))
+        stacked[which, :, 3 + 2 * which], stacked[which, :, 4 + 2 * which] = (
+            jacobian[:, :, 3],
+            jacobian[:, :, 4],
+        )
+        flat = stacked.reshape(-1, len(columns))
+        result: Array = flat @ self.covariance[np.ix_(columns, columns)] @ flat.T
+        return result
+
+    def learn(self, slots: Index, z: Array, variance: Array) -> None:
+        """Narrow by sightings (m, 2) with variances (m, 2) of landmarks (m,)."""
+        expected = self.expect(slots)
+        h = np.zeros((len(slots), 2, len(self.mean)))
+        which = np.arange(len(slots))
+        h[:, :, :3] = expected.jacobian[:, :, :3]
+        h[which, :, 3 + 2 * slots] = expected.jacobian[:, :, 3]
+        h[which, :, 4 + 2 * slots] = expected.jacobian[:, :, 4]
+        flat = h.reshape(-1, len(self.mean))
+        nu = wrapped(z - expected.z).ravel()
+        left = self.covariance @ flat.T
+        gain = np.linalg.solve(flat @ left + np.diag(variance.ravel()), left.T).T
+        self.mean += gain @ nu
+        self.covariance -= gain @ left.T
+
+
+def wrapped(difference: Array) -> Array:
+    """Range and bearing differences (..., 2), the bearing in (-pi, pi]."""
+    result = difference.copy()
+    result[..., 1] = np.pi - np.mod(np.pi - result[..., 1], 2.0 * np.pi)
+    return result

@@ -1,0 +1,150 @@
+"""The smoother alone, as a user meets it, and its own association beside the filter's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from comparisons.compare import compare_estimators
+from comparisons.errors import InputError
+from comparisons.logs.bundled import open_log
+from comparisons.logs.log import NO_LANDMARK, Log
+from comparisons.report.models import Result, SolutionResult
+from comparisons.report.result import build_result
+from comparisons.runs.ekf_build import EkfChoices
+from comparisons.runs.estimate_folder import read_estimate
+from comparisons.solve import solve_log
+from graphslam.g2o import read_g2o
+from graphslam.smoother import SmootherOptions
+from tests.comparisons.test_cli import slamcheck
+from tests.helpers import simulated
+
+
+def without_labels(log: Log) -> Log:
+    blank = np.full(len(log.sightings.landmark), NO_LANDMARK)
+    return replace(log, sightings=replace(log.sightings, landmark=blank))
+
+
+def test_solving_leaves_a_whole_folder(tmp_path: Path) -> None:
+    done = slamcheck("solve", "simulated-loop", "--out", "solved", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "verdict: proven" in done.stdout
+    folder = tmp_path / "solved"
+    names = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
+    estimate = ("covariances.npz", "estimate.toml", "landmarks.csv", "trajectory.tum")
+    assert names == {
+        "solution.json",
+        "map.png",
+        "graph.g2o",
+        *(f"smoother/{name}" for name in estimate),
+    }
+    result = SolutionResult.model_validate_json((folder / "solution.json").read_text())
+    assert result.smoother.proven
+    assert result.smoother.starts[0].name == "tracked"
+    assert result.accuracy is not None
+    again, graph = read_estimate(folder / "smoother"), read_g2o(folder / "graph.g2o")
+    assert np.allclose(again.landmark, graph.landmarks)
+    assert result.landmarks == len(graph.landmarks)
+    same = slamcheck("solve", "solved/graph.g2o", "--out", "again", cwd=tmp_path)
+    assert same.returncode == 0, same.stderr
+
+
+def test_what_is_not_proven_has_its_exit_code(tmp_path: Path) -> None:
+    arguments = ("simulated-loop", "--smoother", "fixed-lag", "--lag", "5", "--out", "lagged")
+    done = slamcheck("solve", *arguments, cwd=tmp_path)
+    assert done.returncode == 3
+    assert "sigma from the optimum" in done.stdout
+    assert read_estimate(tmp_path / "lagged" / "smoother").information == "fixed-lag"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (("--association", "mine"), "association 'mine' is unknown, expected known or own"),
+        (("--smoother", "magic"), "method is 'magic', expected one of batch, isam2, fixed-lag"),
+        (("--lag", "0"), "lag is 0, expected at least 1"),
+        (("--optimiser", "adam"), "optimiser is 'adam'"),
+        (("--robust", "tukey"), "robust is 'tukey'"),
+        (("--gps", "on"), "holds no positions to fuse"),
+    ],
+)
+def test_unknown_choices_are_one_line(
+    tmp_path: Path, arguments: tuple[str, ...], complaint: str
+) -> None:
+    done = slamcheck("solve", "simulated-loop", *arguments, cwd=tmp_path)
+    assert done.returncode == 2
+    assert complaint in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_small_graph_is_drawn(tmp_path: Path) -> None:
+    from comparisons.report.solution_folder import write_solution_folder
+    from comparisons.report.solution_result import build_solution_result
+
+    solution = solve_log(simulated(0, loop_s=2.0))
+    assert solution.result.values.size() < 50
+    write_solution_folder(solution, build_solution_result(solution, 0.0), tmp_path / "small")
+    assert "graph {" in (tmp_path / "small" / "graph.dot").read_text()
+
+
+def test_labels_are_refused_where_there_are_none() -> None:
+    with pytest.raises(InputError, match="do not all name their landmark"):
+        solve_log(without_labels(simulated(0, loop_s=5.0)), "known")
+
+
+def test_own_association_needs_no_labels() -> None:
+    log = simulated(0)
+    blind = solve_log(without_labels(log))
+    assert blind.association_by == "own"
+    seen = solve_log(log, "own")
+    assert np.array_equal(blind.slot, seen.slot)
+    assert seen.association is not None
+    assert seen.association.landmarks.precision > 0.99
+    assert seen.association.landmarks.recall > 0.97
+    assert seen.result.proof.proven
+
+
+def test_misread_labels_are_left_out(shared_data: Path) -> None:
+    """MR.CLAM's robot 3 has four sightings under a wrong barcode."""
+    log = open_log(str(shared_data / "mrclam" / "MRCLAM_Dataset6"), robot=3)
+    solution = solve_log(log, "known", options=SmootherOptions(robust="gnc"))
+    assert 4 <= len(solution.result.rejected.sightings) < 20
+    assert solution.accuracy is not None
+    assert solution.accuracy.landmark_rmse_aligned_m is not None
+    assert solution.accuracy.landmark_rmse_aligned_m < 0.06
+
+
+def test_both_associations_are_compared() -> None:
+    comparison = compare_estimators(
+        simulated(1), EkfChoices(association="nn"), smoother_association="own"
+    )
+    own = comparison.own_association
+    assert own is not None
+    assert own.partition.agreement > 0.9
+    assert own.pose.distance < 1.0
+    assert comparison.verdict.outcome == "agree"
+    result = build_result(comparison, 0.0)
+    again = Result.model_validate_json(result.model_dump_json())
+    assert again.own_association is not None
+    assert again.own_association.landmarks == 60
+
+
+def test_a_wrong_association_of_the_filter_is_named() -> None:
+    """Labels that send a tenth of the sightings to the wrong landmarks, all of one loop's end."""
+    log = simulated(2)
+    seen = log.sightings
+    wrong = seen.landmark.copy()
+    late = seen.time_s > 70.0
+    wrong[late] = (wrong[late] + 1) % 60
+    spoilt = replace(log, sightings=replace(seen, landmark=wrong))
+    comparison = compare_estimators(
+        spoilt, EkfChoices(association="known"), smoother_association="own"
+    )
+    assert comparison.verdict.outcome == "disagree"
+    causes = {cause.gap: cause for cause in comparison.verdict.causes}
+    assert "association" in causes
+    assert "the same" in causes["association"].evidence

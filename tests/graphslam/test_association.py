@@ -1,0 +1,196 @@
+"""The smoother's own association: the belief, the joint decision, and whole logs without labels."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from comparisons.checks.association import compare_partitions, score_association, score_partition
+from comparisons.logs.bundled import open_log
+from comparisons.logs.log import Log
+from comparisons.runs.ekf_build import EkfChoices
+from comparisons.runs.ekf_run import run_ekf
+from comparisons.runs.own_association import associate_own
+from comparisons.runs.smoother_run import assemble, position_rows
+from comparisons.runs.timeline import build_timeline
+from graphslam.association import AssociationResult, associate
+from graphslam.belief import Belief, wrapped
+from graphslam.problem import SlamProblem
+from graphslam.recognition import PENDING, UNSEEN, Options, recognise
+from tests.helpers import Array, central_difference, random_covariance, relative_error, simulated
+
+POSTS = np.array([(6.0, -2.0), (6.0, 2.0), (9.0, 5.0)])
+
+
+def problem_of(log: Log) -> SlamProblem:
+    """Every sighting, nothing decided."""
+    timeline = build_timeline(log)
+    nobody = np.zeros(len(log.sightings.time_s), dtype=np.intp)
+    return assemble(log, timeline, nobody, 1, *position_rows(timeline, None))
+
+
+def belief(heading_sigma: float, posts: Array = POSTS) -> Belief:
+    covariance = np.diag([1e-4, 1e-4, heading_sigma**2, *np.full(posts.size, 1e-4)])
+    return Belief(np.concatenate((np.zeros(3), posts.ravel())), covariance)
+
+
+def seen(*points: tuple[float, float], heading: float = 0.0) -> tuple[Array, Array]:
+    p = np.array(points)
+    z = np.column_stack((np.hypot(*p.T), np.arctan2(p[:, 1], p[:, 0]) - heading))
+    return z, np.tile((0.05**2, 0.01**2), (len(z), 1))
+
+
+def test_expected_sightings_have_the_right_jacobian() -> None:
+    state = np.concatenate((np.array([1.0, -2.0, 2.5]), POSTS.ravel()))
+
+    def of(x: Array) -> Array:
+        return Belief(x, np.eye(9)).expect(np.arange(3)).z.ravel()
+
+    jacobian = Belief(state, np.eye(9)).expect(np.arange(3)).jacobian
+    numeric = central_difference(of, state).reshape(3, 2, 9)
+    for j in range(3):
+        own = np.concatenate((numeric[j, :, :3], numeric[j, :, 3 + 2 * j : 5 + 2 * j]), axis=1)
+        assert relative_error(jacobian[j], own) < 1e-7
+
+
+def test_the_belief_is_moved_and_narrowed_as_a_gaussian() -> None:
+    rng = np.random.default_rng(0)
+    mean = np.concatenate((np.array([1.0, -2.0, 0.4]), POSTS.ravel()))
+    prior, own = 0.01 * random_covariance(rng, 9), 0.01 * random_covariance(rng, 3)
+    step = np.array([0.5, 0.1, 0.2])
+
+    def moved(x: Array) -> Array:
+        """State and a right perturbation (last three entries)."""
+        cos, sin = np.cos(x[2]), np.sin(x[2])
+        arrived = x[:3] + (cos * step[0] - sin * step[1], sin * step[0] + cos * step[1], step[2])
+        cos, sin = np.cos(arrived[2]), np.sin(arrived[2])
+        u, v, w = x[9:]
+        return np.concatenate((arrived + (cos * u - sin * v, sin * u + cos * v, w), x[3:9]))
+
+    it = Belief(mean, prior)
+    it.move(step, own)
+    jacobian = central_difference(moved, np.concatenate((mean, np.zeros(3))))
+    joint = np.zeros((12, 12))
+    joint[:9, :9], joint[9:, 9:] = prior, own
+    assert np.allclose(it.mean, moved(np.concatenate((mean, np.zeros(3)))))
+    assert relative_error(it.covariance, jacobian @ joint @ jacobian.T) < 1e-7
+
+    before, slots = Belief(it.mean, it.covariance), np.array([2, 0])
+    z = before.expect(slots).z + rng.normal(0.0, 0.05, (2, 2))
+    variance = np.array([[0.01, 1e-4], [0.02, 2e-4]])
+    h = central_difference(lambda x: Belief(x, np.eye(9)).expect(slots).z.ravel(), before.mean)
+    information = np.linalg.inv(before.covariance) + h.T @ np.diag(1.0 / variance.ravel()) @ h
+    it.learn(slots, z, variance)
+    assert relative_error(it.covariance, np.linalg.inv(information)) < 1e-6
+    nu = wrapped(z - before.expect(slots).z).ravel()
+    shift = it.covariance @ h.T @ (nu / variance.ravel())
+    assert relative_error(it.mean - before.mean, shift) < 1e-6
+    spread = before.spread(slots, before.expect(slots).jacobian)
+    assert relative_error(spread, h @ before.covariance @ h.T) < 1e-6
+
+
+def test_known_new_and_doubtful() -> None:
+    o = Options()
+    z, variance = seen((6.0, 2.0), (5.0, -8.0))
+    assert recognise(belief(0.01), z, variance, o).tolist() == [1, PENDING]
+    z, variance = seen(
+        (6.3, 0.0)
+    )  # half way between two posts, with a heading that allows for both
+    assert recognise(belief(0.4), z, variance, o).tolist() == [UNSEEN]
+    assert recognise(belief(0.01), z, variance, o).tolist() == [PENDING]
+
+
+def test_two_together_decide_what_one_cannot() -> None:
+    lost = belief(0.4, np.array([(6.0 * np.cos(b), 6.0 * np.sin(b)) for b in (-0.6, -0.2, 0.6)]))
+    ring = [(float(x), float(y)) for x, y in lost.landmarks]
+    o = Options()
+    z, variance = seen(ring[0], heading=-0.25)
+    assert recognise(Belief(lost.mean, lost.covariance), z, variance, o).tolist() == [UNSEEN]
+    z, variance = seen(ring[0], ring[1], heading=-0.25)
+    assert recognise(lost, z, variance, o).tolist() == [0, 1]
+
+
+def test_what_stands_together_is_one_piece_of_evidence() -> None:
+    """Three sightings of one clump narrow the belief as one does."""
+    o = Options()
+    one, three = belief(0.2), belief(0.2)
+    recognise(one, *seen((6.0, 2.0)), o)
+    slots = recognise(three, *seen((6.0, 2.0), (6.1, 2.1), (5.9, 1.9)), o)
+    assert slots.tolist() == [1, 1, 1]
+    assert relative_error(three.covariance, one.covariance) < 0.02
+
+
+def score(log: Log, found: AssociationResult) -> tuple[float, float]:
+    result = score_partition(found.slot, log.sightings.landmark)
+    return result.precision, result.recall
+
+
+@pytest.mark.parametrize(("seed", "loops"), [(0, 1), (3, 2)])
+def test_loops_are_closed_without_labels(seed: int, loops: int) -> None:
+    log = simulated(seed, loops=loops)
+    precision, recall = score(log, associate(problem_of(log)))
+    assert precision > 0.995
+    assert recall > 0.96
+
+
+def test_clutter_becomes_no_landmark() -> None:
+    """A fifth more detections of nothing: nearly all stay unused, and the map is the same."""
+    log = simulated(1)
+    rng = np.random.default_rng(0)
+    everything = problem_of(log)
+    count = len(everything.z) // 5
+    rows = rng.integers(0, len(everything.z), count)
+    z = rng.uniform((3.0, -1.5), (20.0, 1.5), (count, 2))
+    cluttered = replace(
+        everything,
+        sighting_pose=np.concatenate((everything.sighting_pose, everything.sighting_pose[rows])),
+        sighting_landmark=np.zeros(len(everything.z) + count, dtype=np.intp),
+        z=np.vstack((everything.z, z)),
+        sigma=np.vstack((everything.sigma, everything.sigma[rows])),
+    )
+    found = associate(cluttered)
+    assert np.mean(found.slot[len(everything.z) :] < 0) > 0.8
+    precision = score_partition(found.slot[: len(everything.z)], log.sightings.landmark)
+    assert precision.precision > 0.98
+    assert found.landmark_count < 75
+
+
+def test_landmarks_are_numbered_by_first_sighting() -> None:
+    log = simulated(2, loop_s=30.0)
+    found = associate(problem_of(log))
+    used = found.slot[found.slot >= 0]
+    _, first = np.unique(used, return_index=True)
+    assert np.all(np.diff(first) > 0)
+    assert used.max() + 1 == found.landmark_count == len(found.landmarks)
+    assert np.isfinite(found.landmarks).all()
+
+
+@pytest.mark.parametrize(
+    ("robot", "precision", "recall"), [(1, 0.95, 0.93), (2, 0.99, 0.98), (3, 0.98, 0.95)]
+)
+def test_mrclam_with_its_labels_hidden(
+    shared_data: Path, robot: int, precision: float, recall: float
+) -> None:
+    log = open_log(str(shared_data / "mrclam" / "MRCLAM_Dataset6"), robot=robot)
+    timeline = build_timeline(log)
+    found = associate_own(log, timeline, position_rows(timeline, None))
+    clusters = score_association(found.slot, found.landmarks, log)
+    assert clusters is not None
+    assert clusters.clusters is not None
+    assert clusters.clusters.precision > precision
+    assert clusters.clusters.recall > recall
+
+
+def test_raw_detections_as_the_filter_sees_them(shared_data: Path) -> None:
+    """The first five minutes of Victoria Park: most pairs as in the filter's association."""
+    log = open_log(str(shared_data / "victoria_park"))
+    whole = build_timeline(log)
+    timeline = whole.prefix(int(np.searchsorted(whole.epoch_time_s, 300.0)))
+    run = run_ekf(log, timeline, EkfChoices("compressed").settle(log))
+    found = associate_own(log, timeline, position_rows(timeline, None))
+    agreement = compare_partitions(run.slot, found.slot)
+    assert agreement.agreement > 0.9
+    assert 0.8 < found.problem.landmark_count / len(run.estimate.landmark) < 1.25
