@@ -45,14 +45,10 @@ class Checkpoint:
 
 @dataclass(frozen=True)
 class IncrementalEnd:
-    """What an incremental smoother leaves.
-
-    filtered: (K, 3) every pose as it was when it was the last one observed from or passed over.
-    """
+    """What an incremental smoother leaves."""
 
     values: gtsam.Values
     updates: int
-    filtered: Array
     checkpoints: tuple[Checkpoint, ...]
 
 
@@ -143,21 +139,13 @@ def run_isam2(
     parameters.relinearizeSkip = RELINEARISE_EVERY
     parameters.setFactorization("QR")
     isam, updates = gtsam.ISAM2(parameters), 0
-    filtered = np.empty((problem.pose_count, 3))
     taken: list[Checkpoint] = []
-    done = 0
     for piece in _pieces(problem, graph, _Known(isam.calculateEstimatePose2), checkpoints):
         isam.update(piece.graph, piece.new)
         updates += 1
-        for k in range(done, piece.end):
-            pose = isam.calculateEstimatePose2(POSE_KEY + k)
-            filtered[k] = pose.x(), pose.y(), pose.theta()
-        done = piece.end
         if piece.end - 1 in checkpoints:
             taken.append(_checkpoint(problem, graph, _settled(isam), piece.end))
-    values = _settled(isam)
-    unwrap(filtered, problem)
-    return IncrementalEnd(values, updates, filtered, tuple(taken))
+    return IncrementalEnd(_settled(isam), updates, tuple(taken))
 
 
 def _settled(isam: gtsam.ISAM2) -> gtsam.Values:

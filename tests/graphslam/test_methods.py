@@ -18,7 +18,6 @@ from comparisons.runs.timeline import build_timeline
 from comparisons.solve import solve_log
 from graphslam.graph_builder import (
     build_graph,
-    from_values,
     last_poses,
     to_values,
 )
@@ -219,13 +218,6 @@ def test_checkpoints_equal_the_batch_of_their_prefix(problem: SlamProblem) -> No
     )
 
 
-def test_filtered_poses_come_before_their_future(problem: SlamProblem) -> None:
-    end = run_isam2(problem, build_graph(problem))
-    poses, _ = from_values(end.values, problem)
-    assert np.allclose(end.filtered[-1], poses[-1], atol=0.05)
-    assert np.abs(end.filtered - poses).max() > 1e-3
-
-
 def singular(problem: SlamProblem, graph: gtsam.NonlinearFactorGraph) -> str:
     values = extension(problem, gtsam.Values(), 0, problem.pose_count)
     return explain_singularity(graph, values)
@@ -307,3 +299,23 @@ def test_oriented_landmarks_are_solved_for(problem: SlamProblem) -> None:
     before, after = (r.pose_covariances()[:, 2, 2] for r in (plain, result))
     assert np.all(after < before * (1.0 + 1e-9))
     assert len(more.prefix(50).oriented.pose) == np.count_nonzero(pose < 50)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_filter_at_k_agrees_with_the_smoother_up_to_k(seed: int) -> None:
+    """Like with like: neither has seen the future; both are given the same prefix."""
+    log = simulated(seed, loop_s=40.0)
+    timeline = build_timeline(log)
+    problem = solve_log(log).result.problem
+    stops = [problem.pose_count // 4, problem.pose_count // 2, problem.pose_count - 1]
+    end = run_isam2(problem, build_graph(problem), stops)
+    for checkpoint in end.checkpoints:
+        run = run_ekf(log, timeline.prefix(checkpoint.pose + 1), EkfChoices().settle(log))
+        mean, covariance = checkpoint.marginal
+        assert len(run.estimate.landmark) == len(checkpoint.slot)
+        apart = run.estimate.joint_mean - mean
+        sigma = np.sqrt(covariance.diagonal())
+        assert np.max(np.abs(apart) / sigma) < 0.5
+        ratio = run.estimate.joint_covariance.diagonal() / covariance.diagonal()
+        assert ratio.min() > 0.5
+        assert ratio.max() < 2.0
