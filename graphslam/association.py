@@ -206,13 +206,15 @@ def _finish(draft: _Draft) -> AssociationResult:
     _merge(draft)
     _judge_again(draft)
     counts = np.bincount(draft.slot[draft.slot >= 0], minlength=draft.count)
-    draft.slot[(draft.slot >= 0) & (counts[draft.slot] < draft.options.sightings)] = UNSEEN
+    rare = np.flatnonzero(counts < draft.options.sightings)
+    draft.slot[np.isin(draft.slot, rare)] = UNSEEN
     used = draft.order[draft.slot[draft.order] >= 0]
     _, first = np.unique(draft.slot[used], return_index=True)
     numbers = draft.slot[used][np.sort(first)]
-    renumber = np.full(draft.count + 1, -1)
+    renumber = np.empty(draft.count, dtype=np.intp)
     renumber[numbers] = np.arange(len(numbers))
-    slot = np.where(draft.slot >= 0, renumber[draft.slot], -1)
+    slot = np.full(len(draft.slot), UNSEEN, dtype=np.intp)
+    slot[used] = renumber[draft.slot[used]]
     poses, landmarks = from_values(draft.values, draft.part(draft.known))
     return AssociationResult(slot, len(numbers), poses, landmarks[numbers])
 

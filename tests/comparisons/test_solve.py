@@ -20,7 +20,8 @@ from comparisons.solve import solve_log
 from graphslam.g2o import read_g2o
 from graphslam.smoother import SmootherOptions
 from tests.comparisons.test_cli import slamcheck
-from tests.helpers import simulated
+from tests.comparisons.test_known_landmarks import with_survey
+from tests.helpers import first_seconds, simulated
 
 
 def without_labels(log: Log) -> Log:
@@ -106,6 +107,22 @@ def test_own_association_needs_no_labels() -> None:
     assert seen.association.landmarks.precision > 0.99
     assert seen.association.landmarks.recall > 0.97
     assert seen.result.proof.proven
+
+
+def test_too_little_to_make_a_map_of_is_said() -> None:
+    with pytest.raises(InputError, match="no sighting could be used"):
+        solve_log(without_labels(first_seconds(simulated(1), 1.0)))
+
+
+def test_surveyed_landmarks_keep_their_places() -> None:
+    """Those known beforehand go by id, the others by the smoother's own reasoning."""
+    log = with_survey(simulated(1))
+    solution = solve_log(log, "own")
+    assert log.known_landmarks is not None
+    known = log.known_landmarks.position_m
+    assert np.abs(solution.estimate.landmark[: len(known)] - known).max() < 0.1
+    assert solution.association is not None
+    assert solution.association.landmarks.precision > 0.99
 
 
 def test_misread_labels_are_left_out(shared_data: Path) -> None:
