@@ -18,12 +18,9 @@ from matplotlib.figure import Figure
 from comparisons.logs.simulate.waypoints import WaypointRun, simulate
 from comparisons.runs.ekf_build import EkfChoices, fused_positions
 from comparisons.runs.ekf_run import run_ekf
-from comparisons.runs.navigator import Array, FilterNavigator
+from comparisons.runs.navigator import Array, direction_cosine_navigator
 from comparisons.runs.timeline import build_timeline
-from ekf_reference.association import KnownAssociation
-from ekf_reference.direction_cosine_ekf import DirectionCosineEkf
 from ekf_reference.kalman import FilterDivergedError
-from ekf_reference.motion import RelativePoseModel
 from graphslam.increments import dead_reckoned
 
 NAMES = {"dead reckoning": "", "misono": "misono", "misono-full": "misono-full"}
@@ -48,16 +45,7 @@ def drive(seed: int) -> tuple[Array, dict[str, Array]]:
 
 def navigate(seed: int, name: str) -> Array | None:
     """True poses of a drive that the estimate steers; None when the filter broke down."""
-    complete, slam = name == "misono-full", bool(NAMES[name])
-    ekf = DirectionCosineEkf(
-        RelativePoseModel(),
-        KnownAssociation(),
-        np.zeros(3),
-        1e-10 * np.eye(3),
-        full_jacobian=complete,
-        renormalise=complete,
-    )
-    pilot = FilterNavigator(ekf, use_sightings=slam, use_fixes=slam)
+    pilot = direction_cosine_navigator(complete=name == "misono-full", slam=bool(NAMES[name]))
     try:
         log = simulate(np.random.default_rng(seed), WaypointRun(), pilot)
     except FilterDivergedError:

@@ -6,6 +6,7 @@ import io
 import os
 import signal
 import sys
+import time
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -87,14 +88,9 @@ def run(
       slamcheck run my-log-folder --association nn --out report
     """
     with _guarded():
-        import time
-
         from comparisons.runs.ekf_build import EkfChoices
-        from comparisons.runs.features import choose_features
 
-        start = time.perf_counter()
-        source = choose_features(_open(log, format_name, robot, seed, loops, noise_scale), features)
-        read_s = time.perf_counter() - start
+        source, read_s = _read(log, format_name, robot, seed, loops, noise_scale, features)
         choices = EkfChoices(filter_name, association, gps)
         options = _options(smoother, lag, optimiser, robust)
         if smoother_association not in ("ekf", "own"):
@@ -177,17 +173,12 @@ def solve(
       slamcheck solve path/to/MRCLAM_Dataset6 --robot 3 --robust gnc
     """
     with _guarded():
-        import time
-
         from comparisons.atomic import check_replaceable, folder_name
         from comparisons.report.solution_folder import SOLUTION_CONTENTS, write_solution_folder
         from comparisons.report.solution_result import build_solution_result, print_solution
-        from comparisons.runs.features import choose_features
         from comparisons.solve import solve_log
 
-        start = time.perf_counter()
-        source = choose_features(_open(log, format_name, robot, seed, loops, noise_scale), features)
-        read_s = time.perf_counter() - start
+        source, read_s = _read(log, format_name, robot, seed, loops, noise_scale, features)
         folder = out or Path(f"slamcheck-solve-{folder_name(source.name)}")
         check_replaceable(folder, SOLUTION_CONTENTS)
         options = _options(smoother, lag, optimiser, robust)
@@ -256,6 +247,23 @@ def _open(
     from comparisons.logs.bundled import SimulationChoices, open_log
 
     return open_log(name, format_name, robot, SimulationChoices(seed, loops, noise_scale))
+
+
+def _read(
+    name: str,
+    format_name: str | None,
+    robot: int,
+    seed: int,
+    loops: int,
+    noise_scale: float,
+    features: str,
+) -> tuple[Log, float]:
+    """The log with the features asked for, and the seconds that took."""
+    from comparisons.runs.features import choose_features
+
+    start = time.perf_counter()
+    log = _open(name, format_name, robot, seed, loops, noise_scale)
+    return choose_features(log, features), time.perf_counter() - start
 
 
 @contextmanager

@@ -102,7 +102,8 @@ def compare_estimators(
         )
     with clock.stage("marginals"):
         progress("marginals", 0, 0)
-        smoothed = smoothed_estimate(result, run)
+        ids = run.estimate.landmark_id
+        smoothed = smoothed_estimate(result, run.timeline.epoch_time_s, ids, "the EKF's")
     judged = replace(log, positions=judging_positions(log, chosen))
     second = None
     if smoother_association == "own":
@@ -150,16 +151,8 @@ def _with_own_association(
     if not found.problem.landmark_count:
         raise InputError(f"{log.name}: the smoother's own association found no landmark")
     result = smooth(found.problem, {"association": (found.poses, found.landmarks)}, options=options)
-    estimate = Estimate(
-        run.timeline.epoch_time_s,
-        result.poses,
-        result.pose_covariances(),
-        np.arange(found.problem.landmark_count),
-        result.landmarks,
-        result.marginal().covariance,
-        "smoothed",
-        {"estimator": f"graphslam, {options.method}", "association": "its own"},
-    )
+    ids = np.arange(found.problem.landmark_count)
+    estimate = smoothed_estimate(result, run.timeline.epoch_time_s, ids, "its own")
     return check_own_association(
         run.slot,
         found.slot,

@@ -17,7 +17,7 @@ from comparisons.runs.ekf_build import EkfChoices, fused_positions, judging_posi
 from comparisons.runs.estimate import Array, Estimate
 from comparisons.runs.known_landmarks import join_known_sightings, surveyed
 from comparisons.runs.own_association import associate_own
-from comparisons.runs.smoother_run import assemble, position_rows
+from comparisons.runs.smoother_run import assemble, position_rows, smoothed_estimate
 from comparisons.runs.timeline import build_timeline
 from graphslam.increments import dead_reckoned
 from graphslam.smoother import SmootherOptions, SmootherResult, smooth
@@ -87,16 +87,7 @@ def solve_log(
     seconds["smoother"] = time.perf_counter() - start
     start = time.perf_counter()
     progress("marginals", 0, 0)
-    estimate = Estimate(
-        timeline.epoch_time_s,
-        result.poses,
-        result.pose_covariances(),
-        ids,
-        result.landmarks,
-        result.marginal().covariance,
-        "fixed-lag" if result.lagged else "smoothed",
-        {"estimator": f"graphslam, {result.options.method}", "association": name},
-    )
+    estimate = smoothed_estimate(result, timeline.epoch_time_s, ids, name)
     seconds["marginals"] = time.perf_counter() - start
     reckoned = dead_reckoned(problem.prior_pose, problem.increment)
     judged = replace(log, positions=judging_positions(log, given))

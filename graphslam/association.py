@@ -70,18 +70,11 @@ class _Draft:
     solved: int = 0
     count: int = 0
 
-    def part(self, poses: int) -> SlamProblem:
-        """The problem of the first poses, with what is recognised so far."""
-        p, rows = self.problem, np.flatnonzero(self.slot >= 0)
-        used = replace(
-            p,
-            sighting_pose=p.sighting_pose[rows],
-            sighting_landmark=self.slot[rows],
-            z=p.z[rows],
-            sigma=p.sigma[rows],
-            landmark_count=self.count,
-        )
-        return used.prefix(poses)
+    def solution(self) -> tuple[Array, Array]:
+        """Poses (K, 3) known so far and landmarks (L, 2)."""
+        p = self.problem
+        known = replace(p, increment=p.increment[: self.known - 1], landmark_count=self.count)
+        return from_values(self.values, known)
 
 
 def associate(problem: SlamProblem, options: Options | None = None) -> AssociationResult:
@@ -131,7 +124,7 @@ def _solve(draft: _Draft) -> None:
     """Optimise everything known, and take the belief from it."""
     _extend_graph(draft)
     draft.values, *_ = levenberg_marquardt(draft.graph, draft.values, 1e-4, limit=5)
-    poses, landmarks = from_values(draft.values, draft.part(draft.known))
+    poses, landmarks = draft.solution()
     keys = [POSE_KEY + draft.known - 1, *range(LANDMARK_KEY, LANDMARK_KEY + draft.count)]
     local = joint_marginal(draft.graph.linearize(draft.values), keys, 3 + 2 * draft.count)
     mean = np.concatenate((poses[-1], landmarks.ravel()))
@@ -215,7 +208,7 @@ def _finish(draft: _Draft) -> AssociationResult:
     renumber[numbers] = np.arange(len(numbers))
     slot = np.full(len(draft.slot), UNSEEN, dtype=np.intp)
     slot[used] = renumber[draft.slot[used]]
-    poses, landmarks = from_values(draft.values, draft.part(draft.known))
+    poses, landmarks = draft.solution()
     return AssociationResult(slot, len(numbers), poses, landmarks[numbers])
 
 
@@ -255,7 +248,7 @@ def _judge_again(draft: _Draft) -> None:
     o, p = draft.options, draft.problem
     if not draft.count:
         return
-    poses, landmarks = from_values(draft.values, draft.part(draft.known))
+    poses, landmarks = draft.solution()
     for pose in np.unique(p.sighting_pose).tolist():
         rows = _rows(draft, pose)
         at = Belief(np.concatenate((poses[pose], landmarks.ravel())), np.zeros((0, 0)))

@@ -118,14 +118,16 @@ def recorded_problem(
     ascending from 0.
     """
     chain = _compose(steps, until)
-    identity = np.broadcast_to(np.eye(len(prior_pose)), chain.f.shape)
+    p = len(prior_pose)
+    identity = np.broadcast_to(np.eye(p), (len(chain.f) + 1, p, p))
+    before, after = whiten(chain.q, -chain.f, identity[1:])
     return LinearProblem(
-        LinearPrior(prior_pose, whiten(prior_covariance[None], np.eye(len(prior_pose))[None])[0]),
+        LinearPrior(prior_pose, whiten(prior_covariance[None], identity[:1])[0][0]),
         LinearMotion(
             chain.departed,
             chain.arrived,
-            whiten(chain.q, -chain.f),
-            whiten(chain.q, identity),
+            before,
+            after,
             np.zeros_like(chain.arrived),
         ),
         LinearSightings(
@@ -133,15 +135,17 @@ def recorded_problem(
             sightings.slot,
             sightings.pose,
             sightings.landmark,
-            whiten(sightings.covariance, sightings.jacobian_pose),
-            whiten(sightings.covariance, sightings.jacobian_landmark),
-            whiten(sightings.covariance, sightings.residual),
+            *whiten(
+                sightings.covariance,
+                sightings.jacobian_pose,
+                sightings.jacobian_landmark,
+                sightings.residual,
+            ),
         ),
         LinearPositions(
             positions.node,
             positions.pose,
-            whiten(positions.covariance, positions.jacobian_pose),
-            whiten(positions.covariance, positions.residual),
+            *whiten(positions.covariance, positions.jacobian_pose, positions.residual),
         ),
         LinearSurvey(np.zeros((0, 2)), np.zeros((0, 2, 2))),
     )
@@ -163,7 +167,7 @@ def own_problem(problem: SlamProblem, points: FrozenPoints) -> LinearProblem:
         _own_positions(problem, points),
         LinearSurvey(
             problem.surveyed,
-            whiten(
+            *whiten(
                 problem.surveyed_covariance,
                 np.broadcast_to(np.eye(2), problem.surveyed_covariance.shape),
             ),
@@ -261,8 +265,7 @@ def _own_positions(problem: SlamProblem, points: FrozenPoints) -> LinearPosition
     return LinearPositions(
         problem.position_pose[points.position],
         points.position_pose,
-        whiten(covariance, jacobian),
-        whiten(covariance, residual),
+        *whiten(covariance, jacobian, residual),
     )
 
 

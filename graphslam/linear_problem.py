@@ -128,9 +128,12 @@ def times(matrices: Array, vectors: Array) -> Array:
     return products
 
 
-def whiten(covariance: Array, array: NDArray[np.floating]) -> Array:
-    """L^-1 array for stacked covariances L L^T (n, d, d) and arrays (n, d) or (n, d, c)."""
+def whiten(covariance: Array, *arrays: NDArray[np.floating]) -> tuple[Array, ...]:
+    """L^-1 of each array, (n, d) or (n, d, c), for stacked covariances L L^T (n, d, d)."""
     root = np.linalg.cholesky(covariance)
-    columns = array if array.ndim == 3 else array[..., None]
-    result: Array = np.linalg.solve(root, columns).astype(np.float64, copy=False)
-    return result if array.ndim == 3 else result[..., 0]
+    whitened = []
+    for array in arrays:
+        columns = array if array.ndim == 3 else array[..., None]
+        result: Array = np.linalg.solve(root, columns).astype(np.float64, copy=False)
+        whitened.append(result if array.ndim == 3 else result[..., 0])
+    return tuple(whitened)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,24 +88,22 @@ class SlamProblem:
 
     def prefix(self, pose_count: int) -> SlamProblem:
         """The same problem up to its first `pose_count` poses; landmark numbers are kept."""
-        inside = self.sighting_pose < pose_count
-        fixed = self.position_pose < pose_count
-        return SlamProblem(
-            self.prior_pose,
-            self.prior_covariance,
-            self.increment[: pose_count - 1],
-            self.increment_covariance[: pose_count - 1],
-            self.sighting_pose[inside],
-            self.sighting_landmark[inside],
-            self.z[inside],
-            self.sigma[inside],
-            self.landmark_count,
-            self.position_pose[fixed],
-            self.position[fixed],
-            self.position_covariance[fixed],
-            self.lever_m,
-            self.surveyed,
-            self.surveyed_covariance,
-            self.own_axes,
-            self.oriented.before(pose_count),
+        return replace(
+            self.keep(self.sighting_pose < pose_count, self.position_pose < pose_count),
+            increment=self.increment[: pose_count - 1],
+            increment_covariance=self.increment_covariance[: pose_count - 1],
+            oriented=self.oriented.before(pose_count),
+        )
+
+    def keep(self, sightings: NDArray[np.bool_], positions: NDArray[np.bool_]) -> SlamProblem:
+        """The same with some of its sightings (M,) and positions (G,)."""
+        return replace(
+            self,
+            sighting_pose=self.sighting_pose[sightings],
+            sighting_landmark=self.sighting_landmark[sightings],
+            z=self.z[sightings],
+            sigma=self.sigma[sightings],
+            position_pose=self.position_pose[positions],
+            position=self.position[positions],
+            position_covariance=self.position_covariance[positions],
         )

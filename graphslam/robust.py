@@ -7,7 +7,7 @@ are left out, and what remains is an ordinary problem.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import gtsam
 import numpy as np
@@ -58,20 +58,4 @@ def reject_wild(
         kept[rows[np.argmin(error[rows])]] = True
     fixed = weight[len(problem.z) :] > 0.5
     rejected = Rejected(np.flatnonzero(~kept), np.flatnonzero(~fixed))
-    return keep(problem, kept, fixed), rejected
-
-
-def keep(
-    problem: SlamProblem, sightings: NDArray[np.bool_], positions: NDArray[np.bool_]
-) -> SlamProblem:
-    """The problem with some of its sightings (M,) and positions (G,)."""
-    return replace(
-        problem,
-        sighting_pose=problem.sighting_pose[sightings],
-        sighting_landmark=problem.sighting_landmark[sightings],
-        z=problem.z[sightings],
-        sigma=problem.sigma[sightings],
-        position_pose=problem.position_pose[positions],
-        position=problem.position[positions],
-        position_covariance=problem.position_covariance[positions],
-    )
+    return problem.keep(kept, fixed), rejected

@@ -112,10 +112,9 @@ def _compare(
         absent = np.logical_not(have.any(axis=(1, 2)))
         results.append((f"the Jacobian by {name}", "of its size", difference, absent))
     nothing = np.zeros(len(said.place), dtype=bool)
-    apart = whiten(meant.covariance, said.place - meant.place)
+    apart, within = whiten(meant.covariance, said.place - meant.place, said.covariance)
     results.append((place, "sigma", np.abs(apart).max(axis=1), nothing))
-    within = whiten(meant.covariance, said.covariance)
-    within = whiten(meant.covariance, within.transpose(0, 2, 1))
+    (within,) = whiten(meant.covariance, within.transpose(0, 2, 1))
     spread = np.abs(np.linalg.eigvalsh(within) - 1.0).max(axis=1)
     results.append(("the noise covariance", "of its size", spread, nothing))
     return results

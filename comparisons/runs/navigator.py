@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ekf_reference.association import KnownAssociation
+from ekf_reference.direction_cosine_ekf import DirectionCosineEkf
 from ekf_reference.full_ekf import FullEkf
+from ekf_reference.motion import RelativePoseModel
 
 Array = NDArray[np.float64]
 
@@ -40,3 +43,16 @@ class FilterNavigator:
     def pose(self) -> Array:
         """(3,) the filter's estimate."""
         return self.ekf.read_pose().pose
+
+
+def direction_cosine_navigator(*, complete: bool, slam: bool) -> FilterNavigator:
+    """Misono's filter at the base, as published or complete; without `slam` it dead reckons."""
+    ekf = DirectionCosineEkf(
+        RelativePoseModel(),
+        KnownAssociation(),
+        np.zeros(3),
+        1e-10 * np.eye(3),
+        full_jacobian=complete,
+        renormalise=complete,
+    )
+    return FilterNavigator(ekf, use_sightings=slam, use_fixes=slam)

@@ -175,17 +175,19 @@ def run_smoother(
     return smooth(problem, {"ekf": guess}, progress, options)
 
 
-def smoothed_estimate(result: SmootherResult, run: EkfRun) -> Estimate:
-    """The smoother's result with its marginals."""
+def smoothed_estimate(
+    result: SmootherResult, time_s: Array, landmark_id: NDArray[np.int64], association: str
+) -> Estimate:
+    """The smoother's result with its marginals, at times (K,), for landmarks with ids (L,)."""
     return Estimate(
-        run.timeline.epoch_time_s,
+        time_s,
         result.poses,
         result.pose_covariances(),
-        run.estimate.landmark_id,
+        landmark_id,
         result.landmarks,
         result.marginal().covariance,
         "fixed-lag" if result.lagged else "smoothed",
-        {"estimator": f"graphslam, {result.options.method}", "association": "the EKF's"},
+        {"estimator": f"graphslam, {result.options.method}", "association": association},
     )
 
 

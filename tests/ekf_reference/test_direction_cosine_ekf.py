@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
@@ -24,6 +22,7 @@ from ekf_reference.kalman import Array, Correction, FilterDivergedError, Index, 
 from ekf_reference.motion import UnicycleModel
 from ekf_reference.observation import NewLandmarks, PredictedSightings
 from ekf_reference.trace import RecordedTrace
+from tests.comparisons.test_broken_variants import with_state
 from tests.helpers import relative_error, simulated
 
 
@@ -174,15 +173,8 @@ class CovarianceLeftBehind(KalmanState):
 
 @pytest.mark.parametrize("state", [DividedByLength, CovarianceLeftBehind])
 def test_other_ways_back_to_the_circle_are_rejected(log: Log, state: type[KalmanState]) -> None:
-    comparison = compare_estimators(log, EkfChoices("misono-full"), modify=_with(state))
+    comparison = compare_estimators(log, EkfChoices("misono-full"), modify=with_state(state))
     assert not comparison.agreement.algebra.within(ROUNDING)
-
-
-def _with(state: type[KalmanState]) -> Callable[[FullEkf], None]:
-    def modify(ekf: FullEkf) -> None:
-        ekf.state = state(ekf.state.pose, np.array(ekf.state.covariance))
-
-    return modify
 
 
 def test_a_pair_without_length_stops_the_filter() -> None:

@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from comparisons.logs.simulate.waypoints import cast
 from ekf_reference.tree_detection import (
     ROUNDNESS,
     TreeTracker,
@@ -19,14 +20,7 @@ STILL = np.zeros(3)
 
 def scan_of(trunks: Array, pose: Array, sigma: float, rng: np.random.Generator) -> Array:
     """Ranges (361,) to trunks (T, 3) x, y, diameter; the nearest hit counts, NaN for none."""
-    direction = pose[2] + ANGLES
-    ranges = np.full(len(ANGLES), np.inf)
-    for x, y, diameter in trunks:
-        along = (x - pose[0]) * np.cos(direction) + (y - pose[1]) * np.sin(direction)
-        across = (y - pose[1]) * np.cos(direction) - (x - pose[0]) * np.sin(direction)
-        inside = (0.5 * diameter) ** 2 - across**2
-        hit = (inside >= 0) & (along > 0)
-        ranges[hit] = np.minimum(ranges[hit], along[hit] - np.sqrt(inside[hit]))
+    ranges = cast(ANGLES, pose, trunks[:, :2], trunks[:, 2])
     ranges = ranges + sigma * rng.standard_normal(len(ranges))
     return np.where(np.isfinite(ranges), ranges, np.nan)
 

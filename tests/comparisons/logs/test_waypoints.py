@@ -14,11 +14,8 @@ from comparisons.logs.simulate.waypoints import WaypointRun, simulate
 from comparisons.runs.ekf_build import EkfChoices
 from comparisons.runs.ekf_run import run_ekf
 from comparisons.runs.features import choose_features
-from comparisons.runs.navigator import FilterNavigator
+from comparisons.runs.navigator import direction_cosine_navigator
 from comparisons.runs.timeline import build_timeline
-from ekf_reference.association import KnownAssociation
-from ekf_reference.direction_cosine_ekf import DirectionCosineEkf
-from ekf_reference.motion import RelativePoseModel
 from ekf_reference.observation import RangeBearing
 from graphslam.increments import dead_reckoned
 
@@ -123,15 +120,7 @@ def test_slam_returns_to_the_base_and_dead_reckoning_does_not(complete: bool) ->
     """M Fig. 6: steered by its own estimate the robot comes home, by dead reckoning it does not."""
     ends = {}
     for slam in (True, False):
-        ekf = DirectionCosineEkf(
-            RelativePoseModel(),
-            KnownAssociation(),
-            np.zeros(3),
-            1e-10 * np.eye(3),
-            full_jacobian=complete,
-            renormalise=complete,
-        )
-        pilot = FilterNavigator(ekf, use_sightings=slam, use_fixes=slam)
+        pilot = direction_cosine_navigator(complete=complete, slam=slam)
         log = simulate(np.random.default_rng(0), RUN, pilot)
         ends[slam] = end_from_base(log)
         assert len(pilot.path) == len(log.odometry.time_s) + 1
