@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from comparisons.errors import InputError, RecordError, printable
 from comparisons.logs.odometry import Odometry
+from comparisons.logs.scans import Clouds, Scans
 from comparisons.logs.validation import (
     LARGEST,
     above_zero,
@@ -119,33 +120,6 @@ class Landmarks:
 
 
 @dataclass(frozen=True)
-class Scans:
-    """Planar laser scans. time_s: (N,). angle_rad: (B,) from straight ahead, counter-clockwise.
-
-    range_m: (N, B), NaN for no return. intensity: (N, B), zero where not measured.
-    """
-
-    time_s: Array
-    angle_rad: Array
-    range_m: Array
-    intensity: Array
-
-    def __post_init__(self) -> None:
-        """Check the stream."""
-        beams = (len(self.angle_rad),)
-        check(
-            self,
-            "scans",
-            rows="time_s",
-            gaps=("range_m",),
-            angle_rad=None,
-            range_m=beams,
-            intensity=beams,
-        )
-        increasing("scans", self.time_s)
-
-
-@dataclass(frozen=True)
 class Poses:
     """A trajectory. time_s: (N,). pose: (N, 3) x, y [m], heading [rad]."""
 
@@ -207,6 +181,7 @@ class Log:
 
     format: the reader's name. provenance: free text by key, for reports. known_landmarks and
     known_sightings: landmarks surveyed beforehand, and the sightings that refer to their ids.
+    Odometry and sightings may be empty only where there are scans.
     """
 
     name: str
@@ -218,6 +193,7 @@ class Log:
     known_landmarks: Landmarks | None = None
     known_sightings: Sightings | None = None
     scans: Scans | None = None
+    clouds: Clouds | None = None
     truth: Truth = field(default_factory=Truth)
     provenance: dict[str, str] = field(default_factory=dict)
 
@@ -226,16 +202,14 @@ class Log:
         object.__setattr__(self, "name", printable(self.name))
         texts = {printable(k): printable(v) for k, v in self.provenance.items()}
         object.__setattr__(self, "provenance", texts)
-        if not len(self.odometry.time_s):
-            raise InputError(f"{self.name}: the odometry is empty, expected at least one record")
-        if not len(self.sightings.time_s):
-            raise InputError(f"{self.name}: there are no sightings, expected at least one")
-        start = self.prior.time_s
+        start, scanned = self.prior.time_s, self.scans is not None or self.clouds is not None
         for stream, times in (
             ("odometry", self.odometry.time_s),
             ("sightings", self.sightings.time_s),
         ):
-            if times[0] < start:
+            if not len(times) and not scanned:
+                raise InputError(f"{self.name}: no {stream}, expected at least one record")
+            if len(times) and times[0] < start:
                 raise RecordError(stream, 0, f"time {times[0]} s lies before the prior's {start} s")
         if self.known_sightings is not None:
             ids = np.zeros(0) if self.known_landmarks is None else self.known_landmarks.id
@@ -250,8 +224,11 @@ class Log:
 
     @property
     def end_s(self) -> float:
-        """Time of the last odometry or sighting record."""
-        return float(max(self.odometry.time_s[-1], self.sightings.time_s[-1]))
+        """Time of the last odometry or sighting, or of the last scan where there are neither."""
+        streams = (self.odometry, self.sightings)
+        if not any(len(s.time_s) for s in streams):
+            return max(float(s.time_s[-1]) for s in (self.scans, self.clouds) if s is not None)
+        return max(float(s.time_s[-1]) for s in streams if len(s.time_s))
 
     @property
     def duration_s(self) -> float:
@@ -267,6 +244,7 @@ class Log:
             "positions": self.positions,
             "known sightings": self.known_sightings,
             "scans": self.scans,
+            "clouds": self.clouds,
             "truth poses": self.truth.poses,
         }
         return {name: len(s.time_s) for name, s in streams.items() if s is not None}

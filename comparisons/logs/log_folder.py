@@ -5,6 +5,8 @@ Numbers are written so that they read back to the same bits.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +21,6 @@ from comparisons.logs.log import (
     Poses,
     Positions,
     Prior,
-    Scans,
     Sightings,
     Surfaces,
     Truth,
@@ -28,6 +29,7 @@ from comparisons.logs.log_meta import (
     MARK,
     LogModel,
     RelativeModel,
+    ScansModel,
     SightingsModel,
     SteeringModel,
     meta_text,
@@ -41,6 +43,7 @@ from comparisons.logs.odometry import (
     SteeringOdometry,
     VelocityOdometry,
 )
+from comparisons.logs.scans import Clouds, Mount, Scans
 from comparisons.logs.table import Table
 from comparisons.logs.validation import whole_numbers
 
@@ -89,7 +92,8 @@ def read_log_folder(folder: Path) -> Log:
             _read_positions(folder / "positions.csv", meta.positions.antenna_m),
             _read_landmarks(folder / "known_landmarks.csv"),
             _read_sightings(folder / "known_sightings.csv"),
-            _read_scans(folder / "scans.npz"),
+            _read_scans(folder / "scans.npz", meta.scans),
+            _read_clouds(folder / "clouds.npz"),
             truth,
             meta.provenance,
         )
@@ -138,6 +142,8 @@ def write_log_folder(log: Log, folder: Path) -> None:
                 range_m=s.range_m,
                 intensity=s.intensity,
             )
+        if log.clouds is not None:
+            np.savez_compressed(work / "clouds.npz", **vars(log.clouds))
         (work / MARK).write_text(meta_text(log), encoding="utf-8")
 
 
@@ -235,12 +241,30 @@ def _read_surfaces(path: Path) -> Surfaces | None:
     return Surfaces(Table(path, _SURFACES, comma=True, header=True).data)
 
 
-def _read_scans(path: Path) -> Scans | None:
+def _read_scans(path: Path, settings: ScansModel) -> Scans | None:
     if not path.exists():
         return None
-    arrays = read_archive(path, ("time_s", "angle_rad", "range_m", "intensity"))
+    time_s, angle_rad, range_m, intensity = read_archive(
+        path, ("time_s", "angle_rad", "range_m", "intensity")
+    )
+    mount = Mount(settings.forward_m, settings.left_m, settings.heading_rad)
+    with _naming(path):
+        return Scans(time_s, angle_rad, range_m, intensity, mount, settings.beam_s)
+
+
+def _read_clouds(path: Path) -> Clouds | None:
+    if not path.exists():
+        return None
+    time_s, first, point_m, point_s = read_archive(path, ("time_s", "first", "point_m", "point_s"))
+    with _naming(path):
+        return Clouds(time_s, whole_numbers("clouds", "first", first), point_m, point_s)
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Say which file a faulty record comes from."""
     try:
-        return Scans(*arrays)
+        yield
     except RecordError as error:
         raise InputError(f"{path}: {error}") from None
 

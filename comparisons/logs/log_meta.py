@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import Ackermann, OdometryNoise, RelativePoses, SteeringOdometry
+from comparisons.logs.scans import Mount
 from comparisons.logs.table import read_text
 
 MARK = "log.toml"
@@ -78,6 +79,15 @@ class PositionsModel(_Model):
     antenna_m: tuple[float, float] = (0.0, 0.0)
 
 
+class ScansModel(_Model):
+    """Where the scanner sits, and the time from one beam to the next."""
+
+    forward_m: float = Mount.forward_m
+    left_m: float = Mount.left_m
+    heading_rad: float = Mount.heading_rad
+    beam_s: float = 0.0
+
+
 class LogModel(_Model):
     """The whole file."""
 
@@ -89,6 +99,7 @@ class LogModel(_Model):
     odometry: Annotated[SteeringModel | VelocityModel | RelativeModel, Field(discriminator="kind")]
     sightings: SightingsModel = SightingsModel()
     positions: PositionsModel = PositionsModel()
+    scans: ScansModel = ScansModel()
     provenance: dict[str, str] = {}
 
 
@@ -142,6 +153,10 @@ def meta_text(log: Log) -> str:
     lines += [f"needs_confirmation = {json.dumps(log.sightings.needs_confirmation)}"]
     if log.positions is not None:
         lines += ["", "[positions]", f"antenna_m = {list(log.positions.antenna_m)}"]
+    if log.scans is not None:
+        settings = {**vars(log.scans.mount), "beam_s": log.scans.beam_s}
+        lines += ["", "[scans]"]
+        lines += [f"{name} = {float(value)!r}" for name, value in settings.items()]
     lines += ["", "[provenance]"]
     lines += [f"{_text(k)} = {_text(v)}" for k, v in log.provenance.items()]
     return "\n".join(lines) + "\n"

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from comparisons.errors import InputError, RecordError
-from comparisons.logs.log import NO_LANDMARK, Array, Log, Scans, Sightings
+from comparisons.logs.log import NO_LANDMARK, Array, Log, Sightings
+from comparisons.logs.scans import Scans
 from comparisons.runs.motion import motion_samples
 from comparisons.runs.timeline import build_timeline
 from ekf_reference.tree_detection import ROUNDNESS, TreeTracker

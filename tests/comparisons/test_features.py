@@ -11,7 +11,8 @@ import pytest
 from comparisons.compare import compare_estimators
 from comparisons.errors import InputError
 from comparisons.logs.bundled import open_log
-from comparisons.logs.log import Log, Scans
+from comparisons.logs.log import Log
+from comparisons.logs.scans import Scans
 from comparisons.runs.ekf_build import EkfChoices
 from comparisons.runs.features import choose_features
 from tests.ekf_reference.test_tree_detection import ANGLES, scan_of

@@ -20,12 +20,12 @@ from comparisons.logs.log import (
     Log,
     Positions,
     Prior,
-    Scans,
     Sightings,
     Truth,
 )
 from comparisons.logs.odometry import OdometryNoise, SteeringOdometry
 from comparisons.logs.readers.victoria_park import UTE
+from comparisons.logs.scans import Scans
 from graphslam.increments import Stabilisation, ackermann_samples
 
 _NOISE = OdometryNoise(0.1, np.deg2rad(2.0), 1e-5, 1e-6)

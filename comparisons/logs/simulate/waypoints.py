@@ -15,8 +15,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.logs.log import Landmarks, Log, Poses, Positions, Prior, Scans, Sightings, Truth
+from comparisons.logs.log import Landmarks, Log, Poses, Positions, Prior, Sightings, Truth
 from comparisons.logs.odometry import RelativePoses
+from comparisons.logs.scans import Scans
 
 Array = NDArray[np.float64]
 

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from comparisons.errors import InputError
-from comparisons.logs.log import Landmarks, Log, Positions, Prior, Scans, Sightings
+from comparisons.logs.log import Landmarks, Log, Positions, Prior, Sightings
 from comparisons.logs.odometry import Ackermann, OdometryNoise, RelativePoses, SteeringOdometry
+from comparisons.logs.scans import Scans
 from comparisons.runs.timeline import build_timeline
 from tests.helpers import simulated
 
@@ -143,7 +144,7 @@ def test_records_are_frozen_copies() -> None:
             lambda log: {"sightings": sightings(**{k: np.zeros(0) for k in (
                 "time_s", "range_m", "bearing_rad", "sigma_range_m", "sigma_bearing_rad",
                 "landmark", "diameter_m")})},
-            "there are no sightings",
+            "no sightings",
         ),
     ],
 )  # fmt: skip

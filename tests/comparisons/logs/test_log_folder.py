@@ -9,9 +9,10 @@ import pytest
 
 from comparisons.errors import InputError
 from comparisons.logs.bundled import open_log
-from comparisons.logs.log import Landmarks, Log, Positions, Scans, Surfaces
+from comparisons.logs.log import Landmarks, Log, Positions, Surfaces
 from comparisons.logs.log_folder import read_log_folder, write_log_folder
 from comparisons.logs.odometry import OdometryNoise, VelocityOdometry
+from comparisons.logs.scans import Clouds, Mount, Scans
 from comparisons.report.result import log_hash
 from tests.helpers import simulated
 
@@ -36,6 +37,14 @@ def full_log() -> Log:
             np.arange(3.0) / 7,
             np.array(((1, np.nan, 3), (4, 5, 6))) / 3,
             np.ones((2, 3)),
+            Mount(0.3, -0.1, 0.2),
+            1e-5,
+        ),
+        clouds=Clouds(
+            np.arange(2.0),
+            np.array((0, 2, 3)),
+            np.array(((1, 2, 3), (np.nan, np.nan, np.nan), (4, 5, 6))) / 3,
+            np.arange(3.0) / 7,
         ),
         truth=replace(log.truth, surfaces=Surfaces(rng.standard_normal((4, 4)))),
     )

@@ -10,10 +10,10 @@ import pytest
 from scipy.io import savemat
 
 from comparisons.errors import InputError
-from comparisons.logs.log import Scans
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry, VelocityOdometry
 from comparisons.logs.readers import READERS, read_log
 from comparisons.logs.readers.acfr_car_park import reflector_sightings
+from comparisons.logs.scans import Scans
 
 GRAPH = """ODOMETRY 0 1 1.0 0.0 0.1 0.01 0 0 0.01 0 0.001
 LANDMARK 0 2 3.0 4.0 0.04 0 0.04

@@ -1,0 +1,113 @@
+"""Raw scans as records of a log: planar sweeps of a laser, and clouds of points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.errors import InputError, RecordError
+from comparisons.logs.validation import Array, check, increasing
+
+Index = NDArray[np.int64]
+
+_LONGEST_SWEEP_S = 10.0
+
+
+@dataclass(frozen=True)
+class Mount:
+    """Where a planar scanner sits: forward and left of the log's pose, and which way it looks."""
+
+    forward_m: float = 0.0
+    left_m: float = 0.0
+    heading_rad: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        for name, value in vars(self).items():
+            if not abs(value) <= 1e3:
+                raise InputError(f"scans: mount {name} is {value}, expected at most 1000")
+
+
+@dataclass(frozen=True)
+class Scans:
+    """Planar laser scans. angle_rad: (B,) from the scanner's ahead, counter-clockwise.
+
+    time_s: (N,) of the first beam; each next one is beam_s later, 0 when all are of one instant.
+    range_m: (N, B), NaN for no return. intensity: (N, B), zero where not measured.
+    """
+
+    time_s: Array
+    angle_rad: Array
+    range_m: Array
+    intensity: Array
+    mount: Mount = Mount()
+    beam_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the stream."""
+        beams = (len(self.angle_rad),)
+        check(
+            self,
+            "scans",
+            rows="time_s",
+            gaps=("range_m",),
+            angle_rad=None,
+            range_m=beams,
+            intensity=beams,
+        )
+        increasing("scans", self.time_s)
+        if not abs(self.beam_s) * len(self.angle_rad) <= _LONGEST_SWEEP_S:
+            raise InputError(
+                f"scans: beam_s is {self.beam_s}, expected sweeps of {_LONGEST_SWEEP_S:g} s at most"
+            )
+
+
+@dataclass(frozen=True)
+class Clouds:
+    """Scans in three dimensions, one after the other in one table of points.
+
+    time_s: (N,). first: (N + 1,) row of each scan's first point, and the end. point_m: (P, 3)
+    forward, left and up of the log's pose; rows of NaN are no returns. point_s: (P,) when each
+    point was measured, in seconds after its scan's time.
+    """
+
+    time_s: Array
+    first: Index
+    point_m: Array
+    point_s: Array
+
+    def __post_init__(self) -> None:
+        """Check the stream."""
+        points = len(self.point_m)
+        first = np.array(self.first)
+        count = len(self.time_s) + 1
+        if first.shape != (count,) or first.dtype.kind not in "iu":
+            raise RecordError("clouds", None, f"first must hold {count} whole numbers")
+        if first[0] != 0 or first[-1] != points or (np.diff(first) < 0).any():
+            raise RecordError("clouds", None, f"first must run from 0 up to {points} points")
+        first = first.astype(np.int64)
+        first.flags.writeable = False
+        object.__setattr__(self, "first", first)
+        table = _Points(self.point_m, self.point_s)
+        object.__setattr__(self, "point_m", table.point_m)
+        object.__setattr__(self, "point_s", table.point_s)
+        check(self, "clouds", rows="time_s", gaps=("point_m",), first=None, point_m=None,
+              point_s=None)  # fmt: skip
+        increasing("clouds", self.time_s)
+
+    def points(self, scan: int) -> Array:
+        """(M, 3) of one scan, without its missing returns."""
+        rows = self.point_m[self.first[scan] : self.first[scan + 1]]
+        found: Array = rows[~np.isnan(rows).any(axis=1)]
+        return found
+
+
+@dataclass(frozen=True)
+class _Points:
+    point_m: Array
+    point_s: Array
+
+    def __post_init__(self) -> None:
+        check(self, "clouds", rows="point_m", gaps=("point_m",), point_m=(3,))

@@ -1,0 +1,1 @@
+"""The scan front end: raw scans become increments and loop closures with covariances."""

@@ -1,0 +1,45 @@
+"""What a scan matcher is, and what it says of its result."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class ScanError(ValueError):
+    """A scan that cannot be used, or a match that cannot be trusted. The message says why."""
+
+
+@dataclass(frozen=True)
+class Registration:
+    """How a source cloud lies in a target's frame, with evidence.
+
+    motion: (3,) x, y [m], heading [rad]. covariance: (3, 3) of the right perturbation, in the
+    source's frame. inliers: pairs used at the end. overlap: their share of the source's points.
+    residual_m: root mean square distance of the pairs along the target's normals.
+    stiffness: (3,) information along the principal directions, least first, with heading scaled
+    to metres by the cloud's extent; a direction that the shape does not fix has next to none.
+    """
+
+    motion: Array
+    covariance: Array
+    inliers: int
+    overlap: float
+    residual_m: float
+    stiffness: Array
+
+
+class Matcher(Protocol):
+    """Finds the planar motion that lays one cloud onto another."""
+
+    def match(self, source: Array, target: Array, guess: Array) -> Registration:
+        """Align source (N, 3) to target (M, 3), forward, left, up in metres, from a guess (3,).
+
+        Raises ScanError where nothing can be aligned or the result cannot be trusted.
+        """
+        ...
