@@ -28,11 +28,11 @@ Array = NDArray[np.float64]
 class OdometryOptions:
     """Settings of KISS-ICP and of what is believed of it.
 
-    voxel_m, points_per_voxel: KISS-ICP's local map. threshold_m, blind_threshold_m: the scale of its
-    kernel with and without a guess, pairs reaching three times as far. least_range_m, most_range_m: points outside are left out.
-    whole_points: clouds with more points are thinned before they are aligned.
-    most_jump_m, most_jump_rad: how far the result may lie from the guess. patience: so many failed
-    scans in a row, and a new map is begun.
+    voxel_m, points_per_voxel: KISS-ICP's local map. threshold_m, blind_threshold_m: the scale of
+    its kernel with and without a guess; pairs reach three times as far. least_range_m,
+    most_range_m: points outside are left out. whole_points: clouds with more points are thinned
+    before they are aligned. most_jump_m, most_jump_rad: how far the result may lie from the guess.
+    patience: so many failed scans in a row, and a new map is begun.
     """
 
     voxel_m: float = 0.5
