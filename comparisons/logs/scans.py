@@ -89,12 +89,12 @@ class Clouds:
             raise RecordError("clouds", None, f"first must run from 0 up to {points} points")
         first = first.astype(np.int64)
         first.flags.writeable = False
-        object.__setattr__(self, "first", first)
         table = _Points(self.point_m, self.point_s)
         object.__setattr__(self, "point_m", table.point_m)
         object.__setattr__(self, "point_s", table.point_s)
         check(self, "clouds", rows="time_s", gaps=("point_m",), first=None, point_m=None,
               point_s=None)  # fmt: skip
+        object.__setattr__(self, "first", first)
         increasing("clouds", self.time_s)
 
     def points(self, scan: int) -> Array:
