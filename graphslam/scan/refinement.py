@@ -125,10 +125,10 @@ def _linearise(
     """Pair points with surfaces: along the normal of a surface, along both axes of a clump."""
     place = planar.moved(motion, source)
     patch = target.patches(place)
-    offset = patch.centre - place
+    offset = patch.centre - place[:, :2]
     across = np.einsum("ni,ni->n", offset, patch.normal)
     flat = patch.flat & (np.abs(across) < options.reach_m)
-    clump = ~patch.flat & patch.filled & (np.hypot(*offset.T[:2]) < options.reach_m)
+    clump = ~patch.flat & patch.filled & (np.hypot(*offset.T) < options.reach_m)
     pairs = int(np.count_nonzero(flat) + np.count_nonzero(clump))
     if pairs < options.least_pairs:
         raise ScanError(
@@ -136,7 +136,7 @@ def _linearise(
             f"{options.least_pairs} at least"
         )
     swing = place[:, :2] - motion[:2]
-    normal, arm = patch.normal[flat, :2], swing[flat]
+    normal, arm = patch.normal[flat], swing[flat]
     lever, x, y = swing[clump], np.zeros((len(swing[clump]), 3)), np.zeros((len(swing[clump]), 3))
     x[:, 0], x[:, 2] = 1.0, -lever[:, 1]
     y[:, 1], y[:, 2] = 1.0, lever[:, 0]
