@@ -69,8 +69,8 @@ class Clouds:
     """Scans in three dimensions, one after the other in one table of points.
 
     time_s: (N,). first: (N + 1,) row of each scan's first point, and the end. point_m: (P, 3)
-    forward, left and up of the log's pose; rows of NaN are no returns. point_s: (P,) when each
-    point was measured, in seconds after its scan's time.
+    forward, left and up of the log's pose as the point was measured; rows of NaN are no returns.
+    point_s: (P,) when that was, in seconds after its scan's time.
     """
 
     time_s: Array
