@@ -289,10 +289,11 @@ def test_unknown_paths_and_formats(tmp_path: Path) -> None:
         read_log(tmp_path / "missing")
     with pytest.raises(InputError, match="format not recognised, expected one of log-folder"):
         read_log(tmp_path)
-    with pytest.raises(InputError, match="format 'rosbag' is unknown"):
-        read_log(tmp_path, "rosbag")
+    with pytest.raises(InputError, match="format 'hdf5' is unknown"):
+        read_log(tmp_path, "hdf5")
     assert set(READERS) == {
-        *("log-folder", "gtsam-2d", "g2o", "mrclam", "acfr-car-park", "victoria-park")
+        *("log-folder", "gtsam-2d", "g2o", "mrclam", "acfr-car-park", "victoria-park"),
+        *("aa3", "carmen", "rosbag"),
     }
 
 
