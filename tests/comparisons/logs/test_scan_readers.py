@@ -24,8 +24,6 @@ from comparisons.logs.readers.scan_odometry import (
 from comparisons.runs.features import choose_features
 from tests.comparisons.logs.test_log_folder import assert_same
 
-REAL = Path(__file__).parents[4] / "shared" / "data" / "victoria_park"
-
 
 def assert_survives_a_folder(log: Log, folder: Path) -> None:
     write_log_folder(log, folder)
@@ -97,24 +95,22 @@ def test_trunks_are_found_in_the_trio(tmp_path: Path) -> None:
     assert np.allclose(found.bearing_rad, 0.0, atol=0.01)
 
 
-def test_which_folder_is_which(tmp_path: Path) -> None:
+def test_which_folder_is_which(shared_data: Path) -> None:
     """Detections come first where both are there; a trio without its laser says so."""
-    if not REAL.is_dir():
-        pytest.skip("no Victoria Park on this machine")
-    assert next(n for n, r in READERS.items() if r.recognises(REAL)) == "victoria-park"
+    real = shared_data / "victoria_park"
+    assert next(n for n, r in READERS.items() if r.recognises(real)) == "victoria-park"
     with pytest.raises(InputError, match=r"aa3_lsr2\.mat: no such file"):
-        read_log(REAL, "aa3")
+        read_log(real, "aa3")
 
 
-def test_the_real_gps_lies_on_the_real_start(tmp_path: Path) -> None:
+def test_the_real_gps_lies_on_the_real_start(tmp_path: Path, shared_data: Path) -> None:
     """The frame agrees with the hand-made one of gps.dat to 4 degrees and 3 m."""
-    if not REAL.is_dir():
-        pytest.skip("no Victoria Park on this machine")
+    real = shared_data / "victoria_park"
     trio(tmp_path)
     for name in ("aa3_dr.mat", "aa3_gpsx.mat"):
         (tmp_path / name).unlink()
-        (tmp_path / name).symlink_to(REAL / name)
-    log, given = read_log(tmp_path), read_log(REAL)
+        (tmp_path / name).symlink_to(real / name)
+    log, given = read_log(tmp_path), read_log(real)
     assert log.positions is not None
     assert given.positions is not None
     assert np.allclose(log.positions.time_s, given.positions.time_s)
