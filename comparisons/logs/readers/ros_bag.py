@@ -18,6 +18,8 @@ from comparisons.logs.table import shorten
 
 _MAGICS = {b"\x89MCAP0\r\n": "ros2", b"#ROSBAG V": "ros1", b"SQLite format 3\0": "ros2"}
 _METADATA = "metadata.yaml"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
+_TRANSFORMS = "geometry_msgs/TransformStamped[] transforms\n"
 
 
 @dataclass(frozen=True)
@@ -91,7 +93,7 @@ def open_bag(path: Path) -> Iterator[Bag]:
     try:
         from rosbags.rosbag1 import Reader as Reader1
         from rosbags.rosbag2 import Reader as Reader2
-        from rosbags.typesys import Stores, get_typestore
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
     except ImportError:
         raise InputError(
             f"{path}: reading ROS bags needs the extra ros: pip install slamcheck[ros]"
@@ -102,7 +104,9 @@ def open_bag(path: Path) -> Iterator[Bag]:
     reader: Any
     try:
         if ros == "ros1":
-            reader, decode = Reader1(path), get_typestore(Stores.ROS1_NOETIC).deserialize_ros1
+            store = get_typestore(Stores.ROS1_NOETIC)
+            store.register(get_types_from_msg(_TRANSFORMS, TRANSFORMS))  # missing in that one
+            reader, decode = Reader1(path), store.deserialize_ros1
         else:
             reader, decode = Reader2(path), get_typestore(Stores.ROS2_HUMBLE).deserialize_cdr
         reader.open()

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from comparisons.errors import InputError
 from comparisons.logs.log import Array, Log
-from comparisons.logs.readers.ros_bag import Bag, Topic, open_bag, recognise_bag
+from comparisons.logs.readers.ros_bag import TRANSFORMS, Bag, Topic, open_bag, recognise_bag
 from comparisons.logs.readers.ros_messages import (
     Sweep,
     cloud,
@@ -35,11 +35,10 @@ from comparisons.logs.readers.ros_messages import (
 from comparisons.logs.readers.scan_odometry import poses_at, scan_log
 from comparisons.logs.scans import Clouds, Mount, Scans
 
-_LASER, _CLOUD, _ODOMETRY, _TRANSFORMS = (
+_LASER, _CLOUD, _ODOMETRY = (
     "sensor_msgs/msg/LaserScan",
     "sensor_msgs/msg/PointCloud2",
     "nav_msgs/msg/Odometry",
-    "tf2_msgs/msg/TFMessage",
 )
 _BASES = ("base_link", "base_footprint")
 _MOST_POINTS = 50_000_000
@@ -239,7 +238,7 @@ def _clouds(stream: _Stream, start: int, place: Array) -> Clouds:
 def _static_transforms(bag: Bag) -> dict[str, tuple[str, Array]]:
     """Each frame's parent, and the motion (4, 4) from the frame into the parent's."""
     found: dict[str, tuple[str, Array]] = {}
-    for topic in bag.topics(_TRANSFORMS):
+    for topic in bag.topics(TRANSFORMS):
         if frame(topic.name).endswith("tf_static"):
             for place, _, message in bag.messages(topic):
                 for entry in message.transforms:
