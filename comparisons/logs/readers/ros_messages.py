@@ -53,7 +53,7 @@ def sweep(message: Any, place: str) -> Sweep:
             raise InputError(f"{place}: {name} is {value}, expected a finite number")
     first, step = values["angle_min"], values["angle_increment"]
     least, most = values["range_min"], values["range_max"]
-    ranges = np.asarray(message.ranges, dtype=float)
+    ranges, intensity = _float64(message.ranges), _float64(message.intensities)
     count = len(ranges)
     if not count:
         raise InputError(f"{place}: no ranges, expected at least one beam")
@@ -64,7 +64,6 @@ def sweep(message: Any, place: str) -> Sweep:
             f"{place}: angle_min is {first:g} and angle_increment {step:g} for {count} beams, "
             "expected radians of one turn"
         )
-    intensity = np.asarray(message.intensities, dtype=float)
     if len(intensity) not in (0, count):
         raise InputError(f"{place}: {len(intensity)} intensities, expected 0 or {count}")
     with np.errstate(invalid="ignore"):
@@ -86,7 +85,7 @@ def cloud(message: Any, place: str) -> tuple[Array, Array]:
     """
     records = _records(message, place)
     names = records.dtype.names or ()
-    xyz = np.column_stack([records[name].astype(float) for name in "xyz"])
+    xyz = np.column_stack([_float64(records[name]) for name in "xyz"])
     with np.errstate(invalid="ignore"):
         found = np.isfinite(xyz).all(axis=1) & (xyz != 0).any(axis=1)
     xyz = xyz[found]
@@ -161,7 +160,7 @@ def _records(message: Any, place: str) -> NDArray[Any]:
 
 
 def _seconds(raw: NDArray[Any], scan_s: float, place: str) -> Array:
-    values = raw.astype(float)
+    values = _float64(raw)
     if raw.dtype.kind in "iu":
         choices = [values * 1e-9]
     else:
@@ -175,6 +174,12 @@ def _seconds(raw: NDArray[Any], scan_s: float, place: str) -> Array:
         f"{place} runs from {values.min():.9g} to {values.max():.9g}, expected seconds or "
         f"nanoseconds within {_LONGEST_SWEEP_S:g} s of the scan"
     )
+
+
+def _float64(values: Any) -> Array:
+    """Converted; a NaN that signals stays one without a warning."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray(values).astype(np.float64)
 
 
 def _vector(value: Any, place: str) -> Array:

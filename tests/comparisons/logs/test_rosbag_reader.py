@@ -368,7 +368,7 @@ def test_any_damage_is_one_line(kind: str, tmp_path: Path) -> None:
     if kind != "bag":
         victim = path / kind if kind == "metadata.yaml" else next(path.glob("*." + kind))
     faults = []
-    for content in damaged(victim.read_bytes(), 150):
+    for content in damaged(victim.read_bytes(), 40):
         victim.write_bytes(content)
         try:
             read_log(path if kind == "metadata.yaml" else victim, "rosbag")

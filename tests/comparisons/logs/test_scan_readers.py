@@ -30,7 +30,10 @@ def assert_survives_a_folder(log: Log, folder: Path) -> None:
     assert_same(read_log_folder(folder), replace(log, format="log-folder"))
 
 
-def trio(folder: Path, gps: bool = True, **changes: object) -> Path:
+NO_GPS: dict[str, object] = dict.fromkeys(("timeGps", "Lo_m", "La_m"))
+
+
+def trio(folder: Path, **changes: object) -> Path:
     """Straight on at 1 m/s for 20 s; the GPS frame is turned by 40 degrees and shifted."""
     words = np.full((3, 361), 8191, dtype=np.uint16)
     words[:, 170:190] = 1000 + 3 * 8192
@@ -53,8 +56,9 @@ def trio(folder: Path, gps: bool = True, **changes: object) -> Path:
         ("aa3_lsr2.mat", ("TLsr", "LASER")),
         ("aa3_gpsx.mat", ("timeGps", "Lo_m", "La_m")),
     ):
-        if gps or "gps" not in name:
-            savemat(folder / name, {key: data[key] for key in keys if data[key] is not None})
+        content = {key: data[key] for key in keys if data[key] is not None}
+        if content:
+            savemat(folder / name, content)
     return folder
 
 
@@ -78,7 +82,7 @@ def test_the_trio(tmp_path: Path) -> None:
 
 
 def test_the_trio_without_gps(tmp_path: Path) -> None:
-    log = read_log(trio(tmp_path, gps=False))
+    log = read_log(trio(tmp_path, **NO_GPS))
     assert log.positions is None
     assert log.prior.time_s == 0.0
 
@@ -88,7 +92,7 @@ def test_trunks_are_found_in_the_trio(tmp_path: Path) -> None:
     words = np.full((30, 361), 8191, dtype=np.uint16)
     words[:, 178:183] = 1000
     times = (22000 + 214 * np.arange(30)).astype(np.int32)
-    log = read_log(trio(tmp_path, gps=False, speed=np.zeros(800), TLsr=times, LASER=words))
+    log = read_log(trio(tmp_path, speed=np.zeros(800), TLsr=times, LASER=words, **NO_GPS))
     found = choose_features(log, "trees").sightings
     assert len(found.time_s) > 10
     assert np.allclose(found.range_m, 10.2, atol=0.2)
