@@ -61,6 +61,17 @@ def _waypoint_run(choices: SimulationChoices) -> Log:
     return simulate(np.random.default_rng(choices.seed), run)
 
 
+def _scans(experiment: str) -> Callable[[SimulationChoices], Log]:
+    def simulated(choices: SimulationChoices) -> Log:
+        from comparisons.logs.simulate import scan_drive
+
+        make = getattr(scan_drive, experiment)
+        rng = np.random.default_rng(choices.seed)
+        return scan_drive.simulate(rng, make(choices.loops, choices.noise_scale))
+
+    return simulated
+
+
 NAMED: dict[str, NamedLog] = {
     "victoria-park": NamedLog(
         "bundled with gtsam",
@@ -76,6 +87,27 @@ NAMED: dict[str, NamedLog] = {
         "simulated",
         "along waypoints and back among obstacles, Misono 2007 section 4.1 (--seed, --noise-scale)",
         _waypoint_run,
+    ),
+    "scan-loop": NamedLog(
+        "simulated",
+        "laser scans of objects and landmarks, Nieto 2005 Fig. 3.17 (--seed, --loops, "
+        "--noise-scale)",
+        _scans("dense_slam"),
+    ),
+    "scan-loop-3d": NamedLog(
+        "simulated",
+        "the same drive with a scanner of 16 rings (--seed, --loops, --noise-scale)",
+        _scans("dense_slam_in_space"),
+    ),
+    "occupancy-loop": NamedLog(
+        "simulated",
+        "laser scans for occupancy maps, Nieto 2005 Fig. 4.2 (--seed, --loops, --noise-scale)",
+        _scans("occupancy"),
+    ),
+    "scan-slam": NamedLog(
+        "simulated",
+        "laser scans of objects alone, Nieto 2005 Fig. 5.8 (--seed, --loops, --noise-scale)",
+        _scans("scan_slam"),
     ),
 }
 

@@ -22,8 +22,8 @@ class Registration:
     motion: (3,) x, y [m], heading [rad]. covariance: (3, 3) of the right perturbation, in the
     source's frame. inliers: pairs used at the end. overlap: their share of the source's points.
     residual_m: root mean square distance of the pairs along the target's normals.
-    stiffness: (3,) information along the principal directions, least first, with heading scaled
-    to metres by the cloud's extent; a direction that the shape does not fix has next to none.
+    stiffness: (3,) how many pairs fix each principal direction, least first, with heading scaled to
+    metres; a direction that the shape does not fix has next to none.
     """
 
     motion: Array

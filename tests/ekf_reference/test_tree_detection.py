@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from comparisons.logs.simulate.waypoints import cast
+from comparisons.logs.simulate.ray_casting import Solids, cast
 from ekf_reference.tree_detection import (
     ROUNDNESS,
     TreeTracker,
@@ -20,7 +20,7 @@ STILL = np.zeros(3)
 
 def scan_of(trunks: Array, pose: Array, sigma: float, rng: np.random.Generator) -> Array:
     """Ranges (361,) to trunks (T, 3) x, y, diameter; the nearest hit counts, NaN for none."""
-    ranges = cast(ANGLES, pose, trunks[:, :2], trunks[:, 2])
+    ranges = cast(ANGLES, pose, Solids(disc=trunks))
     ranges = ranges + sigma * rng.standard_normal(len(ranges))
     return np.where(np.isfinite(ranges), ranges, np.nan)
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from comparisons.logs.log import Landmarks, Log, Poses, Positions, Prior, Sightings, Truth
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.scans import Scans
+from comparisons.logs.simulate.ray_casting import Solids, cast
 
 Array = NDArray[np.float64]
 
@@ -243,22 +244,8 @@ def _scan(
     rng: np.random.Generator, run: WaypointRun, pose: Array, place: Array, diameter: Array
 ) -> Array:
     """The range profile r(k, i) of the obstacles, with noise; NaN where nothing is hit."""
-    nearest = cast(_BEAMS, pose, place, diameter)
+    discs = Solids(disc=np.column_stack((place, diameter)))
+    nearest = cast(_BEAMS, pose, discs)
     nearest = np.where(nearest <= run.max_range_m, nearest, np.nan)
     ranges: Array = nearest + run.noise_scale * run.sigma_scan_m * rng.standard_normal(len(nearest))
     return ranges
-
-
-def cast(angle_rad: Array, pose: Array, place: Array, diameter_m: Array) -> Array:
-    """Ranges (B,) along beams to the nearest of round things (L,), infinite for none."""
-    direction = pose[2] + angle_rad
-    offset = place - pose[:2]
-    cos, sin = np.cos(direction)[:, None], np.sin(direction)[:, None]
-    along = offset[:, 0] * cos + offset[:, 1] * sin
-    across = offset[:, 1] * cos - offset[:, 0] * sin
-    inside = (0.5 * diameter_m) ** 2 - across**2
-    hit = np.where(
-        (inside >= 0.0) & (along > 0.0), along - np.sqrt(np.maximum(inside, 0.0)), np.inf
-    )
-    nearest: Array = hit.min(axis=1)
-    return nearest

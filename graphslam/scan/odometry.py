@@ -1,0 +1,144 @@
+"""Scan odometry: KISS-ICP aligns every scan to its local map, the surfaces there refine and judge.
+
+KISS-ICP itself says neither how good a result is nor how sure one may be of it, and carries on
+whatever it is given. Here every input is checked before it, every result after it, and a scan that
+fails neither enters the map nor gives an increment.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from kiss_icp.mapping import VoxelHashMap
+from kiss_icp.registration import Registration as KissRegistration
+from kiss_icp.voxelization import voxel_down_sample
+from numpy.typing import NDArray
+
+from graphslam.scan import planar
+from graphslam.scan.points import above_ground, usable
+from graphslam.scan.refinement import RefinementOptions, refine
+from graphslam.scan.registration import Registration, ScanError
+from graphslam.scan.surfaces import SurfaceMap
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class OdometryOptions:
+    """Settings of KISS-ICP and of what is believed of it.
+
+    voxel_m, points_per_voxel: KISS-ICP's local map. threshold_m, blind_threshold_m: the scale of
+    its kernel with and without a guess; pairs reach three times as far. least_range_m,
+    most_range_m: points outside are left out. whole_points: clouds with more points are thinned
+    before they are aligned. ground_m: of a cloud, what lies lower than this over its lowest points
+    is left out: a flat ground says nothing of planar motion, and its rings move with the vehicle.
+    most_jump_m, most_jump_rad: how far the result may lie from the guess.
+    patience: so many failed scans in a row, and a new map is begun.
+    """
+
+    voxel_m: float = 0.5
+    points_per_voxel: int = 20
+    threshold_m: float = 0.1
+    blind_threshold_m: float = 0.4
+    least_range_m: float = 1.0
+    most_range_m: float = 75.0
+    whole_points: int = 1000
+    ground_m: float = 0.3
+    most_jump_m: float = 1.0
+    most_jump_rad: float = 0.35
+    patience: int = 5
+    refinement: RefinementOptions = field(default_factory=RefinementOptions)
+
+
+@dataclass(frozen=True)
+class Increment:
+    """The motion since the last scan that was used.
+
+    motion: (3,) in that scan's frame. covariance: (3, 3) of the right perturbation, in this scan's
+    frame; wide along directions that the surroundings do not fix. since: number of scans back that
+    the last used one is, 1 unless some failed. match: evidence, its pose being in the map's frame.
+    """
+
+    motion: Array
+    covariance: Array
+    since: int
+    match: Registration
+
+
+class ScanOdometry:
+    """Feeds scans to KISS-ICP one by one. The same scans give the same bits in every process."""
+
+    def __init__(self, options: OdometryOptions | None = None) -> None:
+        """An empty map with the vehicle at the origin."""
+        self.options = options or OdometryOptions()
+        # One thread: with more, the sums of KISS-ICP depend on who comes first.
+        self._kiss = KissRegistration(500, 1e-4, max_num_threads=1)
+        self.pose = np.zeros(3)
+        self._begin()
+
+    def _begin(self) -> None:
+        o = self.options
+        self._map = VoxelHashMap(o.voxel_m, o.most_range_m, o.points_per_voxel)
+        self._motion, self._pending = np.zeros(3), np.zeros(3)
+        self._spread = np.zeros((3, 3))
+        self._failed, self._empty = 0, True
+
+    def register(self, points: Array, guess: Array | None = None) -> Increment | None:
+        """Align a scan (N, 3), given what is guessed of the motion (3,) since the one before.
+
+        Without a guess the vehicle is taken to move on as it did. Returns None for a scan that
+        begins a map: the first, or the first good one after `patience` failures. Raises ScanError
+        for a scan that cannot be used; the next one is then aligned to the last that could.
+        """
+        self._pending = planar.compose(self._pending, self._motion if guess is None else guess)
+        self._failed += 1
+        if self._failed > self.options.patience and not self._empty:
+            self.pose = planar.compose(self.pose, self._pending)
+            self._begin()
+            self._failed = 1
+        o = self.options
+        cloud = usable(above_ground(points, o.ground_m), o.least_range_m, o.most_range_m)
+        kept = source = cloud
+        if len(cloud) > o.whole_points:
+            kept = np.asarray(voxel_down_sample(cloud, 0.5 * o.voxel_m))
+            source = np.asarray(voxel_down_sample(kept, 1.5 * o.voxel_m))
+        if self._empty:
+            self.pose = planar.compose(self.pose, self._pending)
+            self._accept(kept)
+            return None
+        threshold_m = o.blind_threshold_m if guess is None else o.threshold_m
+        match = self._align(source, planar.compose(self.pose, self._pending), threshold_m)
+        motion = planar.between(self.pose, match.motion)
+        covariance = match.covariance + planar.carried(self._spread, motion)
+        increment = Increment(motion, covariance, self._failed, match)
+        self.pose, self._motion, self._spread = match.motion, motion, match.covariance
+        self._accept(kept)
+        return increment
+
+    def map_points(self) -> Array:
+        """(M, 3) KISS-ICP's local map."""
+        return np.asarray(self._map.point_cloud())
+
+    def _accept(self, cloud: Array) -> None:
+        self._map.update(cloud, planar.matrix(self.pose))
+        self._pending, self._failed, self._empty = np.zeros(3), 0, False
+
+    def _align(self, source: Array, guess: Array, threshold_m: float) -> Registration:
+        o = self.options
+        found = self._kiss.align_points_to_map(
+            source, self._map, planar.matrix(guess), 3.0 * threshold_m, threshold_m
+        )
+        if not np.isfinite(found).all():
+            raise ScanError("KISS-ICP found no alignment")
+        start = planar.from_matrix(found)
+        target = SurfaceMap(self.map_points())
+        match = refine(source[:, : target.dimension], target, start, o.refinement)
+        jump = planar.wrapped(match.motion - guess)
+        distance, turn = float(np.hypot(jump[0], jump[1])), abs(float(jump[2]))
+        if distance > o.most_jump_m or turn > o.most_jump_rad:
+            raise ScanError(
+                f"aligned {distance:.2f} m and {turn:.2f} rad from the guess, expected "
+                f"{o.most_jump_m:g} m and {o.most_jump_rad:g} rad at most"
+            )
+        return replace(match, motion=guess + jump)

@@ -1,0 +1,88 @@
+"""Raw scans as clouds of points in the vehicle's frame: forward, left, up in metres."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphslam.scan import planar
+from graphslam.scan.registration import ScanError
+
+Array = NDArray[np.float64]
+
+LEAST_POINTS = 20
+_LEAST_SPREAD_M = 0.05
+_LOWEST = 0.02
+
+
+def planar_points(angle_rad: Array, range_m: Array, mount: Array) -> Array:
+    """(M, 3) where the beams (B,) of a planar scan ended, at z = 0; beams without return left out.
+
+    mount: (3,) the scanner's place and heading on the vehicle.
+    """
+    seen = np.isfinite(range_m)
+    return swept_points(angle_rad[seen], range_m[seen], np.tile(mount, (int(seen.sum()), 1)))
+
+
+def swept_points(angle_rad: Array, range_m: Array, scanner: Array) -> Array:
+    """(B, 3) ends of beams (B,), each from the scanner's own pose (B, 3) in the frame wanted.
+
+    With the scanner's poses at the beams' own times this compensates the motion within a scan.
+    """
+    direction = scanner[:, 2] + angle_rad
+    x = scanner[:, 0] + range_m * np.cos(direction)
+    y = scanner[:, 1] + range_m * np.sin(direction)
+    return np.column_stack((x, y, np.zeros(len(x))))
+
+
+def compensated(points: Array, seconds: Array, motion: Array, duration_s: float) -> Array:
+    """Points (M, 3) measured `seconds` (M,) after the scan began, seen from where it began.
+
+    motion: (3,) of the vehicle within duration_s, taken as even.
+    """
+    share = (seconds / duration_s)[:, None]
+    pose = share * motion
+    cos, sin = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+    x, y, z = points.T
+    return np.column_stack((pose[:, 0] + cos * x - sin * y, pose[:, 1] + sin * x + cos * y, z))
+
+
+def above_ground(points: Array, margin_m: float) -> Array:
+    """The points (M, 3) more than a margin above the lowest ones; all of them in planar scans."""
+    cloud = np.asarray(points)
+    if cloud.ndim != 2 or cloud.shape[1] != 3 or not len(cloud) or not cloud[:, 2].any():
+        return cloud
+    height = cloud[:, 2]
+    seen = height[np.isfinite(height)]
+    if not len(seen):
+        return cloud
+    kept: Array = cloud[height > np.quantile(seen, _LOWEST) + margin_m]
+    return kept
+
+
+def usable(points: Array, least_range_m: float, most_range_m: float) -> Array:
+    """The points (M, 3) that are numbers and within range of the vehicle.
+
+    Raises ScanError when that is not a cloud to align: wrong shape, too few, or all in one place.
+    """
+    cloud = np.asarray(points)
+    if cloud.ndim != 2 or cloud.shape[1] != 3 or cloud.dtype.kind not in "fiu":
+        raise ScanError(f"points have shape {cloud.shape} of {cloud.dtype}, expected (N, 3) floats")
+    cloud = np.ascontiguousarray(cloud, dtype=np.float64)
+    with np.errstate(invalid="ignore", over="ignore"):
+        distance = np.sqrt(np.einsum("ni,ni->n", cloud, cloud))
+        kept: Array = cloud[(distance >= least_range_m) & (distance <= most_range_m)]
+    if len(kept) < LEAST_POINTS:
+        raise ScanError(
+            f"{len(kept)} of {len(cloud)} points lie within {least_range_m:g} to "
+            f"{most_range_m:g} m, expected {LEAST_POINTS} at least"
+        )
+    if np.ptp(kept[:, :2], axis=0).max() < _LEAST_SPREAD_M:
+        raise ScanError("all points lie in one place")
+    return kept
+
+
+def placed(clouds: list[Array], poses: Array) -> Array:
+    """(P, 3) clouds of points seen from poses (N, 3), together in the poses' frame."""
+    parts = [planar.moved(pose, cloud) for cloud, pose in zip(clouds, poses, strict=True)]
+    return np.vstack(parts) if parts else np.zeros((0, 3))
