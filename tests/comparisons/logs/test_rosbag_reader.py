@@ -14,6 +14,7 @@ import pytest
 from comparisons.errors import InputError
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.readers import read_log
+from comparisons.runs.scan_motion import run_scan_odometry
 from tests.comparisons.logs.test_scan_readers import assert_survives_a_folder, damaged
 
 pytest.importorskip("rosbags")
@@ -273,6 +274,38 @@ def test_scans_and_clouds_share_the_poses(tmp_path: Path) -> None:
     assert np.allclose(log.odometry.time_s, (0.25, 0.4, 0.8))
     assert np.allclose(log.clouds.time_s, 0.4)
     assert log.provenance["left_out"] == "2 scans outside the odometry"
+
+
+def room(pose: tuple[float, float, float], angle: np.ndarray, beam_s: float) -> np.ndarray:
+    """Ranges to four walls while the vehicle drives on at 1 m/s and turns at 0.5 rad/s."""
+    x, y, heading = pose
+    ranges = []
+    for i, a in enumerate(angle.tolist()):
+        h = heading + 0.5 * i * beam_s
+        at = (x + i * beam_s * np.cos(h), y + i * beam_s * np.sin(h))
+        c, s = np.cos(a + h), np.sin(a + h)
+        ranges.append(min(((8 if c > 0 else -4) - at[0]) / c, ((3 if s > 0 else -5) - at[1]) / s))
+    return np.array(ranges, np.float32)
+
+
+@pytest.mark.parametrize("beam_s", [0.0, 1.5e-4])
+def test_scan_odometry_of_a_bag(beam_s: float, tmp_path: Path) -> None:
+    """With the sweep's own motion undone, by the share of the odometry between scans."""
+    angle = -2.301 + 0.01 * np.arange(461)
+    pose = np.zeros(3)
+    messages = []
+    for k in range(20):
+        ranges = room(tuple(pose), angle, beam_s)
+        changes = {"angle_min": -2.301, "angle_increment": 0.01, "range_max": 30.0}
+        scan = T.laser(EPOCH + 0.1 * k, ranges=ranges, intensities=np.zeros(0, np.float32),
+                       time_increment=beam_s, **changes)  # fmt: skip
+        messages += [T.odometry(EPOCH + 0.1 * k, pose[0], pose[2], y=pose[1]), scan]
+        if k < 19:
+            middle = pose[2] + 0.025
+            pose = pose + (0.1 * np.cos(middle), 0.1 * np.sin(middle), 0.05)
+    motion = run_scan_odometry(read_log(T.write(tmp_path / "bag", messages)))
+    assert motion.breaks == 0
+    assert np.allclose(motion.pose[-1], pose, atol=5e-3)
 
 
 CLOUD = T.cloud(1.0, np.ones(3, XYZ))[3]
