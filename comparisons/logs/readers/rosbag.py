@@ -110,7 +110,7 @@ def read(path: Path) -> Log:
         raise InputError(f"{path}: {error}") from None
     outside = sum(len(s.items) for s in found) - sum(len(s.items) for s in kept)
     provenance |= {
-        "time_origin_s": f"{start / 1e9:.9f}",
+        "time_origin_s": f"{start // 10**9}.{start % 10**9:09d}",
         "left_out": f"{outside} scans outside the odometry",
     }
     return scan_log(path.stem, "rosbag", time_s, pose, provenance, scans=scans, clouds=clouds)
