@@ -32,6 +32,8 @@ def with_tree_sightings(log: Log, scans: Scans) -> Log:
 
     The vehicle's motion between scans, which the tracks need, is dead reckoned.
     """
+    if not len(log.odometry.time_s):
+        raise InputError(f"{log.name}: holds no odometry, which following trunks needs")
     inside = (scans.time_s >= log.prior.time_s) & (scans.time_s <= log.odometry.time_s[-1])
     rows = np.flatnonzero(inside)
     tracker = TreeTracker()

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
+from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.scans import Clouds, Scans
 from comparisons.runs.motion import motion_between
 from graphslam.increments import dead_reckoned
@@ -164,8 +165,23 @@ def _sweep_motion(log: Log, stream: Scans | Clouds, rows: Index) -> Array | None
     if not duration.any():
         return None
     begin = stream.time_s[rows]
+    if isinstance(log.odometry, RelativePoses):
+        return _shares(log, log.odometry, begin, duration)
     end = np.minimum(begin + duration, log.odometry.time_s[-1])
     instants = np.unique(np.concatenate((begin, end)))
     path = dead_reckoned(np.zeros(3), motion_between(log, instants).displacement)[1:]
     starts, ends = path[np.searchsorted(instants, begin)], path[np.searchsorted(instants, end)]
     return np.array([planar.between(a, b) for a, b in zip(starts, ends, strict=True)])
+
+
+def _shares(log: Log, odometry: RelativePoses, begin: Array, duration: Array) -> Array:
+    """(N, 3) the share of the displacement under way when each scan began, or of the last one.
+
+    Relative poses are known at their own times only, and a sweep is short beside their interval.
+    """
+    interval = np.diff(odometry.time_s, prepend=log.prior.time_s)
+    under_way = np.searchsorted(odometry.time_s, begin, side="right")
+    row = np.minimum(under_way, len(interval) - 1)
+    share = np.minimum(duration / interval[row], 1.0)
+    result: Array = share[:, None] * odometry.displacement[row]
+    return result
