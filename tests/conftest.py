@@ -1,13 +1,24 @@
 from __future__ import annotations
 
+import os
 from pathlib import Path
+from types import ModuleType
+from typing import NoReturn
 
 import pytest
 
 from comparisons.compare import Comparison, compare_estimators
 from comparisons.logs.bundled import open_log
+from graphslam.scan.open3d_library import Open3dMissingError, open3d
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+def missing(what: str) -> NoReturn:
+    """Skip a test for want of something, or fail it where everything is expected to be there."""
+    if os.environ.get("SLAMCHECK_REQUIRE_ALL") == "1":
+        pytest.fail(f"SLAMCHECK_REQUIRE_ALL is set, but {what}")
+    pytest.skip(what)
 
 
 @pytest.fixture(scope="session")
@@ -22,3 +33,12 @@ def shared_data() -> Path:
 def victoria_park() -> Comparison:
     """The main job, run once."""
     return compare_estimators(open_log("victoria-park"))
+
+
+@pytest.fixture(scope="session")
+def open3d_library() -> ModuleType:
+    """Open3D, for tests that need it."""
+    try:
+        return open3d()
+    except Open3dMissingError as error:
+        missing(str(error))

@@ -10,9 +10,21 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 ALLOWED = {
     "ekf_reference": {"ekf_reference", "numpy", "scipy"},
-    "graphslam": {"graphslam", "numpy", "scipy", "gtsam", "kiss_icp", "open3d"},
+    "graphslam": {"graphslam", "numpy", "scipy", "gtsam", "kiss_icp", "open3d", "libusb_package"},
 }
-STANDARD = {"__future__", "collections", "dataclasses", "math", "pathlib", "typing"}
+STANDARD = {
+    "__future__",
+    "collections",
+    "ctypes",
+    "dataclasses",
+    "functools",
+    "math",
+    "pathlib",
+    "re",
+    "tempfile",
+    "types",
+    "typing",
+}
 
 
 def imported(source: str) -> set[str]:

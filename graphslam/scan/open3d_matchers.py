@@ -1,0 +1,167 @@
+"""Scan matchers by Open3D: iterated closest points to points and to planes, generalised ICP.
+
+Open3D finds normals and covariances by the principal axes of neighbourhoods in space. In a planar
+cloud the thinnest axis is then the vertical one, which says nothing; here they come from
+SurfaceMap, which looks in the plane.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphslam.scan import planar
+from graphslam.scan.matchers import JudgedMatcher, MatchOptions
+from graphslam.scan.open3d_library import open3d
+from graphslam.scan.surfaces import SurfaceMap
+
+Array = NDArray[np.float64]
+
+_THIN = 1e-3
+"""Variance across a surface relative to along it (Segal, Haehnel and Thrun 2009, section III)."""
+
+
+class _Open3dMatcher(JudgedMatcher):
+    def __init__(self, options: MatchOptions | None = None) -> None:
+        """Without options the defaults hold. Raises Open3dMissingError."""
+        super().__init__(options)
+        self._open3d = open3d()
+
+    def align(self, source: Array, target: Array, start: Array) -> Iterator[Array]:
+        """See JudgedMatcher."""
+        clouds = self.cloud(source, target=False), self.cloud(target, target=True)
+        limits = self._open3d.pipelines.registration.ICPConvergenceCriteria(
+            self.options.converged, self.options.converged, self.options.iterations
+        )
+        motion = planar.matrix(start)
+        for reach_m in self.options.reaches_m:
+            found = self.register(*clouds, reach_m, motion, limits)
+            motion = planar.matrix(planar.from_matrix(np.asarray(found.transformation)))
+            yield motion
+
+    def cloud(self, points: Array, target: bool) -> Any:
+        """Points (N, 3) as Open3D wants them, with what the method needs of the two clouds."""
+        return as_open3d(points)
+
+    def register(self, source: Any, target: Any, reach_m: float, start: Array, limits: Any) -> Any:
+        """Open3D's result from a start (4, 4)."""
+        raise NotImplementedError
+
+
+class PointToPointMatcher(_Open3dMatcher):
+    """Besl and McKay 1992. Slow to slide along surfaces, sure of its pairs nowhere."""
+
+    calibration = 1.0
+
+    def register(self, source: Any, target: Any, reach_m: float, start: Array, limits: Any) -> Any:
+        """See the base."""
+        methods = self._open3d.pipelines.registration
+        estimation = methods.TransformationEstimationPointToPoint()
+        return methods.registration_icp(source, target, reach_m, start, estimation, limits)
+
+
+class PointToPlaneMatcher(_Open3dMatcher):
+    """Chen and Medioni 1992, with a Cauchy kernel. Points whose pair is on no surface say nothing.
+
+    kernel: its scale, as a share of the reach.
+    """
+
+    calibration = 1.0
+    kernel: ClassVar[float] = 0.1
+
+    def cloud(self, points: Array, target: bool) -> Any:
+        """With the target's normals, zero where it is no surface."""
+        cloud = as_open3d(points)
+        if target:
+            normal, flat = surface_normals(points)
+            normal[~flat] = 0.0
+            cloud.normals = self._open3d.utility.Vector3dVector(normal)
+        return cloud
+
+    def register(self, source: Any, target: Any, reach_m: float, start: Array, limits: Any) -> Any:
+        """See the base."""
+        methods = self._open3d.pipelines.registration
+        estimation = methods.TransformationEstimationPointToPlane(
+            methods.CauchyLoss(self.kernel * reach_m)
+        )
+        return methods.registration_icp(source, target, reach_m, start, estimation, limits)
+
+
+class GeneralisedMatcher(_Open3dMatcher):
+    """Segal, Haehnel and Thrun 2009: both clouds are surfaces, thin across and wide along.
+
+    kernel: as in PointToPlaneMatcher.
+    """
+
+    calibration = 1.0
+    kernel: ClassVar[float] = 0.1
+
+    def cloud(self, points: Array, target: bool) -> Any:
+        """With the covariance of every point, a ball where it is on no surface."""
+        cloud = as_open3d(points)
+        normal, flat = surface_normals(points)
+        across = np.where(flat, 1.0 - _THIN, 0.0)[:, None, None]
+        covariance = np.eye(3) - across * normal[:, :, None] * normal[:, None, :]
+        cloud.covariances = self._open3d.utility.Matrix3dVector(covariance)
+        return cloud
+
+    def register(self, source: Any, target: Any, reach_m: float, start: Array, limits: Any) -> Any:
+        """See the base."""
+        methods = self._open3d.pipelines.registration
+        # Open3D whitens the residuals before the kernel; two thin surfaces have twice the variance.
+        scale = self.kernel * reach_m / np.sqrt(2.0 * _THIN)
+        estimation = methods.TransformationEstimationForGeneralizedICP(
+            _THIN, methods.CauchyLoss(scale)
+        )
+        return methods.registration_generalized_icp(
+            source, target, reach_m, start, estimation, limits
+        )
+
+
+def as_open3d(points: Array) -> Any:
+    """An Open3D point cloud of points (N, 3)."""
+    library = open3d()
+    return library.geometry.PointCloud(library.utility.Vector3dVector(points))
+
+
+def surface_normals(points: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Unit normals (N, 3), in the plane for planar clouds, and which points (N,) have one."""
+    surfaces = SurfaceMap(points)
+    patch = surfaces.patches(points[:, : surfaces.dimension])
+    normal = np.zeros((len(points), 3))
+    normal[:, : surfaces.dimension] = patch.normal
+    return normal, patch.flat
+
+
+def information_from_open3d(information: Array, motion: Array, sigma_m: float = 1.0) -> Array:
+    """(3, 3) information on x, y, heading of the right perturbation of a planar motion (3,).
+
+    information: (6, 6) by Open3D's get_information_matrix_from_point_clouds, which orders turns
+    about x, y, z, then shifts, perturbs on the left, in the target's frame about its origin, and
+    takes every coordinate of a pair as known to 1 m; sigma_m puts that right. Roll, pitch and
+    height count as known: the rows of x, y and heading are taken as they are.
+    """
+    order = [3, 4, 2]
+    left = information[np.ix_(order, order)] / sigma_m**2
+    cos, sin = np.cos(motion[2]), np.sin(motion[2])
+    adjoint = np.array(((cos, -sin, motion[1]), (sin, cos, -motion[0]), (0.0, 0.0, 1.0)))
+    right: Array = adjoint.T @ left @ adjoint
+    return right
+
+
+def point_information(
+    source: Array, target: Array, motion: Array, reach_m: float, sigma_m: float
+) -> Array:
+    """(3, 3) what the pairs of source (N, 3) and target (M, 3) would tell if points were points.
+
+    Pairs are nearest neighbours within reach_m. It says that every direction is fixed by every
+    pair, along walls as well: the judge's covariance is the one to believe. Order and tangent as
+    in information_from_open3d.
+    """
+    found = open3d().pipelines.registration.get_information_matrix_from_point_clouds(
+        as_open3d(source), as_open3d(target), reach_m, planar.matrix(motion)
+    )
+    return information_from_open3d(np.asarray(found), motion, sigma_m)
