@@ -10,13 +10,10 @@ from numpy.typing import NDArray
 
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
-from comparisons.logs.odometry import RelativePoses
-from comparisons.logs.scans import Clouds, Scans
 from comparisons.runs.motion import motion_between
+from comparisons.runs.scan_source import CloudsAt, ScanSource
 from graphslam.increments import dead_reckoned
-from graphslam.scan import planar
 from graphslam.scan.odometry import OdometryOptions, ScanOdometry
-from graphslam.scan.points import compensated, planar_points, swept_points
 from graphslam.scan.registration import Registration, ScanError
 
 Array = NDArray[np.float64]
@@ -40,7 +37,8 @@ class ScanMotion:
     first. displacement: (N, 3) and covariance: (N, 3, 3) from the usable scan before, of the
     right perturbation; zero for the first. bridged: (N,) that no scan matched, so that the
     displacement is the wheels' (the first counts as bridged, too). matches: evidence where not
-    bridged. wheels: (N, 3) the wheels' displacement, None without odometry.
+    bridged. wheels: (N, 3) the wheels' displacement, None without odometry. scan: (N,) numbers in
+    the source, which gives the points.
     """
 
     time_s: Array
@@ -52,6 +50,13 @@ class ScanMotion:
     matches: tuple[Registration | None, ...]
     wheels: Array | None
     failures: tuple[ScanFailure, ...]
+    source: ScanSource
+    scan: Index
+
+    def clouds(self, pose_time_s: Array) -> CloudsAt:
+        """The clouds by number of the pose among those at times (K,) that a scan belongs to."""
+        poses = np.searchsorted(pose_time_s, self.time_s)
+        return CloudsAt(self.source, dict(zip(poses.tolist(), self.scan.tolist(), strict=True)))
 
     @property
     def breaks(self) -> int:
@@ -70,25 +75,17 @@ def run_scan_odometry(
 
     Raises InputError when the log has no scans, or none that can be used.
     """
-    stream = log.clouds if log.scans is None else log.scans
-    if stream is None:
-        raise InputError(f"{log.name}: holds no scans")
-    wheeled = len(log.odometry.time_s) > 0
-    rows = _covered(log, stream.time_s) if wheeled else np.arange(len(stream.time_s))
-    if not len(rows):
-        raise InputError(f"{log.name}: no scan lies within the time of the odometry")
-    time_s = stream.time_s[rows]
-    wheels = motion_between(log, time_s) if wheeled else None
-    sweep = _sweep_motion(log, stream, rows) if wheeled else None
+    source = ScanSource(log)
+    rows, time_s = source.row, source.time_s
+    wheels = motion_between(log, time_s) if source.wheeled else None
     odometry = ScanOdometry(options)
     used: list[int] = []
     failures, poses, found, matches = [], [], [], []
     for i, row in enumerate(rows.tolist()):
         progress(i, len(rows))
         moved = wheels.displacement[i] if wheels is not None and guess else None
-        points = scan_points(stream, row, None if sweep is None else sweep[i])
         try:
-            increment = odometry.register(points, moved if i else np.zeros(3))
+            increment = odometry.register(source.points(i), moved if i else np.zeros(3))
         except ScanError as error:
             failures.append(ScanFailure(row, float(time_s[i]), str(error)))
             continue
@@ -123,65 +120,6 @@ def run_scan_odometry(
         tuple(matches),
         None if over is None else over.displacement,
         tuple(failures),
+        source,
+        kept,
     )
-
-
-def scan_points(stream: Scans | Clouds, row: int, sweep: Array | None = None) -> Array:
-    """(M, 3) points of one scan in the vehicle's frame at the scan's time.
-
-    sweep: (3,) the vehicle's motion while the scan was taken, to compensate for.
-    """
-    if isinstance(stream, Clouds):
-        points = stream.points(row)
-        duration = _duration(stream, row)
-        if sweep is None or not duration or not len(points):
-            return points
-        return compensated(points, stream.seconds(row), sweep, duration)
-    mount = np.array(list(vars(stream.mount).values()))
-    if sweep is None or not stream.beam_s:
-        return planar_points(stream.angle_rad, stream.range_m[row], mount)
-    seen = np.flatnonzero(np.isfinite(stream.range_m[row]))
-    share = seen / (len(stream.angle_rad) - 1)
-    scanner = np.array([planar.compose(s * sweep, mount) for s in share])
-    return swept_points(stream.angle_rad[seen], stream.range_m[row, seen], scanner.reshape(-1, 3))
-
-
-def _covered(log: Log, time_s: Array) -> Index:
-    inside = (time_s >= log.prior.time_s) & (time_s <= log.odometry.time_s[-1])
-    return np.flatnonzero(inside)
-
-
-def _duration(stream: Scans | Clouds, row: int) -> float:
-    """Seconds from the first beam or point of a scan to its last."""
-    if isinstance(stream, Scans):
-        return stream.beam_s * (len(stream.angle_rad) - 1)
-    seconds = stream.point_s[stream.first[row] : stream.first[row + 1]]
-    return float(seconds.max(initial=0.0))
-
-
-def _sweep_motion(log: Log, stream: Scans | Clouds, rows: Index) -> Array | None:
-    """(N, 3) the wheels' motion during each scan; None where scans are of one instant."""
-    duration = np.array([_duration(stream, row) for row in rows.tolist()])
-    if not duration.any():
-        return None
-    begin = stream.time_s[rows]
-    if isinstance(log.odometry, RelativePoses):
-        return _shares(log, log.odometry, begin, duration)
-    end = np.minimum(begin + duration, log.odometry.time_s[-1])
-    instants = np.unique(np.concatenate((begin, end)))
-    path = dead_reckoned(np.zeros(3), motion_between(log, instants).displacement)[1:]
-    starts, ends = path[np.searchsorted(instants, begin)], path[np.searchsorted(instants, end)]
-    return np.array([planar.between(a, b) for a, b in zip(starts, ends, strict=True)])
-
-
-def _shares(log: Log, odometry: RelativePoses, begin: Array, duration: Array) -> Array:
-    """(N, 3) the share of the displacement under way when each scan began, or of the last one.
-
-    Relative poses are known at their own times only, and a sweep is short beside their interval.
-    """
-    interval = np.diff(odometry.time_s, prepend=log.prior.time_s)
-    under_way = np.searchsorted(odometry.time_s, begin, side="right")
-    row = np.minimum(under_way, len(interval) - 1)
-    share = np.minimum(duration / interval[row], 1.0)
-    result: Array = share[:, None] * odometry.displacement[row]
-    return result
