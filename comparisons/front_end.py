@@ -28,6 +28,7 @@ from graphslam.scan.loop_closure import (
     LoopCloser,
     NoLoopClosure,
     RegistrationLoopCloser,
+    loop_matcher,
 )
 from graphslam.scan.matchers import MATCHERS
 from graphslam.scan.points import placed
@@ -110,8 +111,10 @@ def run_front_end(
     clouds = motion.clouds(timeline.epoch_time_s)
     closer: LoopCloser = NoLoopClosure()
     if choices.loops:
+        surface = choices.matcher == "surface"
         closer = RegistrationLoopCloser(
-            MATCHERS[choices.matcher](), progress=lambda k, n: progress("loop closure", k, n)
+            loop_matcher() if surface else MATCHERS[choices.matcher](),
+            progress=lambda k, n: progress("loop closure", k, n),
         )
     closed = closer.close(problem, clouds)
     seconds["loops"] = time.perf_counter() - start

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
+from scipy.optimize import minimize
 from scipy.stats import chi2
 
 from comparisons.checks.accuracy import aligned
@@ -20,7 +20,8 @@ Array = NDArray[np.float64]
 WINDOW_S = 5.0
 """Increments are judged by positions over windows of this length."""
 _LEAST_FIXES = 4
-_WIDEST = 100.0
+_WIDEST = 5.0
+"""Largest factor looked for, as a logarithm."""
 
 
 @dataclass(frozen=True)
@@ -29,18 +30,20 @@ class IncrementCheck:
 
     against: `truth` or `positions`. nees: mean of the normalised squared errors per degree of
     freedom, 1 when the covariances are right. dof: degrees of freedom it is a mean over. band:
-    where its 95 % lie if the errors were independent. factor: on the increments' sigmas, that brings it
-    to 1; None where no factor does, as the reference's own uncertainty explains everything.
-    median: the median normalised squared error over the median that its distribution has, which
-    single bad matches do not pull; by truth only.
+    where its 95 % lie if the errors were independent. factor: on the increments' sigmas, at which
+    they explain the errors; by positions it is the most likely one, together with
+    reference_factor, on the positions' sigmas, which may be stated too wide as well. median: the
+    median normalised squared error over the median of its distribution, which single bad matches
+    do not pull; by truth only.
     """
 
     against: str
     nees: float
     dof: int
     band: tuple[float, float]
-    factor: float | None
-    median: float | None
+    factor: float
+    reference_factor: float | None = None
+    median: float | None = None
 
 
 def check_increments(motion: ScanMotion, log: Log) -> IncrementCheck | None:
@@ -78,7 +81,7 @@ def _by_truth(motion: ScanMotion, poses: Poses) -> IncrementCheck | None:
         3 * len(squared),
         _band(3 * len(squared)),
         float(np.sqrt(nees)),
-        float(np.median(squared) / chi2.median(3)),
+        median=float(np.median(squared) / chi2.median(3)),
     )
 
 
@@ -100,16 +103,16 @@ def _by_positions(motion: ScanMotion, fixes: Positions) -> IncrementCheck | None
     if not windows:
         return None
     dof = sum(window.dof for window in windows)
+    plain = sum(window.likelihood(1.0, 1.0)[0] for window in windows) / dof
 
-    def nees(factor: float) -> float:
-        return sum(window.chi2(factor**2) for window in windows) / dof
+    def surprise(log_factors: Array) -> float:
+        own, fix = np.exp(2.0 * np.clip(log_factors, -_WIDEST, _WIDEST))
+        return -sum(window.likelihood(own, fix)[1] for window in windows)
 
-    plain = nees(1.0)
-    low, high = nees(1.0 / _WIDEST), nees(_WIDEST)
-    factor = None
-    if high < 1.0 < low:
-        factor = float(np.exp(brentq(lambda log_f: nees(np.exp(log_f)) - 1.0, -4.6, 4.6)))
-    return IncrementCheck("positions", plain, dof, _band(dof), factor, None)
+    best = np.exp(minimize(surprise, np.zeros(2), method="Nelder-Mead").x)
+    return IncrementCheck(
+        "positions", plain, dof, _band(dof), float(best[0]), reference_factor=float(best[1])
+    )
 
 
 class _Window:
@@ -150,13 +153,18 @@ class _Window:
         self._gauge = gauge
         self.dof = 2 * len(at) - 3
 
-    def chi2(self, variance_factor: float) -> float:
-        """Squared residual, the window's pose being fitted by the same weights."""
-        total = variance_factor * self._own + self._fixes
+    def likelihood(self, own_factor: float, fix_factor: float) -> tuple[float, float]:
+        """Squared normalised residual, and logarithm of the restricted likelihood.
+
+        The factors multiply the variances. The window's own pose is fitted by the same weights.
+        """
+        total = own_factor * self._own + fix_factor * self._fixes
         weighed = np.linalg.solve(total, np.column_stack((self._gauge, self._residual)))
         normal = self._gauge.T @ weighed[:, :3]
         right = self._gauge.T @ weighed[:, 3]
-        return float(self._residual @ weighed[:, 3] - right @ np.linalg.solve(normal, right))
+        squared = float(self._residual @ weighed[:, 3] - right @ np.linalg.solve(normal, right))
+        volume = np.linalg.slogdet(total)[1] + np.linalg.slogdet(normal)[1]
+        return squared, -0.5 * (squared + float(volume))
 
 
 def _places_covariance(

@@ -28,17 +28,17 @@ def with_scan_motion(log: Log, motion: ScanMotion, *, positions: bool = False) -
     """
     start = float(motion.time_s[0])
     prior, lead = log.prior, None
-    if len(log.odometry.time_s) and start > prior.time_s:
+    begin = _begin(log, motion)
+    if begin < start:
         lead = motion_between(log, motion.time_s[:1])
     elif start > prior.time_s:
         prior = Prior(start, prior.pose, prior.covariance)
-    begin = prior.time_s if lead is not None else start
     knots = motion.time_s if lead is None else np.concatenate(([begin], motion.time_s))
     moves, spreads = motion.displacement[1:], motion.covariance[1:]
     if lead is not None:
         moves = np.vstack((lead.displacement, moves))
         spreads = np.concatenate((lead.covariance, spreads))
-    seen = (log.sightings.time_s >= begin) & (log.sightings.time_s <= knots[-1])
+    seen = sightings_kept(log, motion)
     fixes = log.positions
     if fixes is not None:
         fixes = _fixes(fixes, (fixes.time_s >= begin) & (fixes.time_s <= knots[-1]))
@@ -68,6 +68,19 @@ def with_scan_motion(log: Log, motion: ScanMotion, *, positions: bool = False) -
         positions=fixes,
         provenance=provenance,
     )
+
+
+def sightings_kept(log: Log, motion: ScanMotion) -> NDArray[np.bool_]:
+    """(M,) which sightings fall between where the motion begins and the last scan."""
+    time_s = log.sightings.time_s
+    kept: NDArray[np.bool_] = (time_s >= _begin(log, motion)) & (time_s <= motion.time_s[-1])
+    return kept
+
+
+def _begin(log: Log, motion: ScanMotion) -> float:
+    """The prior's time where wheels lead from there to the first scan, else the first scan's."""
+    start = float(motion.time_s[0])
+    return log.prior.time_s if len(log.odometry.time_s) and start > log.prior.time_s else start
 
 
 def divide(increments: Samples, knots: Array, times: Array) -> Samples:

@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 
 from graphslam.problem import Closures, SlamProblem
 from graphslam.scan import planar
+from graphslam.scan.matchers import MatchOptions, SurfaceMatcher
 from graphslam.scan.points import placed
 from graphslam.scan.registration import Matcher, Registration, ScanError
 from graphslam.smoother import SmootherResult, smooth
@@ -83,9 +84,9 @@ class LoopOptions:
     reach_m: float = 4.0
     per_keyframe: int = 2
     neighbours: int = 1
-    least_overlap: float = 0.6
+    least_overlap: float = 0.7
     most_residual_m: float = 0.15
-    least_stiffness: float = 8.0
+    least_stiffness: float = 12.0
     placement_m: float = 0.02
     placement_rad: float = 0.003
     rounds: int = 3
@@ -300,3 +301,8 @@ def choose_keyframes(problem: SlamProblem, clouds: Clouds, options: LoopOptions)
         ):
             chosen.append(k)
     return np.array(chosen, dtype=np.intp)
+
+
+def loop_matcher() -> Matcher:
+    """The matcher for loops unless another is asked for: from a metre off down to the surfaces."""
+    return SurfaceMatcher(MatchOptions(reaches_m=(1.0, 0.3), iterations=15))

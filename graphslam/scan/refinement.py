@@ -72,6 +72,7 @@ def refine(
         system.overlap,
         math.sqrt(system.variance),
         system.stiffness,
+        3 - int(np.count_nonzero(system.fixed)),
     )
 
 
@@ -95,20 +96,21 @@ class _System:
         self.variance = max(variance, options.floor_m**2)
 
     @property
-    def _fixed(self) -> NDArray[np.bool_]:
+    def fixed(self) -> NDArray[np.bool_]:
+        """(3,) which principal directions enough pairs fix."""
         fixed: NDArray[np.bool_] = self.stiffness >= self._options.least_stiffness
         return fixed
 
     def step(self) -> Array:
         """(3,) the Gauss-Newton step along the directions that are fixed."""
-        along = np.where(self._fixed, self._gradient / np.maximum(self.stiffness, 1e-12), 0.0)
+        along = np.where(self.fixed, self._gradient / np.maximum(self.stiffness, 1e-12), 0.0)
         step: Array = self._scale * (self._axes @ along)
         return step
 
     def covariance(self, heading: float) -> Array:
         """(3, 3) of the right perturbation."""
         variance = np.where(
-            self._fixed,
+            self.fixed,
             self._options.calibration * self.variance / np.maximum(self.stiffness, 1e-12),
             self._options.free_sigma_m**2,
         )
