@@ -19,6 +19,10 @@ Array = NDArray[np.float64]
 SUFFIXES = (".pcd", ".ply")
 
 _LONGEST_HEADER = 2**16
+_TEXT_ROW = 6
+"""Three digits and what parts them."""
+_MOST_COMPRESSED = 100
+"""LZF makes at most 264 bytes of 3."""
 _PLY_BYTES = {
     **dict.fromkeys((b"char", b"uchar", b"int8", b"uint8"), 1),
     **dict.fromkeys((b"short", b"ushort", b"int16", b"uint16"), 2),
@@ -89,30 +93,45 @@ def _suffix(path: Path) -> str:
 
 
 def _stated_points(path: Path, head: bytes) -> int:
-    """The header's own count of points.
+    """The header's own count of points, if the file is as large as it says.
 
-    Of a damaged file Open3D returns what it could read, zeros for the rest of a PLY, and sets
-    memory aside for as many points as are stated; so a PLY's size is checked before.
+    Of a damaged file Open3D returns what it could read, zeros for the rest of a PLY, and first
+    sets memory aside for as many points as are stated.
     """
     ply = path.suffix.lower() == ".ply"
-    key = [b"element", b"vertex"] if ply else [b"POINTS"]
-    header = head.partition(b"end_header")[0] if ply else head
+    header = head.partition(b"end_header" if ply else b"DATA")[0]
     lines = [line.split() for line in header.splitlines()]
-    for row, word in enumerate(lines):
-        if word[:-1] == key and word[-1].isdigit():
-            count = int(word[-1])
-            if ply and path.stat().st_size < len(header) + count * _row_bytes(lines, row + 1):
-                raise CloudError(f"{path}: ends before the {count} points that it states")
-            return count
-    raise CloudError(f"{path}: has no header that counts its points")
+    key = [b"element", b"vertex"] if ply else [b"POINTS"]
+    counts = [int(word[-1]) for word in lines if word[:-1] == key and word[-1].isdigit()]
+    if not counts:
+        raise CloudError(f"{path}: has no header that counts its points")
+    if ply:
+        text = [b"format", b"ascii", b"1.0"] in lines
+        least = _TEXT_ROW if text else _ply_row(lines)
+    else:
+        kind = head[len(header) : len(header) + 40].split()[1:2]
+        least = _TEXT_ROW if kind == [b"ascii"] else _pcd_row(lines)
+        if kind == [b"binary_compressed"]:
+            least /= _MOST_COMPRESSED
+    if path.stat().st_size < len(header) + counts[0] * least:
+        raise CloudError(f"{path}: ends before the {counts[0]} points that it states")
+    return counts[0]
 
 
-def _row_bytes(lines: list[list[bytes]], begin: int) -> int:
-    """The least size of a point: as its properties say in binary, digits and blanks in text."""
+def _ply_row(lines: list[list[bytes]]) -> float:
+    """Bytes of a point in binary; lists count as 1."""
+    begin = next(row for row, word in enumerate(lines) if word[:2] == [b"element", b"vertex"])
     size = 0
-    for word in lines[begin:]:
+    for word in lines[begin + 1 :]:
         if word[:1] != [b"property"]:
             break
         size += _PLY_BYTES.get(word[1], 1) if len(word) == 3 else 1
-    text = any(word[:2] == [b"format", b"ascii"] for word in lines)
-    return 6 if text else size
+    return size
+
+
+def _pcd_row(lines: list[list[bytes]]) -> float:
+    """Bytes of a point in binary, those of three floats where the header does not say."""
+    stated = {word[0]: word[1:] for word in lines if len(word) > 1}
+    sizes = [int(n) for n in stated.get(b"SIZE", ()) if n.isdigit()]
+    counts = [int(n) for n in stated.get(b"COUNT", ()) if n.isdigit()] or [1] * len(sizes)
+    return max(sum(n * k for n, k in zip(sizes, counts, strict=False)), 12)

@@ -66,9 +66,7 @@ class JudgedMatcher:
         """Without options the defaults hold."""
         self.options = options or MatchOptions()
         judge = self.options.judge
-        self._judge = replace(
-            judge, iterations=0, calibration=judge.calibration * self.calibration
-        )
+        self._judge = replace(judge, iterations=0, calibration=judge.calibration * self.calibration)
 
     def match(self, source: Array, target: Array, guess: Array) -> Registration:
         """Align source (N, 3) to target (M, 3) from a guess (3,), in the plane; see Matcher.
