@@ -52,11 +52,13 @@ class ScanMotion:
     failures: tuple[ScanFailure, ...]
     source: ScanSource
     scan: Index
+    options: OdometryOptions
 
     def clouds(self, pose_time_s: Array) -> CloudsAt:
         """The clouds by number of the pose among those at times (K,) that a scan belongs to."""
         poses = np.searchsorted(pose_time_s, self.time_s)
-        return CloudsAt(self.source, dict(zip(poses.tolist(), self.scan.tolist(), strict=True)))
+        scans = dict(zip(poses.tolist(), self.scan.tolist(), strict=True))
+        return CloudsAt(self.source, scans, self.options)
 
     @property
     def breaks(self) -> int:
@@ -122,4 +124,5 @@ def run_scan_odometry(
         tuple(failures),
         source,
         kept,
+        odometry.options,
     )

@@ -14,6 +14,7 @@ from comparisons.logs.scans import Clouds, Scans
 from comparisons.runs.motion import motion_between
 from graphslam.increments import dead_reckoned
 from graphslam.scan import planar
+from graphslam.scan.odometry import OdometryOptions
 from graphslam.scan.points import compensated, planar_points, swept_points
 
 Array = NDArray[np.float64]
@@ -50,13 +51,15 @@ class ScanSource:
 class CloudsAt(Mapping[int, Array]):
     """Clouds by the number of the pose from which they were seen, made when asked for."""
 
-    def __init__(self, source: ScanSource, scan_of_pose: dict[int, int]) -> None:
-        """scan_of_pose: number of a scan by the number of its pose."""
-        self._source, self._scan = source, scan_of_pose
+    def __init__(
+        self, source: ScanSource, scan_of_pose: dict[int, int], options: OdometryOptions
+    ) -> None:
+        """scan_of_pose: number of a scan by the number of its pose. options: what to leave out."""
+        self._source, self._scan, self._options = source, scan_of_pose, options
 
     def __getitem__(self, pose: int) -> Array:
         """(M, 3) points."""
-        return self._source.points(self._scan[pose])
+        return self._options.prepared(self._source.points(self._scan[pose]))
 
     def __iter__(self) -> Iterator[int]:
         """Poses in order."""

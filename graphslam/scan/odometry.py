@@ -55,6 +55,11 @@ class OdometryOptions:
     )
     cloud_calibration: float = 6.0
 
+    def prepared(self, points: Array) -> Array:
+        """(M, 3) what of a scan is aligned: above the ground, within range. Raises ScanError."""
+        standing = above_ground(points, self.ground_m)
+        return usable(standing, self.least_range_m, self.most_range_m)
+
 
 @dataclass(frozen=True)
 class Increment:
@@ -103,7 +108,7 @@ class ScanOdometry:
             self._begin()
             self._failed = 1
         o = self.options
-        cloud = usable(above_ground(points, o.ground_m), o.least_range_m, o.most_range_m)
+        cloud = o.prepared(points)
         kept = source = cloud
         if len(cloud) > o.whole_points:
             kept = np.asarray(voxel_down_sample(cloud, 0.5 * o.voxel_m))

@@ -23,6 +23,9 @@ Array = NDArray[np.float64]
 _THIN = 1e-3
 """Variance across a surface relative to along it (Segal, Haehnel and Thrun 2009, section III)."""
 
+_WEAK = 1e-4
+_BELOW_M = 2e2
+
 
 class _Open3dMatcher(JudgedMatcher):
     def __init__(self, options: MatchOptions | None = None) -> None:
@@ -54,7 +57,7 @@ class _Open3dMatcher(JudgedMatcher):
 class PointToPointMatcher(_Open3dMatcher):
     """Besl and McKay 1992. Slow to slide along surfaces, sure of its pairs nowhere."""
 
-    calibration = 1.0
+    calibration = 25.0
 
     def register(self, source: Any, target: Any, reach_m: float, start: Array, limits: Any) -> Any:
         """See the base."""
@@ -69,7 +72,7 @@ class PointToPlaneMatcher(_Open3dMatcher):
     kernel: its scale, as a share of the reach.
     """
 
-    calibration = 1.0
+    calibration = 1.74
     kernel: ClassVar[float] = 0.1
 
     def cloud(self, points: Array, target: bool) -> Any:
@@ -87,6 +90,11 @@ class PointToPlaneMatcher(_Open3dMatcher):
         estimation = methods.TransformationEstimationPointToPlane(
             methods.CauchyLoss(self.kernel * reach_m)
         )
+        held, normal = _anchors(reach_m)
+        source = source + as_open3d(planar.moved(planar.from_matrix(np.linalg.inv(start)), held))
+        anchor = as_open3d(held)
+        anchor.normals = self._open3d.utility.Vector3dVector(normal)
+        target = target + anchor
         return methods.registration_icp(source, target, reach_m, start, estimation, limits)
 
 
@@ -96,7 +104,7 @@ class GeneralisedMatcher(_Open3dMatcher):
     kernel: as in PointToPlaneMatcher.
     """
 
-    calibration = 1.0
+    calibration = 1.81
     kernel: ClassVar[float] = 0.1
 
     def cloud(self, points: Array, target: bool) -> Any:
@@ -119,6 +127,22 @@ class GeneralisedMatcher(_Open3dMatcher):
         return methods.registration_generalized_icp(
             source, target, reach_m, start, estimation, limits
         )
+
+
+def _anchors(reach_m: float) -> tuple[Array, Array]:
+    """Points (A, 3) far below, for both clouds, and the target's normals there.
+
+    Open3D solves the normal equations as they are, and where nothing fixes a direction, as along
+    two walls without noise, it steps anywhere. A level ring keeps the motion in the plane and
+    says nothing of it; two normals of next to no length hold what the clouds do not.
+    """
+    turn = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
+    ring = reach_m * np.column_stack((np.cos(turn), np.sin(turn), 0.0 * turn))
+    depth = np.append(np.ones(len(ring)), (2.0, 3.0))
+    place = np.vstack((ring, np.zeros((2, 3))))
+    place[:, 2] = -_BELOW_M * depth
+    normal = np.vstack((np.tile((0.0, 0.0, 1.0), (len(ring), 1)), _WEAK * np.eye(3)[:2]))
+    return place, normal
 
 
 def as_open3d(points: Array) -> Any:

@@ -35,13 +35,21 @@ class SurfaceMap:
     it alone.
     """
 
-    def __init__(self, points: Array, neighbours: int = 6, radius_m: float = 0.5) -> None:
-        """points: (M, 3), used as (M, 2) when all lie at z = 0. neighbours: most per patch."""
+    def __init__(
+        self, points: Array, neighbours: int = 6, radius_m: float = 0.5, lone: bool = False
+    ) -> None:
+        """points: (M, 3), used as (M, 2) when all lie at z = 0. neighbours: most per patch.
+
+        lone: a patch that is no surface is filled only if it is small and holds all points within
+        the radius. The few points nearest to a place in a dense, noisy wall, and those of a wall
+        far off, look like a pole otherwise, which would fix the place along the wall.
+        """
         flat = not points[:, 2].any()
         self.points = np.ascontiguousarray(points[:, :2] if flat else points)
         self._plan = np.ascontiguousarray(points[:, :2])
         self._tree = cKDTree(self.points, balanced_tree=False)
         self._neighbours, self._radius_m = min(neighbours, len(points)), radius_m
+        self._lone = lone
 
     @property
     def dimension(self) -> int:
@@ -61,7 +69,16 @@ class SurfaceMap:
         offset = near - centre[:, None]
         scatter = np.einsum("nk,nki,nkj->nij", share, offset, offset)
         normal, across, along = _thinnest(scatter)
+<<<<<<< HEAD
         return Patches(centre, normal, (count >= 4) & (along > _FLAT * across), count >= 3)
+=======
+        enough = count >= 2 + self.dimension
+        filled = count >= 3
+        if self._lone:
+            small = np.einsum("nii->n", scatter) < (0.25 * self._radius_m) ** 2
+            filled &= small & (count < self._neighbours)
+        return Patches(centre, normal, enough & (along > _FLAT * across), filled)
+>>>>>>> 420973084edde1960a9949ee9a55967c05af9183
 
 
 def _thinnest(scatter: Array) -> tuple[Array, Array, Array]:

@@ -1,0 +1,103 @@
+from __future__ import annotations
+
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from graphslam.scan.clouds import CloudError, read_cloud, write_cloud
+from tests.graphslam.scan.shapes import Array
+
+pytestmark = pytest.mark.usefixtures("open3d_library")
+
+
+@pytest.fixture
+def points() -> Array:
+    return np.random.default_rng(0).normal(scale=30.0, size=(1000, 3))
+
+
+def test_ply_gives_every_bit_back(tmp_path: Path, points: Array) -> None:
+    write_cloud(tmp_path / "a.ply", points)
+    np.testing.assert_array_equal(read_cloud(tmp_path / "a.ply"), points)
+
+
+def test_pcd_gives_single_precision_back(tmp_path: Path, points: Array) -> None:
+    write_cloud(tmp_path / "a.pcd", points)
+    np.testing.assert_array_equal(read_cloud(tmp_path / "a.pcd"), points.astype(np.float32))
+
+
+@pytest.mark.parametrize("suffix", [".pcd", ".ply"])
+def test_a_new_cloud_takes_the_old_ones_place(tmp_path: Path, points: Array, suffix: str) -> None:
+    path = tmp_path / f"a{suffix}"
+    write_cloud(path, points)
+    write_cloud(path, points[:7])
+    assert len(read_cloud(path)) == 7
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+@pytest.mark.parametrize("bad", [np.zeros((0, 3)), np.zeros((4, 2)), np.full((4, 3), np.nan)])
+def test_a_cloud_that_cannot_be_written_leaves_the_old_one(
+    tmp_path: Path, points: Array, bad: Array
+) -> None:
+    path = tmp_path / "a.ply"
+    write_cloud(path, points)
+    with pytest.raises(CloudError, match="points"):
+        write_cloud(path, bad)
+    assert len(read_cloud(path)) == len(points)
+
+
+def test_paths_that_cannot_be_written(tmp_path: Path, points: Array) -> None:
+    (tmp_path / "folder.ply").mkdir()
+    for name, message in (
+        ("a.xyz", "ending in"),
+        ("none/a.ply", "No such file"),
+        ("folder.ply", "folder"),
+    ):
+        with pytest.raises(CloudError, match=message) as raised:
+            write_cloud(tmp_path / name, points)
+        assert "\n" not in str(raised.value)
+    assert [p.name for p in tmp_path.iterdir()] == ["folder.ply"]
+    with pytest.raises(CloudError, match="single precision"):
+        write_cloud(tmp_path / "far.pcd", 1e300 * points)
+
+
+@pytest.mark.parametrize("suffix", [".pcd", ".ply"])
+@pytest.mark.parametrize("kept", [0.0, 0.005, 0.5, 0.999])
+def test_files_cut_short(tmp_path: Path, points: Array, suffix: str, kept: float) -> None:
+    path = tmp_path / f"a{suffix}"
+    write_cloud(path, points)
+    raw = path.read_bytes()
+    path.write_bytes(raw[: int(kept * len(raw))])
+    with pytest.raises(CloudError, match=f"a{suffix}: ") as raised:
+        read_cloud(path)
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize("suffix", [".pcd", ".ply"])
+def test_a_count_larger_than_the_file(tmp_path: Path, points: Array, suffix: str) -> None:
+    """Open3D would ask for the memory first."""
+    path = tmp_path / f"a{suffix}"
+    write_cloud(path, points)
+    path.write_bytes(path.read_bytes().replace(b"1000", b"100000000000"))
+    with pytest.raises(CloudError, match="ends before"):
+        read_cloud(path)
+
+
+@pytest.mark.parametrize("suffix", [".pcd", ".ply"])
+def test_text_and_compressed_files_of_others(
+    tmp_path: Path, points: Array, suffix: str, open3d_library: ModuleType
+) -> None:
+    path = tmp_path / f"a{suffix}"
+    cloud = open3d_library.geometry.PointCloud(open3d_library.utility.Vector3dVector(points))
+    for options in ({"write_ascii": True}, {"compressed": True}):
+        assert open3d_library.io.write_point_cloud(str(path), cloud, **options)
+        np.testing.assert_allclose(read_cloud(path), points, rtol=1e-5, atol=1e-5)
+
+
+def test_files_that_are_not_there(tmp_path: Path) -> None:
+    with pytest.raises(CloudError, match="No such file"):
+        read_cloud(tmp_path / "a.ply")
+    (tmp_path / "b.pcd").write_text("not a cloud\n")
+    with pytest.raises(CloudError, match="no header"):
+        read_cloud(tmp_path / "b.pcd")

@@ -1,0 +1,118 @@
+"""Loading Open3D, and what is taken from it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from graphslam.scan import planar
+from graphslam.scan.open3d_library import PACKAGES, Open3dMissingError, explained, open3d
+from tests.graphslam.scan.shapes import Array, box, seen_from
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+@pytest.mark.parametrize(("library", "package"), PACKAGES.items())
+def test_a_missing_library_is_named_with_its_package(library: str, package: str) -> None:
+    error = ImportError(
+        f"{library}.so.1: cannot open shared object file: No such file or directory"
+    )
+    message = explained(error)
+    assert message.startswith(f"Open3D lacks {library}: apt-get install {package},")
+    assert "\n" not in message
+
+
+def test_other_failures_are_one_line() -> None:
+    assert "pip install" in explained(ModuleNotFoundError("No module", name="open3d"))
+    assert explained(ImportError("bad\nsymbol")) == "Open3D cannot be loaded: bad symbol"
+    strange = explained(OSError("libodd.so.3: cannot open shared object file: No such file"))
+    assert strange == "Open3D cannot be loaded: it lacks libodd, a library of the system"
+
+
+def test_the_import_fails_with_that_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    open3d.cache_clear()
+    try:
+        with pytest.raises(Open3dMissingError, match="Open3D"):
+            open3d()
+    finally:
+        open3d.cache_clear()
+
+
+def test_nothing_loads_it_before_it_is_used() -> None:
+    code = (
+        "import sys, graphslam.scan.matchers as m, graphslam.scan.open3d_matchers, "
+        "graphslam.scan.clouds; m.MATCHERS['surface'](); assert 'open3d' not in sys.modules"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_it_keeps_to_one_thread_and_says_nothing(open3d_library: ModuleType) -> None:
+    utility = open3d_library.utility
+    assert utility.get_verbosity_level() == utility.VerbosityLevel.Error
+    if hasattr(utility, "get_max_threads"):
+        assert utility.get_max_threads() == 1
+
+
+@pytest.mark.parametrize("motion", [np.zeros(3), np.array((3.0, -2.0, 0.8))])
+def test_information_by_hand(open3d_library: ModuleType, motion: Array) -> None:
+    """Points p in the source's frame shift by (dx - y dh, dy + x dh) when it is perturbed."""
+    from graphslam.scan.open3d_matchers import point_information
+
+    rng = np.random.default_rng(1)
+    source = np.column_stack((rng.uniform(-9.0, 9.0, (50, 2)), np.zeros(50)))
+    x, y, _ = source.T
+    expected = np.array(
+        (
+            (50.0, 0.0, -y.sum()),
+            (0.0, 50.0, x.sum()),
+            (-y.sum(), x.sum(), (x**2 + y**2).sum()),
+        )
+    )
+    target = planar.moved(motion, source)
+    found = point_information(source, target, motion, 0.01, 0.1)
+    np.testing.assert_allclose(found, expected / 0.1**2, rtol=1e-9, atol=1e-8)
+    if motion.any():
+        transposed = planar.carried(np.linalg.inv(found), motion)
+        assert np.abs(np.linalg.inv(transposed) * 0.1**2 - expected).max() > 1.0
+
+
+def test_normals_of_a_planar_cloud_lie_in_the_plane(open3d_library: ModuleType) -> None:
+    from graphslam.scan.open3d_matchers import as_open3d, surface_normals
+
+    rng = np.random.default_rng(0)
+    along = np.linspace(-5.0, 5.0, 80)
+    wall = np.column_stack((along, np.full(80, 2.0), np.zeros(80)))
+    turned = seen_from(np.array((0.0, 0.0, -0.3)), wall)
+    normal, flat = surface_normals(turned)
+    assert flat.all()
+    expected = np.array((-np.sin(0.3), np.cos(0.3), 0.0))
+    np.testing.assert_allclose(np.abs(normal @ expected), 1.0, atol=1e-9)
+    noisy = turned + 0.02 * rng.standard_normal((80, 1)) * expected
+    own = as_open3d(noisy)
+    own.estimate_normals(open3d_library.geometry.KDTreeSearchParamHybrid(0.5, 10))
+    assert np.abs(np.asarray(own.normals) @ expected).max() < 0.1, "Open3D's are no use here"
+    assert np.abs(surface_normals(noisy)[0] @ expected).min() > 0.9
+
+
+def test_a_box_is_found_within_a_box(open3d_library: ModuleType) -> None:
+    """A planar scan may be laid into a cloud in space."""
+    from graphslam.scan.open3d_matchers import PointToPointMatcher
+
+    rng = np.random.default_rng(0)
+    side = box(0.0, 0.0, 8.0, 5.0)
+    part = rng.random((4, 200, 1))
+    level = (side[:, None, :2] + part * (side[:, None, 2:] - side[:, None, :2])).reshape(-1, 2)
+    source = np.column_stack((level, np.zeros(len(level))))
+    space = np.vstack([source + (0.0, 0.0, height) for height in (-0.2, -0.1, 0.0, 0.1, 0.2)])
+    true = np.array((0.2, 0.1, 0.05))
+    found = PointToPointMatcher().match(seen_from(true, source), space, np.zeros(3))
+    np.testing.assert_allclose(found.motion, true, atol=1e-6)
