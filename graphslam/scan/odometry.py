@@ -7,6 +7,7 @@ fails neither enters the map nor gives an increment.
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -24,13 +25,19 @@ from graphslam.scan.surfaces import SurfaceMap
 Array = NDArray[np.float64]
 
 
+_RENEWAL = 0.25
+"""The map is made anew after this share of its memory."""
+
+
 @dataclass(frozen=True)
 class OdometryOptions:
     """Settings of KISS-ICP and of what is believed of it.
 
     voxel_m, points_per_voxel: KISS-ICP's local map. threshold_m, blind_threshold_m: the scale of
     its kernel with and without a guess; pairs reach three times as far. least_range_m,
-    most_range_m: points outside are left out. whole_points: clouds with more points are thinned
+    most_range_m: points outside are left out. memory_m: the local map forgets what was seen longer
+    ago than this way; where the vehicle comes back, the increments stay odometry, and closing the
+    loop is left to loop closure. whole_points: clouds with more points are thinned
     before they are aligned. ground_m: of a cloud, what lies lower than this over its lowest points
     is left out: a flat ground says nothing of planar motion, and its rings move with the vehicle.
     most_jump_m, most_jump_rad: how far the result may lie from the guess. patience: so many failed
@@ -45,6 +52,7 @@ class OdometryOptions:
     blind_threshold_m: float = 0.4
     least_range_m: float = 1.0
     most_range_m: float = 75.0
+    memory_m: float = 40.0
     whole_points: int = 1000
     ground_m: float = 0.3
     most_jump_m: float = 1.0
@@ -53,7 +61,7 @@ class OdometryOptions:
     refinement: RefinementOptions = field(
         default_factory=lambda: RefinementOptions(iterations=2, calibration=1.15)
     )
-    cloud_calibration: float = 6.0
+    cloud_calibration: float = 5.2
 
     def prepared(self, points: Array) -> Array:
         """(M, 3) what of a scan is aligned: above the ground, within range. Raises ScanError."""
@@ -88,11 +96,16 @@ class ScanOdometry:
         self._begin()
 
     def _begin(self) -> None:
-        o = self.options
-        self._map = VoxelHashMap(o.voxel_m, o.most_range_m, o.points_per_voxel)
+        self._map = self._new_map()
+        self._recent: deque[tuple[float, Array]] = deque()
+        self._way, self._renewed = 0.0, 0.0
         self._motion, self._pending = np.zeros(3), np.zeros(3)
         self._spread = np.zeros((3, 3))
         self._failed, self._empty = 0, True
+
+    def _new_map(self) -> VoxelHashMap:
+        o = self.options
+        return VoxelHashMap(o.voxel_m, o.most_range_m, o.points_per_voxel)
 
     def register(self, points: Array, guess: Array | None = None) -> Increment | None:
         """Align a scan (N, 3), given what is guessed of the motion (3,) since the one before.
@@ -132,7 +145,21 @@ class ScanOdometry:
 
     def _accept(self, cloud: Array) -> None:
         self._map.update(cloud, planar.matrix(self.pose))
+        self._remember(planar.moved(self.pose, cloud))
         self._pending, self._failed, self._empty = np.zeros(3), 0, False
+
+    def _remember(self, cloud: Array) -> None:
+        """Keep the recent clouds; make the map of them anew when much of it is old."""
+        self._way += float(np.hypot(self._motion[0], self._motion[1]))
+        self._recent.append((self._way, cloud))
+        memory = self.options.memory_m
+        if self._way - self._renewed < _RENEWAL * memory or self._recent[0][0] > self._way - memory:
+            return
+        while self._recent[0][0] < self._way - memory:
+            self._recent.popleft()
+        self._map, self._renewed = self._new_map(), self._way
+        for _, points in self._recent:
+            self._map.add_points(points)
 
     def _align(self, source: Array, guess: Array, threshold_m: float) -> Registration:
         o = self.options
