@@ -50,3 +50,9 @@ def test_smoother_benchmark_runs() -> None:
     lines = run("benchmarks/smoother.py", "--quick")
     assert lines[1].startswith("graph ")
     assert lines[-1].startswith("errors: ours ")
+
+
+def test_scan_front_end_benchmark_runs() -> None:
+    lines = run("benchmarks/scan_front_end.py", "--seeds", "2", "--seeds-3d", "0")
+    assert lines[0].startswith("scan-loop: ")
+    assert any(line.startswith("scan-loop, 2 seeds: NEES ") for line in lines)

@@ -1,0 +1,150 @@
+"""The scan front end: speed, what is spent on what, drift, and honesty of its covariances.
+
+    python benchmarks/scan_front_end.py [--seeds 50] [--seeds-3d 12] [--log path/to/acfr_car_park]
+
+Simulated drives come with the package (`scan-loop`, `scan-loop-3d`). NEES has three degrees of
+freedom; the band is that of an average over as many runs as there are seeds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from unittest import mock
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from comparisons.checks.scan_increments import check_increments, normalised_errors
+from comparisons.front_end import run_front_end
+from comparisons.logs.bundled import SimulationChoices, open_log
+from comparisons.logs.log import Log
+from comparisons.logs.readers import read_log
+from comparisons.runs.motion import motion_between
+from comparisons.runs.scan_motion import ScanMotion, run_scan_odometry
+from comparisons.runs.scan_source import ScanSource
+from graphslam.scan import odometry as module
+from graphslam.scan import planar
+
+Array = NDArray[np.float64]
+
+
+class Stopwatch:
+    """Seconds spent in functions that it has wrapped."""
+
+    def __init__(self) -> None:
+        """Nothing spent yet."""
+        self.seconds = 0.0
+
+    def timed(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """The same function, its time counted."""
+
+        def call(*arguments: Any, **options: Any) -> Any:
+            start = time.perf_counter()
+            try:
+                return function(*arguments, **options)
+            finally:
+                self.seconds += time.perf_counter() - start
+
+        return call
+
+
+def speed(log: Log, repeats: int = 3) -> None:
+    """Time of the whole, of KISS-ICP's own calls in it, and of refinement and evidence."""
+    source = ScanSource(log)
+    clouds = [source.points(i) for i in range(len(source.row))]
+    guesses = motion_between(log, source.time_s).displacement
+    guesses[0] = 0.0
+    best = (np.inf, np.inf, np.inf)
+    for _ in range(repeats):
+        kiss, judge = Stopwatch(), Stopwatch()
+        with mock.patch.object(module, "refine", judge.timed(module.refine)):
+            odometry = module.ScanOdometry()
+            aligned: Any = SimpleNamespace()
+            aligned.align_points_to_map = kiss.timed(odometry._kiss.align_points_to_map)
+            odometry._kiss = aligned
+            start = time.perf_counter()
+            for cloud, guess in zip(clouds, guesses, strict=True):
+                odometry.register(cloud, guess)
+            best = min(best, (time.perf_counter() - start, kiss.seconds, judge.seconds))
+    total, own, judged = (1e3 * seconds / len(clouds) for seconds in best)
+    print(f"{log.name}: {1e3 / total:.0f} scans/s; ms a scan: {total:.3f} in all, of these")
+    print(f"  {own:.3f} KISS-ICP's alignment, {judged:.3f} refinement, evidence and covariance,")
+    print(f"  {total - own - judged:.3f} the rest, with KISS-ICP's map")
+
+
+def honesty(name: str, seeds: int) -> None:
+    """Increments' NEES and drift over simulated drives."""
+    runs, drifts, failed = [], [], 0
+    for seed in range(seeds):
+        log = open_log(name, choices=SimulationChoices(seed))
+        motion = run_scan_odometry(log)
+        assert log.truth.poses is not None
+        failed += len(motion.failures)
+        squared = normalised_errors(motion, log.truth.poses)
+        runs.append(float(squared.mean()))
+        drifts.append(drift(log, motion))
+    low, high = chi2.ppf((0.025, 0.975), 3 * seeds) / seeds
+    print(
+        f"{name}, {seeds} seeds: NEES {np.mean(runs):.2f} (runs {min(runs):.2f} to "
+        f"{max(runs):.2f}; band {low:.2f} to {high:.2f}); drift {100 * np.mean(drifts):.2f} % of "
+        f"the way, at most {100 * max(drifts):.2f} %; {failed} scans failed"
+    )
+
+
+def drift(log: Log, motion: ScanMotion) -> float:
+    """Distance of the last pose from the truth, over the way, both seen from the first pose."""
+    poses = log.truth.poses
+    assert poses is not None
+    x, y, heading = (np.interp(motion.time_s, poses.time_s, c) for c in poses.pose.T)
+    true = np.column_stack((x, y, heading))
+    way = np.hypot(np.diff(x), np.diff(y)).sum()
+    miss = motion.pose[-1, :2] - planar.between(true[0], true[-1])[:2]
+    return float(np.hypot(*miss) / way)
+
+
+def front_end(log: Log) -> None:
+    """Figures of the whole front end on a log."""
+    f = run_front_end(log)
+    print(f"{log.name}: {len(f.closed.closures.first)} loops closed in {f.seconds['loops']:.1f} s")
+    for name, accuracy in (
+        ("wheels", f.accuracy_wheels),
+        ("scan odometry", f.accuracy_odometry),
+        ("scan graph", f.accuracy_graph),
+    ):
+        if accuracy is not None:
+            figure = accuracy.gps_rms_aligned_m or accuracy.ate_aligned_m
+            print(f"  {name}: RMS after alignment {figure:.3f} m")
+    check = check_increments(f.motion, log)
+    if check is not None:
+        print(
+            f"  increments' sigmas by {check.against}: {check.factor:.2f} times as large would fit"
+        )
+
+
+def main() -> None:
+    """Run all and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=50)
+    parser.add_argument("--seeds-3d", type=int, default=12)
+    parser.add_argument("--log", type=Path)
+    arguments = parser.parse_args()
+    logs = [open_log("scan-loop")]
+    if arguments.log is not None:
+        logs.append(read_log(arguments.log))
+    for log in logs:
+        speed(log)
+    honesty("scan-loop", arguments.seeds)
+    if arguments.seeds_3d:
+        honesty("scan-loop-3d", arguments.seeds_3d)
+    for log in logs:
+        front_end(log)
+
+
+if __name__ == "__main__":
+    main()
