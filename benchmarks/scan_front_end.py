@@ -28,8 +28,9 @@ from comparisons.logs.readers import read_log
 from comparisons.runs.motion import motion_between
 from comparisons.runs.scan_motion import ScanMotion, run_scan_odometry
 from comparisons.runs.scan_source import ScanSource
-from graphslam.scan import odometry as module
 from graphslam.scan import planar
+from graphslam.scan.odometry import ScanOdometry
+from graphslam.scan.refinement import refine
 
 Array = NDArray[np.float64]
 
@@ -63,8 +64,8 @@ def speed(log: Log, repeats: int = 3) -> None:
     best = (np.inf, np.inf, np.inf)
     for _ in range(repeats):
         kiss, judge = Stopwatch(), Stopwatch()
-        with mock.patch.object(module, "refine", judge.timed(module.refine)):
-            odometry = module.ScanOdometry()
+        with mock.patch("graphslam.scan.odometry.refine", judge.timed(refine)):
+            odometry = ScanOdometry()
             aligned: Any = SimpleNamespace()
             aligned.align_points_to_map = kiss.timed(odometry._kiss.align_points_to_map)
             odometry._kiss = aligned
