@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).resolve().parents[1]
 
 
@@ -50,3 +52,12 @@ def test_smoother_benchmark_runs() -> None:
     lines = run("benchmarks/smoother.py", "--quick")
     assert lines[1].startswith("graph ")
     assert lines[-1].startswith("errors: ours ")
+
+
+@pytest.mark.usefixtures("open3d_library")
+def test_matchers_benchmark_runs(tmp_path: Path) -> None:
+    picture = tmp_path / "basins.png"
+    lines = run("benchmarks/matchers.py", "--pairs", "1", "--plot", str(picture))
+    names = ["surface", "kiss", "point-to-point", "point-to-plane", "generalised"]
+    assert [line.split()[1] for line in lines[2:]] == names
+    assert picture.read_bytes().startswith(b"\x89PNG")

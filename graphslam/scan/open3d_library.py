@@ -1,4 +1,4 @@
-"""Open3D, loaded where it is first used: half a second, and shared libraries that may be missing."""
+"""Open3D, loaded where it is first used: it takes a second and may lack libraries."""
 
 from __future__ import annotations
 
