@@ -8,23 +8,26 @@ import signal
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from comparisons.cli_options import (
     AssociationOption,
+    CloudOption,
     FeaturesOption,
     FilterOption,
     FormatOption,
     GpsOption,
+    GuessOption,
     LagOption,
     LogArgument,
+    LoopClosureOption,
     LoopsOption,
+    MatcherOption,
     MethodOption,
+    MotionOption,
     NoiseOption,
     OptimiserOption,
     OutOption,
@@ -34,18 +37,24 @@ from comparisons.cli_options import (
     SmootherAssociationOption,
     SolveAssociationOption,
 )
-from comparisons.errors import InputError, printable
+from comparisons.cli_support import (
+    AGREE,
+    BROKEN,
+    DISAGREE,
+    INTERRUPTED,
+    UNPROVEN,
+    UNUSABLE,
+    fail,
+    guarded,
+    print_result,
+    progress_bar,
+)
+from comparisons.errors import InputError
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
-    from comparisons.compare import Progress
     from comparisons.logs.log import Log
     from comparisons.runs.ekf_build import EkfChoices
     from graphslam.smoother import SmootherOptions
-
-AGREE, DISAGREE, UNUSABLE, UNPROVEN = 0, 1, 2, 3
-BROKEN, INTERRUPTED = 70, 130
 
 app = typer.Typer(
     name="slamcheck",
@@ -67,6 +76,7 @@ def run(
     filter_name: FilterOption = "full",
     association: AssociationOption = None,
     features: FeaturesOption = "log",
+    motion: MotionOption = "wheel",
     gps: GpsOption = "off",
     smoother: MethodOption = "batch",
     smoother_association: SmootherAssociationOption = "ekf",
@@ -86,8 +96,9 @@ def run(
       slamcheck run simulated-loop --loops 2 --seed 7
       slamcheck run path/to/MRCLAM_Dataset6 --robot 2
       slamcheck run my-log-folder --association nn --out report
+      slamcheck run path/to/acfr_car_park --motion both
     """
-    with _guarded():
+    with guarded():
         from comparisons.runs.ekf_build import EkfChoices
 
         source, read_s = _read(log, format_name, robot, seed, loops, noise_scale, features)
@@ -97,7 +108,7 @@ def run(
             raise InputError(
                 f"smoother association '{smoother_association}' is unknown, expected ekf or own"
             )
-        raise SystemExit(_run(source, choices, options, smoother_association, out, read_s))
+        raise SystemExit(_run(source, choices, options, smoother_association, motion, out, read_s))
 
 
 def _options(method: str, lag: int, optimiser: str, robust: str) -> SmootherOptions:
@@ -114,6 +125,7 @@ def _run(
     choices: EkfChoices,
     options: SmootherOptions,
     smoother_association: str,
+    motion: str,
     out: Path | None,
     read_s: float,
 ) -> int:
@@ -125,27 +137,20 @@ def _run(
 
     folder = out or Path(f"slamcheck-{folder_name(log.name)}")
     check_replaceable(folder, CONTENTS)
-    with _progress() as progress:
+    with progress_bar() as progress:
         comparison = compare_estimators(
-            log, choices, options, progress, smoother_association=smoother_association
+            log,
+            choices,
+            options,
+            progress,
+            smoother_association=smoother_association,
+            motion=motion,
         )
         result = build_result(comparison, read_s)
         progress("report", 0, 0)
         write_run_folder(comparison, result, folder)
-    _print(lambda console: print_summary(result, console), folder)
+    print_result(lambda console: print_summary(result, console), folder)
     return {"agree": AGREE, "disagree": DISAGREE, "unproven": UNPROVEN}[result.verdict]
-
-
-def _print(summary: Callable[[Console], None], folder: Path) -> None:
-    from rich.console import Console
-
-    try:
-        console = Console(soft_wrap=True)
-        summary(console)
-        console.print(f"report: {folder}", highlight=False, markup=False)
-        sys.stdout.flush()
-    except OSError:  # nobody listens any more; that does not change the verdict
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
 
 
 @app.command()
@@ -172,7 +177,7 @@ def solve(
       slamcheck solve                                 Victoria Park from dead reckoning
       slamcheck solve path/to/MRCLAM_Dataset6 --robot 3 --robust gnc
     """
-    with _guarded():
+    with guarded():
         from comparisons.atomic import check_replaceable, folder_name
         from comparisons.report.solution_folder import SOLUTION_CONTENTS, write_solution_folder
         from comparisons.report.solution_result import build_solution_result, print_solution
@@ -182,12 +187,60 @@ def solve(
         folder = out or Path(f"slamcheck-solve-{folder_name(source.name)}")
         check_replaceable(folder, SOLUTION_CONTENTS)
         options = _options(smoother, lag, optimiser, robust)
-        with _progress() as progress:
+        with progress_bar() as progress:
             solution = solve_log(source, association, gps, options, progress)
             result = build_solution_result(solution, read_s)
             progress("report", 0, 0)
             write_solution_folder(solution, result, folder)
-        _print(lambda console: print_solution(result, console), folder)
+        print_result(lambda console: print_solution(result, console), folder)
+        raise SystemExit(AGREE if result.verdict == "proven" else UNPROVEN)
+
+
+@app.command()
+def odometry(
+    log: LogArgument,
+    format_name: FormatOption = None,
+    out: OutOption = None,
+    guess: GuessOption = "wheels",
+    loops_closed: LoopClosureOption = "on",
+    matcher: MatcherOption = "surface",
+    gps: GpsOption = "off",
+    cloud: CloudOption = None,
+    robot: RobotOption = 1,
+    seed: SeedOption = 0,
+    loops: LoopsOption = 1,
+    noise_scale: NoiseOption = 1.0,
+) -> None:
+    """Run the scan front end alone: odometry, loop closure, scan pose graph. Exits as solve does.
+
+    \b
+    Examples:
+      slamcheck odometry scan-loop                    simulated scans, with truth
+      slamcheck odometry path/to/acfr_car_park --cloud pcd
+    """
+    with guarded():
+        from comparisons.atomic import check_replaceable, folder_name
+        from comparisons.front_end import FrontEndChoices, run_front_end
+        from comparisons.report.front_end_folder import FRONT_END_CONTENTS, write_front_end_folder
+        from comparisons.report.front_end_result import build_front_end_result, print_front_end
+
+        for name, value, known in (
+            ("guess", guess, ("wheels", "none")),
+            ("loop-closure", loops_closed, ("on", "off")),
+            ("cloud", cloud or "pcd", ("pcd", "ply")),
+        ):
+            if value not in known:
+                raise InputError(f"{name} '{value}' is unknown, expected {' or '.join(known)}")
+        choices = FrontEndChoices(guess == "wheels", loops_closed == "on", gps, matcher)
+        source, read_s = _read(log, format_name, robot, seed, loops, noise_scale, "log")
+        folder = out or Path(f"slamcheck-odometry-{folder_name(source.name)}")
+        check_replaceable(folder, FRONT_END_CONTENTS)
+        with progress_bar() as progress:
+            front_end = run_front_end(source, choices, progress)
+            result = build_front_end_result(front_end, read_s)
+            progress("report", 0, 0)
+            write_front_end_folder(front_end, result, folder, cloud)
+        print_result(lambda console: print_front_end(result, console), folder)
         raise SystemExit(AGREE if result.verdict == "proven" else UNPROVEN)
 
 
@@ -221,7 +274,7 @@ def convert(
     Example:
       slamcheck convert path/to/acfr_car_park car-park
     """
-    with _guarded():
+    with guarded():
         from comparisons.logs.log_folder import write_log_folder
 
         source = _open(log, format_name, robot, seed, loops, noise_scale)
@@ -266,58 +319,6 @@ def _read(
     return choose_features(log, features), time.perf_counter() - start
 
 
-@contextmanager
-def _guarded() -> Iterator[None]:
-    """Known faults become one line on standard error and an exit code; warnings stay silent.
-
-    What the numbers mean is checked where they are used, so numpy's and matplotlib's remarks
-    would only tell the same twice.
-    """
-    import warnings
-
-    import numpy as np
-
-    try:
-        with np.errstate(all="ignore"), warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
-    except InputError as error:
-        _fail(str(error), UNUSABLE)
-    except OSError as error:
-        _fail(f"{error.filename or 'a file'}: {error.strerror or error}", UNUSABLE)
-    except MemoryError:
-        _fail("not enough memory for this log", UNUSABLE)
-    except (ArithmeticError, ValueError) as error:
-        if type(error).__name__ != "SingularProblemError":
-            raise
-        _fail(f"unproven: {error}", UNPROVEN)
-
-
-def _fail(message: str, code: int) -> NoReturn:
-    with suppress(OSError, ValueError):
-        print(f"slamcheck: {printable(' '.join(message.split()))}", file=sys.stderr)
-    raise SystemExit(code)
-
-
-@contextmanager
-def _progress() -> Iterator[Progress]:
-    """A progress bar on standard error, when that is a terminal."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    console = Console(stderr=True)
-    with Progress(
-        *columns, console=console, transient=True, disable=not console.is_terminal
-    ) as bar:
-        task = bar.add_task("reading", total=None)
-
-        def show(stage: str, done: int, total: int) -> None:
-            bar.update(task, description=stage, completed=done, total=total or None)
-
-        yield show
-
-
 def main() -> None:
     """Entry point of the console script.
 
@@ -336,7 +337,7 @@ def main() -> None:
         sys.exit(INTERRUPTED)
     except Exception as error:
         if hasattr(error, "format_message"):  # a usage error of the option parser
-            _fail(f"{error.format_message()} (see slamcheck --help)", UNUSABLE)
+            fail(f"{error.format_message()} (see slamcheck --help)", UNUSABLE)
         if type(error).__name__ == "Abort":
             sys.exit(INTERRUPTED)
         traceback.print_exc()

@@ -78,3 +78,28 @@ FeaturesOption = Annotated[
 GpsOption = Annotated[
     str, typer.Option(metavar="off|on|half", help="Fuse positions; half holds every second back.")
 ]
+MotionOption = Annotated[
+    str,
+    typer.Option(
+        metavar="wheel|scan|both",
+        help="What moves both estimators: the log's odometry or its scans; both adds a third "
+        "estimate, the smoother on scans, to the two on wheels.",
+    ),
+]
+GuessOption = Annotated[
+    str, typer.Option(metavar="wheels|none", help="Where the alignment of a scan begins.")
+]
+LoopClosureOption = Annotated[
+    str, typer.Option("--loop-closure", metavar="on|off", help="Look for places seen before.")
+]
+MatcherOption = Annotated[
+    str,
+    typer.Option(
+        metavar="surface|kiss|point-to-point|point-to-plane|generalised",
+        help="What lays scans together for loop closure; the last three are Open3D's.",
+    ),
+]
+CloudOption = Annotated[
+    str | None,
+    typer.Option(metavar="pcd|ply", help="Write the map as a cloud, too; needs Open3D."),
+]

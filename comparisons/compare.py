@@ -15,6 +15,7 @@ from comparisons.checks.association import AssociationScore, score_association
 from comparisons.checks.attribution import ROUNDING, Verdict, judge
 from comparisons.checks.model_differences import model_differences
 from comparisons.checks.own_association import OwnAssociationCheck, check_own_association
+from comparisons.checks.three_way import ThreeWay, compare_maps, find_culprit
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
 from comparisons.runs.ekf_build import EkfChoices, fused_positions, judging_positions
@@ -22,6 +23,9 @@ from comparisons.runs.ekf_run import EkfRun, run_ekf
 from comparisons.runs.estimate import Array, Estimate
 from comparisons.runs.known_landmarks import join_known_sightings
 from comparisons.runs.own_association import associate_own
+from comparisons.runs.scan_log import with_scan_motion
+from comparisons.runs.scan_motion import ScanMotion, run_scan_odometry
+from comparisons.runs.scan_smoother import smooth_on_scans
 from comparisons.runs.smoother_run import (
     build_problem,
     linear_own,
@@ -35,10 +39,13 @@ from comparisons.runs.smoother_run import (
 from comparisons.runs.timeline import build_timeline
 from ekf_reference.full_ekf import FullEkf
 from graphslam.increments import dead_reckoned
+from graphslam.scan.loop_closure import RegistrationLoopCloser, loop_matcher
 from graphslam.smoother import SmootherOptions, SmootherResult, smooth
 
 Progress = Callable[[str, int, int], None]
 """Called with the stage, what is done and what there is to do (0 when not known)."""
+
+MOTIONS = ("wheel", "scan", "both")
 
 
 @dataclass(frozen=True)
@@ -47,7 +54,7 @@ class Comparison:
 
     dead_reckoned: (K, 3) where the odometry alone leads. association: how it compares with the
     log's labels, when it was made without them. own_association: the smoother with its own, when
-    asked for. seconds: by stage.
+    asked for. three_way: the smoother on scans beside both, when asked for. seconds: by stage.
     """
 
     log: Log
@@ -62,6 +69,7 @@ class Comparison:
     accuracy_dead_reckoned: Accuracy | None
     association: AssociationScore | None
     own_association: OwnAssociationCheck | None
+    three_way: ThreeWay | None
     verdict: Verdict
     seconds: dict[str, float]
 
@@ -73,18 +81,34 @@ def compare_estimators(
     progress: Progress = lambda stage, done, total: None,
     modify: Callable[[FullEkf], None] = lambda ekf: None,
     smoother_association: str = "ekf",
+    motion: str = "wheel",
 ) -> Comparison:
     """Run both estimators over a log and judge them.
 
     choices: filter and association; what is left open is chosen by the log. options: of the
     smoother. modify: see run_ekf. smoother_association: `ekf`, or `own` to solve for a second time
-    with the smoother's own.
+    with the smoother's own. motion: of MOTIONS.
     Raises InputError when the log cannot be used, and graphslam.marginals.SingularProblemError
     when the smoother has no solution.
     """
-    chosen = (choices or EkfChoices()).settle(log)
-    log = join_known_sightings(log)
+    if motion not in MOTIONS:
+        raise InputError(f"motion '{motion}' is unknown, expected one of {', '.join(MOTIONS)}")
     clock = _Clock()
+    scanned = None
+    if motion != "wheel":
+        with clock.stage("scan odometry"):
+            scanned = run_scan_odometry(log, progress=lambda k, n: progress("scan odometry", k, n))
+    if not len(log.sightings.time_s):
+        raise InputError(
+            f"{log.name}: holds no sightings of landmarks (try --features trees, or "
+            "slamcheck odometry for its scans)"
+        )
+    chosen = (choices or EkfChoices()).settle(log)
+    if motion == "scan" and scanned is not None:
+        log = with_scan_motion(log, scanned, positions=chosen.gps != "off")
+    elif not len(log.odometry.time_s):
+        raise InputError(f"{log.name}: holds no odometry; use --motion scan")
+    log = join_known_sightings(log)
     positions = fused_positions(log, chosen)
     timeline = build_timeline(log, positions)
     with clock.stage("ekf"):
@@ -110,6 +134,11 @@ def compare_estimators(
         with clock.stage("own association"):
             progress("own association", 0, 0)
             second = _with_own_association(log, judged, run, smoothed, result.options)
+    three = None
+    if motion == "both" and scanned is not None:
+        with clock.stage("smoother on scans"):
+            progress("smoother on scans", 0, 0)
+            three = _with_scans(log, judged, scanned, run, result, smoothed)
     with clock.stage("checks"):
         progress("checks", 0, 0)
         agreement = compare(
@@ -130,6 +159,7 @@ def compare_estimators(
             assess_trajectory(run.timeline.epoch_time_s, reckoned, judged),
             None if labelled else score_association(run.slot, run.estimate.landmark, log),
             second,
+            three,
             judge(
                 agreement,
                 result.proof,
@@ -138,6 +168,7 @@ def compare_estimators(
                 conservative=chosen.conservative,
                 robust=result.options.robust,
                 own=second,
+                three_way=three,
             ),
             clock.seconds,
         )
@@ -161,6 +192,33 @@ def _with_own_association(
         result.proof,
         assess(estimate, judged, labelled=False),
         score_association(found.slot, result.landmarks, log),
+    )
+
+
+def _with_scans(
+    log: Log,
+    judged: Log,
+    motion: ScanMotion,
+    run: EkfRun,
+    wheels: SmootherResult,
+    smoothed: Estimate,
+) -> ThreeWay:
+    """Solve with the scans' motion, and hold both estimates on wheels against that."""
+    closer = RegistrationLoopCloser(loop_matcher())
+    scans = smooth_on_scans(log, motion, run, closer, SmootherOptions())
+    accuracy = assess(scans.estimate, judged, labelled=False)
+    culprit, evidence = find_culprit(
+        wheels.proof, scans.result.proof, assess(smoothed, judged, labelled=False), accuracy
+    )
+    return ThreeWay(
+        scans.estimate,
+        scans.result.proof,
+        accuracy,
+        compare_maps(run.estimate, scans.estimate),
+        compare_maps(smoothed, scans.estimate),
+        scans.loops,
+        culprit,
+        evidence,
     )
 
 

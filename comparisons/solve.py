@@ -15,7 +15,7 @@ from comparisons.errors import InputError
 from comparisons.logs.log import Log
 from comparisons.runs.ekf_build import EkfChoices, fused_positions, judging_positions
 from comparisons.runs.estimate import Array, Estimate
-from comparisons.runs.known_landmarks import join_known_sightings, surveyed
+from comparisons.runs.known_landmarks import join_known_sightings, slots_by_label
 from comparisons.runs.own_association import associate_own
 from comparisons.runs.smoother_run import assemble, position_rows, smoothed_estimate
 from comparisons.runs.timeline import build_timeline
@@ -77,7 +77,7 @@ def solve_log(
         ids = np.arange(problem.landmark_count)
         guesses["association"] = (own.poses, own.landmarks)
     else:
-        slot, ids = _by_label(log)
+        slot, ids = slots_by_label(log)
         problem = assemble(log, timeline, slot, len(ids), *rows)
     if not len(ids):
         raise InputError(f"{log.name}: no sighting could be used, so there is no map to solve for")
@@ -105,12 +105,3 @@ def solve_log(
         None if labelled else score_association(slot, result.landmarks, log),
         seconds,
     )
-
-
-def _by_label(log: Log) -> tuple[Index, NDArray[np.int64]]:
-    """Slots (M,) of the sightings and ids (L,) of the landmarks, surveyed ones first."""
-    slots, label = dict(surveyed(log)[0]), log.sightings.landmark
-    for key in label[label >= 0].tolist():
-        slots.setdefault(key, len(slots))
-    slot = np.array([slots.get(key, -1) for key in label.tolist()], dtype=np.intp)
-    return slot, np.array(list(slots), dtype=np.int64)

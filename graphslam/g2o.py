@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphslam.graph_builder import to_tangent
-from graphslam.problem import SlamProblem
+from graphslam.problem import Closures, SlamProblem
 
 Array = NDArray[np.float64]
 
@@ -68,6 +68,11 @@ def write_g2o(path: Path, contents: G2oContents) -> None:
         zip(problem.increment, problem.increment_covariance, strict=True)
     ):
         lines.append(_edge("EDGE_SE2", (k, k + 1), move, spread, spread))
+    closed = problem.closures
+    for i, j, move, spread in zip(
+        closed.first, closed.second, closed.motion, closed.covariance, strict=True
+    ):
+        lines.append(_edge("EDGE_SE2", (i, j), move, spread, spread))
     for k, j, (r, bearing), sigma in zip(
         problem.sighting_pose, problem.sighting_landmark, problem.z, problem.sigma, strict=True
     ):
@@ -89,8 +94,9 @@ def write_g2o(path: Path, contents: G2oContents) -> None:
 def read_g2o(path: Path) -> G2oContents:
     """Read a planar graph of one chain of poses and of landmarks.
 
-    Raises ValueError naming the line at fault, for unknown tags, for edges between poses that do
-    not follow each other, and for numbers that are missing or not finite.
+    The first edge from a pose to the next is its increment, all others between poses are closures,
+    whose robust kernel g2o cannot tell. Raises ValueError naming the line at fault, for unknown
+    tags, and for numbers that are missing or not finite.
     """
     vertices: dict[str, dict[int, list[float]]] = {"VERTEX_SE2": {}, "VERTEX_XY": {}}
     edges: dict[str, list[_Record]] = {tag: [] for tag in _NUMBERS if tag not in vertices}
@@ -111,14 +117,15 @@ def read_g2o(path: Path) -> G2oContents:
         return table[key]
 
     chain: dict[int, _Record] = {}
+    closed: list[tuple[int, int, _Record]] = []
     for record in edges["EDGE_SE2"]:
         i, j = place(record, 0, pose_of, "pose"), place(record, 1, pose_of, "pose")
-        if j != i + 1 or i in chain:
-            raise ValueError(
-                f"{path}:{record.line}: EDGE_SE2 from pose {i} to pose {j}, expected each pose to "
-                "lead to the next, once"
-            )
-        chain[i] = record
+        if i == j:
+            raise ValueError(f"{path}:{record.line}: EDGE_SE2 from pose {i} to itself")
+        if j == i + 1 and i not in chain:
+            chain[i] = record
+        else:
+            closed.append((i, j, record))
     missing = set(range(len(pose_of) - 1)) - set(chain)
     if missing:
         raise ValueError(f"{path}: no EDGE_SE2 departs from pose {min(missing)}")
@@ -146,6 +153,12 @@ def read_g2o(path: Path) -> G2oContents:
             np.array([_covariance(r, 3) for r in fixes]).reshape(-1, 2, 2),
             surveyed=np.array([r.numbers[1:3] for r in survey]).reshape(-1, 2),
             surveyed_covariance=np.array([_covariance(r, 3) for r in survey]).reshape(-1, 2, 2),
+            closures=Closures(
+                np.array([i for i, _, _ in closed], dtype=np.intp),
+                np.array([j for _, j, _ in closed], dtype=np.intp),
+                np.array([r.numbers[2:5] for *_, r in closed]).reshape(-1, 3),
+                np.array([_covariance(r, 5) for *_, r in closed]).reshape(-1, 3, 3),
+            ),
         ),
         poses,
         landmarks,

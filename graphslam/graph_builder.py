@@ -134,6 +134,16 @@ def build_graph(problem: SlamProblem, kernel: str = "none") -> gtsam.NonlinearFa
     ):
         noise = robust(gaussian(covariance), kernel)
         graph.push_back(gtsam.BetweenFactorPose2(i, j, gtsam.Pose2(*measured), noise))
+    closed = problem.closures
+    for i, j, motion, covariance in zip(
+        (POSE_KEY + closed.first).tolist(),
+        (POSE_KEY + closed.second).tolist(),
+        closed.motion.tolist(),
+        closed.covariance,
+        strict=True,
+    ):
+        noise = robust(gaussian(covariance), closed.kernel if kernel == "none" else kernel)
+        graph.push_back(gtsam.BetweenFactorPose2(i, j, gtsam.Pose2(*motion), noise))
     return graph
 
 
@@ -146,6 +156,7 @@ def last_poses(problem: SlamProblem) -> Index:
             problem.position_pose,
             np.zeros(len(problem.surveyed), dtype=np.intp),
             problem.oriented.pose,
+            problem.closures.last,
         )
     )
 

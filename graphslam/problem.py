@@ -37,6 +37,38 @@ class OrientedSightings:
 
 
 @dataclass(frozen=True)
+class Closures:
+    """N measured motions between poses that do not follow each other, such as closed loops.
+
+    first, second: (N,) indices of poses. motion: (N, 3) of the second in the first's frame.
+    covariance: (N, 3, 3) of the right perturbation, in the second's frame. kernel: the robust
+    kernel that they are under, of graph_builder.KERNELS, as a wrong one may come between.
+    """
+
+    first: Index = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    second: Index = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    motion: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    covariance: Array = field(default_factory=lambda: np.zeros((0, 3, 3)))
+    kernel: str = "none"
+
+    @property
+    def last(self) -> Index:
+        """(N,) the later pose of each."""
+        return np.maximum(self.first, self.second)
+
+    def before(self, pose_count: int) -> Closures:
+        """Those among the first `pose_count` poses."""
+        rows = self.last < pose_count
+        return Closures(
+            self.first[rows],
+            self.second[rows],
+            self.motion[rows],
+            self.covariance[rows],
+            self.kernel,
+        )
+
+
+@dataclass(frozen=True)
 class SlamProblem:
     """Everything the smoother is told, for K poses, L landmarks and M sightings.
 
@@ -50,6 +82,7 @@ class SlamProblem:
     bearing; the frozen smoother then does, too, while the smoother keeps to range and bearing.
     surveyed: (S, 2) positions of the first S landmarks, known beforehand with
     surveyed_covariance: (S, 2, 2). oriented: sightings of landmarks that have a direction, too.
+    closures: motions between poses that do not follow each other.
     """
 
     prior_pose: Array
@@ -69,6 +102,7 @@ class SlamProblem:
     surveyed_covariance: Array = field(default_factory=lambda: np.zeros((0, 2, 2)))
     own_axes: bool = False
     oriented: OrientedSightings = field(default_factory=OrientedSightings)
+    closures: Closures = field(default_factory=Closures)
 
     @property
     def pose_count(self) -> int:
@@ -79,7 +113,8 @@ class SlamProblem:
     def residual_dimension(self) -> int:
         """Scalar measurements, the prior's three included."""
         pairs = len(self.z) + len(self.position) + len(self.surveyed)
-        return 3 * self.pose_count + 2 * pairs + 3 * len(self.oriented.measured)
+        triples = self.pose_count + len(self.oriented.measured) + len(self.closures.motion)
+        return 3 * triples + 2 * pairs
 
     @property
     def state_dimension(self) -> int:
@@ -93,6 +128,7 @@ class SlamProblem:
             increment=self.increment[: pose_count - 1],
             increment_covariance=self.increment_covariance[: pose_count - 1],
             oriented=self.oriented.before(pose_count),
+            closures=self.closures.before(pose_count),
         )
 
     def keep(self, sightings: NDArray[np.bool_], positions: NDArray[np.bool_]) -> SlamProblem:

@@ -170,6 +170,7 @@ def smooth(
         graph = build_graph(problem)
         problem, rejected = reject_wild(problem, graph, track(problem, graph)[0])
     graph = build_graph(problem, options.kernel)
+    weighted = options.kernel != "none" or problem.closures.kernel != "none"
     seen = np.union1d(problem.sighting_landmark, np.arange(len(problem.surveyed)))
     attempts: list[tuple[Start, gtsam.Values]] = []
 
@@ -197,11 +198,11 @@ def smooth(
         attempt("fixed-lag", to_values(*followed, seen), lagged.updates)
     else:
         attempt("tracked", *track(problem, graph))
-    proof = _prove(problem, graph, attempts, weighted=options.kernel != "none")
+    proof = _prove(problem, graph, attempts, weighted=weighted)
     if not proof.proven:
         start = extension(problem, gtsam.Values(), 0, problem.pose_count)
         attempt("dead-reckoning", start)
-        proof = _prove(problem, graph, attempts, weighted=options.kernel != "none")
+        proof = _prove(problem, graph, attempts, weighted=weighted)
     best, values = min(attempts, key=lambda a: a[0].error)
     if not np.isfinite(best.error):
         why = explain_singularity(graph, values)

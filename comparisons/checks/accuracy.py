@@ -23,7 +23,8 @@ class Accuracy:
     """Errors of one estimate; None where the log has no such reference.
 
     ate_m: root mean square position error against true poses. gps_median_m: median distance to
-    the absolute positions. landmark_rmse_m: over the true landmarks found. `aligned` figures
+    the absolute positions; gps_rms_aligned_m: root mean square, for positions without outliers.
+    landmark_rmse_m: over the true landmarks found. `aligned` figures
     come after the rigid motion (no scale) that fits best: in least squares, but in least
     distances for positions, which hold outliers. coverage: share of the reference
     instants (true poses, else positions) inside the estimate's time span.
@@ -37,6 +38,7 @@ class Accuracy:
     landmarks_true: int | None = None
     gps_median_m: float | None = None
     gps_median_aligned_m: float | None = None
+    gps_rms_aligned_m: float | None = None
     coverage: float | None = None
 
 
@@ -79,6 +81,7 @@ def _of_trajectory(time_s: Array, pose: Array, log: Log) -> dict[str, float | in
         if len(at):
             figures["gps_median_m"] = _median(at - fixes)
             figures["gps_median_aligned_m"] = _median(aligned(at, fixes, robust=True) - fixes)
+            figures["gps_rms_aligned_m"] = _rms(aligned(at, fixes) - fixes)
     if truth.poses is not None:
         at, true, figures["coverage"] = _at_times(
             time_s, pose, truth.poses.time_s, truth.poses.pose[:, :2]

@@ -11,6 +11,7 @@ import numpy as np
 from comparisons.checks.agreement import Agreement, BlockAgreement, Gap
 from comparisons.checks.model_differences import ModelDifference
 from comparisons.checks.own_association import OwnAssociationCheck
+from comparisons.checks.three_way import ThreeWay
 from comparisons.runs.ekf_run import EkfRun
 from graphslam.optimum import DISTANCE_LIMIT, Proof
 
@@ -65,6 +66,7 @@ def judge(
     conservative: bool = False,
     robust: str = "none",
     own: OwnAssociationCheck | None = None,
+    three_way: ThreeWay | None = None,
 ) -> Verdict:
     """The verdict on a run.
 
@@ -74,7 +76,7 @@ def judge(
     disagreement whatever the smoother found, for it compares the filter with linear algebra.
     Otherwise an unproven optimum gives no verdict at all. robust: how the smoother meets wild
     observations. own: the smoother with its own association; when its last pose is another, the
-    associations differ in what matters.
+    associations differ in what matters. three_way: the smoother on scans, when asked for.
     """
     causes: list[Cause] = []
     algebra = agreement.algebra
@@ -111,6 +113,9 @@ def judge(
         if own is not None and own.proof.proven and not block_agrees(own.pose):
             outcome = "disagree"
             causes.append(_association(own))
+        if three_way is not None and not three_way.ekf.agrees:
+            outcome = "disagree"
+            causes.append(_motion(three_way))
     remarks = _remarks(proof, run)
     if robust in ("huber", "cauchy"):
         remarks.append(
@@ -169,6 +174,21 @@ def _association(own: OwnAssociationCheck) -> Cause:
         f"and {p.merges} of the smoother's",
         "look at the sightings where the two differ: a wrong closure, or landmarks too near to "
         "tell apart",
+    )
+
+
+def _motion(three_way: ThreeWay) -> Cause:
+    pair = three_way.ekf
+    hint = {
+        "wheels": "look at the odometry: its sigmas, the wheelbase, the scale of speed and turn",
+        "scans": "look at the scan odometry: increments' factor, open directions, failures",
+        "": "compare both with GPS or truth, or look at both motions' sigmas",
+    }[three_way.culprit]
+    return Cause(
+        "motion",
+        f"EKF on wheels and smoother on scans differ by {pair.rms_m:.3f} m RMS, {pair.outside} of "
+        f"{len(pair.distance_sigma)} landmarks beyond their 99 % region; {three_way.evidence}",
+        hint,
     )
 
 

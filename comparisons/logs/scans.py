@@ -69,8 +69,8 @@ class Clouds:
     """Scans in three dimensions, one after the other in one table of points.
 
     time_s: (N,). first: (N + 1,) row of each scan's first point, and the end. point_m: (P, 3)
-    forward, left and up of the log's pose; rows of NaN are no returns. point_s: (P,) when each
-    point was measured, in seconds after its scan's time.
+    forward, left and up of the log's pose as the point was measured; rows of NaN are no returns.
+    point_s: (P,) when that was, in seconds after its scan's time.
     """
 
     time_s: Array
@@ -99,9 +99,16 @@ class Clouds:
 
     def points(self, scan: int) -> Array:
         """(M, 3) of one scan, without its missing returns."""
-        rows = self.point_m[self.first[scan] : self.first[scan + 1]]
-        found: Array = rows[~np.isnan(rows).any(axis=1)]
-        return found
+        rows = self._returned(scan)
+        return self.point_m[rows]
+
+    def seconds(self, scan: int) -> Array:
+        """(M,) when the points of one scan were measured, after the scan's time."""
+        return self.point_s[self._returned(scan)]
+
+    def _returned(self, scan: int) -> NDArray[np.intp]:
+        first, end = int(self.first[scan]), int(self.first[scan + 1])
+        return first + np.flatnonzero(~np.isnan(self.point_m[first:end]).any(axis=1))
 
 
 @dataclass(frozen=True)

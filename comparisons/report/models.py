@@ -124,6 +124,7 @@ class AccuracyResult(_Model):
     landmarks_true: int | None
     gps_median_m: float | None
     gps_median_aligned_m: float | None
+    gps_rms_aligned_m: float | None
     coverage: float | None
 
 
@@ -171,6 +172,30 @@ class OwnAssociationResult(_Model):
     association: AssociationResult | None
 
 
+class MapPairResult(_Model):
+    """Two maps of the same landmarks. See comparisons.checks.three_way.Pair."""
+
+    rms_m: float
+    rms_aligned_m: float
+    distance_sigma_median: float
+    outside: int
+    landmarks: int
+    agrees: bool
+
+
+class ThreeWayResult(_Model):
+    """EKF and smoother on wheels, each against the smoother on scans."""
+
+    ekf: MapPairResult
+    smoother: MapPairResult
+    loops: int
+    proven: bool
+    chi2: float
+    accuracy: AccuracyResult | None
+    culprit: str
+    evidence: str
+
+
 class CauseResult(_Model):
     """One reason for the verdict."""
 
@@ -189,6 +214,7 @@ class Result(_Model):
     accuracy: Accuracies | None
     association: AssociationResult | None
     own_association: OwnAssociationResult | None
+    three_way: ThreeWayResult | None
     verdict: Literal["agree", "disagree", "unproven"]
     causes: list[CauseResult]
     remarks: list[str]
@@ -208,6 +234,62 @@ class SolutionResult(_Model):
     accuracy: AccuracyResult | None
     dead_reckoning: AccuracyResult | None
     association: AssociationResult | None
+    verdict: Literal["proven", "unproven"]
+    remarks: list[str]
+    seconds: dict[str, float]
+    versions: dict[str, str]
+
+
+class ScanOdometryResult(_Model):
+    """Scan odometry. failures: scans without an increment, by reason; breaks: new beginnings.
+
+    weak: increments that leave a direction open. overlap, residual_m: medians over the matches.
+    """
+
+    guess: str
+    scans: int
+    used: int
+    failures: dict[str, int]
+    breaks: int
+    weak: int
+    overlap: float | None
+    residual_m: float | None
+    scans_per_second: float
+
+
+class LoopResult(_Model):
+    """Loop closure: pairs of poses tried, closed, and the reasons against the others."""
+
+    tried: int
+    closed: int
+    reasons: dict[str, int]
+
+
+class IncrementResult(_Model):
+    """Errors of the increments. See comparisons.checks.scan_increments.IncrementCheck."""
+
+    against: str
+    nees: float
+    dof: int
+    band: tuple[float, float]
+    factor: float
+    reference_factor: float | None
+    median: float | None
+
+
+class FrontEndResult(_Model):
+    """`odometry.json`: the scan front end alone."""
+
+    log: LogResult
+    odometry: ScanOdometryResult
+    loops: LoopResult
+    graph: SmootherResult
+    landmarks: int
+    gps: str
+    increments: IncrementResult | None
+    wheels: AccuracyResult | None
+    scan_odometry: AccuracyResult | None
+    scan_graph: AccuracyResult | None
     verdict: Literal["proven", "unproven"]
     remarks: list[str]
     seconds: dict[str, float]

@@ -13,6 +13,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from comparisons.compare import Comparison
+from comparisons.front_end import FrontEnd
 from comparisons.logs.log import Log
 from comparisons.runs.estimate import Estimate
 from comparisons.solve import Solution
@@ -23,6 +24,7 @@ Array = NDArray[np.float64]
 EKF_COLOUR = "#d1495b"
 SMOOTHER_COLOUR = "#00798c"
 TRUTH_COLOUR = "#444444"
+_MOST_DRAWN = 100_000
 _LOOK = {"smoother": (SMOOTHER_COLOUR, "s", "-"), "EKF": (EKF_COLOUR, "o", "--")}
 
 
@@ -137,6 +139,46 @@ def _map(log: Log, dead_reckoned: Array, estimates: dict[str, Estimate], title: 
         draw_aside(axis, dead_reckoned, "dead reckoning")
     axis.set_xlabel("east [m]")
     axis.set_ylabel("north [m]")
+    axis.set_title(title, fontsize=10, parse_math=False)
+    axis.grid(visible=True, color="#eeeeee")
+    axis.legend(fontsize=8, loc="best")
+    return figure
+
+
+def draw_cloud(axis: Axes, points: Array) -> None:
+    """What scans saw, (P, 2 or more) from above, at most so many points that a picture shows."""
+    shown = points[:: max(1, len(points) // _MOST_DRAWN)]
+    axis.plot(
+        shown[:, 0], shown[:, 1], ".", color="#999999", markersize=0.6, label="scans", zorder=0
+    )
+
+
+def front_end_figure(front_end: FrontEnd, points: Array) -> Figure:
+    """The map that the scans make, with the trajectories of wheels, scan odometry and graph."""
+    f = front_end
+    figure = Figure(figsize=(9.0, 7.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    axis = figure.add_subplot()
+    draw_cloud(axis, points)
+    if f.log.truth.poses is not None:
+        draw_reference(axis, f.log.truth.poses.pose, ".", "truth")
+    elif f.log.positions is not None:
+        draw_reference(axis, f.log.positions.position_m, ".", "GPS")
+    draw_trajectory(axis, f.odometry, EKF_COLOUR, "scan odometry", "--")
+    draw_trajectory(axis, f.estimate.pose, SMOOTHER_COLOUR, "scan graph")
+    for first, second in zip(f.graph.problem.closures.first, f.graph.problem.closures.second,
+                             strict=True):  # fmt: skip
+        ends = f.estimate.pose[[first, second]]
+        axis.plot(ends[:, 0], ends[:, 1], color="#edae49", linewidth=0.7, zorder=3)
+    axis.set_aspect("equal", adjustable="datalim")
+    if f.wheels is not None:
+        draw_aside(axis, f.wheels, "wheels")
+    axis.set_xlabel("east [m]")
+    axis.set_ylabel("north [m]")
+    title = (
+        f"{f.log.name}: {len(f.motion.row)} scans, {len(f.graph.problem.closures.first)} loops "
+        "closed (yellow)"
+    )
     axis.set_title(title, fontsize=10, parse_math=False)
     axis.grid(visible=True, color="#eeeeee")
     axis.legend(fontsize=8, loc="best")

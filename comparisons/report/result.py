@@ -12,6 +12,7 @@ from comparisons.checks.agreement import BlockAgreement
 from comparisons.checks.association import AssociationScore
 from comparisons.checks.attribution import block_agrees
 from comparisons.checks.own_association import OwnAssociationCheck
+from comparisons.checks.three_way import Pair, ThreeWay
 from comparisons.compare import Comparison
 from comparisons.logs.log import Log
 from comparisons.report.models import (
@@ -24,11 +25,13 @@ from comparisons.report.models import (
     EkfResult,
     LandmarkResult,
     LogResult,
+    MapPairResult,
     OwnAssociationResult,
     PartitionResult,
     Result,
     SmootherResult,
     StartResult,
+    ThreeWayResult,
 )
 from graphslam import smoother
 
@@ -54,6 +57,7 @@ def build_result(comparison: Comparison, read_s: float) -> Result:
         accuracy=_accuracies(c),
         association=association_result(c.association),
         own_association=_own_association(c.own_association),
+        three_way=_three_way(c.three_way),
         verdict=c.verdict.outcome,
         causes=[CauseResult(**vars(cause)) for cause in c.verdict.causes],
         remarks=list(c.verdict.remarks),
@@ -197,6 +201,32 @@ def _own_association(own: OwnAssociationCheck | None) -> OwnAssociationResult | 
         proven=own.proof.proven,
         accuracy=None if own.accuracy is None else AccuracyResult(**vars(own.accuracy)),
         association=association_result(own.score),
+    )
+
+
+def _three_way(three: ThreeWay | None) -> ThreeWayResult | None:
+    if three is None:
+        return None
+
+    def pair(p: Pair) -> MapPairResult:
+        return MapPairResult(
+            rms_m=p.rms_m,
+            rms_aligned_m=p.rms_aligned_m,
+            distance_sigma_median=float(np.median(p.distance_sigma)),
+            outside=p.outside,
+            landmarks=len(p.distance_sigma),
+            agrees=p.agrees,
+        )
+
+    return ThreeWayResult(
+        ekf=pair(three.ekf),
+        smoother=pair(three.smoother),
+        loops=three.loops,
+        proven=three.proof.proven,
+        chi2=three.proof.chi_square.chi2,
+        accuracy=None if three.accuracy is None else AccuracyResult(**vars(three.accuracy)),
+        culprit=three.culprit,
+        evidence=three.evidence,
     )
 
 

@@ -77,6 +77,16 @@ def print_summary(result: Result, console: Console) -> None:
         )
         add_accuracy(table, "with it", own.accuracy)
         add_association(table, own.association)
+    three = result.three_way
+    if three is not None:
+        for name, pair in (("EKF on wheels", three.ekf), ("smoother on wheels", three.smoother)):
+            table.add_row(
+                "on scans",
+                f"{name} {'agrees' if pair.agrees else 'disagrees'} with the smoother on scans: "
+                f"{pair.rms_m:.3f} m apart (aligned {pair.rms_aligned_m:.3f}), {pair.outside} of "
+                f"{pair.landmarks} landmarks beyond 99 %",
+            )
+        add_accuracy(table, "smoother on scans", three.accuracy)
     table.add_row("seconds", ", ".join(f"{stage} {s:.2f}" for stage, s in result.seconds.items()))
     console.print(table)
     console.print(f"verdict: [{_STYLE[result.verdict]}]{result.verdict}[/]", highlight=False)
@@ -144,6 +154,8 @@ def _accuracy(a: AccuracyResult) -> str:
     ):
         if plain is not None:
             parts.append(f"{name} {plain:.3f} m (aligned {_number(aligned, '.3f')})")
+    if a.gps_rms_aligned_m is not None:
+        parts.append(f"GPS RMS aligned {a.gps_rms_aligned_m:.3f} m")
     if a.landmarks_true is not None:
         parts.append(f"{a.landmarks_found} of {a.landmarks_true} true landmarks found")
     if a.coverage is not None:

@@ -15,7 +15,7 @@ from comparisons.errors import InputError
 from comparisons.logs.log_meta import first_fault
 from comparisons.logs.table import Table, read_text
 from comparisons.logs.validation import increasing, whole_numbers, within
-from comparisons.runs.estimate import Estimate
+from comparisons.runs.estimate import Array, Estimate
 
 FILES = ("trajectory.tum", "landmarks.csv", "covariances.npz", "estimate.toml")
 """What an estimate folder holds."""
@@ -33,18 +33,8 @@ class _Meta(BaseModel):
 
 def write_estimate(estimate: Estimate, folder: Path) -> None:
     """Write into a folder that exists and is empty."""
-    half = 0.5 * estimate.pose[:, 2]
-    tum = np.column_stack(
-        (
-            estimate.time_s,
-            estimate.pose[:, :2],
-            np.zeros((len(half), 3)),
-            np.sin(half),
-            np.cos(half),
-        )
-    )
     (folder / "trajectory.tum").write_text(
-        "".join(" ".join(map(repr, row)) + "\n" for row in tum.tolist()), encoding="utf-8"
+        tum_text(estimate.time_s, estimate.pose), encoding="utf-8"
     )
     rows = zip(estimate.landmark_id.tolist(), estimate.landmark.tolist(), strict=True)
     (folder / "landmarks.csv").write_text(
@@ -62,6 +52,14 @@ def write_estimate(estimate: Estimate, folder: Path) -> None:
         for k, v in estimate.provenance.items()
     ]
     (folder / "estimate.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def tum_text(time_s: Array, pose: Array) -> str:
+    """A trajectory as TUM lines, from times (K,) and planar poses (K, 3)."""
+    half = 0.5 * pose[:, 2]
+    flat = np.zeros((len(half), 3))
+    rows = np.column_stack((time_s, pose[:, :2], flat, np.sin(half), np.cos(half)))
+    return "".join(" ".join(map(repr, row)) + "\n" for row in rows.tolist())
 
 
 def read_estimate(folder: Path) -> Estimate:

@@ -6,13 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from comparisons.errors import InputError, RecordError
-from comparisons.logs.log import NO_LANDMARK, Array, Log, Sightings
+from comparisons.errors import InputError
+from comparisons.logs.log import NO_LANDMARK, Log, Sightings
 from comparisons.logs.scans import Scans
-from comparisons.runs.motion import motion_samples
-from comparisons.runs.timeline import build_timeline
+from comparisons.runs.motion import motion_between
 from ekf_reference.tree_detection import ROUNDNESS, TreeTracker
-from graphslam.increments import compose
 
 FEATURES = ("log", "trees")
 SIGMA_BEARING_RAD = np.deg2rad(1.0)
@@ -34,11 +32,13 @@ def with_tree_sightings(log: Log, scans: Scans) -> Log:
 
     The vehicle's motion between scans, which the tracks need, is dead reckoned.
     """
+    if not len(log.odometry.time_s):
+        raise InputError(f"{log.name}: holds no odometry, which following trunks needs")
     inside = (scans.time_s >= log.prior.time_s) & (scans.time_s <= log.odometry.time_s[-1])
     rows = np.flatnonzero(inside)
     tracker = TreeTracker()
     parts = []
-    motion = _motion_between(log, scans.time_s[rows])
+    motion = motion_between(log, scans.time_s[rows]).displacement
     for row, moved in zip(rows.tolist(), motion, strict=True):
         trunks = tracker.detect(scans.angle_rad, scans.range_m[row], moved)
         sigma = np.hypot(tracker.model.sigma_range_m, ROUNDNESS * np.sqrt(trunks.diameter_variance))
@@ -62,25 +62,3 @@ def with_tree_sightings(log: Log, scans: Scans) -> Log:
     )
     provenance = {**log.provenance, "features": "tree trunks from the scans"}
     return replace(log, sightings=sightings, provenance=provenance)
-
-
-def _motion_between(log: Log, time_s: Array) -> Array:
-    """(N, 3) dead reckoned motion up to each instant, from the one before or from the start."""
-    count = len(time_s)
-    marks = Sightings(
-        time_s,
-        np.ones(count),
-        np.zeros(count),
-        np.ones(count),
-        np.ones(count),
-        np.zeros(count, dtype=np.int64),
-        np.full(count, np.nan),
-    )
-    try:
-        timeline = build_timeline(replace(log, sightings=marks))
-    except RecordError as error:
-        raise InputError(f"{log.name}: scans, row {error.row}: {error.fault}") from None
-    epochs = len(timeline.epoch_time_s)
-    moved = compose(motion_samples(log, timeline), timeline.step_epoch - 1, epochs - 1)
-    at = np.vstack((np.zeros(3), moved.displacement))
-    return at[timeline.sighting_epoch]

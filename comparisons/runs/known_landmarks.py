@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from comparisons.logs.log import Array, Log, Sightings
 
@@ -42,3 +43,12 @@ def surveyed(log: Log) -> tuple[dict[int, int], Array, Array]:
         return {}, np.zeros((0, 2)), np.zeros((0, 2, 2))
     slots = {SURVEYED + i: slot for slot, i in enumerate(table.id.tolist())}
     return slots, table.position_m, table.covariance + 1e-8 * np.eye(2)
+
+
+def slots_by_label(log: Log) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+    """Slots (M,) of the sightings and ids (L,) of the landmarks, surveyed ones first."""
+    slots, label = dict(surveyed(log)[0]), log.sightings.landmark
+    for key in label[label >= 0].tolist():
+        slots.setdefault(key, len(slots))
+    slot = np.array([slots.get(key, -1) for key in label.tolist()], dtype=np.intp)
+    return slot, np.array(list(slots), dtype=np.int64)

@@ -1,11 +1,19 @@
-"""A timeline's steps as the smoother's motion samples."""
+"""Wheel odometry as the smoother's motion samples, and as motion between any instants."""
 
 from __future__ import annotations
 
-from comparisons.logs.log import Log
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.errors import InputError, RecordError
+from comparisons.logs.log import Log, Sightings
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry
-from comparisons.runs.timeline import Timeline
+from comparisons.runs.timeline import Timeline, build_timeline
 from graphslam import increments
+
+Array = NDArray[np.float64]
 
 
 def motion_samples(log: Log, timeline: Timeline) -> increments.Samples:
@@ -22,3 +30,30 @@ def motion_samples(log: Log, timeline: Timeline) -> increments.Samples:
     if isinstance(odometry, SteeringOdometry):
         return increments.ackermann_samples(first, second, *common, **vars(odometry.vehicle))
     return increments.unicycle_samples(first, second, *common)
+
+
+def motion_between(log: Log, time_s: Array) -> increments.Samples:
+    """Dead reckoned motion up to each instant (N,), from the one before or from the start.
+
+    Displacements (N, 3), and covariances (N, 3, 3) of the right perturbation. Raises InputError
+    where the odometry has no poses at those times.
+    """
+    count = len(time_s)
+    marks = Sightings(
+        time_s,
+        np.ones(count),
+        np.zeros(count),
+        np.ones(count),
+        np.ones(count),
+        np.zeros(count, dtype=np.int64),
+        np.full(count, np.nan),
+    )
+    try:
+        timeline = build_timeline(replace(log, sightings=marks))
+    except RecordError as error:
+        raise InputError(f"{log.name}: scans, row {error.row}: {error.fault}") from None
+    interval = np.searchsorted(timeline.sighting_epoch, timeline.step_epoch)
+    before_last = interval < count
+    samples = motion_samples(log, timeline)
+    kept = increments.Samples(samples.displacement[before_last], samples.covariance[before_last])
+    return increments.compose(kept, interval[before_last], count)

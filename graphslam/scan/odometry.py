@@ -16,7 +16,7 @@ from kiss_icp.voxelization import voxel_down_sample
 from numpy.typing import NDArray
 
 from graphslam.scan import planar
-from graphslam.scan.points import usable
+from graphslam.scan.points import above_ground, usable
 from graphslam.scan.refinement import RefinementOptions, refine
 from graphslam.scan.registration import Registration, ScanError
 from graphslam.scan.surfaces import SurfaceMap
@@ -31,8 +31,12 @@ class OdometryOptions:
     voxel_m, points_per_voxel: KISS-ICP's local map. threshold_m, blind_threshold_m: the scale of
     its kernel with and without a guess; pairs reach three times as far. least_range_m,
     most_range_m: points outside are left out. whole_points: clouds with more points are thinned
-    before they are aligned. most_jump_m, most_jump_rad: how far the result may lie from the guess.
-    patience: so many failed scans in a row, and a new map is begun.
+    before they are aligned. ground_m: of a cloud, what lies lower than this over its lowest points
+    is left out: a flat ground says nothing of planar motion, and its rings move with the vehicle.
+    most_jump_m, most_jump_rad: how far the result may lie from the guess. patience: so many failed
+    scans in a row, and a new map is begun. refinement: its calibration is that of planar scans;
+    cloud_calibration comes on top of it for clouds, in which the points of one firing share their
+    errors. Both were found on simulated drives.
     """
 
     voxel_m: float = 0.5
@@ -42,10 +46,19 @@ class OdometryOptions:
     least_range_m: float = 1.0
     most_range_m: float = 75.0
     whole_points: int = 1000
+    ground_m: float = 0.3
     most_jump_m: float = 1.0
     most_jump_rad: float = 0.35
     patience: int = 5
-    refinement: RefinementOptions = field(default_factory=RefinementOptions)
+    refinement: RefinementOptions = field(
+        default_factory=lambda: RefinementOptions(iterations=2, calibration=1.15)
+    )
+    cloud_calibration: float = 6.0
+
+    def prepared(self, points: Array) -> Array:
+        """(M, 3) what of a scan is aligned: above the ground, within range. Raises ScanError."""
+        standing = above_ground(points, self.ground_m)
+        return usable(standing, self.least_range_m, self.most_range_m)
 
 
 @dataclass(frozen=True)
@@ -95,12 +108,11 @@ class ScanOdometry:
             self._begin()
             self._failed = 1
         o = self.options
-        cloud = usable(points, o.least_range_m, o.most_range_m)
+        cloud = o.prepared(points)
+        kept = source = cloud
         if len(cloud) > o.whole_points:
             kept = np.asarray(voxel_down_sample(cloud, 0.5 * o.voxel_m))
             source = np.asarray(voxel_down_sample(kept, 1.5 * o.voxel_m))
-        else:
-            kept = source = cloud
         if self._empty:
             self.pose = planar.compose(self.pose, self._pending)
             self._accept(kept)
@@ -131,7 +143,10 @@ class ScanOdometry:
             raise ScanError("KISS-ICP found no alignment")
         start = planar.from_matrix(found)
         target = SurfaceMap(self.map_points())
-        match = refine(source[:, : target.dimension], target, start, o.refinement)
+        believed = o.refinement
+        if target.dimension == 3:
+            believed = replace(believed, calibration=believed.calibration * o.cloud_calibration)
+        match = refine(source[:, : target.dimension], target, start, believed)
         jump = planar.wrapped(match.motion - guess)
         distance, turn = float(np.hypot(jump[0], jump[1])), abs(float(jump[2]))
         if distance > o.most_jump_m or turn > o.most_jump_rad:

@@ -1,4 +1,4 @@
-"""Open3D, loaded where it is first used: it takes a second and may lack libraries."""
+"""Open3D, loaded where it is first used: it takes half a second and needs system libraries."""
 
 from __future__ import annotations
 

@@ -12,6 +12,7 @@ Array = NDArray[np.float64]
 
 LEAST_POINTS = 20
 _LEAST_SPREAD_M = 0.05
+_LOWEST = 0.02
 
 
 def planar_points(angle_rad: Array, range_m: Array, mount: Array) -> Array:
@@ -46,6 +47,19 @@ def compensated(points: Array, seconds: Array, motion: Array, duration_s: float)
     return np.column_stack((pose[:, 0] + cos * x - sin * y, pose[:, 1] + sin * x + cos * y, z))
 
 
+def above_ground(points: Array, margin_m: float) -> Array:
+    """The points (M, 3) more than a margin above the lowest ones; all of them in planar scans."""
+    cloud = np.asarray(points)
+    if cloud.ndim != 2 or cloud.shape[1] != 3 or not len(cloud) or not cloud[:, 2].any():
+        return cloud
+    height = cloud[:, 2]
+    seen = height[np.isfinite(height)]
+    if not len(seen):
+        return cloud
+    kept: Array = cloud[height > np.quantile(seen, _LOWEST) + margin_m]
+    return kept
+
+
 def usable(points: Array, least_range_m: float, most_range_m: float) -> Array:
     """The points (M, 3) that are numbers and within range of the vehicle.
 
@@ -57,7 +71,7 @@ def usable(points: Array, least_range_m: float, most_range_m: float) -> Array:
     cloud = np.ascontiguousarray(cloud, dtype=np.float64)
     with np.errstate(invalid="ignore", over="ignore"):
         distance = np.sqrt(np.einsum("ni,ni->n", cloud, cloud))
-        kept = cloud[(distance >= least_range_m) & (distance <= most_range_m)]
+        kept: Array = cloud[(distance >= least_range_m) & (distance <= most_range_m)]
     if len(kept) < LEAST_POINTS:
         raise ScanError(
             f"{len(kept)} of {len(cloud)} points lie within {least_range_m:g} to "

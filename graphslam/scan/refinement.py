@@ -72,6 +72,7 @@ def refine(
         system.overlap,
         math.sqrt(system.variance),
         system.stiffness,
+        3 - int(np.count_nonzero(system.fixed)),
     )
 
 
@@ -95,20 +96,21 @@ class _System:
         self.variance = max(variance, options.floor_m**2)
 
     @property
-    def _fixed(self) -> NDArray[np.bool_]:
+    def fixed(self) -> NDArray[np.bool_]:
+        """(3,) which principal directions enough pairs fix."""
         fixed: NDArray[np.bool_] = self.stiffness >= self._options.least_stiffness
         return fixed
 
     def step(self) -> Array:
         """(3,) the Gauss-Newton step along the directions that are fixed."""
-        along = np.where(self._fixed, self._gradient / np.maximum(self.stiffness, 1e-12), 0.0)
+        along = np.where(self.fixed, self._gradient / np.maximum(self.stiffness, 1e-12), 0.0)
         step: Array = self._scale * (self._axes @ along)
         return step
 
     def covariance(self, heading: float) -> Array:
         """(3, 3) of the right perturbation."""
         variance = np.where(
-            self._fixed,
+            self.fixed,
             self._options.calibration * self.variance / np.maximum(self.stiffness, 1e-12),
             self._options.free_sigma_m**2,
         )
@@ -125,10 +127,10 @@ def _linearise(
     """Pair points with surfaces: along the normal of a surface, along both axes of a clump."""
     place = planar.moved(motion, source)
     patch = target.patches(place)
-    offset = patch.centre - place
+    offset = patch.centre - place[:, :2]
     across = np.einsum("ni,ni->n", offset, patch.normal)
     flat = patch.flat & (np.abs(across) < options.reach_m)
-    clump = ~patch.flat & patch.filled & (np.hypot(*offset.T[:2]) < options.reach_m)
+    clump = ~patch.flat & patch.filled & (np.hypot(*offset.T) < options.reach_m)
     pairs = int(np.count_nonzero(flat) + np.count_nonzero(clump))
     if pairs < options.least_pairs:
         raise ScanError(
@@ -136,7 +138,7 @@ def _linearise(
             f"{options.least_pairs} at least"
         )
     swing = place[:, :2] - motion[:2]
-    normal, arm = patch.normal[flat, :2], swing[flat]
+    normal, arm = patch.normal[flat], swing[flat]
     lever, x, y = swing[clump], np.zeros((len(swing[clump]), 3)), np.zeros((len(swing[clump]), 3))
     x[:, 0], x[:, 2] = 1.0, -lever[:, 1]
     y[:, 1], y[:, 2] = 1.0, lever[:, 0]

@@ -23,7 +23,8 @@ class Registration:
     source's frame. inliers: pairs used at the end. overlap: their share of the source's points.
     residual_m: root mean square distance of the pairs along the target's normals.
     stiffness: (3,) how many pairs fix each principal direction, least first, with heading scaled to
-    metres; a direction that the shape does not fix has next to none.
+    metres; a direction that the shape does not fix has next to none. open_directions: how many of
+    the three count as not fixed.
     """
 
     motion: Array
@@ -32,6 +33,7 @@ class Registration:
     overlap: float
     residual_m: float
     stiffness: Array
+    open_directions: int = 0
 
 
 class Matcher(Protocol):

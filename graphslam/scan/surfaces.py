@@ -1,4 +1,4 @@
-"""The surface around a place in a cloud: a line in planar clouds, a plane in others."""
+"""The surface around a place in a cloud, as planar motion meets it: a line in the ground plan."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _FLAT = 6.0
 
 
 class Patches(NamedTuple):
-    """N neighbourhoods. centre: (N, d). normal: (N, d) unit. flat, filled: (N,).
+    """N neighbourhoods in the ground plan. centre: (N, 2). normal: (N, 2) unit. flat, filled: (N,).
 
     flat: the neighbourhood is a surface with that normal; filled: it has points enough to have a
     centre.
@@ -28,7 +28,12 @@ class Patches(NamedTuple):
 
 
 class SurfaceMap:
-    """A cloud, searchable for the surface near a place."""
+    """A cloud, searchable for the surface near a place.
+
+    Neighbours are near in space, so that what stands at different heights stays apart; their
+    scatter is taken in the ground plan, where a wall is a line even if one ring of a scanner met
+    it alone.
+    """
 
     def __init__(
         self, points: Array, neighbours: int = 6, radius_m: float = 0.5, lone: bool = False
@@ -41,6 +46,7 @@ class SurfaceMap:
         """
         flat = not points[:, 2].any()
         self.points = np.ascontiguousarray(points[:, :2] if flat else points)
+        self._plan = np.ascontiguousarray(points[:, :2])
         self._tree = cKDTree(self.points, balanced_tree=False)
         self._neighbours, self._radius_m = min(neighbours, len(points)), radius_m
         self._lone = lone
@@ -58,24 +64,25 @@ class SurfaceMap:
         inside = np.isfinite(distance)
         count = inside.sum(axis=1)
         share = inside / np.maximum(count, 1)[:, None]
-        near = self.points[np.where(inside, row, 0)]
+        near = self._plan[np.where(inside, row, 0)]
         centre = np.einsum("nk,nki->ni", share, near)
         offset = near - centre[:, None]
         scatter = np.einsum("nk,nki,nkj->nij", share, offset, offset)
         normal, across, along = _thinnest(scatter)
+<<<<<<< HEAD
+        return Patches(centre, normal, (count >= 4) & (along > _FLAT * across), count >= 3)
+=======
         enough = count >= 2 + self.dimension
         filled = count >= 3
         if self._lone:
             small = np.einsum("nii->n", scatter) < (0.25 * self._radius_m) ** 2
             filled &= small & (count < self._neighbours)
         return Patches(centre, normal, enough & (along > _FLAT * across), filled)
+>>>>>>> 420973084edde1960a9949ee9a55967c05af9183
 
 
 def _thinnest(scatter: Array) -> tuple[Array, Array, Array]:
-    """Normals (N, d), and the two least variances (N,) each, of scatters (N, d, d)."""
-    if scatter.shape[1] == 3:
-        values, vectors = np.linalg.eigh(scatter)
-        return vectors[:, :, 0], values[:, 0], values[:, 1]
+    """Normals (N, 2), and the variances across and along (N,) each, of scatters (N, 2, 2)."""
     xx, xy, yy = scatter[:, 0, 0], scatter[:, 0, 1], scatter[:, 1, 1]
     half = 0.5 * (xx - yy)
     root = np.hypot(half, xy)

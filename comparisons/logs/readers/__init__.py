@@ -10,7 +10,16 @@ from comparisons.errors import InputError
 from comparisons.logs.log import Log
 from comparisons.logs.log_folder import read_log_folder
 from comparisons.logs.log_meta import MARK
-from comparisons.logs.readers import acfr_car_park, g2o, gtsam_2d, mrclam, victoria_park
+from comparisons.logs.readers import (
+    aa3,
+    acfr_car_park,
+    carmen,
+    g2o,
+    gtsam_2d,
+    mrclam,
+    rosbag,
+    victoria_park,
+)
 from comparisons.logs.table import shorten
 
 
@@ -48,6 +57,21 @@ READERS: dict[str, Reader] = {
         victoria_park.recognises,
         lambda path, robot: victoria_park.read(path),
         "Victoria Park detections: measurements.dat, inputs.dat, gps.dat",
+    ),
+    "aa3": Reader(
+        aa3.recognises,
+        lambda path, robot: aa3.read(path),
+        "Victoria Park's raw scans: aa3_dr.mat, aa3_lsr2.mat, aa3_gpsx.mat; see --features trees",
+    ),
+    "carmen": Reader(
+        carmen.recognises,
+        lambda path, robot: carmen.read(path),
+        "CARMEN text: FLASER or ROBOTLASER1 lines with raw scans",
+    ),
+    "rosbag": Reader(
+        rosbag.recognises,
+        lambda path, robot: rosbag.read(path),
+        "ROS bags with LaserScan or PointCloud2: .mcap, .bag, rosbag2 folders (extra ros)",
     ),
 }
 

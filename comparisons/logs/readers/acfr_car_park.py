@@ -7,15 +7,12 @@ position and heading come from laying the first seconds of dead reckoning onto t
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from comparisons.errors import InputError
 from comparisons.logs.log import (
     NO_LANDMARK,
-    Array,
     Landmarks,
     Log,
     Positions,
@@ -24,9 +21,10 @@ from comparisons.logs.log import (
     Truth,
 )
 from comparisons.logs.odometry import OdometryNoise, SteeringOdometry
+from comparisons.logs.readers.gps_start import start_from_gps
+from comparisons.logs.readers.matlab import load_matlab
 from comparisons.logs.readers.victoria_park import UTE
 from comparisons.logs.scans import Scans
-from graphslam.increments import Stabilisation, ackermann_samples
 
 _NOISE = OdometryNoise(0.1, np.deg2rad(2.0), 1e-5, 1e-6)
 _SIGMA_RANGE_M = 0.05
@@ -36,7 +34,7 @@ _NO_RETURN_M = 80.0
 _CLUSTER_GAP_M = 0.5
 _CLUSTER_GAP_BEAMS = 2
 _ALIGNED_S = 6.0
-_LEAST_MOTION_M = 0.5
+_START_SIGMA = np.array([0.05, 0.05, np.deg2rad(0.5)])
 _FILES = ("data_set.mat", "beac_juan3.mat")
 
 
@@ -47,12 +45,12 @@ def recognises(path: Path) -> bool:
 
 def read(path: Path) -> Log:
     """Read the pair of files. Raises InputError naming file and variable."""
-    data = _load(
+    data = load_matlab(
         path / _FILES[0],
         ("Time_VS", "Velocity", "Steering", "TimeLaser", "Laser", "Intensity", "TimeGPS", "GPSLon",
          "GPSLat"),
     )  # fmt: skip
-    beacons = _load(path / _FILES[1], ("estbeac",))["estbeac"]
+    beacons = load_matlab(path / _FILES[1], ("estbeac",))["estbeac"]
     if beacons.ndim != 2 or beacons.shape[1] != 2:
         raise InputError(f"{path / _FILES[1]}: estbeac has shape {beacons.shape}, expected (L, 2)")
     time = {name: data[name].ravel() for name in ("Time_VS", "TimeLaser", "TimeGPS")}
@@ -76,13 +74,13 @@ def read(path: Path) -> Log:
         covariance = np.broadcast_to(_SIGMA_GPS_M**2 * np.eye(2), (len(position), 2, 2))
         positions = Positions(time["TimeGPS"] - start, position, covariance)
         sightings = reflector_sightings(scans)
-        prior = _prior(odometry, positions)
+        start_pose = start_from_gps(odometry, positions, _ALIGNED_S)
     except InputError as error:
         raise InputError(f"{path / _FILES[0]}: {error}") from None
     return Log(
         "acfr-car-park",
         "acfr-car-park",
-        prior,
+        Prior(0.0, start_pose, np.diag(_START_SIGMA**2)),
         odometry,
         sightings,
         positions,
@@ -123,61 +121,3 @@ def reflector_sightings(scans: Scans) -> Sightings:
         np.full(count, NO_LANDMARK),
         np.full(count, np.nan),
     )
-
-
-def _prior(odometry: SteeringOdometry, positions: Positions) -> Prior:
-    """Fit the start: the rigid motion that lays dead reckoning onto the first GPS fixes.
-
-    Dead reckoning is the vehicle's own equations (Nieto 2005, A.4) from the origin; the GPS
-    antenna of this vehicle behaves as if at the laser.
-    """
-    forward, left, turn = ackermann_samples(
-        odometry.speed_mps[:-1],
-        odometry.steering_rad[:-1],
-        np.diff(odometry.time_s),
-        0.0,
-        0.0,
-        Stabilisation(),
-        **vars(odometry.vehicle),
-    ).displacement.T
-    heading = np.concatenate(([0.0], np.cumsum(turn[:-1])))
-    step = (forward + 1j * left) * np.exp(1j * heading)
-    path = np.concatenate(([0.0], np.cumsum(step)))
-    early = (positions.time_s <= _ALIGNED_S) & (positions.time_s >= odometry.time_s[0])
-    times = positions.time_s[early]
-    at_fixes = np.interp(times, odometry.time_s, path.real) + 1j * np.interp(
-        times, odometry.time_s, path.imag
-    )
-    fixes = positions.position_m[early] @ np.array([1.0, 1j])
-    if len(fixes) < 2 or np.ptp(np.abs(at_fixes - at_fixes[0])) < _LEAST_MOTION_M:
-        raise InputError(
-            f"positions: the first {_ALIGNED_S:g} s do not show the heading, expected fixes along "
-            f"{_LEAST_MOTION_M:g} m at least"
-        )
-    centre_path, centre_fixes = at_fixes.mean(), fixes.mean()
-    start_heading = float(np.angle(np.vdot(at_fixes - centre_path, fixes - centre_fixes)))
-    start = centre_fixes - np.exp(1j * start_heading) * centre_path
-    sigma = np.array([0.05, 0.05, np.deg2rad(0.5)])
-    return Prior(0.0, np.array([start.real, start.imag, start_heading]), np.diag(sigma**2))
-
-
-def _load(path: Path, names: tuple[str, ...]) -> dict[str, Array]:
-    from scipy.io import loadmat
-
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
-    try:
-        content: dict[str, Any] = loadmat(path)
-    except Exception as error:  # a damaged file fails in as many ways as zlib and scipy know
-        raise InputError(f"{path}: not a MATLAB file of version 5 ({error})") from None
-    result: dict[str, Array] = {}
-    for name in names:
-        if name not in content:
-            raise InputError(f"{path}: no variable {name}, expected {', '.join(names)}")
-        value: NDArray[Any] = content[name]
-        if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiu":
-            raise InputError(f"{path}: {name} is not numeric")
-        if not np.isfinite(value).all():
-            raise InputError(f"{path}: {name} holds a value that is not a finite number")
-        result[name] = value.astype(float)
-    return result

@@ -38,6 +38,11 @@ def read(path: Path) -> Log:
         raise InputError(f"{path}: expected at least one EDGE_SE2 and one EDGE_SE2_XY line")
     if len(problem.surveyed):
         raise InputError(f"{path}: EDGE_PRIOR_XY lines can be solved, but not read as a log")
+    if len(problem.closures.first):
+        raise InputError(
+            f"{path}: EDGE_SE2 lines between poses that do not follow each other can be solved, "
+            "but not read as a log"
+        )
     order = np.argsort(problem.sighting_pose, kind="stable")
     fixes = np.argsort(problem.position_pose, kind="stable")
     return Log(

@@ -16,11 +16,13 @@ from comparisons.logs.table import Table
 
 UTE = Ackermann(wheelbase_m=2.83, encoder_offset_m=0.76, sensor_forward_m=3.78, sensor_left_m=0.5)
 """The vehicle of Nieto 2005, Appendix A."""
+NOISE = OdometryNoise(np.hypot(0.2, 0.2), np.deg2rad(3.0), 1e-5, 1e-6)
+"""Of its wheel and steering encoders."""
+SIGMA_GPS_M = 0.5
+"""Of its GPS, per axis."""
 
-_NOISE = OdometryNoise(np.hypot(0.2, 0.2), np.deg2rad(3.0), 1e-5, 1e-6)
 _SIGMA_RANGE_M = 0.5
 _SIGMA_BEARING_RAD = np.deg2rad(2.0)
-_SIGMA_GPS_M = 0.5
 _START_SIGMA = np.array([0.05, 0.05, np.deg2rad(1.0)])
 
 
@@ -38,9 +40,7 @@ def read(path: Path) -> Log:
             raise InputError(f"{table.path}: holds no records")
     count = len(seen)
     with inputs.locating():
-        odometry = SteeringOdometry(
-            inputs["time"], inputs["speed"], inputs["steering"], UTE, _NOISE
-        )
+        odometry = SteeringOdometry(inputs["time"], inputs["speed"], inputs["steering"], UTE, NOISE)
     with seen.locating():
         sightings = Sightings(
             seen["time"],
@@ -55,7 +55,7 @@ def read(path: Path) -> Log:
     positions = None
     if (path / "gps.dat").is_file():
         gps = Table(path / "gps.dat", ("time", "x", "y"))
-        covariance = np.broadcast_to(_SIGMA_GPS_M**2 * np.eye(2), (len(gps), 2, 2))
+        covariance = np.broadcast_to(SIGMA_GPS_M**2 * np.eye(2), (len(gps), 2, 2))
         with gps.locating():
             positions = Positions(gps["time"], gps.data[:, 1:], covariance)
     start = float(min(odometry.time_s[0], sightings.time_s[0]))

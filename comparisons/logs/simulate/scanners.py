@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from comparisons.errors import InputError
 from comparisons.logs.scans import Clouds, Mount, Scans
 from comparisons.logs.simulate.ray_casting import Solids, cast, cast_rings
 from comparisons.logs.simulate.scan_worlds import ScanWorld
@@ -44,6 +45,10 @@ class Planar:
     dropout: float = 0.0
     beam_s: float = 0.0
     mount: Mount = field(default_factory=Mount)
+
+    def __post_init__(self) -> None:
+        """Check the numbers. Raises InputError."""
+        _check(self)
 
     @property
     def sweep_s(self) -> float:
@@ -86,6 +91,10 @@ class Rings:
     sweep_s: float = 0.0
     mount: Mount = field(default_factory=Mount)
 
+    def __post_init__(self) -> None:
+        """Check the numbers. Raises InputError."""
+        _check(self)
+
     def record(
         self, rng: np.random.Generator, world: ScanWorld, time: Array, pose_at: PoseAt, scale: float
     ) -> Clouds:
@@ -125,6 +134,19 @@ class Rings:
             ),
             axis=-1,
         )
+
+
+def _check(sensor: Planar | Rings) -> None:
+    for name, least, most in (
+        ("min_range_m", 0.0, np.inf),
+        ("max_range_m", sensor.min_range_m, np.inf),
+        ("sigma_range_m", 0.0, np.inf),
+        ("sigma_beam_rad", 0.0, np.inf),
+        ("dropout", 0.0, 1.0),
+    ):
+        value = getattr(sensor, name)
+        if not least <= value <= most:
+            raise InputError(f"scanner: {name} is {value}, expected {least:g} to {most:g}")
 
 
 def _measured(

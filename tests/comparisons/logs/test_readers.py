@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.io import savemat
+from scipy.io import loadmat, savemat
 
 from comparisons.errors import InputError
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry, VelocityOdometry
 from comparisons.logs.readers import READERS, read_log
 from comparisons.logs.readers.acfr_car_park import reflector_sightings
+from comparisons.logs.readers.matlab import load_matlab
 from comparisons.logs.scans import Scans
 
 GRAPH = """ODOMETRY 0 1 1.0 0.0 0.1 0.01 0 0 0.01 0 0.001
@@ -289,10 +290,11 @@ def test_unknown_paths_and_formats(tmp_path: Path) -> None:
         read_log(tmp_path / "missing")
     with pytest.raises(InputError, match="format not recognised, expected one of log-folder"):
         read_log(tmp_path)
-    with pytest.raises(InputError, match="format 'rosbag' is unknown"):
-        read_log(tmp_path, "rosbag")
+    with pytest.raises(InputError, match="format 'hdf5' is unknown"):
+        read_log(tmp_path, "hdf5")
     assert set(READERS) == {
-        *("log-folder", "gtsam-2d", "g2o", "mrclam", "acfr-car-park", "victoria-park")
+        *("log-folder", "gtsam-2d", "g2o", "mrclam", "acfr-car-park", "victoria-park"),
+        *("aa3", "carmen", "rosbag"),
     }
 
 
@@ -304,3 +306,26 @@ def test_a_named_format_on_the_wrong_path_is_an_input_error(name: str, tmp_path:
     for path in (text, tmp_path):
         with pytest.raises(InputError):
             read_log(path, name)
+
+
+def test_matlab_files_are_read_as_scipy_reads_them(tmp_path: Path, shared_data: Path) -> None:
+    """Every numeric type, compressed or not, small and large, and the real files."""
+    rng = np.random.default_rng(0)
+    kinds = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "f4", "f8", "bool")
+    arrays = {f"{k}_{n}": rng.integers(0, 2, (n, 3)).astype(k) for k in kinds for n in (1, 40)}
+    arrays |= {"cube": rng.random((2, 3, 4)), "none": np.zeros((0, 0)), "one": np.array(2.5)}
+    for compressed in (False, True):
+        path = tmp_path / f"{compressed}.mat"
+        savemat(path, arrays, do_compression=compressed)
+        assert_as_scipy(path)
+    for path in sorted(shared_data.glob("*/*.mat")):
+        assert_as_scipy(path)
+
+
+def assert_as_scipy(path: Path) -> None:
+    expected = {name: value for name, value in loadmat(path).items() if name[0] != "_"}
+    found = load_matlab(path, tuple(expected))
+    assert found.keys() == expected.keys()
+    for name, value in expected.items():
+        assert np.array_equal(found[name], value.astype(float)), name
+        assert found[name].shape == value.shape

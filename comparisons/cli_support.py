@@ -1,0 +1,89 @@
+"""What all commands share: exit codes, faults told in one line, a progress bar."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, NoReturn
+
+from comparisons.errors import InputError, printable
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from comparisons.compare import Progress
+
+AGREE, DISAGREE, UNUSABLE, UNPROVEN = 0, 1, 2, 3
+BROKEN, INTERRUPTED = 70, 130
+
+
+def print_result(summary: Callable[[Console], None], folder: Path) -> None:
+    """Print a summary and where the report is; a reader who has left changes nothing."""
+    from rich.console import Console
+
+    try:
+        console = Console(soft_wrap=True)
+        summary(console)
+        console.print(f"report: {folder}", highlight=False, markup=False)
+        sys.stdout.flush()
+    except OSError:  # nobody listens any more; that does not change the verdict
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+
+
+@contextmanager
+def guarded() -> Iterator[None]:
+    """Known faults become one line on standard error and an exit code; warnings stay silent.
+
+    What the numbers mean is checked where they are used, so numpy's and matplotlib's remarks
+    would only tell the same twice.
+    """
+    import warnings
+
+    import numpy as np
+
+    try:
+        with np.errstate(all="ignore"), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    except InputError as error:
+        fail(str(error), UNUSABLE)
+    except OSError as error:
+        fail(f"{error.filename or 'a file'}: {error.strerror or error}", UNUSABLE)
+    except MemoryError:
+        fail("not enough memory for this log", UNUSABLE)
+    except (ArithmeticError, ValueError, RuntimeError) as error:
+        # Known by name, so that their modules need not be loaded for every command.
+        if type(error).__name__ == "SingularProblemError":
+            fail(f"unproven: {error}", UNPROVEN)
+        if type(error).__name__ == "Open3dMissingError":
+            fail(str(error), UNUSABLE)
+        raise
+
+
+def fail(message: str, code: int) -> NoReturn:
+    """One line on standard error, and the exit code."""
+    with suppress(OSError, ValueError):
+        print(f"slamcheck: {printable(' '.join(message.split()))}", file=sys.stderr)
+    raise SystemExit(code)
+
+
+@contextmanager
+def progress_bar() -> Iterator[Progress]:
+    """A progress bar on standard error, when that is a terminal."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    console = Console(stderr=True)
+    with Progress(
+        *columns, console=console, transient=True, disable=not console.is_terminal
+    ) as bar:
+        task = bar.add_task("reading", total=None)
+
+        def show(stage: str, done: int, total: int) -> None:
+            bar.update(task, description=stage, completed=done, total=total or None)
+
+        yield show

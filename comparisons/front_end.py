@@ -1,0 +1,153 @@
+"""The scan front end alone: odometry from scans, loop closure, and the graph of both."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.checks.accuracy import Accuracy, assess, assess_trajectory
+from comparisons.checks.scan_increments import IncrementCheck, check_increments
+from comparisons.errors import InputError
+from comparisons.logs.log import Log
+from comparisons.runs.ekf_build import EkfChoices, fused_positions, judging_positions
+from comparisons.runs.estimate import Array, Estimate
+from comparisons.runs.known_landmarks import join_known_sightings, slots_by_label
+from comparisons.runs.motion import motion_between
+from comparisons.runs.scan_log import with_scan_motion
+from comparisons.runs.scan_motion import ScanMotion, run_scan_odometry
+from comparisons.runs.scan_source import CloudsAt
+from comparisons.runs.smoother_run import assemble, position_rows, smoothed_estimate
+from comparisons.runs.timeline import build_timeline
+from graphslam.increments import dead_reckoned
+from graphslam.scan.loop_closure import (
+    Closed,
+    LoopCloser,
+    NoLoopClosure,
+    RegistrationLoopCloser,
+    loop_matcher,
+)
+from graphslam.scan.matchers import MATCHERS
+from graphslam.scan.points import placed
+from graphslam.smoother import SmootherResult, smooth
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class FrontEndChoices:
+    """How to go about it.
+
+    guess: begin alignments from the wheels' motion. loops: close loops. gps: `off`, `on` or
+    `half`, as of the other commands. matcher: of MATCHERS, for loops.
+    """
+
+    guess: bool = True
+    loops: bool = True
+    gps: str = "off"
+    matcher: str = "surface"
+
+
+@dataclass(frozen=True)
+class FrontEnd:
+    """What the scans of a log say.
+
+    motion: scan odometry, chained from its own origin. odometry, wheels: (K, 3) poses at time_s by
+    scan odometry and by the wheels alone, from the log's prior; wheels None without odometry.
+    graph: the smoothed scan pose graph; estimate: its trajectory, and landmarks if labelled.
+    """
+
+    log: Log
+    choices: FrontEndChoices
+    motion: ScanMotion
+    time_s: Array
+    odometry: Array
+    wheels: Array | None
+    closed: Closed
+    graph: SmootherResult
+    estimate: Estimate
+    clouds: CloudsAt
+    increments: IncrementCheck | None
+    accuracy_wheels: Accuracy | None
+    accuracy_odometry: Accuracy | None
+    accuracy_graph: Accuracy | None
+    seconds: dict[str, float]
+
+    def map_points(self) -> Array:
+        """(P, 3) what the scans saw, placed by the graph."""
+        return placed(list(self.clouds.values()), self.estimate.pose[list(self.clouds)])
+
+
+def run_front_end(
+    log: Log,
+    choices: FrontEndChoices | None = None,
+    progress: Progress = lambda stage, done, total: None,
+) -> FrontEnd:
+    """Odometry, loops, graph, and how good they are. Raises InputError."""
+    choices = choices or FrontEndChoices()
+    if choices.matcher not in MATCHERS:
+        raise InputError(
+            f"matcher '{choices.matcher}' is unknown, expected one of {', '.join(MATCHERS)}"
+        )
+    labelled = log.sightings.labelled
+    given = EkfChoices(association="known" if labelled else "nn", gps=choices.gps).settle(log)
+    log = join_known_sightings(log)
+    seconds: dict[str, float] = {}
+    start = time.perf_counter()
+    motion = run_scan_odometry(
+        log, progress=lambda k, n: progress("scan odometry", k, n), guess=choices.guess
+    )
+    seconds["odometry"] = time.perf_counter() - start
+    start = time.perf_counter()
+    scanned = with_scan_motion(log, motion, positions=choices.gps != "off")
+    positions = fused_positions(scanned, given)
+    timeline = build_timeline(scanned, positions)
+    slot, ids = slots_by_label(scanned) if labelled else _unused(scanned)
+    rows = position_rows(timeline, positions)
+    problem = assemble(scanned, timeline, slot, len(ids), *rows)
+    clouds = motion.clouds(timeline.epoch_time_s)
+    closer: LoopCloser = NoLoopClosure()
+    if choices.loops:
+        surface = choices.matcher == "surface"
+        closer = RegistrationLoopCloser(
+            loop_matcher() if surface else MATCHERS[choices.matcher](),
+            progress=lambda k, n: progress("loop closure", k, n),
+        )
+    closed = closer.close(problem, clouds)
+    seconds["loops"] = time.perf_counter() - start
+    start = time.perf_counter()
+    progress("graph", 0, 0)
+    graph = smooth(replace(problem, closures=closed.closures), {})
+    estimate = smoothed_estimate(graph, timeline.epoch_time_s, ids, "the log's labels")
+    seconds["graph"] = time.perf_counter() - start
+    odometry = dead_reckoned(problem.prior_pose, problem.increment)
+    wheels = None
+    if len(log.odometry.time_s):
+        driven = motion_between(log, timeline.epoch_time_s[1:]).displacement
+        wheels = dead_reckoned(problem.prior_pose, driven)
+    judged = replace(log, positions=judging_positions(log, given))
+    return FrontEnd(
+        log,
+        choices,
+        motion,
+        timeline.epoch_time_s,
+        odometry,
+        wheels,
+        closed,
+        graph,
+        estimate,
+        clouds,
+        check_increments(motion, log),
+        None if wheels is None else assess_trajectory(timeline.epoch_time_s, wheels, judged),
+        assess_trajectory(timeline.epoch_time_s, odometry, judged),
+        assess(estimate, judged, labelled=labelled),
+        seconds,
+    )
+
+
+def _unused(log: Log) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+    """Slots of sightings that name no landmark, and no ids."""
+    return np.full(len(log.sightings.time_s), -1, dtype=np.intp), np.zeros(0, dtype=np.int64)

@@ -1,0 +1,123 @@
+"""Opening ROS bags with the `rosbags` package, an optional extra; faults name topic and message.
+
+Messages are decoded by the package's own definitions of the standard types, never by those that a
+bag brings along, which the package would turn into code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+from comparisons.errors import InputError, printable
+from comparisons.logs.table import shorten
+
+_MAGICS = {b"\x89MCAP0\r\n": "ros2", b"#ROSBAG V": "ros1", b"SQLite format 3\0": "ros2"}
+_METADATA = "metadata.yaml"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
+_TRANSFORMS = "geometry_msgs/TransformStamped[] transforms\n"
+
+
+@dataclass(frozen=True)
+class Topic:
+    """Messages of one type under one name. connections: the package's own records of them."""
+
+    name: str
+    kind: str
+    count: int
+    connections: tuple[Any, ...]
+
+
+class Bag:
+    """An open bag."""
+
+    def __init__(self, path: Path, reader: Any, decode: Any) -> None:
+        """reader: one of the package's, open. decode: from bytes and a type's name to a message."""
+        self.path, self._reader, self._decode = path, reader, decode
+
+    def topics(self, kind: str) -> list[Topic]:
+        """Topics of a type such as `sensor_msgs/msg/LaserScan`, the one with most messages first.
+
+        Topics without messages are left out; equal ones stand by name.
+        """
+        found: dict[str, list[Any]] = {}
+        for connection in self._reader.connections:
+            if connection.msgtype == kind:
+                found.setdefault(connection.topic, []).append(connection)
+        topics = [
+            Topic(printable(name), kind, sum(c.msgcount for c in group), tuple(group))
+            for name, group in found.items()
+        ]
+        return sorted((t for t in topics if t.count), key=lambda t: (-t.count, t.name))
+
+    def messages(self, topic: Topic) -> Iterator[tuple[str, int, Any]]:
+        """Each message of a topic: where it is, for errors; when it was recorded [ns]; itself.
+
+        Raises InputError at the first that cannot be read.
+        """
+        source = self._reader.messages(connections=topic.connections)
+        for index in count():
+            place = f"{self.path}: {topic.name}, message {index}"
+            try:
+                _, recorded_ns, raw = next(source)
+                message = self._decode(raw, topic.kind)
+            except StopIteration:
+                return
+            except Exception as error:  # the package, its codecs and numpy fail in many ways
+                raise InputError(f"{place}: cannot be read ({_cause(error)})") from None
+            yield place, recorded_ns, message
+
+
+def recognise_bag(path: Path) -> str | None:
+    """`ros1` or `ros2` for a bag's file or folder, by its content; None for anything else."""
+    try:
+        if path.is_dir():
+            with (path / _METADATA).open("rb") as file:
+                return "ros2" if b"rosbag2_bagfile_information" in file.read(4096) else None
+        if not path.is_file():
+            return None
+        with path.open("rb") as file:
+            start = file.read(16)
+    except OSError:
+        return None
+    return next((ros for magic, ros in _MAGICS.items() if start.startswith(magic)), None)
+
+
+@contextmanager
+def open_bag(path: Path) -> Iterator[Bag]:
+    """Open a bag. Raises InputError for what is no bag, and where the extra is not installed."""
+    try:
+        from rosbags.rosbag1 import Reader as Reader1
+        from rosbags.rosbag2 import Reader as Reader2
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+    except ImportError:
+        raise InputError(
+            f"{path}: reading ROS bags needs the extra ros: pip install slamcheck[ros]"
+        ) from None
+    ros = recognise_bag(path)
+    if ros is None:
+        raise InputError(f"{path}: not a ROS bag, expected .mcap, .bag, .db3 or a rosbag2 folder")
+    reader: Any
+    try:
+        if ros == "ros1":
+            store = get_typestore(Stores.ROS1_NOETIC)
+            store.register(get_types_from_msg(_TRANSFORMS, TRANSFORMS))  # missing in that one
+            reader, decode = Reader1(path), store.deserialize_ros1
+        else:
+            reader, decode = Reader2(path), get_typestore(Stores.ROS2_HUMBLE).deserialize_cdr
+        reader.open()
+    except Exception as error:  # the package and what it builds on fail in many ways
+        raise InputError(f"{path}: not a readable ROS bag ({_cause(error)})") from None
+    try:
+        yield Bag(path, reader, decode)
+    finally:
+        reader.close()
+
+
+def _cause(error: Exception) -> str:
+    text = " ".join(str(error).split())
+    return shorten(text or type(error).__name__, 120)

@@ -1,0 +1,308 @@
+"""Loop closure: where the vehicle may have been before, verified by laying the scans together.
+
+Candidates come from the estimate's own covariance: two poses may see the same place when their
+distance could be within reach given how uncertain it is. A match becomes a closure only when scans
+overlap, fit, fix all directions, and agree with the graph.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from graphslam.problem import Closures, SlamProblem
+from graphslam.scan import planar
+from graphslam.scan.matchers import MatchOptions, SurfaceMatcher
+from graphslam.scan.points import placed
+from graphslam.scan.registration import Matcher, Registration, ScanError
+from graphslam.smoother import SmootherResult, smooth
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+Clouds = Mapping[int, Array]
+"""Points (M, 3) seen from some of the poses, by the pose's number."""
+
+_COARSE_M = 1.0
+_CHI2_2_99 = 9.21
+_CHI2_3_999 = 16.27
+
+
+class LoopCloser(Protocol):
+    """Finds motions between poses that do not follow each other."""
+
+    def close(self, problem: SlamProblem, clouds: Clouds) -> Closed:
+        """Closures for a problem, from the clouds (M, 3) seen at some of its poses."""
+        ...
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """A pair of poses that was tried: what came of it, `accepted` or the reason against."""
+
+    first: int
+    second: int
+    outcome: str
+
+
+@dataclass(frozen=True)
+class Closed:
+    """What was found, and all that was tried."""
+
+    closures: Closures = field(default_factory=Closures)
+    attempts: tuple[Attempt, ...] = ()
+
+
+class NoLoopClosure:
+    """Closes nothing."""
+
+    def close(self, problem: SlamProblem, clouds: Clouds) -> Closed:
+        """No closures."""
+        return Closed()
+
+
+@dataclass(frozen=True)
+class LoopOptions:
+    """When a match is tried and when it is believed.
+
+    keyframe_m, keyframe_rad: poses closer together than both share a keyframe. apart_m: way driven
+    between two poses of a loop, at least. reach_m: scans taken within this distance show the same
+    place. per_keyframe: pairs tried for each keyframe, the nearest first. neighbours: keyframes on
+    either side that the earlier scan is matched together with. least_overlap, most_residual_m,
+    least_stiffness: of a match to believe. placement_m, placement_rad: added to its sigmas, since
+    vehicles tilt, clocks jitter, and a map of scans is itself not exact. rounds: how often to look
+    again with the estimate that the closures have improved. kernel: of the closures in the graph.
+    """
+
+    keyframe_m: float = 1.0
+    keyframe_rad: float = 0.3
+    apart_m: float = 15.0
+    reach_m: float = 4.0
+    per_keyframe: int = 2
+    neighbours: int = 1
+    least_overlap: float = 0.7
+    most_residual_m: float = 0.15
+    least_stiffness: float = 12.0
+    placement_m: float = 0.02
+    placement_rad: float = 0.003
+    rounds: int = 3
+    kernel: str = "cauchy"
+
+
+class RegistrationLoopCloser:
+    """Verifies candidates with a matcher."""
+
+    def __init__(
+        self,
+        matcher: Matcher,
+        options: LoopOptions | None = None,
+        progress: Callable[[int, int], None] = lambda done, total: None,
+    ) -> None:
+        """progress: told of keyframes done, of all."""
+        self._matcher, self._progress = matcher, progress
+        self.options = options or LoopOptions()
+
+    def close(self, problem: SlamProblem, clouds: Clouds) -> Closed:
+        """Search in rounds until nothing new is found; see LoopCloser."""
+        keyframes = choose_keyframes(problem, clouds, self.options)
+        found: dict[tuple[int, int], Registration] = {}
+        attempts: dict[tuple[int, int], Attempt] = {}
+        tried: dict[tuple[int, int], Array] = {}
+        for _ in range(self.options.rounds):
+            before = len(found)
+            result = smooth(replace(problem, closures=self._closures(found)), {})
+            belief = _Belief(result, keyframes)
+            for number, later in enumerate(range(len(keyframes))):
+                self._progress(number, len(keyframes))
+                for earlier in self._candidates(problem, belief, later):
+                    pair = (int(keyframes[earlier]), int(keyframes[later]))
+                    expected, spread = belief.relative(earlier, later)
+                    if pair in found or _as_before(tried.get(pair), expected):
+                        continue
+                    tried[pair] = expected
+                    outcome = self._try(belief, clouds, earlier, later, expected, spread)
+                    if isinstance(outcome, str):
+                        attempts[pair] = Attempt(*pair, outcome)
+                    else:
+                        found[pair] = outcome
+                        attempts[pair] = Attempt(*pair, "accepted")
+            if len(found) == before:
+                break
+        return Closed(self._closures(found), tuple(attempts.values()))
+
+    def _closures(self, found: dict[tuple[int, int], Registration]) -> Closures:
+        pairs = sorted(found)
+        return Closures(
+            np.array([i for i, _ in pairs], dtype=np.intp),
+            np.array([j for _, j in pairs], dtype=np.intp),
+            np.array([found[p].motion for p in pairs]).reshape(-1, 3),
+            np.array([found[p].covariance for p in pairs]).reshape(-1, 3, 3),
+            self.options.kernel,
+        )
+
+    def _candidates(self, problem: SlamProblem, belief: _Belief, later: int) -> list[int]:
+        """Earlier keyframes that may lie within reach, the nearest first."""
+        o = self.options
+        way = np.concatenate(([0.0], np.cumsum(np.hypot(*problem.increment[:, :2].T))))
+        at = way[belief.keyframes]
+        earlier = np.flatnonzero(at[later] - at >= o.apart_m)
+        if not len(earlier):
+            return []
+        offset = belief.pose[earlier, :2] - belief.pose[later, :2]
+        distance = np.hypot(*offset.T)
+        spread = belief.position_spread(earlier, later)
+        along = offset / np.maximum(distance, 1e-9)[:, None]
+        variance = np.einsum("ni,nij,nj->n", along, spread, along)
+        beyond = np.maximum(distance - o.reach_m, 0.0)
+        near = beyond**2 <= _CHI2_2_99 * variance
+        chosen: list[int] = []
+        for k in np.argsort(distance, kind="stable").tolist():
+            apart = all(abs(at[earlier[k]] - at[c]) >= o.apart_m for c in chosen)
+            if near[k] and apart:
+                chosen.append(int(earlier[k]))
+            if len(chosen) == o.per_keyframe:
+                break
+        return chosen
+
+    def _try(
+        self,
+        belief: _Belief,
+        clouds: Clouds,
+        earlier: int,
+        later: int,
+        expected: Array,
+        spread: Array,
+    ) -> Registration | str:
+        """A believable match of two keyframes, or the reason why there is none."""
+        o = self.options
+        around = range(
+            max(earlier - o.neighbours, 0), min(earlier + o.neighbours + 1, len(belief.keyframes))
+        )
+        base = belief.pose[earlier]
+        target = placed(
+            [clouds[int(belief.keyframes[k])] for k in around],
+            np.array([planar.between(base, belief.pose[k]) for k in around]),
+        )
+        source = clouds[int(belief.keyframes[later])]
+        reach = _COARSE_M + 2.0 * float(np.sqrt(np.trace(spread[:2, :2])))
+        seen = planar.moved(expected, source)
+        common = np.isfinite(cKDTree(target).query(seen, distance_upper_bound=reach)[0]).mean()
+        if common < o.least_overlap:
+            return "the scans look at different places"
+        reason = ""
+        for start in starts(expected, spread, o.reach_m):
+            try:
+                match = self._matcher.match(source, target, start)
+            except ScanError as error:
+                reason = reason or str(error)
+                continue
+            widened = replace(match, covariance=match.covariance + self._placement())
+            doubt = self._doubt(widened, expected, spread)
+            if not doubt:
+                return widened
+            reason = reason or doubt
+        return reason
+
+    def _placement(self) -> Array:
+        """(3, 3) how exactly a scan shows where the pose is, however well it fits."""
+        o = self.options
+        return np.diag((o.placement_m**2, o.placement_m**2, o.placement_rad**2))
+
+    def _doubt(self, match: Registration, expected: Array, spread: Array) -> str:
+        """What speaks against a match, empty when nothing does."""
+        o = self.options
+        if match.overlap < o.least_overlap:
+            return f"overlap {match.overlap:.2f}, expected {o.least_overlap:g} at least"
+        if match.residual_m > o.most_residual_m:
+            return f"residual {match.residual_m:.3f} m, expected {o.most_residual_m:g} m at most"
+        if match.stiffness[0] < o.least_stiffness:
+            return "the surroundings leave a direction open"
+        difference = planar.wrapped(match.motion - expected)
+        turn = np.eye(3)
+        cos, sin = np.cos(match.motion[2]), np.sin(match.motion[2])
+        turn[:2, :2] = ((cos, -sin), (sin, cos))
+        total = spread + turn @ match.covariance @ turn.T
+        distance = float(difference @ np.linalg.solve(total, difference))
+        if distance > _CHI2_3_999:
+            return f"contradicts the graph: squared distance {distance:.0f}"
+        return ""
+
+
+def _as_before(tried: Array | None, expected: Array) -> bool:
+    """A pair was tried from about the same expectation."""
+    return tried is not None and bool(
+        np.abs(planar.wrapped(tried - expected)).max() < _COARSE_M / 4
+    )
+
+
+class _Belief:
+    """Poses of keyframes with their joint covariance, of the additive global error."""
+
+    def __init__(self, result: SmootherResult, keyframes: Index) -> None:
+        self.keyframes = keyframes
+        self.pose = result.poses[keyframes]
+        size = len(keyframes)
+        joint = result.joint(keyframes.tolist(), [])
+        self._joint = joint.reshape(size, 3, size, 3).transpose(0, 2, 1, 3)
+
+    def position_spread(self, earlier: Index, later: int) -> Array:
+        """(N, 2, 2) covariances of the places' differences."""
+        own = np.arange(len(self.keyframes))
+        spread = self._joint[own, own][:, :2, :2]
+        cross = self._joint[earlier, later][:, :2, :2]
+        result: Array = spread[earlier] + spread[later] - cross - cross.transpose(0, 2, 1)
+        return result
+
+    def relative(self, first: int, second: int) -> tuple[Array, Array]:
+        """(3,) the second in the first's frame, with covariance (3, 3) in those axes."""
+        start, end = self.pose[first], self.pose[second]
+        motion = planar.wrapped(planar.between(start, end))
+        cos, sin = np.cos(start[2]), np.sin(start[2])
+        jacobian = np.zeros((3, 6))
+        jacobian[:2, 3:5] = ((cos, sin), (-sin, cos))
+        jacobian[:2, :2] = -jacobian[:2, 3:5]
+        jacobian[:2, 2] = motion[1], -motion[0]
+        jacobian[2, 2], jacobian[2, 5] = -1.0, 1.0
+        block = np.block([[self._joint[i, j] for j in (first, second)] for i in (first, second)])
+        covariance: Array = jacobian @ block @ jacobian.T
+        return motion, covariance
+
+
+def starts(expected: Array, spread: Array, reach_m: float) -> list[Array]:
+    """Where to begin matching: the expectation and, where it is vague, its sigma points.
+
+    Vague: a direction whose two sigmas, heading scaled by the reach, exceed half a metre.
+    """
+    scale = np.array((1.0, 1.0, reach_m))
+    values, axes = np.linalg.eigh(spread * np.outer(scale, scale))
+    result = [expected]
+    for value, axis in zip(values, axes.T, strict=True):
+        sigma = float(np.sqrt(max(value, 0.0)))
+        if 2.0 * sigma > 0.5:
+            step = min(2.0 * sigma, 2.0 * reach_m) * axis / scale
+            result += [expected + step, expected - step]
+    return result
+
+
+def choose_keyframes(problem: SlamProblem, clouds: Clouds, options: LoopOptions) -> Index:
+    """(F,) poses with clouds, one at least every so many metres and radians of the drive."""
+    way = np.concatenate(([0.0], np.cumsum(np.hypot(*problem.increment[:, :2].T))))
+    turn = np.concatenate(([0.0], np.cumsum(np.abs(problem.increment[:, 2]))))
+    chosen: list[int] = []
+    for k in sorted(clouds):
+        if (
+            not chosen
+            or way[k] - way[chosen[-1]] >= options.keyframe_m
+            or turn[k] - turn[chosen[-1]] >= options.keyframe_rad
+        ):
+            chosen.append(k)
+    return np.array(chosen, dtype=np.intp)
+
+
+def loop_matcher() -> Matcher:
+    """The matcher for loops unless another is asked for: from a metre off down to the surfaces."""
+    return SurfaceMatcher(MatchOptions(reaches_m=(1.0, 0.3), iterations=15))
