@@ -69,16 +69,11 @@ class SurfaceMap:
         offset = near - centre[:, None]
         scatter = np.einsum("nk,nki,nkj->nij", share, offset, offset)
         normal, across, along = _thinnest(scatter)
-<<<<<<< HEAD
-        return Patches(centre, normal, (count >= 4) & (along > _FLAT * across), count >= 3)
-=======
-        enough = count >= 2 + self.dimension
         filled = count >= 3
         if self._lone:
             small = np.einsum("nii->n", scatter) < (0.25 * self._radius_m) ** 2
             filled &= small & (count < self._neighbours)
-        return Patches(centre, normal, enough & (along > _FLAT * across), filled)
->>>>>>> 420973084edde1960a9949ee9a55967c05af9183
+        return Patches(centre, normal, (count >= 4) & (along > _FLAT * across), filled)
 
 
 def _thinnest(scatter: Array) -> tuple[Array, Array, Array]:
