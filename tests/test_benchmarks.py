@@ -59,5 +59,5 @@ def test_matchers_benchmark_runs(tmp_path: Path) -> None:
     picture = tmp_path / "basins.png"
     lines = run("benchmarks/matchers.py", "--pairs", "1", "--plot", str(picture))
     names = ["surface", "kiss", "point-to-point", "point-to-plane", "generalised"]
-    assert [line.split()[1] for line in lines[2:]] == names
+    assert [line.split()[2] for line in lines[2:]] == names
     assert picture.read_bytes().startswith(b"\x89PNG")
