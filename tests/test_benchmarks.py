@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).resolve().parents[1]
 
 
@@ -56,3 +58,12 @@ def test_scan_front_end_benchmark_runs() -> None:
     lines = run("benchmarks/scan_front_end.py", "--seeds", "2", "--seeds-3d", "0")
     assert lines[0].startswith("scan-loop: ")
     assert any(line.startswith("scan-loop, 2 seeds: NEES ") for line in lines)
+
+
+@pytest.mark.usefixtures("open3d_library")
+def test_matchers_benchmark_runs(tmp_path: Path) -> None:
+    picture = tmp_path / "basins.png"
+    lines = run("benchmarks/matchers.py", "--pairs", "1", "--plot", str(picture))
+    names = ["surface", "kiss", "point-to-point", "point-to-plane", "generalised"]
+    assert [line.split()[2] for line in lines[2:]] == names
+    assert picture.read_bytes().startswith(b"\x89PNG")

@@ -45,7 +45,7 @@ class MatchOptions:
     reaches_m: tuple[float, ...] = (2.0, 0.5)
     iterations: int = 60
     converged: float = 1e-7
-    judge: RefinementOptions = field(default_factory=lambda: RefinementOptions(least_stiffness=6.0))
+    judge: RefinementOptions = field(default_factory=RefinementOptions)
     cell_m: float = 0.1
     neighbours: int = 24
     radius_m: float = 0.5

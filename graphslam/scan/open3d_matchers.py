@@ -91,7 +91,8 @@ class PointToPlaneMatcher(_Open3dMatcher):
             methods.CauchyLoss(self.kernel * reach_m)
         )
         held, normal = _anchors(reach_m)
-        source = source + as_open3d(planar.moved(planar.from_matrix(np.linalg.inv(start)), held))
+        back = planar.between(planar.from_matrix(start), np.zeros(3))
+        source = source + as_open3d(planar.moved(back, held))
         anchor = as_open3d(held)
         anchor.normals = self._open3d.utility.Vector3dVector(normal)
         target = target + anchor
@@ -152,11 +153,11 @@ def as_open3d(points: Array) -> Any:
 
 
 def surface_normals(points: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Unit normals (N, 3), in the plane for planar clouds, and which points (N,) have one."""
+    """Level unit normals (N, 3), and which points (N,) have one: those of upright surfaces."""
     surfaces = SurfaceMap(points)
     patch = surfaces.patches(points[:, : surfaces.dimension])
     normal = np.zeros((len(points), 3))
-    normal[:, : surfaces.dimension] = patch.normal
+    normal[:, :2] = patch.normal
     return normal, patch.flat
 
 

@@ -1,0 +1,220 @@
+"""How far from the truth scan matchers may begin (Nieto 2005, section 7.2.3), and their time.
+
+    python benchmarks/matchers.py [--pairs 20] [--car-park FOLDER] [--plot matchers.png]
+
+The thesis asks for a comparison of scan matching algorithms, "in particular, their sensitivity to
+initial pose error". Every pair of scans is matched from guesses wrong by so much, in a direction
+drawn at random; a match is a success within 5 cm and 0.5 degrees of the truth. Pairs are
+simulated, and of the ACFR car park, where the truth is what most matchers find from nearby; what
+the scans hold fixes every direction. False are results that are neither refused nor near the
+truth, as their own covariance has it (0.999 of a chi-square with three degrees of freedom).
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from comparisons.logs.readers import read_log
+from comparisons.logs.simulate.ray_casting import cast
+from comparisons.logs.simulate.scan_worlds import dense_slam_world, occupancy_world, scan_slam_world
+from graphslam.scan import planar
+from graphslam.scan.matchers import MATCHERS, MatchOptions, SurfaceMatcher
+from graphslam.scan.points import planar_points
+from graphslam.scan.registration import Matcher, ScanError
+
+Array = NDArray[np.float64]
+Pair = tuple[Array, Array, Array]
+"""Source, target and the true motion (3,)."""
+
+SHIFTS_M = (0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0)
+TURNS_DEG = (0.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0)
+WITHIN_M, WITHIN_RAD = 0.05, np.deg2rad(0.5)
+FIXED = 6.0
+MOVED_M = 0.2
+FALSE = 16.27
+ANGLES = np.deg2rad(np.linspace(-90.0, 90.0, 361))
+REACH_M, SIGMA_M, SIGMA_BEAM = 40.0, 0.02, np.deg2rad(0.1)
+
+
+def simulated_pairs(rng: np.random.Generator, count: int) -> list[Pair]:
+    """A laser of half a circle, a metre on and up to 17 degrees turned, in the thesis's worlds."""
+    worlds = (dense_slam_world(), occupancy_world(), scan_slam_world())
+    pairs: list[Pair] = []
+    while len(pairs) < count:
+        world = worlds[len(pairs) % len(worlds)]
+        row = int(rng.integers(len(world.path)))
+        tangent = world.path[(row + 1) % len(world.path)] - world.path[row]
+        first = np.append(world.path[row], np.arctan2(tangent[1], tangent[0]))
+        motion = np.array((1.0, 0.0, 0.0)) + rng.uniform(-0.3, 0.3, 3)
+        scans = []
+        for pose in (planar.compose(first, motion), first):
+            aside = SIGMA_BEAM * rng.standard_normal(len(ANGLES))
+            way = cast(ANGLES + aside, pose, world.solids())
+            way = np.where(way < REACH_M, way, np.nan) + SIGMA_M * rng.standard_normal(len(way))
+            scans.append(planar_points(ANGLES, way, np.zeros(3)))
+        source, target = scans
+        if min(map(len, scans)) > 100 and is_fixed(source, target, motion):
+            pairs.append((source, target, motion))
+    return pairs
+
+
+def car_park_pairs(folder: Path, count: int) -> list[Pair]:
+    """Scans three apart, taken on the move all over the log, on which most matchers agree."""
+    scans = read_log(folder).scans
+    assert scans is not None
+    pairs: list[Pair] = []
+    for first in np.linspace(0, len(scans.time_s) - 4, 10 * count).astype(int).tolist():
+        target, source = (
+            planar_points(scans.angle_rad, scans.range_m[row], np.zeros(3))
+            for row in (first, first + 3)
+        )
+        truth = consensus(source, target)
+        moved = truth is not None and np.hypot(truth[0], truth[1]) > MOVED_M
+        if truth is not None and moved and is_fixed(source, target, truth):
+            pairs.append((source, target, truth))
+    chosen = np.linspace(0, len(pairs) - 1, min(count, len(pairs))).astype(int)
+    return [pairs[k] for k in chosen.tolist()]
+
+
+def consensus(source: Array, target: Array) -> Array | None:
+    """What four matchers of five find from nothing, or the motion of none."""
+    found = []
+    for make in MATCHERS.values():
+        try:
+            found.append(make().match(source, target, np.zeros(3)).motion)
+        except ScanError:
+            continue
+    for one in found:
+        near = [other for other in found if is_near(one, other)]
+        if len(near) >= 4:
+            return np.asarray(np.median(near, axis=0))
+    return None
+
+
+def is_fixed(source: Array, target: Array, truth: Array) -> bool:
+    """The shape fixes all three directions by some pairs of points; elsewhere no start helps."""
+    unmoved = SurfaceMatcher(MatchOptions(reaches_m=()))
+    try:
+        return bool(unmoved.match(source, target, truth).stiffness[0] >= FIXED)
+    except ScanError:
+        return False
+
+
+def is_near(found: Array, truth: Array) -> bool:
+    """Within the criterion."""
+    off = planar.wrapped(planar.between(truth, found))
+    return bool(np.hypot(off[0], off[1]) < WITHIN_M and abs(off[2]) < WITHIN_RAD)
+
+
+@dataclass
+class Basin:
+    """success: share by [turn, shift]. false: share of all matches. milliseconds: of each."""
+
+    success: Array = field(
+        default_factory=lambda: np.zeros((len(TURNS_DEG), len(SHIFTS_M)), dtype=float)
+    )
+    false: float = 0.0
+    milliseconds: float = 0.0
+
+
+def basin(matcher: Matcher, pairs: list[Pair]) -> Basin:
+    """Match every pair from every error, the same ones for every matcher."""
+    rng = np.random.default_rng(1)
+    result = Basin()
+    tries = len(pairs) * result.success.size
+    for source, target, truth in pairs:
+        for row, turn in enumerate(TURNS_DEG):
+            for column, shift in enumerate(SHIFTS_M):
+                way, sign = rng.uniform(0.0, 2.0 * np.pi), rng.choice((-1.0, 1.0))
+                error = (shift * np.cos(way), shift * np.sin(way), sign * np.deg2rad(turn))
+                guess = planar.compose(truth, np.array(error))
+                begin = time.perf_counter()
+                try:
+                    found = matcher.match(source, target, guess)
+                    off = planar.wrapped(planar.between(found.motion, truth))
+                    wrong = float(off @ np.linalg.solve(found.covariance, off)) > FALSE
+                    near = is_near(found.motion, truth)
+                    result.success[row, column] += float(near) / len(pairs)
+                    result.false += float(wrong and not near) / tries
+                except ScanError:
+                    pass
+                result.milliseconds += 1e3 * (time.perf_counter() - begin) / tries
+    return result
+
+
+def plot(results: dict[str, dict[str, Basin]], to: Path) -> None:
+    """A map of successes per matcher and kind of pair."""
+    figure = Figure(figsize=(2.5 * len(MATCHERS) + 0.8, 2.7 * len(results) + 0.4))
+    FigureCanvasAgg(figure)
+    figure.set_layout_engine("constrained")
+    axes = figure.subplots(len(results), len(MATCHERS), squeeze=False, sharex=True, sharey=True)
+    for row, (kind, basins) in enumerate(results.items()):
+        for axis, (name, found) in zip(axes[row], basins.items(), strict=True):
+            image = axis.imshow(found.success, origin="lower", vmin=0.0, vmax=1.0, cmap="viridis")
+            axis.set_title(f"{name}\n{kind}, {found.milliseconds:.0f} ms", fontsize=9)
+            axis.set_xticks(range(len(SHIFTS_M)), [f"{m:g}" for m in SHIFTS_M], fontsize=8)
+            axis.set_yticks(range(len(TURNS_DEG)), [f"{d:g}" for d in TURNS_DEG], fontsize=8)
+        axes[row, 0].set_ylabel("heading error [deg]", fontsize=9)
+    for axis in axes[-1]:
+        axis.set_xlabel("position error [m]", fontsize=9)
+    figure.colorbar(image, ax=axes, label="share of successes", fraction=0.03)
+    figure.savefig(to, dpi=130, metadata={"Software": None})
+
+
+def table(results: dict[str, dict[str, Basin]]) -> Iterable[str]:
+    """Shares in percent: over all errors, and along each alone."""
+    shifts, turns = SHIFTS_M[1:], TURNS_DEG[1:]
+    yield (
+        f"{'':29}{'':>6} {'metres off, heading right':^{5 * len(shifts)}} "
+        f"{'degrees off, place right':^{5 * len(turns)}}"
+    )
+    yield (
+        f"{'pairs':14}{'matcher':15}{'all':>6} {''.join(f'{m:5g}' for m in shifts)} "
+        f"{''.join(f'{d:5g}' for d in turns)} {'false':>6} {'ms':>6}"
+    )
+    for kind, basins in results.items():
+        for name, found in basins.items():
+            percent = 100.0 * found.success
+            yield (
+                f"{kind:14}{name:15}{percent.mean():6.0f} "
+                f"{''.join(f'{p:5.0f}' for p in percent[0, 1:])} "
+                f"{''.join(f'{p:5.0f}' for p in percent[1:, 0])} "
+                f"{100.0 * found.false:6.0f} {found.milliseconds:6.1f}"
+            )
+
+
+def main() -> None:
+    """Run all, print a table, draw the basins."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--pairs", type=int, default=20)
+    parser.add_argument("--car-park", type=Path, help="the ACFR car park's folder")
+    parser.add_argument("--plot", type=Path)
+    choices = parser.parse_args()
+    kinds = {"simulated": simulated_pairs(np.random.default_rng(0), choices.pairs)}
+    if choices.car_park is not None:
+        kinds["car park"] = car_park_pairs(choices.car_park, choices.pairs)
+    results = {
+        f"{len(pairs)} {kind}": {name: basin(make(), pairs) for name, make in MATCHERS.items()}
+        for kind, pairs in kinds.items()
+        if pairs
+    }
+    print("\n".join(table(results)))
+    if choices.plot is not None:
+        plot(results, choices.plot)
+
+
+if __name__ == "__main__":
+    main()
