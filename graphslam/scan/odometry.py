@@ -25,6 +25,8 @@ from graphslam.scan.surfaces import SurfaceMap
 Array = NDArray[np.float64]
 
 
+_NEIGHBOURS = 12
+"""Map points to a patch at most: enough to tell a pole from a piece of a dense wall."""
 _RENEWAL = 0.25
 """The map is made anew after this share of its memory."""
 
@@ -59,9 +61,9 @@ class OdometryOptions:
     most_jump_rad: float = 0.35
     patience: int = 5
     refinement: RefinementOptions = field(
-        default_factory=lambda: RefinementOptions(iterations=2, calibration=1.15)
+        default_factory=lambda: RefinementOptions(iterations=2, least_overlap=0.2, calibration=0.95)
     )
-    cloud_calibration: float = 5.2
+    cloud_calibration: float = 4.1
 
     def prepared(self, points: Array) -> Array:
         """(M, 3) what of a scan is aligned: above the ground, within range. Raises ScanError."""
@@ -169,7 +171,7 @@ class ScanOdometry:
         if not np.isfinite(found).all():
             raise ScanError("KISS-ICP found no alignment")
         start = planar.from_matrix(found)
-        target = SurfaceMap(self.map_points())
+        target = SurfaceMap(self.map_points(), neighbours=_NEIGHBOURS, lone=True)
         believed = o.refinement
         if target.dimension == 3:
             believed = replace(believed, calibration=believed.calibration * o.cloud_calibration)

@@ -189,7 +189,7 @@ def with_fixes(log: Log, sigma_m: float, seed: int = 0) -> Log:
 @pytest.mark.parametrize("scale", [1.0, 0.3, 3.0])
 def test_positions_tell_by_how_much_sigmas_are_wrong(scale: float) -> None:
     """Increments drawn from covariances that are then stated wrongly by a known factor."""
-    log = with_fixes(scan_loop(), 0.01)
+    log = with_fixes(scan_loop(), 0.1)
     true = scan_loop().truth.poses
     assert true is not None
     motion = run_scan_odometry(log)
