@@ -27,6 +27,8 @@ Array = NDArray[np.float64]
 
 _NEIGHBOURS = 12
 """Map points to a patch at most: enough to tell a pole from a piece of a dense wall."""
+_RADIUS_M, _CLOUD_RADIUS_M = 0.5, 0.8
+"""How far the points of a patch may lie from its middle; rings of a scanner lie apart."""
 _RENEWAL = 0.25
 """The map is made anew after this share of its memory."""
 
@@ -171,7 +173,9 @@ class ScanOdometry:
         if not np.isfinite(found).all():
             raise ScanError("KISS-ICP found no alignment")
         start = planar.from_matrix(found)
-        target = SurfaceMap(self.map_points(), neighbours=_NEIGHBOURS, lone=True)
+        points = self.map_points()
+        radius_m = _CLOUD_RADIUS_M if points[:, 2].any() else _RADIUS_M
+        target = SurfaceMap(points, _NEIGHBOURS, radius_m, lone=True)
         believed = o.refinement
         if target.dimension == 3:
             believed = replace(believed, calibration=believed.calibration * o.cloud_calibration)
