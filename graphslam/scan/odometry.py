@@ -65,7 +65,7 @@ class OdometryOptions:
     refinement: RefinementOptions = field(
         default_factory=lambda: RefinementOptions(iterations=2, least_overlap=0.2, calibration=0.95)
     )
-    cloud_calibration: float = 4.1
+    cloud_calibration: float = 3.6
 
     def prepared(self, points: Array) -> Array:
         """(M, 3) what of a scan is aligned: above the ground, within range. Raises ScanError."""

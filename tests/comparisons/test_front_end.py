@@ -1,0 +1,216 @@
+"""The scan front end and the three-way comparison, as a user meets them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from comparisons.checks.three_way import compare_maps, find_culprit
+from comparisons.compare import Comparison, compare_estimators
+from comparisons.errors import InputError
+from comparisons.front_end import FrontEndChoices, run_front_end
+from comparisons.logs.bundled import open_log
+from comparisons.logs.log import Log
+from comparisons.logs.log_folder import write_log_folder
+from comparisons.logs.odometry import RelativePoses, SteeringOdometry
+from comparisons.logs.readers import read_log
+from comparisons.report.models import FrontEndResult, Result
+from comparisons.report.result import build_result
+from comparisons.runs.estimate_folder import read_estimate
+from graphslam.g2o import read_g2o
+from tests.comparisons.test_cli import slamcheck
+
+
+@pytest.fixture(scope="module")
+def scan_loop() -> Log:
+    return open_log("scan-loop")
+
+
+def with_speed_scaled(log: Log, factor: float) -> Log:
+    """Wheels that measure the speed wrongly, and say nothing of it."""
+    odometry = log.odometry
+    assert isinstance(odometry, SteeringOdometry)
+    noise = replace(odometry.noise, sigma_speed_mps=0.05)
+    scaled = replace(odometry, speed_mps=factor * odometry.speed_mps, noise=noise)
+    return replace(log, odometry=scaled)
+
+
+def test_the_front_end_leaves_a_whole_folder(tmp_path: Path) -> None:
+    done = slamcheck("odometry", "scan-loop", "--out", "scans", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "verdict: proven" in done.stdout
+    assert "248 of 248 scans used" in done.stdout
+    folder = tmp_path / "scans"
+    names = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
+    estimate = ("covariances.npz", "estimate.toml", "landmarks.csv", "trajectory.tum")
+    assert names == {
+        "odometry.json",
+        "map.png",
+        "graph.g2o",
+        "odometry.tum",
+        "wheels.tum",
+        *(f"graph/{name}" for name in estimate),
+    }
+    text = (folder / "odometry.json").read_text()
+    assert "NaN" not in text
+    result = FrontEndResult.model_validate_json(text)
+    assert result.loops.closed > 10
+    assert result.loops.tried == result.loops.closed + sum(result.loops.reasons.values())
+    assert result.scan_graph is not None
+    assert result.wheels is not None
+    assert result.scan_graph.ate_aligned_m is not None
+    assert result.wheels.ate_aligned_m is not None
+    assert result.scan_graph.ate_aligned_m < 0.1 * result.wheels.ate_aligned_m
+    assert result.increments is not None
+    assert 0.7 < result.increments.factor < 1.4
+    graph = read_g2o(folder / "graph.g2o")
+    assert len(graph.problem.closures.first) == result.loops.closed
+    assert np.allclose(read_estimate(folder / "graph").pose[:, :2], graph.poses[:, :2])
+
+
+@pytest.mark.parametrize("suffix", ["pcd", "ply"])
+@pytest.mark.usefixtures("open3d_library")
+def test_the_map_as_a_cloud(suffix: str, tmp_path: Path) -> None:
+    from graphslam.scan.clouds import read_cloud
+
+    arguments = ("scan-loop", "--cloud", suffix, "--loop-closure", "off", "--out", "scans")
+    done = slamcheck("odometry", *arguments, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    points = read_cloud(tmp_path / f"scans/map.{suffix}")
+    assert len(points) > 20_000
+    assert np.isfinite(points).all()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("odometry", "simulated-loop"), "simulated-loop: holds no scans"),
+        (("odometry", "scan-loop", "--guess", "gps"), "guess 'gps' is unknown"),
+        (("odometry", "scan-loop", "--matcher", "x"), "matcher 'x' is unknown, expected one of"),
+        (("odometry", "scan-loop", "--cloud", "las"), "cloud 'las' is unknown"),
+        (("run", "scan-slam"), "holds no sightings of landmarks"),
+        (("run", "scan-loop", "--motion", "x"), "motion 'x' is unknown, expected one of wheel"),
+        (("run", "simulated-loop", "--motion", "scan"), "simulated-loop: holds no scans"),
+    ],
+)
+def test_faults_are_one_line(arguments: tuple[str, ...], message: str, tmp_path: Path) -> None:
+    done = slamcheck(*arguments, "--out", "x", cwd=tmp_path)
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_loops_are_closed_without_wheels_and_without_loops_nothing_is(scan_loop: Log) -> None:
+    none = run_front_end(scan_loop, FrontEndChoices(loops=False))
+    assert not none.closed.attempts
+    assert not len(none.graph.problem.closures.first)
+    blind = run_front_end(scan_loop, FrontEndChoices(guess=False))
+    assert blind.accuracy_graph is not None
+    assert blind.accuracy_wheels is not None
+    assert blind.accuracy_graph.ate_aligned_m is not None
+
+
+def test_three_estimates_agree_when_nothing_is_wrong(scan_loop: Log) -> None:
+    three = compare_estimators(scan_loop, motion="both")
+    assert three.verdict.outcome == "agree"
+    assert three.three_way is not None
+    assert three.three_way.ekf.agrees
+    assert three.three_way.smoother.agrees
+    assert three.three_way.loops > 10
+    result = Result.model_validate_json(build_result(three, 0.0).model_dump_json())
+    assert result.three_way is not None
+    assert result.three_way.ekf.landmarks == 34
+
+
+@pytest.fixture(scope="module")
+def wrong_wheels(scan_loop: Log) -> Comparison:
+    """Both estimators on wheels believe in a wrong scale; sightings are few enough to let them."""
+    return compare_estimators(with_speed_scaled(scan_loop, 1.1), motion="both")
+
+
+def test_wrong_wheels_are_found_out(wrong_wheels: Comparison) -> None:
+    """Algebra and model are right, and both estimators on wheels agree; only the scans tell."""
+    c = wrong_wheels
+    assert c.agreement.algebra.sigma < 1e-6
+    assert c.agreement.model.sigma < 1e-6
+    assert c.three_way is not None
+    assert not c.three_way.ekf.agrees
+    assert c.three_way.culprit == "wheels"
+    assert c.verdict.outcome == "disagree"
+    assert "motion" in {cause.gap for cause in c.verdict.causes}
+
+
+def test_maps_that_share_nothing_cannot_be_compared(wrong_wheels: Comparison) -> None:
+    estimate = wrong_wheels.smoothed
+    other = replace(estimate, landmark_id=estimate.landmark_id + 1000)
+    with pytest.raises(ValueError, match="share no landmark"):
+        compare_maps(estimate, other)
+    same = compare_maps(estimate, estimate)
+    assert same.agrees
+    assert same.rms_m == 0.0
+
+
+def test_the_car_park(shared_data: Path) -> None:
+    """The issue's figures: scan odometry 1.0 m, with closed loops 0.35 m, wheels about 2 m."""
+    f = run_front_end(read_log(shared_data / "acfr_car_park"))
+    wheels, odometry, graph = (
+        a.gps_rms_aligned_m
+        for a in (f.accuracy_wheels, f.accuracy_odometry, f.accuracy_graph)
+        if a is not None
+    )
+    assert wheels is not None
+    assert odometry is not None
+    assert graph is not None
+    assert odometry < min(1.0, wheels)
+    assert graph < 0.35
+    assert f.graph.proof.proven
+
+
+def test_the_car_park_on_wheels_and_on_scans(shared_data: Path) -> None:
+    """At full lock the steering reading saturates, and the last seconds are wrong on wheels."""
+    c = compare_estimators(read_log(shared_data / "acfr_car_park"), motion="both")
+    assert c.three_way is not None
+    assert c.three_way.culprit == "wheels"
+    assert c.verdict.outcome == "disagree"
+    cause = next(cause for cause in c.verdict.causes if cause.gap == "motion")
+    assert "gps_rms_aligned_m" in cause.evidence
+
+
+def test_scans_alone_make_a_log(tmp_path: Path, scan_loop: Log) -> None:
+    """No wheels, no sightings: the front end works, and the others say what is missing."""
+    seen = scan_loop.sightings
+    none = np.zeros(0)
+    bare = replace(
+        scan_loop,
+        name="bare",
+        odometry=RelativePoses(none, np.zeros((0, 3)), np.zeros((0, 3, 3))),
+        sightings=replace(
+            seen,
+            time_s=none,
+            range_m=none,
+            bearing_rad=none,
+            sigma_range_m=none,
+            sigma_bearing_rad=none,
+            landmark=none.astype(np.int64),
+            diameter_m=none,
+        ),
+    )
+    write_log_folder(bare, tmp_path / "bare")
+    done = slamcheck("odometry", "bare", "--out", "out", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "guess: none" in done.stdout
+    for motion in ("wheel", "scan", "both"):
+        failed = slamcheck("run", "bare", "--motion", motion, cwd=tmp_path)
+        assert failed.returncode == 2
+        assert "holds no" in failed.stderr
+    with pytest.raises(InputError, match="holds no"):
+        compare_estimators(bare)
+
+
+def test_a_culprit_needs_evidence(wrong_wheels: Comparison) -> None:
+    proof = wrong_wheels.smoother.proof
+    assert find_culprit(proof, proof, None, None)[0] == ""
