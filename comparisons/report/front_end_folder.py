@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from graphslam.scan.clouds import write_cloud
-
 from comparisons.atomic import fresh_folder
 from comparisons.front_end import FrontEnd
 from comparisons.report.models import FrontEndResult
@@ -13,6 +11,7 @@ from comparisons.report.plots import front_end_figure, save
 from comparisons.runs.estimate_folder import FILES as ESTIMATE_FILES
 from comparisons.runs.estimate_folder import tum_text, write_estimate
 from graphslam.g2o import G2oContents, write_g2o
+from graphslam.scan.clouds import write_cloud
 
 CLOUDS = ("map.pcd", "map.ply")
 FRONT_END_CONTENTS = frozenset(
