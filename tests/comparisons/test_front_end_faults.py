@@ -1,0 +1,139 @@
+"""Logs at the edge of what the scan front end and the run on scans can serve."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.compare import Comparison, compare_estimators
+from comparisons.logs.bundled import open_log
+from comparisons.logs.log import Landmarks, Log, Positions, Sightings
+from comparisons.logs.odometry import RelativePoses, SteeringOdometry
+from comparisons.runs.ekf_build import EkfChoices
+from ekf_reference.full_ekf import FullEkf
+from ekf_reference.kalman import FilterDivergedError
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_END_S = 25.0
+
+
+@cache
+def short() -> Log:
+    """The beginning of the simulated loop with scans."""
+    log = open_log("scan-loop")
+    odometry = log.odometry
+    assert isinstance(odometry, SteeringOdometry)
+    assert log.scans is not None
+    rows = odometry.time_s <= _END_S
+    return with_scans(
+        replace(
+            log,
+            odometry=replace(
+                odometry,
+                time_s=odometry.time_s[rows],
+                speed_mps=odometry.speed_mps[rows],
+                steering_rad=odometry.steering_rad[rows],
+            ),
+            sightings=picked(log.sightings, log.sightings.time_s <= _END_S),
+        ),
+        log.scans.time_s <= _END_S - 1.0,
+    )
+
+
+def with_scans(log: Log, rows: Mask | slice) -> Log:
+    """Some of the scans only."""
+    s = log.scans
+    assert s is not None
+    scans = replace(s, time_s=s.time_s[rows], range_m=s.range_m[rows], intensity=s.intensity[rows])
+    return replace(log, scans=scans)
+
+
+def picked(seen: Sightings, rows: Mask) -> Sightings:
+    """Some of the sightings only."""
+    columns = {n: v[rows] for n, v in vars(seen).items() if isinstance(v, np.ndarray)}
+    return replace(seen, **columns)
+
+
+def without_odometry(log: Log) -> Log:
+    """Scans are all that tells of motion."""
+    nothing = RelativePoses(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3, 3)))
+    return replace(log, odometry=nothing)
+
+
+def with_positions(log: Log, first_s: float = 0.0) -> Log:
+    """A position every 0.4 s, at none of the scans' instants, 0.1 m of noise each."""
+    poses = log.truth.poses
+    assert poses is not None
+    time_s = np.arange(first_s + 0.013, _END_S, 0.4)
+    place = np.column_stack([np.interp(time_s, poses.time_s, poses.pose[:, i]) for i in (0, 1)])
+    noise = np.random.default_rng(3).normal(0.0, 0.1, place.shape)
+    covariance = np.tile(0.01 * np.eye(2), (len(time_s), 1, 1))
+    return replace(log, positions=Positions(time_s, place + noise, covariance))
+
+
+def with_surveyed(log: Log) -> Log:
+    """Every third landmark is surveyed, and seen 13 ms after the others; some are never seen."""
+    table, seen = log.truth.landmarks, log.sightings
+    assert table is not None
+    ids = table.id[::3]
+    own = np.isin(seen.landmark, ids)
+    assert not np.isin(ids, seen.landmark).all()
+    known = picked(seen, own)
+    return replace(
+        log,
+        sightings=picked(seen, ~own),
+        known_sightings=replace(known, time_s=known.time_s + 0.013),
+        known_landmarks=Landmarks(
+            ids, table.position_m[::3], np.tile(1e-4 * np.eye(2), (len(ids), 1, 1))
+        ),
+    )
+
+
+def three_estimates(log: Log, choices: EkfChoices | None = None) -> Comparison:
+    c = compare_estimators(log, choices, motion="both")
+    assert c.three_way is not None
+    return c
+
+
+def test_surveyed_landmarks_keep_their_places_on_scans() -> None:
+    """Those that nobody saw, too, or the others would be held to their places."""
+    three = three_estimates(with_surveyed(short())).three_way
+    assert three is not None
+    assert three.ekf.agrees
+    assert three.accuracy is not None
+    assert three.accuracy.ate_m is not None
+    assert three.accuracy.ate_m < 0.1
+
+
+def test_positions_held_back_are_held_back_from_the_smoother_on_scans_too() -> None:
+    log = with_positions(short())
+    half = three_estimates(log, EkfChoices(gps="half"))
+    assert log.positions is not None
+    assert half.three_way is not None
+    times = half.three_way.estimate.time_s
+    fused = log.positions.time_s[::2][half.ekf.fix_number]
+    assert np.isin(fused[fused <= times[-1]], times).all()
+    assert not np.isin(log.positions.time_s[1::2], times).any()
+
+
+def test_smoother_on_scans_meets_a_filter_that_broke_down() -> None:
+    def damage(ekf: FullEkf) -> None:
+        update, count = ekf.observe, iter(range(10**6))
+
+        def observe(*arguments: Any) -> Any:
+            if next(count) == 20:
+                raise FilterDivergedError("made to fail")
+            return update(*arguments)
+
+        ekf.observe = observe  # type: ignore[method-assign]
+
+    c = compare_estimators(short(), motion="both", modify=damage)
+    assert c.ekf.breakdown is not None
+    assert c.three_way is not None
+    assert c.three_way.estimate.time_s[-1] > c.ekf.estimate.time_s[-1]
