@@ -91,7 +91,8 @@ class PointToPlaneMatcher(_Open3dMatcher):
             methods.CauchyLoss(self.kernel * reach_m)
         )
         held, normal = _anchors(reach_m)
-        source = source + as_open3d(planar.moved(planar.from_matrix(np.linalg.inv(start)), held))
+        back = np.asarray(np.linalg.inv(start), dtype=np.float64)
+        source = source + as_open3d(planar.moved(planar.from_matrix(back), held))
         anchor = as_open3d(held)
         anchor.normals = self._open3d.utility.Vector3dVector(normal)
         target = target + anchor

@@ -81,7 +81,8 @@ def test_information_by_hand(open3d_library: ModuleType, motion: Array) -> None:
     found = point_information(source, target, motion, 0.01, 0.1)
     np.testing.assert_allclose(found, expected / 0.1**2, rtol=1e-9, atol=1e-8)
     if motion.any():
-        transposed = planar.carried(np.linalg.inv(found), motion)
+        inverse = np.asarray(np.linalg.inv(found), dtype=np.float64)
+        transposed = planar.carried(inverse, motion)
         assert np.abs(np.linalg.inv(transposed) * 0.1**2 - expected).max() > 1.0
 
 
