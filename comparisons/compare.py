@@ -94,21 +94,21 @@ def compare_estimators(
     if motion not in MOTIONS:
         raise InputError(f"motion '{motion}' is unknown, expected one of {', '.join(MOTIONS)}")
     clock = _Clock()
-    scanned = None
-    if motion != "wheel":
-        with clock.stage("scan odometry"):
-            scanned = run_scan_odometry(log, progress=lambda k, n: progress("scan odometry", k, n))
+    chosen = (choices or EkfChoices()).settle(log)
+    log = join_known_sightings(log)
     if not len(log.sightings.time_s):
         raise InputError(
             f"{log.name}: holds no sightings of landmarks (try --features trees, or "
             "slamcheck odometry for its scans)"
         )
-    chosen = (choices or EkfChoices()).settle(log)
+    if motion != "scan" and not len(log.odometry.time_s):
+        raise InputError(f"{log.name}: holds no odometry; use --motion scan")
+    scanned = None
+    if motion != "wheel":
+        with clock.stage("scan odometry"):
+            scanned = run_scan_odometry(log, progress=lambda k, n: progress("scan odometry", k, n))
     if motion == "scan" and scanned is not None:
         log = with_scan_motion(log, scanned, positions=chosen.gps != "off")
-    elif not len(log.odometry.time_s):
-        raise InputError(f"{log.name}: holds no odometry; use --motion scan")
-    log = join_known_sightings(log)
     positions = fused_positions(log, chosen)
     timeline = build_timeline(log, positions)
     with clock.stage("ekf"):

@@ -57,7 +57,7 @@ def with_scans(log: Log, rows: Mask | slice) -> Log:
 def picked(seen: Sightings, rows: Mask) -> Sightings:
     """Some of the sightings only."""
     columns = {n: v[rows] for n, v in vars(seen).items() if isinstance(v, np.ndarray)}
-    return replace(seen, **columns)
+    return replace(seen, **columns)  # type: ignore[arg-type]
 
 
 def without_odometry(log: Log) -> Log:
@@ -131,9 +131,24 @@ def test_smoother_on_scans_meets_a_filter_that_broke_down() -> None:
                 raise FilterDivergedError("made to fail")
             return update(*arguments)
 
-        ekf.observe = observe  # type: ignore[method-assign]
+        ekf.observe = observe  # type: ignore[assignment]
 
     c = compare_estimators(short(), motion="both", modify=damage)
     assert c.ekf.breakdown is not None
     assert c.three_way is not None
     assert c.three_way.estimate.time_s[-1] > c.ekf.estimate.time_s[-1]
+
+
+def test_sightings_of_surveyed_landmarks_between_scans_count() -> None:
+    """Their instants are no scan's and no other sighting's."""
+    log = with_surveyed(short())
+    assert log.known_sightings is not None
+    nothing = np.zeros(len(log.sightings.time_s), dtype=bool)
+    for given in (log, replace(log, sightings=picked(log.sightings, nothing))):
+        c = compare_estimators(given, motion="scan")
+        within = log.known_sightings.time_s <= c.ekf.timeline.epoch_time_s[-1]
+        instants = np.unique(log.known_sightings.time_s[within])
+        assert np.isin(instants, c.ekf.timeline.epoch_time_s).all()
+        assert c.accuracy_smoother is not None
+        assert c.accuracy_smoother.ate_m is not None
+        assert c.accuracy_smoother.ate_m < 0.1
