@@ -15,7 +15,7 @@ from comparisons.checks.association import AssociationScore, score_association
 from comparisons.checks.attribution import ROUNDING, Verdict, judge
 from comparisons.checks.model_differences import model_differences
 from comparisons.checks.own_association import OwnAssociationCheck, check_own_association
-from comparisons.checks.three_way import ThreeWay, compare_maps, find_culprit
+from comparisons.checks.three_way import ThreeWay, compare_maps, find_culprit, readable
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
 from comparisons.runs.ekf_build import EkfChoices, fused_positions, judging_positions
@@ -207,15 +207,23 @@ def _with_scans(
     closer = RegistrationLoopCloser(loop_matcher())
     scans = smooth_on_scans(log, motion, run, closer, SmootherOptions())
     accuracy = assess(scans.estimate, judged, labelled=False)
-    culprit, evidence = find_culprit(
-        wheels.proof, scans.result.proof, assess(smoothed, judged, labelled=False), accuracy
-    )
+    ekf, smoother = (compare_maps(own, scans.estimate) for own in (run.estimate, smoothed))
+    proof = readable(scans.result)
+    culprit, evidence = "", "the maps agree"
+    if not (ekf.agrees and smoother.agrees):
+        culprit, evidence = find_culprit(
+            readable(wheels),
+            proof,
+            assess(smoothed, judged, labelled=False),
+            accuracy,
+        )
     return ThreeWay(
         scans.estimate,
         scans.result.proof,
+        proof.chi_square,
         accuracy,
-        compare_maps(run.estimate, scans.estimate),
-        compare_maps(smoothed, scans.estimate),
+        ekf,
+        smoother,
         scans.loops,
         culprit,
         evidence,

@@ -212,7 +212,7 @@ def _three_way(three: ThreeWay | None) -> ThreeWayResult | None:
         return MapPairResult(
             rms_m=p.rms_m,
             rms_aligned_m=p.rms_aligned_m,
-            distance_sigma_median=float(np.median(p.distance_sigma)),
+            distance_sigma_median=_finite(float(np.median(p.distance_sigma))),
             outside=p.outside,
             landmarks=len(p.distance_sigma),
             agrees=p.agrees,
@@ -223,7 +223,8 @@ def _three_way(three: ThreeWay | None) -> ThreeWayResult | None:
         smoother=pair(three.smoother),
         loops=three.loops,
         proven=three.proof.proven,
-        chi2=three.proof.chi_square.chi2,
+        chi2=three.chi_square.chi2,
+        dof=three.chi_square.dof,
         accuracy=None if three.accuracy is None else AccuracyResult(**vars(three.accuracy)),
         culprit=three.culprit,
         evidence=three.evidence,

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from comparisons.checks.attribution import judge
+from comparisons.checks.three_way import compare_maps
 from comparisons.compare import Comparison, compare_estimators
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Landmarks, Log, Positions, Sightings
@@ -16,11 +18,13 @@ from comparisons.logs.odometry import RelativePoses, SteeringOdometry
 from comparisons.runs.ekf_build import EkfChoices
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.kalman import FilterDivergedError
+from graphslam.optimum import Stationarity
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _END_S = 25.0
+_SADDLE = Stationarity(0.0, definite=False)
 
 
 @cache
@@ -152,3 +156,39 @@ def test_sightings_of_surveyed_landmarks_between_scans_count() -> None:
         assert c.accuracy_smoother is not None
         assert c.accuracy_smoother.ate_m is not None
         assert c.accuracy_smoother.ate_m < 0.1
+
+
+def test_nobody_is_to_blame_while_maps_agree() -> None:
+    three = three_estimates(short()).three_way
+    assert three is not None
+    assert three.ekf.agrees
+    assert three.smoother.agrees
+    assert three.culprit == ""
+
+
+def test_scans_too_sure_of_themselves_are_told_of() -> None:
+    """The maps may agree all the same, and a kernel over closures hides nothing."""
+    c = three_estimates(open_log("occupancy-loop"))
+    assert c.three_way is not None
+    assert c.three_way.chi_square.reading == "too high"
+    assert any(remark.startswith("on scans, chi-square") for remark in c.verdict.remarks)
+
+
+def test_an_unproven_smoother_on_scans_has_no_say() -> None:
+    c = three_estimates(short())
+    three = c.three_way
+    assert three is not None
+    apart = replace(three, ekf=replace(three.ekf, outside=len(three.ekf.distance_sigma)))
+    lost = replace(apart, proof=replace(three.proof, agreeing=(), stationarity=_SADDLE))
+    said = [judge(c.agreement, c.smoother.proof, c.ekf, three_way=t) for t in (apart, lost)]
+    assert [v.outcome for v in said] == ["disagree", "agree"]
+    assert any("unproven" in remark for remark in said[1].remarks)
+
+
+def test_a_landmark_without_numbers_lies_outside() -> None:
+    one = three_estimates(short()).smoothed
+    lost = replace(one, landmark=np.where(np.arange(len(one.landmark))[:, None] < 3, np.nan,
+                                          one.landmark))  # fmt: skip
+    pair = compare_maps(lost, one)
+    assert pair.outside == 3
+    assert not pair.agrees
