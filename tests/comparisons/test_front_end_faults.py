@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from comparisons.checks.attribution import judge
 from comparisons.checks.three_way import compare_maps
 from comparisons.compare import Comparison, compare_estimators
+from comparisons.front_end import run_front_end
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Landmarks, Log, Positions, Sightings
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry
@@ -192,3 +193,12 @@ def test_a_landmark_without_numbers_lies_outside() -> None:
     pair = compare_maps(lost, one)
     assert pair.outside == 3
     assert not pair.agrees
+
+
+def test_chi_square_is_tested_where_no_loop_was_closed() -> None:
+    front_end = run_front_end(short())
+    assert not len(front_end.closed.closures.first)
+    problem = front_end.graph.problem
+    test = front_end.graph.proof.chi_square
+    assert test.dof == problem.residual_dimension - problem.state_dimension > 0
+    assert test.reading == "plausible"
