@@ -7,11 +7,13 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from comparisons.checks.attribution import judge
 from comparisons.checks.three_way import compare_maps
 from comparisons.compare import Comparison, compare_estimators
+from comparisons.errors import InputError
 from comparisons.front_end import run_front_end
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Landmarks, Log, Positions, Sightings
@@ -202,3 +204,22 @@ def test_chi_square_is_tested_where_no_loop_was_closed() -> None:
     test = front_end.graph.proof.chi_square
     assert test.dof == problem.residual_dimension - problem.state_dimension > 0
     assert test.reading == "plausible"
+
+
+def test_scans_before_the_prior_are_left_out_without_odometry_as_with_it() -> None:
+    log = without_odometry(short())
+    assert log.scans is not None
+    begin_s = 1.0
+    later = picked(log.sightings, log.sightings.time_s > begin_s)
+    front_end = run_front_end(
+        replace(log, prior=replace(log.prior, time_s=begin_s), sightings=later)
+    )
+    assert front_end.motion.time_s[0] >= begin_s
+    assert front_end.motion.source.row[0] == np.searchsorted(log.scans.time_s, begin_s)
+
+
+def test_no_scans_at_all_are_told_of() -> None:
+    with pytest.raises(InputError, match="holds no scans"):
+        run_front_end(with_scans(short(), slice(0)))
+    with pytest.raises(InputError, match="no odometry, expected"):
+        without_odometry(with_scans(short(), slice(0)))
