@@ -13,11 +13,12 @@ from comparisons.checks.accuracy import Accuracy, assess, assess_trajectory
 from comparisons.checks.scan_increments import IncrementCheck, check_increments
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
+from comparisons.logs.odometry import RelativePoses
 from comparisons.runs.ekf_build import EkfChoices, fused_positions, judging_positions
 from comparisons.runs.estimate import Array, Estimate
 from comparisons.runs.known_landmarks import join_known_sightings, slots_by_label
 from comparisons.runs.motion import motion_between
-from comparisons.runs.scan_log import with_scan_motion
+from comparisons.runs.scan_log import divide, with_scan_motion
 from comparisons.runs.scan_motion import ScanMotion, run_scan_odometry
 from comparisons.runs.scan_source import CloudsAt
 from comparisons.runs.smoother_run import assemble, position_rows, smoothed_estimate
@@ -126,9 +127,9 @@ def run_front_end(
     odometry = dead_reckoned(problem.prior_pose, problem.increment)
     wheels = None
     if len(log.odometry.time_s):
-        driven = motion_between(log, timeline.epoch_time_s[1:]).displacement
-        wheels = dead_reckoned(problem.prior_pose, driven)
-    judged = replace(log, positions=judging_positions(log, given))
+        wheels = dead_reckoned(problem.prior_pose, _driven(log, motion, timeline.epoch_time_s))
+    # Fused ones are counted among those that the scans reach.
+    judged = replace(log, positions=judging_positions(scanned if positions else log, given))
     return FrontEnd(
         log,
         choices,
@@ -146,6 +147,17 @@ def run_front_end(
         assess(estimate, judged, labelled=labelled),
         seconds,
     )
+
+
+def _driven(log: Log, motion: ScanMotion, time_s: Array) -> Array:
+    """(K - 1, 3) by the wheels between times (K,), all those of the scans among them.
+
+    Relative poses are known at the scans, but not in between, where the motion is taken as even.
+    """
+    if not isinstance(log.odometry, RelativePoses):
+        return motion_between(log, time_s[1:]).displacement
+    knots = np.union1d(time_s[:1], motion.time_s)
+    return divide(motion_between(log, knots[1:]), knots, time_s).displacement
 
 
 def _unused(log: Log) -> tuple[NDArray[np.intp], NDArray[np.int64]]:

@@ -14,11 +14,13 @@ from comparisons.checks.attribution import judge
 from comparisons.checks.three_way import compare_maps
 from comparisons.compare import Comparison, compare_estimators
 from comparisons.errors import InputError
-from comparisons.front_end import run_front_end
+from comparisons.front_end import FrontEndChoices, run_front_end
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Landmarks, Log, Positions, Sightings
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry
 from comparisons.runs.ekf_build import EkfChoices
+from comparisons.runs.estimate import Estimate
+from comparisons.runs.motion import motion_between
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.kalman import FilterDivergedError
 from graphslam.optimum import Stationarity
@@ -223,3 +225,39 @@ def test_no_scans_at_all_are_told_of() -> None:
         run_front_end(with_scans(short(), slice(0)))
     with pytest.raises(InputError, match="no odometry, expected"):
         without_odometry(with_scans(short(), slice(0)))
+
+
+def test_positions_held_back_stay_so_where_scans_begin_late(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """An odd number of positions, or an even one, comes before the first scan."""
+    judging: list[Positions | None] = []
+
+    def noted(estimate: Estimate, log: Log, *, labelled: bool) -> None:
+        judging.append(log.positions)
+
+    monkeypatch.setattr("comparisons.front_end.assess", noted)
+    late = without_odometry(with_scans(short(), slice(2, None)))
+    for first_s in (0.0, 0.4):
+        front_end = run_front_end(with_positions(late, first_s), FrontEndChoices(gps="half"))
+        fused = front_end.time_s[front_end.graph.problem.position_pose]
+        held = judging.pop()
+        assert held is not None
+        assert not np.isin(held.time_s, fused).any()
+        assert abs(len(held.time_s) - len(fused)) <= 1
+
+
+def test_positions_between_relative_poses_can_be_fused_with_scans() -> None:
+    """The wheels' path is then drawn as if the vehicle had moved evenly in between."""
+    log = with_positions(short())
+    assert log.scans is not None
+    times = np.union1d(log.scans.time_s, log.sightings.time_s)
+    times = times[times > log.prior.time_s]
+    moved = motion_between(log, times)
+    spread = moved.covariance + 1e-10 * np.eye(3)
+    relative = replace(log, odometry=RelativePoses(times, moved.displacement, spread))
+    choices = FrontEndChoices(gps="on")
+    paths = [run_front_end(given, choices).wheels for given in (log, relative)]
+    assert paths[0] is not None
+    assert paths[1] is not None
+    assert np.abs(paths[0] - paths[1]).max() < 0.1
