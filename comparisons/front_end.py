@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from comparisons.checks.accuracy import Accuracy, assess, assess_trajectory
 from comparisons.checks.scan_increments import IncrementCheck, check_increments
@@ -16,9 +15,9 @@ from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
 from comparisons.runs.ekf_build import EkfChoices, fused_positions, judging_positions
 from comparisons.runs.estimate import Array, Estimate
-from comparisons.runs.known_landmarks import join_known_sightings, slots_by_label
+from comparisons.runs.known_landmarks import SURVEYED, join_known_sightings, slots_by_label
 from comparisons.runs.motion import motion_between
-from comparisons.runs.scan_log import divide, with_scan_motion
+from comparisons.runs.scan_log import chosen_sightings, divide, sightings_kept, with_scan_motion
 from comparisons.runs.scan_motion import ScanMotion, run_scan_odometry
 from comparisons.runs.scan_source import CloudsAt
 from comparisons.runs.smoother_run import assemble, position_rows, smoothed_estimate
@@ -58,7 +57,8 @@ class FrontEnd:
 
     motion: scan odometry, chained from its own origin. odometry, wheels: (K, 3) poses at time_s by
     scan odometry and by the wheels alone, from the log's prior; wheels None without odometry.
-    graph: the smoothed scan pose graph; estimate: its trajectory, and landmarks if labelled.
+    graph: the smoothed scan pose graph; estimate: its trajectory, and landmarks if labelled or
+    surveyed.
     """
 
     log: Log
@@ -103,10 +103,11 @@ def run_front_end(
     )
     seconds["odometry"] = time.perf_counter() - start
     start = time.perf_counter()
-    scanned = with_scan_motion(log, motion, positions=choices.gps != "off")
+    named = _with_named_sightings(log, motion, labelled=labelled)
+    scanned = with_scan_motion(named, motion, positions=choices.gps != "off")
     positions = fused_positions(scanned, given)
     timeline = build_timeline(scanned, positions)
-    slot, ids = slots_by_label(scanned) if labelled else _unused(scanned)
+    slot, ids = slots_by_label(scanned)
     rows = position_rows(timeline, positions)
     problem = assemble(scanned, timeline, slot, len(ids), *rows)
     clouds = motion.clouds(timeline.epoch_time_s)
@@ -160,6 +161,12 @@ def _driven(log: Log, motion: ScanMotion, time_s: Array) -> Array:
     return divide(motion_between(log, knots[1:]), knots, time_s).displacement
 
 
-def _unused(log: Log) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
-    """Slots of sightings that name no landmark, and no ids."""
-    return np.full(len(log.sightings.time_s), -1, dtype=np.intp), np.zeros(0, dtype=np.int64)
+def _with_named_sightings(log: Log, motion: ScanMotion, *, labelled: bool) -> Log:
+    """The log with the sightings that the graph can use, which may be none.
+
+    Those of surveyed landmarks name theirs, and all others do when the log is labelled.
+    """
+    named = np.full(len(log.sightings.time_s), labelled) | (log.sightings.landmark >= SURVEYED)
+    if not (named & sightings_kept(log, motion)).any():
+        named[:] = False
+    return replace(log, sightings=chosen_sightings(log.sightings, named))

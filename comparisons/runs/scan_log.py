@@ -61,7 +61,7 @@ def with_scan_motion(log: Log, motion: ScanMotion, *, positions: bool = False) -
         log,
         prior=prior,
         odometry=RelativePoses(times[1:], pieces.displacement, spread),
-        sightings=_rows(log.sightings, seen),
+        sightings=chosen_sightings(log.sightings, seen),
         positions=fixes,
         provenance=provenance,
     )
@@ -116,7 +116,8 @@ def _exponential(tangent: Array) -> Array:
     return np.column_stack((along * x - across * y, across * x + along * y, turn))
 
 
-def _rows(seen: Sightings, rows: NDArray[np.bool_]) -> Sightings:
+def chosen_sightings(seen: Sightings, rows: NDArray[np.bool_]) -> Sightings:
+    """Those in the rows (M,)."""
     return replace(
         seen,
         time_s=seen.time_s[rows],

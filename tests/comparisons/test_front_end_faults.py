@@ -16,7 +16,7 @@ from comparisons.compare import Comparison, compare_estimators
 from comparisons.errors import InputError
 from comparisons.front_end import FrontEndChoices, run_front_end
 from comparisons.logs.bundled import open_log
-from comparisons.logs.log import Landmarks, Log, Positions, Sightings
+from comparisons.logs.log import NO_LANDMARK, Landmarks, Log, Positions, Sightings
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry
 from comparisons.runs.ekf_build import EkfChoices
 from comparisons.runs.estimate import Estimate
@@ -261,3 +261,28 @@ def test_positions_between_relative_poses_can_be_fused_with_scans() -> None:
     assert paths[0] is not None
     assert paths[1] is not None
     assert np.abs(paths[0] - paths[1]).max() < 0.1
+
+
+def unlabelled(seen: Sightings) -> Sightings:
+    return replace(seen, landmark=np.full(len(seen.landmark), NO_LANDMARK))
+
+
+def test_surveyed_landmarks_hold_the_scan_graph_where_others_have_no_names() -> None:
+    log = with_surveyed(short())
+    front_end = run_front_end(replace(log, sightings=unlabelled(log.sightings)))
+    assert log.known_landmarks is not None
+    assert len(front_end.estimate.landmark) == len(log.known_landmarks.id)
+    assert len(front_end.graph.problem.z)
+    assert front_end.accuracy_graph is not None
+    assert front_end.accuracy_graph.ate_m is not None
+    assert front_end.accuracy_graph.ate_m < 0.1
+
+
+def test_scan_odometry_needs_no_sighting_within_the_time_of_the_scans() -> None:
+    log = without_odometry(with_scans(short(), slice(0, 40)))
+    assert log.scans is not None
+    late = picked(log.sightings, log.sightings.time_s > log.scans.time_s[-1])
+    for seen in (late, unlabelled(late)):
+        front_end = run_front_end(replace(log, sightings=seen))
+        assert not len(front_end.estimate.landmark)
+        assert len(front_end.time_s) == len(front_end.motion.row)
