@@ -112,9 +112,9 @@ def smoother_result(result: smoother.SmootherResult) -> SmootherResult:
 
 
 def log_hash(log: Log) -> str:
-    """SHA-256 of everything that an estimator may be given: all streams but scans and truth."""
+    """SHA-256 of everything that an estimator may be given: all streams but truth."""
     digest = hashlib.sha256()
-    records = (
+    records: tuple[object, ...] = (
         log.prior,
         log.odometry,
         log.sightings,
@@ -122,7 +122,7 @@ def log_hash(log: Log) -> str:
         log.known_landmarks,
         log.known_sightings,
     )
-    for record in records:
+    for record in records + tuple(s for s in (log.scans, log.clouds) if s is not None):
         if record is None:
             digest.update(b"absent")
             continue

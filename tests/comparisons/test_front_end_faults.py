@@ -18,9 +18,11 @@ from comparisons.front_end import FrontEndChoices, run_front_end
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import NO_LANDMARK, Landmarks, Log, Positions, Sightings
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry
+from comparisons.report.result import log_hash
 from comparisons.runs.ekf_build import EkfChoices
 from comparisons.runs.estimate import Estimate
 from comparisons.runs.motion import motion_between
+from comparisons.solve import solve_log
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.kalman import FilterDivergedError
 from graphslam.optimum import Stationarity
@@ -286,3 +288,15 @@ def test_scan_odometry_needs_no_sighting_within_the_time_of_the_scans() -> None:
         front_end = run_front_end(replace(log, sightings=seen))
         assert not len(front_end.estimate.landmark)
         assert len(front_end.time_s) == len(front_end.motion.row)
+
+
+def test_logs_that_differ_in_their_scans_have_different_hashes() -> None:
+    log = short()
+    assert log.scans is not None
+    other = replace(log, scans=replace(log.scans, range_m=log.scans.range_m + 0.01))
+    assert len({log_hash(log), log_hash(other), log_hash(replace(log, scans=None))}) == 3
+
+
+def test_the_smoother_alone_says_that_it_wants_odometry() -> None:
+    with pytest.raises(InputError, match="holds no odometry"):
+        solve_log(without_odometry(short()))
