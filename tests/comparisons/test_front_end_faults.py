@@ -11,17 +11,19 @@ import pytest
 from numpy.typing import NDArray
 
 from comparisons.checks.attribution import judge
+from comparisons.checks.scan_increments import check_increments
 from comparisons.checks.three_way import compare_maps
 from comparisons.compare import Comparison, compare_estimators
 from comparisons.errors import InputError
 from comparisons.front_end import FrontEndChoices, run_front_end
 from comparisons.logs.bundled import open_log
-from comparisons.logs.log import NO_LANDMARK, Landmarks, Log, Positions, Sightings
+from comparisons.logs.log import NO_LANDMARK, Landmarks, Log, Positions, Sightings, Truth
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry
 from comparisons.report.result import log_hash
 from comparisons.runs.ekf_build import EkfChoices
 from comparisons.runs.estimate import Estimate
 from comparisons.runs.motion import motion_between
+from comparisons.runs.scan_motion import run_scan_odometry
 from comparisons.solve import solve_log
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.kalman import FilterDivergedError
@@ -300,3 +302,26 @@ def test_logs_that_differ_in_their_scans_have_different_hashes() -> None:
 def test_the_smoother_alone_says_that_it_wants_odometry() -> None:
     with pytest.raises(InputError, match="holds no odometry"):
         solve_log(without_odometry(short()))
+
+
+def test_a_vehicle_that_stands_still_tells_nothing_of_increments() -> None:
+    log = with_positions(short())
+    motion = replace(run_scan_odometry(log), wheels=None)
+    check = check_increments(motion, replace(log, truth=Truth()))
+    assert check is not None
+    assert 0.3 < check.nees < 3.0
+    still = replace(motion, displacement=np.zeros_like(motion.displacement))
+    assert check_increments(still, replace(log, truth=Truth())) is None
+
+
+def test_increments_of_the_wheels_are_not_judged_as_those_of_scans() -> None:
+    log = with_positions(short())
+    motion = run_scan_odometry(log)
+    row = len(motion.time_s) // 2
+    bridged, moved = motion.bridged.copy(), motion.displacement.copy()
+    bridged[row], moved[row, 1] = True, 5.0
+    check = check_increments(
+        replace(motion, bridged=bridged, displacement=moved), replace(log, truth=Truth())
+    )
+    assert check is not None
+    assert check.nees < 3.0
