@@ -325,3 +325,19 @@ def test_increments_of_the_wheels_are_not_judged_as_those_of_scans() -> None:
     )
     assert check is not None
     assert check.nees < 3.0
+
+
+def test_a_stream_of_no_positions_cannot_be_fused() -> None:
+    nothing = Positions(np.zeros(0), np.zeros((0, 2)), np.zeros((0, 2, 2)))
+    with pytest.raises(InputError, match="holds no positions"):
+        run_front_end(replace(short(), positions=nothing), FrontEndChoices(gps="on"))
+
+
+def test_scans_between_relative_poses_are_named_by_their_time() -> None:
+    """Rows are counted among the scans that the odometry covers, which nobody knows."""
+    log = short()
+    assert log.scans is not None
+    times = log.scans.time_s[[10, 12, 14]]
+    poses = RelativePoses(times, np.ones((3, 3)), np.tile(np.eye(3), (3, 1, 1)))
+    with pytest.raises(InputError, match=f"scans: time {log.scans.time_s[0]} s is no pose's"):
+        run_front_end(replace(log, odometry=poses))
