@@ -19,6 +19,7 @@ from comparisons.front_end import FrontEndChoices, run_front_end
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import NO_LANDMARK, Landmarks, Log, Positions, Sightings, Truth
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry
+from comparisons.report.front_end_result import build_front_end_result
 from comparisons.report.result import log_hash
 from comparisons.runs.ekf_build import EkfChoices
 from comparisons.runs.estimate import Estimate
@@ -341,3 +342,24 @@ def test_scans_between_relative_poses_are_named_by_their_time() -> None:
     poses = RelativePoses(times, np.ones((3, 3)), np.tile(np.eye(3), (3, 1, 1)))
     with pytest.raises(InputError, match=f"scans: time {log.scans.time_s[0]} s is no pose's"):
         run_front_end(replace(log, odometry=poses))
+
+
+def test_what_was_left_out_is_told() -> None:
+    log = with_scans(short(), slice(10, 50))
+    odometry = log.odometry
+    assert isinstance(odometry, SteeringOdometry)
+    rows = odometry.time_s < 15.0
+    cut = replace(
+        odometry,
+        time_s=odometry.time_s[rows],
+        speed_mps=odometry.speed_mps[rows],
+        steering_rad=odometry.steering_rad[rows],
+    )
+    front_end = run_front_end(replace(log, odometry=cut))
+    remarks = build_front_end_result(front_end, 0.0).remarks
+    assert log.scans is not None
+    last_s = front_end.motion.time_s[-1]
+    scans = np.count_nonzero(log.scans.time_s > last_s)
+    seen = np.count_nonzero(log.sightings.time_s > last_s)
+    assert f"{scans} scans lie outside" in remarks[0]
+    assert f"{seen} sightings lie outside" in remarks[1]
