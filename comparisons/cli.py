@@ -227,10 +227,14 @@ def odometry(
         for name, value, known in (
             ("guess", guess, ("wheels", "none")),
             ("loop-closure", loops_closed, ("on", "off")),
-            ("cloud", cloud or "pcd", ("pcd", "ply")),
+            ("cloud", "pcd" if cloud is None else cloud, ("pcd", "ply")),
         ):
             if value not in known:
                 raise InputError(f"{name} '{value}' is unknown, expected {' or '.join(known)}")
+        if cloud is not None:
+            from graphslam.scan.open3d_library import open3d
+
+            open3d()  # where it is missing, say so before the work
         choices = FrontEndChoices(guess == "wheels", loops_closed == "on", gps, matcher)
         source, read_s = _read(log, format_name, robot, seed, loops, noise_scale, "log")
         folder = out or Path(f"slamcheck-odometry-{folder_name(source.name)}")

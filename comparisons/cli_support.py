@@ -58,7 +58,7 @@ def guarded() -> Iterator[None]:
         # Known by name, so that their modules need not be loaded for every command.
         if type(error).__name__ == "SingularProblemError":
             fail(f"unproven: {error}", UNPROVEN)
-        if type(error).__name__ == "Open3dMissingError":
+        if type(error).__name__ in ("Open3dMissingError", "CloudError"):
             fail(str(error), UNUSABLE)
         raise
 

@@ -15,7 +15,7 @@ from comparisons.checks.association import AssociationScore, score_association
 from comparisons.checks.attribution import ROUNDING, Verdict, judge
 from comparisons.checks.model_differences import model_differences
 from comparisons.checks.own_association import OwnAssociationCheck, check_own_association
-from comparisons.checks.three_way import ThreeWay, compare_maps, find_culprit
+from comparisons.checks.three_way import ThreeWay, compare_maps, find_culprit, readable
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
 from comparisons.runs.ekf_build import EkfChoices, fused_positions, judging_positions
@@ -94,21 +94,21 @@ def compare_estimators(
     if motion not in MOTIONS:
         raise InputError(f"motion '{motion}' is unknown, expected one of {', '.join(MOTIONS)}")
     clock = _Clock()
-    scanned = None
-    if motion != "wheel":
-        with clock.stage("scan odometry"):
-            scanned = run_scan_odometry(log, progress=lambda k, n: progress("scan odometry", k, n))
+    chosen = (choices or EkfChoices()).settle(log)
+    log = join_known_sightings(log)
     if not len(log.sightings.time_s):
         raise InputError(
             f"{log.name}: holds no sightings of landmarks (try --features trees, or "
             "slamcheck odometry for its scans)"
         )
-    chosen = (choices or EkfChoices()).settle(log)
+    if motion != "scan" and not len(log.odometry.time_s):
+        raise InputError(f"{log.name}: holds no odometry; use --motion scan")
+    scanned = None
+    if motion != "wheel":
+        with clock.stage("scan odometry"):
+            scanned = run_scan_odometry(log, progress=lambda k, n: progress("scan odometry", k, n))
     if motion == "scan" and scanned is not None:
         log = with_scan_motion(log, scanned, positions=chosen.gps != "off")
-    elif not len(log.odometry.time_s):
-        raise InputError(f"{log.name}: holds no odometry; use --motion scan")
-    log = join_known_sightings(log)
     positions = fused_positions(log, chosen)
     timeline = build_timeline(log, positions)
     with clock.stage("ekf"):
@@ -207,15 +207,23 @@ def _with_scans(
     closer = RegistrationLoopCloser(loop_matcher())
     scans = smooth_on_scans(log, motion, run, closer, SmootherOptions())
     accuracy = assess(scans.estimate, judged, labelled=False)
-    culprit, evidence = find_culprit(
-        wheels.proof, scans.result.proof, assess(smoothed, judged, labelled=False), accuracy
-    )
+    ekf, smoother = (compare_maps(own, scans.estimate) for own in (run.estimate, smoothed))
+    proof = readable(scans.result)
+    culprit, evidence = "", "the maps agree"
+    if not (ekf.agrees and smoother.agrees):
+        culprit, evidence = find_culprit(
+            readable(wheels),
+            proof,
+            assess(smoothed, judged, labelled=False),
+            accuracy,
+        )
     return ThreeWay(
         scans.estimate,
         scans.result.proof,
+        proof.chi_square,
         accuracy,
-        compare_maps(run.estimate, scans.estimate),
-        compare_maps(smoothed, scans.estimate),
+        ekf,
+        smoother,
         scans.loops,
         culprit,
         evidence,

@@ -7,17 +7,17 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from comparisons.checks.accuracy import Accuracy, assess, assess_trajectory
 from comparisons.checks.scan_increments import IncrementCheck, check_increments
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
+from comparisons.logs.odometry import RelativePoses
 from comparisons.runs.ekf_build import EkfChoices, fused_positions, judging_positions
 from comparisons.runs.estimate import Array, Estimate
-from comparisons.runs.known_landmarks import join_known_sightings, slots_by_label
+from comparisons.runs.known_landmarks import SURVEYED, join_known_sightings, slots_by_label
 from comparisons.runs.motion import motion_between
-from comparisons.runs.scan_log import with_scan_motion
+from comparisons.runs.scan_log import chosen_sightings, divide, sightings_kept, with_scan_motion
 from comparisons.runs.scan_motion import ScanMotion, run_scan_odometry
 from comparisons.runs.scan_source import CloudsAt
 from comparisons.runs.smoother_run import assemble, position_rows, smoothed_estimate
@@ -57,7 +57,8 @@ class FrontEnd:
 
     motion: scan odometry, chained from its own origin. odometry, wheels: (K, 3) poses at time_s by
     scan odometry and by the wheels alone, from the log's prior; wheels None without odometry.
-    graph: the smoothed scan pose graph; estimate: its trajectory, and landmarks if labelled.
+    graph: the smoothed scan pose graph; estimate: its trajectory, and landmarks if labelled or
+    surveyed.
     """
 
     log: Log
@@ -102,10 +103,11 @@ def run_front_end(
     )
     seconds["odometry"] = time.perf_counter() - start
     start = time.perf_counter()
-    scanned = with_scan_motion(log, motion, positions=choices.gps != "off")
+    named = _with_named_sightings(log, motion, labelled=labelled)
+    scanned = with_scan_motion(named, motion, positions=choices.gps != "off")
     positions = fused_positions(scanned, given)
     timeline = build_timeline(scanned, positions)
-    slot, ids = slots_by_label(scanned) if labelled else _unused(scanned)
+    slot, ids = slots_by_label(scanned)
     rows = position_rows(timeline, positions)
     problem = assemble(scanned, timeline, slot, len(ids), *rows)
     clouds = motion.clouds(timeline.epoch_time_s)
@@ -126,9 +128,9 @@ def run_front_end(
     odometry = dead_reckoned(problem.prior_pose, problem.increment)
     wheels = None
     if len(log.odometry.time_s):
-        driven = motion_between(log, timeline.epoch_time_s[1:]).displacement
-        wheels = dead_reckoned(problem.prior_pose, driven)
-    judged = replace(log, positions=judging_positions(log, given))
+        wheels = dead_reckoned(problem.prior_pose, _driven(log, motion, timeline.epoch_time_s))
+    # Fused ones are counted among those that the scans reach.
+    judged = replace(log, positions=judging_positions(scanned if positions else log, given))
     return FrontEnd(
         log,
         choices,
@@ -148,6 +150,23 @@ def run_front_end(
     )
 
 
-def _unused(log: Log) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
-    """Slots of sightings that name no landmark, and no ids."""
-    return np.full(len(log.sightings.time_s), -1, dtype=np.intp), np.zeros(0, dtype=np.int64)
+def _driven(log: Log, motion: ScanMotion, time_s: Array) -> Array:
+    """(K - 1, 3) by the wheels between times (K,), all those of the scans among them.
+
+    Relative poses are known at the scans, but not in between, where the motion is taken as even.
+    """
+    if not isinstance(log.odometry, RelativePoses):
+        return motion_between(log, time_s[1:]).displacement
+    knots = np.union1d(time_s[:1], motion.time_s)
+    return divide(motion_between(log, knots[1:]), knots, time_s).displacement
+
+
+def _with_named_sightings(log: Log, motion: ScanMotion, *, labelled: bool) -> Log:
+    """The log with the sightings that the graph can use, which may be none.
+
+    Those of surveyed landmarks name theirs, and all others do when the log is labelled.
+    """
+    named = np.full(len(log.sightings.time_s), labelled) | (log.sightings.landmark >= SURVEYED)
+    if not (named & sightings_kept(log, motion)).any():
+        named[:] = False
+    return replace(log, sightings=chosen_sightings(log.sightings, named))

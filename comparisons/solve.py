@@ -62,6 +62,8 @@ def solve_log(
     name = association or ("known" if log.sightings.labelled else "own")
     if name not in ("known", "own"):
         raise InputError(f"association '{name}' is unknown, expected known or own")
+    if not len(log.odometry.time_s):
+        raise InputError(f"{log.name}: holds no odometry; use slamcheck odometry for its scans")
     given = EkfChoices(association="known" if name == "known" else "nn", gps=gps).settle(log)
     log = join_known_sightings(log)
     positions = fused_positions(log, given)

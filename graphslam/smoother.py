@@ -170,7 +170,8 @@ def smooth(
         graph = build_graph(problem)
         problem, rejected = reject_wild(problem, graph, track(problem, graph)[0])
     graph = build_graph(problem, options.kernel)
-    weighted = options.kernel != "none" or problem.closures.kernel != "none"
+    closed = problem.closures
+    weighted = options.kernel != "none" or (len(closed.first) > 0 and closed.kernel != "none")
     seen = np.union1d(problem.sighting_landmark, np.arange(len(problem.surveyed)))
     attempts: list[tuple[Start, gtsam.Values]] = []
 

@@ -76,7 +76,8 @@ def judge(
     disagreement whatever the smoother found, for it compares the filter with linear algebra.
     Otherwise an unproven optimum gives no verdict at all. robust: how the smoother meets wild
     observations. own: the smoother with its own association; when its last pose is another, the
-    associations differ in what matters. three_way: the smoother on scans, when asked for.
+    associations differ in what matters. three_way: the smoother on scans, when asked for; it is
+    heard when its own optimum is proven.
     """
     causes: list[Cause] = []
     algebra = agreement.algebra
@@ -113,10 +114,12 @@ def judge(
         if own is not None and own.proof.proven and not block_agrees(own.pose):
             outcome = "disagree"
             causes.append(_association(own))
-        if three_way is not None and not three_way.ekf.agrees:
+        if three_way is not None and three_way.proof.proven and not three_way.ekf.agrees:
             outcome = "disagree"
             causes.append(_motion(three_way))
     remarks = _remarks(proof, run)
+    if three_way is not None:
+        remarks += _remarks_on_scans(three_way)
     if robust in ("huber", "cauchy"):
         remarks.append(
             f"the smoother's {robust} kernel lowers the weight of what fits badly: its covariances "
@@ -190,6 +193,18 @@ def _motion(three_way: ThreeWay) -> Cause:
         f"{len(pair.distance_sigma)} landmarks beyond their 99 % region; {three_way.evidence}",
         hint,
     )
+
+
+def _remarks_on_scans(three_way: ThreeWay) -> list[str]:
+    remarks, test = [], three_way.chi_square
+    if not three_way.proof.proven:
+        remarks.append("the smoother on scans is unproven, so its map has no say in the verdict")
+    if test.reading == "too high":
+        remarks.append(
+            f"on scans, chi-square {test.chi2:.0f} for {test.dof} degrees of freedom is too high: "
+            "the increments are surer than they may be, or scans and sightings contradict"
+        )
+    return remarks
 
 
 def _unproven(proof: Proof) -> Cause:

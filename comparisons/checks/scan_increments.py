@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 WINDOW_S = 5.0
 """Increments are judged by positions over windows of this length."""
 _LEAST_FIXES = 4
+_LEAST_SPREAD_M = 1e-3
+"""Places closer together give a window no heading."""
 _WIDEST = 5.0
 """Largest factor looked for, as a logarithm."""
 
@@ -89,7 +91,8 @@ def _by_positions(motion: ScanMotion, fixes: Positions) -> IncrementCheck | None
     """Windows of increments, each laid onto its own positions, so that nothing else matters.
 
     The covariance of a window's places is what the increments and the positions say; the window's
-    own pose, three unknowns, is fitted with it.
+    own pose, three unknowns, is fitted with it. Windows with motion that is not the scans', and
+    those in which the vehicle stood still, tell nothing.
     """
     windows = []
     edges = np.arange(motion.time_s[0], motion.time_s[-1], WINDOW_S)
@@ -97,9 +100,11 @@ def _by_positions(motion: ScanMotion, fixes: Positions) -> IncrementCheck | None
         rows = np.flatnonzero((fixes.time_s >= begin) & (fixes.time_s < begin + WINDOW_S))
         rows = rows[(fixes.time_s[rows] >= motion.time_s[0])]
         rows = rows[(fixes.time_s[rows] <= motion.time_s[-1])]
-        if len(rows) >= _LEAST_FIXES:
-            windows.append(_Window(motion, fixes.time_s[rows], fixes.position_m[rows],
-                                   fixes.covariance[rows], fixes.antenna_m))  # fmt: skip
+        if len(rows) >= _LEAST_FIXES and not _bridged(motion, fixes.time_s[rows]):
+            window = _Window(motion, fixes.time_s[rows], fixes.position_m[rows],
+                             fixes.covariance[rows], fixes.antenna_m)  # fmt: skip
+            if window.spread_m > _LEAST_SPREAD_M:
+                windows.append(window)
     if not windows:
         return None
     dof = sum(window.dof for window in windows)
@@ -109,10 +114,21 @@ def _by_positions(motion: ScanMotion, fixes: Positions) -> IncrementCheck | None
         own, fix = np.exp(2.0 * np.clip(log_factors, -_WIDEST, _WIDEST))
         return -sum(window.likelihood(own, fix)[1] for window in windows)
 
-    best = np.exp(minimize(surprise, np.zeros(2), method="Nelder-Mead").x)
+    found = minimize(surprise, np.zeros(2), method="Nelder-Mead").x
+    best = np.exp(np.clip(found, -_WIDEST, _WIDEST))
     return IncrementCheck(
         "positions", plain, dof, _band(dof), float(best[0]), reference_factor=float(best[1])
     )
+
+
+def _steps(motion: ScanMotion, time_s: Array) -> slice:
+    """The increments that span times (n,)."""
+    first = int(np.searchsorted(motion.time_s, time_s[0], side="right")) - 1
+    return slice(first + 1, int(np.searchsorted(motion.time_s, time_s[-1], side="left")) + 1)
+
+
+def _bridged(motion: ScanMotion, time_s: Array) -> bool:
+    return bool(motion.bridged[_steps(motion, time_s)].any())
 
 
 class _Window:
@@ -126,13 +142,10 @@ class _Window:
         covariance: Array,
         antenna_m: tuple[float, float],
     ) -> None:
-        first = int(np.searchsorted(motion.time_s, time_s[0], side="right")) - 1
-        last = int(np.searchsorted(motion.time_s, time_s[-1], side="left"))
-        knots = motion.time_s[first : last + 1]
+        steps = _steps(motion, time_s)
+        knots = motion.time_s[steps.start - 1 : steps.stop]
         times = np.unique(np.concatenate((knots, time_s)))
-        whole = Samples(
-            motion.displacement[first + 1 : last + 1], motion.covariance[first + 1 : last + 1]
-        )
+        whole = Samples(motion.displacement[steps], motion.covariance[steps])
         pieces = divide(whole, knots, times)
         path = dead_reckoned(np.zeros(3), pieces.displacement)
         at = np.searchsorted(times, time_s)
@@ -152,6 +165,7 @@ class _Window:
         gauge[0::2, 2], gauge[1::2, 2] = -centred[:, 1], centred[:, 0]
         self._gauge = gauge
         self.dof = 2 * len(at) - 3
+        self.spread_m = float(np.sqrt(np.mean(np.sum(centred**2, axis=1))))
 
     def likelihood(self, own_factor: float, fix_factor: float) -> tuple[float, float]:
         """Squared normalised residual, and logarithm of the restricted likelihood.

@@ -202,7 +202,10 @@ class Log:
         object.__setattr__(self, "name", printable(self.name))
         texts = {printable(k): printable(v) for k, v in self.provenance.items()}
         object.__setattr__(self, "provenance", texts)
-        start, scanned = self.prior.time_s, self.scans is not None or self.clouds is not None
+        start, scanned = (
+            self.prior.time_s,
+            any(s is not None and len(s.time_s) for s in (self.scans, self.clouds)),
+        )
         for stream, times in (
             ("odometry", self.odometry.time_s),
             ("sightings", self.sightings.time_s),
@@ -225,10 +228,11 @@ class Log:
     @property
     def end_s(self) -> float:
         """Time of the last odometry or sighting, or of the last scan where there are neither."""
+        streams: tuple[Odometry | Sightings | Scans | Clouds | None, ...]
         streams = (self.odometry, self.sightings)
-        if not any(len(s.time_s) for s in streams):
-            return max(float(s.time_s[-1]) for s in (self.scans, self.clouds) if s is not None)
-        return max(float(s.time_s[-1]) for s in streams if len(s.time_s))
+        if not any(len(s.time_s) for s in streams if s is not None):
+            streams = (self.scans, self.clouds)
+        return max(float(s.time_s[-1]) for s in streams if s is not None and len(s.time_s))
 
     @property
     def duration_s(self) -> float:

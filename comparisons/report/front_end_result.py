@@ -22,6 +22,7 @@ from comparisons.report.models import (
 )
 from comparisons.report.result import log_result, package_versions, smoother_result
 from comparisons.report.summary import add_accuracy, add_log, add_smoother
+from comparisons.runs.scan_log import sightings_kept
 
 
 def build_front_end_result(front_end: FrontEnd, read_s: float) -> FrontEndResult:
@@ -115,6 +116,14 @@ def _increments(i: IncrementResult) -> str:
 
 def _remarks(f: FrontEnd) -> list[str]:
     remarks = []
+    stream = f.log.clouds if f.log.scans is None else f.log.scans
+    beyond = 0 if stream is None else len(stream.time_s) - len(f.motion.source.row)
+    if beyond:
+        remarks.append(f"{beyond} scans lie outside the time of the odometry and were left out")
+    seen = f.log.sightings
+    beyond = int(np.count_nonzero(~sightings_kept(f.log, f.motion))) if seen.labelled else 0
+    if beyond:
+        remarks.append(f"{beyond} sightings lie outside the time of the scans and were left out")
     if f.motion.failures:
         remarks.append(
             f"{len(f.motion.failures)} scans gave no increment; the first, row "

@@ -177,20 +177,24 @@ class MapPairResult(_Model):
 
     rms_m: float
     rms_aligned_m: float
-    distance_sigma_median: float
+    distance_sigma_median: float | None
     outside: int
     landmarks: int
     agrees: bool
 
 
 class ThreeWayResult(_Model):
-    """EKF and smoother on wheels, each against the smoother on scans."""
+    """EKF and smoother on wheels, each against the smoother on scans.
+
+    chi2: with closures under their robust kernel, which only lowers it.
+    """
 
     ekf: MapPairResult
     smoother: MapPairResult
     loops: int
     proven: bool
     chi2: float
+    dof: int
     accuracy: AccuracyResult | None
     culprit: str
     evidence: str

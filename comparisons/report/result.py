@@ -112,9 +112,9 @@ def smoother_result(result: smoother.SmootherResult) -> SmootherResult:
 
 
 def log_hash(log: Log) -> str:
-    """SHA-256 of everything that an estimator may be given: all streams but scans and truth."""
+    """SHA-256 of everything that an estimator may be given: all streams but truth."""
     digest = hashlib.sha256()
-    records = (
+    records: tuple[object, ...] = (
         log.prior,
         log.odometry,
         log.sightings,
@@ -122,7 +122,7 @@ def log_hash(log: Log) -> str:
         log.known_landmarks,
         log.known_sightings,
     )
-    for record in records:
+    for record in records + tuple(s for s in (log.scans, log.clouds) if s is not None):
         if record is None:
             digest.update(b"absent")
             continue
@@ -212,7 +212,7 @@ def _three_way(three: ThreeWay | None) -> ThreeWayResult | None:
         return MapPairResult(
             rms_m=p.rms_m,
             rms_aligned_m=p.rms_aligned_m,
-            distance_sigma_median=float(np.median(p.distance_sigma)),
+            distance_sigma_median=_finite(float(np.median(p.distance_sigma))),
             outside=p.outside,
             landmarks=len(p.distance_sigma),
             agrees=p.agrees,
@@ -223,7 +223,8 @@ def _three_way(three: ThreeWay | None) -> ThreeWayResult | None:
         smoother=pair(three.smoother),
         loops=three.loops,
         proven=three.proof.proven,
-        chi2=three.proof.chi_square.chi2,
+        chi2=three.chi_square.chi2,
+        dof=three.chi_square.dof,
         accuracy=None if three.accuracy is None else AccuracyResult(**vars(three.accuracy)),
         culprit=three.culprit,
         evidence=three.evidence,

@@ -59,7 +59,7 @@ class EkfChoices:
             raise InputError(f"filter '{self.filter}' is unknown, expected {_either(FILTERS)}")
         if self.gps not in GPS:
             raise InputError(f"gps '{self.gps}' is unknown, expected {_either(GPS)}")
-        if self.gps != "off" and log.positions is None:
+        if self.gps != "off" and (log.positions is None or not len(log.positions.time_s)):
             raise InputError(f"{log.name}: holds no positions to fuse; use --gps off")
         name = self.association
         if name is None:

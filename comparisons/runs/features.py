@@ -11,6 +11,8 @@ from comparisons.logs.log import NO_LANDMARK, Log, Sightings
 from comparisons.logs.scans import Scans
 from comparisons.runs.motion import motion_between
 from ekf_reference.tree_detection import ROUNDNESS, TreeTracker
+from graphslam.scan import planar
+from graphslam.scan.points import planar_points
 
 FEATURES = ("log", "trees")
 SIGMA_BEARING_RAD = np.deg2rad(1.0)
@@ -30,7 +32,8 @@ def choose_features(log: Log, name: str) -> Log:
 def with_tree_sightings(log: Log, scans: Scans) -> Log:
     """Range, bearing and diameter of tracked trunks (Guivant 2002, section 3.1).
 
-    The vehicle's motion between scans, which the tracks need, is dead reckoned.
+    The vehicle's motion between scans, which the tracks need, is dead reckoned. Trunks are found
+    and followed in the scanner's frame, and told in the vehicle's.
     """
     if not len(log.odometry.time_s):
         raise InputError(f"{log.name}: holds no odometry, which following trunks needs")
@@ -39,12 +42,16 @@ def with_tree_sightings(log: Log, scans: Scans) -> Log:
     tracker = TreeTracker()
     parts = []
     motion = motion_between(log, scans.time_s[rows]).displacement
-    for row, moved in zip(rows.tolist(), motion, strict=True):
+    mount = np.array(list(vars(scans.mount).values()))
+    for row, driven in zip(rows.tolist(), motion, strict=True):
+        moved = planar.between(mount, planar.compose(driven, mount))
         trunks = tracker.detect(scans.angle_rad, scans.range_m[row], moved)
         sigma = np.hypot(tracker.model.sigma_range_m, ROUNDNESS * np.sqrt(trunks.diameter_variance))
         count = len(trunks.track)
         time = np.full(count, scans.time_s[row])
-        parts.append((time, trunks.range_m, trunks.bearing_rad, sigma, trunks.diameter_m))
+        place = planar_points(trunks.bearing_rad, trunks.range_m, mount)
+        distance, bearing = np.hypot(*place.T[:2]), np.arctan2(place[:, 1], place[:, 0])
+        parts.append((time, distance, bearing, sigma, trunks.diameter_m))
     if not sum(len(part[0]) for part in parts):
         raise InputError(f"{log.name}: no trunks in its scans")
     time, distance, bearing, sigma, diameter = (

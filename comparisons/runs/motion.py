@@ -51,7 +51,7 @@ def motion_between(log: Log, time_s: Array) -> increments.Samples:
     try:
         timeline = build_timeline(replace(log, sightings=marks))
     except RecordError as error:
-        raise InputError(f"{log.name}: scans, row {error.row}: {error.fault}") from None
+        raise InputError(f"{log.name}: scans: {error.fault}") from None
     interval = np.searchsorted(timeline.sighting_epoch, timeline.step_epoch)
     before_last = interval < count
     samples = motion_samples(log, timeline)

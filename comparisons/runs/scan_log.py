@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from comparisons.errors import InputError
 from comparisons.logs.log import Array, Log, Positions, Prior, Sightings
 from comparisons.logs.odometry import RelativePoses
+from comparisons.runs.known_landmarks import join_known_sightings
 from comparisons.runs.motion import motion_between
 from comparisons.runs.scan_motion import ScanMotion
 from graphslam.increments import Samples
@@ -24,8 +25,10 @@ def with_scan_motion(log: Log, motion: ScanMotion, *, positions: bool = False) -
     A pose for every scan and for every sighting in between, and, when asked, for every position:
     there the increment is divided as if the vehicle had moved evenly. The first scan is reached
     by the wheels; without them the prior holds there. What was seen before the first scan or
-    after the last is left out. Raises InputError where no sighting is left.
+    after the last is left out; sightings of surveyed landmarks have joined the others. Raises
+    InputError where no sighting is left.
     """
+    log = join_known_sightings(log)
     start = float(motion.time_s[0])
     prior, lead = log.prior, None
     begin = _begin(log, motion)
@@ -58,20 +61,17 @@ def with_scan_motion(log: Log, motion: ScanMotion, *, positions: bool = False) -
         log,
         prior=prior,
         odometry=RelativePoses(times[1:], pieces.displacement, spread),
-        sightings=_rows(log.sightings, seen),
-        known_sightings=None
-        if log.known_sightings is None
-        else _rows(
-            log.known_sightings,
-            np.isin(log.known_sightings.time_s, times),
-        ),
+        sightings=chosen_sightings(log.sightings, seen),
         positions=fixes,
         provenance=provenance,
     )
 
 
 def sightings_kept(log: Log, motion: ScanMotion) -> NDArray[np.bool_]:
-    """(M,) which sightings fall between where the motion begins and the last scan."""
+    """(M,) which sightings fall between where the motion begins and the last scan.
+
+    Those of surveyed landmarks must have joined the others.
+    """
     time_s = log.sightings.time_s
     kept: NDArray[np.bool_] = (time_s >= _begin(log, motion)) & (time_s <= motion.time_s[-1])
     return kept
@@ -116,7 +116,8 @@ def _exponential(tangent: Array) -> Array:
     return np.column_stack((along * x - across * y, across * x + along * y, turn))
 
 
-def _rows(seen: Sightings, rows: NDArray[np.bool_]) -> Sightings:
+def chosen_sightings(seen: Sightings, rows: NDArray[np.bool_]) -> Sightings:
+    """Those in the rows (M,)."""
     return replace(
         seen,
         time_s=seen.time_s[rows],

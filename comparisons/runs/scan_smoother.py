@@ -8,9 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from comparisons.errors import InputError
-from comparisons.logs.log import Log
+from comparisons.logs.log import Log, Positions
 from comparisons.runs.ekf_run import EkfRun
 from comparisons.runs.estimate import Estimate
+from comparisons.runs.known_landmarks import surveyed
 from comparisons.runs.scan_log import sightings_kept, with_scan_motion
 from comparisons.runs.scan_motion import ScanMotion
 from comparisons.runs.smoother_run import assemble, position_rows, smoothed_estimate
@@ -32,17 +33,23 @@ def smooth_on_scans(
 ) -> ScanSmoother:
     """Solve with the scans' motion and the EKF's association. Raises InputError.
 
-    Landmarks that were only seen outside the time of the scans are left out. Positions are fused
-    when the filter fused them.
+    Landmarks that were only seen outside the time of the scans are left out, but for surveyed
+    ones. The positions are those that the filter fused. Sightings after a breakdown of the filter
+    have no association and only mark poses.
     """
-    scanned = with_scan_motion(log, motion, positions=run.positions is not None)
-    positions = None if run.positions is None else scanned.positions
+    log = replace(log, positions=_fused(run))
+    scanned = with_scan_motion(log, motion, positions=True)
+    positions = scanned.positions
     timeline = build_timeline(scanned, positions)
-    slot = run.slot[sightings_kept(log, motion)]
+    kept = sightings_kept(log, motion)
+    slot = np.full(len(kept), -1, dtype=np.intp)
+    slot[: len(run.slot)] = run.slot
+    slot = slot[kept]
     used = np.unique(slot[slot >= 0])
     if not len(used):
         raise InputError(f"{log.name}: no landmark was seen while scans were taken")
-    compact = np.full(int(run.slot.max()) + 1, -1, dtype=np.intp)
+    used = np.union1d(used, np.arange(len(surveyed(log)[1])))
+    compact = np.full(len(run.estimate.landmark), -1, dtype=np.intp)
     compact[used] = np.arange(len(used))
     slot = np.where(slot >= 0, compact[slot], -1)
     rows = position_rows(timeline, positions)
@@ -52,3 +59,13 @@ def smooth_on_scans(
     ids = run.estimate.landmark_id[used]
     estimate = smoothed_estimate(result, timeline.epoch_time_s, ids, "the EKF's")
     return ScanSmoother(result, estimate, len(closed.closures.first))
+
+
+def _fused(run: EkfRun) -> Positions | None:
+    """The positions that the filter was given and accepted."""
+    given, rows = run.positions, run.fix_number
+    if given is None or not len(rows):
+        return None
+    return Positions(
+        given.time_s[rows], given.position_m[rows], given.covariance[rows], given.antenna_m
+    )

@@ -22,23 +22,22 @@ Index = NDArray[np.intp]
 
 
 class ScanSource:
-    """The scans of a log that its odometry covers, or all of them where there is none.
+    """The scans of a log that its odometry covers; without odometry, all since the prior's time.
 
     row: (N,) of each in the log's stream. time_s: (N,).
     """
 
     def __init__(self, log: Log) -> None:
-        """Raises InputError when the log has no scans, or none within the time of its odometry."""
+        """Raises InputError when the log has no scans, or none in the log's time."""
         stream = log.clouds if log.scans is None else log.scans
-        if stream is None:
+        if stream is None or not len(stream.time_s):
             raise InputError(f"{log.name}: holds no scans")
         self._stream = stream
         self.wheeled = len(log.odometry.time_s) > 0
-        self.row = np.arange(len(stream.time_s))
-        if self.wheeled:
-            self.row = _covered(log, stream.time_s)
+        self.row = _covered(log, stream.time_s)
         if not len(self.row):
-            raise InputError(f"{log.name}: no scan lies within the time of the odometry")
+            span = "within the time of the odometry" if self.wheeled else "after the prior's time"
+            raise InputError(f"{log.name}: no scan lies {span}")
         self.time_s = stream.time_s[self.row]
         self._sweep = _sweep_motion(log, stream, self.row) if self.wheeled else None
 
@@ -91,7 +90,9 @@ def scan_points(stream: Scans | Clouds, row: int, sweep: Array | None = None) ->
 
 
 def _covered(log: Log, time_s: Array) -> Index:
-    inside = (time_s >= log.prior.time_s) & (time_s <= log.odometry.time_s[-1])
+    inside = time_s >= log.prior.time_s
+    if len(log.odometry.time_s):
+        inside &= time_s <= log.odometry.time_s[-1]
     return np.flatnonzero(inside)
 
 

@@ -116,8 +116,8 @@ class RegistrationLoopCloser:
             before = len(found)
             result = smooth(replace(problem, closures=self._closures(found)), {})
             belief = _Belief(result, keyframes)
-            for number, later in enumerate(range(len(keyframes))):
-                self._progress(number, len(keyframes))
+            for later in range(len(keyframes)):
+                self._progress(later, len(keyframes))
                 for earlier in self._candidates(problem, belief, later):
                     pair = (int(keyframes[earlier]), int(keyframes[later]))
                     expected, spread = belief.relative(earlier, later)

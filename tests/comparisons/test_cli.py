@@ -216,3 +216,13 @@ def test_help_imports_nothing_heavy(arguments: list[str], tmp_path: Path) -> Non
     )
     done = python(code, tmp_path)
     assert done.returncode == 0, done.stderr
+
+
+def test_a_cloud_that_cannot_be_written_is_told_of_before_the_work(tmp_path: Path) -> None:
+    without = "import sys; sys.modules['open3d'] = None; from comparisons.cli import main; main()"
+    done = python(without, tmp_path, "odometry", "no-such-log", "--cloud", "pcd")
+    assert done.returncode == 2
+    assert "Open3D is not installed" in done.stderr
+    done = slamcheck("odometry", "no-such-log", "--cloud", "", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "cloud '' is unknown" in done.stderr

@@ -12,14 +12,15 @@ from comparisons.compare import compare_estimators
 from comparisons.errors import InputError
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
-from comparisons.logs.scans import Scans
+from comparisons.logs.scans import Mount, Scans
 from comparisons.runs.ekf_build import EkfChoices
 from comparisons.runs.features import choose_features
+from graphslam.scan import planar
 from tests.ekf_reference.test_tree_detection import ANGLES, scan_of
 from tests.helpers import simulated
 
 
-def with_scans(log: Log) -> Log:
+def with_scans(log: Log, mount: Mount = Mount()) -> Log:  # noqa: B008 - frozen
     """Scans of trunks, 0.4 m thick, where the landmarks stand."""
     truth = log.truth
     assert truth.poses is not None
@@ -28,8 +29,10 @@ def with_scans(log: Log) -> Log:
     places = truth.landmarks.position_m
     trunks = np.column_stack((places, np.full(len(places), 0.4)))
     rows = np.arange(8, len(truth.poses.time_s), 8)
-    ranges = np.array([scan_of(trunks, truth.poses.pose[k], 0.02, rng) for k in rows])
-    scans = Scans(truth.poses.time_s[rows], ANGLES, ranges, np.zeros_like(ranges))
+    place = np.array(list(vars(mount).values()))
+    scanner = [planar.compose(truth.poses.pose[k], place) for k in rows]
+    ranges = np.array([scan_of(trunks, pose, 0.02, rng) for pose in scanner])
+    scans = Scans(truth.poses.time_s[rows], ANGLES, ranges, np.zeros_like(ranges), mount)
     return replace(log, scans=scans)
 
 
@@ -45,6 +48,14 @@ def test_trunks_become_landmarks_with_their_diameters() -> None:
     assert c.accuracy_smoother.landmarks_found == 60
     assert c.accuracy_smoother.landmark_rmse_aligned_m is not None
     assert c.accuracy_smoother.landmark_rmse_aligned_m < 0.05
+
+
+def test_trunks_are_told_from_the_vehicle_wherever_its_scanner_sits() -> None:
+    log = choose_features(with_scans(simulated(seed=1), Mount(1.5, -0.4, 0.3)), "trees")
+    c = compare_estimators(log, EkfChoices(association="nn"))
+    assert c.accuracy_smoother is not None
+    assert c.accuracy_smoother.ate_aligned_m is not None
+    assert c.accuracy_smoother.ate_aligned_m < 0.05
 
 
 def test_car_park_by_tree_features(shared_data: Path) -> None:

@@ -1,0 +1,365 @@
+"""Logs at the edge of what the scan front end and the run on scans can serve."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from comparisons.checks.attribution import judge
+from comparisons.checks.scan_increments import check_increments
+from comparisons.checks.three_way import compare_maps
+from comparisons.compare import Comparison, compare_estimators
+from comparisons.errors import InputError
+from comparisons.front_end import FrontEndChoices, run_front_end
+from comparisons.logs.bundled import open_log
+from comparisons.logs.log import NO_LANDMARK, Landmarks, Log, Positions, Sightings, Truth
+from comparisons.logs.odometry import RelativePoses, SteeringOdometry
+from comparisons.report.front_end_result import build_front_end_result
+from comparisons.report.result import log_hash
+from comparisons.runs.ekf_build import EkfChoices
+from comparisons.runs.estimate import Estimate
+from comparisons.runs.motion import motion_between
+from comparisons.runs.scan_motion import run_scan_odometry
+from comparisons.solve import solve_log
+from ekf_reference.full_ekf import FullEkf
+from ekf_reference.kalman import FilterDivergedError
+from graphslam.optimum import Stationarity
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_END_S = 25.0
+_SADDLE = Stationarity(0.0, definite=False)
+
+
+@cache
+def short() -> Log:
+    """The beginning of the simulated loop with scans."""
+    log = open_log("scan-loop")
+    odometry = log.odometry
+    assert isinstance(odometry, SteeringOdometry)
+    assert log.scans is not None
+    rows = odometry.time_s <= _END_S
+    return with_scans(
+        replace(
+            log,
+            odometry=replace(
+                odometry,
+                time_s=odometry.time_s[rows],
+                speed_mps=odometry.speed_mps[rows],
+                steering_rad=odometry.steering_rad[rows],
+            ),
+            sightings=picked(log.sightings, log.sightings.time_s <= _END_S),
+        ),
+        log.scans.time_s <= _END_S - 1.0,
+    )
+
+
+def with_scans(log: Log, rows: Mask | slice) -> Log:
+    """Some of the scans only."""
+    s = log.scans
+    assert s is not None
+    scans = replace(s, time_s=s.time_s[rows], range_m=s.range_m[rows], intensity=s.intensity[rows])
+    return replace(log, scans=scans)
+
+
+def picked(seen: Sightings, rows: Mask) -> Sightings:
+    """Some of the sightings only."""
+    columns = {n: v[rows] for n, v in vars(seen).items() if isinstance(v, np.ndarray)}
+    return replace(seen, **columns)  # type: ignore[arg-type]
+
+
+def without_odometry(log: Log) -> Log:
+    """Scans are all that tells of motion."""
+    nothing = RelativePoses(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3, 3)))
+    return replace(log, odometry=nothing)
+
+
+def with_positions(log: Log, first_s: float = 0.0) -> Log:
+    """A position every 0.4 s, at none of the scans' instants, 0.1 m of noise each."""
+    poses = log.truth.poses
+    assert poses is not None
+    time_s = np.arange(first_s + 0.013, _END_S, 0.4)
+    place = np.column_stack([np.interp(time_s, poses.time_s, poses.pose[:, i]) for i in (0, 1)])
+    noise = np.random.default_rng(3).normal(0.0, 0.1, place.shape)
+    covariance = np.tile(0.01 * np.eye(2), (len(time_s), 1, 1))
+    return replace(log, positions=Positions(time_s, place + noise, covariance))
+
+
+def with_surveyed(log: Log) -> Log:
+    """Every third landmark is surveyed, and seen 13 ms after the others; some are never seen."""
+    table, seen = log.truth.landmarks, log.sightings
+    assert table is not None
+    ids = table.id[::3]
+    own = np.isin(seen.landmark, ids)
+    assert not np.isin(ids, seen.landmark).all()
+    known = picked(seen, own)
+    return replace(
+        log,
+        sightings=picked(seen, ~own),
+        known_sightings=replace(known, time_s=known.time_s + 0.013),
+        known_landmarks=Landmarks(
+            ids, table.position_m[::3], np.tile(1e-4 * np.eye(2), (len(ids), 1, 1))
+        ),
+    )
+
+
+def three_estimates(log: Log, choices: EkfChoices | None = None) -> Comparison:
+    c = compare_estimators(log, choices, motion="both")
+    assert c.three_way is not None
+    return c
+
+
+def test_surveyed_landmarks_keep_their_places_on_scans() -> None:
+    """Those that nobody saw, too, or the others would be held to their places."""
+    three = three_estimates(with_surveyed(short())).three_way
+    assert three is not None
+    assert three.ekf.agrees
+    assert three.accuracy is not None
+    assert three.accuracy.ate_m is not None
+    assert three.accuracy.ate_m < 0.1
+
+
+def test_positions_held_back_are_held_back_from_the_smoother_on_scans_too() -> None:
+    log = with_positions(short())
+    half = three_estimates(log, EkfChoices(gps="half"))
+    assert log.positions is not None
+    assert half.three_way is not None
+    times = half.three_way.estimate.time_s
+    fused = log.positions.time_s[::2][half.ekf.fix_number]
+    assert np.isin(fused[fused <= times[-1]], times).all()
+    assert not np.isin(log.positions.time_s[1::2], times).any()
+
+
+def test_smoother_on_scans_meets_a_filter_that_broke_down() -> None:
+    def damage(ekf: FullEkf) -> None:
+        update, count = ekf.observe, iter(range(10**6))
+
+        def observe(*arguments: Any) -> Any:
+            if next(count) == 20:
+                raise FilterDivergedError("made to fail")
+            return update(*arguments)
+
+        ekf.observe = observe  # type: ignore[assignment]
+
+    c = compare_estimators(short(), motion="both", modify=damage)
+    assert c.ekf.breakdown is not None
+    assert c.three_way is not None
+    assert c.three_way.estimate.time_s[-1] > c.ekf.estimate.time_s[-1]
+
+
+def test_sightings_of_surveyed_landmarks_between_scans_count() -> None:
+    """Their instants are no scan's and no other sighting's."""
+    log = with_surveyed(short())
+    assert log.known_sightings is not None
+    nothing = np.zeros(len(log.sightings.time_s), dtype=bool)
+    for given in (log, replace(log, sightings=picked(log.sightings, nothing))):
+        c = compare_estimators(given, motion="scan")
+        within = log.known_sightings.time_s <= c.ekf.timeline.epoch_time_s[-1]
+        instants = np.unique(log.known_sightings.time_s[within])
+        assert np.isin(instants, c.ekf.timeline.epoch_time_s).all()
+        assert c.accuracy_smoother is not None
+        assert c.accuracy_smoother.ate_m is not None
+        assert c.accuracy_smoother.ate_m < 0.1
+
+
+def test_nobody_is_to_blame_while_maps_agree() -> None:
+    three = three_estimates(short()).three_way
+    assert three is not None
+    assert three.ekf.agrees
+    assert three.smoother.agrees
+    assert three.culprit == ""
+
+
+def test_scans_too_sure_of_themselves_are_told_of() -> None:
+    """The maps may agree all the same, and a kernel over closures hides nothing."""
+    c = three_estimates(open_log("occupancy-loop"))
+    assert c.three_way is not None
+    assert c.three_way.chi_square.reading == "too high"
+    assert any(remark.startswith("on scans, chi-square") for remark in c.verdict.remarks)
+
+
+def test_an_unproven_smoother_on_scans_has_no_say() -> None:
+    c = three_estimates(short())
+    three = c.three_way
+    assert three is not None
+    apart = replace(three, ekf=replace(three.ekf, outside=len(three.ekf.distance_sigma)))
+    lost = replace(apart, proof=replace(three.proof, agreeing=(), stationarity=_SADDLE))
+    said = [judge(c.agreement, c.smoother.proof, c.ekf, three_way=t) for t in (apart, lost)]
+    assert [v.outcome for v in said] == ["disagree", "agree"]
+    assert any("unproven" in remark for remark in said[1].remarks)
+
+
+def test_a_landmark_without_numbers_lies_outside() -> None:
+    one = three_estimates(short()).smoothed
+    lost = replace(one, landmark=np.where(np.arange(len(one.landmark))[:, None] < 3, np.nan,
+                                          one.landmark))  # fmt: skip
+    pair = compare_maps(lost, one)
+    assert pair.outside == 3
+    assert not pair.agrees
+
+
+def test_chi_square_is_tested_where_no_loop_was_closed() -> None:
+    front_end = run_front_end(short())
+    assert not len(front_end.closed.closures.first)
+    problem = front_end.graph.problem
+    test = front_end.graph.proof.chi_square
+    assert test.dof == problem.residual_dimension - problem.state_dimension > 0
+    assert test.reading == "plausible"
+
+
+def test_scans_before_the_prior_are_left_out_without_odometry_as_with_it() -> None:
+    log = without_odometry(short())
+    assert log.scans is not None
+    begin_s = 1.0
+    later = picked(log.sightings, log.sightings.time_s > begin_s)
+    front_end = run_front_end(
+        replace(log, prior=replace(log.prior, time_s=begin_s), sightings=later)
+    )
+    assert front_end.motion.time_s[0] >= begin_s
+    assert front_end.motion.source.row[0] == np.searchsorted(log.scans.time_s, begin_s)
+
+
+def test_no_scans_at_all_are_told_of() -> None:
+    with pytest.raises(InputError, match="holds no scans"):
+        run_front_end(with_scans(short(), slice(0)))
+    with pytest.raises(InputError, match="no odometry, expected"):
+        without_odometry(with_scans(short(), slice(0)))
+
+
+def test_positions_held_back_stay_so_where_scans_begin_late(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """An odd number of positions, or an even one, comes before the first scan."""
+    judging: list[Positions | None] = []
+
+    def noted(estimate: Estimate, log: Log, *, labelled: bool) -> None:
+        judging.append(log.positions)
+
+    monkeypatch.setattr("comparisons.front_end.assess", noted)
+    late = without_odometry(with_scans(short(), slice(2, None)))
+    for first_s in (0.0, 0.4):
+        front_end = run_front_end(with_positions(late, first_s), FrontEndChoices(gps="half"))
+        fused = front_end.time_s[front_end.graph.problem.position_pose]
+        held = judging.pop()
+        assert held is not None
+        assert not np.isin(held.time_s, fused).any()
+        assert abs(len(held.time_s) - len(fused)) <= 1
+
+
+def test_positions_between_relative_poses_can_be_fused_with_scans() -> None:
+    """The wheels' path is then drawn as if the vehicle had moved evenly in between."""
+    log = with_positions(short())
+    assert log.scans is not None
+    times = np.union1d(log.scans.time_s, log.sightings.time_s)
+    times = times[times > log.prior.time_s]
+    moved = motion_between(log, times)
+    spread = moved.covariance + 1e-10 * np.eye(3)
+    relative = replace(log, odometry=RelativePoses(times, moved.displacement, spread))
+    choices = FrontEndChoices(gps="on")
+    paths = [run_front_end(given, choices).wheels for given in (log, relative)]
+    assert paths[0] is not None
+    assert paths[1] is not None
+    assert np.abs(paths[0] - paths[1]).max() < 0.1
+
+
+def unlabelled(seen: Sightings) -> Sightings:
+    return replace(seen, landmark=np.full(len(seen.landmark), NO_LANDMARK))
+
+
+def test_surveyed_landmarks_hold_the_scan_graph_where_others_have_no_names() -> None:
+    log = with_surveyed(short())
+    front_end = run_front_end(replace(log, sightings=unlabelled(log.sightings)))
+    assert log.known_landmarks is not None
+    assert len(front_end.estimate.landmark) == len(log.known_landmarks.id)
+    assert len(front_end.graph.problem.z)
+    assert front_end.accuracy_graph is not None
+    assert front_end.accuracy_graph.ate_m is not None
+    assert front_end.accuracy_graph.ate_m < 0.1
+
+
+def test_scan_odometry_needs_no_sighting_within_the_time_of_the_scans() -> None:
+    log = without_odometry(with_scans(short(), slice(0, 40)))
+    assert log.scans is not None
+    late = picked(log.sightings, log.sightings.time_s > log.scans.time_s[-1])
+    for seen in (late, unlabelled(late)):
+        front_end = run_front_end(replace(log, sightings=seen))
+        assert not len(front_end.estimate.landmark)
+        assert len(front_end.time_s) == len(front_end.motion.row)
+
+
+def test_logs_that_differ_in_their_scans_have_different_hashes() -> None:
+    log = short()
+    assert log.scans is not None
+    other = replace(log, scans=replace(log.scans, range_m=log.scans.range_m + 0.01))
+    assert len({log_hash(log), log_hash(other), log_hash(replace(log, scans=None))}) == 3
+
+
+def test_the_smoother_alone_says_that_it_wants_odometry() -> None:
+    with pytest.raises(InputError, match="holds no odometry"):
+        solve_log(without_odometry(short()))
+
+
+def test_a_vehicle_that_stands_still_tells_nothing_of_increments() -> None:
+    log = with_positions(short())
+    motion = replace(run_scan_odometry(log), wheels=None)
+    check = check_increments(motion, replace(log, truth=Truth()))
+    assert check is not None
+    assert 0.3 < check.nees < 3.0
+    still = replace(motion, displacement=np.zeros_like(motion.displacement))
+    assert check_increments(still, replace(log, truth=Truth())) is None
+
+
+def test_increments_of_the_wheels_are_not_judged_as_those_of_scans() -> None:
+    log = with_positions(short())
+    motion = run_scan_odometry(log)
+    row = len(motion.time_s) // 2
+    bridged, moved = motion.bridged.copy(), motion.displacement.copy()
+    bridged[row], moved[row, 1] = True, 5.0
+    check = check_increments(
+        replace(motion, bridged=bridged, displacement=moved), replace(log, truth=Truth())
+    )
+    assert check is not None
+    assert check.nees < 3.0
+
+
+def test_a_stream_of_no_positions_cannot_be_fused() -> None:
+    nothing = Positions(np.zeros(0), np.zeros((0, 2)), np.zeros((0, 2, 2)))
+    with pytest.raises(InputError, match="holds no positions"):
+        run_front_end(replace(short(), positions=nothing), FrontEndChoices(gps="on"))
+
+
+def test_scans_between_relative_poses_are_named_by_their_time() -> None:
+    """Rows are counted among the scans that the odometry covers, which nobody knows."""
+    log = short()
+    assert log.scans is not None
+    times = log.scans.time_s[[10, 12, 14]]
+    poses = RelativePoses(times, np.ones((3, 3)), np.tile(np.eye(3), (3, 1, 1)))
+    with pytest.raises(InputError, match=f"scans: time {log.scans.time_s[0]} s is no pose's"):
+        run_front_end(replace(log, odometry=poses))
+
+
+def test_what_was_left_out_is_told() -> None:
+    log = with_scans(short(), slice(10, 50))
+    odometry = log.odometry
+    assert isinstance(odometry, SteeringOdometry)
+    rows = odometry.time_s < 15.0
+    cut = replace(
+        odometry,
+        time_s=odometry.time_s[rows],
+        speed_mps=odometry.speed_mps[rows],
+        steering_rad=odometry.steering_rad[rows],
+    )
+    front_end = run_front_end(replace(log, odometry=cut))
+    remarks = build_front_end_result(front_end, 0.0).remarks
+    assert log.scans is not None
+    last_s = front_end.motion.time_s[-1]
+    scans = np.count_nonzero(log.scans.time_s > last_s)
+    seen = np.count_nonzero(log.sightings.time_s > last_s)
+    assert f"{scans} scans lie outside" in remarks[0]
+    assert f"{seen} sightings lie outside" in remarks[1]
