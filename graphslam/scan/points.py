@@ -48,13 +48,14 @@ def compensated(points: Array, seconds: Array, motion: Array, duration_s: float)
 
 
 def above_ground(points: Array, margin_m: float) -> Array:
-    """The points (M, 3) more than a margin above the lowest ones; all of them in planar scans."""
-    cloud = np.asarray(points)
-    if cloud.ndim != 2 or cloud.shape[1] != 3 or not len(cloud) or not cloud[:, 2].any():
-        return cloud
+    """The points (M, 3) more than a margin above the lowest ones; all of them in planar scans.
+
+    Raises ScanError when these are no points.
+    """
+    cloud = _numbers(points)
     height = cloud[:, 2]
     seen = height[np.isfinite(height)]
-    if not len(seen):
+    if not seen.any():
         return cloud
     kept: Array = cloud[height > np.quantile(seen, _LOWEST) + margin_m]
     return kept
@@ -65,10 +66,7 @@ def usable(points: Array, least_range_m: float, most_range_m: float) -> Array:
 
     Raises ScanError when that is not a cloud to align: wrong shape, too few, or all in one place.
     """
-    cloud = np.asarray(points)
-    if cloud.ndim != 2 or cloud.shape[1] != 3 or cloud.dtype.kind not in "fiu":
-        raise ScanError(f"points have shape {cloud.shape} of {cloud.dtype}, expected (N, 3) floats")
-    cloud = np.ascontiguousarray(cloud, dtype=np.float64)
+    cloud = _numbers(points)
     with np.errstate(invalid="ignore", over="ignore"):
         distance = np.sqrt(np.einsum("ni,ni->n", cloud, cloud))
         kept: Array = cloud[(distance >= least_range_m) & (distance <= most_range_m)]
@@ -80,6 +78,20 @@ def usable(points: Array, least_range_m: float, most_range_m: float) -> Array:
     if np.ptp(kept[:, :2], axis=0).max() < _LEAST_SPREAD_M:
         raise ScanError("all points lie in one place")
     return kept
+
+
+def _numbers(points: Array) -> Array:
+    """The same (M, 3) as doubles. Raises ScanError for another shape or type."""
+    if np.ma.isMaskedArray(points):
+        raise ScanError("points are a masked array, expected NaN where there are none")
+    try:
+        cloud = np.asarray(points)
+    except ValueError:
+        raise ScanError("points are rows of different lengths, expected (N, 3) floats") from None
+    if cloud.ndim != 2 or cloud.shape[1] != 3 or cloud.dtype.kind not in "fiu":
+        raise ScanError(f"points have shape {cloud.shape} of {cloud.dtype}, expected (N, 3) floats")
+    with np.errstate(over="ignore"):
+        return np.ascontiguousarray(cloud, dtype=np.float64)
 
 
 def placed(clouds: list[Array], poses: Array) -> Array:
