@@ -80,7 +80,7 @@ def run_scan_odometry(
     source = ScanSource(log)
     rows, time_s = source.row, source.time_s
     wheels = motion_between(log, time_s) if source.wheeled else None
-    odometry = ScanOdometry(options)
+    odometry = ScanOdometry(options or source.suited_options())
     used: list[int] = []
     failures, poses, found, matches = [], [], [], []
     for i, row in enumerate(rows.tolist()):

@@ -15,10 +15,13 @@ from comparisons.runs.motion import motion_between
 from graphslam.increments import dead_reckoned
 from graphslam.scan import planar
 from graphslam.scan.odometry import OdometryOptions
-from graphslam.scan.points import compensated, planar_points, swept_points
+from graphslam.scan.points import beam_noise, compensated, planar_points, swept_points
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
+
+_SAMPLE = 50
+"""So many scans tell how noisy they are."""
 
 
 class ScanSource:
@@ -40,6 +43,14 @@ class ScanSource:
             raise InputError(f"{log.name}: no scan lies {span}")
         self.time_s = stream.time_s[self.row]
         self._sweep = _sweep_motion(log, stream, self.row) if self.wheeled else None
+
+    def suited_options(self) -> OdometryOptions:
+        """Scan odometry's settings for the noise that the scans show."""
+        if isinstance(self._stream, Clouds):
+            return OdometryOptions()
+        some = self.row[:: max(1, len(self.row) // _SAMPLE)]
+        noise = beam_noise(self._stream.range_m[some])
+        return OdometryOptions.for_noise(noise) if noise > 0.0 else OdometryOptions()
 
     def points(self, scan: int) -> Array:
         """(M, 3) points of scan number `scan`, in the vehicle's frame at the scan's time."""
