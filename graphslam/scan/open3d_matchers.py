@@ -153,11 +153,11 @@ def as_open3d(points: Array) -> Any:
 
 
 def surface_normals(points: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Unit normals (N, 3), in the plane for planar clouds, and which points (N,) have one."""
+    """Unit normals (N, 3), in the ground plan, and which points (N,) have one."""
     surfaces = SurfaceMap(points)
     patch = surfaces.patches(points[:, : surfaces.dimension])
     normal = np.zeros((len(points), 3))
-    normal[:, : surfaces.dimension] = patch.normal
+    normal[:, :2] = patch.normal
     return normal, patch.flat
 
 
