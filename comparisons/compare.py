@@ -23,7 +23,7 @@ from comparisons.runs.ekf_run import EkfRun, run_ekf
 from comparisons.runs.estimate import Array, Estimate
 from comparisons.runs.known_landmarks import join_known_sightings
 from comparisons.runs.own_association import associate_own
-from comparisons.runs.scan_log import with_scan_motion
+from comparisons.runs.scan_log import BEYOND, with_scan_motion
 from comparisons.runs.scan_motion import ScanMotion, run_scan_odometry
 from comparisons.runs.scan_smoother import smooth_on_scans
 from comparisons.runs.smoother_run import (
@@ -144,6 +144,16 @@ def compare_estimators(
         agreement = compare(
             _gaussian(run.estimate), Gaussian(*recorded), Gaussian(*own), _gaussian(smoothed)
         )
+        verdict = judge(
+            agreement,
+            result.proof,
+            run,
+            lambda: model_differences(said, meant, ROUNDING),
+            conservative=chosen.conservative,
+            robust=result.options.robust,
+            own=second,
+            three_way=three,
+        )
         labelled = chosen.association == "known"
         reckoned = dead_reckoned(problem.prior_pose, problem.increment)
         return Comparison(
@@ -160,18 +170,18 @@ def compare_estimators(
             None if labelled else score_association(run.slot, run.estimate.landmark, log),
             second,
             three,
-            judge(
-                agreement,
-                result.proof,
-                run,
-                lambda: model_differences(said, meant, ROUNDING),
-                conservative=chosen.conservative,
-                robust=result.options.robust,
-                own=second,
-                three_way=three,
-            ),
+            replace(verdict, remarks=(*verdict.remarks, *_on_scans(log, scanned))),
             clock.seconds,
         )
+
+
+def _on_scans(log: Log, motion: ScanMotion | None) -> list[str]:
+    """Remarks on the scans' motion, if there is one."""
+    if motion is None:
+        return []
+    beyond = log.provenance.get(BEYOND)
+    told = [f"{beyond} sightings lie outside the time of the scans and were left out"]
+    return motion.remarks + (told if beyond else [])
 
 
 def _with_own_association(

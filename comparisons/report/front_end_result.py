@@ -124,13 +124,7 @@ def _remarks(f: FrontEnd) -> list[str]:
     beyond = int(np.count_nonzero(~sightings_kept(f.log, f.motion))) if seen.labelled else 0
     if beyond:
         remarks.append(f"{beyond} sightings lie outside the time of the scans and were left out")
-    if f.motion.failures:
-        remarks.append(
-            f"{len(f.motion.failures)} scans gave no increment; the first, row "
-            f"{f.motion.failures[0].row}: {f.motion.failures[0].reason}"
-        )
-    if f.motion.breaks:
-        remarks.append(f"{f.motion.breaks} gaps are bridged by the wheels' motion")
+    remarks += f.motion.remarks
     if f.increments is not None and f.increments.factor > _SURE:
         remarks.append(
             f"the increments are surer than they may be: by {f.increments.against} their sigmas "

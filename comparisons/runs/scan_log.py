@@ -15,6 +15,8 @@ from comparisons.runs.motion import motion_between
 from comparisons.runs.scan_motion import ScanMotion
 from graphslam.increments import Samples
 
+BEYOND = "sightings_beyond_scans"
+"""Key of a log's provenance: how many sightings were left out."""
 _LEAST = 1e-10
 """Variance added to every increment, so that none is singular."""
 
@@ -54,7 +56,7 @@ def with_scan_motion(log: Log, motion: ScanMotion, *, positions: bool = False) -
     left_out = int(np.count_nonzero(~seen))
     provenance = {**log.provenance, "motion": f"{len(motion.time_s)} scans"}
     if left_out:
-        provenance["sightings_beyond_scans"] = str(left_out)
+        provenance[BEYOND] = str(left_out)
     if not seen.any() and len(seen):
         raise InputError(f"{log.name}: no sighting lies within the time of the usable scans")
     return replace(

@@ -65,6 +65,19 @@ class ScanMotion:
         """How many times the chain of scans had to be begun anew."""
         return int(self.bridged[1:].sum())
 
+    @property
+    def remarks(self) -> list[str]:
+        """What did not go as it should, in sentences."""
+        remarks = []
+        if self.failures:
+            remarks.append(
+                f"{len(self.failures)} scans gave no increment; the first, row "
+                f"{self.failures[0].row}: {self.failures[0].reason}"
+            )
+        if self.breaks:
+            remarks.append(f"{self.breaks} gaps are bridged by the wheels' motion")
+        return remarks
+
 
 def run_scan_odometry(
     log: Log,

@@ -363,3 +363,19 @@ def test_what_was_left_out_is_told() -> None:
     seen = np.count_nonzero(log.sightings.time_s > last_s)
     assert f"{scans} scans lie outside" in remarks[0]
     assert f"{seen} sightings lie outside" in remarks[1]
+
+
+def test_a_run_on_scans_tells_of_failed_scans_gaps_and_sightings_left_out() -> None:
+    log = with_scans(short(), slice(0, 60))
+    assert log.scans is not None
+    last_s = log.scans.time_s[-1]
+    blind = log.scans.range_m.copy()
+    blind[20:30] = np.nan
+    log = replace(log, scans=replace(log.scans, range_m=blind))
+    for motion, count in (("scan", 3), ("both", 2)):
+        told = compare_estimators(log, motion=motion).verdict.remarks[-count:]
+        assert told[0].startswith("10 scans gave no increment; the first, row 20")
+        assert told[1] == "1 gaps are bridged by the wheels' motion"
+    told = compare_estimators(log, motion="scan").verdict.remarks
+    seen = np.count_nonzero(log.sightings.time_s > last_s)
+    assert told[-1].startswith(f"{seen} sightings lie outside")
