@@ -39,7 +39,7 @@ from comparisons.runs.smoother_run import (
 from comparisons.runs.timeline import build_timeline
 from ekf_reference.full_ekf import FullEkf
 from graphslam.increments import dead_reckoned
-from graphslam.scan.loop_closure import RegistrationLoopCloser, loop_matcher
+from graphslam.scan.loop_closure import loop_closer
 from graphslam.smoother import SmootherOptions, SmootherResult, smooth
 
 Progress = Callable[[str, int, int], None]
@@ -214,7 +214,7 @@ def _with_scans(
     smoothed: Estimate,
 ) -> ThreeWay:
     """Solve with the scans' motion, and hold both estimates on wheels against that."""
-    closer = RegistrationLoopCloser(loop_matcher())
+    closer = loop_closer(motion.options)
     scans = smooth_on_scans(log, motion, run, closer, SmootherOptions())
     accuracy = assess(scans.estimate, judged, labelled=False)
     ekf, smoother = (compare_maps(own, scans.estimate) for own in (run.estimate, smoothed))

@@ -27,8 +27,7 @@ from graphslam.scan.loop_closure import (
     Closed,
     LoopCloser,
     NoLoopClosure,
-    RegistrationLoopCloser,
-    loop_matcher,
+    loop_closer,
 )
 from graphslam.scan.matchers import MATCHERS
 from graphslam.scan.points import placed
@@ -113,10 +112,10 @@ def run_front_end(
     clouds = motion.clouds(timeline.epoch_time_s)
     closer: LoopCloser = NoLoopClosure()
     if choices.loops:
-        surface = choices.matcher == "surface"
-        closer = RegistrationLoopCloser(
-            loop_matcher() if surface else MATCHERS[choices.matcher](),
-            progress=lambda k, n: progress("loop closure", k, n),
+        closer = loop_closer(
+            motion.options,
+            None if choices.matcher == "surface" else MATCHERS[choices.matcher](),
+            lambda k, n: progress("loop closure", k, n),
         )
     closed = closer.close(problem, clouds)
     seconds["loops"] = time.perf_counter() - start

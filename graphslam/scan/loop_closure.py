@@ -18,7 +18,9 @@ from scipy.spatial import cKDTree
 from graphslam.problem import Closures, SlamProblem
 from graphslam.scan import planar
 from graphslam.scan.matchers import MatchOptions, SurfaceMatcher
+from graphslam.scan.odometry import OdometryOptions
 from graphslam.scan.points import placed
+from graphslam.scan.refinement import RefinementOptions
 from graphslam.scan.registration import Matcher, Registration, ScanError
 from graphslam.smoother import SmootherResult, smooth
 
@@ -303,6 +305,23 @@ def choose_keyframes(problem: SlamProblem, clouds: Clouds, options: LoopOptions)
     return np.array(chosen, dtype=np.intp)
 
 
-def loop_matcher() -> Matcher:
-    """The matcher for loops unless another is asked for: from a metre off down to the surfaces."""
-    return SurfaceMatcher(MatchOptions(reaches_m=(1.0, 0.3), iterations=15))
+def loop_closer(
+    settings: OdometryOptions,
+    matcher: Matcher | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> RegistrationLoopCloser:
+    """A loop closer for scans that suit these settings of scan odometry.
+
+    matcher: in place of the surfaces', which begin a metre off.
+    """
+    reach_m = settings.refinement.reach_m
+    surfaces = MatchOptions(
+        reaches_m=(max(1.0, 2.0 * reach_m), reach_m),
+        iterations=15,
+        judge=RefinementOptions(reach_m=reach_m),
+        cell_m=0.2 * settings.voxel_m,
+        neighbours=max(24, settings.neighbours // 2),
+        radius_m=settings.radius_m,
+    )
+    options = LoopOptions(most_residual_m=max(0.15, 0.4 * reach_m))
+    return RegistrationLoopCloser(matcher or SurfaceMatcher(surfaces), options, progress)

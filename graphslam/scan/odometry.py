@@ -40,15 +40,15 @@ class OdometryOptions:
     most_range_m: points outside are left out. radius_m, cloud_radius_m, neighbours: a piece of
     surface is made of so many map points at most, not further than that from its middle, in planar
     maps and in clouds, whose rings lie apart; enough to tell a pole from a piece of a dense wall.
-    memory_m: the local map forgets what was seen longer
-    ago than this way; where the vehicle comes back, the increments stay odometry, and closing the
-    loop is left to loop closure. whole_points: clouds with more points are thinned
-    before they are aligned. ground_m: of a cloud, what lies lower than this over its lowest points
-    is left out: a flat ground says nothing of planar motion, and its rings move with the vehicle.
-    most_jump_m, most_jump_rad: how far the result may lie from the guess. patience: so many failed
-    scans in a row, and a new map is begun. refinement: its calibration is that of planar scans;
-    cloud_calibration comes on top of it for clouds, in which the points of one firing share their
-    errors. Both were found on simulated drives.
+    memory_m: the local map forgets what was seen longer ago than this way; where the vehicle comes
+    back, the increments stay odometry, and closing the loop is left to loop closure. whole_points:
+    clouds with more points are thinned before they are aligned. ground_m: of a cloud, what lies
+    lower than this over its lowest points is left out: a flat ground says nothing of planar
+    motion, and its rings move with the vehicle. most_jump_m, blind_jump_m, most_jump_rad: how far
+    the result may lie from the guess, and from constant velocity without one. patience: so many
+    failed scans in a row, and a new map is begun. refinement: its calibration is that of planar
+    scans; cloud_calibration comes on top of it for clouds, in which the points of one firing share
+    their errors. Both were found on simulated drives.
     """
 
     voxel_m: float = 0.5
@@ -64,6 +64,7 @@ class OdometryOptions:
     whole_points: int = 1000
     ground_m: float = 0.3
     most_jump_m: float = 1.0
+    blind_jump_m: float = 3.0
     most_jump_rad: float = 0.35
     patience: int = 5
     refinement: RefinementOptions = field(
@@ -159,8 +160,8 @@ class ScanOdometry:
             self.pose = planar.compose(self.pose, self._pending)
             self._accept(kept)
             return None
-        threshold_m = o.blind_threshold_m if guess is None else o.threshold_m
-        match = self._align(source, planar.compose(self.pose, self._pending), threshold_m)
+        expected = planar.compose(self.pose, self._pending)
+        match = self._align(source, expected, blind=guess is None)
         motion = planar.between(self.pose, match.motion)
         covariance = match.covariance + planar.carried(self._spread, motion)
         increment = Increment(motion, covariance, self._failed, match)
@@ -190,8 +191,10 @@ class ScanOdometry:
         for _, points in self._recent:
             self._map.add_points(points)
 
-    def _align(self, source: Array, guess: Array, threshold_m: float) -> Registration:
+    def _align(self, source: Array, guess: Array, *, blind: bool) -> Registration:
         o = self.options
+        threshold_m = o.blind_threshold_m if blind else o.threshold_m
+        most_jump_m = o.blind_jump_m if blind else o.most_jump_m
         found = self._kiss.align_points_to_map(
             source, self._map, planar.matrix(guess), 3.0 * threshold_m, threshold_m
         )
@@ -207,9 +210,9 @@ class ScanOdometry:
         match = refine(source[:, : target.dimension], target, start, believed)
         jump = planar.wrapped(match.motion - guess)
         distance, turn = float(np.hypot(jump[0], jump[1])), abs(float(jump[2]))
-        if distance > o.most_jump_m or turn > o.most_jump_rad:
+        if distance > most_jump_m or turn > o.most_jump_rad:
             raise ScanError(
                 f"aligned {distance:.2f} m and {turn:.2f} rad from the guess, expected "
-                f"{o.most_jump_m:g} m and {o.most_jump_rad:g} rad at most"
+                f"{most_jump_m:g} m and {o.most_jump_rad:g} rad at most"
             )
         return replace(match, motion=guess + jump)
