@@ -111,7 +111,7 @@ def add_smoother(table: Table, smoother: SmootherResult) -> None:
         "smoother",
         f"{smoother.poses:,} poses, error {smoother.error:.2f}, "
         f"{'optimum proven' if smoother.proven else 'optimum NOT proven'} "
-        f"(chi2 {smoother.chi2:.0f} for {smoother.dof} dof; starts: "
+        f"(chi2 {smoother.chi2:.0f} {_for(smoother.dof)}; starts: "
         + ", ".join(f"{s.name} {_number(s.error, '.2f')}" for s in smoother.starts)
         + ")",
     )
@@ -126,6 +126,11 @@ def add_smoother(table: Table, smoother: SmootherResult) -> None:
             f"{smoother.robust}: {smoother.rejected_sightings} sightings and "
             f"{smoother.rejected_positions} positions left out",
         )
+
+
+def _for(dof: int) -> str:
+    """What chi-square is held against; nothing where a robust kernel has changed it."""
+    return f"for {dof} dof" if dof else "under a robust kernel, not tested"
 
 
 def add_association(table: Table, association: AssociationResult | None) -> None:
