@@ -38,7 +38,11 @@ NoiseOption = Annotated[
 ]
 OutOption = Annotated[
     Path | None,
-    typer.Option("--out", metavar="DIR", help="Folder to write [default: slamcheck-LOG, or slamcheck-COMMAND-LOG]."),
+    typer.Option(
+        "--out",
+        metavar="DIR",
+        help="Folder to write [default: slamcheck-LOG, or slamcheck-COMMAND-LOG].",
+    ),
 ]
 FilterOption = Annotated[
     str,
