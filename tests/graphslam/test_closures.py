@@ -138,6 +138,15 @@ def test_incremental_smoothing_takes_closures_in() -> None:
     assert relative_error(steps.poses, batch.poses) < 1e-6
 
 
+def test_closures_must_lie_within_a_fixed_lag() -> None:
+    problem = circle(closures())
+    held = smooth(problem, {}, options=SmootherOptions("fixed-lag", lag=12))
+    assert held.proof.distance_sigma is not None
+    assert held.proof.distance_sigma < 0.1
+    with pytest.raises(ValueError, match="lag is 11, expected 12 at least"):
+        smooth(problem, {}, options=SmootherOptions("fixed-lag", lag=11))
+
+
 def test_closures_make_every_pose_surer() -> None:
     """Linearised at the same place."""
     problem = circle(closures())
