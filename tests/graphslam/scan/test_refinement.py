@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -46,6 +47,10 @@ def rows(source: Array, target: Any, motion: Array) -> tuple[Array, Array]:
     return made[0]
 
 
+def errors(source: Array, target: Any, motion: Array) -> Array:
+    return rows(source, target, motion)[1]
+
+
 def test_rows_are_the_derivatives_of_the_errors() -> None:
     rng = np.random.default_rng(0)
     for _ in range(10):
@@ -53,7 +58,7 @@ def test_rows_are_the_derivatives_of_the_errors() -> None:
         target = FixedPairs(rng, rng.uniform(-9.0, 9.0, (40, 2)))
         jacobian, error = rows(source, target, motion)
         assert np.abs(error).max() > 1.0
-        numeric = central_difference(lambda m, s=source, t=target: rows(s, t, m)[1], motion)
+        numeric = central_difference(partial(errors, source, target), motion)
         # The rows say how points move; errors are what is left to go.
         assert relative_error(jacobian, -numeric) < 1e-7
         about_origin = rows(source, target, motion - (*motion[:2], 0.0))[0]
