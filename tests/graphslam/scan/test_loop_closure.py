@@ -17,9 +17,11 @@ from graphslam.scan.loop_closure import (
     NoLoopClosure,
     RegistrationLoopCloser,
     choose_keyframes,
-    loop_matcher,
+    loop_closer,
     starts,
 )
+from graphslam.scan.matchers import SurfaceMatcher
+from graphslam.scan.odometry import OdometryOptions
 from graphslam.scan.registration import Registration, ScanError
 from graphslam.smoother import smooth
 from tests.graphslam.scan.shapes import ROOM, box, scan
@@ -81,7 +83,7 @@ def drive() -> tuple[Array, SlamProblem, dict[int, Array]]:
 @cache
 def closed() -> Closed:
     _, problem, clouds = drive()
-    return RegistrationLoopCloser(loop_matcher()).close(problem, clouds)
+    return loop_closer(OdometryOptions()).close(problem, clouds)
 
 
 def position_error(problem: SlamProblem, true: Array) -> float:
@@ -117,7 +119,7 @@ def test_every_attempt_says_what_came_of_it() -> None:
 
 def test_the_same_scans_close_the_same_loops() -> None:
     _, problem, clouds = drive()
-    again = RegistrationLoopCloser(loop_matcher(), LoopOptions(rounds=3)).close(problem, clouds)
+    again = loop_closer(OdometryOptions()).close(problem, clouds)
     assert np.array_equal(again.closures.motion, closed().closures.motion)
     assert np.array_equal(again.closures.covariance, closed().closures.covariance)
 
@@ -166,7 +168,7 @@ class BlindMatcher:
     """Place recognition by looks alone: it asks no graph where to begin."""
 
     def match(self, source: Array, target: Array, guess: Array) -> Registration:
-        return loop_matcher().match(source, target, np.zeros(3))
+        return SurfaceMatcher().match(source, target, np.zeros(3))
 
 
 def alike() -> tuple[SlamProblem, dict[int, Array]]:

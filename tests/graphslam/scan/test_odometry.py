@@ -50,7 +50,7 @@ def test_increments_without_noise_are_those_driven() -> None:
     for increment in found:
         assert np.abs(increment.motion - STEP).max() < 0.01 * STEP[0]
         assert increment.since == 1
-        assert increment.match.overlap > 0.9
+        assert increment.match.overlap > 0.8
     chained = np.zeros(3)
     for increment in found:
         chained = planar.compose(chained, increment.motion)
@@ -148,10 +148,11 @@ def test_a_planar_map_stays_in_the_plane() -> None:
 
 
 def test_without_a_guess_the_velocity_is_kept() -> None:
-    """So fast that the scan would not be found from where the last one was taken."""
+    """Where alignment reaches less far than the vehicle goes between two scans."""
     step = np.array((1.3, 0.05, 0.1))
     scans = drive(5, step=step)[1]
-    moving, standing = ScanOdometry(), ScanOdometry()
+    short = OdometryOptions(blind_threshold_m=0.3, blind_jump_m=0.8)
+    moving, standing = ScanOdometry(short), ScanOdometry(short)
     moving.register(scans[0])
     moving.register(scans[1], step)
     for points in scans[2:]:

@@ -62,7 +62,7 @@ def test_a_bad_scan_leaves_no_trace(bad: str, guessed: bool) -> None:
 def test_after_a_gap_the_vehicle_is_taken_to_go_on_as_fast() -> None:
     """The increment over two scans is no velocity per scan: the next one is half as far away."""
     scans = drive(12)[1]
-    odometry = ScanOdometry(OdometryOptions(most_jump_m=0.1, most_jump_rad=0.05))
+    odometry = ScanOdometry(OdometryOptions(blind_jump_m=0.1, most_jump_rad=0.05))
     odometry.register(scans[0])
     for points in scans[1:6]:
         odometry.register(points, STEP)
