@@ -161,9 +161,12 @@ def smooth(
     guesses: other estimators' poses (K, 3) and landmarks (L, 2) by name, tried first. Then comes
     the tracked start, which needs no guess, or the incremental method's end, and dead reckoning
     when the proof is still open. Raises SingularProblemError when every attempt fails for want of
-    information.
+    information, and ValueError for closures that reach beyond a fixed lag.
     """
     options = options or SmootherOptions()
+    reach = int(np.abs(problem.closures.first - problem.closures.second).max(initial=0))
+    if options.method == "fixed-lag" and reach > options.lag:
+        raise ValueError(f"lag is {options.lag}, expected {reach} at least: so far closures reach")
     rejected = NOTHING_REJECTED
     if options.robust == "gnc":
         progress("smoother, wild observations")

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from graphslam.graph_builder import to_tangent
 from graphslam.problem import Closures, SlamProblem
 from graphslam.scan import planar
 from graphslam.scan.matchers import MatchOptions, SurfaceMatcher
@@ -202,7 +203,8 @@ class RegistrationLoopCloser:
             except ScanError as error:
                 reason = reason or str(error)
                 continue
-            widened = replace(match, covariance=match.covariance + self._placement())
+            beside = belief.misplacement(earlier, around, match.motion)
+            widened = replace(match, covariance=match.covariance + beside + self._placement())
             doubt = self._doubt(widened, expected, spread)
             if not doubt:
                 return widened
@@ -272,6 +274,20 @@ class _Belief:
         block = np.block([[self._joint[i, j] for j in (first, second)] for i in (first, second)])
         covariance: Array = jacobian @ block @ jacobian.T
         return motion, covariance
+
+    def misplacement(self, base: int, around: range, motion: Array) -> Array:
+        """(3, 3) how far keyframes around a base, as placed by the graph, may lead a match astray.
+
+        Of the right perturbation of a motion (3,) from the base. The match follows each in part;
+        the mean of their covariances bounds that of their mean, however they are correlated.
+        """
+        total = np.zeros((3, 3))
+        for k in around:
+            place, spread = self.relative(base, k)
+            own = to_tangent(place[2:])[0]
+            total += planar.carried(own @ spread @ own.T, planar.between(place, motion))
+        mean: Array = total / len(around)
+        return mean
 
 
 def starts(expected: Array, spread: Array, reach_m: float) -> list[Array]:

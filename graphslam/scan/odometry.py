@@ -27,6 +27,8 @@ Array = NDArray[np.float64]
 
 _FINE_M, _COARSE_M = 0.03, 0.15
 """Range noise of a good laser, and of one whose walls are a cloud of points."""
+_FURTHEST = 1e4
+"""No guess between two scans goes further, in metres or radians; KISS-ICP aborts on some."""
 _RENEWAL = 0.25
 """The map is made anew after this share of its memory."""
 
@@ -122,14 +124,14 @@ class ScanOdometry:
         self.options = options or OdometryOptions()
         # One thread: with more, the sums of KISS-ICP depend on who comes first.
         self._kiss = KissRegistration(500, 1e-4, max_num_threads=1)
-        self.pose = np.zeros(3)
+        self.pose, self._motion = np.zeros(3), np.zeros(3)
         self._begin()
 
     def _begin(self) -> None:
         self._map = self._new_map()
         self._recent: deque[tuple[float, Array]] = deque()
         self._way, self._renewed = 0.0, 0.0
-        self._motion, self._pending = np.zeros(3), np.zeros(3)
+        self._pending = np.zeros(3)
         self._spread = np.zeros((3, 3))
         self._failed, self._empty = 0, True
 
@@ -144,43 +146,48 @@ class ScanOdometry:
         begins a map: the first, or the first good one after `patience` failures. Raises ScanError
         for a scan that cannot be used; the next one is then aligned to the last that could.
         """
-        self._pending = planar.compose(self._pending, self._motion if guess is None else guess)
+        wrong = guess is not None and not _is_motion(guess)
+        usual = self._motion if guess is None or wrong else guess
+        self._pending = planar.compose(self._pending, usual)
         self._failed += 1
         if self._failed > self.options.patience and not self._empty:
             self.pose = planar.compose(self.pose, self._pending)
             self._begin()
             self._failed = 1
+        if wrong:
+            raise ScanError(f"the guess is {guess}, expected three numbers, {_FURTHEST:g} at most")
         o = self.options
-        cloud = o.prepared(points)
+        cloud = _in_order_of_azimuth(o.prepared(points))
         kept = source = cloud
         if len(cloud) > o.whole_points:
             kept = np.asarray(voxel_down_sample(cloud, 0.5 * o.voxel_m))
             source = np.asarray(voxel_down_sample(kept, 1.5 * o.voxel_m))
         if self._empty:
             self.pose = planar.compose(self.pose, self._pending)
-            self._accept(kept)
+            self._accept(kept, np.zeros(3))
             return None
         expected = planar.compose(self.pose, self._pending)
         match = self._align(source, expected, blind=guess is None)
         motion = planar.between(self.pose, match.motion)
         covariance = match.covariance + planar.carried(self._spread, motion)
         increment = Increment(motion, covariance, self._failed, match)
-        self.pose, self._motion, self._spread = match.motion, motion, match.covariance
-        self._accept(kept)
+        self.pose, self._spread = match.motion, match.covariance
+        self._motion = planar.share(motion, self._failed)
+        self._accept(kept, motion)
         return increment
 
     def map_points(self) -> Array:
         """(M, 3) KISS-ICP's local map."""
         return np.asarray(self._map.point_cloud())
 
-    def _accept(self, cloud: Array) -> None:
+    def _accept(self, cloud: Array, motion: Array) -> None:
+        self._way += float(np.hypot(motion[0], motion[1]))
         self._map.update(cloud, planar.matrix(self.pose))
         self._remember(planar.moved(self.pose, cloud))
         self._pending, self._failed, self._empty = np.zeros(3), 0, False
 
     def _remember(self, cloud: Array) -> None:
         """Keep the recent clouds; make the map of them anew when much of it is old."""
-        self._way += float(np.hypot(self._motion[0], self._motion[1]))
         self._recent.append((self._way, cloud))
         memory = self.options.memory_m
         if self._way - self._renewed < _RENEWAL * memory or self._recent[0][0] > self._way - memory:
@@ -216,3 +223,17 @@ class ScanOdometry:
                 f"{most_jump_m:g} m and {o.most_jump_rad:g} rad at most"
             )
         return replace(match, motion=guess + jump)
+
+
+def _is_motion(guess: Array) -> bool:
+    return np.shape(guess) == (3,) and bool((np.abs(guess) <= _FURTHEST).all())
+
+
+def _in_order_of_azimuth(cloud: Array) -> Array:
+    """The points in an order that depends on them alone, as a voxel keeps those that come first.
+
+    That of a turning laser. Sorted by place, a voxel would keep the lowest of its points, on
+    whichever side of a wall noise has put it.
+    """
+    x, y, z = cloud.T
+    return np.ascontiguousarray(cloud[np.lexsort((z, np.hypot(x, y), np.arctan2(y, x)))])

@@ -29,6 +29,17 @@ def between(start: Array, end: Array) -> Array:
     return np.array((cos * east + sin * north, -sin * east + cos * north, end[2] - start[2]))
 
 
+def share(motion: Array, count: int) -> Array:
+    """(3,) the motion that, done `count` times, leads where this one does.
+
+    Beyond half a turn, near which no even motion may lead there, its way is that for half a turn.
+    """
+    arc = min(max(motion[2], -math.pi), math.pi) / count
+    # In complex numbers the way is part (1 + q + ... + q^(count - 1)), q being one turn.
+    part = complex(motion[0], motion[1]) / np.exp(1j * arc * np.arange(count)).sum()
+    return np.array((part.real, part.imag, motion[2] / count))
+
+
 def wrapped(difference: Array) -> Array:
     """The same motion with its heading in (-pi, pi]."""
     return np.array((difference[0], difference[1], math.pi - (math.pi - difference[2]) % math.tau))

@@ -46,7 +46,7 @@ def test_round_trip_is_exact(contents: G2oContents, tmp_path: Path) -> None:
     assert np.array_equal(again.poses, contents.poses)
     assert np.array_equal(again.landmarks, contents.landmarks)
     for field in fields(SlamProblem):
-        if field.name == "oriented":
+        if field.name in ("oriented", "closures"):  # none in g2o, and in test_closures
             continue
         before, after = (getattr(c.problem, field.name) for c in (contents, again))
         assert np.array_equal(before, after), field.name
@@ -106,7 +106,7 @@ def test_an_antenna_off_the_pose_is_refused(contents: G2oContents, tmp_path: Pat
     ("change", "complaint"),
     [
         (("VERTEX_SE2 3 ", "VERTEX_SE3:QUAT 3 "), "unknown tag 'VERTEX_SE3:QUAT'"),
-        (("EDGE_SE2 3 4 ", "EDGE_SE2 3 5 "), "expected each pose to lead to the next"),
+        (("EDGE_SE2 3 4 ", "EDGE_SE2 4 4 "), "from pose 4 to itself"),
         (("EDGE_SE2 3 4 ", "EDGE_SE2 3 4000 "), "names 4000, which is no pose"),
         (("EDGE_SE2 3 4 ", "EDGE_SE2 3 4 1.0 "), "has 12 numbers, expected 11"),
         (("VERTEX_SE2 3 ", "VERTEX_SE2 x "), "holds what is no number"),

@@ -112,3 +112,17 @@ def test_a_pose_comes_back_out_of_its_matrix() -> None:
         pose = random_motion(rng)
         back = planar.from_matrix(planar.matrix(pose))
         assert relative_error(back, planar.wrapped(pose)) < 1e-13
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 7])
+def test_shares_of_a_motion_lead_where_it_does(count: int) -> None:
+    rng = np.random.default_rng(6)
+    for _ in range(20):
+        motion = random_motion(rng) * (1.0, 1.0, 0.75)
+        share, end = planar.share(motion, count), np.zeros(3)
+        for _ in range(count):
+            end = planar.compose(end, share)
+        assert relative_error(end, motion) < 1e-13
+    whole_turn = planar.share(np.array((1.0, 0.0, math.tau)), count)
+    assert np.abs(whole_turn[:2]).max() <= 1.0
+    assert whole_turn[2] == math.tau / count

@@ -1,0 +1,178 @@
+"""Scan odometry through a yard, against truth and against itself."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from comparisons.checks.scan_increments import normalised_errors
+from comparisons.logs.simulate import scan_drive
+from comparisons.runs.scan_motion import run_scan_odometry
+from graphslam.scan import planar
+from graphslam.scan.odometry import Increment, OdometryOptions, ScanOdometry
+from graphslam.scan.registration import ScanError
+from tests.graphslam.scan.shapes import YARD, hall_in_space, scan, seen_from
+from tests.helpers import Array
+
+STEP = np.array((0.2, 0.02, 0.06))
+SIGMA_M = 0.01
+
+
+def drive(
+    scans: int, sigma_m: float = SIGMA_M, step: Array = STEP, seed: int = 0
+) -> tuple[Array, list[Array]]:
+    """True poses (N, 3) on an arc through the yard, and a scan from each."""
+    rng = np.random.default_rng(seed)
+    poses = [np.array((-2.5, -3.5, 0.0))]
+    for _ in range(scans - 1):
+        poses.append(planar.compose(poses[-1], step))
+    return np.array(poses), [scan(rng, YARD, pose, sigma_m) for pose in poses]
+
+
+def run(scans: list[Array], guess: Array | None = None) -> tuple[list[Increment], Array]:
+    """All increments, and the pose (3,) they lead to."""
+    odometry = ScanOdometry()
+    assert odometry.register(scans[0]) is None
+    found = [odometry.register(points, STEP if guess is None else guess) for points in scans[1:]]
+    return [f for f in found if f is not None], odometry.pose
+
+
+def test_increments_without_noise_are_those_driven() -> None:
+    found, end = run(drive(25, 0.0)[1])
+    assert len(found) == 24
+    for increment in found:
+        assert np.abs(increment.motion - STEP).max() < 0.01 * STEP[0]
+        assert increment.since == 1
+        assert increment.match.overlap > 0.8
+    chained = np.zeros(3)
+    for increment in found:
+        chained = planar.compose(chained, increment.motion)
+    assert np.abs(chained - end).max() < 1e-12
+
+
+def test_errors_are_as_large_as_the_covariances_say() -> None:
+    """On seeds that no calibration was found on."""
+    squared = []
+    for seed in (10, 11, 12):
+        log = scan_drive.simulate(np.random.default_rng(seed), scan_drive.dense_slam())
+        assert log.truth.poses is not None
+        squared.append(normalised_errors(run_scan_odometry(log), log.truth.poses))
+    total = np.concatenate(squared)
+    low, high = chi2.ppf((0.005, 0.995), 3 * len(total)) / len(total)
+    assert low < total.mean() < high
+    assert high < 1.2 * total.mean()
+    assert low > 0.8 * total.mean()
+
+
+def fingerprint() -> str:
+    """Of every pose and covariance of a drive in the plane and one in space."""
+    total = hashlib.sha256()
+    space = [seen_from(k * STEP, hall_in_space(np.random.default_rng(k))) for k in range(4)]
+    for scans in (drive(12)[1], space):
+        found, end = run(scans)
+        for increment in found:
+            total.update(increment.motion.tobytes() + increment.covariance.tobytes())
+            total.update(increment.match.motion.tobytes())
+        total.update(end.tobytes())
+    return total.hexdigest()
+
+
+@pytest.mark.parametrize(("hash_seed", "threads"), [("1", "1"), ("77", "4")])
+def test_another_process_finds_the_same_bits(hash_seed: str, threads: str) -> None:
+    code = "from tests.graphslam.scan.test_odometry import fingerprint; print(fingerprint())"
+    root = str(Path(__file__).resolve().parents[3])
+    settings = {
+        "PYTHONHASHSEED": hash_seed,
+        "OMP_NUM_THREADS": threads,
+        "OPENBLAS_NUM_THREADS": threads,
+        "TBB_NUM_THREADS": threads,
+        "PYTHONPATH": root,
+    }
+    end = subprocess.run(
+        [sys.executable, "-c", code],
+        env=os.environ | settings,
+        cwd=root,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert end.stdout.strip() == fingerprint()
+
+
+def test_the_order_of_points_does_not_matter() -> None:
+    """Bit for bit, though a voxel keeps those of its points that come first."""
+    rng = np.random.default_rng(0)
+    space = [seen_from(k * STEP, hall_in_space(np.random.default_rng(k))) for k in range(4)]
+    for scans in (drive(8)[1], space):
+        found, end = run(scans)
+        mixed, mixed_end = run([rng.permutation(points) for points in scans])
+        assert np.array_equal(mixed_end, end)
+        for one, other in zip(found, mixed, strict=True):
+            assert np.array_equal(one.motion, other.motion)
+            assert np.array_equal(one.covariance, other.covariance)
+
+
+def test_inputs_stay_as_they_are() -> None:
+    scans, guess = drive(4)[1], STEP.copy()
+    scans[2][5] = np.nan
+    before = [points.copy() for points in scans]
+    for points in (*scans, guess):
+        points.setflags(write=False)
+    odometry, motions = ScanOdometry(), []
+    for k, points in enumerate(scans):
+        found = odometry.register(points, guess if k else None)
+        motions.append(None if found is None else found.motion.copy())
+        points.setflags(write=True)
+        points += 1.0  # nor does odometry hold on to them
+    for points, copy in zip(scans, before, strict=True):
+        assert np.array_equal(points, copy + 1.0, equal_nan=True)
+    again = [found.motion for found in run(before)[0]]
+    assert np.array_equal(np.array(motions[1:]), np.array(again))
+
+
+def test_a_planar_map_stays_in_the_plane() -> None:
+    """At any heading: else every surface would be looked for in space."""
+    for heading in np.linspace(-3.1, 3.1, 9).tolist():
+        odometry = ScanOdometry()
+        odometry.pose = np.array((4.0, -3.0, heading))
+        for points in drive(3)[1]:
+            odometry.register(points, STEP)
+            assert not odometry.map_points()[:, 2].any()
+
+
+def test_without_a_guess_the_velocity_is_kept() -> None:
+    """Where alignment reaches less far than the vehicle goes between two scans."""
+    step = np.array((1.3, 0.05, 0.1))
+    scans = drive(5, step=step)[1]
+    short = OdometryOptions(blind_threshold_m=0.3, blind_jump_m=0.8)
+    moving, standing = ScanOdometry(short), ScanOdometry(short)
+    moving.register(scans[0])
+    moving.register(scans[1], step)
+    for points in scans[2:]:
+        found = moving.register(points)
+        assert found is not None
+        assert np.abs(found.motion - step).max() < 0.02
+    standing.register(scans[0])
+    with pytest.raises(ScanError):
+        standing.register(scans[1])
+
+
+def test_the_map_forgets_what_lies_far_back() -> None:
+    poses, scans = drive(40)
+    whole, short = ScanOdometry(), ScanOdometry(OdometryOptions(memory_m=1.0))
+    for k, points in enumerate(scans):
+        whole.register(points, STEP if k else None)
+        found = short.register(points, STEP if k else None)
+        if found is not None:
+            assert np.abs(found.motion - STEP).max() < 0.02
+    assert 100 < len(short.map_points()) < 0.9 * len(whole.map_points())
+    for odometry in (whole, short):
+        error = planar.between(planar.between(poses[0], poses[-1]), odometry.pose)
+        assert np.abs(error).max() < 0.05

@@ -1,0 +1,258 @@
+"""Motions between poses that do not follow each other, in problems, graphs and g2o files."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from comparisons.errors import InputError
+from comparisons.logs.bundled import open_log
+from graphslam.g2o import G2oContents, read_g2o, write_g2o
+from graphslam.graph_builder import build_graph, last_poses, to_tangent
+from graphslam.increments import dead_reckoned
+from graphslam.marginals import pose_covariances
+from graphslam.optimisers import OPTIMISERS
+from graphslam.problem import Closures, SlamProblem
+from graphslam.smoother import SmootherOptions, smooth
+from tests.helpers import Array, random_covariance, relative_error
+
+NOWHERE = np.zeros(0, dtype=np.intp)
+
+
+def circle(closures: Closures, seed: int = 0) -> SlamProblem:
+    """Twelve noisy increments round a circle."""
+    rng = np.random.default_rng(seed)
+    spread = np.array([1e-3 * random_covariance(rng, 3) for _ in range(12)])
+    noise = np.array([rng.multivariate_normal(np.zeros(3), c) for c in spread])
+    moves = np.tile((1.0, 0.2, 2.0 * np.pi / 12), (12, 1)) + noise
+    return SlamProblem(
+        np.array((1.0, 2.0, 0.7)),
+        1e-2 * random_covariance(rng, 3),
+        moves,
+        spread,
+        NOWHERE,
+        NOWHERE,
+        np.zeros((0, 2)),
+        np.zeros((0, 2)),
+        0,
+        closures=closures,
+    )
+
+
+def closures(kernel: str = "none") -> Closures:
+    """Back to the start, one the other way round in time, and one beside an increment."""
+    rng = np.random.default_rng(7)
+    step = (1.0, 0.2, 2.0 * np.pi / 12)
+    even = dead_reckoned(np.zeros(3), np.tile(step, (12, 1)))
+    first, second = np.array((0, 9, 4)), np.array((12, 2, 5))
+    motion = []
+    for i, j in zip(first, second, strict=True):
+        local = to_tangent(even[i, 2:])[0] @ (even[j] - even[i])
+        motion.append(local + 0.02 * rng.standard_normal(3))
+    spread = np.array([4e-4 * random_covariance(rng, 3) for _ in range(3)])
+    return Closures(first, second, np.array(motion), spread, kernel)
+
+
+def whitened(start: Array, end: Array, motion: Array, covariance: Array) -> Array:
+    """(3,) how a motion between two poses misses a measured one, as a right perturbation."""
+    local = to_tangent(start[2:])[0] @ (end - start)
+    off = local - motion
+    turn = (off[2] + np.pi) % (2.0 * np.pi) - np.pi
+    way = to_tangent(motion[2:])[0][:2, :2] @ off[:2]
+    s, q = (np.sin(turn) / turn, (1.0 - np.cos(turn)) / turn) if turn else (1.0, 0.0)
+    twist = np.append(np.linalg.solve(np.array(((s, -q), (q, s))), way), turn)
+    result: Array = np.linalg.solve(np.linalg.cholesky(covariance), twist)
+    return result
+
+
+def oracle(problem: SlamProblem) -> tuple[Array, Array, float]:
+    """Poses, covariances (K, 3, 3) and error of the optimum, by dense least squares."""
+    turn = to_tangent(problem.prior_pose[2:])[0]
+    closed = problem.closures
+    own = range(len(problem.increment))
+
+    def residuals(state: Array) -> Array:
+        x = state.reshape(-1, 3)
+        parts = [whitened(np.zeros(3), x[0], problem.prior_pose, turn @ problem.prior_covariance
+                          @ turn.T)]  # fmt: skip
+        for i, j, d, c in (
+            *zip(own, own, problem.increment, problem.increment_covariance, strict=True),
+            *zip(closed.first, closed.second - 1, closed.motion, closed.covariance, strict=True),
+        ):
+            parts.append(whitened(x[i], x[j + 1], d, c))
+        return np.concatenate(parts)
+
+    start = dead_reckoned(problem.prior_pose, problem.increment).ravel()
+    end = least_squares(residuals, start, jac="3-point", xtol=1e-15, ftol=1e-15, gtol=1e-12)
+    inverse = np.linalg.inv(end.jac.T @ end.jac).reshape(len(start) // 3, 3, -1, 3)
+    k = np.arange(problem.pose_count)
+    return end.x.reshape(-1, 3), inverse[k, :, k], float(end.cost)
+
+
+def test_dimensions_count_closures() -> None:
+    without, with_them = circle(Closures()), circle(closures())
+    assert without.residual_dimension == 3 * 13
+    assert with_them.residual_dimension == 3 * 16
+    assert without.state_dimension == with_them.state_dimension == 3 * 13
+    assert build_graph(with_them).size() == 16
+    assert last_poses(with_them)[-3:].tolist() == [12, 9, 5]
+
+
+@pytest.mark.parametrize(("poses", "left"), [(13, [0, 1, 2]), (12, [1, 2]), (10, [1, 2]), (9, [2]),
+                                             (6, [2]), (5, []), (1, [])])  # fmt: skip
+def test_a_prefix_keeps_what_its_poses_close(poses: int, left: list[int]) -> None:
+    whole = circle(closures("cauchy"))
+    part = whole.prefix(poses)
+    assert part.pose_count == poses
+    assert part.closures.kernel == "cauchy"
+    for name in ("first", "second", "motion", "covariance"):
+        kept = getattr(whole.closures, name)[left]
+        assert np.array_equal(getattr(part.closures, name), kept)
+    assert part.closures.last.max(initial=0) < poses
+    assert build_graph(part).size() == poses + len(left)
+
+
+@pytest.mark.parametrize("optimiser", OPTIMISERS)
+def test_the_optimum_is_that_of_dense_least_squares(optimiser: str) -> None:
+    problem = circle(closures())
+    result = smooth(problem, {}, options=SmootherOptions(optimiser=optimiser))
+    poses, covariance, error = oracle(problem)
+    assert relative_error(result.poses, poses) < 1e-6
+    assert abs(result.error - error) < 1e-6 * error
+    assert result.proof.proven
+    assert relative_error(result.pose_covariances(), covariance) < 1e-5
+    # Taken the wrong way round, with the covariance's frame along, it is another problem.
+    one = problem.closures
+    turned = replace(one, first=one.second, second=one.first)
+    other = smooth(replace(problem, closures=turned), {})
+    assert np.abs(other.poses - poses).max() > 0.1
+
+
+def test_incremental_smoothing_takes_closures_in() -> None:
+    problem = circle(closures())
+    batch, steps = smooth(problem, {}), smooth(problem, {}, options=SmootherOptions("isam2"))
+    assert relative_error(steps.poses, batch.poses) < 1e-6
+
+
+def test_closures_must_lie_within_a_fixed_lag() -> None:
+    problem = circle(closures())
+    held = smooth(problem, {}, options=SmootherOptions("fixed-lag", lag=12))
+    assert held.proof.distance_sigma is not None
+    assert held.proof.distance_sigma < 0.1
+    with pytest.raises(ValueError, match="lag is 11, expected 12 at least"):
+        smooth(problem, {}, options=SmootherOptions("fixed-lag", lag=11))
+
+
+def test_closures_make_every_pose_surer() -> None:
+    """Linearised at the same place."""
+    problem = circle(closures())
+    result = smooth(problem, {})
+    opened = build_graph(replace(problem, closures=Closures()))
+    before = pose_covariances(opened, result.values, result.poses[:, 2])
+    after = result.pose_covariances()
+    least = np.linalg.eigvalsh(before - after)[:, 0]
+    assert (least > -1e-9 * np.linalg.eigvalsh(before)[:, 2]).all()
+    assert np.trace(after[-1]) < 0.5 * np.trace(before[-1])
+
+
+def test_a_wild_closure_under_a_kernel_does_little_harm() -> None:
+    sound = closures()
+    wild = replace(
+        sound,
+        first=np.append(sound.first, 1),
+        second=np.append(sound.second, 7),
+        motion=np.vstack((sound.motion, (9.0, -9.0, 1.0))),
+        covariance=np.concatenate((sound.covariance, sound.covariance[:1])),
+    )
+    good = smooth(circle(sound), {}).poses
+    harm = {
+        kernel: np.abs(smooth(circle(replace(wild, kernel=kernel)), {}).poses - good).max()
+        for kernel in ("none", "cauchy")
+    }
+    assert harm["cauchy"] < 0.05 * harm["none"]
+    assert harm["none"] > 1.0
+
+
+def test_a_kernel_says_nothing_against_sound_closures() -> None:
+    plain, robust = (smooth(circle(closures(kernel)), {}) for kernel in ("none", "cauchy"))
+    off = (robust.poses - plain.poses) / np.sqrt(np.einsum("kii->ki", plain.pose_covariances()))
+    assert np.abs(off).max() < 1.0
+    assert plain.proof.chi_square.dof == 9
+    assert robust.proof.chi_square.dof == 0
+
+
+def solved(problem: SlamProblem) -> G2oContents:
+    return G2oContents(problem, smooth(problem, {}).poses, np.zeros((0, 2)))
+
+
+def test_closures_survive_g2o_bit_for_bit(tmp_path: Path) -> None:
+    path = tmp_path / "closed.g2o"
+    contents = solved(circle(closures()))
+    write_g2o(path, contents)
+    again = read_g2o(path)
+    assert np.array_equal(again.poses, contents.poses)
+    for name in ("increment", "increment_covariance", "prior_pose", "prior_covariance"):
+        assert np.array_equal(getattr(again.problem, name), getattr(contents.problem, name))
+    for field in fields(Closures):
+        before, after = (getattr(c.problem.closures, field.name) for c in (contents, again))
+        assert np.array_equal(before, after), field.name
+
+
+def test_closures_of_another_program_are_read(tmp_path: Path) -> None:
+    """Numbers with gaps, edges in any order, the later pose first, no covariance behind a #."""
+    path = tmp_path / "other.g2o"
+    path.write_text(
+        "EDGE_SE2 30 10 -1.5 0.5 -3.0 4 0 0 5 0 100\n"
+        "VERTEX_SE2 10 0 0 0\nVERTEX_SE2 30 2 0 3.0\nVERTEX_SE2 20 1 0 1.5\n"
+        "EDGE_SE2 20 30 1 0 1.5 1 0 0 1 0 1\n"
+        "EDGE_SE2 10 20 1 0 1.5 2 0.5 0 2 0 2\n"
+        "EDGE_SE2 10 20 1.1 0 1.4 3 0 0 3 0 3\n"
+    )
+    problem = read_g2o(path).problem
+    closed = problem.closures
+    assert problem.pose_count == 3
+    assert np.array_equal(problem.increment, ((1.0, 0.0, 1.5), (1.0, 0.0, 1.5)))
+    assert closed.first.tolist() == [2, 0]
+    assert closed.second.tolist() == [0, 1]
+    assert np.array_equal(closed.motion, ((-1.5, 0.5, -3.0), (1.1, 0.0, 1.4)))
+    assert relative_error(closed.covariance[0], np.diag((0.25, 0.2, 0.01))) < 1e-12
+    assert closed.kernel == "none"
+    with pytest.raises(InputError, match="do not follow each other") as caught:
+        open_log(str(with_sighting(path)), "g2o")
+    assert "\n" not in str(caught.value)
+
+
+def with_sighting(path: Path) -> Path:
+    """A log needs one; without closures it would then be read."""
+    seen = "VERTEX_XY 40 1 1\nEDGE_SE2_XY 10 40 1 1 9 0 9\n"
+    path.write_text(path.read_text() + seen)
+    plain = [line for line in path.read_text().splitlines() if "SE2 30 10" not in line]
+    sound = path.with_name("sound.g2o")
+    sound.write_text("\n".join(line for line in plain if "10 20 1.1" not in line))
+    assert open_log(str(sound), "g2o").records["odometry"] == 2
+    return path
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        (("EDGE_SE2 9 2 ", "EDGE_SE2 9 9 "), r"closed\.g2o:\d+: EDGE_SE2 from pose 9 to itself"),
+        (("EDGE_SE2 9 2 ", "EDGE_SE2 9 77 "), r"closed\.g2o:\d+: EDGE_SE2 names 77"),
+        (("EDGE_SE2 6 7 ", "EDGE_SE2 6 8 "), "no EDGE_SE2 departs from pose 6"),
+        (("EDGE_SE2 6 7 ", "EDGE_SE2 7 6 "), "no EDGE_SE2 departs from pose 6"),
+    ],
+)
+def test_wrong_closures_are_refused(
+    tmp_path: Path, change: tuple[str, str], complaint: str
+) -> None:
+    path = tmp_path / "closed.g2o"
+    write_g2o(path, solved(circle(closures())))
+    text = path.read_text()
+    assert change[0] in text
+    path.write_text(text.replace(*change))
+    with pytest.raises(ValueError, match=complaint):
+        read_g2o(path)
