@@ -1,0 +1,85 @@
+"""A packed tree of boxes: which of many boxes does a point or a box meet."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+BRANCHES = 8
+
+
+class Meeting(NamedTuple):
+    """Pairs that meet. query: (k,) which question. item: (k,) which box. tested: boxes tried."""
+
+    query: Index
+    item: Index
+    tested: int
+
+
+@dataclass(frozen=True)
+class BoxTree:
+    """Levels of boxes, each the hull of `BRANCHES` consecutive ones below; one at the top.
+
+    order: (n,) the item behind each of the lowest boxes. levels: lowest first, (b, 4) west,
+    south, east, north; padded with empty boxes.
+
+    A question goes down one level at a time for all points at once, so numpy's cost per call is
+    paid once per level: logarithmic in the boxes when few of them overlap.
+    """
+
+    order: Index
+    levels: tuple[Array, ...]
+
+    @classmethod
+    def pack(cls, box: Array, order: Index) -> BoxTree:
+        """A tree over boxes (n, 4) in a given order (n,), neighbours close to each other."""
+        levels = [_padded(box[order])]
+        while len(levels[-1]) > BRANCHES:
+            group = levels[-1].reshape(-1, BRANCHES, 4)
+            hull = np.concatenate((group[..., :2].min(axis=1), group[..., 2:].max(axis=1)), axis=1)
+            levels.append(_padded(hull))
+        return cls(order, tuple(levels))
+
+    def meeting(self, box: Array) -> Meeting:
+        """Every pair of a box asked about (q, 4) and an item's box that touch.
+
+        A point is a box without extent. NaN meets nothing.
+        """
+        query = np.repeat(np.arange(len(box)), BRANCHES)
+        node = np.tile(np.arange(BRANCHES), len(box))
+        tested = 0
+        for height in range(len(self.levels) - 1, -1, -1):
+            tested += len(query)
+            here, asked = self.levels[height][node], box[query]
+            touch = np.flatnonzero(
+                ((asked[:, :2] <= here[:, 2:]) & (here[:, :2] <= asked[:, 2:])).all(axis=1)
+            )
+            query, node = query[touch], node[touch]
+            if height:
+                query = np.repeat(query, BRANCHES)
+                node = (node[:, None] * BRANCHES + np.arange(BRANCHES)).ravel()
+        return Meeting(query, self.order[node], tested)
+
+
+def boxes(triangle: Array) -> Array:
+    """Boxes (n, 4) west, south, east, north around triangles (n, 3, 2)."""
+    return np.concatenate((triangle.min(axis=1), triangle.max(axis=1)), axis=1)
+
+
+def tiled(center: Array) -> Index:
+    """An order (n,) of points (n, 2) in which neighbours are close: slabs by east, then north."""
+    slabs = max(1, int(np.sqrt(len(center) / BRANCHES)))
+    rank = np.argsort(np.argsort(center[:, 0], kind="stable"), kind="stable")
+    return np.lexsort((center[:, 1], rank * slabs // max(len(center), 1)))
+
+
+def _padded(box: Array) -> Array:
+    empty = np.array((np.inf, np.inf, -np.inf, -np.inf))
+    missing = max(BRANCHES, -(-len(box) // BRANCHES) * BRANCHES) - len(box)
+    return np.concatenate((box, np.tile(empty, (missing, 1))))

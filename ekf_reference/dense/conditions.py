@@ -1,0 +1,167 @@
+"""When three landmarks may define a region (Nieto 2005, section 3.5, its three conditions)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ekf_reference.dense.triangles import Array, axes, determinant, turned
+
+TOUCHING = 1e-9
+"""Overlap, as a share of the longest edge, that is rounding of a shared edge or corner."""
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """Bounds of the three conditions, and how large a region may be.
+
+    least_correlation: of every pair of base landmarks, as pair_correlation defines it.
+    known_apart_m: standard deviation of a pair's relative position below which correlation is
+    not asked for; 0 to ask always, as the thesis does. Landmarks seen from a well known pose
+    are independent, yet their region cannot deform.
+    flip_sigmas: the region's area must be so many of its standard deviations away from zero.
+    independent: judge that by the thesis' conservative test, every landmark's ellipse against
+    the opposite axis, which refuses everything where the pose is poorly known.
+    least_angle_rad: of the three corners. longest_edge_m: of the three edges.
+    """
+
+    least_correlation: float = 0.9
+    known_apart_m: float = 0.0
+    flip_sigmas: float = 3.0
+    independent: bool = False
+    least_angle_rad: float = math.radians(15.0)
+    longest_edge_m: float = 25.0
+
+    def pairs(self, landmark: Array, covariance: Array) -> NDArray[np.bool_]:
+        """Which landmarks may share a region; (m, m), False on the diagonal.
+
+        landmark: (m, 2) [m]. covariance: (2 m, 2 m) [m^2].
+        """
+        reach = np.linalg.norm(landmark[:, None] - landmark, axis=-1) <= self.longest_edge_m
+        near = pair_correlation(covariance) >= self.least_correlation
+        if self.known_apart_m > 0.0:
+            near |= relative_sigma(covariance) <= self.known_apart_m
+        allowed: NDArray[np.bool_] = reach & near & ~np.eye(len(landmark), dtype=bool)
+        return allowed
+
+    def well_conditioned(self, triangle: Array, covariance: Array) -> NDArray[np.bool_]:
+        """Which triangles (C, 3, 2) with covariances (C, 6, 6) keep their shape; (C,)."""
+        margin = ellipse_margin if self.independent else flip_margin
+        wide = smallest_angle(triangle) >= self.least_angle_rad
+        safe: NDArray[np.bool_] = wide & (margin(triangle, covariance) >= self.flip_sigmas)
+        return safe
+
+
+def pair_correlation(covariance: Array) -> Array:
+    """How much of their uncertainty landmarks have in common; (m, m), between -1 and 1.
+
+    covariance: (2 m, 2 m) [m^2].
+
+    The thesis asks for high correlation (eq. 2.62, by east and north) *and* the same uncertainty:
+    then the relative position is known. Both are in the smallest, over directions u, of
+    2 u'P_ij u / u'(P_ii + P_jj) u. With equal variances that is the correlation coefficient in
+    the worst direction; it never exceeds those in east and north, does not depend on the
+    choice of axes, and keeps the sign that eq. 2.62 drops.
+    """
+    own, cross = _blocks(covariance)
+    total = own[:, None] + own
+    common = cross + np.swapaxes(cross, -1, -2)
+    known = np.trace(total, axis1=-2, axis2=-1) <= 0.0  # nothing left to disagree about
+    total = np.where(known[..., None, None], np.eye(2), total)
+    common = np.where(known[..., None, None], np.eye(2), common)
+    half_trace = 0.5 * np.trace(np.linalg.solve(total, common), axis1=-2, axis2=-1)
+    product = np.linalg.det(common) / np.linalg.det(total)
+    root = np.sqrt(np.maximum(half_trace**2 - product, 0.0))
+    smallest: Array = half_trace - root
+    return smallest
+
+
+def relative_sigma(covariance: Array) -> Array:
+    """Standard deviation [m] of relative positions in their worst direction; (m, m).
+
+    covariance: (2 m, 2 m) [m^2].
+    """
+    own, cross = _blocks(covariance)
+    apart = own[:, None] + own - cross - np.swapaxes(cross, -1, -2)
+    sigma: Array = np.sqrt(np.maximum(np.linalg.eigvalsh(apart)[..., -1], 0.0))
+    return sigma
+
+
+def flip_margin(triangle: Array, covariance: Array) -> Array:
+    """How many standard deviations the doubled area Delta is away from zero; (C,).
+
+    triangle: (C, 3, 2). covariance: (C, 6, 6) of the landmarks with each other. Derivatives of
+    Delta: Nieto 2005, eqs. C.20 to C.22. What is common to the landmarks cancels.
+    """
+    a, b = axes(triangle)
+    by_landmarks = np.concatenate((turned(a - b), turned(b), -turned(a)), axis=-1)
+    variance = np.einsum("...i,...ij,...j->...", by_landmarks, covariance, by_landmarks)
+    return _ratio(np.abs(determinant(triangle)), np.sqrt(np.maximum(variance, 0.0)))
+
+
+def ellipse_margin(triangle: Array, covariance: Array) -> Array:
+    """How many sigmas a landmark's ellipse may grow before it meets the opposite axis; (C,).
+
+    The smallest over the three landmarks, correlations left out (Nieto 2005, Fig. 3.10 a).
+    triangle: (C, 3, 2). covariance: (C, 6, 6).
+    """
+    margins = []
+    for corner in range(3):
+        opposite = triangle[:, corner - 1] - triangle[:, corner - 2]
+        normal = turned(opposite) / np.linalg.norm(opposite, axis=-1, keepdims=True)
+        columns = slice(2 * corner, 2 * corner + 2)
+        variance = np.einsum("ci,cij,cj->c", normal, covariance[:, columns, columns], normal)
+        height = np.abs(determinant(triangle)) / np.linalg.norm(opposite, axis=-1)
+        margins.append(_ratio(height, np.sqrt(variance)))
+    least: Array = np.min(margins, axis=0)
+    return least
+
+
+def smallest_angle(triangle: Array) -> Array:
+    """The smallest of the angles [rad] of triangles (C, 3, 2); (C,)."""
+    ahead = np.roll(triangle, -1, axis=1) - triangle
+    behind = np.roll(triangle, 1, axis=1) - triangle
+    cross = np.abs(ahead[..., 0] * behind[..., 1] - ahead[..., 1] * behind[..., 0])
+    angle: Array = np.arctan2(cross, (ahead * behind).sum(axis=-1)).min(axis=1)
+    return angle
+
+
+def overlap(first: Array, second: Array) -> NDArray[np.bool_]:
+    """Whether triangles (..., 3, 2) and (..., 3, 2) have area in common; (...,), broadcast.
+
+    Two triangles are apart when the normal of one of their six edges separates them. A shared
+    edge or corner is no overlap (Nieto 2005, Fig. 3.10 b).
+    """
+    shape = np.broadcast_shapes(first.shape, second.shape)
+    first, second = np.broadcast_to(first, shape), np.broadcast_to(second, shape)
+    edge = np.concatenate(
+        (first - np.roll(first, 1, axis=-2), second - np.roll(second, 1, axis=-2)), axis=-2
+    )
+    length = np.linalg.norm(edge, axis=-1, keepdims=True)
+    normal = turned(edge) / np.where(length > 0.0, length, 1.0)
+    origin = first[..., :1, :]
+    along_first = normal @ np.swapaxes(first - origin, -1, -2)
+    along_second = normal @ np.swapaxes(second - origin, -1, -2)
+    depth = np.minimum(along_first.max(axis=-1), along_second.max(axis=-1)) - np.maximum(
+        along_first.min(axis=-1), along_second.min(axis=-1)
+    )
+    common: NDArray[np.bool_] = (depth > TOUCHING * length.max(axis=-2)).all(axis=-1)
+    return common
+
+
+def _blocks(covariance: Array) -> tuple[Array, Array]:
+    """P_ii (m, 2, 2) and P_ij (m, m, 2, 2) of a covariance (2 m, 2 m)."""
+    m = len(covariance) // 2
+    cross = covariance.reshape(m, 2, m, 2).transpose(0, 2, 1, 3)
+    which = np.arange(m)
+    return cross[which, which], cross
+
+
+def _ratio(size: Array, sigma: Array) -> Array:
+    """Size in sigmas, infinite where there is no uncertainty."""
+    certain = sigma <= 0.0
+    ratio: Array = np.where(certain, np.inf, size / np.where(certain, 1.0, sigma))
+    return ratio

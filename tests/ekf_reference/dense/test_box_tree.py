@@ -1,0 +1,41 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ekf_reference.dense.box_tree import BoxTree, tiled
+from tests.helpers import Array
+
+
+def random_boxes(rng: np.random.Generator, count: int, size_m: float) -> Array:
+    low = rng.uniform(0, 100, (count, 2))
+    return np.hstack((low, low + rng.uniform(0, size_m, (count, 2))))
+
+
+@pytest.mark.parametrize("count", [0, 1, 7, 8, 9, 64, 65, 700])
+def test_meetings_equal_brute_force(count: int) -> None:
+    rng = np.random.default_rng(count)
+    box, asked = random_boxes(rng, count, 9.0), random_boxes(rng, 300, 3.0)
+    asked[:150, 2:] = asked[:150, :2]
+    asked[7] = np.nan
+    for order in (np.arange(count), rng.permutation(count), tiled(box[:, :2])):
+        found = BoxTree.pack(box, order).meeting(asked)
+        touch = (asked[:, None, :2] <= box[:, 2:]) & (box[:, :2] <= asked[:, None, 2:])
+        expected = np.argwhere(touch.all(axis=2))
+        pairs = np.column_stack((found.query, found.item))
+        assert np.array_equal(pairs[np.lexsort(pairs.T[::-1])], expected)
+
+
+def test_boxes_tried_grow_with_the_logarithm() -> None:
+    """100 times as many boxes, each as large against its neighbours: a few levels more."""
+    rng = np.random.default_rng(0)
+    tried = {}
+    for count in (100, 1_000, 10_000):
+        box = random_boxes(rng, count, 100.0 / np.sqrt(count))
+        point = rng.uniform(0, 100, (500, 2))
+        tree = BoxTree.pack(box, tiled(box[:, :2]))
+        tried[count] = tree.meeting(np.hstack((point, point))).tested / len(point)
+    assert tried[10_000] < tried[100] * 2.5
+    assert tried[10_000] - tried[1_000] < 2.0 * (tried[1_000] - tried[100]) + 8
+    shuffled = BoxTree.pack(box, rng.permutation(len(box)))
+    assert shuffled.meeting(np.hstack((point, point))).tested > 20 * tried[10_000] * len(point)

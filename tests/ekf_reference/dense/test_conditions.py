@@ -1,0 +1,121 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ekf_reference.correlation import correlation_coefficients
+from ekf_reference.dense.conditions import (
+    Conditions,
+    ellipse_margin,
+    flip_margin,
+    overlap,
+    pair_correlation,
+    relative_sigma,
+    smallest_angle,
+)
+from ekf_reference.dense.triangles import contains, determinant, to_global, to_local
+from tests.helpers import Array, random_covariance
+
+
+def shared(common_m: float, own_m: float, count: int = 3) -> Array:
+    """Covariance of landmarks that share one error and have another of their own."""
+    return common_m**2 * np.kron(np.ones((count, count)), np.eye(2)) + own_m**2 * np.eye(2 * count)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_pair_correlation_is_the_worst_direction(seed: int) -> None:
+    covariance = random_covariance(np.random.default_rng(seed), 8)
+    found = pair_correlation(covariance)
+    assert np.allclose(found, found.T)
+    assert np.allclose(np.diag(found), 1.0)
+    turn = np.linspace(0, np.pi, 4001)
+    u = np.stack((np.cos(turn), np.sin(turn)))
+    for i, j in ((0, 1), (1, 3), (2, 0)):
+        a, b = slice(2 * i, 2 * i + 2), slice(2 * j, 2 * j + 2)
+        p_ij, total = covariance[a, b], covariance[a, a] + covariance[b, b]
+        along = 2 * np.sum(u * (p_ij @ u), axis=0) / np.sum(u * (total @ u), axis=0)
+        assert np.isclose(found[i, j], along.min(), atol=1e-5)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_pair_correlation_never_exceeds_east_and_north(seed: int) -> None:
+    """Condition 1 is never weaker than eq. 2.62 by east and north, whatever the axes."""
+    covariance = random_covariance(np.random.default_rng(seed), 8)
+    found, printed = pair_correlation(covariance), correlation_coefficients(covariance)
+    assert (found <= printed[::2, ::2] + 1e-12).all()
+    assert (found <= printed[1::2, 1::2] + 1e-12).all()
+    turn = np.kron(np.eye(4), np.array(((0.6, -0.8), (0.8, 0.6))))
+    assert np.allclose(pair_correlation(turn @ covariance @ turn.T), found)
+
+
+def test_correlation_of_equal_landmarks() -> None:
+    assert np.isclose(pair_correlation(shared(3.0, 1.0))[0, 1], 0.9)
+    assert np.allclose(relative_sigma(shared(3.0, 0.5))[0, 1], 0.5 * np.sqrt(2))
+    assert np.allclose(pair_correlation(np.zeros((6, 6))), 1.0)  # surveyed landmarks
+    opposed = shared(3.0, 0.1, 2)
+    opposed[:2, 2:] *= -1.0
+    opposed[2:, :2] *= -1.0
+    assert pair_correlation(opposed)[0, 1] < -0.99
+    assert correlation_coefficients(opposed)[0, 2] > 0.99  # eq. 2.62 as printed takes |P_ij|
+
+
+def test_margins_tell_how_likely_a_region_flips() -> None:
+    rng = np.random.default_rng(0)
+    triangle = np.array([[(0.0, 0.0), (10.0, 0.0), (5.0, 2.0)]])
+    covariance = shared(4.0, 0.8)[None]
+    draws = triangle + rng.multivariate_normal(np.zeros(6), covariance[0], 100_000).reshape(
+        -1, 3, 2
+    )
+    share = np.mean(np.sign(determinant(draws)) != np.sign(determinant(triangle)))
+    margin = flip_margin(triangle, covariance)[0]
+    from_margin = 0.5 * np.mean(np.abs(rng.standard_normal(1_000_000)) > margin)
+    assert np.isclose(share, from_margin, rtol=0.1)
+    # The thesis' test without correlations: height 2 m over a sigma of the landmark.
+    assert np.isclose(ellipse_margin(triangle, covariance)[0], 2.0 / np.hypot(4.0, 0.8))
+    assert np.isinf(flip_margin(triangle, np.zeros((1, 6, 6)))[0])
+
+
+def test_angles() -> None:
+    triangle = np.array(
+        [[(0.0, 0.0), (2.0, 0.0), (0.0, 2.0)], [(0.0, 0.0), (10.0, 0.0), (5.0, 0.1)]]
+    )
+    assert np.allclose(smallest_angle(triangle), (np.pi / 4, np.arctan(0.02)))
+
+
+def test_overlap_equals_area_in_common() -> None:
+    """Against random points: triangles overlap when some point lies in both."""
+    rng = np.random.default_rng(1)
+    pairs = rng.uniform(0, 10, (400, 2, 3, 2))
+    pairs = pairs[(np.abs(determinant(pairs)) > 4.0).all(axis=1)]
+    found = overlap(pairs[:, 0], pairs[:, 1])
+    uniform = rng.dirichlet(np.ones(3), 20_000)[:, 1:]
+    points = to_global(pairs[:, :1], uniform)
+    sampled = contains(to_local(pairs[:, 1:], points)).any(axis=1)
+    assert not (sampled & ~found).any()
+    assert np.mean(found & ~sampled) < 0.03  # slivers that no point hit
+    assert 0.2 < np.mean(found) < 0.95
+    assert np.array_equal(found, overlap(pairs[:, 1, (1, 0, 2)], pairs[:, 0, (2, 0, 1)]))
+
+
+def test_sharing_an_edge_or_a_corner_is_no_overlap() -> None:
+    rng = np.random.default_rng(2)
+    for _ in range(100):
+        p = rng.uniform(-1e3, 1e3, 2) + rng.uniform(-10, 10, (3, 2))
+        opposite = p[0] + p[1] - p[2]
+        beyond = 2.0 * p[0] - p[1:]
+        first = p
+        assert not overlap(first, np.stack((p[0], p[1], opposite)))
+        assert not overlap(first, np.vstack((p[:1], beyond)))
+        assert overlap(first, first)
+        assert overlap(first, np.stack((p[0], p[1], p.mean(axis=0))))
+
+
+def test_conditions_bound_what_they_name() -> None:
+    square = np.array([(0.0, 0.0), (10.0, 0.0), (10.0, 10.0), (90.0, 0.0)])
+    covariance = shared(1.0, 0.2, 4)
+    expected = np.zeros((4, 4), dtype=bool)
+    expected[:3, :3] = ~np.eye(3, dtype=bool)
+    assert np.array_equal(Conditions().pairs(square, covariance), expected)
+    assert not Conditions(least_correlation=0.97).pairs(square, covariance).any()
+    known = Conditions(least_correlation=0.97, known_apart_m=0.3)
+    assert np.array_equal(known.pairs(square, covariance), expected)

@@ -1,0 +1,199 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial import Delaunay
+
+from ekf_reference.dense.conditions import Conditions, overlap
+from ekf_reference.dense.regions import LocalRegions
+from ekf_reference.dense.triangles import contains, solve
+from tests.ekf_reference.dense.test_conditions import shared
+from tests.helpers import Array
+
+ANY_SIZE = Conditions(longest_edge_m=1e3)
+
+
+def scattered(rng: np.random.Generator, count: int, side_m: float = 100.0) -> Array:
+    """Landmarks with some distance from each other."""
+    points = np.empty((0, 2))
+    while len(points) < count:
+        new = rng.uniform(0, side_m, 2)
+        if (np.linalg.norm(points - new, axis=1) > 0.4 * side_m / np.sqrt(count)).all():
+            points = np.vstack((points, new))
+    return points
+
+
+def grown(landmark: Array, reach_m: float = 30.0) -> LocalRegions:
+    """Regions as they come up when landmarks arrive one by one, seen from the newest."""
+    regions = LocalRegions()
+    for count in range(3, len(landmark) + 1):
+        near = np.linalg.norm(landmark[:count] - landmark[count - 1], axis=1) < reach_m
+        slot = np.flatnonzero(near)
+        regions.extend(landmark[:count], slot, shared(3.0, 0.3, len(slot)))
+    return regions
+
+
+def brute_force(triangle: Array, point: Array) -> Array:
+    """(N, R) whether a point is in a region."""
+    return np.stack([contains(solve(t, point), 1e-12) for t in triangle], axis=1)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_each_point_lies_in_at_most_one_region(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    landmark = scattered(rng, 60)
+    regions = grown(landmark)
+    assert len(regions.base) > 40
+    point = rng.uniform(-5, 105, (20_000, 2))
+    inside = brute_force(landmark[regions.base], point)
+    assert inside.sum(axis=1).max() == 1
+    triangle = landmark[regions.base]
+    assert not np.triu(overlap(triangle[:, None], triangle), 1).any()
+
+
+@pytest.mark.parametrize("moved_m", [0.0, 1.0, 15.0])
+def test_location_equals_brute_force(moved_m: float) -> None:
+    """Also where landmarks have moved so far that regions overlap or turn over."""
+    rng = np.random.default_rng(5)
+    landmark = scattered(rng, 80)
+    regions = grown(landmark)
+    landmark = landmark + moved_m * rng.standard_normal(landmark.shape)
+    triangle = landmark[regions.base]
+    corners = landmark[rng.integers(len(landmark), size=500)]
+    edge = regions.base[rng.integers(len(regions.base), size=500)]
+    share = rng.uniform(0, 1, (500, 1))
+    on_edges = share * landmark[edge[:, 0]] + (1 - share) * landmark[edge[:, 1]]
+    point = np.vstack((rng.uniform(-20, 120, (10_000, 2)), corners, on_edges))
+    inside = brute_force(triangle, point)
+    expected = np.where(inside.any(axis=1), inside.argmax(axis=1), -1)
+    located = regions.placed(landmark).locate(point)
+    assert np.array_equal(located.region, expected)
+    assert (located.region[-500:] >= 0).all()
+    assert np.array_equal(np.isnan(located.local[:, 0]), expected < 0)
+    found = expected >= 0
+    assert np.array_equal(located.local[found], solve(triangle[expected[found]], point[found]))
+    assert (len(regions.flipped(landmark)) > 0) == (moved_m > 5)
+
+
+def test_growing_never_changes_what_there_is() -> None:
+    """What an incremental Delaunay triangulation would do: see the module's docstring."""
+    landmark = scattered(np.random.default_rng(6), 50)
+    regions, before = LocalRegions(), np.empty((0, 3), dtype=np.intp)
+    for count in range(3, len(landmark) + 1):
+        slot = np.flatnonzero(np.linalg.norm(landmark[:count] - landmark[count - 1], axis=1) < 40)
+        new = regions.extend(landmark[:count], slot, shared(3.0, 0.3, len(slot)))
+        assert np.array_equal(regions.base[: len(before)], before)
+        assert np.array_equal(new, np.arange(len(before), len(regions.base)))
+        before = regions.base.copy()
+    again = regions.extend(landmark, slot, shared(3.0, 0.3, len(slot)))
+    assert len(again) == 0  # all that fits is there
+
+
+def test_an_incremental_delaunay_triangulation_changes_what_there_is() -> None:
+    """Why it is not used: most landmarks that arrive take regions away."""
+    landmark = scattered(np.random.default_rng(6), 50)
+    delaunay = Delaunay(landmark[:10], incremental=True)
+    changes = 0
+    for new in landmark[10:]:
+        before = {tuple(sorted(t)) for t in delaunay.simplices.tolist()}
+        delaunay.add_points(new[None])
+        changes += not before <= {tuple(sorted(t)) for t in delaunay.simplices.tolist()}
+    delaunay.close()
+    assert changes > 30
+
+
+def test_no_gap_is_left_that_a_permitted_triple_fills() -> None:
+    landmark = scattered(np.random.default_rng(7), 20, 50.0)
+    conditions = Conditions(least_angle_rad=0.05, longest_edge_m=1e3)
+    regions = LocalRegions(conditions)
+    regions.extend(landmark, np.arange(20), shared(3.0, 1e-3, 20))
+    inside = np.random.default_rng(8).dirichlet(np.ones(20), 5_000) @ landmark
+    assert np.mean(regions.placed(landmark).locate(inside).region >= 0) > 0.999
+
+
+def test_points_that_are_no_numbers_are_outside() -> None:
+    landmark = scattered(np.random.default_rng(9), 10, 30.0)
+    regions = grown(landmark)
+    point = np.array([(np.nan, 5.0), (np.inf, 5.0), (-np.inf, np.inf), landmark.mean(axis=0)])
+    assert (regions.placed(landmark).locate(point).region[:3] == -1).all()
+    assert (regions.placed(landmark).locate(np.empty((0, 2))).region).shape == (0,)
+
+
+THREE = np.array([(0.0, 0.0), (10.0, 0.0), (3.0, 8.0)])
+
+
+def added(conditions: Conditions, landmark: Array, covariance: Array) -> int:
+    return len(LocalRegions(conditions).extend(landmark, np.arange(len(landmark)), covariance))
+
+
+def test_first_condition_refuses_landmarks_that_hang_together_too_little() -> None:
+    """Small deviations, so that the second condition has no say."""
+    loose, tight = shared(0.3, 0.2), shared(0.3, 0.01)
+    assert added(Conditions(), THREE, tight) == 1
+    assert added(Conditions(), THREE, loose) == 0
+    assert added(Conditions(least_correlation=-1.0), THREE, loose) == 1  # the check left out
+    one_loose = tight.copy()
+    one_loose[4:] *= 0.5
+    one_loose[:, 4:] *= 0.5
+    one_loose[4:, 4:] += 0.3 * np.eye(2)
+    assert added(Conditions(), THREE, one_loose) == 0  # two out of three are not enough
+
+
+def test_second_condition_refuses_regions_that_could_flip_over() -> None:
+    """Correlated landmarks, so that the first condition has no say."""
+    flat = np.array([(0.0, 0.0), (10.0, 0.0), (5.0, 4.0)])
+    covariance = shared(10.0, 1.2)
+    assert added(Conditions(), flat * (2.0, 1.0), covariance) == 0
+    assert added(Conditions(), flat * (2.0, 4.0), covariance) == 1
+    lax = replace(Conditions(), flip_sigmas=0.0)
+    assert added(lax, flat * (2.0, 1.0), covariance) == 1  # the check left out
+    # Known to the millimetre a sliver cannot flip, but its axes are too close.
+    sliver, certain = flat * (1.0, 0.2), shared(0.1, 1e-4)
+    assert added(Conditions(), sliver, certain) == 0
+    assert added(replace(Conditions(), least_angle_rad=0.0), sliver, certain) == 1
+    # The thesis' conservative test takes no account of what is common.
+    assert added(replace(Conditions(), independent=True), flat * (2.0, 4.0), covariance) == 0
+
+
+def test_third_condition_refuses_overlap(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Four corners and the middle: six regions overlap, four do not."""
+    landmark = np.array([(0.0, 0.0), (10.0, 0.0), (10.0, 10.0), (0.0, 10.0), (4.0, 5.5)])
+    covariance = shared(3.0, 0.1, 5)
+    assert added(ANY_SIZE, landmark, covariance) == 4
+
+    def apart(first: Array, second: Array) -> Array:
+        return np.zeros(np.broadcast_shapes(first.shape, second.shape)[:-2], dtype=bool)
+
+    monkeypatch.setattr("ekf_reference.dense.regions.overlap", apart)
+    assert added(ANY_SIZE, landmark, covariance) > 4  # the check left out
+
+
+def test_an_existing_region_keeps_its_ground() -> None:
+    """A landmark that arrives inside a region is no corner; around it regions go on."""
+    landmark = np.vstack((THREE, [(4.0, 3.0), (12.0, 9.0)]))
+    regions = LocalRegions()
+    regions.extend(landmark, np.arange(3), shared(3.0, 0.1, 3))
+    regions.extend(landmark, np.arange(5), shared(3.0, 0.1, 5))
+    assert sorted(map(tuple, np.sort(regions.base))) == [(0, 1, 2), (1, 2, 4)]
+
+
+@pytest.mark.parametrize(
+    "landmark",
+    [
+        [],
+        [(1.0, 1.0)],
+        [(1.0, 1.0), (5.0, 1.0)],
+        [(1.0, 1.0), (5.0, 1.0), (9.0, 1.0)],
+        [(1.0, 1.0), (1.0, 1.0), (9.0, 5.0)],
+        [(1.0, 1.0), (1.0, 1.0), (1.0, 1.0)],
+    ],
+)
+def test_landmarks_that_span_nothing_make_no_region(landmark: list[tuple[float, float]]) -> None:
+    points = np.array(landmark, dtype=float).reshape(-1, 2)
+    for least_angle in (0.0, 0.2):
+        conditions = Conditions(least_angle_rad=least_angle, flip_sigmas=0.0)
+        assert added(conditions, points, shared(3.0, 0.1, len(points))) == 0
+    regions = LocalRegions()
+    assert (regions.placed(points).locate(np.zeros((4, 2))).region == -1).all()
