@@ -26,7 +26,7 @@ class Meeting(NamedTuple):
 class BoxTree:
     """Levels of boxes, each the hull of `BRANCHES` consecutive ones below; one at the top.
 
-    order: (n,) the item behind each of the lowest boxes. levels: lowest first, (b, 4) west,
+    order: (n,) the item behind each of the lowest boxes. levels: lowest first, (4, b) west,
     south, east, north; padded with empty boxes.
 
     A question goes down one level at a time for all points at once, so numpy's cost per call is
@@ -40,10 +40,10 @@ class BoxTree:
     def pack(cls, box: Array, order: Index) -> BoxTree:
         """A tree over boxes (n, 4) in a given order (n,), neighbours close to each other."""
         levels = [_padded(box[order])]
-        while len(levels[-1]) > BRANCHES:
-            group = levels[-1].reshape(-1, BRANCHES, 4)
-            hull = np.concatenate((group[..., :2].min(axis=1), group[..., 2:].max(axis=1)), axis=1)
-            levels.append(_padded(hull))
+        while levels[-1].shape[1] > BRANCHES:
+            group = levels[-1].reshape(4, -1, BRANCHES)
+            hull = np.concatenate((group[:2].min(axis=2), group[2:].max(axis=2)))
+            levels.append(_padded(hull.T))
         return cls(order, tuple(levels))
 
     def meeting(self, box: Array) -> Meeting:
@@ -53,12 +53,16 @@ class BoxTree:
         """
         query = np.repeat(np.arange(len(box)), BRANCHES)
         node = np.tile(np.arange(BRANCHES), len(box))
+        west, south, east, north = box.T.copy()  # contiguous: several times faster to pick from
         tested = 0
         for height in range(len(self.levels) - 1, -1, -1):
             tested += len(query)
-            here, asked = self.levels[height][node], box[query]
+            here = self.levels[height]
             touch = np.flatnonzero(
-                ((asked[:, :2] <= here[:, 2:]) & (here[:, :2] <= asked[:, 2:])).all(axis=1)
+                (west[query] <= here[2][node])
+                & (here[0][node] <= east[query])
+                & (south[query] <= here[3][node])
+                & (here[1][node] <= north[query])
             )
             query, node = query[touch], node[touch]
             if height:
@@ -82,4 +86,4 @@ def tiled(center: Array) -> Index:
 def _padded(box: Array) -> Array:
     empty = np.array((np.inf, np.inf, -np.inf, -np.inf))
     missing = max(BRANCHES, -(-len(box) // BRANCHES) * BRANCHES) - len(box)
-    return np.concatenate((box, np.tile(empty, (missing, 1))))
+    return np.ascontiguousarray(np.concatenate((box, np.tile(empty, (missing, 1)))).T)

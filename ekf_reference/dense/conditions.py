@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,45 +15,19 @@ TOUCHING = 1e-9
 """Overlap, as a share of the longest edge, that is rounding of a shared edge or corner."""
 
 
-@dataclass(frozen=True)
-class Conditions:
-    """Bounds of the three conditions, and how large a region may be.
+def coordinate_correlation(covariance: Array) -> Array:
+    """Correlation of landmarks, the lower of that in east and in north; (m, m), -1 to 1.
 
-    least_correlation: of every pair of base landmarks, as pair_correlation defines it.
-    known_apart_m: standard deviation of a pair's relative position below which correlation is
-    not asked for; 0 to ask always, as the thesis does. Landmarks seen from a well known pose
-    are independent, yet their region cannot deform.
-    flip_sigmas: the region's area must be so many of its standard deviations away from zero.
-    independent: judge that by the thesis' conservative test, every landmark's ellipse against
-    the opposite axis, which refuses everything where the pose is poorly known.
-    least_angle_rad: of the three corners. longest_edge_m: of the three edges.
+    covariance: (2 m, 2 m) [m^2]. Source: Nieto 2005, Example 3.1 and eq. 2.62. Erratum: 2.62 takes
+    the absolute value; landmarks that move against each other deform a region the most,
+    so the sign is kept.
     """
-
-    least_correlation: float = 0.9
-    known_apart_m: float = 0.0
-    flip_sigmas: float = 3.0
-    independent: bool = False
-    least_angle_rad: float = math.radians(15.0)
-    longest_edge_m: float = 25.0
-
-    def pairs(self, landmark: Array, covariance: Array) -> NDArray[np.bool_]:
-        """Which landmarks may share a region; (m, m), False on the diagonal.
-
-        landmark: (m, 2) [m]. covariance: (2 m, 2 m) [m^2].
-        """
-        reach = np.linalg.norm(landmark[:, None] - landmark, axis=-1) <= self.longest_edge_m
-        near = pair_correlation(covariance) >= self.least_correlation
-        if self.known_apart_m > 0.0:
-            near |= relative_sigma(covariance) <= self.known_apart_m
-        allowed: NDArray[np.bool_] = reach & near & ~np.eye(len(landmark), dtype=bool)
-        return allowed
-
-    def well_conditioned(self, triangle: Array, covariance: Array) -> NDArray[np.bool_]:
-        """Which triangles (C, 3, 2) with covariances (C, 6, 6) keep their shape; (C,)."""
-        margin = ellipse_margin if self.independent else flip_margin
-        wide = smallest_angle(triangle) >= self.least_angle_rad
-        safe: NDArray[np.bool_] = wide & (margin(triangle, covariance) >= self.flip_sigmas)
-        return safe
+    own, cross = _blocks(covariance)
+    own, cross = np.einsum("iaa->ia", own), np.einsum("ijaa->ija", cross)
+    spread = np.sqrt(own[:, None] * own)
+    known = spread <= 0.0
+    lower: Array = np.where(known, 1.0, cross / np.where(known, 1.0, spread)).min(axis=-1)
+    return lower
 
 
 def pair_correlation(covariance: Array) -> Array:
@@ -60,11 +35,11 @@ def pair_correlation(covariance: Array) -> Array:
 
     covariance: (2 m, 2 m) [m^2].
 
-    The thesis asks for high correlation (eq. 2.62, by east and north) *and* the same uncertainty:
-    then the relative position is known. Both are in the smallest, over directions u, of
+    The thesis asks for high correlation *and* the same uncertainty (section 3.5): then the
+    relative position is known. Both are in the smallest, over directions u, of
     2 u'P_ij u / u'(P_ii + P_jj) u. With equal variances that is the correlation coefficient in
-    the worst direction; it never exceeds those in east and north, does not depend on the
-    choice of axes, and keeps the sign that eq. 2.62 drops.
+    the worst direction. Where positive it never exceeds those in east and north, and it does not
+    depend on the choice of axes, as coordinate_correlation does.
     """
     own, cross = _blocks(covariance)
     total = own[:, None] + own
@@ -127,6 +102,48 @@ def smallest_angle(triangle: Array) -> Array:
     cross = np.abs(ahead[..., 0] * behind[..., 1] - ahead[..., 1] * behind[..., 0])
     angle: Array = np.arctan2(cross, (ahead * behind).sum(axis=-1)).min(axis=1)
     return angle
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """Bounds of the three conditions, and how large a region may be.
+
+    least_correlation: of every pair of base landmarks. correlation: what that is measured by,
+    the thesis' coordinate_correlation or the stricter pair_correlation.
+    known_apart_m: standard deviation of a pair's relative position below which correlation is
+    not asked for; 0 to ask always, as the thesis does. Landmarks seen from a well known pose
+    are independent, yet their region cannot deform.
+    flip_sigmas: how many standard deviations a region must be away from turning over. margin:
+    how that is told, flip_margin or the thesis' conservative ellipse_margin, which refuses
+    everything where the pose is poorly known.
+    least_angle_rad: of the three corners. longest_edge_m: of the three edges.
+    """
+
+    least_correlation: float = 0.9
+    correlation: Callable[[Array], Array] = coordinate_correlation
+    known_apart_m: float = 0.0
+    flip_sigmas: float = 3.0
+    margin: Callable[[Array, Array], Array] = flip_margin
+    least_angle_rad: float = math.radians(15.0)
+    longest_edge_m: float = 25.0
+
+    def pairs(self, landmark: Array, covariance: Array) -> NDArray[np.bool_]:
+        """Which landmarks may share a region; (m, m), False on the diagonal.
+
+        landmark: (m, 2) [m]. covariance: (2 m, 2 m) [m^2].
+        """
+        reach = np.linalg.norm(landmark[:, None] - landmark, axis=-1) <= self.longest_edge_m
+        near = self.correlation(covariance) >= self.least_correlation
+        if self.known_apart_m > 0.0:
+            near |= relative_sigma(covariance) <= self.known_apart_m
+        allowed: NDArray[np.bool_] = reach & near & ~np.eye(len(landmark), dtype=bool)
+        return allowed
+
+    def well_conditioned(self, triangle: Array, covariance: Array) -> NDArray[np.bool_]:
+        """Which triangles (C, 3, 2) with covariances (C, 6, 6) keep their shape; (C,)."""
+        wide = smallest_angle(triangle) >= self.least_angle_rad
+        safe: NDArray[np.bool_] = wide & (self.margin(triangle, covariance) >= self.flip_sigmas)
+        return safe
 
 
 def overlap(first: Array, second: Array) -> NDArray[np.bool_]:

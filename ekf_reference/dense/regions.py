@@ -54,12 +54,14 @@ class PlacedRegions:
         A point on a shared edge, or where landmarks have moved so that regions overlap, is in
         the oldest of its regions: never in two. Not finite points are outside all.
         """
-        finite = np.isfinite(point).all(axis=1, keepdims=True)
-        asked = np.where(finite, point, np.nan)
         reach = ON_AN_EDGE * self._extent
-        meeting = self.tree.meeting(np.concatenate((asked - reach, asked + reach), axis=1))
-        usable = ~is_degenerate(self.triangle[meeting.item])
-        query, item = meeting.query[usable], meeting.item[usable]
+        asked = np.where(np.isfinite(point).all(axis=1, keepdims=True), point, np.nan)
+        asked = np.concatenate((asked - reach, asked + reach), axis=1)
+        near, tree = self._around(asked)
+        query, place, _ = tree.meeting(asked)
+        item = near[place]
+        usable = ~is_degenerate(self.triangle[item])
+        query, item = query[usable], item[usable]
         coordinates = solve(self.triangle[item], point[query])
         inside = np.flatnonzero(contains(coordinates, ON_AN_EDGE))
         inside = inside[np.argsort(item[inside], kind="stable")[::-1]]
@@ -68,6 +70,17 @@ class PlacedRegions:
         region[query[inside]] = item[inside]  # the oldest is written last
         local[query[inside]] = coordinates[inside]
         return Located(region, local)
+
+    def _around(self, asked: Array) -> tuple[Index, BoxTree]:
+        """Regions near the boxes (N, 4) and a tree over them: a scan sees little of a large map."""
+        known = asked[~np.isnan(asked[:, 0])]
+        hull = np.concatenate(
+            (known[:, :2].min(axis=0, initial=np.inf), known[:, 2:].max(axis=0, initial=-np.inf))
+        )
+        near = self.tree.meeting(hull[None]).item
+        if 2 * len(near) > len(self.triangle):
+            return np.arange(len(self.triangle)), self.tree
+        return near, BoxTree.pack(boxes(self.triangle[near]), np.arange(len(near)))
 
     def meeting(self, triangle: Array) -> tuple[Index, Index]:
         """Pairs (k,), (k,) of triangles (C, 3, 2) and regions that overlap."""
@@ -78,7 +91,7 @@ class PlacedRegions:
     @property
     def _extent(self) -> float:
         top = self.tree.levels[-1]
-        size = float((top[:, 2:].max(axis=0) - top[:, :2].min(axis=0)).max())
+        size = float((top[2:].max(axis=1) - top[:2].min(axis=1)).max())
         return size if np.isfinite(size) else 0.0
 
 

@@ -6,6 +6,7 @@ import pytest
 from ekf_reference.correlation import correlation_coefficients
 from ekf_reference.dense.conditions import (
     Conditions,
+    coordinate_correlation,
     ellipse_margin,
     flip_margin,
     overlap,
@@ -39,11 +40,16 @@ def test_pair_correlation_is_the_worst_direction(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_pair_correlation_never_exceeds_east_and_north(seed: int) -> None:
-    """Condition 1 is never weaker than eq. 2.62 by east and north, whatever the axes."""
+    """Landmarks that pass with it pass by east and north too, whatever the axes."""
     covariance = random_covariance(np.random.default_rng(seed), 8)
     found, printed = pair_correlation(covariance), correlation_coefficients(covariance)
-    assert (found <= printed[::2, ::2] + 1e-12).all()
-    assert (found <= printed[1::2, 1::2] + 1e-12).all()
+    by_axes = coordinate_correlation(covariance)
+    assert (found <= np.maximum(by_axes, 0.0) + 1e-12).all()
+    assert (found[by_axes < 0.0] < 0.0).all()
+    sigma = np.sqrt(np.diag(covariance))
+    signed = covariance / np.outer(sigma, sigma)
+    assert np.allclose(np.abs(signed), printed)
+    assert np.allclose(by_axes, np.minimum(signed[::2, ::2], signed[1::2, 1::2]))
     turn = np.kron(np.eye(4), np.array(((0.6, -0.8), (0.8, 0.6))))
     assert np.allclose(pair_correlation(turn @ covariance @ turn.T), found)
 
@@ -56,6 +62,8 @@ def test_correlation_of_equal_landmarks() -> None:
     opposed[:2, 2:] *= -1.0
     opposed[2:, :2] *= -1.0
     assert pair_correlation(opposed)[0, 1] < -0.99
+    assert coordinate_correlation(opposed)[0, 1] < -0.99
+    assert np.allclose(coordinate_correlation(np.zeros((6, 6))), 1.0)
     assert correlation_coefficients(opposed)[0, 2] > 0.99  # eq. 2.62 as printed takes |P_ij|
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import Delaunay
 
-from ekf_reference.dense.conditions import Conditions, overlap
+from ekf_reference.dense.conditions import Conditions, ellipse_margin, overlap, pair_correlation
 from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.triangles import contains, solve
 from tests.ekf_reference.dense.test_conditions import shared
@@ -131,6 +131,8 @@ def added(conditions: Conditions, landmark: Array, covariance: Array) -> int:
 def test_first_condition_refuses_landmarks_that_hang_together_too_little() -> None:
     """Small deviations, so that the second condition has no say."""
     loose, tight = shared(0.3, 0.2), shared(0.3, 0.01)
+    assert added(Conditions(correlation=pair_correlation), THREE, tight) == 1
+    assert added(Conditions(correlation=pair_correlation), THREE, loose) == 0
     assert added(Conditions(), THREE, tight) == 1
     assert added(Conditions(), THREE, loose) == 0
     assert added(Conditions(least_correlation=-1.0), THREE, loose) == 1  # the check left out
@@ -154,7 +156,7 @@ def test_second_condition_refuses_regions_that_could_flip_over() -> None:
     assert added(Conditions(), sliver, certain) == 0
     assert added(replace(Conditions(), least_angle_rad=0.0), sliver, certain) == 1
     # The thesis' conservative test takes no account of what is common.
-    assert added(replace(Conditions(), independent=True), flat * (2.0, 4.0), covariance) == 0
+    assert added(replace(Conditions(), margin=ellipse_margin), flat * (2.0, 4.0), covariance) == 0
 
 
 def test_third_condition_refuses_overlap(monkeypatch: pytest.MonkeyPatch) -> None:
