@@ -1,0 +1,214 @@
+"""Examples 3.1 and 3.2 of the thesis in our simulation of its section 2.9."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from functools import cache
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from comparisons.logs.log import Log
+from ekf_reference.dense.conditions import coordinate_correlation
+from ekf_reference.dense.decorrelation import (
+    correlations,
+    displacements,
+    local_cross_covariance,
+    passive_change,
+)
+from ekf_reference.dense.triangles import contains, is_degenerate, local_covariance, to_local
+from ekf_reference.kalman import KalmanState, state_columns
+from ekf_reference.observation import RangeBearing
+from tests.ekf_reference.dense.drives import scans
+from tests.ekf_reference.dense.test_triangles import random_triangles
+from tests.helpers import Array, random_covariance, relative_error, simulated
+
+POINT, BASE, DISTANT = 38, (36, 37, 40), 33
+"""Landmarks by order of incorporation: one within the triangle of three, one 15 m away."""
+FUSED_S, CLOSING_S = 52.0, 78.0
+"""When the point was last seen, and when the start of the loop comes into view again."""
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """The filter after a scan."""
+
+    time_s: float
+    landmark: Array
+    covariance: Array
+
+    def among(self, *slot: int) -> Array:
+        """Joint covariance of some landmarks, in this order."""
+        columns = state_columns(np.array(slot))[3:]
+        return self.covariance[np.ix_(columns, columns)]
+
+
+def not_seen_after(log: Log, label: int, time_s: float) -> Log:
+    """The log as if a landmark were a dense point: no second look at it."""
+    seen = log.sightings
+    keep = (seen.landmark != label) | (seen.time_s <= time_s)
+    columns = {f.name: getattr(seen, f.name) for f in fields(seen)}
+    kept = {k: v[keep] for k, v in columns.items() if isinstance(v, np.ndarray)}
+    return replace(log, sightings=replace(seen, **kept))
+
+
+@cache
+def history(seed: int) -> list[Snapshot]:
+    log = simulated(seed, max_range_m=25.0, extra_s=10.0)
+    labels, first = np.unique(log.sightings.landmark, return_index=True)
+    label = int(labels[np.argsort(first)][POINT])
+    return [
+        Snapshot(t, ekf.state.landmarks.copy(), ekf.state.covariance.copy())
+        for t, ekf in scans(not_seen_after(log, label, FUSED_S))
+        if t >= FUSED_S
+    ]
+
+
+def test_example_3_1_correlation_falls_from_above_095_to_below_01() -> None:
+    """From when the point is fused until the loop closes, as in Fig. 3.5 (c) and (d)."""
+    for now in history(0):
+        if now.time_s > CLOSING_S:
+            break
+        triangle, point = now.landmark[list(BASE)], now.landmark[POINT]
+        found = correlations(triangle, point, now.among(DISTANT, *BASE, POINT))
+        assert np.diag(found.world).min() > 0.95
+        assert found.local.max() < 0.1
+        assert (found.sigma_local_m < 0.2 * found.sigma_world_m).all()
+
+
+def test_example_3_1_holds_for_every_landmark_within_a_correlated_triangle() -> None:
+    now = history(0)[0]
+    near = np.flatnonzero(np.linalg.norm(now.landmark - now.landmark[POINT], axis=1) < 25.0)
+    alike = coordinate_correlation(now.among(*near)) >= 0.9
+    found = []
+    for triple in combinations(range(len(near)), 3):
+        base = near[list(triple)]
+        triangle = now.landmark[base]
+        if not alike[np.ix_(triple, triple)].all() or is_degenerate(triangle):
+            continue
+        others = np.setdiff1d(np.arange(len(now.landmark)), base)
+        for i in others[contains(to_local(triangle, now.landmark[others]))]:
+            for j in others[np.linalg.norm(now.landmark[others] - now.landmark[i], axis=1) > 15]:
+                rho = correlations(triangle, now.landmark[i], now.among(j, *base, i))
+                if np.diag(rho.world).min() > 0.95:
+                    found.append(rho.local.max())
+    assert len(found) > 50
+    assert max(found) < 0.1
+
+
+@pytest.mark.parametrize("dropped", ["with_landmarks", "with_point"])
+def test_half_of_equation_3_5_does_not_decorrelate(dropped: str) -> None:
+    now = history(0)[0]
+    covariance = now.among(DISTANT, *BASE, POINT)
+    triangle, point = now.landmark[list(BASE)], now.landmark[POINT]
+    terms = {"with_landmarks": covariance[:2, 2:8], "with_point": covariance[:2, 8:]}
+    terms[dropped] = np.zeros_like(terms[dropped])
+    cross = local_cross_covariance(triangle, point, **terms)
+    own = np.diag(local_covariance(triangle, point, covariance[2:, 2:]))
+    assert (np.abs(cross) / np.sqrt(np.outer(np.diag(covariance)[:2], own))).max() > 0.5
+
+
+def test_example_3_2_local_change_is_at_most_a_fifth_of_the_global_one() -> None:
+    """At the closing of the loop, over several runs; the thesis shows 0.1 m against 0.5 m."""
+    world, local = [], []
+    for seed in range(3):
+        snapshots = history(seed)
+        triangle = np.stack([s.landmark[list(BASE)] for s in snapshots])
+        point = np.stack([s.landmark[POINT] for s in snapshots])
+        moved = displacements(triangle[0], point[0], triangle, point)
+        assert moved.local_m.max() < 0.1
+        world.append(moved.world_m.max())
+        local.append(moved.local_m.max())
+    assert max(world) > 0.3
+    assert np.linalg.norm(local) < 0.2 * np.linalg.norm(world)
+
+
+def test_displacement_is_zero_under_a_common_motion_and_in_metres_otherwise() -> None:
+    triangle = np.array([(0.0, 0.0), (20.0, 0.0), (5.0, 15.0)])
+    point, shift = np.array((6.0, 4.0)), np.array((1.5, -2.0))
+    moved = displacements(triangle, point, triangle + shift, point + shift)
+    assert np.allclose((moved.world_m, moved.local_m), (2.5, 0.0), atol=1e-12)
+    moved = displacements(triangle, point, triangle, point + shift)
+    assert np.allclose((moved.world_m, moved.local_m), 2.5)
+
+
+NOISE = np.diag((0.1, 1e-3))
+
+
+def seen_once(rng: np.random.Generator) -> KalmanState:
+    """Five landmarks, all begun at one pose."""
+    state = KalmanState(np.array((1.0, 2.0, 0.4)), 1e-2 * random_covariance(rng, 3))
+    z = np.column_stack((rng.uniform(5, 20, 5), rng.uniform(-2, 2, 5)))
+    new = RangeBearing().invert(state.pose, z)
+    spread = np.broadcast_to(NOISE, (5, 2, 2))
+    state.augment(new.point, new.jacobian_pose, new.jacobian_sighting, spread)
+    return state
+
+
+def sighted(state: KalmanState, slot: int) -> Array:
+    """Jacobian (2, 5) of a sighting by the pose and the landmark."""
+    predicted = RangeBearing().predict(state.pose, state.landmarks[[slot]])
+    return np.hstack((predicted.jacobian_pose[0], predicted.jacobian_landmark[0]))
+
+
+def observed(rng: np.random.Generator) -> tuple[KalmanState, Array, Array, Array]:
+    """Landmarks seen from two places; Jacobian, S and innovation of a sighting of the first."""
+    state = seen_once(rng)
+    state.predict(state.pose + (3.0, 1.0, 0.2), np.eye(3), np.diag((0.2, 0.3, 0.01)))
+    for slot in range(1, 5):
+        columns = state_columns(np.array([slot]))
+        state.update(columns, sighted(state, slot), 0.1 * rng.standard_normal(2), NOISE)
+    jacobian = sighted(state, 0)
+    spread = jacobian @ state.covariance[:5, :5] @ jacobian.T + NOISE
+    return state, jacobian, spread, np.array((0.3, -0.02))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_passive_change_is_what_the_filter_does(seed: int) -> None:
+    """And what 3.16 spells out; 3.12 as printed, P grad h S^-1 nu, has no product."""
+    state, jacobian, spread, innovation = observed(np.random.default_rng(seed))
+    before, covariance = state.mean.copy(), state.covariance.copy()
+    change = passive_change(covariance[5:, :5], jacobian, spread, innovation)
+    p_jv, p_ji, s = covariance[5:, :3], covariance[5:, 3:5], np.linalg.inv(spread)
+    spelt = (p_jv @ jacobian[0, :3] + p_ji @ jacobian[0, 3:]) * (s[0] @ innovation) + (
+        p_jv @ jacobian[1, :3] + p_ji @ jacobian[1, 3:]
+    ) * (s[1] @ innovation)
+    assert relative_error(change, spelt) < 1e-10
+    state.update(np.arange(5), jacobian, innovation, NOISE)
+    assert relative_error(change, (state.mean - before)[5:]) < 1e-9
+    with pytest.raises(ValueError, match="mismatch"):
+        covariance[5:, :5] @ jacobian
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_passive_change_of_local_coordinates(seed: int) -> None:
+    """To first order it is how far the update moves a landmark within its triangle."""
+    rng = np.random.default_rng(seed)
+    _, jacobian, spread, innovation = observed(rng)
+    covariance, innovation = random_covariance(rng, 13), 1e-5 * innovation
+    triangle, point = random_triangles(rng, 1)[0], rng.uniform(-40, 40, 2)
+    cross = local_cross_covariance(triangle, point, covariance[:5, 5:11], covariance[:5, 11:])
+    change = passive_change(cross.T, jacobian, spread, innovation)
+    shift = passive_change(covariance[:, :5], jacobian, spread, innovation)[5:].reshape(4, 2)
+    after = to_local(triangle + shift[:3], point + shift[3])
+    assert relative_error(change, after - to_local(triangle, point)) < 1e-3
+
+
+def test_what_is_seen_from_one_pose_has_no_local_correlation_at_all() -> None:
+    """The pose's error moves and turns base and point as one, which alpha and beta do not see."""
+    once, (twice, *_) = seen_once(np.random.default_rng(0)), observed(np.random.default_rng(0))
+    for state, none in ((once, True), (twice, False)):
+        cross = state.covariance[:5, 5:]
+        local = local_cross_covariance(
+            state.landmarks[1:4], state.landmarks[4], cross[:, :6], cross[:, 6:]
+        )
+        assert (np.abs(local).max() < 1e-12 * np.abs(cross).max()) is np.bool_(none)
+
+
+def test_one_dimension_of_the_argument() -> None:
+    """Equation 3.4: P_vL = P_vv - P_vb vanishes when robot and base are one."""
+    triangle = random_triangles(np.random.default_rng(0), 1)[0]
+    common = np.tile(np.eye(2), (1, 4)) * 9.0
+    cross = local_cross_covariance(triangle, triangle.mean(axis=0), common[:, :6], common[:, 6:])
+    assert np.abs(cross).max() < 1e-12
