@@ -133,11 +133,16 @@ class Conditions:
         landmark: (m, 2) [m]. covariance: (2 m, 2 m) [m^2].
         """
         reach = np.linalg.norm(landmark[:, None] - landmark, axis=-1) <= self.longest_edge_m
-        near = self.correlation(covariance) >= self.least_correlation
-        if self.known_apart_m > 0.0:
-            near |= relative_sigma(covariance) <= self.known_apart_m
-        allowed: NDArray[np.bool_] = reach & near & ~np.eye(len(landmark), dtype=bool)
+        alike = self.correlated(covariance)
+        allowed: NDArray[np.bool_] = reach & alike & ~np.eye(len(landmark), dtype=bool)
         return allowed
+
+    def correlated(self, covariance: Array) -> NDArray[np.bool_]:
+        """Which points (2 m, 2 m) [m^2] hang together enough, by the first condition; (m, m)."""
+        alike = self.correlation(covariance) >= self.least_correlation
+        if self.known_apart_m > 0.0:
+            alike |= relative_sigma(covariance) <= self.known_apart_m
+        return alike
 
     def well_conditioned(self, triangle: Array, covariance: Array) -> NDArray[np.bool_]:
         """Which triangles (C, 3, 2) with covariances (C, 6, 6) keep their shape; (C,)."""

@@ -1,0 +1,52 @@
+"""Regions that come up as the filter drives a loop (Nieto 2005, section 2.9's environment)."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+
+from ekf_reference.dense.conditions import Conditions, overlap
+from ekf_reference.dense.regions import LocalRegions
+from tests.ekf_reference.dense.drives import scans
+from tests.helpers import Array, simulated
+
+
+@cache
+def driven(conditions: Conditions | None) -> tuple[LocalRegions, list[int], Array, Array]:
+    """Regions, their number after every scan, the filter's last mean and covariance."""
+    regions, count = LocalRegions(conditions or Conditions()), []
+    for _, ekf in scans(simulated(0, max_range_m=25.0)):
+        if conditions is not None:
+            near = ekf.state.local_map(30.0)
+            regions.extend(ekf.state.landmarks, near.slot, near.covariance[3:, 3:])
+        count.append(len(regions.base))
+    return regions, count, ekf.state.mean.copy(), ekf.state.covariance.copy()
+
+
+def test_the_filter_does_not_notice() -> None:
+    """Unidirectional information flow (section 3.7): bit-identical with and without regions."""
+    _, _, mean, covariance = driven(Conditions())
+    _, _, alone, covariance_alone = driven(None)
+    assert np.array_equal(mean, alone)
+    assert np.array_equal(covariance, covariance_alone)
+
+
+def test_regions_survive_the_closing_of_the_loop() -> None:
+    regions, count, mean, _ = driven(Conditions())
+    landmark = mean[3:].reshape(-1, 2)
+    assert len(regions.base) > 30
+    assert not len(regions.flipped(landmark))
+    triangle = landmark[regions.base]
+    assert not np.triu(overlap(triangle[:, None], triangle), 1).any()
+    assert (np.diff(count) >= 0).all()
+
+
+def test_near_a_known_start_correlation_is_low_and_regions_would_not_deform() -> None:
+    """Taken literally, the first condition leaves the beginning of a drive without regions."""
+    _, literal, *_ = driven(Conditions())
+    _, known, *_ = driven(Conditions(known_apart_m=0.3))
+    eleven_seconds = 55
+    assert literal[eleven_seconds] == 0
+    assert known[eleven_seconds] > 5
+    assert known[-1] > literal[-1]
