@@ -143,8 +143,9 @@ class LocalRegions:
     def _permitted(self, landmark: Array, covariance: Array) -> Index:
         """Triples (C, 3) of local landmarks that meet the first two conditions."""
         pair = np.triu(self.conditions.pairs(landmark, covariance))
-        first, second, third = np.nonzero(pair[:, :, None] & pair[:, None, :] & pair[None, :, :])
-        triple = np.stack((first, second, third), axis=1)
+        first, second = np.nonzero(pair)
+        edge, third = np.nonzero(pair[first] & pair[second])
+        triple = np.stack((first[edge], second[edge], third), axis=1)
         columns = (2 * triple[..., None] + np.arange(2)).reshape(-1, 6)
         joint = covariance[columns[:, :, None], columns[:, None, :]]
         fit = ~is_degenerate(landmark[triple])

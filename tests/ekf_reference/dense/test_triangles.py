@@ -46,6 +46,24 @@ def test_corners_and_printed_formula() -> None:
     assert np.isclose(determinant(one), delta)
 
 
+def test_printed_bounds_lose_and_double_points_of_shared_edges() -> None:
+    """Equation 3.7 prints alpha > 0, beta > 0, alpha + beta <= 1."""
+
+    def as_printed(local: Array) -> bool:
+        return bool(local[0] > 0 and local[1] > 0 and local.sum() <= 1)
+
+    p = np.array([(0.0, 0.0), (8.0, 0.0), (0.0, 8.0), (8.0, 8.0)])
+    on_edge = np.array((4.0, 4.0))  # of 1 2, shared by triangles 0 1 2 and 3 1 2
+    for first, second, printed in (
+        ((0, 1, 2), (3, 2, 1), 2),
+        ((0, 1, 2), (1, 3, 2), 1),
+        ((1, 2, 0), (2, 1, 3), 0),
+    ):
+        local = [to_local(p[list(base)], on_edge) for base in (first, second)]
+        assert sum(map(as_printed, local)) == printed
+        assert all(contains(x) for x in local)
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_points_follow_any_affine_map_of_their_landmarks(seed: int) -> None:
     rng = np.random.default_rng(seed)
