@@ -25,7 +25,12 @@ EKF_COLOUR = "#d1495b"
 SMOOTHER_COLOUR = "#00798c"
 TRUTH_COLOUR = "#444444"
 _MOST_DRAWN = 100_000
-_LOOK = {"smoother": (SMOOTHER_COLOUR, "s", "-"), "EKF": (EKF_COLOUR, "o", "--")}
+SCANS_COLOUR = "#edae49"
+_LOOK = {
+    "smoother": (SMOOTHER_COLOUR, "s", "-"),
+    "EKF": (EKF_COLOUR, "o", "--"),
+    "smoother on scans": (SCANS_COLOUR, "^", "-."),
+}
 
 
 def ellipses(centre: Array, covariance: Array, sigmas: float, points: int = 48) -> Array:
@@ -103,6 +108,8 @@ def map_figure(comparison: Comparison) -> Figure:
         f"linearisation {a.linearisation.sigma:.2g} sigma; optimism {a.whole.least:.3g}"
     )
     estimates = {"smoother": comparison.smoothed, "EKF": comparison.ekf.estimate}
+    if comparison.three_way is not None:
+        estimates["smoother on scans"] = comparison.three_way.estimate
     return _map(comparison.log, comparison.dead_reckoned, estimates, title)
 
 
@@ -169,7 +176,7 @@ def front_end_figure(front_end: FrontEnd, points: Array) -> Figure:
     for first, second in zip(f.graph.problem.closures.first, f.graph.problem.closures.second,
                              strict=True):  # fmt: skip
         ends = f.estimate.pose[[first, second]]
-        axis.plot(ends[:, 0], ends[:, 1], color="#edae49", linewidth=0.7, zorder=3)
+        axis.plot(ends[:, 0], ends[:, 1], color=SCANS_COLOUR, linewidth=0.7, zorder=3)
     axis.set_aspect("equal", adjustable="datalim")
     if f.wheels is not None:
         draw_aside(axis, f.wheels, "wheels")

@@ -114,6 +114,17 @@ def test_loops_are_closed_without_wheels_and_without_loops_nothing_is(scan_loop:
     assert blind.accuracy_graph.ate_aligned_m is not None
 
 
+def test_three_estimates_leave_three_folders(tmp_path: Path) -> None:
+    done = slamcheck("run", "scan-loop", "--motion", "both", "--out", "three", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "EKF on wheels agrees with the smoother on scans" in " ".join(done.stdout.split())
+    ids = [
+        read_estimate(tmp_path / "three" / name).landmark_id.tolist()
+        for name in ("ekf", "smoother", "scans")
+    ]
+    assert ids[0] == ids[1] == ids[2]
+
+
 def test_three_estimates_agree_when_nothing_is_wrong(scan_loop: Log) -> None:
     three = compare_estimators(scan_loop, motion="both")
     assert three.verdict.outcome == "agree"
