@@ -48,15 +48,6 @@ def ellipses(centre: Array, covariance: Array, sigmas: float, points: int = 48) 
     return result
 
 
-def landmark_covariances(estimate: Estimate) -> Array:
-    """Covariance (L, 2, 2) of each landmark of an estimate."""
-    count = len(estimate.landmark)
-    blocks = estimate.joint_covariance[3:, 3:].reshape(count, 2, count, 2)
-    which = np.arange(count)
-    result: Array = blocks[which, :, which, :]
-    return result
-
-
 def draw_trajectory(axis: Axes, position: Array, colour: str, label: str, style: str = "-") -> None:
     """A path (K, 2)."""
     axis.plot(position[:, 0], position[:, 1], style, color=colour, linewidth=0.9, label=label)
@@ -138,7 +129,7 @@ def _map(log: Log, dead_reckoned: Array, estimates: dict[str, Estimate], title: 
     for name, estimate in estimates.items():
         colour, marker, style = _LOOK[name]
         draw_trajectory(axis, estimate.pose[:, :2], colour, f"{name} trajectory", style)
-        outline = ellipses(estimate.landmark, landmark_covariances(estimate), 3.0)
+        outline = ellipses(estimate.landmark, estimate.landmark_covariances(), 3.0)
         label = f"{name} landmarks, 3 sigma"
         draw_landmarks(axis, estimate.landmark, outline, colour, marker, label)
     axis.set_aspect("equal", adjustable="datalim")
