@@ -15,6 +15,7 @@ from comparisons.checks.association import AssociationScore, score_association
 from comparisons.checks.attribution import ROUNDING, Verdict, judge
 from comparisons.checks.model_differences import model_differences
 from comparisons.checks.own_association import OwnAssociationCheck, check_own_association
+from comparisons.checks.scan_increments import IncrementCheck, check_increments
 from comparisons.checks.three_way import ThreeWay, compare_maps, find_culprit, readable
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
@@ -54,7 +55,8 @@ class Comparison:
 
     dead_reckoned: (K, 3) where the odometry alone leads. association: how it compares with the
     log's labels, when it was made without them. own_association: the smoother with its own, when
-    asked for. three_way: the smoother on scans beside both, when asked for. seconds: by stage.
+    asked for. three_way: the smoother on scans beside both, when asked for. scan_motion,
+    increments: what the scans gave and how honest it is, when they were asked. seconds: by stage.
     """
 
     log: Log
@@ -70,6 +72,8 @@ class Comparison:
     association: AssociationScore | None
     own_association: OwnAssociationCheck | None
     three_way: ThreeWay | None
+    scan_motion: ScanMotion | None
+    increments: IncrementCheck | None
     verdict: Verdict
     seconds: dict[str, float]
 
@@ -170,6 +174,8 @@ def compare_estimators(
             None if labelled else score_association(run.slot, run.estimate.landmark, log),
             second,
             three,
+            scanned,
+            None if scanned is None else check_increments(scanned, log),
             replace(verdict, remarks=(*verdict.remarks, *_on_scans(log, scanned))),
             clock.seconds,
         )

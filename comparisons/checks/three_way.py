@@ -21,6 +21,8 @@ from graphslam.smoother import SmootherResult
 Array = NDArray[np.float64]
 
 _CHI2_2_99 = float(chi2.ppf(0.99, 2))
+_CLEARLY = 1.5
+"""Of two errors, one so many times the other tells the worse motion."""
 MOST_OUTSIDE = 0.05
 """Share of landmarks that may lie beyond their 99 % region before the maps disagree."""
 
@@ -73,7 +75,7 @@ def compare_maps(first: Estimate, second: Estimate) -> Pair:
     if not len(i):
         raise ValueError("the maps share no landmark")
     a, b = first.landmark[i], second.landmark[j]
-    total = _blocks(first)[i] + _blocks(second)[j]
+    total = first.landmark_covariances()[i] + second.landmark_covariances()[j]
     squared = np.einsum("ni,ni->n", a - b, np.linalg.solve(total, (a - b)[:, :, None])[:, :, 0])
     return Pair(
         float(np.sqrt(np.mean(np.sum((a - b) ** 2, axis=1)))),
@@ -118,15 +120,3 @@ def find_culprit(
             name = "wheels" if w > s else "scans"
             return name, f"{figure} is {w:.3f} on wheels and {s:.3f} on scans"
     return "", "neither chi-square nor a reference tells which"
-
-
-_CLEARLY = 1.5
-
-
-def _blocks(estimate: Estimate) -> Array:
-    """(L, 2, 2) covariance of each landmark."""
-    count = len(estimate.landmark)
-    blocks = estimate.joint_covariance[3:, 3:].reshape(count, 2, count, 2)
-    which = np.arange(count)
-    result: Array = blocks[which, :, which, :]
-    return result

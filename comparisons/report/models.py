@@ -200,6 +200,35 @@ class ThreeWayResult(_Model):
     evidence: str
 
 
+class ScanOdometryResult(_Model):
+    """Scan odometry. failures: scans without an increment, by reason; breaks: new beginnings.
+
+    weak: increments that leave a direction open. overlap, residual_m: medians over the matches.
+    """
+
+    guess: str
+    scans: int
+    used: int
+    failures: dict[str, int]
+    breaks: int
+    weak: int
+    overlap: float | None
+    residual_m: float | None
+    scans_per_second: float
+
+
+class IncrementResult(_Model):
+    """Errors of the increments. See comparisons.checks.scan_increments.IncrementCheck."""
+
+    against: str
+    nees: float
+    dof: int
+    band: tuple[float, float]
+    factor: float
+    reference_factor: float | None
+    median: float | None
+
+
 class CauseResult(_Model):
     """One reason for the verdict."""
 
@@ -219,6 +248,8 @@ class Result(_Model):
     association: AssociationResult | None
     own_association: OwnAssociationResult | None
     three_way: ThreeWayResult | None
+    scan_odometry: ScanOdometryResult | None
+    increments: IncrementResult | None
     verdict: Literal["agree", "disagree", "unproven"]
     causes: list[CauseResult]
     remarks: list[str]
@@ -244,41 +275,12 @@ class SolutionResult(_Model):
     versions: dict[str, str]
 
 
-class ScanOdometryResult(_Model):
-    """Scan odometry. failures: scans without an increment, by reason; breaks: new beginnings.
-
-    weak: increments that leave a direction open. overlap, residual_m: medians over the matches.
-    """
-
-    guess: str
-    scans: int
-    used: int
-    failures: dict[str, int]
-    breaks: int
-    weak: int
-    overlap: float | None
-    residual_m: float | None
-    scans_per_second: float
-
-
 class LoopResult(_Model):
     """Loop closure: pairs of poses tried, closed, and the reasons against the others."""
 
     tried: int
     closed: int
     reasons: dict[str, int]
-
-
-class IncrementResult(_Model):
-    """Errors of the increments. See comparisons.checks.scan_increments.IncrementCheck."""
-
-    against: str
-    nees: float
-    dof: int
-    band: tuple[float, float]
-    factor: float
-    reference_factor: float | None
-    median: float | None
 
 
 class FrontEndResult(_Model):

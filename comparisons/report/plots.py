@@ -25,7 +25,12 @@ EKF_COLOUR = "#d1495b"
 SMOOTHER_COLOUR = "#00798c"
 TRUTH_COLOUR = "#444444"
 _MOST_DRAWN = 100_000
-_LOOK = {"smoother": (SMOOTHER_COLOUR, "s", "-"), "EKF": (EKF_COLOUR, "o", "--")}
+SCANS_COLOUR = "#edae49"
+_LOOK = {
+    "smoother": (SMOOTHER_COLOUR, "s", "-"),
+    "EKF": (EKF_COLOUR, "o", "--"),
+    "smoother on scans": (SCANS_COLOUR, "^", "-."),
+}
 
 
 def ellipses(centre: Array, covariance: Array, sigmas: float, points: int = 48) -> Array:
@@ -40,15 +45,6 @@ def ellipses(centre: Array, covariance: Array, sigmas: float, points: int = 48) 
     circle = np.column_stack((np.cos(angle), np.sin(angle)))
     scaled = axes * np.sqrt(np.maximum(values, 0.0))[:, None, :]
     result: Array = centre[:, None] + sigmas * circle @ scaled.transpose(0, 2, 1)
-    return result
-
-
-def landmark_covariances(estimate: Estimate) -> Array:
-    """Covariance (L, 2, 2) of each landmark of an estimate."""
-    count = len(estimate.landmark)
-    blocks = estimate.joint_covariance[3:, 3:].reshape(count, 2, count, 2)
-    which = np.arange(count)
-    result: Array = blocks[which, :, which, :]
     return result
 
 
@@ -103,6 +99,8 @@ def map_figure(comparison: Comparison) -> Figure:
         f"linearisation {a.linearisation.sigma:.2g} sigma; optimism {a.whole.least:.3g}"
     )
     estimates = {"smoother": comparison.smoothed, "EKF": comparison.ekf.estimate}
+    if comparison.three_way is not None:
+        estimates["smoother on scans"] = comparison.three_way.estimate
     return _map(comparison.log, comparison.dead_reckoned, estimates, title)
 
 
@@ -131,7 +129,7 @@ def _map(log: Log, dead_reckoned: Array, estimates: dict[str, Estimate], title: 
     for name, estimate in estimates.items():
         colour, marker, style = _LOOK[name]
         draw_trajectory(axis, estimate.pose[:, :2], colour, f"{name} trajectory", style)
-        outline = ellipses(estimate.landmark, landmark_covariances(estimate), 3.0)
+        outline = ellipses(estimate.landmark, estimate.landmark_covariances(), 3.0)
         label = f"{name} landmarks, 3 sigma"
         draw_landmarks(axis, estimate.landmark, outline, colour, marker, label)
     axis.set_aspect("equal", adjustable="datalim")
@@ -169,7 +167,7 @@ def front_end_figure(front_end: FrontEnd, points: Array) -> Figure:
     for first, second in zip(f.graph.problem.closures.first, f.graph.problem.closures.second,
                              strict=True):  # fmt: skip
         ends = f.estimate.pose[[first, second]]
-        axis.plot(ends[:, 0], ends[:, 1], color="#edae49", linewidth=0.7, zorder=3)
+        axis.plot(ends[:, 0], ends[:, 1], color=SCANS_COLOUR, linewidth=0.7, zorder=3)
     axis.set_aspect("equal", adjustable="datalim")
     if f.wheels is not None:
         draw_aside(axis, f.wheels, "wheels")

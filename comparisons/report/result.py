@@ -33,6 +33,11 @@ from comparisons.report.models import (
     StartResult,
     ThreeWayResult,
 )
+from comparisons.report.scan_odometry import (
+    increment_remarks,
+    increment_result,
+    scan_odometry_result,
+)
 from graphslam import smoother
 
 
@@ -58,9 +63,13 @@ def build_result(comparison: Comparison, read_s: float) -> Result:
         association=association_result(c.association),
         own_association=_own_association(c.own_association),
         three_way=_three_way(c.three_way),
+        scan_odometry=None
+        if c.scan_motion is None
+        else scan_odometry_result(c.scan_motion, guess=True, seconds=c.seconds["scan odometry"]),
+        increments=increment_result(c.increments),
         verdict=c.verdict.outcome,
         causes=[CauseResult(**vars(cause)) for cause in c.verdict.causes],
-        remarks=list(c.verdict.remarks),
+        remarks=[*c.verdict.remarks, *increment_remarks(c.increments)],
         seconds={"read": read_s, **c.seconds},
         versions=package_versions(),
     )

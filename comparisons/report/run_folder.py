@@ -11,9 +11,10 @@ from comparisons.report.plots import correlation_figure, map_figure, save
 from comparisons.runs.estimate_folder import FILES as ESTIMATE_FILES
 from comparisons.runs.estimate_folder import write_estimate
 
+ESTIMATORS = ("ekf", "smoother", "scans")
 CONTENTS = frozenset(
     {"result.json", "map.png", "correlation.png"}
-    | {f"{estimator}/{name}" for estimator in ("ekf", "smoother") for name in ESTIMATE_FILES}
+    | {f"{estimator}/{name}" for estimator in ESTIMATORS for name in ESTIMATE_FILES}
 )
 """What a run folder holds; a folder with nothing else may be replaced by the next run."""
 
@@ -21,10 +22,10 @@ CONTENTS = frozenset(
 def write_run_folder(comparison: Comparison, result: Result, folder: Path) -> None:
     """Write everything; the folder appears whole or not at all. Raises InputError."""
     with fresh_folder(folder, CONTENTS) as work:
-        for name, estimate in (
-            ("ekf", comparison.ekf.estimate),
-            ("smoother", comparison.smoothed),
-        ):
+        estimates = [comparison.ekf.estimate, comparison.smoothed]
+        if comparison.three_way is not None:
+            estimates.append(comparison.three_way.estimate)
+        for name, estimate in zip(ESTIMATORS, estimates, strict=False):
             (work / name).mkdir()
             write_estimate(estimate, work / name)
         save(map_figure(comparison), work / "map.png")

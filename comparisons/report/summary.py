@@ -13,6 +13,7 @@ from comparisons.report.models import (
     Result,
     SmootherResult,
 )
+from comparisons.report.scan_odometry import add_scan_odometry
 
 _STYLE = {"agree": "bold green", "disagree": "bold red", "unproven": "bold yellow"}
 
@@ -77,6 +78,8 @@ def print_summary(result: Result, console: Console) -> None:
         )
         add_accuracy(table, "with it", own.accuracy)
         add_association(table, own.association)
+    if result.scan_odometry is not None:
+        add_scan_odometry(table, result.scan_odometry, result.increments)
     three = result.three_way
     if three is not None:
         for name, pair in (("EKF on wheels", three.ekf), ("smoother on wheels", three.smoother)):

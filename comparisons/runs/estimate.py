@@ -36,3 +36,11 @@ class Estimate:
     def joint_mean(self) -> Array:
         """(3 + 2 L,) the last pose and all landmarks."""
         return np.concatenate((self.pose[-1], self.landmark.ravel()))
+
+    def landmark_covariances(self) -> Array:
+        """(L, 2, 2) of each landmark alone."""
+        count = len(self.landmark)
+        blocks = self.joint_covariance[3:, 3:].reshape(count, 2, count, 2)
+        which = np.arange(count)
+        result: Array = blocks[which, :, which, :]
+        return result

@@ -95,7 +95,7 @@ def run_scan_odometry(
     wheels = motion_between(log, time_s) if source.wheeled else None
     odometry = ScanOdometry(options or source.suited_options())
     used: list[int] = []
-    failures, poses, found, matches = [], [], [], []
+    failures, found, matches = [], [], []
     for i, row in enumerate(rows.tolist()):
         progress(i, len(rows))
         moved = wheels.displacement[i] if wheels is not None and guess else None
@@ -105,7 +105,6 @@ def run_scan_odometry(
             failures.append(ScanFailure(row, float(time_s[i]), str(error)))
             continue
         used.append(i)
-        poses.append(odometry.pose)
         found.append(increment)
         matches.append(None if increment is None else increment.match)
     if not used:

@@ -15,15 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from graphslam.graph_builder import to_tangent
 from graphslam.problem import Closures, SlamProblem
 from graphslam.scan import planar
+from graphslam.scan.keyframes import KeyframeBelief, choose_keyframes
 from graphslam.scan.matchers import MatchOptions, SurfaceMatcher
 from graphslam.scan.odometry import OdometryOptions
 from graphslam.scan.points import placed
 from graphslam.scan.refinement import RefinementOptions
 from graphslam.scan.registration import Matcher, Registration, ScanError
-from graphslam.smoother import SmootherResult, smooth
+from graphslam.smoother import smooth
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -111,14 +111,15 @@ class RegistrationLoopCloser:
 
     def close(self, problem: SlamProblem, clouds: Clouds) -> Closed:
         """Search in rounds until nothing new is found; see LoopCloser."""
-        keyframes = choose_keyframes(problem, clouds, self.options)
+        o = self.options
+        keyframes = choose_keyframes(problem, clouds, o.keyframe_m, o.keyframe_rad)
         found: dict[tuple[int, int], Registration] = {}
         attempts: dict[tuple[int, int], Attempt] = {}
         tried: dict[tuple[int, int], Array] = {}
         for _ in range(self.options.rounds):
             before = len(found)
             result = smooth(replace(problem, closures=self._closures(found)), {})
-            belief = _Belief(result, keyframes)
+            belief = KeyframeBelief(result, keyframes)
             for later in range(len(keyframes)):
                 self._progress(later, len(keyframes))
                 for earlier in self._candidates(problem, belief, later):
@@ -147,7 +148,7 @@ class RegistrationLoopCloser:
             self.options.kernel,
         )
 
-    def _candidates(self, problem: SlamProblem, belief: _Belief, later: int) -> list[int]:
+    def _candidates(self, problem: SlamProblem, belief: KeyframeBelief, later: int) -> list[int]:
         """Earlier keyframes that may lie within reach, the nearest first."""
         o = self.options
         way = np.concatenate(([0.0], np.cumsum(np.hypot(*problem.increment[:, :2].T))))
@@ -173,7 +174,7 @@ class RegistrationLoopCloser:
 
     def _try(
         self,
-        belief: _Belief,
+        belief: KeyframeBelief,
         clouds: Clouds,
         earlier: int,
         later: int,
@@ -243,53 +244,6 @@ def _as_before(tried: Array | None, expected: Array) -> bool:
     )
 
 
-class _Belief:
-    """Poses of keyframes with their joint covariance, of the additive global error."""
-
-    def __init__(self, result: SmootherResult, keyframes: Index) -> None:
-        self.keyframes = keyframes
-        self.pose = result.poses[keyframes]
-        size = len(keyframes)
-        joint = result.joint(keyframes.tolist(), [])
-        self._joint = joint.reshape(size, 3, size, 3).transpose(0, 2, 1, 3)
-
-    def position_spread(self, earlier: Index, later: int) -> Array:
-        """(N, 2, 2) covariances of the places' differences."""
-        own = np.arange(len(self.keyframes))
-        spread = self._joint[own, own][:, :2, :2]
-        cross = self._joint[earlier, later][:, :2, :2]
-        result: Array = spread[earlier] + spread[later] - cross - cross.transpose(0, 2, 1)
-        return result
-
-    def relative(self, first: int, second: int) -> tuple[Array, Array]:
-        """(3,) the second in the first's frame, with covariance (3, 3) in those axes."""
-        start, end = self.pose[first], self.pose[second]
-        motion = planar.wrapped(planar.between(start, end))
-        cos, sin = np.cos(start[2]), np.sin(start[2])
-        jacobian = np.zeros((3, 6))
-        jacobian[:2, 3:5] = ((cos, sin), (-sin, cos))
-        jacobian[:2, :2] = -jacobian[:2, 3:5]
-        jacobian[:2, 2] = motion[1], -motion[0]
-        jacobian[2, 2], jacobian[2, 5] = -1.0, 1.0
-        block = np.block([[self._joint[i, j] for j in (first, second)] for i in (first, second)])
-        covariance: Array = jacobian @ block @ jacobian.T
-        return motion, covariance
-
-    def misplacement(self, base: int, around: range, motion: Array) -> Array:
-        """(3, 3) how far keyframes around a base, as placed by the graph, may lead a match astray.
-
-        Of the right perturbation of a motion (3,) from the base. The match follows each in part;
-        the mean of their covariances bounds that of their mean, however they are correlated.
-        """
-        total = np.zeros((3, 3))
-        for k in around:
-            place, spread = self.relative(base, k)
-            own = to_tangent(place[2:])[0]
-            total += planar.carried(own @ spread @ own.T, planar.between(place, motion))
-        mean: Array = total / len(around)
-        return mean
-
-
 def starts(expected: Array, spread: Array, reach_m: float) -> list[Array]:
     """Where to begin matching: the expectation and, where it is vague, its sigma points.
 
@@ -304,21 +258,6 @@ def starts(expected: Array, spread: Array, reach_m: float) -> list[Array]:
             step = min(2.0 * sigma, 2.0 * reach_m) * axis / scale
             result += [expected + step, expected - step]
     return result
-
-
-def choose_keyframes(problem: SlamProblem, clouds: Clouds, options: LoopOptions) -> Index:
-    """(F,) poses with clouds, one at least every so many metres and radians of the drive."""
-    way = np.concatenate(([0.0], np.cumsum(np.hypot(*problem.increment[:, :2].T))))
-    turn = np.concatenate(([0.0], np.cumsum(np.abs(problem.increment[:, 2]))))
-    chosen: list[int] = []
-    for k in sorted(clouds):
-        if (
-            not chosen
-            or way[k] - way[chosen[-1]] >= options.keyframe_m
-            or turn[k] - turn[chosen[-1]] >= options.keyframe_rad
-        ):
-            chosen.append(k)
-    return np.array(chosen, dtype=np.intp)
 
 
 def loop_closer(

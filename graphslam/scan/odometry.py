@@ -29,6 +29,8 @@ _FINE_M, _COARSE_M = 0.03, 0.15
 """Range noise of a good laser, and of one whose walls are a cloud of points."""
 _FURTHEST = 1e4
 """No guess between two scans goes further, in metres or radians; KISS-ICP aborts on some."""
+_STANDING_M = 0.05
+"""Clouds seen within such a way of the last one kept are not kept, or standing fills the memory."""
 _RENEWAL = 0.25
 """The map is made anew after this share of its memory."""
 
@@ -42,15 +44,16 @@ class OdometryOptions:
     most_range_m: points outside are left out. radius_m, cloud_radius_m, neighbours: a piece of
     surface is made of so many map points at most, not further than that from its middle, in planar
     maps and in clouds, whose rings lie apart; enough to tell a pole from a piece of a dense wall.
-    memory_m: the local map forgets what was seen longer ago than this way; where the vehicle comes
-    back, the increments stay odometry, and closing the loop is left to loop closure. whole_points:
-    clouds with more points are thinned before they are aligned. ground_m: of a cloud, what lies
-    lower than this over its lowest points is left out: a flat ground says nothing of planar
-    motion, and its rings move with the vehicle. most_jump_m, blind_jump_m, most_jump_rad: how far
-    the result may lie from the guess, and from constant velocity without one. patience: so many
-    failed scans in a row, and a new map is begun. refinement: its calibration is that of planar
-    scans; cloud_calibration comes on top of it for clouds, in which the points of one firing share
-    their errors. Both were found on simulated drives.
+    memory_m: the local map forgets what was seen longer ago than this way, a radian counting as a
+    metre; where the vehicle comes back, the increments stay odometry, and closing the loop is left
+    to loop closure. whole_points: clouds with more points are thinned before they are aligned.
+    ground_m: of a cloud, what lies lower than this over its lowest points is left out: a flat
+    ground says nothing of planar motion, and its rings move with the vehicle. most_jump_m,
+    blind_jump_m, most_jump_rad: how far the result may lie from the guess, and from constant
+    velocity without one. patience: so many failed scans in a row, and a new map is begun.
+    refinement: its calibration is that of planar scans; cloud_calibration comes on top of it for
+    clouds, in which the points of one firing share their errors. Both were found on simulated
+    drives.
     """
 
     voxel_m: float = 0.5
@@ -181,13 +184,15 @@ class ScanOdometry:
         return np.asarray(self._map.point_cloud())
 
     def _accept(self, cloud: Array, motion: Array) -> None:
-        self._way += float(np.hypot(motion[0], motion[1]))
+        self._way += float(np.hypot(motion[0], motion[1])) + abs(float(motion[2]))
         self._map.update(cloud, planar.matrix(self.pose))
         self._remember(planar.moved(self.pose, cloud))
         self._pending, self._failed, self._empty = np.zeros(3), 0, False
 
     def _remember(self, cloud: Array) -> None:
         """Keep the recent clouds; make the map of them anew when much of it is old."""
+        if self._recent and self._way - self._recent[-1][0] < _STANDING_M:
+            return
         self._recent.append((self._way, cloud))
         memory = self.options.memory_m
         if self._way - self._renewed < _RENEWAL * memory or self._recent[0][0] > self._way - memory:

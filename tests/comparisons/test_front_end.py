@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from comparisons.logs.readers import read_log
 from comparisons.report.models import FrontEndResult, Result
 from comparisons.report.result import build_result
 from comparisons.runs.estimate_folder import read_estimate
+from comparisons.runs.scan_motion import ScanMotion, run_scan_odometry
 from graphslam.g2o import read_g2o
 from tests.comparisons.test_cli import slamcheck
 
@@ -114,6 +116,17 @@ def test_loops_are_closed_without_wheels_and_without_loops_nothing_is(scan_loop:
     assert blind.accuracy_graph.ate_aligned_m is not None
 
 
+def test_three_estimates_leave_three_folders(tmp_path: Path) -> None:
+    done = slamcheck("run", "scan-loop", "--motion", "both", "--out", "three", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "EKF on wheels agrees with the smoother on scans" in " ".join(done.stdout.split())
+    ids = [
+        read_estimate(tmp_path / "three" / name).landmark_id.tolist()
+        for name in ("ekf", "smoother", "scans")
+    ]
+    assert ids[0] == ids[1] == ids[2]
+
+
 def test_three_estimates_agree_when_nothing_is_wrong(scan_loop: Log) -> None:
     three = compare_estimators(scan_loop, motion="both")
     assert three.verdict.outcome == "agree"
@@ -124,12 +137,28 @@ def test_three_estimates_agree_when_nothing_is_wrong(scan_loop: Log) -> None:
     result = Result.model_validate_json(build_result(three, 0.0).model_dump_json())
     assert result.three_way is not None
     assert result.three_way.ekf.landmarks == 34
+    assert result.scan_odometry is not None
+    assert result.scan_odometry.used == 248
+    assert result.increments is not None
+    assert result.increments.against == "truth"
 
 
 @pytest.fixture(scope="module")
 def wrong_wheels(scan_loop: Log) -> Comparison:
     """Both estimators on wheels believe in a wrong scale; sightings are few enough to let them."""
     return compare_estimators(with_speed_scaled(scan_loop, 1.1), motion="both")
+
+
+def test_scans_surer_than_they_may_be_are_remarked_upon(
+    scan_loop: Log, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def boasting(*arguments: Any, **options: Any) -> ScanMotion:
+        motion = run_scan_odometry(*arguments, **options)
+        return replace(motion, covariance=0.1 * motion.covariance)
+
+    monkeypatch.setattr("comparisons.compare.run_scan_odometry", boasting)
+    result = build_result(compare_estimators(scan_loop, motion="scan"), 0.0)
+    assert any("surer than they may be" in remark for remark in result.remarks)
 
 
 def test_wrong_wheels_are_found_out(wrong_wheels: Comparison) -> None:

@@ -181,7 +181,8 @@ def test_scans_too_sure_of_themselves_are_told_of(monkeypatch: pytest.MonkeyPatc
 
     def boasting(*arguments: Any, **options: Any) -> ScanMotion:
         motion = run_scan_odometry(*arguments, **options)
-        return replace(motion, covariance=1e-2 * motion.covariance)
+        wrong = np.random.default_rng(0).normal(0.0, (0.1, 0.1, 0.02), motion.displacement.shape)
+        return replace(motion, displacement=motion.displacement + wrong)
 
     monkeypatch.setattr("comparisons.compare.run_scan_odometry", boasting)
     c = three_estimates(open_log("scan-loop"))

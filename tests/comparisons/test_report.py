@@ -13,7 +13,7 @@ from comparisons.errors import InputError
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Positions
 from comparisons.logs.log_folder import read_log_folder, write_log_folder
-from comparisons.report.plots import ellipses, landmark_covariances, map_figure
+from comparisons.report.plots import ellipses, map_figure
 from comparisons.report.result import build_result, log_hash
 from comparisons.runs.estimate_folder import read_estimate, write_estimate
 from tests.helpers import random_covariance, simulated
@@ -43,7 +43,7 @@ def test_the_map_shows_both_estimates_and_truth(comparison: Comparison) -> None:
         "smoother landmarks, 3 sigma", "EKF landmarks, 3 sigma",
     }  # fmt: skip
     joint = comparison.ekf.estimate.joint_covariance
-    assert np.array_equal(landmark_covariances(comparison.ekf.estimate)[3], joint[9:11, 9:11])
+    assert np.array_equal(comparison.ekf.estimate.landmark_covariances()[3], joint[9:11, 9:11])
 
 
 @pytest.mark.parametrize("stream", ["prior", "odometry", "sightings", "positions"])

@@ -11,12 +11,12 @@ import pytest
 from graphslam.increments import dead_reckoned
 from graphslam.problem import SlamProblem
 from graphslam.scan import loop_closure, planar
+from graphslam.scan.keyframes import KeyframeBelief, choose_keyframes
 from graphslam.scan.loop_closure import (
     Closed,
     LoopOptions,
     NoLoopClosure,
     RegistrationLoopCloser,
-    choose_keyframes,
     loop_closer,
     starts,
 )
@@ -227,7 +227,7 @@ def test_a_relative_pose_has_the_covariance_of_its_two_poses() -> None:
     spread = np.array([1e-4 * random_covariance(rng, 3) for _ in problem.increment])
     result = smooth(replace(problem, increment_covariance=spread), {})
     keyframes = np.array((31, 56, 92, 113))
-    belief = loop_closure._Belief(result, keyframes)
+    belief = KeyframeBelief(result, keyframes)
     for first, second in ((0, 1), (1, 3), (3, 0)):
         i, j = int(keyframes[first]), int(keyframes[second])
 
@@ -252,7 +252,7 @@ def test_a_relative_pose_has_the_covariance_of_its_two_poses() -> None:
 def test_a_match_is_as_unsure_as_what_it_was_matched_with() -> None:
     """A source that goes with a keyframe wherever that one is, against central differences."""
     problem = drive()[1]
-    belief = loop_closure._Belief(smooth(problem, {}), np.array((29, 31, 33)))
+    belief = KeyframeBelief(smooth(problem, {}), np.array((29, 31, 33)))
     motion = np.array((1.5, -2.0, 0.8))
     place, spread = belief.relative(1, 2)
     offset = planar.between(place, motion)
@@ -283,8 +283,19 @@ def test_keyframes_are_so_far_apart_by_way_or_by_turn() -> None:
     moves = np.array([(0.4, 0.0, 0.0)] * 10 + [(0.0, 0.0, -0.2)] * 6 + [(0.0, 0.0, 0.0)] * 5)
     problem = chain(moves, np.eye(3))
     every = dict.fromkeys(range(22), np.zeros((1, 3)))
-    options = LoopOptions(keyframe_m=1.0, keyframe_rad=0.3)
-    assert choose_keyframes(problem, every, options).tolist() == [0, 3, 6, 9, 12, 14, 16]
+    assert choose_keyframes(problem, every, 1.0, 0.3).tolist() == [
+        0,
+        3,
+        6,
+        9,
+        12,
+        14,
+        16,
+    ]
     some = dict.fromkeys((20, 4, 11, 5), np.zeros((1, 3)))
-    assert choose_keyframes(problem, some, options).tolist() == [4, 11, 20]
-    assert choose_keyframes(problem, {}, options).tolist() == []
+    assert choose_keyframes(problem, some, 1.0, 0.3).tolist() == [
+        4,
+        11,
+        20,
+    ]
+    assert choose_keyframes(problem, {}, 1.0, 0.3).tolist() == []

@@ -1,0 +1,81 @@
+"""The poses whose scans stand for a drive, and what the graph believes of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphslam.graph_builder import to_tangent
+from graphslam.problem import SlamProblem
+from graphslam.scan import planar
+from graphslam.smoother import SmootherResult
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+
+def choose_keyframes(
+    problem: SlamProblem, seen_from: Iterable[int], apart_m: float, apart_rad: float
+) -> Index:
+    """(F,) of the poses with scans, one at least every so many metres and radians of the drive."""
+    way = np.concatenate(([0.0], np.cumsum(np.hypot(*problem.increment[:, :2].T))))
+    turn = np.concatenate(([0.0], np.cumsum(np.abs(problem.increment[:, 2]))))
+    chosen: list[int] = []
+    for k in sorted(seen_from):
+        if (
+            not chosen
+            or way[k] - way[chosen[-1]] >= apart_m
+            or turn[k] - turn[chosen[-1]] >= apart_rad
+        ):
+            chosen.append(k)
+    return np.array(chosen, dtype=np.intp)
+
+
+class KeyframeBelief:
+    """Poses of keyframes with their joint covariance, of the additive global error."""
+
+    def __init__(self, result: SmootherResult, keyframes: Index) -> None:
+        """keyframes: (F,) numbers of poses."""
+        self.keyframes = keyframes
+        self.pose = result.poses[keyframes]
+        size = len(keyframes)
+        joint = result.joint(keyframes.tolist(), [])
+        self._joint = joint.reshape(size, 3, size, 3).transpose(0, 2, 1, 3)
+
+    def position_spread(self, earlier: Index, later: int) -> Array:
+        """(N, 2, 2) covariances of the places' differences."""
+        own = np.arange(len(self.keyframes))
+        spread = self._joint[own, own][:, :2, :2]
+        cross = self._joint[earlier, later][:, :2, :2]
+        result: Array = spread[earlier] + spread[later] - cross - cross.transpose(0, 2, 1)
+        return result
+
+    def relative(self, first: int, second: int) -> tuple[Array, Array]:
+        """(3,) the second in the first's frame, with covariance (3, 3) in those axes."""
+        start, end = self.pose[first], self.pose[second]
+        motion = planar.wrapped(planar.between(start, end))
+        cos, sin = np.cos(start[2]), np.sin(start[2])
+        jacobian = np.zeros((3, 6))
+        jacobian[:2, 3:5] = ((cos, sin), (-sin, cos))
+        jacobian[:2, :2] = -jacobian[:2, 3:5]
+        jacobian[:2, 2] = motion[1], -motion[0]
+        jacobian[2, 2], jacobian[2, 5] = -1.0, 1.0
+        block = np.block([[self._joint[i, j] for j in (first, second)] for i in (first, second)])
+        covariance: Array = jacobian @ block @ jacobian.T
+        return motion, covariance
+
+    def misplacement(self, base: int, around: range, motion: Array) -> Array:
+        """(3, 3) how far keyframes around a base, as placed by the graph, may lead a match astray.
+
+        Of the right perturbation of a motion (3,) from the base. The match follows each in part;
+        the mean of their covariances bounds that of their mean, however they are correlated.
+        """
+        total = np.zeros((3, 3))
+        for k in around:
+            place, spread = self.relative(base, k)
+            own = to_tangent(place[2:])[0]
+            total += planar.carried(own @ spread @ own.T, planar.between(place, motion))
+        mean: Array = total / len(around)
+        return mean
