@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import permutations
 
 import numpy as np
 import pytest
@@ -77,6 +78,17 @@ def test_location_equals_brute_force(moved_m: float) -> None:
     assert (len(regions.flipped(landmark)) > 0) == (moved_m > 5)
 
 
+def test_points_on_the_outer_edge_belong_to_the_region() -> None:
+    """Edges along the axes, where rounding takes points out of the region's box."""
+    landmark = np.array([(100.7, 1.3), (107.9, 1.3), (100.7, 9.1)])
+    regions = LocalRegions()
+    regions.extend(landmark, np.arange(3), shared(3.0, 0.1))
+    share = np.random.default_rng(0).uniform(0, 1, (5_000, 1))
+    for first, second in ((0, 1), (0, 2), (1, 2)):
+        point = share * landmark[first] + (1.0 - share) * landmark[second]
+        assert (regions.placed(landmark).locate(point).region == 0).all()
+
+
 def test_growing_never_changes_what_there_is() -> None:
     """What an incremental Delaunay triangulation would do: see the module's docstring."""
     landmark = scattered(np.random.default_rng(6), 50)
@@ -141,6 +153,14 @@ def test_first_condition_refuses_landmarks_that_hang_together_too_little() -> No
     one_loose[:, 4:] *= 0.5
     one_loose[4:, 4:] += 0.3 * np.eye(2)
     assert added(Conditions(), THREE, one_loose) == 0  # two out of three are not enough
+
+
+@pytest.mark.parametrize("order", list(permutations(range(3))))
+def test_every_edge_is_bounded(order: tuple[int, ...]) -> None:
+    """Two edges of 20 m and one of 30 m, whichever landmark comes first."""
+    wide = np.array([(0.0, 0.0), (20.0, 0.0), (-2.5, 19.8)])[list(order)]
+    assert added(Conditions(), wide, shared(3.0, 0.1)) == 0
+    assert added(Conditions(longest_edge_m=31.0), wide, shared(3.0, 0.1)) == 1
 
 
 def test_second_condition_refuses_regions_that_could_flip_over() -> None:
