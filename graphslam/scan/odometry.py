@@ -175,7 +175,7 @@ class ScanOdometry:
         covariance = match.covariance + planar.carried(self._spread, motion)
         increment = Increment(motion, covariance, self._failed, match)
         self.pose, self._spread = match.motion, match.covariance
-        self._motion = planar.share(motion, self._failed)
+        self._motion = motion if self._failed == 1 else planar.share(motion, self._failed)
         self._accept(kept, motion)
         return increment
 
@@ -241,4 +241,7 @@ def _in_order_of_azimuth(cloud: Array) -> Array:
     whichever side of a wall noise has put it.
     """
     x, y, z = cloud.T
-    return np.ascontiguousarray(cloud[np.lexsort((z, np.hypot(x, y), np.arctan2(y, x)))])
+    azimuth = np.arctan2(y, x)
+    if (azimuth[1:] > azimuth[:-1]).all():
+        return cloud
+    return np.ascontiguousarray(cloud[np.lexsort((z, np.hypot(x, y), azimuth))])

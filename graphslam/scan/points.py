@@ -69,6 +69,8 @@ def above_ground(points: Array, margin_m: float) -> Array:
     """
     cloud = _numbers(points)
     height = cloud[:, 2]
+    if not height.any():
+        return cloud
     seen = height[np.isfinite(height)]
     if not seen.any():
         return cloud
@@ -90,7 +92,8 @@ def usable(points: Array, least_range_m: float, most_range_m: float) -> Array:
             f"{len(kept)} of {len(cloud)} points lie within {least_range_m:g} to "
             f"{most_range_m:g} m, expected {LEAST_POINTS} at least"
         )
-    if np.ptp(kept[:, :2], axis=0).max() < _LEAST_SPREAD_M:
+    x, y = kept[:, 0], kept[:, 1]
+    if max(x.max() - x.min(), y.max() - y.min()) < _LEAST_SPREAD_M:
         raise ScanError("all points lie in one place")
     return kept
 
@@ -105,6 +108,8 @@ def _numbers(points: Array) -> Array:
         raise ScanError("points are rows of different lengths, expected (N, 3) floats") from None
     if cloud.ndim != 2 or cloud.shape[1] != 3 or cloud.dtype.kind not in "fiu":
         raise ScanError(f"points have shape {cloud.shape} of {cloud.dtype}, expected (N, 3) floats")
+    if cloud.dtype == np.float64 and cloud.flags.c_contiguous:
+        return cloud
     with np.errstate(over="ignore"):
         return np.ascontiguousarray(cloud, dtype=np.float64)
 
