@@ -17,7 +17,7 @@ from comparisons.runs.ekf_build import EkfChoices, fused_positions, judging_posi
 from comparisons.runs.estimate import Array, Estimate
 from comparisons.runs.known_landmarks import SURVEYED, join_known_sightings, slots_by_label
 from comparisons.runs.motion import motion_between
-from comparisons.runs.scan_log import chosen_sightings, divide, sightings_kept, with_scan_motion
+from comparisons.runs.scan_log import divide, sightings_kept, with_scan_motion
 from comparisons.runs.scan_motion import ScanMotion, run_scan_odometry
 from comparisons.runs.scan_source import CloudsAt
 from comparisons.runs.smoother_run import assemble, position_rows, smoothed_estimate
@@ -168,4 +168,4 @@ def _with_named_sightings(log: Log, motion: ScanMotion, *, labelled: bool) -> Lo
     named = np.full(len(log.sightings.time_s), labelled) | (log.sightings.landmark >= SURVEYED)
     if not (named & sightings_kept(log, motion)).any():
         named[:] = False
-    return replace(log, sightings=chosen_sightings(log.sightings, named))
+    return replace(log, sightings=log.sightings.chosen(named))

@@ -47,6 +47,11 @@ class G2oContents(NamedTuple):
     landmarks: Array
 
 
+def holds(problem: SlamProblem) -> bool:
+    """Whether g2o can say where positions were measured: it knows no antenna off the pose."""
+    return not len(problem.position) or problem.lever_m == (0.0, 0.0)
+
+
 def write_g2o(path: Path, contents: G2oContents) -> None:
     """Write a problem with a solution. Raises ValueError for an antenna off the pose's origin.
 
@@ -55,7 +60,7 @@ def write_g2o(path: Path, contents: G2oContents) -> None:
     problem, poses, landmarks = contents
     if problem.oriented.count:
         raise ValueError("oriented landmarks cannot be told from poses in g2o")
-    if len(problem.position) and problem.lever_m != (0.0, 0.0):
+    if not holds(problem):
         raise ValueError("g2o has no edge for positions of an antenna away from the pose")
     count = problem.pose_count
     lines = [f"VERTEX_SE2 {k} {_text(pose)}" for k, pose in enumerate(poses)]

@@ -36,15 +36,16 @@ def increment_factors(
     departures: list[int], arrivals: list[int], problem: SlamProblem
 ) -> list[gtsam.BetweenFactorPose2]:
     """One factor per increment, between the keys given."""
+    return _between(departures, arrivals, problem.increment, problem.increment_covariance)
+
+
+def _between(
+    first: list[int], second: list[int], motion: Array, covariance: Array, kernel: str = "none"
+) -> list[gtsam.BetweenFactorPose2]:
+    """Motions (N, 3) between keys, with covariances (N, 3, 3) of the right perturbation."""
     return [
-        gtsam.BetweenFactorPose2(i, j, gtsam.Pose2(*d), gaussian(c))
-        for i, j, d, c in zip(
-            departures,
-            arrivals,
-            problem.increment.tolist(),
-            problem.increment_covariance,
-            strict=True,
-        )
+        gtsam.BetweenFactorPose2(i, j, gtsam.Pose2(*m), robust(gaussian(c), kernel))
+        for i, j, m, c in zip(first, second, motion.tolist(), covariance, strict=True)
     ]
 
 
@@ -124,26 +125,21 @@ def build_graph(problem: SlamProblem, kernel: str = "none") -> gtsam.NonlinearFa
         zip(problem.surveyed, problem.surveyed_covariance, strict=True)
     ):
         graph.push_back(gtsam.PriorFactorPoint2(LANDMARK_KEY + slot, place, gaussian(covariance)))
-    seen = problem.oriented
-    for i, j, measured, covariance in zip(
-        (POSE_KEY + seen.pose).tolist(),
-        (ORIENTED_KEY + seen.landmark).tolist(),
-        seen.measured.tolist(),
-        seen.covariance,
-        strict=True,
+    seen, closed = problem.oriented, problem.closures
+    poses_seen, places_seen = POSE_KEY + seen.pose, ORIENTED_KEY + seen.landmark
+    for factor in (
+        *_between(
+            poses_seen.tolist(), places_seen.tolist(), seen.measured, seen.covariance, kernel
+        ),
+        *_between(
+            (POSE_KEY + closed.first).tolist(),
+            (POSE_KEY + closed.second).tolist(),
+            closed.motion,
+            closed.covariance,
+            closed.kernel if kernel == "none" else kernel,
+        ),
     ):
-        noise = robust(gaussian(covariance), kernel)
-        graph.push_back(gtsam.BetweenFactorPose2(i, j, gtsam.Pose2(*measured), noise))
-    closed = problem.closures
-    for i, j, motion, covariance in zip(
-        (POSE_KEY + closed.first).tolist(),
-        (POSE_KEY + closed.second).tolist(),
-        closed.motion.tolist(),
-        closed.covariance,
-        strict=True,
-    ):
-        noise = robust(gaussian(covariance), closed.kernel if kernel == "none" else kernel)
-        graph.push_back(gtsam.BetweenFactorPose2(i, j, gtsam.Pose2(*motion), noise))
+        graph.push_back(factor)
     return graph
 
 

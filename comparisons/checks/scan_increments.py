@@ -14,6 +14,7 @@ from comparisons.logs.log import Log, Poses, Positions
 from comparisons.runs.scan_log import divide
 from comparisons.runs.scan_motion import ScanMotion
 from graphslam.increments import Samples, dead_reckoned
+from graphslam.scan import planar
 
 Array = NDArray[np.float64]
 
@@ -60,13 +61,13 @@ def check_increments(motion: ScanMotion, log: Log) -> IncrementCheck | None:
 def normalised_errors(motion: ScanMotion, poses: Poses) -> Array:
     """(N,) squared errors of the increments against true poses, three degrees of freedom each."""
     known = (motion.time_s >= poses.time_s[0]) & (motion.time_s <= poses.time_s[-1])
-    heading = np.unwrap(poses.pose[:, 2])
-    columns = (poses.pose[:, 0], poses.pose[:, 1], heading)
-    true = np.column_stack([np.interp(motion.time_s, poses.time_s, c) for c in columns])
+    true = poses.at(motion.time_s)
     rows = np.flatnonzero(known[1:] & known[:-1] & ~motion.bridged[1:]) + 1
-    expected = _between(true[rows - 1], true[rows])
-    error = _between(expected, motion.displacement[rows])
-    error[:, 2] = np.angle(np.exp(1j * error[:, 2]))
+    errors = [
+        planar.between(planar.between(true[k - 1], true[k]), motion.displacement[k])
+        for k in rows.tolist()
+    ]
+    error = np.array([planar.wrapped(e) for e in errors]).reshape(-1, 3)
     weighed = np.linalg.solve(motion.covariance[rows], error[:, :, None])[:, :, 0]
     result: Array = np.einsum("ni,ni->n", error, weighed)
     return result
@@ -207,12 +208,6 @@ def _places_covariance(
         stacked = jacobian.reshape(2 * count, 3)
         total += stacked @ spread @ stacked.T
     return total
-
-
-def _between(start: Array, end: Array) -> Array:
-    cos, sin = np.cos(start[:, 2]), np.sin(start[:, 2])
-    east, north, turn = (end - start).T
-    return np.column_stack((cos * east + sin * north, -sin * east + cos * north, turn))
 
 
 def _turned(heading: Array, lever: Array) -> Array:

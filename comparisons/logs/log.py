@@ -71,6 +71,13 @@ class Sightings:
                 f"landmark is {self.landmark[bad[0]]}, expected an id from 0 or {NO_LANDMARK}",
             )
 
+    def chosen(self, rows: NDArray[np.bool_]) -> Sightings:
+        """Those in some of the rows (M,)."""
+        columns = {
+            name: value[rows] for name, value in vars(self).items() if isinstance(value, np.ndarray)
+        }
+        return Sightings(**{**vars(self), **columns})
+
     @property
     def labelled(self) -> bool:
         """Every sighting names its landmark."""
@@ -99,6 +106,11 @@ class Positions:
         check(self, "positions", rows="time_s", position_m=(2,), covariance=(2, 2))
         increasing("positions", self.time_s)
         positive_definite("positions", self.covariance)
+
+    def chosen(self, rows: NDArray[np.bool_] | NDArray[np.intp]) -> Positions:
+        """Those in some of the rows."""
+        columns = (self.time_s[rows], self.position_m[rows], self.covariance[rows])
+        return Positions(*columns, self.antenna_m)
 
 
 @dataclass(frozen=True)
@@ -130,6 +142,12 @@ class Poses:
         """Check the stream."""
         check(self, "poses", rows="time_s", pose=(3,))
         increasing("poses", self.time_s)
+
+    def at(self, time_s: Array) -> Array:
+        """(N, 3) poses at times (N,), between the records by interpolation, headings unwrapped."""
+        x, y, heading = self.pose.T
+        columns = (x, y, np.unwrap(heading))
+        return np.column_stack([np.interp(time_s, self.time_s, c) for c in columns])
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from comparisons.report.models import FrontEndResult
 from comparisons.report.plots import front_end_figure, save
 from comparisons.runs.estimate_folder import FILES as ESTIMATE_FILES
 from comparisons.runs.estimate_folder import tum_text, write_estimate
-from graphslam.g2o import G2oContents, write_g2o
+from graphslam.g2o import G2oContents, holds, write_g2o
 from graphslam.scan.clouds import write_cloud
 
 CLOUDS = ("map.pcd", "map.ply")
@@ -38,7 +38,7 @@ def write_front_end_folder(
         points = f.map_points()
         save(front_end_figure(f, points), work / "map.png")
         problem = f.graph.problem
-        if not len(problem.position) or problem.lever_m == (0.0, 0.0):
+        if holds(problem):
             write_g2o(
                 work / "graph.g2o", G2oContents(problem, f.estimate.pose, f.estimate.landmark)
             )

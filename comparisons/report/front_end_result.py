@@ -7,14 +7,12 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from comparisons.checks.accuracy import Accuracy
 from comparisons.front_end import FrontEnd
 from comparisons.report.models import (
-    AccuracyResult,
     FrontEndResult,
     LoopResult,
 )
-from comparisons.report.result import log_result, package_versions, smoother_result
+from comparisons.report.result import accuracy_result, log_result, package_versions, smoother_result
 from comparisons.report.scan_odometry import (
     add_scan_odometry,
     by_reason,
@@ -43,9 +41,9 @@ def build_front_end_result(front_end: FrontEnd, read_s: float) -> FrontEndResult
         landmarks=len(f.estimate.landmark),
         gps=f.choices.gps,
         increments=increment_result(f.increments),
-        wheels=_accuracy(f.accuracy_wheels),
-        scan_odometry=_accuracy(f.accuracy_odometry),
-        scan_graph=_accuracy(f.accuracy_graph),
+        wheels=accuracy_result(f.accuracy_wheels),
+        scan_odometry=accuracy_result(f.accuracy_odometry),
+        scan_graph=accuracy_result(f.accuracy_graph),
         verdict="proven" if f.graph.proof.proven else "unproven",
         remarks=_remarks(f),
         seconds={"read": read_s, **f.seconds},
@@ -85,7 +83,3 @@ def _remarks(f: FrontEnd) -> list[str]:
         remarks.append(f"{beyond} sightings lie outside the time of the scans and were left out")
     remarks += f.motion.remarks
     return remarks + increment_remarks(f.increments)
-
-
-def _accuracy(accuracy: Accuracy | None) -> AccuracyResult | None:
-    return None if accuracy is None else AccuracyResult(**vars(accuracy))

@@ -116,9 +116,7 @@ def solution_figure(solution: Solution) -> Figure:
 
 def _map(log: Log, dead_reckoned: Array, estimates: dict[str, Estimate], title: str) -> Figure:
     """Estimates by name, on top of what the log knows."""
-    figure = Figure(figsize=(9.0, 7.5), layout="constrained")
-    FigureCanvasAgg(figure)
-    axis = figure.add_subplot()
+    figure, axis = _plan()
     if log.truth.poses is not None:
         pose = log.truth.poses.pose
         axis.plot(pose[:, 0], pose[:, 1], color="#bbbbbb", linewidth=2.5, label="truth", zorder=0)
@@ -135,12 +133,25 @@ def _map(log: Log, dead_reckoned: Array, estimates: dict[str, Estimate], title: 
     axis.set_aspect("equal", adjustable="datalim")
     if log.truth.poses is not None:
         draw_aside(axis, dead_reckoned, "dead reckoning")
+    _entitle(axis, title)
+    return figure
+
+
+def _plan() -> tuple[Figure, Axes]:
+    """An empty map."""
+    figure = Figure(figsize=(9.0, 7.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    axis = figure.add_subplot()
     axis.set_xlabel("east [m]")
     axis.set_ylabel("north [m]")
-    axis.set_title(title, fontsize=10, parse_math=False)
     axis.grid(visible=True, color="#eeeeee")
+    return figure, axis
+
+
+def _entitle(axis: Axes, title: str) -> None:
+    """A map's title, and its legend, once everything is drawn."""
+    axis.set_title(title, fontsize=10, parse_math=False)
     axis.legend(fontsize=8, loc="best")
-    return figure
 
 
 def draw_cloud(axis: Axes, points: Array) -> None:
@@ -154,9 +165,7 @@ def draw_cloud(axis: Axes, points: Array) -> None:
 def front_end_figure(front_end: FrontEnd, points: Array) -> Figure:
     """The map that the scans make, with the trajectories of wheels, scan odometry and graph."""
     f = front_end
-    figure = Figure(figsize=(9.0, 7.5), layout="constrained")
-    FigureCanvasAgg(figure)
-    axis = figure.add_subplot()
+    figure, axis = _plan()
     draw_cloud(axis, points)
     if f.log.truth.poses is not None:
         draw_reference(axis, f.log.truth.poses.pose, ".", "truth")
@@ -171,15 +180,11 @@ def front_end_figure(front_end: FrontEnd, points: Array) -> Figure:
     axis.set_aspect("equal", adjustable="datalim")
     if f.wheels is not None:
         draw_aside(axis, f.wheels, "wheels")
-    axis.set_xlabel("east [m]")
-    axis.set_ylabel("north [m]")
     title = (
         f"{f.log.name}: {len(f.motion.row)} scans, {len(f.graph.problem.closures.first)} loops "
         "closed (yellow)"
     )
-    axis.set_title(title, fontsize=10, parse_math=False)
-    axis.grid(visible=True, color="#eeeeee")
-    axis.legend(fontsize=8, loc="best")
+    _entitle(axis, title)
     return figure
 
 

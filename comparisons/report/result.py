@@ -8,6 +8,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
 
+from comparisons.checks.accuracy import Accuracy
 from comparisons.checks.agreement import BlockAgreement
 from comparisons.checks.association import AssociationScore
 from comparisons.checks.attribution import block_agrees
@@ -184,11 +185,10 @@ def _agreement(c: Comparison) -> AgreementResult:
 def _accuracies(c: Comparison) -> Accuracies | None:
     if c.accuracy_ekf is None or c.accuracy_smoother is None:
         return None
-    alone = c.accuracy_dead_reckoned
     return Accuracies(
         ekf=AccuracyResult(**vars(c.accuracy_ekf)),
         smoother=AccuracyResult(**vars(c.accuracy_smoother)),
-        dead_reckoning=None if alone is None else AccuracyResult(**vars(alone)),
+        dead_reckoning=accuracy_result(c.accuracy_dead_reckoned),
     )
 
 
@@ -208,7 +208,7 @@ def _own_association(own: OwnAssociationCheck | None) -> OwnAssociationResult | 
         pose_distance_sigma=own.pose.distance,
         landmark_rms_m=own.landmark_rms_m,
         proven=own.proof.proven,
-        accuracy=None if own.accuracy is None else AccuracyResult(**vars(own.accuracy)),
+        accuracy=accuracy_result(own.accuracy),
         association=association_result(own.score),
     )
 
@@ -234,7 +234,7 @@ def _three_way(three: ThreeWay | None) -> ThreeWayResult | None:
         proven=three.proof.proven,
         chi2=three.chi_square.chi2,
         dof=three.chi_square.dof,
-        accuracy=None if three.accuracy is None else AccuracyResult(**vars(three.accuracy)),
+        accuracy=accuracy_result(three.accuracy),
         culprit=three.culprit,
         evidence=three.evidence,
     )
@@ -251,6 +251,11 @@ def association_result(score: AssociationScore | None) -> AssociationResult | No
 def _finite(value: float) -> float | None:
     """JSON has no NaN or infinity: such a figure is absent, never passed on."""
     return value if np.isfinite(value) else None
+
+
+def accuracy_result(accuracy: Accuracy | None) -> AccuracyResult | None:
+    """The figures, where there are any."""
+    return None if accuracy is None else AccuracyResult(**vars(accuracy))
 
 
 def package_versions() -> dict[str, str]:

@@ -10,7 +10,7 @@ from comparisons.report.plots import save, solution_figure
 from comparisons.runs.estimate_folder import FILES as ESTIMATE_FILES
 from comparisons.runs.estimate_folder import write_estimate
 from comparisons.solve import Solution
-from graphslam.g2o import G2oContents, write_g2o
+from graphslam.g2o import G2oContents, holds, write_g2o
 
 SOLUTION_CONTENTS = frozenset(
     {"solution.json", "map.png", "graph.g2o", "graph.dot"}
@@ -29,16 +29,10 @@ def write_solution_folder(solution: Solution, result: SolutionResult, folder: Pa
         (work / "smoother").mkdir()
         write_estimate(estimate, work / "smoother")
         save(solution_figure(solution), work / "map.png")
-        if g2o_holds(solution):
+        if holds(solution.result.problem):
             write_g2o(work / "graph.g2o", contents)
         if solution.result.values.size() <= LARGEST_DRAWN:
             solution.result.graph.saveGraph(str(work / "graph.dot"), solution.result.values)
         (work / "solution.json").write_text(
             result.model_dump_json(indent=2) + "\n", encoding="utf-8"
         )
-
-
-def g2o_holds(solution: Solution) -> bool:
-    """Whether g2o can say all of the problem; it knows no antenna away from the pose."""
-    problem = solution.result.problem
-    return not len(problem.position) or problem.lever_m == (0.0, 0.0)

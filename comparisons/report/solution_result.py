@@ -7,8 +7,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from comparisons.report.models import AccuracyResult, SolutionResult
+from comparisons.report.models import SolutionResult
 from comparisons.report.result import (
+    accuracy_result,
     association_result,
     log_result,
     package_versions,
@@ -37,12 +38,8 @@ def build_solution_result(solution: Solution, read_s: float) -> SolutionResult:
         sightings_used=int(np.count_nonzero(s.slot >= 0)),
         gps=s.gps,
         smoother=smoother_result(s.result),
-        accuracy=None if s.accuracy is None else AccuracyResult(**vars(s.accuracy)),
-        dead_reckoning=(
-            None
-            if s.accuracy_dead_reckoned is None
-            else AccuracyResult(**vars(s.accuracy_dead_reckoned))
-        ),
+        accuracy=accuracy_result(s.accuracy),
+        dead_reckoning=accuracy_result(s.accuracy_dead_reckoned),
         association=association_result(s.association),
         verdict="proven" if proof.proven else "unproven",
         remarks=remarks,

@@ -127,9 +127,7 @@ def _fused(log: Log, choices: EkfChoices) -> NDArray[np.intp]:
 
 
 def _rows(p: Positions, rows: NDArray[np.intp]) -> Positions | None:
-    if not len(rows):
-        return None
-    return Positions(p.time_s[rows], p.position_m[rows], p.covariance[rows], p.antenna_m)
+    return p.chosen(rows) if len(rows) else None
 
 
 def build_association(log: Log, choices: EkfChoices) -> Association:

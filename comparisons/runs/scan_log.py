@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.errors import InputError
-from comparisons.logs.log import Array, Log, Positions, Prior, Sightings
+from comparisons.logs.log import Array, Log, Prior
 from comparisons.logs.odometry import RelativePoses
 from comparisons.runs.known_landmarks import join_known_sightings
 from comparisons.runs.motion import motion_between
@@ -46,7 +46,8 @@ def with_scan_motion(log: Log, motion: ScanMotion, *, positions: bool = False) -
     seen = sightings_kept(log, motion)
     fixes = log.positions
     if fixes is not None:
-        fixes = _fixes(fixes, (fixes.time_s >= begin) & (fixes.time_s <= knots[-1]))
+        reached = (fixes.time_s >= begin) & (fixes.time_s <= knots[-1])
+        fixes = fixes.chosen(reached) if reached.any() else None
     wanted = [knots, log.sightings.time_s[seen]]
     if positions and fixes is not None:
         wanted.append(fixes.time_s)
@@ -63,7 +64,7 @@ def with_scan_motion(log: Log, motion: ScanMotion, *, positions: bool = False) -
         log,
         prior=prior,
         odometry=RelativePoses(times[1:], pieces.displacement, spread),
-        sightings=chosen_sightings(log.sightings, seen),
+        sightings=log.sightings.chosen(seen),
         positions=fixes,
         provenance=provenance,
     )
@@ -116,28 +117,3 @@ def _exponential(tangent: Array) -> Array:
     across = np.where(np.abs(turn) < 1e-9, 0.5 * turn, (1.0 - np.cos(safe)) / safe)
     x, y = tangent[:, 0], tangent[:, 1]
     return np.column_stack((along * x - across * y, across * x + along * y, turn))
-
-
-def chosen_sightings(seen: Sightings, rows: NDArray[np.bool_]) -> Sightings:
-    """Those in the rows (M,)."""
-    return replace(
-        seen,
-        time_s=seen.time_s[rows],
-        range_m=seen.range_m[rows],
-        bearing_rad=seen.bearing_rad[rows],
-        sigma_range_m=seen.sigma_range_m[rows],
-        sigma_bearing_rad=seen.sigma_bearing_rad[rows],
-        landmark=seen.landmark[rows],
-        diameter_m=seen.diameter_m[rows],
-    )
-
-
-def _fixes(positions: Positions, rows: NDArray[np.bool_]) -> Positions | None:
-    if not rows.any():
-        return None
-    return replace(
-        positions,
-        time_s=positions.time_s[rows],
-        position_m=positions.position_m[rows],
-        covariance=positions.covariance[rows],
-    )

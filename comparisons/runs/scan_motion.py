@@ -113,7 +113,9 @@ def run_scan_odometry(
         )
     kept = np.array(used)
     displacement, covariance = np.zeros((len(kept), 3)), np.zeros((len(kept), 3, 3))
-    over = None if wheels is None else motion_between(log, time_s[kept])
+    over = wheels
+    if wheels is not None and failures:
+        over = motion_between(log, time_s[kept])
     for k, increment in enumerate(found):
         if increment is not None:
             displacement[k], covariance[k] = increment.motion, increment.covariance

@@ -66,6 +66,4 @@ def _fused(run: EkfRun) -> Positions | None:
     given, rows = run.positions, run.fix_number
     if given is None or not len(rows):
         return None
-    return Positions(
-        given.time_s[rows], given.position_m[rows], given.covariance[rows], given.antenna_m
-    )
+    return given.chosen(rows)

@@ -7,7 +7,6 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from graphslam.graph_builder import to_tangent
 from graphslam.problem import SlamProblem
 from graphslam.scan import planar
 from graphslam.smoother import SmootherResult
@@ -75,7 +74,7 @@ class KeyframeBelief:
         total = np.zeros((3, 3))
         for k in around:
             place, spread = self.relative(base, k)
-            own = to_tangent(place[2:])[0]
+            own = planar.rotation(place[2]).T
             total += planar.carried(own @ spread @ own.T, planar.between(place, motion))
         mean: Array = total / len(around)
         return mean

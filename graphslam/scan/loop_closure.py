@@ -227,9 +227,7 @@ class RegistrationLoopCloser:
         if match.stiffness[0] < o.least_stiffness:
             return "the surroundings leave a direction open"
         difference = planar.wrapped(match.motion - expected)
-        turn = np.eye(3)
-        cos, sin = np.cos(match.motion[2]), np.sin(match.motion[2])
-        turn[:2, :2] = ((cos, -sin), (sin, cos))
+        turn = planar.rotation(match.motion[2])
         total = spread + turn @ match.covariance @ turn.T
         distance = float(difference @ np.linalg.solve(total, difference))
         if distance > _CHI2_3_999:

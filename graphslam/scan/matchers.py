@@ -13,12 +13,9 @@ from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
-from kiss_icp.mapping import VoxelHashMap
-from kiss_icp.registration import Registration as KissRegistration
-from kiss_icp.voxelization import voxel_down_sample
 from numpy.typing import NDArray
 
-from graphslam.scan import planar
+from graphslam.scan import kiss, planar
 from graphslam.scan.points import usable
 from graphslam.scan.refinement import RefinementOptions, refine
 from graphslam.scan.registration import Matcher, Registration, ScanError
@@ -101,19 +98,15 @@ class JudgedMatcher:
         surfaces = self.surfaces(target, self.options.radius_m)
         seen = source[:, : surfaces.dimension]
         found = start + planar.wrapped(found - start)
-        settled = found
-        wide = replace(self._judge, free_sigma_m=_UNKNOWN_M)
-        first = refine(seen, surfaces, found, wide)
-        free = int(np.count_nonzero(first.stiffness < self._judge.least_stiffness))
-        if free:
-            lever = np.array((1.0, 1.0, 1.0 / float(np.hypot(*source.T[:2]).mean())))
-            scaled = first.covariance / np.outer(lever, lever)
-            axes = lever[:, None] * np.linalg.eigh(scaled)[1][:, 3 - free :]
-            cos, sin = math.cos(found[2]), math.sin(found[2])
-            axes = np.array(((cos, -sin, 0.0), (sin, cos, 0.0), (0.0, 0.0, 1.0))) @ axes
-            beside = (axes / lever[:, None]).T @ ((found - start) / lever)
-            settled = found - axes @ beside
-        return refine(seen, surfaces, settled, self._judge)
+        first = refine(seen, surfaces, found, replace(self._judge, free_sigma_m=_UNKNOWN_M))
+        if not first.open_directions:
+            return first
+        lever = np.array((1.0, 1.0, 1.0 / float(np.hypot(*source.T[:2]).mean())))
+        scaled = first.covariance / np.outer(lever, lever)
+        axes = lever[:, None] * np.linalg.eigh(scaled)[1][:, 3 - first.open_directions :]
+        axes = planar.rotation(found[2]) @ axes
+        beside = (axes / lever[:, None]).T @ ((found - start) / lever)
+        return refine(seen, surfaces, found - axes @ beside, self._judge)
 
 
 class SurfaceMatcher(JudgedMatcher):
@@ -149,18 +142,18 @@ class KissMatcher(JudgedMatcher):
     def align(self, source: Array, target: Array, start: Array) -> Iterator[Array]:
         """See JudgedMatcher."""
         o = self.options
-        kiss = KissRegistration(10 * o.iterations, o.converged, max_num_threads=1)
+        aligner = kiss.registration(10 * o.iterations, o.converged)
         if len(source) > self.whole_points:
-            source = np.asarray(voxel_down_sample(source, 0.5))
+            source = kiss.thinned(source, 0.5)
         if len(target) > self.whole_points:
-            target = np.asarray(voxel_down_sample(target, 0.15))
+            target = kiss.thinned(target, 0.15)
         motion = planar.matrix(start)
         for reach_m in o.reaches_m:
             per_voxel = math.ceil((reach_m / self.spacing_m) ** 2)
-            voxels = VoxelHashMap(reach_m, 2.0 * _FAR_M, per_voxel)
+            voxels = kiss.voxel_map(reach_m, 2.0 * _FAR_M, per_voxel)
             voxels.add_points(target)
             motion = np.asarray(
-                kiss.align_points_to_map(source, voxels, motion, reach_m, reach_m / 3.0)
+                aligner.align_points_to_map(source, voxels, motion, reach_m, reach_m / 3.0)
             )
             # The next stage, too, is of planar motions.
             motion = planar.matrix(planar.from_matrix(motion))

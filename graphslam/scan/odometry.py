@@ -9,18 +9,19 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-from kiss_icp.mapping import VoxelHashMap
-from kiss_icp.registration import Registration as KissRegistration
-from kiss_icp.voxelization import voxel_down_sample
 from numpy.typing import NDArray
 
-from graphslam.scan import planar
+from graphslam.scan import kiss, planar
 from graphslam.scan.points import above_ground, usable
 from graphslam.scan.refinement import RefinementOptions, refine
 from graphslam.scan.registration import Registration, ScanError
 from graphslam.scan.surfaces import SurfaceMap
+
+if TYPE_CHECKING:
+    from kiss_icp.mapping import VoxelHashMap
 
 Array = NDArray[np.float64]
 
@@ -125,8 +126,7 @@ class ScanOdometry:
     def __init__(self, options: OdometryOptions | None = None) -> None:
         """An empty map with the vehicle at the origin."""
         self.options = options or OdometryOptions()
-        # One thread: with more, the sums of KISS-ICP depend on who comes first.
-        self._kiss = KissRegistration(500, 1e-4, max_num_threads=1)
+        self._kiss = kiss.registration(500, 1e-4)
         self.pose, self._motion = np.zeros(3), np.zeros(3)
         self._begin()
 
@@ -140,7 +140,7 @@ class ScanOdometry:
 
     def _new_map(self) -> VoxelHashMap:
         o = self.options
-        return VoxelHashMap(o.voxel_m, o.most_range_m, o.points_per_voxel)
+        return kiss.voxel_map(o.voxel_m, o.most_range_m, o.points_per_voxel)
 
     def register(self, points: Array, guess: Array | None = None) -> Increment | None:
         """Align a scan (N, 3), given what is guessed of the motion (3,) since the one before.
@@ -163,8 +163,8 @@ class ScanOdometry:
         cloud = _in_order_of_azimuth(o.prepared(points))
         kept = source = cloud
         if len(cloud) > o.whole_points:
-            kept = np.asarray(voxel_down_sample(cloud, 0.5 * o.voxel_m))
-            source = np.asarray(voxel_down_sample(kept, 1.5 * o.voxel_m))
+            kept = kiss.thinned(cloud, 0.5 * o.voxel_m)
+            source = kiss.thinned(kept, 1.5 * o.voxel_m)
         if self._empty:
             self.pose = planar.compose(self.pose, self._pending)
             self._accept(kept, np.zeros(3))

@@ -40,6 +40,12 @@ def share(motion: Array, count: int) -> Array:
     return np.array((part.real, part.imag, motion[2] / count))
 
 
+def rotation(heading: float) -> Array:
+    """(3, 3) that turns a pose's own axes, x, y, heading, into those it is seen in."""
+    cos, sin = math.cos(heading), math.sin(heading)
+    return np.array(((cos, -sin, 0.0), (sin, cos, 0.0), (0.0, 0.0, 1.0)))
+
+
 def wrapped(difference: Array) -> Array:
     """The same motion with its heading in (-pi, pi]."""
     return np.array((difference[0], difference[1], math.pi - (math.pi - difference[2]) % math.tau))

@@ -115,8 +115,7 @@ class _System:
             self._options.free_sigma_m**2,
         )
         root = self._scale[:, None] * self._axes * np.sqrt(variance)
-        cos, sin = math.cos(heading), math.sin(heading)
-        own = np.array(((cos, sin, 0.0), (-sin, cos, 0.0), (0.0, 0.0, 1.0))) @ root
+        own = planar.rotation(heading).T @ root
         covariance: Array = own @ own.T
         return covariance
 

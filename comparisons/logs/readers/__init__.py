@@ -31,46 +31,51 @@ class Reader(NamedTuple):
     what: str
 
 
+def _alone(recognises: Callable[[Path], bool], read: Callable[[Path], Log], what: str) -> Reader:
+    """Of a format that holds one robot only."""
+    return Reader(recognises, lambda path, robot: read(path), what)
+
+
 READERS: dict[str, Reader] = {
-    "log-folder": Reader(
+    "log-folder": _alone(
         lambda path: (path / MARK).is_file(),
-        lambda path, robot: read_log_folder(path),
+        read_log_folder,
         "this project's own format, a folder with log.toml",
     ),
-    "gtsam-2d": Reader(
+    "gtsam-2d": _alone(
         gtsam_2d.recognises,
-        lambda path, robot: gtsam_2d.read(path),
+        gtsam_2d.read,
         "text with ODOMETRY and LANDMARK lines, as gtsam's victoria_park.txt",
     ),
-    "g2o": Reader(
+    "g2o": _alone(
         g2o.recognises,
-        lambda path, robot: g2o.read(path),
+        g2o.read,
         "g2o text: one chain of poses, landmarks as points",
     ),
     "mrclam": Reader(mrclam.recognises, mrclam.read, "a UTIAS MR.CLAM folder; see --robot"),
-    "acfr-car-park": Reader(
+    "acfr-car-park": _alone(
         acfr_car_park.recognises,
-        lambda path, robot: acfr_car_park.read(path),
+        acfr_car_park.read,
         "the ACFR car park folder: data_set.mat and beac_juan3.mat",
     ),
-    "victoria-park": Reader(
+    "victoria-park": _alone(
         victoria_park.recognises,
-        lambda path, robot: victoria_park.read(path),
+        victoria_park.read,
         "Victoria Park detections: measurements.dat, inputs.dat, gps.dat",
     ),
-    "aa3": Reader(
+    "aa3": _alone(
         aa3.recognises,
-        lambda path, robot: aa3.read(path),
+        aa3.read,
         "Victoria Park's raw scans: aa3_dr.mat, aa3_lsr2.mat, aa3_gpsx.mat; see --features trees",
     ),
-    "carmen": Reader(
+    "carmen": _alone(
         carmen.recognises,
-        lambda path, robot: carmen.read(path),
+        carmen.read,
         "CARMEN text: FLASER or ROBOTLASER1 lines with raw scans",
     ),
-    "rosbag": Reader(
+    "rosbag": _alone(
         rosbag.recognises,
-        lambda path, robot: rosbag.read(path),
+        rosbag.read,
         "ROS bags with LaserScan or PointCloud2: .mcap, .bag, rosbag2 folders (extra ros)",
     ),
 }
