@@ -15,7 +15,15 @@ import numpy as np
 
 from ekf_reference.association import Association
 from ekf_reference.full_ekf import FullEkf, Stabilisation
-from ekf_reference.kalman import Array, Correction, Index, KalmanState, LocalMap, state_columns
+from ekf_reference.kalman import (
+    Array,
+    Correction,
+    Glance,
+    Index,
+    KalmanState,
+    LocalMap,
+    state_columns,
+)
 from ekf_reference.motion import MotionModel
 from ekf_reference.trace import Trace
 
@@ -98,6 +106,15 @@ class CompressedState:
         """(L, 2) positions, passive ones included."""
         self._bring_up_to_date()
         return self._whole.landmarks
+
+    def glance(self) -> Glance:
+        """The active part as it is, passive landmarks as the last global update left them.
+
+        `landmarks` would bring the passive part up to date, which changes later rounding.
+        """
+        landmark = np.concatenate((self._whole.landmarks, self._local.landmarks[self._started :]))
+        landmark[self._slots] = self._local.landmarks
+        return Glance(landmark, self._slots, self._local.covariance)
 
     def local_map(self, reach_m: float) -> LocalMap:
         """The landmarks within reach of the vehicle; enters a new area when they lie beyond it."""

@@ -20,6 +20,7 @@ from ekf_reference.association import Association, MappedState, Slots
 from ekf_reference.kalman import (
     Array,
     Correction,
+    Glance,
     Index,
     KalmanState,
     block_diagonal,
@@ -94,6 +95,10 @@ class FilterState(MappedState, Protocol):
     @property
     def landmarks(self) -> Array:
         """(L, 2)."""
+        ...
+
+    def glance(self) -> Glance:
+        """All there is, without moving anything."""
         ...
 
     def predict(self, pose: Array, jacobian_pose: Array, noise: Array) -> None:

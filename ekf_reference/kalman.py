@@ -54,6 +54,18 @@ class LocalMap:
         return own
 
 
+class Glance(NamedTuple):
+    """A state as it lies, read without moving anything: what dense maps are placed by.
+
+    landmark: (L, 2) all of them. slot: (m,) those whose covariance is current. covariance:
+    (p + 2 m, p + 2 m) of the pose and these. Read-only; it changes with the next write.
+    """
+
+    landmark: Array
+    slot: Index
+    covariance: Array
+
+
 class Correction(NamedTuple):
     """What an update did, with S = L L^T.
 
@@ -113,6 +125,10 @@ class KalmanState:
     def landmark_count(self) -> int:
         """Number of landmarks in the state."""
         return (self._size - self._pose_size) // 2
+
+    def glance(self) -> Glance:
+        """All there is, without moving anything."""
+        return Glance(self.landmarks, np.arange(self.landmark_count), self.covariance)
 
     def predict(self, pose: Array, jacobian_pose: Array, noise: Array) -> None:
         """Move the vehicle; the map stays (Nieto 2005, eqs. 2.32 and 2.36).
