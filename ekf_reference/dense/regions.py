@@ -16,6 +16,7 @@ costs a pass over the regions, less than the update that moved them.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +24,14 @@ from numpy.typing import NDArray
 
 from ekf_reference.dense.box_tree import BoxTree, boxes, tiled
 from ekf_reference.dense.conditions import Conditions, overlap
-from ekf_reference.dense.triangles import Array, contains, determinant, is_degenerate, solve
+from ekf_reference.dense.triangles import (
+    Array,
+    axes,
+    contains,
+    determinant,
+    is_degenerate,
+    solve,
+)
 
 Index = NDArray[np.intp]
 
@@ -87,6 +95,11 @@ class PlacedRegions:
         near = self.tree.meeting(boxes(triangle))
         common = overlap(triangle[near.query], self.triangle[near.item])
         return near.query[common], near.item[common]
+
+    @cached_property
+    def frames(self) -> tuple[Array, Array, Array]:
+        """L1, a and b (R, 2) of every region [m]."""
+        return self.triangle[:, 0], *axes(self.triangle)
 
     @property
     def _extent(self) -> float:

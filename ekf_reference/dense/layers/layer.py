@@ -1,0 +1,71 @@
+"""What every layer of a dense map can do (Nieto 2005, chapter 4)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ekf_reference.dense.regions import PlacedRegions
+from ekf_reference.dense.scan import Scan
+from ekf_reference.dense.triangles import Array
+
+Index = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Hits:
+    """Returns in regions, from one scan or from several that waited for a region.
+
+    region: (N,) never -1. local: (N, 2) alpha, beta. point: (N, 2) in the world [m] as the
+    landmarks lie now. covariance: (N, 2, 2) of it within the region [m^2].
+    """
+
+    region: Index
+    local: Array
+    point: Array
+    covariance: Array
+
+
+class Samples(NamedTuple):
+    """What a layer holds, in the world.
+
+    point: (N, 2) [m]. occupancy: (N,) from 0, free, to 1. region: (N,).
+    """
+
+    point: Array
+    occupancy: Array
+    region: Index
+
+
+class Layer(Protocol):
+    """One way to represent what was seen inside regions.
+
+    A layer keeps local coordinates only; where its data is follows from the placed regions that
+    it is given, so that it moves with the landmarks at no cost (Nieto 2005, section 3.7).
+    """
+
+    def fuse(self, hits: Hits, placed: PlacedRegions, scan: Scan | None, near: Index) -> None:
+        """Take in returns.
+
+        scan: whose they are, for what it says about free space; None for late returns, of which
+        only their places are known. near: (r,) regions that the scan may speak about.
+        """
+        ...
+
+    def samples(self, placed: PlacedRegions, regions: Index | None = None) -> Samples:
+        """All that the layer holds, or what it holds in distinct regions (r,)."""
+        ...
+
+    def occupancy(self, point: Array, placed: PlacedRegions) -> Array:
+        """(N,) how likely points (N, 2) [m] are occupied; NaN where the layer knows nothing."""
+        ...
+
+
+def in_world(placed: PlacedRegions, region: Index, local: Array) -> Array:
+    """Points (N, 2) [m] of local coordinates (N, 2) in regions (N,) (Nieto 2005, eq. 3.7)."""
+    origin, a, b = placed.frames
+    point: Array = origin[region] + local[:, :1] * a[region] + local[:, 1:] * b[region]
+    return point

@@ -1,0 +1,196 @@
+"""Occupancy grids, one in every region (Nieto 2005, section 4.1)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ekf_reference.dense.layers.layer import Hits, Index, Samples
+from ekf_reference.dense.regions import PlacedRegions
+from ekf_reference.dense.scan import Scan
+from ekf_reference.dense.sensor_model import InverseSensorModel, log_odds, probability
+from ekf_reference.dense.triangles import Array
+
+_ROUGHNESS = 0.5
+"""Standard deviation of where in a cell a surface lies, in cells."""
+_WITHIN = 1e-9
+"""Sum of local coordinates, short of one, that still lies in the last cell."""
+_FAR = 4.0
+"""So many sigmas before a return, space is as free as it gets."""
+
+
+@dataclass
+class RegionGrid:
+    """One region's cells, with edges along its axes; those outside the triangle are left out.
+
+    cells: (2,) counted along a and along b. weight: (3, n) of L1, a and b in every cell's centre.
+    place: (cells) number of a cell among the n, -1 where left out. odds: (n,) log-odds.
+    """
+
+    cells: tuple[int, int]
+    weight: Array
+    place: Index
+    odds: Array
+
+    @classmethod
+    def over(cls, triangle: Array, resolution_m: float) -> RegionGrid:
+        """An unknown grid over a triangle (3, 2), cells no longer than the resolution."""
+        edge = np.linalg.norm(triangle[1:] - triangle[0], axis=1)
+        along_a, along_b = np.maximum(np.ceil(edge / resolution_m), 1.0).astype(int).tolist()
+        i, j = np.meshgrid(np.arange(along_a), np.arange(along_b), indexing="ij")
+        inside = i / along_a + j / along_b < 1.0 - 0.5 * _WITHIN
+        place = np.full((along_a, along_b), -1, dtype=np.intp)
+        place[inside] = np.arange(np.count_nonzero(inside))
+        alpha, beta = (i[inside] + 0.5) / along_a, (j[inside] + 0.5) / along_b
+        weight = np.stack((np.ones_like(alpha), alpha, beta))
+        return cls((along_a, along_b), weight, place, np.zeros(len(alpha)))
+
+    def cell(self, local: Array) -> Index:
+        """(N,) cells that hold local coordinates (N, 2); beyond the edge from L2 to L3, nearby."""
+        within = (1.0 - _WITHIN) / np.maximum(local.sum(axis=1), 1.0 - _WITHIN)
+        steps = (np.maximum(local, 0.0) * within[:, None] * self.cells).astype(np.intp)
+        found: Index = self.place[steps[:, 0], steps[:, 1]]
+        return found
+
+
+@dataclass(frozen=True)
+class Coarsening:
+    """When a region's cells may grow: `share` of them below `least` occupancy (N, 4.1.3)."""
+
+    resolution_m: float = 0.5
+    share: float = 0.99
+    least: float = 0.2
+    every: int = 20
+
+
+class OccupancyGrid:
+    """Log-odds per cell (Nieto 2005, eq. 4.7), the prior one half.
+
+    resolution_m: of new regions. model: what a return says. confidence: log-odds stay between
+    those of 1 - confidence and confidence, so that the map can change its mind. coarsening: None
+    to keep all cells. Errata: 4.7 repeats the map's term where the inverse sensor model belongs.
+
+    A scan changes a cell once, by the return nearest in bearing: to add up all beams that cross
+    it would count one look many times.
+    """
+
+    def __init__(
+        self,
+        resolution_m: float = 0.2,
+        model: InverseSensorModel | None = None,
+        confidence: float = 0.98,
+        coarsening: Coarsening | None = None,
+    ) -> None:
+        """Raises ValueError for a resolution that is not above zero."""
+        if not resolution_m > 0.0:
+            raise ValueError(f"the resolution is {resolution_m} m, expected more than 0")
+        self.resolution_m = resolution_m
+        self.model = model or InverseSensorModel()
+        self.coarsening = coarsening
+        self.grids: dict[int, RegionGrid] = {}
+        self._most = float(log_odds(confidence))
+        self._scans = 0
+
+    def fuse(self, hits: Hits, placed: PlacedRegions, scan: Scan | None, near: Index) -> None:
+        """Occupied where returns come from, free before them."""
+        if scan is None:
+            self._fuse_late(hits, placed)
+            return
+        self._fuse_scan(placed, scan, near)
+        self._scans += 1
+        if self.coarsening and self._scans % self.coarsening.every == 0:
+            for region in near.tolist():
+                self._coarsen(region, placed, self.coarsening)
+
+    def _fuse_scan(self, placed: PlacedRegions, scan: Scan, near: Index) -> None:
+        grids = [self._grid(region, placed) for region in near.tolist()]
+        ends = np.cumsum([0, *(len(grid.odds) for grid in grids)])
+        if not ends[-1]:
+            return
+        frame = np.stack(placed.frames, axis=1)[near]
+        frame[:, 0] -= scan.origin
+        own = np.swapaxes(frame @ scan.axes, 1, 2)  # (r, 2, 3): ahead and left of the scanner
+        where = np.empty((2, ends[-1]))
+        for grid, axes, first, last in zip(grids, own, ends[:-1], ends[1:], strict=True):
+            np.matmul(axes, grid.weight, out=where[:, first:last])
+        change = self.change(scan, where[0], where[1])
+        for grid, first, last in zip(grids, ends[:-1], ends[1:], strict=True):
+            odds = grid.odds
+            odds += change[first:last]
+            np.minimum(odds, self._most, out=odds)
+            np.maximum(odds, -self._most, out=odds)
+
+    def change(self, scan: Scan, ahead_m: Array, left_m: Array) -> Array:
+        """(N,) log-odds that a scan adds to cells ahead and left (N,) of the scanner."""
+        sigma = np.hypot(scan.sensor.sigma_range_m, _ROUGHNESS * self.resolution_m)
+        change = np.zeros(len(ahead_m))
+        if not len(scan.range_m):
+            return change
+        farthest = scan.range_m.max() + 3.0 * sigma
+        reached = np.flatnonzero(ahead_m * ahead_m + left_m * left_m <= farthest * farthest)
+        met = scan.beams_ahead(ahead_m[reached], left_m[reached])
+        spoken = met.seen & (met.ahead_m > -_FAR * sigma)
+        free = spoken & (met.ahead_m > _FAR * sigma)
+        change[reached[free]] = log_odds(self.model.p_free)
+        close = np.flatnonzero(spoken & ~free)
+        change[reached[close]] = log_odds(
+            self.model.probability(
+                met.ahead_m[close], met.off_rad[close], sigma, scan.sensor.sigma_bearing_rad
+            )
+        )
+        return change
+
+    def _fuse_late(self, hits: Hits, placed: PlacedRegions) -> None:
+        most = float(log_odds(self.model.p_occupied))
+        for region in np.unique(hits.region).tolist():
+            grid = self._grid(region, placed)
+            cells = grid.cell(hits.local[hits.region == region])
+            np.add.at(grid.odds, cells, most)
+            np.minimum(grid.odds, self._most, out=grid.odds)
+
+    def samples(self, placed: PlacedRegions, regions: Index | None = None) -> Samples:
+        """The centres of all cells that were ever seen."""
+        wanted = sorted(self.grids) if regions is None else regions.tolist()
+        point, occupancy, region = [np.empty((0, 2))], [np.empty(0)], [np.empty(0, dtype=np.intp)]
+        frames = np.stack(placed.frames, axis=2)
+        for number in wanted:
+            grid = self.grids.get(number)
+            if grid is not None:
+                known = np.flatnonzero(grid.odds)
+                point.append((frames[number] @ grid.weight[:, known]).T)
+                occupancy.append(probability(grid.odds[known]))
+                region.append(np.full(len(known), number, dtype=np.intp))
+        return Samples(np.concatenate(point), np.concatenate(occupancy), np.concatenate(region))
+
+    def occupancy(self, point: Array, placed: PlacedRegions) -> Array:
+        """P(occupied) of the cells that points (N, 2) lie in."""
+        found = placed.locate(point)
+        result = np.full(len(point), np.nan)
+        for region in np.unique(found.region[found.region >= 0]).tolist():
+            grid = self.grids.get(region)
+            if grid is not None:
+                rows = np.flatnonzero(found.region == region)
+                odds = grid.odds[grid.cell(found.local[rows])]
+                result[rows] = np.where(odds == 0.0, np.nan, probability(odds))
+        return result
+
+    def _grid(self, region: int, placed: PlacedRegions) -> RegionGrid:
+        grid = self.grids.get(region)
+        if grid is None:
+            grid = self.grids[region] = RegionGrid.over(placed.triangle[region], self.resolution_m)
+        return grid
+
+    def _coarsen(self, region: int, placed: PlacedRegions, rule: Coarsening) -> None:
+        """Larger cells, each as occupied as the most occupied of those whose centres it holds."""
+        fine = self.grids[region]
+        free: NDArray[np.bool_] = fine.odds < log_odds(rule.least)
+        coarse = RegionGrid.over(placed.triangle[region], rule.resolution_m)
+        if free.mean() <= rule.share or len(coarse.odds) >= len(fine.odds):
+            return
+        cell = coarse.cell(fine.weight[1:].T)
+        coarse.odds[:] = -np.inf
+        np.maximum.at(coarse.odds, cell, fine.odds)
+        coarse.odds[np.isneginf(coarse.odds)] = 0.0
+        self.grids[region] = coarse

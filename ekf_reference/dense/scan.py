@@ -1,0 +1,139 @@
+"""One planar scan, placed in the world, as the layers of a dense map read it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ekf_reference.dense.triangles import Array
+
+Index = NDArray[np.intp]
+
+_DIRECTIONS = 7200
+"""Directions of the compass for which the nearest beam is looked up once a scan."""
+_TURN = 2.0 * np.pi
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """A range and bearing sensor. sigma_range_m, sigma_bearing_rad: of every return.
+
+    beam_rad: angle between two beams; a direction farther than half of that, and than three
+    sigmas, from every return is one in which nothing was measured.
+    """
+
+    sigma_range_m: float
+    sigma_bearing_rad: float
+    beam_rad: float
+
+    @property
+    def reach_rad(self) -> float:
+        """How far to its sides a return speaks."""
+        return max(0.5 * self.beam_rad, 3.0 * self.sigma_bearing_rad)
+
+
+@dataclass(frozen=True)
+class Beams:
+    """The returns of a scan met by some points. All (N,).
+
+    beam: the nearest in bearing. ahead_m: of the return, how far the point's range falls short of
+    it; negative beyond. off_rad: bearing off the beam. seen: whether a return speaks about it.
+    range_m: the point's own.
+    """
+
+    beam: Index
+    ahead_m: Array
+    off_rad: Array
+    seen: NDArray[np.bool_]
+    range_m: Array
+
+
+@dataclass(frozen=True)
+class Scan:
+    """The returns of one scan. pose: (3,) of the scanner in the world.
+
+    bearing_rad: (B,) ascending, in [-pi, pi), from the scanner's ahead. range_m: (B,) finite,
+    above zero. number: of the scan, not decreasing.
+    """
+
+    pose: Array
+    bearing_rad: Array
+    range_m: Array
+    sensor: Sensor
+    number: int = 0
+
+    @classmethod
+    def of_ranges(
+        cls, pose: Array, bearing_rad: Array, range_m: Array, sensor: Sensor, number: int = 0
+    ) -> Scan:
+        """From beams in any order (B,). What is not finite or not above zero is no return.
+
+        A beam without a return says nothing: it may have met no surface, or one that absorbs.
+        """
+        returned = np.flatnonzero(
+            np.isfinite(range_m) & np.isfinite(bearing_rad) & (np.nan_to_num(range_m) > 0.0)
+        )
+        bearing = np.mod(bearing_rad[returned] + np.pi, _TURN) - np.pi
+        order = np.argsort(bearing, kind="stable")
+        return cls(pose, bearing[order], range_m[returned][order], sensor, number)
+
+    @property
+    def origin(self) -> Array:
+        """(2,) of the scanner [m]."""
+        return self.pose[:2]
+
+    @cached_property
+    def point(self) -> Array:
+        """(B, 2) where the returns come from, in the world [m] (Nieto 2005, eq. 4.15)."""
+        direction = self.pose[2] + self.bearing_rad
+        ray = np.stack((np.cos(direction), np.sin(direction)), axis=1)
+        where: Array = self.origin + self.range_m[:, None] * ray
+        return where
+
+    @cached_property
+    def covariance(self) -> Array:
+        """(B, 2, 2) of these points for a known pose [m^2] (Nieto 2005, eq. 4.16)."""
+        ray = (self.point - self.origin) / self.range_m[:, None]
+        along = self.sensor.sigma_range_m**2 * ray[:, :, None] * ray[:, None, :]
+        side = np.stack((-ray[:, 1], ray[:, 0]), axis=1)
+        across = (self.range_m * self.sensor.sigma_bearing_rad) ** 2
+        spread: Array = along + across[:, None, None] * side[:, :, None] * side[:, None, :]
+        return spread
+
+    def box(self, margin_m: float = 0.0) -> Array:
+        """(4,) west, south, east, north of the scanner and all returns."""
+        corner = np.vstack((self.origin, self.point))
+        return np.concatenate((corner.min(axis=0) - margin_m, corner.max(axis=0) + margin_m))
+
+    def beams(self, point: Array) -> Beams:
+        """The returns that speak about points (N, 2) of the world [m]."""
+        return self.beams_ahead(*((point - self.origin) @ self.axes).T)
+
+    @property
+    def axes(self) -> Array:
+        """(2, 2) columns are ahead and left of the scanner, in the world."""
+        cos, sin = np.cos(self.pose[2]), np.sin(self.pose[2])
+        return np.array(((cos, -sin), (sin, cos)))
+
+    def beams_ahead(self, ahead_m: Array, left_m: Array) -> Beams:
+        """The same for points ahead and left (N,) of the scanner."""
+        distance = np.sqrt(ahead_m * ahead_m + left_m * left_m)
+        bearing = np.arctan2(left_m, ahead_m)
+        beam = self._nearest[((bearing + np.pi) * (_DIRECTIONS / _TURN)).astype(np.intp)]
+        off = np.abs(bearing - self.bearing_rad[beam])
+        off = np.minimum(off, _TURN - off)
+        short = self.range_m[beam] - distance
+        return Beams(beam, short, off, off <= self.sensor.reach_rad, distance)
+
+    @cached_property
+    def _nearest(self) -> Index:
+        """(D + 1,) nearest return in each direction."""
+        direction = (np.arange(_DIRECTIONS + 1) + 0.5) * (_TURN / _DIRECTIONS) - np.pi
+        around = np.concatenate(
+            (self.bearing_rad[-1:] - _TURN, self.bearing_rad, self.bearing_rad[:1] + _TURN)
+        )
+        halfway = 0.5 * (around[1:] + around[:-1])
+        return (np.searchsorted(halfway, direction) - 1) % max(len(self.bearing_rad), 1)
