@@ -77,18 +77,11 @@ def build_ekf(log: Log, choices: EkfChoices, trace: Trace) -> FullEkf:
     """The filter that a log and settled choices call for, standing at its prior."""
     odometry, prior = log.odometry, log.prior
     stabilisation = Stabilisation()
-    motion: MotionModel
-    if isinstance(odometry, RelativePoses):
-        motion = RelativePoseModel()
-    else:
+    if not isinstance(odometry, RelativePoses):
         noise = odometry.noise
         stabilisation = Stabilisation(noise.variance_rate_position, noise.variance_rate_heading)
-        if isinstance(odometry, SteeringOdometry):
-            motion = AckermannModel(**vars(odometry.vehicle))
-        else:
-            motion = UnicycleModel()
     rule = build_association(log, choices)
-    common = (motion, rule, prior.pose, prior.covariance, stabilisation, trace)
+    common = (motion_model(log), rule, prior.pose, prior.covariance, stabilisation, trace)
     ekf: FullEkf
     antenna = log.positions.antenna_m if log.positions is not None else (0.0, 0.0)
     if choices.filter.startswith("misono"):
@@ -103,6 +96,15 @@ def build_ekf(log: Log, choices: EkfChoices, trace: Trace) -> FullEkf:
         ekf = CompressedEkf(*common, LocalAreas(least_gain=gain))
     ekf.fixes = PositionFixes(PositionModel(antenna))
     return ekf
+
+
+def motion_model(log: Log) -> MotionModel:
+    """How the log's vehicle moves under its odometry."""
+    if isinstance(log.odometry, RelativePoses):
+        return RelativePoseModel()
+    if isinstance(log.odometry, SteeringOdometry):
+        return AckermannModel(**vars(log.odometry.vehicle))
+    return UnicycleModel()
 
 
 def fused_positions(log: Log, choices: EkfChoices) -> Positions | None:

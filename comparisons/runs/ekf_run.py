@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,6 +60,42 @@ class EkfRun:
         return {name: int(np.count_nonzero(self.slot == code)) for name, code in codes.items()}
 
 
+class Watcher(Protocol):
+    """Someone who looks on while the filter runs, and reads only."""
+
+    def stepping(self, ekf: FullEkf, time_s: float, control: Array, duration_s: float) -> None:
+        """The filter, all that was seen until now fused, is about to predict from this time."""
+        ...
+
+    def arrived(self, ekf: FullEkf) -> None:
+        """It has predicted up to an epoch, and fused nothing there yet."""
+        ...
+
+    def updated(self, ekf: FullEkf) -> None:
+        """It has fused what was seen at the epoch."""
+        ...
+
+    def finished(self, ekf: FullEkf, time_s: float) -> None:
+        """It has come to its end, or as far as it could."""
+        ...
+
+
+class NoWatcher:
+    """Looks away."""
+
+    def stepping(self, ekf: FullEkf, time_s: float, control: Array, duration_s: float) -> None:
+        """Nothing."""
+
+    def arrived(self, ekf: FullEkf) -> None:
+        """Nothing."""
+
+    def updated(self, ekf: FullEkf) -> None:
+        """Nothing."""
+
+    def finished(self, ekf: FullEkf, time_s: float) -> None:
+        """Nothing."""
+
+
 def run_ekf(
     log: Log,
     timeline: Timeline,
@@ -66,19 +103,22 @@ def run_ekf(
     positions: Positions | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
     modify: Callable[[FullEkf], None] = lambda ekf: None,
+    watcher: Watcher | None = None,
 ) -> EkfRun:
     """Drive the filter through all epochs, or as far as it comes.
 
     positions: to be fused; the timeline is built with the same. progress: called with epochs done
     and in all. modify: may replace parts of the filter before it starts, which is how defects are
-    planted.
+    planted. watcher: looks on.
     """
     trace = RecordedTrace()
     ekf = build_ekf(log, choices, trace)
     modify(ekf)
+    watching = watcher or NoWatcher()
     ekf.insert_surveyed(*surveyed(log)[1:])
     epochs = len(timeline.epoch_time_s)
     steps, first = timeline.steps_until(), timeline.sightings_until()
+    begins = timeline.step_begin_s()
     seen = log.sightings
     z = np.column_stack((seen.range_m, seen.bearing_rad))
     sigma = np.column_stack((seen.sigma_range_m, seen.sigma_bearing_rad))
@@ -92,13 +132,12 @@ def run_ekf(
     breakdown, done, rejected_fixes = None, 0, 0
     for k in range(epochs):
         for i in range(done, int(steps[k])):
-            ekf.predict(
-                timeline.control[i],
-                timeline.control_covariance[i],
-                float(timeline.step_duration_s[i]),
-            )
+            control, duration = timeline.control[i], float(timeline.step_duration_s[i])
+            watching.stepping(ekf, float(begins[i]), control, duration)
+            ekf.predict(control, timeline.control_covariance[i], duration)
         done = int(steps[k])
         arrived[k] = ekf.read_pose().pose
+        watching.arrived(ekf)
         rows = slice(int(first[k]), int(first[k + 1]))
         try:
             if rows.start < rows.stop:
@@ -110,6 +149,7 @@ def run_ekf(
         except FilterDivergedError as error:
             breakdown = f"the EKF broke down at {timeline.epoch_time_s[k]:.3f} s: {error}"
             epochs = k + 1
+        watching.updated(ekf)
         departed[k], _, read = ekf.read_pose()
         covariance[k] = read @ ekf.state.pose_covariance @ read.T
         if breakdown:
@@ -117,6 +157,7 @@ def run_ekf(
         if k % 64 == 0:
             progress(k, epochs)
     progress(epochs, epochs)
+    watching.finished(ekf, float(timeline.epoch_time_s[epochs - 1]))
     joint = _joint_covariance(ekf)
     if not np.isfinite(ekf.state.mean).all():
         raise InputError(

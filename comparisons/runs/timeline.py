@@ -41,6 +41,12 @@ class Timeline:
         """(K,) number of steps made when each epoch is reached."""
         return np.searchsorted(self.step_epoch, np.arange(len(self.epoch_time_s)), side="right")
 
+    def step_begin_s(self) -> Array:
+        """(N,) the times from which the steps lead on."""
+        passed = np.cumsum(self.step_duration_s) - self.step_duration_s
+        begin: Array = self.epoch_time_s[0] + passed
+        return begin
+
     def prefix(self, epochs: int) -> Timeline:
         """The same up to the first `epochs` epochs."""
         steps = int(self.steps_until()[epochs - 1])

@@ -21,8 +21,8 @@ _TURN = 2.0 * np.pi
 class Sensor:
     """A range and bearing sensor. sigma_range_m, sigma_bearing_rad: of every return.
 
-    beam_rad: angle between two beams; a direction farther than half of that, and than three
-    sigmas, from every return is one in which nothing was measured.
+    beam_rad: angle between two beams; a direction farther than half of that, and than one sigma,
+    from every return is one in which nothing was measured.
     """
 
     sigma_range_m: float
@@ -32,7 +32,7 @@ class Sensor:
     @property
     def reach_rad(self) -> float:
         """How far to its sides a return speaks."""
-        return max(0.5 * self.beam_rad, 3.0 * self.sigma_bearing_rad)
+        return max(0.5 * self.beam_rad, self.sigma_bearing_rad)
 
 
 @dataclass(frozen=True)

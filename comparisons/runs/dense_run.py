@@ -1,0 +1,185 @@
+"""A dense map beside the filter: every scan of a log, from where the filter then thought it was."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from comparisons.errors import InputError
+from comparisons.logs.log import Log
+from comparisons.logs.odometry import RelativePoses
+from comparisons.runs.ekf_build import motion_model
+from comparisons.runs.estimate import Array
+from comparisons.runs.planar_scans import PlanarScans
+from ekf_reference.dense.conditions import Conditions
+from ekf_reference.dense.dense_map import DenseMap
+from ekf_reference.dense.layers.layer import Layer, Samples
+from ekf_reference.dense.layers.occupancy import OccupancyGrid
+from ekf_reference.dense.layers.points import Points
+from ekf_reference.dense.regions import LocalRegions
+from ekf_reference.dense.scan import Scan
+from ekf_reference.dense.view import FilterView
+from ekf_reference.full_ekf import FullEkf
+
+LAYERS = ("points", "occupancy", "particles", "sog")
+_CLOCK_S = 1e-4
+"""Times closer than this are one."""
+_TELLING_M = 0.2
+"""Least root mean square shift of the landmarks by one update that is worth a picture."""
+
+
+class GlobalMap(Protocol):
+    """A map in the world's frame, which nothing moves afterwards."""
+
+    def fuse(self, scan: Scan) -> None:
+        """Take in a scan from the pose that it was given."""
+        ...
+
+
+@dataclass(frozen=True)
+class DenseOptions:
+    """layers: of LAYERS. resolution_m: of cells. known_apart_m: see dense.conditions.Conditions."""
+
+    layers: tuple[str, ...] = ("points", "occupancy")
+    resolution_m: float = 0.2
+    known_apart_m: float = 0.3
+
+    def __post_init__(self) -> None:
+        """Raises InputError."""
+        if not self.layers or set(self.layers) - set(LAYERS):
+            given = ", ".join(self.layers) or "none"
+            raise InputError(f"layers {given}: expected some of {', '.join(LAYERS)}")
+        if not 0.01 <= self.resolution_m <= 10.0:
+            raise InputError(f"resolution {self.resolution_m} m: expected 0.01 to 10 m")
+
+    def build(self) -> DenseMap:
+        """An empty map."""
+        size = self.resolution_m
+        made: Mapping[str, Layer] = {"points": Points(size), "occupancy": OccupancyGrid(size)}
+        conditions = Conditions(known_apart_m=self.known_apart_m)
+        return DenseMap({name: made[name] for name in self.layers}, LocalRegions(conditions))
+
+
+@dataclass(frozen=True)
+class BeforeClosing:
+    """The map just before the update that moved it the most, usually a loop's closing.
+
+    time_s: of the update. shift_m: root mean square over the landmarks. landmark: (L, 2) and
+    layers: what each held, as the landmarks then lay. regions: how many there were.
+    """
+
+    time_s: float
+    shift_m: float
+    landmark: Array
+    layers: Mapping[str, Samples]
+    regions: int
+
+
+@dataclass(frozen=True)
+class DenseRun:
+    """A dense map and how it came about.
+
+    scan_time_s: (N,) of all scans taken in, scan_pose: (N, 3) the filter's vehicle then.
+    scans: the log's. landmark: (L, 2) where the filter has them in the end. seconds: spent on
+    regions and on scans.
+    """
+
+    options: DenseOptions
+    dense: DenseMap
+    scans: PlanarScans
+    scan_time_s: Array
+    scan_pose: Array
+    landmark: Array
+    before: BeforeClosing | None
+    seconds: Mapping[str, float]
+
+
+class DenseWatcher:
+    """Feeds a dense map while the filter runs. Reads the filter only."""
+
+    def __init__(self, log: Log, options: DenseOptions, beside: Sequence[GlobalMap] = ()) -> None:
+        """beside: maps that are given the same scans from the same poses. Raises InputError."""
+        self._scans = PlanarScans(log)
+        self._options = options
+        self._dense = options.build()
+        self._beside = beside
+        self._motion, self._relative = motion_model(log), isinstance(log.odometry, RelativePoses)
+        self._next = 0
+        self._pose: list[Array] = []
+        self._landmark = np.empty((0, 2))
+        self._before: BeforeClosing | None = None
+        self._seconds = {"regions": 0.0, "scans": 0.0}
+        self._epoch_s = log.prior.time_s
+
+    def stepping(self, ekf: FullEkf, time_s: float, control: Array, duration_s: float) -> None:
+        """Take in the scans of the interval that is about to be predicted."""
+        while self._due(time_s + duration_s - _CLOCK_S):
+            view = FilterView.of(ekf)
+            part = max(float(self._scans.time_s[self._next]) - time_s, 0.0)
+            if part > _CLOCK_S:
+                share = part / duration_s if self._relative else 1.0
+                step = self._motion.step(view.pose, share * control, part)
+                view = replace(view, pose=step.pose)
+            self._insert(view)
+        self._epoch_s = time_s + duration_s
+
+    def arrived(self, ekf: FullEkf) -> None:
+        """Nothing to do before an update."""
+
+    def updated(self, ekf: FullEkf) -> None:
+        """Make the regions that are now possible; keep the map as it was if it moved a lot."""
+        start = time.perf_counter()
+        view = FilterView.of(ekf)
+        old = self._landmark
+        self._landmark = view.landmark.copy()
+        if len(old):
+            self._note_shift(old, self._landmark[: len(old)])
+        self._dense.updated(view)
+        self._seconds["regions"] += time.perf_counter() - start
+
+    def finished(self, ekf: FullEkf, time_s: float) -> None:
+        """Take in what was scanned at the very end."""
+        while self._due(time_s + _CLOCK_S):
+            self._insert(FilterView.of(ekf))
+        self._landmark = ekf.state.landmarks.copy()
+
+    def run(self) -> DenseRun:
+        """The map, once the filter has finished."""
+        done = len(self._pose)
+        return DenseRun(
+            self._options,
+            self._dense,
+            self._scans,
+            self._scans.time_s[:done],
+            np.array(self._pose).reshape(-1, 3),
+            self._landmark,
+            self._before,
+            self._seconds,
+        )
+
+    def _due(self, until_s: float) -> bool:
+        times = self._scans.time_s
+        return self._next < len(times) and float(times[self._next]) < until_s
+
+    def _insert(self, view: FilterView) -> None:
+        scan = self._scans.scan(self._next, view.pose)
+        start = time.perf_counter()
+        self._dense.insert(view, scan)
+        self._seconds["scans"] += time.perf_counter() - start
+        for other in self._beside:
+            other.fuse(scan)
+        self._pose.append(view.pose)
+        self._next += 1
+
+    def _note_shift(self, old: Array, new: Array) -> None:
+        shift = float(np.sqrt(np.square(new - old).sum(axis=1).mean()))
+        least = _TELLING_M if self._before is None else 1.2 * self._before.shift_m
+        if shift < least:
+            return
+        placed = self._dense.regions.placed(old)
+        layers = {name: layer.samples(placed) for name, layer in self._dense.layers.items()}
+        self._before = BeforeClosing(self._epoch_s, shift, old, layers, len(placed.triangle))
