@@ -6,7 +6,6 @@ import io
 import os
 import signal
 import sys
-import time
 import traceback
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,28 +14,27 @@ import typer
 
 from comparisons.cli_options import (
     AssociationOption,
-    CloudOption,
+    DenseOption,
     FeaturesOption,
     FilterOption,
     FormatOption,
     GpsOption,
-    GuessOption,
     LagOption,
     LogArgument,
-    LoopClosureOption,
     LoopsOption,
-    MatcherOption,
     MethodOption,
     MotionOption,
     NoiseOption,
     OptimiserOption,
     OutOption,
+    ResolutionOption,
     RobotOption,
     RobustOption,
     SeedOption,
     SmootherAssociationOption,
     SolveAssociationOption,
 )
+from comparisons.cli_scans import map_command, odometry
 from comparisons.cli_support import (
     AGREE,
     BROKEN,
@@ -46,13 +44,16 @@ from comparisons.cli_support import (
     UNUSABLE,
     fail,
     guarded,
+    open_named,
     print_result,
     progress_bar,
+    read_named,
 )
 from comparisons.errors import InputError
 
 if TYPE_CHECKING:
     from comparisons.logs.log import Log
+    from comparisons.runs.dense_run import DenseOptions
     from comparisons.runs.ekf_build import EkfChoices
     from graphslam.smoother import SmootherOptions
 
@@ -87,6 +88,8 @@ def run(
     seed: SeedOption = 0,
     loops: LoopsOption = 1,
     noise_scale: NoiseOption = 1.0,
+    dense: DenseOption = [],  # noqa: B006
+    resolution: ResolutionOption = 0.2,
 ) -> None:
     """Run both estimators on a log, check one against the other, write a report folder.
 
@@ -97,18 +100,23 @@ def run(
       slamcheck run path/to/MRCLAM_Dataset6 --robot 2
       slamcheck run my-log-folder --association nn --out report
       slamcheck run path/to/acfr_car_park --motion both
+      slamcheck run scan-loop --dense points --dense occupancy
     """
     with guarded():
+        from comparisons.runs.dense_run import DenseOptions
         from comparisons.runs.ekf_build import EkfChoices
 
-        source, read_s = _read(log, format_name, robot, seed, loops, noise_scale, features)
+        source, read_s = read_named(log, format_name, robot, seed, loops, noise_scale, features)
         choices = EkfChoices(filter_name, association, gps)
         options = _options(smoother, lag, optimiser, robust)
         if smoother_association not in ("ekf", "own"):
             raise InputError(
                 f"smoother association '{smoother_association}' is unknown, expected ekf or own"
             )
-        raise SystemExit(_run(source, choices, options, smoother_association, motion, out, read_s))
+        mapped = DenseOptions(tuple(dict.fromkeys(dense)), resolution) if dense else None
+        raise SystemExit(
+            _run(source, choices, options, smoother_association, motion, mapped, out, read_s)
+        )
 
 
 def _options(method: str, lag: int, optimiser: str, robust: str) -> SmootherOptions:
@@ -126,6 +134,7 @@ def _run(
     options: SmootherOptions,
     smoother_association: str,
     motion: str,
+    dense: DenseOptions | None,
     out: Path | None,
     read_s: float,
 ) -> int:
@@ -145,6 +154,7 @@ def _run(
             progress,
             smoother_association=smoother_association,
             motion=motion,
+            dense=dense,
         )
         result = build_result(comparison, read_s)
         progress("report", 0, 0)
@@ -183,7 +193,7 @@ def solve(
         from comparisons.report.solution_result import build_solution_result, print_solution
         from comparisons.solve import solve_log
 
-        source, read_s = _read(log, format_name, robot, seed, loops, noise_scale, features)
+        source, read_s = read_named(log, format_name, robot, seed, loops, noise_scale, features)
         folder = out or Path(f"slamcheck-solve-{folder_name(source.name)}")
         check_replaceable(folder, SOLUTION_CONTENTS)
         options = _options(smoother, lag, optimiser, robust)
@@ -196,56 +206,8 @@ def solve(
         raise SystemExit(AGREE if result.verdict == "proven" else UNPROVEN)
 
 
-@app.command()
-def odometry(
-    log: LogArgument,
-    format_name: FormatOption = None,
-    out: OutOption = None,
-    guess: GuessOption = "wheels",
-    loops_closed: LoopClosureOption = "on",
-    matcher: MatcherOption = "surface",
-    gps: GpsOption = "off",
-    cloud: CloudOption = None,
-    robot: RobotOption = 1,
-    seed: SeedOption = 0,
-    loops: LoopsOption = 1,
-    noise_scale: NoiseOption = 1.0,
-) -> None:
-    """Run the scan front end alone: odometry, loop closure, scan pose graph. Exits as solve does.
-
-    \b
-    Examples:
-      slamcheck odometry scan-loop                    simulated scans, with truth
-      slamcheck odometry path/to/acfr_car_park --cloud pcd
-    """
-    with guarded():
-        from comparisons.atomic import check_replaceable, folder_name
-        from comparisons.front_end import FrontEndChoices, run_front_end
-        from comparisons.report.front_end_folder import FRONT_END_CONTENTS, write_front_end_folder
-        from comparisons.report.front_end_result import build_front_end_result, print_front_end
-
-        for name, value, known in (
-            ("guess", guess, ("wheels", "none")),
-            ("loop-closure", loops_closed, ("on", "off")),
-            ("cloud", "pcd" if cloud is None else cloud, ("pcd", "ply")),
-        ):
-            if value not in known:
-                raise InputError(f"{name} '{value}' is unknown, expected {' or '.join(known)}")
-        if cloud is not None:
-            from graphslam.scan.open3d_library import open3d
-
-            open3d()  # where it is missing, say so before the work
-        choices = FrontEndChoices(guess == "wheels", loops_closed == "on", gps, matcher)
-        source, read_s = _read(log, format_name, robot, seed, loops, noise_scale, "log")
-        folder = out or Path(f"slamcheck-odometry-{folder_name(source.name)}")
-        check_replaceable(folder, FRONT_END_CONTENTS)
-        with progress_bar() as progress:
-            front_end = run_front_end(source, choices, progress)
-            result = build_front_end_result(front_end, read_s)
-            progress("report", 0, 0)
-            write_front_end_folder(front_end, result, folder, cloud)
-        print_result(lambda console: print_front_end(result, console), folder)
-        raise SystemExit(AGREE if result.verdict == "proven" else UNPROVEN)
+app.command()(odometry)
+app.command("map")(map_command)
 
 
 @app.command()
@@ -281,7 +243,7 @@ def convert(
     with guarded():
         from comparisons.logs.log_folder import write_log_folder
 
-        source = _open(log, format_name, robot, seed, loops, noise_scale)
+        source = open_named(log, format_name, robot, seed, loops, noise_scale)
         write_log_folder(source, folder)
         records = ", ".join(f"{n:,} {name}" for name, n in source.records.items())
         typer.echo(f"{folder}: {records}")
@@ -296,31 +258,6 @@ def _main(
 
         typer.echo(f"slamcheck {installed('slamcheck')}")
         raise typer.Exit
-
-
-def _open(
-    name: str, format_name: str | None, robot: int, seed: int, loops: int, noise_scale: float
-) -> Log:
-    from comparisons.logs.bundled import SimulationChoices, open_log
-
-    return open_log(name, format_name, robot, SimulationChoices(seed, loops, noise_scale))
-
-
-def _read(
-    name: str,
-    format_name: str | None,
-    robot: int,
-    seed: int,
-    loops: int,
-    noise_scale: float,
-    features: str,
-) -> tuple[Log, float]:
-    """The log with the features asked for, and the seconds that took."""
-    from comparisons.runs.features import choose_features
-
-    start = time.perf_counter()
-    log = _open(name, format_name, robot, seed, loops, noise_scale)
-    return choose_features(log, features), time.perf_counter() - start
 
 
 def main() -> None:

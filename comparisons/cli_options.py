@@ -107,3 +107,18 @@ CloudOption = Annotated[
     str | None,
     typer.Option(metavar="pcd|ply", help="Write the map as a cloud, too; needs Open3D."),
 ]
+LayerOption = Annotated[
+    list[str],
+    typer.Option("--layer", metavar="points|occupancy|particles|sog", help="May be repeated."),
+]
+ResolutionOption = Annotated[
+    float, typer.Option(metavar="M", help="Size of cells in metres, of grids and pictures.")
+]
+DenseOption = Annotated[
+    list[str],
+    typer.Option(
+        "--dense",
+        metavar="points|occupancy|particles|sog",
+        help="Keep this layer of a dense map and hold it against the smoother's; may be repeated.",
+    ),
+]

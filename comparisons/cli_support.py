@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from comparisons.compare import Progress
+    from comparisons.logs.log import Log
 
 AGREE, DISAGREE, UNUSABLE, UNPROVEN = 0, 1, 2, 3
 BROKEN, INTERRUPTED = 70, 130
@@ -87,3 +89,40 @@ def progress_bar() -> Iterator[Progress]:
             bar.update(task, description=stage, completed=done, total=total or None)
 
         yield show
+
+
+def open_named(
+    name: str, format_name: str | None, robot: int, seed: int, loops: int, noise_scale: float
+) -> Log:
+    """The log of a name or a path. Raises InputError."""
+    from comparisons.logs.bundled import SimulationChoices, open_log
+
+    return open_log(name, format_name, robot, SimulationChoices(seed, loops, noise_scale))
+
+
+def read_named(
+    name: str,
+    format_name: str | None,
+    robot: int,
+    seed: int,
+    loops: int,
+    noise_scale: float,
+    features: str,
+) -> tuple[Log, float]:
+    """The log with the features asked for, and the seconds that took."""
+    from comparisons.runs.features import choose_features
+
+    start = time.perf_counter()
+    log = open_named(name, format_name, robot, seed, loops, noise_scale)
+    return choose_features(log, features), time.perf_counter() - start
+
+
+def check_cloud(cloud: str | None) -> None:
+    """Where Open3D is missing, or the format unknown, say so before the work."""
+    if cloud is None:
+        return
+    if cloud not in ("pcd", "ply"):
+        raise InputError(f"cloud '{cloud}' is unknown, expected pcd or ply")
+    from graphslam.scan.open3d_library import open3d
+
+    open3d()

@@ -13,12 +13,14 @@ from comparisons.checks.accuracy import Accuracy, assess, assess_trajectory
 from comparisons.checks.agreement import Agreement, Gaussian, compare
 from comparisons.checks.association import AssociationScore, score_association
 from comparisons.checks.attribution import ROUNDING, Verdict, judge
+from comparisons.checks.dense_agreement import DenseAgreement, compare_dense
 from comparisons.checks.model_differences import model_differences
 from comparisons.checks.own_association import OwnAssociationCheck, check_own_association
 from comparisons.checks.scan_increments import IncrementCheck, check_increments
 from comparisons.checks.three_way import ThreeWay, compare_maps, find_culprit, readable
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
+from comparisons.runs.dense_run import DenseOptions, DenseRun, DenseWatcher
 from comparisons.runs.ekf_build import EkfChoices, fused_positions, judging_positions
 from comparisons.runs.ekf_run import EkfRun, run_ekf
 from comparisons.runs.estimate import Array, Estimate
@@ -56,7 +58,9 @@ class Comparison:
     dead_reckoned: (K, 3) where the odometry alone leads. association: how it compares with the
     log's labels, when it was made without them. own_association: the smoother with its own, when
     asked for. three_way: the smoother on scans beside both, when asked for. scan_motion,
-    increments: what the scans gave and how honest it is, when they were asked. seconds: by stage.
+    increments: what the scans gave and how honest it is, when they were asked. dense, dense_check:
+    the dense map and how it compares with the smoother's, when asked for; no check where nothing
+    fell into a region. seconds: by stage.
     """
 
     log: Log
@@ -74,6 +78,8 @@ class Comparison:
     three_way: ThreeWay | None
     scan_motion: ScanMotion | None
     increments: IncrementCheck | None
+    dense: DenseRun | None
+    dense_check: DenseAgreement | None
     verdict: Verdict
     seconds: dict[str, float]
 
@@ -86,12 +92,13 @@ def compare_estimators(
     modify: Callable[[FullEkf], None] = lambda ekf: None,
     smoother_association: str = "ekf",
     motion: str = "wheel",
+    dense: DenseOptions | None = None,
 ) -> Comparison:
     """Run both estimators over a log and judge them.
 
     choices: filter and association; what is left open is chosen by the log. options: of the
     smoother. modify: see run_ekf. smoother_association: `ekf`, or `own` to solve for a second time
-    with the smoother's own. motion: of MOTIONS.
+    with the smoother's own. motion: of MOTIONS. dense: a dense map to keep and compare, if any.
     Raises InputError when the log cannot be used, and graphslam.marginals.SingularProblemError
     when the smoother has no solution.
     """
@@ -115,8 +122,11 @@ def compare_estimators(
         log = with_scan_motion(log, scanned, positions=chosen.gps != "off")
     positions = fused_positions(log, chosen)
     timeline = build_timeline(log, positions)
+    watcher = None if dense is None else DenseWatcher(log, dense)
     with clock.stage("ekf"):
-        run = run_ekf(log, timeline, chosen, positions, lambda k, n: progress("EKF", k, n), modify)
+        run = run_ekf(
+            log, timeline, chosen, positions, lambda k, n: progress("EKF", k, n), modify, watcher
+        )
     if not len(run.estimate.landmark):
         raise InputError(f"{log.name}: no sighting could be used, so there is no map to compare")
     problem = build_problem(log, run)
@@ -143,6 +153,12 @@ def compare_estimators(
         with clock.stage("smoother on scans"):
             progress("smoother on scans", 0, 0)
             three = _with_scans(log, judged, scanned, run, result, smoothed)
+    mapped = None if watcher is None else watcher.run()
+    compared = None
+    if mapped is not None:
+        with clock.stage("dense check"):
+            progress("dense check", 0, 0)
+            compared = compare_dense(log, mapped, smoothed)
     with clock.stage("checks"):
         progress("checks", 0, 0)
         agreement = compare(
@@ -157,6 +173,7 @@ def compare_estimators(
             robust=result.options.robust,
             own=second,
             three_way=three,
+            dense=compared,
         )
         labelled = chosen.association == "known"
         reckoned = dead_reckoned(problem.prior_pose, problem.increment)
@@ -176,7 +193,12 @@ def compare_estimators(
             three,
             scanned,
             None if scanned is None else check_increments(scanned, log),
-            replace(verdict, remarks=(*verdict.remarks, *_on_scans(log, scanned))),
+            mapped,
+            compared,
+            replace(
+                verdict,
+                remarks=(*verdict.remarks, *_on_scans(log, scanned), *_on_dense(mapped, compared)),
+            ),
             clock.seconds,
         )
 
@@ -188,6 +210,16 @@ def _on_scans(log: Log, motion: ScanMotion | None) -> list[str]:
     beyond = log.provenance.get(BEYOND)
     told = [f"{beyond} sightings lie outside the time of the scans and were left out"]
     return motion.remarks + (told if beyond else [])
+
+
+def _on_dense(mapped: DenseRun | None, compared: DenseAgreement | None) -> list[str]:
+    """Remarks on the dense map, if one was asked for."""
+    if mapped is None or compared is not None:
+        return []
+    return [
+        f"no return fell into one of {len(mapped.dense.regions.base)} regions, so no dense maps "
+        "could be compared"
+    ]
 
 
 def _with_own_association(

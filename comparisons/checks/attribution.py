@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from comparisons.checks.agreement import Agreement, BlockAgreement, Gap
+from comparisons.checks.dense_agreement import AGREE_M, DenseAgreement
 from comparisons.checks.model_differences import ModelDifference
 from comparisons.checks.own_association import OwnAssociationCheck
 from comparisons.checks.three_way import ThreeWay
@@ -67,6 +68,7 @@ def judge(
     robust: str = "none",
     own: OwnAssociationCheck | None = None,
     three_way: ThreeWay | None = None,
+    dense: DenseAgreement | None = None,
 ) -> Verdict:
     """The verdict on a run.
 
@@ -77,7 +79,7 @@ def judge(
     Otherwise an unproven optimum gives no verdict at all. robust: how the smoother meets wild
     observations. own: the smoother with its own association; when its last pose is another, the
     associations differ in what matters. three_way: the smoother on scans, when asked for; it is
-    heard when its own optimum is proven.
+    heard when its own optimum is proven. dense: the dense maps of both, when asked for.
     """
     causes: list[Cause] = []
     algebra = agreement.algebra
@@ -117,6 +119,9 @@ def judge(
         if three_way is not None and three_way.proof.proven and not three_way.ekf.agrees:
             outcome = "disagree"
             causes.append(_motion(three_way))
+        if dense is not None and not dense.agrees:
+            outcome = "disagree"
+            causes.append(_dense(dense))
     remarks = _remarks(proof, run)
     if three_way is not None:
         remarks += _remarks_on_scans(three_way)
@@ -192,6 +197,23 @@ def _motion(three_way: ThreeWay) -> Cause:
         f"EKF on wheels and smoother on scans differ by {pair.rms_m:.3f} m RMS, {pair.outside} of "
         f"{len(pair.distance_sigma)} landmarks beyond their 99 % region; {three_way.evidence}",
         hint,
+    )
+
+
+def _dense(dense: DenseAgreement) -> Cause:
+    evidence = f"the dense maps are {dense.median_m:.2f} m apart (median of the worst layer)"
+    if dense.regions:
+        worst = dense.regions[0]
+        far = len({row.region for row in dense.regions if row.distance_m > AGREE_M})
+        evidence += (
+            f"; {far} regions are more than {AGREE_M:g} m off, region {worst.region} by "
+            f"{worst.distance_m:.2f} m ({worst.layer})"
+        )
+    return Cause(
+        "dense",
+        evidence,
+        "look at the corners of that region: landmarks that were not yet well known relative to "
+        "each other, or to the vehicle, when the scans were taken",
     )
 
 

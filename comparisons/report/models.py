@@ -200,6 +200,48 @@ class ThreeWayResult(_Model):
     evidence: str
 
 
+class SurfaceErrorResult(_Model):
+    """What is occupied against true surfaces; None where nothing is. occupied: how much."""
+
+    median_m: float | None
+    p95_m: float | None
+    occupied: int
+
+
+class DenseLayerResult(_Model):
+    """A layer of the filter's dense map against the smoother's returns.
+
+    See comparisons.checks.dense_agreement.LayerAgreement.
+    """
+
+    samples: int
+    median_m: float
+    p95_m: float
+    missed_m: float
+
+
+class DenseRegionResult(_Model):
+    """One region of one layer."""
+
+    layer: str
+    region: int
+    samples: int
+    distance_m: float
+
+
+class DenseResult(_Model):
+    """Dense maps of filter and smoother. regions: the worst first, at most twenty.
+
+    occupancy_share: of the cells decided in both maps, those decided alike.
+    """
+
+    agrees: bool
+    layers: dict[str, DenseLayerResult]
+    occupancy_share: float | None
+    regions: list[DenseRegionResult]
+    surface_errors: dict[str, SurfaceErrorResult]
+
+
 class ScanOdometryResult(_Model):
     """Scan odometry. failures: scans without an increment, by reason; breaks: new beginnings.
 
@@ -250,6 +292,7 @@ class Result(_Model):
     three_way: ThreeWayResult | None
     scan_odometry: ScanOdometryResult | None
     increments: IncrementResult | None
+    dense: DenseResult | None
     verdict: Literal["agree", "disagree", "unproven"]
     causes: list[CauseResult]
     remarks: list[str]

@@ -16,6 +16,8 @@ from comparisons.checks.own_association import OwnAssociationCheck
 from comparisons.checks.three_way import Pair, ThreeWay
 from comparisons.compare import Comparison
 from comparisons.logs.log import Log
+from comparisons.report.dense_result import dense_result
+from comparisons.report.finite import finite
 from comparisons.report.models import (
     Accuracies,
     AccuracyResult,
@@ -39,6 +41,8 @@ from comparisons.report.scan_odometry import (
     increment_result,
     scan_odometry_result,
 )
+from comparisons.runs.ekf_build import EkfChoices
+from comparisons.runs.ekf_run import EkfRun
 from graphslam import smoother
 
 
@@ -47,17 +51,7 @@ def build_result(comparison: Comparison, read_s: float) -> Result:
     c = comparison
     return Result(
         log=log_result(c.log),
-        ekf=EkfResult(
-            filter=c.choices.filter,
-            association=str(c.choices.association),
-            landmarks=len(c.ekf.estimate.landmark),
-            **c.ekf.unused,
-            gps=c.choices.gps,
-            fixes_fused=len(c.ekf.fix_number),
-            fixes_rejected=c.ekf.rejected_fixes,
-            global_updates=c.ekf.spared[0],
-            global_update_spared=c.ekf.spared[1],
-        ),
+        ekf=ekf_result(c.ekf, c.choices),
         smoother=smoother_result(c.smoother),
         agreement=_agreement(c),
         accuracy=_accuracies(c),
@@ -68,11 +62,27 @@ def build_result(comparison: Comparison, read_s: float) -> Result:
         if c.scan_motion is None
         else scan_odometry_result(c.scan_motion, guess=True, seconds=c.seconds["scan odometry"]),
         increments=increment_result(c.increments),
+        dense=dense_result(c.dense_check),
         verdict=c.verdict.outcome,
         causes=[CauseResult(**vars(cause)) for cause in c.verdict.causes],
         remarks=[*c.verdict.remarks, *increment_remarks(c.increments)],
         seconds={"read": read_s, **c.seconds},
         versions=package_versions(),
+    )
+
+
+def ekf_result(run: EkfRun, choices: EkfChoices) -> EkfResult:
+    """The filter and what it used."""
+    return EkfResult(
+        filter=choices.filter,
+        association=str(choices.association),
+        landmarks=len(run.estimate.landmark),
+        **run.unused,
+        gps=choices.gps,
+        fixes_fused=len(run.fix_number),
+        fixes_rejected=run.rejected_fixes,
+        global_updates=run.spared[0],
+        global_update_spared=run.spared[1],
     )
 
 
@@ -97,7 +107,7 @@ def smoother_result(result: smoother.SmootherResult) -> SmootherResult:
         robust=options.robust,
         rejected_sightings=len(result.rejected.sightings),
         rejected_positions=len(result.rejected.positions),
-        distance_sigma=_finite(proof.distance_sigma),
+        distance_sigma=finite(proof.distance_sigma),
         rank=result.rank,
         poses=len(result.poses),
         error=result.error,
@@ -112,7 +122,7 @@ def smoother_result(result: smoother.SmootherResult) -> SmootherResult:
         starts=[
             StartResult(
                 name=s.name,
-                error=_finite(s.error),
+                error=finite(s.error),
                 iterations=s.iterations,
                 converged=s.converged,
             )
@@ -153,20 +163,20 @@ def _agreement(c: Comparison) -> AgreementResult:
         return {
             "difference_m": b.difference_m,
             "distance_sigma": b.distance,
-            "variance_ratio_least": _finite(b.least),
-            "variance_ratio_largest": _finite(b.largest),
+            "variance_ratio_least": finite(b.least),
+            "variance_ratio_largest": finite(b.largest),
             "agrees": block_agrees(b),
         }
 
     return AgreementResult(
-        algebra_gap_sigma=_finite(a.algebra.sigma),
-        algebra_gap_covariance=_finite(a.algebra.covariance),
-        model_gap_sigma=_finite(a.model.sigma),
-        model_gap_covariance=_finite(a.model.covariance),
-        linearisation_gap_sigma=_finite(a.linearisation.sigma),
-        linearisation_gap_covariance=_finite(a.linearisation.covariance),
-        optimism=_finite(a.whole.least),
-        pessimism=_finite(a.whole.largest),
+        algebra_gap_sigma=finite(a.algebra.sigma),
+        algebra_gap_covariance=finite(a.algebra.covariance),
+        model_gap_sigma=finite(a.model.sigma),
+        model_gap_covariance=finite(a.model.covariance),
+        linearisation_gap_sigma=finite(a.linearisation.sigma),
+        linearisation_gap_covariance=finite(a.linearisation.covariance),
+        optimism=finite(a.whole.least),
+        pessimism=finite(a.whole.largest),
         landmark_difference_rms_m=a.landmark_difference_rms_m,
         pose=BlockResult(**block(a.pose)),  # type: ignore[arg-type]
         map=BlockResult(**block(a.whole)),  # type: ignore[arg-type]
@@ -221,7 +231,7 @@ def _three_way(three: ThreeWay | None) -> ThreeWayResult | None:
         return MapPairResult(
             rms_m=p.rms_m,
             rms_aligned_m=p.rms_aligned_m,
-            distance_sigma_median=_finite(float(np.median(p.distance_sigma))),
+            distance_sigma_median=finite(float(np.median(p.distance_sigma))),
             outside=p.outside,
             landmarks=len(p.distance_sigma),
             agrees=p.agrees,
@@ -246,11 +256,6 @@ def association_result(score: AssociationScore | None) -> AssociationResult | No
         return None
     clusters = None if score.clusters is None else PartitionResult(**vars(score.clusters))
     return AssociationResult(landmarks=PartitionResult(**vars(score.landmarks)), clusters=clusters)
-
-
-def _finite(value: float) -> float | None:
-    """JSON has no NaN or infinity: such a figure is absent, never passed on."""
-    return value if np.isfinite(value) else None
 
 
 def accuracy_result(accuracy: Accuracy | None) -> AccuracyResult | None:

@@ -6,9 +6,11 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from comparisons.report.dense_result import add_dense
 from comparisons.report.models import (
     AccuracyResult,
     AssociationResult,
+    EkfResult,
     LogResult,
     Result,
     SmootherResult,
@@ -23,21 +25,9 @@ def print_summary(result: Result, console: Console) -> None:
     table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
     table.add_column(style="bold", no_wrap=True)
     table.add_column(overflow="fold")
-    ekf, gaps = result.ekf, result.agreement
+    gaps = result.agreement
     add_log(table, result.log)
-    table.add_row(
-        "EKF",
-        f"{ekf.filter}, {ekf.landmarks} landmarks; sightings {ekf.rejected} rejected, "
-        f"{ekf.ambiguous} ambiguous, {ekf.candidate} of candidates ({ekf.association})",
-    )
-    if ekf.global_updates:
-        table.add_row(
-            "global updates",
-            f"{ekf.global_updates}, sparing {100 * ekf.global_update_spared:.0f} % of the passive "
-            "covariance",
-        )
-    if ekf.gps != "off":
-        table.add_row("positions", f"{ekf.fixes_fused} fused, {ekf.fixes_rejected} rejected")
+    add_ekf(table, result.ekf)
     add_smoother(table, result.smoother)
     for name, sigma, covariance in (
         ("algebra gap", gaps.algebra_gap_sigma, gaps.algebra_gap_covariance),
@@ -90,6 +80,8 @@ def print_summary(result: Result, console: Console) -> None:
                 f"{pair.landmarks} landmarks beyond 99 %",
             )
         add_accuracy(table, "smoother on scans", three.accuracy)
+    if result.dense is not None:
+        add_dense(table, result.dense)
     table.add_row("seconds", ", ".join(f"{stage} {s:.2f}" for stage, s in result.seconds.items()))
     console.print(table)
     console.print(f"verdict: [{_STYLE[result.verdict]}]{result.verdict}[/]", highlight=False)
@@ -106,6 +98,23 @@ def add_log(table: Table, log: LogResult) -> None:
     note = f", {times}" if times else ""
     table.add_row("log", escape(f"{log.name} ({log.format}), {log.duration_s:.0f} s{note}"))
     table.add_row("records", ", ".join(f"{n:,} {name}" for name, n in log.records.items()))
+
+
+def add_ekf(table: Table, ekf: EkfResult) -> None:
+    """The filter and what it used."""
+    table.add_row(
+        "EKF",
+        f"{ekf.filter}, {ekf.landmarks} landmarks; sightings {ekf.rejected} rejected, "
+        f"{ekf.ambiguous} ambiguous, {ekf.candidate} of candidates ({ekf.association})",
+    )
+    if ekf.global_updates:
+        table.add_row(
+            "global updates",
+            f"{ekf.global_updates}, sparing {100 * ekf.global_update_spared:.0f} % of the passive "
+            "covariance",
+        )
+    if ekf.gps != "off":
+        table.add_row("positions", f"{ekf.fixes_fused} fused, {ekf.fixes_rejected} rejected")
 
 
 def add_smoother(table: Table, smoother: SmootherResult) -> None:

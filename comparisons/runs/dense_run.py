@@ -29,7 +29,7 @@ LAYERS = ("points", "occupancy", "particles", "sog")
 _CLOCK_S = 1e-4
 """Times closer than this are one."""
 _TELLING_M = 0.2
-"""Least root mean square shift of the landmarks by one update that is worth a picture."""
+"""Least shift of the regions by one update that is worth a picture."""
 
 
 class GlobalMap(Protocol):
@@ -74,9 +74,8 @@ class BeforeClosing:
 
     time_s: float
     shift_m: float
-    landmark: Array
+    triangle: Array
     layers: Mapping[str, Samples]
-    regions: int
 
 
 @dataclass(frozen=True)
@@ -176,10 +175,12 @@ class DenseWatcher:
         self._next += 1
 
     def _note_shift(self, old: Array, new: Array) -> None:
-        shift = float(np.sqrt(np.square(new - old).sum(axis=1).mean()))
-        least = _TELLING_M if self._before is None else 1.2 * self._before.shift_m
-        if shift < least:
+        corner = np.unique(self._dense.regions.base)
+        if not len(corner):
+            return
+        shift = float(np.sqrt(np.square(new[corner] - old[corner]).sum(axis=1).mean()))
+        if shift < (_TELLING_M if self._before is None else 1.2 * self._before.shift_m):
             return
         placed = self._dense.regions.placed(old)
         layers = {name: layer.samples(placed) for name, layer in self._dense.layers.items()}
-        self._before = BeforeClosing(self._epoch_s, shift, old, layers, len(placed.triangle))
+        self._before = BeforeClosing(self._epoch_s, shift, placed.triangle, layers)

@@ -1,0 +1,81 @@
+"""The map job: one log through the filter, and everything its scanner saw between the landmarks."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from comparisons.checks.dense_accuracy import SurfaceError, surface_error
+from comparisons.errors import InputError
+from comparisons.logs.log import Log
+from comparisons.runs.dense_run import DenseOptions, DenseRun, DenseWatcher
+from comparisons.runs.ekf_build import EkfChoices, fused_positions
+from comparisons.runs.ekf_run import EkfRun, run_ekf
+from comparisons.runs.known_landmarks import join_known_sightings
+from comparisons.runs.timeline import build_timeline
+from ekf_reference.dense.layers.classic_grid import ClassicGrid
+from ekf_reference.dense.layers.layer import Samples
+from ekf_reference.dense.regions import PlacedRegions
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class DenseMapping:
+    """What the map job found.
+
+    placed: the regions as the landmarks lie in the end; layers: what each layer holds there.
+    classic: the same scans in one grid in the world's frame, as is usual without DenseSLAM.
+    errors: by layer, `classic` among them, against true surfaces where the log has them.
+    """
+
+    log: Log
+    choices: EkfChoices
+    ekf: EkfRun
+    dense: DenseRun
+    placed: PlacedRegions
+    layers: Mapping[str, Samples]
+    classic: Samples
+    errors: Mapping[str, SurfaceError]
+    seconds: dict[str, float]
+
+
+def map_log(
+    log: Log,
+    choices: EkfChoices | None = None,
+    options: DenseOptions | None = None,
+    progress: Progress = lambda stage, done, total: None,
+) -> DenseMapping:
+    """Run the filter with a dense map beside it. Raises InputError."""
+    chosen = (choices or EkfChoices()).settle(log)
+    log = join_known_sightings(log)
+    if not len(log.sightings.time_s):
+        raise InputError(
+            f"{log.name}: holds no sightings of landmarks, between which the map is kept "
+            "(try --features trees)"
+        )
+    if not len(log.odometry.time_s):
+        raise InputError(f"{log.name}: holds no odometry, which the filter needs")
+    options = options or DenseOptions()
+    classic = ClassicGrid(options.resolution_m)
+    watcher = DenseWatcher(log, options, (classic,))
+    positions = fused_positions(log, chosen)
+    start = time.perf_counter()
+    run = run_ekf(
+        log,
+        build_timeline(log, positions),
+        chosen,
+        positions,
+        lambda k, n: progress("map", k, n),
+        watcher=watcher,
+    )
+    seconds = {"filter and map": time.perf_counter() - start}
+    dense = watcher.run()
+    placed = dense.dense.regions.placed(dense.landmark)
+    layers = {name: layer.samples(placed) for name, layer in dense.dense.layers.items()}
+    errors: dict[str, SurfaceError] = {}
+    if log.truth.surfaces is not None:
+        held = {**layers, "classic": classic.samples()}
+        errors = {k: surface_error(s, log.truth.surfaces.segment) for k, s in held.items()}
+    return DenseMapping(log, chosen, run, dense, placed, layers, classic.samples(), errors, seconds)

@@ -1,0 +1,124 @@
+"""Pictures of dense maps. They draw on a given axis and compute nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection, PathCollection, PolyCollection
+from matplotlib.figure import Figure
+
+from comparisons.checks.dense_accuracy import OCCUPIED
+from comparisons.checks.dense_agreement import DenseAgreement
+from comparisons.logs.log import Log
+from comparisons.mapping import DenseMapping
+from comparisons.report.plots import EKF_COLOUR, TRUTH_COLOUR
+from comparisons.runs.dense_run import DenseRun
+from comparisons.runs.estimate import Array
+from ekf_reference.dense.layers.layer import Samples
+
+DENSE_COLOUR = "#1b3a4b"
+REGION_COLOUR = "#8fb996"
+_MOST_DRAWN = 200_000
+
+
+def draw_regions(axis: Axes, triangle: Array) -> None:
+    """Outlines of regions (R, 3, 2)."""
+    axis.add_collection(
+        PolyCollection(list(triangle), facecolors="none", edgecolors=REGION_COLOUR, linewidths=0.5)
+    )
+
+
+def draw_occupied(axis: Axes, samples: Samples, colour: str = DENSE_COLOUR) -> None:
+    """What is occupied, as dots, as the thesis draws it."""
+    point = samples.point[samples.occupancy > OCCUPIED]
+    step = -(-len(point) // _MOST_DRAWN) or 1
+    size = 1.2 if len(point) < 20_000 else 0.5
+    x, y = point[::step].T
+    axis.scatter(x, y, s=size, marker="s", linewidths=0, color=colour, zorder=3)
+
+
+def draw_surfaces(axis: Axes, segment: Array) -> None:
+    """True surfaces (S, 4)."""
+    lines = LineCollection(list(segment.reshape(-1, 2, 2)), colors=EKF_COLOUR, linewidths=0.5)
+    axis.add_collection(lines)
+
+
+def dense_check_figure(dense: DenseRun, check: DenseAgreement, log: Log) -> Figure:
+    """Every layer of the filter's map over the smoother's, coloured by their distance."""
+    count = len(check.layers)
+    figure = Figure(figsize=(7.4 * count, 6.4), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = np.atleast_1d(figure.subplots(1, count, sharex=True, sharey=True))
+    placed = dense.dense.regions.placed(dense.landmark)
+    for axis, (name, layer) in zip(axes, check.layers.items(), strict=True):
+        draw_regions(axis, placed.triangle)
+        if log.truth.surfaces is not None:
+            draw_surfaces(axis, log.truth.surfaces.segment)
+        draw_cloud(axis, check.smoother_point)
+        drawn = draw_distances(axis, layer.point, layer.distance_m)
+        axis.set_title(f"{name}: median {layer.median_m:.3f} m from the smoother's returns (grey)")
+        _plan(axis)
+    figure.colorbar(drawn, ax=list(axes), label="distance [m]", shrink=0.8)
+    return figure
+
+
+def draw_cloud(axis: Axes, point: Array) -> None:
+    """Points (N, 2) in the background."""
+    step = -(-len(point) // _MOST_DRAWN) or 1
+    x, y = point[::step].T
+    axis.scatter(x, y, s=1.0, linewidths=0, color="#bbbbbb", zorder=2)
+
+
+def draw_distances(axis: Axes, point: Array, distance_m: Array) -> PathCollection:
+    """Points (N, 2) by their distance (N,) to something, yellow from half a metre on."""
+    step = -(-len(point) // _MOST_DRAWN) or 1
+    x, y = point[::step].T
+    return axis.scatter(
+        x,
+        y,
+        s=1.5,
+        linewidths=0,
+        c=distance_m[::step],
+        cmap="viridis",
+        vmin=0.0,
+        vmax=0.5,
+        zorder=3,
+    )
+
+
+def _plan(axis: Axes) -> None:
+    axis.set_aspect("equal")
+    axis.set_xlabel("east [m]")
+    axis.set_ylabel("north [m]")
+
+
+def dense_map_figure(mapping: DenseMapping) -> Figure:
+    """One panel per layer, before and after the largest correction where there was one."""
+    dense, before = mapping.dense, mapping.dense.before
+    panels: list[tuple[str, Samples, Array]] = []
+    for name, samples in mapping.layers.items():
+        if before is not None:
+            title = f"{name}, before {before.time_s:.1f} s"
+            panels.append((title, before.layers[name], before.triangle))
+        panels.append((name, samples, mapping.placed.triangle))
+    panels.append(("one grid in the world's frame", mapping.classic, np.empty((0, 3, 2))))
+    columns = 2
+    rows = -(-len(panels) // columns)
+    figure = Figure(figsize=(13.0, 5.4 * rows), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes: Mapping[int, Axes] = dict(enumerate(figure.subplots(rows, columns).ravel()))
+    for at, (title, samples, triangle) in enumerate(panels):
+        axis = axes[at]
+        draw_regions(axis, triangle)
+        if mapping.log.truth.surfaces is not None:
+            draw_surfaces(axis, mapping.log.truth.surfaces.segment)
+        draw_occupied(axis, samples)
+        axis.plot(*dense.landmark.T, "+", color=TRUTH_COLOUR, markersize=4)
+        axis.set_title(title)
+        _plan(axis)
+    for at in range(len(panels), rows * columns):
+        axes[at].set_axis_off()
+    return figure

@@ -1,0 +1,51 @@
+"""`map.json`, for machines. The models are the file's documentation."""
+
+from __future__ import annotations
+
+from comparisons.report.models import (
+    AccuracyResult,
+    EkfResult,
+    LogResult,
+    SurfaceErrorResult,
+    _Model,
+)
+
+
+class LayerResult(_Model):
+    """A layer. samples: cells, points or Gaussians held; occupied: those above 0.8."""
+
+    samples: int
+    occupied: int
+
+
+class ReturnsResult(_Model):
+    """What became of the scanner's returns."""
+
+    scans: int
+    returns: int
+    fused: int
+    outside: int
+
+
+class ClosingResult(_Model):
+    """The update that moved the regions the most."""
+
+    time_s: float
+    shift_m: float
+
+
+class MapResult(_Model):
+    """`map.json`: a dense map between the filter's landmarks."""
+
+    log: LogResult
+    ekf: EkfResult
+    accuracy: AccuracyResult | None
+    regions: int
+    resolution_m: float
+    returns: ReturnsResult
+    layers: dict[str, LayerResult]
+    surface_errors: dict[str, SurfaceErrorResult]
+    closing: ClosingResult | None
+    remarks: list[str]
+    seconds: dict[str, float]
+    versions: dict[str, str]
