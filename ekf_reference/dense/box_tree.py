@@ -13,6 +13,8 @@ Index = NDArray[np.intp]
 
 BRANCHES = 8
 
+EMPTY = np.array((np.inf, np.inf, -np.inf, -np.inf))
+
 
 class Meeting(NamedTuple):
     """Pairs that meet. query: (k,) which question. item: (k,) which box. tested: boxes tried."""
@@ -38,8 +40,12 @@ class BoxTree:
 
     @classmethod
     def pack(cls, box: Array, order: Index) -> BoxTree:
-        """A tree over boxes (n, 4) in a given order (n,), neighbours close to each other."""
-        levels = [_padded(box[order])]
+        """A tree over boxes (n, 4) in a given order (n,), neighbours close to each other.
+
+        A box that is not a number is empty, and its neighbours' hull is theirs alone.
+        """
+        known = ~np.isnan(box).any(axis=1, keepdims=True)
+        levels = [_padded(np.where(known, box, EMPTY)[order])]
         while levels[-1].shape[1] > BRANCHES:
             group = levels[-1].reshape(4, -1, BRANCHES)
             hull = np.concatenate((group[:2].min(axis=2), group[2:].max(axis=2)))
@@ -84,6 +90,5 @@ def tiled(center: Array) -> Index:
 
 
 def _padded(box: Array) -> Array:
-    empty = np.array((np.inf, np.inf, -np.inf, -np.inf))
     missing = max(BRANCHES, -(-len(box) // BRANCHES) * BRANCHES) - len(box)
-    return np.ascontiguousarray(np.concatenate((box, np.tile(empty, (missing, 1)))).T)
+    return np.ascontiguousarray(np.concatenate((box, np.tile(EMPTY, (missing, 1)))).T)

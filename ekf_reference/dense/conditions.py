@@ -132,10 +132,13 @@ class Conditions:
 
         landmark: (m, 2) [m]. covariance: (2 m, 2 m) [m^2].
         """
+        return self.within_reach(landmark) & self.correlated(covariance)
+
+    def within_reach(self, landmark: Array) -> NDArray[np.bool_]:
+        """Which landmarks (m, 2) [m] are close enough to share a region; (m, m)."""
         reach = np.linalg.norm(landmark[:, None] - landmark, axis=-1) <= self.longest_edge_m
-        alike = self.correlated(covariance)
-        allowed: NDArray[np.bool_] = reach & alike & ~np.eye(len(landmark), dtype=bool)
-        return allowed
+        close: NDArray[np.bool_] = reach & ~np.eye(len(landmark), dtype=bool)
+        return close
 
     def correlated(self, covariance: Array) -> NDArray[np.bool_]:
         """Which points (2 m, 2 m) [m^2] hang together enough, by the first condition; (m, m)."""

@@ -1,62 +1,70 @@
-"""Corners for regions where no landmark can stand, such as inside buildings (Nieto 2005, 3.5.1)."""
+"""Corners for regions where no landmark can stand, such as inside buildings (Nieto 2005, 3.5.1).
+
+The thesis augments the filter with them. That moves no estimate, but it changes the size of the
+filter's arrays and with it the rounding of everything, and a dense map must not be felt. Since a
+virtual landmark has no information of its own, it is here a fixed linear function of
+its two real landmarks, and follows them wherever they go.
+"""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ekf_reference.dense.conditions import Conditions
 from ekf_reference.dense.triangles import Array, turned
 
+Index = NDArray[np.intp]
 
-class VirtualLandmark(NamedTuple):
-    """A landmark that nobody sees, and the sighting by which it enters the map.
-
-    point: (2,) [m]. z: (2,) range [m] and bearing [rad] from the vehicle, bearing in (-pi, pi].
-    """
-
-    point: Array
-    z: Array
+QUARTER_TURN = np.array([(0.0, -1.0), (1.0, 0.0)])
 
 
 @dataclass(frozen=True)
 class VirtualLandmarks:
-    """Where a virtual landmark is wanted.
+    """The virtual landmarks of a map, oldest first.
 
-    conditions: the first of them is asked of the vehicle's position and the two landmarks.
-    depth: how far behind the line between the two, as a share of their distance; equilateral
-    by default.
+    pair: (V, 2) places of L1, L2 in the map. depth: (V,) how far to the left of the way from L1
+    to L2, as a share of their distance; negative to the right.
     """
 
-    conditions: Conditions = field(default_factory=Conditions)
-    depth: float = math.sqrt(0.75)
+    pair: Index = field(default_factory=lambda: np.empty((0, 2), dtype=np.intp))
+    depth: Array = field(default_factory=lambda: np.empty(0))
 
-    def wanted(self, pose: Array, landmark: Array, covariance: Array) -> VirtualLandmark | None:
-        """The third corner to two landmarks, on the side away from the vehicle; None for not now.
+    def point(self, landmark: Array) -> Array:
+        """Where they are (V, 2) [m] with the map's landmarks (L, 2) where these are now.
 
-        Source: Nieto 2005, section 3.5.1: created "at a moment where the vehicle is highly
-        correlated with the other two landmarks", since it is placed relative to the vehicle and
-        has no information of its own.
-
-        pose: (3,). landmark: (2, 2) [m]. covariance: (7, 7) of the pose, then the landmarks. None
-        too where the landmarks coincide or the vehicle stands on their line, so that no side
-        is the far one.
-
-        To create it, augment the filter as by a sighting z without noise, and never update it by
-        a sighting. What the filter knew is not changed by that.
+        (L1 + L2) / 2 + depth R90 (L2 - L1), so NaN with either of them.
         """
-        place = np.array((0, 1, 3, 4, 5, 6))
-        corners = np.vstack((pose[:2], landmark))
-        alike = self.conditions.correlated(covariance[np.ix_(place, place)])
-        edge = landmark[1] - landmark[0]
-        normal = turned(edge)
-        side = float(normal @ (pose[:2] - landmark[0]))
-        if not alike.all() or abs(side) <= 1e-9 * np.square(np.ptp(corners, axis=0)).sum():
-            return None
-        point = landmark.mean(axis=0) - math.copysign(self.depth, side) * normal
-        east, north = point - pose[:2]
-        bearing = math.remainder(math.atan2(north, east) - pose[2], 2.0 * math.pi)
-        return VirtualLandmark(point, np.array((math.hypot(east, north), bearing)))
+        first, second = landmark[self.pair[:, 0]], landmark[self.pair[:, 1]]
+        point: Array = 0.5 * (first + second) + self.depth[:, None] * turned(second - first)
+        return point
+
+    def jacobian(self) -> Array:
+        """Their derivative (V, 2, 4) by L1x, L1y, L2x, L2y; exact, since they are linear."""
+        aside = self.depth[:, None, None] * QUARTER_TURN
+        return np.concatenate((0.5 * np.eye(2) - aside, 0.5 * np.eye(2) + aside), axis=2)
+
+    def joined(self, other: VirtualLandmarks) -> VirtualLandmarks:
+        """These, then others."""
+        return VirtualLandmarks(
+            np.concatenate((self.pair, other.pair)), np.concatenate((self.depth, other.depth))
+        )
+
+    def __getitem__(self, chosen: Index | NDArray[np.bool_]) -> VirtualLandmarks:
+        """Some of them (k,)."""
+        return VirtualLandmarks(self.pair[chosen], self.depth[chosen])
+
+
+def behind(pair: Index, landmark: Array, position: Array, depth: float) -> VirtualLandmarks:
+    """One virtual landmark for each pair, on the side away from a position (2,) [m].
+
+    pair: (C, 2). landmark: (L, 2) [m]. Pairs on whose line the position lies are left out, since
+    neither side is the far one; so are pairs that coincide.
+    """
+    first, second = landmark[pair[:, 0]], landmark[pair[:, 1]]
+    normal = turned(second - first)
+    side = ((position - first) * normal).sum(axis=1)
+    spread = np.square(normal).sum(axis=1) + np.square(position - first).sum(axis=1)
+    clear = np.abs(side) > 1e-9 * spread
+    return VirtualLandmarks(pair, -np.copysign(depth, side))[clear]

@@ -26,6 +26,18 @@ def test_meetings_equal_brute_force(count: int) -> None:
         assert np.array_equal(pairs[np.lexsort(pairs.T[::-1])], expected)
 
 
+def test_a_box_that_is_no_number_is_empty_and_hides_no_other() -> None:
+    rng = np.random.default_rng(1)
+    box = random_boxes(rng, 200, 9.0)
+    asked = random_boxes(rng, 300, 3.0)
+    whole = BoxTree.pack(box, np.arange(200)).meeting(asked)
+    box[::3] = np.nan
+    found = BoxTree.pack(box, np.arange(200)).meeting(asked)
+    left = whole.item % 3 > 0
+    assert np.array_equal(found.item, whole.item[left])
+    assert np.array_equal(found.query, whole.query[left])
+
+
 def test_boxes_tried_grow_with_the_logarithm() -> None:
     """100 times as many boxes, each as large against its neighbours: a few levels more."""
     rng = np.random.default_rng(0)

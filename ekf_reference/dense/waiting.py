@@ -1,0 +1,272 @@
+"""Observations that wait for a region to come up where they lie (Nieto 2005, section 3.7.3).
+
+A point seen where there is no region yet is kept in the frame of two landmarks near it, with
+its covariance with the vehicle's pose in that frame. As the filter learns where the vehicle is
+among these landmarks, the point is corrected with it. By the unidirectional flow of information
+(section 3.7) points do not tell each other or the filter anything, so what is kept of their
+covariance is its diagonal and those three columns: a scan costs time linear in the points.
+
+What is approximated: the filter's information reaches a point through the vehicle's pose as it
+is now and by no other way. That is exact while the landmarks are known, with any noise of the
+motion. Where the landmarks are learnt too, some of what they tell is left out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ekf_reference.dense.local_pose import Frames, read_local_poses
+from ekf_reference.dense.regions import PlacedRegions, Potential
+from ekf_reference.dense.triangles import Array, turned
+from ekf_reference.dense.view import FilterView
+
+Index = NDArray[np.intp]
+Mask = NDArray[np.bool_]
+
+SINGULAR = 1e-9
+"""Share of a correlation matrix' largest eigenvalue below which the local pose is known."""
+
+
+@dataclass
+class Counts:
+    """What became of points. Every point offered is waiting, or in one of the first four.
+
+    released: handed out. refused: not taken in, since no potential region has them. dropped: the
+    oldest, for want of room. vanished: with a landmark of their frame. uncoupled: points (they
+    wait on) that are corrected no more, since their frame left the active part of a compressed
+    filter.
+    """
+
+    released: int = 0
+    refused: int = 0
+    dropped: int = 0
+    vanished: int = 0
+    uncoupled: int = 0
+
+
+class Released(NamedTuple):
+    """Points that a region covers now.
+
+    region: (k,) number. point: (k, 2) [m] in the world. covariance: (k, 2, 2) [m^2] in the
+    world's directions, of the place *relative to the landmarks*: what the point shares with
+    these is not in it, as local coordinates want it. scan: (k,) when it was seen. number: (k,)
+    as `add` gave it.
+    """
+
+    region: Index
+    point: Array
+    covariance: Array
+    scan: Index
+    number: Index
+
+
+class Points(NamedTuple):
+    """Points (N,), oldest first.
+
+    group: (N,) which frame. point: (N, 2) [m] in it. variance: (N, 2) [m^2], the diagonal of
+    P_dd. cross: (N, 2, 3) P_dv with the vehicle's local pose. scan, number: (N,).
+    """
+
+    group: Index
+    point: Array
+    variance: Array
+    cross: Array
+    scan: Index
+    number: Index
+
+    @classmethod
+    def none(cls) -> Points:
+        """No points."""
+        index = np.empty(0, dtype=np.intp)
+        return cls(index, np.empty((0, 2)), np.empty((0, 2)), np.empty((0, 2, 3)), index, index)
+
+
+@dataclass
+class WaitingRoom:
+    """The points that wait. Of a scan: predicted, the filter's update, updated, release, add.
+
+    capacity: points at most, all frames together. patience: scans after which `overdue` tells
+    of a point.
+
+    points: those that wait. axis: (G, 2) places in the map of the frames' L1 and L2. mean,
+    covariance: (G, 3), (G, 3, 3) of the vehicle's local poses when last read.
+    """
+
+    capacity: int = 20_000
+    patience: int = 50
+    counts: Counts = field(default_factory=Counts)
+    points: Points = field(default_factory=Points.none)
+    axis: Index = field(default_factory=lambda: np.empty((0, 2), dtype=np.intp))
+    mean: Array = field(default_factory=lambda: np.empty((0, 3)))
+    covariance: Array = field(default_factory=lambda: np.empty((0, 3, 3)))
+    _taken: int = 0
+
+    def predicted(self, view: FilterView) -> None:
+        """Follow the vehicle's motion: after the filter's predictions, before its update.
+
+        P_dv <- P_dv F^T. All vehicle models are SE(2)-equivariant, so F follows from the
+        displacement of the mean, however many steps it took; noise of the motion is in P_vv.
+        """
+        mean, _ = self._read(view)
+        moved = self.mean - mean
+        dx, dy = moved[self.points.group, :2].T
+        turn = self.points.cross[:, :, 2]
+        self.points.cross[:, :, 0] -= turn * dy[:, None]
+        self.points.cross[:, :, 1] += turn * dx[:, None]
+
+    def updated(self, view: FilterView) -> None:
+        """Correct the points by what the filter's update told of the vehicle's local pose.
+
+        Regression on it, A = P_dv (P_vv^-)^-1 (section 3.7.3, "the standard EKF-SLAM" where all
+        information comes through the vehicle): d += A dv, P_dv <- A P_vv^+,
+        P_dd <- P_dd - A (P_vv^- - P_vv^+) A^T.
+        """
+        mean, covariance = self._read(view)
+        change = self.mean - mean
+        change[:, 2] = np.remainder(change[:, 2] + np.pi, 2.0 * np.pi) - np.pi
+        inverse = _inverse(covariance)
+        learnt = inverse @ (covariance - self.covariance) @ inverse
+        shift = inverse @ change[:, :, None]
+        by_cross = np.concatenate((inverse @ self.covariance, learnt, shift), axis=2)
+        cross = self.points.cross
+        effect = np.einsum("nij,njk->nik", cross, by_cross[self.points.group])  # (N, 2, 7)
+        variance = self.points.variance - np.einsum("nij,nij->ni", effect[:, :, 3:6], cross)
+        self.points = self.points._replace(
+            point=self.points.point + effect[:, :, 6],
+            variance=np.maximum(variance, 0.0),  # rounding
+            cross=effect[:, :, :3].copy(),
+        )
+
+    def add(
+        self, view: FilterView, point: Array, noise: Array, scan: int, potential: Potential
+    ) -> Index:
+        """Take in what was seen where no region is; returns the points' numbers, -1 if refused.
+
+        Source: Nieto 2005, eqs. 3.29 and 3.30. Erratum: 3.30 prints the last factor without
+        its transpose, grad h_z R grad h_z^T holds.
+
+        view: as `updated` read it. point: (N, 2) [m] in the world, from the vehicle's estimated
+        pose. noise: (N, 2, 2) [m^2] of the sightings, the pose's not included. potential: as of
+        now; a point joins the frame of the first of them that contains it.
+        """
+        region = potential.placed.locate(point).region
+        known: Mask = np.isfinite(noise).all(axis=(1, 2)) & (region >= 0)
+        known[known] = _current(view, potential.axis[region[known]])
+        axis = potential.axis[region[known]]
+        group = self._groups(view, axis)
+        frame = Frames.of(view.landmark[axis[:, 0]], view.landmark[axis[:, 1]])
+        local = frame.to_local(point[known])
+        by_pose = np.zeros((len(axis), 2, 3))
+        by_pose[:, 0, 0] = by_pose[:, 1, 1] = 1.0
+        by_pose[:, :, 2] = turned(local - self.mean[group, :2])
+        cross = by_pose @ self.covariance[group]
+        own = np.einsum("nji,njk,nki->ni", frame.turn, noise[known], frame.turn)
+        variance = np.einsum("nij,nij->ni", cross, by_pose) + own
+        number = np.full(len(point), -1, dtype=np.intp)
+        number[known] = self._taken + np.arange(len(axis))
+        self._taken += len(axis)
+        self.counts.refused += len(point) - len(axis)
+        when = np.full(len(axis), scan, dtype=np.intp)
+        new = Points(group, local, variance, cross, when, number[known])
+        joined = zip(self.points, new, strict=True)
+        self.points = Points(*(np.concatenate(pair) for pair in joined))
+        excess = len(self.points.scan) - self.capacity
+        if excess > 0:
+            self.counts.dropped += excess
+            self._keep(np.arange(excess, len(self.points.scan)))
+        return number
+
+    def release(self, view: FilterView, placed: PlacedRegions) -> Released:
+        """Hand out the points that lie in a region now; they leave the room."""
+        world, frame = self._in_the_world(view)
+        region = placed.locate(world).region
+        out = np.flatnonzero(region >= 0)
+        turn, variance = frame.turn[out], self.points.variance[out]
+        covariance = np.einsum("nij,nj,nkj->nik", turn, variance, turn)
+        released = Released(
+            region[out], world[out], covariance, self.points.scan[out], self.points.number[out]
+        )
+        if len(out):
+            self.counts.released += len(out)
+            self._keep(np.flatnonzero(region < 0))
+        return released
+
+    def overdue(self, view: FilterView, scan: int) -> Array:
+        """Where the points are (k, 2) [m] that have waited for `patience` scans or more.
+
+        What LocalRegions.extend_virtual is to cover.
+        """
+        world, _ = self._in_the_world(view)
+        return world[scan - self.points.scan >= self.patience]
+
+    def _in_the_world(self, view: FilterView) -> tuple[Array, Frames]:
+        """All points (N, 2) [m] and their frames; NaN where a landmark has left the map."""
+        frame = Frames.of(view.landmark[self.axis[:, 0]], view.landmark[self.axis[:, 1]])
+        frame = Frames(frame.origin[self.points.group], frame.turn[self.points.group])
+        return frame.to_world(self.points.point), frame
+
+    def _read(self, view: FilterView) -> tuple[Array, Array]:
+        """Read the local poses anew; returns those read before, mean and covariance."""
+        there = np.atleast_1d(np.isfinite(view.landmark[self.axis]).all(axis=(1, 2)))
+        if not there.all():
+            kept = there[self.points.group]
+            self.counts.vanished += int(np.count_nonzero(~kept))
+            self._keep(np.flatnonzero(kept))
+        current = _current(view, self.axis)
+        if not current.all():
+            coupled = ~current[self.points.group] & self.points.cross.any(axis=(1, 2))
+            self.counts.uncoupled += int(np.count_nonzero(coupled))
+            self.points.cross[coupled] = 0.0
+        before = self.mean, self.covariance
+        self.mean, self.covariance = self.mean.copy(), self.covariance.copy()
+        read = read_local_poses(view, self.axis[current])
+        self.mean[current], self.covariance[current] = read
+        return before
+
+    def _groups(self, view: FilterView, axis: Index) -> Index:
+        """The groups (k,) of axes (k, 2), founded where there is none."""
+        count = len(view.landmark)
+        key, asked = self.axis @ (count, 1), axis @ (count, 1)
+        founded = np.setdiff1d(asked, key)
+        if len(founded):
+            new = np.column_stack(np.divmod(founded, count))
+            mean, covariance = read_local_poses(view, new)
+            self.axis = np.concatenate((self.axis, new))
+            self.mean = np.concatenate((self.mean, mean))
+            self.covariance = np.concatenate((self.covariance, covariance))
+            key = np.concatenate((key, founded))
+        order = np.argsort(key)
+        return order[np.searchsorted(key[order], asked)]
+
+    def _keep(self, chosen: Index) -> None:
+        """Leave all other points out, and frames without points."""
+        columns: Any = (column[chosen] for column in self.points)
+        self.points = Points(*columns)
+        used, group = np.unique(self.points.group, return_inverse=True)
+        if len(used) < len(self.axis):
+            self.points = self.points._replace(group=group)
+            self.axis, self.mean = self.axis[used], self.mean[used]
+            self.covariance = self.covariance[used]
+
+
+def _current(view: FilterView, axis: Index) -> Mask:
+    """Which axes (G, 2) have both landmarks among those whose covariance is current; (G,)."""
+    known = np.zeros(len(view.landmark), dtype=bool)
+    known[view.slot] = True
+    return np.logical_and(known[axis[:, 0]], known[axis[:, 1]])
+
+
+def _inverse(covariance: Array) -> Array:
+    """Of covariances (G, 3, 3); zero in directions without variance, where nothing is to learn."""
+    sigma = np.sqrt(np.einsum("gii->gi", covariance))
+    sigma = np.where(sigma > 0.0, sigma, 1.0)
+    scale = sigma[:, :, None] * sigma[:, None, :]
+    value, vector = np.linalg.eigh(covariance / scale)
+    usable = value > SINGULAR * value[:, -1:]
+    inverse = np.where(usable, 1.0 / np.where(usable, value, 1.0), 0.0)
+    whole: Array = (vector * inverse[:, None]) @ np.swapaxes(vector, 1, 2) / scale
+    return whole
