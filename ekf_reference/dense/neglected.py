@@ -1,0 +1,127 @@
+"""The error layer: how far what a dense map leaves out may still move its data (N 3.6).
+
+A map that keeps local coordinates for good ignores eq. 3.16. All that later updates can add up to
+is bounded beforehand: they cannot take away more doubt than the vehicle and the base landmarks
+had about each other when a point was fused. The sensor's own noise stays and moves nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from ekf_reference.dense.triangles import Array, global_jacobians, to_local, turned
+from ekf_reference.dense.view import FilterView
+from ekf_reference.kalman import Index
+
+
+class Carriers(NamedTuple):
+    """What points that keep their local coordinates follow: a linear function of landmarks.
+
+    slot: (k, m) landmarks, of which one may come twice. share: (k, 2, 2 m) of each in the point.
+    """
+
+    slot: Index
+    share: Array
+
+
+Corners = Callable[[FilterView, Index, Array], Carriers]
+"""The carriers of points (k, 2) [m] in regions with corners (k, 3)."""
+
+
+def landmark_corners(view: FilterView, base: Index, point: Array) -> Carriers:
+    """The three base landmarks, 1 - alpha - beta, alpha and beta of them (Nieto 2005, eq. 3.7).
+
+    Raises DegenerateTriangleError.
+    """
+    triangle = view.landmark[base]
+    return Carriers(base, global_jacobians(triangle, to_local(triangle, point)).by_landmarks)
+
+
+def neglected_covariance(view: FilterView, carriers: Carriers, point: Array) -> Array:
+    """Covariance (k, 2, 2) [m^2] of points against what carries them, seen from the pose now.
+
+    Source: Nieto 2005, section 3.6. It is the one of alpha and beta, J P J^T with J by pose and
+    base landmarks, in metres along the axes: 3.7 differentiated at a fixed point gives
+    (a, b) J = (G_x, -share), with G_x = d point / d pose, so that no triangle need be inverted.
+
+    point: (k, 2) [m]. NaN where a carrier's covariance is not current (compressed filters).
+    """
+    slot, share = carriers
+    k, m = slot.shape
+    place = np.minimum(np.searchsorted(view.slot, slot), max(len(view.slot) - 1, 0))
+    current = (view.slot[place] == slot).all(axis=1) if len(view.slot) else np.zeros(k, bool)
+    columns = np.empty((k, 3 + 2 * m), dtype=np.intp)
+    columns[:, :3] = np.arange(3)
+    columns[:, 3::2] = 3 + 2 * place
+    columns[:, 4::2] = columns[:, 3::2] + 1
+    by_state = np.empty((k, 2, 3 + 2 * m))
+    by_state[:, :, :2] = np.eye(2)
+    by_state[:, :, 2] = turned(point - view.pose[:2])
+    by_state[:, :, 3:] = -share
+    by_state[~current] = np.nan
+    columns[~current] = 0
+    joint = view.covariance[columns[:, :, None], columns[:, None, :]]
+    spread: Array = by_state @ joint @ by_state.transpose(0, 2, 1)
+    return spread
+
+
+@dataclass
+class NeglectedCorrelation:
+    """Per region, the standard deviation [m] that its data's place was fused with.
+
+    corners: who knows what a region's corners are. The arrays grow with the regions: largest_m:
+    (R,). mean_m: (R,), over points. count: (R,) points noted. NaN where there are none.
+    """
+
+    corners: Corners = landmark_corners
+    largest_m: Array = field(default_factory=lambda: np.empty(0))
+    mean_m: Array = field(default_factory=lambda: np.empty(0))
+    count: Array = field(default_factory=lambda: np.empty(0))
+
+    def note(
+        self,
+        view: FilterView,
+        base: Index,
+        region: Index,
+        point: Array,
+        weight: Array | None = None,
+    ) -> Array:
+        """One scan; returns its standard deviations (k,) [m], in the worst direction.
+
+        base: (R, 3) corners of all regions. region: (k,) those that got points, each once. point:
+        (k, 2) [m] the mean of what each got. weight: (k,) how many that were; one by default. A
+        region that is NaN in the answer is left as it was: not all of its covariance is current.
+        """
+        self._grow(len(base))
+        spread = neglected_covariance(view, self.corners(view, base[region], point), point)
+        sigma = _worst_sigma(spread)
+        known = np.isfinite(sigma)
+        row, new = region[known], sigma[known]
+        more = np.ones(len(row)) if weight is None else weight[known]
+        self.largest_m[row] = np.fmax(self.largest_m[row], new)
+        self.count[row] += more
+        before = np.nan_to_num(self.mean_m[row])
+        self.mean_m[row] = before + (new - before) * more / self.count[row]
+        return sigma
+
+    def sigma_m(self, region: Index) -> Array:
+        """(k,) mean standard deviation of regions (k,); twice of it is rarely exceeded."""
+        self._grow(int(np.max(region, initial=-1)) + 1)
+        return self.mean_m[region]
+
+    def _grow(self, regions: int) -> None:
+        more = max(regions - len(self.count), 0)
+        self.largest_m = np.concatenate((self.largest_m, np.full(more, np.nan)))
+        self.mean_m = np.concatenate((self.mean_m, np.full(more, np.nan)))
+        self.count = np.concatenate((self.count, np.zeros(more)))
+
+
+def _worst_sigma(covariance: Array) -> Array:
+    """Root of the larger eigenvalue of covariances (k, 2, 2); (k,)."""
+    xx, xy, yy = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
+    worst: Array = np.sqrt(np.maximum(0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy), 0.0))
+    return worst

@@ -1,0 +1,146 @@
+"""States that only receive information (Nieto 2005, section 3.7.1, Example 3.3).
+
+What the filter does to the rest of the world follows from what it does to itself: beside a filter
+of n entries, q pairs of passive states need their covariance with it, 2 q x n, and each pair its
+own; not what they have in common with each other. They hang on the filter as its trace, read
+every linearisation as it was used, and write nothing: the filter stays as it is, to the bit.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ekf_reference.dense.triangles import Array, local_jacobians, to_local
+from ekf_reference.full_ekf import FullEkf
+from ekf_reference.kalman import Index, KalmanState, block_diagonal, stack, state_columns
+from ekf_reference.observation import Observation
+from ekf_reference.trace import Beginning, PositionUse, Prediction, SightingUse
+
+
+class Watched(NamedTuple):
+    """Pairs of states x = x0 + J (state - state0) + w, w ~ N(0, noise), all at one instant.
+
+    value: (k, 2). slot: (k, m) the landmarks that each depends on. jacobian: (k, 2, 3 + 2 m) by
+    the pose and these. noise: (k, 2, 2).
+    """
+
+    value: Array
+    slot: Index
+    jacobian: Array
+    noise: Array
+
+
+class PassiveStates:
+    """q pairs of passive states beside a running filter, exactly as if they were in its state.
+
+    value: (q, 2) now. begun: (q, 2) when they were first watched. cross: (2 q, n) covariance with
+    the filter's state. own: (q, 2, 2).
+    """
+
+    def __init__(self, ekf: FullEkf) -> None:
+        """Take the place of the filter's trace, which goes on receiving everything.
+
+        Raises TypeError for a filter whose updates do more than its trace says, or whose
+        covariance cannot be read without changing later rounding (compressed ones).
+        """
+        if type(ekf.state) is not KalmanState or len(ekf.state.pose) != 3:
+            raise TypeError(
+                f"{type(ekf).__name__} keeps a {type(ekf.state).__name__} of "
+                f"{len(ekf.state.pose)} pose entries, expected a KalmanState of 3"
+            )
+        self.value = np.empty((0, 2))
+        self.begun = np.empty((0, 2))
+        self.cross = np.empty((0, len(ekf.state.mean)))
+        self.own = np.empty((0, 2, 2))
+        self._ekf, self._next = ekf, ekf.trace
+        ekf.trace = self
+
+    @property
+    def change(self) -> Array:
+        """(q, 2) what eq. 3.16 adds up to since the states were first watched."""
+        return self.value - self.begun
+
+    def watch(self, new: Watched) -> Index:
+        """Append pairs of states, correlated through the filter's; returns their numbers (k,)."""
+        p = self._ekf.state.covariance
+        columns = [state_columns(slot) for slot in new.slot]
+        cross = [j @ p[c] for j, c in zip(new.jacobian, columns, strict=True)]
+        own = [x[:, c] @ j.T for x, c, j in zip(cross, columns, new.jacobian, strict=True)]
+        first = len(self.value)
+        self.value = np.concatenate((self.value, new.value))
+        self.begun = np.concatenate((self.begun, new.value))
+        self.cross = np.concatenate((self.cross, *cross))
+        self.own = np.concatenate((self.own, np.reshape(own, (-1, 2, 2)) + new.noise))
+        return np.arange(first, len(self.value))
+
+    def prior(self, start: Beginning) -> None:
+        """Pass on."""
+        self._next.prior(start)
+
+    def prediction(self, step: Prediction) -> None:
+        """C_v <- C_v F^T: the vehicle moves, passive states do not."""
+        self.cross[:, :3] = self.cross[:, :3] @ step.f.T
+        self._next.prediction(step)
+
+    def update(self, use: SightingUse) -> None:
+        """Sightings of mapped landmarks."""
+        jacobian = stack(use.jacobian_pose, use.jacobian_other)
+        noise = block_diagonal(use.noise)
+        self._receive(state_columns(use.slot), jacobian, use.innovation.ravel(), noise)
+        self._next.update(use)
+
+    def augmentation(self, use: SightingUse) -> None:
+        """Columns C_v G_x^T of the new landmarks; what they add of their own is independent."""
+        stacked = use.jacobian_pose.reshape(-1, 3)
+        self.cross = np.hstack((self.cross, self.cross[:, :3] @ stacked.T))
+        self._next.augmentation(use)
+
+    def position(self, use: PositionUse) -> None:
+        """An absolute position."""
+        self._receive(np.arange(3), use.jacobian_pose, use.innovation, use.noise)
+        self._next.position(use)
+
+    def _receive(self, columns: Index, jacobian: Array, innovation: Array, noise: Array) -> None:
+        """What an update of the filter does to states it did not see (Nieto 2005, eq. 3.16).
+
+        columns: (c,) state entries of the observation. jacobian: (m, c). innovation: (m,). noise:
+        (m, m). The trace speaks after the fact, when the covariance is P+ already. From it
+        S^-1 = R^-1 - R^-1 H P+ H^T R^-1 and the gain is P+ H^T R^-1. The trap: digits of S^-1 are
+        lost as H P H^T outgrows R, all of them at 1e16, which only a boundless prior comes near.
+        """
+        if not len(self.value):
+            return
+        weight = np.linalg.inv(noise)
+        gain = self._ekf.state.covariance[:, columns] @ (jacobian.T @ weight)
+        inverse = weight - weight @ jacobian @ gain[columns]
+        seen = self.cross[:, columns] @ jacobian.T  # C H^T, (2 q, m)
+        share = seen @ (0.5 * (inverse + inverse.T))
+        pairs = (len(self.value), 2, -1)
+        self.value = self.value + (share @ innovation).reshape(-1, 2)
+        self.own = self.own - share.reshape(pairs) @ seen.reshape(pairs).transpose(0, 2, 1)
+        self.cross -= seen @ gain.T
+
+
+def points(observation: Observation, pose: Array, z: Array, noise: Array) -> Watched:
+    """Where what is seen at z (k, 2) with noise (k, 2, 2) from pose (3,) is, as passive states."""
+    new = observation.invert(pose, z)
+    spread = new.jacobian_sighting @ noise @ new.jacobian_sighting.transpose(0, 2, 1)
+    nothing = np.empty((len(z), 0), dtype=np.intp)
+    return Watched(new.point, nothing, new.jacobian_pose, spread)
+
+
+def local_coordinates(seen: Watched, base: Index, landmark: Array) -> Watched:
+    """Alpha and beta of points in their triangles, as passive states.
+
+    Their change is the error of a dense map, which keeps them (Nieto 2005, section 3.6).
+
+    seen: from `points`. base: (k, 3) places of L1, L2, L3. landmark: (L, 2) [m]. Raises
+    DegenerateTriangleError.
+    """
+    triangle = landmark[base]
+    h = local_jacobians(triangle, seen.value)
+    jacobian = np.concatenate((h.by_point @ seen.jacobian, h.by_landmarks), axis=-1)
+    noise = h.by_point @ seen.noise @ h.by_point.transpose(0, 2, 1)
+    return Watched(to_local(triangle, seen.value), base, jacobian, noise)
