@@ -23,9 +23,12 @@ from ekf_reference.dense.layers.points import Points
 from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.view import FilterView
+from ekf_reference.dense.waiting import WaitingRoom
 from ekf_reference.full_ekf import FullEkf
 
 LAYERS = ("points", "occupancy", "particles", "sog")
+PATIENCE = 16
+"""Scans that returns wait for a third landmark before a virtual one takes its place."""
 _CLOCK_S = 1e-4
 """Times closer than this are one."""
 _TELLING_M = 0.2
@@ -42,11 +45,13 @@ class GlobalMap(Protocol):
 
 @dataclass(frozen=True)
 class DenseOptions:
-    """layers: of LAYERS. resolution_m: of cells. known_apart_m: see dense.conditions.Conditions."""
+    """layers: of LAYERS. resolution_m: of cells. known_apart_m, longest_edge_m: see
+    dense.conditions.Conditions."""
 
     layers: tuple[str, ...] = ("points", "occupancy")
     resolution_m: float = 0.2
-    known_apart_m: float = 0.3
+    known_apart_m: float = 0.5
+    longest_edge_m: float = 35.0
 
     def __post_init__(self) -> None:
         """Raises InputError."""
@@ -60,8 +65,14 @@ class DenseOptions:
         """An empty map."""
         size = self.resolution_m
         made: Mapping[str, Layer] = {"points": Points(size), "occupancy": OccupancyGrid(size)}
-        conditions = Conditions(known_apart_m=self.known_apart_m)
-        return DenseMap({name: made[name] for name in self.layers}, LocalRegions(conditions))
+        conditions = Conditions(
+            known_apart_m=self.known_apart_m, longest_edge_m=self.longest_edge_m
+        )
+        return DenseMap(
+            {name: made[name] for name in self.layers},
+            LocalRegions(conditions),
+            WaitingRoom(patience=PATIENCE),
+        )
 
 
 @dataclass(frozen=True)
@@ -127,7 +138,10 @@ class DenseWatcher:
         self._epoch_s = time_s + duration_s
 
     def arrived(self, ekf: FullEkf) -> None:
-        """Nothing to do before an update."""
+        """What waits follows the vehicle."""
+        start = time.perf_counter()
+        self._dense.predicted(FilterView.of(ekf))
+        self._seconds["regions"] += time.perf_counter() - start
 
     def updated(self, ekf: FullEkf) -> None:
         """Make the regions that are now possible; keep the map as it was if it moved a lot."""

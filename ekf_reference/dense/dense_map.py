@@ -13,17 +13,23 @@ from ekf_reference.dense.regions import LocalRegions, PlacedRegions
 from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.triangles import Array
 from ekf_reference.dense.view import FilterView
+from ekf_reference.dense.waiting import WaitingRoom
 
 Index = NDArray[np.intp]
 
 
 @dataclass
 class Tally:
-    """What became of all returns. outside: where no region is or will be."""
+    """What became of all returns: fused at once, after a wait (`late`), or not at all.
+
+    outside: where no region is, nor two landmarks that one could hang on. The rest waits, or is
+    counted by the waiting room.
+    """
 
     scans: int = 0
     returns: int = 0
     fused: int = 0
+    late: int = 0
     outside: int = 0
 
 
@@ -31,46 +37,89 @@ class Tally:
 class DenseMap:
     """Regions between a filter's landmarks, and layers in them, fed scan by scan.
 
+    Of each instant: `predicted`, the filter's update, `updated`, `insert`. The filter is read only.
+
     layers: by name; all are given the same scans. regions: made as landmarks arrive.
-    reach_m: of the landmarks that may form regions, and of returns that are taken in.
+    waiting: for returns where no region is yet; None to leave these out, as the thesis'
+    simulations do. reach_m: of the landmarks that may form regions. least_points: returns that
+    wait in vain before a region with a virtual corner is made for them.
     """
 
     layers: Mapping[str, Layer]
     regions: LocalRegions = field(default_factory=LocalRegions)
+    waiting: WaitingRoom | None = field(default_factory=WaitingRoom)
     reach_m: float = 50.0
+    least_points: int = 10
     tally: Tally = field(default_factory=Tally)
     _landmark: Array = field(default_factory=lambda: np.empty((0, 2)))
 
+    def predicted(self, view: FilterView) -> None:
+        """The filter has predicted, and not yet fused anything there."""
+        if self.waiting is not None:
+            self.waiting.predicted(view)
+
     def updated(self, view: FilterView) -> None:
-        """The filter has fused sightings: new regions may be possible."""
+        """The filter has fused what it saw: new regions may be possible, and returns fit in."""
         self.place(view)
         slot = view.near(self.reach_m)
-        self.regions.extend(self._landmark, slot, view.joint_of_landmarks(slot))
+        made = self.regions.extend(self._landmark, slot, view.joint_of_landmarks(slot))
+        if self.waiting is None:
+            return
+        self.waiting.updated(view)
+        overdue = self.waiting.overdue(view, self.tally.scans)
+        if len(overdue) >= self.least_points:
+            behind = self.regions.extend_virtual(
+                self._landmark, slot, view.pose, view.joint(slot), overdue, self.least_points
+            )
+            made = np.concatenate((made, behind))
+        if len(made):
+            self._fuse_late(view, self.waiting)
 
     def insert(self, view: FilterView, scan: Scan) -> None:
         """Take in a scan seen from the view's pose, at once and in every layer."""
-        self.place(view)
-        placed = self.regions.placed(self._landmark)
+        placed = self.place(view)
         found = placed.locate(scan.point)
         inside = np.flatnonzero(found.region >= 0)
         self.tally.scans += 1
         self.tally.returns += len(scan.range_m)
         self.tally.fused += len(inside)
-        self.tally.outside += len(scan.range_m) - len(inside)
         hits = Hits(
             found.region[inside], found.local[inside], scan.point[inside], scan.covariance[inside]
         )
         near = np.sort(placed.tree.meeting(scan.box()[None]).item)
         for layer in self.layers.values():
             layer.fuse(hits, placed, scan, near)
+        self._let_wait(view, scan, np.flatnonzero(found.region < 0))
 
     def place(self, view: FilterView) -> PlacedRegions:
         """The regions with the landmarks where a view has them: the whole map has moved along.
 
         A landmark that has left the filter's map stays where it was last.
         """
-        gone = np.isnan(view.landmark)
         known = np.full_like(view.landmark, np.nan)
         known[: len(self._landmark)] = self._landmark
-        self._landmark = np.where(gone, known, view.landmark)
+        self._landmark = np.where(np.isnan(view.landmark), known, view.landmark)
         return self.regions.placed(self._landmark)
+
+    def _let_wait(self, view: FilterView, scan: Scan, outside: Index) -> None:
+        if self.waiting is None or not len(outside):
+            self.tally.outside += len(outside)
+            return
+        self.waiting.predicted(view)  # a scan may come a little after the filter's last epoch
+        slot = view.near(self.reach_m)
+        potential = self.regions.potential(self._landmark, slot, view.pose, view.joint(slot))
+        number = self.waiting.add(
+            view, scan.point[outside], scan.covariance[outside], self.tally.scans, potential
+        )
+        self.tally.outside += int(np.count_nonzero(number < 0))
+
+    def _fuse_late(self, view: FilterView, waiting: WaitingRoom) -> None:
+        placed = self.place(view)
+        out = waiting.release(view, placed)
+        if not len(out.region):
+            return
+        self.tally.late += len(out.region)
+        local = placed.locate(out.point).local
+        hits = Hits(out.region, local, out.point, out.covariance)
+        for layer in self.layers.values():
+            layer.fuse(hits, placed, None, np.unique(out.region))
