@@ -188,9 +188,13 @@ class HeadingTrace:
 
 
 def _nearest(heading_rad: float, own: Array) -> float:
-    """The heading of a pose (4,), unwrapped to lie nearest to the one given."""
-    difference = math.atan2(own[3], own[2]) - heading_rad
-    return heading_rad + math.remainder(difference, 2.0 * math.pi)
+    """The heading of a pose (4,), unwrapped to lie nearest to the one given.
+
+    Of that one only the whole turns are kept: reading more often must not change a bit.
+    """
+    wrapped = math.atan2(own[3], own[2])
+    turns = round((heading_rad - wrapped) / (2.0 * math.pi))
+    return wrapped + turns * 2.0 * math.pi
 
 
 def _off_circle(pose: Array, variance: float) -> Array:

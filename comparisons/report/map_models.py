@@ -19,11 +19,15 @@ class LayerResult(_Model):
 
 
 class ReturnsResult(_Model):
-    """What became of the scanner's returns."""
+    """What became of the scanner's returns.
+
+    late: fused after a wait. The rest waits, or was dropped from an overfull waiting room.
+    """
 
     scans: int
     returns: int
     fused: int
+    late: int
     outside: int
 
 

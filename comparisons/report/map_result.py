@@ -65,8 +65,8 @@ def print_map(result: MapResult, console: Console) -> None:
     returns = result.returns
     table.add_row(
         "returns",
-        f"{returns.fused:,} of {returns.returns:,} in {result.regions} regions, "
-        f"{returns.outside:,} outside all; {returns.scans} scans",
+        f"{returns.fused + returns.late:,} of {returns.returns:,} in {result.regions} regions "
+        f"({returns.late:,} after a wait), {returns.outside:,} outside all; {returns.scans} scans",
     )
     for name, layer in result.layers.items():
         table.add_row(name, f"{layer.samples:,} held, {layer.occupied:,} occupied")

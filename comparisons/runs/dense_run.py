@@ -32,7 +32,9 @@ PATIENCE = 16
 _CLOCK_S = 1e-4
 """Times closer than this are one."""
 _TELLING_M = 0.2
-"""Least shift of the regions by one update that is worth a picture."""
+"""Least shift of the regions by one update that is worth a picture (root mean square)."""
+_CLEARLY = 1.2
+"""A later update must move the regions, all together, so many times as far to take its place."""
 
 
 class GlobalMap(Protocol):
@@ -45,8 +47,11 @@ class GlobalMap(Protocol):
 
 @dataclass(frozen=True)
 class DenseOptions:
-    """layers: of LAYERS. resolution_m: of cells. known_apart_m, longest_edge_m: see
-    dense.conditions.Conditions."""
+    """What is kept, and how.
+
+    layers: of LAYERS. resolution_m: of cells. known_apart_m, longest_edge_m: see
+    dense.conditions.Conditions.
+    """
 
     layers: tuple[str, ...] = ("points", "occupancy")
     resolution_m: float = 0.2
@@ -77,7 +82,7 @@ class DenseOptions:
 
 @dataclass(frozen=True)
 class BeforeClosing:
-    """The map just before the update that moved it the most, usually a loop's closing.
+    """The map just before the update that moved it the most, as a rule a loop's closing.
 
     time_s: of the update. shift_m: root mean square over the landmarks. landmark: (L, 2) and
     layers: what each held, as the landmarks then lay. regions: how many there were.
@@ -122,6 +127,7 @@ class DenseWatcher:
         self._pose: list[Array] = []
         self._landmark = np.empty((0, 2))
         self._before: BeforeClosing | None = None
+        self._moved_most = 0.0
         self._seconds = {"regions": 0.0, "scans": 0.0}
         self._epoch_s = log.prior.time_s
 
@@ -192,9 +198,11 @@ class DenseWatcher:
         corner = np.unique(self._dense.regions.base)
         if not len(corner):
             return
-        shift = float(np.sqrt(np.square(new[corner] - old[corner]).sum(axis=1).mean()))
-        if shift < (_TELLING_M if self._before is None else 1.2 * self._before.shift_m):
+        squared = np.square(new[corner] - old[corner]).sum(axis=1)
+        shift, moved = float(np.sqrt(squared.mean())), float(np.sqrt(squared.sum()))
+        if shift < _TELLING_M or moved < _CLEARLY * self._moved_most:
             return
+        self._moved_most = moved
         placed = self._dense.regions.placed(old)
         layers = {name: layer.samples(placed) for name, layer in self._dense.layers.items()}
         self._before = BeforeClosing(self._epoch_s, shift, placed.triangle, layers)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ekf_reference.dense.layers.layer import Hits, Layer
-from ekf_reference.dense.regions import LocalRegions, PlacedRegions
+from ekf_reference.dense.regions import LocalRegions, PlacedRegions, Potential
 from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.triangles import Array
 from ekf_reference.dense.view import FilterView
@@ -42,7 +42,8 @@ class DenseMap:
     layers: by name; all are given the same scans. regions: made as landmarks arrive.
     waiting: for returns where no region is yet; None to leave these out, as the thesis'
     simulations do. reach_m: of the landmarks that may form regions. least_points: returns that
-    wait in vain before a region with a virtual corner is made for them.
+    wait in vain before a region with a virtual corner is made for them. seek_every: scans after
+    which regions are sought again; with every new landmark they are, too.
     """
 
     layers: Mapping[str, Layer]
@@ -50,7 +51,11 @@ class DenseMap:
     waiting: WaitingRoom | None = field(default_factory=WaitingRoom)
     reach_m: float = 50.0
     least_points: int = 10
+    seek_every: int = 4
     tally: Tally = field(default_factory=Tally)
+    _sought_among: int = 0
+    _sought_until: int = 0
+    _potential: Potential | None = None
     _landmark: Array = field(default_factory=lambda: np.empty((0, 2)))
 
     def predicted(self, view: FilterView) -> None:
@@ -61,19 +66,21 @@ class DenseMap:
     def updated(self, view: FilterView) -> None:
         """The filter has fused what it saw: new regions may be possible, and returns fit in."""
         self.place(view)
+        if self.waiting is not None:
+            self.waiting.updated(view)
+        if len(view.landmark) == self._sought_among and self.tally.scans < self._sought_until:
+            return
+        self._sought_among = len(view.landmark)
+        self._sought_until = self.tally.scans + self.seek_every
         slot = view.near(self.reach_m)
         made = self.regions.extend(self._landmark, slot, view.joint_of_landmarks(slot))
-        if self.waiting is None:
-            return
-        self.waiting.updated(view)
-        overdue = self.waiting.overdue(view, self.tally.scans)
-        if len(overdue) >= self.least_points:
-            behind = self.regions.extend_virtual(
-                self._landmark, slot, view.pose, view.joint(slot), overdue, self.least_points
+        if self.waiting is not None:
+            behind = self._make_virtual(view, slot, self.waiting)
+            if len(made) or len(behind):
+                self._fuse_late(view, self.waiting)
+            self._potential = self.regions.potential(
+                self._landmark, slot, view.pose, view.joint(slot)
             )
-            made = np.concatenate((made, behind))
-        if len(made):
-            self._fuse_late(view, self.waiting)
 
     def insert(self, view: FilterView, scan: Scan) -> None:
         """Take in a scan seen from the view's pose, at once and in every layer."""
@@ -105,13 +112,21 @@ class DenseMap:
         if self.waiting is None or not len(outside):
             self.tally.outside += len(outside)
             return
-        self.waiting.predicted(view)  # a scan may come a little after the filter's last epoch
-        slot = view.near(self.reach_m)
-        potential = self.regions.potential(self._landmark, slot, view.pose, view.joint(slot))
-        number = self.waiting.add(
-            view, scan.point[outside], scan.covariance[outside], self.tally.scans, potential
-        )
+        number = np.full(len(outside), -1)
+        if self._potential is not None:
+            self.waiting.predicted(view)  # a scan may come a little after the last epoch
+            point, spread = scan.point[outside], scan.covariance[outside]
+            number = self.waiting.add(view, point, spread, self.tally.scans, self._potential)
         self.tally.outside += int(np.count_nonzero(number < 0))
+
+    def _make_virtual(self, view: FilterView, slot: Index, waiting: WaitingRoom) -> Index:
+        """Regions with virtual corners for what has waited too long."""
+        overdue = waiting.overdue(view, self.tally.scans)
+        if len(overdue) < self.least_points:
+            return np.empty(0, dtype=np.intp)
+        return self.regions.extend_virtual(
+            self._landmark, slot, view.pose, view.joint(slot), overdue, self.least_points
+        )
 
     def _fuse_late(self, view: FilterView, waiting: WaitingRoom) -> None:
         placed = self.place(view)

@@ -1,0 +1,131 @@
+"""Dense maps against true surfaces and against the smoother's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from comparisons.checks.dense_accuracy import (
+    distance_to_segments,
+    error_of_points,
+    surface_error,
+)
+from comparisons.checks.dense_agreement import AGREE_M, compare_dense, poses_at_scans
+from comparisons.compare import Comparison, compare_estimators
+from comparisons.logs.bundled import SimulationChoices, open_log
+from comparisons.report.dense_result import dense_result
+from comparisons.runs.dense_run import DenseOptions
+from ekf_reference.dense.layers.layer import Samples
+from graphslam.scan import planar
+
+
+@pytest.fixture(scope="module")
+def compared() -> Comparison:
+    log = open_log("occupancy-loop", choices=SimulationChoices(seed=2))
+    return compare_estimators(log, dense=DenseOptions())
+
+
+def test_distances_to_segments_by_hand() -> None:
+    segment = np.array([(0.0, 0.0, 4.0, 0.0), (10.0, 0.0, 10.0, 0.0)])  # the second is a point
+    point = np.array([(1.0, 2.0), (-3.0, 4.0), (5.0, 0.0), (10.0, 3.0)])
+    assert np.allclose(distance_to_segments(point, segment), (2.0, 5.0, 1.0, 3.0))
+
+
+def test_distances_do_not_depend_on_how_many_are_asked_at_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rng = np.random.default_rng(0)
+    point, segment = rng.normal(size=(500, 2)), rng.normal(size=(40, 4))
+    whole = distance_to_segments(point, segment)
+    monkeypatch.setattr("comparisons.checks.dense_accuracy._AT_ONCE", 700)
+    assert np.array_equal(distance_to_segments(point, segment), whole)
+
+
+def test_only_what_is_occupied_counts() -> None:
+    samples = Samples(
+        np.array([(0.0, 1.0), (0.0, 50.0)]), np.array((0.9, 0.3)), np.zeros(2, dtype=np.intp)
+    )
+    error = surface_error(samples, np.array([(-1.0, 0.0, 1.0, 0.0)]))
+    assert (error.median_m, error.occupied) == (1.0, 1)
+    nothing = error_of_points(np.empty((0, 2)), np.array([(-1.0, 0.0, 1.0, 0.0)]))
+    assert nothing.occupied == 0
+    assert np.isnan(nothing.median_m)
+
+
+def test_both_maps_agree_where_the_filter_is_right(compared: Comparison) -> None:
+    check = compared.dense_check
+    assert check is not None
+    assert compared.verdict.outcome == "agree"
+    assert check.agrees
+    assert check.median_m < 0.1
+    assert len(check.regions) > 10
+    assert check.regions[0].distance_m == max(row.distance_m for row in check.regions)
+    assert check.occupancy_share is not None
+    assert check.occupancy_share > 0.9
+    assert set(check.errors) == {"points", "occupancy", "smoother"}
+
+
+def test_a_map_that_hangs_on_wrong_landmarks_is_found(compared: Comparison) -> None:
+    """One corner moved by two metres after the drive: its regions are off, and told first."""
+    dense = compared.dense
+    assert dense is not None
+    base = dense.dense.regions.base
+    corner = int(base[base >= 0][0])
+    moved = dense.landmark.copy()
+    moved[corner] += (2.0, 0.0)
+    check = compare_dense(compared.log, replace(dense, landmark=moved), compared.smoothed)
+    assert check is not None
+    assert not check.agrees
+    worst = check.regions[0]
+    assert worst.distance_m > AGREE_M
+    virtual = dense.dense.regions.virtual
+    of_pair = -1 - np.flatnonzero((virtual.pair == corner).any(axis=1))
+    assert np.isin(base[worst.region], [corner, *of_pair]).any()
+
+
+def test_a_dense_disagreement_is_a_cause(
+    monkeypatch: pytest.MonkeyPatch, compared: Comparison
+) -> None:
+    monkeypatch.setattr("comparisons.checks.dense_agreement.AGREE_M", 1e-4)
+    log = open_log("occupancy-loop", choices=SimulationChoices(seed=2))
+    found = compare_estimators(log, dense=DenseOptions(("points",)))
+    assert compared.verdict.outcome == "agree"
+    assert found.verdict.outcome == "disagree"
+    assert [cause.gap for cause in found.verdict.causes] == ["dense"]
+    assert "region" in found.verdict.causes[0].evidence
+    result = dense_result(found.dense_check)
+    assert result is not None
+    assert not result.agrees
+    assert len(result.regions) <= 20
+
+
+def test_poses_at_scans_are_led_on_by_the_wheels(compared: Comparison) -> None:
+    """At epochs the estimate's, in between composed from the one before."""
+    estimate, log = compared.smoothed, compared.log
+    time = estimate.time_s
+    assert np.array_equal(poses_at_scans(log, estimate, time[3:6]), estimate.pose[3:6])
+    between = poses_at_scans(log, estimate, time[3:5] + (0.0, -0.1))
+    step = planar.between(between[0], between[1])
+    whole = planar.between(estimate.pose[3], estimate.pose[4])
+    assert 0.0 < step[0] < whole[0]
+    beyond = poses_at_scans(log, estimate, time[-1:] + 5.0)
+    assert np.array_equal(beyond, estimate.pose[-1:])
+
+
+def test_cloud_distances_are_open3ds(compared: Comparison, open3d_library: ModuleType) -> None:
+    """The k-d tree's figures against a library made for clouds."""
+    check, o3d = compared.dense_check, open3d_library
+    assert check is not None
+
+    def cloud(points: np.ndarray) -> object:
+        flat = np.column_stack((points, np.zeros(len(points))))
+        return o3d.geometry.PointCloud(o3d.utility.Vector3dVector(flat))
+
+    layer = check.layers["points"]
+    theirs = cloud(layer.point).compute_point_cloud_distance(  # type: ignore[attr-defined]
+        cloud(check.smoother_point)
+    )
+    assert np.allclose(np.asarray(theirs), layer.distance_m, rtol=0.0, atol=1e-9)

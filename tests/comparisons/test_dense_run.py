@@ -1,0 +1,156 @@
+"""A dense map beside the filter: it is fed all scans, and the filter does not feel it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from comparisons.errors import InputError
+from comparisons.logs.bundled import SimulationChoices, open_log
+from comparisons.logs.log import Log
+from comparisons.logs.scans import Scans
+from comparisons.runs.dense_run import DenseOptions, DenseRun, DenseWatcher
+from comparisons.runs.ekf_build import EkfChoices
+from comparisons.runs.ekf_run import EkfRun, run_ekf
+from comparisons.runs.planar_scans import PlanarScans
+from comparisons.runs.timeline import build_timeline
+from tests.helpers import Array
+
+
+@pytest.fixture(scope="module")
+def log() -> Log:
+    return open_log("occupancy-loop", choices=SimulationChoices(seed=4))
+
+
+def driven(log: Log, filter_name: str = "full", *, dense: bool = True) -> tuple[EkfRun, DenseRun]:
+    watcher = DenseWatcher(log, DenseOptions())
+    choices = EkfChoices(filter_name).settle(log)
+    run = run_ekf(log, build_timeline(log), choices, watcher=watcher if dense else None)
+    return run, watcher.run()
+
+
+def bits(run: EkfRun) -> list[Array]:
+    e = run.estimate
+    return [run.departed, run.arrived, e.pose_covariance, e.landmark, e.joint_covariance]
+
+
+@pytest.mark.parametrize("name", ["full", "compressed", "compressed-suboptimal", "misono"])
+def test_the_filter_is_the_same_to_the_bit(log: Log, name: str) -> None:
+    """Information flows one way (Nieto 2005, section 3.7)."""
+    with_map, dense = driven(log, name)
+    without, nothing = driven(log, name, dense=False)
+    assert len(dense.dense.regions.base) > 20
+    assert not len(nothing.dense.regions.base)
+    for ours, theirs in zip(bits(with_map), bits(without), strict=True):
+        assert np.array_equal(ours, theirs)
+
+
+def test_a_watcher_that_writes_would_be_noticed(log: Log) -> None:
+    """What the test above rejects: a view that brings a compressed filter up to date."""
+
+    class Meddler(DenseWatcher):
+        def updated(self, ekf) -> None:  # type: ignore[no-untyped-def]
+            ekf.state.landmarks.sum()
+            super().updated(ekf)
+
+    choices = EkfChoices("compressed").settle(log)
+    run = run_ekf(log, build_timeline(log), choices, watcher=Meddler(log, DenseOptions()))
+    without, _ = driven(log, "compressed", dense=False)
+    assert not all(np.array_equal(a, b) for a, b in zip(bits(run), bits(without), strict=True))
+
+
+def test_every_return_is_accounted_for(log: Log) -> None:
+    _, run = driven(log)
+    dense = run.dense
+    tally, room = dense.tally, dense.waiting
+    assert room is not None
+    assert log.scans is not None
+    assert tally.scans == len(run.scan_time_s) == len(log.scans.time_s)
+    assert tally.returns == np.isfinite(log.scans.range_m).sum()
+    waiting, counts = len(room.points.scan), room.counts
+    assert tally.late == counts.released
+    assert (
+        tally.fused + tally.late + tally.outside + waiting + counts.dropped + counts.vanished
+        == tally.returns
+    )
+    held = len(dense.layers["points"].samples(dense.regions.placed(run.landmark)).point)
+    assert held == tally.fused + tally.late
+    assert tally.fused + tally.late > 0.5 * tally.returns
+
+
+def test_scans_at_any_time_are_seen_from_where_the_vehicle_then_is(log: Log) -> None:
+    """The same scans with clocks of their own, between odometry samples and epochs."""
+    assert log.scans is not None
+    assert log.truth.poses is not None
+    shifted = replace(log.scans, time_s=log.scans.time_s + 0.0131)
+    later = replace(log, scans=shifted)
+    run, dense = driven(later)
+    at_epochs, plain = driven(log)
+    kept = slice(0, len(dense.scan_time_s))
+    moved = np.linalg.norm(dense.scan_pose[:, :2] - plain.scan_pose[kept, :2], axis=1)
+    speed = 3.0 * 0.0131
+    assert np.median(moved) == pytest.approx(speed, rel=0.2)
+    assert moved.max() < 2.0 * speed
+    for ours, theirs in zip(bits(run), bits(at_epochs), strict=True):
+        assert np.array_equal(ours, theirs)
+
+
+def test_planar_scans_keep_mount_and_returns() -> None:
+    """A scanner that looks left from half a metre ahead."""
+    log = open_log("occupancy-loop")
+    assert log.scans is not None
+    mount = replace(log.scans.mount, forward_m=0.5, heading_rad=np.pi / 2)
+    ranges = np.full_like(log.scans.range_m, np.nan)
+    ahead = int(np.argmin(np.abs(log.scans.angle_rad)))
+    ranges[:, ahead] = 2.0
+    changed = replace(log.scans, mount=mount, range_m=ranges)
+    scan = PlanarScans(replace(log, scans=changed)).scan(0, np.array((10.0, 20.0, 0.0)))
+    assert np.allclose(scan.point, [(10.5, 22.0)], atol=1e-9)
+    assert np.allclose(scan.origin, (10.5, 20.0))
+
+
+def test_clouds_are_seen_as_scans() -> None:
+    """Of a simulated 3D log, near the surfaces that truth has."""
+    log = open_log("scan-loop-3d")
+    assert log.truth.poses is not None
+    scans = PlanarScans(log)
+    pose = log.truth.poses.at(scans.time_s[5:6])[0]
+    scan = scans.scan(5, pose)
+    assert 30 < len(scan.range_m) <= 720
+    from comparisons.checks.dense_accuracy import distance_to_segments
+
+    assert log.truth.surfaces is not None
+    off = distance_to_segments(scan.point, log.truth.surfaces.segment)
+    assert np.median(off) < 0.05
+
+
+@pytest.mark.parametrize(
+    ("options", "fault"),
+    [
+        ({"layers": ("points", "walls")}, "layers points, walls: expected some of"),
+        ({"layers": ()}, "layers none"),
+        ({"resolution_m": 0.0}, "expected 0.01 to 10 m"),
+        ({"resolution_m": float("nan")}, "expected 0.01 to 10 m"),
+    ],
+)
+def test_options_are_checked(options: dict[str, object], fault: str) -> None:
+    with pytest.raises(InputError, match=fault):
+        DenseOptions(**options)  # type: ignore[arg-type]
+
+
+def test_a_log_without_scans_is_refused() -> None:
+    log = open_log("simulated-loop")
+    with pytest.raises(InputError, match="holds no scans"):
+        DenseWatcher(log, DenseOptions())
+
+
+def test_blank_scans_leave_an_empty_map(log: Log) -> None:
+    assert isinstance(log.scans, Scans)
+    blank = replace(log.scans, range_m=np.full_like(log.scans.range_m, np.nan))
+    _, run = driven(replace(log, scans=blank))
+    assert run.dense.tally.returns == 0
+    assert len(run.dense.regions.base) > 10
+    placed = run.dense.regions.placed(run.landmark)
+    assert all(not len(layer.samples(placed).point) for layer in run.dense.layers.values())

@@ -1,0 +1,129 @@
+"""slamcheck map and run --dense, as a user meets them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from comparisons.errors import InputError
+from comparisons.report.map_export import (
+    Raster,
+    rasterise,
+    window,
+    write_image,
+    write_ros_map,
+)
+from comparisons.report.map_models import MapResult
+from ekf_reference.dense.box_tree import BoxTree, boxes
+from ekf_reference.dense.layers.layer import Hits
+from ekf_reference.dense.layers.points import Points
+from ekf_reference.dense.regions import PlacedRegions
+from tests.comparisons.test_cli import slamcheck
+
+
+def test_the_map_leaves_a_whole_folder(tmp_path: Path) -> None:
+    arguments = ("--layer", "points", "--layer", "occupancy", "--resolution", "0.4")
+    done = slamcheck("map", "occupancy-loop", *arguments, "--out", "map", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "classic error" in done.stdout
+    folder = tmp_path / "map"
+    names = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
+    each = {f"{n}.{s}" for n in ("points", "occupancy") for s in ("png", "pgw", "pgm", "yaml")}
+    assert each | {"map.json", "map.png", "ekf/trajectory.tum"} <= names
+    result = MapResult.model_validate_json((folder / "map.json").read_text())
+    assert result.resolution_m == 0.4
+    assert result.returns.fused + result.returns.late > 10_000
+    assert set(result.surface_errors) == {"points", "occupancy", "classic"}
+    again = slamcheck("map", "occupancy-loop", "--out", "map", cwd=tmp_path)
+    assert again.returncode == 0, again.stderr
+    assert not (folder / "points.png").exists()
+
+
+def test_a_run_takes_the_dense_maps_into_its_verdict(tmp_path: Path) -> None:
+    done = slamcheck("run", "occupancy-loop", "--dense", "points", "--out", "run", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "dense points" in done.stdout
+    result = json.loads((tmp_path / "run" / "result.json").read_text())
+    assert result["dense"]["agrees"] is True
+    assert (tmp_path / "run" / "dense.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("arguments", "fault"),
+    [
+        (("map", "simulated-loop"), "holds no scans"),
+        (("map", "occupancy-loop", "--layer", "walls"), "layers walls: expected some of"),
+        (("map", "occupancy-loop", "--resolution", "-1"), "expected 0.01 to 10 m"),
+        (("map", "occupancy-loop", "--cloud", "las"), "expected pcd or ply"),
+        (("map", "scan-slam"), "no sightings of landmarks"),
+        (("run", "simulated-loop", "--dense", "points"), "holds no scans"),
+        (("run", "occupancy-loop", "--dense", "walls"), "layers walls: expected some of"),
+    ],
+)
+def test_faults_take_one_line(tmp_path: Path, arguments: tuple[str, ...], fault: str) -> None:
+    done = slamcheck(*arguments, cwd=tmp_path)
+    assert done.returncode == 2
+    assert fault in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert not list(tmp_path.iterdir())
+
+
+def two_by_three() -> Raster:
+    """South row free, occupied, unknown; north row one half, free, occupied."""
+    cells = np.array([(0.1, 0.9, np.nan), (0.5, 0.0, 1.0)])
+    return Raster(cells, -3.0, 7.0, 0.5)
+
+
+def test_an_image_lies_where_its_world_file_says(tmp_path: Path) -> None:
+    """The pixel of the occupied cell in the south, by the six numbers of the world file."""
+    write_image(two_by_three(), tmp_path / "map.png")
+    grey = np.round(255.0 * imread(tmp_path / "map.png")[..., 0])
+    assert grey.tolist() == [[127, 254, 0], [229, 25, 205]]
+    dx, _, _, dy, west, north = map(float, (tmp_path / "map.pgw").read_text().split())
+    row, column = 1, 1
+    assert (west + column * dx, north + row * dy) == pytest.approx((-2.25, 7.25))
+
+
+def test_a_ros_map_has_three_values(tmp_path: Path) -> None:
+    write_ros_map(two_by_three(), tmp_path / "map.pgm")
+    header, pixels = (tmp_path / "map.pgm").read_bytes().split(b"255\n")
+    assert header == b"P5\n3 2\n"
+    assert list(pixels) == [205, 254, 0, 254, 0, 205]
+    lines = dict(line.split(": ", 1) for line in (tmp_path / "map.yaml").read_text().splitlines())
+    assert lines["image"] == "map.pgm"
+    assert lines["origin"] == "[-3, 7, 0.0]"
+    assert float(lines["resolution"]) == 0.5
+    assert float(lines["free_thresh"]) < float(lines["occupied_thresh"])
+
+
+def one_region() -> PlacedRegions:
+    triangle = np.array([[(0.0, 0.0), (4.0, 0.0), (0.0, 4.0)]])
+    return PlacedRegions(triangle, BoxTree.pack(boxes(triangle), np.zeros(1, dtype=np.intp)))
+
+
+def test_a_layer_is_read_at_the_centres_of_cells() -> None:
+    placed, layer = one_region(), Points(0.3)
+    local = np.array([(0.375, 0.125)])
+    hits = Hits(np.zeros(1, dtype=np.intp), local, 4.0 * local, np.zeros((1, 2, 2)))
+    layer.fuse(hits, placed, None, np.zeros(1, dtype=np.intp))
+    raster = rasterise(layer, placed, 1.0)
+    assert raster.occupancy.shape == (4, 4)
+    assert np.argwhere(raster.occupancy == 1.0).tolist() == [[0, 1]]
+    part = rasterise(layer, placed, 1.0, (1.0, 0.0, 2.0, 1.0))
+    assert part.occupancy.tolist() == [[1.0]]
+
+
+def test_a_picture_without_end_is_refused() -> None:
+    with pytest.raises(InputError, match="coarser"):
+        rasterise(Points(), one_region(), 1e-4)
+
+
+def test_no_regions_no_window() -> None:
+    nothing = np.empty((0, 3, 2))
+    placed = PlacedRegions(nothing, BoxTree.pack(boxes(nothing), np.zeros(0, dtype=np.intp)))
+    with pytest.raises(InputError, match="no region"):
+        window(placed)
