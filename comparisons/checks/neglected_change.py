@@ -42,10 +42,10 @@ class Look(NamedTuple):
 
 @dataclass(frozen=True)
 class NeglectedChange:
-    """Changes in metres along a region's axes, as they were when its point was seen; (R, 2) each.
+    """Changes of alpha and beta times a region's axes when its point was seen: (R, 2) [m] each.
 
-    predicted: eq. 3.16 summed. observed: of alpha and beta in a filter that has the points in its
-    state. error: alpha and beta by truth minus those that a dense map keeps. sigma_m: (R,) from
+    East and north, as the world lay then. predicted: eq. 3.16 summed. observed: in a filter that
+    has the points in its state. error: by truth, minus what a dense map keeps. sigma_m: (R,) from
     the error layer. time_s: (R,) when seen.
     """
 
@@ -77,10 +77,20 @@ class NeglectedChange:
         return float(np.sqrt(min(size, 1.0)))
 
     @property
-    def in_sigmas(self) -> Array:
-        """(R,) size of the observed change over the error layer's sigma."""
-        size: Array = np.linalg.norm(self.observed, axis=1) / self.sigma_m
+    def observed_m(self) -> Array:
+        """(R,) sizes of the observed changes."""
+        size: Array = np.linalg.norm(self.observed, axis=1)
         return size
+
+    @property
+    def in_sigmas(self) -> Array:
+        """(R,) sizes of the observed changes over the error layer's sigma."""
+        return self.observed_m / self.sigma_m
+
+    @property
+    def within_two_sigmas(self) -> float:
+        """Share of the regions whose observed change the error layer bounds."""
+        return float(np.mean(self.in_sigmas < 2.0))
 
 
 def correlation(first: Array, second: Array) -> float:

@@ -17,7 +17,7 @@ from comparisons.checks.decorrelation_example import (
 )
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
-from ekf_reference.dense.conditions import coordinate_correlation
+from ekf_reference.dense.conditions import Conditions, coordinate_correlation
 from ekf_reference.dense.decorrelation import (
     correlations,
     displacements,
@@ -106,7 +106,11 @@ def test_example_3_2_local_change_is_at_most_a_fifth_of_the_global_one(seed: int
 
 def test_the_example_is_of_a_point_within_its_triangle_that_is_never_seen_again() -> None:
     shown = example(0)
-    assert contains(to_local(shown.triangle[0], shown.point[0]))
+    triangle = shown.triangle[0]
+    assert contains(to_local(triangle, shown.point[0]))
+    joint = fused().among(*CAST.base)
+    assert Conditions().pairs(triangle, joint)[np.triu_indices(3, 1)].all()
+    assert Conditions().well_conditioned(triangle[None], joint[None]).all()
     assert np.linalg.norm(shown.distant[0] - shown.point[0]) > 10.0
     assert shown.true_point is not None
     assert np.linalg.norm(shown.point - shown.true_point, axis=1).max() < 1.5
