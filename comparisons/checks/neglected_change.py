@@ -71,10 +71,9 @@ class NeglectedChange:
         return float((self.predicted * self.error).sum() / np.square(self.predicted).sum())
 
     @property
-    def ceiling(self) -> float:
-        """The most that `explained` can be, on average: what later scans leave is independent."""
-        size = np.square(self.predicted).sum() / np.square(self.error).sum()
-        return float(np.sqrt(min(size, 1.0)))
+    def expected(self) -> float:
+        """What `explained` comes to at a slope of 1, what later scans leave being independent."""
+        return float(np.sqrt(np.square(self.predicted).sum() / np.square(self.error).sum()))
 
     @property
     def observed_m(self) -> Array:
