@@ -67,3 +67,14 @@ def test_matchers_benchmark_runs(tmp_path: Path) -> None:
     names = ["surface", "kiss", "point-to-point", "point-to-plane", "generalised"]
     assert [line.split()[2] for line in lines[2:]] == names
     assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_neglected_change_benchmark_runs(tmp_path: Path) -> None:
+    lines = run("benchmarks/neglected_change.py", "--seeds", "1", "--figures", str(tmp_path))
+    assert [line.split()[0] for line in lines[1:]] == [
+        "scan-loop",
+        "occupancy-loop",
+        "its",
+        "simulated-loop",
+    ]
+    assert len(list(tmp_path.glob("*.png"))) == 3

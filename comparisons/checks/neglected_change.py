@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.errors import InputError
-from comparisons.logs.log import Log
+from comparisons.logs.log import Log, Poses
 from comparisons.runs.watched_run import watched_run
 from ekf_reference.dense.conditions import Conditions
 from ekf_reference.dense.neglected import NeglectedCorrelation
@@ -23,7 +23,7 @@ from ekf_reference.dense.passive_states import PassiveStates, local_coordinates,
 from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.triangles import axes, to_local
 from ekf_reference.dense.view import FilterView
-from ekf_reference.observation import RangeBearing
+from ekf_reference.observation import RangeBearing, wrap_angle
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -42,10 +42,10 @@ class Look(NamedTuple):
 
 @dataclass(frozen=True)
 class NeglectedChange:
-    """Changes in metres along a region's axes, as they were when its point was seen; (R, 2) each.
+    """Changes of alpha and beta times a region's axes when its point was seen: (R, 2) [m] each.
 
-    predicted: eq. 3.16 summed. observed: of alpha and beta in a filter that has the points in its
-    state. error: alpha and beta by truth minus those that a dense map keeps. sigma_m: (R,) from
+    East and north, as the world lay then. predicted: eq. 3.16 summed. observed: in a filter that
+    has the points in its state. error: by truth, minus what a dense map keeps. sigma_m: (R,) from
     the error layer. time_s: (R,) when seen.
     """
 
@@ -66,10 +66,30 @@ class NeglectedChange:
         return correlation(self.predicted, self.error)
 
     @property
-    def in_sigmas(self) -> Array:
-        """(R,) size of the observed change over the error layer's sigma."""
-        size: Array = np.linalg.norm(self.observed, axis=1) / self.sigma_m
+    def slope(self) -> float:
+        """Error per predicted change: 1 where later scans take away what they claim to."""
+        return float((self.predicted * self.error).sum() / np.square(self.predicted).sum())
+
+    @property
+    def expected(self) -> float:
+        """What `explained` comes to at a slope of 1, what later scans leave being independent."""
+        return float(np.sqrt(np.square(self.predicted).sum() / np.square(self.error).sum()))
+
+    @property
+    def observed_m(self) -> Array:
+        """(R,) sizes of the observed changes."""
+        size: Array = np.linalg.norm(self.observed, axis=1)
         return size
+
+    @property
+    def in_sigmas(self) -> Array:
+        """(R,) sizes of the observed changes over the error layer's sigma."""
+        return self.observed_m / self.sigma_m
+
+    @property
+    def within_two_sigmas(self) -> float:
+        """Share of the regions whose observed change the error layer bounds."""
+        return float(np.mean(self.in_sigmas < 2.0))
 
 
 def correlation(first: Array, second: Array) -> float:
@@ -90,54 +110,68 @@ def neglected_change(
     the first scan that has it ahead, within this distance. Regions that never are, are left out.
     Raises InputError for a log without truth or labels.
     """
-    if log.truth.poses is None or log.truth.landmarks is None or not log.sightings.labelled:
-        raise InputError(f"{log.name}: true poses, true landmarks and labels are needed")
-    labels, first = np.unique(log.sightings.landmark, return_index=True)
-    row = np.searchsorted(log.truth.landmarks.id, labels[np.argsort(first)])
-    true_landmark = log.truth.landmarks.position_m[row]  # by place in the map
-    noise = np.diag(np.square(sigma))
-    regions, layer, looks = LocalRegions(conditions or Conditions()), NeglectedCorrelation(), []
-    passive, scale, true_local = None, np.empty((0, 2, 2)), np.empty((0, 2))
+    true_pose, true_landmark = _truth(log)
+    noise, looks = np.diag(np.square(sigma)), list[Look]()
+    regions, layer = LocalRegions(conditions or Conditions()), NeglectedCorrelation()
+    passive, axes_then, true_local = None, list[Array](), list[Array]()
     for time, ekf in watched_run(log):
         passive = passive or PassiveStates(ekf)
         view = FilterView.of(ekf)
         near = view.near(reach_m + 10.0)
         regions.extend(view.landmark, near, view.joint_of_landmarks(near))
-        known = np.concatenate([np.empty(0, dtype=np.intp), *(look.region for look in looks)])
-        wanting = np.setdiff1d(np.arange(len(regions.base)), known)
-        triangle = true_landmark[regions.base[wanting]]
-        centre = triangle.mean(axis=1)
-        z = RangeBearing().predict(log.truth.poses.at(np.array([time]))[0], centre).z
-        z[:, 1] = np.angle(np.exp(1j * z[:, 1]))
-        ahead = (z[:, 0] <= reach_m) & (np.abs(z[:, 1]) <= np.pi / 2)
-        if not ahead.any():
+        waiting = np.setdiff1d(np.arange(len(regions.base)), _regions(looks))
+        centre = true_landmark[regions.base[waiting]].mean(axis=1)
+        exact = _sighted(true_pose.at(np.array([time]))[0], centre)
+        ahead = (exact[:, 0] <= reach_m) & (np.abs(exact[:, 1]) <= np.pi / 2)
+        region, exact, centre = waiting[ahead], exact[ahead], centre[ahead]
+        if not len(region):
             continue
-        seen_z = z[ahead] + sigma * rng.standard_normal((ahead.sum(), 2))
-        look = Look(time, wanting[ahead], seen_z)
-        base = regions.base[look.region]
+        look = Look(time, region, exact + sigma * rng.standard_normal(exact.shape))
+        base = regions.base[region]
         each = np.broadcast_to(noise, (len(base), 2, 2))
         seen = points(ekf.observation, view.pose, look.z, each)
         passive.watch(local_coordinates(seen, base, view.landmark))
-        layer.note(view, regions.base, look.region, seen.value)
+        layer.note(view, regions.base, region, seen.value)
         looks.append(look)
-        scale = np.concatenate((scale, np.stack(axes(view.landmark[base]), axis=-1)))
-        true_local = np.concatenate((true_local, to_local(triangle[ahead], centre[ahead])))
+        axes_then.append(np.stack(axes(view.landmark[base]), axis=-1))
+        true_local.append(to_local(true_landmark[base], centre))
     if passive is None or not looks:
         raise InputError(f"{log.name}: no region came into view")
-    region = np.concatenate([look.region for look in looks])
+    region, along = _regions(looks), np.concatenate(axes_then)
     final = _in_the_state(log, looks, sigma, regions.base[region])
 
     def metres(change: Array) -> Array:
-        along: Array = (scale @ change[..., None])[..., 0]
-        return along
+        moved: Array = (along @ change[..., None])[..., 0]
+        return moved
 
     return NeglectedChange(
         metres(passive.change),
         metres(final - passive.begun),
-        metres(true_local - passive.begun),
+        metres(np.concatenate(true_local) - passive.begun),
         layer.sigma_m(region),
-        np.repeat([look.time_s for look in looks], [len(look.region) for look in looks]),
+        np.concatenate([np.full(len(look.region), look.time_s) for look in looks]),
     )
+
+
+def _truth(log: Log) -> tuple[Poses, Array]:
+    """Poses, and landmarks (L, 2) in the order in which a filter that knows labels adds them."""
+    poses, true = log.truth.poses, log.truth.landmarks
+    if poses is None or true is None or not log.sightings.labelled:
+        raise InputError(f"{log.name}: true poses, true landmarks and labels are needed")
+    labels, first = np.unique(log.sightings.landmark, return_index=True)
+    order = np.argsort(true.id)
+    row = np.searchsorted(true.id, labels[np.argsort(first)], sorter=order)
+    return poses, true.position_m[order[row]]
+
+
+def _sighted(pose: Array, point: Array) -> Array:
+    """Exact range and bearing (k, 2) of points (k, 2) from pose (3,)."""
+    z = RangeBearing().predict(pose, point).z
+    return np.column_stack((z[:, 0], wrap_angle(z[:, 1])))
+
+
+def _regions(looks: list[Look]) -> Index:
+    return np.concatenate((np.empty(0, dtype=np.intp), *(look.region for look in looks)))
 
 
 def _in_the_state(log: Log, looks: list[Look], sigma: tuple[float, float], base: Index) -> Array:

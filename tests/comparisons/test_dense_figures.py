@@ -1,0 +1,75 @@
+from __future__ import annotations
+
+import math
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from comparisons.checks.decorrelation_example import DecorrelationExample, decorrelation_example
+from comparisons.checks.neglected_change import neglected_change
+from comparisons.report.dense_figures import (
+    decorrelation_figure,
+    displacement_figure,
+    draw_displacement,
+    neglected_figure,
+)
+from comparisons.report.plots import save
+from tests.helpers import simulated
+
+
+@cache
+def example() -> DecorrelationExample:
+    return decorrelation_example(simulated(2, max_range_m=25.0, extra_s=10.0))
+
+
+def legend(axis: Axes) -> set[str]:
+    found = axis.get_legend()
+    assert found is not None
+    return {text.get_text() for text in found.get_texts()}
+
+
+def test_the_decorrelation_is_drawn_as_in_fig_3_5(tmp_path: Path) -> None:
+    shown = example()
+    figure = decorrelation_figure(shown)
+    region, base, decorrelation, sigma = figure.axes
+    assert legend(region) == {"landmarks", "point $i$ in its region", "to landmark $j$"}
+    assert legend(base) == {"L1", "L2", "L3"}
+    assert legend(decorrelation) == legend(sigma) == {"in the world", "in its region"}
+    lines = [np.asarray(line.get_ydata()) for line in decorrelation.get_lines()]
+    assert np.array_equal(lines[0], shown.correlations.world[:, 0, 0])
+    assert np.array_equal(lines[3], shown.correlations.local[:, 1, 1])
+    save(figure, tmp_path / "decorrelation.png")
+    assert (tmp_path / "decorrelation.png").stat().st_size > 20_000
+
+
+def test_the_change_of_place_is_drawn_as_in_fig_3_12(tmp_path: Path) -> None:
+    shown = example()
+    figure = displacement_figure(shown)
+    change, wandering = figure.axes
+    assert legend(change) == {"in the world", "in its region"}
+    assert legend(wandering) == {"estimates", "the first", "truth"}
+    save(figure, tmp_path / "displacement.png")
+    assert (tmp_path / "displacement.png").stat().st_size > 10_000
+
+
+def test_what_regions_neglect_is_drawn(tmp_path: Path) -> None:
+    log = simulated(2, max_range_m=25.0, extra_s=10.0)
+    found = neglected_change(log, (0.02, math.radians(0.1)), np.random.default_rng(0))
+    figure = neglected_figure(found)
+    assert [axis.get_title().split()[0] for axis in figure.axes[:2]] == ["correlation"] * 2
+    assert figure.axes[2].get_title().endswith("within 2 sigma")
+    save(figure, tmp_path / "neglected.png")
+    assert (tmp_path / "neglected.png").stat().st_size > 10_000
+
+
+def test_what_is_drawn_is_what_is_given() -> None:
+    axis = Figure().add_subplot()
+    time, world, local = np.arange(3.0), np.array([0.0, 0.3, 0.5]), np.array([0.0, 0.1, 0.05])
+    draw_displacement(axis, time, world, local)
+    assert [np.asarray(line.get_ydata()).tolist() for line in axis.get_lines()] == [
+        world.tolist(),
+        local.tolist(),
+    ]
