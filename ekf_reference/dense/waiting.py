@@ -23,6 +23,7 @@ from ekf_reference.dense.local_pose import Frames, read_local_poses
 from ekf_reference.dense.regions import PlacedRegions, Potential
 from ekf_reference.dense.triangles import Array, turned
 from ekf_reference.dense.view import FilterView
+from ekf_reference.observation import wrap_angle
 
 Index = NDArray[np.intp]
 Mask = NDArray[np.bool_]
@@ -127,7 +128,7 @@ class WaitingRoom:
         """
         mean, covariance = self._read(view)
         change = self.mean - mean
-        change[:, 2] = np.remainder(change[:, 2] + np.pi, 2.0 * np.pi) - np.pi
+        change[:, 2] = wrap_angle(change[:, 2])
         inverse = _inverse(covariance)
         learnt = inverse @ (covariance - self.covariance) @ inverse
         shift = inverse @ change[:, :, None]
