@@ -97,7 +97,7 @@ class WaitingRoom:
     covariance: (G, 3), (G, 3, 3) of the vehicle's local poses when last read.
     """
 
-    capacity: int = 20_000
+    capacity: int = 5_000
     patience: int = 50
     counts: Counts = field(default_factory=Counts)
     points: Points = field(default_factory=Points.none)
@@ -134,7 +134,7 @@ class WaitingRoom:
         shift = inverse @ change[:, :, None]
         by_cross = np.concatenate((inverse @ self.covariance, learnt, shift), axis=2)
         cross = self.points.cross
-        effect = np.einsum("nij,njk->nik", cross, by_cross[self.points.group])  # (N, 2, 7)
+        effect = cross @ by_cross[self.points.group]  # (N, 2, 7)
         variance = self.points.variance - np.einsum("nij,nij->ni", effect[:, :, 3:6], cross)
         self.points = self.points._replace(
             point=self.points.point + effect[:, :, 6],
