@@ -52,13 +52,14 @@ class Counts:
 class Released(NamedTuple):
     """Points that a region covers now.
 
-    region: (k,) number. point: (k, 2) [m] in the world. covariance: (k, 2, 2) [m^2] in the
-    world's directions, of the place *relative to the landmarks*: what the point shares with
-    these is not in it, as local coordinates want it. scan: (k,) when it was seen. number: (k,)
-    as `add` gave it.
+    region: (k,) number. local: (k, 2) coordinates in it. point: (k, 2) [m] in the world.
+    covariance: (k, 2, 2) [m^2] in the world's directions, of the place *relative to the
+    landmarks*: what the point shares with these is not in it, as local coordinates want it.
+    scan: (k,) when it was seen. number: (k,) as `add` gave it.
     """
 
     region: Index
+    local: Array
     point: Array
     covariance: Array
     scan: Index
@@ -184,16 +185,21 @@ class WaitingRoom:
     def release(self, view: FilterView, placed: PlacedRegions) -> Released:
         """Hand out the points that lie in a region now; they leave the room."""
         world, frame = self._in_the_world(view)
-        region = placed.locate(world).region
-        out = np.flatnonzero(region >= 0)
+        found = placed.locate(world)
+        out = np.flatnonzero(found.region >= 0)
         turn, variance = frame.turn[out], self.points.variance[out]
         covariance = np.einsum("nij,nj,nkj->nik", turn, variance, turn)
         released = Released(
-            region[out], world[out], covariance, self.points.scan[out], self.points.number[out]
+            found.region[out],
+            found.local[out],
+            world[out],
+            covariance,
+            self.points.scan[out],
+            self.points.number[out],
         )
         if len(out):
             self.counts.released += len(out)
-            self._keep(np.flatnonzero(region < 0))
+            self._keep(np.flatnonzero(found.region < 0))
         return released
 
     def overdue(self, view: FilterView, scan: int) -> Array:

@@ -19,7 +19,7 @@ from ekf_reference.dense.view import FilterView
 from ekf_reference.dense.waiting import Counts, WaitingRoom
 from ekf_reference.full_ekf import FullEkf
 from tests.ekf_reference.dense.drives import dense_sightings, scans, true_landmarks
-from tests.ekf_reference.dense.test_waiting import NoCross, NoMotion, WrongSign, anywhere
+from tests.ekf_reference.dense.waiting_rooms import NoCross, NoMotion, WrongSign, anywhere
 from tests.helpers import Array, simulated
 
 KINDS = (WaitingRoom, NoCross, NoMotion, WrongSign)
