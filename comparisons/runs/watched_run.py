@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -14,11 +14,14 @@ from ekf_reference.trace import NullTrace, Trace
 
 
 def watched_run(
-    log: Log, choices: EkfChoices | None = None, trace: Trace | None = None
+    log: Log,
+    choices: EkfChoices | None = None,
+    trace: Trace | None = None,
+    predicted: Callable[[FullEkf], None] = lambda ekf: None,
 ) -> Iterator[tuple[float, FullEkf]]:
     """The filter after every scan with sightings, and the scan's time [s]; one filter throughout.
 
-    choices: the full filter by default. Surveyed landmarks and positions are not used.
+    choices: the full filter by default. predicted: shown the filter before it fuses. Surveyed landmarks and positions are not used.
     """
     timeline, seen = build_timeline(log), log.sightings
     ekf = build_ekf(log, (choices or EkfChoices()).settle(log), trace or NullTrace())
@@ -34,5 +37,6 @@ def watched_run(
             )
         done = int(steps[k])
         rows, time = slice(int(first[k]), int(first[k + 1])), float(timeline.epoch_time_s[k])
+        predicted(ekf)
         ekf.observe(z[rows], sigma[rows], seen.landmark[rows], time)
         yield time, ekf

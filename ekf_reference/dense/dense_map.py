@@ -134,7 +134,6 @@ class DenseMap:
         if not len(out.region):
             return
         self.tally.late += len(out.region)
-        local = placed.locate(out.point).local
-        hits = Hits(out.region, local, out.point, out.covariance)
+        hits = Hits(out.region, out.local, out.point, out.covariance)
         for layer in self.layers.values():
             layer.fuse(hits, placed, None, np.unique(out.region))

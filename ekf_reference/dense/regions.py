@@ -28,7 +28,11 @@ from ekf_reference.dense.box_tree import BoxTree, boxes, tiled
 from ekf_reference.dense.conditions import Conditions, overlap
 from ekf_reference.dense.triangles import (
     Array,
+<<<<<<< HEAD
     axes,
+=======
+    circumradius,
+>>>>>>> b80b59cf71fea94a5d75c4dfe1e2e41b504049d1
     contains,
     determinant,
     is_degenerate,
@@ -196,7 +200,9 @@ class LocalRegions:
         alike = self.conditions.correlated(covariance[position[:, None], position])
         allowed = alike[1:, 1:] & alike[0, 1:, None] & alike[0, 1:]
         new, triangle = self._behind(landmark, slot, pose, covariance, allowed)
-        inside = contains(solve(triangle[:, None], point)).sum(axis=1)
+        near = BoxTree.pack(boxes(triangle), np.arange(len(triangle))).meeting(np.tile(point, 2))
+        within = contains(solve(triangle[near.item], point[near.query]))
+        inside = np.bincount(near.item[within], minlength=len(triangle))
         wanted = np.argsort(-inside, kind="stable")[: np.count_nonzero(inside >= least_points)]
         chosen = wanted[_apart(triangle[wanted])]
         number = len(self.virtual.depth) + np.arange(len(chosen))
@@ -277,13 +283,6 @@ class LocalRegions:
             self._order = tiled(self.corners(landmark)[self.base].mean(axis=1))
             self._tiled = len(self.base)
         return number
-
-
-def circumradius(triangle: Array) -> Array:
-    """Radius [m] of the circle through the corners of triangles (C, 3, 2); (C,)."""
-    edge = np.linalg.norm(triangle - np.roll(triangle, 1, axis=1), axis=-1)
-    radius: Array = edge.prod(axis=1) / (2.0 * np.abs(determinant(triangle)))
-    return radius
 
 
 def _counter_clockwise(base: Index, landmark: Array) -> Index:

@@ -55,6 +55,13 @@ def is_degenerate(triangle: Array) -> NDArray[np.bool_]:
     return flat
 
 
+def circumradius(triangle: Array) -> Array:
+    """Radius [m] of the circle through the corners of triangles (C, 3, 2); (C,)."""
+    edge = np.linalg.norm(triangle - np.roll(triangle, 1, axis=1), axis=-1)
+    radius: Array = edge.prod(axis=1) / (2.0 * np.abs(determinant(triangle)))
+    return radius
+
+
 def to_local(triangle: Array, point: Array) -> Array:
     """Local coordinates alpha, beta (..., 2) of points (..., 2) [m] (Nieto 2005, 3.9, C.3).
 

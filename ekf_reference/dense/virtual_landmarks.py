@@ -45,6 +45,24 @@ class VirtualLandmarks:
         aside = self.depth[:, None, None] * QUARTER_TURN
         return np.concatenate((0.5 * np.eye(2) - aside, 0.5 * np.eye(2) + aside), axis=2)
 
+    def lift(self, base: Index) -> tuple[Index, Array]:
+        """What the covariance of regions' corners follows from: lift P lift^T, P of the places.
+
+        base: (k, 3) as of LocalRegions; a virtual corner's pair are the other two. Returns places
+        in the map (k, 3), a virtual corner's being a repeated one, and the derivative
+        (k, 6, 6) of the corners by the landmarks there.
+        """
+        place = np.where(base < 0, base.max(axis=1, keepdims=True), base)
+        lift = np.tile(np.eye(6).reshape(3, 2, 3, 2), (len(base), 1, 1, 1, 1))
+        region, corner = np.nonzero(base < 0)
+        which = -1 - base[region, corner]
+        lift[region, corner] = 0.0
+        by_pair = self.jacobian()[which].reshape(-1, 2, 2, 2)
+        for end in range(2):
+            column = (base[region] == self.pair[which, end, None]).argmax(axis=1)
+            lift[region, corner, :, column] = by_pair[:, :, end]
+        return place, lift.reshape(-1, 6, 6)
+
     def joined(self, other: VirtualLandmarks) -> VirtualLandmarks:
         """These, then others."""
         return VirtualLandmarks(

@@ -23,6 +23,7 @@ from ekf_reference.dense.local_pose import Frames, read_local_poses
 from ekf_reference.dense.regions import PlacedRegions, Potential
 from ekf_reference.dense.triangles import Array, turned
 from ekf_reference.dense.view import FilterView
+from ekf_reference.observation import wrap_angle
 
 Index = NDArray[np.intp]
 Mask = NDArray[np.bool_]
@@ -51,13 +52,14 @@ class Counts:
 class Released(NamedTuple):
     """Points that a region covers now.
 
-    region: (k,) number. point: (k, 2) [m] in the world. covariance: (k, 2, 2) [m^2] in the
-    world's directions, of the place *relative to the landmarks*: what the point shares with
-    these is not in it, as local coordinates want it. scan: (k,) when it was seen. number: (k,)
-    as `add` gave it.
+    region: (k,) number. local: (k, 2) coordinates in it. point: (k, 2) [m] in the world.
+    covariance: (k, 2, 2) [m^2] in the world's directions, of the place *relative to the
+    landmarks*: what the point shares with these is not in it, as local coordinates want it.
+    scan: (k,) when it was seen. number: (k,) as `add` gave it.
     """
 
     region: Index
+    local: Array
     point: Array
     covariance: Array
     scan: Index
@@ -96,7 +98,7 @@ class WaitingRoom:
     covariance: (G, 3), (G, 3, 3) of the vehicle's local poses when last read.
     """
 
-    capacity: int = 20_000
+    capacity: int = 5_000
     patience: int = 50
     counts: Counts = field(default_factory=Counts)
     points: Points = field(default_factory=Points.none)
@@ -127,13 +129,13 @@ class WaitingRoom:
         """
         mean, covariance = self._read(view)
         change = self.mean - mean
-        change[:, 2] = np.remainder(change[:, 2] + np.pi, 2.0 * np.pi) - np.pi
+        change[:, 2] = wrap_angle(change[:, 2])
         inverse = _inverse(covariance)
         learnt = inverse @ (covariance - self.covariance) @ inverse
         shift = inverse @ change[:, :, None]
         by_cross = np.concatenate((inverse @ self.covariance, learnt, shift), axis=2)
         cross = self.points.cross
-        effect = np.einsum("nij,njk->nik", cross, by_cross[self.points.group])  # (N, 2, 7)
+        effect = cross @ by_cross[self.points.group]  # (N, 2, 7)
         variance = self.points.variance - np.einsum("nij,nij->ni", effect[:, :, 3:6], cross)
         self.points = self.points._replace(
             point=self.points.point + effect[:, :, 6],
@@ -183,16 +185,21 @@ class WaitingRoom:
     def release(self, view: FilterView, placed: PlacedRegions) -> Released:
         """Hand out the points that lie in a region now; they leave the room."""
         world, frame = self._in_the_world(view)
-        region = placed.locate(world).region
-        out = np.flatnonzero(region >= 0)
+        found = placed.locate(world)
+        out = np.flatnonzero(found.region >= 0)
         turn, variance = frame.turn[out], self.points.variance[out]
         covariance = np.einsum("nij,nj,nkj->nik", turn, variance, turn)
         released = Released(
-            region[out], world[out], covariance, self.points.scan[out], self.points.number[out]
+            found.region[out],
+            found.local[out],
+            world[out],
+            covariance,
+            self.points.scan[out],
+            self.points.number[out],
         )
         if len(out):
             self.counts.released += len(out)
-            self._keep(np.flatnonzero(region < 0))
+            self._keep(np.flatnonzero(found.region < 0))
         return released
 
     def overdue(self, view: FilterView, scan: int) -> Array:

@@ -9,7 +9,7 @@ from ekf_reference.dense.virtual_landmarks import VirtualLandmarks, behind
 from ekf_reference.kalman import KalmanState
 from ekf_reference.observation import RangeBearing
 from tests.ekf_reference.dense.test_conditions import shared
-from tests.helpers import Array, central_difference
+from tests.helpers import Array, central_difference, random_covariance
 
 POSE = np.array((2.0, -6.0, 1.2))
 WALL = np.array([(0.0, 0.0), (12.0, 1.0)])
@@ -140,6 +140,28 @@ def test_it_is_a_linear_function_of_its_landmarks() -> None:
         assert np.allclose(by_pair, table.jacobian()[k], atol=1e-12)
         wrong_side = VirtualLandmarks(table.pair, -table.depth).jacobian()[k]
         assert not np.allclose(by_pair, wrong_side, atol=0.1)
+
+
+@pytest.mark.parametrize("turn", range(3))
+def test_covariance_of_corners_follows_from_the_landmarks(turn: int) -> None:
+    """Regions with a virtual corner anywhere, and one without."""
+    rng = np.random.default_rng(turn)
+    landmark = rng.uniform(-20, 20, (5, 2))
+    table = VirtualLandmarks(np.array([(1, 4), (2, 0)]), np.array((0.9, -0.9)))
+    base = np.roll(np.array([(1, 4, -1), (0, 2, -2), (3, 1, 2)]), turn, axis=1)
+    regions = LocalRegions(base=base, virtual=table)
+    place, lift = table.lift(base)
+    joint = random_covariance(rng, 10)
+    for k in range(3):
+
+        def corners(x: Array, k: int = k) -> Array:
+            found: Array = regions.corners(x.reshape(-1, 2))[base[k]].ravel()
+            return found
+
+        by_map = central_difference(corners, landmark.ravel(), 1.0)
+        columns = (2 * place[k][:, None] + np.arange(2)).ravel()
+        found = lift[k] @ joint[np.ix_(columns, columns)] @ lift[k].T
+        assert np.allclose(found, by_map @ joint @ by_map.T, atol=1e-9)
 
 
 def test_virtual_corners_follow_their_landmarks() -> None:

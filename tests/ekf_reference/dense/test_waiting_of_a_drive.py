@@ -1,0 +1,260 @@
+"""Observations that wait as the filter drives a loop (Nieto 2005, section 3.7.3)."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from comparisons.runs.ekf_build import EkfChoices
+from comparisons.runs.ekf_run import run_ekf
+from comparisons.runs.timeline import build_timeline
+from ekf_reference.dense.local_pose import Frames
+from ekf_reference.dense.regions import Index, LocalRegions
+from ekf_reference.dense.triangles import axes, solve
+from ekf_reference.dense.view import FilterView
+from ekf_reference.dense.waiting import Counts, WaitingRoom
+from ekf_reference.full_ekf import FullEkf
+from tests.ekf_reference.dense.drives import dense_sightings, scans, true_landmarks
+from tests.ekf_reference.dense.waiting_rooms import NoCross, NoMotion, WrongSign, anywhere
+from tests.helpers import Array, simulated
+
+KINDS = (WaitingRoom, NoCross, NoMotion, WrongSign)
+SEEDS = range(8)
+PATIENCE = 30
+
+
+class Errors(NamedTuple):
+    """Of points in their frames. squared: (k,) [m^2]. normalised: (k,) NEES. lead: (k,) whether a
+    point is its frame's first: those of one scan share the vehicle's error.
+    """
+
+    squared: Array
+    normalised: Array
+    lead: Array
+
+
+def newest_pair(view: FilterView) -> tuple[int, int] | None:
+    """The last landmark of the map and the nearest of the others, 5 m apart at least."""
+    last = len(view.landmark) - 1
+    apart = np.linalg.norm(view.landmark[:last] - view.landmark[last:], axis=1)
+    apart[apart < 5.0] = np.inf
+    if last < 1 or apart.min() > 25.0:
+        return None
+    return int(apart.argmin()), last
+
+
+@cache
+def waited(seed: int) -> dict[str, Errors]:
+    """Points seen from poses that hardly know the axis' landmarks, at once and after 30 scans.
+
+    Several rooms watch one drive: by the name of their class, and "at once".
+    """
+    log = simulated(seed, max_range_m=25.0)
+    assert log.truth is not None
+    assert log.truth.poses is not None
+    landmark, rng = true_landmarks(log), np.random.default_rng(1000 + seed)
+    rooms = [kind(capacity=10**6) for kind in KINDS]
+
+    def predicted(ekf: FullEkf) -> None:
+        for room in rooms:
+            room.predicted(FilterView.of(ekf))
+
+    found: dict[str, list[Array]] = {"at once": []}
+    first: list[bool] = []
+    true, taken = np.empty((0, 2)), set()
+
+    def note(room: WaitingRoom, rows: Index, name: str) -> None:
+        points = room.points
+        axis, number = room.axis[points.group[rows]], points.number[rows]
+        frame = Frames.of(landmark[axis[:, 0]], landmark[axis[:, 1]])
+        error = points.point[rows] - frame.to_local(true[number])
+        normalised = (error**2 / np.maximum(points.variance[rows], 1e-9)).sum(axis=1)
+        lead = np.array(first)[number]
+        found.setdefault(name, []).append(
+            np.column_stack(((error**2).sum(axis=1), normalised, lead))
+        )
+
+    for scan, (time, ekf) in enumerate(scans(log, predicted=predicted)):
+        view = FilterView.of(ekf)
+        for room in rooms:
+            room.updated(view)
+            done = scan - room.points.scan >= PATIENCE
+            note(room, np.flatnonzero(done), type(room).__name__)
+            room._keep(np.flatnonzero(~done))
+        pair = newest_pair(view)
+        if pair is None or pair in taken:
+            continue
+        taken.add(pair)
+        pose = log.truth.poses.at(np.array([time]))[0]
+        there, point, noise = dense_sightings(rng, pose, view.pose, 5)
+        true, first = np.vstack((true, there)), [*first, True, False, False, False, False]
+        for room in rooms:
+            number = room.add(view, point, noise, scan, anywhere(pair))
+        note(rooms[0], np.flatnonzero(rooms[0].points.number >= number[0]), "at once")
+    ended = len(found["at once"]) * 5 - sum(map(len, found[KINDS[0].__name__]))
+    found["at once"] = [np.vstack(found["at once"])[: -ended or None]]
+    return {name: Errors(*np.vstack(rows).T) for name, rows in found.items()}
+
+
+def together(name: str) -> Errors:
+    return Errors(*(np.concatenate(c) for c in zip(*(waited(s)[name] for s in SEEDS), strict=True)))
+
+
+def honest(name: str) -> bool:
+    """Two-sided chi-square of the frames' first points, 1 in 1000 to fail by chance."""
+    errors = together(name)
+    own = errors.normalised[errors.lead > 0]
+    low, high = chi2.ppf((0.0005, 0.9995), 2 * len(own))
+    return bool(low < own.sum() < high)
+
+
+def closer(name: str) -> bool:
+    """In each of 8 drives (1 in 256 by chance), and to less than half the distance together."""
+    pairs = [(waited(s)[name].squared.mean(), waited(s)["at once"].squared.mean()) for s in SEEDS]
+    later, at_once = np.array(pairs).T
+    return bool((later < at_once).all() and later.mean() < 0.25 * at_once.mean())
+
+
+def test_waiting_brings_points_closer_to_where_they_are() -> None:
+    """And their variance is honest, at once and afterwards."""
+    assert honest("at once")
+    assert closer("WaitingRoom")
+    assert honest("WaitingRoom")
+
+
+@pytest.mark.parametrize("kind", KINDS[1:])
+def test_broken_variants_are_not_closer_or_not_honest(kind: type[WaitingRoom]) -> None:
+    assert not (closer(kind.__name__) and honest(kind.__name__))
+
+
+class Driven(NamedTuple):
+    """What a whole drive with regions left.
+
+    mean, covariance: the filter's. regions, counts: of the drive. error: (k, 2) [m]
+    of released points within their true regions, and of the same without correction.
+    """
+
+    mean: Array
+    covariance: Array
+    regions: LocalRegions
+    counts: Counts
+    error: Array
+
+
+@cache
+def driven(*, dense: bool) -> Driven:
+    """As dense mapping will do it: regions, virtual ones, what lies in none waits."""
+    log = simulated(0, max_range_m=25.0, loop_s=60.0)
+    assert log.truth is not None
+    assert log.truth.poses is not None
+    landmark, rng = true_landmarks(log), np.random.default_rng(7)
+    room, regions = WaitingRoom(patience=40), LocalRegions()
+    offered: dict[int, tuple[Array, Array, Array]] = {}
+    errors: list[Array] = [np.empty((0, 2))]
+    predicted = (lambda ekf: room.predicted(FilterView.of(ekf))) if dense else None
+    for scan, (time, ekf) in enumerate(scans(log, predicted=predicted)):
+        if not dense:
+            continue
+        view = FilterView.of(ekf)
+        room.updated(view)
+        slot = view.near(30.0)
+        joint = view.joint(slot)
+        regions.extend(view.landmark, slot, joint[3:, 3:])
+        overdue = room.overdue(view, scan)
+        regions.extend_virtual(view.landmark, slot, view.pose, joint, overdue, 5)
+        placed = regions.placed(view.landmark)
+        out = room.release(view, placed)
+        corner = regions.corners(landmark)[regions.base]
+        for region, point, number in zip(out.region, out.point, out.number, strict=True):
+            axis, first, true = offered[int(number)]
+            uncorrected = Frames.of(*view.landmark[axis]).to_world(first)
+            side = np.stack(axes(corner[region]), axis=1)
+            off = [
+                np.linalg.norm(
+                    side @ (solve(placed.triangle[region], p) - solve(corner[region], true))
+                )
+                for p in (point, uncorrected)
+            ]
+            errors.append(np.array([off]))
+        pose = log.truth.poses.at(np.array([time]))[0]
+        true, point, noise = dense_sightings(rng, pose, view.pose, 10)
+        outside = placed.locate(point).region < 0
+        true, point, noise = true[outside], point[outside], noise[outside]
+        potential = regions.potential(view.landmark, slot, view.pose, joint)
+        number = room.add(view, point, noise, scan, potential)
+        for row in np.flatnonzero(np.isin(room.points.number, number)):
+            k = int(room.points.number[row])
+            place = room.points.point[row].copy()
+            axis = room.axis[room.points.group[row]]
+            offered[k] = axis, place, true[int(np.flatnonzero(number == k)[0])]
+    state = ekf.state
+    return Driven(
+        state.mean.copy(),
+        state.covariance.copy(),
+        regions,
+        room.counts,
+        np.concatenate(errors),
+    )
+
+
+def test_the_filter_does_not_notice() -> None:
+    """Unidirectional information flow (section 3.7), virtual landmarks included: to the bit."""
+    with_maps, alone = driven(dense=True), driven(dense=False)
+    assert len(with_maps.regions.virtual.depth) > 3
+    assert np.array_equal(with_maps.mean, alone.mean)
+    assert np.array_equal(with_maps.covariance, alone.covariance)
+
+
+def test_what_waited_is_fused_and_nearer_to_its_place() -> None:
+    """Also where the regions are the thesis' own, which come up when little is left to learn."""
+    found = driven(dense=True)
+    assert found.counts.released == len(found.error) > 300
+    assert found.counts.vanished == found.counts.uncoupled == 0
+    corrected, uncorrected = np.sqrt(np.square(found.error).mean(axis=0))
+    assert corrected < 0.9 * uncorrected
+
+
+def waiting_points(name: str) -> tuple[WaitingRoom, Array]:
+    """Points taken in on the way through a run's filter, never released, and its final mean."""
+    log = simulated(0, loop_s=40.0)
+    assert log.truth is not None
+    assert log.truth.poses is not None
+    poses, rng, room = log.truth.poses, np.random.default_rng(3), WaitingRoom()
+
+    def watch(ekf: FullEkf) -> None:
+        observe = ekf.observe
+
+        def watched(z: Array, sigma: Array, identity: Index, time_s: float) -> Any:
+            room.predicted(FilterView.of(ekf))
+            result = observe(z, sigma, identity, time_s)
+            view = FilterView.of(ekf)
+            room.updated(view)
+            pair = newest_pair(view)
+            if pair is not None:
+                pose = poses.at(np.array([time_s]))[0]
+                _, point, noise = dense_sightings(rng, pose, view.pose, 3)
+                room.add(view, point, noise, len(room.points.scan), anywhere(pair))
+            return result
+
+        ekf.observe = watched  # type: ignore[method-assign, assignment]
+
+    run = run_ekf(log, build_timeline(log), EkfChoices(name).settle(log), modify=watch)
+    return room, run.estimate.landmark.ravel()
+
+
+def test_a_compressed_filter_tells_them_the_same() -> None:
+    """As long as their landmarks are active; after that they stay as they are."""
+    full, expected = waiting_points("full")
+    compressed, landmark = waiting_points("compressed")
+    assert np.allclose(landmark, expected, atol=1e-9)
+    assert np.array_equal(full.points.number, compressed.points.number)
+    coupled = compressed.points.cross.any(axis=(1, 2))
+    assert full.counts.uncoupled == 0
+    assert compressed.counts.uncoupled == np.count_nonzero(~coupled)
+    assert np.count_nonzero(coupled) > 0
+    assert np.allclose(full.points.point[coupled], compressed.points.point[coupled], atol=1e-7)
+    assert (full.points.variance <= compressed.points.variance + 1e-9).all()

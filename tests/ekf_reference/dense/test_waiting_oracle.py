@@ -1,0 +1,165 @@
+"""A filter that carries dense points in its state, against those that wait beside it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ekf_reference.dense.local_pose import Frames
+from ekf_reference.dense.view import FilterView
+from ekf_reference.dense.waiting import WaitingRoom
+from ekf_reference.kalman import KalmanState, state_columns
+from ekf_reference.motion import UnicycleModel
+from ekf_reference.observation import RangeBearing
+from tests.ekf_reference.dense.waiting_rooms import BROKEN, DENSE, LANDMARK, START, anywhere
+from tests.helpers import Array, central_difference
+
+MODEL = RangeBearing()
+
+
+class Joint:
+    """A filter that carries the dense points in its state, beside a waiting room that does not.
+
+    The true vehicle, landmarks and points are drawn from the filter's own prior.
+    """
+
+    def __init__(self, room: WaitingRoom, scale: float, landmark_m: float, seed: int) -> None:
+        """landmark_m: standard deviation of the landmarks; 0 where they are known."""
+        self.rng, self.room, self.scale = np.random.default_rng(seed), room, scale
+        sigma = scale * np.array((0.5, 0.5, 0.05))
+        self.true_pose = START + sigma * self.rng.standard_normal(3)
+        spread = landmark_m * scale * self.rng.standard_normal(LANDMARK.shape)
+        self.true_landmark = LANDMARK + spread
+        self.state = KalmanState(START, np.diag(sigma**2))
+        count = len(LANDMARK)
+        noise = np.broadcast_to((landmark_m * scale) ** 2 * np.eye(2), (count, 2, 2))
+        one = np.broadcast_to(np.eye(2), (count, 2, 2))
+        self.state.augment(LANDMARK, np.zeros((count, 2, 3)), one, noise)
+
+    @property
+    def view(self) -> FilterView:
+        """What dense mapping sees: the pose and the landmarks."""
+        slot = np.arange(len(LANDMARK))
+        columns = state_columns(slot)
+        covariance = self.state.covariance[np.ix_(columns, columns)]
+        return FilterView(self.state.pose, self.state.landmarks[: len(LANDMARK)], slot, covariance)
+
+    def see_dense(self, sigma: tuple[float, float] = (0.05, 0.005)) -> None:
+        spread = self.scale * np.array(sigma)
+        noise = np.broadcast_to(np.diag(spread**2), (len(DENSE), 2, 2))
+        z = MODEL.predict(self.true_pose, DENSE).z
+        z = z + spread * self.rng.standard_normal(z.shape)
+        new = MODEL.invert(self.state.pose, z)
+        in_world = new.jacobian_sighting @ noise @ new.jacobian_sighting.transpose(0, 2, 1)
+        self.room.add(self.view, new.point, in_world, 0, anywhere((0, 1)))
+        self.state.augment(new.point, new.jacobian_pose, new.jacobian_sighting, noise)
+
+    def drive(self, process: float = 1.0) -> None:
+        """A step of the vehicle with process noise, in which the true vehicle slips."""
+        step = UnicycleModel().step(self.state.pose, np.array((2.0, 0.4)), 0.5)
+        sigma = process * self.scale * np.array((0.05, 0.05, 0.01))
+        true = UnicycleModel().step(self.true_pose, np.array((2.0, 0.4)), 0.5).pose
+        self.true_pose = true + sigma * self.rng.standard_normal(3)
+        self.state.predict(step.pose, step.jacobian_pose, np.diag(sigma**2))
+
+    def see_landmarks(self) -> None:
+        self.room.predicted(self.view)
+        seen = np.arange(len(LANDMARK))
+        expected = MODEL.predict(self.state.pose, self.state.landmarks[seen])
+        sigma = self.scale * np.array((0.1, 0.01))
+        z = MODEL.predict(self.true_pose, self.true_landmark).z
+        z = z + sigma * self.rng.standard_normal(z.shape)
+        innovation = MODEL.innovation(z, expected.z).ravel()
+        jacobian = np.zeros((2 * len(seen), 3 + 2 * len(seen)))
+        jacobian[:, :3] = expected.jacobian_pose.reshape(-1, 3)
+        for k in seen:
+            jacobian[2 * k : 2 * k + 2, 3 + 2 * k : 5 + 2 * k] = expected.jacobian_landmark[k]
+        noise = np.diag(np.tile(sigma**2, len(seen)))
+        self.state.update(state_columns(seen), jacobian, innovation, noise)
+        self.room.updated(self.view)
+
+    def dense(self) -> tuple[Array, Array]:
+        """The joint filter's points in the frame and their variances there, both (N, 2)."""
+        count = len(LANDMARK)
+        mean = self.state.landmarks
+        variance = []
+        for k in range(count, count + len(DENSE)):
+
+            def in_the_frame(x: Array) -> Array:
+                local: Array = Frames.of(x[:2], x[2:4]).to_local(x[4:])
+                return local
+
+            columns = state_columns(np.array((0, 1, k)))[3:]
+            j = central_difference(in_the_frame, mean[[0, 1, k]].ravel())
+            variance.append(np.diag(j @ self.state.covariance[np.ix_(columns, columns)] @ j.T))
+        return Frames.of(mean[0], mean[1]).to_local(mean[count:]), np.array(variance)
+
+
+def corrections(kind: type[WaitingRoom], landmark_m: float, scale: float, seed: int) -> Array:
+    """(4, N, 2): what the joint filter and the room changed in the points and their variances."""
+    room = kind()
+    joint = Joint(room, scale, landmark_m, seed)
+    joint.drive()
+    joint.see_dense()
+    before, variance_before = joint.dense()
+    assert np.allclose(room.points.point, before, atol=1e-6 * scale)
+    assert np.allclose(room.points.variance, variance_before, rtol=1e-4, atol=0.0)
+    for _ in range(4):
+        for _ in range(5):
+            joint.drive()
+        joint.see_landmarks()
+    after, variance = joint.dense()
+    return np.stack(
+        (
+            (after - before) / scale,
+            (room.points.point - before) / scale,
+            (variance - variance_before) / scale**2,
+            (room.points.variance - variance_before) / scale**2,
+        )
+    )
+
+
+def test_a_new_point_has_the_covariance_of_the_joint_filter() -> None:
+    """Equation 3.30, with landmarks known and unknown; as printed it fails."""
+    for landmark_m in (0.0, 1.0):
+        room = WaitingRoom()
+        joint = Joint(room, 1e-5, landmark_m, 0)
+        joint.drive()
+        joint.see_dense((0.5, 0.05))
+        expected = joint.dense()[1]
+        assert np.allclose(room.points.variance, expected, rtol=1e-4, atol=0.0)
+        new = MODEL.invert(joint.state.pose, MODEL.predict(joint.state.pose, DENSE).z)
+        j = new.jacobian_sighting
+        noise = np.diag(np.square(joint.scale * np.array((0.5, 0.05))))
+        turn = Frames.of(*joint.view.landmark[:2]).turn
+        right = np.einsum("ji,njk,ki->ni", turn, j @ noise @ j.transpose(0, 2, 1), turn)
+        printed = np.einsum("ji,njk,ki->ni", turn, j @ noise @ j, turn)
+        assert not np.allclose(expected - right + printed, expected, rtol=0.1, atol=0.0)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_it_equals_the_joint_filter_where_landmarks_are_known(seed: int) -> None:
+    """With noise of the motion, and so small that everything is linear: mean and variance."""
+    expected, found, variance, found_variance = corrections(WaitingRoom, 0.0, 1e-5, seed)
+    assert np.abs(expected).max() > 0.1  # of deviations of half a metre
+    assert np.allclose(found, expected, atol=1e-4 * np.abs(expected).max())
+    assert np.allclose(found_variance, variance, atol=1e-3 * np.abs(variance).max())
+
+
+@pytest.mark.parametrize("kind", BROKEN)
+def test_the_equality_rejects(kind: type[WaitingRoom]) -> None:
+    expected, found, *_ = corrections(kind, 0.0, 1e-5, 0)
+    assert np.abs(found - expected).max() > 0.02 * np.abs(expected).max()
+
+
+def test_where_landmarks_are_learnt_it_does_most_of_what_the_joint_filter_does() -> None:
+    """Corrections differ by a twentieth of their size, variances by a hundredth."""
+    gap, whole, learnt, learnt_by_joint = 0.0, 0.0, 0.0, 0.0
+    for seed in range(30):
+        expected, found, variance, found_variance = corrections(WaitingRoom, 1.0, 1e-5, seed)
+        gap += np.square(found - expected).sum()
+        whole += np.square(expected).sum()
+        learnt += found_variance.sum()
+        learnt_by_joint += variance.sum()
+    assert gap < 0.1**2 * whole
+    assert 0.98 < learnt / learnt_by_joint < 1.0
