@@ -21,7 +21,8 @@ def watched_run(
 ) -> Iterator[tuple[float, FullEkf]]:
     """The filter after every scan with sightings, and the scan's time [s]; one filter throughout.
 
-    choices: the full filter by default. predicted: shown the filter before it fuses. Surveyed landmarks and positions are not used.
+    choices: the full filter by default. predicted: shown the filter before it fuses. Surveyed
+    landmarks and positions are not used.
     """
     timeline, seen = build_timeline(log), log.sightings
     ekf = build_ekf(log, (choices or EkfChoices()).settle(log), trace or NullTrace())

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ekf_reference.dense.layers.layer import Hits, Layer
+from ekf_reference.dense.neglected import NeglectedCorrelation, corners_of
 from ekf_reference.dense.regions import LocalRegions, PlacedRegions, Potential
 from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.triangles import Array
@@ -43,7 +44,8 @@ class DenseMap:
     waiting: for returns where no region is yet; None to leave these out, as the thesis'
     simulations do. reach_m: of the landmarks that may form regions. least_points: returns that
     wait in vain before a region with a virtual corner is made for them. seek_every: scans after
-    which regions are sought again; with every new landmark they are, too.
+    which regions are sought again; with every new landmark they are, too. neglected: per region,
+    how far what the map leaves out may still move its data (section 3.6).
     """
 
     layers: Mapping[str, Layer]
@@ -53,10 +55,15 @@ class DenseMap:
     least_points: int = 10
     seek_every: int = 4
     tally: Tally = field(default_factory=Tally)
+    neglected: NeglectedCorrelation = field(init=False)
     _sought_among: int = 0
     _sought_until: int = 0
     _potential: Potential | None = None
     _landmark: Array = field(default_factory=lambda: np.empty((0, 2)))
+
+    def __post_init__(self) -> None:
+        """The error layer follows the regions."""
+        self.neglected = NeglectedCorrelation(corners_of(self.regions))
 
     def predicted(self, view: FilterView) -> None:
         """The filter has predicted, and not yet fused anything there."""
@@ -96,6 +103,7 @@ class DenseMap:
         near = np.sort(placed.tree.meeting(scan.box()[None]).item)
         for layer in self.layers.values():
             layer.fuse(hits, placed, scan, near)
+        self._note_error(view, hits)
         self._let_wait(view, scan, np.flatnonzero(found.region < 0))
 
     def place(self, view: FilterView) -> PlacedRegions:
@@ -107,6 +115,15 @@ class DenseMap:
         known[: len(self._landmark)] = self._landmark
         self._landmark = np.where(np.isnan(view.landmark), known, view.landmark)
         return self.regions.placed(self._landmark)
+
+    def _note_error(self, view: FilterView, hits: Hits) -> None:
+        """How well the regions were known from here, where they were hit."""
+        region, row, count = np.unique(hits.region, return_inverse=True, return_counts=True)
+        if len(region):
+            sums = [np.bincount(row, hits.point[:, axis]) for axis in range(2)]
+            mean = np.column_stack(sums) / count[:, None]
+            known = replace(view, landmark=self._landmark)
+            self.neglected.note(known, self.regions.base, region, mean, count.astype(float))
 
     def _let_wait(self, view: FilterView, scan: Scan, outside: Index) -> None:
         if self.waiting is None or not len(outside):

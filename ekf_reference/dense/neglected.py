@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.triangles import Array, global_jacobians, to_local, turned
 from ekf_reference.dense.view import FilterView
 from ekf_reference.kalman import Index
@@ -39,6 +40,18 @@ def landmark_corners(view: FilterView, base: Index, point: Array) -> Carriers:
     """
     triangle = view.landmark[base]
     return Carriers(base, global_jacobians(triangle, to_local(triangle, point)).by_landmarks)
+
+
+def corners_of(regions: LocalRegions) -> Corners:
+    """The same where corners may be virtual, which follow their two landmarks in turn."""
+
+    def corners(view: FilterView, base: Index, point: Array) -> Carriers:
+        triangle = regions.corners(view.landmark)[base]
+        place, lift = regions.virtual.lift(base)
+        by_corners = global_jacobians(triangle, to_local(triangle, point)).by_landmarks
+        return Carriers(place, by_corners @ lift)
+
+    return corners
 
 
 def neglected_covariance(view: FilterView, carriers: Carriers, point: Array) -> Array:

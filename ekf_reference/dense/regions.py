@@ -28,11 +28,8 @@ from ekf_reference.dense.box_tree import BoxTree, boxes, tiled
 from ekf_reference.dense.conditions import Conditions, overlap
 from ekf_reference.dense.triangles import (
     Array,
-<<<<<<< HEAD
     axes,
-=======
     circumradius,
->>>>>>> b80b59cf71fea94a5d75c4dfe1e2e41b504049d1
     contains,
     determinant,
     is_degenerate,
