@@ -163,3 +163,29 @@ def test_where_landmarks_are_learnt_it_does_most_of_what_the_joint_filter_does()
         learnt_by_joint += variance.sum()
     assert gap < 0.1**2 * whole
     assert 0.98 < learnt / learnt_by_joint < 1.0
+
+
+def test_after_a_long_drive_away_its_variance_is_a_tenth_too_small_and_no_worse() -> None:
+    """Everything linear, so this is the price of neglected correlations alone.
+
+    Squared errors over their variances, 2 where honest. The joint filter goes on learning from
+    the landmarks seen together with the points; the room has stopped.
+    """
+    error, variance = np.zeros(2), np.zeros(2)
+    for seed in range(400):
+        room = WaitingRoom()
+        joint = Joint(room, 1e-4, 1.0, seed)
+        joint.see_landmarks()
+        joint.drive()
+        joint.see_dense((0.01, 0.001))
+        for _ in range(10):
+            for _ in range(5):
+                joint.drive()
+            joint.see_landmarks()
+        true = Frames.of(*joint.true_landmark[:2]).to_local(DENSE)
+        both = joint.dense(), (room.points.point, room.points.variance)
+        error += [((mean - true) ** 2 / spread).sum(axis=1).mean() / 400 for mean, spread in both]
+        variance += [spread.sum() for _, spread in both]
+    assert 1.8 < error[0] < 2.2
+    assert 1.9 < error[1] < 2.4
+    assert variance[0] < variance[1]
