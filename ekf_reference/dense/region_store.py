@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -62,11 +63,16 @@ class RegionStore:
 
     def put(self, rows: Rows) -> None:
         """Write back rows as `gather` gave them, with other values."""
-        number = rows.region
-        begin = np.flatnonzero(np.diff(number, prepend=-1))
-        end = np.append(begin[1:], len(number))
-        for first, last in zip(begin.tolist(), end.tolist(), strict=True):
-            self._table[int(number[first])][: last - first] = rows.value[first:last]
+        for number, first, last in _runs(rows.region):
+            self._table[number][: last - first] = rows.value[first:last]
+
+    def keep(self, rows: Rows, kept: NDArray[np.bool_]) -> None:
+        """Drop those of the rows that `gather` gave, and `put` wrote, that are not kept (n,)."""
+        if kept.all():
+            return
+        for number, first, last in _runs(rows.region):
+            if not kept[first:last].all():
+                self.replace(number, rows.value[first:last][kept[first:last]])
 
     def replace(self, region: int, value: Array) -> None:
         """Set all rows (n, w) of one region."""
@@ -80,3 +86,10 @@ class RegionStore:
             table = np.concatenate((table, np.empty((max(len(table), size), self.width))))
         self._table[number] = table
         return table
+
+
+def _runs(region: Index) -> Iterator[tuple[int, int, int]]:
+    """Each region of rows (n,), and its first row and the one after its last."""
+    begin = np.flatnonzero(np.diff(region, prepend=-1))
+    end = np.append(begin, len(region))[1:]
+    return zip(region[begin].tolist(), begin.tolist(), end.tolist(), strict=True)

@@ -121,6 +121,9 @@ class Scan:
     def beams_ahead(self, ahead_m: Array, left_m: Array) -> Beams:
         """The same for points ahead and left (N,) of the scanner."""
         distance = np.sqrt(ahead_m * ahead_m + left_m * left_m)
+        if not len(self.range_m):
+            none = np.zeros(len(distance))
+            return Beams(none.astype(np.intp), none, none, none > 0.0, distance)
         bearing = np.arctan2(left_m, ahead_m)
         beam = self._nearest[((bearing + np.pi) * (_DIRECTIONS / _TURN)).astype(np.intp)]
         off = np.abs(bearing - self.bearing_rad[beam])
@@ -136,4 +139,4 @@ class Scan:
             (self.bearing_rad[-1:] - _TURN, self.bearing_rad, self.bearing_rad[:1] + _TURN)
         )
         halfway = 0.5 * (around[1:] + around[:-1])
-        return (np.searchsorted(halfway, direction) - 1) % max(len(self.bearing_rad), 1)
+        return (np.searchsorted(halfway, direction) - 1) % len(self.bearing_rad)

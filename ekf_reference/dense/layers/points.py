@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ekf_reference.dense.layers.layer import Hits, Index, Samples, in_world
+from ekf_reference.dense.layers.layer import Hits, Index, Layer, Samples, in_world
 from ekf_reference.dense.region_store import RegionStore
 from ekf_reference.dense.regions import PlacedRegions
 from ekf_reference.dense.scan import Scan
@@ -37,7 +37,7 @@ class Points:
         return from_nearest(self, point, placed, self.resolution_m)
 
 
-def from_nearest(layer: Points, point: Array, placed: PlacedRegions, reach_m: float) -> Array:
+def from_nearest(layer: Layer, point: Array, placed: PlacedRegions, reach_m: float) -> Array:
     """(N,) occupancy of the nearest sample within reach, in any region the points are in."""
     found = placed.locate(point).region
     inside = np.flatnonzero(found >= 0)

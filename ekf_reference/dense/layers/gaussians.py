@@ -1,0 +1,144 @@
+"""A sum of Gaussians over the places that returns come from (Nieto 2005, section 4.3)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ekf_reference.dense.layers.association import associate, usable
+from ekf_reference.dense.layers.layer import Hits, Index, Samples, in_world
+from ekf_reference.dense.region_store import RegionStore
+from ekf_reference.dense.regions import PlacedRegions
+from ekf_reference.dense.scan import Scan
+from ekf_reference.dense.triangles import Array, determinant, solve, turned
+
+_NEGLIGIBLE = 1e-3
+"""Heights below which a sum of Gaussians says nothing about a place."""
+_TERMS = 1_000_000
+"""Gaussians times points of which the heights are worked out at once."""
+
+
+class Ellipses(NamedTuple):
+    """Gaussians in the world. mean: (N, 2) [m]. covariance: (N, 2, 2) [m^2]. region: (N,)."""
+
+    mean: Array
+    covariance: Array
+    region: Index
+
+
+class Gaussians:
+    """Means and covariances that are local, so they move, turn and shear with the landmarks.
+
+    d_min_m: old Gaussians with an observed one closer than that are fused with the nearest.
+    widest: k of Nieto 2005, eq. 4.18: sigmas add up until their sum passes k d_min. There "the
+    Gaussian variance" is compared to a length; it is the largest standard deviation here.
+
+    Observed Gaussians farther than d_min from all old ones are added. What the sum means is
+    shape alone: 4.17 to 4.20 are no Bayesian update, and nothing ever takes a Gaussian away.
+    """
+
+    def __init__(self, d_min_m: float = 0.2, widest: float = 0.8) -> None:
+        """Raises ValueError for bounds that are not above zero."""
+        if not (d_min_m > 0.0 and widest > 0.0):
+            raise ValueError(f"d_min {d_min_m} m and k {widest} must be above zero")
+        self.d_min_m = d_min_m
+        self.widest = widest
+        self._store = RegionStore(5)
+
+    def __len__(self) -> int:
+        """Number of Gaussians."""
+        return len(self._store)
+
+    def fuse(self, hits: Hits, placed: PlacedRegions, scan: Scan | None, near: Index) -> None:
+        """Widen and shift old Gaussians by the nearest returns, then add the other returns."""
+        old = self._store.gather(usable(placed, np.union1d(near, hits.region)))
+        where = in_world(placed, old.region, old.value[:, :2])
+        pair = associate(where, hits.point, self.d_min_m)
+        region = old.region[pair.old]
+        value = old.value[pair.old]
+        value[:, :2] += solve(placed.triangle[region], hits.point[pair.new])
+        value[:, :2] *= 0.5  # 4.17
+        prior = in_world_axes(placed, region, value[:, 2:])
+        observed = hits.covariance[pair.new]
+        total = largest_sigma(prior) + largest_sigma(observed)
+        grow = np.flatnonzero(total <= self.widest * self.d_min_m)  # 4.18
+        value[grow, 2:] += in_local_axes(placed, region[grow], observed[grow])  # 4.19, else 4.20
+        old.value[pair.old] = value
+        self._store.put(old)
+        add = np.flatnonzero(~pair.met)
+        spread = in_local_axes(placed, hits.region[add], hits.covariance[add])
+        self._store.append(hits.region[add], np.hstack((hits.local[add], spread)))
+
+    def samples(self, placed: PlacedRegions, regions: Index | None = None) -> Samples:
+        """The means, where Gaussians of peak one are one."""
+        region, value = self._store.gather(self._store.regions if regions is None else regions)
+        return Samples(in_world(placed, region, value[:, :2]), np.ones(len(region)), region)
+
+    def ellipses(self, placed: PlacedRegions, regions: Index | None = None) -> Ellipses:
+        """All Gaussians, or those in distinct regions (r,), as the landmarks lie now."""
+        region, value = self._store.gather(self._store.regions if regions is None else regions)
+        return Ellipses(
+            in_world(placed, region, value[:, :2]),
+            in_world_axes(placed, region, value[:, 2:]),
+            region,
+        )
+
+    def occupancy(self, point: Array, placed: PlacedRegions) -> Array:
+        """The highest of the Gaussians, peaks one, in the regions that points are in.
+
+        The highest and not a sum: what many Gaussians cover is not more occupied than what one
+        does (Nieto 2005, Fig. 4.12 b). NaN where all are negligible, and outside all regions.
+        """
+        found = placed.locate(point).region
+        inside = np.flatnonzero(found >= 0)
+        known = self.ellipses(placed, np.unique(found[inside]))
+        result = np.full(len(point), np.nan)
+        if not len(known.region):
+            return result
+        inverse = np.linalg.inv(known.covariance)
+        share = max(1, _TERMS // len(known.region))
+        for first in range(0, len(inside), share):
+            row = inside[first : first + share]
+            apart = point[row, None] - known.mean
+            least = np.einsum("pni,nij,pnj->pn", apart, inverse, apart).min(axis=1)
+            height = np.exp(-0.5 * least)
+            result[row] = np.where(height >= _NEGLIGIBLE, height, np.nan)
+        return result
+
+
+def in_world_axes(placed: PlacedRegions, region: Index, local: Array) -> Array:
+    """Covariances (N, 2, 2) [m^2] of local ones (N, 3), their aa, ab and bb, in regions (N,)."""
+    _, a, b = placed.frames
+    return _through(a[region], b[region], local)
+
+
+def in_local_axes(placed: PlacedRegions, region: Index, world: Array) -> Array:
+    """The inverse: (N, 3) of covariances (N, 2, 2) [m^2]. No region may be degenerate.
+
+    The Jacobian by the point alone (Nieto 2005, eqs. C.11 and C.12): the landmarks' own
+    uncertainty is the filter's.
+    """
+    _, a, b = placed.frames
+    delta = determinant(placed.triangle[region])[:, None]
+    alpha, beta = turned(b[region]) / delta, -turned(a[region]) / delta
+    entries = np.stack((world[:, 0, 0], world[:, 0, 1], world[:, 1, 1]), axis=1)
+    columns = np.stack((alpha[:, 0], beta[:, 0]), axis=1), np.stack((alpha[:, 1], beta[:, 1]), 1)
+    local = _through(*columns, entries)
+    return np.stack((local[:, 0, 0], local[:, 0, 1], local[:, 1, 1]), axis=1)
+
+
+def largest_sigma(covariance: Array) -> Array:
+    """Largest standard deviation (N,) of covariances (N, 2, 2), in any direction."""
+    mean = 0.5 * (covariance[:, 0, 0] + covariance[:, 1, 1])
+    half = 0.5 * (covariance[:, 0, 0] - covariance[:, 1, 1])
+    sigma: Array = np.sqrt(mean + np.hypot(half, covariance[:, 0, 1]))
+    return sigma
+
+
+def _through(first: Array, second: Array, entries: Array) -> Array:
+    """J P J^T (N, 2, 2) of J with columns first and second (N, 2), P by its entries (N, 3)."""
+    aa, ab, bb = entries.T
+    by_first = aa[:, None] * first + ab[:, None] * second
+    by_second = ab[:, None] * first + bb[:, None] * second
+    return by_first[:, :, None] * first[:, None, :] + by_second[:, :, None] * second[:, None, :]
