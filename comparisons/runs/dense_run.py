@@ -17,8 +17,10 @@ from comparisons.runs.estimate import Array
 from comparisons.runs.planar_scans import PlanarScans
 from ekf_reference.dense.conditions import Conditions
 from ekf_reference.dense.dense_map import DenseMap
+from ekf_reference.dense.layers.gaussians import Gaussians
 from ekf_reference.dense.layers.layer import Layer, Samples
 from ekf_reference.dense.layers.occupancy import OccupancyGrid
+from ekf_reference.dense.layers.particles import Particles
 from ekf_reference.dense.layers.points import Points
 from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.scan import Scan
@@ -69,7 +71,12 @@ class DenseOptions:
     def build(self) -> DenseMap:
         """An empty map."""
         size = self.resolution_m
-        made: Mapping[str, Layer] = {"points": Points(size), "occupancy": OccupancyGrid(size)}
+        made: Mapping[str, Layer] = {
+            "points": Points(size),
+            "occupancy": OccupancyGrid(size),
+            "particles": Particles(np.random.default_rng(0)),
+            "sog": Gaussians(),
+        }
         conditions = Conditions(
             known_apart_m=self.known_apart_m, longest_edge_m=self.longest_edge_m
         )

@@ -51,7 +51,7 @@ class DenseMap:
     layers: Mapping[str, Layer]
     regions: LocalRegions = field(default_factory=LocalRegions)
     waiting: WaitingRoom | None = field(default_factory=WaitingRoom)
-    reach_m: float = 50.0
+    reach_m: float = 35.0
     least_points: int = 10
     seek_every: int = 4
     tally: Tally = field(default_factory=Tally)

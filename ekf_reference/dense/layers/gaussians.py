@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ekf_reference.dense.layers.association import associate, usable
 from ekf_reference.dense.layers.layer import Hits, Index, Samples, in_world
@@ -15,8 +17,8 @@ from ekf_reference.dense.triangles import Array, determinant, solve, turned
 
 _NEGLIGIBLE = 1e-3
 """Heights below which a sum of Gaussians says nothing about a place."""
-_TERMS = 1_000_000
-"""Gaussians times points of which the heights are worked out at once."""
+_REACH = math.sqrt(-2.0 * math.log(_NEGLIGIBLE))
+"""So many sigmas away a Gaussian is negligible."""
 
 
 class Ellipses(NamedTuple):
@@ -93,18 +95,17 @@ class Gaussians:
         found = placed.locate(point).region
         inside = np.flatnonzero(found >= 0)
         known = self.ellipses(placed, np.unique(found[inside]))
-        result = np.full(len(point), np.nan)
-        if not len(known.region):
-            return result
-        inverse = np.linalg.inv(known.covariance)
-        share = max(1, _TERMS // len(known.region))
-        for first in range(0, len(inside), share):
-            row = inside[first : first + share]
-            apart = point[row, None] - known.mean
-            least = np.einsum("pni,nij,pnj->pn", apart, inverse, apart).min(axis=1)
-            height = np.exp(-0.5 * least)
-            result[row] = np.where(height >= _NEGLIGIBLE, height, np.nan)
-        return result
+        height = np.zeros(len(point))
+        if len(known.region) and len(inside):
+            reach = _REACH * largest_sigma(known.covariance)
+            near = cKDTree(point[inside]).query_ball_point(known.mean, reach)
+            row = inside[np.concatenate([np.asarray(n, dtype=np.intp) for n in near])]
+            which = np.repeat(np.arange(len(near)), [len(n) for n in near])
+            apart = point[row] - known.mean[which]
+            inverse = np.linalg.inv(known.covariance)[which]
+            square = np.einsum("ni,nij,nj->n", apart, inverse, apart)
+            np.maximum.at(height, row, np.exp(-0.5 * square))
+        return np.where(height >= _NEGLIGIBLE, height, np.nan)
 
 
 def in_world_axes(placed: PlacedRegions, region: Index, local: Array) -> Array:
