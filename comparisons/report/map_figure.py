@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -38,6 +36,17 @@ def draw_occupied(axis: Axes, samples: Samples, colour: str = DENSE_COLOUR) -> N
     size = 1.2 if len(point) < 20_000 else 0.5
     x, y = point[::step].T
     axis.scatter(x, y, s=size, marker="s", linewidths=0, color=colour, zorder=3)
+
+
+def draw_error_layer(axis: Axes, triangle: Array, sigma_m: Array) -> PolyCollection:
+    """Regions (R, 3, 2) by a standard deviation (R,); white where there is none."""
+    shown = np.flatnonzero(np.isfinite(sigma_m))
+    regions = PolyCollection(
+        list(triangle[shown]), array=sigma_m[shown], cmap="viridis", edgecolors="white"
+    )
+    axis.add_collection(regions)
+    axis.autoscale_view()
+    return regions
 
 
 def draw_surfaces(axis: Axes, segment: Array) -> None:
@@ -105,13 +114,11 @@ def dense_map_figure(mapping: DenseMapping) -> Figure:
             panels.append((title, before.layers[name], before.triangle))
         panels.append((name, samples, mapping.placed.triangle))
     panels.append(("one grid in the world's frame", mapping.classic, np.empty((0, 3, 2))))
-    columns = 2
-    rows = -(-len(panels) // columns)
+    rows = -(-(len(panels) + 1) // 2)
     figure = Figure(figsize=(13.0, 5.4 * rows), layout="constrained")
     FigureCanvasAgg(figure)
-    axes: Mapping[int, Axes] = dict(enumerate(figure.subplots(rows, columns).ravel()))
-    for at, (title, samples, triangle) in enumerate(panels):
-        axis = axes[at]
+    axes: list[Axes] = list(figure.subplots(rows, 2).ravel())
+    for axis, (title, samples, triangle) in zip(axes, panels, strict=False):
         draw_regions(axis, triangle)
         if mapping.log.truth.surfaces is not None:
             draw_surfaces(axis, mapping.log.truth.surfaces.segment)
@@ -119,6 +126,12 @@ def dense_map_figure(mapping: DenseMapping) -> Figure:
         axis.plot(*dense.landmark.T, "+", color=TRUTH_COLOUR, markersize=4)
         axis.set_title(title)
         _plan(axis)
-    for at in range(len(panels), rows * columns):
-        axes[at].set_axis_off()
+    axis = axes[len(panels)]
+    sigma_m = dense.dense.neglected.sigma_m(np.arange(len(mapping.placed.triangle)))
+    drawn = draw_error_layer(axis, mapping.placed.triangle, sigma_m)
+    figure.colorbar(drawn, ax=axis, label="standard deviation [m]", shrink=0.8)
+    axis.set_title("how far left-out correlations may still move the data")
+    _plan(axis)
+    for spare in axes[len(panels) + 1 :]:
+        spare.set_axis_off()
     return figure

@@ -19,7 +19,7 @@ from graphslam.scan.clouds import write_cloud
 
 _SUFFIXES = ("png", "pgw", "pgm", "yaml", "pcd", "ply")
 MAP_CONTENTS = frozenset(
-    {"map.json", "map.png"}
+    {"map.json", "map.png", "regions.csv"}
     | {f"{layer}.{suffix}" for layer in LAYERS for suffix in _SUFFIXES}
     | {f"ekf/{name}" for name in ESTIMATE_FILES}
 )
@@ -41,6 +41,7 @@ def write_map_folder(
         save(dense_map_figure(mapping), work / "map.png")
         if len(mapping.placed.triangle):
             _write_layers(mapping, work, cloud)
+            (work / "regions.csv").write_text(regions_csv(mapping), encoding="utf-8")
         (work / "map.json").write_text(result.model_dump_json(indent=2) + "\n", encoding="utf-8")
 
 
@@ -55,3 +56,23 @@ def _write_layers(mapping: DenseMapping, work: Path, cloud: str | None) -> None:
         if cloud is not None and len(point):
             flat = np.column_stack((point, np.zeros(len(point))))
             write_cloud(work / f"{name}.{cloud}", flat)
+
+
+def regions_csv(mapping: DenseMapping) -> str:
+    """One row per region: corners, where they are, returns noted, and the error layer.
+
+    A corner is a landmark's id, or `a+b` for a virtual one behind landmarks a and b.
+    """
+    dense, ids = mapping.dense.dense, mapping.ekf.estimate.landmark_id
+    pair = ids[dense.regions.virtual.pair]
+    neglected = dense.neglected
+    numbers = np.arange(len(dense.regions.base))
+    mean_m = neglected.sigma_m(numbers)
+    lines = ["region,corner1,corner2,corner3,x1,y1,x2,y2,x3,y3,returns,sigma_m,sigma_largest_m"]
+    for region, base in enumerate(dense.regions.base.tolist()):
+        names = [str(ids[c]) if c >= 0 else f"{pair[-1 - c, 0]}+{pair[-1 - c, 1]}" for c in base]
+        places = [f"{v:.4f}" for v in mapping.placed.triangle[region].ravel()]
+        sigma = [f"{v:.4f}" for v in (mean_m[region], neglected.largest_m[region])]
+        count = f"{neglected.count[region]:.0f}"
+        lines.append(",".join([str(region), *names, *places, count, *sigma]))
+    return "\n".join(lines) + "\n"
