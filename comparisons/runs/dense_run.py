@@ -33,7 +33,7 @@ PATIENCE = 16
 """Scans that returns wait for a third landmark before a virtual one takes its place."""
 _CLOCK_S = 1e-4
 """Times closer than this are one."""
-_TELLING_M = 0.2
+_TELLING_M = 0.05
 """Least shift of the regions by one update that is worth a picture (root mean square)."""
 _CLEARLY = 1.2
 """A later update must move the regions, all together, so many times as far to take its place."""

@@ -128,13 +128,13 @@ class Potential(NamedTuple):
 class LocalRegions:
     """The regions, oldest first; `extend` and `extend_virtual` append, nothing else changes.
 
-    depth: of virtual landmarks behind their pair, as a share of its length; equilateral by
-    default. base: (R, 3) places of L1, L2, L3 among `corners`, counter-clockwise when the region
+    depths: that virtual landmarks may have behind their pair, as shares of its length; the first
+    is equilateral. base: (R, 3) places of L1, L2, L3 among `corners`, counter-clockwise when the region
     was made; -1 - k is virtual landmark k.
     """
 
     conditions: Conditions = field(default_factory=Conditions)
-    depth: float = math.sqrt(0.75)
+    depths: tuple[float, ...] = (math.sqrt(0.75), 1.3, 2.0)
     base: Index = field(default_factory=lambda: np.empty((0, 3), dtype=np.intp))
     virtual: VirtualLandmarks = field(default_factory=VirtualLandmarks)
     _order: Index = field(default_factory=lambda: np.empty(0, dtype=np.intp))
@@ -254,7 +254,10 @@ class LocalRegions:
         """Virtual landmarks behind permitted pairs, and triangles (C, 3, 2) that fit."""
         local = landmark[slot]
         reach = np.triu(self.conditions.within_reach(local) & pair)
-        new = behind(np.argwhere(reach), local, pose[:2], self.depth)
+        pair = np.argwhere(reach)
+        new = VirtualLandmarks()
+        for depth in self.depths:
+            new = new.joined(behind(pair, local, pose[:2], depth))
         triangle = np.concatenate((local[new.pair], new.point(local)[:, None]), axis=1)
         columns = 3 + (2 * new.pair[..., None] + np.arange(2)).reshape(-1, 4)
         real = np.broadcast_to(np.eye(4), (len(columns), 4, 4))
