@@ -271,8 +271,12 @@ class LocalRegions:
         edge = np.linalg.norm(triangle - np.roll(triangle, 1, axis=1), axis=2)
         small = edge.max(axis=1, initial=0.0) <= self.conditions.longest_edge_m
         fit: NDArray[np.bool_] = small & self.conditions.well_conditioned(triangle, covariance)
+        placed = self.placed(landmark)
         kept = np.flatnonzero(fit)
-        fit[kept[self.placed(landmark).meeting(triangle[kept])[0]]] = False
+        taken = placed.locate(triangle[kept].mean(axis=1)).region >= 0  # settles most, cheaply
+        fit[kept[taken]] = False
+        kept = kept[~taken]
+        fit[kept[placed.meeting(triangle[kept])[0]]] = False
         return fit
 
     def _append(self, base: Index, landmark: Array) -> Index:
