@@ -48,9 +48,9 @@ def associate(old: Array, new: Array, d_min_m: float) -> Associated:
     tried = count[here]
     begin = np.cumsum(tried) - tried
     candidate = np.repeat(first[here] - begin, tried) + np.arange(tried.sum())
-    pair_new = order[candidate] // 9
+    pair_new = (order // 9).take(candidate)
     asked = np.repeat(np.arange(len(row)), tried)
-    apart = old[row[asked]] - new[pair_new]
+    apart = old.take(row, axis=0).take(asked, axis=0) - new.take(pair_new, axis=0)
     square = apart[:, 0] ** 2 + apart[:, 1] ** 2
 
     met = np.zeros(len(new), dtype=bool)
@@ -60,7 +60,7 @@ def associate(old: Array, new: Array, d_min_m: float) -> Associated:
     least = np.minimum.reduceat(square, begin)
     close = least < d_min_m**2
     nearest = np.empty(len(row), dtype=np.intp)
-    best = np.flatnonzero(square == least[asked])[::-1]
+    best = np.flatnonzero(square == least.take(asked))[::-1]
     nearest[asked[best]] = pair_new[best]  # the first is written last
     return Associated(row[close], nearest[close], met)
 

@@ -141,4 +141,5 @@ def _through(first: Array, second: Array, entries: Array) -> Array:
     aa, ab, bb = entries.T
     by_first = aa[:, None] * first + ab[:, None] * second
     by_second = ab[:, None] * first + bb[:, None] * second
-    return by_first[:, :, None] * first[:, None, :] + by_second[:, :, None] * second[:, None, :]
+    world: Array = by_first[:, :, None] * first[:, None] + by_second[:, :, None] * second[:, None]
+    return world

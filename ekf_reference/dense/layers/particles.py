@@ -75,11 +75,11 @@ class Particles:
             rest = np.ones(len(where), dtype=bool)
             rest[pair.old] = False
             row = np.flatnonzero(rest)
-            old.value[row, 2] += self.free_space(scan, where[row])
+            old.value[row, 2] += self.free_space(scan, where.take(row, axis=0))
         np.clip(old.value[:, 2], -self._most, self._most, out=old.value[:, 2])
         self._store.put(old)
         kept = old.value[:, 2] >= self._least
-        self.pruned += len(kept) - np.count_nonzero(kept)
+        self.pruned += int(np.count_nonzero(~kept))
         self._store.keep(old, kept)
         self._add(hits, placed, drawn, drawn_odds, ~pair.met)
 
