@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from ekf_reference.dense.triangles import Array
 
 Index = NDArray[np.intp]
+Single = NDArray[np.float32]
+"""For many cells near the scanner, where single precision is some micrometres."""
 
 _DIRECTIONS = 7200
 """Directions of the compass for which the nearest beam is looked up once a scan."""
@@ -21,8 +23,9 @@ _TURN = 2.0 * np.pi
 class Sensor:
     """A range and bearing sensor. sigma_range_m, sigma_bearing_rad: of every return.
 
-    beam_rad: angle between two beams; a direction farther than half of that, and than one sigma,
-    from every return is one in which nothing was measured.
+    beam_rad: angle between two beams; a direction farther than half of that, and than a sigma,
+    from every return is one in which nothing was measured. With three sigmas the rims of objects
+    would grow by more than a metre at 25 m and a degree.
     """
 
     sigma_range_m: float
@@ -131,12 +134,38 @@ class Scan:
         short = self.range_m[beam] - distance
         return Beams(beam, short, off, off <= self.sensor.reach_rad, distance)
 
+    def short_of(self, ahead_m: Single, left_m: Single) -> Single:
+        """(N,) `ahead_m` of `beams_ahead`, fast; -inf where no return speaks.
+
+        By direction to 0.05 degrees, so at the rim of what a return speaks about a point may
+        differ from `beams_ahead`.
+        """
+        bearing = np.arctan2(left_m, ahead_m)
+        direction = ((bearing + np.float32(np.pi)) * np.float32(_DIRECTIONS / _TURN)).astype(
+            np.intp
+        )
+        short: Single = self._speaking.take(direction) - np.sqrt(ahead_m**2 + left_m**2)
+        return short
+
+    @cached_property
+    def _speaking(self) -> Single:
+        """(D + 1,) range [m] of the return that speaks about each direction, -inf for none."""
+        direction = _directions()
+        off = np.abs(direction - self.bearing_rad[self._nearest])
+        off = np.minimum(off, _TURN - off)
+        speaks = off <= self.sensor.reach_rad
+        return np.where(speaks, self.range_m[self._nearest], -np.inf).astype(np.float32)
+
     @cached_property
     def _nearest(self) -> Index:
         """(D + 1,) nearest return in each direction."""
-        direction = (np.arange(_DIRECTIONS + 1) + 0.5) * (_TURN / _DIRECTIONS) - np.pi
         around = np.concatenate(
             (self.bearing_rad[-1:] - _TURN, self.bearing_rad, self.bearing_rad[:1] + _TURN)
         )
         halfway = 0.5 * (around[1:] + around[:-1])
-        return (np.searchsorted(halfway, direction) - 1) % len(self.bearing_rad)
+        return (np.searchsorted(halfway, _directions()) - 1) % len(self.bearing_rad)
+
+
+def _directions() -> Array:
+    """(D + 1,) bearings [rad] in the middle of each direction; the last is the first again."""
+    return (np.arange(_DIRECTIONS + 1, dtype=float) + 0.5) * (_TURN / _DIRECTIONS) - np.pi

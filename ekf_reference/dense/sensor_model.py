@@ -54,7 +54,7 @@ class InverseSensorModel:
 
 
 def log_odds(probability: Array | float) -> Array:
-    """Log p / (1 - p) of probabilities of any shape (Nieto 2005, eq. 4.7)."""
+    """Log-odds, log p / (1 - p), of probabilities of any shape (Nieto 2005, eq. 4.7)."""
     p = np.asarray(probability, dtype=float)
     odds: Array = np.log(p) - np.log1p(-p)
     return odds

@@ -13,6 +13,8 @@ from ekf_reference.dense.triangles import Array, is_degenerate
 
 _SIDE = 512
 """Cells along a side of the hash; farther points share cells, which costs time, not exactness."""
+_SAME = 0.1
+"""Share of d_min, closer than which two old points that move to one new point are one."""
 _AROUND = np.stack(np.meshgrid((-1, 0, 1), (-1, 0, 1)), axis=-1).reshape(1, 9, 2)
 
 
@@ -20,11 +22,12 @@ class Associated(NamedTuple):
     """Pairs of an old point and its nearest new one, closer than d_min.
 
     old: (k,) ascending. new: (k,) the nearest of all new ones; one may serve many old ones.
-    met: (m,) whether a new point has any old one closer than d_min, taken by it or not.
+    apart_m: (k,) between the two. met: (m,) whether a new point has any old one closer than d_min, taken by it or not.
     """
 
     old: Index
     new: Index
+    apart_m: Array
     met: NDArray[np.bool_]
 
 
@@ -48,21 +51,33 @@ def associate(old: Array, new: Array, d_min_m: float) -> Associated:
     tried = count[here]
     begin = np.cumsum(tried) - tried
     candidate = np.repeat(first[here] - begin, tried) + np.arange(tried.sum())
-    pair_new = order[candidate] // 9
+    pair_new = (order // 9).take(candidate)
     asked = np.repeat(np.arange(len(row)), tried)
-    apart = old[row[asked]] - new[pair_new]
+    apart = old.take(row, axis=0).take(asked, axis=0) - new.take(pair_new, axis=0)
     square = apart[:, 0] ** 2 + apart[:, 1] ** 2
 
     met = np.zeros(len(new), dtype=bool)
     met[pair_new[square < d_min_m**2]] = True
     if not len(row):
-        return Associated(row, row, met)
+        return Associated(row, row, np.empty(0), met)
     least = np.minimum.reduceat(square, begin)
     close = least < d_min_m**2
     nearest = np.empty(len(row), dtype=np.intp)
-    best = np.flatnonzero(square == least[asked])[::-1]
+    best = np.flatnonzero(square == least.take(asked))[::-1]
     nearest[asked[best]] = pair_new[best]  # the first is written last
-    return Associated(row[close], nearest[close], met)
+    return Associated(row[close], nearest[close], np.sqrt(least[close]), met)
+
+
+def doubled(pair: Associated, d_min_m: float, worth: Array) -> Index:
+    """Old points (d,) that share their new one with an old one of more worth (k,).
+
+    Only pairs closer than a tenth of d_min count. Who moves half the way to one place, scan after scan, ends
+    up in one place, leaving gaps to be filled anew: without end, were the doubles kept.
+    """
+    row = np.flatnonzero(pair.apart_m < _SAME * d_min_m)
+    row = row[np.lexsort((-worth[row], pair.new[row]))]
+    second = np.diff(pair.new[row], prepend=-1) == 0
+    return pair.old[row[second]]
 
 
 def usable(placed: PlacedRegions, regions: Index) -> Index:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ekf_reference.dense.layers.association import associate, usable
+from ekf_reference.dense.layers.association import associate, doubled, usable
 from ekf_reference.dense.layers.layer import Hits, Index, Samples, in_world
 from ekf_reference.dense.region_store import RegionStore
 from ekf_reference.dense.regions import PlacedRegions
@@ -36,8 +36,9 @@ class Gaussians:
     widest: k of Nieto 2005, eq. 4.18: sigmas add up until their sum passes k d_min. There "the
     Gaussian variance" is compared to a length; it is the largest standard deviation here.
 
-    Observed Gaussians farther than d_min from all old ones are added. What the sum means is
-    shape alone: 4.17 to 4.20 are no Bayesian update, and nothing ever takes a Gaussian away.
+    Observed Gaussians farther than d_min from all old ones are added. Old ones that have come to
+    lie on each other become one. What the sum means is shape alone: 4.17 to 4.20 are no Bayesian
+    update, and no scan that sees free space takes a Gaussian away.
     """
 
     def __init__(self, d_min_m: float = 0.2, widest: float = 0.8) -> None:
@@ -68,6 +69,9 @@ class Gaussians:
         value[grow, 2:] += in_local_axes(placed, region[grow], observed[grow])  # 4.19, else 4.20
         old.value[pair.old] = value
         self._store.put(old)
+        kept = np.ones(len(where), dtype=bool)
+        kept[doubled(pair, self.d_min_m, -pair.apart_m)] = False
+        self._store.keep(old, kept)
         add = np.flatnonzero(~pair.met)
         spread = in_local_axes(placed, hits.region[add], hits.covariance[add])
         self._store.append(hits.region[add], np.hstack((hits.local[add], spread)))
@@ -142,4 +146,5 @@ def _through(first: Array, second: Array, entries: Array) -> Array:
     aa, ab, bb = entries.T
     by_first = aa[:, None] * first + ab[:, None] * second
     by_second = ab[:, None] * first + bb[:, None] * second
-    return by_first[:, :, None] * first[:, None, :] + by_second[:, :, None] * second[:, None, :]
+    world: Array = by_first[:, :, None] * first[:, None] + by_second[:, :, None] * second[:, None]
+    return world

@@ -67,5 +67,6 @@ class Layer(Protocol):
 def in_world(placed: PlacedRegions, region: Index, local: Array) -> Array:
     """Points (N, 2) [m] of local coordinates (N, 2) in regions (N,) (Nieto 2005, eq. 3.7)."""
     origin, a, b = placed.frames
-    point: Array = origin[region] + local[:, :1] * a[region] + local[:, 1:] * b[region]
+    first, along_a, along_b = (f.take(region, axis=0) for f in (origin, a, b))  # faster than [ ]
+    point: Array = first + local[:, :1] * along_a + local[:, 1:] * along_b
     return point

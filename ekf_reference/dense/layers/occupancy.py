@@ -7,18 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ekf_reference.dense.layers.grid_update import GridUpdate, known, unknown
 from ekf_reference.dense.layers.layer import Hits, Index, Samples
 from ekf_reference.dense.regions import PlacedRegions
-from ekf_reference.dense.scan import Scan
+from ekf_reference.dense.scan import Scan, Single
 from ekf_reference.dense.sensor_model import InverseSensorModel, log_odds, probability
 from ekf_reference.dense.triangles import Array
 
-_ROUGHNESS = 0.5
-"""Standard deviation of where in a cell a surface lies, in cells."""
 _WITHIN = 1e-9
 """Sum of local coordinates, short of one, that still lies in the last cell."""
-_FAR = 4.0
-"""So many sigmas before a return, space is as free as it gets."""
 
 
 @dataclass
@@ -30,9 +27,9 @@ class RegionGrid:
     """
 
     cells: tuple[int, int]
-    weight: Array
+    weight: Single
     place: Index
-    odds: Array
+    odds: Single
 
     @classmethod
     def over(cls, triangle: Array, resolution_m: float) -> RegionGrid:
@@ -45,7 +42,7 @@ class RegionGrid:
         place[inside] = np.arange(np.count_nonzero(inside))
         alpha, beta = (i[inside] + 0.5) / along_a, (j[inside] + 0.5) / along_b
         weight = np.stack((np.ones_like(alpha), alpha, beta))
-        return cls((along_a, along_b), weight, place, np.zeros(len(alpha)))
+        return cls((along_a, along_b), weight.astype(np.float32), place, unknown(len(alpha)))
 
     def cell(self, local: Array) -> Index:
         """(N,) cells that hold local coordinates (N, 2); beyond the edge from L2 to L3, nearby."""
@@ -66,14 +63,10 @@ class Coarsening:
 
 
 class OccupancyGrid:
-    """Log-odds per cell (Nieto 2005, eq. 4.7), the prior one half.
+    """A GridUpdate applied to cells along the axes of every region.
 
-    resolution_m: of new regions. model: what a return says. confidence: log-odds stay between
-    those of 1 - confidence and confidence, so that the map can change its mind. coarsening: None
-    to keep all cells. Errata: 4.7 repeats the map's term where the inverse sensor model belongs.
-
-    A scan changes a cell once, by the return nearest in bearing: to add up all beams that cross
-    it would count one look many times.
+    resolution_m: of new regions. model and confidence: see GridUpdate. coarsening: None to keep
+    all cells.
     """
 
     def __init__(
@@ -83,14 +76,10 @@ class OccupancyGrid:
         confidence: float = 0.98,
         coarsening: Coarsening | None = None,
     ) -> None:
-        """Raises ValueError for a resolution that is not above zero."""
-        if not resolution_m > 0.0:
-            raise ValueError(f"the resolution is {resolution_m} m, expected more than 0")
-        self.resolution_m = resolution_m
-        self.model = model or InverseSensorModel()
+        """Raises ValueError for a resolution or a confidence that GridUpdate refuses."""
+        self.update = GridUpdate(resolution_m, model or InverseSensorModel(), confidence)
         self.coarsening = coarsening
         self.grids: dict[int, RegionGrid] = {}
-        self._most = float(log_odds(confidence))
         self._scans = 0
 
     def fuse(self, hits: Hits, placed: PlacedRegions, scan: Scan | None, near: Index) -> None:
@@ -111,44 +100,21 @@ class OccupancyGrid:
             return
         frame = np.stack(placed.frames, axis=1)[near]
         frame[:, 0] -= scan.origin
-        own = np.swapaxes(frame @ scan.axes, 1, 2)  # (r, 2, 3): ahead and left of the scanner
-        where = np.empty((2, ends[-1]))
+        own = np.swapaxes(frame @ scan.axes, 1, 2).astype(np.float32)  # (r, 2, 3): ahead, left
+        where = np.empty((2, ends[-1]), dtype=np.float32)
         for grid, axes, first, last in zip(grids, own, ends[:-1], ends[1:], strict=True):
             np.matmul(axes, grid.weight, out=where[:, first:last])
-        change = self.change(scan, where[0], where[1])
+        change = self.update.change(scan, where[0], where[1])
         for grid, first, last in zip(grids, ends[:-1], ends[1:], strict=True):
-            odds = grid.odds
-            odds += change[first:last]
-            np.minimum(odds, self._most, out=odds)
-            np.maximum(odds, -self._most, out=odds)
-
-    def change(self, scan: Scan, ahead_m: Array, left_m: Array) -> Array:
-        """(N,) log-odds that a scan adds to cells ahead and left (N,) of the scanner."""
-        sigma = np.hypot(scan.sensor.sigma_range_m, _ROUGHNESS * self.resolution_m)
-        change = np.zeros(len(ahead_m))
-        if not len(scan.range_m):
-            return change
-        farthest = scan.range_m.max() + 3.0 * sigma
-        reached = np.flatnonzero(ahead_m * ahead_m + left_m * left_m <= farthest * farthest)
-        met = scan.beams_ahead(ahead_m[reached], left_m[reached])
-        spoken = met.seen & (met.ahead_m > -_FAR * sigma)
-        free = spoken & (met.ahead_m > _FAR * sigma)
-        change[reached[free]] = log_odds(self.model.p_free)
-        close = np.flatnonzero(spoken & ~free)
-        change[reached[close]] = log_odds(
-            self.model.probability(
-                met.ahead_m[close], met.off_rad[close], sigma, scan.sensor.sigma_bearing_rad
-            )
-        )
-        return change
+            self.update.add(grid.odds, change[first:last])
 
     def _fuse_late(self, hits: Hits, placed: PlacedRegions) -> None:
-        most = float(log_odds(self.model.p_occupied))
+        most = log_odds(self.update.model.p_occupied)
         for region in np.unique(hits.region).tolist():
             grid = self._grid(region, placed)
             cells = grid.cell(hits.local[hits.region == region])
-            np.add.at(grid.odds, cells, most)
-            np.minimum(grid.odds, self._most, out=grid.odds)
+            count = np.bincount(cells, minlength=len(grid.odds))
+            self.update.add(grid.odds, (count * most).astype(np.float32))
 
     def samples(self, placed: PlacedRegions, regions: Index | None = None) -> Samples:
         """The centres of all cells that were ever seen."""
@@ -158,10 +124,10 @@ class OccupancyGrid:
         for number in wanted:
             grid = self.grids.get(number)
             if grid is not None:
-                known = np.flatnonzero(grid.odds)
-                point.append((frames[number] @ grid.weight[:, known]).T)
-                occupancy.append(probability(grid.odds[known]))
-                region.append(np.full(len(known), number, dtype=np.intp))
+                seen = known(grid.odds)
+                point.append((frames[number] @ grid.weight[:, seen]).T)
+                occupancy.append(probability(grid.odds[seen].astype(float)))
+                region.append(np.full(len(seen), number, dtype=np.intp))
         return Samples(np.concatenate(point), np.concatenate(occupancy), np.concatenate(region))
 
     def occupancy(self, point: Array, placed: PlacedRegions) -> Array:
@@ -172,14 +138,16 @@ class OccupancyGrid:
             grid = self.grids.get(region)
             if grid is not None:
                 rows = np.flatnonzero(found.region == region)
-                odds = grid.odds[grid.cell(found.local[rows])]
+                odds = grid.odds[grid.cell(found.local[rows])].astype(float)
                 result[rows] = np.where(odds == 0.0, np.nan, probability(odds))
         return result
 
     def _grid(self, region: int, placed: PlacedRegions) -> RegionGrid:
         grid = self.grids.get(region)
         if grid is None:
-            grid = self.grids[region] = RegionGrid.over(placed.triangle[region], self.resolution_m)
+            grid = self.grids[region] = RegionGrid.over(
+                placed.triangle[region], self.update.resolution_m
+            )
         return grid
 
     def _coarsen(self, region: int, placed: PlacedRegions, rule: Coarsening) -> None:
@@ -189,7 +157,7 @@ class OccupancyGrid:
         coarse = RegionGrid.over(placed.triangle[region], rule.resolution_m)
         if free.mean() <= rule.share or len(coarse.odds) >= len(fine.odds):
             return
-        cell = coarse.cell(fine.weight[1:].T)
+        cell = coarse.cell(fine.weight[1:].T.astype(float))
         coarse.odds[:] = -np.inf
         np.maximum.at(coarse.odds, cell, fine.odds)
         coarse.odds[np.isneginf(coarse.odds)] = 0.0

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ekf_reference.dense.layers.association import associate, usable
+from ekf_reference.dense.layers.association import associate, doubled, usable
 from ekf_reference.dense.layers.layer import Hits, Index, Samples, in_world
 from ekf_reference.dense.layers.points import from_nearest
 from ekf_reference.dense.region_store import RegionStore
@@ -23,11 +23,11 @@ class Particles:
     rng: the only source of randomness. per_return: samples drawn of each return. d_min_m: samples
     closer than that are samples of the same state (Nieto 2005, eq. 4.10). model: what a return
     says. confidence: weights stay between 1 - confidence and confidence, so that the map can
-    change its mind. least: particles of a smaller weight are dropped, and counted in `pruned`;
-    0 to keep them.
+    change its mind. least: particles of a smaller weight are dropped, 0 to keep them; so are
+    those that have come to lie on a heavier one. Both are counted in `pruned`.
 
-    Of what a scan draws only samples farther than d_min from all old particles are added, so the
-    number of particles is bounded in a scene that stays as it is.
+    Of what a scan draws only samples farther than d_min from all old particles are added. So the
+    number of particles levels off in a scene that stays as it is.
 
     Erratum: in the normaliser of 4.11 stand the prior and the likelihood of the new sample i; for
     its terms to add up to one they are the prior of the old particle j that is updated, and the
@@ -41,7 +41,7 @@ class Particles:
         d_min_m: float = 0.2,
         model: InverseSensorModel | None = None,
         confidence: float = 0.98,
-        least: float = 0.1,
+        least: float = 0.3,
     ) -> None:
         """Raises ValueError for a number of samples or a distance that is not above zero."""
         if per_return < 1 or not d_min_m > 0.0:
@@ -75,11 +75,12 @@ class Particles:
             rest = np.ones(len(where), dtype=bool)
             rest[pair.old] = False
             row = np.flatnonzero(rest)
-            old.value[row, 2] += self.free_space(scan, where[row])
+            old.value[row, 2] += self.free_space(scan, where.take(row, axis=0))
         np.clip(old.value[:, 2], -self._most, self._most, out=old.value[:, 2])
         self._store.put(old)
         kept = old.value[:, 2] >= self._least
-        self.pruned += len(kept) - np.count_nonzero(kept)
+        kept[doubled(pair, self.d_min_m, old.value[pair.old, 2])] = False
+        self.pruned += int(np.count_nonzero(~kept))
         self._store.keep(old, kept)
         self._add(hits, placed, drawn, drawn_odds, ~pair.met)
 
