@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from comparisons.checks.dense_accuracy import SurfaceError, surface_error
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
-from comparisons.runs.dense_run import DenseOptions, DenseRun, DenseWatcher
+from comparisons.runs.dense_run import GRID_MODEL, DenseOptions, DenseRun, DenseWatcher
 from comparisons.runs.ekf_build import EkfChoices, fused_positions
 from comparisons.runs.ekf_run import EkfRun, run_ekf
 from comparisons.runs.known_landmarks import join_known_sightings
@@ -58,7 +58,7 @@ def map_log(
     if not len(log.odometry.time_s):
         raise InputError(f"{log.name}: holds no odometry, which the filter needs")
     options = options or DenseOptions()
-    classic = ClassicGrid(options.resolution_m)
+    classic = ClassicGrid(options.resolution_m, GRID_MODEL)
     watcher = DenseWatcher(log, options, (classic,))
     positions = fused_positions(log, chosen)
     start = time.perf_counter()

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from comparisons.checks.dense_accuracy import OCCUPIED, SurfaceError, error_of_points
 from comparisons.logs.log import Log
-from comparisons.runs.dense_run import DenseRun
+from comparisons.runs.dense_run import GRID_MODEL, DenseRun
 from comparisons.runs.estimate import Array, Estimate
 from comparisons.runs.motion import motion_between
 from ekf_reference.dense.layers.classic_grid import ClassicGrid
@@ -89,7 +89,7 @@ def compare_dense(log: Log, dense: DenseRun, smoothed: Estimate) -> DenseAgreeme
     """Compare all layers; None where no return fell into a region."""
     regions = dense.dense.regions
     by_filter, by_smoother = regions.placed(dense.landmark), regions.placed(smoothed.landmark)
-    grid = ClassicGrid(dense.options.resolution_m)
+    grid = ClassicGrid(dense.options.resolution_m, GRID_MODEL)
     other = _returns(log, dense, smoothed, by_smoother, grid)
     layers, rows, errors = {}, [], {}
     surfaces = log.truth.surfaces

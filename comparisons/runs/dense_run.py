@@ -24,11 +24,14 @@ from ekf_reference.dense.layers.particles import Particles
 from ekf_reference.dense.layers.points import Points
 from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.scan import Scan
+from ekf_reference.dense.sensor_model import InverseSensorModel
 from ekf_reference.dense.view import FilterView
 from ekf_reference.dense.waiting import WaitingRoom
 from ekf_reference.full_ekf import FullEkf
 
 LAYERS = ("points", "occupancy", "particles", "sog")
+GRID_MODEL = InverseSensorModel(p_occupied=0.6, p_free=0.4)
+"""Of grids: several looks, not one noisy return, make a cell occupied."""
 PATIENCE = 16
 """Scans that returns wait for a third landmark before a virtual one takes its place."""
 _CLOCK_S = 1e-4
@@ -73,7 +76,7 @@ class DenseOptions:
         size = self.resolution_m
         made: Mapping[str, Layer] = {
             "points": Points(size),
-            "occupancy": OccupancyGrid(size),
+            "occupancy": OccupancyGrid(size, GRID_MODEL),
             "particles": Particles(np.random.default_rng(0)),
             "sog": Gaussians(),
         }

@@ -129,8 +129,8 @@ class LocalRegions:
     """The regions, oldest first; `extend` and `extend_virtual` append, nothing else changes.
 
     depths: that virtual landmarks may have behind their pair, as shares of its length; the first
-    is equilateral. base: (R, 3) places of L1, L2, L3 among `corners`, counter-clockwise when the region
-    was made; -1 - k is virtual landmark k.
+    is equilateral. base: (R, 3) places of L1, L2, L3 among `corners`, counter-clockwise when the
+    region was made; -1 - k is virtual landmark k.
     """
 
     conditions: Conditions = field(default_factory=Conditions)
@@ -254,10 +254,9 @@ class LocalRegions:
         """Virtual landmarks behind permitted pairs, and triangles (C, 3, 2) that fit."""
         local = landmark[slot]
         reach = np.triu(self.conditions.within_reach(local) & pair)
-        pair = np.argwhere(reach)
         new = VirtualLandmarks()
         for depth in self.depths:
-            new = new.joined(behind(pair, local, pose[:2], depth))
+            new = new.joined(behind(np.argwhere(reach), local, pose[:2], depth))
         triangle = np.concatenate((local[new.pair], new.point(local)[:, None]), axis=1)
         columns = 3 + (2 * new.pair[..., None] + np.arange(2)).reshape(-1, 4)
         real = np.broadcast_to(np.eye(4), (len(columns), 4, 4))

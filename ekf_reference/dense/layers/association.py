@@ -22,7 +22,8 @@ class Associated(NamedTuple):
     """Pairs of an old point and its nearest new one, closer than d_min.
 
     old: (k,) ascending. new: (k,) the nearest of all new ones; one may serve many old ones.
-    apart_m: (k,) between the two. met: (m,) whether a new point has any old one closer than d_min, taken by it or not.
+    apart_m: (k,) between the two. met: (m,) whether a new point has any old one closer than
+    d_min, taken by it or not.
     """
 
     old: Index
