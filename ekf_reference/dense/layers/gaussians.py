@@ -14,7 +14,7 @@ from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.triangles import Array, determinant, solve, turned
 
 _NEGLIGIBLE = 1e-3
-"""Heights below which a sum of Gaussians says nothing about a place."""
+"""Sums of Gaussians below which nothing is known about a place."""
 _TERMS = 1_000_000
 """Gaussians times points of which the heights are worked out at once."""
 
@@ -89,10 +89,11 @@ class Gaussians:
         )
 
     def occupancy(self, point: Array, placed: PlacedRegions) -> Array:
-        """The highest of the Gaussians, peaks one, in the regions that points are in.
+        """1 - prod(1 - g) over the Gaussians g, peaks one, in the regions that points are in.
 
-        The highest and not a sum: what many Gaussians cover is not more occupied than what one
-        does (Nieto 2005, Fig. 4.12 b). NaN where all are negligible, and outside all regions.
+        The sum of 4.14 that stays below one, as if each Gaussian were by itself the chance that
+        a place is occupied (Nieto 2005, section 4.3.2, Fig. 4.12 b). NaN where it is negligible,
+        and outside all regions.
         """
         found = placed.locate(point).region
         inside = np.flatnonzero(found >= 0)
@@ -100,6 +101,15 @@ class Gaussians:
         result = np.full(len(point), np.nan)
         if not len(known.region):
             return result
+        inverse = np.linalg.inv(known.covariance)
+        share = max(1, _TERMS // len(known.region))
+        for first in range(0, len(inside), share):
+            row = inside[first : first + share]
+            apart = point[row, None] - known.mean
+            square = np.einsum("pni,nij,pnj->pn", apart, inverse, apart)
+            height = 1.0 - np.prod(1.0 - np.exp(-0.5 * square), axis=1)
+            result[row] = np.where(height >= _NEGLIGIBLE, height, np.nan)
+        return result
         inverse = np.linalg.inv(known.covariance)
         share = max(1, _TERMS // len(known.region))
         for first in range(0, len(inside), share):
