@@ -22,7 +22,8 @@ class Associated(NamedTuple):
     """Pairs of an old point and its nearest new one, closer than d_min.
 
     old: (k,) ascending. new: (k,) the nearest of all new ones; one may serve many old ones.
-    apart_m: (k,) between the two. met: (m,) whether a new point has any old one closer than d_min, taken by it or not.
+    apart_m: (k,) between the two. met: (m,) whether a new point has any old one closer than
+    d_min, taken by it or not.
     """
 
     old: Index
@@ -71,8 +72,9 @@ def associate(old: Array, new: Array, d_min_m: float) -> Associated:
 def doubled(pair: Associated, d_min_m: float, worth: Array) -> Index:
     """Which old points (d,) share their new one with an old one of more worth (k,).
 
-    Only pairs closer than a tenth of d_min count. Who moves half the way to one place, scan after scan, ends
-    up in one place, leaving gaps to be filled anew: without end, were the doubles kept.
+    Only pairs closer than a tenth of d_min count. Points that move half the way to one place scan
+    after scan end up in one place and leave gaps, which new points fill, without end were the
+    doubles kept.
     """
     row = np.flatnonzero(pair.apart_m < _SAME * d_min_m)
     row = row[np.lexsort((-worth[row], pair.new[row]))]

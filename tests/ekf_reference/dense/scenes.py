@@ -88,10 +88,11 @@ def simulation(loops: int = 1) -> tuple[PlacedRegions, tuple[Scan, ...]]:
     assert log.scans is not None
     assert log.truth is not None
     poses, scans = log.truth.poses, log.scans
+    assert poses is not None
     sensor = Sensor(0.1, math.radians(1.0), float(np.diff(scans.angle_rad[:2])[0]))
     place = poses.pose[:, :2]
     landmark, regions = lattice(place.min(axis=0) - 30.0, place.max(axis=0) + 30.0, 11.0)
-    taken = []
+    taken: list[Scan] = []
     for time, range_m in zip(scans.time_s, scans.range_m, strict=True):
         pose = np.array([np.interp(time, poses.time_s, column) for column in poses.pose.T])
         taken.append(Scan.of_ranges(pose, scans.angle_rad, range_m, sensor, len(taken)))

@@ -19,6 +19,7 @@ from tests.ekf_reference.dense.scenes import (
     told,
     wall_scan,
 )
+from tests.helpers import Array
 
 MODEL = InverseSensorModel()
 
@@ -135,7 +136,7 @@ def test_the_printed_normaliser_of_4_11_is_none() -> None:
 class Blind(Particles):
     """Draws from the sensor model and learns nothing of free space."""
 
-    def free_space(self, scan: Scan, point: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
+    def free_space(self, scan: Scan, point: Array) -> Array:
         return np.zeros(len(point))
 
 

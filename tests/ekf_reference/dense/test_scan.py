@@ -106,7 +106,8 @@ def test_points_and_covariance_by_central_differences() -> None:
 
         def place(z: Array) -> Array:
             direction = scan.pose[2] + z[1]
-            return scan.origin + z[0] * np.array((math.cos(direction), math.sin(direction)))
+            end: Array = scan.origin + z[0] * np.array((math.cos(direction), math.sin(direction)))
+            return end
 
         z = np.array((scan.range_m[i], scan.bearing_rad[i]))
         jacobian = central_difference(place, z)

@@ -79,4 +79,4 @@ def test_adding_log_odds_is_bayes_and_the_printed_4_7_is_not() -> None:
     printed = float(log_odds(0.6))
     for _ in said:  # the map's own term stands where the scan's belongs
         printed += printed
-    assert abs(float(probability(np.float64(printed))) - bayes(0.6, said)) > 0.1
+    assert abs(float(probability(np.array(printed))) - bayes(0.6, said)) > 0.1
