@@ -34,8 +34,8 @@ class Sensor:
 
     @property
     def reach_rad(self) -> float:
-        """How far to its sides a return speaks."""
-        return max(0.5 * self.beam_rad, self.sigma_bearing_rad)
+        """How far to its sides a return speaks; without the last term gaps would open midway."""
+        return max(0.5 * self.beam_rad, self.sigma_bearing_rad) + _TURN / _DIRECTIONS
 
 
 @dataclass(frozen=True)

@@ -70,15 +70,17 @@ def associate(old: Array, new: Array, d_min_m: float) -> Associated:
 
 
 def doubled(pair: Associated, d_min_m: float, worth: Array) -> Index:
-    """Old points (d,) that share their new one with an old one of more worth (k,).
+    """Which old points (d,) share their new one with an old one of more worth (k,).
 
-    Only pairs closer than a tenth of d_min count. Who moves half the way to one place, scan after scan, ends
-    up in one place, leaving gaps to be filled anew: without end, were the doubles kept.
+    Only pairs closer than a tenth of d_min count. Points that move half the way to one place scan
+    after scan end up in one place and leave gaps, which new points fill, without end were the
+    doubles kept.
     """
     row = np.flatnonzero(pair.apart_m < _SAME * d_min_m)
     row = row[np.lexsort((-worth[row], pair.new[row]))]
     second = np.diff(pair.new[row], prepend=-1) == 0
-    return pair.old[row[second]]
+    lighter: Index = pair.old[row[second]]
+    return lighter
 
 
 def usable(placed: PlacedRegions, regions: Index) -> Index:

@@ -16,7 +16,8 @@ from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.triangles import Array, determinant, solve, turned
 
 _NEGLIGIBLE = 1e-3
-"""Heights below which a sum of Gaussians says nothing about a place."""
+"""Sums of Gaussians below which nothing is known about a place."""
+_SURE = 1.0 - 1e-12
 _REACH = math.sqrt(-2.0 * math.log(_NEGLIGIBLE))
 """So many sigmas away a Gaussian is negligible."""
 
@@ -91,15 +92,16 @@ class Gaussians:
         )
 
     def occupancy(self, point: Array, placed: PlacedRegions) -> Array:
-        """The highest of the Gaussians, peaks one, in the regions that points are in.
+        """1 - prod(1 - g) over the Gaussians g, peaks one, in the regions that points are in.
 
-        The highest and not a sum: what many Gaussians cover is not more occupied than what one
-        does (Nieto 2005, Fig. 4.12 b). NaN where all are negligible, and outside all regions.
+        The sum of 4.14 that stays below one, as if each Gaussian were by itself the chance that
+        a place is occupied (Nieto 2005, section 4.3.2, Fig. 4.12 b). NaN where it is negligible,
+        and outside all regions.
         """
         found = placed.locate(point).region
         inside = np.flatnonzero(found >= 0)
         known = self.ellipses(placed, np.unique(found[inside]))
-        height = np.zeros(len(point))
+        none = np.zeros(len(point))
         if len(known.region) and len(inside):
             reach = _REACH * largest_sigma(known.covariance)
             near = cKDTree(point[inside]).query_ball_point(known.mean, reach)
@@ -108,7 +110,8 @@ class Gaussians:
             apart = point[row] - known.mean[which]
             inverse = np.linalg.inv(known.covariance)[which]
             square = np.einsum("ni,nij,nj->n", apart, inverse, apart)
-            np.maximum.at(height, row, np.exp(-0.5 * square))
+            np.add.at(none, row, np.log1p(-np.minimum(np.exp(-0.5 * square), _SURE)))
+        height = -np.expm1(none)
         return np.where(height >= _NEGLIGIBLE, height, np.nan)
 
 
