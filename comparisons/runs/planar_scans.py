@@ -16,6 +16,7 @@ from graphslam.scan.points import beam_noise
 Array = NDArray[np.float64]
 
 _LEAST_SIGMA_M = 0.02
+_GRAZING_RAD = np.deg2rad(8.0)
 _CLOUD_BEAM_RAD = np.deg2rad(0.5)
 """Clouds are seen as scans with beams so far apart, each ending at the nearest point."""
 
@@ -30,7 +31,7 @@ class PlanarScans:
         self._options = self._source.suited_options()
         self.time_s = self._source.time_s
         self._mount = np.zeros(3)
-        self.sensor = Sensor(0.05, _CLOUD_BEAM_RAD, _CLOUD_BEAM_RAD)
+        self.sensor = Sensor(0.05, _CLOUD_BEAM_RAD, _CLOUD_BEAM_RAD, _GRAZING_RAD)
         if log.clouds is None and log.scans is not None:
             self._mount = np.array(list(vars(log.scans.mount).values()))
             self.sensor = _sensor(log.scans)
@@ -44,7 +45,7 @@ class PlanarScans:
         cos, sin = np.cos(self._mount[2]), np.sin(self._mount[2])
         own = (points[:, :2] - self._mount[:2]) @ np.array(((cos, -sin), (sin, cos)))
         distance, bearing = np.hypot(*own.T), np.arctan2(own[:, 1], own[:, 0])
-        near = distance <= self._most
+        near = (distance >= self._options.least_range_m) & (distance <= self._most)
         if not self._flat:
             near &= _nearest(bearing, distance)
         return Scan.of_ranges(
@@ -59,7 +60,8 @@ class PlanarScans:
 def _sensor(scans: Scans) -> Sensor:
     spacing = float(np.median(np.abs(np.diff(scans.angle_rad)))) if len(scans.angle_rad) > 1 else 0
     some = scans.range_m[:: max(1, len(scans.range_m) // 50)]
-    return Sensor(max(beam_noise(some), _LEAST_SIGMA_M), spacing or _CLOUD_BEAM_RAD, spacing)
+    sigma_m = max(beam_noise(some), _LEAST_SIGMA_M)
+    return Sensor(sigma_m, spacing or _CLOUD_BEAM_RAD, spacing, _GRAZING_RAD)
 
 
 def _nearest(bearing: Array, distance: Array) -> NDArray[np.bool_]:

@@ -17,6 +17,10 @@ Single = NDArray[np.float32]
 _DIRECTIONS = 7200
 """Directions of the compass for which the nearest beam is looked up once a scan."""
 _TURN = 2.0 * np.pi
+_NEXT = 1.5
+"""Two returns are neighbours when so many beams or fewer apart."""
+_NOISY = 3.0
+"""Standard deviations by which ranges on one surface may differ beside its slope."""
 
 
 @dataclass(frozen=True)
@@ -26,11 +30,16 @@ class Sensor:
     beam_rad: angle between two beams; a direction farther than half of that, and than a sigma,
     from every return is one in which nothing was measured. With three sigmas the rims of objects
     would grow by more than a metre at 25 m and a degree.
+
+    grazing_rad: least angle to a surface down to which two neighbouring returns are taken to lie
+    on one, so that the range is known between them; 0 to have every return stand for itself.
+    Along a wall the next return may be a metre farther, and the cells between are not free.
     """
 
     sigma_range_m: float
     sigma_bearing_rad: float
     beam_rad: float
+    grazing_rad: float = 0.0
 
     @property
     def reach_rad(self) -> float:
@@ -42,8 +51,8 @@ class Sensor:
 class Beams:
     """The returns of a scan met by some points. All (N,).
 
-    beam: the nearest in bearing. ahead_m: of the return, how far the point's range falls short of
-    it; negative beyond. off_rad: bearing off the beam. seen: whether a return speaks about it.
+    beam: the nearest in bearing. ahead_m: how far the point's range falls short of that return,
+    or of the surface between it and the next; negative beyond. off_rad: bearing off the beam. seen: whether a return speaks about it.
     range_m: the point's own.
     """
 
@@ -129,10 +138,8 @@ class Scan:
             return Beams(none.astype(np.intp), none, none, none > 0.0, distance)
         bearing = np.arctan2(left_m, ahead_m)
         beam = self._nearest[((bearing + np.pi) * (_DIRECTIONS / _TURN)).astype(np.intp)]
-        off = np.abs(bearing - self.bearing_rad[beam])
-        off = np.minimum(off, _TURN - off)
-        short = self.range_m[beam] - distance
-        return Beams(beam, short, off, off <= self.sensor.reach_rad, distance)
+        off, reach, seen = self._towards(bearing, beam)
+        return Beams(beam, reach - distance, off, seen, distance)
 
     def short_of(self, ahead_m: Single, left_m: Single) -> Single:
         """(N,) `ahead_m` of `beams_ahead`, fast; -inf where no return speaks.
@@ -150,11 +157,36 @@ class Scan:
     @cached_property
     def _speaking(self) -> Single:
         """(D + 1,) range [m] of the return that speaks about each direction, -inf for none."""
-        direction = _directions()
-        off = np.abs(direction - self.bearing_rad[self._nearest])
-        off = np.minimum(off, _TURN - off)
-        speaks = off <= self.sensor.reach_rad
-        return np.where(speaks, self.range_m[self._nearest], -np.inf).astype(np.float32)
+        _, reach, speaks = self._towards(_directions(), self._nearest)
+        return np.where(speaks, reach, -np.inf).astype(np.float32)
+
+    def _towards(self, bearing: Array, beam: Index) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Bearings (N,) with their nearest returns: off those, range there, and whether known."""
+        off = bearing - self.bearing_rad[beam]
+        off -= _TURN * np.round(off / _TURN)
+        gap = np.where(off >= 0.0, beam, beam - 1)
+        first, second, turn, joined = (column[gap] for column in self._gaps)
+        along = np.where(off >= 0.0, off, turn + off)
+        with np.errstate(divide="ignore", invalid="ignore"):  # where not joined
+            line = np.sin(turn - along) / first + np.sin(along) / second
+            between = np.sin(turn) / line
+        reach = np.where(joined, between, self.range_m[beam])
+        off = np.abs(off)
+        return off, reach, joined | (off <= self.sensor.reach_rad)
+
+    @cached_property
+    def _gaps(self) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+        """From each return to the next: both ranges, the angle, and whether on one surface."""
+        first, second = self.range_m, np.roll(self.range_m, -1)
+        turn = np.mod(np.roll(self.bearing_rad, -1) - self.bearing_rad, _TURN)
+        joined = np.zeros(len(first), dtype=bool)
+        sensor = self.sensor
+        if sensor.grazing_rad > 0.0:
+            noise = _NOISY * np.sqrt(2.0) * sensor.sigma_range_m
+            steepest = np.minimum(first, second) * turn / np.tan(sensor.grazing_rad)
+            near = (turn > 0.0) & (turn <= _NEXT * sensor.beam_rad)
+            joined = near & (np.abs(second - first) <= steepest + noise)
+        return first, second, turn, joined
 
     @cached_property
     def _nearest(self) -> Index:
