@@ -39,7 +39,7 @@ def test_every_row_points_to_something() -> None:
 
 
 def test_all_equations_in_scope_are_listed() -> None:
-    """G 1 to 23; M 1 to 17; the filter's part of N 2 (2.32 to 2.60 and 2.62); N 4; N A.1 to A.20."""
+    """G 1 to 23; M 1 to 17; the filter's part of N 2 (2.32 to 2.60, 2.62); N 4; N A.1 to A.20."""
     cells = [row[0] for row in rows()]
     for stem, wanted in (
         ("G ", [*range(1, 24)]),
