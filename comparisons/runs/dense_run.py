@@ -30,8 +30,9 @@ from ekf_reference.dense.waiting import WaitingRoom
 from ekf_reference.full_ekf import FullEkf
 
 LAYERS = ("points", "occupancy", "particles", "sog")
-GRID_MODEL = InverseSensorModel(p_occupied=0.6, p_free=0.4)
-"""Of grids: several looks, not one noisy return, make a cell occupied."""
+GRID_MODEL = InverseSensorModel(p_occupied=0.65, p_free=0.45)
+"""Of grids: several looks, not one noisy return, make a cell occupied, and what stands is often
+looked past."""
 PATIENCE = 16
 """Scans that returns wait for a third landmark before a virtual one takes its place."""
 _CLOCK_S = 1e-4

@@ -81,6 +81,21 @@ def test_updates_are_bayes_within_bounds() -> None:
     for p in said[3:]:
         update.add(odds, log_odds(np.array([p])).astype(np.float32))
     assert probability(odds.astype(float))[0] == pytest.approx(0.95, abs=1e-6)
+    for _ in range(12):
+        update.add(odds, log_odds(np.array([0.3])).astype(np.float32))
+    assert probability(odds.astype(float))[0] == pytest.approx(0.05, abs=1e-6)
+
+
+def test_every_grid_stays_within_its_confidence() -> None:
+    landmark, regions = field()
+    placed = regions.placed(landmark)
+    local, classic = OccupancyGrid(confidence=0.95), ClassicGrid(confidence=0.95)
+    for _ in range(12):
+        local.fuse(*told(placed, wall_scan()))
+        classic.fuse(wall_scan())
+    for known in (local.samples(placed), classic.samples()):
+        assert known.occupancy.min() == pytest.approx(0.05, abs=1e-6)
+        assert known.occupancy.max() == pytest.approx(0.95, abs=1e-6)
 
 
 @pytest.mark.parametrize("resolution_m", [0.0, -1.0, math.nan])
