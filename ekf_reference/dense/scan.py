@@ -52,8 +52,8 @@ class Beams:
     """The returns of a scan met by some points. All (N,).
 
     beam: the nearest in bearing. ahead_m: how far the point's range falls short of that return,
-    or of the surface between it and the next; negative beyond. off_rad: bearing off the beam. seen: whether a return speaks about it.
-    range_m: the point's own.
+    or of the surface between it and the next; negative beyond. off_rad: bearing off the beam.
+    seen: whether a return speaks about it. range_m: the point's own.
     """
 
     beam: Index
@@ -165,7 +165,8 @@ class Scan:
         off = bearing - self.bearing_rad[beam]
         off -= _TURN * np.round(off / _TURN)
         gap = np.where(off >= 0.0, beam, beam - 1)
-        first, second, turn, joined = (column[gap] for column in self._gaps)
+        first, second, turn = (column[gap] for column in self._gaps[:3])
+        joined = self._gaps[3][gap]
         along = np.where(off >= 0.0, off, turn + off)
         with np.errstate(divide="ignore", invalid="ignore"):  # where not joined
             line = np.sin(turn - along) / first + np.sin(along) / second
