@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from comparisons.runs.estimate import Array
 from ekf_reference.dense.layers.layer import Samples
 
 OCCUPIED = 0.8
 """The thesis draws cells above this (Nieto 2005, Fig. 4.3)."""
-_AT_ONCE = 4_000_000
+_STEP_M = 0.5
 
 
 @dataclass(frozen=True)
@@ -42,14 +43,24 @@ def error_of_points(point: Array, segment: Array) -> SurfaceError:
 
 
 def distance_to_segments(point: Array, segment: Array) -> Array:
-    """(N,) from points (N, 2) to the nearest of segments (S, 4) [m]."""
+    """(N,) from points (N, 2) to the nearest of segments (S, 4) [m], exactly.
+
+    Marks along the segments, at most _STEP_M apart, tell which of them can be the nearest.
+    """
     start, way = segment[:, :2], segment[:, 2:] - segment[:, :2]
-    length = np.maximum(np.square(way).sum(axis=1), 1e-18)
-    nearest = []
-    for part in np.array_split(point, max(1, len(point) * len(segment) // _AT_ONCE)):
-        apart = part[:, None] - start
-        along = np.clip((apart * way).sum(axis=2) / length, 0.0, 1.0)
-        off = apart - along[..., None] * way
-        nearest.append(np.sqrt(np.square(off).sum(axis=2).min(axis=1)))
-    result: Array = np.concatenate(nearest)
+    length = np.linalg.norm(way, axis=1)
+    count = np.ceil(length / _STEP_M).astype(np.intp) + 1
+    owner = np.repeat(np.arange(len(segment)), count)
+    place = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
+    share = place / np.maximum(count - 1, 1)[owner]
+    marks = cKDTree(start[owner] + share[:, None] * way[owner])
+    reach = marks.query(point)[0] + 0.5 * _STEP_M
+    near = marks.query_ball_point(point, reach)
+    counts = np.array([len(marked) for marked in near], dtype=np.intp)
+    which = owner[np.concatenate([*near, []]).astype(np.intp)]
+    apart = np.repeat(point, counts, axis=0) - start[which]
+    square = np.maximum(np.square(length[which]), 1e-18)
+    along = np.clip((apart * way[which]).sum(axis=1) / square, 0.0, 1.0)
+    off = np.linalg.norm(apart - along[:, None] * way[which], axis=1)
+    result: Array = np.minimum.reduceat(off, np.cumsum(counts) - counts)
     return result

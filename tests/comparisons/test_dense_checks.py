@@ -34,14 +34,17 @@ def test_distances_to_segments_by_hand() -> None:
     assert np.allclose(distance_to_segments(point, segment), (2.0, 5.0, 1.0, 3.0))
 
 
-def test_distances_do_not_depend_on_how_many_are_asked_at_once(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_distances_equal_brute_force() -> None:
+    """Short and long segments, near and far points."""
     rng = np.random.default_rng(0)
-    point, segment = rng.normal(size=(500, 2)), rng.normal(size=(40, 4))
-    whole = distance_to_segments(point, segment)
-    monkeypatch.setattr("comparisons.checks.dense_accuracy._AT_ONCE", 700)
-    assert np.array_equal(distance_to_segments(point, segment), whole)
+    start = rng.uniform(-20, 20, (60, 2))
+    way = rng.normal(size=(60, 2)) * rng.choice((0.02, 1.0, 9.0), (60, 1))
+    point = rng.uniform(-40, 40, (800, 2))
+    apart = point[:, None] - start
+    along = np.clip((apart * way).sum(axis=2) / np.square(way).sum(axis=1), 0.0, 1.0)
+    brute = np.linalg.norm(apart - along[..., None] * way, axis=2).min(axis=1)
+    found = distance_to_segments(point, np.hstack((start, start + way)))
+    assert np.allclose(found, brute, rtol=0.0, atol=1e-12)
 
 
 def test_only_what_is_occupied_counts() -> None:
