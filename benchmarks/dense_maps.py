@@ -236,10 +236,9 @@ def errors_of_drives(seeds: int, loops: int) -> None:
         log = open_log("occupancy-loop", None, 1, SimulationChoices(seed, loops, 1.0))
         mapped.append(map_log(log, options=DenseOptions(LAYERS)))
     print(f"occupancy-loop, {seeds} drives of {loops} loops")
-    print("distance to the surfaces [m]      as it is                after the landmarks' motion")
-    print(
-        f"of what is above {OCCUPIED}      number  median   95 %  >{FAR} m   median   95 %  >{FAR} m"
-    )
+    print("distance to the surfaces [m]     as it is               after the landmarks' motion")
+    columns = f"median   95 %  >{FAR} m"
+    print(f"of what is above {OCCUPIED}      number  {columns}   {columns}")
     for name in (*LAYERS, "classic"):
         pairs = [distances(one, name) for one in mapped]
         raw, still = (np.concatenate(part) for part in zip(*pairs, strict=True))

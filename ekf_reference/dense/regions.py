@@ -139,6 +139,9 @@ class LocalRegions:
     virtual: VirtualLandmarks = field(default_factory=VirtualLandmarks)
     _order: Index = field(default_factory=lambda: np.empty(0, dtype=np.intp))
     _tiled: int = 0
+    _last: tuple[Array, Index, PlacedRegions] | None = field(
+        default=None, repr=False, compare=False
+    )
 
     def corners(self, landmark: Array) -> Array:
         """The map's landmarks (L, 2) [m], then the virtual ones, newest first; (L + V, 2).
@@ -148,9 +151,19 @@ class LocalRegions:
         return np.concatenate((landmark, self.virtual.point(landmark)[::-1]))
 
     def placed(self, landmark: Array) -> PlacedRegions:
-        """The regions with the map's landmarks (L, 2) [m] where they are now."""
+        """The regions with the map's landmarks (L, 2) [m] where they are now.
+
+        The last answer serves for as long as nothing moves or is added: it is asked for several
+        times between two updates of the filter.
+        """
+        if self._last is not None:
+            asked, base, placed = self._last
+            if base is self.base and np.array_equal(asked, landmark, equal_nan=True):
+                return placed
         triangle = self.corners(landmark)[self.base]
-        return PlacedRegions(triangle, BoxTree.pack(boxes(triangle), self._order))
+        placed = PlacedRegions(triangle, BoxTree.pack(boxes(triangle), self._order))
+        self._last = landmark.copy(), self.base, placed
+        return placed
 
     def flipped(self, landmark: Array) -> Index:
         """Numbers of the regions that have turned over, or lost their area, since they were made.
