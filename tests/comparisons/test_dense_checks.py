@@ -34,6 +34,22 @@ def test_distances_to_segments_by_hand() -> None:
     assert np.allclose(distance_to_segments(point, segment), (2.0, 5.0, 1.0, 3.0))
 
 
+@pytest.mark.parametrize("segments", [1, 60])
+def test_distances_are_those_to_the_nearest_of_all_segments(segments: int) -> None:
+    rng = np.random.default_rng(1)
+    point, start = rng.uniform(-30.0, 30.0, (2000, 2)), rng.uniform(-30.0, 30.0, (segments, 2))
+    segment = np.hstack((start, start + rng.uniform(-6.0, 6.0, start.shape)))
+    each = [distance_to_segments(point, one[None]) for one in segment]
+    assert np.array_equal(distance_to_segments(point, segment), np.min(each, axis=0))
+
+
+def test_a_point_that_is_not_finite_has_no_distance() -> None:
+    point = np.array([(np.nan, 0.0), (0.0, 2.0)])
+    assert np.array_equal(
+        distance_to_segments(point, np.zeros((1, 4))), (np.nan, 2.0), equal_nan=True
+    )
+
+
 def test_distances_do_not_depend_on_how_many_are_asked_at_once(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
