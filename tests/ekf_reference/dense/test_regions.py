@@ -219,3 +219,19 @@ def test_landmarks_that_span_nothing_make_no_region(landmark: list[tuple[float, 
         assert added(conditions, points, shared(3.0, 0.1, len(points))) == 0
     regions = LocalRegions()
     assert (regions.placed(points).locate(np.zeros((4, 2))).region == -1).all()
+
+
+def test_regions_are_placed_anew_when_anything_moves_or_is_added() -> None:
+    rng = np.random.default_rng(6)
+    landmark = scattered(rng, 30)
+    regions = grown(landmark)
+    before = regions.placed(landmark)
+    assert regions.placed(landmark.copy()) is before
+    landmark[regions.base[0, 0]] += 1.0  # in place
+    moved = regions.placed(landmark)
+    assert np.array_equal(moved.triangle, landmark[regions.base])
+    assert not np.array_equal(before.triangle, moved.triangle)
+    apart = np.vstack((landmark, 500.0 + np.array([(0.0, 0.0), (10.0, 0.0), (0.0, 10.0)])))
+    assert len(regions.placed(apart).triangle) == len(before.triangle)
+    assert len(regions.extend(apart, np.arange(30, 33), shared(3.0, 0.3, 3)))
+    assert np.array_equal(regions.placed(apart).triangle, apart[regions.base])
