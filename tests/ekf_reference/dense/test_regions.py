@@ -2,9 +2,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import permutations
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy.spatial import Delaunay
 
 from ekf_reference.dense.conditions import Conditions, ellipse_margin, overlap, pair_correlation
@@ -235,3 +237,24 @@ def test_regions_are_placed_anew_when_anything_moves_or_is_added() -> None:
     assert len(regions.placed(apart).triangle) == len(before.triangle)
     assert len(regions.extend(apart, np.arange(30, 33), shared(3.0, 0.3, 3)))
     assert np.array_equal(regions.placed(apart).triangle, apart[regions.base])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_leaving_out_pairs_across_regions_changes_no_region(
+    monkeypatch: pytest.MonkeyPatch, seed: int
+) -> None:
+    landmark = scattered(np.random.default_rng(seed), 50)
+    slot, pose = np.arange(50), np.array([50.0, 50.0, 0.0])
+    covariance = np.pad(shared(3.0, 0.3, 50), ((3, 0), (3, 0)))
+    covariance[:3, :3] = np.diag((0.09, 0.09, 1e-4))
+
+    def all_there_is() -> tuple[NDArray[Any], ...]:
+        regions = grown(landmark[:40])
+        late = regions.potential(landmark, slot, pose, covariance)
+        made = regions.extend(landmark, slot, covariance[3:, 3:])
+        return regions.base, made, late.axis, late.placed.triangle
+
+    short = all_there_is()
+    monkeypatch.setattr(LocalRegions, "_open", lambda *a: np.triu(a[-1]))
+    for with_fewer, with_all in zip(short, all_there_is(), strict=True):
+        assert np.array_equal(with_fewer, with_all)
