@@ -218,14 +218,17 @@ def cost_against_size(sizes: Sequence[int], scans: int) -> None:
         for row, patches in enumerate(maps):
             for number in range(first, min(first + block, 2 * scans)):
                 spent[row, number] = patches.take(np.random.default_rng(number), number)
-    print("ms per scan (mean of updated: regions are sought every few scans only)")
-    print("regions  landmarks  updated: median  mean   insert: median   both: median  to the first")
-    median = np.median(spent[:, scans:].sum(axis=2), axis=1)
-    for patches, one, both in zip(maps, spent[:, scans:], median, strict=True):
-        update, insert = np.median(one, axis=0)
+    print("ms per scan; the mean has in it that regions are sought every few scans only")
+    print("                     updated       insert        both          to the first")
+    print("regions  landmarks   median  mean  median  mean  median  mean  median  mean")
+    both = spent[:, scans:].sum(axis=2)
+    columns = np.concatenate((spent[:, scans:], both[:, :, None]), axis=2)
+    found = np.stack((np.median(columns, axis=1), columns.mean(axis=1)), axis=2)
+    for patches, row in zip(maps, found, strict=True):
+        figures = np.concatenate((row.ravel(), row[2] / found[0, 2])).reshape(-1, 2)
         print(
-            f"{len(patches.dense.regions.base):7d}  {len(patches.landmark):9d}  {update:15.2f}  "
-            f"{one[:, 0].mean():4.2f}   {insert:14.2f}   {both:12.2f}  {both / median[0]:12.2f}"
+            f"{len(patches.dense.regions.base):7d}  {len(patches.landmark):9d}   "
+            + "  ".join(f"{median:6.2f}  {mean:4.2f}" for median, mean in figures)
         )
 
 

@@ -95,7 +95,7 @@ def test_dense_maps_benchmark_runs() -> None:
     assert lines[0].startswith("361 returns, 40 regions in view")
     names = [line[:10].strip() for line in lines[3:9]]
     assert names == ["points", "occupancy", "particles", "sog", "all four", "all four,"]
-    assert [line.split()[1] for line in lines[11:]] == ["12", "24"]
+    assert [line.split()[1] for line in lines[12:]] == ["12", "24"]
 
 
 def test_dense_maps_benchmark_drives() -> None:
