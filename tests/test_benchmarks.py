@@ -78,3 +78,28 @@ def test_neglected_change_benchmark_runs(tmp_path: Path) -> None:
         "simulated-loop",
     ]
     assert len(list(tmp_path.glob("*.png"))) == 3
+
+
+def test_dense_maps_benchmark_runs() -> None:
+    lines = run(
+        "benchmarks/dense_maps.py",
+        "--only",
+        "layers",
+        "size",
+        "--scans",
+        "3",
+        "--sizes",
+        "10",
+        "20",
+    )
+    assert lines[0].startswith("361 returns, 40 regions in view")
+    names = [line[:10].strip() for line in lines[3:9]]
+    assert names == ["points", "occupancy", "particles", "sog", "all four", "all four,"]
+    assert [line.split()[1] for line in lines[12:]] == ["12", "24"]
+
+
+def test_dense_maps_benchmark_drives() -> None:
+    lines = run("benchmarks/dense_maps.py", "--only", "drives", "--seeds", "1", "--loops", "1")
+    names = [line.split()[0] for line in lines[3:8]]
+    assert names == ["points", "occupancy", "particles", "sog", "classic"]
+    assert lines[-1].startswith("returns: ")

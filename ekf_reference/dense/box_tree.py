@@ -44,12 +44,12 @@ class BoxTree:
 
         A box that is not a number is empty, and its neighbours' hull is theirs alone.
         """
-        known = ~np.isnan(box).any(axis=1, keepdims=True)
-        levels = [_padded(np.where(known, box, EMPTY)[order])]
+        column = np.take(box.T, order, axis=1)
+        unknown = np.isnan(column).any(axis=0)
+        levels = [_padded(np.where(unknown, EMPTY[:, None], column))]
         while levels[-1].shape[1] > BRANCHES:
             group = levels[-1].reshape(4, -1, BRANCHES)
-            hull = np.concatenate((group[:2].min(axis=2), group[2:].max(axis=2)))
-            levels.append(_padded(hull.T))
+            levels.append(_padded(np.concatenate((group[:2].min(axis=2), group[2:].max(axis=2)))))
         return cls(order, tuple(levels))
 
     def meeting(self, box: Array) -> Meeting:
@@ -79,7 +79,11 @@ class BoxTree:
 
 def boxes(triangle: Array) -> Array:
     """Boxes (n, 4) west, south, east, north around triangles (n, 3, 2)."""
-    return np.concatenate((triangle.min(axis=1), triangle.max(axis=1)), axis=1)
+    first, second, third = np.moveaxis(triangle, 1, 0)  # several times faster than a reduction
+    box = np.empty((len(triangle), 4))
+    np.minimum(np.minimum(first, second), third, out=box[:, :2])
+    np.maximum(np.maximum(first, second), third, out=box[:, 2:])
+    return box
 
 
 def tiled(center: Array) -> Index:
@@ -90,5 +94,8 @@ def tiled(center: Array) -> Index:
 
 
 def _padded(box: Array) -> Array:
-    missing = max(BRANCHES, -(-len(box) // BRANCHES) * BRANCHES) - len(box)
-    return np.ascontiguousarray(np.concatenate((box, np.tile(EMPTY, (missing, 1)))).T)
+    """Boxes (4, n), and empty ones up to a multiple of `BRANCHES`."""
+    count = box.shape[1]
+    padded = np.empty((4, max(BRANCHES, -(-count // BRANCHES) * BRANCHES)))
+    padded[:, :count], padded[:, count:] = box, EMPTY[:, None]
+    return padded

@@ -13,6 +13,8 @@ from ekf_reference.dense.triangles import Array, axes, determinant, turned
 
 TOUCHING = 1e-9
 """Overlap, as a share of the longest edge, that is rounding of a shared edge or corner."""
+CROSSING = 1e-6
+"""The same of a segment in a triangle, far enough above it that what has it overlaps."""
 
 
 def coordinate_correlation(covariance: Array) -> Array:
@@ -175,6 +177,38 @@ def overlap(first: Array, second: Array) -> NDArray[np.bool_]:
     )
     common: NDArray[np.bool_] = (depth > TOUCHING * length.max(axis=-2)).all(axis=-1)
     return common
+
+
+def crosses(segment: Array, triangle: Array) -> NDArray[np.bool_]:
+    """Whether segments (k, 2, 2) run through the inside of triangles (k, 3, 2); (k,).
+
+    Then every triangle with such an edge, unless it is a line, overlaps the other. A segment along
+    an edge, or up to a corner, does not cross. The two are apart when the triangle lies on one side
+    of the segment, or the segment outside of one of the triangle's edges.
+    """
+    start, way = segment[:, 0], segment[:, 1] - segment[:, 0]
+    side = np.stack([_cross(way, triangle[:, i] - start) for i in range(3)])
+    through: NDArray[np.bool_] = (side.min(axis=0) < 0.0) & (side.max(axis=0) > 0.0)
+    among = np.flatnonzero(through)  # few, as a rule
+    (start, end), corner = np.moveaxis(segment[among], 1, 0), np.moveaxis(triangle[among], 1, 0)
+    edge = [corner[i] - corner[i - 1] for i in range(3)]
+    least = CROSSING * np.max([_square(v) for v in (end - start, *edge)], axis=0)
+    area, side = _cross(edge[1], edge[2]), side[:, among]
+    inside = (side.min(axis=0) < -least) & (side.max(axis=0) > least) & (np.abs(area) > least)
+    inwards = np.sign(area)
+    for origin, along in zip(np.roll(corner, 1, axis=0), edge, strict=True):
+        ends = inwards * _cross(along, start - origin), inwards * _cross(along, end - origin)
+        inside &= np.maximum(*ends) > least
+    through[among] = inside
+    return through
+
+
+def _square(vector: Array) -> Array:
+    return vector[..., 0] * vector[..., 0] + vector[..., 1] * vector[..., 1]
+
+
+def _cross(first: Array, second: Array) -> Array:
+    return first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]
 
 
 def _blocks(covariance: Array) -> tuple[Array, Array]:

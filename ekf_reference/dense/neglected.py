@@ -127,7 +127,9 @@ class NeglectedCorrelation:
         return self.mean_m[region]
 
     def _grow(self, regions: int) -> None:
-        more = max(regions - len(self.count), 0)
+        more = regions - len(self.count)
+        if more <= 0:
+            return
         self.largest_m = np.concatenate((self.largest_m, np.full(more, np.nan)))
         self.mean_m = np.concatenate((self.mean_m, np.full(more, np.nan)))
         self.count = np.concatenate((self.count, np.zeros(more)))

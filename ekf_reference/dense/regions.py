@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ekf_reference.dense.box_tree import BoxTree, boxes, tiled
-from ekf_reference.dense.conditions import Conditions, overlap
+from ekf_reference.dense.conditions import Conditions, crosses, overlap
 from ekf_reference.dense.triangles import (
     Array,
     axes,
@@ -100,6 +100,12 @@ class PlacedRegions:
         common = overlap(triangle[near.query], self.triangle[near.item])
         return near.query[common], near.item[common]
 
+    def crossed(self, segment: Array) -> NDArray[np.bool_]:
+        """Which of segments (k, 2, 2) run through the inside of a region; (k,)."""
+        near = self.tree.meeting(boxes(segment[:, [0, 1, 1]]))
+        through = crosses(segment[near.query], self.triangle[near.item])
+        return np.bincount(near.query[through], minlength=len(segment)) > 0
+
     @cached_property
     def frames(self) -> tuple[Array, Array, Array]:
         """L1, a and b (R, 2) of every region [m]."""
@@ -139,6 +145,9 @@ class LocalRegions:
     virtual: VirtualLandmarks = field(default_factory=VirtualLandmarks)
     _order: Index = field(default_factory=lambda: np.empty(0, dtype=np.intp))
     _tiled: int = 0
+    _last: tuple[Array, Index, PlacedRegions] | None = field(
+        default=None, repr=False, compare=False
+    )
 
     def corners(self, landmark: Array) -> Array:
         """The map's landmarks (L, 2) [m], then the virtual ones, newest first; (L + V, 2).
@@ -148,9 +157,19 @@ class LocalRegions:
         return np.concatenate((landmark, self.virtual.point(landmark)[::-1]))
 
     def placed(self, landmark: Array) -> PlacedRegions:
-        """The regions with the map's landmarks (L, 2) [m] where they are now."""
+        """The regions with the map's landmarks (L, 2) [m] where they are now.
+
+        The last answer serves for as long as nothing moves or is added: it is asked for several
+        times between two updates of the filter.
+        """
+        if self._last is not None:
+            asked, base, placed = self._last
+            if base is self.base and np.array_equal(asked, landmark, equal_nan=True):
+                return placed
         triangle = self.corners(landmark)[self.base]
-        return PlacedRegions(triangle, BoxTree.pack(boxes(triangle), self._order))
+        placed = PlacedRegions(triangle, BoxTree.pack(boxes(triangle), self._order))
+        self._last = landmark.copy(), self.base, placed
+        return placed
 
     def flipped(self, landmark: Array) -> Index:
         """Numbers of the regions that have turned over, or lost their area, since they were made.
@@ -169,7 +188,7 @@ class LocalRegions:
         (2 m, 2 m) [m^2] of these with each other.
         """
         slot, covariance = _in_the_map(landmark, slot, covariance)
-        pair = self.conditions.pairs(landmark[slot], covariance)
+        pair = self._open(landmark, slot, self.conditions.pairs(landmark[slot], covariance))
         base = self._triples(landmark, slot, covariance, pair)
         return self._append(base[_apart(landmark[base])], landmark)
 
@@ -196,7 +215,8 @@ class LocalRegions:
         position = np.delete(np.arange(len(covariance)), 2)
         alike = self.conditions.correlated(covariance[position[:, None], position])
         allowed = alike[1:, 1:] & alike[0, 1:, None] & alike[0, 1:]
-        new, triangle = self._behind(landmark, slot, pose, covariance, allowed)
+        pair = self._open(landmark, slot, self.conditions.within_reach(landmark[slot]) & allowed)
+        new, triangle = self._behind(landmark, slot, pose, covariance, pair)
         near = BoxTree.pack(boxes(triangle), np.arange(len(triangle))).meeting(np.tile(point, 2))
         within = contains(solve(triangle[near.item], point[near.query]))
         inside = np.bincount(near.item[within], minlength=len(triangle))
@@ -214,7 +234,7 @@ class LocalRegions:
         They may overlap each other. Arguments as of `extend_virtual`.
         """
         slot, covariance = _in_the_map(landmark, slot, covariance)
-        pair = self.conditions.within_reach(landmark[slot])
+        pair = self._open(landmark, slot, self.conditions.within_reach(landmark[slot]))
         base = self._triples(landmark, slot, covariance[3:, 3:], pair)
         ahead = np.roll(base, -1, axis=1)
         longest = np.linalg.norm(landmark[base] - landmark[ahead], axis=2).argmax(axis=1)[:, None]
@@ -231,8 +251,8 @@ class LocalRegions:
     def _triples(
         self, landmark: Array, slot: Index, covariance: Array, pair: NDArray[np.bool_]
     ) -> Index:
-        """Triples (C, 3) of permitted pairs that meet the last two conditions, roundest first."""
-        local, pair = landmark[slot], np.triu(pair)
+        """Triples (C, 3) of `_open` pairs that meet the last two conditions, roundest first."""
+        local = landmark[slot]
         first, second = np.nonzero(pair)
         edge, third = np.nonzero(pair[first] & pair[second])
         triple = np.stack((first[edge], second[edge], third), axis=1)
@@ -251,12 +271,11 @@ class LocalRegions:
         covariance: Array,
         pair: NDArray[np.bool_],
     ) -> tuple[VirtualLandmarks, Array]:
-        """Virtual landmarks behind permitted pairs, and triangles (C, 3, 2) that fit."""
+        """Virtual landmarks behind `_open` pairs, and triangles (C, 3, 2) that fit."""
         local = landmark[slot]
-        reach = np.triu(self.conditions.within_reach(local) & pair)
         new = VirtualLandmarks()
         for depth in self.depths:
-            new = new.joined(behind(np.argwhere(reach), local, pose[:2], depth))
+            new = new.joined(behind(np.argwhere(pair), local, pose[:2], depth))
         triangle = np.concatenate((local[new.pair], new.point(local)[:, None]), axis=1)
         columns = 3 + (2 * new.pair[..., None] + np.arange(2)).reshape(-1, 4)
         real = np.broadcast_to(np.eye(4), (len(columns), 4, 4))
@@ -264,6 +283,17 @@ class LocalRegions:
         joint = covariance[columns[:, :, None], columns[:, None, :]]
         fit = self._fit(landmark, triangle, lift @ joint @ np.swapaxes(lift, 1, 2))
         return VirtualLandmarks(slot[new.pair[fit]], new.depth[fit]), triangle[fit]
+
+    def _open(self, landmark: Array, slot: Index, pair: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """The pairs (m, m), each once, that no region lies between: what may be a new one's edge.
+
+        Where regions are dense that leaves few, and of all pairs there are triples without number.
+        """
+        pair = np.triu(pair)
+        first, second = np.nonzero(pair)
+        between = self.placed(landmark).crossed(landmark[np.stack((slot[first], slot[second]), 1)])
+        pair[first[between], second[between]] = False
+        return pair
 
     def _fit(self, landmark: Array, triangle: Array, covariance: Array) -> NDArray[np.bool_]:
         """Which triangles (C, 3, 2), with covariances (C, 6, 6), meet the last two conditions."""

@@ -49,8 +49,10 @@ def determinant(triangle: Array) -> Array:
 
 def is_degenerate(triangle: Array) -> NDArray[np.bool_]:
     """Which triangles (..., 3, 2) span no area to speak of, or are not finite; (...,)."""
-    edge = triangle - np.roll(triangle, 1, axis=-2)
-    longest = np.square(edge).sum(axis=-1).max(axis=-1)
+    longest = np.zeros(triangle.shape[:-2])
+    for corner in range(3):
+        edge = triangle[..., corner, :] - triangle[..., corner - 1, :]
+        longest = np.maximum(longest, edge[..., 0] * edge[..., 0] + edge[..., 1] * edge[..., 1])
     flat: NDArray[np.bool_] = ~(np.abs(determinant(triangle)) > FLATTEST * longest)
     return flat
 

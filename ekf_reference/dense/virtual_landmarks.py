@@ -57,7 +57,7 @@ class VirtualLandmarks:
         region, corner = np.nonzero(base < 0)
         which = -1 - base[region, corner]
         lift[region, corner] = 0.0
-        by_pair = self.jacobian()[which].reshape(-1, 2, 2, 2)
+        by_pair = self[which].jacobian().reshape(-1, 2, 2, 2)
         for end in range(2):
             column = (base[region] == self.pair[which, end, None]).argmax(axis=1)
             lift[region, corner, :, column] = by_pair[:, :, end]

@@ -98,7 +98,7 @@ class OccupancyGrid:
         ends = np.cumsum([0, *(len(grid.odds) for grid in grids)])
         if not ends[-1]:
             return
-        frame = np.stack(placed.frames, axis=1)[near]
+        frame = np.stack([column[near] for column in placed.frames], axis=1)
         frame[:, 0] -= scan.origin
         own = np.swapaxes(frame @ scan.axes, 1, 2).astype(np.float32)  # (r, 2, 3): ahead, left
         where = np.empty((2, ends[-1]), dtype=np.float32)

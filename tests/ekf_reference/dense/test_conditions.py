@@ -7,6 +7,7 @@ from ekf_reference.correlation import correlation_coefficients
 from ekf_reference.dense.conditions import (
     Conditions,
     coordinate_correlation,
+    crosses,
     ellipse_margin,
     flip_margin,
     overlap,
@@ -145,3 +146,47 @@ def test_conditions_bound_what_they_name() -> None:
     assert not Conditions(least_correlation=0.97).pairs(square, covariance).any()
     known = Conditions(least_correlation=0.97, known_apart_m=0.3)
     assert np.array_equal(known.pairs(square, covariance), expected)
+
+
+TRIANGLE = np.array([(0.0, 0.0), (4.0, 0.0), (0.0, 4.0)])
+
+
+@pytest.mark.parametrize("turned_over", [False, True])
+@pytest.mark.parametrize(
+    ("segment", "expected"),
+    [
+        (((-1.0, 1.0), (5.0, 1.0)), True),
+        (((1.0, 1.0), (1.5, 1.0)), True),  # within
+        (((1.0, 1.0), (9.0, 9.0)), True),  # out of it
+        (((0.0, 0.0), (2.0, 2.0)), True),  # from a corner to the opposite edge
+        (((0.0, 0.0), (4.0, 0.0)), False),  # an edge
+        (((1.0, 0.0), (3.0, 0.0)), False),  # a part of it
+        (((-1.0, 0.0), (9.0, 0.0)), False),  # more than it
+        (((1.0, 0.0), (1.0, -3.0)), False),  # from an edge outwards
+        (((4.0, 0.0), (8.0, 1.0)), False),  # from a corner outwards
+        (((3.0, 3.0), (9.0, 9.0)), False),  # towards it
+        (((-1.0, 1.0), (-0.5, 1.0)), False),  # short of it
+        (((-3.0, 2.0), (2.0, -3.0)), False),  # past a corner
+        (((1.0, 1.0), (1.0, 1.0)), False),  # no length
+    ],
+)
+def test_a_segment_crosses_what_it_runs_through(
+    segment: tuple[tuple[float, float], ...], expected: bool, turned_over: bool
+) -> None:
+    corner = TRIANGLE[[0, 2, 1]] if turned_over else TRIANGLE
+    for order in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        found = crosses(np.array([segment]), corner[None, order])
+        assert found.tolist() == [expected]
+
+
+def test_what_has_a_crossing_edge_overlaps() -> None:
+    rng = np.random.default_rng(0)
+    region, triangle = rng.normal(size=(2, 20_000, 3, 2))
+    through = crosses(triangle[:, :2], region)
+    assert 0.2 < through.mean() < 0.8
+    assert overlap(triangle[through], region[through]).all()
+
+
+def test_lines_are_crossed_by_nothing() -> None:
+    flat = np.array([[(0.0, 0.0), (1.0, 0.0), (2.0, 0.0)], [(0.0, 0.0), (1.0, 1e-10), (2.0, 0.0)]])
+    assert not crosses(np.array([[(0.7, -1.0), (0.7, 1.0)]] * 2), flat).any()

@@ -2,9 +2,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import permutations
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy.spatial import Delaunay
 
 from ekf_reference.dense.conditions import Conditions, ellipse_margin, overlap, pair_correlation
@@ -219,3 +221,40 @@ def test_landmarks_that_span_nothing_make_no_region(landmark: list[tuple[float, 
         assert added(conditions, points, shared(3.0, 0.1, len(points))) == 0
     regions = LocalRegions()
     assert (regions.placed(points).locate(np.zeros((4, 2))).region == -1).all()
+
+
+def test_regions_are_placed_anew_when_anything_moves_or_is_added() -> None:
+    rng = np.random.default_rng(6)
+    landmark = scattered(rng, 30)
+    regions = grown(landmark)
+    before = regions.placed(landmark)
+    assert regions.placed(landmark.copy()) is before
+    landmark[regions.base[0, 0]] += 1.0  # in place
+    moved = regions.placed(landmark)
+    assert np.array_equal(moved.triangle, landmark[regions.base])
+    assert not np.array_equal(before.triangle, moved.triangle)
+    apart = np.vstack((landmark, 500.0 + np.array([(0.0, 0.0), (10.0, 0.0), (0.0, 10.0)])))
+    assert len(regions.placed(apart).triangle) == len(before.triangle)
+    assert len(regions.extend(apart, np.arange(30, 33), shared(3.0, 0.3, 3)))
+    assert np.array_equal(regions.placed(apart).triangle, apart[regions.base])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_leaving_out_pairs_across_regions_changes_no_region(
+    monkeypatch: pytest.MonkeyPatch, seed: int
+) -> None:
+    landmark = scattered(np.random.default_rng(seed), 50)
+    slot, pose = np.arange(50), np.array([50.0, 50.0, 0.0])
+    covariance = np.pad(shared(3.0, 0.3, 50), ((3, 0), (3, 0)))
+    covariance[:3, :3] = np.diag((0.09, 0.09, 1e-4))
+
+    def all_there_is() -> tuple[NDArray[Any], ...]:
+        regions = grown(landmark[:40])
+        late = regions.potential(landmark, slot, pose, covariance)
+        made = regions.extend(landmark, slot, covariance[3:, 3:])
+        return regions.base, made, late.axis, late.placed.triangle
+
+    short = all_there_is()
+    monkeypatch.setattr(LocalRegions, "_open", lambda *a: np.triu(a[-1]))
+    for with_fewer, with_all in zip(short, all_there_is(), strict=True):
+        assert np.array_equal(with_fewer, with_all)
