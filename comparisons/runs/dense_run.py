@@ -206,6 +206,7 @@ class DenseWatcher:
 
     def _note_shift(self, old: Array, new: Array) -> None:
         corner = np.unique(self._dense.regions.base)
+        corner = corner[corner >= 0]  # virtual ones are told from the end, by what they hang on
         if not len(corner):
             return
         squared = np.square(new[corner] - old[corner]).sum(axis=1)
