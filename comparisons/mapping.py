@@ -75,7 +75,8 @@ def map_log(
     placed = dense.dense.regions.placed(dense.landmark)
     layers = {name: layer.samples(placed) for name, layer in dense.dense.layers.items()}
     errors: dict[str, SurfaceError] = {}
+    usual = classic.samples()
     if log.truth.surfaces is not None:
-        held = {**layers, "classic": classic.samples()}
+        held = {**layers, "classic": usual}
         errors = {k: surface_error(s, log.truth.surfaces.segment) for k, s in held.items()}
-    return DenseMapping(log, chosen, run, dense, placed, layers, classic.samples(), errors, seconds)
+    return DenseMapping(log, chosen, run, dense, placed, layers, usual, errors, seconds)

@@ -12,7 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from comparisons.checks.dense_accuracy import OCCUPIED, SurfaceError, error_of_points
+from comparisons.checks.dense_accuracy import (
+    OCCUPIED,
+    SurfaceError,
+    error_of_points,
+    surface_error,
+)
 from comparisons.logs.log import Log
 from comparisons.runs.dense_run import GRID_MODEL, DenseRun
 from comparisons.runs.estimate import Array, Estimate
@@ -96,8 +101,7 @@ def compare_dense(log: Log, dense: DenseRun, smoothed: Estimate) -> DenseAgreeme
     for name, layer in dense.dense.layers.items():
         samples = layer.samples(by_filter)
         if surfaces is not None:
-            occupied = samples.point[samples.occupancy > OCCUPIED]
-            errors[name] = error_of_points(occupied, surfaces.segment)
+            errors[name] = surface_error(samples, surfaces.segment)
         found = _against(samples, other)
         if found is not None:
             layers[name], worst = found

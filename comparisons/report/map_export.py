@@ -20,8 +20,11 @@ from ekf_reference.dense.layers.layer import Layer
 from ekf_reference.dense.regions import PlacedRegions
 
 OCCUPIED_ABOVE, FREE_BELOW = 0.65, 0.25
-"""Written into the ROS map, and used for its three values."""
+"""Of the ROS map's three values."""
 _UNKNOWN = 205
+_FREE_SHADE = 0.196
+"""Written as `free_thresh`: a map server takes (255 - shade) / 255, 0.19608 of unknown cells, for
+free where it is below. With 0.25 all that nobody has seen would be free."""
 _MOST_PIXELS = 100_000_000
 
 
@@ -112,6 +115,6 @@ def write_ros_map(raster: Raster, path: Path) -> None:
         f"origin: [{raster.west_m:.10g}, {raster.south_m:.10g}, 0.0]\n"
         "negate: 0\n"
         f"occupied_thresh: {OCCUPIED_ABOVE}\n"
-        f"free_thresh: {FREE_BELOW}\n",
+        f"free_thresh: {_FREE_SHADE}\n",
         encoding="ascii",
     )

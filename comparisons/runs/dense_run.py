@@ -94,12 +94,13 @@ class DenseOptions:
 class BeforeClosing:
     """The map just before the update that moved it the most, as a rule a loop's closing.
 
-    time_s: of the update. shift_m: root mean square over the landmarks. landmark: (L, 2) and
-    layers: what each held, as the landmarks then lay. regions: how many there were.
+    time_s: of the update. shift_m: root mean square over the landmarks that are corners of
+    regions. landmark: (L, 2), triangle: (R, 3, 2), and layers: what each held, as they then lay.
     """
 
     time_s: float
     shift_m: float
+    landmark: Array
     triangle: Array
     layers: Mapping[str, Samples]
 
@@ -206,7 +207,7 @@ class DenseWatcher:
 
     def _note_shift(self, old: Array, new: Array) -> None:
         corner = np.unique(self._dense.regions.base)
-        corner = corner[corner >= 0]  # virtual ones are told from the end, by what they hang on
+        corner = corner[corner >= 0]  # virtual ones hang on these
         if not len(corner):
             return
         squared = np.square(new[corner] - old[corner]).sum(axis=1)
@@ -216,4 +217,4 @@ class DenseWatcher:
         self._moved_most = moved
         placed = self._dense.regions.placed(old)
         layers = {name: layer.samples(placed) for name, layer in self._dense.layers.items()}
-        self._before = BeforeClosing(self._epoch_s, shift, placed.triangle, layers)
+        self._before = BeforeClosing(self._epoch_s, shift, old, placed.triangle, layers)
