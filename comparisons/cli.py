@@ -113,9 +113,18 @@ def run(
             raise InputError(
                 f"smoother association '{smoother_association}' is unknown, expected ekf or own"
             )
-        mapped = DenseOptions(tuple(dict.fromkeys(dense)), resolution) if dense else None
+        kept = DenseOptions(tuple(dict.fromkeys(dense)) or ("points",), resolution)
         raise SystemExit(
-            _run(source, choices, options, smoother_association, motion, mapped, out, read_s)
+            _run(
+                source,
+                choices,
+                options,
+                smoother_association,
+                motion,
+                kept if dense else None,
+                out,
+                read_s,
+            )
         )
 
 

@@ -27,7 +27,8 @@ class DenseMapping:
 
     placed: the regions as the landmarks lie in the end; layers: what each layer holds there.
     classic: the same scans in one grid in the world's frame, as is usual without DenseSLAM.
-    errors: by layer, `classic` among them, against true surfaces where the log has them.
+    errors: by layer, `classic` (where regions are) among them, against true surfaces where the
+    log has them.
     """
 
     log: Log
@@ -75,7 +76,8 @@ def map_log(
     placed = dense.dense.regions.placed(dense.landmark)
     layers = {name: layer.samples(placed) for name, layer in dense.dense.layers.items()}
     errors: dict[str, SurfaceError] = {}
+    usual = classic.samples()
     if log.truth.surfaces is not None:
-        held = {**layers, "classic": classic.samples()}
+        held = {**layers, "classic": usual}
         errors = {k: surface_error(s, log.truth.surfaces.segment) for k, s in held.items()}
-    return DenseMapping(log, chosen, run, dense, placed, layers, classic.samples(), errors, seconds)
+    return DenseMapping(log, chosen, run, dense, placed, layers, usual, errors, seconds)

@@ -8,18 +8,26 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from comparisons.checks.dense_accuracy import OCCUPIED, SurfaceError, error_of_points
+from comparisons.checks.dense_accuracy import (
+    OCCUPIED,
+    SurfaceError,
+    error_of_points,
+    surface_error,
+)
 from comparisons.logs.log import Log
+from comparisons.logs.odometry import RelativePoses
 from comparisons.runs.dense_run import GRID_MODEL, DenseRun
 from comparisons.runs.estimate import Array, Estimate
 from comparisons.runs.motion import motion_between
 from ekf_reference.dense.layers.classic_grid import ClassicGrid
 from ekf_reference.dense.layers.layer import Samples
 from ekf_reference.dense.regions import PlacedRegions
+from graphslam.increments import dead_reckoned
 from graphslam.scan import planar
 
 AGREE_M = 0.3
@@ -96,8 +104,7 @@ def compare_dense(log: Log, dense: DenseRun, smoothed: Estimate) -> DenseAgreeme
     for name, layer in dense.dense.layers.items():
         samples = layer.samples(by_filter)
         if surfaces is not None:
-            occupied = samples.point[samples.occupancy > OCCUPIED]
-            errors[name] = error_of_points(occupied, surfaces.segment)
+            errors[name] = surface_error(samples, surfaces.segment)
         found = _against(samples, other)
         if found is not None:
             layers[name], worst = found
@@ -120,7 +127,7 @@ def poses_at_scans(log: Log, estimate: Estimate, time_s: Array) -> Array:
     known, wanted = np.round(estimate.time_s, 4), np.round(time_s, 4)
     wanted = np.clip(wanted, known[0], known[-1])
     instants = np.union1d(known, wanted)
-    moved = motion_between(log, instants[1:]).displacement
+    moved = _moved(log, instants)
     pose = np.empty((len(instants), 3))
     row = np.minimum(np.searchsorted(known, instants), len(known) - 1)
     at_epoch = np.abs(known[row] - instants) < 0.5 * _CLOCK_S
@@ -129,6 +136,24 @@ def poses_at_scans(log: Log, estimate: Estimate, time_s: Array) -> Array:
         pose[i] = at
     found: Array = pose[np.searchsorted(instants, wanted)]
     return found
+
+
+def _moved(log: Log, instants: Array) -> Array:
+    """(N - 1, 3) the odometry's motion from each of the instants (N,) [s] to the next.
+
+    Between relative poses the vehicle is taken to move evenly, as DenseWatcher has it.
+    """
+    odometry = log.odometry
+    if not isinstance(odometry, RelativePoses):
+        moved: Array = motion_between(log, instants).displacement[1:]
+        return moved
+    begin = np.concatenate(([log.prior.time_s], odometry.time_s))
+    row = np.clip(np.searchsorted(begin, instants, side="right") - 1, 0, len(begin) - 2)
+    share = np.clip((instants - begin[row]) / np.diff(begin)[row], 0.0, 1.0)
+    way = share[:, None] * odometry.displacement[row]
+    path = dead_reckoned(np.zeros(3), odometry.displacement)[row]
+    at = [planar.compose(p, w) for p, w in zip(path, way, strict=True)]
+    return np.array([planar.between(a, b) for a, b in pairwise(at)]).reshape(-1, 3)
 
 
 def _returns(

@@ -20,9 +20,13 @@ from ekf_reference.dense.layers.layer import Layer
 from ekf_reference.dense.regions import PlacedRegions
 
 OCCUPIED_ABOVE, FREE_BELOW = 0.65, 0.25
-"""Written into the ROS map, and used for its three values."""
+"""Of the ROS map's three values."""
 _UNKNOWN = 205
-_MOST_PIXELS = 100_000_000
+_FREE_SHADE = 0.196
+"""Written as `free_thresh`: a map server takes (255 - shade) / 255, 0.19608 of unknown cells, for
+free where it is below. With 0.25 all that nobody has seen would be free."""
+_MOST_PIXELS = 25_000_000
+_BAND = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -86,8 +90,9 @@ def rasterise(
     x = west + (np.arange(width) + 0.5) * cell_m
     y = south + (np.arange(height) + 0.5) * cell_m
     point = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    occupancy = layer.occupancy(point, placed).reshape(height, width)
-    return Raster(occupancy, float(west), float(south), cell_m)
+    bands = np.array_split(point, 1 + len(point) // _BAND)
+    occupancy = np.concatenate([layer.occupancy(band, placed) for band in bands])
+    return Raster(occupancy.reshape(height, width), float(west), float(south), cell_m)
 
 
 def write_image(raster: Raster, path: Path) -> None:
@@ -112,6 +117,6 @@ def write_ros_map(raster: Raster, path: Path) -> None:
         f"origin: [{raster.west_m:.10g}, {raster.south_m:.10g}, 0.0]\n"
         "negate: 0\n"
         f"occupied_thresh: {OCCUPIED_ABOVE}\n"
-        f"free_thresh: {FREE_BELOW}\n",
+        f"free_thresh: {_FREE_SHADE}\n",
         encoding="ascii",
     )

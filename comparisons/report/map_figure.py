@@ -107,23 +107,24 @@ def _plan(axis: Axes) -> None:
 def dense_map_figure(mapping: DenseMapping) -> Figure:
     """One panel per layer, before and after the largest correction where there was one."""
     dense, before = mapping.dense, mapping.dense.before
-    panels: list[tuple[str, Samples, Array]] = []
+    panels: list[tuple[str, Samples, Array, Array]] = []
     for name, samples in mapping.layers.items():
         if before is not None:
             title = f"{name}, before {before.time_s:.1f} s"
-            panels.append((title, before.layers[name], before.triangle))
-        panels.append((name, samples, mapping.placed.triangle))
-    panels.append(("one grid in the world's frame", mapping.classic, np.empty((0, 3, 2))))
+            panels.append((title, before.layers[name], before.triangle, before.landmark))
+        panels.append((name, samples, mapping.placed.triangle, dense.landmark))
+    title, none = "one grid in the world's frame", np.empty((0, 3, 2))
+    panels.append((title, mapping.classic, none, dense.landmark))
     rows = -(-(len(panels) + 1) // 2)
     figure = Figure(figsize=(13.0, 5.4 * rows), layout="constrained")
     FigureCanvasAgg(figure)
     axes: list[Axes] = list(figure.subplots(rows, 2).ravel())
-    for axis, (title, samples, triangle) in zip(axes, panels, strict=False):
+    for axis, (title, samples, triangle, landmark) in zip(axes, panels, strict=False):
         draw_regions(axis, triangle)
         if mapping.log.truth.surfaces is not None:
             draw_surfaces(axis, mapping.log.truth.surfaces.segment)
         draw_occupied(axis, samples)
-        axis.plot(*dense.landmark.T, "+", color=TRUTH_COLOUR, markersize=4)
+        axis.plot(*landmark.T, "+", color=TRUTH_COLOUR, markersize=4)
         axis.set_title(title)
         _plan(axis)
     axis = axes[len(panels)]

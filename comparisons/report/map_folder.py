@@ -68,7 +68,9 @@ def regions_csv(mapping: DenseMapping) -> str:
     neglected = dense.neglected
     numbers = np.arange(len(dense.regions.base))
     mean_m = neglected.sigma_m(numbers)
-    lines = ["region,corner1,corner2,corner3,x1,y1,x2,y2,x3,y3,returns,sigma_m,sigma_largest_m"]
+    lines = [
+        "region,corner1,corner2,corner3,x1,y1,x2,y2,x3,y3,fused_at_once,sigma_m,sigma_largest_m"
+    ]
     for region, base in enumerate(dense.regions.base.tolist()):
         names = [str(ids[c]) if c >= 0 else f"{pair[-1 - c, 0]}+{pair[-1 - c, 1]}" for c in base]
         places = [f"{v:.4f}" for v in mapping.placed.triangle[region].ravel()]

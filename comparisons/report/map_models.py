@@ -21,7 +21,8 @@ class LayerResult(_Model):
 class ReturnsResult(_Model):
     """What became of the scanner's returns.
 
-    late: fused after a wait. The rest waits, or was dropped from an overfull waiting room.
+    late: fused after a wait. outside: where no region can be. waiting: still, at the end. lost:
+    from the waiting room, which was full, or with a landmark.
     """
 
     scans: int
@@ -29,6 +30,8 @@ class ReturnsResult(_Model):
     fused: int
     late: int
     outside: int
+    waiting: int
+    lost: int
 
 
 class ClosingResult(_Model):

@@ -24,6 +24,7 @@ from comparisons.report.result import (
     package_versions,
 )
 from comparisons.report.summary import add_accuracy, add_ekf, add_log
+from ekf_reference.dense.dense_map import DenseMap
 
 
 def build_map_result(mapping: DenseMapping, read_s: float) -> MapResult:
@@ -37,7 +38,7 @@ def build_map_result(mapping: DenseMapping, read_s: float) -> MapResult:
         accuracy=accuracy_result(assess(m.ekf.estimate, m.log, labelled=labelled)),
         regions=len(m.placed.triangle),
         resolution_m=m.dense.options.resolution_m,
-        returns=ReturnsResult(**vars(m.dense.dense.tally)),
+        returns=_returns(m.dense.dense),
         layers={
             name: LayerResult(
                 samples=len(s.point), occupied=int(np.count_nonzero(s.occupancy > OCCUPIED))
@@ -75,6 +76,14 @@ def print_map(result: MapResult, console: Console) -> None:
     console.print(table)
     for remark in result.remarks:
         console.print(f"  note: {escape(remark)}", highlight=False)
+
+
+def _returns(dense: DenseMap) -> ReturnsResult:
+    waiting = lost = 0
+    if dense.waiting is not None:
+        waiting = len(dense.waiting.points.scan)
+        lost = dense.waiting.counts.dropped + dense.waiting.counts.vanished
+    return ReturnsResult(**vars(dense.tally), waiting=waiting, lost=lost)
 
 
 def _remarks(m: DenseMapping) -> list[str]:

@@ -95,12 +95,13 @@ class DenseOptions:
 class BeforeClosing:
     """The map just before the update that moved it the most, as a rule a loop's closing.
 
-    time_s: of the update. shift_m: root mean square over the landmarks. landmark: (L, 2) and
-    layers: what each held, as the landmarks then lay. regions: how many there were.
+    time_s: of the update. shift_m: root mean square over the landmarks that are corners of
+    regions. landmark: (L, 2), triangle: (R, 3, 2), and layers: what each held, as they then lay.
     """
 
     time_s: float
     shift_m: float
+    landmark: Array
     triangle: Array
     layers: Mapping[str, Samples]
 
@@ -136,7 +137,6 @@ class DenseWatcher:
         self._motion, self._relative = motion_model(log), isinstance(log.odometry, RelativePoses)
         self._next = 0
         self._pose: list[Array] = []
-        self._landmark = np.empty((0, 2))
         self._before: BeforeClosing | None = None
         self._moved_most = 0.0
         self._seconds = {"regions": 0.0, "scans": 0.0}
@@ -164,10 +164,10 @@ class DenseWatcher:
         """Make the regions that are now possible; keep the map as it was if it moved a lot."""
         start = time.perf_counter()
         view = FilterView.of(ekf)
-        old = self._landmark
-        self._landmark = view.landmark.copy()
+        old = self._dense.landmark
+        self._dense.place(view)
         if len(old):
-            self._note_shift(old, self._landmark[: len(old)])
+            self._note_shift(old, self._dense.landmark[: len(old)])
         self._dense.updated(view)
         self._seconds["regions"] += time.perf_counter() - start
 
@@ -175,7 +175,7 @@ class DenseWatcher:
         """Take in what was scanned at the very end."""
         while self._due(time_s + _CLOCK_S):
             self._insert(FilterView.of(ekf))
-        self._landmark = ekf.state.landmarks.copy()
+        self._dense.place(replace(FilterView.of(ekf), landmark=ekf.state.landmarks))
 
     def run(self) -> DenseRun:
         """The map, once the filter has finished."""
@@ -186,7 +186,7 @@ class DenseWatcher:
             self._scans,
             self._scans.time_s[:done],
             np.array(self._pose).reshape(-1, 3),
-            self._landmark,
+            self._dense.landmark,
             self._before,
             self._seconds,
         )
@@ -207,6 +207,7 @@ class DenseWatcher:
 
     def _note_shift(self, old: Array, new: Array) -> None:
         corner = np.unique(self._dense.regions.base)
+        corner = corner[corner >= 0]  # virtual ones hang on these
         if not len(corner):
             return
         squared = np.square(new[corner] - old[corner]).sum(axis=1)
@@ -216,4 +217,4 @@ class DenseWatcher:
         self._moved_most = moved
         placed = self._dense.regions.placed(old)
         layers = {name: layer.samples(placed) for name, layer in self._dense.layers.items()}
-        self._before = BeforeClosing(self._epoch_s, shift, placed.triangle, layers)
+        self._before = BeforeClosing(self._epoch_s, shift, old, placed.triangle, layers)

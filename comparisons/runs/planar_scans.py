@@ -60,7 +60,7 @@ class PlanarScans:
 def _sensor(scans: Scans) -> Sensor:
     spacing = float(np.median(np.abs(np.diff(scans.angle_rad)))) if len(scans.angle_rad) > 1 else 0
     some = scans.range_m[:: max(1, len(scans.range_m) // 50)]
-    sigma_m = max(beam_noise(some), _LEAST_SIGMA_M)
+    sigma_m = float(np.fmax(beam_noise(some), _LEAST_SIGMA_M))  # NaN where no three beams returned
     return Sensor(sigma_m, spacing or _CLOUD_BEAM_RAD, spacing, _GRAZING_RAD)
 
 

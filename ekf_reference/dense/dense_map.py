@@ -45,7 +45,8 @@ class DenseMap:
     simulations do. reach_m: of the landmarks that may form regions. least_points: returns that
     wait in vain before a region with a virtual corner is made for them. seek_every: scans after
     which regions are sought again; with every new landmark they are, too. neglected: per region,
-    how far what the map leaves out may still move its data (section 3.6).
+    how far what the map leaves out may still move its data (section 3.6). landmark: (L, 2) [m]
+    where the regions' landmarks were when the filter was last read.
     """
 
     layers: Mapping[str, Layer]
@@ -56,10 +57,10 @@ class DenseMap:
     seek_every: int = 4
     tally: Tally = field(default_factory=Tally)
     neglected: NeglectedCorrelation = field(init=False)
+    landmark: Array = field(default_factory=lambda: np.empty((0, 2)))
     _sought_among: int = 0
     _sought_until: int = 0
     _potential: Potential | None = None
-    _landmark: Array = field(default_factory=lambda: np.empty((0, 2)))
 
     def __post_init__(self) -> None:
         """The error layer follows the regions."""
@@ -80,13 +81,13 @@ class DenseMap:
         self._sought_among = len(view.landmark)
         self._sought_until = self.tally.scans + self.seek_every
         slot = view.near(self.reach_m)
-        made = self.regions.extend(self._landmark, slot, view.joint_of_landmarks(slot))
+        made = self.regions.extend(self.landmark, slot, view.joint_of_landmarks(slot))
         if self.waiting is not None:
             behind = self._make_virtual(view, slot, self.waiting)
             if len(made) or len(behind):
                 self._fuse_late(view, self.waiting)
             self._potential = self.regions.potential(
-                self._landmark, slot, view.pose, view.joint(slot)
+                self.landmark, slot, view.pose, view.joint(slot)
             )
 
     def insert(self, view: FilterView, scan: Scan) -> None:
@@ -112,9 +113,9 @@ class DenseMap:
         A landmark that has left the filter's map stays where it was last.
         """
         known = np.full_like(view.landmark, np.nan)
-        known[: len(self._landmark)] = self._landmark
-        self._landmark = np.where(np.isnan(view.landmark), known, view.landmark)
-        return self.regions.placed(self._landmark)
+        known[: len(self.landmark)] = self.landmark
+        self.landmark = np.where(np.isnan(view.landmark), known, view.landmark)
+        return self.regions.placed(self.landmark)
 
     def _note_error(self, view: FilterView, hits: Hits) -> None:
         """How well the regions were known from here, where they were hit."""
@@ -122,7 +123,7 @@ class DenseMap:
         if len(region):
             sums = [np.bincount(row, hits.point[:, axis]) for axis in range(2)]
             mean = np.column_stack(sums) / count[:, None]
-            known = replace(view, landmark=self._landmark)
+            known = replace(view, landmark=self.landmark)
             self.neglected.note(known, self.regions.base, region, mean, count.astype(float))
 
     def _let_wait(self, view: FilterView, scan: Scan, outside: Index) -> None:
@@ -142,7 +143,7 @@ class DenseMap:
         if len(overdue) < self.least_points:
             return np.empty(0, dtype=np.intp)
         return self.regions.extend_virtual(
-            self._landmark, slot, view.pose, view.joint(slot), overdue, self.least_points
+            self.landmark, slot, view.pose, view.joint(slot), overdue, self.least_points
         )
 
     def _fuse_late(self, view: FilterView, waiting: WaitingRoom) -> None:

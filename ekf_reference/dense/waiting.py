@@ -38,9 +38,9 @@ class Counts:
     """What became of points. Every point offered is waiting, or in one of the first four.
 
     released: handed out. refused: not taken in, since no potential region has them. dropped: the
-    oldest, for want of room. vanished: with a landmark of their frame. uncoupled: points (they
-    wait on) that are corrected no more, since their frame left the active part of a compressed
-    filter.
+    oldest, for want of room. vanished: with a landmark of their frame, or as its two came to be one
+    place. uncoupled: points (they wait on) that are corrected no more, since their frame left the
+    active part of a compressed filter.
     """
 
     released: int = 0
@@ -158,7 +158,8 @@ class WaitingRoom:
         """
         region = potential.placed.locate(point).region
         known: Mask = np.isfinite(noise).all(axis=(1, 2)) & (region >= 0)
-        known[known] = _current(view, potential.axis[region[known]])
+        wanted = potential.axis[region[known]]  # of a while ago: its landmarks have moved on
+        known[known] = _current(view, wanted) & _spans(view, wanted)
         axis = potential.axis[region[known]]
         group = self._groups(view, axis)
         frame = Frames.of(view.landmark[axis[:, 0]], view.landmark[axis[:, 1]])
@@ -219,7 +220,7 @@ class WaitingRoom:
 
     def _read(self, view: FilterView) -> tuple[Array, Array]:
         """Read the local poses anew; returns those read before, mean and covariance."""
-        there = np.atleast_1d(np.isfinite(view.landmark[self.axis]).all(axis=(1, 2)))
+        there = _spans(view, self.axis)
         if not there.all():
             kept = there[self.points.group]
             self.counts.vanished += int(np.count_nonzero(~kept))
@@ -266,6 +267,13 @@ def _current(view: FilterView, axis: Index) -> Mask:
     known = np.zeros(len(view.landmark), dtype=bool)
     known[view.slot] = True
     return np.logical_and(known[axis[:, 0]], known[axis[:, 1]])
+
+
+def _spans(view: FilterView, axis: Index) -> Mask:
+    """Which axes (G, 2) are in the map and longer than nothing; (G,)."""
+    first, second = view.landmark[axis[:, 0]], view.landmark[axis[:, 1]]
+    apart: Mask = np.isfinite(second - first).all(axis=1) & (first != second).any(axis=1)
+    return apart
 
 
 def _inverse(covariance: Array) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from types import ModuleType
 
 import numpy as np
@@ -16,6 +17,7 @@ from comparisons.checks.dense_accuracy import (
 from comparisons.checks.dense_agreement import AGREE_M, compare_dense, poses_at_scans
 from comparisons.compare import Comparison, compare_estimators
 from comparisons.logs.bundled import SimulationChoices, open_log
+from comparisons.logs.odometry import RelativePoses
 from comparisons.report.dense_result import dense_result
 from comparisons.runs.dense_run import DenseOptions
 from ekf_reference.dense.layers.layer import Samples
@@ -116,6 +118,22 @@ def test_poses_at_scans_are_led_on_by_the_wheels(compared: Comparison) -> None:
     assert 0.0 < step[0] < whole[0]
     beyond = poses_at_scans(log, estimate, time[-1:] + 5.0)
     assert np.array_equal(beyond, estimate.pose[-1:])
+
+
+def test_scans_between_relative_poses_are_led_on_evenly(compared: Comparison) -> None:
+    """As slamcheck run --motion scan has them, whose poses are some scans only."""
+    estimate, log = compared.smoothed, compared.log
+    moved = [planar.between(a, b) for a, b in pairwise(estimate.pose)]
+    spread = np.tile(1e-6 * np.eye(3), (len(moved), 1, 1))
+    relative = replace(
+        log,
+        prior=replace(log.prior, time_s=float(estimate.time_s[0])),
+        odometry=RelativePoses(estimate.time_s[1:], np.array(moved), spread),
+    )
+    halfway = 0.5 * (estimate.time_s[3:6] + estimate.time_s[4:7])
+    found = poses_at_scans(relative, estimate, halfway)
+    expected = [planar.compose(estimate.pose[k], 0.5 * moved[k]) for k in (3, 4, 5)]
+    assert np.allclose(found, expected, atol=1e-3)
 
 
 def test_cloud_distances_are_open3ds(compared: Comparison, open3d_library: ModuleType) -> None:

@@ -9,13 +9,14 @@ import pytest
 
 from comparisons.errors import InputError
 from comparisons.logs.bundled import SimulationChoices, open_log
-from comparisons.logs.log import Log
+from comparisons.logs.log import Log, Sightings
 from comparisons.logs.scans import Scans
 from comparisons.runs.dense_run import DenseOptions, DenseRun, DenseWatcher
 from comparisons.runs.ekf_build import EkfChoices
 from comparisons.runs.ekf_run import EkfRun, run_ekf
 from comparisons.runs.planar_scans import PlanarScans
 from comparisons.runs.timeline import build_timeline
+from ekf_reference.dense.virtual_landmarks import VirtualLandmarks
 from tests.helpers import Array
 
 
@@ -97,6 +98,53 @@ def test_scans_at_any_time_are_seen_from_where_the_vehicle_then_is(log: Log) -> 
         assert np.array_equal(ours, theirs)
 
 
+def collinear(log: Log, landmarks: int = 6) -> Log:
+    """The same drive past landmarks in a row, none hidden, in place of its own."""
+    assert log.truth.poses is not None
+    time = np.unique(log.sightings.time_s)
+    pose = log.truth.poses.at(time)
+    east, north, heading = pose[0]
+    ahead, left = np.array((np.cos(heading), np.sin(heading))), (-np.sin(heading), np.cos(heading))
+    along = 5.0 + 7.0 * np.arange(landmarks)[:, None]
+    landmark = (east, north) + 6.0 * np.array(left) + along * ahead
+    apart = landmark - pose[:, None, :2]
+    range_m, bearing = np.hypot(*apart.T).T, np.arctan2(apart[..., 1], apart[..., 0])
+    bearing = np.mod(bearing - pose[:, 2:] + np.pi, 2.0 * np.pi) - np.pi
+    row, number = np.nonzero((range_m < 25.0) & (np.abs(bearing) < np.pi / 2))
+    count = len(row)
+    seen = Sightings(
+        time[row],
+        range_m[row, number],
+        bearing[row, number],
+        np.full(count, 0.1),
+        np.full(count, 0.02),
+        number,
+        np.full(count, np.nan),
+    )
+    return replace(log, sightings=seen, truth=replace(log.truth, landmarks=None))
+
+
+def test_landmarks_in_a_row_have_regions_with_virtual_corners_alone(log: Log) -> None:
+    """A shift of the map is that of its landmarks, of which there may be fewer than virtual ones.
+
+    The virtual ones are told from the end of the map, where a real one stands too.
+    """
+    _, run = driven(collinear(log))
+    base = run.dense.regions.base
+    assert ((base < 0).sum(axis=1) == 1).all()
+    assert len(base) > 0
+    watcher = DenseWatcher(log, DenseOptions())
+    virtual = VirtualLandmarks(np.repeat([[0, 1]], 5, axis=0), np.arange(1.0, 6.0))
+    watcher._dense.regions.virtual = virtual
+    watcher._dense.regions.base = np.array([(0, 1, -1 - k) for k in range(5)])
+    watcher._dense.regions._order = np.arange(5)
+    old = np.array([(0.0, 0.0), (4.0, 0.0), (9.0, 9.0)])
+    watcher._note_shift(old, old + [(0.3, 0.4), (0.3, 0.4), (50.0, 0.0)])
+    before = watcher.run().before
+    assert before is not None
+    assert before.shift_m == pytest.approx(0.5)
+
+
 def test_planar_scans_keep_mount_and_returns() -> None:
     """A scanner that looks left from half a metre ahead."""
     log = open_log("occupancy-loop")
@@ -109,6 +157,15 @@ def test_planar_scans_keep_mount_and_returns() -> None:
     scan = PlanarScans(replace(log, scans=changed)).scan(0, np.array((10.0, 20.0, 0.0)))
     assert np.allclose(scan.point, [(10.5, 22.0)], atol=1e-9)
     assert np.allclose(scan.origin, (10.5, 20.0))
+
+
+def test_two_beams_tell_no_noise_and_get_the_least() -> None:
+    log = open_log("occupancy-loop")
+    assert log.scans is not None
+    few = {name: getattr(log.scans, name)[:, :2] for name in ("range_m", "intensity")}
+    changed = replace(log.scans, angle_rad=log.scans.angle_rad[:2], **few)
+    sensor = PlanarScans(replace(log, scans=changed)).sensor
+    assert sensor.sigma_range_m == 0.02
 
 
 def test_clouds_are_seen_as_scans() -> None:

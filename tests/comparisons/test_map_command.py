@@ -97,7 +97,10 @@ def test_a_ros_map_has_three_values(tmp_path: Path) -> None:
     assert lines["image"] == "map.pgm"
     assert lines["origin"] == "[-3, 7, 0.0]"
     assert float(lines["resolution"]) == 0.5
-    assert float(lines["free_thresh"]) < float(lines["occupied_thresh"])
+    occupied, free = float(lines["occupied_thresh"]), float(lines["free_thresh"])
+    shade = (255 - np.frombuffer(pixels, dtype=np.uint8).astype(float)) / 255  # map_server's own
+    loaded = np.where(shade > occupied, 100, np.where(shade < free, 0, -1))
+    assert loaded.tolist() == [-1, 0, 100, 0, 100, -1]
 
 
 def one_region() -> PlacedRegions:

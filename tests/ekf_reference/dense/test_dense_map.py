@@ -1,0 +1,357 @@
+"""A dense map given what it was not made for: it stays whole, and every return is accounted for.
+
+The filter is a made-up one, a pose and landmarks with a covariance, so that each case is a few
+lines. Where the landmarks hang together, regions come at once; where not, returns wait.
+"""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ekf_reference.dense.box_tree import BoxTree
+from ekf_reference.dense.conditions import Conditions
+from ekf_reference.dense.dense_map import DenseMap
+from ekf_reference.dense.layers.layer import Layer
+from ekf_reference.dense.neglected import corners_of
+from ekf_reference.dense.regions import Index, LocalRegions, PlacedRegions
+from ekf_reference.dense.scan import Scan
+from ekf_reference.dense.view import FilterView
+from ekf_reference.dense.waiting import Mask, WaitingRoom
+from tests.ekf_reference.dense.scenes import LAYERS, SENSOR, layer
+from tests.helpers import Array
+
+POSE = np.array([0.0, 0.0, 0.0])
+SQUARE = np.array([(2.0, -8.0), (18.0, -8.0), (18.0, 8.0), (2.0, 8.0)])
+BEARING = np.linspace(-1.2, 1.2, 121)
+TRUSTING = Conditions(known_apart_m=0.5)
+PATIENCE = 3
+
+
+def view(landmark: Array, pose: Array = POSE, apart_m: float = 0.05) -> FilterView:
+    """Landmarks as uncertain as the pose, and by `apart_m` on their own."""
+    slot = np.flatnonzero(np.isfinite(landmark).all(axis=1))
+    size = 3 + 2 * len(slot)
+    common = np.zeros((size, 2))
+    common[:2] = np.eye(2)
+    common[3::2, 0] = common[4::2, 1] = 1.0
+    own = np.concatenate(((0.02**2, 0.02**2, 1e-4), np.full(2 * len(slot), apart_m**2)))
+    return FilterView(pose, landmark, slot, 0.2**2 * common @ common.T + np.diag(own))
+
+
+def wall(pose: Array = POSE, range_m: float = 12.0) -> Scan:
+    """Returns all around at one range."""
+    return Scan.of_ranges(pose, BEARING, np.full(len(BEARING), range_m), SENSOR)
+
+
+def dense_map(*names: str, waiting: WaitingRoom | None = None) -> DenseMap:
+    """A map of some layers, those of the contract test."""
+    return DenseMap({n: layer(n) for n in names}, LocalRegions(TRUSTING), waiting)
+
+
+def room(capacity: int = 5_000) -> WaitingRoom:
+    return WaitingRoom(capacity=capacity, patience=PATIENCE)
+
+
+def drive(dense: DenseMap, seen: FilterView, *scans: Scan) -> None:
+    """One instant of the filter per scan."""
+    for scan in scans:
+        dense.predicted(seen)
+        dense.updated(seen)
+        dense.insert(seen, scan)
+
+
+def accounted(dense: DenseMap) -> bool:
+    """Whether every return offered is in one place."""
+    tally, room = dense.tally, dense.waiting
+    elsewhere = 0
+    if room is not None:
+        assert tally.late == room.counts.released
+        elsewhere = len(room.points.scan) + room.counts.dropped + room.counts.vanished
+    return tally.fused + tally.late + tally.outside + elsewhere == tally.returns
+
+
+def held(dense: DenseMap) -> int:
+    """Points in the layer that keeps them all."""
+    placed = PlacedRegions(
+        np.zeros((len(dense.regions.base), 3, 2)), BoxTree(np.empty(0, dtype=np.intp), ())
+    )
+    return len(dense.layers["points"].samples(placed).point)
+
+
+def held_by(layer: Layer, placed: PlacedRegions) -> bytes:
+    return b"".join(column.tobytes() for column in layer.samples(placed))
+
+
+def content(dense: DenseMap, seen: FilterView) -> bytes:
+    """All that a map knows."""
+    placed, note = dense.place(seen), dense.neglected
+    parts = [held_by(each, placed) for each in dense.layers.values()]
+    arrays = [placed.triangle, dense.regions.base, note.mean_m, note.largest_m, note.count]
+    if dense.waiting is not None:
+        arrays += dense.waiting.points
+    return b"".join(parts + [a.tobytes() for a in arrays]) + str(dense.tally).encode()
+
+
+def test_regions_take_what_lies_in_them() -> None:
+    dense = dense_map(*LAYERS, waiting=room())
+    drive(dense, view(SQUARE), wall(), wall())
+    assert len(dense.regions.base) >= 2
+    assert dense.tally.fused > 100
+    assert accounted(dense)
+    assert held(dense) == dense.tally.fused + dense.tally.late
+
+
+@pytest.mark.parametrize("waits", [False, True])
+@pytest.mark.parametrize(
+    "landmark",
+    [
+        np.empty((0, 2)),
+        SQUARE[:1],
+        np.repeat(SQUARE[:1], 3, axis=0),
+        np.full((3, 2), np.nan),
+        np.vstack((SQUARE[:1], np.full((2, 2), np.nan))),
+    ],
+    ids=["none", "one", "one place three times", "all gone", "all but one gone"],
+)
+def test_no_two_places_no_region(landmark: Array, waits: bool) -> None:
+    dense = dense_map("points", waiting=room() if waits else None)
+    drive(dense, view(landmark), *[wall()] * (2 * PATIENCE))
+    assert not len(dense.regions.base)
+    assert dense.tally.outside == dense.tally.returns > 0
+    assert accounted(dense)
+
+
+def test_two_landmarks_get_regions_with_virtual_corners_only_after_a_wait() -> None:
+    dense, never = dense_map("points", waiting=room()), dense_map("points")
+    for each in (dense, never):
+        drive(each, view(SQUARE[:2]), *[wall()] * (PATIENCE + 6))
+        assert accounted(each)
+    assert len(dense.regions.base) == len(dense.regions.virtual.depth) > 0
+    assert dense.tally.late > 0
+    assert not len(never.regions.base)
+
+
+def test_collinear_landmarks_get_no_region_of_their_own() -> None:
+    """Virtual corners stand behind every pair of neighbours, more of them than landmarks."""
+    line = np.column_stack((np.full(4, 6.0), (-9.0, -3.0, 3.0, 9.0)))
+    dense = dense_map("points", waiting=room())
+    drive(dense, view(line), *[wall()] * (PATIENCE + 6))
+    assert (dense.regions.base < 0).sum() == len(dense.regions.base) > 0
+    assert accounted(dense)
+    assert held(dense) == dense.tally.fused + dense.tally.late > 0
+    without = dense_map("points")
+    drive(without, view(line), wall())
+    assert not len(without.regions.base)
+
+
+def test_a_landmark_mapped_twice_makes_no_flat_region() -> None:
+    twice = np.vstack((SQUARE, SQUARE))
+    dense = dense_map(*LAYERS, waiting=room())
+    drive(dense, view(twice), wall(), wall())
+    placed = dense.regions.placed(twice)
+    assert len(dense.regions.base) == 2
+    assert not len(dense.regions.flipped(twice))
+    for each in dense.layers.values():
+        assert np.isfinite(each.samples(placed).point).all()
+    assert accounted(dense)
+
+
+def test_data_of_a_vertex_that_leaves_the_map_stay_where_it_was_last() -> None:
+    dense = dense_map(*LAYERS, waiting=room())
+    drive(dense, view(SQUARE), wall(), wall())
+    before = [s.samples(dense.place(view(SQUARE))).point for s in dense.layers.values()]
+    gone = SQUARE.copy()
+    gone[1] = np.nan
+    placed = dense.place(view(gone))
+    assert np.isfinite(placed.triangle).all()
+    after = [s.samples(placed).point for s in dense.layers.values()]
+    assert all(np.array_equal(a, b) for a, b in zip(before, after, strict=True))
+    fused, noted = dense.tally.fused, dense.neglected.count.copy()
+    drive(dense, view(gone), wall(), wall())
+    assert dense.tally.fused > fused  # the region takes in more, at its last place
+    with_it = (dense.regions.base[: len(noted)] == 1).any(axis=1)
+    assert (dense.neglected.count[: len(noted)] == noted)[with_it].all()  # its doubt is unknown
+    assert accounted(dense)
+
+
+def test_returns_that_wait_in_the_frame_of_a_landmark_vanish_with_it() -> None:
+    waiting = room()
+    dense = dense_map("points", waiting=waiting)
+    drive(dense, view(SQUARE, apart_m=1.0), wall(), wall())  # the shape is not known yet
+    count = len(waiting.points.scan)
+    assert not len(dense.regions.base)
+    assert count > 0
+    gone = SQUARE.copy()
+    gone[2] = np.nan
+    drive(dense, view(gone, apart_m=1.0), wall())
+    assert waiting.counts.vanished > 0
+    assert accounted(dense)
+    drive(dense, view(np.full((4, 2), np.nan)), wall())
+    assert not len(waiting.points.scan)
+    assert accounted(dense)
+
+
+def test_returns_vanish_when_the_two_landmarks_of_their_frame_become_one_place() -> None:
+    waiting = room()
+    dense = dense_map("points", waiting=waiting)
+    drive(dense, view(SQUARE, apart_m=1.0), wall())
+    drive(dense, view(np.repeat(SQUARE[:1], 4, axis=0), apart_m=1.0), wall())
+    assert waiting.counts.vanished > 0
+    assert not len(waiting.points.scan)
+    assert accounted(dense)
+
+
+def test_a_scan_outside_every_region_is_outside() -> None:
+    dense = dense_map(*LAYERS)
+    drive(dense, view(SQUARE), wall())
+    fused, far = dense.tally.fused, POSE + (300.0, 0.0, 0.0)
+    drive(dense, view(SQUARE, far), wall(far))
+    assert dense.tally.fused == fused
+    assert accounted(dense)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 0.0, -3.0])
+def test_what_is_no_range_is_no_return(bad: float) -> None:
+    ranges = np.full(len(BEARING), 12.0)
+    ranges[::2] = bad
+    half = Scan.of_ranges(POSE, BEARING, ranges, SENSOR)
+    dense, other = dense_map(*LAYERS, waiting=room()), dense_map(*LAYERS, waiting=room())
+    drive(dense, view(SQUARE), half)
+    drive(other, view(SQUARE), Scan.of_ranges(POSE, BEARING[1::2], ranges[1::2], SENSOR))
+    assert dense.tally.returns == len(BEARING) // 2
+    assert content(dense, view(SQUARE)) == content(other, view(SQUARE))
+
+
+@pytest.mark.parametrize("names", [LAYERS, ()], ids=["every layer", "no layer"])
+def test_an_empty_scan_is_counted_and_changes_nothing_else(names: tuple[str, ...]) -> None:
+    dense = dense_map(*names, waiting=room())
+    empty = Scan.of_ranges(POSE, np.empty(0), np.empty(0), SENSOR)
+    drive(dense, view(SQUARE), empty)
+    placed = dense.regions.placed(SQUARE)
+    assert (dense.tally.scans, dense.tally.returns) == (1, 0)
+    assert all(not len(s.samples(placed).point) for s in dense.layers.values())
+    assert not dense.neglected.count.any()
+    assert accounted(dense)
+
+
+def test_a_scan_before_the_first_landmark_and_before_any_update() -> None:
+    dense = dense_map(*LAYERS, waiting=room())
+    nothing = view(np.empty((0, 2)))
+    dense.insert(nothing, wall())
+    dense.predicted(nothing)
+    dense.updated(nothing)
+    dense.insert(nothing, wall())
+    assert dense.tally.outside == dense.tally.returns == 2 * len(BEARING)
+    drive(dense, view(SQUARE), wall())
+    assert dense.tally.fused > 0
+    assert accounted(dense)
+
+
+def test_an_overfull_waiting_room_drops_the_oldest_and_says_so() -> None:
+    waiting = room(capacity=50)
+    dense = dense_map("points", waiting=waiting)
+    drive(dense, view(SQUARE, apart_m=1.0), *[wall()] * 4)
+    assert len(waiting.points.scan) == 50
+    assert waiting.counts.dropped > 50
+    assert accounted(dense)
+
+
+def test_without_a_layer_the_regions_are_the_same() -> None:
+    dense, full = dense_map(waiting=room()), dense_map(*LAYERS, waiting=room())
+    for each in (dense, full):
+        drive(each, view(SQUARE), wall(), wall())
+    assert np.array_equal(dense.regions.base, full.regions.base)
+    assert dense.tally == full.tally
+
+
+@pytest.mark.parametrize("name", LAYERS)
+def test_layers_do_not_feel_each_other(name: str) -> None:
+    """Particles draw from a generator of their own, here the same one twice."""
+    alone, among = dense_map(name, waiting=room()), dense_map(*LAYERS, waiting=room())
+    for each in (alone, among):
+        drive(each, view(SQUARE[:3]), *[wall()] * (PATIENCE + 6))
+    assert alone.tally.late > 0
+    placed = alone.place(view(SQUARE[:3]))
+    assert held_by(alone.layers[name], placed) == held_by(among.layers[name], placed)
+
+
+def test_the_map_moves_with_the_landmarks_and_no_layer_hears_of_it() -> None:
+    dense = dense_map(*LAYERS)
+    drive(dense, view(SQUARE), wall())
+    kept = pickle.dumps(dense.layers)
+    shift = np.array((3.0, -40.0))
+    before = [s.samples(dense.place(view(SQUARE))).point for s in dense.layers.values()]
+    placed = dense.place(view(SQUARE + shift))
+    for was, each in zip(before, dense.layers.values(), strict=True):
+        assert np.allclose(each.samples(placed).point, was + shift, atol=1e-9, rtol=0.0)
+    assert pickle.dumps(dense.layers) == kept
+
+
+def random_drive(seed: int, dense: DenseMap) -> FilterView:
+    """Landmarks that come, move, coincide and go; scans of any size; returns the last view."""
+    rng = np.random.default_rng(seed)
+    landmark = np.empty((0, 2))
+    seen = view(landmark)
+    for step in range(25):
+        if rng.random() < 0.5:
+            landmark = np.vstack((landmark, rng.uniform(-20, 20, (rng.integers(1, 4), 2))))
+        landmark = landmark + rng.normal(0.0, 0.3, landmark.shape)
+        if len(landmark) > 4 and rng.random() < 0.15:
+            landmark[rng.integers(len(landmark))] = np.nan
+        if len(landmark) > 4 and rng.random() < 0.1:
+            landmark[0] = landmark[rng.integers(len(landmark))]
+        pose = np.array((*rng.uniform(-15, 15, 2), rng.uniform(-3, 3)))
+        seen = view(landmark, pose, apart_m=float(rng.choice((0.05, 0.4, 3.0))))
+        ranges = rng.uniform(-1.0, 25.0, rng.integers(0, 80))
+        ranges[rng.random(len(ranges)) < 0.1] = np.nan
+        bearing = rng.uniform(-np.pi, np.pi, len(ranges))
+        dense.predicted(seen)
+        dense.updated(seen)
+        for _ in range(rng.integers(0, 3)):
+            dense.insert(seen, Scan.of_ranges(pose, bearing, ranges, SENSOR, step))
+        assert accounted(dense), f"seed {seed}, step {step}"
+    return seen
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_returns_add_up_whatever_happens(seed: int) -> None:
+    dense = dense_map(*LAYERS, waiting=room(capacity=300))
+    random_drive(seed, dense)
+    assert held(dense) == dense.tally.fused + dense.tally.late
+
+
+def test_two_runs_give_the_same_bytes() -> None:
+    one, other = (dense_map(*LAYERS, waiting=room(300)) for _ in range(2))
+    seen = [random_drive(3, each) for each in (one, other)]
+    assert one.tally.late > 0
+    assert content(one, seen[0]) == content(other, seen[1])
+
+
+def test_lost_returns_would_be_noticed() -> None:
+    """What the accounting rejects: a map that forgets what no region can take."""
+    dense = dense_map("points")
+    drive(dense, view(SQUARE), wall(range_m=30.0))
+    dense.tally = replace(dense.tally, outside=0)
+    assert not accounted(dense)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_pairs_across_regions_are_left_out_for_speed_alone(seed: int) -> None:
+    """The same regions without the short cut."""
+
+    class Every(LocalRegions):
+        def _open(self, landmark: Array, slot: Index, pair: Mask) -> Mask:
+            return pair
+
+    maps = [dense_map("points", waiting=room()) for _ in range(2)]
+    maps[1].regions = Every(TRUSTING)
+    for dense in maps:
+        dense.neglected.corners = corners_of(dense.regions)
+        random_drive(seed, dense)
+    assert len(maps[0].regions.base) > 3
+    assert np.array_equal(maps[0].regions.base, maps[1].regions.base)
+    assert maps[0].tally == maps[1].tally
