@@ -78,6 +78,7 @@ def map_log(
     errors: dict[str, SurfaceError] = {}
     usual = classic.samples()
     if log.truth.surfaces is not None:
-        held = {**layers, "classic": usual}
+        inside = placed.locate(usual.point).region >= 0
+        held = {**layers, "classic": Samples(*(column[inside] for column in usual))}
         errors = {k: surface_error(s, log.truth.surfaces.segment) for k, s in held.items()}
     return DenseMapping(log, chosen, run, dense, placed, layers, usual, errors, seconds)

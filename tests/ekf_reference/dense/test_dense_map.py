@@ -16,11 +16,10 @@ from ekf_reference.dense.box_tree import BoxTree
 from ekf_reference.dense.conditions import Conditions
 from ekf_reference.dense.dense_map import DenseMap
 from ekf_reference.dense.layers.layer import Layer
-from ekf_reference.dense.neglected import corners_of
-from ekf_reference.dense.regions import Index, LocalRegions, PlacedRegions
+from ekf_reference.dense.regions import LocalRegions, PlacedRegions
 from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.view import FilterView
-from ekf_reference.dense.waiting import Mask, WaitingRoom
+from ekf_reference.dense.waiting import WaitingRoom
 from tests.ekf_reference.dense.scenes import LAYERS, SENSOR, layer
 from tests.helpers import Array
 
@@ -337,21 +336,3 @@ def test_lost_returns_would_be_noticed() -> None:
     drive(dense, view(SQUARE), wall(range_m=30.0))
     dense.tally = replace(dense.tally, outside=0)
     assert not accounted(dense)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_pairs_across_regions_are_left_out_for_speed_alone(seed: int) -> None:
-    """The same regions without the short cut."""
-
-    class Every(LocalRegions):
-        def _open(self, landmark: Array, slot: Index, pair: Mask) -> Mask:
-            return pair
-
-    maps = [dense_map("points", waiting=room()) for _ in range(2)]
-    maps[1].regions = Every(TRUSTING)
-    for dense in maps:
-        dense.neglected.corners = corners_of(dense.regions)
-        random_drive(seed, dense)
-    assert len(maps[0].regions.base) > 3
-    assert np.array_equal(maps[0].regions.base, maps[1].regions.base)
-    assert maps[0].tally == maps[1].tally
