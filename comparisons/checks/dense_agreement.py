@@ -16,11 +16,10 @@ from comparisons.checks.dense_accuracy import OCCUPIED, SurfaceError, error_of_p
 from comparisons.logs.log import Log
 from comparisons.runs.dense_run import GRID_MODEL, DenseRun
 from comparisons.runs.estimate import Array, Estimate
-from comparisons.runs.motion import motion_between
+from comparisons.runs.motion import poses_at
 from ekf_reference.dense.layers.classic_grid import ClassicGrid
 from ekf_reference.dense.layers.layer import Samples
 from ekf_reference.dense.regions import PlacedRegions
-from graphslam.scan import planar
 
 AGREE_M = 0.3
 """Two maps agree when half of what the one holds is no farther than this from the other, in all
@@ -28,7 +27,6 @@ and in every region that holds enough."""
 _ENOUGH = 20
 _DECIDED = (0.35, 0.65)
 """A cell below is free, one above occupied."""
-_CLOCK_S = 1e-4
 
 
 @dataclass(frozen=True)
@@ -115,28 +113,12 @@ def compare_dense(log: Log, dense: DenseRun, smoothed: Estimate) -> DenseAgreeme
     return DenseAgreement(layers, worst_first, share, other, errors)
 
 
-def poses_at_scans(log: Log, estimate: Estimate, time_s: Array) -> Array:
-    """(N, 3) an estimate's poses at the times of scans (N,), led on by the odometry in between."""
-    known, wanted = np.round(estimate.time_s, 4), np.round(time_s, 4)
-    wanted = np.clip(wanted, known[0], known[-1])
-    instants = np.union1d(known, wanted)
-    moved = motion_between(log, instants[1:]).displacement
-    pose = np.empty((len(instants), 3))
-    row = np.minimum(np.searchsorted(known, instants), len(known) - 1)
-    at_epoch = np.abs(known[row] - instants) < 0.5 * _CLOCK_S
-    for i in range(len(instants)):
-        at = estimate.pose[row[i]] if at_epoch[i] else planar.compose(pose[i - 1], moved[i - 1])
-        pose[i] = at
-    found: Array = pose[np.searchsorted(instants, wanted)]
-    return found
-
-
 def _returns(
     log: Log, dense: DenseRun, smoothed: Estimate, placed: PlacedRegions, grid: ClassicGrid
 ) -> Array:
     """(M, 2) all returns in regions, from the smoother's poses; the scans go into a grid, too."""
     seen = [np.empty((0, 2))]
-    for number, vehicle in enumerate(poses_at_scans(log, smoothed, dense.scan_time_s)):
+    for number, vehicle in enumerate(poses_at(log, smoothed, dense.scan_time_s)):
         scan = dense.scans.scan(number, vehicle)
         grid.fuse(scan)
         seen.append(scan.point[placed.locate(scan.point).region >= 0])

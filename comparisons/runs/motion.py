@@ -10,10 +10,15 @@ from numpy.typing import NDArray
 from comparisons.errors import InputError, RecordError
 from comparisons.logs.log import Log, Sightings
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry
+from comparisons.runs.estimate import Estimate
 from comparisons.runs.timeline import Timeline, build_timeline
 from graphslam import increments
+from graphslam.scan import planar
 
 Array = NDArray[np.float64]
+
+CLOCK_S = 1e-4
+"""Times closer than this are one: a timeline resolves no more."""
 
 
 def motion_samples(log: Log, timeline: Timeline) -> increments.Samples:
@@ -57,3 +62,22 @@ def motion_between(log: Log, time_s: Array) -> increments.Samples:
     samples = motion_samples(log, timeline)
     kept = increments.Samples(samples.displacement[before_last], samples.covariance[before_last])
     return increments.compose(kept, interval[before_last], count)
+
+
+def poses_at(log: Log, estimate: Estimate, time_s: Array) -> Array:
+    """(N, 3) an estimate's poses at times (N,), led on by the odometry in between.
+
+    Times before and after the estimate's are taken for its first and its last.
+    """
+    known, wanted = np.round(estimate.time_s, 4), np.round(time_s, 4)
+    wanted = np.clip(wanted, known[0], known[-1])
+    instants = np.union1d(known, wanted)
+    moved = motion_between(log, instants[1:]).displacement
+    pose = np.empty((len(instants), 3))
+    row = np.minimum(np.searchsorted(known, instants), len(known) - 1)
+    at_epoch = np.abs(known[row] - instants) < 0.5 * CLOCK_S
+    for i in range(len(instants)):
+        at = estimate.pose[row[i]] if at_epoch[i] else planar.compose(pose[i - 1], moved[i - 1])
+        pose[i] = at
+    found: Array = pose[np.searchsorted(instants, wanted)]
+    return found
