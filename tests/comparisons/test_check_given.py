@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -219,3 +221,16 @@ def test_the_command(tmp_path: Path, right: Estimate) -> None:
     missing = slamcheck("check", "simulated-loop", "--estimate", "no.tum", cwd=tmp_path)
     assert missing.returncode == 2
     assert len(missing.stderr.strip().splitlines()) == 1
+
+
+def test_the_example_is_found_out(tmp_path: Path, right: Estimate) -> None:
+    """The script of the README, run as its docstring says."""
+    (tmp_path / "ekf").mkdir()
+    write_estimate(right, tmp_path / "ekf")
+    script = Path(__file__).resolve().parents[2] / "examples" / "late_export.py"
+    subprocess.run([sys.executable, script, "ekf", "late.tum"], cwd=tmp_path, check=True)
+    good = slamcheck("check", "simulated-loop", "--estimate", "ekf", cwd=tmp_path)
+    assert good.returncode == 0, good.stderr
+    late = slamcheck("check", "simulated-loop", "--estimate", "late.tum", cwd=tmp_path)
+    assert late.returncode == 1, late.stderr
+    assert "time gap: 0.2" in late.stdout
