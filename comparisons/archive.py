@@ -12,14 +12,22 @@ from comparisons.errors import InputError
 
 def read_archive(path: Path, names: tuple[str, ...]) -> list[NDArray[np.float64]]:
     """The named arrays as float64. Raises InputError for anything but an archive of numbers."""
+    found = read_arrays(path, names)
+    if len(found) < len(names):
+        raise InputError(f"{path}: not an archive of {', '.join(names)}")
+    return [found[name] for name in names]
+
+
+def read_arrays(path: Path, names: tuple[str, ...]) -> dict[str, NDArray[np.float64]]:
+    """Those of the named arrays that an archive holds. Raises InputError like read_archive."""
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            arrays = [archive[name] for name in names]
+            arrays = {name: archive[name] for name in names if name in archive}
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
     except Exception:  # a damaged archive fails in as many ways as zip, zlib and numpy know
         raise InputError(f"{path}: not an archive of {', '.join(names)}") from None
-    for name, array in zip(names, arrays, strict=True):
+    for name, array in arrays.items():
         if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiu" or not array.ndim:
             raise InputError(f"{path}: {name} is not an array of numbers")
-    return [array.astype(np.float64) for array in arrays]
+    return {name: array.astype(np.float64) for name, array in arrays.items()}

@@ -15,6 +15,7 @@ import typer
 from comparisons.cli_options import (
     AssociationOption,
     DenseOption,
+    EstimateOption,
     FeaturesOption,
     FilterOption,
     FormatOption,
@@ -56,6 +57,8 @@ if TYPE_CHECKING:
     from comparisons.runs.dense_run import DenseOptions
     from comparisons.runs.ekf_build import EkfChoices
     from graphslam.smoother import SmootherOptions
+
+_VERDICTS = {"agree": AGREE, "disagree": DISAGREE, "unproven": UNPROVEN}
 
 app = typer.Typer(
     name="slamcheck",
@@ -169,7 +172,7 @@ def _run(
         progress("report", 0, 0)
         write_run_folder(comparison, result, folder)
     print_result(lambda console: print_summary(result, console), folder)
-    return {"agree": AGREE, "disagree": DISAGREE, "unproven": UNPROVEN}[result.verdict]
+    return _VERDICTS[result.verdict]
 
 
 @app.command()
@@ -213,6 +216,49 @@ def solve(
             write_solution_folder(solution, result, folder)
         print_result(lambda console: print_solution(result, console), folder)
         raise SystemExit(AGREE if result.verdict == "proven" else UNPROVEN)
+
+
+@app.command()
+def check(
+    log: LogArgument,
+    estimate: EstimateOption,
+    format_name: FormatOption = None,
+    out: OutOption = None,
+    association: SolveAssociationOption = None,
+    features: FeaturesOption = "log",
+    gps: GpsOption = "off",
+    robust: RobustOption = "none",
+    robot: RobotOption = 1,
+    seed: SeedOption = 0,
+    loops: LoopsOption = 1,
+    noise_scale: NoiseOption = 1.0,
+) -> None:
+    """Check another system's estimate of a log against the smoother's. Exits as run does.
+
+    \b
+    Examples:
+      slamcheck check simulated-loop --estimate my-filter-output
+      slamcheck check my-log --estimate trajectory.tum
+    """
+    with guarded():
+        from comparisons.atomic import check_replaceable, folder_name
+        from comparisons.check_given import check_given
+        from comparisons.report.check_folder import CHECK_CONTENTS, write_check_folder
+        from comparisons.report.check_result import build_check_result, print_check
+        from comparisons.runs.given_estimate import read_given
+
+        given = read_given(estimate)
+        source, read_s = read_named(log, format_name, robot, seed, loops, noise_scale, features)
+        folder = out or Path(f"slamcheck-check-{folder_name(source.name)}")
+        check_replaceable(folder, CHECK_CONTENTS)
+        options = _options("batch", 100, "levenberg-marquardt", robust)
+        with progress_bar() as progress:
+            checked = check_given(source, given, association, gps, options, progress)
+            result = build_check_result(checked, read_s)
+            progress("report", 0, 0)
+            write_check_folder(checked, result, folder)
+        print_result(lambda console: print_check(result, console), folder)
+        raise SystemExit(_VERDICTS[checked.outcome])
 
 
 app.command()(odometry)

@@ -114,6 +114,15 @@ LayerOption = Annotated[
 ResolutionOption = Annotated[
     float, typer.Option(metavar="M", help="Size of cells in metres, of grids and pictures.")
 ]
+EstimateOption = Annotated[
+    Path,
+    typer.Option(
+        "--estimate",
+        metavar="FOLDER|FILE",
+        help="A TUM trajectory, or a folder with trajectory.tum and, if there are any, "
+        "landmarks.csv, covariances.npz, estimate.toml.",
+    ),
+]
 DenseOption = Annotated[
     list[str],
     typer.Option(

@@ -6,6 +6,8 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from comparisons.checks.dense_accuracy import SurfaceError, surface_error
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
@@ -78,7 +80,9 @@ def map_log(
     errors: dict[str, SurfaceError] = {}
     usual = classic.samples()
     if log.truth.surfaces is not None:
-        inside = placed.locate(usual.point).region >= 0
-        held = {**layers, "classic": Samples(*(column[inside] for column in usual))}
+        region = placed.locate(usual.point).region
+        kept = np.flatnonzero(region >= 0)
+        there = Samples(usual.point[kept], usual.occupancy[kept], region[kept])
+        held = {**layers, "classic": there}
         errors = {k: surface_error(s, log.truth.surfaces.segment) for k, s in held.items()}
     return DenseMapping(log, chosen, run, dense, placed, layers, usual, errors, seconds)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -20,15 +19,12 @@ from comparisons.checks.dense_accuracy import (
     surface_error,
 )
 from comparisons.logs.log import Log
-from comparisons.logs.odometry import RelativePoses
 from comparisons.runs.dense_run import GRID_MODEL, DenseRun
 from comparisons.runs.estimate import Array, Estimate
-from comparisons.runs.motion import motion_between
+from comparisons.runs.motion import poses_at
 from ekf_reference.dense.layers.classic_grid import ClassicGrid
 from ekf_reference.dense.layers.layer import Samples
 from ekf_reference.dense.regions import PlacedRegions
-from graphslam.increments import dead_reckoned
-from graphslam.scan import planar
 
 AGREE_M = 0.3
 """Two maps agree when half of what the one holds is no farther than this from the other, in all
@@ -36,7 +32,6 @@ and in every region that holds enough."""
 _ENOUGH = 20
 _DECIDED = (0.35, 0.65)
 """A cell below is free, one above occupied."""
-_CLOCK_S = 1e-4
 
 
 @dataclass(frozen=True)
@@ -122,46 +117,12 @@ def compare_dense(log: Log, dense: DenseRun, smoothed: Estimate) -> DenseAgreeme
     return DenseAgreement(layers, worst_first, share, other, errors)
 
 
-def poses_at_scans(log: Log, estimate: Estimate, time_s: Array) -> Array:
-    """(N, 3) an estimate's poses at the times of scans (N,), led on by the odometry in between."""
-    known, wanted = np.round(estimate.time_s, 4), np.round(time_s, 4)
-    wanted = np.clip(wanted, known[0], known[-1])
-    instants = np.union1d(known, wanted)
-    moved = _moved(log, instants)
-    pose = np.empty((len(instants), 3))
-    row = np.minimum(np.searchsorted(known, instants), len(known) - 1)
-    at_epoch = np.abs(known[row] - instants) < 0.5 * _CLOCK_S
-    for i in range(len(instants)):
-        at = estimate.pose[row[i]] if at_epoch[i] else planar.compose(pose[i - 1], moved[i - 1])
-        pose[i] = at
-    found: Array = pose[np.searchsorted(instants, wanted)]
-    return found
-
-
-def _moved(log: Log, instants: Array) -> Array:
-    """(N - 1, 3) the odometry's motion from each of the instants (N,) [s] to the next.
-
-    Between relative poses the vehicle is taken to move evenly, as DenseWatcher has it.
-    """
-    odometry = log.odometry
-    if not isinstance(odometry, RelativePoses):
-        moved: Array = motion_between(log, instants).displacement[1:]
-        return moved
-    begin = np.concatenate(([log.prior.time_s], odometry.time_s))
-    row = np.clip(np.searchsorted(begin, instants, side="right") - 1, 0, len(begin) - 2)
-    share = np.clip((instants - begin[row]) / np.diff(begin)[row], 0.0, 1.0)
-    way = share[:, None] * odometry.displacement[row]
-    path = dead_reckoned(np.zeros(3), odometry.displacement)[row]
-    at = [planar.compose(p, w) for p, w in zip(path, way, strict=True)]
-    return np.array([planar.between(a, b) for a, b in pairwise(at)]).reshape(-1, 3)
-
-
 def _returns(
     log: Log, dense: DenseRun, smoothed: Estimate, placed: PlacedRegions, grid: ClassicGrid
 ) -> Array:
     """(M, 2) all returns in regions, from the smoother's poses; the scans go into a grid, too."""
     seen = [np.empty((0, 2))]
-    for number, vehicle in enumerate(poses_at_scans(log, smoothed, dense.scan_time_s)):
+    for number, vehicle in enumerate(poses_at(log, smoothed, dense.scan_time_s)):
         scan = dense.scans.scan(number, vehicle)
         grid.fuse(scan)
         seen.append(scan.point[placed.locate(scan.point).region >= 0])

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
+from comparisons.check_given import GivenCheck
 from comparisons.compare import Comparison
 from comparisons.front_end import FrontEnd
 from comparisons.logs.log import Log
@@ -112,6 +113,24 @@ def solution_figure(solution: Solution) -> Figure:
         f"chi2 {proof.chi_square.chi2:.0f} for {proof.chi_square.dof} degrees of freedom"
     )
     return _map(solution.log, solution.dead_reckoned, {"smoother": solution.estimate}, title)
+
+
+def check_figure(check: GivenCheck) -> Figure:
+    """An estimate from elsewhere on top of the smoother's."""
+    solution, given = check.solution, check.given
+    title = f"{solution.log.name}: {check.outcome}"
+    estimates = {"smoother": solution.estimate}
+    figure = _map(solution.log, solution.dead_reckoned, estimates, title)
+    axis = figure.axes[0]
+    draw_trajectory(axis, given.pose[:, :2], EKF_COLOUR, "given trajectory", "--")
+    if given.landmark is not None:
+        spread = given.landmark_covariance
+        if spread is None:
+            spread = np.zeros((len(given.landmark), 2, 2))
+        outline = ellipses(given.landmark, spread, 3.0)
+        draw_landmarks(axis, given.landmark, outline, EKF_COLOUR, "o", "given landmarks")
+    axis.legend(loc="best", fontsize=8)
+    return figure
 
 
 def _map(log: Log, dead_reckoned: Array, estimates: dict[str, Estimate], title: str) -> Figure:

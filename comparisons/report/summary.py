@@ -10,6 +10,7 @@ from comparisons.report.dense_result import add_dense
 from comparisons.report.models import (
     AccuracyResult,
     AssociationResult,
+    CauseResult,
     EkfResult,
     LogResult,
     Result,
@@ -84,11 +85,18 @@ def print_summary(result: Result, console: Console) -> None:
         add_dense(table, result.dense)
     table.add_row("seconds", ", ".join(f"{stage} {s:.2f}" for stage, s in result.seconds.items()))
     console.print(table)
-    console.print(f"verdict: [{_STYLE[result.verdict]}]{result.verdict}[/]", highlight=False)
-    for cause in result.causes:
+    print_verdict(result.verdict, result.causes, result.remarks, console)
+
+
+def print_verdict(
+    verdict: str, causes: list[CauseResult], remarks: list[str], console: Console
+) -> None:
+    """Print the outcome, why, and what else there is to know."""
+    console.print(f"verdict: [{_STYLE[verdict]}]{verdict}[/]", highlight=False)
+    for cause in causes:
         console.print(f"  {cause.gap} gap: {escape(cause.evidence)}", highlight=False)
         console.print(f"    {escape(cause.hint)}", style="dim", highlight=False)
-    for remark in result.remarks:
+    for remark in remarks:
         console.print(f"  note: {escape(remark)}", highlight=False)
 
 

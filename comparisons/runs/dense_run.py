@@ -14,6 +14,7 @@ from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
 from comparisons.runs.ekf_build import motion_model
 from comparisons.runs.estimate import Array
+from comparisons.runs.motion import CLOCK_S
 from comparisons.runs.planar_scans import PlanarScans
 from ekf_reference.dense.conditions import Conditions
 from ekf_reference.dense.dense_map import DenseMap
@@ -35,8 +36,6 @@ GRID_MODEL = InverseSensorModel(p_occupied=0.65, p_free=0.45)
 looked past."""
 PATIENCE = 16
 """Scans that returns wait for a third landmark before a virtual one takes its place."""
-_CLOCK_S = 1e-4
-"""Times closer than this are one."""
 _TELLING_M = 0.05
 """Least shift of the regions by one update that is worth a picture (root mean square)."""
 _CLEARLY = 1.2
@@ -144,10 +143,10 @@ class DenseWatcher:
 
     def stepping(self, ekf: FullEkf, time_s: float, control: Array, duration_s: float) -> None:
         """Take in the scans of the interval that is about to be predicted."""
-        while self._due(time_s + duration_s - _CLOCK_S):
+        while self._due(time_s + duration_s - CLOCK_S):
             view = FilterView.of(ekf)
             part = max(float(self._scans.time_s[self._next]) - time_s, 0.0)
-            if part > _CLOCK_S:
+            if part > CLOCK_S:
                 share = part / duration_s if self._relative else 1.0
                 step = self._motion.step(view.pose, share * control, part)
                 view = replace(view, pose=step.pose)
@@ -173,7 +172,7 @@ class DenseWatcher:
 
     def finished(self, ekf: FullEkf, time_s: float) -> None:
         """Take in what was scanned at the very end."""
-        while self._due(time_s + _CLOCK_S):
+        while self._due(time_s + CLOCK_S):
             self._insert(FilterView.of(ekf))
         self._dense.place(replace(FilterView.of(ekf), landmark=ekf.state.landmarks))
 

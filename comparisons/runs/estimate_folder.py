@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from comparisons.archive import read_archive
@@ -24,7 +25,9 @@ _TUM = ("time_s", "x", "y", "z", "qx", "qy", "qz", "qw")
 _LANDMARKS = ("id", "x_m", "y_m")
 
 
-class _Meta(BaseModel):
+class Meta(BaseModel):
+    """`estimate.toml`."""
+
     model_config = ConfigDict(extra="forbid")
     version: Literal[1]
     information: Literal["filtered", "smoothed", "fixed-lag"]
@@ -64,39 +67,46 @@ def tum_text(time_s: Array, pose: Array) -> str:
 
 def read_estimate(folder: Path) -> Estimate:
     """Read a folder. Headings are unwrapped from pose to pose. Raises InputError."""
-    path = folder / "estimate.toml"
+    meta = read_meta(folder / "estimate.toml")
+    time_s, poses = read_trajectory(folder / "trajectory.tum")
+    archive_path = folder / "covariances.npz"
+    pose, joint = read_archive(archive_path, ("pose", "last_pose_and_landmarks"))
+    ids, landmark = read_landmarks(folder / "landmarks.csv")
+    size = 3 + 2 * len(ids)
+    if pose.shape != (len(poses), 3, 3) or joint.shape != (size, size):
+        raise InputError(
+            f"{archive_path}: shapes {pose.shape} and {joint.shape}, expected "
+            f"{(len(poses), 3, 3)} and {(size, size)}"
+        )
+    if not (np.isfinite(pose).all() and np.isfinite(joint).all()):
+        raise InputError(f"{archive_path}: holds a value that is not a finite number")
+    return Estimate(time_s, poses, pose, ids, landmark, joint, meta.information, meta.provenance)
+
+
+def read_meta(path: Path) -> Meta:
+    """`estimate.toml`. Raises InputError."""
     try:
-        meta = _Meta.model_validate(tomllib.loads(read_text(path)))
+        return Meta.model_validate(tomllib.loads(read_text(path)))
     except ValidationError as error:
         raise InputError(f"{path}: {first_fault(error)}") from None
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise InputError(f"{path}: not valid TOML: {error}") from None
-    tum = Table(folder / "trajectory.tum", _TUM)
-    table = Table(folder / "landmarks.csv", _LANDMARKS, comma=True, header=True)
+
+
+def read_trajectory(path: Path) -> tuple[Array, Array]:
+    """Times (K,) and planar poses (K, 3) of a TUM file, headings unwrapped. Raises InputError."""
+    tum = Table(path, _TUM)
     with tum.locating():
         increasing("trajectory", tum["time_s"])
         norm = np.linalg.norm(tum.data[:, 4:], axis=1)
         within("trajectory", "quaternion's norm", norm, 0.99, 1.01)
     heading = np.unwrap(2.0 * np.arctan2(tum["qz"], tum["qw"]))
-    archive_path = folder / "covariances.npz"
-    pose, joint = read_archive(archive_path, ("pose", "last_pose_and_landmarks"))
+    return tum["time_s"], np.column_stack((tum["x"], tum["y"], heading))
+
+
+def read_landmarks(path: Path) -> tuple[NDArray[np.int64], Array]:
+    """Ids (L,) and places (L, 2) of a `landmarks.csv`. Raises InputError."""
+    table = Table(path, _LANDMARKS, comma=True, header=True)
     with table.locating():
         ids = whole_numbers("landmarks", "id", table["id"])
-    size = 3 + 2 * len(table)
-    if pose.shape != (len(tum), 3, 3) or joint.shape != (size, size):
-        raise InputError(
-            f"{archive_path}: shapes {pose.shape} and {joint.shape}, expected "
-            f"{(len(tum), 3, 3)} and {(size, size)}"
-        )
-    if not (np.isfinite(pose).all() and np.isfinite(joint).all()):
-        raise InputError(f"{archive_path}: holds a value that is not a finite number")
-    return Estimate(
-        tum["time_s"],
-        np.column_stack((tum["x"], tum["y"], heading)),
-        pose,
-        ids,
-        table.data[:, 1:],
-        joint,
-        meta.information,
-        meta.provenance,
-    )
+    return ids, table.data[:, 1:]

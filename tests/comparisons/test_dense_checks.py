@@ -14,12 +14,13 @@ from comparisons.checks.dense_accuracy import (
     error_of_points,
     surface_error,
 )
-from comparisons.checks.dense_agreement import AGREE_M, compare_dense, poses_at_scans
+from comparisons.checks.dense_agreement import AGREE_M, compare_dense
 from comparisons.compare import Comparison, compare_estimators
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.odometry import RelativePoses
 from comparisons.report.dense_result import dense_result
 from comparisons.runs.dense_run import DenseOptions
+from comparisons.runs.motion import poses_at
 from ekf_reference.dense.layers.layer import Samples
 from graphslam.scan import planar
 
@@ -107,16 +108,16 @@ def test_a_dense_disagreement_is_a_cause(
     assert len(result.regions) <= 20
 
 
-def test_poses_at_scans_are_led_on_by_the_wheels(compared: Comparison) -> None:
+def test_poses_at_are_led_on_by_the_wheels(compared: Comparison) -> None:
     """At epochs the estimate's, in between composed from the one before."""
     estimate, log = compared.smoothed, compared.log
     time = estimate.time_s
-    assert np.array_equal(poses_at_scans(log, estimate, time[3:6]), estimate.pose[3:6])
-    between = poses_at_scans(log, estimate, time[3:5] + (0.0, -0.1))
+    assert np.array_equal(poses_at(log, estimate, time[3:6]), estimate.pose[3:6])
+    between = poses_at(log, estimate, time[3:5] + (0.0, -0.1))
     step = planar.between(between[0], between[1])
     whole = planar.between(estimate.pose[3], estimate.pose[4])
     assert 0.0 < step[0] < whole[0]
-    beyond = poses_at_scans(log, estimate, time[-1:] + 5.0)
+    beyond = poses_at(log, estimate, time[-1:] + 5.0)
     assert np.array_equal(beyond, estimate.pose[-1:])
 
 
@@ -131,7 +132,7 @@ def test_scans_between_relative_poses_are_led_on_evenly(compared: Comparison) ->
         odometry=RelativePoses(estimate.time_s[1:], np.array(moved), spread),
     )
     halfway = 0.5 * (estimate.time_s[3:6] + estimate.time_s[4:7])
-    found = poses_at_scans(relative, estimate, halfway)
+    found = poses_at(relative, estimate, halfway)
     expected = [planar.compose(estimate.pose[k], 0.5 * moved[k]) for k in (3, 4, 5)]
     assert np.allclose(found, expected, atol=1e-3)
 

@@ -1,0 +1,105 @@
+"""The check job: someone else's estimate of a log against the smoother's, proven, estimate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+from comparisons.checks.accuracy import Accuracy, assess_trajectory
+from comparisons.checks.attribution import Cause
+from comparisons.checks.given_agreement import GivenAgreement, compare_given
+from comparisons.logs.log import Log
+from comparisons.runs.ekf_build import EkfChoices, fused_positions
+from comparisons.runs.ekf_run import run_ekf
+from comparisons.runs.estimate import Array
+from comparisons.runs.given_estimate import GivenEstimate
+from comparisons.runs.motion import poses_at
+from comparisons.runs.timeline import build_timeline
+from comparisons.solve import Solution, solve_log
+from graphslam.smoother import SmootherOptions
+
+
+@dataclass(frozen=True)
+class GivenCheck:
+    """What the check found.
+
+    solution: the smoother's. agreement: against it. accuracy: of the given trajectory where the
+    log has truth or positions. outcome, causes, remarks: the verdict.
+    """
+
+    given: GivenEstimate
+    solution: Solution
+    agreement: GivenAgreement
+    accuracy: Accuracy | None
+    outcome: Literal["agree", "disagree", "unproven"]
+    causes: tuple[Cause, ...]
+    remarks: tuple[str, ...]
+
+
+def check_given(
+    log: Log,
+    given: GivenEstimate,
+    association: str | None = None,
+    gps: str = "off",
+    options: SmootherOptions | None = None,
+    progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
+) -> GivenCheck:
+    """Solve the log, compare, judge. Raises InputError, and as solve_log does."""
+    solution = solve_log(log, association, gps, options, progress)
+    progress("check", 0, 0)
+    reference = poses_at(solution.log, solution.estimate, given.time_s)
+    found = compare_given(
+        given,
+        solution.estimate,
+        reference,
+        labelled=solution.association_by == "known",
+        peer=_peer(given, solution),
+    )
+    proven = solution.result.proof.proven
+    causes = found.causes
+    outcome: Literal["agree", "disagree", "unproven"]
+    outcome = "unproven" if not proven else "disagree" if causes else "agree"
+    return GivenCheck(
+        given,
+        solution,
+        found,
+        assess_trajectory(given.time_s, given.pose, solution.log),
+        outcome,
+        causes,
+        tuple(_remarks(given, found)),
+    )
+
+
+def _peer(given: GivenEstimate, solution: Solution) -> Array | None:
+    """The reference EKF's poses (K, 3) where filtered ones are given; None for smoothed ones."""
+    if given.information != "filtered":
+        return None
+    log, known = solution.log, solution.association_by == "known"
+    choices = EkfChoices(association="known" if known else "nn", gps=solution.gps).settle(log)
+    positions = fused_positions(log, choices)
+    run = run_ekf(log, build_timeline(log, positions), choices, positions)
+    return poses_at(log, run.estimate, given.time_s)
+
+
+def _remarks(given: GivenEstimate, found: GivenAgreement) -> list[str]:
+    """How the verdict is narrowed by what was not handed in."""
+    remarks = []
+    if given.absent:
+        judged = ["the last pose"] if found.last is not None else []
+        judged += ["landmarks"] if found.landmarks else []
+        if found.outside is not None:
+            judged.append("every pose by its own covariance")
+        remarks.append(
+            f"not handed in: {', '.join(given.absent)}; judged: {', '.join(judged) or 'nothing'}"
+        )
+    if len(found.time_s) < len(given.time_s):
+        remarks.append(
+            f"{len(given.time_s) - len(found.time_s)} poses lie outside the log's time and were "
+            "left out"
+        )
+    if found.last is None:
+        remarks.append("the last pose given lies before the log's end, so it was not judged")
+    if found.unmatched:
+        remarks.append(f"{found.unmatched} landmarks given are not among the smoother's")
+    return remarks

@@ -1,0 +1,99 @@
+"""An estimate from someone else's system: a trajectory, and as much more as there is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.archive import read_arrays
+from comparisons.errors import InputError
+from comparisons.runs.estimate_folder import read_landmarks, read_meta, read_trajectory
+
+Array = NDArray[np.float64]
+
+Information = Literal["filtered", "smoothed", "fixed-lag"]
+_ARRAYS = ("pose", "landmarks", "last_pose_and_landmarks")
+
+
+@dataclass(frozen=True)
+class GivenEstimate:
+    """What was handed in; None for what was not.
+
+    time_s: (K,). pose: (K, 3) x, y, heading, unwrapped. landmark_id: (L,) and landmark: (L, 2),
+    both None without a map. pose_covariance: (K, 3, 3). landmark_covariance: (L, 2, 2).
+    joint_covariance: (3 + 2 L, 3 + 2 L) of the last pose and all landmarks. All covariances are
+    of the additive global error. information: as of Estimate.
+    """
+
+    time_s: Array
+    pose: Array
+    landmark_id: NDArray[np.int64] | None = None
+    landmark: Array | None = None
+    pose_covariance: Array | None = None
+    landmark_covariance: Array | None = None
+    joint_covariance: Array | None = None
+    information: Information = "filtered"
+
+    @property
+    def absent(self) -> list[str]:
+        """What is missing, in words."""
+        return [
+            words
+            for value, words in (
+                (self.landmark, "landmarks"),
+                (self.pose_covariance, "pose covariances"),
+                (self.landmark_covariance, "landmark covariances"),
+                (self.joint_covariance, "the joint covariance"),
+            )
+            if value is None
+        ]
+
+
+def read_given(path: Path) -> GivenEstimate:
+    """A TUM file, or a folder with `trajectory.tum` and any of the files of an estimate folder.
+
+    Raises InputError.
+    """
+    if not path.exists():
+        raise InputError(f"{path}: no such file or folder, expected a TUM file or a folder")
+    trajectory = path if path.is_file() else path / "trajectory.tum"
+    time_s, pose = read_trajectory(trajectory)
+    if not len(pose):
+        raise InputError(f"{trajectory}: holds no poses")
+    if path.is_file():
+        return GivenEstimate(time_s, pose)
+    information: Information = "filtered"
+    if (path / "estimate.toml").exists():
+        information = read_meta(path / "estimate.toml").information
+    ids = places = None
+    if (path / "landmarks.csv").exists():
+        ids, places = read_landmarks(path / "landmarks.csv")
+    count = 0 if places is None else len(places)
+    shapes = {
+        "pose": (len(pose), 3, 3),
+        "landmarks": (count, 2, 2),
+        "last_pose_and_landmarks": (3 + 2 * count, 3 + 2 * count),
+    }
+    found: dict[str, Array] = {}
+    archive = path / "covariances.npz"
+    if archive.exists():
+        found = read_arrays(archive, _ARRAYS)
+        for name, array in found.items():
+            _check_covariance(f"{archive}: {name}", array, shapes[name])
+    joint = found.get("last_pose_and_landmarks")
+    own = found.get("landmarks")
+    if own is None and joint is not None and count:
+        which = np.arange(count)
+        own = joint[3:, 3:].reshape(count, 2, count, 2)[which, :, which, :]
+    return GivenEstimate(time_s, pose, ids, places, found.get("pose"), own, joint, information)
+
+
+def _check_covariance(name: str, array: Array, shape: tuple[int, ...]) -> None:
+    if array.shape != shape:
+        raise InputError(f"{name} has shape {array.shape}, expected {shape}")
+    if not np.isfinite(array).all():
+        raise InputError(f"{name} holds a value that is not a finite number")

@@ -1,0 +1,236 @@
+"""slamcheck check: estimates from elsewhere, right and wrong, as their makers hand them in."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from comparisons.check_given import check_given
+from comparisons.errors import InputError
+from comparisons.logs.bundled import open_log
+from comparisons.logs.log import Log
+from comparisons.report.check_models import CheckResult
+from comparisons.runs.ekf_build import EkfChoices
+from comparisons.runs.ekf_run import run_ekf
+from comparisons.runs.estimate import Estimate
+from comparisons.runs.estimate_folder import tum_text, write_estimate
+from comparisons.runs.given_estimate import GivenEstimate, read_given
+from comparisons.runs.timeline import build_timeline
+from tests.comparisons.test_cli import slamcheck
+
+
+@pytest.fixture(scope="module")
+def log() -> Log:
+    return open_log("simulated-loop")
+
+
+@pytest.fixture(scope="module")
+def right(log: Log) -> Estimate:
+    """The reference EKF's, standing in for somebody's filter."""
+    return run_ekf(log, build_timeline(log), EkfChoices().settle(log)).estimate
+
+
+@pytest.fixture(scope="module")
+def whole(right: Estimate) -> GivenEstimate:
+    return GivenEstimate(
+        right.time_s,
+        right.pose,
+        right.landmark_id,
+        right.landmark,
+        right.pose_covariance,
+        right.landmark_covariances(),
+        right.joint_covariance,
+    )
+
+
+def bare(given: GivenEstimate) -> GivenEstimate:
+    return GivenEstimate(given.time_s, given.pose)
+
+
+def turned(given: GivenEstimate, angle: float, shift: tuple[float, float]) -> GivenEstimate:
+    """The same in another frame, landmarks and all."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    rotation = np.array(((cos, sin), (-sin, cos)))
+    pose = np.column_stack((given.pose[:, :2] @ rotation + shift, given.pose[:, 2] + angle))
+    assert given.landmark is not None
+    return replace(given, pose=pose, landmark=given.landmark @ rotation + shift)
+
+
+def test_a_right_estimate_agrees(log: Log, whole: GivenEstimate) -> None:
+    found = check_given(log, whole)
+    assert found.outcome == "agree"
+    assert not found.causes
+    assert not found.remarks
+    assert found.agreement.outside == 0.0
+
+
+def test_what_is_absent_narrows_the_verdict_and_is_told(log: Log, whole: GivenEstimate) -> None:
+    found = check_given(log, bare(whole))
+    assert found.outcome == "agree"
+    assert "not handed in: landmarks, pose covariances" in found.remarks[0]
+    assert "judged: the last pose" in found.remarks[0]
+
+
+def mirrored(given: GivenEstimate) -> GivenEstimate:
+    assert given.landmark is not None
+    flip = np.array((1.0, -1.0))
+    return replace(
+        given,
+        pose=given.pose * (1.0, -1.0, -1.0),
+        landmark=given.landmark * flip,
+    )
+
+
+def late(given: GivenEstimate) -> GivenEstimate:
+    return replace(given, time_s=given.time_s + 0.15)
+
+
+def large(given: GivenEstimate) -> GivenEstimate:
+    pose = given.pose * (1.05, 1.05, 1.0)
+    return replace(given, pose=pose)
+
+
+def north_is_zero(given: GivenEstimate) -> GivenEstimate:
+    return replace(given, pose=given.pose + (0.0, 0.0, np.pi / 2))
+
+
+def exchanged(given: GivenEstimate) -> GivenEstimate:
+    assert given.landmark is not None
+    places = given.landmark.copy()
+    places[[3, 20]] = places[[20, 3]]
+    return replace(given, landmark=places)
+
+
+def sure(given: GivenEstimate) -> GivenEstimate:
+    assert given.landmark_covariance is not None
+    assert given.joint_covariance is not None
+    assert given.pose_covariance is not None
+    return replace(
+        given,
+        landmark_covariance=given.landmark_covariance / 25.0,
+        joint_covariance=given.joint_covariance / 25.0,
+        pose_covariance=given.pose_covariance,
+    )
+
+
+DEFECTS = {
+    "frame": lambda given: turned(given, 0.1, (2.0, -1.0)),
+    "mirrored": mirrored,
+    "time": late,
+    "scale": large,
+    "heading": north_is_zero,
+    "association": exchanged,
+    "covariance": sure,
+}
+
+
+@pytest.mark.parametrize("name", DEFECTS)
+def test_a_wrong_estimate_is_told_why(log: Log, whole: GivenEstimate, name: str) -> None:
+    found = check_given(log, DEFECTS[name](whole))
+    assert found.outcome == "disagree"
+    assert found.causes[0].gap == name, [vars(cause) for cause in found.causes]
+
+
+@pytest.mark.parametrize("name", ["frame", "mirrored", "time", "scale", "heading"])
+def test_a_bare_trajectory_is_enough(log: Log, whole: GivenEstimate, name: str) -> None:
+    found = check_given(log, bare(DEFECTS[name](whole)))
+    assert found.outcome == "disagree"
+    assert found.causes[0].gap == name, [vars(cause) for cause in found.causes]
+
+
+def test_a_lost_filter_has_no_simple_cause(log: Log, whole: GivenEstimate) -> None:
+    rng = np.random.default_rng(0)
+    wander = np.cumsum(rng.normal(0.0, 0.15, whole.pose.shape), axis=0) * (1.0, 1.0, 0.01)
+    found = check_given(log, replace(bare(whole), pose=whole.pose + wander))
+    assert found.outcome == "disagree"
+    assert found.causes[-1].gap == "estimate"
+    assert "RMS" in found.causes[-1].evidence
+
+
+def test_a_covariance_that_is_none_is_found(log: Log, whole: GivenEstimate) -> None:
+    """Not positive definite: no pose lies within such a region."""
+    assert whole.pose_covariance is not None
+    negative = -whole.pose_covariance
+    found = check_given(log, replace(whole, pose_covariance=negative))
+    assert found.outcome == "disagree"
+    assert found.agreement.outside == 1.0
+
+
+def test_folders_and_files_are_read_as_far_as_they_go(tmp_path: Path, right: Estimate) -> None:
+    write_estimate(right, tmp_path)
+    given = read_given(tmp_path)
+    assert given.absent == []
+    assert given.information == "filtered"
+    for name, absent in (
+        ("covariances.npz", 3),
+        ("estimate.toml", 3),
+        ("landmarks.csv", 4),
+    ):
+        (tmp_path / name).unlink()
+        assert len(read_given(tmp_path).absent) == absent
+    assert np.allclose(read_given(tmp_path / "trajectory.tum").pose, right.pose)
+
+
+@pytest.mark.parametrize(
+    ("change", "fault"),
+    [
+        (lambda p: (p / "trajectory.tum").unlink(), "no such file"),
+        (lambda p: (p / "trajectory.tum").write_text("0 1 2\n"), "trajectory.tum:1"),
+        (lambda p: (p / "trajectory.tum").write_text(""), "no poses"),
+        (lambda p: np.savez(p / "covariances.npz", pose=np.eye(3)), "pose has shape"),
+        (lambda p: (p / "covariances.npz").write_bytes(b"PK"), "not an archive"),
+        (lambda p: (p / "estimate.toml").write_text("version = 2\n"), "estimate.toml"),
+        (lambda p: (p / "landmarks.csv").write_text("id,x\n"), "expected the header"),
+    ],
+)
+def test_damaged_estimates_are_named(
+    tmp_path: Path, right: Estimate, change: object, fault: str
+) -> None:
+    write_estimate(right, tmp_path)
+    assert callable(change)
+    change(tmp_path)
+    with pytest.raises(InputError, match=fault):
+        read_given(tmp_path)
+
+
+def test_another_clock_is_told(log: Log, whole: GivenEstimate) -> None:
+    with pytest.raises(InputError, match="expected the log's own clock"):
+        check_given(log, replace(whole, time_s=whole.time_s + 1.6e9))
+
+
+def test_the_command(tmp_path: Path, right: Estimate) -> None:
+    (tmp_path / "mine.tum").write_text(tum_text(right.time_s, right.pose))
+    wrong = right.pose * (1.0, 1.0, 1.0) + (3.0, 0.0, 0.0)
+    (tmp_path / "wrong.tum").write_text(tum_text(right.time_s, wrong))
+    good = slamcheck("check", "simulated-loop", "--estimate", "mine.tum", cwd=tmp_path)
+    assert good.returncode == 0, good.stderr
+    bad = slamcheck(
+        "check", "simulated-loop", "--estimate", "wrong.tum", "--out", "c", cwd=tmp_path
+    )
+    assert bad.returncode == 1, bad.stderr
+    assert "frame gap" in bad.stdout
+    result = CheckResult.model_validate_json((tmp_path / "c" / "check.json").read_text())
+    assert result.verdict == "disagree"
+    assert json.loads((tmp_path / "c" / "check.json").read_text())["outside"] is None
+    missing = slamcheck("check", "simulated-loop", "--estimate", "no.tum", cwd=tmp_path)
+    assert missing.returncode == 2
+    assert len(missing.stderr.strip().splitlines()) == 1
+
+
+def test_the_example_is_found_out(tmp_path: Path, right: Estimate) -> None:
+    """The script of the README, run as its docstring says."""
+    (tmp_path / "ekf").mkdir()
+    write_estimate(right, tmp_path / "ekf")
+    script = Path(__file__).resolve().parents[2] / "examples" / "late_export.py"
+    subprocess.run([sys.executable, script, "ekf", "late.tum"], cwd=tmp_path, check=True)
+    good = slamcheck("check", "simulated-loop", "--estimate", "ekf", cwd=tmp_path)
+    assert good.returncode == 0, good.stderr
+    late = slamcheck("check", "simulated-loop", "--estimate", "late.tum", cwd=tmp_path)
+    assert late.returncode == 1, late.stderr
+    assert "time gap: 0.2" in late.stdout
