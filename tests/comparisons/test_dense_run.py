@@ -12,7 +12,7 @@ from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log, Sightings
 from comparisons.logs.scans import Scans
 from comparisons.runs.dense_run import DenseOptions, DenseRun, DenseWatcher
-from comparisons.runs.ekf_build import EkfChoices
+from comparisons.runs.ekf_build import FILTERS, EkfChoices
 from comparisons.runs.ekf_run import EkfRun, run_ekf
 from comparisons.runs.planar_scans import PlanarScans
 from comparisons.runs.timeline import build_timeline
@@ -37,7 +37,7 @@ def bits(run: EkfRun) -> list[Array]:
     return [run.departed, run.arrived, e.pose_covariance, e.landmark, e.joint_covariance]
 
 
-@pytest.mark.parametrize("name", ["full", "compressed", "compressed-suboptimal", "misono"])
+@pytest.mark.parametrize("name", FILTERS)
 def test_the_filter_is_the_same_to_the_bit(log: Log, name: str) -> None:
     """Information flows one way (Nieto 2005, section 3.7)."""
     with_map, dense = driven(log, name)
