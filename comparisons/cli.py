@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from comparisons.cli_baseline import baseline
 from comparisons.cli_options import (
     AssociationOption,
     DenseOption,
@@ -261,6 +262,7 @@ def check(
         raise SystemExit(_VERDICTS[checked.outcome])
 
 
+app.add_typer(baseline, name="baseline")
 app.command()(odometry)
 app.command("map")(map_command)
 

@@ -1,0 +1,129 @@
+"""`slamcheck baseline`: keep what a run found, and hold later runs against it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from comparisons.cli_options import (
+    AssociationOption,
+    FeaturesOption,
+    FilterOption,
+    FormatOption,
+    GpsOption,
+    LogArgument,
+    LoopsOption,
+    NoiseOption,
+    RobotOption,
+    SeedOption,
+)
+from comparisons.cli_support import AGREE, DISAGREE, guarded, progress_bar, read_named
+from comparisons.errors import InputError
+
+if TYPE_CHECKING:
+    from comparisons.report.models import Result
+
+baseline = typer.Typer(
+    help="Keep what a run found, and hold later runs against it.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+
+FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="The baseline, a JSON file.")]
+
+
+@baseline.command()
+def save(
+    log: LogArgument,
+    file: FileArgument,
+    runs: Annotated[int, typer.Option(help="Repetitions that tell the noise floor.")] = 2,
+    filter_name: FilterOption = "full",
+    association: AssociationOption = None,
+    features: FeaturesOption = "log",
+    gps: GpsOption = "off",
+    format_name: FormatOption = None,
+    robot: RobotOption = 1,
+    seed: SeedOption = 0,
+    loops: LoopsOption = 1,
+    noise_scale: NoiseOption = 1.0,
+) -> None:
+    """Run a log and write what was found, with a tolerance for each figure.
+
+    \b
+    Example:
+      slamcheck baseline save my-log my-log.baseline.json
+    """
+    with guarded():
+        from comparisons.baseline import build_baseline, write_baseline
+
+        if runs < 1:
+            raise InputError(f"runs is {runs}, expected 1 or more")
+        settings: dict[str, str | int | float] = {
+            "filter": filter_name,
+            "association": association or "",
+            "features": features,
+            "gps": gps,
+            "format": format_name or "",
+            "robot": robot,
+            "seed": seed,
+            "loops": loops,
+            "noise_scale": noise_scale,
+        }
+        results = [_run(log, settings) for _ in range(runs)]
+        kept = build_baseline(results, settings)
+        write_baseline(kept, file)
+        typer.echo(f"{file}: {len(kept.metrics)} figures of {kept.log}, verdict {kept.verdict}")
+
+
+@baseline.command()
+def compare(
+    log: LogArgument,
+    file: FileArgument,
+    junit: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write a JUnit report there.")
+    ] = None,
+) -> None:
+    """Run a log as its baseline was run. Exits with 0 when all figures hold, else with 1.
+
+    \b
+    Example:
+      slamcheck baseline compare my-log my-log.baseline.json --junit report.xml
+    """
+    with guarded():
+        from comparisons.baseline import compare_with, read_baseline, write_junit
+
+        kept = read_baseline(file)
+        changes = compare_with(kept, _run(log, kept.settings))
+        if junit is not None:
+            write_junit(changes, kept.log, junit)
+        broken = [change for change in changes if not change.holds]
+        for change in broken:
+            typer.echo(str(change))
+        typer.echo(f"{len(changes) - len(broken)} of {len(changes)} figures hold")
+        raise SystemExit(DISAGREE if broken else AGREE)
+
+
+def _run(log: str, settings: dict[str, str | int | float]) -> Result:
+    from comparisons.compare import compare_estimators
+    from comparisons.report.result import build_result
+    from comparisons.runs.ekf_build import EkfChoices
+
+    try:
+        s = {name: str(settings[name]) for name in ("filter", "association", "gps", "features")}
+        source, read_s = read_named(
+            log,
+            str(settings["format"]) or None,
+            int(settings["robot"]),
+            int(settings["seed"]),
+            int(settings["loops"]),
+            float(settings["noise_scale"]),
+            s["features"],
+        )
+    except KeyError as missing:
+        raise InputError(f"the baseline's settings lack {missing}; save a new one") from None
+    choices = EkfChoices(s["filter"], s["association"] or None, s["gps"])
+    with progress_bar() as progress:
+        return build_result(compare_estimators(source, choices, progress=progress), read_s)
