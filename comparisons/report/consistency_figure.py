@@ -1,0 +1,97 @@
+"""The picture of consistency: errors with their bands, NEES and NIS over time."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from comparisons.checks.innovations import SensorInnovations
+from comparisons.checks.normalised import Array, mean_band
+from comparisons.compare import Comparison
+from comparisons.report.plots import EKF_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR
+
+_COMPONENTS = (("east [m]", 1.0), ("north [m]", 1.0), ("heading [deg]", 180.0 / np.pi))
+
+
+def draw_error(axis: Axes, time_s: Array, error: Array, sigma: Array, label: str) -> None:
+    """A component of the error (n,) with 3 sigmas (n,) on either side."""
+    axis.fill_between(
+        time_s, -3.0 * sigma, 3.0 * sigma, color=EKF_COLOUR, alpha=0.2, linewidth=0.0,
+        label="3 sigma",
+    )  # fmt: skip
+    axis.plot(time_s, error, color=EKF_COLOUR, linewidth=0.8, label="error")
+    axis.axhline(0.0, color=TRUTH_COLOUR, linewidth=0.5)
+    axis.set_ylabel(label)
+
+
+def draw_squared(
+    axis: Axes, time_s: Array, squared: Array, low: Array, high: Array, colour: str, label: str
+) -> None:
+    """Normalised squares (n,), each with its band, on a logarithmic scale."""
+    axis.fill_between(
+        time_s, low, high, color="#999999", alpha=0.25, linewidth=0.0, label="95 % band"
+    )
+    axis.plot(time_s, squared, color=colour, linewidth=0.8, label=label)
+    axis.set_yscale("log")
+
+
+def consistency_figure(comparison: Comparison) -> Figure:
+    """Left: the pose's error by truth, or by the smoother; right: NEES, NIS per sensor."""
+    c = comparison.consistency
+    figure = Figure(figsize=(11.0, 7.0), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(3, 2, sharex=True)
+    told = _draw_poses(comparison, axes[:, 0], axes[0, 1])
+    for axis, sensor in zip(axes[1:, 1], c.sensors, strict=False):
+        _draw_nis(axis, sensor)
+    for axis in axes[1 + len(c.sensors) :, 1]:
+        axis.set_axis_off()
+    for axis in (axes[0, 0], *axes[: 1 + len(c.sensors), 1]):
+        if axis.has_data():
+            axis.legend(fontsize=7, loc="best")
+    for axis in (axes[2, 0], axes[len(c.sensors), 1]):
+        axis.set_xlabel("time [s]")
+        axis.tick_params(labelbottom=True)
+    figure.suptitle(f"{comparison.log.name}: {told}", fontsize=10, parse_math=False)
+    return figure
+
+
+def _draw_poses(comparison: Comparison, errors: Array, normalised: Axes) -> str:
+    """Errors by component, and their normalised squares; says whose error by what it is."""
+    c = comparison.consistency
+    normalised.set_ylabel("squared")
+    if c.ekf is not None and c.ekf.poses is not None:
+        p = c.ekf.poses
+        for i, (label, unit) in enumerate(_COMPONENTS):
+            draw_error(errors[i], p.time_s, unit * p.error[:, i], unit * p.sigma[:, i], label)
+        nees = p.pose
+        low, high = np.broadcast_to(np.array(nees.single_band)[:, None], (2, len(nees.row)))
+        time_s = p.time_s[nees.row]
+        draw_squared(normalised, time_s, nees.squared, low, high, EKF_COLOUR, "EKF, pose (3 dof)")
+        if c.smoother is not None and c.smoother.poses is not None:
+            other = c.smoother.poses
+            normalised.plot(
+                other.time_s[other.pose.row], other.pose.squared, color=SMOOTHER_COLOUR,
+                linewidth=0.8, label="smoother",
+            )  # fmt: skip
+        normalised.set_ylabel("NEES")
+        return "the EKF's pose against truth"
+    f = c.smoothed
+    if f is None:
+        return "no truth, and no smoother on the same data"
+    for i, (label, unit) in enumerate(_COMPONENTS):
+        draw_error(errors[i], f.time_s, unit * f.error[:, i], unit * f.sigma[:, i], label)
+    if (clear := np.flatnonzero(f.dof > 0)).size:
+        low, high = np.array([mean_band(1, dof) for dof in range(4)])[f.dof[clear]].T
+        time_s, squared = f.time_s[clear], f.squared[clear]
+        draw_squared(normalised, time_s, squared, low, high, EKF_COLOUR, "EKF - smoother")
+    return "the EKF's pose against the smoother's, 3 sigma of P_EKF - P_smoother"
+
+
+def _draw_nis(axis: Axes, sensor: SensorInnovations) -> None:
+    w = sensor.windows
+    draw_squared(axis, w.time_s, w.mean, w.low, w.high, EKF_COLOUR, f"{sensor.sensor}, averaged")
+    axis.axhline(2.0, color=TRUTH_COLOUR, linewidth=0.5)
+    axis.set_ylabel("NIS (2 dof)")
