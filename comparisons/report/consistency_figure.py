@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from comparisons.checks.innovations import SensorInnovations
+from comparisons.checks.innovations import SensorInnovations, Whiteness
 from comparisons.checks.normalised import Array, mean_band
 from comparisons.compare import Comparison
-from comparisons.report.plots import EKF_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR
+from comparisons.report.plots import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR
 
 _COMPONENTS = (("east [m]", 1.0), ("north [m]", 1.0), ("heading [deg]", 180.0 / np.pi))
+_MARKERS = ("o-", "o--", "s-", "s--", "^-", "v-")
+_LEAST_DRAWN = 1e-2
+"""The lower end of squares, whose first ones rounding makes."""
 
 
 def draw_error(axis: Axes, time_s: Array, error: Array, sigma: Array, label: str) -> None:
@@ -21,7 +26,7 @@ def draw_error(axis: Axes, time_s: Array, error: Array, sigma: Array, label: str
         time_s, -3.0 * sigma, 3.0 * sigma, color=EKF_COLOUR, alpha=0.2, linewidth=0.0,
         label="3 sigma",
     )  # fmt: skip
-    axis.plot(time_s, error, color=EKF_COLOUR, linewidth=0.8, label="error")
+    axis.plot(time_s, error, color=EKF_COLOUR, linewidth=0.8, label="difference")
     axis.axhline(0.0, color=TRUTH_COLOUR, linewidth=0.5)
     axis.set_ylabel(label)
 
@@ -35,25 +40,27 @@ def draw_squared(
     )
     axis.plot(time_s, squared, color=colour, linewidth=0.8, label=label)
     axis.set_yscale("log")
+    axis.set_ylim(bottom=_LEAST_DRAWN)
 
 
 def consistency_figure(comparison: Comparison) -> Figure:
-    """Left: the pose's error by truth, or by the smoother; right: NEES, NIS per sensor."""
+    """Left: the pose's error by truth, or by the smoother; right: NEES, NIS, whiteness."""
     c = comparison.consistency
     figure = Figure(figsize=(11.0, 7.0), layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.subplots(3, 2, sharex=True)
+    axes = figure.subplots(3, 2)
     told = _draw_poses(comparison, axes[:, 0], axes[0, 1])
-    for axis, sensor in zip(axes[1:, 1], c.sensors, strict=False):
-        _draw_nis(axis, sensor)
-    for axis in axes[1 + len(c.sensors) :, 1]:
-        axis.set_axis_off()
-    for axis in (axes[0, 0], *axes[: 1 + len(c.sensors), 1]):
+    for sensor, colour in zip(c.sensors, (EKF_COLOUR, SCANS_COLOUR), strict=False):
+        _draw_nis(axes[1, 1], sensor, colour)
+    if c.sensors:
+        draw_whiteness(axes[2, 1], [w for sensor in c.sensors for w in sensor.whiteness])
+    for axis in (*axes[:, 0], *axes[:2, 1]):
+        axis.set_xlim(comparison.ekf.estimate.time_s[[0, -1]])
+    for axis in (axes[0, 0], *axes[:, 1]):
         if axis.has_data():
             axis.legend(fontsize=7, loc="best")
-    for axis in (axes[2, 0], axes[len(c.sensors), 1]):
-        axis.set_xlabel("time [s]")
-        axis.tick_params(labelbottom=True)
+    axes[2, 0].set_xlabel("time [s]")
+    axes[1, 1].set_xlabel("time [s]")
     figure.suptitle(f"{comparison.log.name}: {told}", fontsize=10, parse_math=False)
     return figure
 
@@ -90,8 +97,21 @@ def _draw_poses(comparison: Comparison, errors: Array, normalised: Axes) -> str:
     return "the EKF's pose against the smoother's, 3 sigma of P_EKF - P_smoother"
 
 
-def _draw_nis(axis: Axes, sensor: SensorInnovations) -> None:
+def _draw_nis(axis: Axes, sensor: SensorInnovations, colour: str) -> None:
     w = sensor.windows
-    draw_squared(axis, w.time_s, w.mean, w.low, w.high, EKF_COLOUR, f"{sensor.sensor}, averaged")
+    draw_squared(axis, w.time_s, w.mean, w.low, w.high, colour, f"{sensor.sensor}, averaged")
     axis.axhline(2.0, color=TRUTH_COLOUR, linewidth=0.5)
     axis.set_ylabel("NIS (2 dof)")
+
+
+def draw_whiteness(axis: Axes, series: Sequence[Whiteness]) -> None:
+    """Autocorrelations by lag, with the widest of their 95 % bands."""
+    for one, marker in zip(series, _MARKERS, strict=False):
+        lag = np.arange(1, len(one.coefficient) + 1)
+        label = f"{one.component}, by {one.order}"
+        axis.plot(lag, one.coefficient, marker, markersize=3, linewidth=0.8, label=label)
+    if series:
+        widest = max(float(one.band.max()) for one in series)
+        axis.axhspan(-widest, widest, color="#999999", alpha=0.25, linewidth=0.0)
+    axis.set_xlabel("lag")
+    axis.set_ylabel("autocorrelation")
