@@ -36,11 +36,16 @@ def draw_squared(
 ) -> None:
     """Normalised squares (n,), each with its band, on a logarithmic scale."""
     axis.fill_between(
-        time_s, low, high, color="#999999", alpha=0.25, linewidth=0.0, label="95 % band"
+        time_s,
+        low,
+        high,
+        color="#999999",
+        alpha=0.25,
+        linewidth=0.0,
+        label="" if axis.has_data() else "95 % band",
     )
     axis.plot(time_s, squared, color=colour, linewidth=0.8, label=label)
     axis.set_yscale("log")
-    axis.set_ylim(bottom=_LEAST_DRAWN)
 
 
 def consistency_figure(comparison: Comparison) -> Figure:
@@ -54,6 +59,9 @@ def consistency_figure(comparison: Comparison) -> Figure:
         _draw_nis(axes[1, 1], sensor, colour)
     if c.sensors:
         draw_whiteness(axes[2, 1], [w for sensor in c.sensors for w in sensor.whiteness])
+    for axis in axes[:2, 1]:
+        if axis.has_data():
+            axis.set_ylim(bottom=max(axis.get_ylim()[0], _LEAST_DRAWN))
     for axis in (*axes[:, 0], *axes[:2, 1]):
         axis.set_xlim(comparison.ekf.estimate.time_s[[0, -1]])
     for axis in (axes[0, 0], *axes[:, 1]):

@@ -113,6 +113,7 @@ def add_consistency(table: Table, c: ConsistencyResult) -> None:
             for n in sensor.nis
         )
         table.add_row("NIS", ", ".join(shown))
+        table.add_row("whiteness", _whiteness_row(sensor))
     f = c.filter_against_smoother
     if f is not None and f.squared_per_dof is not None and f.least_ratio is not None:
         table.add_row(
@@ -120,6 +121,15 @@ def add_consistency(table: Table, c: ConsistencyResult) -> None:
             f"poses' difference squared {f.squared_per_dof:.3g} per dof, of 1 (P_EKF - P_smoother);"
             f" least variance ratio {f.least_ratio:.3g} at {f.least_ratio_s:.1f} s",
         )
+
+
+def _whiteness_row(sensor: InnovationResult) -> str:
+    shown = (
+        f"{w.component} by {w.order} {w.autocorrelation[0]:.2g} (band {w.band[0]:.2g}, "
+        f"p {w.p_value:.2g})"
+        for w in sensor.whiteness
+    )
+    return "correlation with the next: " + (", ".join(shown) or "too few to tell")
 
 
 def _nees_row(t: TruthConsistencyResult) -> str:
