@@ -77,6 +77,8 @@ def consistency_figure(comparison: Comparison) -> Figure:
     for axis in (axes[0, 0], *axes[:, 1]):
         if axis.has_data():
             axis.legend(fontsize=7, loc="upper right")
+    for axis in (axes[0, 0], axes[1, 0], axes[0, 1]):
+        axis.tick_params(labelbottom=False)
     axes[2, 0].set_xlabel("time [s]")
     axes[1, 1].set_xlabel("time [s]")
     figure.suptitle(f"{comparison.log.name}: {told}", fontsize=10, parse_math=False)
