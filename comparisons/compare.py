@@ -13,6 +13,7 @@ from comparisons.checks.accuracy import Accuracy, assess, assess_trajectory
 from comparisons.checks.agreement import Agreement, Gaussian, compare
 from comparisons.checks.association import AssociationScore, score_association
 from comparisons.checks.attribution import ROUNDING, Verdict, judge
+from comparisons.checks.consistency import Consistency, check_consistency
 from comparisons.checks.dense_agreement import DenseAgreement, compare_dense
 from comparisons.checks.model_differences import model_differences
 from comparisons.checks.own_association import OwnAssociationCheck, check_own_association
@@ -57,7 +58,8 @@ class Comparison:
 
     dead_reckoned: (K, 3) where the odometry alone leads. association: how it compares with the
     log's labels, when it was made without them. own_association: the smoother with its own, when
-    asked for. three_way: the smoother on scans beside both, when asked for. scan_motion,
+    asked for. three_way: the smoother on scans beside both, when asked for. consistency: whether
+    the filter is as sure as it may be; it has remarks, and no say in the verdict. scan_motion,
     increments: what the scans gave and how honest it is, when they were asked. dense, dense_check:
     the dense map and how it compares with the smoother's, when asked for; no check where nothing
     fell into a region. seconds: by stage.
@@ -70,6 +72,7 @@ class Comparison:
     smoothed: Estimate
     dead_reckoned: Array
     agreement: Agreement
+    consistency: Consistency
     accuracy_ekf: Accuracy | None
     accuracy_smoother: Accuracy | None
     accuracy_dead_reckoned: Accuracy | None
@@ -176,6 +179,9 @@ def compare_estimators(
             dense=compared,
         )
         labelled = chosen.association == "known"
+        consistency = check_consistency(
+            log, run, smoothed, labelled=labelled, robust=result.options.robust
+        )
         reckoned = dead_reckoned(problem.prior_pose, problem.increment)
         return Comparison(
             log,
@@ -185,6 +191,7 @@ def compare_estimators(
             smoothed,
             reckoned,
             agreement,
+            consistency,
             assess(run.estimate, judged, labelled=labelled),
             assess(smoothed, judged, labelled=labelled),
             assess_trajectory(run.timeline.epoch_time_s, reckoned, judged),
@@ -197,7 +204,12 @@ def compare_estimators(
             compared,
             replace(
                 verdict,
-                remarks=(*verdict.remarks, *_on_scans(log, scanned), *_on_dense(mapped, compared)),
+                remarks=(
+                    *verdict.remarks,
+                    *consistency.remarks,
+                    *_on_scans(log, scanned),
+                    *_on_dense(mapped, compared),
+                ),
             ),
             clock.seconds,
         )

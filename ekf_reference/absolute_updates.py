@@ -14,7 +14,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from ekf_reference.kalman import Array, Index, LocalMap
+from ekf_reference.kalman import Array, Correction, Index, LocalMap
 
 _WEAKEST = 2.0**-40
 
@@ -36,6 +36,14 @@ class Part(NamedTuple):
 
     weight: float
     at: Linearised
+
+
+class Fused(NamedTuple):
+    """A part, and what the filter did with it."""
+
+    weight: float
+    at: Linearised
+    done: Correction
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from ekf_reference.absolute_updates import (
     NO_LANDMARKS,
+    Fused,
     Linearised,
-    Part,
     PositionFixes,
     Steps,
 )
@@ -24,6 +24,7 @@ from ekf_reference.kalman import (
     Index,
     KalmanState,
     block_diagonal,
+    diagonal_blocks,
     stack,
     unstack,
 )
@@ -213,20 +214,20 @@ class FullEkf:
 
         if not self.fixes.accepts(linearise(), covariance):
             return False
-        for weight, at in self._fuse(self.fixes.steps, linearise, covariance):
-            noise = covariance / weight
+        for weight, at, done in self._fuse(self.fixes.steps, linearise, covariance):
+            noise, pose, spread = covariance / weight, at.local.pose, done.spread
             self.trace.position(
-                PositionUse(number, at.local.pose, at.innovation, at.jacobian, noise, weight)
+                PositionUse(number, pose, at.innovation, at.jacobian, noise, spread, weight)
             )
         return True
 
     def _fuse(
         self, steps: Steps, linearise: Callable[[], Linearised], noise: Array
-    ) -> Iterator[Part]:
+    ) -> Iterator[Fused]:
         """Fuse an observation in as many parts as the steps ask for; yields each once it is."""
         for weight, at in steps.split(linearise, noise):
-            self.state.update(at.local.columns, at.jacobian, at.innovation, noise / weight)
-            yield Part(weight, at)
+            done = self.state.update(at.local.columns, at.jacobian, at.innovation, noise / weight)
+            yield Fused(weight, at, done)
 
     def _update(self, chosen: NDArray[np.bool_], slots: Slots, z: Array, noise: Array) -> None:
         rows = np.flatnonzero(chosen)
@@ -237,7 +238,7 @@ class FullEkf:
         def linearise() -> Linearised:
             return self._linearise(slot, z[rows])
 
-        for weight, at in self._fuse(self.steps, linearise, block_diagonal(r)):
+        for weight, at, done in self._fuse(self.steps, linearise, block_diagonal(r)):
             self.trace.update(
                 SightingUse(
                     self._sightings_seen + rows,
@@ -247,6 +248,8 @@ class FullEkf:
                     at.innovation.reshape(-1, 2),
                     *unstack(at.jacobian),
                     r / weight,
+                    diagonal_blocks(done.spread),
+                    done.whitened.reshape(-1, 2),
                     weight,
                 )
             )
@@ -285,7 +288,9 @@ class FullEkf:
     ) -> None:
         """Append landmarks to the state and note how."""
         pose, nothing = self.state.pose, np.zeros((len(slot), 2))
-        self.state.augment(point, by_pose, by_sighting, noise)
+        surprise = np.zeros((len(slot), 2, 2)), nothing
+        how = by_pose, by_sighting, noise
+        self.state.augment(point, *how)
         self.trace.augmentation(
-            SightingUse(sighting, slot, pose, point, nothing, by_pose, by_sighting, noise, weight)
+            SightingUse(sighting, slot, pose, point, nothing, *how, *surprise, weight)
         )

@@ -70,12 +70,13 @@ class Correction(NamedTuple):
     """What an update did, with S = L L^T.
 
     inverse_root: (m, m) L^-1. gain_root: (m, n) U = L^-1 H P, so that W = U^T L^-1. whitened:
-    (m,) L^-1 innovation.
+    (m,) L^-1 innovation. spread: (m, m) S.
     """
 
     inverse_root: Array
     gain_root: Array
     whitened: Array
+    spread: Array
 
 
 class FilterDivergedError(ArithmeticError):
@@ -184,7 +185,7 @@ class KalmanState:
         whitened = inverse_root @ innovation
         self._mean[:n] += u.T @ whitened
         p -= u.T @ u
-        return Correction(inverse_root, u, whitened)
+        return Correction(inverse_root, u, whitened, innovation_covariance)
 
     def augment(
         self, point: Array, jacobian_pose: Array, jacobian_sighting: Array, noise: Array
@@ -300,6 +301,14 @@ def unstack(jacobian: Array) -> tuple[Array, Array]:
     blocks, which = jacobian.reshape(m, 2, -1), np.arange(m)[:, None]
     by_landmark: Array = blocks[which, :, p + 2 * which + (0, 1)].transpose(0, 2, 1)
     return blocks[:, :, :p], by_landmark
+
+
+def diagonal_blocks(matrix: Array) -> Array:
+    """The blocks (m, 2, 2) on the diagonal of a (2 m, 2 m) matrix."""
+    m = len(matrix) // 2
+    which = np.arange(m)
+    blocks: Array = matrix.reshape(m, 2, m, 2)[which, :, which]
+    return blocks
 
 
 def block_diagonal(blocks: Array) -> Array:

@@ -52,6 +52,8 @@ class SightingUse(NamedTuple):
     jacobian_pose: Array
     jacobian_other: Array
     noise: Array
+    spread: Array
+    whitened: Array
     weight: float = 1.0
 
 
@@ -66,6 +68,7 @@ class PositionUse(NamedTuple):
     innovation: Array
     jacobian_pose: Array
     noise: Array
+    spread: Array
     weight: float
 
 
@@ -123,9 +126,12 @@ class SightingRecords:
     -1 for a surveyed landmark put into the map without one.
     slot: (M,) landmark's place in the map. pose: (M, p) and landmark: (M, 2), the points of
     linearisation. innovation: (M, 2), zero for augmentations. jacobian_pose: (M, 2, p), H_v or
-    G_x. jacobian_other: (M, 2, 2), H_l or G_z. noise: (M, 2, 2), R / weight. weight: (M,), the
-    share of the sighting's information: one, less for parts of an update, zero for a landmark that
-    is surveyed or begun with a boundless prior, whose noise is that prior's covariance.
+    G_x. jacobian_other: (M, 2, 2), H_l or G_z. noise: (M, 2, 2), R / weight. spread: (M, 2, 2),
+    the sighting's own block of S = H P H^T + R / weight, and whitened: (M, 2), its part of
+    L^-1 innovation, S = L L^T of all that were fused together, in their order; both zero for
+    augmentations. weight: (M,), the share of the sighting's information: one, less for parts of
+    an update, zero for a landmark that is surveyed or begun with a boundless prior, whose noise
+    is that prior's covariance.
     """
 
     step: Index
@@ -137,6 +143,8 @@ class SightingRecords:
     jacobian_pose: Array
     jacobian_other: Array
     noise: Array
+    spread: Array
+    whitened: Array
     weight: Array
 
     def rows(self, rows: Index) -> SightingRecords:
@@ -150,7 +158,7 @@ class PositionRecords:
 
     step: (G,) predictions made before. number: (G,) in the order of arrival, from 0. pose:
     (G, p), the point of linearisation. innovation: (G, 2). jacobian_pose: (G, 2, p). noise:
-    (G, 2, 2), R / weight. weight: (G,).
+    (G, 2, 2), R / weight. spread: (G, 2, 2), S = H P H^T + R / weight. weight: (G,).
     """
 
     step: Index
@@ -159,6 +167,7 @@ class PositionRecords:
     innovation: Array
     jacobian_pose: Array
     noise: Array
+    spread: Array
     weight: Array
 
 
@@ -231,7 +240,7 @@ class RecordedTrace:
     def _position_records(self, p: int) -> PositionRecords:
         step = np.array([step for step, _ in self._positions], dtype=np.intp)
         uses = [use for _, use in self._positions]
-        number, *columns = _stacked(uses, ((), (p,), (2,), (2, p), (2, 2), ()))
+        number, *columns = _stacked(uses, ((), (p,), (2,), (2, p), (2, 2), (2, 2), ()))
         return PositionRecords(step, number.astype(np.intp), *columns)
 
 
@@ -257,6 +266,8 @@ def _sighting_records(uses: list[tuple[int, SightingUse]], p: int) -> SightingRe
         joined([use.jacobian_pose for use in each], (2, p)),
         joined([use.jacobian_other for use in each], (2, 2)),
         joined([use.noise for use in each], (2, 2)),
+        joined([use.spread for use in each], (2, 2)),
+        joined([use.whitened for use in each], (2,)),
         repeated([use.weight for use in each], ()),
     )
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from comparisons.report.model import Model as _Model
 from comparisons.report.models import (
     AccuracyResult,
     EkfResult,
     LogResult,
     SurfaceErrorResult,
-    _Model,
 )
 
 

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict
-
-
-class _Model(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+from comparisons.report.consistency_models import ConsistencyResult
+from comparisons.report.model import Model as _Model
 
 
 class LogResult(_Model):
@@ -286,6 +283,7 @@ class Result(_Model):
     ekf: EkfResult
     smoother: SmootherResult
     agreement: AgreementResult
+    consistency: ConsistencyResult
     accuracy: Accuracies | None
     association: AssociationResult | None
     own_association: OwnAssociationResult | None

@@ -215,9 +215,10 @@ def draw_correlation(axis: Axes, coefficients: Array) -> None:
 
 def correlation_figure(comparison: Comparison) -> Figure:
     """Correlation coefficients of the last pose and all landmarks, EKF beside smoother."""
-    figure = Figure(figsize=(9.0, 4.8), layout="constrained")
+    figure = Figure(figsize=(9.0, 4.8))
     FigureCanvasAgg(figure)
     axes = figure.subplots(1, 2)
+    figure.subplots_adjust(left=0.05, right=0.99, bottom=0.08, top=0.95, wspace=0.12)
     for axis, estimate, name in (
         (axes[0], comparison.ekf.estimate, "EKF"),
         (axes[1], comparison.smoothed, "smoother"),

@@ -16,6 +16,7 @@ from comparisons.checks.own_association import OwnAssociationCheck
 from comparisons.checks.three_way import Pair, ThreeWay
 from comparisons.compare import Comparison
 from comparisons.logs.log import Log
+from comparisons.report.consistency_result import consistency_result
 from comparisons.report.dense_result import dense_result
 from comparisons.report.finite import finite
 from comparisons.report.models import (
@@ -54,6 +55,7 @@ def build_result(comparison: Comparison, read_s: float) -> Result:
         ekf=ekf_result(c.ekf, c.choices),
         smoother=smoother_result(c.smoother),
         agreement=_agreement(c),
+        consistency=consistency_result(c.consistency),
         accuracy=_accuracies(c),
         association=association_result(c.association),
         own_association=_own_association(c.own_association),

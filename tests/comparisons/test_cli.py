@@ -40,6 +40,7 @@ def test_a_run_leaves_a_whole_folder(tmp_path: Path) -> None:
     estimate = ["covariances.npz", "estimate.toml", "landmarks.csv", "trajectory.tum"]
     assert names == sorted(
         [
+            "consistency.png",
             "correlation.png",
             "map.png",
             "result.json",

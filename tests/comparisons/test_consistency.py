@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from comparisons.checks.nees import TruthConsistency
+from comparisons.checks.normalised import mean_band
 from comparisons.compare import Comparison, compare_estimators
 from comparisons.runs.estimate import Estimate
 from tests.helpers import Array, simulated
@@ -68,3 +71,70 @@ def test_the_band_rejects_a_smoother_with_wrong_sigmas() -> None:
     low, high = chi2.ppf((0.025, 0.975), SEEDS * 123) / SEEDS
     assert np.mean(values) / 0.8 > high
     assert np.mean(values) / 1.2 < low
+
+
+def test_the_filters_innovations_fit_over_all_seeds() -> None:
+    """Averages of some 37,000 numbers, each a standard normal one squared."""
+    sensors = [run(s).consistency.sensors[0] for s in range(SEEDS)]
+    for i in range(3):
+        nis = [one.nis[i] for one in sensors]
+        count = sum(one.count for one in nis)
+        mean = sum(one.count * one.mean for one in nis) / count
+        assert mean_band(count, nis[0].dof).holds(mean)
+    least = min(white.p_value for one in sensors for white in one.whiteness)
+    assert least > 0.01 / (4 * SEEDS)
+
+
+@pytest.mark.parametrize("estimator", ["ekf", "smoother"])
+def test_nees_of_what_no_frame_touches(estimator: str) -> None:
+    found = []
+    for s in range(SEEDS):
+        truth: TruthConsistency = getattr(run(s).consistency, estimator)
+        assert truth.map is not None
+        assert truth.map.whole is not None
+        whole = nees(
+            run(s).ekf.estimate if estimator == "ekf" else run(s).smoothed,
+            true_state(run(s)),
+            slice(0, None),
+        )
+        assert truth.map.whole.squared[0] == pytest.approx(whole)
+        found.append(truth.map.distances)
+    dof = sum(one.dof for one in found)
+    total = sum(float(one.squared[0]) for one in found)
+    low, high = chi2.ppf((0.005, 0.995), dof)
+    assert low < total < high
+    assert not low < total / 0.8 < high
+    assert not low < total / 1.25 < high
+
+
+def test_filter_against_smoother_over_all_seeds() -> None:
+    """Runs are independent, epochs are not: one epoch of each, halfway."""
+    squared, dof = 0.0, 0
+    for s in range(SEEDS):
+        compared = run(s).consistency.smoothed
+        assert compared is not None
+        middle = len(compared.time_s) // 2
+        squared += float(compared.squared[middle])
+        dof += int(compared.dof[middle])
+        assert len(compared.surer) < 0.05 * len(compared.time_s)
+    assert mean_band(1, dof).holds(squared)
+
+
+@pytest.mark.parametrize(
+    ("scale", "reading", "words"),
+    [(0.5, "too low", "smaller than the filter expects"), (2.0, "too high", "larger than")],
+)
+def test_wrong_sigmas_of_a_sensor_are_named_with_their_direction(
+    scale: float, reading: str, words: str
+) -> None:
+    """The range's noise is another than the log states; the bearing's is right."""
+    log = simulated(seed=0, loop_s=20.0)
+    honest = simulated(seed=0, loop_s=20.0, sigma_range_m=0.15 * scale)
+    seen = replace(honest.sightings, sigma_range_m=log.sightings.sigma_range_m)
+    c = compare_estimators(replace(log, sightings=seen))
+    both, by_range, bearing = c.consistency.sensors[0].nis
+    assert (both.reading, by_range.reading, bearing.reading) == (reading, reading, "plausible")
+    told = [remark for remark in c.verdict.remarks if remark.startswith("NIS of sightings, range")]
+    assert len(told) == 1
+    assert words in told[0]
+    assert not any(remark.startswith("NIS of sightings, bearing") for remark in c.verdict.remarks)

@@ -1,0 +1,248 @@
+"""NEES, NIS, whiteness and the filter-smoother identity, on Gaussians made by hand."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.distance import mahalanobis
+from scipy.stats import chi2
+
+from comparisons.checks.filter_smoother import FilterAgainstSmoother, filter_against_smoother
+from comparisons.checks.innovations import Nis, SensorInnovations, sensor, whiten, whiteness
+from comparisons.checks.nees import distances, map_errors, pose_errors, spanning_tree
+from comparisons.checks.normalised import mean_band, normalise
+from tests.comparisons.linear_world import STEPS, Runs, simulate
+from tests.helpers import Array, central_difference, relative_error
+
+RUNS = 300
+
+
+def random_covariance(rng: np.random.Generator, size: int) -> Array:
+    root = rng.standard_normal((size, size))
+    return root @ root.T + 0.1 * np.eye(size)
+
+
+def test_squared_errors_and_bands_are_scipys() -> None:
+    rng = np.random.default_rng(1)
+    error = rng.standard_normal((4, 3))
+    covariance = np.array([random_covariance(rng, 3) for _ in range(4)]) * 1e-7
+    found = normalise(error, covariance)
+    for e, p, value in zip(error, covariance, found.squared, strict=True):
+        assert value == pytest.approx(mahalanobis(e, np.zeros(3), np.linalg.inv(p)) ** 2)
+    assert mean_band(50, 3) == pytest.approx(chi2.ppf((0.025, 0.975), 150) / 50)
+    assert tuple(np.round(mean_band(50, 3), 2)) == (2.36, 3.72)
+    assert not mean_band(50, 3).holds(float("nan"))
+
+
+def test_what_is_no_covariance_is_counted_and_gives_no_number() -> None:
+    covariance = np.tile(np.eye(3), (6, 1, 1))
+    covariance[1, 0, 1] = 0.1
+    covariance[2, 2, 2] = 0.0
+    covariance[3, :2, :2] = 1.0
+    covariance[4, 0, 0] = np.nan
+    error = np.ones((6, 3))
+    error[5, 0] = np.inf
+    found = normalise(error, covariance)
+    assert found.row.tolist() == [0]
+    assert found.squared.tolist() == [3.0]
+    assert found.faults == {"asymmetric": 1, "not positive definite": 2, "not finite": 2}
+    nothing = normalise(error[1:2], covariance[1:2])
+    assert nothing.mean is None
+    assert nothing.inside is None
+
+
+def test_the_headings_error_is_wrapped_and_one_that_is_not_shows() -> None:
+    pose, true = np.array([[1.0, 2.0, 3.2]]), np.array([[1.0, 2.0, 3.1 - 2.0 * np.pi]])
+    covariance = np.diag((0.1, 0.1, 0.01))[None]
+    assert pose_errors(np.zeros(1), pose, covariance, true).pose.squared == pytest.approx(1.0)
+    assert normalise(pose - true, covariance).squared[0] > 1000.0
+
+
+def test_distances_along_a_tree_and_their_jacobian() -> None:
+    state = np.random.default_rng(2).normal(0.0, 10.0, 13)
+    ends = spanning_tree(np.concatenate((state[None, :2], state[3:].reshape(-1, 2))))
+    assert len(ends) == 5
+    assert set(ends.ravel().tolist()) == set(range(6))
+    length, jacobian = distances(state, ends)
+    by_hand = central_difference(lambda s: distances(s, ends)[0], state)
+    assert relative_error(jacobian, by_hand) < 1e-7
+    a, b = (np.concatenate((state[None, :2], state[3:].reshape(-1, 2)))[e] for e in ends.T)
+    assert length == pytest.approx(np.linalg.norm(a - b, axis=1))
+
+
+def test_a_wrong_frame_shows_in_the_map_and_not_in_its_distances() -> None:
+    rng = np.random.default_rng(3)
+    mean = np.concatenate(([1.0, 1.0, 0.3], rng.uniform(-20.0, 20.0, 20)))
+    covariance, nothing = 0.01 * np.eye(23), np.zeros((23, 23))
+    turn = np.array([[np.cos(0.5), -np.sin(0.5)], [np.sin(0.5), np.cos(0.5)]])
+    true = mean.copy()
+    true[:2] = turn @ mean[:2] + 3.0
+    true[3:] = (mean[3:].reshape(-1, 2) @ turn.T + 3.0).ravel()
+    found = map_errors(mean, covariance, true, nothing, with_pose=True)
+    assert found.map.squared[0] > 1e4
+    assert found.distances.squared[0] < 1e-9
+    assert found.distances.dof + found.skipped == 10
+
+
+def test_short_distances_are_left_out() -> None:
+    mean = np.array([0.0, 0.0, 0.0, 5.0, 0.0, 5.1, 0.0])
+    found = map_errors(mean, 0.01 * np.eye(7), mean, np.zeros((7, 7)), with_pose=True)
+    assert (found.distances.dof, found.skipped) == (1, 1)
+
+
+def test_whiteness_is_ljung_and_boxs() -> None:
+    values = np.random.default_rng(4).standard_normal(200)
+    found = whiteness("range", "time", values, lags=5)
+    assert found is not None
+    r = np.array([values[k:] @ values[:-k] for k in range(1, 6)]) / (values @ values)
+    q = 200 * 202 * np.sum(r**2 / (200 - np.arange(1, 6)))
+    assert found.p_value == pytest.approx(chi2.sf(q, 5))
+    assert found.band == pytest.approx(2.0 / np.sqrt(200 - np.arange(1, 6)))
+
+
+def test_coloured_innovations_are_found_in_the_order_in_which_they_are_coloured() -> None:
+    rng = np.random.default_rng(5)
+    landmark = np.tile(np.arange(20), 50)
+    lasting = rng.standard_normal(20)
+    values = rng.standard_normal(1000) + lasting[landmark]
+    order = np.argsort(landmark, kind="stable")
+    by_landmark = whiteness("range", "landmark", values[order], landmark[order])
+    by_time = whiteness("range", "time", rng.permutation(values))
+    assert by_landmark is not None
+    assert by_time is not None
+    assert by_landmark.p_value < 1e-6 < 0.01 < by_time.p_value
+    assert by_landmark.coefficient[0] == pytest.approx(0.5, abs=0.15)
+
+
+def test_an_innovation_covariance_that_is_none_is_marked() -> None:
+    spread = np.array([np.eye(2), -np.eye(2), 4.0 * np.eye(2)])
+    standard, bad = whiten(np.full((3, 2), 2.0), spread)
+    assert bad.tolist() == [False, True, False]
+    assert standard.tolist() == [[2.0, 2.0], [0.0, 0.0], [1.0, 1.0]]
+
+
+def innovations(runs: Runs) -> SensorInnovations:
+    """Of all runs, one after the other, the landmarks being 0 and 1 anew in each."""
+    standard = runs.standard.transpose(1, 0, 2).reshape(-1, 2)
+    count = len(standard)
+    epoch = np.arange(count) // 2
+    slot = 2 * (np.arange(count) // (2 * STEPS)) + np.arange(count) % 2
+    return sensor("sightings", ("range", "bearing"), standard, epoch.astype(float), epoch, slot)
+
+
+def figures(runs: Runs) -> dict[str, tuple[float | None, tuple[float, float]]]:
+    """Averages over the runs, at the end, with the bands that hold for them."""
+    last, p = -1, np.broadcast_to(runs.covariance[-1], (RUNS, 7, 7))
+    error = runs.filtered[last] - runs.truth[last]
+    pose = pose_errors(np.zeros(RUNS), runs.filtered[last, :, :3], p[:, :3, :3],
+                       runs.truth[last, :, :3]).pose  # fmt: skip
+    found: dict[str, tuple[float | None, tuple[float, float]]] = {
+        "pose": (pose.mean, mean_band(RUNS, 3)),
+        "map": (normalise(error[:, 3:], p[:, 3:, 3:]).mean, mean_band(RUNS, 4)),
+        "whole": (normalise(error, p).mean, mean_band(RUNS, 7)),
+    }
+    for nis in innovations(runs).nis:
+        found[nis.name] = (nis.mean, nis.band)
+    return found
+
+
+def outside(runs: Runs) -> set[str]:
+    return {
+        name
+        for name, (mean, (low, high)) in figures(runs).items()
+        if mean is None or not low <= mean <= high
+    }
+
+
+def drop_cross_terms(covariance: Array) -> Array:
+    dropped = covariance.copy()
+    dropped[:3, 3:] = dropped[3:, :3] = 0.0
+    return dropped
+
+
+def test_a_filter_that_knows_its_world_lies_within_all_bands() -> None:
+    runs = simulate(RUNS)
+    assert outside(runs) == set()
+    for one in innovations(runs).whiteness:
+        assert one.p_value > 0.01
+        assert abs(one.mean) < 1.5 * one.mean_band
+
+
+@pytest.mark.parametrize(
+    ("belief", "seen", "reading"),
+    [
+        ({"noise_scale": 2.0}, {"pose", "sightings", "range", "bearing"}, "too low"),
+        ({"noise_scale": 0.5}, {"pose", "sightings", "range", "bearing"}, "too high"),
+        ({"motion_scale": 0.5}, {"pose", "sightings", "range", "bearing"}, "too high"),
+        ({"spoil": drop_cross_terms}, {"pose", "sightings"}, None),
+    ],
+)
+def test_a_wrong_belief_falls_outside(
+    belief: dict[str, Any], seen: set[str], reading: str | None
+) -> None:
+    runs = simulate(RUNS, **belief)
+    assert outside(runs) >= seen
+    if reading:
+        both: Nis = innovations(runs).nis[0]
+        assert both.reading == reading
+
+
+def against_smoother(runs: Runs, run: int) -> FilterAgainstSmoother:
+    k = np.arange(STEPS, dtype=float)
+    pose = runs.filtered[:, run, :3], runs.covariance[:, :3, :3]
+    return filter_against_smoother(
+        k, *pose, runs.smoothed[:, run, :3], runs.smoothed_covariance[:, :3, :3]
+    )
+
+
+def test_an_asymmetric_covariance_gives_no_figure() -> None:
+    runs = simulate(RUNS)
+    runs.covariance[-1, 0, 2] += 0.01
+    assert outside(runs) == {"pose", "whole"}
+    f = against_smoother(runs, 0)
+    assert f.faults == {"asymmetric": 1}
+
+
+@pytest.mark.parametrize("turns", [0, 1])
+def test_filter_minus_smoother_has_the_difference_of_their_covariances(turns: int) -> None:
+    """Per epoch, over the runs; whole turns between the headings change nothing."""
+    runs = simulate(RUNS)
+    runs.smoothed[:, :, 2] += turns * 2.0 * np.pi
+    found = [against_smoother(runs, run) for run in range(RUNS)]
+    for k in (3, 12, 24):
+        dof = int(found[0].dof[k])
+        assert dof >= 2
+        assert mean_band(RUNS, dof).holds(float(np.mean([f.squared[k] for f in found])))
+    assert found[0].dof[-1] == 0
+    assert len(found[0].surer) == 0
+
+
+def test_the_identity_rejects_a_filter_that_is_not_sure_enough() -> None:
+    runs = simulate(RUNS)
+    runs.covariance[:] *= 1.3
+    found = [against_smoother(runs, run) for run in range(RUNS)]
+    for k in (3, 12, 24):
+        assert np.mean([f.squared[k] for f in found]) < mean_band(RUNS, int(found[0].dof[k])).low
+
+
+def test_a_filter_surer_than_the_smoother_is_told_with_its_begin() -> None:
+    runs = simulate(2)
+    runs.covariance[20:] *= 0.2
+    found = against_smoother(runs, 0)
+    assert found.surer[0] == 20
+    assert found.ratio[-1] == pytest.approx(0.2)
+    covariance = runs.covariance[:, :3, :3].copy()
+    covariance[5] = -np.eye(3)
+    covariance[6, 0, 0] = np.nan
+    broken = filter_against_smoother(
+        np.arange(STEPS, dtype=float),
+        runs.filtered[:, 0, :3],
+        covariance,
+        runs.smoothed[:, 0, :3],
+        runs.smoothed_covariance[:, :3, :3],
+    )
+    assert broken.faults == {"not positive definite": 1, "not finite": 1}
+    assert len(broken.time_s) == STEPS - 2
+    assert np.isfinite(broken.squared).all()

@@ -1,0 +1,164 @@
+"""Consistency in a run: its trace, its JSON, its rows and its picture."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from comparisons.checks.innovations import check_innovations
+from comparisons.compare import Comparison, compare_estimators
+from comparisons.logs.bundled import SimulationChoices, open_log
+from comparisons.logs.log import Log, Positions
+from comparisons.report.consistency_figure import consistency_figure
+from comparisons.report.plots import save
+from comparisons.report.result import build_result
+from comparisons.report.summary import print_summary
+from comparisons.runs.ekf_build import EkfChoices, fused_positions
+from comparisons.runs.ekf_run import EkfRun, run_ekf
+from comparisons.runs.timeline import build_timeline
+from ekf_reference.full_ekf import FullEkf
+from ekf_reference.kalman import Array, Correction, Index, KalmanState
+from graphslam.smoother import SmootherOptions
+from tests.helpers import first_seconds, simulated
+
+
+def with_positions(log: Log, sigma_m: float = 0.2) -> Log:
+    """GPS every second, as true as it states."""
+    assert log.truth.poses is not None
+    time_s = np.arange(1.0, log.end_s, 1.0)
+    noise = sigma_m * np.random.default_rng(0).standard_normal((len(time_s), 2))
+    at = log.truth.poses.at(time_s)[:, :2] + noise
+    covariance = np.tile(sigma_m**2 * np.eye(2), (len(time_s), 1, 1))
+    return replace(log, positions=Positions(time_s, at, covariance))
+
+
+@pytest.fixture(scope="module")
+def short() -> Log:
+    return with_positions(first_seconds(simulated(seed=2), 20.0))
+
+
+def filtered(log: Log, name: str, state: type[KalmanState] | None = None) -> EkfRun:
+    choices = EkfChoices(name, gps="on").settle(log)
+    positions = fused_positions(log, choices)
+
+    def modify(ekf: FullEkf) -> None:
+        if state is not None:
+            ekf.state = state(ekf.state.pose, np.array(ekf.state.covariance))
+
+    return run_ekf(log, build_timeline(log, positions), choices, positions, modify=modify)
+
+
+class Written(KalmanState):
+    """Keeps S and the innovation of every update, from the covariance as it was before it."""
+
+    def update(
+        self, columns: Index, jacobian: Array, innovation: Array, noise: Array
+    ) -> Correction:
+        before = self.covariance[np.ix_(columns, columns)]
+        s = jacobian @ before @ jacobian.T + noise
+        self.__dict__.setdefault("kept", []).append((s, innovation.copy()))
+        return super().update(columns, jacobian, innovation, noise)
+
+
+def test_the_trace_holds_s_as_it_was_before_the_update(short: Log) -> None:
+    kept: list[tuple[Array, Array]] = []
+
+    class Telling(Written):
+        def __init__(self, pose: Array, covariance: Array) -> None:
+            super().__init__(pose, covariance)
+            self.__dict__["kept"] = kept
+
+    trace = filtered(short, "full", Telling).trace
+    blocks = [s[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] for s, _ in kept for i in range(len(s) // 2)]
+    joint = sum(float(nu @ np.linalg.solve(s, nu)) for s, nu in kept)
+    told = np.concatenate((trace.updates.spread, trace.positions.spread))
+    assert sorted(np.trace(told, axis1=1, axis2=2)) == pytest.approx(
+        sorted(np.trace(np.array(blocks), axis1=1, axis2=2)), rel=1e-12
+    )
+    fixes = trace.positions
+    weighed = np.linalg.solve(fixes.spread, fixes.innovation[:, :, None])[:, :, 0]
+    alone = np.einsum("ni,ni->n", fixes.innovation, weighed)
+    assert np.sum(trace.updates.whitened**2) + alone.sum() == pytest.approx(joint, rel=1e-10)
+
+
+@pytest.mark.parametrize("name", ["compressed", "misono-full"])
+def test_other_filters_tell_the_same_innovations(name: str, short: Log) -> None:
+    first, other = (check_innovations(filtered(short, n)) for n in ("full", name))
+    assert [one.sensor for one in other] == ["sightings", "positions"]
+    tolerance = 1e-8 if name == "compressed" else 0.3  # points in own axes are another sensor
+    for ours, theirs in zip(first, other, strict=True):
+        assert theirs.nis[0].count == ours.nis[0].count
+        assert theirs.nis[0].mean == pytest.approx(ours.nis[0].mean, rel=tolerance)
+    names = [nis.name for nis in other[0].nis]
+    assert names[1:] == (["range", "bearing"] if name == "compressed" else ["forward", "left"])
+
+
+def test_fixes_fused_in_parts_count_once_with_the_whole_s(short: Log) -> None:
+    run = filtered(short, "full")
+    positions = check_innovations(run)[1]
+    assert positions.nis[0].count == len(run.fix_number)
+    assert positions.nis[0].reading == "plausible"
+
+
+@pytest.fixture(scope="module")
+def comparison() -> Comparison:
+    log = open_log("simulated-loop", None, 1, SimulationChoices(3, 1, 1.0))
+    return compare_estimators(with_positions(log), EkfChoices(gps="on"))
+
+
+def never(name: str) -> float:
+    raise AssertionError(f"{name} in JSON")
+
+
+def test_result_and_rows(comparison: Comparison) -> None:
+    result = build_result(comparison, 0.0)
+    found = json.loads(result.model_dump_json(), parse_constant=never)["consistency"]
+    assert found["ekf"]["pose"]["dof"] == 3
+    assert found["ekf"]["distances"]["dof"] == 60
+    assert [one["sensor"] for one in found["innovations"]] == ["sightings", "positions"]
+    assert found["filter_against_smoother"]["epochs"] == len(comparison.ekf.timeline.epoch_time_s)
+    console = Console(width=400, record=True)
+    print_summary(result, console)
+    printed = console.export_text()
+    assert "EKF NEES" in printed
+    assert "NIS" in printed
+    assert "EKF - smoother" in printed
+
+
+def test_a_broken_covariance_gives_no_nan() -> None:
+    def ruin(ekf: FullEkf) -> None:
+        ekf.state = Ruined(ekf.state.pose, np.array(ekf.state.covariance))
+
+    class Ruined(KalmanState):
+        def predict(self, pose: Array, jacobian_pose: Array, noise: Array) -> None:
+            super().predict(pose, jacobian_pose, noise)
+            self._covariance[0, 1] += 1e-3
+
+    c = compare_estimators(first_seconds(simulated(seed=2), 10.0), modify=ruin)
+    text = build_result(c, 0.0).model_dump_json()
+    found = json.loads(text, parse_constant=never)["consistency"]
+    for part in (found["ekf"]["pose"], found["filter_against_smoother"]):
+        assert "asymmetric" in part["unusable"]
+        assert sum(part["unusable"].values()) > 3
+    consistency_figure(c)
+
+
+def test_the_picture_is_drawn(comparison: Comparison, tmp_path: Path) -> None:
+    save(consistency_figure(comparison), tmp_path / "consistency.png")
+    assert (tmp_path / "consistency.png").stat().st_size > 50_000
+
+
+def test_without_truth_the_smoother_is_the_measure(short: Log, tmp_path: Path) -> None:
+    blind = replace(short, truth=type(short.truth)())
+    c = compare_estimators(blind)
+    assert c.consistency.ekf is None
+    assert c.consistency.smoothed is not None
+    save(consistency_figure(c), tmp_path / "smoother.png")
+    robust = compare_estimators(blind, options=SmootherOptions(robust="huber"))
+    assert robust.consistency.smoothed is None
+    save(consistency_figure(robust), tmp_path / "robust.png")
