@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from typing import Literal
 
+from comparisons.report.model import Model
 from comparisons.report.models import (
     AccuracyResult,
     CauseResult,
     LogResult,
     SmootherResult,
-    _Model,
 )
 
 
-class GivenBlockResult(_Model):
+class GivenBlockResult(Model):
     """See comparisons.checks.given_agreement.Block."""
 
     difference_m: float
@@ -29,7 +29,7 @@ class GivenLandmarkResult(GivenBlockResult):
     id: int
 
 
-class CheckResult(_Model):
+class CheckResult(Model):
     """`check.json`: an estimate from elsewhere against the smoother's.
 
     absent: what was not handed in. outside: share of the poses beyond the 99.9 % region of their

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from rich.table import Table
 
 from comparisons.checks.consistency import Consistency
 from comparisons.checks.filter_smoother import FilterAgainstSmoother
@@ -102,25 +101,27 @@ def _smoothed(f: FilterAgainstSmoother | None) -> FilterAgainstSmootherResult | 
     )
 
 
-def add_consistency(table: Table, c: ConsistencyResult) -> None:
+def consistency_rows(c: ConsistencyResult) -> list[tuple[str, str]]:
     """NEES of both estimators where there is truth, NIS per sensor, and filter against smoother."""
+    rows = []
     for name, truth in (("EKF NEES", c.ekf), ("smoother NEES", c.smoother)):
         if truth is not None:
-            table.add_row(name, _nees_row(truth))
+            rows.append((name, _nees_row(truth)))
     for sensor in c.innovations:
         shown = (
             f"{n.name} {n.mean:.3g} of {n.dof} (band {n.band[0]:.3g}-{n.band[1]:.3g})"
             for n in sensor.nis
         )
-        table.add_row("NIS", ", ".join(shown))
-        table.add_row("whiteness", _whiteness_row(sensor))
+        rows.append(("NIS", ", ".join(shown)))
+        rows.append(("whiteness", _whiteness_row(sensor)))
     f = c.filter_against_smoother
     if f is not None and f.squared_per_dof is not None and f.least_ratio is not None:
-        table.add_row(
-            "EKF - smoother",
+        shown_here = (
             f"poses' difference squared {f.squared_per_dof:.3g} per dof, of 1 (P_EKF - P_smoother);"
-            f" least variance ratio {f.least_ratio:.3g} at {f.least_ratio_s:.1f} s",
+            f" least variance ratio {f.least_ratio:.3g} at {f.least_ratio_s:.1f} s"
         )
+        rows.append(("EKF - smoother", shown_here))
+    return rows
 
 
 def _whiteness_row(sensor: InnovationResult) -> str:

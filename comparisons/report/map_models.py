@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from comparisons.report.model import Model as _Model
+from comparisons.report.model import Model
 from comparisons.report.models import (
     AccuracyResult,
     EkfResult,
@@ -11,14 +11,14 @@ from comparisons.report.models import (
 )
 
 
-class LayerResult(_Model):
+class LayerResult(Model):
     """A layer. samples: cells, points or Gaussians held; occupied: those above 0.8."""
 
     samples: int
     occupied: int
 
 
-class ReturnsResult(_Model):
+class ReturnsResult(Model):
     """What became of the scanner's returns.
 
     late: fused after a wait. outside: where no region can be. waiting: still, at the end. lost:
@@ -34,14 +34,14 @@ class ReturnsResult(_Model):
     lost: int
 
 
-class ClosingResult(_Model):
+class ClosingResult(Model):
     """The update that moved the regions the most."""
 
     time_s: float
     shift_m: float
 
 
-class MapResult(_Model):
+class MapResult(Model):
     """`map.json`: a dense map between the filter's landmarks."""
 
     log: LogResult

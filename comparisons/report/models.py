@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Literal
 
 from comparisons.report.consistency_models import ConsistencyResult
-from comparisons.report.model import Model as _Model
+from comparisons.report.model import Model
 
 
-class LogResult(_Model):
+class LogResult(Model):
     """What was read. sha256: of all streams that an estimator may be given."""
 
     name: str
@@ -19,7 +19,7 @@ class LogResult(_Model):
     provenance: dict[str, str]
 
 
-class EkfResult(_Model):
+class EkfResult(Model):
     """The filter.
 
     rejected, ambiguous, candidate: sightings that association did not use. global_updates: of a
@@ -39,7 +39,7 @@ class EkfResult(_Model):
     global_update_spared: float
 
 
-class StartResult(_Model):
+class StartResult(Model):
     """One start of the smoother; error is None where it broke down."""
 
     name: str
@@ -48,7 +48,7 @@ class StartResult(_Model):
     converged: bool
 
 
-class SmootherResult(_Model):
+class SmootherResult(Model):
     """The smoother and the evidence for its optimum. See graphslam.optimum.
 
     distance_sigma: of an incremental estimate from the optimum. rejected: wild sightings and
@@ -75,7 +75,7 @@ class SmootherResult(_Model):
     starts: list[StartResult]
 
 
-class BlockResult(_Model):
+class BlockResult(Model):
     """EKF against smoother in one block. See comparisons.checks.agreement.BlockAgreement."""
 
     difference_m: float
@@ -93,7 +93,7 @@ class LandmarkResult(BlockResult):
     smoother_m: tuple[float, float]
 
 
-class AgreementResult(_Model):
+class AgreementResult(Model):
     """The gaps. Covariance gaps are None where a covariance is not positive definite."""
 
     algebra_gap_sigma: float | None
@@ -110,7 +110,7 @@ class AgreementResult(_Model):
     landmarks: list[LandmarkResult]
 
 
-class AccuracyResult(_Model):
+class AccuracyResult(Model):
     """Against truth or GPS; None where the log has no such reference."""
 
     ate_m: float | None
@@ -125,7 +125,7 @@ class AccuracyResult(_Model):
     coverage: float | None
 
 
-class Accuracies(_Model):
+class Accuracies(Model):
     """One entry per estimator, and what the odometry alone reaches."""
 
     ekf: AccuracyResult
@@ -133,21 +133,21 @@ class Accuracies(_Model):
     dead_reckoning: AccuracyResult | None
 
 
-class PartitionResult(_Model):
+class PartitionResult(Model):
     """Pairs of sightings put together, against those that belong together."""
 
     precision: float
     recall: float
 
 
-class AssociationResult(_Model):
+class AssociationResult(Model):
     """An association made without labels against the log's. See comparisons.checks.association."""
 
     landmarks: PartitionResult
     clusters: PartitionResult | None
 
 
-class OwnAssociationResult(_Model):
+class OwnAssociationResult(Model):
     """The smoother with its own association. See comparisons.checks.own_association.
 
     agreement: share of the pairs of sightings put together by either that both put together.
@@ -169,7 +169,7 @@ class OwnAssociationResult(_Model):
     association: AssociationResult | None
 
 
-class MapPairResult(_Model):
+class MapPairResult(Model):
     """Two maps of the same landmarks. See comparisons.checks.three_way.Pair."""
 
     rms_m: float
@@ -180,7 +180,7 @@ class MapPairResult(_Model):
     agrees: bool
 
 
-class ThreeWayResult(_Model):
+class ThreeWayResult(Model):
     """EKF and smoother on wheels, each against the smoother on scans.
 
     chi2: with closures under their robust kernel, which only lowers it.
@@ -197,7 +197,7 @@ class ThreeWayResult(_Model):
     evidence: str
 
 
-class SurfaceErrorResult(_Model):
+class SurfaceErrorResult(Model):
     """What is occupied against true surfaces; None where nothing is. occupied: how much."""
 
     median_m: float | None
@@ -205,7 +205,7 @@ class SurfaceErrorResult(_Model):
     occupied: int
 
 
-class DenseLayerResult(_Model):
+class DenseLayerResult(Model):
     """A layer of the filter's dense map against the smoother's returns.
 
     See comparisons.checks.dense_agreement.LayerAgreement.
@@ -217,7 +217,7 @@ class DenseLayerResult(_Model):
     missed_m: float
 
 
-class DenseRegionResult(_Model):
+class DenseRegionResult(Model):
     """One region of one layer."""
 
     layer: str
@@ -226,7 +226,7 @@ class DenseRegionResult(_Model):
     distance_m: float
 
 
-class DenseResult(_Model):
+class DenseResult(Model):
     """Dense maps of filter and smoother. regions: the worst first, at most twenty.
 
     occupancy_share: of the cells decided in both maps, those decided alike.
@@ -239,7 +239,7 @@ class DenseResult(_Model):
     surface_errors: dict[str, SurfaceErrorResult]
 
 
-class ScanOdometryResult(_Model):
+class ScanOdometryResult(Model):
     """Scan odometry. failures: scans without an increment, by reason; breaks: new beginnings.
 
     weak: increments that leave a direction open. overlap, residual_m: medians over the matches.
@@ -256,7 +256,7 @@ class ScanOdometryResult(_Model):
     scans_per_second: float
 
 
-class IncrementResult(_Model):
+class IncrementResult(Model):
     """Errors of the increments. See comparisons.checks.scan_increments.IncrementCheck."""
 
     against: str
@@ -268,7 +268,7 @@ class IncrementResult(_Model):
     median: float | None
 
 
-class CauseResult(_Model):
+class CauseResult(Model):
     """One reason for the verdict."""
 
     gap: str
@@ -276,7 +276,7 @@ class CauseResult(_Model):
     hint: str
 
 
-class Result(_Model):
+class Result(Model):
     """The whole file."""
 
     log: LogResult
@@ -298,7 +298,7 @@ class Result(_Model):
     versions: dict[str, str]
 
 
-class SolutionResult(_Model):
+class SolutionResult(Model):
     """`solution.json`: the smoother alone. sightings_used: of the log's."""
 
     log: LogResult
@@ -316,7 +316,7 @@ class SolutionResult(_Model):
     versions: dict[str, str]
 
 
-class LoopResult(_Model):
+class LoopResult(Model):
     """Loop closure: pairs of poses tried, closed, and the reasons against the others."""
 
     tried: int
@@ -324,7 +324,7 @@ class LoopResult(_Model):
     reasons: dict[str, int]
 
 
-class FrontEndResult(_Model):
+class FrontEndResult(Model):
     """`odometry.json`: the scan front end alone."""
 
     log: LogResult

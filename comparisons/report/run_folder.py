@@ -7,6 +7,7 @@ from pathlib import Path
 from comparisons.atomic import fresh_folder
 from comparisons.compare import Comparison
 from comparisons.report.consistency_figure import consistency_figure
+from comparisons.report.html.page import page
 from comparisons.report.map_figure import dense_check_figure
 from comparisons.report.models import Result
 from comparisons.report.plots import correlation_figure, map_figure, save
@@ -15,7 +16,10 @@ from comparisons.runs.estimate_folder import write_estimate
 
 ESTIMATORS = ("ekf", "smoother", "scans")
 CONTENTS = frozenset(
-    {"result.json", "map.png", "correlation.png", "consistency.png", "dense.png"}
+    {
+        *("result.json", "report.html", "map.png", "correlation.png"),
+        *("consistency.png", "dense.png"),
+    }
     | {f"{estimator}/{name}" for estimator in ESTIMATORS for name in ESTIMATE_FILES}
 )
 """What a run folder holds; a folder with nothing else may be replaced by the next run."""
@@ -36,4 +40,5 @@ def write_run_folder(comparison: Comparison, result: Result, folder: Path) -> No
         if comparison.dense is not None and comparison.dense_check is not None:
             figure = dense_check_figure(comparison.dense, comparison.dense_check, comparison.log)
             save(figure, work / "dense.png")
+        (work / "report.html").write_text(page(comparison, result, work), encoding="utf-8")
         (work / "result.json").write_text(result.model_dump_json(indent=2) + "\n", encoding="utf-8")

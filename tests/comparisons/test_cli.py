@@ -43,6 +43,7 @@ def test_a_run_leaves_a_whole_folder(tmp_path: Path) -> None:
             "consistency.png",
             "correlation.png",
             "map.png",
+            "report.html",
             "result.json",
             *(f"{e}/{n}" for e in ("ekf", "smoother") for n in estimate),
         ]

@@ -1,0 +1,138 @@
+"""report.html: whole without a network, and safe whatever a log says."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from comparisons.compare import Comparison, compare_estimators
+from comparisons.report.html.drawing import Drawing
+from comparisons.report.html.page import page
+from comparisons.report.models import CauseResult
+from comparisons.report.result import build_result
+from comparisons.report.run_folder import write_run_folder
+from tests.helpers import simulated
+
+HOSTILE = """x"><script>document.title='owned'</script><img src=http://evil/ onerror=alert(1)>'&"""
+
+
+@pytest.fixture(scope="module")
+def comparison() -> Comparison:
+    log = simulated(loop_s=20.0)
+    provenance = {**log.provenance, HOSTILE: HOSTILE}
+    return compare_estimators(replace(log, name=HOSTILE, provenance=provenance))
+
+
+@pytest.fixture(scope="module")
+def report(comparison: Comparison, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("run") / "report"
+    write_run_folder(comparison, build_result(comparison, 0.0), folder)
+    return folder / "report.html"
+
+
+class Reader(HTMLParser):
+    """Counts what opens and closes, and keeps attributes."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.attributes: list[tuple[str, str, str]] = []
+        self.tags: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.attributes += [(tag, name, value or "") for name, value in attrs]
+        if tag not in ("meta", "img", "br", "input"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open
+        assert self.open.pop() == tag
+
+
+def read(path: Path) -> Reader:
+    reader = Reader()
+    reader.feed(path.read_text(encoding="utf-8"))
+    assert not reader.open
+    return reader
+
+
+def test_it_is_whole_without_a_network(report: Path) -> None:
+    found = read(report)
+    for _, name, value in found.attributes:
+        if name in ("src", "href", "xlink:href", "action"):
+            assert value.startswith("data:image/png;base64,")
+    assert "link" not in found.tags
+    assert "url(" not in report.read_text(encoding="utf-8")
+    assert ("meta", "http-equiv", "Content-Security-Policy") in found.attributes
+
+
+def test_what_a_log_says_is_text(report: Path) -> None:
+    found = read(report)
+    assert found.tags.count("script") == 1
+    assert not [name for _, name, _ in found.attributes if name.startswith("on")]
+    assert "&lt;script&gt;document.title" in report.read_text(encoding="utf-8")
+
+
+def test_verdict_and_causes_come_first(comparison: Comparison) -> None:
+    result = build_result(comparison, 0.0)
+    cause = CauseResult(gap="<b>x</b>", evidence=HOSTILE, hint=HOSTILE)
+    told = result.model_copy(update={"causes": [cause], "remarks": [HOSTILE]})
+    text = page(comparison, told, Path("nowhere"))
+    order = [text.index(part) for part in ('class="verdict', 'class="cause"', 'id="map"', "<table")]
+    assert order == sorted(order)
+    assert "<b>x</b>" not in text
+    assert text.count("<script") == 1
+
+
+def test_every_landmark_is_in_the_table_and_on_the_map(
+    comparison: Comparison, report: Path
+) -> None:
+    text = report.read_text(encoding="utf-8")
+    count = len(comparison.ekf.estimate.landmark)
+    assert text.count("<tr class=") == count
+    assert len(re.findall(r"<title>EKF, landmark \d+:", text)) == 2 * count
+
+
+def test_north_is_up() -> None:
+    drawing = Drawing.of(np.array([(0.0, 0.0), (10.0, 10.0)]))
+    drawing.dots("a", "#000", np.array([(5.0, 9.0), (5.0, 1.0)]), ["north", "south"])
+    heights = [float(v) for v in re.findall(r'cy="([\d.]+)"', drawing.svg())]
+    assert heights[0] < heights[1]
+
+
+def test_what_is_not_finite_is_not_drawn() -> None:
+    nothing = np.full((2, 2), np.nan)
+    drawing = Drawing.of(nothing)
+    drawing.dots("a", "#000", nothing, ["x", "y"])
+    drawing.outlines("b", "#000", nothing[None], ["z"])
+    assert "nan" not in drawing.svg()
+
+
+def test_a_browser_shows_it(report: Path, tmp_path: Path) -> None:
+    """Headless Chromium runs the script: a tick per layer; nothing that the log says is run."""
+    browser = shutil.which("chromium") or shutil.which("chromium-browser")
+    if browser is None:
+        pytest.skip("no Chromium on this machine")
+    done = subprocess.run(
+        [browser, "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic",
+         "--no-first-run", "--disable-background-networking", "--disable-component-update",
+         "--disable-sync", f"--user-data-dir={tmp_path}", "--virtual-time-budget=2000",
+         "--dump-dom", report.as_uri()],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )  # fmt: skip
+    dom = done.stdout
+    layers = dom.count('class="layer"')
+    assert layers >= 7
+    assert dom.count('type="checkbox"') == layers
+    assert "<title>owned</title>" not in dom
