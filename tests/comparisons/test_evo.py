@@ -1,0 +1,53 @@
+"""Against evo, where it is installed: it reads our trajectories and finds the same errors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from comparisons.checks.accuracy import assess_trajectory
+from comparisons.logs.log import Poses
+from comparisons.runs.ekf_build import EkfChoices
+from comparisons.runs.ekf_run import run_ekf
+from comparisons.runs.estimate_folder import tum_text
+from comparisons.runs.timeline import build_timeline
+from tests.helpers import simulated
+
+
+@pytest.fixture(scope="module")
+def evo() -> Any:
+    """Its modules that are needed; it is not a requirement of the project."""
+    pytest.importorskip("evo", reason="evo is not installed")
+    from evo.core import metrics
+    from evo.tools import file_interface
+
+    return metrics, file_interface
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_evo_finds_the_same_errors(tmp_path: Path, evo: Any) -> None:
+    """Absolute trajectory errors, as they are and after a rigid alignment, to 1e-9 m."""
+    metrics, file_interface = evo
+    log = simulated(loop_s=40.0)
+    estimate = run_ekf(log, build_timeline(log), EkfChoices().settle(log)).estimate
+    assert log.truth.poses is not None
+    true = log.truth.poses.at(estimate.time_s)
+    judged = replace(log, truth=replace(log.truth, poses=Poses(estimate.time_s, true)))
+    ours = assess_trajectory(estimate.time_s, estimate.pose, judged)
+    assert ours is not None
+    for name, pose in (("ours", estimate.pose), ("true", true)):
+        (tmp_path / f"{name}.tum").write_text(tum_text(estimate.time_s, pose))
+    read = file_interface.read_tum_trajectory_file
+    reference, theirs = read(str(tmp_path / "true.tum")), read(str(tmp_path / "ours.tum"))
+    for aligned, expected in ((False, ours.ate_m), (True, ours.ate_aligned_m)):
+        if aligned:
+            theirs.align(reference, correct_scale=False)
+        error = metrics.APE(metrics.PoseRelation.translation_part)
+        error.process_data((reference, theirs))
+        found = error.get_statistic(metrics.StatisticsType.rmse)
+        assert found == pytest.approx(expected, abs=1e-9)
+        assert np.isfinite(found)
