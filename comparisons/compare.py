@@ -11,15 +11,18 @@ import numpy as np
 
 from comparisons.checks.accuracy import Accuracy, assess, assess_trajectory
 from comparisons.checks.agreement import Agreement, Gaussian, compare
+from comparisons.checks.algebra_differences import AlgebraDifference, WatchedState, watch
 from comparisons.checks.association import AssociationScore, score_association
 from comparisons.checks.attribution import ROUNDING, Verdict, judge
+from comparisons.checks.bookkeeping import misuses
 from comparisons.checks.dense_agreement import DenseAgreement, compare_dense
+from comparisons.checks.explanations import explain
 from comparisons.checks.model_differences import model_differences
 from comparisons.checks.own_association import OwnAssociationCheck, check_own_association
 from comparisons.checks.scan_increments import IncrementCheck, check_increments
 from comparisons.checks.three_way import ThreeWay, compare_maps, find_culprit, readable
 from comparisons.errors import InputError
-from comparisons.logs.log import Log
+from comparisons.logs.log import Log, Positions
 from comparisons.runs.dense_run import DenseOptions, DenseRun, DenseWatcher
 from comparisons.runs.ekf_build import EkfChoices, fused_positions, judging_positions
 from comparisons.runs.ekf_run import EkfRun, run_ekf
@@ -39,7 +42,7 @@ from comparisons.runs.smoother_run import (
     solve_own,
     solve_recorded,
 )
-from comparisons.runs.timeline import build_timeline
+from comparisons.runs.timeline import Timeline, build_timeline
 from ekf_reference.full_ekf import FullEkf
 from graphslam.increments import dead_reckoned
 from graphslam.scan.loop_closure import loop_closer
@@ -164,18 +167,22 @@ def compare_estimators(
         agreement = compare(
             _gaussian(run.estimate), Gaussian(*recorded), Gaussian(*own), _gaussian(smoothed)
         )
+        labelled = chosen.association == "known"
+        begun = int(np.count_nonzero(run.trace.augmentations.weight > 0.0))
         verdict = judge(
             agreement,
             result.proof,
             run,
-            lambda: model_differences(said, meant, ROUNDING),
+            lambda: model_differences(said, meant, ROUNDING, begun),
+            operations=lambda: _repeated(log, timeline, chosen, positions, modify),
+            explanations=lambda: explain(log, run),
+            misuses=misuses(log, run, smoothed, labelled=labelled),
             conservative=chosen.conservative,
             robust=result.options.robust,
             own=second,
             three_way=three,
             dense=compared,
         )
-        labelled = chosen.association == "known"
         reckoned = dead_reckoned(problem.prior_pose, problem.increment)
         return Comparison(
             log,
@@ -201,6 +208,24 @@ def compare_estimators(
             ),
             clock.seconds,
         )
+
+
+def _repeated(
+    log: Log,
+    timeline: Timeline,
+    choices: EkfChoices,
+    positions: Positions | None,
+    modify: Callable[[FullEkf], None],
+) -> tuple[AlgebraDifference, ...]:
+    """The filter once more, with every operation repeated on a sound copy of its state."""
+    watched: list[WatchedState | None] = []
+
+    def also(ekf: FullEkf) -> None:
+        modify(ekf)
+        watched.append(watch(ekf, ROUNDING))
+
+    run_ekf(log, timeline, choices, positions, modify=also)
+    return watched[0].differences() if watched[0] is not None else ()
 
 
 def _on_scans(log: Log, motion: ScanMotion | None) -> list[str]:
