@@ -166,9 +166,9 @@ def _of_positions(p: LinearPositions) -> _Places:
 def _inverse(a: Array) -> Array:
     """Of matrices (N, d, d); the pseudo-inverse where a filter's row is empty."""
     try:
-        inverse: Array = np.linalg.inv(a)
+        inverse: Array = np.linalg.inv(a).astype(np.float64, copy=False)
     except np.linalg.LinAlgError:
-        inverse = np.linalg.pinv(a)
+        inverse = np.linalg.pinv(a).astype(np.float64, copy=False)
     return inverse
 
 
