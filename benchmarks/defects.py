@@ -1,6 +1,7 @@
 """Which planted defects are caught and named, and how often a sound filter is flagged.
 
-    python benchmarks/defects.py [--seed 4] [--seeds 200] [--noise-scale 0.3] [--table]
+    python benchmarks/defects.py [--seed 4] [--seeds 200] [--noise-scale 0.3] [--only WORD]
+                                [--table]
 
 Every defect of comparisons.defects runs on a log that shows it; `named` says whether the first
 cause is the right one. Then the sound filter drives simulated loops with so much of the stated
@@ -40,14 +41,15 @@ def short(evidence: str, hint: str) -> str:
     return parts[1] if len(parts) > 1 and "where rounding allows" in parts[0] else parts[0]
 
 
-def defects(seed: int, *, table: bool) -> None:
-    """Print all of them."""
+def defects(seed: int, only: str, *, table: bool) -> None:
+    """Print those whose name holds a word."""
     caught = named = 0
     if table:
         print("| defect | shows in | what the report says |\n|---|---|---|")
     else:
         print(f"{'defect':<42} {'verdict':<9} {'first':<8} named  evidence")
-    for defect in CATALOGUE:
+    chosen = [defect for defect in CATALOGUE if only in defect.name]
+    for defect in chosen:
         verdict = run_defect(defect, seed).verdict
         told = named_first(defect, verdict)
         caught, named = caught + (verdict.outcome != "agree"), named + told
@@ -61,7 +63,7 @@ def defects(seed: int, *, table: bool) -> None:
                 f"{said}",
                 flush=True,
             )
-    print(f"{caught} of {len(CATALOGUE)} caught, {named} with the right first cause")
+    print(f"{caught} of {len(chosen)} caught, {named} with the right first cause")
 
 
 def false_alarms(seeds: int, noise_scale: float, loop_s: float) -> None:
@@ -88,9 +90,10 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=200, help="of the sound filter's drives")
     parser.add_argument("--noise-scale", type=float, default=0.3)
     parser.add_argument("--loop-s", type=float, default=85.0)
+    parser.add_argument("--only", default="", help="defects whose name holds this")
     parser.add_argument("--table", action="store_true")
     options = parser.parse_args()
-    defects(options.seed, table=options.table)
+    defects(options.seed, options.only, table=options.table)
     if options.seeds:
         false_alarms(options.seeds, options.noise_scale, options.loop_s)
 

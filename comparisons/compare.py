@@ -22,7 +22,7 @@ from comparisons.checks.own_association import OwnAssociationCheck, check_own_as
 from comparisons.checks.scan_increments import IncrementCheck, check_increments
 from comparisons.checks.three_way import ThreeWay, compare_maps, find_culprit, readable
 from comparisons.errors import InputError
-from comparisons.logs.log import Log, Positions
+from comparisons.logs.log import Log
 from comparisons.runs.dense_run import DenseOptions, DenseRun, DenseWatcher
 from comparisons.runs.ekf_build import EkfChoices, fused_positions, judging_positions
 from comparisons.runs.ekf_run import EkfRun, run_ekf
@@ -174,7 +174,7 @@ def compare_estimators(
             result.proof,
             run,
             lambda: model_differences(said, meant, ROUNDING, begun),
-            operations=lambda: _repeated(log, timeline, chosen, positions, modify),
+            operations=lambda: _repeated(log, timeline, run, chosen, modify),
             explanations=lambda: explain(log, run),
             misuses=misuses(log, run, smoothed, labelled=labelled),
             conservative=chosen.conservative,
@@ -213,8 +213,8 @@ def compare_estimators(
 def _repeated(
     log: Log,
     timeline: Timeline,
+    run: EkfRun,
     choices: EkfChoices,
-    positions: Positions | None,
     modify: Callable[[FullEkf], None],
 ) -> tuple[AlgebraDifference, ...]:
     """The filter once more, with every operation repeated on a sound copy of its state."""
@@ -222,9 +222,9 @@ def _repeated(
 
     def also(ekf: FullEkf) -> None:
         modify(ekf)
-        watched.append(watch(ekf, ROUNDING))
+        watched.append(watch(ekf, ROUNDING, run.trace.prior_pose, run.trace.prior_covariance))
 
-    run_ekf(log, timeline, choices, positions, modify=also)
+    run_ekf(log, timeline, choices, run.positions, modify=also)
     return watched[0].differences() if watched[0] is not None else ()
 
 

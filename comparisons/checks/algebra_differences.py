@@ -54,6 +54,10 @@ class WatchedState:
         """Whatever only reads."""
         return getattr(self._state, name)
 
+    def starts(self, sound: KalmanState) -> None:
+        """Compare what it starts from."""
+        self._compare("the start", sound, len(sound.pose), len(sound.pose))
+
     def predict(self, pose: Array, jacobian_pose: Array, noise: Array) -> None:
         """Move the vehicle, twice."""
         sound, other = self._copy(), self._copy()
@@ -148,11 +152,15 @@ class WatchedState:
         return off
 
 
-def watch(ekf: FullEkf, tolerance: float) -> WatchedState | None:
-    """Put a watched state into a filter; None for states that do not lie open."""
+def watch(ekf: FullEkf, tolerance: float, pose: Array, covariance: Array) -> WatchedState | None:
+    """Put a watched state into a filter that has not started; None for states that are not open.
+
+    pose: (p,). covariance: (p, p), the prior that it should start from.
+    """
     if not isinstance(ekf.state, KalmanState):
         return None
     watched = WatchedState(ekf.state, tolerance)
+    watched.starts(KalmanState(pose, covariance))
     ekf.state = watched
     return watched
 

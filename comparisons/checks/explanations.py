@@ -84,6 +84,8 @@ def _steps(log: Log, run: EkfRun) -> Iterator[str]:
             yield "F's position terms by heading have the opposite sign"
         elif _equal(trace.f[rows], f.transpose(0, 2, 1)):
             yield "F is transposed"
+        elif _equal(trace.f[rows], np.broadcast_to(np.eye(3), f.shape)):
+            yield "F is the identity"
     yield from _step_noise(log, run, rows, b)
 
 
@@ -138,6 +140,17 @@ def _displaced(
         yield f"the turn has a bias of {np.median(rate):.3g} rad/s"
         return
     if isinstance(model, AckermannModel):
+        for part in ("encoder_offset_m", "sensor_forward_m", "sensor_left_m"):
+            own = getattr(model, part)
+            for factor, how in ((0.0, "is left out"), (-1.0, "has the opposite sign")):
+                if own and leads(replace(model, **{part: factor * own}), same, duration):
+                    yield f"{part} of the vehicle {how}"
+                    return
+        if model.sensor_forward_m or model.sensor_left_m:
+            bare = replace(model, sensor_forward_m=0.0, sensor_left_m=0.0)
+            if leads(bare, same, duration):
+                yield "the sensor's place on the vehicle is left out"
+                return
 
         def miss(wheelbase_m: float) -> float:
             other = replace(model, wheelbase_m=wheelbase_m)
@@ -178,6 +191,9 @@ def _step_noise(log: Log, run: EkfRun, rows: Index, b: Array) -> Iterator[str]:
     if _equal(have, meant + added):
         return
     size = float(np.sum((have - added) * meant) / np.sum(meant * meant))
+    if _equal(have - added, meant / duration[:, None, None] ** 2):
+        yield "the Jacobian by the control is not multiplied by the interval"
+        return
     for text, covariance in (
         ("Q holds sigma where its square belongs", np.sqrt(stated)),
         ("Q holds variances that were squared twice", stated**2),
@@ -219,7 +235,15 @@ def _updates(log: Log, run: EkfRun) -> Iterator[str]:
     nu[:, 1] = wrap_angle(nu[:, 1])
     turns = (r.innovation[:, 1] - nu[:, 1]) / np.pi
     off = np.abs(turns) > _EQUAL
-    if off.any() and np.abs(turns - np.round(turns)).max() < 1e-6:
+    mirrored = -z[:, 1] - expected[:, 1]
+    by_range = r.innovation[:, 0] - nu[:, 0]
+    if _equal(r.innovation, -nu):
+        yield "the innovation is expected minus measured"
+    elif off.any() and np.abs(wrap_angle(r.innovation[:, 1] - mirrored)).max() < _EQUAL:
+        yield "bearings are counted clockwise"
+    elif not off.any() and np.abs(by_range).max() > _EQUAL and np.ptp(by_range) < _EQUAL:
+        yield f"ranges are taken {np.median(by_range):+.3g} m"
+    elif off.any() and np.abs(turns - np.round(turns)).max() < 1e-6:
         if np.all(np.round(turns) % 2 == 0):
             yield f"{np.count_nonzero(off)} bearing innovations are not wrapped"
         else:
@@ -256,6 +280,10 @@ def _jacobians(
         if _equal(have[rows], np.concatenate((a, c), axis=2)):
             yield text
             return
+    rows_off = [name for k, name in enumerate(("range", "bearing"))
+                if not _equal(have[:, k], want[:, k])]  # fmt: skip
+    if len(rows_off) == 1:
+        yield f"the {rows_off[0]} row of H is wrong, the other is right"
 
 
 def _sighting_noise(name: str, have: Array, sigma: Array) -> Iterator[str]:
@@ -305,6 +333,11 @@ def _beginnings(log: Log, run: EkfRun) -> Iterator[str]:
             yield "landmarks begin from the pose before the update"
         elif _equal(r.landmark[off], (r.pose[:, :2] - ray)[off]):
             yield "landmarks begin behind the vehicle: their direction lost its quadrant"
+        else:
+            towards = r.pose[:, 2] - z[:, 1]
+            mirrored = np.column_stack((np.cos(towards), np.sin(towards)))
+            if _equal(r.landmark, r.pose[:, :2] + z[:, :1] * mirrored):
+                yield "landmarks begin as if bearings were counted clockwise"
     own = np.broadcast_to(np.eye(2), r.jacobian_other.shape)
     if _equal(r.jacobian_other, own):
         yield "G_z is the identity: R is not rotated when a landmark begins"
@@ -317,5 +350,17 @@ def _positions(run: EkfRun) -> Iterator[str]:
     if run.positions is None or not len(r.step):
         return
     apart = run.positions.position_m[r.number] - r.pose[:, :2]
-    if np.any(run.positions.antenna_m) and _equal(r.innovation, apart):
+    stated = run.positions.antenna_m
+    arm = apart - r.innovation
+    cos, sin = np.cos(r.pose[:, 2]), np.sin(r.pose[:, 2])
+    lever = np.column_stack((cos * arm[:, 0] + sin * arm[:, 1], cos * arm[:, 1] - sin * arm[:, 0]))
+    mean = lever.mean(axis=0)
+    if np.abs(lever - mean).max() > _EQUAL or np.allclose(mean, stated, atol=_EQUAL):
+        return
+    if np.abs(mean).max() <= _EQUAL:
         yield "the lever arm of the antenna is left out"
+    else:
+        yield (
+            f"the lever arm of the antenna is ({mean[0]:.3f}, {mean[1]:.3f}) m, where the log says "
+            f"({stated[0]:.3f}, {stated[1]:.3f}) m"
+        )

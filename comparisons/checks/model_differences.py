@@ -18,6 +18,7 @@ from ekf_reference.direction_cosine import along_circle
 from graphslam.linear_problem import (
     LinearMotion,
     LinearPositions,
+    LinearPrior,
     LinearProblem,
     LinearSightings,
     whiten,
@@ -83,7 +84,7 @@ def model_differences(
             _of_positions(own.positions),
         ),
     )
-    found = []
+    found = _priors(recorded.prior, own.prior, tolerance)
     for kind, place, said, meant in kinds:
         for quantity, unit, difference, absent in _compare(place, said, meant):
             relation, off = kind, ~(difference <= tolerance)
@@ -103,6 +104,23 @@ def model_differences(
                     )
                 )
     return tuple(sorted(found, key=lambda d: (not d.absent, -d.largest)))
+
+
+def _priors(said: LinearPrior, meant: LinearPrior, tolerance: float) -> list[ModelDifference]:
+    """Of priors of x, y and heading."""
+    if len(said.point) != 3:
+        return []
+    apart = float(np.abs(meant.a @ (said.point - meant.point)).max())
+    within = meant.a @ np.linalg.inv(said.a)
+    spread = float(np.abs(np.linalg.eigvalsh(within @ within.T) - 1.0).max())
+    return [
+        ModelDifference("priors", quantity, 1, 1, size, unit, absent=False)
+        for quantity, size, unit in (
+            ("the pose", apart, "sigma"),
+            ("the covariance", spread, "of its size"),
+        )
+        if not size <= tolerance
+    ]
 
 
 def _compare(

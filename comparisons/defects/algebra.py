@@ -128,6 +128,26 @@ class OnlySeenUpdated(KalmanState):
         return done
 
 
+class InnovationSubtracted(KalmanState):
+    """The mean moves away from what was measured."""
+
+    def update(
+        self, columns: Index, jacobian: Array, innovation: Array, noise: Array
+    ) -> Correction:
+        """X - W nu."""
+        return super().update(columns, jacobian, -innovation, noise)
+
+
+class NoiseLeftOut(KalmanState):
+    """S = H P H^T, all but without R."""
+
+    def update(
+        self, columns: Index, jacobian: Array, innovation: Array, noise: Array
+    ) -> Correction:
+        """As if measurements were exact."""
+        return super().update(columns, jacobian, innovation, 1e-6 * noise)
+
+
 _AUGMENT, _PREDICT, _UPDATE = "the augmentation", "the prediction", "the update"
 
 DEFECTS = (
@@ -184,5 +204,17 @@ DEFECTS = (
         "the gain is applied to the vehicle and the landmarks in view",
         ("algebra", _UPDATE, "the mean"),
         with_state(OnlySeenUpdated),
+    ),
+    Defect(
+        "innovation subtracted",
+        "x - W nu in the update",
+        ("algebra", _UPDATE, "the mean"),
+        with_state(InnovationSubtracted),
+    ),
+    Defect(
+        "R left out of S",
+        "S = H P H^T in the gain",
+        ("algebra", _UPDATE, "covariance"),
+        with_state(NoiseLeftOut),
     ),
 )

@@ -41,6 +41,15 @@ class UnwrappedInnovation(RangeBearing):
         return z - predicted
 
 
+class Clockwise(RangeBearing):
+    """Bearings counted clockwise, as a compass does."""
+
+    def measured(self, z: Array, sigma: Array) -> tuple[Array, Array]:
+        """With the bearing's sign exchanged."""
+        z, noise = super().measured(z, sigma)
+        return z * (1.0, -1.0), noise
+
+
 class NoHeadingColumn(RangeBearing):
     """The bearing's Jacobian forgets that the vehicle turns."""
 
@@ -140,6 +149,24 @@ class HeadingColumnSign(OtherMotion):
         return step
 
 
+class IdentityF(OtherMotion):
+    """The motion's Jacobian is forgotten."""
+
+    def step(self, pose: Array, control: Array, duration_s: float) -> MotionStep:
+        """F is the identity."""
+        step = super().step(pose, control, duration_s)
+        return MotionStep(step.pose, np.eye(3), step.jacobian_control)
+
+
+class ControlWithoutInterval(OtherMotion):
+    """The Jacobian by the control is that of a rate."""
+
+    def step(self, pose: Array, control: Array, duration_s: float) -> MotionStep:
+        """B without dt."""
+        step = super().step(pose, control, duration_s)
+        return MotionStep(step.pose, step.jacobian_pose, step.jacobian_control / duration_s)
+
+
 class HeadingDrift(OtherMotion):
     """A bias in the turn."""
 
@@ -154,6 +181,12 @@ def _longer(motion: MotionModel) -> MotionModel:
     if not isinstance(motion, AckermannModel):
         raise TypeError(f"{type(motion).__name__} has no wheelbase")
     return replace(motion, wheelbase_m=1.1 * motion.wheelbase_m)
+
+
+def _sensor_at_axle(motion: MotionModel) -> MotionModel:
+    if not isinstance(motion, AckermannModel):
+        raise TypeError(f"{type(motion).__name__} has no sensor")
+    return replace(motion, sensor_forward_m=0.0, sensor_left_m=0.0)
 
 
 def _no_lever(ekf: FullEkf) -> None:
@@ -184,6 +217,12 @@ DEFECTS = (
         "z - h(x) as plain numbers at the cut of the bearing",
         ("model", "the innovation", "not wrapped"),
         with_observation(UnwrappedInnovation),
+    ),
+    Defect(
+        "bearing clockwise",
+        "bearings counted positive to the right",
+        ("model", "the innovation", "clockwise"),
+        with_observation(Clockwise),
     ),
     Defect(
         "stale Jacobian",
@@ -226,6 +265,24 @@ DEFECTS = (
         "a wheelbase longer by a tenth",
         ("model", "the predicted pose", "wheelbase"),
         with_motion(_longer),
+    ),
+    Defect(
+        "sensor's place left out",
+        "the sensor is taken to be at the middle of the rear axle",
+        ("model", "the predicted pose", "sensor's place"),
+        with_motion(_sensor_at_axle),
+    ),
+    Defect(
+        "F the identity",
+        "P is predicted without the motion's Jacobian",
+        ("model", "the Jacobian by heading", "F is the identity"),
+        with_motion(IdentityF),
+    ),
+    Defect(
+        "B without dt",
+        "the Jacobian by the control is not multiplied by the interval",
+        ("model", "the noise covariance", "not multiplied by the interval"),
+        with_motion(ControlWithoutInterval),
     ),
     Defect(
         "heading drift",
