@@ -262,6 +262,9 @@ def _jacobians(
     if not have[:, 1].any() and _equal(have[:, 0], want[:, 0]):
         yield "the bearing row is zero: only ranges inform"
         return
+    if not have[:, :, 2].any():
+        yield "H's column by heading is zero"
+        return
     exchanged = want.copy()
     exchanged[:, 1, (0, 1, 3, 4)] *= -1.0
     if _equal(have, exchanged):
