@@ -153,11 +153,12 @@ class WatchedState:
 
 
 def watch(ekf: FullEkf, tolerance: float, pose: Array, covariance: Array) -> WatchedState | None:
-    """Put a watched state into a filter that has not started; None for states that are not open.
+    """Put a watched state into a filter that has not started.
 
-    pose: (p,). covariance: (p, p), the prior that it should start from.
+    pose: (p,). covariance: (p, p), the recorded prior, that it should start from. None for states
+    that do not lie open, or keep the pose in other figures than the trace and do more than this.
     """
-    if not isinstance(ekf.state, KalmanState):
+    if not isinstance(ekf.state, KalmanState) or len(ekf.state.pose) != len(pose):
         return None
     watched = WatchedState(ekf.state, tolerance)
     watched.starts(KalmanState(pose, covariance))
