@@ -11,10 +11,13 @@ import numpy as np
 
 from comparisons.checks.accuracy import Accuracy, assess, assess_trajectory
 from comparisons.checks.agreement import Agreement, Gaussian, compare
+from comparisons.checks.algebra_differences import AlgebraDifference, WatchedState, watch
 from comparisons.checks.association import AssociationScore, score_association
 from comparisons.checks.attribution import ROUNDING, Verdict, judge
+from comparisons.checks.bookkeeping import misuses
 from comparisons.checks.consistency import Consistency, check_consistency
 from comparisons.checks.dense_agreement import DenseAgreement, compare_dense
+from comparisons.checks.explanations import explain
 from comparisons.checks.model_differences import model_differences
 from comparisons.checks.own_association import OwnAssociationCheck, check_own_association
 from comparisons.checks.scan_increments import IncrementCheck, check_increments
@@ -40,7 +43,7 @@ from comparisons.runs.smoother_run import (
     solve_own,
     solve_recorded,
 )
-from comparisons.runs.timeline import build_timeline
+from comparisons.runs.timeline import Timeline, build_timeline
 from ekf_reference.full_ekf import FullEkf
 from graphslam.increments import dead_reckoned
 from graphslam.scan.loop_closure import loop_closer
@@ -167,18 +170,22 @@ def compare_estimators(
         agreement = compare(
             _gaussian(run.estimate), Gaussian(*recorded), Gaussian(*own), _gaussian(smoothed)
         )
+        labelled = chosen.association == "known"
+        begun = int(np.count_nonzero(run.trace.augmentations.weight > 0.0))
         verdict = judge(
             agreement,
             result.proof,
             run,
-            lambda: model_differences(said, meant, ROUNDING),
+            lambda: model_differences(said, meant, ROUNDING, begun),
+            operations=lambda: _repeated(log, timeline, run, chosen, modify),
+            explanations=lambda: explain(log, run),
+            misuses=misuses(log, run, smoothed, labelled=labelled),
             conservative=chosen.conservative,
             robust=result.options.robust,
             own=second,
             three_way=three,
             dense=compared,
         )
-        labelled = chosen.association == "known"
         consistency = check_consistency(
             log, run, smoothed, labelled=labelled, robust=result.options.robust
         )
@@ -213,6 +220,24 @@ def compare_estimators(
             ),
             clock.seconds,
         )
+
+
+def _repeated(
+    log: Log,
+    timeline: Timeline,
+    run: EkfRun,
+    choices: EkfChoices,
+    modify: Callable[[FullEkf], None],
+) -> tuple[AlgebraDifference, ...]:
+    """The filter once more, with every operation repeated on a sound copy of its state."""
+    watched: list[WatchedState | None] = []
+
+    def also(ekf: FullEkf) -> None:
+        modify(ekf)
+        watched.append(watch(ekf, ROUNDING, run.trace.prior_pose, run.trace.prior_covariance))
+
+    run_ekf(log, timeline, choices, run.positions, modify=also)
+    return watched[0].differences() if watched[0] is not None else ()
 
 
 def _on_scans(log: Log, motion: ScanMotion | None) -> list[str]:

@@ -103,3 +103,10 @@ def test_dense_maps_benchmark_drives() -> None:
     names = [line.split()[0] for line in lines[3:8]]
     assert names == ["points", "occupancy", "particles", "sog", "classic"]
     assert lines[-1].startswith("returns: ")
+
+
+def test_defects_benchmark_runs() -> None:
+    lines = run("benchmarks/defects.py", "--only", "steering", "--seeds", "2", "--loop-s", "20")
+    assert lines[1].startswith("steering sign ")
+    assert lines[2] == "1 of 1 caught, 1 with the right first cause"
+    assert "0 of 2 flagged, 0.0 to 84.2 %" in lines[3]

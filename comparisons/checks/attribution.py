@@ -9,6 +9,8 @@ from typing import Literal
 import numpy as np
 
 from comparisons.checks.agreement import Agreement, BlockAgreement, Gap
+from comparisons.checks.algebra_differences import AlgebraDifference
+from comparisons.checks.bookkeeping import Misuse
 from comparisons.checks.dense_agreement import AGREE_M, DenseAgreement
 from comparisons.checks.model_differences import ModelDifference
 from comparisons.checks.own_association import OwnAssociationCheck
@@ -64,6 +66,9 @@ def judge(
     run: EkfRun,
     differences: Callable[[], Sequence[ModelDifference]] = tuple,
     *,
+    operations: Callable[[], Sequence[AlgebraDifference]] = tuple,
+    explanations: Callable[[], Sequence[str]] = tuple,
+    misuses: Sequence[Misuse] = (),
     conservative: bool = False,
     robust: str = "none",
     own: OwnAssociationCheck | None = None,
@@ -72,7 +77,9 @@ def judge(
 ) -> Verdict:
     """The verdict on a run.
 
-    differences: finds out where the models differ, when they do. conservative: the filter is meant
+    differences: finds out where the models differ, when they do; explanations: known mistakes that
+    lead there. operations: finds out which operation is wrong, when the algebra is. misuses: of the
+    data; they come first, for the gaps follow from them. conservative: the filter is meant
     to leave some covariance too large, so its algebra is right when P_E - P_F1 is positive
     semidefinite, to rounding, and the mean hardly moves. A red algebra or model gap is a
     disagreement whatever the smoother found, for it compares the filter with linear algebra.
@@ -81,19 +88,12 @@ def judge(
     associations differ in what matters. three_way: the smoother on scans, when asked for; it is
     heard when its own optimum is proven. dense: the dense maps of both, when asked for.
     """
-    causes: list[Cause] = []
+    causes = [Cause("data", misuse.evidence, misuse.hint) for misuse in misuses]
     algebra = agreement.algebra
     if not (_conservative(algebra) if conservative else algebra.within(ROUNDING)):
-        causes.append(
-            Cause(
-                "algebra",
-                f"the filter and the solution of its own linear equations {_apart(algebra)}",
-                "look for a covariance block that is dropped, stale or not transposed: prediction, "
-                "update, augmentation",
-            )
-        )
+        causes.append(_algebra(algebra, operations()))
     if not agreement.model.within(ROUNDING):
-        causes.append(_model(agreement.model, differences()))
+        causes.append(_model(agreement.model, differences(), explanations()))
     if run.breakdown and not causes:
         causes.append(
             Cause(
@@ -153,7 +153,21 @@ def _apart(gap: Gap) -> str:
     )
 
 
-def _model(gap: Gap, differences: Sequence[ModelDifference]) -> Cause:
+def _algebra(gap: Gap, operations: Sequence[AlgebraDifference]) -> Cause:
+    named = "; ".join(map(str, operations[:_NAMED]))
+    hint = (
+        "look for a covariance block that is dropped, stale or not transposed: prediction, update, "
+        "augmentation"
+    )
+    return Cause(
+        "algebra",
+        f"the filter and the solution of its own linear equations {_apart(gap)}"
+        + (f"; {named}" if named else ""),
+        f"look at {operations[0].operation}: {operations[0].block}" if operations else hint,
+    )
+
+
+def _model(gap: Gap, differences: Sequence[ModelDifference], explanations: Sequence[str]) -> Cause:
     named = "; ".join(map(str, differences[:_NAMED]))
     hint = (
         "look for a Jacobian's sign, an unwrapped innovation, a sigma squared twice, a steering or "
@@ -164,6 +178,8 @@ def _model(gap: Gap, differences: Sequence[ModelDifference]) -> Cause:
             f"complete {differences[0].quantity}: its columns are zero in the filter, and the "
             "observation does depend on it"
         )
+    if explanations:
+        hint = f"the records are as if: {'; '.join(explanations)}"
     return Cause(
         "model",
         "the filter's and the smoother's equations, linearised at the same points, "

@@ -18,6 +18,7 @@ from ekf_reference.direction_cosine import along_circle
 from graphslam.linear_problem import (
     LinearMotion,
     LinearPositions,
+    LinearPrior,
     LinearProblem,
     LinearSightings,
     whiten,
@@ -60,9 +61,13 @@ class _Places:
 
 
 def model_differences(
-    recorded: LinearProblem, own: LinearProblem, tolerance: float
+    recorded: LinearProblem, own: LinearProblem, tolerance: float, begun: int = 0
 ) -> tuple[ModelDifference, ...]:
-    """What differs by more than the tolerance, the largest first; what is missing before that."""
+    """What differs by more than the tolerance, the largest first; what is missing before that.
+
+    begun: so many sightings, the last ones, begin a landmark; they are named apart where the others
+    do not differ.
+    """
     from_sightings = _first(recorded.sightings, len(own.sightings.slot))
     kinds = (
         ("steps", "the predicted pose", _of_motion(recorded.motion), _of_motion(own.motion)),
@@ -79,11 +84,14 @@ def model_differences(
             _of_positions(own.positions),
         ),
     )
-    found = []
-    for relation, place, said, meant in kinds:
+    found = _priors(recorded.prior, own.prior, tolerance)
+    for kind, place, said, meant in kinds:
         for quantity, unit, difference, absent in _compare(place, said, meant):
-            off = difference > tolerance
+            relation, off = kind, ~(difference <= tolerance)
             if off.any():
+                uses = len(off) - begun
+                if relation == "uses of sightings" and not off[:uses].any():
+                    relation, off, absent = "beginnings of landmarks", off[uses:], absent[uses:]
                 found.append(
                     ModelDifference(
                         relation,
@@ -96,6 +104,23 @@ def model_differences(
                     )
                 )
     return tuple(sorted(found, key=lambda d: (not d.absent, -d.largest)))
+
+
+def _priors(said: LinearPrior, meant: LinearPrior, tolerance: float) -> list[ModelDifference]:
+    """Of priors of x, y and heading."""
+    if len(said.point) != 3:
+        return []
+    apart = float(np.abs(meant.a @ (said.point - meant.point)).max())
+    within = meant.a @ np.linalg.inv(said.a)
+    spread = float(np.abs(np.linalg.eigvalsh(within @ within.T) - 1.0).max())
+    return [
+        ModelDifference("priors", quantity, 1, 1, size, unit, absent=False)
+        for quantity, size, unit in (
+            ("the pose", apart, "sigma"),
+            ("the covariance", spread, "of its size"),
+        )
+        if not size <= tolerance
+    ]
 
 
 def _compare(
@@ -122,7 +147,7 @@ def _compare(
 
 def _of_sightings(s: LinearSightings) -> _Places:
     """Landmark place l = landmark + c^-1 (b - a (x - pose) - noise)."""
-    inverse = np.linalg.inv(s.c)
+    inverse = _inverse(s.c)
     jacobian = -inverse @ _by_heading(s.a, s.pose)
     place = (inverse @ s.b[..., None])[..., 0]
     return _Places(place, jacobian, inverse @ inverse.transpose(0, 2, 1))
@@ -130,7 +155,7 @@ def _of_sightings(s: LinearSightings) -> _Places:
 
 def _of_motion(m: LinearMotion) -> _Places:
     """Pose x' = arrived + c^-1 (b - a (x - departed) - noise), in x, y, heading."""
-    inverse = np.linalg.inv(m.c)
+    inverse = _inverse(m.c)
     if m.departed.shape[1] == 4:
         inverse = np.array([along_circle(pose).T for pose in m.arrived]) @ inverse
     jacobian = -inverse @ _by_heading(m.a, m.departed)
@@ -150,10 +175,19 @@ def _by_heading(a: Array, pose: Array) -> Array:
 def _of_positions(p: LinearPositions) -> _Places:
     """(x, y) = pose + a_xy^-1 (b - a_heading (heading - pose's) - noise)."""
     a = _by_heading(p.a, p.pose)
-    inverse = np.linalg.inv(a[:, :, :2])
+    inverse = _inverse(a[:, :, :2])
     jacobian = -inverse @ a
     place = (inverse @ p.b[..., None])[..., 0]
     return _Places(place, jacobian, inverse @ inverse.transpose(0, 2, 1))
+
+
+def _inverse(a: Array) -> Array:
+    """Of matrices (N, d, d); the pseudo-inverse where a filter's row is empty."""
+    try:
+        inverse: Array = np.linalg.inv(a).astype(np.float64, copy=False)
+    except np.linalg.LinAlgError:
+        inverse = np.linalg.pinv(a).astype(np.float64, copy=False)
+    return inverse
 
 
 def _first(s: LinearSightings, count: int) -> LinearSightings:

@@ -22,6 +22,9 @@ from ekf_reference.full_ekf import FullEkf, PoseReading
 from ekf_reference.kalman import FilterDivergedError
 from ekf_reference.trace import RecordedTrace, TraceArrays
 
+_FARTHEST_M = 1e6
+"""A pose so far from the start has diverged; what follows is not worth comparing."""
+
 
 @dataclass(frozen=True)
 class EkfRun:
@@ -150,6 +153,13 @@ def run_ekf(
             breakdown = f"the EKF broke down at {timeline.epoch_time_s[k]:.3f} s: {error}"
             epochs = k + 1
         watching.updated(ekf)
+        away = float(np.abs(ekf.state.mean[:2] - log.prior.pose[:2]).max())
+        if not breakdown and not away <= _FARTHEST_M:
+            breakdown = (
+                f"the EKF broke down at {timeline.epoch_time_s[k]:.3f} s: its pose is {away:.2g} m "
+                "from the start"
+            )
+            epochs = k + 1
         departed[k], _, read = ekf.read_pose()
         covariance[k] = read @ ekf.state.pose_covariance @ read.T
         if breakdown:
@@ -167,6 +177,7 @@ def run_ekf(
         breakdown = "the EKF broke down: its covariance is not finite at the end"
     timeline = timeline.prefix(epochs)
     arrays = trace.arrays()
+    _check_counts(log, timeline, arrays)
     slot = _as_used(slot[: len(timeline.sighting_epoch)], arrays)
     estimate = Estimate(
         timeline.epoch_time_s,
@@ -199,6 +210,25 @@ def run_ekf(
         _spared(ekf),
         breakdown,
     )
+
+
+def _check_counts(log: Log, timeline: Timeline, trace: TraceArrays) -> None:
+    """Raise InputError for a filter that made something of data that it was not given."""
+    sightings = np.concatenate((trace.updates.sighting, trace.augmentations.sighting))
+    for what, made, given in (
+        ("predictions", len(trace.departed), len(timeline.control)),
+        ("sightings", int(sightings.max(initial=-1)) + 1, len(timeline.sighting_epoch)),
+        (
+            "positions",
+            int(trace.positions.number.max(initial=-1)) + 1,
+            len(timeline.position_epoch),
+        ),
+    ):
+        if made > given or (what == "predictions" and made < given):
+            raise InputError(
+                f"{log.name}: the EKF recorded {made} {what}, expected {given}: one is called "
+                "twice, or left out"
+            )
 
 
 def _joint_covariance(ekf: FullEkf) -> Array:

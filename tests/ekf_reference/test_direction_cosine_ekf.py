@@ -7,6 +7,7 @@ import pytest
 
 from comparisons.checks.attribution import ROUNDING
 from comparisons.compare import Comparison, compare_estimators
+from comparisons.defects.defect import with_state
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.waypoints import WaypointRun, simulate
 from comparisons.runs.ekf_build import EkfChoices
@@ -22,7 +23,6 @@ from ekf_reference.kalman import Array, Correction, FilterDivergedError, Index, 
 from ekf_reference.motion import UnicycleModel
 from ekf_reference.observation import NewLandmarks, PredictedSightings
 from ekf_reference.trace import RecordedTrace
-from tests.comparisons.test_broken_variants import with_state
 from tests.helpers import relative_error, simulated
 
 

@@ -1,0 +1,108 @@
+"""Planted defects: every one is caught, and named; a sound filter is not."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from comparisons.compare import compare_estimators
+from comparisons.defects.catalogue import CATALOGUE, named_first, run_defect
+from comparisons.defects.defect import Defect, Plant, with_observation, with_steps
+from comparisons.defects.logs import LOGS, open_case
+from comparisons.errors import InputError
+from ekf_reference.absolute_updates import PositionModel
+from ekf_reference.full_ekf import FullEkf
+from ekf_reference.kalman import KalmanState
+from ekf_reference.observation import PredictedSightings, RangeBearing
+from tests.helpers import Array, simulated
+
+SEEDS = 12
+
+
+def test_the_catalogue_is_broad_and_without_copies() -> None:
+    assert len(CATALOGUE) >= 20
+    assert len({defect.name for defect in CATALOGUE}) == len(CATALOGUE)
+    assert {defect.log for defect in CATALOGUE} == set(LOGS)
+
+
+@pytest.mark.parametrize("defect", CATALOGUE, ids=lambda defect: defect.name)
+def test_a_defect_is_caught_and_named_first(defect: Defect) -> None:
+    verdict = run_defect(defect).verdict
+    assert verdict.outcome == "disagree"
+    assert named_first(defect, verdict), f"{verdict.causes[0]}"
+
+
+@pytest.mark.parametrize("name", LOGS)
+def test_a_sound_filter_passes_the_logs_that_show_defects(name: str) -> None:
+    verdict = compare_estimators(*open_case(name, seed=4)).verdict
+    assert verdict.outcome == "agree", f"{verdict.causes}"
+    assert not verdict.causes
+
+
+@pytest.mark.parametrize("seed", range(SEEDS))
+def test_a_sound_filter_is_not_flagged(seed: int) -> None:
+    verdict = compare_estimators(simulated(seed=seed, loop_s=30.0, noise_scale=0.3)).verdict
+    assert verdict.outcome == "agree", f"{verdict.causes}"
+
+
+class PredictsTwice(FullEkf):
+    def predict(self, control: Array, covariance: Array, duration_s: float) -> None:
+        super().predict(control, covariance, duration_s)
+        super().predict(control, covariance, duration_s)
+
+
+class FixesTwice(FullEkf):
+    def fix_position(self, z: Array, covariance: Array) -> bool:
+        super().fix_position(z, covariance)
+        return super().fix_position(z, covariance)
+
+
+@pytest.mark.parametrize(
+    ("kind", "told"),
+    [
+        (PredictsTwice, "4800 predictions, expected 2400"),
+        (FixesTwice, "120 positions, expected 60"),
+    ],
+)
+def test_a_filter_that_miscounts_its_data_is_refused(kind: type[FullEkf], told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        compare_estimators(*open_case("positions", seed=4), modify=with_steps(kind))
+
+
+def start_elsewhere(ekf: FullEkf) -> None:
+    ekf.state = KalmanState(ekf.state.pose + (0.0, 0.0, 0.1), np.array(ekf.state.covariance))
+
+
+def other_lever(ekf: FullEkf) -> None:
+    ekf.fixes = replace(ekf.fixes, model=PositionModel((-0.6, 0.3)))
+
+
+class SlantedRange(RangeBearing):
+    """A mistake that the explanations do not know."""
+
+    def predict(self, pose: Array, landmarks: Array) -> PredictedSightings:
+        z, by_pose, by_landmark = super().predict(pose, landmarks)
+        by_landmark[:, 0] *= 1.1
+        return PredictedSightings(z, by_pose, by_landmark)
+
+
+@pytest.mark.parametrize(
+    ("plant", "told"),
+    [
+        (start_elsewhere, "look at the start: the mean"),
+        (other_lever, r"antenna is \(-0.600, 0.300\) m, where the log says \(0.600, -0.300\) m"),
+        (with_observation(SlantedRange), "the range row of H is wrong, the other is right"),
+    ],
+)
+def test_what_is_not_in_the_catalogue_is_told_as_far_as_it_goes(plant: Plant, told: str) -> None:
+    verdict = compare_estimators(*open_case("positions", seed=4), modify=plant).verdict
+    assert verdict.outcome == "disagree"
+    assert re.search(told, verdict.causes[0].hint)
+
+
+def test_a_log_that_is_unknown_is_refused() -> None:
+    with pytest.raises(ValueError, match="expected one of loop"):
+        open_case("night", seed=0)
