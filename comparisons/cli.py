@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from comparisons.cli_montecarlo import montecarlo
 from comparisons.cli_options import (
     AssociationOption,
     DenseOption,
@@ -263,6 +264,7 @@ def check(
 
 app.command()(odometry)
 app.command("map")(map_command)
+app.command()(montecarlo)
 
 
 @app.command()
