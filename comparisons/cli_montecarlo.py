@@ -39,7 +39,7 @@ def montecarlo(
     Examples:
       slamcheck montecarlo circle                     50 runs, five filters
       slamcheck montecarlo my-scenario.toml --runs 1000 --filters ekf,fej --workers 8
-      slamcheck montecarlo circle --runs 100000 --scheduler tcp://head:8786
+      slamcheck montecarlo circle --runs 10000 --scheduler tcp://head:8786
     """
     with guarded():
         from comparisons.atomic import folder_name

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Literal
@@ -68,27 +69,58 @@ class Pair:
     runs: int
 
 
-def figures_of(records: Records) -> FilterFigures:
+@dataclass(frozen=True)
+class Tally:
+    """What is kept of one filter's records.
+
+    step_mean: (T,) over the runs not lost. run_mean: (N,) over the steps, NaN for lost runs. Both
+    by field of Records.
+    """
+
+    step_mean: Records
+    run_mean: Records
+
+    @property
+    def lost(self) -> int:
+        """Runs that broke down."""
+        return int(np.isnan(self.run_mean.pose_nees).sum())
+
+
+def tally(chunks: Iterable[Records]) -> Tally:
+    """Chunk by chunk, in order, so that only one is held at a time."""
+    total: list[Array] = [np.zeros(())] * len(Records._fields)
+    run_mean: list[Records] = []
+    for records in chunks:
+        lost = np.isnan(records.pose_nees).any(axis=1)
+        total = [t + r[~lost].sum(axis=0) for t, r in zip(total, records, strict=True)]
+        means = Records(*(_mean(r, axis=1) for r in records))
+        for values in means:
+            values[lost] = np.nan
+        run_mean.append(means)
+    joined = Records(*(np.concatenate(parts) for parts in zip(*run_mean, strict=True)))
+    kept = int(np.isfinite(joined.pose_nees).sum())
+    step_mean = Records(*(t / kept if kept else np.nan * t for t in total))
+    return Tally(step_mean, joined)
+
+
+def figures_of(kept: Tally) -> FilterFigures:
     """One filter's figures over all its runs."""
-    lost = np.isnan(records.pose_nees).any(axis=1)
-    kept = Records(*(r[~lost] for r in records))
-    runs = len(kept.pose_nees)
-    nees = dict(zip(DOF, kept[:4], strict=True))
-    square = dict(zip(ERRORS, kept[4:], strict=True))
-    curves = {name: np.sqrt(_mean(s, axis=0)) for name, s in square.items()}
+    runs = len(kept.run_mean.pose_nees) - kept.lost
+    nees = dict(zip(DOF, kept.step_mean[:4], strict=True))
+    square = dict(zip(ERRORS, kept.step_mean[4:], strict=True))
     return FilterFigures(
-        int(lost.sum()),
-        {name: _consistency(values, runs, DOF[name]) for name, values in nees.items()},
-        {name: float(np.sqrt(_mean(s))) for name, s in square.items()},
-        curves,
+        kept.lost,
+        {name: _consistency(curve, runs, DOF[name]) for name, curve in nees.items()},
+        {name: float(np.sqrt(_mean(curve))) for name, curve in square.items()},
+        {name: np.sqrt(curve) for name, curve in square.items()},
     )
 
 
-def compare_pairs(records: dict[str, Records]) -> list[Pair]:
+def compare_pairs(kept: dict[str, Tally]) -> list[Pair]:
     """Every two filters, in the order given."""
     found = []
-    for first, second in combinations(records, 2):
-        a, b = _per_run(records[first]), _per_run(records[second])
+    for first, second in combinations(kept, 2):
+        a, b = _per_run(kept[first]), _per_run(kept[second])
         for what in a:
             difference = a[what] - b[what]
             difference = difference[np.isfinite(difference)]
@@ -96,14 +128,10 @@ def compare_pairs(records: dict[str, Records]) -> list[Pair]:
     return found
 
 
-def _per_run(records: Records) -> dict[str, Array]:
-    lost = np.isnan(records.pose_nees).any(axis=1)
-    figures = {"pose_nees": _mean(records.pose_nees, axis=1)}
-    for name, square in zip(ERRORS, records[4:], strict=True):
-        figures[f"{name}_rmse"] = np.sqrt(_mean(square, axis=1))
-    for values in figures.values():
-        values[lost] = np.nan
-    return figures
+def _per_run(kept: Tally) -> dict[str, Array]:
+    square = zip(ERRORS, kept.run_mean[4:], strict=True)
+    rmse = {f"{name}_rmse": np.sqrt(values) for name, values in square}
+    return {"pose_nees": kept.run_mean.pose_nees} | rmse
 
 
 def _interval(difference: Array) -> tuple[float, tuple[float, float]]:
@@ -115,8 +143,7 @@ def _interval(difference: Array) -> tuple[float, tuple[float, float]]:
     return mean, (mean - spread, mean + spread)
 
 
-def _consistency(values: Array, runs: int, dof: int) -> Consistency:
-    curve = _mean(values, axis=0)
+def _consistency(curve: Array, runs: int, dof: int) -> Consistency:
     mean = float(_mean(curve))
     band = anees_band(runs, dof) if runs else (np.nan, np.nan)
     place: Place = "above" if not mean <= band[1] else "below" if mean < band[0] else "inside"

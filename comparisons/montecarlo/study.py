@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,7 +12,7 @@ import numpy as np
 from comparisons.errors import InputError
 from comparisons.montecarlo.chunk_files import CHUNK, ChunkFiles
 from comparisons.montecarlo.runs import FILTERS, Records, recorded_steps, run_filter
-from comparisons.montecarlo.statistics import FilterFigures, Pair, compare_pairs, figures_of
+from comparisons.montecarlo.statistics import FilterFigures, Pair, compare_pairs, figures_of, tally
 from comparisons.montecarlo.workers import spread
 from comparisons.scenarios.scenario import Scenario
 from comparisons.scenarios.world import World, build_world, measure
@@ -75,30 +75,27 @@ def run_study(
     steps = recorded_steps(study.scenario.steps)
     files = ChunkFiles(folder, study.sha256, len(steps))
     chunks = range(-(-study.runs // CHUNK))
-    done: dict[tuple[str, int], Records] = {}
     wanted, damaged = [], 0
     for chunk in chunks:
         for name in study.filters:
-            found = files.read(name, chunk)
-            if found is None:
+            if files.read(name, chunk) is None:
                 damaged += files.path(name, chunk).exists()
                 wanted.append((name, chunk))
-            else:
-                done[name, chunk] = found
     total = len(chunks) * len(study.filters)
-    progress("runs", len(done), total)
+    done = total - len(wanted)
+    progress("runs", done, total)
     tasks = [(name, world, chunk) for name, chunk in wanted]
     for place, records in spread(run_chunk, tasks, workers, scheduler):
         files.write(*wanted[place], records)
-        done[wanted[place]] = records
-        progress("runs", len(done), total)
-    joined = {name: _join([done[name, c] for c in chunks], study.runs) for name in study.filters}
+        done += 1
+        progress("runs", done, total)
+    kept = {name: tally(_finished(files, name, study.runs)) for name in study.filters}
     return Outcome(
         study,
         study.scenario.step_s * np.array(steps, dtype=float),
         len(world.landmark),
-        {name: figures_of(records) for name, records in joined.items()},
-        compare_pairs(joined),
+        {name: figures_of(of_filter) for name, of_filter in kept.items()},
+        compare_pairs(kept),
         len(wanted),
         damaged,
     )
@@ -111,5 +108,10 @@ def run_chunk(name: str, world: World, chunk: int) -> Records:
         return run_filter(name, world, measure(world, runs))
 
 
-def _join(chunks: list[Records], runs: int) -> Records:
-    return Records(*(np.concatenate(parts)[:runs] for parts in zip(*chunks, strict=True)))
+def _finished(files: ChunkFiles, name: str, runs: int) -> Iterator[Records]:
+    """The records of the first runs, chunk by chunk."""
+    for chunk in range(-(-runs // CHUNK)):
+        records = files.read(name, chunk)
+        if records is None:
+            raise InputError(f"{files.path(name, chunk)}: was changed while the study ran")
+        yield Records(*(r[: runs - chunk * CHUNK] for r in records))

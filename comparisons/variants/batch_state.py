@@ -139,7 +139,7 @@ class BatchState:
     def _root(self, s: Array) -> Array:
         """Lower triangular roots of (B, m, m); runs that have none are lost, with a unit root."""
         try:
-            root: Array = np.linalg.cholesky(s)
+            return np.asarray(np.linalg.cholesky(s), dtype=float)
         except np.linalg.LinAlgError:
             for run, matrix in enumerate(s):
                 try:
@@ -147,8 +147,7 @@ class BatchState:
                 except np.linalg.LinAlgError:
                     self.lost[run] = True
                     s[run] = np.eye(len(matrix))
-            root = np.linalg.cholesky(s)
-        return root
+            return np.asarray(np.linalg.cholesky(s), dtype=float)
 
 
 class InvariantState(BatchState):

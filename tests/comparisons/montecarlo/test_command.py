@@ -130,7 +130,7 @@ def test_a_pickle_is_not_opened(tmp_path: Path) -> None:
     assert files.read("ekf", 0) is not None
     evil = {name: np.array([{}], dtype=object) for name in Records._fields}
     with files.path("ekf", 0).open("wb") as file:
-        np.savez(file, allow_pickle=True, sha256="x", **evil)  # type: ignore[arg-type]
+        np.savez(file, allow_pickle=True, sha256="x", **evil)
     assert files.read("ekf", 0) is None
 
 
