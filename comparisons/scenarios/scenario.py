@@ -125,7 +125,7 @@ def read_scenario(name: str) -> Scenario:
     Raises InputError.
     """
     path = Path(name)
-    if not path.exists():
+    if not path.is_file():
         if name not in bundled_scenarios():
             raise InputError(
                 f"scenario '{name}' is neither a file nor one of {', '.join(bundled_scenarios())}"

@@ -59,7 +59,7 @@ class Measurements:
 
 
 def build_world(scenario: Scenario) -> World:
-    """The truth of a scenario. Raises InputError where no landmark is ever seen."""
+    """The truth of a scenario. Raises InputError where no landmark is ever seen, or no way."""
     control, pose = _drive(scenario)
     landmark = _landmarks(scenario)
     offset = landmark[None] - pose[1:, None, :2]
@@ -164,8 +164,11 @@ def _pursue(
     goal = 0
     for k in range(steps):
         x, y, heading = pose[k]
-        while np.hypot(*(path[goal] - (x, y))) < lookahead_m:
-            goal = (goal + 1) % len(path)
+        ahead_of_us = np.roll(path, -goal, axis=0) - (x, y)
+        far = np.hypot(ahead_of_us[:, 0], ahead_of_us[:, 1]) >= lookahead_m
+        if not far.any():
+            raise InputError("scenario: course: all of it lies within lookahead_m of the robot")
+        goal = (goal + int(far.argmax())) % len(path)
         ahead = math.atan2(path[goal, 1] - y, path[goal, 0] - x) - heading
         distance = math.hypot(path[goal, 1] - y, path[goal, 0] - x)
         control[k] = speed_mps, 2.0 * speed_mps * math.sin(ahead) / distance

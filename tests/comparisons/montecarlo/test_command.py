@@ -144,6 +144,14 @@ def test_a_pickle_is_not_opened(tmp_path: Path) -> None:
         (("[course]", "[course"), "is not TOML"),
         (("max_range_m = 5.0", "max_range_m = 0.5"), "no landmark is ever within"),
         (("steps = 400", "steps = 1e99"), "steps: "),
+        (
+            (
+                'kind = "circle"\nspeed_mps = 0.25\nyaw_rate_radps = 0.025',
+                'kind = "waypoints"\nspeed_mps = 1.0\nlookahead_m = 9.0\n'
+                "points = [[0, 0], [1, 0], [0, 1]]",
+            ),
+            "all of it lies within lookahead_m",
+        ),
     ],
 )
 def test_bad_scenarios(change: tuple[str, str], told: str, scenario: Path, tmp_path: Path) -> None:
