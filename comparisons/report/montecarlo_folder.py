@@ -18,7 +18,6 @@ from comparisons.report.montecarlo_models import (
     PairResult,
 )
 from comparisons.report.montecarlo_plots import curves_figure
-from comparisons.report.plots import save
 
 
 def build_montecarlo_result(outcome: Outcome) -> MonteCarloResult:
@@ -46,7 +45,7 @@ def write_montecarlo(outcome: Outcome, result: MonteCarloResult, folder: Path) -
     part.write_text(result.model_dump_json(indent=2) + "\n", encoding="utf-8")
     os.replace(part, folder / "montecarlo.json")
     picture = folder / f"{UNFINISHED}curves.png"
-    save(curves_figure(outcome), picture)
+    curves_figure(outcome).savefig(picture, dpi=130, metadata={"Software": None})
     os.replace(picture, folder / "curves.png")
 
 

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from comparisons.montecarlo.statistics import DOF
 from comparisons.montecarlo.study import Outcome
-from comparisons.report.plots import Array
+from comparisons.variants.batch_models import Array
 
 _COLOURS = {
     "ekf": "#d1495b",

@@ -45,7 +45,7 @@ def scenario(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The circle, shorter."""
     path = tmp_path_factory.mktemp("scenario") / "short.toml"
     text = (ROOT / "comparisons/scenarios/circle.toml").read_text()
-    path.write_text(text.replace("steps = 2500", "steps = 400"))
+    path.write_text(text.replace("steps = 2500", "steps = 200"))
     return path
 
 
@@ -143,7 +143,7 @@ def test_a_pickle_is_not_opened(tmp_path: Path) -> None:
         (("sigma_share = 0.1", ""), "sigma_m and sigma_share are both 0"),
         (("[course]", "[course"), "is not TOML"),
         (("max_range_m = 5.0", "max_range_m = 0.5"), "no landmark is ever within"),
-        (("steps = 400", "steps = 1e99"), "steps: "),
+        (("steps = 200", "steps = 1e99"), "steps: "),
         (
             (
                 'kind = "circle"\nspeed_mps = 0.25\nyaw_rate_radps = 0.025',
