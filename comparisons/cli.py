@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from comparisons.cli_baseline import baseline
+from comparisons.cli_montecarlo import montecarlo
 from comparisons.cli_options import (
     AssociationOption,
     DenseOption,
@@ -265,6 +266,7 @@ def check(
 app.add_typer(baseline, name="baseline")
 app.command()(odometry)
 app.command("map")(map_command)
+app.command()(montecarlo)
 
 
 @app.command()

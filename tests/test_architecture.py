@@ -39,6 +39,40 @@ def imported(source: str) -> set[str]:
     return names
 
 
+HOUSE = {"comparisons", "ekf_reference", "graphslam"}
+MAY_SEE = {
+    "variants": {"comparisons.variants"},
+    "scenarios": {
+        "comparisons.scenarios",
+        "comparisons.variants",
+        "comparisons.errors",
+        "comparisons.logs.simulate",
+    },
+    "montecarlo": {
+        "comparisons.montecarlo",
+        "comparisons.scenarios",
+        "comparisons.variants",
+        "comparisons.errors",
+        "comparisons.atomic",
+    },
+}
+
+
+@pytest.mark.parametrize("package", sorted(MAY_SEE))
+def test_monte_carlo_stands_apart(package: str) -> None:
+    """The variants know arrays only; none of the three needs a log, an estimator or a report."""
+    modules = list((ROOT / "comparisons" / package).glob("*.py"))
+    assert len(modules) > 2
+    for module in modules:
+        for node in ast.walk(ast.parse(module.read_text())):
+            names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            names += [a.name for a in node.names] if isinstance(node, ast.Import) else []
+            for name in names:
+                if name.split(".")[0] in HOUSE:
+                    allowed = any(name == m or name.startswith(f"{m}.") for m in MAY_SEE[package])
+                    assert allowed, f"{module.relative_to(ROOT)} imports {name}"
+
+
 @pytest.mark.parametrize("package", sorted(ALLOWED))
 def test_estimators_import_nothing_of_the_house(package: str) -> None:
     modules = list((ROOT / package).rglob("*.py"))

@@ -1,0 +1,56 @@
+"""Independent pieces of work, on this machine's cores or on a Dask cluster."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from typing import Any, TypeVar
+
+from comparisons.errors import InputError
+
+Result = TypeVar("Result")
+
+
+def spread(
+    function: Callable[..., Result],
+    tasks: Sequence[tuple[Any, ...]],
+    workers: int = 1,
+    scheduler: str | None = None,
+) -> Iterator[tuple[int, Result]]:
+    """Results as they come, each with its task's place; scheduler: a Dask cluster's address.
+
+    Raises InputError where Dask is missing or the scheduler does not answer.
+    """
+    import joblib
+
+    with ExitStack() as stack:
+        if scheduler is None:
+            backend: dict[str, Any] = {"n_jobs": workers}
+            if workers > 1:
+                backend |= {"backend": "loky", "inner_max_num_threads": 1}
+        else:
+            stack.enter_context(_client(scheduler))
+            backend = {"backend": "dask", "n_jobs": -1}
+        stack.enter_context(joblib.parallel_config(**backend))
+        jobs = (joblib.delayed(_placed)(function, i, task) for i, task in enumerate(tasks))
+        yield from joblib.Parallel(return_as="generator_unordered", batch_size=1)(jobs)
+
+
+def _placed(
+    function: Callable[..., Result], place: int, task: tuple[Any, ...]
+) -> tuple[int, Result]:
+    return place, function(*task)
+
+
+def _client(address: str) -> Any:
+    try:
+        from distributed import Client
+    except ImportError:
+        raise InputError(
+            "--scheduler needs Dask, which is not installed: pip install 'slamcheck[dask]'"
+        ) from None
+    connect: Any = Client
+    try:
+        return connect(address, timeout=10)
+    except (OSError, ValueError, TypeError) as error:
+        raise InputError(f"scheduler {address}: cannot be reached ({error})") from None

@@ -1,0 +1,113 @@
+"""What a Monte Carlo study leaves beside its chunks: montecarlo.json, curves.png, a short table."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from rich.console import Console
+
+from comparisons.montecarlo.chunk_files import UNFINISHED
+from comparisons.montecarlo.statistics import DOF, LEVEL, Consistency, FilterFigures, Pair
+from comparisons.montecarlo.study import Outcome
+from comparisons.report.finite import finite
+from comparisons.report.montecarlo_models import (
+    ConsistencyResult,
+    MonteCarloFilterResult,
+    MonteCarloResult,
+    PairResult,
+)
+from comparisons.report.montecarlo_plots import curves_figure
+
+
+def build_montecarlo_result(outcome: Outcome) -> MonteCarloResult:
+    """The figures, without what depends on the machine."""
+    study = outcome.study
+    return MonteCarloResult(
+        scenario=study.name,
+        description=study.scenario.description,
+        sha256=study.sha256,
+        runs=study.runs,
+        steps=study.scenario.steps,
+        recorded_steps=len(outcome.time_s),
+        duration_s=study.scenario.steps * study.scenario.step_s,
+        landmarks=outcome.landmarks,
+        level=LEVEL,
+        filters={name: _filter(figures) for name, figures in outcome.figures.items()},
+        pairs=[_pair(pair) for pair in outcome.pairs],
+    )
+
+
+def write_montecarlo(outcome: Outcome, result: MonteCarloResult, folder: Path) -> None:
+    """Write both files, each whole or not at all."""
+    folder.mkdir(parents=True, exist_ok=True)
+    part = folder / f"{UNFINISHED}montecarlo.json"
+    part.write_text(result.model_dump_json(indent=2) + "\n", encoding="utf-8")
+    os.replace(part, folder / "montecarlo.json")
+    picture = folder / f"{UNFINISHED}curves.png"
+    curves_figure(outcome).savefig(picture, dpi=130, metadata={"Software": None})
+    os.replace(picture, folder / "curves.png")
+
+
+def print_montecarlo(outcome: Outcome, console: Console) -> None:
+    """One row per filter; what lies outside its band is told in words, too."""
+    study = outcome.study
+    bands = next(iter(outcome.figures.values())).consistency
+    lines = [
+        f"{study.name}: {study.runs} runs of {study.scenario.steps:,} steps, "
+        f"{outcome.landmarks} landmarks",
+        f"{'ANEES':10}" + "".join(f"{name:>14}" for name in DOF),
+        f"{'95 % band':10}" + "".join(f"{_interval(bands[name].band):>14}" for name in DOF),
+    ]
+    for name, figures in outcome.figures.items():
+        lines.append(
+            f"{name:10}" + "".join(f"{_told(figures.consistency[block]):>14}" for block in DOF)
+        )
+    lines.append(f"{'RMSE':10}{'position m':>14}{'heading rad':>14}{'landmarks m':>14}")
+    for name, figures in outcome.figures.items():
+        lines.append(f"{name:10}" + "".join(f"{value:14.4f}" for value in figures.rmse.values()))
+    for name, figures in outcome.figures.items():
+        if figures.lost:
+            lines.append(f"{name}: {figures.lost} runs broke down and are left out")
+    if outcome.damaged:
+        lines.append(f"damaged chunk files, computed again: {outcome.damaged}")
+    console.print("\n".join(lines), highlight=False, markup=False)
+
+
+def _interval(band: tuple[float, float]) -> str:
+    return f"{band[0]:.2f} to {band[1]:.2f}"
+
+
+def _told(consistency: Consistency) -> str:
+    mark = "" if consistency.place == "inside" else f"{consistency.place} "
+    return f"{mark}{consistency.mean:.2f}"
+
+
+def _filter(figures: FilterFigures) -> MonteCarloFilterResult:
+    return MonteCarloFilterResult(
+        lost=figures.lost,
+        consistency={
+            name: ConsistencyResult(
+                anees=finite(c.mean),
+                band=(finite(c.band[0]), finite(c.band[1])),
+                place=c.place,
+                share_above=finite(c.share_above),
+            )
+            for name, c in figures.consistency.items()
+        },
+        rmse_position_m=finite(figures.rmse["position"]),
+        rmse_heading_rad=finite(figures.rmse["heading"]),
+        rmse_landmark_m=finite(figures.rmse["landmarks"]),
+    )
+
+
+def _pair(pair: Pair) -> PairResult:
+    low, high = pair.interval
+    return PairResult(
+        first=pair.first,
+        second=pair.second,
+        what=pair.what,
+        mean=finite(pair.mean),
+        interval=(finite(low), finite(high)),
+        runs=pair.runs,
+    )

@@ -1,0 +1,1 @@
+"""Scenarios of Monte Carlo studies: TOML files, and what they describe."""

@@ -1,0 +1,156 @@
+"""Scenario files: what a Monte Carlo study simulates. Unknown keys are errors."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from comparisons.errors import InputError
+
+_FOLDER = Path(__file__).parent
+_Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+_NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+_Finite = Annotated[float, Field(allow_inf_nan=False)]
+_Point = tuple[_Finite, _Finite]
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Circle(_Model):
+    """Constant speed and yaw rate, from the origin eastwards."""
+
+    kind: Literal["circle"]
+    speed_mps: _Positive
+    yaw_rate_radps: _Finite
+
+
+class Waypoints(_Model):
+    """Round a closed polygon by pure pursuit, from its first point."""
+
+    kind: Literal["waypoints"]
+    speed_mps: _Positive
+    lookahead_m: _Positive
+    points: Annotated[list[_Point], Field(min_length=3)]
+
+
+class EnvironmentCourse(_Model):
+    """The path of an environment of comparisons.logs.simulate.worlds, by pure pursuit."""
+
+    kind: Literal["nieto-loop"]
+    speed_mps: _Positive
+    lookahead_m: _Positive
+
+
+class Ring(_Model):
+    """Landmarks on circles about a centre, evenly spaced, going through the radii in turn."""
+
+    kind: Literal["ring"]
+    centre: _Point
+    radii_m: Annotated[list[_Positive], Field(min_length=1)]
+    count: Annotated[int, Field(ge=1, le=1000)]
+
+
+class Points(_Model):
+    """Landmarks one by one."""
+
+    kind: Literal["points"]
+    points: Annotated[list[_Point], Field(min_length=1)]
+
+
+class EnvironmentLandmarks(_Model):
+    """The landmarks of an environment."""
+
+    kind: Literal["nieto-loop"]
+
+
+class Odometry(_Model):
+    """White noise of every step's speed and yaw rate."""
+
+    sigma_speed_mps: _Positive
+    sigma_yaw_rate_radps: _Positive
+
+
+class RelativePositionSensor(_Model):
+    """Position in the robot's frame; each axis has sigma_m + sigma_share * distance."""
+
+    kind: Literal["relative-position"]
+    sigma_m: _NotNegative = 0.0
+    sigma_share: _NotNegative = 0.0
+    max_range_m: _Positive
+    field_of_view_rad: _Positive = 6.284
+    every: Annotated[int, Field(ge=1)] = 1
+
+
+class RangeBearingSensor(_Model):
+    """Range and bearing; the range has sigma_range_m + sigma_range_share * distance."""
+
+    kind: Literal["range-bearing"]
+    sigma_range_m: _NotNegative = 0.0
+    sigma_range_share: _NotNegative = 0.0
+    sigma_bearing_rad: _Positive
+    max_range_m: _Positive
+    field_of_view_rad: _Positive = 6.284
+    every: Annotated[int, Field(ge=1)] = 1
+
+
+class Scenario(_Model):
+    """One scenario. from_paper, ours: which of the figures are taken from where, in words."""
+
+    description: str
+    from_paper: list[str]
+    ours: list[str]
+    steps: Annotated[int, Field(ge=1, le=1_000_000)]
+    step_s: _Positive
+    sigma_start_m: _Positive
+    sigma_start_rad: _Positive
+    course: Annotated[Circle | Waypoints | EnvironmentCourse, Field(discriminator="kind")]
+    landmarks: Annotated[Ring | Points | EnvironmentLandmarks, Field(discriminator="kind")]
+    odometry: Odometry
+    sensor: Annotated[RelativePositionSensor | RangeBearingSensor, Field(discriminator="kind")]
+
+
+def bundled_scenarios() -> list[str]:
+    """Names of the scenarios that come with slamcheck."""
+    return sorted(path.stem for path in _FOLDER.glob("*.toml"))
+
+
+def read_scenario(name: str) -> Scenario:
+    """A scenario by bundled name, unless a file of that name exists, or by path.
+
+    Raises InputError.
+    """
+    path = Path(name)
+    if not path.is_file():
+        if name not in bundled_scenarios():
+            raise InputError(
+                f"scenario '{name}' is neither a file nor one of {', '.join(bundled_scenarios())}"
+            )
+        path = _FOLDER / f"{name}.toml"
+    try:
+        scenario = Scenario.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+    except OSError as error:
+        raise InputError(f"{name}: cannot be read ({error.strerror or error})") from None
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise InputError(f"{name}: {where}: {first['msg']}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{name}: is not TOML ({error})") from None
+    _check_sensor(name, scenario)
+    return scenario
+
+
+def _check_sensor(name: str, scenario: Scenario) -> None:
+    sensor = scenario.sensor
+    if isinstance(sensor, RelativePositionSensor):
+        spread, keys = sensor.sigma_m + sensor.sigma_share, "sigma_m and sigma_share"
+    else:
+        spread = sensor.sigma_range_m + sensor.sigma_range_share
+        keys = "sigma_range_m and sigma_range_share"
+    if spread <= 0:
+        raise InputError(f"{name}: sensor: {keys} are both 0, expected noise")

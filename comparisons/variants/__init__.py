@@ -1,0 +1,1 @@
+"""Consistent variants of EKF-SLAM, many runs at once."""

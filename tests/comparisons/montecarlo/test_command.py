@@ -1,0 +1,239 @@
+"""`slamcheck montecarlo`: the same bytes however it is computed, and what it says of faults."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from comparisons.errors import InputError
+from comparisons.montecarlo.chunk_files import ChunkFiles
+from comparisons.montecarlo.runs import Records
+from comparisons.montecarlo.study import Study, run_study
+from comparisons.montecarlo.workers import spread
+from comparisons.scenarios.scenario import bundled_scenarios, read_scenario
+from comparisons.scenarios.world import build_world, measure
+from tests.comparisons.montecarlo.worlds import short
+
+ROOT = Path(__file__).resolve().parents[3]
+SLAMCHECK = (sys.executable, "-c", "from comparisons.cli import main; main()", "montecarlo")
+ENVIRONMENT = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
+
+
+def slamcheck(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        (*SLAMCHECK, *arguments), capture_output=True, text=True, env=ENVIRONMENT, timeout=60
+    )
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {
+        p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()
+    }
+
+
+@pytest.fixture(scope="module")
+def scenario(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The circle, shorter."""
+    path = tmp_path_factory.mktemp("scenario") / "short.toml"
+    text = (ROOT / "comparisons/scenarios/circle.toml").read_text()
+    path.write_text(text.replace("steps = 2500", "steps = 200"))
+    return path
+
+
+@pytest.fixture(scope="module")
+def finished(scenario: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A study of two chunks by one process."""
+    out = tmp_path_factory.mktemp("study") / "out"
+    done = slamcheck(str(scenario), "--runs", "40", "--filters", "ekf,fej", "--out", str(out))
+    assert done.returncode == 0, done.stderr
+    assert "95 % band" in done.stdout
+    return out
+
+
+def again(scenario: Path, out: Path, *more: str) -> subprocess.CompletedProcess[str]:
+    return slamcheck(
+        str(scenario), "--runs", "40", "--filters", "ekf,fej", "--out", str(out), *more
+    )
+
+
+def test_two_workers_give_the_same_bytes(scenario: Path, finished: Path, tmp_path: Path) -> None:
+    done = again(scenario, tmp_path / "two", "--workers", "2")
+    assert done.returncode == 0, done.stderr
+    assert contents(tmp_path / "two") == contents(finished)
+    assert len(contents(finished)) == 6
+
+
+def test_a_killed_run_goes_on(scenario: Path, finished: Path, tmp_path: Path) -> None:
+    out = tmp_path / "killed"
+    arguments = (str(scenario), "--runs", "40", "--filters", "ekf,fej", "--out", str(out))
+    job = subprocess.Popen((*SLAMCHECK, *arguments), env=ENVIRONMENT)
+    first = out / "chunks" / "ekf-000000.npz"
+    while not first.exists() and job.poll() is None:
+        time.sleep(0.005)
+    job.send_signal(signal.SIGKILL)
+    job.wait()
+    kept = contents(out)
+    assert kept
+    assert len(kept) < 6
+    (out / "chunks" / ".part-fej-000001.npz").write_bytes(b"half")
+    stamp = first.stat().st_mtime_ns
+    done = again(scenario, out)
+    assert done.returncode == 0, done.stderr
+    assert first.stat().st_mtime_ns == stamp
+    assert contents(out) == contents(finished)
+
+
+def test_damaged_chunks_are_computed_again(scenario: Path, finished: Path, tmp_path: Path) -> None:
+    out = tmp_path / "damaged"
+    good = contents(finished)
+    (out / "chunks").mkdir(parents=True)
+    for i, (name, data) in enumerate(sorted(good.items())):
+        if name.startswith("chunks/"):
+            half = bytearray(data)
+            half[len(half) // 2] ^= 255
+            (out / name).write_bytes((data[:1000], bytes(half), b"", data)[i % 4])
+    done = again(scenario, out)
+    assert done.returncode == 0, done.stderr
+    assert "computed again: 3" in done.stdout
+    assert contents(out) == good
+
+
+def test_fewer_runs_and_other_filters_use_what_is_there(finished: Path, tmp_path: Path) -> None:
+    study = Study("short", short("circle", 60), 30, ("ekf", "oc"))
+    first = run_study(study, tmp_path)
+    assert first.computed == 4
+    more = run_study(Study("short", study.scenario, 50, ("ekf", "fej", "oc")), tmp_path)
+    assert more.computed == 2
+    fewer = run_study(study, tmp_path)
+    assert fewer.computed == 0
+    assert fewer.figures["oc"].rmse == first.figures["oc"].rmse
+
+
+def test_chunks_of_another_scenario_are_refused(tmp_path: Path) -> None:
+    run_study(Study("a", short("circle", 20), 5, ("ekf",)), tmp_path)
+    with pytest.raises(InputError, match="another scenario"):
+        run_study(Study("a", short("circle", 21), 5, ("ekf",)), tmp_path)
+
+
+def test_a_pickle_is_not_opened(tmp_path: Path) -> None:
+    files = ChunkFiles(tmp_path, "x", 3)
+    files.write("ekf", 0, Records(*(np.zeros((25, 3)) for _ in Records._fields)))
+    assert files.read("ekf", 0) is not None
+    evil = {name: np.array([{}], dtype=object) for name in Records._fields}
+    with files.path("ekf", 0).open("wb") as file:
+        np.savez(file, allow_pickle=True, sha256="x", **evil)
+    assert files.read("ekf", 0) is None
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (("step_s = 1.0", "step_s = -1.0"), "step_s: Input should be greater than 0"),
+        (("step_s = 1.0", "step_s = 1.0\nstep = 3"), "step: Extra inputs are not permitted"),
+        (('kind = "circle"', 'kind = "square"'), "course: Input tag 'square'"),
+        (("sigma_share = 0.1", ""), "sigma_m and sigma_share are both 0"),
+        (("[course]", "[course"), "is not TOML"),
+        (("max_range_m = 5.0", "max_range_m = 0.5"), "no landmark is ever within"),
+        (("steps = 200", "steps = 1e99"), "steps: "),
+        (
+            (
+                'kind = "circle"\nspeed_mps = 0.25\nyaw_rate_radps = 0.025',
+                'kind = "waypoints"\nspeed_mps = 1.0\nlookahead_m = 9.0\n'
+                "points = [[0, 0], [1, 0], [0, 1]]",
+            ),
+            "all of it lies within lookahead_m",
+        ),
+    ],
+)
+def test_bad_scenarios(change: tuple[str, str], told: str, scenario: Path, tmp_path: Path) -> None:
+    text = scenario.read_text()
+    assert change[0] in text
+    path = tmp_path / "bad.toml"
+    path.write_text(text.replace(*change))
+    with pytest.raises(InputError, match=told) as fault:
+        build_world(read_scenario(str(path)))
+    assert "\n" not in str(fault.value)
+
+
+def test_usage_faults_are_one_line(scenario: Path, tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("mine")
+    (tmp_path / "bad.toml").write_text("steps = 0\n")
+    for arguments, told in (
+        ((str(tmp_path / "bad.toml"),), "bad.toml: "),
+        ((str(scenario), "--out", str(tmp_path)), "already holds bad.toml"),
+    ):
+        done = slamcheck(*arguments)
+        assert done.returncode == 2
+        assert done.stderr.count("\n") == 1
+        assert told in done.stderr
+    with pytest.raises(InputError, match="neither a file nor one of"):
+        read_scenario("nowhere")
+    with pytest.raises(InputError, match="filter 'ukf' is unknown"):
+        Study("x", short("circle", 5), 1, ("ekf", "ukf"))
+    with pytest.raises(InputError, match="--runs is 0"):
+        Study("x", short("circle", 5), 0)
+    with pytest.raises(InputError, match="--workers is 0"):
+        run_study(Study("x", short("circle", 5), 1), tmp_path / "w", workers=0)
+
+
+def test_without_dask_the_scheduler_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(InputError, match=r"slamcheck\[dask\]"):
+        list(spread(abs, [(1,)], scheduler="tcp://127.0.0.1:1"))
+
+
+def test_a_dask_cluster_computes_the_same(tmp_path: Path) -> None:
+    distributed: ModuleType = pytest.importorskip("distributed")
+    study = Study("short", short("circle", 60), 30, ("ekf", "fej"))
+    here = run_study(study, tmp_path / "here")
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+    ) as cluster:
+        there = run_study(study, tmp_path / "there", scheduler=cluster.scheduler_address)
+    assert there.computed == here.computed == 4
+    assert contents(tmp_path / "there") == contents(tmp_path / "here")
+
+
+@pytest.mark.parametrize("name", bundled_scenarios())
+def test_bundled_scenarios(name: str) -> None:
+    scenario = read_scenario(name)
+    assert scenario.from_paper
+    assert scenario.ours
+    world = build_world(scenario)
+    assert len(world.landmark) >= 20
+    data = measure(world, range(2))
+    assert data.control.shape == (2, scenario.steps, 2)
+    assert np.array_equal(measure(world, range(1, 2)).control[0], data.control[1])
+    seen = np.concatenate(world.seen)
+    revisited = [np.ptp(np.flatnonzero([i in s for s in world.seen])) for i in np.unique(seen)]
+    assert np.median(revisited) > 0.4 * scenario.steps, "the path closes loops"
+
+
+def test_the_circle_shows_what_the_paper_does(tmp_path: Path) -> None:
+    """50 runs: the standard EKF is above its band, those with the right null space are not."""
+    outcome = run_study(Study("circle", short("circle", 1000), 50), tmp_path)
+    place = {name: f.consistency["pose"].place for name, f in outcome.figures.items()}
+    assert place.pop("ekf") == "above"
+    assert set(place.values()) == {"inside"}
+    rmse = {name: f.rmse["position"] for name, f in outcome.figures.items()}
+    assert rmse["ideal"] < rmse["oc"] <= rmse["fej"] < rmse["ekf"]
+    worse = [p for p in outcome.pairs if p.first == "ekf" and p.what == "pose_nees"]
+    assert len(worse) == 4
+    assert all(p.interval[0] > 0 for p in worse)
+
+
+def test_montecarlo_json(finished: Path) -> None:
+    result = json.loads((finished / "montecarlo.json").read_text())
+    assert result["runs"] == 40
+    assert set(result["filters"]) == {"ekf", "fej"}
+    assert len(result["pairs"]) == 4
+    assert result["filters"]["fej"]["consistency"]["heading"]["band"][0] < 1

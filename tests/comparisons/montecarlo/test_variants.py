@@ -1,0 +1,331 @@
+"""The filters of many runs: against the reference filter, and one run at a time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from comparisons.montecarlo.runs import FILTERS, run_filter
+from comparisons.scenarios.world import Measurements, World, measure
+from comparisons.variants.batch_ekf import BatchEkf
+from comparisons.variants.batch_models import RelativePosition, Sensor
+from comparisons.variants.batch_state import BatchState, InvariantState, sighted
+from comparisons.variants.linearisation import (
+    AtEstimate,
+    AtFirstEstimate,
+    AtTruth,
+    Linearisation,
+    ObservabilityConstrained,
+    SightPoints,
+    StepPoints,
+)
+from ekf_reference.association import KnownAssociation
+from ekf_reference.full_ekf import FullEkf
+from ekf_reference.motion import UnicycleModel
+from ekf_reference.observation import NewLandmarks, PredictedSightings, RangeBearing
+from tests.comparisons.montecarlo.worlds import short_world
+from tests.helpers import Array, central_difference, random_covariance
+
+SENSORS = ("circle", "circle-range-bearing")
+
+
+class RelativeObservation(RangeBearing):
+    """Relative positions for the reference filter, written out by hand."""
+
+    def predict(self, pose: Array, landmarks: Array) -> PredictedSightings:
+        cos, sin = np.cos(pose[2]), np.sin(pose[2])
+        back = np.array([[cos, sin], [-sin, cos]])
+        offset = landmarks - pose[:2]
+        by_pose = np.zeros((len(offset), 2, 3))
+        by_pose[:, :, :2] = -back
+        by_pose[:, 0, 2] = -sin * offset[:, 0] + cos * offset[:, 1]
+        by_pose[:, 1, 2] = -cos * offset[:, 0] - sin * offset[:, 1]
+        return PredictedSightings(
+            offset @ back.T, by_pose, np.broadcast_to(back, (len(offset), 2, 2))
+        )
+
+    def innovation(self, z: Array, predicted: Array) -> Array:
+        return z - predicted
+
+    def invert(self, pose: Array, z: Array) -> NewLandmarks:
+        cos, sin = np.cos(pose[2]), np.sin(pose[2])
+        turn = np.array([[cos, -sin], [sin, cos]])
+        offset = z @ turn.T
+        by_pose = np.zeros((len(z), 2, 3))
+        by_pose[:, 0, 0] = by_pose[:, 1, 1] = 1.0
+        by_pose[:, 0, 2], by_pose[:, 1, 2] = -offset[:, 1], offset[:, 0]
+        return NewLandmarks(pose[:2] + offset, by_pose, np.broadcast_to(turn, (len(z), 2, 2)))
+
+
+def drive(filter_: Any, world: World, data: Measurements, steps: int) -> None:
+    for k in range(steps):
+        filter_.predict(data.control[:, k])
+        if len(world.seen[k]):
+            filter_.observe(data.z[k], world.sigma[k], world.seen[k])
+
+
+@pytest.mark.parametrize("scenario", [*SENSORS, "bailey-loop"])
+def test_the_standard_filter_is_the_reference_run_by_run(scenario: str) -> None:
+    world = short_world(scenario, 400)
+    data = measure(world, range(3))
+    batch = FILTERS["ekf"](world, 3)
+    drive(batch, world, data, 400)
+    for run in range(3):
+        reference = FullEkf(
+            UnicycleModel(), KnownAssociation(), world.robot.pose, world.robot.covariance
+        )
+        if isinstance(world.robot.sensor, RelativePosition):
+            reference.observation = RelativeObservation()
+        q = np.diag(world.robot.sigma_odometry**2)
+        for k in range(400):
+            reference.predict(data.control[run, k], q, world.robot.step_s)
+            if len(world.seen[k]):
+                reference.observe(data.z[k][run], world.sigma[k], world.seen[k].astype(np.int64))
+        assert reference.state.landmark_count == len(batch.label) > 7
+        sigma = np.sqrt(np.diag(reference.state.covariance))
+        assert np.abs((batch.state.mean[run] - reference.state.mean) / sigma).max() < 1e-8
+        difference = batch.state.covariance[run] - reference.state.covariance
+        assert np.abs(difference / np.outer(sigma, sigma)).max() < 1e-8
+
+
+@pytest.mark.parametrize("name", FILTERS)
+@pytest.mark.parametrize("scenario", SENSORS)
+def test_a_batch_is_its_runs_one_by_one(name: str, scenario: str) -> None:
+    world = short_world(scenario, 120)
+    together = run_filter(name, world, measure(world, range(4)))
+    for run in range(4):
+        alone = run_filter(name, world, measure(world, range(run, run + 1)))
+        for batch, single in zip(together, alone, strict=True):
+            assert np.allclose(batch[run], single[0], rtol=1e-6, atol=1e-12, equal_nan=True)
+
+
+def test_without_noise_every_filter_is_exact() -> None:
+    world = short_world("circle", 300)
+    offset = [world.landmark[w] - p[:2] for w, p in zip(world.seen, world.pose[1:], strict=True)]
+    exact = Measurements(
+        world.control[None],
+        tuple(
+            world.robot.sensor.sight(np.full(len(o), p[2]), o)[None]
+            for o, p in zip(offset, world.pose[1:], strict=True)
+        ),
+    )
+    for name in FILTERS:
+        filter_ = FILTERS[name](world, 1)
+        drive(filter_, world, exact, 300)
+        truth = np.concatenate((world.pose[300], world.landmark[filter_.label].ravel()))
+        assert np.abs(filter_.state.mean[0] - truth).max() < 1e-9, name
+
+
+def sensor_of(scenario: str) -> Sensor:
+    return short_world(scenario, 5).robot.sensor
+
+
+@pytest.mark.parametrize("scenario", SENSORS)
+def test_sighting_jacobian_by_central_differences(scenario: str) -> None:
+    sensor, rng = sensor_of(scenario), np.random.default_rng(1)
+    for _ in range(5):
+        x, slot = 4.0 * rng.standard_normal(9), np.array([2, 0])
+
+        def sight(x: Array, slot: Array = slot) -> Array:
+            return sensor.sight(x[2:3], x[3:].reshape(-1, 2)[slot] - x[:2]).ravel()
+
+        offset = x[3:].reshape(-1, 2)[slot] - x[:2]
+        matrix = sensor.by_offset(x[2:3], offset)
+        h = sighted(matrix[None], offset[None], slot, np.eye(9)[None])[0]
+        assert np.allclose(h, central_difference(sight, x), atol=1e-7)
+        assert np.allclose(sensor.offset(x[2:3], sensor.sight(x[2:3], offset)), offset)
+        flipped = sighted(matrix[None], -offset[None], slot, np.eye(9)[None])[0]
+        assert not np.allclose(flipped, central_difference(sight, x), atol=1e-3)
+
+
+@pytest.mark.parametrize("scenario", SENSORS)
+def test_invariant_sighting_jacobian_by_central_differences(scenario: str) -> None:
+    sensor, rng = sensor_of(scenario), np.random.default_rng(2)
+    slot = np.array([2, 0])
+    for _ in range(5):
+        x = 4.0 * rng.standard_normal(9)
+
+        def sight(xi: Array, x: Array = x) -> Array:
+            moved = invariant_state(x).moved(xi)
+            offset = moved[3:].reshape(-1, 2)[slot] - moved[:2]
+            return sensor.sight(moved[2:3], offset).ravel()
+
+        offset = x[3:].reshape(-1, 2)[slot] - x[:2]
+        h = sighted(sensor.by_offset(x[2:3], offset)[None], None, slot, np.eye(9)[None])[0]
+        assert np.allclose(h, central_difference(sight, np.zeros(9)), atol=1e-7)
+
+
+class Moved(InvariantState):
+    """Lets a test move a state."""
+
+    def moved(self, xi: Array) -> Array:
+        self._move(xi[None])
+        mean: Array = self.mean[0]
+        return mean
+
+
+def invariant_state(x: Array) -> Moved:
+    state = Moved(x[:3], np.eye(3), 1, (len(x) - 3) // 2)
+    points = x[3:].reshape(1, -1, 2)
+    nothing = np.zeros((1, points.shape[1], 2, 2))
+    state.augment(points, np.zeros_like(points), nothing)
+    return state
+
+
+def test_invariant_error_is_what_moves_the_estimate_to_the_truth() -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(5):
+        x, xi = 3.0 * rng.standard_normal(7), rng.uniform(-2.0, 2.0, 7)
+        truth = invariant_state(x).moved(xi)
+        assert np.allclose(invariant_state(x).pose_error(truth[:3])[0][0], xi[:3])
+
+
+@pytest.mark.parametrize("name", ["ekf", "fej", "oc", "riekf", "ideal"])
+@pytest.mark.parametrize("scenario", SENSORS)
+def test_prediction_and_beginning_by_central_differences(name: str, scenario: str) -> None:
+    """From the truth all filters linearise at one place: P' = F P F^T + G Q G^T, numerically."""
+    world = short_world(scenario, 60)
+    filter_ = FILTERS[name](world, 1)
+    for k in range(12):
+        filter_.predict(world.control[None, k])
+        if len(world.seen[k]):
+            z = world.robot.sensor.sight(
+                np.full(len(world.seen[k]), world.pose[k + 1, 2]),
+                world.landmark[world.seen[k]] - world.pose[k + 1, :2],
+            )
+            filter_.observe(z[None], world.sigma[k], world.seen[k])
+    before_mean = filter_.state.mean[0].copy()
+    before = additive(filter_.state)
+    n, dt = len(before_mean), world.robot.step_s
+    k = 12
+    filter_.predict(world.control[None, k])
+
+    def step(v: Array) -> Array:
+        pose = UnicycleModel().step(v[:3], v[n:], dt).pose
+        return np.concatenate((pose, v[3:n]))
+
+    f = central_difference(step, np.concatenate((before_mean, world.control[k])))
+    q = np.diag(world.robot.sigma_odometry**2)
+    expected = f[:, :n] @ before @ f[:, :n].T + f[:, n:] @ q @ f[:, n:].T
+    assert np.allclose(additive(filter_.state), expected, rtol=1e-6, atol=1e-10)
+
+    new = np.array([max(filter_.label) + 1])
+    sensor, mean = world.robot.sensor, filter_.state.mean[0].copy()
+    offset = world.landmark[new] - mean[:2]
+    z = sensor.sight(mean[2:3], offset)
+    sigma = np.array([[0.3, 0.2]])
+    held = additive(filter_.state)
+    filter_.observe(z[None], sigma, new)
+
+    def begin(v: Array) -> Array:
+        point = v[:2] + sensor.offset(v[2:3], v[None, n:])[0]
+        return np.concatenate((v[:n], point))
+
+    f = central_difference(begin, np.concatenate((mean, z[0])))
+    expected = f[:, :n] @ held @ f[:, :n].T + f[:, n:] @ np.diag(sigma[0] ** 2) @ f[:, n:].T
+    assert np.allclose(additive(filter_.state), expected, rtol=1e-6, atol=1e-9)
+
+
+def additive(state: BatchState) -> Array:
+    """Covariance (n, n) of the first run's additive error."""
+    covariance = state.covariance[0].copy()
+    if not isinstance(state, InvariantState):
+        return np.array(covariance)
+    turn = np.eye(len(covariance))
+    points = np.concatenate((state.pose[:, None, :2], state.landmarks), axis=1)[0]
+    rows = np.array([0, *range(3, len(covariance), 2)])
+    turn[rows, 2], turn[rows + 1, 2] = -points[:, 1], points[:, 0]
+    blocks = turn @ covariance @ turn.T
+    own = state.landmark_covariance()[0]
+    for i, block in enumerate(own):
+        at = slice(3 + 2 * i, 5 + 2 * i)
+        assert np.allclose(blocks[at, at], block)
+    assert np.allclose(blocks[:3, :3], state.pose_covariance()[0])
+    result: Array = blocks
+    return result
+
+
+class Noted:
+    """Remembers where another linearises."""
+
+    def __init__(self, inner: Linearisation) -> None:
+        self.inner = inner
+        self.events: list[tuple[Any, Any]] = []
+
+    def start(self, state: BatchState) -> None:
+        self.inner.start(state)
+
+    def predicted(self, state: BatchState, arrival: Array, control: Array) -> StepPoints:
+        points = self.inner.predicted(state, arrival, control)
+        self.events.append((None, points.travel[0].copy()))
+        return points
+
+    def sighted(self, state: BatchState, label: Any, slot: Any) -> SightPoints:
+        points = self.inner.sighted(state, label, slot)
+        self.events.append((slot, SightPoints(points.heading.copy(), points.offset.copy())))
+        return points
+
+    def begun(self, state: BatchState, label: Any, point: Array) -> SightPoints:
+        return self.inner.begun(state, label, point)
+
+
+@pytest.mark.parametrize(("name", "nullity"), [("ekf", 2), ("fej", 3), ("oc", 3), ("ideal", 3)])
+@pytest.mark.parametrize("scenario", SENSORS)
+def test_the_frame_of_the_map_is_unobservable(name: str, nullity: int, scenario: str) -> None:
+    """Rank of the local observability matrix, over the second loop; the standard EKF fails it."""
+    world = short_world(scenario, 420)
+    inner: dict[str, Linearisation] = {
+        "ekf": AtEstimate(),
+        "fej": AtFirstEstimate(),
+        "oc": ObservabilityConstrained(),
+        "ideal": AtTruth(world.pose, world.control, world.landmark),
+    }
+    noted = Noted(inner[name])
+    filter_ = BatchEkf(world.robot, noted, 1, len(world.landmark))
+    data = measure(world, range(7, 8))
+    drive(filter_, world, data, 300)
+    n = filter_.state.mean.shape[1]
+    noted.events.clear()
+    for k in range(300, 420):
+        filter_.predict(data.control[:, k])
+        if len(world.seen[k]):
+            filter_.observe(data.z[k], world.sigma[k], world.seen[k])
+    assert filter_.state.mean.shape[1] == n
+    phi, rows = np.eye(n), []
+    for slot, points in noted.events:
+        if slot is None:
+            phi[:2] += np.array((-points[1], points[0]))[:, None] * phi[2]
+        else:
+            matrix = world.robot.sensor.by_offset(points.heading[:, None], points.offset)
+            rows.append(sighted(matrix, points.offset, slot, phi[None])[0])
+    seen = np.unique(np.concatenate([s for s, _ in noted.events if s is not None]))
+    columns = np.concatenate((np.arange(3), *((3 + 2 * s, 4 + 2 * s) for s in seen)))
+    values = np.linalg.svd(np.concatenate(rows)[:, columns], compute_uv=False)
+    assert int((values < 1e-9 * values[0]).sum()) == nullity
+
+
+def test_a_dropped_correlation_is_seen() -> None:
+    """The oracle rejects a filter that forgets how landmarks hang on the heading."""
+    world = short_world("circle", 60)
+    data = measure(world, range(1))
+    right, wrong = FILTERS["ekf"](world, 1), FILTERS["ekf"](world, 1)
+    for k in range(60):
+        for filter_ in (right, wrong):
+            filter_.predict(data.control[:, k])
+            filter_.observe(data.z[k], world.sigma[k], world.seen[k])
+        wrong.state.covariance[:, 2, 3:] = wrong.state.covariance[:, 3:, 2] = 0.0
+    assert np.abs(right.state.mean - wrong.state.mean).max() > 1e-4
+
+
+def test_a_lost_run_leaves_the_others_alone() -> None:
+    rng = np.random.default_rng(5)
+    state = BatchState(np.zeros(3), random_covariance(rng, 3), 2, 1)
+    nothing = np.zeros((2, 1, 2))
+    state.augment(nothing + 1.0, nothing + 1.0, np.tile(np.eye(2), (2, 1, 1, 1)))
+    state.covariance[1] *= -1.0
+    matrix = np.tile(np.eye(2), (2, 1, 1, 1))
+    state.update(np.array([0]), matrix, nothing + 1.0, nothing + 0.1, np.full((1, 2), 0.01))
+    assert state.lost.tolist() == [False, True]
+    assert np.isfinite(state.mean[0]).all()
