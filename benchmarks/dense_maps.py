@@ -33,7 +33,7 @@ from comparisons.mapping import DenseMapping, map_log
 from comparisons.runs.dense_run import LAYERS, DenseOptions
 from ekf_reference.dense.dense_map import DenseMap
 from ekf_reference.dense.layers.layer import Hits, Layer
-from ekf_reference.dense.regions import PlacedRegions
+from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.scan import Scan, Sensor
 from ekf_reference.dense.view import FilterView
 

@@ -18,7 +18,7 @@ from comparisons.runs.known_landmarks import join_known_sightings
 from comparisons.runs.timeline import build_timeline
 from ekf_reference.dense.layers.classic_grid import ClassicGrid
 from ekf_reference.dense.layers.layer import Samples
-from ekf_reference.dense.regions import PlacedRegions
+from ekf_reference.dense.placed_regions import PlacedRegions
 
 Progress = Callable[[str, int, int], None]
 

@@ -24,7 +24,7 @@ from comparisons.runs.estimate import Array, Estimate
 from comparisons.runs.motion import poses_at
 from ekf_reference.dense.layers.classic_grid import ClassicGrid
 from ekf_reference.dense.layers.layer import Samples
-from ekf_reference.dense.regions import PlacedRegions
+from ekf_reference.dense.placed_regions import PlacedRegions
 
 AGREE_M = 0.3
 """Two maps agree when half of what the one holds is no farther than this from the other, in all

@@ -8,13 +8,13 @@ from rich.table import Table
 
 from comparisons.checks.dense_accuracy import SurfaceError
 from comparisons.checks.dense_agreement import DenseAgreement
-from comparisons.report.finite import finite
-from comparisons.report.models import (
+from comparisons.report.dense_models import (
     DenseLayerResult,
     DenseRegionResult,
     DenseResult,
     SurfaceErrorResult,
 )
+from comparisons.report.finite import finite
 
 _LISTED = 20
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from comparisons.errors import InputError
 from comparisons.runs.estimate import Array
 from ekf_reference.dense.layers.layer import Layer
-from ekf_reference.dense.regions import PlacedRegions
+from ekf_reference.dense.placed_regions import PlacedRegions
 
 OCCUPIED_ABOVE, FREE_BELOW = 0.65, 0.25
 """Of the ROS map's three values."""

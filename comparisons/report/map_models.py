@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from comparisons.report.dense_models import SurfaceErrorResult
 from comparisons.report.model import Model
 from comparisons.report.models import (
     AccuracyResult,
     EkfResult,
     LogResult,
-    SurfaceErrorResult,
 )
 
 

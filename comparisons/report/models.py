@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 from comparisons.report.consistency_models import ConsistencyResult
+from comparisons.report.dense_models import DenseResult
 from comparisons.report.model import Model
 
 
@@ -195,48 +196,6 @@ class ThreeWayResult(Model):
     accuracy: AccuracyResult | None
     culprit: str
     evidence: str
-
-
-class SurfaceErrorResult(Model):
-    """What is occupied against true surfaces; None where nothing is. occupied: how much."""
-
-    median_m: float | None
-    p95_m: float | None
-    occupied: int
-
-
-class DenseLayerResult(Model):
-    """A layer of the filter's dense map against the smoother's returns.
-
-    See comparisons.checks.dense_agreement.LayerAgreement.
-    """
-
-    samples: int
-    median_m: float
-    p95_m: float
-    missed_m: float
-
-
-class DenseRegionResult(Model):
-    """One region of one layer."""
-
-    layer: str
-    region: int
-    samples: int
-    distance_m: float
-
-
-class DenseResult(Model):
-    """Dense maps of filter and smoother. regions: the worst first, at most twenty.
-
-    occupancy_share: of the cells decided in both maps, those decided alike.
-    """
-
-    agrees: bool
-    layers: dict[str, DenseLayerResult]
-    occupancy_share: float | None
-    regions: list[DenseRegionResult]
-    surface_errors: dict[str, SurfaceErrorResult]
 
 
 class ScanOdometryResult(Model):

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from ekf_reference.dense.layers.layer import Hits, Layer
 from ekf_reference.dense.neglected import NeglectedCorrelation, corners_of
-from ekf_reference.dense.regions import LocalRegions, PlacedRegions, Potential
+from ekf_reference.dense.placed_regions import PlacedRegions
+from ekf_reference.dense.regions import LocalRegions, Potential
 from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.triangles import Array
 from ekf_reference.dense.view import FilterView

@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ekf_reference.dense.local_pose import Frames, read_local_poses
-from ekf_reference.dense.regions import PlacedRegions, Potential
+from ekf_reference.dense.placed_regions import PlacedRegions
+from ekf_reference.dense.regions import Potential
 from ekf_reference.dense.triangles import Array, turned
 from ekf_reference.dense.view import FilterView
 from ekf_reference.observation import wrap_angle

@@ -21,7 +21,7 @@ from comparisons.report.map_models import MapResult
 from ekf_reference.dense.box_tree import BoxTree, boxes
 from ekf_reference.dense.layers.layer import Hits
 from ekf_reference.dense.layers.points import Points
-from ekf_reference.dense.regions import PlacedRegions
+from ekf_reference.dense.placed_regions import PlacedRegions
 from tests.comparisons.test_cli import slamcheck
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ekf_reference.dense.layers.layer import Index
-from ekf_reference.dense.regions import PlacedRegions
+from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.triangles import Array, is_degenerate
 
 _SIDE = 512

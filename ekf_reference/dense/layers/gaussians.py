@@ -10,8 +10,8 @@ from scipy.spatial import cKDTree
 
 from ekf_reference.dense.layers.association import associate, doubled, usable
 from ekf_reference.dense.layers.layer import Hits, Index, Samples, in_world
+from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.region_store import RegionStore
-from ekf_reference.dense.regions import PlacedRegions
 from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.triangles import Array, determinant, solve, turned
 

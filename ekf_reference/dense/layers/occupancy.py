@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ekf_reference.dense.layers.grid_update import GridUpdate, known, unknown
 from ekf_reference.dense.layers.layer import Hits, Index, Samples
-from ekf_reference.dense.regions import PlacedRegions
+from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.scan import Scan, Single
 from ekf_reference.dense.sensor_model import InverseSensorModel, log_odds, probability
 from ekf_reference.dense.triangles import Array

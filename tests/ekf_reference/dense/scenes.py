@@ -14,7 +14,8 @@ from ekf_reference.dense.layers.layer import Hits, Layer
 from ekf_reference.dense.layers.occupancy import OccupancyGrid
 from ekf_reference.dense.layers.particles import Particles
 from ekf_reference.dense.layers.points import Points
-from ekf_reference.dense.regions import LocalRegions, PlacedRegions
+from ekf_reference.dense.placed_regions import PlacedRegions
+from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.scan import Scan, Sensor
 from tests.helpers import Array
 

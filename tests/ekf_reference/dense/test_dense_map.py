@@ -16,7 +16,8 @@ from ekf_reference.dense.box_tree import BoxTree
 from ekf_reference.dense.conditions import Conditions
 from ekf_reference.dense.dense_map import DenseMap
 from ekf_reference.dense.layers.layer import Layer
-from ekf_reference.dense.regions import LocalRegions, PlacedRegions
+from ekf_reference.dense.placed_regions import PlacedRegions
+from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.view import FilterView
 from ekf_reference.dense.waiting import WaitingRoom

@@ -13,7 +13,7 @@ from ekf_reference.dense.layers.gaussians import (
     largest_sigma,
 )
 from ekf_reference.dense.layers.layer import Hits
-from ekf_reference.dense.regions import PlacedRegions
+from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.triangles import local_jacobians
 from tests.ekf_reference.dense.scenes import field, mapped, simulation, told, wall_scan
 from tests.helpers import Array, random_covariance

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ekf_reference.dense.layers.layer import Layer
-from ekf_reference.dense.regions import PlacedRegions
+from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.scan import Scan
 from tests.ekf_reference.dense.scenes import (
     HERE,

@@ -7,7 +7,7 @@ import pytest
 
 from ekf_reference.dense.layers.layer import Hits
 from ekf_reference.dense.layers.particles import Particles
-from ekf_reference.dense.regions import PlacedRegions
+from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.sensor_model import InverseSensorModel
 from tests.ekf_reference.dense.scenes import (

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ekf_reference.dense.box_tree import BoxTree, boxes
-from ekf_reference.dense.regions import Index, PlacedRegions, Potential
+from ekf_reference.dense.placed_regions import PlacedRegions
+from ekf_reference.dense.regions import Index, Potential
 from ekf_reference.dense.view import FilterView
 from ekf_reference.dense.waiting import WaitingRoom
 from tests.helpers import Array
