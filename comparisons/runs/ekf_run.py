@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.errors import InputError
 from comparisons.logs.log import Log, Positions
+from comparisons.runs.drive import NoWatcher, Watcher, drive
 from comparisons.runs.ekf_build import EkfChoices, build_ekf
 from comparisons.runs.estimate import Array, Estimate
 from comparisons.runs.known_landmarks import surveyed
@@ -19,7 +19,6 @@ from ekf_reference.association import AMBIGUOUS, CANDIDATE, REJECTED
 from ekf_reference.compressed_ekf import CompressedState
 from ekf_reference.direction_cosine import OwnAxesObservation
 from ekf_reference.full_ekf import FullEkf, PoseReading
-from ekf_reference.kalman import FilterDivergedError
 from ekf_reference.trace import RecordedTrace, TraceArrays
 
 _FARTHEST_M = 1e6
@@ -63,42 +62,6 @@ class EkfRun:
         return {name: int(np.count_nonzero(self.slot == code)) for name, code in codes.items()}
 
 
-class Watcher(Protocol):
-    """Someone who looks on while the filter runs, and reads only."""
-
-    def stepping(self, ekf: FullEkf, time_s: float, control: Array, duration_s: float) -> None:
-        """The filter, all that was seen until now fused, is about to predict from this time."""
-        ...
-
-    def arrived(self, ekf: FullEkf) -> None:
-        """It has predicted up to an epoch, and fused nothing there yet."""
-        ...
-
-    def updated(self, ekf: FullEkf) -> None:
-        """It has fused what was seen at the epoch."""
-        ...
-
-    def finished(self, ekf: FullEkf, time_s: float) -> None:
-        """It has come to its end, or as far as it could."""
-        ...
-
-
-class NoWatcher:
-    """Looks away."""
-
-    def stepping(self, ekf: FullEkf, time_s: float, control: Array, duration_s: float) -> None:
-        """Nothing."""
-
-    def arrived(self, ekf: FullEkf) -> None:
-        """Nothing."""
-
-    def updated(self, ekf: FullEkf) -> None:
-        """Nothing."""
-
-    def finished(self, ekf: FullEkf, time_s: float) -> None:
-        """Nothing."""
-
-
 def run_ekf(
     log: Log,
     timeline: Timeline,
@@ -120,49 +83,22 @@ def run_ekf(
     watching = watcher or NoWatcher()
     ekf.insert_surveyed(*surveyed(log)[1:])
     epochs = len(timeline.epoch_time_s)
-    steps, first = timeline.steps_until(), timeline.sightings_until()
-    begins = timeline.step_begin_s()
-    seen = log.sightings
-    z = np.column_stack((seen.range_m, seen.bearing_rad))
-    sigma = np.column_stack((seen.sigma_range_m, seen.sigma_bearing_rad))
     departed, arrived = np.empty((epochs, 3)), np.empty((epochs, 3))
     covariance = np.empty((epochs, 3, 3))
-    slot = np.full(len(z), REJECTED, dtype=np.intp)
-    first_fix = timeline.positions_until()
-    fix, fix_covariance = (
-        (positions.position_m, positions.covariance) if positions else (np.zeros(0), np.zeros(0))
-    )
-    breakdown, done, rejected_fixes = None, 0, 0
-    for k in range(epochs):
-        for i in range(done, int(steps[k])):
-            control, duration = timeline.control[i], float(timeline.step_duration_s[i])
-            watching.stepping(ekf, float(begins[i]), control, duration)
-            ekf.predict(control, timeline.control_covariance[i], duration)
-        done = int(steps[k])
-        arrived[k] = ekf.read_pose().pose
-        watching.arrived(ekf)
-        rows = slice(int(first[k]), int(first[k + 1]))
-        try:
-            if rows.start < rows.stop:
-                slot[rows] = ekf.observe(
-                    z[rows], sigma[rows], seen.landmark[rows], float(timeline.epoch_time_s[k])
-                )
-            for g in range(int(first_fix[k]), int(first_fix[k + 1])):
-                rejected_fixes += not ekf.fix_position(fix[g], fix_covariance[g])
-        except FilterDivergedError as error:
-            breakdown = f"the EKF broke down at {timeline.epoch_time_s[k]:.3f} s: {error}"
-            epochs = k + 1
-        watching.updated(ekf)
-        away = float(np.abs(ekf.state.mean[:2] - log.prior.pose[:2]).max())
-        if not breakdown and not away <= _FARTHEST_M:
-            breakdown = (
-                f"the EKF broke down at {timeline.epoch_time_s[k]:.3f} s: its pose is {away:.2g} m "
-                "from the start"
-            )
-            epochs = k + 1
+    slot = np.full(len(log.sightings.time_s), REJECTED, dtype=np.intp)
+    breakdown, rejected_fixes = None, 0
+    for k, stop in enumerate(drive(ekf, log, timeline, positions, watching)):
+        slot[stop.rows], arrived[k] = stop.slots, stop.arrived
+        rejected_fixes += stop.rejected_fixes
         departed[k], _, read = ekf.read_pose()
         covariance[k] = read @ ekf.state.pose_covariance @ read.T
-        if breakdown:
+        away = float(np.abs(departed[k, :2] - log.prior.pose[:2]).max())
+        fault = stop.fault
+        if fault is None and not away <= _FARTHEST_M:
+            fault = f"its pose is {away:.2g} m from the start"
+        if fault is not None:
+            breakdown = f"the EKF broke down at {timeline.epoch_time_s[k]:.3f} s: {fault}"
+            epochs = k + 1
             break
         if k % 64 == 0:
             progress(k, epochs)
@@ -184,7 +120,11 @@ def run_ekf(
         departed[:epochs],
         covariance[:epochs],
         _landmark_ids(
-            seen.landmark[: len(slot)], slot, ekf.state.landmark_count, choices, surveyed(log)[0]
+            log.sightings.landmark[: len(slot)],
+            slot,
+            ekf.state.landmark_count,
+            choices,
+            surveyed(log)[0],
         ),
         ekf.state.landmarks.copy(),
         joint,

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-import numpy as np
-
 from comparisons.logs.log import Log
+from comparisons.runs.drive import NoWatcher, drive
 from comparisons.runs.ekf_build import EkfChoices, build_ekf
 from comparisons.runs.timeline import build_timeline
 from ekf_reference.full_ekf import FullEkf
+from ekf_reference.kalman import FilterDivergedError
 from ekf_reference.trace import NullTrace, Trace
 
 
@@ -22,22 +22,22 @@ def watched_run(
     """The filter after every scan with sightings, and the scan's time [s]; one filter throughout.
 
     choices: the full filter by default. predicted: shown the filter before it fuses. Surveyed
-    landmarks and positions are not used.
+    landmarks and positions are not used. Raises FilterDivergedError.
     """
-    timeline, seen = build_timeline(log), log.sightings
     ekf = build_ekf(log, (choices or EkfChoices()).settle(log), trace or NullTrace())
-    z = np.column_stack((seen.range_m, seen.bearing_rad))
-    sigma = np.column_stack((seen.sigma_range_m, seen.sigma_bearing_rad))
-    steps, first, done = timeline.steps_until(), timeline.sightings_until(), 0
-    for k in np.flatnonzero(np.diff(first)):
-        for i in range(done, int(steps[k])):
-            ekf.predict(
-                timeline.control[i],
-                timeline.control_covariance[i],
-                float(timeline.step_duration_s[i]),
-            )
-        done = int(steps[k])
-        rows, time = slice(int(first[k]), int(first[k + 1])), float(timeline.epoch_time_s[k])
-        predicted(ekf)
-        ekf.observe(z[rows], sigma[rows], seen.landmark[rows], time)
-        yield time, ekf
+    for stop in drive(ekf, log, build_timeline(log), watching=_Shown(predicted)):
+        if stop.fault is not None:
+            raise FilterDivergedError(stop.fault)
+        if len(stop.slots):
+            yield stop.time_s, ekf
+
+
+class _Shown(NoWatcher):
+    """Shows the filter to someone before it fuses."""
+
+    def __init__(self, predicted: Callable[[FullEkf], None]) -> None:
+        self._predicted = predicted
+
+    def arrived(self, ekf: FullEkf) -> None:
+        """Show it."""
+        self._predicted(ekf)

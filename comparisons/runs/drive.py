@@ -1,0 +1,112 @@
+"""A filter driven through a log, epoch by epoch, with someone looking on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.logs.log import Array, Log, Positions
+from comparisons.runs.timeline import Timeline
+from ekf_reference.association import REJECTED
+from ekf_reference.full_ekf import FullEkf
+from ekf_reference.kalman import FilterDivergedError
+
+
+class Watcher(Protocol):
+    """Someone who looks on while the filter runs, and reads only."""
+
+    def stepping(self, ekf: FullEkf, time_s: float, control: Array, duration_s: float) -> None:
+        """The filter, all that was seen until now fused, is about to predict from this time."""
+        ...
+
+    def arrived(self, ekf: FullEkf) -> None:
+        """It has predicted up to an epoch, and fused nothing there yet."""
+        ...
+
+    def updated(self, ekf: FullEkf) -> None:
+        """It has fused what was seen at the epoch."""
+        ...
+
+    def finished(self, ekf: FullEkf, time_s: float) -> None:
+        """It has come to its end, or as far as it could."""
+        ...
+
+
+class NoWatcher:
+    """Looks away."""
+
+    def stepping(self, ekf: FullEkf, time_s: float, control: Array, duration_s: float) -> None:
+        """Nothing."""
+
+    def arrived(self, ekf: FullEkf) -> None:
+        """Nothing."""
+
+    def updated(self, ekf: FullEkf) -> None:
+        """Nothing."""
+
+    def finished(self, ekf: FullEkf, time_s: float) -> None:
+        """Nothing."""
+
+
+@dataclass(frozen=True)
+class Stop:
+    """The filter at an epoch, all that was seen there fused.
+
+    time_s: of it. rows: of the log's sightings, slots: (m,) what became of them; `rejected` where
+    the filter broke down first. arrived: (3,) the pose as predicted there. rejected_fixes:
+    positions that the gate rejected. fault: what broke the filter down, which ends the drive.
+    """
+
+    time_s: float
+    rows: slice
+    slots: NDArray[np.intp]
+    arrived: Array
+    rejected_fixes: int
+    fault: str | None
+
+
+def drive(
+    ekf: FullEkf,
+    log: Log,
+    timeline: Timeline,
+    positions: Positions | None = None,
+    watching: Watcher | None = None,
+) -> Iterator[Stop]:
+    """Predict, fuse the sightings, fuse the positions, stop; and so on to the end.
+
+    positions: to be fused; the timeline is built with the same.
+    """
+    watching = watching or NoWatcher()
+    steps, first = timeline.steps_until(), timeline.sightings_until()
+    begins, first_fix = timeline.step_begin_s(), timeline.positions_until()
+    seen, done = log.sightings, 0
+    z = np.column_stack((seen.range_m, seen.bearing_rad))
+    sigma = np.column_stack((seen.sigma_range_m, seen.sigma_bearing_rad))
+    for k, time_s in enumerate(timeline.epoch_time_s.tolist()):
+        for i in range(done, int(steps[k])):
+            control, duration = timeline.control[i], float(timeline.step_duration_s[i])
+            watching.stepping(ekf, float(begins[i]), control, duration)
+            ekf.predict(control, timeline.control_covariance[i], duration)
+        done = int(steps[k])
+        arrived = ekf.read_pose().pose
+        watching.arrived(ekf)
+        rows = slice(int(first[k]), int(first[k + 1]))
+        slots = np.full(rows.stop - rows.start, REJECTED, dtype=np.intp)
+        rejected, fault = 0, None
+        try:
+            if rows.start < rows.stop:
+                slots = ekf.observe(z[rows], sigma[rows], seen.landmark[rows], time_s)
+            if positions is not None:
+                for g in range(int(first_fix[k]), int(first_fix[k + 1])):
+                    fix = positions.position_m[g], positions.covariance[g]
+                    rejected += not ekf.fix_position(*fix)
+        except FilterDivergedError as error:
+            fault = str(error)
+        watching.updated(ekf)
+        yield Stop(time_s, rows, slots, arrived, rejected, fault)
+        if fault is not None:
+            return
