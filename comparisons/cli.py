@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from comparisons.cli_baseline import baseline
+from comparisons.cli_baseline import baseline, side_by_side
 from comparisons.cli_montecarlo import montecarlo
 from comparisons.cli_options import (
     AssociationOption,
@@ -264,6 +264,7 @@ def check(
 
 
 app.add_typer(baseline, name="baseline")
+app.command("compare")(side_by_side)
 app.command()(odometry)
 app.command("map")(map_command)
 app.command()(montecarlo)

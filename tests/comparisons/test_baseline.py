@@ -24,6 +24,7 @@ from comparisons.errors import InputError
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.report.models import Result
 from comparisons.report.result import build_result
+from comparisons.report.side_by_side import read_results, side_by_side
 from tests.comparisons.test_cli import slamcheck
 from tests.helpers import simulated
 
@@ -142,6 +143,24 @@ def test_the_commands(tmp_path: Path) -> None:
     missing = slamcheck("baseline", "compare", "log", "no.json", cwd=tmp_path)
     assert missing.returncode == 2
     assert len(missing.stderr.strip().splitlines()) == 1
+
+
+def test_runs_stand_side_by_side(tmp_path: Path, result: Result) -> None:
+    """Only what differs is shown; a folder that is none is named."""
+    other = changed(result, optimism=0.123)
+    for name, found in (("a", result), ("b", other)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "result.json").write_text(found.model_dump_json())
+    rows = dict(side_by_side(read_results([tmp_path / "a", tmp_path / "b"])))
+    assert rows["agreement.optimism"][1] == "0.123"
+    assert "agreement.pessimism" not in rows
+    assert rows["verdict"] == [result.verdict] * 2
+    done = slamcheck("compare", "a", "b", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "agreement.optimism" in done.stdout
+    missing = slamcheck("compare", "a", "nowhere", cwd=tmp_path)
+    assert missing.returncode == 2
+    assert "nowhere" in missing.stderr
 
 
 def test_the_plugin_judges_every_log_of_a_folder(tmp_path: Path) -> None:
