@@ -1,0 +1,56 @@
+"""The driver of filters."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from comparisons.runs.drive import NoWatcher, drive
+from comparisons.runs.ekf_build import EkfChoices, build_ekf
+from comparisons.runs.ekf_run import run_ekf
+from comparisons.runs.timeline import build_timeline
+from comparisons.runs.watched_run import watched_run
+from ekf_reference.full_ekf import FullEkf
+from ekf_reference.trace import NullTrace
+from tests.helpers import simulated
+
+
+class Meddler(NoWatcher):
+    """Reads the whole mean at every epoch, which brings passive landmarks up to date."""
+
+    def updated(self, ekf: FullEkf) -> None:
+        """Read."""
+        ekf.state.mean.sum()
+
+
+def test_driving_a_compressed_filter_asks_for_no_global_updates() -> None:
+    """There are as many as areas are left, not as many as epochs; a careless reader is told."""
+    log = simulated(loop_s=60.0)
+    timeline, choices = build_timeline(log), EkfChoices("compressed").settle(log)
+    updates, _ = run_ekf(log, timeline, choices).spared
+    meddled, _ = run_ekf(log, timeline, choices, watcher=Meddler()).spared
+    assert 0 < updates < 0.1 * len(timeline.epoch_time_s)
+    assert meddled > 0.5 * len(timeline.epoch_time_s)
+
+
+def test_stops_tell_what_was_seen_and_a_fault_is_the_last() -> None:
+    log = simulated(loop_s=20.0)
+    timeline, choices = build_timeline(log), EkfChoices().settle(log)
+    run = run_ekf(log, timeline, choices)
+    stops = list(drive(build_ekf(log, choices, NullTrace()), log, timeline))
+    assert np.array_equal(np.concatenate([stop.slots for stop in stops]), run.slot)
+    assert np.array_equal([stop.arrived for stop in stops], run.arrived)
+    broken = build_ekf(log, choices, NullTrace())
+    stops = []
+    for stop in drive(broken, log, timeline):
+        stops.append(stop)
+        if len(stops) == 5:
+            broken.state._covariance[0, 0] = np.nan  # type: ignore[attr-defined]
+    assert 5 < len(stops) < len(timeline.epoch_time_s)
+    assert [stop.fault is None for stop in stops] == [True] * (len(stops) - 1) + [False]
+
+
+def test_looking_on_is_the_same_drive() -> None:
+    log = simulated(loop_s=20.0)
+    run = run_ekf(log, build_timeline(log), EkfChoices().settle(log))
+    last = list(watched_run(log))[-1][1]
+    assert np.array_equal(last.state.landmarks, run.estimate.landmark)
