@@ -88,11 +88,10 @@ def _remarks(given: GivenEstimate, found: GivenAgreement) -> list[str]:
     if given.absent:
         judged = ["the last pose"] if found.last is not None else []
         judged += ["landmarks"] if found.landmarks else []
-        if found.outside is not None:
-            judged.append("every pose by its own covariance")
-        remarks.append(
-            f"not handed in: {', '.join(given.absent)}; judged: {', '.join(judged) or 'nothing'}"
+        judged.append(
+            "the path as a whole" if found.outside is None else "every pose by its own covariance"
         )
+        remarks.append(f"not handed in: {', '.join(given.absent)}; judged: {', '.join(judged)}")
     if len(found.time_s) < len(given.time_s):
         remarks.append(
             f"{len(given.time_s) - len(found.time_s)} poses lie outside the log's time and were "
