@@ -31,7 +31,7 @@ from comparisons.report.dense_figures import (
     displacement_figure,
     neglected_figure,
 )
-from comparisons.report.plots import save
+from comparisons.report.picture import save
 
 SICK = (0.02, math.radians(0.1))
 TABLE_4_1 = (0.10, math.radians(1.0))

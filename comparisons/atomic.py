@@ -5,11 +5,28 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from comparisons.errors import InputError
+
+UNFINISHED = ".part-"
+"""Begins the name of a file that is being written."""
+
+
+def write_whole(path: Path, write: Callable[[Path], object]) -> None:
+    """Have a file written beside its place, then move it there: it appears whole or not at all.
+
+    write: given the path to write. Folders above are made. Raises InputError.
+    """
+    part = path.with_name(UNFINISHED + path.name)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write(part)
+        os.replace(part, path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None
 
 
 @contextmanager

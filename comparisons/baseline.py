@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from comparisons.atomic import write_whole
 from comparisons.checks.attribution import ROUNDING
 from comparisons.errors import InputError
 from comparisons.logs.log_meta import first_fault
@@ -142,7 +143,8 @@ def read_baseline(path: Path) -> Baseline:
 
 def write_baseline(baseline: Baseline, path: Path) -> None:
     """One metric a line, so that changes read well in a diff. Raises InputError."""
-    _write(path, json.dumps(baseline.model_dump(), indent=1) + "\n")
+    text = json.dumps(baseline.model_dump(), indent=1) + "\n"
+    write_whole(path, lambda part: part.write_text(text, encoding="utf-8"))
 
 
 def write_junit(changes: Sequence[Change], name: str, path: Path) -> None:
@@ -159,8 +161,8 @@ def write_junit(changes: Sequence[Change], name: str, path: Path) -> None:
         case = ElementTree.SubElement(suite, "testcase", classname=name, name=change.name)
         if not change.holds:
             ElementTree.SubElement(case, "failure", message=str(change))
-    text = ElementTree.tostring(suite, encoding="unicode", xml_declaration=True)
-    _write(path, text + "\n")
+    text = ElementTree.tostring(suite, encoding="unicode", xml_declaration=True) + "\n"
+    write_whole(path, lambda part: part.write_text(text, encoding="utf-8"))
 
 
 def _tolerance(name: str, value: float | None, spread: float) -> float:
@@ -181,13 +183,3 @@ def _told(value: float | str | None) -> str:
     if value is None:
         return "none"
     return value if isinstance(value, str) else f"{value:.6g}"
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        work = path.with_name(f".{path.name}.part")
-        work.write_text(text, encoding="utf-8")
-        work.replace(path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None

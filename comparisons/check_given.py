@@ -54,7 +54,7 @@ def check_given(
         solution.estimate,
         reference,
         labelled=solution.association_by == "known",
-        peer=_peer(given, solution),
+        peer=(lambda: _peer(given, solution)) if given.information == "filtered" else None,
     )
     proven = solution.result.proof.proven
     causes = found.causes
@@ -71,10 +71,8 @@ def check_given(
     )
 
 
-def _peer(given: GivenEstimate, solution: Solution) -> Array | None:
-    """The reference EKF's poses (K, 3) where filtered ones are given; None for smoothed ones."""
-    if given.information != "filtered":
-        return None
+def _peer(given: GivenEstimate, solution: Solution) -> Array:
+    """The reference EKF's poses (K, 3) at the given times."""
     log, known = solution.log, solution.association_by == "known"
     choices = EkfChoices(association="known" if known else "nn", gps=solution.gps).settle(log)
     positions = fused_positions(log, choices)

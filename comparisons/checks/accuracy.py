@@ -51,12 +51,11 @@ def assess(estimate: Estimate, log: Log, *, labelled: bool) -> Accuracy | None:
     figures = _of_trajectory(estimate.time_s, estimate.pose, log)
     if log.truth.landmarks is not None:
         table = log.truth.landmarks
-        if labelled:
-            _, ours, theirs = np.intersect1d(
-                estimate.landmark_id, table.id, assume_unique=True, return_indices=True
-            )
-        else:
-            ours, theirs = match_by_distance(estimate.landmark, table.position_m)
+        ours, theirs = match_landmarks(
+            (estimate.landmark_id, estimate.landmark),
+            (table.id, table.position_m),
+            labelled=labelled,
+        )
         found, true = estimate.landmark[ours], table.position_m[theirs]
         figures["landmarks_found"], figures["landmarks_true"] = len(found), len(table.id)
         if len(found):
@@ -109,6 +108,22 @@ def aligned(points: Array, reference: Array, *, robust: bool = False) -> Array:
         moved = np.column_stack((turned.real, turned.imag)) + target
         weight = 1.0 / np.maximum(np.linalg.norm(moved - reference, axis=1), 1e-3)
     return moved
+
+
+def match_landmarks(
+    ours: tuple[NDArray[np.int64], Array],
+    theirs: tuple[NDArray[np.int64], Array],
+    *,
+    labelled: bool,
+) -> tuple[Index, Index]:
+    """Rows of the landmarks that both have, given as ids (L,) and places (L, 2).
+
+    labelled: by id, else one to one by distance.
+    """
+    if not labelled:
+        return match_by_distance(ours[1], theirs[1])
+    _, first, second = np.intersect1d(ours[0], theirs[0], return_indices=True)
+    return first, second
 
 
 def match_by_distance(points: Array, reference: Array) -> tuple[Index, Index]:

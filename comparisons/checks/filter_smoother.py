@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from comparisons.checks.normalised import faults, wrapped
+from comparisons.checks.normalised import counted, faults
+from ekf_reference.observation import wrap_angle
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -77,7 +78,7 @@ def filter_against_smoother(
     fault = np.where(fault == "", np.where(other == "", "", "smoother's " + other), fault)
     row = np.flatnonzero(fault == "")
     e = filtered[row] - smoothed[row]
-    e[:, 2] = wrapped(e[:, 2])
+    e[:, 2] = wrap_angle(e[:, 2])
     gap = filtered_covariance[row] - smoothed_covariance[row]
     inverse_root = np.linalg.inv(np.linalg.cholesky(filtered_covariance[row]))
     share = inverse_root @ smoothed_covariance[row] @ inverse_root.transpose(0, 2, 1)
@@ -86,7 +87,6 @@ def filter_against_smoother(
     clear = gained > CLEAR
     along = np.einsum("nji,nj->ni", axes, np.einsum("nij,nj->ni", inverse_root, e))
     squared = np.where(clear, along**2 / np.where(clear, gained, 1.0), 0.0).sum(axis=1)
-    kinds, counts = np.unique(fault[fault != ""], return_counts=True)
     return FilterAgainstSmoother(
         time_s[row],
         e,
@@ -94,5 +94,5 @@ def filter_against_smoother(
         squared,
         clear.sum(axis=1),
         1.0 / left[:, -1],
-        dict(zip(kinds.tolist(), counts.tolist(), strict=True)),
+        counted(fault),
     )

@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import minimum_spanning_tree
 
-from comparisons.checks.accuracy import match_by_distance
-from comparisons.checks.normalised import Normalised, normalise, wrapped
+from comparisons.checks.accuracy import match_landmarks
+from comparisons.checks.normalised import Normalised, normalise
 from comparisons.logs.log import Log
-from comparisons.runs.estimate import Estimate
+from comparisons.runs.estimate import Estimate, landmark_blocks
+from ekf_reference.observation import wrap_angle
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -77,7 +78,7 @@ def against_truth(estimate: Estimate, log: Log, *, labelled: bool) -> TruthConsi
 def pose_errors(time_s: Array, pose: Array, covariance: Array, true: Array) -> PoseErrors:
     """Poses (n, 3) with covariances (n, 3, 3) against true poses (n, 3)."""
     error = pose - true
-    error[:, 2] = wrapped(error[:, 2])
+    error[:, 2] = wrap_angle(error[:, 2])
     variance = np.einsum("nii->ni", covariance)
     sigma = np.sqrt(np.where(variance >= 0.0, variance, np.nan))
     parts = (slice(0, 3), slice(0, 2), slice(2, 3))
@@ -93,10 +94,7 @@ def map_errors(
     doubt: (3 + 2 L, 3 + 2 L) covariance of the truth. with_pose: whether its pose is known.
     """
     error, total = mean - true, covariance + doubt
-    error[2] = wrapped(error[2])
-    count = len(error) // 2 - 1
-    which = np.arange(count)
-    own = total[3:, 3:].reshape(count, 2, count, 2)[which, :, which]
+    error[2] = wrap_angle(error[2])
     places = np.concatenate((mean[None, :2], mean[3:].reshape(-1, 2)))
     ends = spanning_tree(places if with_pose else places[1:]) + (0 if with_pose else 1)
     at, jacobian = distances(mean, ends)
@@ -105,7 +103,7 @@ def map_errors(
     apart = (at - distances(true, ends)[0])[kept]
     spread = spread[np.ix_(kept, kept)]
     return MapErrors(
-        normalise(error[3:].reshape(-1, 2), own),
+        normalise(error[3:].reshape(-1, 2), landmark_blocks(total)),
         normalise(error[None, 3:], total[None, 3:, 3:]),
         normalise(error[None], total[None]) if with_pose else None,
         normalise(apart[:, None], np.diag(spread)[:, None, None]),
@@ -152,12 +150,9 @@ def _map_errors(estimate: Estimate, log: Log, labelled: bool) -> MapErrors | Non
     table, poses, end_s = log.truth.landmarks, log.truth.poses, estimate.time_s[-1]
     if table is None:
         return None
-    if labelled:
-        _, ours, theirs = np.intersect1d(
-            estimate.landmark_id, table.id, assume_unique=True, return_indices=True
-        )
-    else:
-        ours, theirs = match_by_distance(estimate.landmark, table.position_m)
+    ours, theirs = match_landmarks(
+        (estimate.landmark_id, estimate.landmark), (table.id, table.position_m), labelled=labelled
+    )
     if not len(ours):
         return None
     with_pose = poses is not None and bool(poses.time_s[0] <= end_s <= poses.time_s[-1])

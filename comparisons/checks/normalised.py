@@ -86,9 +86,7 @@ def normalise(error: Array, covariance: Array) -> Normalised:
     sigma = np.sqrt(np.einsum("nii->ni", p))
     e, p = e / sigma, p / (sigma[:, :, None] * sigma[:, None])
     squared = np.einsum("ni,ni->n", e, np.linalg.solve(p, e[:, :, None])[:, :, 0])
-    kinds, counts = np.unique(fault[fault != ""], return_counts=True)
-    reasons = dict(zip(kinds.tolist(), counts.tolist(), strict=True))
-    return Normalised(error.shape[1], row, squared, reasons)
+    return Normalised(error.shape[1], row, squared, counted(fault))
 
 
 def faults(covariance: Array) -> NDArray[np.str_]:
@@ -109,7 +107,7 @@ def faults(covariance: Array) -> NDArray[np.str_]:
     return fault
 
 
-def wrapped(angle: Array) -> Array:
-    """Angles in (-pi, pi]."""
-    result: Array = np.pi - np.mod(np.pi - angle, 2.0 * np.pi)
-    return result
+def counted(fault: NDArray[np.str_]) -> dict[str, int]:
+    """How many there are of each fault (N,), the empty ones left out."""
+    kinds, counts = np.unique(fault[fault != ""], return_counts=True)
+    return dict(zip(kinds.tolist(), counts.tolist(), strict=True))

@@ -29,6 +29,11 @@ class Mount:
             if not abs(value) <= 1e3:
                 raise InputError(f"scans: mount {name} is {value}, expected at most 1000")
 
+    @property
+    def pose(self) -> Array:
+        """(3,) the same as a pose in the vehicle's frame."""
+        return np.array((self.forward_m, self.left_m, self.heading_rad))
+
 
 @dataclass(frozen=True)
 class Scans:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from comparisons.atomic import UNFINISHED, write_whole
 from comparisons.errors import InputError
 from comparisons.montecarlo.runs import Records
 
@@ -18,8 +19,6 @@ not depend on how many there are, nor on who computes them."""
 
 _REPORTS = frozenset({"montecarlo.json", "curves.png"})
 _NAME = re.compile(r"[a-z]+-\d{6}\.npz")
-UNFINISHED = ".part-"
-"""Begins the name of a file that is being written; a killed job may leave one."""
 
 
 def check_folder(folder: Path) -> None:
@@ -30,7 +29,7 @@ def check_folder(folder: Path) -> None:
         for path in sorted(folder.rglob("*")) if folder.exists() else []:
             name = path.relative_to(folder).as_posix()
             inside, _, last = name.rpartition("/")
-            known = last.removeprefix(UNFINISHED)
+            known = last.removeprefix(UNFINISHED)  # a killed job may leave one
             ours = (
                 known in _REPORTS if not inside else inside == "chunks" and _NAME.fullmatch(known)
             )
@@ -74,11 +73,11 @@ class ChunkFiles:
 
     def write(self, name: str, chunk: int, records: Records) -> None:
         """Keep a chunk; the file appears whole or not at all."""
-        self._folder.mkdir(parents=True, exist_ok=True)
-        path = self.path(name, chunk)
-        part = path.with_name(UNFINISHED + path.name)
-        with part.open("wb") as file:
-            np.savez(file, allow_pickle=False, sha256=self._sha256, **records._asdict())
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(part, path)
+
+        def save(part: Path) -> None:
+            with part.open("wb") as file:
+                np.savez(file, allow_pickle=False, sha256=self._sha256, **records._asdict())
+                file.flush()
+                os.fsync(file.fileno())
+
+        write_whole(self.path(name, chunk), save)

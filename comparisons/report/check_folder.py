@@ -7,7 +7,8 @@ from pathlib import Path
 from comparisons.atomic import fresh_folder
 from comparisons.check_given import GivenCheck
 from comparisons.report.check_models import CheckResult
-from comparisons.report.plots import check_figure, save
+from comparisons.report.picture import save
+from comparisons.report.plots import check_figure
 from comparisons.runs.estimate_folder import FILES as ESTIMATE_FILES
 from comparisons.runs.estimate_folder import write_estimate
 

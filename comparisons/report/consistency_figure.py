@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from comparisons.checks.innovations import SensorInnovations, Whiteness
 from comparisons.checks.normalised import Array, mean_band
 from comparisons.compare import Comparison
+from comparisons.report.picture import blank
 from comparisons.report.plots import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR
 
 _COMPONENTS = (("east [m]", 1.0), ("north [m]", 1.0), ("heading [deg]", 180.0 / np.pi))
@@ -61,8 +61,7 @@ def draw_squared(
 def consistency_figure(comparison: Comparison) -> Figure:
     """Left: the pose's error by truth, or by the smoother; right: NEES, NIS, whiteness."""
     c = comparison.consistency
-    figure = Figure(figsize=(10.0, 6.5))
-    FigureCanvasAgg(figure)
+    figure = blank(10.0, 6.5, fitted=False)
     axes = figure.subplots(3, 2, gridspec_kw=_MARGINS)
     told = _draw_poses(comparison, axes[:, 0], axes[0, 1])
     for sensor, colour in zip(c.sensors, (EKF_COLOUR, SCANS_COLOUR), strict=False):

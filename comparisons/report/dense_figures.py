@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from comparisons.checks.decorrelation_example import DecorrelationExample
 from comparisons.checks.neglected_change import NeglectedChange
+from comparisons.report.picture import blank
 from comparisons.report.plots import (
     EKF_COLOUR,
     SCANS_COLOUR,
@@ -111,7 +111,7 @@ def draw_bound(axis: Axes, sigma_m: Array, size_m: Array) -> None:
 
 def decorrelation_figure(example: DecorrelationExample) -> Figure:
     """Nieto 2005, Fig. 3.5: solid in east or along axis a, dashed in north or along axis b."""
-    figure = _figure(9.0, 7.5)
+    figure = blank(9.0, 7.5)
     axes, found, time = figure.subplots(2, 2).ravel(), example.correlations, example.time_s
     draw_region(axes[0], example)
     draw_base_correlation(axes[1], time, example.with_base)
@@ -122,7 +122,7 @@ def decorrelation_figure(example: DecorrelationExample) -> Figure:
 
 def displacement_figure(example: DecorrelationExample) -> Figure:
     """Nieto 2005, Fig. 3.12."""
-    figure = _figure(9.0, 4.2)
+    figure = blank(9.0, 4.2)
     left, right = figure.subplots(1, 2)
     draw_displacement(left, example.time_s, example.moved.world_m, example.moved.local_m)
     draw_wandering(right, example.point, example.true_point)
@@ -131,7 +131,7 @@ def displacement_figure(example: DecorrelationExample) -> Figure:
 
 def neglected_figure(changes: NeglectedChange) -> Figure:
     """What regions neglect: predicted, observed, true, and bounded beforehand."""
-    figure = _figure(12.0, 4.2)
+    figure = blank(12.0, 4.2)
     first, second, third = figure.subplots(1, 3)
     draw_changes(
         first, changes.predicted, changes.observed, "change in a filter with the points [m]"
@@ -141,12 +141,6 @@ def neglected_figure(changes: NeglectedChange) -> Figure:
     first.set_title(f"correlation {changes.agreement:.3f}", fontsize=10)
     second.set_title(f"correlation {changes.explained:.2f}", fontsize=10)
     third.set_title(f"{changes.within_two_sigmas:.0%} within 2 sigma", fontsize=10)
-    return figure
-
-
-def _figure(width: float, height: float) -> Figure:
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
     return figure
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PathCollection, PolyCollection
 from matplotlib.figure import Figure
 
@@ -12,6 +11,7 @@ from comparisons.checks.dense_accuracy import OCCUPIED
 from comparisons.checks.dense_agreement import DenseAgreement
 from comparisons.logs.log import Log
 from comparisons.mapping import DenseMapping
+from comparisons.report.picture import blank
 from comparisons.report.plots import EKF_COLOUR, TRUTH_COLOUR
 from comparisons.runs.dense_run import DenseRun
 from comparisons.runs.estimate import Array
@@ -32,9 +32,8 @@ def draw_regions(axis: Axes, triangle: Array) -> None:
 def draw_occupied(axis: Axes, samples: Samples, colour: str = DENSE_COLOUR) -> None:
     """What is occupied, as dots, as the thesis draws it."""
     point = samples.point[samples.occupancy > OCCUPIED]
-    step = -(-len(point) // _MOST_DRAWN) or 1
     size = 1.2 if len(point) < 20_000 else 0.5
-    x, y = point[::step].T
+    x, y = _thinned(point).T
     axis.scatter(x, y, s=size, marker="s", linewidths=0, color=colour, zorder=3)
 
 
@@ -58,8 +57,7 @@ def draw_surfaces(axis: Axes, segment: Array) -> None:
 def dense_check_figure(dense: DenseRun, check: DenseAgreement, log: Log) -> Figure:
     """Every layer of the filter's map over the smoother's, coloured by their distance."""
     count = len(check.layers)
-    figure = Figure(figsize=(7.4 * count, 6.4), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = blank(7.4 * count, 6.4)
     axes = np.atleast_1d(figure.subplots(1, count, sharex=True, sharey=True))
     placed = dense.dense.regions.placed(dense.landmark)
     for axis, (name, layer) in zip(axes, check.layers.items(), strict=True):
@@ -76,26 +74,29 @@ def dense_check_figure(dense: DenseRun, check: DenseAgreement, log: Log) -> Figu
 
 def draw_cloud(axis: Axes, point: Array) -> None:
     """Points (N, 2) in the background."""
-    step = -(-len(point) // _MOST_DRAWN) or 1
-    x, y = point[::step].T
+    x, y = _thinned(point).T
     axis.scatter(x, y, s=1.0, linewidths=0, color="#bbbbbb", zorder=2)
 
 
 def draw_distances(axis: Axes, point: Array, distance_m: Array) -> PathCollection:
     """Points (N, 2) by their distance (N,) to something, yellow from half a metre on."""
-    step = -(-len(point) // _MOST_DRAWN) or 1
-    x, y = point[::step].T
+    x, y = _thinned(point).T
     return axis.scatter(
         x,
         y,
         s=1.5,
         linewidths=0,
-        c=distance_m[::step],
+        c=_thinned(distance_m),
         cmap="viridis",
         vmin=0.0,
         vmax=0.5,
         zorder=3,
     )
+
+
+def _thinned(rows: Array) -> Array:
+    """At most so many rows (N, ...) as a picture shows, evenly."""
+    return rows[:: -(-len(rows) // _MOST_DRAWN) or 1]
 
 
 def _plan(axis: Axes) -> None:
@@ -116,8 +117,7 @@ def dense_map_figure(mapping: DenseMapping) -> Figure:
     title, none = "one grid in the world's frame", np.empty((0, 3, 2))
     panels.append((title, mapping.classic, none, dense.landmark))
     rows = -(-(len(panels) + 1) // 2)
-    figure = Figure(figsize=(13.0, 5.4 * rows), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = blank(13.0, 5.4 * rows)
     axes: list[Axes] = list(figure.subplots(rows, 2).ravel())
     for axis, (title, samples, triangle, landmark) in zip(axes, panels, strict=False):
         draw_regions(axis, triangle)

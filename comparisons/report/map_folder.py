@@ -11,7 +11,7 @@ from comparisons.mapping import DenseMapping
 from comparisons.report.map_export import rasterise, write_image, write_ros_map
 from comparisons.report.map_figure import dense_map_figure
 from comparisons.report.map_models import MapResult
-from comparisons.report.plots import save
+from comparisons.report.picture import save
 from comparisons.runs.dense_run import LAYERS
 from comparisons.runs.estimate_folder import FILES as ESTIMATE_FILES
 from comparisons.runs.estimate_folder import write_estimate

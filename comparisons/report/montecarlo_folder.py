@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 from rich.console import Console
 
-from comparisons.montecarlo.chunk_files import UNFINISHED
+from comparisons.atomic import write_whole
 from comparisons.montecarlo.statistics import DOF, LEVEL, Consistency, FilterFigures, Pair
 from comparisons.montecarlo.study import Outcome
 from comparisons.report.finite import finite
@@ -18,6 +17,7 @@ from comparisons.report.montecarlo_models import (
     PairResult,
 )
 from comparisons.report.montecarlo_plots import curves_figure
+from comparisons.report.picture import save
 
 
 def build_montecarlo_result(outcome: Outcome) -> MonteCarloResult:
@@ -40,13 +40,9 @@ def build_montecarlo_result(outcome: Outcome) -> MonteCarloResult:
 
 def write_montecarlo(outcome: Outcome, result: MonteCarloResult, folder: Path) -> None:
     """Write both files, each whole or not at all."""
-    folder.mkdir(parents=True, exist_ok=True)
-    part = folder / f"{UNFINISHED}montecarlo.json"
-    part.write_text(result.model_dump_json(indent=2) + "\n", encoding="utf-8")
-    os.replace(part, folder / "montecarlo.json")
-    picture = folder / f"{UNFINISHED}curves.png"
-    curves_figure(outcome).savefig(picture, dpi=130, metadata={"Software": None})
-    os.replace(picture, folder / "curves.png")
+    text = result.model_dump_json(indent=2) + "\n"
+    write_whole(folder / "montecarlo.json", lambda part: part.write_text(text, encoding="utf-8"))
+    write_whole(folder / "curves.png", lambda part: save(curves_figure(outcome), part))
 
 
 def print_montecarlo(outcome: Outcome, console: Console) -> None:

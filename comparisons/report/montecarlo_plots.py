@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from comparisons.montecarlo.statistics import DOF
 from comparisons.montecarlo.study import Outcome
+from comparisons.report.picture import blank
 from comparisons.variants.batch_models import Array
 
 _COLOURS = {
@@ -37,8 +37,7 @@ def draw_curves(axis: Axes, time_s: Array, curves: dict[str, Array]) -> None:
 
 def curves_figure(outcome: Outcome) -> Figure:
     """ANEES above, RMSE below."""
-    figure = Figure(figsize=(15.0, 6.8), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = blank(15.0, 6.8)
     above, below = figure.subplots(2, 4, sharex=True)
     time, by_filter = outcome.time_s, outcome.figures
     for axis, block in zip(above, DOF, strict=True):

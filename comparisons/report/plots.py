@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -16,6 +13,7 @@ from comparisons.check_given import GivenCheck
 from comparisons.compare import Comparison
 from comparisons.front_end import FrontEnd
 from comparisons.logs.log import Log
+from comparisons.report.picture import blank
 from comparisons.runs.estimate import Estimate
 from comparisons.solve import Solution
 from ekf_reference.correlation import correlation_coefficients
@@ -158,8 +156,7 @@ def _map(log: Log, dead_reckoned: Array, estimates: dict[str, Estimate], title: 
 
 def _plan() -> tuple[Figure, Axes]:
     """An empty map."""
-    figure = Figure(figsize=(9.0, 7.5), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = blank(9.0, 7.5)
     axis = figure.add_subplot()
     axis.set_xlabel("east [m]")
     axis.set_ylabel("north [m]")
@@ -215,8 +212,7 @@ def draw_correlation(axis: Axes, coefficients: Array) -> None:
 
 def correlation_figure(comparison: Comparison) -> Figure:
     """Correlation coefficients of the last pose and all landmarks, EKF beside smoother."""
-    figure = Figure(figsize=(9.0, 4.8))
-    FigureCanvasAgg(figure)
+    figure = blank(9.0, 4.8, fitted=False)
     axes = figure.subplots(1, 2)
     figure.subplots_adjust(left=0.05, right=0.99, bottom=0.08, top=0.95, wspace=0.12)
     for axis, estimate, name in (
@@ -226,8 +222,3 @@ def correlation_figure(comparison: Comparison) -> Figure:
         draw_correlation(axis, correlation_coefficients(estimate.joint_covariance))
         axis.set_title(f"{name}: correlation coefficients", fontsize=10)
     return figure
-
-
-def save(figure: Figure, path: Path) -> None:
-    """Write a PNG."""
-    figure.savefig(path, dpi=130, metadata={"Software": None})

@@ -10,7 +10,8 @@ from comparisons.report.consistency_figure import consistency_figure
 from comparisons.report.html.page import page
 from comparisons.report.map_figure import dense_check_figure
 from comparisons.report.models import Result
-from comparisons.report.plots import correlation_figure, map_figure, save
+from comparisons.report.picture import save
+from comparisons.report.plots import correlation_figure, map_figure
 from comparisons.runs.estimate_folder import FILES as ESTIMATE_FILES
 from comparisons.runs.estimate_folder import write_estimate
 

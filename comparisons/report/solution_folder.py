@@ -6,7 +6,8 @@ from pathlib import Path
 
 from comparisons.atomic import fresh_folder
 from comparisons.report.models import SolutionResult
-from comparisons.report.plots import save, solution_figure
+from comparisons.report.picture import save
+from comparisons.report.plots import solution_figure
 from comparisons.runs.estimate_folder import FILES as ESTIMATE_FILES
 from comparisons.runs.estimate_folder import write_estimate
 from comparisons.solve import Solution

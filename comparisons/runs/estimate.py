@@ -39,8 +39,12 @@ class Estimate:
 
     def landmark_covariances(self) -> Array:
         """(L, 2, 2) of each landmark alone."""
-        count = len(self.landmark)
-        blocks = self.joint_covariance[3:, 3:].reshape(count, 2, count, 2)
-        which = np.arange(count)
-        result: Array = blocks[which, :, which, :]
-        return result
+        return landmark_blocks(self.joint_covariance)
+
+
+def landmark_blocks(joint: Array) -> Array:
+    """(L, 2, 2) of each landmark alone, of a covariance (3 + 2 L, 3 + 2 L) behind a pose's."""
+    count = (len(joint) - 3) // 2
+    which = np.arange(count)
+    blocks: Array = joint[3:, 3:].reshape(count, 2, count, 2)[which, :, which, :]
+    return blocks

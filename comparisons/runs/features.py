@@ -42,7 +42,7 @@ def with_tree_sightings(log: Log, scans: Scans) -> Log:
     tracker = TreeTracker()
     parts = []
     motion = motion_between(log, scans.time_s[rows]).displacement
-    mount = np.array(list(vars(scans.mount).values()))
+    mount = scans.mount.pose
     for row, driven in zip(rows.tolist(), motion, strict=True):
         moved = planar.between(mount, planar.compose(driven, mount))
         trunks = tracker.detect(scans.angle_rad, scans.range_m[row], moved)

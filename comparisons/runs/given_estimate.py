@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from comparisons.archive import read_arrays
 from comparisons.errors import InputError
+from comparisons.runs.estimate import landmark_blocks
 from comparisons.runs.estimate_folder import read_landmarks, read_meta, read_trajectory
 
 Array = NDArray[np.float64]
@@ -87,8 +88,7 @@ def read_given(path: Path) -> GivenEstimate:
     joint = found.get("last_pose_and_landmarks")
     own = found.get("landmarks")
     if own is None and joint is not None and count:
-        which = np.arange(count)
-        own = joint[3:, 3:].reshape(count, 2, count, 2)[which, :, which, :]
+        own = landmark_blocks(joint)
     return GivenEstimate(time_s, pose, ids, places, found.get("pose"), own, joint, information)
 
 

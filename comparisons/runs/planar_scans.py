@@ -10,8 +10,7 @@ from comparisons.logs.scans import Scans
 from comparisons.runs.scan_source import ScanSource
 from ekf_reference.dense.scan import Scan, Sensor
 from graphslam.scan import planar
-from graphslam.scan.odometry import OdometryOptions
-from graphslam.scan.points import beam_noise
+from graphslam.scan.points import above_ground, beam_noise
 
 Array = NDArray[np.float64]
 
@@ -33,7 +32,7 @@ class PlanarScans:
         self._mount = np.zeros(3)
         self.sensor = Sensor(0.05, _CLOUD_BEAM_RAD, _CLOUD_BEAM_RAD, _GRAZING_RAD)
         if log.clouds is None and log.scans is not None:
-            self._mount = np.array(list(vars(log.scans.mount).values()))
+            self._mount = log.scans.mount.pose
             self.sensor = _sensor(log.scans)
         self._flat = log.clouds is None
 
@@ -41,7 +40,7 @@ class PlanarScans:
         """Scan `number` of them, seen with the vehicle at a pose (3,)."""
         points = self._source.points(number)
         if not self._flat:
-            points = self._prepared(points)
+            points = above_ground(points, self._options.ground_m)
         cos, sin = np.cos(self._mount[2]), np.sin(self._mount[2])
         own = (points[:, :2] - self._mount[:2]) @ np.array(((cos, -sin), (sin, cos)))
         distance, bearing = np.hypot(*own.T), np.arctan2(own[:, 1], own[:, 0])
@@ -51,10 +50,6 @@ class PlanarScans:
         return Scan.of_ranges(
             planar.compose(vehicle, self._mount), bearing[near], distance[near], self.sensor, number
         )
-
-    def _prepared(self, points: Array) -> Array:
-        options: OdometryOptions = self._options
-        return options.prepared(points)
 
 
 def _sensor(scans: Scans) -> Sensor:

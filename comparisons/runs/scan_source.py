@@ -91,7 +91,7 @@ def scan_points(stream: Scans | Clouds, row: int, sweep: Array | None = None) ->
         if sweep is None or not duration or not len(points):
             return points
         return compensated(points, stream.seconds(row), sweep, duration)
-    mount = np.array(list(vars(stream.mount).values()))
+    mount = stream.mount.pose
     if sweep is None or not stream.beam_s:
         return planar_points(stream.angle_rad, stream.range_m[row], mount)
     seen = np.flatnonzero(np.isfinite(stream.range_m[row]))

@@ -15,7 +15,7 @@ from comparisons.compare import Comparison, compare_estimators
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log, Positions
 from comparisons.report.consistency_figure import consistency_figure
-from comparisons.report.plots import save
+from comparisons.report.picture import save
 from comparisons.report.result import build_result
 from comparisons.report.summary import print_summary
 from comparisons.runs.ekf_build import EkfChoices, fused_positions

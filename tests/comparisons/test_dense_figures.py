@@ -16,7 +16,7 @@ from comparisons.report.dense_figures import (
     draw_displacement,
     neglected_figure,
 )
-from comparisons.report.plots import save
+from comparisons.report.picture import save
 from tests.helpers import simulated
 
 

@@ -10,7 +10,7 @@ import pytest
 from comparisons.errors import InputError
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log, Sightings
-from comparisons.logs.scans import Scans
+from comparisons.logs.scans import Clouds, Scans
 from comparisons.runs.dense_run import DenseOptions, DenseRun, DenseWatcher
 from comparisons.runs.ekf_build import FILTERS, EkfChoices
 from comparisons.runs.ekf_run import EkfRun, run_ekf
@@ -181,6 +181,18 @@ def test_clouds_are_seen_as_scans() -> None:
     assert log.truth.surfaces is not None
     off = distance_to_segments(scan.point, log.truth.surfaces.segment)
     assert np.median(off) < 0.05
+
+
+def test_a_cloud_of_next_to_nothing_is_a_scan_too() -> None:
+    """Scan odometry refuses it; a map takes what there is."""
+    log = open_log("scan-loop-3d")
+    assert log.clouds is not None
+    point = np.array([(4.0, 3.0, 1.0)])
+    clouds = Clouds(log.clouds.time_s[:2], np.array((0, 1, 1)), point, np.zeros(1))
+    scans = PlanarScans(replace(log, clouds=clouds))
+    pose = np.zeros(3)
+    assert np.allclose(scans.scan(0, pose).point, [(4.0, 3.0)])
+    assert not len(scans.scan(1, pose).point)
 
 
 @pytest.mark.parametrize(
