@@ -23,6 +23,7 @@ from comparisons.cli_support import AGREE, DISAGREE, guarded, progress_bar, read
 from comparisons.errors import InputError
 
 if TYPE_CHECKING:
+    from comparisons.logs.log import Log
     from comparisons.report.models import Result
 
 baseline = typer.Typer(
@@ -72,7 +73,8 @@ def save(
             "loops": loops,
             "noise_scale": noise_scale,
         }
-        results = [_run(log, settings) for _ in range(runs)]
+        source = _read(log, settings)
+        results = [_run(source, settings) for _ in range(runs)]
         kept = build_baseline(results, settings)
         write_baseline(kept, file)
         typer.echo(f"{file}: {len(kept.metrics)} figures of {kept.log}, verdict {kept.verdict}")
@@ -96,7 +98,7 @@ def compare(
         from comparisons.baseline import compare_with, read_baseline, write_junit
 
         kept = read_baseline(file)
-        changes = compare_with(kept, _run(log, kept.settings))
+        changes = compare_with(kept, _run(_read(log, kept.settings), kept.settings))
         if junit is not None:
             write_junit(changes, kept.log, junit)
         broken = [change for change in changes if not change.holds]
@@ -126,24 +128,35 @@ def side_by_side(
         raise SystemExit(AGREE)
 
 
-def _run(log: str, settings: dict[str, str | int | float]) -> Result:
-    from comparisons.compare import compare_estimators
-    from comparisons.report.result import build_result
-    from comparisons.runs.ekf_build import EkfChoices
-
+def _read(log: str, settings: dict[str, str | int | float]) -> Log:
     try:
-        s = {name: str(settings[name]) for name in ("filter", "association", "gps", "features")}
-        source, read_s = read_named(
+        source, _ = read_named(
             log,
             str(settings["format"]) or None,
             int(settings["robot"]),
             int(settings["seed"]),
             int(settings["loops"]),
             float(settings["noise_scale"]),
-            s["features"],
+            str(settings["features"]),
         )
     except KeyError as missing:
-        raise InputError(f"the baseline's settings lack {missing}; save a new one") from None
-    choices = EkfChoices(s["filter"], s["association"] or None, s["gps"])
+        raise _lacking(missing) from None
+    return source
+
+
+def _run(source: Log, settings: dict[str, str | int | float]) -> Result:
+    from comparisons.compare import compare_estimators
+    from comparisons.report.result import build_result
+    from comparisons.runs.ekf_build import EkfChoices
+
+    try:
+        name, association, gps = (str(settings[k]) for k in ("filter", "association", "gps"))
+    except KeyError as missing:
+        raise _lacking(missing) from None
+    choices = EkfChoices(name, association or None, gps)
     with progress_bar() as progress:
-        return build_result(compare_estimators(source, choices, progress=progress), read_s)
+        return build_result(compare_estimators(source, choices, progress=progress), 0.0)
+
+
+def _lacking(missing: KeyError) -> InputError:
+    return InputError(f"the baseline's settings lack {missing}; save a new one")
