@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from comparisons.atomic import write_whole
-from comparisons.checks.attribution import ROUNDING
+from comparisons.checks.agreement import ROUNDING
 from comparisons.errors import InputError
 from comparisons.logs.log_meta import first_fault
 from comparisons.logs.table import read_text

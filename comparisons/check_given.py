@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from comparisons.checks.accuracy import Accuracy, assess_trajectory
-from comparisons.checks.attribution import Cause
+from comparisons.checks.causes import Cause
 from comparisons.checks.given_agreement import GivenAgreement, compare_given
 from comparisons.logs.log import Log
 from comparisons.runs.ekf_build import EkfChoices, fused_positions

@@ -10,14 +10,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from comparisons.checks.accuracy import Accuracy, assess, assess_trajectory
-from comparisons.checks.agreement import Agreement, Gaussian, compare
+from comparisons.checks.agreement import ROUNDING, Agreement, Gaussian, compare
 from comparisons.checks.algebra_differences import AlgebraDifference, WatchedState, watch
 from comparisons.checks.association import AssociationScore, score_association
-from comparisons.checks.attribution import ROUNDING, Verdict, judge
+from comparisons.checks.attribution import Verdict, judge
 from comparisons.checks.bookkeeping import misuses
 from comparisons.checks.consistency import Consistency, check_consistency
 from comparisons.checks.dense_agreement import DenseAgreement, compare_dense
+from comparisons.checks.dropouts import find_dropouts
 from comparisons.checks.explanations import explain
+from comparisons.checks.linearisation_growth import linearisation_growth
 from comparisons.checks.model_differences import model_differences
 from comparisons.checks.own_association import OwnAssociationCheck, check_own_association
 from comparisons.checks.scan_increments import IncrementCheck, check_increments
@@ -35,6 +37,7 @@ from comparisons.runs.scan_motion import ScanMotion, run_scan_odometry
 from comparisons.runs.scan_smoother import smooth_on_scans
 from comparisons.runs.smoother_run import (
     build_problem,
+    linear_optimum,
     linear_own,
     linear_recorded,
     position_rows,
@@ -171,6 +174,9 @@ def compare_estimators(
             _gaussian(run.estimate), Gaussian(*recorded), Gaussian(*own), _gaussian(smoothed)
         )
         labelled = chosen.association == "known"
+        consistency = check_consistency(
+            log, run, smoothed, labelled=labelled, robust=result.options.robust
+        )
         begun = int(np.count_nonzero(run.trace.augmentations.weight > 0.0))
         verdict = judge(
             agreement,
@@ -185,9 +191,14 @@ def compare_estimators(
             own=second,
             three_way=three,
             dense=compared,
-        )
-        consistency = check_consistency(
-            log, run, smoothed, labelled=labelled, robust=result.options.robust
+            growth=lambda: linearisation_growth(
+                meant,
+                linear_optimum(problem, run, smoothed.pose, smoothed.landmark),
+                smoothed.pose,
+                smoothed.landmark,
+            ),
+            dropouts=find_dropouts(run, smoothed),
+            sensors=consistency.sensors,
         )
         reckoned = dead_reckoned(problem.prior_pose, problem.increment)
         return Comparison(

@@ -14,6 +14,14 @@ from scipy.linalg import LinAlgError, eigh, eigvalsh
 
 Array = NDArray[np.float64]
 
+ROUNDING = 1e-6
+"""Largest algebra and model gap, in sigma and in covariance, that rounding explains."""
+LARGEST_DISTANCE = 1.0
+"""A block agrees when the filter deviates by no more than the optimum itself is uncertain."""
+LEAST_VARIANCE_RATIO = 0.25
+"""A block agrees when no direction's variance is below this share of the smoother's (half its
+sigma), nor above the inverse share."""
+
 
 @dataclass(frozen=True)
 class Gaussian:
@@ -74,6 +82,15 @@ class Agreement:
     landmarks: tuple[BlockAgreement, ...]
     whole: BlockAgreement
     landmark_difference_rms_m: float
+
+
+def block_agrees(block: BlockAgreement) -> bool:
+    """Whether the pose, a landmark or the whole agrees in mean and covariance."""
+    return (
+        block.distance <= LARGEST_DISTANCE
+        and block.least >= LEAST_VARIANCE_RATIO
+        and block.largest <= 1.0 / LEAST_VARIANCE_RATIO
+    )
 
 
 def compare(ekf: Gaussian, recorded: Gaussian, own: Gaussian, smoother: Gaussian) -> Agreement:

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from comparisons.checks.accuracy import aligned
-from comparisons.checks.attribution import Cause
+from comparisons.checks.causes import Cause
 from comparisons.runs.estimate import Array
 
 _EXPLAINS = 0.35

@@ -11,8 +11,12 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from comparisons.checks.accuracy import match_landmarks
-from comparisons.checks.agreement import eigenvalue_range
-from comparisons.checks.attribution import LARGEST_DISTANCE, LEAST_VARIANCE_RATIO, Cause
+from comparisons.checks.agreement import (
+    LARGEST_DISTANCE,
+    LEAST_VARIANCE_RATIO,
+    eigenvalue_range,
+)
+from comparisons.checks.causes import Cause
 from comparisons.checks.diagnosis import Paths, diagnose, rms
 from comparisons.errors import InputError
 from comparisons.runs.estimate import Array, Estimate

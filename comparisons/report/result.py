@@ -9,9 +9,8 @@ from importlib.metadata import PackageNotFoundError, version
 import numpy as np
 
 from comparisons.checks.accuracy import Accuracy
-from comparisons.checks.agreement import BlockAgreement
+from comparisons.checks.agreement import BlockAgreement, block_agrees
 from comparisons.checks.association import AssociationScore
-from comparisons.checks.attribution import block_agrees
 from comparisons.checks.own_association import OwnAssociationCheck
 from comparisons.checks.three_way import Pair, ThreeWay
 from comparisons.compare import Comparison

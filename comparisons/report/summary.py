@@ -6,6 +6,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from comparisons.checks.causes import GAPS
 from comparisons.report.consistency_result import consistency_rows
 from comparisons.report.dense_result import add_dense
 from comparisons.report.models import (
@@ -97,7 +98,8 @@ def print_verdict(
     """Print the outcome, why, and what else there is to know."""
     console.print(f"verdict: [{_STYLE[verdict]}]{verdict}[/]", highlight=False)
     for cause in causes:
-        console.print(f"  {cause.gap} gap: {escape(cause.evidence)}", highlight=False)
+        name = f"{cause.gap} gap" if cause.gap in GAPS else cause.gap
+        console.print(f"  {name}: {escape(cause.evidence)}", highlight=False)
         console.print(f"    {escape(cause.hint)}", style="dim", highlight=False)
     for remark in remarks:
         console.print(f"  note: {escape(remark)}", highlight=False)

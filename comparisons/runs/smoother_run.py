@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -123,6 +124,29 @@ def linear_recorded(run: EkfRun) -> LinearProblem:
 
 def linear_own(problem: SlamProblem, run: EkfRun) -> LinearProblem:
     """F2: the smoother's own factors, linearised where the EKF was."""
+    return own_problem(problem, _points(problem, run))
+
+
+def linear_optimum(
+    problem: SlamProblem, run: EkfRun, poses: Array, landmarks: Array
+) -> LinearProblem:
+    """The same factors in the same order, linearised at poses (K, 3) and landmarks (L, 2)."""
+    there = _points(problem, run)
+    at = problem.sighting_pose[there.sighting], problem.sighting_landmark[there.sighting]
+    return own_problem(
+        problem,
+        replace(
+            there,
+            departed=poses,
+            arrived=poses,
+            sighting_pose=poses[at[0]],
+            sighting_landmark=landmarks[at[1]],
+            position_pose=poses[problem.position_pose[there.position]],
+        ),
+    )
+
+
+def _points(problem: SlamProblem, run: EkfRun) -> FrozenPoints:
     trace = run.trace
     sighting_row = np.cumsum(run.slot >= 0) - 1  # a log's sighting to the problem's
     fix_row = np.zeros(int(run.fix_number.max(initial=-1)) + 1, dtype=np.intp)
@@ -130,7 +154,7 @@ def linear_own(problem: SlamProblem, run: EkfRun) -> LinearProblem:
     # A landmark begun with a boundless prior is augmented without its sighting's information.
     begun = trace.augmentations
     both = (trace.updates, begun.rows(np.flatnonzero(begun.weight > 0.0)))
-    points = FrozenPoints(
+    return FrozenPoints(
         run.departed,
         run.arrived,
         sighting_row[np.concatenate([r.sighting for r in both])],
@@ -143,7 +167,6 @@ def linear_own(problem: SlamProblem, run: EkfRun) -> LinearProblem:
         trace.positions.weight,
         _as_headings(run, trace.positions.pose, trace.positions.step),
     )
-    return own_problem(problem, points)
 
 
 def solve_recorded(linear: LinearProblem, run: EkfRun) -> Marginal:

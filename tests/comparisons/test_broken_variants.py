@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from comparisons.checks.attribution import ROUNDING
+from comparisons.checks.agreement import ROUNDING
 from comparisons.compare import compare_estimators
 from comparisons.defects.catalogue import CATALOGUE
 from comparisons.logs.log import Log

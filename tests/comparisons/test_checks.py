@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from comparisons.checks.accuracy import aligned, assess, match_by_distance
-from comparisons.checks.agreement import BlockAgreement, Gaussian, compare, gap
-from comparisons.checks.attribution import block_agrees, judge
+from comparisons.checks.agreement import BlockAgreement, Gaussian, block_agrees, compare, gap
+from comparisons.checks.attribution import judge
 from comparisons.compare import Comparison, compare_estimators
 from graphslam.optimum import Proof, Stationarity, chi_square_test
 from tests.helpers import random_covariance, simulated

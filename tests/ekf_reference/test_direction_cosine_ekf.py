@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from comparisons.checks.attribution import ROUNDING
+from comparisons.checks.agreement import ROUNDING
 from comparisons.compare import Comparison, compare_estimators
 from comparisons.defects.defect import with_state
 from comparisons.logs.log import Log

@@ -1,0 +1,278 @@
+"""Reasons for an outcome, in words: the gap each shows in, the numbers, and what to look at."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.checks.agreement import (
+    LARGEST_DISTANCE,
+    LEAST_VARIANCE_RATIO,
+    ROUNDING,
+    Agreement,
+    BlockAgreement,
+    Gap,
+    block_agrees,
+)
+from comparisons.checks.algebra_differences import AlgebraDifference
+from comparisons.checks.dense_agreement import AGREE_M, DenseAgreement
+from comparisons.checks.dropouts import Dropouts
+from comparisons.checks.innovations import SensorInnovations
+from comparisons.checks.linearisation_growth import LinearisationGrowth
+from comparisons.checks.model_differences import ModelDifference
+from comparisons.checks.own_association import OwnAssociationCheck
+from comparisons.checks.three_way import ThreeWay
+from comparisons.runs.ekf_run import EkfRun
+from graphslam.optimum import DISTANCE_LIMIT, ChiSquareTest, Proof
+
+Array = NDArray[np.float64]
+
+GAPS = ("algebra", "model", "linearisation", "association")
+"""Causes that are gaps between the estimates; other causes explain one, or stand beside."""
+_NAMED = 3
+"""So many differences of the models are named."""
+_GREW = 3.0
+"""A dropout over which the position's sigma grew so many times is named as a cause."""
+
+
+@dataclass(frozen=True)
+class Cause:
+    """One reason for the outcome: the gap it shows in, the numbers, and what to look at."""
+
+    gap: str
+    evidence: str
+    hint: str
+
+
+def _apart(gap: Gap) -> str:
+    return (
+        f"differ by {gap.sigma:.2g} sigma in the mean and by {gap.covariance:.2g} in the "
+        f"covariance, where rounding allows {ROUNDING:g}"
+    )
+
+
+def algebra(gap: Gap, operations: Sequence[AlgebraDifference]) -> Cause:
+    """E against F1. operations: those found wrong, the first to break first."""
+    named = "; ".join(map(str, operations[:_NAMED]))
+    hint = (
+        "look for a covariance block that is dropped, stale or not transposed: prediction, update, "
+        "augmentation"
+    )
+    return Cause(
+        "algebra",
+        f"the filter and the solution of its own linear equations {_apart(gap)}"
+        + (f"; {named}" if named else ""),
+        f"look at {operations[0].operation}: {operations[0].block}" if operations else hint,
+    )
+
+
+def model(gap: Gap, differences: Sequence[ModelDifference], explanations: Sequence[str]) -> Cause:
+    """F1 against F2. explanations: known mistakes that reproduce what was recorded."""
+    named = "; ".join(map(str, differences[:_NAMED]))
+    hint = (
+        "look for a Jacobian's sign, an unwrapped innovation, a sigma squared twice, a steering or "
+        "bearing convention"
+    )
+    if differences and differences[0].absent:
+        hint = (
+            f"complete {differences[0].quantity}: its columns are zero in the filter, and the "
+            "observation does depend on it"
+        )
+    if explanations:
+        hint = f"the records are as if: {'; '.join(explanations)}"
+    return Cause(
+        "model",
+        "the filter's and the smoother's equations, linearised at the same points, "
+        f"{_apart(gap)}" + (f"; {named}" if named else ""),
+        hint,
+    )
+
+
+def association(own: OwnAssociationCheck) -> Cause:
+    """S against S'."""
+    p = own.partition
+    return Cause(
+        "association",
+        f"with its own association the smoother's last pose is {own.pose.difference_m:.2f} m "
+        f"({own.pose.distance:.1f} sigma) elsewhere; of the pairs of sightings put together "
+        f"{100.0 * p.agreement:.0f} % are the same, {p.splits} of the filter's landmarks are split "
+        f"and {p.merges} of the smoother's",
+        "look at the sightings where the two differ: a wrong closure, or landmarks too near to "
+        "tell apart",
+    )
+
+
+def motion(three_way: ThreeWay) -> Cause:
+    """Wheels against scans."""
+    pair = three_way.ekf
+    hint = {
+        "wheels": "look at the odometry: its sigmas, the wheelbase, the scale of speed and turn",
+        "scans": "look at the scan odometry: increments' factor, open directions, failures",
+        "": "compare both with GPS or truth, or look at both motions' sigmas",
+    }[three_way.culprit]
+    return Cause(
+        "motion",
+        f"EKF on wheels and smoother on scans differ by {pair.rms_m:.3f} m RMS, {pair.outside} of "
+        f"{len(pair.distance_sigma)} landmarks beyond their 99 % region; {three_way.evidence}",
+        hint,
+    )
+
+
+def dense(maps: DenseAgreement) -> Cause:
+    """The dense maps of both."""
+    evidence = f"the dense maps are {maps.median_m:.2f} m apart (median of the worst layer)"
+    if maps.regions:
+        worst = maps.regions[0]
+        far = len({row.region for row in maps.regions if row.distance_m > AGREE_M})
+        evidence += (
+            f"; {far} regions are more than {AGREE_M:g} m off, region {worst.region} by "
+            f"{worst.distance_m:.2f} m ({worst.layer})"
+        )
+    return Cause(
+        "dense",
+        evidence,
+        "look at the corners of that region: landmarks that were not yet well known relative to "
+        "each other, or to the vehicle, when the scans were taken",
+    )
+
+
+def unproven(proof: Proof) -> Cause:
+    """No proof of the optimum, and what it lacks."""
+    if not proof.stationarity.holds:
+        evidence = "the smoother's best result is not a strict local minimum"
+    elif proof.distance_sigma > DISTANCE_LIMIT:
+        evidence = (
+            f"the estimate along the way is {proof.distance_sigma:.2g} sigma from the optimum, "
+            f"expected at most {DISTANCE_LIMIT}"
+        )
+        return Cause("oracle", evidence, "use the batch, or a longer lag")
+    else:
+        test = proof.chi_square
+        evidence = (
+            f"only {proof.agreeing[0]} reached the lowest error, and chi-square {test.chi2:.0f} "
+            f"lies above {test.upper:.0f} for {test.dof} degrees of freedom"
+        )
+    return Cause(
+        "oracle",
+        evidence,
+        "the smoother may sit in a local minimum: check the noise figures and the association",
+    )
+
+
+def linearisation(
+    agreement: Agreement, run: EkfRun, growth: LinearisationGrowth | None = None
+) -> Cause:
+    """The gap between F2 and S. growth: where it arose, if that was looked for."""
+    ids = run.estimate.landmark_id
+    off = [i for i, block in enumerate(agreement.landmarks) if not block_agrees(block)]
+    parts = []
+    far = [i for i in off if agreement.landmarks[i].distance > LARGEST_DISTANCE]
+    if far:
+        worst = max(far, key=lambda i: agreement.landmarks[i].distance)
+        block = agreement.landmarks[worst]
+        parts.append(
+            f"{len(far)} of {len(ids)} landmarks are too far off, landmark {ids[worst]} by "
+            f"{block.difference_m:.2f} m ({block.distance:.1f} sigma)"
+        )
+    unsure = [i for i in off if i not in far]
+    if unsure:
+        worst, ratio = max(
+            ((i, r) for i in unsure for r in _ratios(agreement.landmarks[i])),
+            key=lambda pair: max(pair[1], 1.0 / max(pair[1], 1e-300)),
+        )
+        parts.append(
+            f"{len(unsure)} of {len(ids)} landmarks have a wrong covariance, landmark "
+            f"{ids[worst]} {ratio:.2g} times the justified variance"
+        )
+    if agreement.pose.distance > LARGEST_DISTANCE:
+        parts.append(
+            f"the last pose is off by {agreement.pose.difference_m:.2f} m "
+            f"({agreement.pose.distance:.1f} sigma)"
+        )
+    if agreement.whole.distance > LARGEST_DISTANCE:
+        parts.append(f"map and pose together are off by {agreement.whole.distance:.1f} sigma")
+    if agreement.whole.least < LEAST_VARIANCE_RATIO:
+        parts.append(
+            f"the filter claims {100 * agreement.whole.least:.2g} % of the justified variance in "
+            "its most optimistic direction"
+        )
+    if agreement.whole.largest > 1.0 / LEAST_VARIANCE_RATIO:
+        parts.append(
+            f"it claims {agreement.whole.largest:.1f} times the justified variance in its most "
+            "pessimistic direction"
+        )
+    sigma = np.sqrt(run.estimate.pose_covariance[:, 2, 2])
+    k = int(np.argmax(sigma))
+    if growth is not None and growth.total > 0.0:
+        parts.append(_grew(growth, run, sigma))
+    return Cause(
+        "linearisation",
+        "; ".join(parts),
+        f"algebra and model are right, so the linearisation points are not: the heading's sigma "
+        f"reached {np.degrees(sigma[k]):.1f} degrees at {run.estimate.time_s[k]:.1f} s; smaller "
+        "heading uncertainty, local maps or relinearisation would help",
+    )
+
+
+def _grew(growth: LinearisationGrowth, run: EkfRun, sigma: Array) -> str:
+    """When, by which relation, at which uncertainty of the heading (K,)."""
+    time_s, at = run.estimate.time_s, growth.epoch
+    seen = f" of landmark {run.estimate.landmark_id[growth.slot]}" if growth.slot >= 0 else ""
+    around = float(np.degrees(sigma[max(at - 1, 0) : at + 1].max()))
+    return (
+        f"its equations miss the optimum's the most by {growth.kind}{seen} at {time_s[at]:.1f} s "
+        f"({growth.sigma:.1f} sigma of its noise; the heading's sigma was {around:.1f} degrees), "
+        f"and half of all they miss had come together by {time_s[growth.reached(0.5)]:.1f} s"
+    )
+
+
+def noise(test: ChiSquareTest, sensors: Sequence[SensorInnovations]) -> list[Cause]:
+    """The sensors whose innovations are too large, where the smoother's residuals are, too."""
+    off = [
+        (nis, sensor.sensor)
+        for sensor in sensors
+        for nis in sensor.nis[1:]
+        if nis.reading == "too high"
+    ]
+    if test.reading != "too high" or not off:
+        return []
+    worst, of = max(off, key=lambda pair: pair[0].mean)
+    return [
+        Cause(
+            "noise",
+            f"chi-square {test.chi2:.0f} for {test.dof} degrees of freedom is too high, and so is "
+            + ", ".join(
+                f"the NIS of {name}' {nis.name}, {nis.mean:.3g} of {nis.dof}" for nis, name in off
+            ),
+            f"look at the sigmas of {of}' {worst.name}, about {worst.mean**0.5:.2g} times too "
+            "small if they alone are wrong, or at what is taken for which landmark",
+        )
+    ]
+
+
+def dropout(dropouts: Dropouts | None) -> list[Cause]:
+    """The stretch without observations that made the vehicle uncertain, if one did."""
+    worst = None if dropouts is None else dropouts.worst
+    if dropouts is None or worst is None or worst.growth < _GREW:
+        return []
+    refused = f", {worst.refused} sightings refused" if worst.refused else ""
+    before, after = np.degrees(worst.sigma_heading_rad)
+    return [
+        Cause(
+            "dropout",
+            f"no observation was used from {worst.begin_s:.1f} to {worst.end_s:.1f} s "
+            f"({worst.way_m:.1f} m driven{refused}): the position's sigma grew from "
+            f"{worst.sigma_m[0]:.2g} to {worst.sigma_m[1]:.2g} m, the heading's from {before:.1f} "
+            f"to {after:.1f} degrees, and the filter arrived {worst.error_m:.2f} m from the "
+            f"smoother ({dropouts.error_outside_m:.2f} m RMS outside such stretches, which are "
+            f"{100.0 * (1.0 - dropouts.coverage):.0f} % of the time)",
+            "look for a blind or silent sensor, lost messages, or a gate that refuses everything",
+        )
+    ]
+
+
+def _ratios(block: BlockAgreement) -> tuple[float, float]:
+    return block.least, block.largest

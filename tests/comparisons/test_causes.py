@@ -1,0 +1,152 @@
+"""Causes beside the gaps: where linearising cost something, dropouts, noise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from comparisons.checks import causes
+from comparisons.checks.causes import GAPS
+from comparisons.checks.dropouts import find_dropouts
+from comparisons.checks.linearisation_growth import linearisation_growth
+from comparisons.compare import Comparison, compare_estimators
+from comparisons.logs.log import Log
+from comparisons.runs.ekf_build import EkfChoices
+from comparisons.runs.smoother_run import build_problem, linear_optimum, linear_own
+from graphslam.frozen import FrozenPoints, own_problem
+from graphslam.problem import SlamProblem
+from tests.helpers import Array, simulated
+
+NONE = np.zeros(0, dtype=np.intp)
+
+
+@cache
+def sound() -> Comparison:
+    return compare_estimators(simulated(seed=3, loop_s=30.0))
+
+
+def silent(log: Log, begin_s: float, end_s: float) -> Log:
+    """The log without its sightings of some time."""
+    t = log.sightings.time_s
+    return replace(log, sightings=log.sightings.chosen((t <= begin_s) | (t >= end_s)))
+
+
+def linearised(landmark: Array, poses: Array) -> tuple[SlamProblem, FrozenPoints]:
+    """One landmark ahead, seen once from the first of two poses, linearised where asked."""
+    problem = SlamProblem(
+        poses[0], np.eye(3), np.array([[1.0, 0.0, 0.0]]), np.eye(3)[None],
+        np.array([0]), np.array([0]), np.array([[10.0, 0.0]]), np.array([[0.1, 0.02]]), 1,
+    )  # fmt: skip
+    points = FrozenPoints(
+        poses, poses, np.array([0]), np.ones(1), poses[:1], landmark[None],
+        NONE, np.zeros(0), np.zeros((0, 3)),
+    )  # fmt: skip
+    return problem, points
+
+
+def test_the_error_of_linearising_is_that_of_the_formula() -> None:
+    poses, sideways = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), 2.0
+    off = np.array([10.0, sideways])
+    problem, at_filter = linearised(np.array([10.0, 0.0]), poses)
+    optimum = own_problem(problem, linearised(off, poses)[1])
+    growth = linearisation_growth(own_problem(problem, at_filter), optimum, poses, off[None])
+    by_range = (np.hypot(10.0, sideways) - 10.0) / 0.1
+    by_bearing = (np.arctan2(sideways, 10.0) - sideways / 10.0) / 0.02
+    assert growth.kind == "a sighting"
+    assert (growth.epoch, growth.slot) == (0, 0)
+    assert np.isclose(growth.sigma, np.hypot(by_range, by_bearing), rtol=1e-9)
+    assert np.isclose(growth.total, growth.sigma**2, rtol=1e-9)
+
+
+def test_a_prediction_counts_with_its_turn() -> None:
+    """A step of 1 m, its start turned by 0.3 rad after linearising: 1 - cos, and sin less 0.3."""
+    poses = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    turned = poses.copy()
+    turned[:, 2] = 0.3
+    landmark = np.array([10.0, 0.0])
+    problem, at_filter = linearised(landmark, poses)
+    optimum = own_problem(problem, linearised(landmark, turned)[1])
+    growth = linearisation_growth(own_problem(problem, at_filter), optimum, turned, landmark[None])
+    assert growth.squared[1] > 0.0
+    assert growth.reached(1.0) == 1
+    wound = turned + (0.0, 0.0, 2.0 * np.pi)
+    around = linearisation_growth(own_problem(problem, at_filter), optimum, wound, landmark[None])
+    assert np.allclose(around.squared, growth.squared, rtol=1e-9)
+
+
+def test_at_the_optimum_nothing_is_missed() -> None:
+    c = sound()
+    problem = build_problem(c.log, c.ekf)
+    there = linear_optimum(problem, c.ekf, c.smoothed.pose, c.smoothed.landmark)
+    growth = linearisation_growth(there, there, c.smoothed.pose, c.smoothed.landmark)
+    assert growth.total == 0.0
+    filters = linear_own(problem, c.ekf)
+    assert linearisation_growth(filters, there, c.smoothed.pose, c.smoothed.landmark).total > 0.1
+
+
+def test_a_dropout_is_found_with_what_it_did() -> None:
+    log = silent(simulated(seed=3, loop_s=30.0), 10.0, 22.0)
+    c = compare_estimators(log)
+    found = find_dropouts(c.ekf, c.smoothed)
+    worst = found.worst
+    assert worst is not None
+    assert len(found.stretches) == 1
+    assert abs(worst.begin_s - 10.0) < 0.5
+    assert abs(worst.end_s - 22.0) < 0.5
+    assert worst.refused == 0
+    t = c.ekf.estimate.time_s
+    assert np.isclose(found.coverage, 1.0 - (worst.end_s - worst.begin_s) / (t[-1] - t[0]))
+    assert log.truth.poses is not None
+    inside = (log.truth.poses.time_s >= worst.begin_s) & (log.truth.poses.time_s <= worst.end_s)
+    way = np.linalg.norm(np.diff(log.truth.poses.pose[inside, :2], axis=0), axis=1).sum()
+    assert np.isclose(worst.way_m, way, rtol=0.1)
+    assert worst.growth > 3.0
+    told = causes.dropout(found)
+    assert "no observation was used from" in told[0].evidence
+    assert "refused" not in told[0].evidence
+
+
+def test_the_sigma_at_a_dropouts_end_is_the_prediction() -> None:
+    log = silent(simulated(seed=3, loop_s=30.0), 22.0, 1e9)
+    c = compare_estimators(log)
+    worst = find_dropouts(c.ekf, c.smoothed).worst
+    assert worst is not None
+    last = c.ekf.estimate.pose_covariance[-1]
+    assert np.isclose(worst.sigma_m[1], np.sqrt(last[0, 0] + last[1, 1]), rtol=1e-6)
+    assert np.isclose(worst.sigma_heading_rad[1], np.sqrt(last[2, 2]), rtol=1e-6)
+
+
+def test_direction_cosines_predict_the_same_sigma() -> None:
+    log = silent(simulated(seed=3, loop_s=30.0), 10.0, 14.0)
+    full, other = (
+        find_dropouts(c.ekf, c.smoothed).worst
+        for c in (compare_estimators(log, EkfChoices(filter=f)) for f in ("full", "misono-full"))
+    )
+    assert full is not None
+    assert other is not None
+    assert np.allclose(other.sigma_m, full.sigma_m, rtol=0.2)
+    assert np.allclose(other.sigma_heading_rad, full.sigma_heading_rad, rtol=0.2)
+
+
+def test_sound_logs_have_neither_dropouts_nor_too_much_noise() -> None:
+    c = sound()
+    found = find_dropouts(c.ekf, c.smoothed)
+    assert not found.stretches
+    assert found.coverage == 1.0
+    assert causes.dropout(found) == []
+    assert causes.noise(c.smoother.proof.chi_square, c.consistency.sensors) == []
+
+
+def test_an_understated_sigma_is_named() -> None:
+    log = simulated(seed=3, loop_s=30.0)
+    stated = replace(log.sightings, sigma_range_m=log.sightings.sigma_range_m / 3.0)
+    c = compare_estimators(replace(log, sightings=stated))
+    (named,) = causes.noise(c.smoother.proof.chi_square, c.consistency.sensors)
+    assert named.gap == "noise"
+    assert named.gap not in GAPS
+    assert "sightings' range" in named.hint
+    factor = float(named.hint.split("about ")[1].split()[0])
+    assert abs(factor - 3.0) < 0.6
+    assert "bearing" not in named.hint
