@@ -10,6 +10,7 @@ from comparisons.report.consistency_figure import consistency_figure
 from comparisons.report.html.page import page
 from comparisons.report.map_figure import dense_check_figure
 from comparisons.report.models import Result
+from comparisons.report.panels import consistency_panels
 from comparisons.report.picture import save
 from comparisons.report.plots import correlation_figure, map_figure
 from comparisons.runs.estimate_folder import FILES as ESTIMATE_FILES
@@ -37,9 +38,10 @@ def write_run_folder(comparison: Comparison, result: Result, folder: Path) -> No
             write_estimate(estimate, work / name)
         save(map_figure(comparison), work / "map.png")
         save(correlation_figure(comparison), work / "correlation.png")
-        save(consistency_figure(comparison), work / "consistency.png")
+        panels = consistency_panels(comparison)
+        save(consistency_figure(comparison, panels), work / "consistency.png")
         if comparison.dense is not None and comparison.dense_check is not None:
             figure = dense_check_figure(comparison.dense, comparison.dense_check, comparison.log)
             save(figure, work / "dense.png")
-        (work / "report.html").write_text(page(comparison, result, work), encoding="utf-8")
+        (work / "report.html").write_text(page(comparison, panels, result, work), encoding="utf-8")
         (work / "result.json").write_text(result.model_dump_json(indent=2) + "\n", encoding="utf-8")
