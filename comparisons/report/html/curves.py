@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
+from itertools import pairwise
 from math import floor, isfinite, log10
 from typing import Any
 
@@ -33,7 +34,7 @@ def thinned(*values: Array, most: int = MOST_POINTS) -> Index:
     rows = [np.array([0, count - 1])]
     for value in values:
         low, high = (np.where(np.isfinite(value), value, worst) for worst in (np.inf, -np.inf))
-        for begin, end in zip(bounds[:-1], bounds[1:], strict=True):
+        for begin, end in pairwise(bounds.tolist()):
             rows.append([begin + low[begin:end].argmin(), begin + high[begin:end].argmax()])
     return np.unique(np.concatenate(rows))
 

@@ -73,7 +73,8 @@ def landmarks(result: Result) -> str:
     ]
     return (
         '<h2>Landmarks</h2><p class="note">A row finds its landmark on the map, and the other way '
-        f"round. Variances are the filter's over the smoother's.</p>{_sortable('landmarks', head, rows)}"
+        "round. Variances are the filter's over the smoother's.</p>"
+        f"{_sortable('landmarks', head, rows)}"
     )
 
 
