@@ -136,4 +136,4 @@ def _whiteness(sensors: tuple[SensorInnovations, ...]) -> Panel | None:
     lags = np.array((1.0, max(curve.x[-1] for curve in curves)))
     widest = np.full(2, max(float(one.band.max()) for one in series))
     band = Band("95 % band", "#999999", lags, -widest, widest)
-    return Panel("autocorrelation of innovations", "lag", tuple(curves), (band,), level=0.0)
+    return Panel("autocorrelation of innovations, by lag", "lag", tuple(curves), (band,), level=0.0)

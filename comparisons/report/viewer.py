@@ -22,7 +22,7 @@ from graphslam.scan import planar
 Array = NDArray[np.float64]
 
 SUFFIX = ".rrd"
-_TIME = "log time"
+_TIME = "time"
 _MOST_POSES, _MOST_SCANS = 2000, 1000
 _SIGMAS = 3.0
 
@@ -96,7 +96,7 @@ def _poses(stream: Any, name: str, colour: str, estimate: Estimate) -> None:
             place = rr.Points3D(_flat(pose[i : i + 1, :2]), colors=_rgb(colour), radii=_ui(5.0))
             stream.log(f"{name}/pose", place)
             ring = rr.LineStrips3D([_flat(outline[i])], colors=_rgb(colour), radii=_ui(1.0))
-            stream.log(f"{name}/pose, 3 sigma", ring)
+            stream.log(f"{name}/pose_3_sigma", ring)
 
 
 def _landmarks(
@@ -115,7 +115,7 @@ def _landmarks(
         stream.log(f"{name}/landmarks", dots)
         rings = [_flat(one) for one in outline[known]]
         stream.log(
-            f"{name}/landmarks, 3 sigma",
+            f"{name}/landmarks_3_sigma",
             rr.LineStrips3D(rings, colors=_rgb(colour), radii=_ui(0.8)),
         )
 

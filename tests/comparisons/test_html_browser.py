@@ -35,8 +35,13 @@ def report(comparison: Comparison, tmp_path_factory: pytest.TempPathFactory) -> 
 
 
 def tried(report: Path, tmp_path: Path, steps: str) -> str:
-    """The page, left to the browser with more script that acts as a reader would."""
+    """The page, left to the browser with more script that acts as a reader would.
+
+    Frames are rare without a screen, so that what waits for one is done at once.
+    """
     text = POLICY.sub("", report.read_text(encoding="utf-8"))
+    at_once = "<body><script>window.requestAnimationFrame = draw => draw();</script>"
+    text = text.replace("<body>", at_once, 1)
     page = tmp_path / "tried.html"
     page.write_text(text.replace("</body>", f"<script>{steps}</script></body>"), encoding="utf-8")
     return look(page.as_uri(), tmp_path / "profile")
@@ -99,7 +104,6 @@ def test_a_link_says_what_to_look_at(comparison: Comparison, report: Path, tmp_p
 
 
 STEPS = """
-window.requestAnimationFrame = draw => draw();  // frames are rare without a screen
 const noted = document.documentElement.dataset;
 const box = document.getElementById('map').viewBox.baseVal;
 const curve = document.querySelector('svg.curve'), at = curve.getBoundingClientRect();
@@ -132,7 +136,7 @@ const here = { clientX: r.left + r.width / 2, clientY: r.top + r.height / 2, poi
 map.dispatchEvent(new PointerEvent('pointerdown', here));
 map.dispatchEvent(new PointerEvent('pointerup', here));
 noted.chosen = document.querySelector('#landmarks tr.chosen').dataset.key !== row.dataset.key;
-  """
+"""
 
 
 def test_pointing_zooming_and_choosing(report: Path, tmp_path: Path) -> None:

@@ -40,8 +40,11 @@ def without(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.skipif(importlib.util.find_spec(PACKAGE) is None, reason="rerun is not installed")
-def test_a_replay_is_written(comparison: Comparison, tmp_path: Path) -> None:
+def test_a_replay_is_written(
+    comparison: Comparison, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     viewer.record_run(comparison, tmp_path / "run.rrd")
+    assert capfd.readouterr().err == ""  # where rerun tells of names and chunks it cannot use
     said = (tmp_path / "run.rrd").read_bytes()
     assert len(said) > 20_000
     for name in (b"map/ekf/trajectory", b"map/smoother/pose", b"map/ekf/landmarks", b"map/truth"):

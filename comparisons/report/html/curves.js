@@ -26,9 +26,16 @@
     for (let k = Math.ceil(a / step); k * step <= b; k++) found.push(round(k * step, 12));
     return found;
   };
+  // Powers of ten between 10^a and 10^b, with 2 and 5 times them where these alone are few.
   const decades = (a, b) => {
-    const found = [], every = Math.ceil((b - a) / 4);
-    for (let k = Math.ceil(a); k <= b; k += every || 1) found.push(k);
+    const found = [], every = Math.max(Math.ceil((b - a) / 4), 1);
+    const within = b - a < 1 ? [1, 2, 3, 5, 7] : b - a < 2.2 ? [1, 2, 5] : [1];
+    for (let k = Math.floor(a); k <= b; k += every) {
+      for (const times of within) {
+        const at = k + Math.log10(times);
+        if (at >= a && at <= b) found.push(at);
+      }
+    }
     return found;
   };
   // Which points of a list of x, one more on either side, lie within the view.

@@ -83,15 +83,23 @@ class Drawing:
         self._add(name, colour, "".join(shapes), shown=shown, kind=kind)
 
     def links(
-        self, name: str, colour: str, start: Array, end: Array, *, shown: bool = True
+        self,
+        name: str,
+        colour: str,
+        start: Array,
+        end: Array,
+        *,
+        shown: bool = True,
+        faint: bool = False,
     ) -> None:
-        """Lines from points (N, 2) to points (N, 2)."""
+        """Lines from points (N, 2) to points (N, 2). faint: there are so many that they cover."""
         both = np.hstack((self._places(start), self._places(end)))
         lines = "".join(
             f"M{a:.2f},{b:.2f}L{c:.2f},{d:.2f}"
             for a, b, c, d in both[np.isfinite(both).all(axis=1)].tolist()
         )
-        self._add(name, colour, f'<path class="path" d="{lines}"/>', shown=shown)
+        kind = "layer faint" if faint else "layer"
+        self._add(name, colour, f'<path class="path" d="{lines}"/>', shown=shown, kind=kind)
 
     def svg(self) -> str:
         """The drawing; its layers are the groups of class `layer`, in order.

@@ -148,7 +148,7 @@ def _lines(
     row: Index,
 ) -> None:  # fmt: skip
     start, end = estimate.pose[epoch[row], :2], estimate.landmark[slot[row]]
-    drawing.links(name, colour, start, end, shown=False)
+    drawing.links(name, colour, start, end, shown=False, faint=True)
 
 
 def _keys(estimate: Estimate) -> list[int]:
