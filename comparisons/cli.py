@@ -189,8 +189,9 @@ def _run(
         result = build_result(comparison, read_s)
         progress("report", 0, 0)
         write_run_folder(comparison, result, folder, extras.figures)
-        extras.replay(comparison)
+        extras.save(comparison)
     print_result(lambda console: print_summary(result, console), folder)
+    extras.show(comparison)
     return _VERDICTS[result.verdict]
 
 

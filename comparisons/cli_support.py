@@ -144,13 +144,16 @@ class Extras:
     live: bool = False
     record: Path | None = None
 
-    def replay(self, comparison: Comparison) -> None:
-        """Into a file, or in the viewer."""
-        if not self.live and self.record is None:
-            return
-        from comparisons.report.viewer import record_run, show_run
-
+    def save(self, comparison: Comparison) -> None:
+        """Write the replay, if it is to be kept."""
         if self.record is not None:
+            from comparisons.report.viewer import record_run
+
             record_run(comparison, self.record)
+
+    def show(self, comparison: Comparison) -> None:
+        """Open the viewer, if it is wanted."""
         if self.live:
+            from comparisons.report.viewer import show_run
+
             show_run(comparison)

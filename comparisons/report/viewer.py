@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+import sys
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -47,12 +49,15 @@ def check_viewer(live: bool, record: Path | None) -> None:
 
 def show_run(comparison: Comparison) -> None:
     """Open the viewer and send it the run. Raises InputError where it cannot be opened."""
-    stream = load_rerun().RecordingStream("slamcheck")
+    rr = load_rerun()
+    stream = rr.RecordingStream("slamcheck")
+    beside = shutil.which("rerun", path=str(Path(sys.executable).parent))
     try:
-        stream.spawn()
-    except RuntimeError as error:
-        raise InputError(f"rerun's viewer cannot be opened ({error})") from None
-    _send(comparison, stream)
+        rr.spawn(recording=stream, executable_path=beside)
+        _send(comparison, stream)
+    except (RuntimeError, ValueError) as error:
+        reason = str(error).splitlines()[0]
+        raise InputError(f"rerun's viewer cannot be opened ({reason})") from None
 
 
 def record_run(comparison: Comparison, path: Path) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from comparisons.compare import Comparison, compare_estimators
+from comparisons.report.html.look import script
 from comparisons.report.result import build_result
 from comparisons.report.run_folder import write_run_folder
 from tests.comparisons.browser import came_up, look
@@ -22,7 +23,7 @@ POLICY = re.compile(r'<meta http-equiv="Content-Security-Policy"[^>]*>')
 
 @pytest.fixture(scope="module")
 def comparison() -> Comparison:
-    """A log with a hostile name, without labels, and with the smoother's own association."""
+    """A log with a hostile name, and the smoother's own association beside the filter's."""
     log = replace(simulated(seed=2, loop_s=20.0), name=HOSTILE)
     return compare_estimators(log, smoother_association="own")
 
@@ -70,10 +71,8 @@ def test_a_mistake_in_the_script_is_seen(
     comparison: Comparison, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The broken variant: a name that does not exist, in a page that is otherwise in order."""
-    from comparisons.report.html import page as module
-
-    sound = module.script()
-    monkeypatch.setattr(module, "script", lambda: sound.replace("hear('time'", "heer('time'"))
+    mistaken = script().replace("hear('time'", "heer('time'")
+    monkeypatch.setattr("comparisons.report.html.page.script", lambda: mistaken)
     write_run_folder(comparison, build_result(comparison, 0.0), tmp_path / "report")
     dom = look((tmp_path / "report" / "report.html").as_uri(), tmp_path / "profile")
     assert "<svg" in dom

@@ -10,6 +10,7 @@ import pytest
 from comparisons.report.html.curves import (
     MOST_POINTS,
     Array,
+    Index,
     data_block,
     panel_data,
     short,
@@ -28,7 +29,7 @@ def spiky(count: int = 50_000) -> Array:
     return value
 
 
-def extremes_held(value: Array, row: Array, reach: int = 100) -> bool:
+def extremes_held(value: Array, row: Index, reach: int = 100) -> bool:
     """Whether no tenth of the values goes beyond what is kept of it and of `reach` about it."""
     for tenth in np.array_split(np.arange(len(value)), 10):
         kept = value[row[(row >= tenth[0] - reach) & (row <= tenth[-1] + reach)]]

@@ -125,6 +125,40 @@ def test_what_is_not_finite_is_not_drawn() -> None:
     assert "nan" not in drawing.svg()
 
 
+def test_what_broke_down_leaves_a_page(comparison: Comparison) -> None:
+    """Poses, landmarks, ratios and errors that are no numbers."""
+    c, ekf = comparison, comparison.ekf.estimate
+    assert c.consistency.ekf is not None
+    assert c.consistency.ekf.poses is not None
+    poses = c.consistency.ekf.poses
+    gone = np.where(np.arange(len(ekf.pose)) % 7 == 3, np.nan, 1.0)[:, None]
+    landmark = ekf.landmark.copy()
+    landmark[2] = np.inf
+    blocks = tuple(replace(b, least=np.nan, distance=np.inf) for b in c.agreement.landmarks)
+    broken = replace(
+        c,
+        ekf=replace(c.ekf, estimate=replace(ekf, pose=gone * ekf.pose, landmark=landmark)),
+        agreement=replace(c.agreement, landmarks=blocks),
+        consistency=replace(
+            c.consistency,
+            ekf=replace(
+                c.consistency.ekf,
+                poses=replace(poses, error=gone * poses.error, sigma=gone * poses.sigma),
+            ),
+        ),
+    )
+    text = page(broken, consistency_panels(broken), build_result(c, 0.0), Path("nowhere"))
+    drawn = text[text.index("<main>") : text.index("<h2>Figures")]
+    assert not re.search(r"[ ,\"M](nan|-?inf)[ ,\"h]", drawn)
+    block = re.search(r'id="data">(.*?)</script>', text)
+    assert block is not None
+    data = json.loads(block[1])
+    track = re.search(r'points="([^"]*)" stroke-dasharray="5 3" data-track="EKF"', text)
+    assert track is not None
+    assert len(track[1].split()) == len(data["track"]) == int(np.isfinite(gone).sum())
+    assert None in data["panels"][0]["curves"][0]["y"]
+
+
 def test_data_cannot_end_its_block() -> None:
     said = {"a": "</script><!--", "b": ["'\"&\u2028", HOSTILE]}
     text = data_block(said)

@@ -24,19 +24,20 @@ _LARGE = 1e9
 def thinned(*values: Array, most: int = MOST_POINTS) -> Index:
     """At most `most` rows of values (n,), with the least and the largest of every stretch.
 
-    Of several values each has its own extremes kept. Values that are not finite break no stretch.
+    Of several values each has its own extremes kept. What is not finite is no extreme.
     """
     count = len(values[0])
     if count <= most:
         return np.arange(count)
     stretches = max((most - 2) // (2 * len(values)), 1)
     bounds = np.linspace(0, count, stretches + 1).astype(np.intp)
-    rows = [np.array([0, count - 1])]
+    rows = [0, count - 1]
     for value in values:
         low, high = (np.where(np.isfinite(value), value, worst) for worst in (np.inf, -np.inf))
         for begin, end in pairwise(bounds.tolist()):
-            rows.append([begin + low[begin:end].argmin(), begin + high[begin:end].argmax()])
-    return np.unique(np.concatenate(rows))
+            rows.append(begin + int(low[begin:end].argmin()))
+            rows.append(begin + int(high[begin:end].argmax()))
+    return np.unique(np.array(rows, dtype=np.intp))
 
 
 def panel_data(panel: Panel, start_s: float) -> dict[str, Any]:

@@ -9,7 +9,7 @@
   const sized = () => {
     const unit = 1 / pixels();
     for (const c of marks) c.setAttribute('r', (c.hasAttribute('fill') ? 5.5 : 2.6) * unit);
-    for (const c of world.querySelectorAll('.now')) c.setAttribute('r', 6 * unit);
+    for (const c of world.querySelectorAll('.now')) c.setAttribute('r', 7 * unit);
     ring.setAttribute('r', 12 * unit);
     const length = niceStep(130 * unit * metres), bar = document.getElementById('scale');
     bar.style.width = `${length / metres / unit}px`;
@@ -109,7 +109,10 @@
   }
   hear('layer', name => {
     const index = [...map.querySelectorAll('.layer')].findIndex(g => g.dataset.name === name);
-    if (index >= 0) bar.children[index].click();
+    if (index < 0) return;
+    const tick = bar.children[index].querySelector('input');
+    tick.checked = true;
+    tick.dispatchEvent(new Event('change'));
   });
 
   new ResizeObserver(sized).observe(map);

@@ -123,7 +123,7 @@ def ratio_legend(decades: float) -> str:
 def _decades(ratio: Array) -> float:
     usable = ratio[np.isfinite(ratio) & (ratio > 0.0)]
     most = float(np.abs(np.log10(usable)).max(initial=0.0))
-    return min(max(np.ceil(2.0 * most) / 2.0, _LEAST_DECADES), _MOST_DECADES)
+    return min(max(float(np.ceil(2.0 * most)) / 2.0, _LEAST_DECADES), _MOST_DECADES)
 
 
 def _associations(drawing: Drawing, c: Comparison) -> None:
