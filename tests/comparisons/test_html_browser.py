@@ -97,7 +97,7 @@ def test_a_link_says_what_to_look_at(comparison: Comparison, report: Path, tmp_p
     assert len(re.findall(r'<circle class="now"[^>]* visibility="visible"', dom)) == 2
     assert re.search(rf'<tr data-key="{key}"[^>]*class="[^"]*chosen', dom)
     assert re.search(rf'<circle class="ring"[^>]* data-key="{key}"', dom)
-    hidden = re.search(r'<g class="layer" data-name="associations"[^>]*>', dom)
+    hidden = re.search(r'<g class="layer faint" data-name="associations"[^>]*>', dom)
     assert hidden is not None
     assert "display" not in hidden[0]
 
