@@ -29,7 +29,7 @@
   // Powers of ten between 10^a and 10^b, with 2 and 5 times them where these alone are few.
   const decades = (a, b) => {
     const found = [], every = Math.max(Math.ceil((b - a) / 4), 1);
-    const within = b - a < 1 ? [1, 2, 3, 5, 7] : b - a < 2.2 ? [1, 2, 5] : [1];
+    const within = b - a < 1 ? [1, 1.5, 2, 3, 4, 5, 6, 8] : b - a < 2.2 ? [1, 2, 5] : [1];
     for (let k = Math.floor(a); k <= b; k += every) {
       for (const times of within) {
         const at = k + Math.log10(times);
