@@ -19,10 +19,12 @@ from comparisons.cli_options import (
     DenseOption,
     EstimateOption,
     FeaturesOption,
+    FiguresOption,
     FilterOption,
     FormatOption,
     GpsOption,
     LagOption,
+    LiveOption,
     LogArgument,
     LoopsOption,
     MethodOption,
@@ -30,6 +32,7 @@ from comparisons.cli_options import (
     NoiseOption,
     OptimiserOption,
     OutOption,
+    RecordOption,
     ResolutionOption,
     RobotOption,
     RobustOption,
@@ -45,6 +48,8 @@ from comparisons.cli_support import (
     INTERRUPTED,
     UNPROVEN,
     UNUSABLE,
+    Extras,
+    check_figures,
     fail,
     guarded,
     open_named,
@@ -95,6 +100,9 @@ def run(
     noise_scale: NoiseOption = 1.0,
     dense: DenseOption = [],  # noqa: B006
     resolution: ResolutionOption = 0.2,
+    figures: FiguresOption = [],  # noqa: B006
+    live: LiveOption = False,
+    record: RecordOption = None,
 ) -> None:
     """Run both estimators on a log, check one against the other, write a report folder.
 
@@ -106,8 +114,14 @@ def run(
       slamcheck run my-log-folder --association nn --out report
       slamcheck run path/to/acfr_car_park --motion both
       slamcheck run scan-loop --dense points --dense occupancy
+      slamcheck run simulated-loop --figures pdf --record run.rrd
     """
     with guarded():
+        check_figures(figures)
+        if live or record is not None:
+            from comparisons.report.viewer import check_viewer
+
+            check_viewer(live, record)
         from comparisons.runs.dense_run import DenseOptions
         from comparisons.runs.ekf_build import EkfChoices
 
@@ -129,6 +143,7 @@ def run(
                 kept if dense else None,
                 out,
                 read_s,
+                Extras(tuple(figures), live, record),
             )
         )
 
@@ -151,6 +166,7 @@ def _run(
     dense: DenseOptions | None,
     out: Path | None,
     read_s: float,
+    extras: Extras,
 ) -> int:
     from comparisons.atomic import check_replaceable, folder_name
     from comparisons.compare import compare_estimators
@@ -172,8 +188,10 @@ def _run(
         )
         result = build_result(comparison, read_s)
         progress("report", 0, 0)
-        write_run_folder(comparison, result, folder)
+        write_run_folder(comparison, result, folder, extras.figures)
+        extras.save(comparison)
     print_result(lambda console: print_summary(result, console), folder)
+    extras.show(comparison)
     return _VERDICTS[result.verdict]
 
 

@@ -131,3 +131,18 @@ DenseOption = Annotated[
         help="Keep this layer of a dense map and hold it against the smoother's; may be repeated.",
     ),
 ]
+FiguresOption = Annotated[
+    list[str],
+    typer.Option(
+        "--figures",
+        metavar="png|pdf",
+        help="Write the pictures as PDF, too, with pdf; png, which is always written, alone.",
+    ),
+]
+LiveOption = Annotated[
+    bool, typer.Option("--live", help="Then replay the run in rerun's viewer; needs rerun.")
+]
+RecordOption = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE.rrd", help="Write that replay to a file for the viewer."),
+]

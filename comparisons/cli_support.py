@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
@@ -15,7 +16,7 @@ from comparisons.errors import InputError, printable
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from comparisons.compare import Progress
+    from comparisons.compare import Comparison, Progress
     from comparisons.logs.log import Log
 
 AGREE, DISAGREE, UNUSABLE, UNPROVEN = 0, 1, 2, 3
@@ -126,3 +127,33 @@ def check_cloud(cloud: str | None) -> None:
     from graphslam.scan.open3d_library import open3d
 
     open3d()
+
+
+def check_figures(formats: list[str]) -> None:
+    """Say before the work which format of pictures is unknown."""
+    for one in formats:
+        if one not in ("png", "pdf"):
+            raise InputError(f"figures '{one}' is unknown, expected png or pdf")
+
+
+@dataclass(frozen=True)
+class Extras:
+    """What a run leaves besides its folder's usual files, when asked to. See report.viewer."""
+
+    figures: tuple[str, ...] = ()
+    live: bool = False
+    record: Path | None = None
+
+    def save(self, comparison: Comparison) -> None:
+        """Write the replay, if it is to be kept."""
+        if self.record is not None:
+            from comparisons.report.viewer import record_run
+
+            record_run(comparison, self.record)
+
+    def show(self, comparison: Comparison) -> None:
+        """Open the viewer, if it is wanted."""
+        if self.live:
+            from comparisons.report.viewer import show_run
+
+            show_run(comparison)

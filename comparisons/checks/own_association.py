@@ -27,9 +27,14 @@ class OwnAssociationCheck:
 
     partition: the filter's association first, the smoother's own second. pose: S against S' in the
     last pose. landmark_rms_m: between landmarks that share most of their sightings, None without
-    any. estimate, proof, accuracy, score: of S'.
+    any. slot: (M,) the smoother's own landmarks of the sightings, negative for unused. matched:
+    (L,) the filter's counterpart of each of its landmarks, -1 for none. differing: the sightings
+    that the two do not give to counterparts. estimate, proof, accuracy, score: of S'.
     """
 
+    slot: Index
+    matched: Index
+    differing: Index
     partition: PartitionAgreement
     pose: BlockAgreement
     landmark_rms_m: float | None
@@ -52,7 +57,12 @@ def check_own_association(
     first, second = counterparts(filters, own)
     apart = smoothed.landmark[first] - estimate.landmark[second]
     poses = [Gaussian(e.pose[-1], e.joint_covariance[:3, :3]) for e in (smoothed, estimate)]
+    matched = np.full(len(estimate.landmark), -1, dtype=np.intp)
+    matched[second] = first
     return OwnAssociationCheck(
+        own,
+        matched,
+        differing_sightings(filters, own, matched),
         compare_partitions(filters, own),
         block_agreement(*poses),
         float(np.sqrt(np.mean(np.sum(apart**2, axis=1)))) if len(apart) else None,
@@ -61,3 +71,16 @@ def check_own_association(
         accuracy,
         score,
     )
+
+
+def differing_sightings(filters: Index, own: Index, matched: Index) -> Index:
+    """Which of the sightings (M,) go to landmarks that are not counterparts.
+
+    matched: (L,) the filter's counterpart of each of the own landmarks, -1 for none. A sighting
+    that neither uses does not differ.
+    """
+    used = own >= 0
+    meant = np.full(len(own), -1, dtype=np.intp)
+    meant[used] = matched[own[used]]
+    same = (filters >= 0) & used & (filters == meant)
+    return np.flatnonzero(~same & ((filters >= 0) | used))

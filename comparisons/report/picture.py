@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 
+import matplotlib
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -15,6 +17,16 @@ def blank(width: float, height: float, *, fitted: bool = True) -> Figure:
     return figure
 
 
-def save(figure: Figure, path: Path) -> None:
-    """Write a PNG."""
+FORMATS = ("png", "pdf")
+
+
+def save(figure: Figure, path: Path, formats: Collection[str] = ()) -> None:
+    """Write a PNG and, where formats hold `pdf`, a PDF beside it that a paper can take.
+
+    The PDF keeps text as text, in TrueType, which publishers ask for, and no date: the same run
+    gives the same file.
+    """
     figure.savefig(path, dpi=130, metadata={"Software": None})
+    if "pdf" in formats:
+        with matplotlib.rc_context({"pdf.fonttype": 42}):
+            figure.savefig(path.with_suffix(".pdf"), dpi=300, metadata={"CreationDate": None})

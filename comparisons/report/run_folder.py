@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 
 from comparisons.atomic import fresh_folder
@@ -10,24 +11,29 @@ from comparisons.report.consistency_figure import consistency_figure
 from comparisons.report.html.page import page
 from comparisons.report.map_figure import dense_check_figure
 from comparisons.report.models import Result
-from comparisons.report.picture import save
+from comparisons.report.panels import consistency_panels
+from comparisons.report.picture import FORMATS, save
 from comparisons.report.plots import correlation_figure, map_figure
 from comparisons.runs.estimate_folder import FILES as ESTIMATE_FILES
 from comparisons.runs.estimate_folder import write_estimate
 
 ESTIMATORS = ("ekf", "smoother", "scans")
+_PICTURES = ("map", "correlation", "consistency", "dense")
 CONTENTS = frozenset(
-    {
-        *("result.json", "report.html", "map.png", "correlation.png"),
-        *("consistency.png", "dense.png"),
-    }
+    {"result.json", "report.html"}
+    | {f"{picture}.{suffix}" for picture in _PICTURES for suffix in FORMATS}
     | {f"{estimator}/{name}" for estimator in ESTIMATORS for name in ESTIMATE_FILES}
 )
 """What a run folder holds; a folder with nothing else may be replaced by the next run."""
 
 
-def write_run_folder(comparison: Comparison, result: Result, folder: Path) -> None:
-    """Write everything; the folder appears whole or not at all. Raises InputError."""
+def write_run_folder(
+    comparison: Comparison, result: Result, folder: Path, formats: Collection[str] = ()
+) -> None:
+    """Write everything; the folder appears whole or not at all. Raises InputError.
+
+    formats: of the pictures; see picture.save.
+    """
     with fresh_folder(folder, CONTENTS) as work:
         estimates = [comparison.ekf.estimate, comparison.smoothed]
         if comparison.three_way is not None:
@@ -35,11 +41,12 @@ def write_run_folder(comparison: Comparison, result: Result, folder: Path) -> No
         for name, estimate in zip(ESTIMATORS, estimates, strict=False):
             (work / name).mkdir()
             write_estimate(estimate, work / name)
-        save(map_figure(comparison), work / "map.png")
-        save(correlation_figure(comparison), work / "correlation.png")
-        save(consistency_figure(comparison), work / "consistency.png")
+        save(map_figure(comparison), work / "map.png", formats)
+        save(correlation_figure(comparison), work / "correlation.png", formats)
+        panels = consistency_panels(comparison)
+        save(consistency_figure(comparison, panels), work / "consistency.png", formats)
         if comparison.dense is not None and comparison.dense_check is not None:
             figure = dense_check_figure(comparison.dense, comparison.dense_check, comparison.log)
-            save(figure, work / "dense.png")
-        (work / "report.html").write_text(page(comparison, result, work), encoding="utf-8")
+            save(figure, work / "dense.png", formats)
+        (work / "report.html").write_text(page(comparison, panels, result, work), encoding="utf-8")
         (work / "result.json").write_text(result.model_dump_json(indent=2) + "\n", encoding="utf-8")

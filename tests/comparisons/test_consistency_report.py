@@ -15,6 +15,7 @@ from comparisons.compare import Comparison, compare_estimators
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log, Positions
 from comparisons.report.consistency_figure import consistency_figure
+from comparisons.report.panels import consistency_panels
 from comparisons.report.picture import save
 from comparisons.report.result import build_result
 from comparisons.report.summary import print_summary
@@ -145,11 +146,13 @@ def test_a_broken_covariance_gives_no_nan() -> None:
     for part in (found["ekf"]["pose"], found["filter_against_smoother"]):
         assert "asymmetric" in part["unusable"]
         assert sum(part["unusable"].values()) > 3
-    consistency_figure(c)
+    consistency_figure(c, consistency_panels(c))
 
 
 def test_the_picture_is_drawn(comparison: Comparison, tmp_path: Path) -> None:
-    save(consistency_figure(comparison), tmp_path / "consistency.png")
+    save(
+        consistency_figure(comparison, consistency_panels(comparison)), tmp_path / "consistency.png"
+    )
     assert (tmp_path / "consistency.png").stat().st_size > 50_000
 
 
@@ -158,7 +161,7 @@ def test_without_truth_the_smoother_is_the_measure(short: Log, tmp_path: Path) -
     c = compare_estimators(blind)
     assert c.consistency.ekf is None
     assert c.consistency.smoothed is not None
-    save(consistency_figure(c), tmp_path / "smoother.png")
+    save(consistency_figure(c, consistency_panels(c)), tmp_path / "smoother.png")
     robust = compare_estimators(blind, options=SmootherOptions(robust="huber"))
     assert robust.consistency.smoothed is None
-    save(consistency_figure(robust), tmp_path / "robust.png")
+    save(consistency_figure(robust, consistency_panels(robust)), tmp_path / "robust.png")

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+import json
 import re
-import shutil
-import subprocess
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -13,9 +12,12 @@ import numpy as np
 import pytest
 
 from comparisons.compare import Comparison, compare_estimators
+from comparisons.report.html.curves import data_block
 from comparisons.report.html.drawing import Drawing
+from comparisons.report.html.look import policy, script, style
 from comparisons.report.html.page import page
 from comparisons.report.models import CauseResult
+from comparisons.report.panels import consistency_panels
 from comparisons.report.result import build_result
 from comparisons.report.run_folder import write_run_folder
 from tests.helpers import simulated
@@ -72,11 +74,12 @@ def test_it_is_whole_without_a_network(report: Path) -> None:
     assert "link" not in found.tags
     assert "url(" not in report.read_text(encoding="utf-8")
     assert ("meta", "http-equiv", "Content-Security-Policy") in found.attributes
+    assert ("meta", "content", policy(style(), script())) in found.attributes
 
 
 def test_what_a_log_says_is_text(report: Path) -> None:
     found = read(report)
-    assert found.tags.count("script") == 1
+    assert found.tags.count("script") == 2  # the data, the script
     assert not [name for _, name, _ in found.attributes if name.startswith("on")]
     assert "&lt;script&gt;document.title" in report.read_text(encoding="utf-8")
 
@@ -85,11 +88,11 @@ def test_verdict_and_causes_come_first(comparison: Comparison) -> None:
     result = build_result(comparison, 0.0)
     cause = CauseResult(gap="<b>x</b>", evidence=HOSTILE, hint=HOSTILE)
     told = result.model_copy(update={"causes": [cause], "remarks": [HOSTILE]})
-    text = page(comparison, told, Path("nowhere"))
+    text = page(comparison, consistency_panels(comparison), told, Path("nowhere"))
     order = [text.index(part) for part in ('class="verdict', 'class="cause"', 'id="map"', "<table")]
     assert order == sorted(order)
     assert "<b>x</b>" not in text
-    assert text.count("<script") == 1
+    assert text.count("<script") == 2
 
 
 def test_every_landmark_is_in_the_table_and_on_the_map(
@@ -97,13 +100,16 @@ def test_every_landmark_is_in_the_table_and_on_the_map(
 ) -> None:
     text = report.read_text(encoding="utf-8")
     count = len(comparison.ekf.estimate.landmark)
-    assert text.count("<tr class=") == count
+    assert text.count("<tr data-key=") == count
     assert len(re.findall(r"<title>EKF, landmark \d+:", text)) == 2 * count
+    for key in comparison.ekf.estimate.landmark_id.tolist():
+        assert text.count(f'data-key="{key}"') == 4  # both estimates, the variance ratio, the row
 
 
 def test_north_is_up() -> None:
     drawing = Drawing.of(np.array([(0.0, 0.0), (10.0, 10.0)]))
-    drawing.dots("a", "#000", np.array([(5.0, 9.0), (5.0, 1.0)]), ["north", "south"])
+    point = np.array([(5.0, 9.0), (5.0, 1.0)])
+    drawing.marks("a", "#000", point, ["north", "south"], [1, 2])
     heights = [float(v) for v in re.findall(r'cy="([\d.]+)"', drawing.svg())]
     assert heights[0] < heights[1]
 
@@ -111,28 +117,59 @@ def test_north_is_up() -> None:
 def test_what_is_not_finite_is_not_drawn() -> None:
     nothing = np.full((2, 2), np.nan)
     drawing = Drawing.of(nothing)
-    drawing.dots("a", "#000", nothing, ["x", "y"])
+    drawing.marks("a", "#000", nothing, ["x", "y"], [1, 2])
     drawing.outlines("b", "#000", nothing[None], ["z"])
+    drawing.dots("c", "#000", nothing)
+    drawing.path("d", "#000", nothing)
+    drawing.links("e", "#000", nothing, nothing)
     assert "nan" not in drawing.svg()
 
 
-def test_a_browser_shows_it(report: Path, tmp_path: Path) -> None:
-    """Headless Chromium runs the script: a tick per layer; nothing that the log says is run."""
-    browser = shutil.which("chromium") or shutil.which("chromium-browser")
-    if browser is None:
-        pytest.skip("no Chromium on this machine")
-    done = subprocess.run(
-        [browser, "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic",
-         "--no-first-run", "--disable-background-networking", "--disable-component-update",
-         "--disable-sync", f"--user-data-dir={tmp_path}", "--virtual-time-budget=2000",
-         "--dump-dom", report.as_uri()],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=120,
-    )  # fmt: skip
-    dom = done.stdout
-    layers = dom.count('class="layer"')
-    assert layers >= 7
-    assert dom.count('type="checkbox"') == layers
-    assert "<title>owned</title>" not in dom
+def test_what_broke_down_leaves_a_page(comparison: Comparison) -> None:
+    """Poses, landmarks, ratios and errors that are no numbers."""
+    c, ekf = comparison, comparison.ekf.estimate
+    assert c.consistency.ekf is not None
+    assert c.consistency.ekf.poses is not None
+    poses = c.consistency.ekf.poses
+    gone = np.where(np.arange(len(ekf.pose)) % 7 == 3, np.nan, 1.0)[:, None]
+    landmark = ekf.landmark.copy()
+    landmark[2] = np.inf
+    blocks = tuple(replace(b, least=np.nan, distance=np.inf) for b in c.agreement.landmarks)
+    broken = replace(
+        c,
+        ekf=replace(c.ekf, estimate=replace(ekf, pose=gone * ekf.pose, landmark=landmark)),
+        agreement=replace(c.agreement, landmarks=blocks),
+        consistency=replace(
+            c.consistency,
+            ekf=replace(
+                c.consistency.ekf,
+                poses=replace(poses, error=gone * poses.error, sigma=gone * poses.sigma),
+            ),
+        ),
+    )
+    text = page(broken, consistency_panels(broken), build_result(c, 0.0), Path("nowhere"))
+    places = re.findall(r' (?:points|d|cx|cy|x1)="([^"]*)"', text)
+    assert len(places) > 100
+    assert not [place for place in places if re.search("nan|inf", place)]
+    block = re.search(r'id="data">(.*?)</script>', text)
+    assert block is not None
+    data = json.loads(block[1])
+    track = re.search(r'points="([^"]*)" stroke-dasharray="5 3" data-track="EKF"', text)
+    assert track is not None
+    assert len(track[1].split()) == len(data["track"]) == int(np.isfinite(gone).sum())
+    assert None in data["panels"][0]["curves"][0]["y"]
+
+
+def test_data_cannot_end_its_block() -> None:
+    said = {"a": "</script><!--", "b": ["'\"&\u2028", HOSTILE]}
+    text = data_block(said)
+    inner = text.removeprefix('<script type="application/json" id="data">')
+    inner = inner.removesuffix("</script>")
+    assert not re.search("[<>&\u2028]", inner)
+    assert json.loads(inner) == said
+    with pytest.raises(ValueError, match="JSON"):
+        data_block(float("nan"))
+
+
+def test_the_script_takes_no_text_for_markup() -> None:
+    assert not re.search(r"innerHTML|outerHTML|insertAdjacent|document\.write|\beval\b", script())

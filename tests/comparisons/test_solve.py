@@ -8,10 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from comparisons.checks.association import counterparts
+from comparisons.checks.own_association import differing_sightings
 from comparisons.compare import compare_estimators
 from comparisons.errors import InputError
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import NO_LANDMARK, Log
+from comparisons.report.html.tables import association_differences
 from comparisons.report.models import Result, SolutionResult
 from comparisons.report.result import build_result
 from comparisons.runs.ekf_build import EkfChoices
@@ -165,3 +168,21 @@ def test_a_wrong_association_of_the_filter_is_named() -> None:
     causes = {cause.gap: cause for cause in comparison.verdict.causes}
     assert "association" in causes
     assert "the same" in causes["association"].evidence
+    own = comparison.own_association
+    assert own is not None
+    table = association_differences(comparison)
+    assert table.count("<tr data-key") == 200
+    more = len(own.differing) - 200
+    assert f"{len(own.differing):,} of {len(seen.time_s):,} sightings differ" in table
+    assert f"{more:,} more are not" in table
+
+
+def test_sightings_differ_where_their_landmarks_are_no_counterparts() -> None:
+    """Landmarks 0 and 1 swap their numbers, which is no difference; the rest is."""
+    filters = np.array([0, 0, 1, 1, 1, -1, -1, 0, 2])
+    own = np.array([1, 1, 0, 0, 1, 0, -1, -1, 3])
+    first, second = counterparts(filters, own)
+    matched = np.full(4, -1)
+    matched[second] = first
+    assert differing_sightings(filters, own, matched).tolist() == [4, 5, 7]
+    assert np.flatnonzero(filters != own).tolist() != [4, 5, 7]  # a broken variant: the numbers

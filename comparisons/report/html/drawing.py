@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from html import escape
 
@@ -10,19 +11,19 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_MOST_POINTS = 4000
+MOST_POINTS = 4000
 _SIDE = 1000.0
 
 
 @dataclass
 class Drawing:
-    """Layers of shapes in metres, north up. Names and labels may hold any text.
+    """Layers of shapes in metres, north up. Names, labels and keys may hold any text.
 
-    bounds: (4,) west, south, east, north of what is drawn.
+    bounds: (4,) west, south, east, north of what is drawn. A shape that is not finite is left out.
     """
 
     bounds: Array
-    layers: list[tuple[str, str, str]] = field(default_factory=list)
+    layers: list[str] = field(default_factory=list)
 
     @classmethod
     def of(cls, *points: Array) -> Drawing:
@@ -35,12 +36,12 @@ class Drawing:
         margin = 0.04 * max(float((high - low).max()), 1.0)
         return cls(np.concatenate((low - margin, high + margin)))
 
-    def path(self, name: str, colour: str, point: Array, dashes: str = "") -> None:
-        """A line through points (N, 2)."""
-        step = -(-len(point) // _MOST_POINTS) or 1
-        places = self._places(point[::step])
-        shown = " ".join(f"{x:.2f},{y:.2f}" for x, y in places.tolist())
+    def path(self, name: str, colour: str, point: Array, dashes: str = "", track: str = "") -> None:
+        """A line through points (N, 2). track: what the script knows it by, if it does."""
+        places = self._places(point[kept(len(point))])
+        shown = " ".join(f"{x:.2f},{y:.2f}" for x, y in places.tolist() if np.isfinite(x + y))
         style = f' stroke-dasharray="{escape(dashes)}"' if dashes else ""
+        style += f' data-track="{escape(track)}"' if track else ""
         self._add(name, colour, f'<polyline class="path" points="{shown}"{style}/>')
 
     def outlines(self, name: str, colour: str, outline: Array, labels: list[str]) -> None:
@@ -52,48 +53,69 @@ class Drawing:
                 shapes.append(f'<polygon points="{shown}"><title>{escape(label)}</title></polygon>')
         self._add(name, colour, "".join(shapes))
 
-    def dots(self, name: str, colour: str, point: Array, labels: list[str] | None = None) -> None:
-        """Points (N, 2), each with a label if there are any."""
-        step = 1 if labels else -(-len(point) // _MOST_POINTS) or 1
-        places = self._places(point[::step])
-        shapes = []
-        for i, (x, y) in enumerate(places.tolist()):
-            if np.isfinite((x, y)).all():
-                title = f"<title>{escape(labels[i])}</title>" if labels else ""
-                shapes.append(f'<circle cx="{x:.2f}" cy="{y:.2f}" r="2.2">{title}</circle>')
-        self._add(name, colour, "".join(shapes))
+    def dots(self, name: str, colour: str, point: Array) -> None:
+        """Points (N, 2), thinned."""
+        places = self._places(point[:: -(-len(point) // MOST_POINTS) or 1])
+        shown = "".join(f"M{x:.2f},{y:.2f}h0" for x, y in places.tolist() if np.isfinite(x + y))
+        self._add(name, colour, f'<path class="dots" d="{shown}"/>')
 
-    def links(self, name: str, colour: str, start: Array, end: Array) -> None:
-        """Lines from points (N, 2) to points (N, 2)."""
-        shapes = [
-            f'<line x1="{a:.2f}" y1="{b:.2f}" x2="{c:.2f}" y2="{d:.2f}"/>'
-            for (a, b), (c, d) in zip(
-                self._places(start).tolist(), self._places(end).tolist(), strict=True
-            )
-        ]
-        self._add(name, colour, "".join(shapes))
+    def marks(
+        self,
+        name: str,
+        colour: str,
+        point: Array,
+        labels: Sequence[str],
+        keys: Sequence[object],
+        fills: Sequence[str] = (),
+        *,
+        shown: bool = True,
+    ) -> None:
+        """Points (N, 2) to point at, each with a label and a key; fills: their own colours."""
+        shapes = []
+        for i, (x, y) in enumerate(self._places(point).tolist()):
+            if np.isfinite(x + y):
+                fill = f' fill="{escape(fills[i])}"' if fills else ""
+                shapes.append(
+                    f'<circle cx="{x:.2f}" cy="{y:.2f}" r="2.2" data-key="{escape(str(keys[i]))}"'
+                    f"{fill}><title>{escape(labels[i])}</title></circle>"
+                )
+        kind = "layer filled" if fills else "layer"
+        self._add(name, colour, "".join(shapes), shown=shown, kind=kind)
+
+    def links(
+        self,
+        name: str,
+        colour: str,
+        start: Array,
+        end: Array,
+        *,
+        shown: bool = True,
+        faint: bool = False,
+    ) -> None:
+        """Lines from points (N, 2) to points (N, 2). faint: there are so many that they cover."""
+        both = np.hstack((self._places(start), self._places(end)))
+        lines = "".join(
+            f"M{a:.2f},{b:.2f}L{c:.2f},{d:.2f}"
+            for a, b, c, d in both[np.isfinite(both).all(axis=1)].tolist()
+        )
+        kind = "layer faint" if faint else "layer"
+        self._add(name, colour, f'<path class="path" d="{lines}"/>', shown=shown, kind=kind)
 
     def svg(self) -> str:
-        """The drawing; its layers are the groups of class `layer`, in order."""
-        width, height = self._size
-        groups = "".join(
-            f'<g class="layer" data-name="{escape(name)}" stroke="{escape(colour)}" '
-            f'fill="{escape(colour)}">{shapes}</g>'
-            for name, colour, shapes in self.layers
-        )
+        """The drawing; its layers are the groups of class `layer`, in order.
+
+        Its data say how many metres a unit has, and where its upper left corner lies.
+        """
+        width, height = ((self.bounds[2:] - self.bounds[:2]) * self._scale).tolist()
         return (
-            f'<svg id="map" viewBox="0 0 {width:.1f} {height:.1f}" role="img" '
-            f'aria-label="map" preserveAspectRatio="xMidYMid meet"><g id="world">{groups}</g></svg>'
+            f'<svg id="map" viewBox="0 0 {width:.1f} {height:.1f}" role="img" aria-label="map" '
+            f'data-metres="{1.0 / self._scale:.9g}" data-west="{self.bounds[0]:.3f}" '
+            f'data-north="{self.bounds[3]:.3f}"><g id="world">{"".join(self.layers)}</g></svg>'
         )
 
     @property
     def _scale(self) -> float:
         return _SIDE / float(max(self.bounds[2:] - self.bounds[:2]))
-
-    @property
-    def _size(self) -> tuple[float, float]:
-        width, height = ((self.bounds[2:] - self.bounds[:2]) * self._scale).tolist()
-        return width, height
 
     def _places(self, point: Array) -> Array:
         west, _, _, north = self.bounds
@@ -101,5 +123,17 @@ class Drawing:
         result: Array = np.asarray(moved, dtype=float)
         return result
 
-    def _add(self, name: str, colour: str, shapes: str) -> None:
-        self.layers.append((name, colour, shapes))
+    def _add(
+        self, name: str, colour: str, shapes: str, *, shown: bool = True, kind: str = "layer"
+    ) -> None:
+        hidden = "" if shown else ' display="none"'
+        self.layers.append(
+            f'<g class="{kind}" data-name="{escape(name)}" stroke="{escape(colour)}" '
+            f'fill="{escape(colour)}"{hidden}>{shapes}</g>'
+        )
+
+
+def kept(count: int) -> NDArray[np.intp]:
+    """Which of `count` points of a path are drawn, the first and the last among them."""
+    most = np.linspace(0, count - 1, min(count, MOST_POINTS))
+    return np.asarray(np.round(most), dtype=np.intp)

@@ -1,57 +1,71 @@
-"""`report.html`: verdict and causes first, then the map, figures, pictures and landmarks."""
+"""`report.html`: verdict and causes first, then map and curves, figures, pictures and tables."""
 
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 
-import numpy as np
-
 from comparisons.compare import Comparison
-from comparisons.report.consistency_result import consistency_rows
-from comparisons.report.html.drawing import Drawing
-from comparisons.report.html.look import SCRIPT, STYLE
-from comparisons.report.models import AccuracyResult, Result
-from comparisons.report.plots import EKF_COLOUR, SMOOTHER_COLOUR, ellipses
+from comparisons.report.html.curves import curve_data, data_block
+from comparisons.report.html.look import policy, script, style
+from comparisons.report.html.map import RATIO_LAYER, ratio_legend, run_map
+from comparisons.report.html.tables import (
+    association_differences,
+    figures,
+    landmarks,
+    table,
+    timing,
+)
+from comparisons.report.models import Result
+from comparisons.report.panels import ConsistencyPanels
 
-_POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:"
-_PICTURES = {
-    "consistency.png": "Consistency",
-    "correlation.png": "Correlation",
-    "dense.png": "Dense maps",
+_PICTURES = {"correlation.png": "Correlation", "dense.png": "Dense maps"}
+_HINT = {
+    "map": "Wheel to zoom, drag to move, double click for all; click a landmark to find its row.",
+    "curves": "Point at a time to see it on all curves and on the map; wheel or drag to zoom, "
+    "double click for all.",
 }
-_SIGMAS = 3.0
 
 
-def page(comparison: Comparison, result: Result, pictures: Path) -> str:
+def page(comparison: Comparison, panels: ConsistencyPanels, result: Result, pictures: Path) -> str:
     """The whole page. pictures: the folder with those that have been drawn."""
-    name = escape(result.log.name)
+    name, drawn = escape(result.log.name), run_map(comparison)
+    start_s = float(comparison.ekf.estimate.time_s[0])
+    data = {
+        "start": start_s,
+        "track": [round(t - start_s, 3) for t in drawn.track_s],
+        "ratioLayer": RATIO_LAYER,
+        "panels": curve_data(panels, start_s),
+    }
+    css, js = style(), script()
     parts = [
-        f"<h1>{name}</h1>",
-        f'<p><span class="verdict {result.verdict}">{result.verdict}</span> '
-        f"{escape(result.log.format)}, {result.log.duration_s:.0f} s</p>",
+        f'<header><h1>{name}</h1><p><span class="verdict {result.verdict}">{result.verdict}</span> '
+        f"{escape(result.log.format)}, {result.log.duration_s:,.0f} s</p></header>",
         _causes(result),
-        "<h2>Map</h2>",
-        '<p class="note">Wheel to zoom, drag to move, double click for all; rest on a landmark '
-        "for its name and difference.</p>",
-        '<div id="layers" class="layers"></div>',
-        _map(comparison).svg(),
+        '<noscript><p class="note">Curves, layers and sorting need JavaScript; the same curves '
+        "are in consistency.png.</p></noscript>",
+        '<main><section id="where"><h2>Map</h2><div id="layers"></div>',
+        f'<div id="frame">{drawn.drawing.svg()}<div id="scale"></div></div>',
+        f'{ratio_legend(drawn.decades)}<p id="told" role="status"></p>',
+        f'<p class="note">{_HINT["map"]}</p></section>',
+        f'<section id="when"><h2>Curves <span id="now"></span></h2>'
+        f'<p class="note">{escape(panels.told)}</p>',
+        f'<div id="curves"></div><p class="note">{_HINT["curves"]}</p></section></main>',
         "<h2>Figures</h2>",
-        _table(("", ""), _figures(result)),
+        table(("", ""), figures(result)),
         *_embedded(pictures),
-        _landmarks(result),
-        "<h2>Time and versions</h2>",
-        _table(("stage", "s"), [(k, f"{v:.2f}") for k, v in result.seconds.items()]),
-        _table(("package", "version"), list(result.versions.items())),
+        association_differences(comparison),
+        landmarks(result),
+        f"<h2>Time</h2>{timing(result.seconds)}",
+        f"<h2>Versions</h2>{table(('package', 'version'), list(result.versions.items()))}",
     ]
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-        f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">'
+        f'<meta http-equiv="Content-Security-Policy" content="{policy(css, js)}">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{name}: {result.verdict}</title><style>{STYLE}</style></head>"
-        f"<body>{''.join(parts)}<script>{SCRIPT}</script></body></html>\n"
+        f"<title>{name}: {result.verdict}</title><style>{css}</style></head>"
+        f"<body>{''.join(parts)}{data_block(data)}<script>{js}</script></body></html>\n"
     )
 
 
@@ -61,98 +75,8 @@ def _causes(result: Result) -> str:
         f'<div class="hint">{escape(c.hint)}</div></div>'
         for c in result.causes
     ]
-    shown += [f'<p class="note">{escape(remark)}</p>' for remark in result.remarks]
-    return "".join(shown)
-
-
-def _map(c: Comparison) -> Drawing:
-    ekf, smoothed = c.ekf.estimate, c.smoothed
-    truth, positions = c.log.truth, c.log.positions
-    walls = np.empty((0, 4)) if truth.surfaces is None else truth.surfaces.segment
-    drawing = Drawing.of(
-        ekf.pose[:, :2],
-        smoothed.pose[:, :2],
-        ekf.landmark,
-        smoothed.landmark,
-        walls[:, :2],
-        walls[:, 2:],
-    )
-    if len(walls):
-        drawing.links("true surfaces", "#9a9a9a", walls[:, :2], walls[:, 2:])
-    if truth.poses is not None:
-        drawing.path("truth", "#9a9a9a", truth.poses.pose[:, :2])
-    if positions is not None:
-        drawing.dots("GPS", "#b08d57", positions.position_m)
-    blocks = c.agreement.landmarks
-    for name, colour, estimate, dashes in (
-        ("smoother", SMOOTHER_COLOUR, smoothed, ""),
-        ("EKF", EKF_COLOUR, ekf, "5 3"),
-    ):
-        drawing.path(f"{name} trajectory", colour, estimate.pose[:, :2], dashes)
-        labels = [
-            f"{name}, landmark {i}: {b.difference_m:.3f} m apart, {b.distance:.2g} sigma"
-            for i, b in zip(estimate.landmark_id.tolist(), blocks, strict=True)
-        ]
-        outline = ellipses(estimate.landmark, estimate.landmark_covariances(), _SIGMAS, 32)
-        drawing.outlines(f"{name} landmarks, 3 sigma", colour, outline, labels)
-        drawing.dots(f"{name} landmarks", colour, estimate.landmark, labels)
-    drawing.links("differences", "#7b4fa3", ekf.landmark, smoothed.landmark)
-    if c.dense_check is not None:
-        for name, layer in c.dense_check.layers.items():
-            drawing.dots(f"dense {name}", "#1b3a4b", layer.point)
-    return drawing
-
-
-def _figures(result: Result) -> list[tuple[str, str]]:
-    gaps, ekf, smoother = result.agreement, result.ekf, result.smoother
-    rows = [
-        ("records", ", ".join(f"{n:,} {name}" for name, n in result.log.records.items())),
-        ("EKF", f"{ekf.filter}, {ekf.landmarks} landmarks, association {ekf.association}"),
-        (
-            "smoother",
-            f"error {smoother.error:.2f}, chi-square {smoother.chi2:.0f} for {smoother.dof} "
-            f"degrees of freedom, optimum {'proven' if smoother.proven else 'not proven'}",
-        ),
-    ]
-    for name, sigma, covariance in (
-        ("algebra gap", gaps.algebra_gap_sigma, gaps.algebra_gap_covariance),
-        ("model gap", gaps.model_gap_sigma, gaps.model_gap_covariance),
-        ("linearisation gap", gaps.linearisation_gap_sigma, gaps.linearisation_gap_covariance),
-    ):
-        rows.append((name, f"{_number(sigma)} sigma, {_number(covariance)} in covariance"))
-    rows.append(("optimism", _number(gaps.optimism)))
-    rows.append(("landmarks apart (RMS)", f"{gaps.landmark_difference_rms_m:.3f} m"))
-    rows += consistency_rows(result.consistency)
-    if result.accuracy is not None:
-        rows.append(("EKF's accuracy", _accuracy(result.accuracy.ekf)))
-        rows.append(("smoother's accuracy", _accuracy(result.accuracy.smoother)))
-    return rows
-
-
-def _accuracy(accuracy: AccuracyResult) -> str:
-    shown = {k: v for k, v in accuracy.model_dump().items() if v is not None}
-    return ", ".join(f"{name.replace('_', ' ')} {_number(v)}" for name, v in shown.items())
-
-
-def _landmarks(result: Result) -> str:
-    head = ("landmark", "apart [m]", "sigma", "least variance", "largest variance", "")
-    heads = "".join(f"<th><button>{escape(name)}</button></th>" for name in head)
-    rows = []
-    for row in result.agreement.landmarks:
-        cells = (
-            str(row.id),
-            f"{row.difference_m:.3f}",
-            f"{row.distance_sigma:.2f}",
-            _number(row.variance_ratio_least),
-            _number(row.variance_ratio_largest),
-            "agrees" if row.agrees else "disagrees",
-        )
-        shown = "".join(f"<td>{escape(cell)}</td>" for cell in cells)
-        rows.append(f'<tr class="{"" if row.agrees else "bad"}">{shown}</tr>')
-    return (
-        f'<h2>Landmarks</h2><div class="scroll"><table class="sortable"><thead><tr>{heads}</tr>'
-        f"</thead><tbody>{''.join(rows)}</tbody></table></div>"
-    )
+    remarks = "".join(f"<li>{escape(remark)}</li>" for remark in result.remarks)
+    return "".join(shown) + (f'<ul class="note">{remarks}</ul>' if remarks else "")
 
 
 def _embedded(folder: Path) -> list[str]:
@@ -162,19 +86,3 @@ def _embedded(folder: Path) -> list[str]:
             data = base64.b64encode((folder / file).read_bytes()).decode("ascii")
             shown.append(f'<h2>{title}</h2><img alt="{title}" src="data:image/png;base64,{data}">')
     return shown
-
-
-def _table(head: Sequence[str], rows: Sequence[tuple[str, str]]) -> str:
-    heads = "".join(f"<th>{escape(name)}</th>" for name in head)
-    top = f"<thead><tr>{heads}</tr></thead>" if any(head) else ""
-    body = "".join(
-        f"<tr><td>{escape(str(name))}</td><td>{escape(str(value))}</td></tr>"
-        for name, value in rows
-    )
-    return f"<table>{top}<tbody>{body}</tbody></table>"
-
-
-def _number(value: float | Mapping[str, float] | None) -> str:
-    if value is None or not isinstance(value, int | float) or not np.isfinite(value):
-        return "none"
-    return f"{value:.3g}"

@@ -1,0 +1,120 @@
+(() => {
+  const map = document.getElementById('map'), world = document.getElementById('world');
+  const box = map.viewBox.baseVal, whole = [box.x, box.y, box.width, box.height];
+  const metres = Number(map.dataset.metres), told = document.getElementById('told');
+  const marks = [...map.querySelectorAll('circle[data-key]')];
+  const ring = make('circle', { class: 'ring', visibility: 'hidden' }, world);
+  const pixels = () => map.getScreenCTM()?.a || 1;
+
+  const sized = () => {
+    const unit = 1 / pixels();
+    for (const c of marks) c.setAttribute('r', (c.hasAttribute('fill') ? 5.5 : 2.6) * unit);
+    for (const c of world.querySelectorAll('.now')) c.setAttribute('r', 7 * unit);
+    ring.setAttribute('r', 12 * unit);
+    const length = niceStep(130 * unit * metres), bar = document.getElementById('scale');
+    bar.style.width = `${length / metres / unit}px`;
+    bar.textContent = length < 1000 ? `${round(length, 3)} m` : `${round(length / 1000, 3)} km`;
+  };
+  const show = (x, y, width) => {
+    box.height *= width / box.width; box.width = width;
+    box.x = x - width / 2; box.y = y - box.height / 2;
+    sized();
+  };
+  const reset = () => { [box.x, box.y, box.width, box.height] = whole; sized(); };
+  const place = e => new DOMPoint(e.clientX, e.clientY).matrixTransform(map.getScreenCTM().inverse());
+
+  map.addEventListener('wheel', e => {
+    e.preventDefault();
+    const p = place(e), wanted = box.width * (e.deltaY > 0 ? 1.2 : 1 / 1.2);
+    const width = Math.min(Math.max(wanted, whole[2] / 2000), whole[2] * 3);
+    const f = width / box.width;
+    show(p.x - (p.x - box.x - box.width / 2) * f, p.y - (p.y - box.y - box.height / 2) * f, width);
+  }, { passive: false });
+
+  let from = null, pressed = null;
+  map.addEventListener('pointerdown', e => {
+    from = place(e); pressed = [e.clientX, e.clientY];
+    map.setPointerCapture(e.pointerId);
+  });
+  map.addEventListener('pointermove', e => {
+    if (!from) return;
+    const p = place(e);
+    box.x += from.x - p.x; box.y += from.y - p.y;
+  });
+  map.addEventListener('pointerup', e => {
+    if (from && Math.hypot(e.clientX - pressed[0], e.clientY - pressed[1]) < 5) choose(e);
+    from = null;
+  });
+  map.addEventListener('pointercancel', () => { from = null; });
+  map.addEventListener('dblclick', reset);
+
+  const hidden = c => c.parentNode.getAttribute('display') === 'none';
+  const choose = e => {
+    const p = place(e);
+    const away = c => Math.hypot(c.cx.baseVal.value - p.x, c.cy.baseVal.value - p.y);
+    let best = null, least = 14 / pixels();
+    for (const c of marks) if (!hidden(c) && away(c) < least) [best, least] = [c, away(c)];
+    if (best) tell('landmark', { key: best.dataset.key, from: 'map' });
+  };
+  hear('landmark', ({ key, from: source }) => {
+    const found = marks.filter(c => c.dataset.key === key);
+    if (!found.length) return;
+    const mark = found.filter(c => !hidden(c)).at(-1) ?? found[0];
+    const x = mark.cx.baseVal.value, y = mark.cy.baseVal.value;
+    ring.setAttribute('cx', x); ring.setAttribute('cy', y);
+    ring.setAttribute('visibility', 'visible');
+    ring.dataset.key = key;
+    told.textContent = found.at(-1).textContent;
+    if (source === 'map') return;
+    show(x, y, Math.min(box.width, whole[2] / 5));
+    if (source === 'table') map.scrollIntoView({ block: 'nearest' });
+  });
+
+  const tracks = [...map.querySelectorAll('[data-track]')].map(line => {
+    const values = line.getAttribute('points').split(/[ ,]/).map(Number);
+    const colour = line.parentNode.getAttribute('stroke');
+    const now = make('circle', { class: 'now', fill: colour, visibility: 'hidden' }, world);
+    now.dataset.of = line.dataset.track;
+    return { values, now };
+  });
+  hear('time', t => {
+    const times = data.track;
+    if (!times.length) return;
+    const i = Math.min(Math.max(first(times, t), 1), times.length - 1);
+    const share = times.length < 2 ? 0 : (t - times[i - 1]) / (times[i] - times[i - 1] || 1);
+    const part = Math.min(Math.max(share, 0), 1);
+    for (const { values, now } of tracks) {
+      const at = k => values[2 * i - 2 + k] + part * (values[2 * i + k] - values[2 * i - 2 + k]);
+      now.setAttribute('cx', at(0)); now.setAttribute('cy', at(1));
+      now.setAttribute('visibility', 'visible');
+    }
+  });
+
+  const bar = document.getElementById('layers'), legend = document.getElementById('ratio-legend');
+  for (const g of map.querySelectorAll('.layer')) {
+    const label = document.createElement('label'), tick = document.createElement('input');
+    const swatch = text('span', '', 'swatch');
+    tick.type = 'checkbox';
+    tick.checked = g.getAttribute('display') !== 'none';
+    const shown = () => {
+      if (tick.checked) g.removeAttribute('display'); else g.setAttribute('display', 'none');
+      if (g.dataset.name === data.ratioLayer) legend.hidden = !tick.checked;
+    };
+    tick.addEventListener('change', shown);
+    shown();
+    if (g.classList.contains('filled')) swatch.classList.add('diverging');
+    else swatch.style.background = g.getAttribute('stroke');
+    label.append(tick, swatch, g.dataset.name);
+    bar.append(label);
+  }
+  hear('layer', name => {
+    const index = [...map.querySelectorAll('.layer')].findIndex(g => g.dataset.name === name);
+    if (index < 0) return;
+    const tick = bar.children[index].querySelector('input');
+    tick.checked = true;
+    tick.dispatchEvent(new Event('change'));
+  });
+
+  new ResizeObserver(sized).observe(map);
+  sized();
+})();

@@ -1,0 +1,41 @@
+(() => {
+  for (const table of document.querySelectorAll('table.sortable')) {
+    const body = table.tBodies[0];
+    table.querySelectorAll('th button').forEach((button, i) => {
+      let up = false;
+      button.addEventListener('click', () => {
+        up = !up;
+        const order = (a, b) => {
+          const [x, y] = [a, b].map(row => row.cells[i].textContent);
+          const apart = parseFloat(x) - parseFloat(y);
+          return (Number.isNaN(apart) ? x.localeCompare(y) : apart) * (up ? 1 : -1);
+        };
+        body.append(...[...body.rows].sort(order));
+      });
+    });
+    const chosen = e => {
+      const row = e.target.closest('tbody tr[data-key]');
+      if (row) tell('landmark', { key: row.dataset.key, from: 'table' });
+    };
+    table.addEventListener('click', chosen);
+    table.addEventListener('keydown', e => { if (e.key === 'Enter') chosen(e); });
+  }
+  hear('landmark', ({ key }) => {
+    for (const row of document.querySelectorAll('tr[data-key]')) {
+      const chosen = row.dataset.key === key, box = row.closest('.scroll');
+      row.classList.toggle('chosen', chosen);
+      if (chosen && row.closest('#landmarks')) {
+        box.scrollTop = row.offsetTop - box.clientHeight / 2;
+      }
+    }
+  });
+
+  // A link may say what to look at: report.html#time=12.5&landmark=7&layer=associations
+  const said = new URLSearchParams(location.hash.slice(1));
+  for (const layer of said.getAll('layer')) tell('layer', layer);
+  if (said.has('from') && said.has('to')) {
+    tell('view', ['from', 'to'].map(name => Number(said.get(name)) - data.start));
+  }
+  if (said.has('time')) tell('time', Number(said.get('time')) - data.start);
+  if (said.has('landmark')) tell('landmark', { key: said.get('landmark'), from: 'link' });
+})();

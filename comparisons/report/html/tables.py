@@ -1,0 +1,142 @@
+"""The page's tables: figures, landmarks, associations that differ, the time of each stage."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from html import escape
+
+import numpy as np
+
+from comparisons.compare import Comparison
+from comparisons.report.consistency_result import consistency_rows
+from comparisons.report.models import AccuracyResult, Result
+from ekf_reference.association import AMBIGUOUS, CANDIDATE, REJECTED
+
+_MOST_ROWS = 200
+_UNUSED = {REJECTED: "rejected", AMBIGUOUS: "ambiguous", CANDIDATE: "candidate"}
+
+
+def table(head: Sequence[str], rows: Sequence[tuple[str, str]]) -> str:
+    """Two columns."""
+    heads = "".join(f"<th>{escape(name)}</th>" for name in head)
+    top = f"<thead><tr>{heads}</tr></thead>" if any(head) else ""
+    body = "".join(
+        f"<tr><td>{escape(str(name))}</td><td>{escape(str(value))}</td></tr>"
+        for name, value in rows
+    )
+    return f"<table>{top}<tbody>{body}</tbody></table>"
+
+
+def figures(result: Result) -> list[tuple[str, str]]:
+    """What was found, as rows."""
+    gaps, ekf, smoother = result.agreement, result.ekf, result.smoother
+    rows = [
+        ("records", ", ".join(f"{n:,} {name}" for name, n in result.log.records.items())),
+        ("EKF", f"{ekf.filter}, {ekf.landmarks} landmarks, association {ekf.association}"),
+        (
+            "smoother",
+            f"error {smoother.error:.2f}, chi-square {smoother.chi2:.0f} for {smoother.dof} "
+            f"degrees of freedom, optimum {'proven' if smoother.proven else 'not proven'}",
+        ),
+    ]
+    for name, sigma, covariance in (
+        ("algebra gap", gaps.algebra_gap_sigma, gaps.algebra_gap_covariance),
+        ("model gap", gaps.model_gap_sigma, gaps.model_gap_covariance),
+        ("linearisation gap", gaps.linearisation_gap_sigma, gaps.linearisation_gap_covariance),
+    ):
+        rows.append((name, f"{_number(sigma)} sigma, {_number(covariance)} in covariance"))
+    rows.append(("optimism", _number(gaps.optimism)))
+    rows.append(("landmarks apart (RMS)", f"{gaps.landmark_difference_rms_m:.3f} m"))
+    rows += consistency_rows(result.consistency)
+    if result.accuracy is not None:
+        rows.append(("EKF's accuracy", _accuracy(result.accuracy.ekf)))
+        rows.append(("smoother's accuracy", _accuracy(result.accuracy.smoother)))
+    return rows
+
+
+def landmarks(result: Result) -> str:
+    """A table to sort; its rows' keys are those of the map's marks."""
+    head = ("landmark", "apart [m]", "sigma", "least variance", "largest variance", "")
+    rows = [
+        (
+            f'data-key="{row.id}" tabindex="0" class="{"" if row.agrees else "bad"}"',
+            (
+                str(row.id),
+                f"{row.difference_m:.3f}",
+                f"{row.distance_sigma:.2f}",
+                _number(row.variance_ratio_least),
+                _number(row.variance_ratio_largest),
+                "agrees" if row.agrees else "disagrees",
+            ),
+        )
+        for row in result.agreement.landmarks
+    ]
+    return (
+        '<h2>Landmarks</h2><p class="note">A row finds its landmark on the map, and the other way '
+        "round. Variances are the filter's over the smoother's.</p>"
+        f"{_sortable('landmarks', head, rows)}"
+    )
+
+
+def association_differences(c: Comparison) -> str:
+    """The sightings that filter and smoother give to different landmarks; empty if not asked."""
+    own = c.own_association
+    if own is None:
+        return ""
+    slot, ids = c.ekf.slot, c.ekf.estimate.landmark_id
+    time_s = c.ekf.timeline.epoch_time_s[c.ekf.timeline.sighting_epoch]
+    rows = []
+    for row in own.differing[:_MOST_ROWS].tolist():
+        theirs, counterpart = int(own.slot[row]), -1
+        if theirs >= 0:
+            counterpart = int(own.matched[theirs])
+        meant = f" (the filter's {ids[counterpart]})" if counterpart >= 0 else ""
+        used = slot[row] >= 0
+        filters = str(ids[slot[row]]) if used else _UNUSED.get(int(slot[row]), "unused")
+        key = f'data-key="{ids[slot[row]]}" tabindex="0"' if used else ""
+        smoothers = f"{theirs}{meant}" if theirs >= 0 else "unused"
+        rows.append((key, (str(row), f"{time_s[row]:.3f}", filters, smoothers)))
+    count, more = len(own.differing), len(own.differing) - len(rows)
+    told = f"{count:,} of {len(own.slot):,} sightings differ"
+    told += f"; the first {len(rows):,} are listed, {more:,} more are not." if more else "."
+    head = ("sighting", "time [s]", "filter's landmark", "smoother's own")
+    return (
+        f'<h2>Associations that differ</h2><p class="note">{told}</p>'
+        f"{_sortable('association', head, rows) if rows else ''}"
+    )
+
+
+def timing(seconds: Mapping[str, float]) -> str:
+    """A bar per stage."""
+    longest = max([*seconds.values(), 1e-9])
+    rows = "".join(
+        f'<tr><td>{escape(name)}</td><td class="number">{value:.2f} s</td><td class="wide">'
+        f'<svg class="bar"><rect width="{100.0 * value / longest:.1f}%" height="100%"/></svg></td>'
+        "</tr>"
+        for name, value in seconds.items()
+    )
+    return f'<table id="timing"><tbody>{rows}</tbody></table>'
+
+
+def _sortable(name: str, head: Sequence[str], rows: Sequence[tuple[str, Sequence[str]]]) -> str:
+    """Rows of an attribute text, ours, and cells, anybody's."""
+    heads = "".join(f"<th><button>{escape(title)}</button></th>" for title in head)
+    body = "".join(
+        f"<tr {attributes}>{''.join(f'<td>{escape(cell)}</td>' for cell in cells)}</tr>"
+        for attributes, cells in rows
+    )
+    return (
+        f'<div class="scroll"><table id="{name}" class="sortable"><thead><tr>{heads}</tr></thead>'
+        f"<tbody>{body}</tbody></table></div>"
+    )
+
+
+def _accuracy(accuracy: AccuracyResult) -> str:
+    shown = {k: v for k, v in accuracy.model_dump().items() if v is not None}
+    return ", ".join(f"{name.replace('_', ' ')} {_number(v)}" for name, v in shown.items())
+
+
+def _number(value: float | None) -> str:
+    if value is None or not isinstance(value, int | float) or not np.isfinite(value):
+        return "none"
+    return f"{value:.3g}"

@@ -1,0 +1,159 @@
+"""report.html in a headless Chromium: the script runs, and does what it says."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import matplotlib.image
+import numpy as np
+import pytest
+
+from comparisons.compare import Comparison, compare_estimators
+from comparisons.report.html.look import script
+from comparisons.report.result import build_result
+from comparisons.report.run_folder import write_run_folder
+from tests.comparisons.browser import came_up, look
+from tests.comparisons.test_html_report import HOSTILE
+from tests.helpers import simulated
+
+POLICY = re.compile(r'<meta http-equiv="Content-Security-Policy"[^>]*>')
+
+
+@pytest.fixture(scope="module")
+def comparison() -> Comparison:
+    """A log with a hostile name, and the smoother's own association beside the filter's."""
+    log = replace(simulated(seed=2, loop_s=20.0), name=HOSTILE)
+    return compare_estimators(log, smoother_association="own")
+
+
+@pytest.fixture(scope="module")
+def report(comparison: Comparison, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("run") / "report"
+    write_run_folder(comparison, build_result(comparison, 0.0), folder)
+    return folder / "report.html"
+
+
+def tried(report: Path, tmp_path: Path, steps: str) -> str:
+    """The page, left to the browser with more script that acts as a reader would.
+
+    Frames are rare without a screen, so that what waits for one is done at once.
+    """
+    text = POLICY.sub("", report.read_text(encoding="utf-8"))
+    at_once = "<body><script>window.requestAnimationFrame = draw => draw();</script>"
+    text = text.replace("<body>", at_once, 1)
+    page = tmp_path / "tried.html"
+    page.write_text(text.replace("</body>", f"<script>{steps}</script></body>"), encoding="utf-8")
+    return look(page.as_uri(), tmp_path / "profile")
+
+
+def shown(dom: str, name: str) -> str:
+    """What the steps noted under a name."""
+    found = re.search(f'data-{name}="([^"]*)"', dom.split("<head", 1)[0])
+    assert found is not None
+    return found[1]
+
+
+def test_a_browser_builds_layers_and_curves(report: Path, tmp_path: Path) -> None:
+    dom = look(report.as_uri(), tmp_path)
+    assert came_up(dom)
+    layers = len(re.findall('<g class="layer', dom))
+    assert layers >= 9
+    assert dom.count('type="checkbox"') == layers
+    assert dom.count("<figure>") == 6  # east, north, heading, NEES, NIS, whiteness
+    assert len(re.findall(r'<path d="M[^"]{200,}"[^>]* class="line"', dom)) >= 5
+    assert "NaN" not in dom.split("<script", 1)[0]
+    assert "<title>owned</title>" not in dom
+
+
+def test_a_mistake_in_the_script_is_seen(
+    comparison: Comparison, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The broken variant: a name that does not exist, in a page that is otherwise in order."""
+    mistaken = script().replace("hear('time'", "heer('time'")
+    monkeypatch.setattr("comparisons.report.html.page.script", lambda: mistaken)
+    write_run_folder(comparison, build_result(comparison, 0.0), tmp_path / "report")
+    dom = look((tmp_path / "report" / "report.html").as_uri(), tmp_path / "profile")
+    assert "<svg" in dom
+    assert not came_up(dom)
+
+
+def test_nothing_but_the_script_is_run(report: Path, tmp_path: Path) -> None:
+    """Markup that got past every escape would still meet the policy."""
+    text = report.read_text(encoding="utf-8")
+    page = tmp_path / "injected.html"
+    attack = "<script>document.title='owned'</script><p onclick='' id=x></p>"
+    page.write_text(text.replace("<main>", attack + "<main>"), encoding="utf-8")
+    dom = look(page.as_uri(), tmp_path / "profile")
+    assert came_up(dom)
+    assert "<title>owned</title>" not in dom
+
+
+def test_a_link_says_what_to_look_at(comparison: Comparison, report: Path, tmp_path: Path) -> None:
+    key = int(comparison.ekf.estimate.landmark_id[3])
+    dom = look(f"{report.as_uri()}#time=10&landmark={key}&layer=associations", tmp_path)
+    assert 'id="now">at 10.0 s<' in dom
+    assert len(re.findall(r'<circle class="now"[^>]* visibility="visible"', dom)) == 2
+    assert re.search(rf'<tr data-key="{key}"[^>]*class="[^"]*chosen', dom)
+    assert re.search(rf'<circle class="ring"[^>]* data-key="{key}"', dom)
+    hidden = re.search(r'<g class="layer faint" data-name="associations"[^>]*>', dom)
+    assert hidden is not None
+    assert "display" not in hidden[0]
+
+
+STEPS = """
+const noted = document.documentElement.dataset;
+const box = document.getElementById('map').viewBox.baseVal;
+const curve = document.querySelector('svg.curve'), at = curve.getBoundingClientRect();
+const spot = (x, more = {}) => ({ clientX: at.left + x * at.width, clientY: at.top + 50,
+  pointerId: 1, bubbles: true, cancelable: true, ...more });
+const ticks = () => [...curve.querySelectorAll('.tick')].map(t => t.textContent)
+  .filter(t => t.endsWith(' s')).join('|');
+curve.setPointerCapture = () => {};
+noted.whole = ticks();
+curve.dispatchEvent(new PointerEvent('pointermove', spot(0.5)));
+noted.now = document.querySelectorAll('.now[visibility=visible]').length;
+noted.cursors = document.querySelectorAll('.cursor[visibility=visible]').length;
+curve.dispatchEvent(new WheelEvent('wheel', spot(0.5, { deltaY: -1 })));
+noted.wheel = ticks();
+curve.dispatchEvent(new MouseEvent('dblclick', spot(0.5)));
+curve.dispatchEvent(new PointerEvent('pointerdown', spot(0.4)));
+curve.dispatchEvent(new PointerEvent('pointermove', spot(0.5)));
+curve.dispatchEvent(new PointerEvent('pointerup', spot(0.5)));
+noted.drag = ticks();
+const row = document.querySelector('#landmarks tbody tr'), before = box.width;
+row.click();
+noted.zoomed = box.width < before;
+const told = document.getElementById('told').textContent;
+noted.told = told.includes(`landmark ${row.dataset.key}:`);
+const mark = [...document.querySelectorAll('#map circle[data-key]')]
+  .find(c => c.dataset.key !== row.dataset.key), r = mark.getBoundingClientRect();
+const map = document.getElementById('map');
+map.setPointerCapture = () => {};
+const here = { clientX: r.left + r.width / 2, clientY: r.top + r.height / 2, pointerId: 1 };
+map.dispatchEvent(new PointerEvent('pointerdown', here));
+map.dispatchEvent(new PointerEvent('pointerup', here));
+noted.chosen = document.querySelector('#landmarks tr.chosen').dataset.key !== row.dataset.key;
+"""
+
+
+def test_pointing_zooming_and_choosing(report: Path, tmp_path: Path) -> None:
+    dom = tried(report, tmp_path, STEPS)
+    assert came_up(dom)
+    assert shown(dom, "now") == "2"  # the pose on both trajectories
+    assert shown(dom, "cursors") == "5"  # all curves over time
+    whole, wheel, drag = (shown(dom, name) for name in ("whole", "wheel", "drag"))
+    assert len({whole, wheel, drag}) == 3
+    assert shown(dom, "zoomed") == shown(dom, "told") == shown(dom, "chosen") == "true"
+
+
+@pytest.mark.parametrize("size", ["1200,900", "400,800"])
+def test_a_screenshot_is_not_blank(report: Path, tmp_path: Path, size: str) -> None:
+    picture = tmp_path / "shot.png"
+    look(report.as_uri(), tmp_path / "profile", f"--screenshot={picture}", size=size)
+    seen = matplotlib.image.imread(picture)[..., :3]
+    assert seen.shape[:2] == tuple(int(side) for side in size.split(","))[::-1]
+    assert np.mean(np.abs(seen - seen[0, 0]).max(axis=2) > 0.05) > 0.02
+    colours = np.unique((31.0 * seen.reshape(-1, 3)).astype(int), axis=0)
+    assert len(colours) > 50

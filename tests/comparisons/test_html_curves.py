@@ -1,0 +1,92 @@
+"""Curves on the page: few points, nothing extreme lost, nothing that is no number."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from comparisons.report.html.curves import (
+    MOST_POINTS,
+    Array,
+    Index,
+    data_block,
+    panel_data,
+    short,
+    thinned,
+)
+from comparisons.report.html.map import ratio_colours
+from comparisons.report.panels import Band, Curve, Panel
+
+
+def spiky(count: int = 50_000) -> Array:
+    """A random walk with lone spikes, and gaps."""
+    rng = np.random.default_rng(3)
+    value = np.cumsum(rng.standard_normal(count))
+    value[[17, 20_001, count - 2]] = 1e4, -2e4, 3e4
+    value[100:200] = np.nan
+    return value
+
+
+def extremes_held(value: Array, row: Index, reach: int = 100) -> bool:
+    """Whether no tenth of the values goes beyond what is kept of it and of `reach` about it."""
+    for tenth in np.array_split(np.arange(len(value)), 10):
+        kept = value[row[(row >= tenth[0] - reach) & (row <= tenth[-1] + reach)]]
+        if np.nanmin(kept) > np.nanmin(value[tenth]) or np.nanmax(kept) < np.nanmax(value[tenth]):
+            return False
+    return True
+
+
+def test_thinning_keeps_extremes() -> None:
+    value = spiky()
+    row = thinned(value)
+    assert len(row) <= MOST_POINTS
+    assert (np.diff(row) > 0).all()
+    assert row[0] == 0
+    assert row[-1] == len(value) - 1
+    assert extremes_held(value, row)
+    every = np.arange(0, len(value), len(value) // MOST_POINTS + 1)
+    assert not extremes_held(value, every)  # a broken variant: every n-th point
+
+
+def test_thinning_keeps_the_extremes_of_both_sides() -> None:
+    low, high = -np.abs(spiky()), np.abs(np.roll(spiky(), 777))
+    row = thinned(low, high)
+    assert len(row) <= MOST_POINTS
+    assert extremes_held(low, row)
+    assert extremes_held(high, row)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, MOST_POINTS])
+def test_few_points_stay(count: int) -> None:
+    assert np.array_equal(thinned(np.ones(count)), np.arange(count))
+
+
+def test_figures_keep_four_digits_and_no_more() -> None:
+    said = short([0.0, 1.0, -123456.0, 1.23456e-9, np.pi, np.nan, np.inf, 1e300, 5e-324])
+    assert said[:7] == [0, 1, -123500, 1.235e-9, 3.142, None, None]
+    assert len(json.dumps(said)) < 90
+
+
+def test_a_panel_counts_time_from_the_start_and_survives_nan() -> None:
+    time_s = 1.6e9 + np.arange(5.0)
+    bad = np.array((1.0, np.nan, -np.inf, 2.0, 3.0))
+    panel = Panel(
+        "</script>", "time [s]", (Curve("'\"", "#000", time_s, bad),),
+        (Band("b", "#000", time_s, -bad, bad),), True,
+    )  # fmt: skip
+    said = panel_data(panel, 1.6e9)
+    assert said["curves"][0]["x"] == [0, 1, 2, 3, 4]
+    assert said["curves"][0]["y"] == [1, None, None, 2, 3]
+    assert "</script>" not in data_block(said).removesuffix("</script>")
+
+
+def test_colours_of_variance_ratios_diverge_at_one() -> None:
+    low, right, high, none, negative = ratio_colours(
+        np.array([0.01, 1.0, 100.0, np.nan, -1.0]), 2.0
+    )
+    assert low == "#7f3b08"
+    assert right == "#f7f7f7"
+    assert high == "#2d004b"
+    assert none == negative == "#888888"

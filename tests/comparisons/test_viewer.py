@@ -1,0 +1,96 @@
+"""A run's replay for rerun, and pictures as PDF."""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from comparisons.compare import Comparison, compare_estimators
+from comparisons.errors import InputError
+from comparisons.report import viewer
+from comparisons.report.result import build_result
+from comparisons.report.run_folder import CONTENTS, write_run_folder
+from tests.helpers import first_seconds, simulated
+
+CODE = "from comparisons.cli import main; main()"
+PACKAGE = "rerun"
+
+
+@pytest.fixture(scope="module")
+def comparison() -> Comparison:
+    return compare_estimators(first_seconds(simulated(seed=2), 10.0))
+
+
+def command(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", CODE, "run", "simulated-loop", *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def without(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As if the package were not installed."""
+    monkeypatch.setitem(sys.modules, PACKAGE, None)
+
+
+@pytest.mark.skipif(importlib.util.find_spec(PACKAGE) is None, reason="rerun is not installed")
+def test_a_replay_is_written(
+    comparison: Comparison, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    viewer.record_run(comparison, tmp_path / "run.rrd")
+    assert capfd.readouterr().err == ""  # where rerun tells of names and chunks it cannot use
+    said = (tmp_path / "run.rrd").read_bytes()
+    assert len(said) > 20_000
+    for name in (b"map/ekf/trajectory", b"map/smoother/pose", b"map/ekf/landmarks", b"map/truth"):
+        assert name in said
+    assert [p.name for p in tmp_path.iterdir()] == ["run.rrd"]
+
+
+def test_without_rerun_one_line_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    without(monkeypatch)
+    for live, record in ((True, None), (False, tmp_path / "a.rrd")):
+        with pytest.raises(InputError, match=r"pip install slamcheck\[rerun\]"):
+            viewer.check_viewer(live, record)
+    viewer.check_viewer(False, None)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--record", "run.txt"), "run.txt: expected a file name that ends with .rrd"),
+        (("--figures", "svg"), "figures 'svg' is unknown, expected png or pdf"),
+    ],
+)
+def test_what_cannot_be_written_is_told_before_the_work(
+    arguments: tuple[str, ...], message: str, tmp_path: Path
+) -> None:
+    done = command(*arguments, "--out", str(tmp_path / "out"))
+    assert done.returncode == 2
+    assert done.stderr == f"slamcheck: {message}\n"
+    assert not (tmp_path / "out").exists()
+
+
+def test_pictures_exist_as_pdf_and_the_folder_may_be_replaced(
+    comparison: Comparison, tmp_path: Path
+) -> None:
+    folder, result = tmp_path / "run", build_result(comparison, 0.0)
+    write_run_folder(comparison, result, folder, ("pdf",))
+    pictures = {p.stem for p in folder.glob("*.png")}
+    assert (
+        pictures == {p.stem for p in folder.glob("*.pdf")} == {"map", "correlation", "consistency"}
+    )
+    said = {p.name: p.read_bytes() for p in folder.glob("*.pdf")}
+    assert all(text.startswith(b"%PDF-") and b"/Type3" not in text for text in said.values())
+    assert {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()} <= CONTENTS
+    write_run_folder(comparison, result, folder, ("pdf",))
+    assert said == {p.name: p.read_bytes() for p in folder.glob("*.pdf")}
+    write_run_folder(comparison, result, folder)
+    assert not list(folder.glob("*.pdf"))
