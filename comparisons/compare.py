@@ -281,6 +281,8 @@ def _with_own_association(
     ids = np.arange(found.problem.landmark_count)
     estimate = smoothed_estimate(result, run.timeline.epoch_time_s, ids, "its own")
     return check_own_association(
+        log.sightings,
+        run.timeline.sighting_epoch,
         run.slot,
         found.slot,
         smoothed,

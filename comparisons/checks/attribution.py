@@ -98,7 +98,7 @@ def judge(
             causes.append(cause.linearisation(agreement, run, growth()))
         if own is not None and own.proof.proven and not block_agrees(own.pose):
             outcome = "disagree"
-            causes.append(cause.association(own))
+            causes.append(cause.association(own, run))
         if three_way is not None and three_way.proof.proven and not three_way.ekf.agrees:
             outcome = "disagree"
             causes.append(cause.motion(three_way))

@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binom, chi2
 
+from comparisons.checks.misfit import squared_misfit
 from comparisons.logs.log import Log
 from comparisons.runs.ekf_run import EkfRun
 from comparisons.runs.estimate import Estimate
 from ekf_reference.association import REJECTED
-from ekf_reference.observation import RangeBearing
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -128,15 +128,9 @@ def _gated(log: Log, run: EkfRun, smoothed: Estimate) -> list[Misuse]:
         return []
     order = np.argsort(smoothed.landmark_id)
     place = order[np.searchsorted(smoothed.landmark_id[order], label[rows])]
-    seen, model = log.sightings, RangeBearing()
-    z = np.column_stack((seen.range_m, seen.bearing_rad))[rows]
-    sigma = np.column_stack((seen.sigma_range_m, seen.sigma_bearing_rad))[rows]
     pose = smoothed.pose[run.timeline.sighting_epoch[rows]]
-    # The heading turns the bearing only.
-    expected = model.predict(np.zeros(3), smoothed.landmark[place] - pose[:, :2]).z
-    expected[:, 1] -= pose[:, 2]
-    apart = model.innovation(z, expected) / sigma
-    fitting = int(np.count_nonzero(np.sum(apart**2, axis=1) <= _FITS))
+    squared = squared_misfit(log.sightings, rows, pose, smoothed.landmark[place])
+    fitting = int(np.count_nonzero(squared <= _FITS))
     total = len(rows) + int(np.count_nonzero(run.slot >= 0))
     if binom.sf(fitting - 1, total, _ALLOWED) > _SURE:
         return []

@@ -91,7 +91,7 @@ def model(gap: Gap, differences: Sequence[ModelDifference], explanations: Sequen
     )
 
 
-def association(own: OwnAssociationCheck) -> Cause:
+def association(own: OwnAssociationCheck, run: EkfRun) -> Cause:
     """S against S'."""
     p = own.partition
     return Cause(
@@ -99,9 +99,25 @@ def association(own: OwnAssociationCheck) -> Cause:
         f"with its own association the smoother's last pose is {own.pose.difference_m:.2f} m "
         f"({own.pose.distance:.1f} sigma) elsewhere; of the pairs of sightings put together "
         f"{100.0 * p.agreement:.0f} % are the same, {p.splits} of the filter's landmarks are split "
-        f"and {p.merges} of the smoother's",
+        f"and {p.merges} of the smoother's" + _costliest(own, run),
         "look at the sightings where the two differ: a wrong closure, or landmarks too near to "
         "tell apart",
+    )
+
+
+def _costliest(own: OwnAssociationCheck, run: EkfRun) -> str:
+    """The sighting that fits the filter's landmark the least, of those that differ."""
+    with_both = np.flatnonzero(np.isfinite(own.cost).all(axis=1))
+    if not len(with_both):
+        return ""
+    worst = with_both[np.argmax(own.cost[with_both, 0])]
+    row = own.differing[worst]
+    t = run.estimate.time_s[run.timeline.sighting_epoch[row]]
+    theirs, ours = own.cost[worst]
+    return (
+        f"; sighting {row} at {t:.1f} s misses the filter's landmark "
+        f"{run.estimate.landmark_id[run.slot[row]]} by {theirs**0.5:.1f} sigma of its noise, the "
+        f"smoother's own by {ours**0.5:.1f}"
     )
 
 

@@ -15,9 +15,12 @@ from comparisons.checks.association import (
     compare_partitions,
     counterparts,
 )
+from comparisons.checks.misfit import squared_misfit
+from comparisons.logs.log import Sightings
 from comparisons.runs.estimate import Estimate
 from graphslam.optimum import Proof
 
+Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 
@@ -29,12 +32,15 @@ class OwnAssociationCheck:
     last pose. landmark_rms_m: between landmarks that share most of their sightings, None without
     any. slot: (M,) the smoother's own landmarks of the sightings, negative for unused. matched:
     (L,) the filter's counterpart of each of its landmarks, -1 for none. differing: the sightings
-    that the two do not give to counterparts. estimate, proof, accuracy, score: of S'.
+    that the two do not give to counterparts. cost: (D, 2) squared misfit of each of these, in units
+    of its noise, at S with the filter's landmark and at S' with its own, NaN where it is unused.
+    estimate, proof, accuracy, score: of S'.
     """
 
     slot: Index
     matched: Index
     differing: Index
+    cost: Array
     partition: PartitionAgreement
     pose: BlockAgreement
     landmark_rms_m: float | None
@@ -45,6 +51,8 @@ class OwnAssociationCheck:
 
 
 def check_own_association(
+    seen: Sightings,
+    epoch: Index,
     filters: Index,
     own: Index,
     smoothed: Estimate,
@@ -53,16 +61,26 @@ def check_own_association(
     accuracy: Accuracy | None,
     score: AssociationScore | None,
 ) -> OwnAssociationCheck:
-    """Compare. filters, own: (M,) slots. smoothed: S. estimate, proof, accuracy, score: of S'."""
+    """Compare. seen, epoch: the sightings, of which the first M are told, and their epochs.
+
+    filters, own: (M,) slots. smoothed: S. estimate, proof, accuracy, score: of S'.
+    """
     first, second = counterparts(filters, own)
     apart = smoothed.landmark[first] - estimate.landmark[second]
     poses = [Gaussian(e.pose[-1], e.joint_covariance[:3, :3]) for e in (smoothed, estimate)]
     matched = np.full(len(estimate.landmark), -1, dtype=np.intp)
     matched[second] = first
+    differing = differing_sightings(filters, own, matched)
+    cost = np.full((len(differing), 2), np.nan)
+    for column, (slot, e) in enumerate(((filters, smoothed), (own, estimate))):
+        used = np.flatnonzero(slot[differing] >= 0)
+        rows = differing[used]
+        cost[used, column] = squared_misfit(seen, rows, e.pose[epoch[rows]], e.landmark[slot[rows]])
     return OwnAssociationCheck(
         own,
         matched,
-        differing_sightings(filters, own, matched),
+        differing,
+        cost,
         compare_partitions(filters, own),
         block_agreement(*poses),
         float(np.sqrt(np.mean(np.sum(apart**2, axis=1)))) if len(apart) else None,

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from comparisons.checks import causes
 from comparisons.checks.association import counterparts
-from comparisons.checks.own_association import differing_sightings
+from comparisons.checks.own_association import check_own_association, differing_sightings
 from comparisons.compare import compare_estimators
 from comparisons.errors import InputError
 from comparisons.logs.bundled import open_log
@@ -151,6 +152,30 @@ def test_both_associations_are_compared() -> None:
     again = Result.model_validate_json(result.model_dump_json())
     assert again.own_association is not None
     assert again.own_association.landmarks == 60
+
+
+def test_what_a_wrong_association_costs() -> None:
+    comparison = compare_estimators(simulated(1))
+    run, smoothed = comparison.ekf, comparison.smoothed
+    wrong = run.slot.copy()
+    row = int(np.flatnonzero(wrong >= 0)[50])
+    wrong[row] = (wrong[row] + 1) % len(smoothed.landmark)
+    found = check_own_association(
+        comparison.log.sightings,
+        run.timeline.sighting_epoch,
+        wrong,
+        run.slot,
+        smoothed,
+        smoothed,
+        comparison.smoother.proof,
+        None,
+        None,
+    )
+    assert found.differing.tolist() == [row]
+    assert found.cost[0, 0] > 1e3 > 20.0 > found.cost[0, 1]
+    told = causes.association(found, replace(run, slot=wrong)).evidence
+    assert f"sighting {row} at " in told
+    assert f"by {found.cost[0, 0] ** 0.5:.1f} sigma" in told
 
 
 def test_a_wrong_association_of_the_filter_is_named() -> None:

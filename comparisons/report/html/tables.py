@@ -86,7 +86,8 @@ def association_differences(c: Comparison) -> str:
     slot, ids = c.ekf.slot, c.ekf.estimate.landmark_id
     time_s = c.ekf.timeline.epoch_time_s[c.ekf.timeline.sighting_epoch]
     rows = []
-    for row in own.differing[:_MOST_ROWS].tolist():
+    listed = zip(own.differing[:_MOST_ROWS].tolist(), own.cost.tolist(), strict=False)
+    for row, cost in listed:
         theirs, counterpart = int(own.slot[row]), -1
         if theirs >= 0:
             counterpart = int(own.matched[theirs])
@@ -95,11 +96,19 @@ def association_differences(c: Comparison) -> str:
         filters = str(ids[slot[row]]) if used else _UNUSED.get(int(slot[row]), "unused")
         key = f'data-key="{ids[slot[row]]}" tabindex="0"' if used else ""
         smoothers = f"{theirs}{meant}" if theirs >= 0 else "unused"
-        rows.append((key, (str(row), f"{time_s[row]:.3f}", filters, smoothers)))
+        misses = (_number(squared**0.5) for squared in cost)
+        rows.append((key, (str(row), f"{time_s[row]:.3f}", filters, smoothers, *misses)))
     count, more = len(own.differing), len(own.differing) - len(rows)
     told = f"{count:,} of {len(own.slot):,} sightings differ"
     told += f"; the first {len(rows):,} are listed, {more:,} more are not." if more else "."
-    head = ("sighting", "time [s]", "filter's landmark", "smoother's own")
+    head = (
+        "sighting",
+        "time [s]",
+        "filter's landmark",
+        "smoother's own",
+        "misses the filter's [sigma]",
+        "misses the smoother's [sigma]",
+    )
     return (
         f'<h2>Associations that differ</h2><p class="note">{told}</p>'
         f"{_sortable('association', head, rows) if rows else ''}"

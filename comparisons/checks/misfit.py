@@ -1,0 +1,24 @@
+"""How far sightings lie from where an estimate expects them, in units of their own noise."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.logs.log import Sightings
+from ekf_reference.observation import RangeBearing
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+
+def squared_misfit(seen: Sightings, rows: Index, pose: Array, landmark: Array) -> Array:
+    """(m,) of some sightings (m,), each from a pose (m, 3) of a landmark (m, 2); 2 is usual."""
+    model = RangeBearing()
+    z = np.column_stack((seen.range_m, seen.bearing_rad))[rows]
+    sigma = np.column_stack((seen.sigma_range_m, seen.sigma_bearing_rad))[rows]
+    # The heading turns the bearing only.
+    expected = model.predict(np.zeros(3), landmark - pose[:, :2]).z
+    expected[:, 1] -= pose[:, 2]
+    squared: Array = np.sum((model.innovation(z, expected) / sigma) ** 2, axis=1)
+    return squared
