@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from comparisons.archive import read_arrays
 from comparisons.errors import InputError
+from comparisons.logs.validation import LARGEST
 from comparisons.runs.estimate import landmark_blocks
 from comparisons.runs.estimate_folder import read_landmarks, read_meta, read_trajectory
 
@@ -97,3 +98,5 @@ def _check_covariance(name: str, array: Array, shape: tuple[int, ...]) -> None:
         raise InputError(f"{name} has shape {array.shape}, expected {shape}")
     if not np.isfinite(array).all():
         raise InputError(f"{name} holds a value that is not a finite number")
+    if (np.abs(array) > LARGEST**2).any():
+        raise InputError(f"{name} holds a value beyond {LARGEST**2:g}, expected a covariance")

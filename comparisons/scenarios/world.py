@@ -32,6 +32,7 @@ from comparisons.variants.batch_models import (
     wrap_angle,
 )
 
+_MOST_LOOKAHEADS = 100_000
 _FULL_TURN = 2.0 * math.pi
 
 
@@ -157,6 +158,12 @@ def _pursue(
     corner: Array, speed_mps: float, lookahead_m: float, step_s: float, steps: int
 ) -> tuple[Array, Array]:
     """Pure pursuit of the point that lies ahead on a closed polygon (C, 2)."""
+    length_m = float(np.linalg.norm(corner - np.roll(corner, -1, axis=0), axis=1).sum())
+    if not 0.0 < length_m <= _MOST_LOOKAHEADS * lookahead_m:
+        raise InputError(
+            f"scenario: course: {length_m:g} m long with a lookahead_m of {lookahead_m:g}, "
+            f"expected up to {_MOST_LOOKAHEADS:,} times that"
+        )
     path = _dense(corner, 0.1 * lookahead_m)
     first = path[1] - path[0]
     pose, control = np.empty((steps + 1, 3)), np.empty((steps, 2))
