@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from comparisons.cli_baseline import baseline, side_by_side
+from comparisons.cli_export import export
 from comparisons.cli_montecarlo import montecarlo
 from comparisons.cli_options import (
     AssociationOption,
@@ -36,6 +37,7 @@ from comparisons.cli_options import (
     SeedOption,
     SmootherAssociationOption,
     SolveAssociationOption,
+    TimesOption,
 )
 from comparisons.cli_scans import map_command, odometry
 from comparisons.cli_support import (
@@ -224,6 +226,7 @@ def solve(
 def check(
     log: LogArgument,
     estimate: EstimateOption,
+    times: TimesOption = None,
     format_name: FormatOption = None,
     out: OutOption = None,
     association: SolveAssociationOption = None,
@@ -249,7 +252,7 @@ def check(
         from comparisons.report.check_result import build_check_result, print_check
         from comparisons.runs.given_estimate import read_given
 
-        given = read_given(estimate)
+        given = read_given(estimate, times)
         source, read_s = read_named(log, format_name, robot, seed, loops, noise_scale, features)
         folder = out or Path(f"slamcheck-check-{folder_name(source.name)}")
         check_replaceable(folder, CHECK_CONTENTS)
@@ -268,6 +271,7 @@ app.command("compare")(side_by_side)
 app.command()(odometry)
 app.command("map")(map_command)
 app.command()(montecarlo)
+app.command()(export)
 
 
 @app.command()

@@ -14,6 +14,7 @@ from comparisons.errors import InputError
 from comparisons.logs.validation import LARGEST
 from comparisons.runs.estimate import landmark_blocks
 from comparisons.runs.estimate_folder import read_landmarks, read_meta, read_trajectory
+from comparisons.runs.trajectory_files import read_trajectory_file
 
 Array = NDArray[np.float64]
 
@@ -55,19 +56,23 @@ class GivenEstimate:
         ]
 
 
-def read_given(path: Path) -> GivenEstimate:
-    """A TUM file, or a folder with `trajectory.tum` and any of the files of an estimate folder.
+def read_given(path: Path, times: Path | None = None) -> GivenEstimate:
+    """A trajectory's file, or a folder with `trajectory.tum` and any files of an estimate folder.
 
-    Raises InputError.
+    times: of a KITTI file. Raises InputError.
     """
     if not path.exists():
-        raise InputError(f"{path}: no such file or folder, expected a TUM file or a folder")
-    trajectory = path if path.is_file() else path / "trajectory.tum"
-    time_s, pose = read_trajectory(trajectory)
+        raise InputError(f"{path}: no such file or folder, expected a trajectory or a folder")
+    if not path.is_dir():
+        time_s, pose, covariance = read_trajectory_file(path, times)
+        if not len(pose):
+            raise InputError(f"{path}: holds no poses")
+        return GivenEstimate(time_s, pose, pose_covariance=covariance)
+    if times is not None:
+        raise InputError(f"{path}: is a folder; --times is for KITTI files")
+    time_s, pose = read_trajectory(path / "trajectory.tum")
     if not len(pose):
-        raise InputError(f"{trajectory}: holds no poses")
-    if path.is_file():
-        return GivenEstimate(time_s, pose)
+        raise InputError(f"{path / 'trajectory.tum'}: holds no poses")
     information: Information = "filtered"
     if (path / "estimate.toml").exists():
         information = read_meta(path / "estimate.toml").information

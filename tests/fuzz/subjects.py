@@ -20,6 +20,7 @@ from comparisons.report import side_by_side
 from comparisons.report.result import build_result
 from comparisons.runs.estimate_folder import write_estimate
 from comparisons.runs.given_estimate import GivenEstimate, read_given
+from comparisons.runs.trajectory_files import Trajectory, write_trajectory
 from comparisons.scenarios.scenario import read_scenario
 from comparisons.scenarios.world import World, build_world
 from comparisons.solve import solve_log
@@ -130,10 +131,15 @@ def estimate_files(folder: Path) -> None:
     write_estimate(solve_log(log).estimate, folder)
 
 
-def tum_file(folder: Path) -> None:
-    estimate_files(folder)
-    for name in ("landmarks.csv", "covariances.npz", "estimate.toml"):
-        (folder / name).unlink()
+def trajectory_file(format_name: str) -> Subject:
+    """A trajectory on its own, also with a file of times."""
+
+    def make(folder: Path) -> None:
+        found = solve_log(small_solution()[0]).estimate
+        trajectory = Trajectory(found.time_s, found.pose, found.pose_covariance)
+        write_trajectory(trajectory, folder / "poses", format_name)
+
+    return Subject(make, lambda folder: check_given(read_given(folder / "poses")))
 
 
 @functools.cache
@@ -200,9 +206,9 @@ SUBJECTS: dict[str, Subject] = {
     "ACFR car park": Subject(car_park, opened()),
     "aa3": Subject(trio, opened()),
     "CARMEN": Subject(carmen, named("drive.clf", "carmen")),
-    "TUM trajectory": Subject(
-        tum_file, lambda folder: check_given(read_given(folder / "trajectory.tum"))
-    ),
+    "TUM trajectory": trajectory_file("tum"),
+    "KITTI trajectory": trajectory_file("kitti"),
+    "CSV trajectory": trajectory_file("csv"),
     "estimate folder": Subject(estimate_files, lambda folder: check_given(read_given(folder))),
     "baseline": Subject(baseline_file, lambda folder: read_baseline(folder / "kept.json")),
     "scenario": Subject(
