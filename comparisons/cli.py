@@ -38,6 +38,7 @@ from comparisons.cli_options import (
     SmootherAssociationOption,
     SolveAssociationOption,
     TimesOption,
+    TraceOption,
 )
 from comparisons.cli_scans import map_command, odometry
 from comparisons.cli_support import (
@@ -97,6 +98,7 @@ def run(
     noise_scale: NoiseOption = 1.0,
     dense: DenseOption = [],  # noqa: B006
     resolution: ResolutionOption = 0.2,
+    trace: TraceOption = False,
 ) -> None:
     """Run both estimators on a log, check one against the other, write a report folder.
 
@@ -131,6 +133,7 @@ def run(
                 kept if dense else None,
                 out,
                 read_s,
+                trace,
             )
         )
 
@@ -153,6 +156,7 @@ def _run(
     dense: DenseOptions | None,
     out: Path | None,
     read_s: float,
+    trace: bool,
 ) -> int:
     from comparisons.atomic import check_replaceable, folder_name
     from comparisons.compare import compare_estimators
@@ -174,7 +178,7 @@ def _run(
         )
         result = build_result(comparison, read_s)
         progress("report", 0, 0)
-        write_run_folder(comparison, result, folder)
+        write_run_folder(comparison, result, folder, trace=trace)
     print_result(lambda console: print_summary(result, console), folder)
     return _VERDICTS[result.verdict]
 

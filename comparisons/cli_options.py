@@ -129,6 +129,9 @@ TimesOption = Annotated[
         "--times", metavar="FILE", help="Times of a KITTI file, else times.txt beside it."
     ),
 ]
+TraceOption = Annotated[
+    bool, typer.Option("--trace", help="Write ekf/trace.npz: what the EKF linearised where.")
+]
 DenseOption = Annotated[
     list[str],
     typer.Option(

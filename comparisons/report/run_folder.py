@@ -14,20 +14,26 @@ from comparisons.report.picture import save
 from comparisons.report.plots import correlation_figure, map_figure
 from comparisons.runs.estimate_folder import FILES as ESTIMATE_FILES
 from comparisons.runs.estimate_folder import write_estimate
+from comparisons.runs.trace_file import TRACE, write_trace
 
 ESTIMATORS = ("ekf", "smoother", "scans")
 CONTENTS = frozenset(
     {
         *("result.json", "report.html", "map.png", "correlation.png"),
-        *("consistency.png", "dense.png"),
+        *("consistency.png", "dense.png", f"ekf/{TRACE}"),
     }
     | {f"{estimator}/{name}" for estimator in ESTIMATORS for name in ESTIMATE_FILES}
 )
 """What a run folder holds; a folder with nothing else may be replaced by the next run."""
 
 
-def write_run_folder(comparison: Comparison, result: Result, folder: Path) -> None:
-    """Write everything; the folder appears whole or not at all. Raises InputError."""
+def write_run_folder(
+    comparison: Comparison, result: Result, folder: Path, *, trace: bool = False
+) -> None:
+    """Write everything; the folder appears whole or not at all. Raises InputError.
+
+    trace: the filter's, too.
+    """
     with fresh_folder(folder, CONTENTS) as work:
         estimates = [comparison.ekf.estimate, comparison.smoothed]
         if comparison.three_way is not None:
@@ -35,6 +41,8 @@ def write_run_folder(comparison: Comparison, result: Result, folder: Path) -> No
         for name, estimate in zip(ESTIMATORS, estimates, strict=False):
             (work / name).mkdir()
             write_estimate(estimate, work / name)
+        if trace:
+            write_trace(comparison.ekf, work / "ekf" / TRACE)
         save(map_figure(comparison), work / "map.png")
         save(correlation_figure(comparison), work / "correlation.png")
         save(consistency_figure(comparison), work / "consistency.png")

@@ -14,6 +14,7 @@ from comparisons.errors import InputError
 from comparisons.logs.validation import LARGEST
 from comparisons.runs.estimate import landmark_blocks
 from comparisons.runs.estimate_folder import read_landmarks, read_meta, read_trajectory
+from comparisons.runs.trace_file import TRACE, TraceFile, read_trace
 from comparisons.runs.trajectory_files import read_trajectory_file
 
 Array = NDArray[np.float64]
@@ -30,6 +31,7 @@ class GivenEstimate:
     both None without a map. pose_covariance: (K, 3, 3). landmark_covariance: (L, 2, 2).
     joint_covariance: (3 + 2 L, 3 + 2 L) of the last pose and all landmarks. All covariances are
     of the additive global error. information: as of Estimate.
+    trace: what the filter linearised where.
     """
 
     time_s: Array
@@ -40,6 +42,7 @@ class GivenEstimate:
     landmark_covariance: Array | None = None
     joint_covariance: Array | None = None
     information: Information = "filtered"
+    trace: TraceFile | None = None
 
     @property
     def absent(self) -> list[str]:
@@ -95,7 +98,22 @@ def read_given(path: Path, times: Path | None = None) -> GivenEstimate:
     own = found.get("landmarks")
     if own is None and joint is not None and count:
         own = landmark_blocks(joint)
-    return GivenEstimate(time_s, pose, ids, places, found.get("pose"), own, joint, information)
+    trace = None
+    if (path / TRACE).exists():
+        if ids is None:
+            raise InputError(f"{path / TRACE}: needs landmarks.csv beside it")
+        trace = read_trace(path / TRACE, ids)
+    return GivenEstimate(
+        time_s,
+        pose,
+        ids,
+        places,
+        found.get("pose"),
+        own,
+        joint,
+        information,
+        trace,
+    )
 
 
 def _check_covariance(name: str, array: Array, shape: tuple[int, ...]) -> None:

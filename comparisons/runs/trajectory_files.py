@@ -7,6 +7,7 @@ line.
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -71,7 +72,7 @@ def write_trajectory(trajectory: Trajectory, path: Path, format_name: str) -> No
         if target.exists() or target.is_symlink():
             raise InputError(f"{target}: exists already, expected a new name")
     for target, text in texts.items():
-        write_whole(target, lambda part, text=text: part.write_text(text, encoding="utf-8"))
+        write_whole(target, partial(Path.write_text, data=text, encoding="utf-8"))
 
 
 def _read_csv(path: Path, header: str) -> Trajectory:
@@ -111,7 +112,8 @@ def _read_kitti(path: Path, times: Path) -> Trajectory:
 
 
 def _csv_text(trajectory: Trajectory) -> str:
-    columns, parts = _CSV, [trajectory.time_s[:, None], trajectory.pose]
+    columns: tuple[str, ...] = _CSV
+    parts = [trajectory.time_s[:, None], trajectory.pose]
     if trajectory.covariance is not None:
         columns += _COVARIANCE
         parts.append(trajectory.covariance[:, *_UPPER])

@@ -7,6 +7,7 @@ import os
 import re
 import shutil
 import zipfile
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -111,7 +112,7 @@ def _unreadable(path: Path) -> None:
     path.chmod(0)
 
 
-_PLACES = {
+_PLACES: dict[str, Callable[[Path], object]] = {
     "missing": lambda path: None,
     "empty": lambda path: path.write_bytes(b""),
     "folder": lambda path: path.mkdir(),
@@ -191,7 +192,7 @@ def _archive(data: bytes, damage: Damage) -> bytes:
         if damage.kind == "array named":
             arrays["../strange"] = value
     target = io.BytesIO()
-    np.savez(target, **arrays)  # type: ignore[arg-type]
+    np.savez(target, **arrays)
     return target.getvalue()
 
 
@@ -229,7 +230,7 @@ def _with_member(arrays: dict[str, np.ndarray], name: str, content: bytes) -> by
     return target.getvalue()
 
 
-_CONTENTS = {
+_CONTENTS: dict[str, Callable[[bytes, Damage], bytes]] = {
     "flip": _flip,
     "cut": _cut,
     "splice": _splice,

@@ -17,9 +17,14 @@ from comparisons.logs.log import Log
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.logs.readers import read_log
 from comparisons.report import side_by_side
+from comparisons.report.models import Result
 from comparisons.report.result import build_result
+from comparisons.runs.ekf_build import EkfChoices
+from comparisons.runs.ekf_run import run_ekf
 from comparisons.runs.estimate_folder import write_estimate
 from comparisons.runs.given_estimate import GivenEstimate, read_given
+from comparisons.runs.timeline import build_timeline
+from comparisons.runs.trace_file import TRACE, write_trace
 from comparisons.runs.trajectory_files import Trajectory, write_trajectory
 from comparisons.scenarios.scenario import read_scenario
 from comparisons.scenarios.world import World, build_world
@@ -127,8 +132,11 @@ def check_given(given: GivenEstimate) -> None:
 
 
 def estimate_files(folder: Path) -> None:
+    """A filter's, with its trace."""
     log, _ = small_solution()
-    write_estimate(solve_log(log).estimate, folder)
+    run = run_ekf(log, build_timeline(log), EkfChoices().settle(log))
+    write_estimate(run.estimate, folder)
+    write_trace(run, folder / TRACE)
 
 
 def trajectory_file(format_name: str) -> Subject:
@@ -160,7 +168,7 @@ def read_result(folder: Path) -> None:
 
 
 def baseline_file(folder: Path) -> None:
-    result = side_by_side.Result.model_validate_json(small_result())
+    result = Result.model_validate_json(small_result())
     write_baseline(build_baseline([result], Settings()), folder / "kept.json")
 
 

@@ -25,10 +25,6 @@ from hypothesis import strategies as st
 from comparisons.cli import main
 from comparisons.cli_support import guarded
 from comparisons.logs.log_folder import write_log_folder
-from comparisons.runs.ekf_build import EkfChoices
-from comparisons.runs.ekf_run import run_ekf
-from comparisons.runs.estimate_folder import write_estimate
-from comparisons.runs.timeline import build_timeline
 from tests.fuzz.damage import Damage, damages
 from tests.fuzz.subjects import BAGS, SUBJECTS, Subject
 from tests.helpers import simulated
@@ -101,11 +97,9 @@ def test_damage_to_bags_is_one_line(name: str, data: st.DataObject) -> None:
 
 def everything(folder: Path) -> None:
     """A log, a filter's estimate of it, a baseline and a scenario."""
-    log = simulated(2, loop_s=10.0)
-    write_log_folder(log, folder / "log")
+    write_log_folder(simulated(2, loop_s=10.0), folder / "log")
     (folder / "mine").mkdir()
-    estimate = run_ekf(log, build_timeline(log), EkfChoices().settle(log)).estimate
-    write_estimate(estimate, folder / "mine")
+    SUBJECTS["estimate folder"].write(folder / "mine")
     SUBJECTS["baseline"].write(folder)
     SUBJECTS["scenario"].write(folder)
 
