@@ -120,7 +120,7 @@ EstimateOption = Annotated[
         "--estimate",
         metavar="FOLDER|FILE",
         help="A trajectory (TUM, KITTI, CSV), or a folder with trajectory.tum and, if there are "
-        "any, landmarks.csv, covariances.npz, estimate.toml.",
+        "any, landmarks.csv, covariances.npz, estimate.toml, trace.npz.",
     ),
 ]
 TimesOption = Annotated[

@@ -173,7 +173,8 @@ def baseline_file(folder: Path) -> None:
 
 
 def build_scenario(folder: Path) -> World:
-    return build_world(read_scenario(str(folder / "small.toml")))
+    place = str(folder / "small.toml")
+    return build_world(read_scenario(place), place)
 
 
 def g2o_file(folder: Path) -> None:
