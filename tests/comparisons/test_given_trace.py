@@ -116,9 +116,8 @@ def coarse(arrays: Arrays) -> None:
         "step_q": q_symmetric,
     }
     for part in parts:
-        arrays[f"{part}_step"] = np.searchsorted(stops, arrays[f"{part}_step"], side="left") + (
-            arrays[f"{part}_step"] > 0
-        )
+        step = arrays[f"{part}_step"]
+        arrays[f"{part}_step"] = 1.0 * np.searchsorted(stops, step) + (step > 0)
 
 
 def bare(arrays: Arrays) -> None:
