@@ -139,7 +139,7 @@ def read_scenario(name: str) -> Scenario:
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
-        raise InputError(f"{name}: {where}: {first['msg']}") from None
+        raise InputError(f"{name}: {where[:100]}: {first['msg'][:200]}") from None
     except (ValueError, RecursionError) as error:  # TOMLDecodeError is a ValueError
         raise InputError(f"{name}: is not TOML ({error})") from None
     _check_sensor(name, scenario)

@@ -117,7 +117,8 @@ def coarse(arrays: Arrays) -> None:
     }
     for part in parts:
         step = arrays[f"{part}_step"]
-        arrays[f"{part}_step"] = 1.0 * np.searchsorted(stops, step) + (step > 0)
+        reached = np.searchsorted(stops, step) + (step > 0)
+        arrays[f"{part}_step"] = reached.astype(np.float64)
 
 
 def bare(arrays: Arrays) -> None:

@@ -72,6 +72,7 @@ REPLACED = {
         *("baseline", "kept.json", '"tolerance": 0.0', '"tolerance": Infinity'),
         "not a baseline",
     ),
+    "baseline's long key": ("baseline", "kept.json", '"log"', f'"{ENDLESS}"', "not a baseline"),
     "prior's time": ("log folder", "log.toml", "time_s = 0.0", "time_s = nan", "time_s is nan"),
 }
 
