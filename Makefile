@@ -4,7 +4,7 @@ BIN := $(VENV)/bin
 CANDIDATES := $(PYTHON) python3 python3.13 python3.12 python3.11
 FITS := import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))
 
-.PHONY: run test clean
+.PHONY: run test nightly clean
 
 # slamcheck exits with 0, 1 or 3 for its verdict; only 2 and crashes are failures of the job.
 run: $(VENV)/installed
@@ -15,6 +15,10 @@ test: $(VENV)/installed-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile
+
+# Ten times as many damaged and hostile files as `make test` tries, drawn anew each time.
+nightly: $(VENV)/installed-dev
+	HYPOTHESIS_PROFILE=nightly OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest tests/fuzz
 
 $(VENV)/bin/python:
 	@for p in $(CANDIDATES); do \
@@ -31,4 +35,4 @@ $(VENV)/installed-dev: $(VENV)/bin/python pyproject.toml
 	@touch $@ $(VENV)/installed
 
 clean:
-	rm -rf $(VENV) build *.egg-info .mypy_cache .ruff_cache .pytest_cache
+	rm -rf $(VENV) build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -30,7 +30,21 @@ _EXACT = ("ekf.landmarks", "smoother.poses")
 
 
 class _Model(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Settings(_Model):
+    """Of a run, named as its options; an empty text for one that was not given."""
+
+    filter: str = "full"
+    association: str = ""
+    features: str = "log"
+    gps: str = "off"
+    format: str = ""
+    robot: int = 1
+    seed: int = 0
+    loops: int = 1
+    noise_scale: float = 1.0
 
 
 class Metric(_Model):
@@ -46,7 +60,7 @@ class Baseline(_Model):
     version: int = 1
     log: str
     sha256: str
-    settings: dict[str, str | int | float]
+    settings: Settings
     runs: int
     verdict: str
     metrics: dict[str, Metric]
@@ -92,7 +106,7 @@ def metrics(result: Result) -> dict[str, float | None]:
     return found
 
 
-def build_baseline(results: Sequence[Result], settings: dict[str, str | int | float]) -> Baseline:
+def build_baseline(results: Sequence[Result], settings: Settings) -> Baseline:
     """From repetitions of one run: the first one's values, the noise floor of all."""
     first = results[0]
     every = [metrics(result) for result in results]

@@ -9,6 +9,7 @@ from typing import Literal
 from comparisons.checks.accuracy import Accuracy, assess_trajectory
 from comparisons.checks.causes import Cause
 from comparisons.checks.given_agreement import GivenAgreement, compare_given
+from comparisons.checks.given_trace import TraceCheck, check_trace
 from comparisons.logs.log import Log
 from comparisons.runs.ekf_build import EkfChoices, fused_positions
 from comparisons.runs.ekf_run import run_ekf
@@ -19,19 +20,24 @@ from comparisons.runs.timeline import build_timeline
 from comparisons.solve import Solution, solve_log
 from graphslam.smoother import SmootherOptions
 
+_OWN = ("data", "algebra", "model")
+"""Causes that the filter's trace shows whatever the smoother found."""
+
 
 @dataclass(frozen=True)
 class GivenCheck:
     """What the check found.
 
     solution: the smoother's. agreement: against it. accuracy: of the given trajectory where the
-    log has truth or positions. outcome, causes, remarks: the verdict.
+    log has truth or positions. trace: the filter's own gaps, where it left one. outcome, causes,
+    remarks: the verdict.
     """
 
     given: GivenEstimate
     solution: Solution
     agreement: GivenAgreement
     accuracy: Accuracy | None
+    trace: TraceCheck | None
     outcome: Literal["agree", "disagree", "unproven"]
     causes: tuple[Cause, ...]
     remarks: tuple[str, ...]
@@ -57,18 +63,41 @@ def check_given(
         peer=(lambda: _peer(given, solution)) if given.information == "filtered" else None,
     )
     proven = solution.result.proof.proven
-    causes = found.causes
+    traced, causes = None, found.causes
+    if given.trace is not None:
+        progress("trace", 0, 0)
+        known = solution.association_by == "known"
+        choices = EkfChoices(association="known" if known else "nn", gps=gps).settle(log)
+        traced = check_trace(
+            solution.log,
+            given,
+            fused_positions(solution.log, choices),
+            options or SmootherOptions(),
+            labelled=known,
+        )
+        causes = _with_trace(causes, traced.verdict.causes)
     outcome: Literal["agree", "disagree", "unproven"]
-    outcome = "unproven" if not proven else "disagree" if causes else "agree"
+    if any(cause.gap in _OWN for cause in causes):
+        outcome = "disagree"
+    else:
+        outcome = "unproven" if not proven else "disagree" if causes else "agree"
     return GivenCheck(
         given,
         solution,
         found,
         assess_trajectory(given.time_s, given.pose, solution.log),
+        traced,
         outcome,
         causes,
         tuple(_remarks(given, found)),
     )
+
+
+def _with_trace(found: tuple[Cause, ...], traced: tuple[Cause, ...]) -> tuple[Cause, ...]:
+    """The trace's causes first; linearisation stands for what it explains."""
+    kept = tuple(cause for cause in traced if cause.gap in (*_OWN, "linearisation"))
+    explained = ("estimate", "covariance") if kept else ()
+    return kept + tuple(cause for cause in found if cause.gap not in explained)
 
 
 def _peer(given: GivenEstimate, solution: Solution) -> Array:
@@ -97,6 +126,8 @@ def _remarks(given: GivenEstimate, found: GivenAgreement) -> list[str]:
         )
     if found.last is None:
         remarks.append("the last pose given lies before the log's end, so it was not judged")
+    if given.trace is not None and given.joint_covariance is None:
+        remarks.append("no last_pose_and_landmarks beside the trace, so its algebra is not judged")
     if found.unmatched:
         remarks.append(f"{found.unmatched} landmarks given are not among the smoother's")
     return remarks

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from comparisons.cli_baseline import baseline, side_by_side
+from comparisons.cli_export import export
 from comparisons.cli_montecarlo import montecarlo
 from comparisons.cli_options import (
     AssociationOption,
@@ -39,6 +40,8 @@ from comparisons.cli_options import (
     SeedOption,
     SmootherAssociationOption,
     SolveAssociationOption,
+    TimesOption,
+    TraceOption,
 )
 from comparisons.cli_scans import map_command, odometry
 from comparisons.cli_support import (
@@ -103,6 +106,7 @@ def run(
     figures: FiguresOption = [],  # noqa: B006
     live: LiveOption = False,
     record: RecordOption = None,
+    trace: TraceOption = False,
 ) -> None:
     """Run both estimators on a log, check one against the other, write a report folder.
 
@@ -143,7 +147,7 @@ def run(
                 kept if dense else None,
                 out,
                 read_s,
-                Extras(tuple(figures), live, record),
+                Extras(tuple(figures), live, record, trace),
             )
         )
 
@@ -188,7 +192,7 @@ def _run(
         )
         result = build_result(comparison, read_s)
         progress("report", 0, 0)
-        write_run_folder(comparison, result, folder, extras.figures)
+        write_run_folder(comparison, result, folder, extras.figures, trace=extras.trace)
         extras.save(comparison)
     print_result(lambda console: print_summary(result, console), folder)
     extras.show(comparison)
@@ -242,6 +246,7 @@ def solve(
 def check(
     log: LogArgument,
     estimate: EstimateOption,
+    times: TimesOption = None,
     format_name: FormatOption = None,
     out: OutOption = None,
     association: SolveAssociationOption = None,
@@ -267,7 +272,7 @@ def check(
         from comparisons.report.check_result import build_check_result, print_check
         from comparisons.runs.given_estimate import read_given
 
-        given = read_given(estimate)
+        given = read_given(estimate, times)
         source, read_s = read_named(log, format_name, robot, seed, loops, noise_scale, features)
         folder = out or Path(f"slamcheck-check-{folder_name(source.name)}")
         check_replaceable(folder, CHECK_CONTENTS)
@@ -286,6 +291,7 @@ app.command("compare")(side_by_side)
 app.command()(odometry)
 app.command("map")(map_command)
 app.command()(montecarlo)
+app.command()(export)
 
 
 @app.command()

@@ -23,6 +23,7 @@ from comparisons.cli_support import AGREE, DISAGREE, guarded, progress_bar, read
 from comparisons.errors import InputError
 
 if TYPE_CHECKING:
+    from comparisons.baseline import Settings
     from comparisons.logs.log import Log
     from comparisons.report.models import Result
 
@@ -58,21 +59,21 @@ def save(
       slamcheck baseline save my-log my-log.baseline.json
     """
     with guarded():
-        from comparisons.baseline import build_baseline, write_baseline
+        from comparisons.baseline import Settings, build_baseline, write_baseline
 
         if runs < 1:
             raise InputError(f"runs is {runs}, expected 1 or more")
-        settings: dict[str, str | int | float] = {
-            "filter": filter_name,
-            "association": association or "",
-            "features": features,
-            "gps": gps,
-            "format": format_name or "",
-            "robot": robot,
-            "seed": seed,
-            "loops": loops,
-            "noise_scale": noise_scale,
-        }
+        settings = Settings(
+            filter=filter_name,
+            association=association or "",
+            features=features,
+            gps=gps,
+            format=format_name or "",
+            robot=robot,
+            seed=seed,
+            loops=loops,
+            noise_scale=noise_scale,
+        )
         source = _read(log, settings)
         results = [_run(source, settings) for _ in range(runs)]
         kept = build_baseline(results, settings)
@@ -98,7 +99,10 @@ def compare(
         from comparisons.baseline import compare_with, read_baseline, write_junit
 
         kept = read_baseline(file)
-        changes = compare_with(kept, _run(_read(log, kept.settings), kept.settings))
+        try:
+            changes = compare_with(kept, _run(_read(log, kept.settings), kept.settings))
+        except InputError as error:
+            raise InputError(f"{error} (compared with {file})") from None
         if junit is not None:
             write_junit(changes, kept.log, junit)
         broken = [change for change in changes if not change.holds]
@@ -128,35 +132,24 @@ def side_by_side(
         raise SystemExit(AGREE)
 
 
-def _read(log: str, settings: dict[str, str | int | float]) -> Log:
-    try:
-        source, _ = read_named(
-            log,
-            str(settings["format"]) or None,
-            int(settings["robot"]),
-            int(settings["seed"]),
-            int(settings["loops"]),
-            float(settings["noise_scale"]),
-            str(settings["features"]),
-        )
-    except KeyError as missing:
-        raise _lacking(missing) from None
+def _read(log: str, settings: Settings) -> Log:
+    source, _ = read_named(
+        log,
+        settings.format or None,
+        settings.robot,
+        settings.seed,
+        settings.loops,
+        settings.noise_scale,
+        settings.features,
+    )
     return source
 
 
-def _run(source: Log, settings: dict[str, str | int | float]) -> Result:
+def _run(source: Log, settings: Settings) -> Result:
     from comparisons.compare import compare_estimators
     from comparisons.report.result import build_result
     from comparisons.runs.ekf_build import EkfChoices
 
-    try:
-        name, association, gps = (str(settings[k]) for k in ("filter", "association", "gps"))
-    except KeyError as missing:
-        raise _lacking(missing) from None
-    choices = EkfChoices(name, association or None, gps)
+    choices = EkfChoices(settings.filter, settings.association or None, settings.gps)
     with progress_bar() as progress:
         return build_result(compare_estimators(source, choices, progress=progress), 0.0)
-
-
-def _lacking(missing: KeyError) -> InputError:
-    return InputError(f"the baseline's settings lack {missing}; save a new one")

@@ -49,7 +49,7 @@ def montecarlo(
 
         name = Path(scenario).stem if scenario.endswith(".toml") else scenario
         names = tuple(part.strip() for part in filters.split(",") if part.strip())
-        study = Study(name, read_scenario(scenario), runs, names)
+        study = Study(name, read_scenario(scenario), runs, names, scenario)
         folder = out or Path(f"slamcheck-montecarlo-{folder_name(name)}")
         check_folder(folder)
         from comparisons.report.montecarlo_folder import (

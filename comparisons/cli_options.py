@@ -119,9 +119,18 @@ EstimateOption = Annotated[
     typer.Option(
         "--estimate",
         metavar="FOLDER|FILE",
-        help="A TUM trajectory, or a folder with trajectory.tum and, if there are any, "
-        "landmarks.csv, covariances.npz, estimate.toml.",
+        help="A trajectory (TUM, KITTI, CSV), or a folder with trajectory.tum and, if there are "
+        "any, landmarks.csv, covariances.npz, estimate.toml, trace.npz.",
     ),
+]
+TimesOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--times", metavar="FILE", help="Times of a KITTI file, else times.txt beside it."
+    ),
+]
+TraceOption = Annotated[
+    bool, typer.Option("--trace", help="Write ekf/trace.npz: what the EKF linearised where.")
 ]
 DenseOption = Annotated[
     list[str],

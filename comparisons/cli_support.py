@@ -138,11 +138,15 @@ def check_figures(formats: list[str]) -> None:
 
 @dataclass(frozen=True)
 class Extras:
-    """What a run leaves besides its folder's usual files, when asked to. See report.viewer."""
+    """What a run leaves besides its folder's usual files, when asked to. See report.viewer.
+
+    trace: the filter's, see runs.trace_file.
+    """
 
     figures: tuple[str, ...] = ()
     live: bool = False
     record: Path | None = None
+    trace: bool = False
 
     def save(self, comparison: Comparison) -> None:
         """Write the replay, if it is to be kept."""

@@ -6,10 +6,19 @@ from types import ModuleType
 from typing import NoReturn
 
 import pytest
+from hypothesis import Phase, settings
 
 from comparisons.compare import Comparison, compare_estimators
 from comparisons.logs.bundled import open_log
 from graphslam.scan.open3d_library import Open3dMissingError, open3d
+
+# What is drawn in continuous integration is always the same; at night it is new, and more.
+COMMON = settings(
+    deadline=None, print_blob=True, phases=set(Phase) - {Phase.explain}, database=None
+)
+settings.register_profile("ci", COMMON, max_examples=20, derandomize=True)
+settings.register_profile("nightly", COMMON, max_examples=200)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 

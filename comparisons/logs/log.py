@@ -19,6 +19,7 @@ from comparisons.logs.validation import (
     LARGEST,
     above_zero,
     check,
+    distinct,
     frozen,
     increasing,
     positive_definite,
@@ -125,10 +126,7 @@ class Landmarks:
         """Check the table."""
         check(self, "landmarks", rows="id", position_m=(2,), covariance=(2, 2))
         positive_definite("landmarks", self.covariance, singular=True)
-        values, first = np.unique(self.id, return_index=True)
-        if len(values) < len(self.id):
-            row = int(np.setdiff1d(np.arange(len(self.id)), first)[0])
-            raise RecordError("landmarks", row, f"id {self.id[row]} appears twice")
+        distinct("landmarks", self.id)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from comparisons.errors import InputError
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import Ackermann, OdometryNoise, RelativePoses, SteeringOdometry
 from comparisons.logs.scans import Mount
-from comparisons.logs.table import read_text
+from comparisons.logs.table import read_text, shorten
 
 MARK = "log.toml"
 
@@ -119,7 +119,7 @@ def first_fault(error: ValidationError) -> str:
     """The first key at fault and what is wrong with it, in one line."""
     first = error.errors()[0]
     key = ".".join(str(part) for part in first["loc"])
-    return f"{key}: {first['msg'].lower()}"
+    return f"{shorten(key, 100)}: {shorten(first['msg'].lower(), 200)}"
 
 
 def meta_text(log: Log) -> str:

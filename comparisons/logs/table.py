@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.errors import InputError, RecordError, printable
+from comparisons.files import check_regular
 
 Array = NDArray[np.float64]
 
@@ -120,8 +121,7 @@ def number_or_fail(word: str, path: Path, line: int, name: str) -> float:
 def read_text(path: Path) -> str:
     """A file's text. Raises InputError when it is missing, unreadable or not text."""
     try:
-        if path.exists() and not path.is_file():
-            raise InputError(f"{path}: is not a regular file")
+        check_regular(path)
         return path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None

@@ -82,6 +82,14 @@ def whole_numbers(stream: str, name: str, values: NDArray[Any]) -> NDArray[np.in
     return values.astype(np.int64)
 
 
+def distinct(stream: str, ids: NDArray[np.int64]) -> None:
+    """No id may appear twice."""
+    values, first = np.unique(ids, return_index=True)
+    if len(values) < len(ids):
+        row = int(np.setdiff1d(np.arange(len(ids)), first)[0])
+        raise RecordError(stream, row, f"id {ids[row]} appears twice")
+
+
 def increasing(stream: str, time_s: Array, *, equal: bool = False) -> None:
     """Times must not run backwards, nor repeat unless `equal`."""
     steps = np.diff(time_s)

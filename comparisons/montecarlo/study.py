@@ -23,12 +23,16 @@ _EDITION = 1
 
 @dataclass(frozen=True)
 class Study:
-    """What is asked for. filters: names of FILTERS. Run number = seed, from 0."""
+    """What is asked for. filters: names of FILTERS. Run number = seed, from 0.
+
+    place: where the scenario was read, for errors.
+    """
 
     name: str
     scenario: Scenario
     runs: int = 50
     filters: tuple[str, ...] = tuple(FILTERS)
+    place: str = "scenario"
 
     def __post_init__(self) -> None:
         """Check the choices."""
@@ -71,7 +75,7 @@ def run_study(
     """Compute what the folder does not hold yet; figures over all runs. Raises InputError."""
     if workers < 1:
         raise InputError(f"--workers is {workers}, expected 1 or more")
-    world = build_world(study.scenario)
+    world = build_world(study.scenario, study.place)
     steps = recorded_steps(study.scenario.steps)
     files = ChunkFiles(folder, study.sha256, len(steps))
     chunks = range(-(-study.runs // CHUNK))

@@ -29,11 +29,26 @@ class GivenLandmarkResult(GivenBlockResult):
     id: int
 
 
+class TraceResult(Model):
+    """See comparisons.checks.given_trace.TraceCheck; gaps as in `result.json`."""
+
+    steps: int
+    updates: int
+    begun: int
+    positions: int
+    algebra_gap_sigma: float | None
+    algebra_gap_covariance: float | None
+    model_gap_sigma: float | None
+    model_gap_covariance: float | None
+    linearisation_gap_sigma: float | None
+    linearisation_gap_covariance: float | None
+
+
 class CheckResult(Model):
     """`check.json`: an estimate from elsewhere against the smoother's.
 
     absent: what was not handed in. outside: share of the poses beyond the 99.9 % region of their
-    own covariance, None without covariances.
+    own covariance, None without covariances. trace: None without one.
     """
 
     log: LogResult
@@ -49,6 +64,7 @@ class CheckResult(Model):
     landmarks: list[GivenLandmarkResult]
     accuracy: AccuracyResult | None
     smoother_accuracy: AccuracyResult | None
+    trace: TraceResult | None
     verdict: Literal["agree", "disagree", "unproven"]
     causes: list[CauseResult]
     remarks: list[str]

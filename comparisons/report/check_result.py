@@ -7,7 +7,13 @@ from rich.table import Table
 
 from comparisons.check_given import GivenCheck
 from comparisons.checks.given_agreement import Block
-from comparisons.report.check_models import CheckResult, GivenBlockResult, GivenLandmarkResult
+from comparisons.checks.given_trace import TraceCheck
+from comparisons.report.check_models import (
+    CheckResult,
+    GivenBlockResult,
+    GivenLandmarkResult,
+    TraceResult,
+)
 from comparisons.report.finite import finite
 from comparisons.report.models import CauseResult
 from comparisons.report.result import (
@@ -41,6 +47,7 @@ def build_check_result(check: GivenCheck, read_s: float) -> CheckResult:
         ],
         accuracy=accuracy_result(check.accuracy),
         smoother_accuracy=accuracy_result(solution.accuracy),
+        trace=_trace(check.trace),
         verdict=check.outcome,
         causes=[CauseResult(**vars(cause)) for cause in check.causes],
         remarks=list(check.remarks),
@@ -76,11 +83,41 @@ def print_check(result: CheckResult, console: Console) -> None:
     if result.landmarks:
         agreeing = sum(row.agrees for row in result.landmarks)
         table.add_row("landmarks", f"{agreeing} of {len(result.landmarks)} agree")
+    if result.trace is not None:
+        _add_gaps(table, result.trace)
     add_accuracy(table, "accuracy", result.accuracy)
     add_accuracy(table, "smoother's", result.smoother_accuracy)
     table.add_row("seconds", ", ".join(f"{stage} {s:.2f}" for stage, s in result.seconds.items()))
     console.print(table)
     print_verdict(result.verdict, result.causes, result.remarks, console)
+
+
+def _trace(check: TraceCheck | None) -> TraceResult | None:
+    if check is None:
+        return None
+    algebra, model, rest = check.algebra, check.agreement.model, check.agreement.linearisation
+    return TraceResult(
+        steps=check.steps,
+        updates=check.updates,
+        begun=check.begun,
+        positions=check.fixes,
+        algebra_gap_sigma=None if algebra is None else finite(algebra.sigma),
+        algebra_gap_covariance=None if algebra is None else finite(algebra.covariance),
+        model_gap_sigma=finite(model.sigma),
+        model_gap_covariance=finite(model.covariance),
+        linearisation_gap_sigma=finite(rest.sigma),
+        linearisation_gap_covariance=finite(rest.covariance),
+    )
+
+
+def _add_gaps(table: Table, trace: TraceResult) -> None:
+    for name in ("algebra", "model", "linearisation"):
+        if name == "algebra" and trace.algebra_gap_sigma is None:
+            table.add_row("algebra gap", "not judged, there is no joint covariance")
+            continue
+        sigma, spread = (getattr(trace, f"{name}_gap_{part}") for part in ("sigma", "covariance"))
+        told = [f"{value:.2g}" if value is not None else "none" for value in (sigma, spread)]
+        table.add_row(f"{name} gap", f"{told[0]} sigma, {told[1]} in covariance")
 
 
 def _block(block: Block) -> dict[str, float | bool | None]:

@@ -16,11 +16,12 @@ from comparisons.report.picture import FORMATS, save
 from comparisons.report.plots import correlation_figure, map_figure
 from comparisons.runs.estimate_folder import FILES as ESTIMATE_FILES
 from comparisons.runs.estimate_folder import write_estimate
+from comparisons.runs.trace_file import TRACE, write_trace
 
 ESTIMATORS = ("ekf", "smoother", "scans")
 _PICTURES = ("map", "correlation", "consistency", "dense")
 CONTENTS = frozenset(
-    {"result.json", "report.html"}
+    {"result.json", "report.html", f"ekf/{TRACE}"}
     | {f"{picture}.{suffix}" for picture in _PICTURES for suffix in FORMATS}
     | {f"{estimator}/{name}" for estimator in ESTIMATORS for name in ESTIMATE_FILES}
 )
@@ -28,11 +29,16 @@ CONTENTS = frozenset(
 
 
 def write_run_folder(
-    comparison: Comparison, result: Result, folder: Path, formats: Collection[str] = ()
+    comparison: Comparison,
+    result: Result,
+    folder: Path,
+    formats: Collection[str] = (),
+    *,
+    trace: bool = False,
 ) -> None:
     """Write everything; the folder appears whole or not at all. Raises InputError.
 
-    formats: of the pictures; see picture.save.
+    formats: of the pictures; see picture.save. trace: the filter's, too.
     """
     with fresh_folder(folder, CONTENTS) as work:
         estimates = [comparison.ekf.estimate, comparison.smoothed]
@@ -41,6 +47,8 @@ def write_run_folder(
         for name, estimate in zip(ESTIMATORS, estimates, strict=False):
             (work / name).mkdir()
             write_estimate(estimate, work / name)
+        if trace:
+            write_trace(comparison.ekf, work / "ekf" / TRACE)
         save(map_figure(comparison), work / "map.png", formats)
         save(correlation_figure(comparison), work / "correlation.png", formats)
         panels = consistency_panels(comparison)

@@ -15,7 +15,7 @@ from comparisons.archive import read_archive
 from comparisons.errors import InputError
 from comparisons.logs.log_meta import first_fault
 from comparisons.logs.table import Table, read_text
-from comparisons.logs.validation import increasing, whole_numbers, within
+from comparisons.logs.validation import LARGEST, distinct, increasing, whole_numbers, within
 from comparisons.runs.estimate import Array, Estimate
 
 FILES = ("trajectory.tum", "landmarks.csv", "covariances.npz", "estimate.toml")
@@ -89,7 +89,9 @@ def read_meta(path: Path) -> Meta:
         return Meta.model_validate(tomllib.loads(read_text(path)))
     except ValidationError as error:
         raise InputError(f"{path}: {first_fault(error)}") from None
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # TOMLDecodeError is a ValueError
+        if isinstance(error, InputError):
+            raise
         raise InputError(f"{path}: not valid TOML: {error}") from None
 
 
@@ -97,6 +99,8 @@ def read_trajectory(path: Path) -> tuple[Array, Array]:
     """Times (K,) and planar poses (K, 3) of a TUM file, headings unwrapped. Raises InputError."""
     tum = Table(path, _TUM)
     with tum.locating():
+        for name in ("time_s", "x", "y"):
+            within("trajectory", name, tum[name], -LARGEST, LARGEST)
         increasing("trajectory", tum["time_s"])
         norm = np.linalg.norm(tum.data[:, 4:], axis=1)
         within("trajectory", "quaternion's norm", norm, 0.99, 1.01)
@@ -109,4 +113,7 @@ def read_landmarks(path: Path) -> tuple[NDArray[np.int64], Array]:
     table = Table(path, _LANDMARKS, comma=True, header=True)
     with table.locating():
         ids = whole_numbers("landmarks", "id", table["id"])
+        distinct("landmarks", ids)
+        for name in ("x_m", "y_m"):
+            within("landmarks", name, table[name], -LARGEST, LARGEST)
     return ids, table.data[:, 1:]

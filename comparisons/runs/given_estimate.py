@@ -11,8 +11,11 @@ from numpy.typing import NDArray
 
 from comparisons.archive import read_arrays
 from comparisons.errors import InputError
+from comparisons.logs.validation import LARGEST
 from comparisons.runs.estimate import landmark_blocks
 from comparisons.runs.estimate_folder import read_landmarks, read_meta, read_trajectory
+from comparisons.runs.trace_file import TRACE, TraceFile, read_trace
+from comparisons.runs.trajectory_files import read_trajectory_file
 
 Array = NDArray[np.float64]
 
@@ -28,6 +31,7 @@ class GivenEstimate:
     both None without a map. pose_covariance: (K, 3, 3). landmark_covariance: (L, 2, 2).
     joint_covariance: (3 + 2 L, 3 + 2 L) of the last pose and all landmarks. All covariances are
     of the additive global error. information: as of Estimate.
+    trace: what the filter linearised where.
     """
 
     time_s: Array
@@ -38,6 +42,7 @@ class GivenEstimate:
     landmark_covariance: Array | None = None
     joint_covariance: Array | None = None
     information: Information = "filtered"
+    trace: TraceFile | None = None
 
     @property
     def absent(self) -> list[str]:
@@ -54,19 +59,23 @@ class GivenEstimate:
         ]
 
 
-def read_given(path: Path) -> GivenEstimate:
-    """A TUM file, or a folder with `trajectory.tum` and any of the files of an estimate folder.
+def read_given(path: Path, times: Path | None = None) -> GivenEstimate:
+    """A trajectory's file, or a folder with `trajectory.tum` and any files of an estimate folder.
 
-    Raises InputError.
+    times: of a KITTI file. Raises InputError.
     """
     if not path.exists():
-        raise InputError(f"{path}: no such file or folder, expected a TUM file or a folder")
-    trajectory = path if path.is_file() else path / "trajectory.tum"
-    time_s, pose = read_trajectory(trajectory)
+        raise InputError(f"{path}: no such file or folder, expected a trajectory or a folder")
+    if not path.is_dir():
+        time_s, pose, covariance = read_trajectory_file(path, times)
+        if not len(pose):
+            raise InputError(f"{path}: holds no poses")
+        return GivenEstimate(time_s, pose, pose_covariance=covariance)
+    if times is not None:
+        raise InputError(f"{path}: is a folder; --times is for KITTI files")
+    time_s, pose = read_trajectory(path / "trajectory.tum")
     if not len(pose):
-        raise InputError(f"{trajectory}: holds no poses")
-    if path.is_file():
-        return GivenEstimate(time_s, pose)
+        raise InputError(f"{path / 'trajectory.tum'}: holds no poses")
     information: Information = "filtered"
     if (path / "estimate.toml").exists():
         information = read_meta(path / "estimate.toml").information
@@ -89,7 +98,22 @@ def read_given(path: Path) -> GivenEstimate:
     own = found.get("landmarks")
     if own is None and joint is not None and count:
         own = landmark_blocks(joint)
-    return GivenEstimate(time_s, pose, ids, places, found.get("pose"), own, joint, information)
+    trace = None
+    if (path / TRACE).exists():
+        if ids is None:
+            raise InputError(f"{path / TRACE}: needs landmarks.csv beside it")
+        trace = read_trace(path / TRACE, ids)
+    return GivenEstimate(
+        time_s,
+        pose,
+        ids,
+        places,
+        found.get("pose"),
+        own,
+        joint,
+        information,
+        trace,
+    )
 
 
 def _check_covariance(name: str, array: Array, shape: tuple[int, ...]) -> None:
@@ -97,3 +121,5 @@ def _check_covariance(name: str, array: Array, shape: tuple[int, ...]) -> None:
         raise InputError(f"{name} has shape {array.shape}, expected {shape}")
     if not np.isfinite(array).all():
         raise InputError(f"{name} holds a value that is not a finite number")
+    if (np.abs(array) > LARGEST**2).any():
+        raise InputError(f"{name} holds a value beyond {LARGEST**2:g}, expected a covariance")

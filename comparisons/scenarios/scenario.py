@@ -11,9 +11,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from comparisons.errors import InputError
 
 _FOLDER = Path(__file__).parent
-_Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-_NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-_Finite = Annotated[float, Field(allow_inf_nan=False)]
+_Positive = Annotated[float, Field(ge=1e-9, le=1e9)]
+_NotNegative = Annotated[float, Field(ge=0, le=1e9)]
+_Finite = Annotated[float, Field(ge=-1e9, le=1e9)]
+_Every = Annotated[int, Field(ge=1, le=1_000_000)]
 _Point = tuple[_Finite, _Finite]
 
 
@@ -83,7 +84,7 @@ class RelativePositionSensor(_Model):
     sigma_share: _NotNegative = 0.0
     max_range_m: _Positive
     field_of_view_rad: _Positive = 6.284
-    every: Annotated[int, Field(ge=1)] = 1
+    every: _Every = 1
 
 
 class RangeBearingSensor(_Model):
@@ -95,7 +96,7 @@ class RangeBearingSensor(_Model):
     sigma_bearing_rad: _Positive
     max_range_m: _Positive
     field_of_view_rad: _Positive = 6.284
-    every: Annotated[int, Field(ge=1)] = 1
+    every: _Every = 1
 
 
 class Scenario(_Model):
@@ -138,8 +139,8 @@ def read_scenario(name: str) -> Scenario:
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
-        raise InputError(f"{name}: {where}: {first['msg']}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{name}: {where[:100]}: {first['msg'][:200]}") from None
+    except (ValueError, RecursionError) as error:  # TOMLDecodeError is a ValueError
         raise InputError(f"{name}: is not TOML ({error})") from None
     _check_sensor(name, scenario)
     return scenario

@@ -32,6 +32,7 @@ from comparisons.variants.batch_models import (
     wrap_angle,
 )
 
+_MOST_LOOKAHEADS = 100_000
 _FULL_TURN = 2.0 * math.pi
 
 
@@ -58,8 +59,18 @@ class Measurements:
     z: tuple[Array, ...]
 
 
-def build_world(scenario: Scenario) -> World:
-    """The truth of a scenario. Raises InputError where no landmark is ever seen, or no way."""
+def build_world(scenario: Scenario, place: str = "scenario") -> World:
+    """The truth of a scenario. place: where it was read, for errors.
+
+    Raises InputError where no landmark is ever seen, or no way.
+    """
+    try:
+        return _world(scenario)
+    except InputError as error:
+        raise InputError(f"{place}: {error}") from None
+
+
+def _world(scenario: Scenario) -> World:
     control, pose = _drive(scenario)
     landmark = _landmarks(scenario)
     offset = landmark[None] - pose[1:, None, :2]
@@ -72,7 +83,7 @@ def build_world(scenario: Scenario) -> World:
     view[(np.arange(len(view)) + 1) % sensor.every != 0] = False
     used = np.flatnonzero(view.any(axis=0))
     if not len(used):
-        raise InputError("scenario: no landmark is ever within the sensor's range")
+        raise InputError("no landmark is ever within the sensor's range")
     sigma = _sigma(scenario, distance)[:, used]
     seen = [np.flatnonzero(row) for row in view[:, used]]
     odometry = scenario.odometry
@@ -157,6 +168,12 @@ def _pursue(
     corner: Array, speed_mps: float, lookahead_m: float, step_s: float, steps: int
 ) -> tuple[Array, Array]:
     """Pure pursuit of the point that lies ahead on a closed polygon (C, 2)."""
+    length_m = float(np.linalg.norm(corner - np.roll(corner, -1, axis=0), axis=1).sum())
+    if not 0.0 < length_m <= _MOST_LOOKAHEADS * lookahead_m:
+        raise InputError(
+            f"course: {length_m:g} m long with a lookahead_m of {lookahead_m:g}, "
+            f"expected up to {_MOST_LOOKAHEADS:,} times that"
+        )
     path = _dense(corner, 0.1 * lookahead_m)
     first = path[1] - path[0]
     pose, control = np.empty((steps + 1, 3)), np.empty((steps, 2))
@@ -167,7 +184,7 @@ def _pursue(
         ahead_of_us = np.roll(path, -goal, axis=0) - (x, y)
         far = np.hypot(ahead_of_us[:, 0], ahead_of_us[:, 1]) >= lookahead_m
         if not far.any():
-            raise InputError("scenario: course: all of it lies within lookahead_m of the robot")
+            raise InputError("course: all of it lies within lookahead_m of the robot")
         goal = (goal + int(far.argmax())) % len(path)
         ahead = math.atan2(path[goal, 1] - y, path[goal, 0] - x) - heading
         distance = math.hypot(path[goal, 1] - y, path[goal, 0] - x)

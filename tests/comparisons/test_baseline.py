@@ -12,6 +12,7 @@ import pytest
 
 from comparisons.baseline import (
     Baseline,
+    Settings,
     build_baseline,
     compare_with,
     metrics,
@@ -38,7 +39,7 @@ def result() -> Result:
 
 @pytest.fixture
 def kept(result: Result) -> Baseline:
-    return build_baseline([result, result], {"filter": "full"})
+    return build_baseline([result, result], Settings())
 
 
 def changed(result: Result, **agreement: float | None) -> Result:
@@ -79,7 +80,7 @@ def test_a_figure_that_is_gone_is_no_figure_that_holds(result: Result, kept: Bas
 def test_repetitions_tell_the_noise_floor(result: Result) -> None:
     assert result.agreement.optimism is not None
     other = changed(result, optimism=1.2 * result.agreement.optimism)
-    noisy = build_baseline([result, other], {})
+    noisy = build_baseline([result, other], Settings())
     assert noisy.metrics["agreement.optimism"].tolerance == pytest.approx(
         0.6 * result.agreement.optimism
     )

@@ -13,8 +13,8 @@ from comparisons.checks.accuracy import assess_trajectory
 from comparisons.logs.log import Poses
 from comparisons.runs.ekf_build import EkfChoices
 from comparisons.runs.ekf_run import run_ekf
-from comparisons.runs.estimate_folder import tum_text
 from comparisons.runs.timeline import build_timeline
+from comparisons.runs.trajectory_files import Trajectory, write_trajectory
 from tests.helpers import simulated
 
 
@@ -40,14 +40,22 @@ def test_evo_finds_the_same_errors(tmp_path: Path, evo: Any) -> None:
     ours = assess_trajectory(estimate.time_s, estimate.pose, judged)
     assert ours is not None
     for name, pose in (("ours", estimate.pose), ("true", true)):
-        (tmp_path / f"{name}.tum").write_text(tum_text(estimate.time_s, pose))
-    read = file_interface.read_tum_trajectory_file
-    reference, theirs = read(str(tmp_path / "true.tum")), read(str(tmp_path / "ours.tum"))
-    for aligned, expected in ((False, ours.ate_m), (True, ours.ate_aligned_m)):
-        if aligned:
-            theirs.align(reference, correct_scale=False)
-        error = metrics.APE(metrics.PoseRelation.translation_part)
-        error.process_data((reference, theirs))
-        found = error.get_statistic(metrics.StatisticsType.rmse)
-        assert found == pytest.approx(expected, abs=1e-9)
-        assert np.isfinite(found)
+        (tmp_path / name).mkdir()
+        trajectory = Trajectory(estimate.time_s, pose)
+        write_trajectory(trajectory, tmp_path / name / "poses.tum", "tum")
+        write_trajectory(trajectory, tmp_path / name / "poses.kitti", "kitti")
+    for suffix, read in (
+        ("tum", file_interface.read_tum_trajectory_file),
+        ("kitti", file_interface.read_kitti_poses_file),
+    ):
+        reference, theirs = (
+            read(str(tmp_path / name / f"poses.{suffix}")) for name in ("true", "ours")
+        )
+        for aligned, expected in ((False, ours.ate_m), (True, ours.ate_aligned_m)):
+            if aligned:
+                theirs.align(reference, correct_scale=False)
+            error = metrics.APE(metrics.PoseRelation.translation_part)
+            error.process_data((reference, theirs))
+            found = error.get_statistic(metrics.StatisticsType.rmse)
+            assert found == pytest.approx(expected, abs=1e-9)
+            assert np.isfinite(found)

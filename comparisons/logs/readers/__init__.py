@@ -100,4 +100,9 @@ def read_log(path: Path, format_name: str | None = None, robot: int = 1) -> Log:
         format_name = names[0]
     if format_name not in READERS:
         raise InputError(f"format '{format_name}' is unknown, expected {', '.join(READERS)}")
-    return READERS[format_name].read(path, robot)
+    try:
+        return READERS[format_name].read(path, robot)
+    except InputError as error:
+        if str(path) in str(error):
+            raise
+        raise InputError(f"{path}: {error}") from None

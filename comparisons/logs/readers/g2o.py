@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from comparisons.errors import InputError
+from comparisons.files import check_regular
 from comparisons.logs.log import Log, Positions, Prior, Sightings
 from comparisons.logs.odometry import RelativePoses
 from graphslam.g2o import TAGS, read_g2o
@@ -28,6 +29,7 @@ def recognises(path: Path) -> bool:
 
 def read(path: Path) -> Log:
     """Read the file. Raises InputError naming the line at fault."""
+    check_regular(path)
     try:
         problem = read_g2o(path).problem
     except OSError as error:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.errors import InputError
+from comparisons.files import check_regular
 
 Array = NDArray[np.float64]
 
@@ -31,6 +32,7 @@ def load_matlab(path: Path, names: tuple[str, ...]) -> dict[str, Array]:
     Raises InputError for a missing or damaged file, and for a variable that is missing, not a full
     array of real numbers, or not finite throughout.
     """
+    check_regular(path)
     try:
         content = path.read_bytes()
     except FileNotFoundError:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from comparisons.errors import InputError, printable
+from comparisons.files import check_regular
 from comparisons.logs.table import shorten
 
 _MAGICS = {b"\x89MCAP0\r\n": "ros2", b"#ROSBAG V": "ros1", b"SQLite format 3\0": "ros2"}
@@ -45,13 +46,16 @@ class Bag:
         Topics without messages are left out; equal ones stand by name.
         """
         found: dict[str, list[Any]] = {}
-        for connection in self._reader.connections:
-            if connection.msgtype == kind:
-                found.setdefault(connection.topic, []).append(connection)
-        topics = [
-            Topic(printable(name), kind, sum(c.msgcount for c in group), tuple(group))
-            for name, group in found.items()
-        ]
+        try:
+            for connection in self._reader.connections:
+                if connection.msgtype == kind:
+                    found.setdefault(connection.topic, []).append(connection)
+            topics = [
+                Topic(printable(name), kind, sum(int(c.msgcount) for c in group), tuple(group))
+                for name, group in found.items()
+            ]
+        except Exception as error:  # what the bag's metadata hold may be of any type
+            raise InputError(f"{self.path}: topics cannot be listed ({_cause(error)})") from None
         return sorted((t for t in topics if t.count), key=lambda t: (-t.count, t.name))
 
     def messages(self, topic: Topic) -> Iterator[tuple[str, int, Any]]:
@@ -76,6 +80,8 @@ def recognise_bag(path: Path) -> str | None:
     """`ros1` or `ros2` for a bag's file or folder, by its content; None for anything else."""
     try:
         if path.is_dir():
+            if not (path / _METADATA).is_file():
+                return None
             with (path / _METADATA).open("rb") as file:
                 return "ros2" if b"rosbag2_bagfile_information" in file.read(4096) else None
         if not path.is_file():
@@ -101,6 +107,8 @@ def open_bag(path: Path) -> Iterator[Bag]:
     ros = recognise_bag(path)
     if ros is None:
         raise InputError(f"{path}: not a ROS bag, expected .mcap, .bag, .db3 or a rosbag2 folder")
+    for part in path.iterdir() if path.is_dir() else (path,):
+        check_regular(part)
     reader: Any
     try:
         if ros == "ros1":

@@ -137,7 +137,7 @@ def test_a_pickle_is_not_opened(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        (("step_s = 1.0", "step_s = -1.0"), "step_s: Input should be greater than 0"),
+        (("step_s = 1.0", "step_s = -1.0"), "step_s: Input should be greater than or equal to"),
         (("step_s = 1.0", "step_s = 1.0\nstep = 3"), "step: Extra inputs are not permitted"),
         (('kind = "circle"', 'kind = "square"'), "course: Input tag 'square'"),
         (("sigma_share = 0.1", ""), "sigma_m and sigma_share are both 0"),

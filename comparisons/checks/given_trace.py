@@ -1,0 +1,242 @@
+"""The gaps of someone else's filter, from the trace that it left: as for the reference EKF."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.checks.agreement import Agreement, Gap, Gaussian, compare
+from comparisons.checks.attribution import ROUNDING, Verdict, judge
+from comparisons.checks.bookkeeping import Misuse, misuses
+from comparisons.checks.explanations import explain
+from comparisons.checks.model_differences import model_differences
+from comparisons.errors import InputError
+from comparisons.logs.log import Log, Positions
+from comparisons.runs.ekf_run import EkfRun
+from comparisons.runs.estimate import Estimate
+from comparisons.runs.given_estimate import GivenEstimate
+from comparisons.runs.smoother_run import (
+    build_problem,
+    linear_own,
+    linear_recorded,
+    run_smoother,
+    smoothed_estimate,
+    solve_own,
+    solve_recorded,
+)
+from comparisons.runs.timeline import Timeline, build_timeline
+from comparisons.runs.trace_file import TraceFile
+from ekf_reference.association import REJECTED
+from ekf_reference.full_ekf import PoseReading
+from graphslam.smoother import SmootherOptions
+
+Index = NDArray[np.intp]
+
+_CLOCK_S = 0.5e-4
+"""Half of what times are resolved to."""
+
+
+@dataclass(frozen=True)
+class TraceCheck:
+    """Gaps and causes. algebra: None where the estimate lacks the joint covariance.
+
+    steps, updates, begun, fixes: how many of each the trace holds.
+    """
+
+    agreement: Agreement
+    algebra: Gap | None
+    verdict: Verdict
+    steps: int
+    updates: int
+    begun: int
+    fixes: int
+
+
+def check_trace(
+    log: Log,
+    given: GivenEstimate,
+    positions: Positions | None,
+    options: SmootherOptions,
+    progress: Callable[[str], None] = lambda stage: None,
+    *,
+    labelled: bool,
+) -> TraceCheck:
+    """Compute the gaps as comparisons.compare does for the reference EKF, and judge them.
+
+    positions: those that were to be fused. Raises InputError for a trace that does not fit the log.
+    """
+    file = given.trace
+    if file is None or given.landmark is None or given.landmark_id is None:
+        raise ValueError("an estimate without a trace, or without landmarks")
+    if log.known_landmarks is not None:
+        raise InputError(f"{log.name}: traces are not checked on logs with known landmarks")
+    own, theirs = _timelines(file, float(given.time_s[-1]), build_timeline(log, positions))
+    joint = given.joint_covariance
+    last = Estimate(
+        given.time_s[-1:],
+        given.pose[-1:],
+        np.zeros((1, 3, 3)),
+        given.landmark_id,
+        given.landmark,
+        np.eye(3 + 2 * len(given.landmark)) if joint is None else joint,
+        "filtered",
+    )
+    run = _as_run(file, last, theirs, positions)
+    problem = build_problem(log, replace(run, timeline=own))
+    aligned = theirs is own
+    try:
+        said, meant = linear_recorded(run), linear_own(problem, run)
+        recorded, sound = solve_recorded(said, run), solve_own(meant, run)
+    except np.linalg.LinAlgError:
+        raise InputError(
+            f"{file.path}: its noise, composed between sightings, is singular; "
+            "add a little to step_q"
+        ) from None
+    result = run_smoother(problem, run, options, progress)
+    smoothed = smoothed_estimate(result, own.epoch_time_s, run.estimate.landmark_id, "the filter's")
+    first = Gaussian(*recorded)
+    filtered = Gaussian(run.estimate.joint_mean, run.estimate.joint_covariance)
+    whole = joint is not None
+    agreement = compare(
+        filtered if whole else first,
+        first,
+        Gaussian(*sound),
+        Gaussian(smoothed.joint_mean, smoothed.joint_covariance),
+    )
+    begun = int(np.count_nonzero(run.trace.augmentations.weight > 0.0))
+    misused = (*_untimely(log, file, run, positions),
+               *misuses(log, run, smoothed, labelled=labelled))  # fmt: skip
+    verdict = judge(
+        agreement,
+        result.proof,
+        run,
+        lambda: model_differences(said, meant, ROUNDING, begun),
+        explanations=(lambda: explain(log, run)) if aligned else tuple,
+        misuses=misused,
+        robust=options.robust,
+    )
+    return TraceCheck(
+        agreement,
+        agreement.algebra if whole else None,
+        verdict,
+        len(run.trace.departed),
+        len(run.trace.updates.step),
+        len(run.trace.augmentations.step),
+        len(run.trace.positions.step),
+    )
+
+
+def _timelines(file: TraceFile, last_s: float, timeline: Timeline) -> tuple[Timeline, Timeline]:
+    """The log's, with the epochs that the filter stopped at, and the same with its own steps."""
+    step_s, epoch_s = file.step_time_s, timeline.epoch_time_s
+    reached = np.searchsorted(step_s, epoch_s + _CLOCK_S, side="right")
+    stops = np.concatenate(([epoch_s[0]], step_s))[reached] >= epoch_s - _CLOCK_S
+    kept = np.flatnonzero(stops)
+    end_s = epoch_s[kept[-1]]
+    if reached[kept[-1]] != len(step_s) or len(kept) < 2:
+        raise InputError(
+            f"{file.path}: the last step ends at {step_s[-1]:.4f} s, expected an instant of "
+            f"a sighting, or the log's end at {epoch_s[-1]:.4f} s"
+        )
+    if abs(last_s - end_s) > 2 * _CLOCK_S:
+        raise InputError(
+            f"{file.path}: the last step ends at {end_s:.4f} s, the trajectory at "
+            f"{last_s:.4f} s; expected the same"
+        )
+    cut = timeline.prefix(int(kept[-1]) + 1)
+    own = replace(
+        cut,
+        epoch_time_s=epoch_s[kept],
+        step_epoch=np.searchsorted(kept, cut.step_epoch),
+        sighting_epoch=np.searchsorted(kept, cut.sighting_epoch),
+        position_epoch=np.searchsorted(kept, cut.position_epoch),
+    )
+    own_s = own.step_begin_s() + own.step_duration_s
+    if len(own_s) == len(step_s) and np.abs(own_s - step_s).max() <= 2 * _CLOCK_S:
+        return own, own
+    theirs = replace(
+        own,
+        step_epoch=np.searchsorted(own.epoch_time_s, step_s - _CLOCK_S),
+        step_duration_s=np.diff(step_s, prepend=own.epoch_time_s[0]),
+        control=np.zeros((len(step_s), 0)),
+        control_covariance=np.zeros((len(step_s), 0, 0)),
+    )
+    return own, theirs
+
+
+def _as_run(
+    file: TraceFile, last: Estimate, timeline: Timeline, positions: Positions | None
+) -> EkfRun:
+    """What was handed in, as a run of the reference EKF would be. last: the estimate at the end."""
+    trace = file.trace
+    for what, numbers, count in (
+        ("sighting", trace.updates.sighting, len(timeline.sighting_epoch)),
+        ("sighting", trace.augmentations.sighting, len(timeline.sighting_epoch)),
+        ("position", trace.positions.number, len(timeline.position_epoch)),
+    ):
+        if int(numbers.max(initial=-1)) >= count:
+            raise InputError(
+                f"{file.path}: uses {what} {numbers.max()}, where {count} were to be used "
+                "by the end of the trace" + (" (--gps)" if what == "position" else "")
+            )
+    until = timeline.steps_until()
+    pose = last.pose[-1].copy()
+    pose[2] += 2.0 * np.pi * np.round((trace.arrived[-1, 2] - pose[2]) / (2.0 * np.pi))
+    departed = np.vstack((trace.departed, pose))[until]
+    arrived = np.vstack((trace.prior_pose, trace.arrived))[until]
+    slot = np.full(len(timeline.sighting_epoch), REJECTED, dtype=np.intp)
+    for records in (trace.augmentations, trace.updates):
+        slot[records.sighting] = records.slot
+    return EkfRun(
+        replace(
+            last,
+            time_s=timeline.epoch_time_s,
+            pose=departed,
+            pose_covariance=np.zeros((len(departed), 3, 3)),
+        ),
+        timeline,
+        trace,
+        slot,
+        departed,
+        arrived,
+        PoseReading(pose, pose, np.eye(3)),
+        False,
+        positions,
+        np.unique(trace.positions.number),
+        0,
+    )
+
+
+def _untimely(log: Log, file: TraceFile, run: EkfRun, positions: Positions | None) -> list[Misuse]:
+    """Observations fused at another instant than their own, where no step ends there."""
+    stands_s = np.concatenate(([run.timeline.epoch_time_s[0]], file.step_time_s))
+    trace, found = run.trace, []
+    kinds = [
+        (
+            "sightings",
+            np.concatenate((trace.updates.step, trace.augmentations.step)),
+            log.sightings.time_s[
+                np.concatenate((trace.updates.sighting, trace.augmentations.sighting))
+            ],
+        )
+    ]
+    if positions is not None:
+        fixes = trace.positions
+        kinds.append(("positions", fixes.step, positions.time_s[fixes.number]))
+    for kind, step, due_s in kinds:
+        late_s = stands_s[step] - due_s
+        off = np.abs(late_s) > 2 * _CLOCK_S
+        if off.any():
+            middle = float(np.median(late_s[off]))
+            found.append(
+                Misuse(
+                    f"{np.count_nonzero(off)} of {len(off)} uses of {kind} come "
+                    f"{'late' if middle > 0 else 'early'}, by {abs(middle):.4g} s (median)",
+                    "look at the order of events: predict up to an observation's own time, then "
+                    "fuse it",
+                )
+            )
+    return found

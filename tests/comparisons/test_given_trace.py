@@ -1,0 +1,256 @@
+"""A foreign filter's trace: the same gaps as from within, the same causes, damage in one line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from comparisons.check_given import GivenCheck, check_given
+from comparisons.checks.agreement import Gap
+from comparisons.compare import Comparison, compare_estimators
+from comparisons.defects.catalogue import CATALOGUE
+from comparisons.defects.defect import Defect
+from comparisons.defects.logs import open_case
+from comparisons.errors import InputError
+from comparisons.logs.log import Log
+from comparisons.runs.ekf_build import EkfChoices, fused_positions
+from comparisons.runs.ekf_run import EkfRun, run_ekf
+from comparisons.runs.estimate_folder import write_estimate
+from comparisons.runs.given_estimate import read_given
+from comparisons.runs.timeline import build_timeline
+from comparisons.runs.trace_file import TRACE, write_trace
+from ekf_reference.full_ekf import FullEkf
+from tests.comparisons.test_cli import slamcheck
+from tests.helpers import Array
+
+Arrays = dict[str, Array]
+NEW_EVERY = 4
+"""So many of the catalogue's defects pass for each that is planted here."""
+UNSAID = ("landmark begun anew",)
+"""An estimate cannot say it: two landmarks of one id are refused."""
+
+
+def filtered(
+    log: Log, choices: EkfChoices, modify: Callable[[FullEkf], None] = lambda ekf: None
+) -> EkfRun:
+    chosen = choices.settle(log)
+    positions = fused_positions(log, chosen)
+    return run_ekf(log, build_timeline(log, positions), chosen, positions, modify=modify)
+
+
+def hand_in(run: EkfRun, folder: Path) -> None:
+    write_estimate(run.estimate, folder)
+    write_trace(run, folder / TRACE)
+
+
+def change(folder: Path, edit: Callable[[Arrays], object]) -> None:
+    with np.load(folder / TRACE) as archive:
+        arrays = dict(archive)
+    edit(arrays)
+    np.savez(folder / TRACE, **arrays)
+
+
+def checked(folder: Path, log: Log, choices: EkfChoices) -> GivenCheck:
+    return check_given(log, read_given(folder), gps=choices.gps)
+
+
+@pytest.fixture(scope="module", params=["loop", "positions"])
+def case(request: pytest.FixtureRequest) -> tuple[Log, EkfChoices, Comparison]:
+    log, choices = open_case(request.param, seed=4)
+    return log, choices, compare_estimators(log, choices)
+
+
+def assert_same(found: Gap | None, expected: Gap, rel: float = 1e-6) -> None:
+    """To rounding, which for gaps that are rounding themselves means both are."""
+    assert found is not None
+    for name in ("sigma", "covariance"):
+        assert getattr(found, name) == pytest.approx(getattr(expected, name), rel=rel, abs=1e-9)
+
+
+def assert_as_from_within(check: GivenCheck, comparison: Comparison) -> None:
+    assert check.trace is not None
+    assert_same(check.trace.algebra, comparison.agreement.algebra)
+    assert_same(check.trace.agreement.model, comparison.agreement.model)
+    assert_same(check.trace.agreement.linearisation, comparison.agreement.linearisation, rel=1e-5)
+    assert check.outcome == "agree", check.causes
+
+
+def test_gaps_are_those_from_within(
+    tmp_path: Path, case: tuple[Log, EkfChoices, Comparison]
+) -> None:
+    log, choices, comparison = case
+    hand_in(comparison.ekf, tmp_path)
+    assert_as_from_within(checked(tmp_path, log, choices), comparison)
+
+
+def wrapped(arrays: Arrays) -> None:
+    """As a filter that keeps every heading between -pi and pi."""
+    for name in ("step_departed", "step_arrived", "update_pose", "begin_pose", "position_pose"):
+        arrays[name][:, 2] = np.angle(np.exp(1j * arrays[name][:, 2]))
+
+
+def coarse(arrays: Arrays) -> None:
+    """As a filter that predicts once from observation to observation."""
+    steps = len(arrays["step_f"])
+    parts = ("update", "begin", "position")
+    stops = np.unique(np.concatenate([arrays[f"{part}_step"] for part in parts]))
+    stops = np.unique(np.concatenate((stops[stops > 0], [steps]))).astype(int)
+    starts = np.concatenate(([0], stops[:-1]))
+    f, q = [], []
+    for begin, end in zip(starts, stops, strict=True):
+        total, spread = np.eye(3), np.zeros((3, 3))
+        for k in range(begin, end):
+            step = arrays["step_f"][k]
+            total, spread = step @ total, step @ spread @ step.T + arrays["step_q"][k]
+        f.append(total)
+        q.append(spread)
+    q_symmetric = 0.5 * (np.array(q) + np.array(q).transpose(0, 2, 1))
+    arrays |= {
+        "step_time_s": arrays["step_time_s"][stops - 1],
+        "step_departed": arrays["step_departed"][starts],
+        "step_arrived": arrays["step_arrived"][stops - 1],
+        "step_f": np.array(f),
+        "step_q": q_symmetric,
+    }
+    for part in parts:
+        step = arrays[f"{part}_step"]
+        reached = np.searchsorted(stops, step) + (step > 0)
+        arrays[f"{part}_step"] = reached.astype(np.float64)
+
+
+def bare(arrays: Arrays) -> None:
+    """Without what may be absent."""
+    for part in ("update", "begin", "position"):
+        del arrays[f"{part}_weight"]
+    if not len(arrays["position_step"]):
+        for name in [name for name in arrays if name.startswith("position_")]:
+            del arrays[name]
+
+
+@pytest.mark.parametrize("edit", [wrapped, coarse, bare])
+def test_other_habits_make_no_difference(
+    tmp_path: Path, case: tuple[Log, EkfChoices, Comparison], edit: Callable[[Arrays], None]
+) -> None:
+    log, choices, comparison = case
+    hand_in(comparison.ekf, tmp_path)
+    change(tmp_path, edit)
+    assert_as_from_within(checked(tmp_path, log, choices), comparison)
+
+
+@pytest.mark.parametrize(
+    "defect",
+    [d for d in CATALOGUE if d.name not in UNSAID][::NEW_EVERY],
+    ids=lambda defect: defect.name,
+)
+def test_a_planted_defect_has_its_cause(tmp_path: Path, defect: Defect) -> None:
+    """Of algebra only the gap can be told: which operation is wrong needs the filter itself."""
+    log, choices = open_case(defect.log, seed=4)
+    hand_in(filtered(log, choices, defect.plant), tmp_path)
+    found = checked(tmp_path, log, choices)
+    assert found.outcome == "disagree"
+    gap, *words = defect.expected_cause
+    first = found.causes[0]
+    assert first.gap == gap, first
+    told = f"{first.evidence}; {first.hint}"
+    assert gap == "algebra" or all(word in told for word in words), told
+
+
+def test_a_coarse_filter_that_fuses_late_is_told(
+    tmp_path: Path, case: tuple[Log, EkfChoices, Comparison]
+) -> None:
+    """No step ends when the sightings are taken: each is fused 25 ms later."""
+    log, choices, comparison = case
+    hand_in(comparison.ekf, tmp_path)
+
+    def later(arrays: Arrays) -> None:
+        arrays["update_step"] = np.minimum(arrays["update_step"] + 1, len(arrays["step_f"]))
+
+    change(tmp_path, later)
+    found = checked(tmp_path, log, choices)
+    assert found.causes[0].gap == "data"
+    assert "uses of sightings come late, by 0.025 s" in found.causes[0].evidence
+
+
+def test_without_the_joint_covariance_the_model_is_still_judged(
+    tmp_path: Path, case: tuple[Log, EkfChoices, Comparison]
+) -> None:
+    log, choices, comparison = case
+    hand_in(comparison.ekf, tmp_path)
+    (tmp_path / "covariances.npz").unlink()
+    found = checked(tmp_path, log, choices)
+    assert found.trace is not None
+    assert found.trace.algebra is None
+    assert_same(found.trace.agreement.model, comparison.agreement.model)
+    assert any("algebra is not judged" in remark for remark in found.remarks)
+
+
+def put(name: str, row: int, value: float) -> Callable[[Arrays], None]:
+    def edit(arrays: Arrays) -> None:
+        arrays[name] = arrays[name].astype(float)
+        arrays[name][row] = value
+
+    return edit
+
+
+BAD: dict[str, tuple[Callable[[Arrays], object], str]] = {
+    "missing": (lambda a: a.pop("step_f"), "holds no step_f"),
+    "shape": (lambda a: a.update(step_q=np.eye(3)), r"step_q has shape \(3, 3\), expected"),
+    "nan": (put("update_innovation", 3, np.nan), "update_innovation holds a value that is no"),
+    "fraction": (put("update_sighting", 3, 0.5), "update_sighting holds a value that is no whole"),
+    "backwards": (put("step_time_s", 7, 0.0), "step_time_s runs backwards"),
+    "order": (put("update_step", 0, 2000), "update_step must ascend"),
+    "beyond": (put("update_step", -1, 1e6), "update_step must ascend"),
+    "stranger": (put("update_landmark", 0, 999), "update_landmark holds 999, not among"),
+    "begun twice": (lambda a: a["begin_landmark"].__setitem__(0, a["begin_landmark"][1]),
+                    "begins 0 times|begins 2 times"),
+    "no sighting": (put("update_sighting", 0, 1e9), "uses sighting 1000000000"),
+    "indefinite": (put("update_noise", 5, -1.0), "update_noise, row 5, is not symmetric"),
+    "weight": (put("update_weight", 0, 2.0), "update_weight holds a value outside"),
+    "end": (put("step_time_s", -1, 1e3), "the last step ends at"),
+    "text": (lambda a: a.update(step_f=np.array(["x"])), "step_f is not an array of numbers"),
+    "singular": (lambda a: a.update(step_q=0.0 * a["step_q"]), "singular; add a little to step_q"),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def plain() -> tuple[Log, EkfChoices, EkfRun]:
+    log, choices = open_case("loop", seed=4)
+    return log, choices, filtered(log, choices)
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_damage_is_one_line(
+    tmp_path: Path, plain: tuple[Log, EkfChoices, EkfRun], name: str
+) -> None:
+    log, choices, run = plain
+    hand_in(run, tmp_path)
+    edit, told = BAD[name]
+    change(tmp_path, edit)
+    with pytest.raises(InputError, match=told) as caught:
+        checked(tmp_path, log, choices)
+    assert str(tmp_path / TRACE) in str(caught.value)
+
+
+def test_a_trace_needs_landmarks(tmp_path: Path, plain: tuple[Log, EkfChoices, EkfRun]) -> None:
+    hand_in(plain[2], tmp_path)
+    (tmp_path / "landmarks.csv").unlink()
+    (tmp_path / "covariances.npz").unlink()
+    with pytest.raises(InputError, match=r"trace\.npz: needs landmarks\.csv beside it"):
+        read_given(tmp_path)
+
+
+def test_the_commands(tmp_path: Path) -> None:
+    done = slamcheck("run", "simulated-loop", "--trace", "--out", "report", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    done = slamcheck(
+        "check", "simulated-loop", "--estimate", "report/ekf", "--out", "c", cwd=tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    assert "algebra gap" in done.stdout
+    refused = slamcheck("run", "waypoint-run", "--filter", "misono", "--trace", cwd=tmp_path)
+    assert refused.returncode == 2
+    assert "--trace is for filters of x, y and heading" in refused.stderr
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["c", "report"]

@@ -1,0 +1,129 @@
+"""Trajectories as single files: what is written is read again, damage is named."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from comparisons.errors import InputError
+from comparisons.runs.given_estimate import read_given
+from comparisons.runs.trajectory_files import (
+    FORMATS,
+    Trajectory,
+    read_trajectory_file,
+    write_trajectory,
+)
+from tests.comparisons.test_cli import slamcheck
+from tests.helpers import random_covariance
+
+
+@pytest.fixture
+def trajectory() -> Trajectory:
+    """Through several turns, at uneven times."""
+    rng = np.random.default_rng(0)
+    time_s = 1.7e9 + np.cumsum(rng.uniform(0.01, 1.0, 200))
+    pose = np.cumsum(rng.standard_normal((200, 3)), axis=0)
+    pose[:, 2] = np.cumsum(rng.uniform(-0.5, 0.7, 200))
+    covariance = np.array([random_covariance(rng, 3) for _ in time_s])
+    return Trajectory(time_s, pose, 0.5 * (covariance + covariance.transpose(0, 2, 1)))
+
+
+def test_csv_holds_every_bit(tmp_path: Path, trajectory: Trajectory) -> None:
+    write_trajectory(trajectory, tmp_path / "a", "csv")
+    again = read_trajectory_file(tmp_path / "a")
+    for before, after in zip(trajectory, again, strict=True):
+        assert np.array_equal(before, after)  # type: ignore[arg-type]
+    write_trajectory(again, tmp_path / "b", "csv")
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
+@pytest.mark.parametrize("format_name", ["tum", "kitti"])
+def test_the_others_hold_times_and_positions(
+    tmp_path: Path, trajectory: Trajectory, format_name: str
+) -> None:
+    """To the bit; headings to rounding, up to whole turns in which the first may begin."""
+    write_trajectory(trajectory, tmp_path / "a", format_name)
+    again = read_trajectory_file(tmp_path / "a")
+    assert np.array_equal(again.time_s, trajectory.time_s)
+    assert np.array_equal(again.pose[:, :2], trajectory.pose[:, :2])
+    turns = (again.pose[:, 2] - trajectory.pose[:, 2]) / (2 * np.pi)
+    assert np.abs(turns - np.round(turns)).max() < 1e-14
+    assert again.covariance is None
+
+
+def test_a_wrong_order_of_the_matrix_is_seen(tmp_path: Path, trajectory: Trajectory) -> None:
+    """Column by column in place of row by row: the test above must notice."""
+    write_trajectory(trajectory, tmp_path / "a", "kitti")
+    rows = np.loadtxt(tmp_path / "a").reshape(-1, 3, 4)
+    swapped = np.concatenate((rows[:, :, :3].transpose(0, 2, 1), rows[:, :, 3:]), axis=2)
+    np.savetxt(tmp_path / "a", swapped.reshape(-1, 12), fmt="%.17g")
+    again = read_trajectory_file(tmp_path / "a")
+    turns = (again.pose[:, 2] - trajectory.pose[:, 2]) / (2 * np.pi)
+    assert np.abs(turns - np.round(turns)).max() > 0.1
+
+
+BAD = {
+    "no times": ("1 0 0 0 0 1 0 0 0 0 1 0\n", None, "KITTI holds no times, expected times.txt"),
+    "few times": ("1 0 0 0 0 1 0 0 0 0 1 0\n" * 2, "0\n", "1 times, expected 2 as poses in"),
+    "back": ("1 0 0 0 0 1 0 0 0 0 1 0\n" * 2, "1\n0\n", "times.txt:2: time 0.000000 s follows"),
+    "camera": ("1 0 0 0 0 0 1 0 0 -1 0 0\n", "0\n", "a:1: r22 (of a pose in the plane x, y) is"),
+    "scaled": ("2 0 0 0 0 2 0 0 0 0 1 0\n", "0\n", "a:1: rotation's norm is 2.0"),
+    "far": ("1 0 0 1e11 0 1 0 0 0 0 1 0\n", "0\n", "a:1: x is 100000000000.0"),
+    "csv header": ("time_s,x,y\n", None, "a:1: expected the header time_s,x_m,y_m,heading_rad"),
+    "csv covariance": ("time_s,x_m,y_m,heading_rad,cov_00\n", None, "a:1: expected the header"),
+    "empty": ("time_s,x_m,y_m,heading_rad\n", None, "a: holds no poses"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_damage_is_named(tmp_path: Path, name: str) -> None:
+    text, times, message = BAD[name]
+    (tmp_path / "a").write_text(text)
+    if times is not None:
+        (tmp_path / "times.txt").write_text(times)
+    with pytest.raises(InputError) as caught:
+        read_given(tmp_path / "a")
+    assert message in str(caught.value)
+
+
+def test_nothing_is_replaced(tmp_path: Path, trajectory: Trajectory) -> None:
+    (tmp_path / "times.txt").write_text("somebody's")
+    with pytest.raises(InputError, match=r"times\.txt: exists already"):
+        write_trajectory(trajectory, tmp_path / "a", "kitti")
+    assert not (tmp_path / "a").exists()
+    with pytest.raises(InputError, match="is the name of the times"):
+        write_trajectory(trajectory, tmp_path / "new" / "times.txt", "kitti")
+
+
+def test_the_commands(tmp_path: Path) -> None:
+    """Every format says the same of an estimate; covariances of CSV are judged, too."""
+    done = slamcheck("solve", "simulated-loop", "--out", "solved", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    for format_name in FORMATS:
+        place = f"{format_name}/poses"
+        done = slamcheck("export", "solved/smoother", place, "--format", format_name, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        assert done.stdout.startswith(f"{place}: ")
+    (tmp_path / "kitti" / "times.txt").rename(tmp_path / "clock")
+    right = [
+        (("csv/poses",), "every pose by its own covariance"),
+        (("kitti/poses", "--times", "clock"), "the path as a whole"),
+    ]
+    for words, told in right:
+        done = slamcheck(
+            "check", "simulated-loop", "--estimate", *words, "--out", "c", cwd=tmp_path
+        )
+        assert done.returncode == 0, done.stderr + done.stdout
+        assert told in done.stdout
+    wrong: list[tuple[tuple[str, ...], str]] = [
+        (("export", "solved", "x.csv"), "is no estimate; give solved/smoother"),
+        (("export", "csv/poses", "tum/poses"), "exists already"),
+        (("export", "csv/poses", "x", "--format", "xyz"), "format 'xyz' is unknown"),
+        (("export", "csv/poses", "x", "--times", "clock"), "--times is for KITTI"),
+    ]
+    for words, told in wrong:
+        done = slamcheck(*words, cwd=tmp_path)
+        assert done.returncode == 2
+        assert told in done.stderr

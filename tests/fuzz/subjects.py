@@ -1,0 +1,232 @@
+"""What users hand in: a small valid one of each kind, and how it is opened."""
+
+from __future__ import annotations
+
+import functools
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from comparisons.baseline import Settings, build_baseline, read_baseline, write_baseline
+from comparisons.compare import compare_estimators
+from comparisons.logs.log import Log
+from comparisons.logs.log_folder import write_log_folder
+from comparisons.logs.readers import read_log
+from comparisons.report import side_by_side
+from comparisons.report.models import Result
+from comparisons.report.result import build_result
+from comparisons.runs.ekf_build import EkfChoices
+from comparisons.runs.ekf_run import run_ekf
+from comparisons.runs.estimate_folder import write_estimate
+from comparisons.runs.given_estimate import GivenEstimate, read_given
+from comparisons.runs.timeline import build_timeline
+from comparisons.runs.trace_file import TRACE, write_trace
+from comparisons.runs.trajectory_files import Trajectory, write_trajectory
+from comparisons.scenarios.scenario import read_scenario
+from comparisons.scenarios.world import World, build_world
+from comparisons.solve import solve_log
+from graphslam.g2o import G2oContents, write_g2o
+from tests.comparisons.logs.test_log_folder import full_log, velocity_log
+from tests.comparisons.logs.test_readers import car_park, graph, mrclam, victoria
+from tests.comparisons.logs.test_scan_readers import carmen, trio
+from tests.helpers import simulated
+
+SCENARIO = """description = "small"
+from_paper = []
+ours = ["all"]
+steps = 20
+step_s = 1.0
+sigma_start_m = 1e-5
+sigma_start_rad = 1e-5
+
+[course]
+kind = "waypoints"
+speed_mps = 0.5
+lookahead_m = 1.0
+points = [[0.0, 0.0], [9.0, 0.0], [9.0, 9.0]]
+
+[landmarks]
+kind = "ring"
+centre = [0.0, 1.0]
+radii_m = [7.0, 13.0]
+count = 5
+
+[odometry]
+sigma_speed_mps = 0.01
+sigma_yaw_rate_radps = 0.01
+
+[sensor]
+kind = "range-bearing"
+sigma_range_m = 0.1
+sigma_bearing_rad = 0.01
+max_range_m = 50.0
+"""
+
+
+@dataclass(frozen=True)
+class Subject:
+    """make: writes into an empty folder. read: given that folder. within: the part to open."""
+
+    make: Callable[[Path], object]
+    read: Callable[[Path], object]
+
+    @functools.cached_property
+    def files(self) -> dict[str, bytes]:
+        """Contents of a valid one, by path."""
+        with tempfile.TemporaryDirectory() as name:
+            folder = Path(name)
+            self.make(folder)
+            found = sorted(p for p in folder.rglob("*") if p.is_file())
+            return {p.relative_to(folder).as_posix(): p.read_bytes() for p in found}
+
+    def write(self, folder: Path) -> None:
+        """A valid one."""
+        for name, content in self.files.items():
+            path = folder / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content)
+
+
+@functools.cache
+def small_solution() -> tuple[Log, G2oContents]:
+    """Of a log of ten seconds."""
+    log = simulated(2, loop_s=10.0)
+    result = solve_log(log).result
+    return log, G2oContents(result.problem, result.poses, result.landmarks)
+
+
+def log_files(log: Log) -> Callable[[Path], None]:
+    def make(folder: Path) -> None:
+        write_log_folder(log, folder)
+
+    return make
+
+
+def check_log(log: Log) -> None:
+    """What every log promises, whoever wrote it: finite numbers, gaps where there may be some."""
+    for stream in (log.odometry, log.sightings, log.positions, log.known_sightings, log.scans):
+        for name, value in vars(stream).items() if stream is not None else ():
+            if isinstance(value, np.ndarray) and name not in ("diameter_m", "range_m"):
+                assert np.isfinite(value).all(), name
+    assert np.isfinite((log.end_s, log.duration_s)).all()
+    assert log.records
+
+
+def opened(path: Callable[[Path], Path] = lambda folder: folder) -> Callable[[Path], object]:
+    return lambda folder: check_log(read_log(path(folder)))
+
+
+def named(name: str, format_name: str) -> Callable[[Path], object]:
+    """By name, as --format does: the reader itself meets what would not be recognised."""
+    return lambda folder: check_log(read_log(folder / name, format_name))
+
+
+def check_given(given: GivenEstimate) -> None:
+    for value in (given.time_s, given.pose, given.landmark, given.pose_covariance,
+                  given.landmark_covariance, given.joint_covariance):  # fmt: skip
+        assert value is None or np.isfinite(value**2).all()
+
+
+def estimate_files(folder: Path) -> None:
+    """A filter's, with its trace."""
+    log, _ = small_solution()
+    run = run_ekf(log, build_timeline(log), EkfChoices().settle(log))
+    write_estimate(run.estimate, folder)
+    write_trace(run, folder / TRACE)
+
+
+def trajectory_file(format_name: str) -> Subject:
+    """A trajectory on its own, also with a file of times."""
+
+    def make(folder: Path) -> None:
+        found = solve_log(small_solution()[0]).estimate
+        trajectory = Trajectory(found.time_s, found.pose, found.pose_covariance)
+        write_trajectory(trajectory, folder / "poses", format_name)
+
+    return Subject(make, lambda folder: check_given(read_given(folder / "poses")))
+
+
+@functools.cache
+def small_result() -> str:
+    return build_result(compare_estimators(simulated(loop_s=10.0)), 0.0).model_dump_json(indent=1)
+
+
+def result_file(folder: Path) -> None:
+    (folder / "result.json").write_text(small_result())
+
+
+def read_result(folder: Path) -> None:
+    results = side_by_side.read_results([folder, folder])
+    with (folder / "printed").open("w") as file:
+        side_by_side.print_side_by_side(
+            ["a", "b"], side_by_side.side_by_side(results), Console(file=file)
+        )
+
+
+def baseline_file(folder: Path) -> None:
+    result = Result.model_validate_json(small_result())
+    write_baseline(build_baseline([result], Settings()), folder / "kept.json")
+
+
+def build_scenario(folder: Path) -> World:
+    place = str(folder / "small.toml")
+    return build_world(read_scenario(place), place)
+
+
+def g2o_file(folder: Path) -> None:
+    write_g2o(folder / "graph.g2o", small_solution()[1])
+
+
+def bag(mcap: bool) -> Callable[[Path], None]:
+    """A rosbag2 folder."""
+
+    def make(folder: Path) -> None:
+        from tests.comparisons.logs.bags import T, drive
+
+        T.write(folder / "bag", drive(T), mcap=mcap)
+
+    return make
+
+
+def ros1_bag(folder: Path) -> None:
+    from rosbags.typesys import Stores
+
+    from tests.comparisons.logs.bags import Types, drive
+
+    types = Types(Stores.ROS1_NOETIC)
+    types.write(folder / "drive.bag", drive(types))
+
+
+SUBJECTS: dict[str, Subject] = {
+    "log folder": Subject(log_files(full_log()), opened()),
+    "log folder, velocity": Subject(log_files(velocity_log()), opened()),
+    "log folder, relative poses": Subject(
+        lambda folder: write_log_folder(read_log(graph(folder)), folder / "log"),
+        opened(lambda folder: folder / "log"),
+    ),
+    "g2o": Subject(g2o_file, named("graph.g2o", "g2o")),
+    "gtsam text": Subject(graph, named("graph_file.txt", "gtsam-2d")),
+    "MR.CLAM": Subject(mrclam, opened()),
+    "Victoria Park detections": Subject(victoria, opened()),
+    "ACFR car park": Subject(car_park, opened()),
+    "aa3": Subject(trio, opened()),
+    "CARMEN": Subject(carmen, named("drive.clf", "carmen")),
+    "TUM trajectory": trajectory_file("tum"),
+    "KITTI trajectory": trajectory_file("kitti"),
+    "CSV trajectory": trajectory_file("csv"),
+    "estimate folder": Subject(estimate_files, lambda folder: check_given(read_given(folder))),
+    "baseline": Subject(baseline_file, lambda folder: read_baseline(folder / "kept.json")),
+    "scenario": Subject(
+        lambda folder: (folder / "small.toml").write_text(SCENARIO), build_scenario
+    ),
+    "result": Subject(result_file, read_result),
+}
+BAGS: dict[str, Subject] = {
+    "rosbag2, MCAP": Subject(bag(mcap=True), opened(lambda folder: folder / "bag")),
+    "rosbag2, SQLite": Subject(bag(mcap=False), opened(lambda folder: folder / "bag")),
+    "ROS 1": Subject(ros1_bag, opened(lambda folder: folder / "drive.bag")),
+}

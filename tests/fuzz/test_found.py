@@ -1,0 +1,148 @@
+"""What fuzzing, or thinking like it, has found: each is one line that names the file now."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from comparisons import archive
+from tests.fuzz.damage import Damage
+from tests.fuzz.subjects import BAGS, SUBJECTS
+from tests.fuzz.test_hostile_files import assert_one_line, attempt, outcome
+
+NEEDS_BAGS = pytest.mark.skipif(
+    not importlib.util.find_spec("rosbags"), reason="the extra ros is missing"
+)
+
+
+def refused(name: str, file: str, old: str, new: str) -> str:
+    """What is said of a subject with a piece of text replaced."""
+    subject = SUBJECTS[name]
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        subject.write(folder)
+        text = (folder / file).read_text()
+        assert old in text
+        (folder / file).write_text(text.replace(old, new, 1))
+        code, told = outcome(lambda: subject.read(folder))
+        assert code == 2, told
+        assert_one_line(code, told, folder)
+        return told
+
+
+ENDLESS = "9" * 5000
+"""More digits than Python turns into a number."""
+REPLACED = {
+    "endless number in estimate.toml": (
+        *("estimate folder", "estimate.toml", "version = 1", f"version = {ENDLESS}"),
+        "not valid TOML",
+    ),
+    "endless number in a scenario": (
+        *("scenario", "small.toml", "steps = 20", f"steps = {ENDLESS}"),
+        "is not TOML",
+    ),
+    "deep scenario": ("scenario", "small.toml", "ours = [", "ours = [" + "[" * 3000, "is not TOML"),
+    "lookahead": (
+        *("scenario", "small.toml", "lookahead_m = 1.0", "lookahead_m = 1e-8"),
+        "m long with a lookahead_m of 1e-08",
+    ),
+    "no lookahead": (
+        *("scenario", "small.toml", "lookahead_m = 1.0", "lookahead_m = 5e-324"),
+        "greater than or equal to",
+    ),
+    "every": (
+        *("scenario", "small.toml", "max_range_m", f"every = {10**30}\nmax_range_m"),
+        "sensor.range-bearing.every",
+    ),
+    "landmark far away": (
+        *("estimate folder", "landmarks.csv", "x_m,y_m\n", "x_m,y_m\n1234,1e200,0\n"),
+        "x_m is 1e+200, expected between",
+    ),
+    "baseline's number": (
+        *("baseline", "kept.json", '"robot": 1', '"robot": "abc"'),
+        "settings.robot",
+    ),
+    "baseline's infinite tolerance": (
+        *("baseline", "kept.json", '"tolerance": 0.0', '"tolerance": Infinity'),
+        "not a baseline",
+    ),
+    "baseline's long key": ("baseline", "kept.json", '"log"', f'"{ENDLESS}"', "not a baseline"),
+    "prior's time": ("log folder", "log.toml", "time_s = 0.0", "time_s = nan", "time_s is nan"),
+}
+
+
+@pytest.mark.parametrize("name", REPLACED)
+def test_hostile_values(name: str) -> None:
+    subject, file, old, new, message = REPLACED[name]
+    assert message in refused(subject, file, old, new)
+
+
+@pytest.mark.parametrize(
+    ("name", "file"),
+    [
+        ("log folder", "scans.npz"),
+        ("log folder", "sightings.csv"),
+        ("aa3", "aa3_lsr2.mat"),
+        ("g2o", "graph.g2o"),
+        ("estimate folder", "trace.npz"),
+        ("baseline", "kept.json"),
+    ],
+)
+@pytest.mark.parametrize("kind", ["pipe", "link to a device"])
+def test_what_never_ends_is_not_opened(name: str, file: str, kind: str) -> None:
+    attempt(SUBJECTS[name], [Damage(kind, file)])
+
+
+@NEEDS_BAGS
+def test_bags_in_parts_that_never_end_are_not_opened() -> None:
+    for file in BAGS["rosbag2, MCAP"].files:
+        attempt(BAGS["rosbag2, MCAP"], [Damage("pipe", file)])
+
+
+@NEEDS_BAGS
+def test_a_bag_whose_topic_has_no_name(tmp_path: Path) -> None:
+    subject = BAGS["rosbag2, SQLite"]
+    subject.write(tmp_path)
+    path = tmp_path / "bag" / "metadata.yaml"
+    path.write_text(path.read_text().replace("/scan", ""))
+    code, told = outcome(lambda: subject.read(tmp_path))
+    assert_one_line(code, told, tmp_path)
+
+
+def test_an_archive_larger_than_memory_is_not_unpacked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    np.savez_compressed(tmp_path / "a.npz", pose=np.zeros(10_000))
+    monkeypatch.setattr(archive, "_MOST_BYTES", 10_000)
+    code, told = outcome(lambda: archive.read_arrays(tmp_path / "a.npz", ("pose",)))
+    assert code == 2
+    assert "bytes unpacked, expected 10000 at most" in told
+
+
+def twice(folder: Path) -> None:
+    path = folder / "landmarks.csv"
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([*lines, lines[1]]) + "\n")
+
+
+def dangling(folder: Path) -> None:
+    (folder / "trajectory.tum").unlink()
+    os.symlink("nowhere", folder / "trajectory.tum")
+
+
+@pytest.mark.parametrize(
+    ("edit", "message"), [(twice, "appears twice"), (dangling, "trajectory.tum: no such file")]
+)
+def test_hostile_estimates(edit: Callable[[Path], None], message: str, tmp_path: Path) -> None:
+    SUBJECTS["estimate folder"].write(tmp_path)
+    edit(tmp_path)
+    code, told = outcome(lambda: SUBJECTS["estimate folder"].read(tmp_path))
+    assert code == 2
+    assert_one_line(code, told, tmp_path)
+    assert message in told

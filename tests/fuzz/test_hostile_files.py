@@ -1,0 +1,153 @@
+"""Damaged and hostile files of every kind: a clear line and exit code 2, or finite figures.
+
+Never a traceback, never half an output. HYPOTHESIS_PROFILE=nightly tries ten times as many.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import io
+import json
+import signal
+import sys
+import tempfile
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from comparisons.cli import main
+from comparisons.cli_support import guarded
+from comparisons.logs.log_folder import write_log_folder
+from tests.fuzz.damage import Damage, damages
+from tests.fuzz.subjects import BAGS, SUBJECTS, Subject
+from tests.helpers import simulated
+
+FEW = max(4, settings().max_examples // 2)
+"""Of those that run a whole command."""
+QUIET = (HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much)
+
+
+def outcome(command: Callable[[], object]) -> tuple[int, str]:
+    """Exit code and standard error, as the command line would leave them."""
+    told = io.StringIO()
+    with contextlib.redirect_stderr(told), contextlib.redirect_stdout(io.StringIO()):
+        try:
+            with guarded():
+                command()
+        except SystemExit as stop:
+            return int(stop.code or 0), told.getvalue()
+        except Exception:
+            return 70, traceback.format_exc()
+    return 0, told.getvalue()
+
+
+def assert_one_line(code: int, told: str, place: Path) -> None:
+    """Exit code 2 comes with one line, which names a file; no other fault is known."""
+    assert code in (0, 2), told[-3000:]
+    if code == 2:
+        assert told.startswith("slamcheck: "), told
+        assert told.count("\n") == 1, told
+        assert told.endswith("\n"), told
+        assert told[:-1].isprintable(), told
+        assert len(told) < 1000, told
+        assert str(place) in told, told
+
+
+def attempt(subject: Subject, hurt: list[Damage]) -> None:
+    """Open a damaged one."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        subject.write(folder)
+        for damage in hurt:
+            damage.apply(folder)
+        assert_one_line(*outcome(lambda: subject.read(folder)), folder)
+
+
+@pytest.mark.parametrize("name", SUBJECTS)
+def test_a_sound_one_is_read(name: str) -> None:
+    attempt(SUBJECTS[name], [])
+    with tempfile.TemporaryDirectory() as folder:
+        SUBJECTS[name].write(Path(folder))
+        SUBJECTS[name].read(Path(folder))
+
+
+@pytest.mark.parametrize("name", SUBJECTS)
+@settings(suppress_health_check=QUIET)
+@given(data=st.data())
+def test_damage_is_one_line(name: str, data: st.DataObject) -> None:
+    subject = SUBJECTS[name]
+    attempt(subject, data.draw(damages(sorted(subject.files))))
+
+
+@pytest.mark.skipif(not importlib.util.find_spec("rosbags"), reason="the extra ros is missing")
+@pytest.mark.parametrize("name", BAGS)
+@settings(suppress_health_check=QUIET)
+@given(data=st.data())
+def test_damage_to_bags_is_one_line(name: str, data: st.DataObject) -> None:
+    subject = BAGS[name]
+    attempt(subject, data.draw(damages(sorted(subject.files))))
+
+
+def everything(folder: Path) -> None:
+    """A log, a filter's estimate of it, a baseline and a scenario."""
+    write_log_folder(simulated(2, loop_s=10.0), folder / "log")
+    (folder / "mine").mkdir()
+    SUBJECTS["estimate folder"].write(folder / "mine")
+    SUBJECTS["baseline"].write(folder)
+    SUBJECTS["scenario"].write(folder)
+
+
+WHOLE = Subject(everything, lambda folder: None)
+COMMANDS = {
+    "run": "run LOG --out OUT",
+    "solve": "solve LOG --out OUT",
+    "check": "check LOG --estimate MINE --out OUT",
+    "convert": "convert LOG OUT",
+    "baseline": "baseline compare LOG KEPT.JSON",
+    "montecarlo": "montecarlo SMALL.TOML --runs 1 --filters ekf,oc --out OUT",
+}
+"""Capitals: paths, in the folder at hand."""
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+@settings(max_examples=FEW, suppress_health_check=QUIET)
+@given(data=st.data())
+def test_commands_leave_all_or_nothing(name: str, data: st.DataObject) -> None:
+    """Exit code 2 leaves nothing behind; another one a folder with finite figures."""
+    words = COMMANDS[name].split()
+    inputs = tuple(word.lower() for word in words if word.isupper() and word != "OUT")
+    hurt = data.draw(damages([f for f in sorted(WHOLE.files) if f.startswith(inputs)]))
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        WHOLE.write(folder)
+        given_in = {path.name for path in folder.iterdir()}
+        for damage in hurt:
+            damage.apply(folder)
+        code, told = outcome(
+            lambda: run_main([str(folder / w.lower()) if w.isupper() else w for w in words])
+        )
+        left = {path.name for path in folder.iterdir()} - given_in
+        assert code in (0, 1, 2, 3), told[-3000:]
+        assert left <= {"out"}
+        if code == 2:
+            assert_one_line(code, told, folder)
+            assert not left
+        for path in folder.glob("out/*.json"):
+            json.loads(path.read_text(), parse_constant=pytest.fail)
+
+
+def run_main(arguments: list[str]) -> Any:
+    """The console script's entry point in this process; its handler of signals is undone."""
+    kept = signal.getsignal(signal.SIGTERM)
+    try:
+        with mock.patch.object(sys, "argv", ["slamcheck", *arguments]):
+            main()
+    finally:
+        signal.signal(signal.SIGTERM, kept)
