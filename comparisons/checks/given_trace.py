@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.checks.agreement import Agreement, Gap, Gaussian, compare
-from comparisons.checks.attribution import ROUNDING, Verdict, judge
+from comparisons.checks.agreement import ROUNDING, Agreement, Gap, Gaussian, compare
+from comparisons.checks.attribution import Verdict, judge
 from comparisons.checks.bookkeeping import Misuse, misuses
 from comparisons.checks.explanations import explain
 from comparisons.checks.model_differences import model_differences
