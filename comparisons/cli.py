@@ -37,6 +37,7 @@ from comparisons.cli_options import (
     SmootherAssociationOption,
     SolveAssociationOption,
 )
+from comparisons.cli_reproduce import reproduce
 from comparisons.cli_scans import map_command, odometry
 from comparisons.cli_support import (
     AGREE,
@@ -268,6 +269,7 @@ app.command("compare")(side_by_side)
 app.command()(odometry)
 app.command("map")(map_command)
 app.command()(montecarlo)
+app.command()(reproduce)
 
 
 @app.command()

@@ -83,6 +83,12 @@ class Sightings:
         """Every sighting names its landmark."""
         return bool((self.landmark != NO_LANDMARK).all())
 
+    @property
+    def labels_in_order(self) -> Ids:
+        """(L,) ids by first sighting, the order in which a filter that trusts them adds them."""
+        labels, first = np.unique(self.landmark, return_index=True)
+        return labels[np.argsort(first)]
+
 
 @dataclass(frozen=True)
 class Positions:
@@ -129,6 +135,12 @@ class Landmarks:
         if len(values) < len(self.id):
             row = int(np.setdiff1d(np.arange(len(self.id)), first)[0])
             raise RecordError("landmarks", row, f"id {self.id[row]} appears twice")
+
+    def places_of(self, ids: Ids) -> Array:
+        """(K, 2) positions of landmarks by their ids (K,), all of which are in the map."""
+        order = np.argsort(self.id)
+        places: Array = self.position_m[order[np.searchsorted(self.id, ids, sorter=order)]]
+        return places
 
 
 @dataclass(frozen=True)

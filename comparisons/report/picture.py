@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -18,3 +19,11 @@ def blank(width: float, height: float, *, fitted: bool = True) -> Figure:
 def save(figure: Figure, path: Path) -> None:
     """Write a PNG."""
     figure.savefig(path, dpi=130, metadata={"Software": None})
+
+
+def encoded(figure: Figure) -> tuple[bytes, bytes]:
+    """A PNG and a PDF, the same bytes for the same drawing."""
+    png, pdf = io.BytesIO(), io.BytesIO()
+    figure.savefig(png, format="png", dpi=130, metadata={"Software": None})
+    figure.savefig(pdf, format="pdf", metadata={"CreationDate": None})
+    return png.getvalue(), pdf.getvalue()

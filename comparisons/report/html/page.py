@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import base64
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from html import escape
 from pathlib import Path
 
@@ -12,11 +11,11 @@ import numpy as np
 from comparisons.compare import Comparison
 from comparisons.report.consistency_result import consistency_rows
 from comparisons.report.html.drawing import Drawing
-from comparisons.report.html.look import SCRIPT, STYLE
+from comparisons.report.html.look import SCRIPT
+from comparisons.report.html.shell import document, picture, table
 from comparisons.report.models import AccuracyResult, Result
 from comparisons.report.plots import EKF_COLOUR, SMOOTHER_COLOUR, ellipses
 
-_POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:"
 _PICTURES = {
     "consistency.png": "Consistency",
     "correlation.png": "Correlation",
@@ -39,20 +38,14 @@ def page(comparison: Comparison, result: Result, pictures: Path) -> str:
         '<div id="layers" class="layers"></div>',
         _map(comparison).svg(),
         "<h2>Figures</h2>",
-        _table(("", ""), _figures(result)),
+        table(("", ""), _figures(result)),
         *_embedded(pictures),
         _landmarks(result),
         "<h2>Time and versions</h2>",
-        _table(("stage", "s"), [(k, f"{v:.2f}") for k, v in result.seconds.items()]),
-        _table(("package", "version"), list(result.versions.items())),
+        table(("stage", "s"), [(k, f"{v:.2f}") for k, v in result.seconds.items()]),
+        table(("package", "version"), list(result.versions.items())),
     ]
-    return (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-        f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{name}: {result.verdict}</title><style>{STYLE}</style></head>"
-        f"<body>{''.join(parts)}<script>{SCRIPT}</script></body></html>\n"
-    )
+    return document(f"{result.log.name}: {result.verdict}", parts, SCRIPT)
 
 
 def _causes(result: Result) -> str:
@@ -159,19 +152,8 @@ def _embedded(folder: Path) -> list[str]:
     shown = []
     for file, title in _PICTURES.items():
         if (folder / file).exists():
-            data = base64.b64encode((folder / file).read_bytes()).decode("ascii")
-            shown.append(f'<h2>{title}</h2><img alt="{title}" src="data:image/png;base64,{data}">')
+            shown.append(f"<h2>{title}</h2>{picture(title, (folder / file).read_bytes())}")
     return shown
-
-
-def _table(head: Sequence[str], rows: Sequence[tuple[str, str]]) -> str:
-    heads = "".join(f"<th>{escape(name)}</th>" for name in head)
-    top = f"<thead><tr>{heads}</tr></thead>" if any(head) else ""
-    body = "".join(
-        f"<tr><td>{escape(str(name))}</td><td>{escape(str(value))}</td></tr>"
-        for name, value in rows
-    )
-    return f"<table>{top}<tbody>{body}</tbody></table>"
 
 
 def _number(value: float | Mapping[str, float] | None) -> str:
