@@ -3,10 +3,20 @@
 from __future__ import annotations
 
 from comparisons.errors import InputError
-from comparisons.reproduction import nieto_slam_figures
+from comparisons.reproduction import (
+    guivant_figures,
+    misono,
+    nieto_regions,
+    nieto_slam_figures,
+)
 from comparisons.reproduction.contract import AnyFigure
 
-FIGURES: tuple[AnyFigure, ...] = (*nieto_slam_figures.FIGURES,)
+FIGURES: tuple[AnyFigure, ...] = (
+    *guivant_figures.FIGURES,
+    *misono.FIGURES,
+    *nieto_slam_figures.FIGURES,
+    *nieto_regions.FIGURES,
+)
 
 
 def chosen(names: tuple[str, ...]) -> tuple[AnyFigure, ...]:
