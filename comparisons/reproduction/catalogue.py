@@ -6,6 +6,7 @@ from comparisons.errors import InputError
 from comparisons.reproduction import (
     guivant_figures,
     misono,
+    nieto_dense_figures,
     nieto_regions,
     nieto_slam_figures,
 )
@@ -16,6 +17,7 @@ FIGURES: tuple[AnyFigure, ...] = (
     *misono.FIGURES,
     *nieto_slam_figures.FIGURES,
     *nieto_regions.FIGURES,
+    *nieto_dense_figures.FIGURES,
 )
 
 
