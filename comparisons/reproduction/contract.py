@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, Literal, Protocol, TypeVar
 
+import numpy as np
 from matplotlib.figure import Figure as Canvas
 
 from comparisons.errors import InputError
@@ -125,6 +126,11 @@ class Figure(Generic[D]):
     draw: Callable[[Canvas, D], None]
     claims: Callable[[D], list[Claim]]
     size: tuple[float, float] = (9.0, 4.6)
+
+    def judged(self, data: D) -> tuple[Claim, ...]:
+        """The claims; a number that cannot be had is not finite, and its claim does not hold."""
+        with np.errstate(all="ignore"):
+            return tuple(self.claims(data))
 
 
 AnyFigure = Figure[Any]

@@ -30,6 +30,8 @@ from ekf_reference.trace import NullTrace
 ROUNDS = (1, 2, 3, 4, 5, 10)
 """Of Fig. 4.5."""
 _COARSE_ROUNDS = 2
+_MORE = 20
+"""Drives that are added at the most until the loop of one is closed by a shift."""
 _CLOSING_M = 0.3
 """Least shift of the landmarks (RMS) by the update that closes a loop."""
 
@@ -121,17 +123,16 @@ class Coarsened:
 
 
 def _maps(name: str, layers: tuple[str, ...], sources: Sources) -> Maps:
-    drives, closed = [], []
-    for seed in range(sources.drives):
-        mapping = map_log(
-            open_log(name, choices=SimulationChoices(seed)), options=DenseOptions(layers)
-        )
+    drives, closed = list[DenseMapping](), list[ClosedMap]()
+    while len(drives) < sources.drives or not closed:
+        if len(drives) == sources.drives + _MORE:
+            raise InputError(f"{name}: no drive's loop is closed by a shift of {_CLOSING_M} m")
+        log = open_log(name, choices=SimulationChoices(len(drives)))
+        mapping = map_log(log, options=DenseOptions(layers))
         drives.append(mapping)
         before = mapping.dense.before
         if before is not None and before.shift_m > _CLOSING_M:
-            closed.append(ClosedMap(mapping, before, truth_in_order(mapping.log)[1]))
-    if not closed:
-        raise InputError(f"{name}: no drive's loop is closed by a shift; take more --drives")
+            closed.append(ClosedMap(mapping, before, truth_in_order(log)[1]))
     told = f"{name}, {len(drives)} drives from seed 0"
     return Maps(f"{told}, {len(closed)} of them corrected at once", tuple(closed), tuple(drives))
 
