@@ -184,9 +184,7 @@ def worse(maps: Any) -> Any:
         layers = {
             k: s._replace(point=s.point + 9.0, occupancy=0.7 * s.occupancy)
             if k != "occupancy"
-            else s._replace(
-                point=s.point + np.where(np.arange(len(s.point)) % 2, 9.0, 0.0)[:, None]
-            )
+            else s._replace(point=s.point - 30.0 * (np.arange(len(s.point)) % 2)[:, None])
             for k, s in m.layers.items()
         }
         estimate = m.ekf.estimate
