@@ -21,6 +21,8 @@ from comparisons.reproduction.nieto_slam import (
     Moment,
 )
 
+_LONGER = 10.0
+
 
 def _moment(axis: Axes, d: LoopDrive, m: Moment, title: str) -> None:
     until = d.poses.time_s <= m.time_s
@@ -40,6 +42,7 @@ def draw_2_9(canvas: Canvas, loops: Loops) -> None:
     """The same, where the map is farthest from the start."""
     draw_2_8(canvas, loops)
     d = loops.drives[0]
+    canvas.axes[0].legend(fontsize=8, loc="lower right")
     west, north = d.true_path[:, 0].min(), d.true_path[:, 1].max()
     for axis in canvas.axes:
         axis.set(xlim=(west - 10.0, west + 35.0), ylim=(north - 35.0, north + 10.0))
@@ -87,9 +90,10 @@ def draw_3_4(canvas: Canvas, loops: Loops) -> None:
     """Ellipses before the closing, and where it takes the landmarks."""
     d, axes = loops.drives[0], canvas.subplots(1, 2, sharex=True, sharey=True)
     _moment(axes[0], d, d.before, "neighbours are alike in their uncertainty")
-    _moment(axes[1], d, d.after, "and in how the closing moves them")
+    _moment(axes[1], d, d.after, f"and in how the closing moves them ({_LONGER:g} times)")
     for start, end in zip(d.before.landmark, d.after.landmark, strict=False):
-        axes[1].plot(*np.stack((start, end)).T, "-", color=SMOOTHER_COLOUR, linewidth=1.5)
+        shown = start + _LONGER * (end - start)
+        axes[1].plot(*np.stack((start, shown)).T, "-", color=SMOOTHER_COLOUR, linewidth=1.2)
     axes[0].legend(fontsize=8, loc="center")
 
 
