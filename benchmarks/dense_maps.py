@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from comparisons.checks.accuracy import aligned, match_by_distance
+from comparisons.checks.accuracy import match_by_distance, rigid_motion
 from comparisons.checks.dense_accuracy import OCCUPIED, distance_to_segments
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.simulate.ray_casting import Solids, cast
@@ -283,14 +283,7 @@ def distances(one: DenseMapping, name: str) -> tuple[Array, Array]:
 def motion_onto(landmark: Array, true: Array) -> Callable[[Array], Array]:
     """The rigid motion that takes landmarks (L, 2) onto the true ones they belong to."""
     ours, theirs = match_by_distance(landmark, true)
-    start, end = landmark[ours], aligned(landmark[ours], true[theirs])
-    before, after = start - start.mean(axis=0), end - end.mean(axis=0)
-    cos, sin = (
-        (before * after).sum(),
-        (before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]).sum(),
-    )
-    turn = np.array(((cos, sin), (-sin, cos))) / math.hypot(cos, sin)
-    return lambda point: (point - start.mean(axis=0)) @ turn + end.mean(axis=0)
+    return rigid_motion(landmark[ours], true[theirs])
 
 
 def spread(distance: Array) -> str:

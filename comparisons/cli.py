@@ -43,6 +43,7 @@ from comparisons.cli_options import (
     TimesOption,
     TraceOption,
 )
+from comparisons.cli_reproduce import reproduce
 from comparisons.cli_scans import map_command, odometry
 from comparisons.cli_support import (
     AGREE,
@@ -292,6 +293,7 @@ app.command()(odometry)
 app.command("map")(map_command)
 app.command()(montecarlo)
 app.command()(export)
+app.command()(reproduce)
 
 
 @app.command()

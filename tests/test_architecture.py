@@ -55,12 +55,30 @@ MAY_SEE = {
         "comparisons.errors",
         "comparisons.atomic",
     },
+    "reproduction": {
+        "comparisons.reproduction",
+        "comparisons.logs",
+        "comparisons.runs",
+        "comparisons.checks",
+        "comparisons.report",
+        "comparisons.mapping",
+        "comparisons.montecarlo.workers",
+        "comparisons.atomic",
+        "comparisons.errors",
+        "ekf_reference",
+        "graphslam",
+    },
 }
+TOP = {"reproduction": {"cli_reproduce.py"}}
+"""Packages that nothing of comparisons but these files may import."""
 
 
 @pytest.mark.parametrize("package", sorted(MAY_SEE))
-def test_monte_carlo_stands_apart(package: str) -> None:
-    """The variants know arrays only; none of the three needs a log, an estimator or a report."""
+def test_packages_see_no_more_than_they_need(package: str) -> None:
+    """The variants know arrays only; none of the Monte Carlo needs a log, estimator or report.
+
+    Reproduced figures stand on all that measures and draws, but on no command.
+    """
     modules = list((ROOT / "comparisons" / package).glob("*.py"))
     assert len(modules) > 2
     for module in modules:
@@ -71,6 +89,14 @@ def test_monte_carlo_stands_apart(package: str) -> None:
                 if name.split(".")[0] in HOUSE:
                     allowed = any(name == m or name.startswith(f"{m}.") for m in MAY_SEE[package])
                     assert allowed, f"{module.relative_to(ROOT)} imports {name}"
+
+
+@pytest.mark.parametrize("package", sorted(TOP))
+def test_nothing_stands_on_what_is_on_top(package: str) -> None:
+    name = f"comparisons.{package}"
+    for module in (ROOT / "comparisons").rglob("*.py"):
+        if module.parent.name != package and module.name not in TOP[package]:
+            assert name not in module.read_text(), f"{module.relative_to(ROOT)} names {name}"
 
 
 @pytest.mark.parametrize("package", sorted(ALLOWED))

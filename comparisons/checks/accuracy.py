@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,8 @@ Index = NDArray[np.intp]
 
 MATCH_M = 1.0
 """Unlabelled landmarks match true ones within this distance."""
+_COMPLEX = np.array([1.0, 1.0j])
+"""Takes points to complex numbers."""
 
 
 @dataclass(frozen=True)
@@ -102,12 +105,21 @@ def aligned(points: Array, reference: Array, *, robust: bool = False) -> Array:
     for _ in range(30 if robust else 1):
         centre = np.average(points, axis=0, weights=weight)
         target = np.average(reference, axis=0, weights=weight)
-        moving = (points - centre) @ np.array([1.0, 1.0j])
-        fixed = (reference - target) @ np.array([1.0, 1.0j])
+        moving = (points - centre) @ _COMPLEX
+        fixed = (reference - target) @ _COMPLEX
         turned = moving * np.exp(1j * np.angle(np.vdot(moving, weight * fixed)))
         moved = np.column_stack((turned.real, turned.imag)) + target
         weight = 1.0 / np.maximum(np.linalg.norm(moved - reference, axis=1), 1e-3)
     return moved
+
+
+def rigid_motion(points: Array, reference: Array) -> Callable[[Array], Array]:
+    """The motion of `aligned` (least squares), to be applied to other points (N, 2)."""
+    centre, target = points.mean(axis=0), reference.mean(axis=0)
+    moving, fixed = (points - centre) @ _COMPLEX, (reference - target) @ _COMPLEX
+    turn = np.angle(np.vdot(moving, fixed))
+    cos, sin = np.cos(turn), np.sin(turn)
+    return lambda other: (other - centre) @ np.array(((cos, sin), (-sin, cos))) + target
 
 
 def match_landmarks(

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
@@ -72,7 +71,7 @@ class DecorrelationExample:
 def decorrelation_example(log: Log, cast: Cast | None = None) -> DecorrelationExample:
     """Drive a labelled log and follow the cast. Raises InputError where it is not on the log."""
     cast = cast or Cast()
-    order = _in_order(log)
+    order = log.sightings.labels_in_order
     if max(cast.point, cast.distant, *cast.base) >= len(order):
         raise InputError(f"{log.name}: {len(order)} landmarks are too few for the example")
     seen = list(fused_until(log, cast))
@@ -102,14 +101,8 @@ def decorrelation_example(log: Log, cast: Cast | None = None) -> DecorrelationEx
 def fused_until(log: Log, cast: Cast) -> Iterator[Snapshot]:
     """The filter from when the point, like a dense one, has got its last look."""
     sightings = log.sightings
-    label = _in_order(log)[cast.point]
+    label = sightings.labels_in_order[cast.point]
     keep = (sightings.landmark != label) | (sightings.time_s <= cast.fused_s)
     for time, ekf in watched_run(replace(log, sightings=sightings.chosen(keep))):
         if time >= cast.fused_s:
             yield Snapshot(time, ekf.state.landmarks.copy(), ekf.state.covariance.copy())
-
-
-def _in_order(log: Log) -> NDArray[np.int64]:
-    """Labels (L,) by order of incorporation."""
-    labels, first = np.unique(log.sightings.landmark, return_index=True)
-    return labels[np.argsort(first)]

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.errors import InputError
-from comparisons.logs.log import Log, Poses
-from comparisons.runs.watched_run import watched_run
+from comparisons.logs.log import Log
+from comparisons.runs.watched_run import truth_in_order, watched_run
 from ekf_reference.dense.conditions import Conditions
 from ekf_reference.dense.neglected import NeglectedCorrelation
 from ekf_reference.dense.passive_states import PassiveStates, local_coordinates, points
@@ -110,7 +110,7 @@ def neglected_change(
     the first scan that has it ahead, within this distance. Regions that never are, are left out.
     Raises InputError for a log without truth or labels.
     """
-    true_pose, true_landmark = _truth(log)
+    true_pose, true_landmark = truth_in_order(log)
     noise, looks = np.diag(np.square(sigma)), list[Look]()
     regions, layer = LocalRegions(conditions or Conditions()), NeglectedCorrelation()
     passive, axes_then, true_local = None, list[Array](), list[Array]()
@@ -151,17 +151,6 @@ def neglected_change(
         layer.sigma_m(region),
         np.concatenate([np.full(len(look.region), look.time_s) for look in looks]),
     )
-
-
-def _truth(log: Log) -> tuple[Poses, Array]:
-    """Poses, and landmarks (L, 2) in the order in which a filter that knows labels adds them."""
-    poses, true = log.truth.poses, log.truth.landmarks
-    if poses is None or true is None or not log.sightings.labelled:
-        raise InputError(f"{log.name}: true poses, true landmarks and labels are needed")
-    labels, first = np.unique(log.sightings.landmark, return_index=True)
-    order = np.argsort(true.id)
-    row = np.searchsorted(true.id, labels[np.argsort(first)], sorter=order)
-    return poses, true.position_m[order[row]]
 
 
 def _sighted(pose: Array, point: Array) -> Array:

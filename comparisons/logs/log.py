@@ -84,6 +84,12 @@ class Sightings:
         """Every sighting names its landmark."""
         return bool((self.landmark != NO_LANDMARK).all())
 
+    @property
+    def labels_in_order(self) -> Ids:
+        """(L,) ids by first sighting, the order in which a filter that trusts them adds them."""
+        labels, first = np.unique(self.landmark, return_index=True)
+        return labels[np.argsort(first)]
+
 
 @dataclass(frozen=True)
 class Positions:
@@ -127,6 +133,12 @@ class Landmarks:
         check(self, "landmarks", rows="id", position_m=(2,), covariance=(2, 2))
         positive_definite("landmarks", self.covariance, singular=True)
         distinct("landmarks", self.id)
+
+    def places_of(self, ids: Ids) -> Array:
+        """(K, 2) positions of landmarks by their ids (K,), all of which are in the map."""
+        order = np.argsort(self.id)
+        places: Array = self.position_m[order[np.searchsorted(self.id, ids, sorter=order)]]
+        return places
 
 
 @dataclass(frozen=True)

@@ -110,23 +110,33 @@ def draw_bound(axis: Axes, sigma_m: Array, size_m: Array) -> None:
 
 
 def decorrelation_figure(example: DecorrelationExample) -> Figure:
-    """Nieto 2005, Fig. 3.5: solid in east or along axis a, dashed in north or along axis b."""
+    """Nieto 2005, Fig. 3.5, in a figure of its own."""
     figure = blank(9.0, 7.5)
+    draw_example_3_1(figure, example)
+    return figure
+
+
+def draw_example_3_1(figure: Figure, example: DecorrelationExample) -> None:
+    """Nieto 2005, Fig. 3.5: solid in east or along axis a, dashed in north or along axis b."""
     axes, found, time = figure.subplots(2, 2).ravel(), example.correlations, example.time_s
     draw_region(axes[0], example)
     draw_base_correlation(axes[1], time, example.with_base)
     draw_decorrelation(axes[2], time, found.world, found.local)
     draw_sigma(axes[3], time, found.sigma_world_m, found.sigma_local_m)
-    return figure
 
 
 def displacement_figure(example: DecorrelationExample) -> Figure:
-    """Nieto 2005, Fig. 3.12."""
+    """Nieto 2005, Fig. 3.12, in a figure of its own."""
     figure = blank(9.0, 4.2)
+    draw_example_3_2(figure, example)
+    return figure
+
+
+def draw_example_3_2(figure: Figure, example: DecorrelationExample) -> None:
+    """Nieto 2005, Fig. 3.12."""
     left, right = figure.subplots(1, 2)
     draw_displacement(left, example.time_s, example.moved.world_m, example.moved.local_m)
     draw_wandering(right, example.point, example.true_point)
-    return figure
 
 
 def neglected_figure(changes: NeglectedChange) -> Figure:

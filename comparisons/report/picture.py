@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Collection
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -18,6 +20,7 @@ def blank(width: float, height: float, *, fitted: bool = True) -> Figure:
 
 
 FORMATS = ("png", "pdf")
+_PNG: dict[str, Any] = {"dpi": 130, "metadata": {"Software": None}}
 
 
 def save(figure: Figure, path: Path, formats: Collection[str] = ()) -> None:
@@ -26,7 +29,20 @@ def save(figure: Figure, path: Path, formats: Collection[str] = ()) -> None:
     The PDF keeps text as text, in TrueType, which publishers ask for, and no date: the same run
     gives the same file.
     """
-    figure.savefig(path, dpi=130, metadata={"Software": None})
+    figure.savefig(path, **_PNG)
     if "pdf" in formats:
-        with matplotlib.rc_context({"pdf.fonttype": 42}):
-            figure.savefig(path.with_suffix(".pdf"), dpi=300, metadata={"CreationDate": None})
+        path.with_suffix(".pdf").write_bytes(_pdf(figure))
+
+
+def encoded(figure: Figure) -> tuple[bytes, bytes]:
+    """A PNG and a PDF, as `save` writes them."""
+    png = io.BytesIO()
+    figure.savefig(png, format="png", **_PNG)
+    return png.getvalue(), _pdf(figure)
+
+
+def _pdf(figure: Figure) -> bytes:
+    drawn = io.BytesIO()
+    with matplotlib.rc_context({"pdf.fonttype": 42}):
+        figure.savefig(drawn, format="pdf", dpi=300, metadata={"CreationDate": None})
+    return drawn.getvalue()

@@ -20,7 +20,7 @@ from ekf_reference.dense.conditions import Conditions
 from ekf_reference.dense.dense_map import DenseMap
 from ekf_reference.dense.layers.gaussians import Gaussians
 from ekf_reference.dense.layers.layer import Layer, Samples
-from ekf_reference.dense.layers.occupancy import OccupancyGrid
+from ekf_reference.dense.layers.occupancy import Coarsening, OccupancyGrid
 from ekf_reference.dense.layers.particles import Particles
 from ekf_reference.dense.layers.points import Points
 from ekf_reference.dense.regions import LocalRegions
@@ -55,13 +55,14 @@ class DenseOptions:
     """What is kept, and how.
 
     layers: of LAYERS. resolution_m: of cells. known_apart_m, longest_edge_m: see
-    dense.conditions.Conditions.
+    dense.conditions.Conditions. coarsening: of the occupancy layer's almost empty regions.
     """
 
     layers: tuple[str, ...] = ("points", "occupancy")
     resolution_m: float = 0.2
     known_apart_m: float = 0.5
     longest_edge_m: float = 35.0
+    coarsening: Coarsening | None = None
 
     def __post_init__(self) -> None:
         """Raises InputError."""
@@ -76,7 +77,7 @@ class DenseOptions:
         size = self.resolution_m
         made: Mapping[str, Layer] = {
             "points": Points(size),
-            "occupancy": OccupancyGrid(size, GRID_MODEL),
+            "occupancy": OccupancyGrid(size, GRID_MODEL, coarsening=self.coarsening),
             "particles": Particles(np.random.default_rng(0)),
             "sog": Gaussians(),
         }

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from comparisons.logs.log import Log
+from comparisons.errors import InputError
+from comparisons.logs.log import Array, Log, Poses, Positions
 from comparisons.runs.drive import NoWatcher, drive
 from comparisons.runs.ekf_build import EkfChoices, build_ekf
 from comparisons.runs.timeline import build_timeline
@@ -18,18 +19,30 @@ def watched_run(
     choices: EkfChoices | None = None,
     trace: Trace | None = None,
     predicted: Callable[[FullEkf], None] = lambda ekf: None,
+    positions: Positions | None = None,
 ) -> Iterator[tuple[float, FullEkf]]:
     """The filter after every scan with sightings, and the scan's time [s]; one filter throughout.
 
-    choices: the full filter by default. predicted: shown the filter before it fuses. Surveyed
-    landmarks and positions are not used. Raises FilterDivergedError.
+    choices: the full filter by default. predicted: shown the filter before it fuses. positions:
+    to be fused. Surveyed landmarks are not used. Raises FilterDivergedError.
     """
     ekf = build_ekf(log, (choices or EkfChoices()).settle(log), trace or NullTrace())
-    for stop in drive(ekf, log, build_timeline(log), watching=_Shown(predicted)):
+    for stop in drive(ekf, log, build_timeline(log, positions), positions, _Shown(predicted)):
         if stop.fault is not None:
             raise FilterDivergedError(stop.fault)
         if len(stop.slots):
             yield stop.time_s, ekf
+
+
+def truth_in_order(log: Log) -> tuple[Poses, Array]:
+    """Poses, and landmarks (L, 2) in the order in which a filter that knows labels adds them.
+
+    Raises InputError for a log without truth or labels.
+    """
+    poses, true = log.truth.poses, log.truth.landmarks
+    if poses is None or true is None or not log.sightings.labelled:
+        raise InputError(f"{log.name}: true poses, true landmarks and labels are needed")
+    return poses, true.places_of(log.sightings.labels_in_order)
 
 
 class _Shown(NoWatcher):

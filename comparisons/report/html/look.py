@@ -21,11 +21,9 @@ def script() -> str:
 
 
 def policy(style_text: str, script_text: str) -> str:
-    """Nothing is loaded, and nothing runs but these two."""
-    return (
-        f"default-src 'none'; style-src '{_hash(style_text)}'; "
-        f"script-src '{_hash(script_text)}'; img-src data:"
-    )
+    """Nothing is loaded, and nothing runs but these two; without a script, none."""
+    script_source = f"script-src '{_hash(script_text)}'; " if script_text else ""
+    return f"default-src 'none'; style-src '{_hash(style_text)}'; {script_source}img-src data:"
 
 
 def _hash(text: str) -> str:

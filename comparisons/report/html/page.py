@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-import base64
 from html import escape
 from pathlib import Path
 
 from comparisons.compare import Comparison
 from comparisons.report.html.curves import curve_data, data_block
-from comparisons.report.html.look import policy, script, style
+from comparisons.report.html.look import script
 from comparisons.report.html.map import RATIO_LAYER, ratio_legend, run_map
-from comparisons.report.html.tables import (
-    association_differences,
-    figures,
-    landmarks,
-    table,
-    timing,
-)
+from comparisons.report.html.shell import document, picture, table
+from comparisons.report.html.tables import association_differences, figures, landmarks, timing
 from comparisons.report.models import Result
 from comparisons.report.panels import ConsistencyPanels
 
@@ -38,7 +32,6 @@ def page(comparison: Comparison, panels: ConsistencyPanels, result: Result, pict
         "ratioLayer": RATIO_LAYER,
         "panels": curve_data(panels, start_s),
     }
-    css, js = style(), script()
     parts = [
         f'<header><h1>{name}</h1><p><span class="verdict {result.verdict}">{result.verdict}</span> '
         f"{escape(result.log.format)}, {result.log.duration_s:,.0f} s</p></header>",
@@ -59,14 +52,9 @@ def page(comparison: Comparison, panels: ConsistencyPanels, result: Result, pict
         landmarks(result),
         f"<h2>Time</h2>{timing(result.seconds)}",
         f"<h2>Versions</h2>{table(('package', 'version'), list(result.versions.items()))}",
+        data_block(data),
     ]
-    return (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-        f'<meta http-equiv="Content-Security-Policy" content="{policy(css, js)}">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{name}: {result.verdict}</title><style>{css}</style></head>"
-        f"<body>{''.join(parts)}{data_block(data)}<script>{js}</script></body></html>\n"
-    )
+    return document(f"{result.log.name}: {result.verdict}", parts, script())
 
 
 def _causes(result: Result) -> str:
@@ -83,6 +71,5 @@ def _embedded(folder: Path) -> list[str]:
     shown = []
     for file, title in _PICTURES.items():
         if (folder / file).exists():
-            data = base64.b64encode((folder / file).read_bytes()).decode("ascii")
-            shown.append(f'<h2>{title}</h2><img alt="{title}" src="data:image/png;base64,{data}">')
+            shown.append(f"<h2>{title}</h2>{picture(title, (folder / file).read_bytes())}")
     return shown

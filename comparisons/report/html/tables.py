@@ -16,17 +16,6 @@ _MOST_ROWS = 200
 _UNUSED = {REJECTED: "rejected", AMBIGUOUS: "ambiguous", CANDIDATE: "candidate"}
 
 
-def table(head: Sequence[str], rows: Sequence[tuple[str, str]]) -> str:
-    """Two columns."""
-    heads = "".join(f"<th>{escape(name)}</th>" for name in head)
-    top = f"<thead><tr>{heads}</tr></thead>" if any(head) else ""
-    body = "".join(
-        f"<tr><td>{escape(str(name))}</td><td>{escape(str(value))}</td></tr>"
-        for name, value in rows
-    )
-    return f"<table>{top}<tbody>{body}</tbody></table>"
-
-
 def figures(result: Result) -> list[tuple[str, str]]:
     """What was found, as rows."""
     gaps, ekf, smoother = result.agreement, result.ekf, result.smoother

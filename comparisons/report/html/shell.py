@@ -1,0 +1,39 @@
+"""What every page is wrapped in: no network, nothing but its own style, script and pictures."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterable, Sequence
+from html import escape
+
+from comparisons.report.html.look import policy, style
+
+
+def document(title: str, parts: Iterable[str], script: str = "") -> str:
+    """A whole page. title: any text. parts: HTML, in order. script: ours, if any."""
+    look = style()
+    ending = f"<script>{script}</script>" if script else ""
+    return (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        f'<meta http-equiv="Content-Security-Policy" content="{policy(look, script)}">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{escape(title)}</title><style>{look}</style></head>"
+        f"<body>{''.join(parts)}{ending}</body></html>\n"
+    )
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[object]], bad: Iterable[int] = ()) -> str:
+    """Cells may hold any text. bad: rows whose last cell is marked."""
+    heads = "".join(f"<th>{escape(name)}</th>" for name in head)
+    top = f"<thead><tr>{heads}</tr></thead>" if any(head) else ""
+    marked, body = set(bad), []
+    for number, row in enumerate(rows):
+        cells = "".join(f"<td>{escape(str(cell))}</td>" for cell in row)
+        body.append(f'<tr class="bad">{cells}</tr>' if number in marked else f"<tr>{cells}</tr>")
+    return f"<table>{top}<tbody>{''.join(body)}</tbody></table>"
+
+
+def picture(title: str, png: bytes) -> str:
+    """A PNG within the page. title: any text."""
+    data = base64.b64encode(png).decode("ascii")
+    return f'<img alt="{escape(title)}" src="data:image/png;base64,{data}">'

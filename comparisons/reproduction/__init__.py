@@ -1,0 +1,1 @@
+"""Figures of the source documents, drawn anew, with what the documents claim by them measured."""

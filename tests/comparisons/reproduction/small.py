@@ -1,0 +1,79 @@
+"""Every experiment of the catalogue in a small version: few drives, or made up."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from comparisons.checks.dense_accuracy import surface_error
+from comparisons.reproduction import (
+    guivant,
+    misono,
+    nieto_dense,
+    nieto_regions,
+    nieto_slam,
+)
+from comparisons.reproduction.contract import Sources
+from ekf_reference.dense.layers.layer import Samples
+
+WALL = np.array([(0.0, 0.0, 20.0, 0.0)])
+CORNERS = np.array([(0.0, -5.0), (20.0, -5.0), (10.0, 8.0)])
+
+
+@cache
+def data(name: str) -> Any:
+    """What the experiment of this name leaves."""
+    return SMALL[name]()
+
+
+def samples(*height: float) -> Samples:
+    """Occupied cells beside the wall, in rows."""
+    east = np.arange(0.1, 20.0, 0.2)
+    point = np.vstack([np.column_stack((east, np.full(len(east), h))) for h in height])
+    return Samples(point, np.full(len(point), 0.95), np.zeros(len(point), dtype=np.intp))
+
+
+def round_of(number: int, classic: Samples, dense: Samples) -> nieto_dense.Round:
+    errors = surface_error(classic, WALL), surface_error(dense, WALL)
+    return nieto_dense.Round(number, classic, dense, CORNERS, CORNERS, *errors)
+
+
+def rounds() -> nieto_dense.Rounds:
+    """A wall that one grid draws again beside the first, and a dense map does not."""
+    good = samples(0.0, 0.2)
+    each = [round_of(n, samples(0.0, *(0.7,) * (n > 1), 0.9), good) for n in nieto_dense.ROUNDS]
+    return nieto_dense.Rounds("made up", tuple(each), WALL)
+
+
+def coarsened() -> nieto_dense.Coarsened:
+    held = samples(0.0)
+    triangle, error = CORNERS[None], surface_error(held, WALL)
+    return nieto_dense.Coarsened(
+        "made up", np.repeat(triangle, 2, axis=0), np.array((0.5, 0.2)), held, 80, 100, 0.995,
+        error, error, WALL,
+    )  # fmt: skip
+
+
+def covered() -> guivant.Covered:
+    """A path into a wood, where GPS ends."""
+    path = np.column_stack((np.linspace(0.0, 200.0, 201), np.zeros(201)))
+    trees = np.column_stack((np.linspace(120.0, 200.0, 30), np.full(30, 5.0)))
+    around = np.array([np.sum(np.abs(trees[:, 0] - x) < 20.0) for x in path[:, 0]])
+    return guivant.Covered("made up", path, trees, path[:, 0] < 110.0, around)
+
+
+SMALL = {
+    "section 2.9": lambda: nieto_slam.loops(Sources(drives=2)),
+    "section 2.9 with positions": lambda: nieto_slam.fixed(Sources()),
+    "Examples 3.1 and 3.2": lambda: nieto_regions.examples(Sources(drives=2)),
+    "Misono's Fig. 5": lambda: misono.drives(Sources(drives=1)),
+    "Misono's Fig. 6": lambda: misono.journeys(Sources(drives=1)),
+    "Guivant's Figs. 8 and 9": lambda: guivant.aided(Sources()),
+    "Guivant's Fig. 7": covered,
+    "section 3.9": lambda: nieto_dense.raw_maps(Sources(drives=1)),
+    "chapter 4": lambda: nieto_dense.layered_maps(Sources(drives=1)),
+    "section 4.1.3, ten rounds": rounds,
+    "section 4.1.3, two sizes of cells": coarsened,
+}

@@ -1,0 +1,206 @@
+"""`slamcheck reproduce`: the list, the gallery, the folder, and what it says of faults."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import pytest
+from matplotlib.figure import Figure as Canvas
+
+from comparisons.errors import InputError, RecordError
+from comparisons.reproduction import catalogue, folder, runner
+from comparisons.reproduction.contract import (
+    AnyFigure,
+    Claim,
+    Experiment,
+    Figure,
+    Reproduced,
+    Skipped,
+    Sources,
+    at_least,
+    at_most,
+)
+from comparisons.reproduction.folder import build_result, write_gallery
+from comparisons.reproduction.models import ReproductionResult
+from comparisons.reproduction.runner import reproduce
+from tests.comparisons.test_cli import slamcheck
+
+HOSTILE = """x"><script>document.title='owned'</script><img src=http://evil/ onerror=alert(1)>'&"""
+
+
+@dataclass(frozen=True)
+class Number:
+    """What the made-up experiment leaves."""
+
+    log: str
+    value: float
+
+
+def one(sources: Sources) -> Number:
+    return Number(HOSTILE, float(sources.drives))
+
+
+def fails(sources: Sources) -> Number:
+    raise RecordError("gps", 3, "time is NaN")
+
+
+def draw(canvas: Canvas, number: Number) -> None:
+    canvas.add_subplot().plot([0.0, number.value])
+
+
+def claims(number: Number) -> list[Claim]:
+    return [
+        at_most(HOSTILE, number.value, 3.0, HOSTILE, why=HOSTILE),
+        at_least("never a number", float("nan"), 0.0, why=HOSTILE),
+    ]
+
+
+def figure(name: str, run: Any = one, needs: str | None = None) -> AnyFigure:
+    return Figure(name, HOSTILE, HOSTILE, HOSTILE, Experiment(name, run, needs), draw, claims)
+
+
+@pytest.fixture
+def made_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = (figure("A1"), figure("A2", needs="acfr_car_park"), figure("A3", fails))
+    monkeypatch.setattr(catalogue, "FIGURES", rows)
+    names = frozenset(f"{row.name}.{kind}" for row in rows for kind in ("png", "pdf"))
+    monkeypatch.setattr(folder, "CONTENTS", names | {"gallery.html", "claims.json"})
+
+
+class Reader(HTMLParser):
+    """Keeps tags, attributes and text."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.attributes: list[tuple[str, str]] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.attributes += [(name, value or "") for name, value in attrs]
+
+
+@pytest.mark.usefixtures("made_up")
+def test_the_gallery_is_whole_and_safe_whatever_it_is_told(tmp_path: Path) -> None:
+    found = reproduce(("A1", "A2"), Sources(drives=2))
+    assert [type(r) for r in found] == [Reproduced, Skipped]
+    result = build_result(found, 2, 1.5)
+    write_gallery(found, result, tmp_path / "out")
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [
+        "A1.pdf",
+        "A1.png",
+        "claims.json",
+        "gallery.html",
+    ]
+    text = (tmp_path / "out/gallery.html").read_text(encoding="utf-8")
+    reader = Reader()
+    reader.feed(text)
+    assert "script" not in reader.tags
+    assert not [name for name, _ in reader.attributes if name.startswith("on")]
+    assert all(v.startswith("data:") for name, v in reader.attributes if name in ("src", "href"))
+    policy = dict(reader.attributes)["content"]
+    assert "script-src" not in text
+    assert policy
+    assert "default-src 'none'" in text
+    assert "&lt;script&gt;document.title" in text
+    assert "does not hold" in text
+    assert "needs --data FOLDER with acfr_car_park/" in text
+
+
+@pytest.mark.usefixtures("made_up")
+def test_claims_come_back_as_they_were_written(tmp_path: Path) -> None:
+    found = reproduce(("A1", "A2"), Sources(drives=2))
+    result = build_result(found, 2, 1.5)
+    write_gallery(found, result, tmp_path / "out")
+    text = (tmp_path / "out/claims.json").read_text(encoding="utf-8")
+    assert ReproductionResult.model_validate_json(text) == result
+    met, unmet = json.loads(text)["figures"][0]["claims"]
+    assert (met["holds"], met["measured"], met["why"]) == (True, 2.0, None)
+    assert (unmet["holds"], unmet["measured"], unmet["why"]) == (False, None, HOSTILE)
+    assert not result.holds
+    assert "NaN" not in text
+    with pytest.raises(ValueError, match="extra"):
+        ReproductionResult.model_validate({**json.loads(text), "more": 1})
+
+
+@pytest.mark.usefixtures("made_up")
+def test_the_folder_appears_whole_or_not_at_all(tmp_path: Path) -> None:
+    found = reproduce(("A1",), Sources())
+    result, out = build_result(found, 10, 0.0), tmp_path / "out"
+    write_gallery(found, result, out)
+    before = {p.name: p.read_bytes() for p in out.iterdir()}
+    drawn = found[0]
+    assert isinstance(drawn, Reproduced)
+    broken = replace(drawn, pdf=None)  # type: ignore[arg-type]
+    with pytest.raises(TypeError):
+        write_gallery([broken], result, out)
+    assert {p.name: p.read_bytes() for p in out.iterdir()} == before
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+    (out / "mine.txt").write_text("keep")
+    with pytest.raises(InputError, match=r"mine\.txt"):
+        write_gallery(found, result, out)
+
+
+@pytest.mark.usefixtures("made_up")
+def test_faults_are_told_with_the_figure(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"A3: gps, row 3: time is NaN"):
+        reproduce(("A3",), Sources())
+    with pytest.raises(InputError, match=r"nothing to run: A2 needs --data FOLDER"):
+        reproduce(("A2",), Sources())
+    with pytest.raises(InputError, match="--workers is 0"):
+        reproduce(("A1",), Sources(), workers=0)
+    with pytest.raises(InputError, match="--drives is 0"):
+        Sources(drives=0)
+    with pytest.raises(InputError, match="neither of the real logs"):
+        Sources(tmp_path)
+    (tmp_path / "acfr_car_park").mkdir()
+    assert [type(r) for r in reproduce(("A2",), Sources(tmp_path))] == [Reproduced]
+
+
+def test_processes_find_the_same() -> None:
+    names, sources = ("N2.12", "N3.5", "N3.12"), Sources(drives=1)
+    alone, together = (reproduce(names, sources, workers) for workers in (1, 2))
+    for first, second in zip(alone, together, strict=True):
+        assert isinstance(first, Reproduced)
+        assert isinstance(second, Reproduced)
+        assert first.figure.name == second.figure.name
+        assert first.claims == second.claims
+        assert (first.png, first.pdf) == (second.png, second.pdf)
+    assert isinstance(alone[1], Reproduced)
+    assert alone[1].shared == ("N3.12",)
+
+
+def test_each_experiment_runs_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[tuple[str, int, int]] = []
+    monkeypatch.setattr(catalogue, "FIGURES", (figure("A1"), figure("B1")))
+    runner.reproduce(("all",), Sources(), progress=lambda *step: told.append(step))
+    assert [step[1:] for step in told] == [(0, 2), (1, 2), (2, 2)]
+
+
+def test_the_command_lists_runs_and_refuses(tmp_path: Path) -> None:
+    listed = slamcheck("reproduce", cwd=tmp_path)
+    assert listed.returncode == 0
+    names = [line.split()[0] for line in listed.stdout.splitlines()]
+    assert names == [row.name for row in catalogue.FIGURES]
+    unknown = slamcheck("reproduce", "N3.5", "N9.9", cwd=tmp_path)
+    assert unknown.returncode == 2
+    assert len(unknown.stderr.splitlines()) == 1
+    assert all(name in unknown.stderr for name in ("N9.9", *names))
+    assert list(tmp_path.iterdir()) == []
+    done = slamcheck("reproduce", "n2.12", "--out", "out", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "1 of 1 claims hold" in done.stdout
+    assert (tmp_path / "out/N2.12.pdf").read_bytes().startswith(b"%PDF")
+    false = slamcheck("reproduce", "M5", "--drives", "1", "--out", "out", cwd=tmp_path)
+    assert false.returncode == 1, false.stderr
+    assert "does not hold: and tells exactly where the robot is" in false.stdout
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [
+        "M5.pdf",
+        "M5.png",
+        "claims.json",
+        "gallery.html",
+    ]
