@@ -11,17 +11,47 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
+class SightedAttributes:
+    """What m sightings tell of their landmarks besides where they are: A attributes, in any units.
+
+    value: (m, A), NaN where not measured. variance: (m, A).
+    """
+
+    value: Array
+    variance: Array
+
+    def take(self, rows: NDArray[np.intp]) -> SightedAttributes:
+        """Some of them."""
+        return SightedAttributes(self.value[rows], self.variance[rows])
+
+
+class NothingSighted(SightedAttributes):
+    """No attributes, of however many sightings."""
+
+    def __init__(self) -> None:
+        super().__init__(np.zeros((1, 0)), np.zeros((1, 0)))
+
+    def take(self, rows: NDArray[np.intp]) -> SightedAttributes:
+        """The same."""
+        return self
+
+
+NOTHING_SIGHTED = NothingSighted()
+
+
+@dataclass(frozen=True)
 class Sightings:
     """m detections of landmarks.
 
     z: (m, 2) range [m] and bearing [rad]. noise: (m, 2, 2), R. identity: (m,) labels, negative
-    where the sensor gave none. time_s: when.
+    where the sensor gave none. time_s: when. attributes: what else was measured.
     """
 
     z: Array
     noise: Array
     identity: NDArray[np.int64]
     time_s: float = 0.0
+    attributes: SightedAttributes = NOTHING_SIGHTED
 
     def __len__(self) -> int:
         """M."""
@@ -29,4 +59,5 @@ class Sightings:
 
     def take(self, rows: NDArray[np.intp]) -> Sightings:
         """Some of them."""
-        return Sightings(self.z[rows], self.noise[rows], self.identity[rows], self.time_s)
+        columns = self.z[rows], self.noise[rows], self.identity[rows]
+        return Sightings(*columns, self.time_s, self.attributes.take(rows))
