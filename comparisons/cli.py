@@ -16,6 +16,7 @@ from comparisons.cli_baseline import baseline, side_by_side
 from comparisons.cli_montecarlo import montecarlo
 from comparisons.cli_options import (
     AssociationOption,
+    AttributesOption,
     DenseOption,
     EstimateOption,
     FeaturesOption,
@@ -81,6 +82,7 @@ def run(
     out: OutOption = None,
     filter_name: FilterOption = "full",
     association: AssociationOption = None,
+    attributes: AttributesOption = "off",
     features: FeaturesOption = "log",
     motion: MotionOption = "wheel",
     gps: GpsOption = "off",
@@ -112,7 +114,7 @@ def run(
         from comparisons.runs.ekf_build import EkfChoices
 
         source, read_s = read_named(log, format_name, robot, seed, loops, noise_scale, features)
-        choices = EkfChoices(filter_name, association, gps)
+        choices = EkfChoices(filter_name, association, gps, attributes)
         options = _options(smoother, lag, optimiser, robust)
         if smoother_association not in ("ekf", "own"):
             raise InputError(

@@ -66,10 +66,7 @@ class JointCompatibility:
             order = np.lexsort((n[sighting, landmark], sighting))
             least = np.where(compatible, added.n, np.inf).min(axis=1, keepdims=True, initial=np.inf)
             beside = _Beside(
-                *(
-                    column[sighting, landmark][order]
-                    for column in (added.nis, added.n - least, dof)
-                )
+                *(column[sighting, landmark][order] for column in (added.nis, added.n - least, dof))
             )
             search = _Search(
                 sighting[order],

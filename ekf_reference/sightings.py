@@ -14,7 +14,8 @@ Array = NDArray[np.float64]
 class SightedAttributes:
     """What m sightings tell of their landmarks besides where they are: A attributes, in any units.
 
-    value: (m, A), NaN where not measured. variance: (m, A).
+    value: (m, A), NaN where not measured. variance: (m, A). Without columns, of any number of
+    sightings.
     """
 
     value: Array
@@ -22,21 +23,12 @@ class SightedAttributes:
 
     def take(self, rows: NDArray[np.intp]) -> SightedAttributes:
         """Some of them."""
+        if not self.value.shape[1]:
+            return self
         return SightedAttributes(self.value[rows], self.variance[rows])
 
 
-class NothingSighted(SightedAttributes):
-    """No attributes, of however many sightings."""
-
-    def __init__(self) -> None:
-        super().__init__(np.zeros((1, 0)), np.zeros((1, 0)))
-
-    def take(self, rows: NDArray[np.intp]) -> SightedAttributes:
-        """The same."""
-        return self
-
-
-NOTHING_SIGHTED = NothingSighted()
+NOTHING_SIGHTED = SightedAttributes(np.zeros((1, 0)), np.zeros((1, 0)))
 
 
 @dataclass(frozen=True)
