@@ -54,7 +54,7 @@ class JointCompatibility:
         distances = normalised_distances(local, observation, sightings)
         added = self.attributes.distances(local.slot, sightings)
         nis, n, dof = distances.nis + added.nis, distances.n + added.n, 2 + added.dof
-        gates = np.array([self._gate(k) for k in range(int(dof.max(initial=2) * len(dof)) + 1)])
+        gates = self._gates(int(dof.max(initial=2)) * len(dof))
         compatible = nis <= gates[dof]
         sighting, landmark = np.nonzero(compatible)
         column = np.full(len(sightings), -1, dtype=np.intp)
@@ -65,12 +65,11 @@ class JointCompatibility:
             spread = pair_covariance(local, observation, sightings, sighting, landmark)
             order = np.lexsort((n[sighting, landmark], sighting))
             least = np.where(compatible, added.n, np.inf).min(axis=1, keepdims=True, initial=np.inf)
-            beside = _Beside(
-                *(column[sighting, landmark][order] for column in (added.nis, added.n - least, dof))
-            )
+            row, which = sighting[order], landmark[order]
+            beside = _Beside(added.nis[row, which], (added.n - least)[row, which], dof[row, which])
             search = _Search(
-                sighting[order],
-                landmark[order],
+                row,
+                which,
                 nu[order],
                 _reorder(spread, order),
                 beside,
@@ -82,9 +81,11 @@ class JointCompatibility:
         unseen = np.logical_and.reduce(nis > same_tail(self.new_gate, dof), axis=1)
         return slots_of(column, unseen, local.slot, state.landmark_count)
 
-    def _gate(self, dof: int) -> float:
-        """Bound of the chi-square variable with so many degrees of freedom, 2 at the least."""
-        return 2.0 * float(gammaincinv(0.5 * max(dof, 2), self.probability))
+    def _gates(self, most: int) -> Array:
+        """Bounds of chi-square variables with 0 to `most` degrees of freedom, 2 at the least."""
+        dof = np.maximum(np.arange(most + 1), 2)
+        bounds: Array = 2.0 * gammaincinv(0.5 * dof, self.probability)
+        return bounds
 
 
 def pair_covariance(

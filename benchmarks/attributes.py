@@ -1,0 +1,198 @@
+"""Association with more than position: trees by their diameter, reflectors by their intensity.
+
+    python benchmarks/attributes.py [--seeds 10] [--victoria-park DIR] [--car-park DIR]
+
+Simulated: pairs of trees 0.6 m apart along Nieto's loop, scored by the true landmarks. Victoria Park:
+what the diameters scatter by, the whole run without and with them, and runs with the sightings of
+every so many seconds withheld, scored by the run that has them all. Car park: what intensities say.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+
+from comparisons.checks.accuracy import assess
+from comparisons.checks.association import score_partition
+from comparisons.logs.log import Log
+from comparisons.logs.readers import acfr_car_park, victoria_park
+from comparisons.logs.simulate.drive import Drive, simulate
+from comparisons.logs.simulate.worlds import World, nieto_loop
+from comparisons.runs.attributes import sighted_attributes
+from comparisons.runs.ekf_build import EkfChoices
+from comparisons.runs.ekf_run import EkfRun, run_ekf
+from comparisons.runs.timeline import build_timeline
+
+Slots = NDArray[np.intp]
+APART_M = 0.6
+DIAMETERS_M = (0.15, 0.9)
+LONG_S = 60.0
+
+
+def paired_trees(seed: int, noise_scale: float) -> Log:
+    """Nieto's loop twice, a second tree beside every landmark, each of its own diameter."""
+    rng = np.random.default_rng(seed)
+    world = nieto_loop()
+    turn = rng.uniform(0.0, 2.0 * np.pi, len(world.landmark))
+    beside = world.landmark + APART_M * np.column_stack((np.cos(turn), np.sin(turn)))
+    world = World(world.path, np.vstack((world.landmark, beside)))
+    log = simulate(rng, Drive(loops=2, noise_scale=noise_scale), world)
+    seen = log.sightings
+    diameter = rng.uniform(*DIAMETERS_M, len(world.landmark))[seen.landmark]
+    log = replace(log, sightings=replace(seen, diameter_m=diameter))
+    sigma = np.sqrt(sighted_attributes(log).variance[:, 0])
+    measured = rng.normal(diameter, sigma)
+    return replace(log, sightings=replace(seen, diameter_m=measured))
+
+
+def run(log: Log, filter_name: str, association: str, attributes: str) -> EkfRun:
+    """The filter over a log."""
+    choices = EkfChoices(filter_name, association, attributes=attributes).settle(log)
+    return run_ekf(log, build_timeline(log), choices)
+
+
+def simulated(seeds: int, noise_scale: float) -> None:
+    """Pairs of trees, by nearest neighbour and joint compatibility."""
+    print(f"pairs of trees {APART_M} m apart, {seeds} drives: precision, recall, landmarks, ATE")
+    for association in ("nn", "jcbb"):
+        for attributes in ("off", "on"):
+            rows = []
+            for seed in range(seeds):
+                log = paired_trees(seed, noise_scale)
+                done = run(log, "compressed", association, attributes)
+                score = score_partition(done.slot, log.sightings.landmark[: len(done.slot)])
+                accuracy = assess(done.estimate, log, labelled=False)
+                ate = np.nan if accuracy is None else accuracy.ate_m
+                rows.append((score.precision, score.recall, len(done.estimate.landmark), ate))
+            median = np.median(np.array(rows, dtype=float), axis=0)
+            worst = np.min(np.array(rows, dtype=float)[:, :2], axis=0)
+            print(
+                f"{association:5} attributes {attributes:4} {median[0]:.3f} {median[1]:.3f} "
+                f"{median[2]:.0f} {median[3]:.2f} m (worst {worst[0]:.3f} {worst[1]:.3f})"
+            )
+
+
+def scatter(log: Log, slot: Slots) -> None:
+    """Of diameters of one landmark, over pairs of sightings long apart (Guivant 2002, eq. 15)."""
+    rng, used = np.random.default_rng(0), np.flatnonzero(slot >= 0)
+    first, second = [], []
+    for landmark in range(int(slot.max()) + 1):
+        rows = used[slot[used] == landmark]
+        a, b = rng.choice(rows, (2, 400))
+        apart = np.abs(log.sightings.time_s[a] - log.sightings.time_s[b]) > LONG_S
+        first.append(a[apart])
+        second.append(b[apart])
+    a, b = np.concatenate(first), np.concatenate(second)
+    seen = log.sightings
+    error = (seen.diameter_m[a] - seen.diameter_m[b]) ** 2
+    by = np.column_stack((seen.range_m[a] ** 2 + seen.range_m[b] ** 2, np.full(len(a), 2.0)))
+    width, shape = np.sqrt(nnls(by, error)[0])
+    variance = sighted_attributes(log).variance[:, 0]
+    share = error / (variance[a] + variance[b])
+    print(
+        f"diameters over {len(a)} pairs of sightings more than {LONG_S:g} s apart: least squares "
+        f"{width:.4f} rad and {shape:.3f} m; as stated, mean square {share.mean():.2f}, median "
+        f"{np.median(share):.2f} (0.45 of a Gaussian)"
+    )
+
+
+def withheld(log: Log, length_s: float, period_s: float, phase_s: float) -> NDArray[np.bool_]:
+    """Which sightings (M,) are left when the last part of every period is blind."""
+    since = log.sightings.time_s - log.prior.time_s - phase_s
+    kept: NDArray[np.bool_] = (since <= 0.0) | (np.mod(since, period_s) <= period_s - length_s)
+    return kept
+
+
+def park(folder: Path, blind_s: list[float], phases_s: list[float]) -> None:
+    """Victoria Park without and with diameters."""
+    log = victoria_park.read(folder)
+    reference = run(log, "compressed", "nn", "off").slot
+    scatter(log, reference)
+    print("Victoria Park, blind for, phase, attributes: pairs' precision and recall, landmarks, ")
+    print("  ambiguous, candidates, GPS median and RMS (aligned)")
+    for length in blind_s:
+        for phase in phases_s if length else phases_s[:1]:
+            kept = withheld(log, length, LONG_S, phase)
+            part = replace(log, sightings=log.sightings.chosen(kept))
+            for association in ("nn", "jcbb"):
+                for attributes in ("off", "on"):
+                    done = run(part, "compressed", association, attributes)
+                    true = reference[kept][: len(done.slot)]
+                    both = true >= 0
+                    score = score_partition(done.slot[both], true[both])
+                    accuracy = assess(done.estimate, log, labelled=False)
+                    assert accuracy is not None
+                    print(
+                        f"{length:4g} s {phase:4g} s {association:5} {attributes:4} "
+                        f"{score.precision:.3f} {score.recall:.3f} "
+                        f"{len(done.estimate.landmark)} {done.unused['ambiguous']} "
+                        f"{done.unused['candidate']} {accuracy.gps_median_aligned_m:.2f} "
+                        f"{accuracy.gps_rms_aligned_m:.2f} m",
+                        flush=True,
+                    )
+
+
+def car_park(folder: Path) -> None:
+    """What the intensity of a lit run says: of beacons and of everything else that shines."""
+    log = acfr_car_park.read(folder)
+    truth = log.truth.landmarks
+    assert truth is not None
+    for attributes in ("off", "on"):
+        done = run(log, "full", "nn", attributes)
+        place, slot = done.estimate.landmark, done.slot
+        away = np.linalg.norm(place[:, None] - truth.position_m[None], axis=2).min(axis=1)
+        beacon = away <= 0.5
+        accuracy = assess(done.estimate, log, labelled=False)
+        assert accuracy is not None
+        print(
+            f"car park, attributes {attributes}: {beacon.sum()} landmarks at beacons, "
+            f"{(~beacon).sum()} elsewhere, {done.unused['ambiguous']} ambiguous, beacons' RMSE "
+            f"{accuracy.landmark_rmse_m:.3f} m"
+        )
+        if attributes == "on":
+            continue
+        used = slot >= 0
+        of_beacon = np.zeros(len(slot), dtype=bool)
+        of_beacon[used] = beacon[slot[used]]
+        distance, lit = log.sightings.range_m[: len(slot)], log.sightings.intensity[: len(slot)]
+        for low, high in ((0.0, 5.0), (5.0, 10.0), (10.0, 20.0)):
+            near = used & (distance >= low) & (distance < high)
+            cells = [
+                f"{name} {lit[rows].mean():.0f} +- {lit[rows].std():.0f} ({rows.sum()})"
+                for name, rows in (("beacons", near & of_beacon), ("others", near & ~of_beacon))
+                if rows.any()
+            ]
+            print(f"  intensity at {low:g} to {high:g} m: {', '.join(cells)}")
+        mean = np.bincount(slot[used], lit[used]) / np.bincount(slot[used])
+        within = lit[used] - mean[slot[used]]
+        print(
+            f"  within landmarks {within.std():.0f}, between beacons {mean[beacon].std():.0f}, "
+            f"median of all {np.median(lit):.0f}"
+        )
+
+
+def main() -> None:
+    """Run what was asked for."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--noise-scale", type=float, default=1.0)
+    parser.add_argument("--victoria-park", type=Path)
+    parser.add_argument("--blind", type=float, nargs="*", default=[0.0, 5.0, 10.0, 15.0])
+    parser.add_argument("--phases", type=float, nargs="+", default=[0.0, 20.0, 40.0])
+    parser.add_argument("--car-park", type=Path)
+    given = parser.parse_args()
+    if given.seeds:
+        simulated(given.seeds, given.noise_scale)
+    if given.car_park is not None:
+        car_park(given.car_park)
+    if given.victoria_park is not None:
+        park(given.victoria_park, given.blind, given.phases)
+
+
+if __name__ == "__main__":
+    main()
