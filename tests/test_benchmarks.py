@@ -48,6 +48,16 @@ def test_waypoint_run_benchmark_runs(tmp_path: Path) -> None:
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
+def test_attributes_benchmark_runs() -> None:
+    lines = run("benchmarks/attributes.py", "--seeds", "1", "--loops", "0.3")
+    assert [line.split()[:3:2] for line in lines[1:]] == [
+        ["nn", "off"],
+        ["nn", "on"],
+        ["jcbb", "off"],
+        ["jcbb", "on"],
+    ]
+
+
 def test_smoother_benchmark_runs() -> None:
     lines = run("benchmarks/smoother.py", "--quick")
     assert lines[1].startswith("graph ")
