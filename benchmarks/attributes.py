@@ -11,6 +11,7 @@ park: what intensities say.
 from __future__ import annotations
 
 import argparse
+import copy
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,9 +26,11 @@ from comparisons.logs.readers import acfr_car_park, victoria_park
 from comparisons.logs.simulate.drive import Drive, simulate
 from comparisons.logs.simulate.worlds import World, nieto_loop
 from comparisons.runs.attributes import sighted_attributes
-from comparisons.runs.ekf_build import EkfChoices
+from comparisons.runs.ekf_build import EkfChoices, build_association, build_ekf
 from comparisons.runs.ekf_run import EkfRun, run_ekf
 from comparisons.runs.timeline import build_timeline
+from ekf_reference.full_ekf import FullEkf
+from ekf_reference.trace import NullTrace
 
 Slots = NDArray[np.intp]
 APART_M = 0.6
@@ -35,6 +38,7 @@ DIAMETERS_M = (0.15, 0.9)
 LONG_S = 60.0
 FARTHEST_LAG = 20
 LAG_S = 0.5
+AFTER_S = 5.0
 
 
 def paired_trees(seed: int, loops: float) -> Log:
@@ -152,6 +156,103 @@ def park(folder: Path, blind_s: list[float], phases_s: list[float]) -> None:
                     )
 
 
+class Course:
+    """A filter stepped through a log, so that it can be copied on the way and go on blindly."""
+
+    def __init__(self, log: Log) -> None:
+        self.timeline, seen = build_timeline(log), log.sightings
+        self.time_s = self.timeline.epoch_time_s
+        self._until = self.timeline.steps_until(), self.timeline.sightings_until()
+        self._z = np.column_stack((seen.range_m, seen.bearing_rad))
+        self._sigma = np.column_stack((seen.sigma_range_m, seen.sigma_bearing_rad))
+        self._label, self._told = seen.landmark, sighted_attributes(log)
+
+    def rows(self, epoch: int) -> Slots:
+        """The sightings of an epoch."""
+        return np.arange(self._until[1][epoch], self._until[1][epoch + 1])
+
+    def move(self, ekf: FullEkf, epoch: int) -> None:
+        """Predict up to an epoch from the one before."""
+        steps, line = self._until[0], self.timeline
+        for i in range(int(steps[epoch - 1]) if epoch else 0, int(steps[epoch])):
+            duration = float(line.step_duration_s[i])
+            ekf.predict(line.control[i], line.control_covariance[i], duration)
+
+    def look(self, ekf: FullEkf, epoch: int) -> Slots:
+        """Fuse what is seen there."""
+        rows = self.rows(epoch)
+        if not len(rows):
+            return np.zeros(0, dtype=np.intp)
+        return ekf.observe(
+            self._z[rows],
+            self._sigma[rows],
+            self._label[rows],
+            float(self.time_s[epoch]),
+            self._told.take(rows),
+        )
+
+
+def lost(folder: Path, association: str, blind_s: list[float], every_s: float) -> None:
+    """Blind from here on for a while: is what is seen afterwards taken for what it is?
+
+    At regular times the filter, which remembers diameters, is copied twice; both copies drive on
+    without sightings, and only one of them uses diameters afterwards. The filter that was never
+    blind says what is right.
+    """
+    log = victoria_park.read(folder)
+    choices = EkfChoices("compressed", association, attributes="on").settle(log)
+    course, ekf = Course(log), build_ekf(log, choices, NullTrace())
+    epochs = len(course.time_s)
+    true = np.full(len(log.sightings.time_s), -1, dtype=np.intp)
+    found: list[tuple[float, str, int, Slots, Slots]] = []
+    begins = np.arange(
+        log.prior.time_s + 2.0 * every_s, log.end_s - max(blind_s) - AFTER_S, every_s
+    )
+    starts = set(np.searchsorted(course.time_s, begins).tolist())
+    for k in range(epochs):
+        course.move(ekf, k)
+        true[course.rows(k)] = course.look(ekf, k)
+        if k not in starts:
+            continue
+        for length in blind_s:
+            for attributes in ("off", "on"):
+                copied, slots, rows = copy.deepcopy(ekf), [], []
+                if attributes == "off":
+                    copied.association = build_association(log, replace(choices, attributes="off"))
+                for j in range(k + 1, epochs):
+                    since = course.time_s[j] - course.time_s[k]
+                    if since > length + AFTER_S:
+                        break
+                    course.move(copied, j)
+                    if since > length:
+                        rows.append(course.rows(j))
+                        slots.append(course.look(copied, j))
+                before = ekf.state.landmark_count
+                found.append((length, attributes, before, *map(np.concatenate, (rows, slots))))
+    print(
+        f"blind for, {association}, attributes: of sightings of known landmarks in the {AFTER_S:g} s "
+        "after, taken for the right one, a wrong one, unused; stretches that end right"
+    )
+    for length in blind_s:
+        for attributes in ("off", "on"):
+            counts, good, stretches = np.zeros(3), 0, 0
+            for at, how, before, rows_, slots_ in found:
+                known = (true[rows_] >= 0) & (true[rows_] < before)
+                if (at, how) != (length, attributes) or not known.any():
+                    continue
+                said, meant = slots_[known], true[rows_][known]
+                counts += [(said == meant).sum(), ((said >= 0) & (said != meant)).sum(),
+                           (said < 0).sum()]  # fmt: skip
+                stretches += 1
+                good += int((said == meant).mean() > 0.5)
+            share = 100.0 * counts / counts.sum()
+            print(
+                f"{length:4g} s {attributes:4} {share[0]:.1f} {share[1]:.1f} {share[2]:.1f} %; "
+                f"{good} of {stretches}",
+                flush=True,
+            )
+
+
 def car_park(folder: Path) -> None:
     """What the intensity of a lit run says: of beacons and of everything else that shines."""
     log = acfr_car_park.read(folder)
@@ -197,7 +298,9 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--loops", type=float, default=2.0)
     parser.add_argument("--victoria-park", type=Path)
-    parser.add_argument("--blind", type=float, nargs="*", default=[0.0, 5.0, 10.0, 15.0])
+    parser.add_argument("--blind", type=float, nargs="*", default=[0.0])
+    parser.add_argument("--lost", type=float, nargs="+", default=[5.0, 10.0, 20.0, 40.0])
+    parser.add_argument("--every", type=float, default=20.0)
     parser.add_argument("--phases", type=float, nargs="+", default=[0.0, 20.0, 40.0])
     parser.add_argument("--car-park", type=Path)
     given = parser.parse_args()
@@ -206,6 +309,8 @@ def main() -> None:
     if given.car_park is not None:
         car_park(given.car_park)
     if given.victoria_park is not None:
+        for association in ("nn", "jcbb"):
+            lost(given.victoria_park, association, given.lost, given.every)
         park(given.victoria_park, given.blind, given.phases)
 
 
