@@ -160,6 +160,7 @@ class Course:
     """A filter stepped through a log, so that it can be copied on the way and go on blindly."""
 
     def __init__(self, log: Log) -> None:
+        """Stands before the first epoch."""
         self.timeline, seen = build_timeline(log), log.sightings
         self.time_s = self.timeline.epoch_time_s
         self._until = self.timeline.steps_until(), self.timeline.sightings_until()
@@ -230,8 +231,8 @@ def lost(folder: Path, association: str, blind_s: list[float], every_s: float) -
                 before = ekf.state.landmark_count
                 found.append((length, attributes, before, *map(np.concatenate, (rows, slots))))
     print(
-        f"blind for, {association}, attributes: of sightings of known landmarks in the {AFTER_S:g} s "
-        "after, taken for the right one, a wrong one, unused; stretches that end right"
+        f"blind for, {association}, attributes: sightings of known landmarks in the {AFTER_S:g} s "
+        "after, taken for the right one, a wrong one, unused; stretches mostly right"
     )
     for length in blind_s:
         for attributes in ("off", "on"):
