@@ -3,9 +3,9 @@
     python benchmarks/attributes.py [--seeds 10] [--victoria-park DIR] [--car-park DIR]
 
 Simulated: pairs of trees 0.6 m apart along Nieto's loop, scored by the true landmarks. Victoria
-Park: what the diameters scatter by, the whole run without and with them, and runs with the
-sightings of the last seconds of every minute withheld, scored by the run that has them all. Car
-park: what intensities say.
+Park: what is recognised after blind stretches, what the diameters scatter by, the whole run without
+and with them, and with --blind runs without the sightings of the last seconds of every minute,
+scored by the run that has them all. Car park: what intensities say.
 """
 
 from __future__ import annotations
@@ -127,9 +127,8 @@ def withheld(log: Log, length_s: float, period_s: float, phase_s: float) -> NDAr
     return kept
 
 
-def park(folder: Path, blind_s: list[float], phases_s: list[float]) -> None:
+def park(log: Log, blind_s: list[float], phases_s: list[float]) -> None:
     """Victoria Park without and with diameters."""
-    log = victoria_park.read(folder)
     reference = run(log, "compressed", "nn", "off").slot
     scatter(log, reference)
     print("Victoria Park, blind for, phase, attributes: pairs' precision and recall, landmarks, ")
@@ -193,14 +192,13 @@ class Course:
         )
 
 
-def lost(folder: Path, association: str, blind_s: list[float], every_s: float) -> None:
+def lost(log: Log, association: str, blind_s: list[float], every_s: float) -> None:
     """Blind from here on for a while: is what is seen afterwards taken for what it is?
 
     At regular times the filter, which remembers diameters, is copied twice; both copies drive on
     without sightings, and only one of them uses diameters afterwards. The filter that was never
     blind says what is right.
     """
-    log = victoria_park.read(folder)
     choices = EkfChoices("compressed", association, attributes="on").settle(log)
     course, ekf = Course(log), build_ekf(log, choices, NullTrace())
     epochs = len(course.time_s)
@@ -231,8 +229,8 @@ def lost(folder: Path, association: str, blind_s: list[float], every_s: float) -
                 before = ekf.state.landmark_count
                 found.append((length, attributes, before, *map(np.concatenate, (rows, slots))))
     print(
-        f"blind for, {association}, attributes: sightings of known landmarks in the {AFTER_S:g} s "
-        "after, taken for the right one, a wrong one, unused; stretches mostly right"
+        f"{log.name}, blind for, {association}, attributes: sightings of known landmarks in the "
+        f"{AFTER_S:g} s after, taken for the right one, a wrong one, unused; stretches mostly right"
     )
     for length in blind_s:
         for attributes in ("off", "on"):
@@ -292,6 +290,18 @@ def car_park(folder: Path) -> None:
             f"median of all {np.median(lit):.0f}"
         )
 
+    reference, times = run(log, "full", "nn", "off").slot, np.unique(log.sightings.time_s)
+    scan = np.searchsorted(times, log.sightings.time_s)
+    for every in (5, 10, 20, 40):
+        kept = scan % every == 0
+        part, told = replace(log, sightings=log.sightings.chosen(kept)), []
+        for attributes in ("off", "on"):
+            slot = run(part, "full", "nn", attributes).slot
+            true = reference[kept][: len(slot)]
+            score = score_partition(slot[true >= 0], true[true >= 0])
+            told.append(f"{attributes} {score.precision:.3f} {score.recall:.3f}")
+        print(f"  every {every} scans, pairs' precision and recall: {', '.join(told)}")
+
 
 def main() -> None:
     """Run what was asked for."""
@@ -307,12 +317,14 @@ def main() -> None:
     given = parser.parse_args()
     if given.seeds:
         simulated(given.seeds, given.loops)
+        lost(paired_trees(0, given.loops), "nn", given.lost, given.every)
     if given.car_park is not None:
         car_park(given.car_park)
     if given.victoria_park is not None:
+        log = victoria_park.read(given.victoria_park)
         for association in ("nn", "jcbb"):
-            lost(given.victoria_park, association, given.lost, given.every)
-        park(given.victoria_park, given.blind, given.phases)
+            lost(log, association, given.lost, given.every)
+        park(log, given.blind, given.phases)
 
 
 if __name__ == "__main__":
