@@ -227,7 +227,8 @@ def lost(log: Log, association: str, blind_s: list[float], every_s: float) -> No
                         rows.append(course.rows(j))
                         slots.append(course.look(copied, j))
                 before = ekf.state.landmark_count
-                found.append((length, attributes, before, *map(np.concatenate, (rows, slots))))
+                seen, said = np.concatenate(rows), np.concatenate(slots)
+                found.append((length, attributes, before, seen, said))
     print(
         f"{log.name}, blind for, {association}, attributes: sightings of known landmarks in the "
         f"{AFTER_S:g} s after, taken for the right one, a wrong one, unused; stretches mostly right"
