@@ -234,8 +234,9 @@ def lost(log: Log, association: str, blind_s: list[float], every_s: float) -> No
         f"{AFTER_S:g} s after, taken for the right one, a wrong one, unused; stretches mostly right"
     )
     for length in blind_s:
+        right: dict[str, list[float]] = {}
         for attributes in ("off", "on"):
-            counts, good, stretches = np.zeros(3), 0, 0
+            counts, right[attributes] = np.zeros(3), []
             for at, how, before, rows_, slots_ in found:
                 known = (true[rows_] >= 0) & (true[rows_] < before)
                 if (at, how) != (length, attributes) or not known.any():
@@ -243,14 +244,15 @@ def lost(log: Log, association: str, blind_s: list[float], every_s: float) -> No
                 said, meant = slots_[known], true[rows_][known]
                 counts += [(said == meant).sum(), ((said >= 0) & (said != meant)).sum(),
                            (said < 0).sum()]  # fmt: skip
-                stretches += 1
-                good += int((said == meant).mean() > 0.5)
+                right[attributes].append(float((said == meant).mean()))
             share = 100.0 * counts / counts.sum()
             print(
                 f"{length:4g} s {attributes:4} {share[0]:.1f} {share[1]:.1f} {share[2]:.1f} %; "
-                f"{good} of {stretches}",
+                f"{sum(r > 0.5 for r in right[attributes])} of {len(right[attributes])}",
                 flush=True,
             )
+        more = np.sign(np.subtract(right["on"], right["off"]))
+        print(f"     more right with them after {(more > 0).sum()}, less after {(more < 0).sum()}")
 
 
 def car_park(folder: Path) -> None:
