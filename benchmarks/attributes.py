@@ -29,6 +29,7 @@ from comparisons.runs.attributes import sighted_attributes
 from comparisons.runs.ekf_build import EkfChoices, build_association, build_ekf
 from comparisons.runs.ekf_run import EkfRun, run_ekf
 from comparisons.runs.timeline import build_timeline
+from ekf_reference.association import RememberedAttributes
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.trace import NullTrace
 
@@ -195,12 +196,16 @@ class Course:
 def lost(log: Log, association: str, blind_s: list[float], every_s: float) -> None:
     """Blind from here on for a while: is what is seen afterwards taken for what it is?
 
-    At regular times the filter, which remembers diameters, is copied twice; both copies drive on
-    without sightings, and only one of them uses diameters afterwards. The filter that was never
-    blind says what is right.
+    At regular times the filter, which goes by position but remembers diameters, is copied twice;
+    both copies drive on without sightings, and only one of them uses diameters afterwards. The
+    filter that was never blind says what is right.
     """
     choices = EkfChoices("compressed", association, attributes="on").settle(log)
     course, ekf = Course(log), build_ekf(log, choices, NullTrace())
+    using = ekf.association
+    assert isinstance(using, RememberedAttributes)
+    by_position = build_association(log, replace(choices, attributes="off"))
+    ekf.association = RememberedAttributes(by_position, using.memory)
     epochs = len(course.time_s)
     true = np.full(len(log.sightings.time_s), -1, dtype=np.intp)
     found: list[tuple[float, str, int, Slots, Slots]] = []
@@ -215,9 +220,9 @@ def lost(log: Log, association: str, blind_s: list[float], every_s: float) -> No
             continue
         for length in blind_s:
             for attributes in ("off", "on"):
-                copied, slots, rows = copy.deepcopy(ekf), [], []
-                if attributes == "off":
-                    copied.association = build_association(log, replace(choices, attributes="off"))
+                (copied, rule), slots, rows = copy.deepcopy((ekf, using)), [], []
+                if attributes == "on":
+                    copied.association = rule
                 for j in range(k + 1, epochs):
                     since = course.time_s[j] - course.time_s[k]
                     if since > length + AFTER_S:
