@@ -17,6 +17,7 @@ from comparisons.cli_export import export
 from comparisons.cli_montecarlo import montecarlo
 from comparisons.cli_options import (
     AssociationOption,
+    AttributesOption,
     DenseOption,
     EstimateOption,
     FeaturesOption,
@@ -90,6 +91,7 @@ def run(
     out: OutOption = None,
     filter_name: FilterOption = "full",
     association: AssociationOption = None,
+    attributes: AttributesOption = "off",
     features: FeaturesOption = "log",
     motion: MotionOption = "wheel",
     gps: GpsOption = "off",
@@ -131,7 +133,7 @@ def run(
         from comparisons.runs.ekf_build import EkfChoices
 
         source, read_s = read_named(log, format_name, robot, seed, loops, noise_scale, features)
-        choices = EkfChoices(filter_name, association, gps)
+        choices = EkfChoices(filter_name, association, gps, attributes)
         options = _options(smoother, lag, optimiser, robust)
         if smoother_association not in ("ekf", "own"):
             raise InputError(

@@ -79,6 +79,13 @@ SmootherAssociationOption = Annotated[
 FeaturesOption = Annotated[
     str, typer.Option(metavar="log|trees", help="The log's sightings, or trunks in its scans.")
 ]
+AttributesOption = Annotated[
+    str,
+    typer.Option(
+        metavar="off|on",
+        help="On: diameters and intensities tell landmarks apart, too (nn and jcbb).",
+    ),
+]
 GpsOption = Annotated[
     str, typer.Option(metavar="off|on|half", help="Fuse positions; half holds every second back.")
 ]

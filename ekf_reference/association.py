@@ -14,6 +14,12 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ekf_reference.attributes import (
+    NO_ATTRIBUTES,
+    AttributeEstimates,
+    Attributes,
+    same_tail,
+)
 from ekf_reference.kalman import LocalMap
 from ekf_reference.observation import Observation
 from ekf_reference.sightings import Sightings
@@ -183,19 +189,40 @@ class NearestNeighbour:
     A sighting whose nis exceeds `new_gate` for every landmark starts a new one; between the two
     gates, or beaten to its landmark, it is ambiguous.
 
-    gate, new_gate: bounds of the chi-square variable with 2 degrees of freedom.
+    gate, new_gate: bounds of the chi-square variable with 2 degrees of freedom; with attributes,
+    which enter both nis and N, those of the same probability with as many more.
     """
 
     gate: float = 13.82  # 99.9 %
     new_gate: float = 25.0
+    attributes: Attributes = NO_ATTRIBUTES
 
     def assign(self, state: MappedState, observation: Observation, sightings: Sightings) -> Slots:
-        """Assign by position alone; labels are not used."""
+        """Assign by position and attributes; labels are not used."""
         local = surroundings(state, observation, sightings)
         distances = normalised_distances(local, observation, sightings)
-        column = match_in_order(distances.n, distances.nis <= self.gate)
-        unseen = distances.nis.min(axis=1, initial=np.inf) > self.new_gate
+        added = self.attributes.distances(local.slot, sightings)
+        nis, dof = distances.nis + added.nis, 2 + added.dof
+        column = match_in_order(distances.n + added.n, nis <= same_tail(self.gate, dof))
+        unseen = np.logical_and.reduce(nis > same_tail(self.new_gate, dof), axis=1)
         return slots_of(column, unseen, local.slot, state.landmark_count)
+
+
+@dataclass(frozen=True)
+class RememberedAttributes:
+    """Wraps all other rules: what a sighting tells goes to the landmark that it was given to.
+
+    memory: the one that the rule within asks.
+    """
+
+    rule: Association
+    memory: AttributeEstimates
+
+    def assign(self, state: MappedState, observation: Observation, sightings: Sightings) -> Slots:
+        """As the rule says."""
+        slots = self.rule.assign(state, observation, sightings)
+        self.memory.note(slots, sightings)
+        return slots
 
 
 @dataclass(frozen=True)

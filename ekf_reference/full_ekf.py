@@ -30,7 +30,7 @@ from ekf_reference.kalman import (
 )
 from ekf_reference.motion import MotionModel
 from ekf_reference.observation import Observation, RangeBearing
-from ekf_reference.sightings import Sightings
+from ekf_reference.sightings import NOTHING_SIGHTED, SightedAttributes, Sightings
 from ekf_reference.trace import Beginning, NullTrace, PositionUse, Prediction, SightingUse, Trace
 
 
@@ -169,18 +169,24 @@ class FullEkf:
         self.trace.prediction(Prediction(departed, step.pose, step.jacobian_pose, noise))
 
     def observe(
-        self, z: Array, sigma: Array, identity: NDArray[np.int64], time_s: float = 0.0
+        self,
+        z: Array,
+        sigma: Array,
+        identity: NDArray[np.int64],
+        time_s: float = 0.0,
+        attributes: SightedAttributes = NOTHING_SIGHTED,
     ) -> Slots:
         """Fuse the sightings of one instant; returns their slots, negative where unused.
 
         z: (m, 2) range and bearing. sigma: (m, 2). identity: (m,) labels, negative for none.
+        attributes: for association.
         New landmarks are added after the update, at the updated pose; a second sighting of the
         same new landmark is fused after that.
         """
         z, noise = self.observation.measured(z, sigma)
         mapped = self.state.landmark_count
         slots = self.association.assign(
-            self.state, self.observation, Sightings(z, noise, identity, time_s)
+            self.state, self.observation, Sightings(z, noise, identity, time_s, attributes)
         )
         first = np.zeros(len(slots), dtype=bool)
         first[np.unique(slots, return_index=True)[1]] = True

@@ -11,17 +11,39 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
+class SightedAttributes:
+    """What m sightings tell of their landmarks besides where they are: A attributes, in any units.
+
+    value: (m, A), NaN where not measured. variance: (m, A). Without columns, of any number of
+    sightings.
+    """
+
+    value: Array
+    variance: Array
+
+    def take(self, rows: NDArray[np.intp]) -> SightedAttributes:
+        """Some of them."""
+        if not self.value.shape[1]:
+            return self
+        return SightedAttributes(self.value[rows], self.variance[rows])
+
+
+NOTHING_SIGHTED = SightedAttributes(np.zeros((1, 0)), np.zeros((1, 0)))
+
+
+@dataclass(frozen=True)
 class Sightings:
     """m detections of landmarks.
 
     z: (m, 2) range [m] and bearing [rad]. noise: (m, 2, 2), R. identity: (m,) labels, negative
-    where the sensor gave none. time_s: when.
+    where the sensor gave none. time_s: when. attributes: what else was measured.
     """
 
     z: Array
     noise: Array
     identity: NDArray[np.int64]
     time_s: float = 0.0
+    attributes: SightedAttributes = NOTHING_SIGHTED
 
     def __len__(self) -> int:
         """M."""
@@ -29,4 +51,5 @@ class Sightings:
 
     def take(self, rows: NDArray[np.intp]) -> Sightings:
         """Some of them."""
-        return Sightings(self.z[rows], self.noise[rows], self.identity[rows], self.time_s)
+        columns = self.z[rows], self.noise[rows], self.identity[rows]
+        return Sightings(*columns, self.time_s, self.attributes.take(rows))

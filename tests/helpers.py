@@ -58,6 +58,7 @@ def first_seconds(log: Log, seconds: float) -> Log:
             sigma_bearing_rad=seen.sigma_bearing_rad[:m],
             landmark=seen.landmark[:m],
             diameter_m=seen.diameter_m[:m],
+            intensity=seen.intensity[:m],
         ),
     )
 

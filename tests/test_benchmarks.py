@@ -48,6 +48,18 @@ def test_waypoint_run_benchmark_runs(tmp_path: Path) -> None:
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
+def test_attributes_benchmark_runs() -> None:
+    few = ("--seeds", "1", "--loops", "0.3", "--lost", "2", "--every", "5")
+    lines = run("benchmarks/attributes.py", *few)
+    assert [line.split()[2] for line in lines[-3:-1]] == ["off", "on"]
+    assert [line.split()[:3:2] for line in lines[1:5]] == [
+        ["nn", "off"],
+        ["nn", "on"],
+        ["jcbb", "off"],
+        ["jcbb", "on"],
+    ]
+
+
 def test_smoother_benchmark_runs() -> None:
     lines = run("benchmarks/smoother.py", "--quick")
     assert lines[1].startswith("graph ")

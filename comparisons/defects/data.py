@@ -12,7 +12,7 @@ from ekf_reference.association import REJECTED, KnownAssociation, MappedState, S
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.motion import MotionStep
 from ekf_reference.observation import Observation
-from ekf_reference.sightings import Sightings
+from ekf_reference.sightings import NOTHING_SIGHTED, SightedAttributes, Sightings
 
 _GATE_SIGMA = 2.0
 
@@ -59,13 +59,18 @@ class AppliedHalf(OtherMotion):
 class OneScanLate(FullEkf):
     """Sightings wait for the next scan's time."""
 
-    _waiting: tuple[Array, Array, NDArray[np.int64], float] | None = None
+    _waiting: tuple[Array, Array, NDArray[np.int64], float, SightedAttributes] | None = None
 
     def observe(
-        self, z: Array, sigma: Array, identity: NDArray[np.int64], time_s: float = 0.0
+        self,
+        z: Array,
+        sigma: Array,
+        identity: NDArray[np.int64],
+        time_s: float = 0.0,
+        attributes: SightedAttributes = NOTHING_SIGHTED,
     ) -> Slots:
         """Fuse the ones before."""
-        due, self._waiting = self._waiting, (z, sigma, identity, time_s)
+        due, self._waiting = self._waiting, (z, sigma, identity, time_s, attributes)
         if due is not None:
             super().observe(*due)
         return np.full(len(z), REJECTED)
@@ -74,13 +79,18 @@ class OneScanLate(FullEkf):
 class OneStepLate(FullEkf):
     """Sightings are fused after the next prediction."""
 
-    _waiting: tuple[Array, Array, NDArray[np.int64], float] | None = None
+    _waiting: tuple[Array, Array, NDArray[np.int64], float, SightedAttributes] | None = None
 
     def observe(
-        self, z: Array, sigma: Array, identity: NDArray[np.int64], time_s: float = 0.0
+        self,
+        z: Array,
+        sigma: Array,
+        identity: NDArray[np.int64],
+        time_s: float = 0.0,
+        attributes: SightedAttributes = NOTHING_SIGHTED,
     ) -> Slots:
         """Wait."""
-        self._waiting = (z, sigma, identity, time_s)
+        self._waiting = (z, sigma, identity, time_s, attributes)
         return np.full(len(z), REJECTED)
 
     def predict(self, control: Array, covariance: Array, duration_s: float) -> None:
@@ -105,12 +115,17 @@ class SeenTwice(FullEkf):
     """Every sighting is fused twice."""
 
     def observe(
-        self, z: Array, sigma: Array, identity: NDArray[np.int64], time_s: float = 0.0
+        self,
+        z: Array,
+        sigma: Array,
+        identity: NDArray[np.int64],
+        time_s: float = 0.0,
+        attributes: SightedAttributes = NOTHING_SIGHTED,
     ) -> Slots:
         """Once, and again."""
-        slots = super().observe(z, sigma, identity, time_s)
+        slots = super().observe(z, sigma, identity, time_s, attributes)
         self._sightings_seen -= len(slots)
-        super().observe(z, sigma, identity, time_s)
+        super().observe(z, sigma, identity, time_s, attributes)
         return slots
 
 

@@ -39,7 +39,8 @@ class Sightings:
     """Range-bearing detections of landmarks, bearings counter-clockwise from straight ahead.
 
     time_s, range_m, bearing_rad, sigma_range_m, sigma_bearing_rad: (M,). landmark: (M,) ids, or
-    NO_LANDMARK. diameter_m: (M,), NaN where unknown. label_gate: normalised innovation squared
+    NO_LANDMARK. diameter_m, intensity: (M,), NaN where unknown; the latter in the sensor's own
+    unit, and all unknown when left out. label_gate: normalised innovation squared
     beyond which an id is taken for a misread; infinite where ids are certain.
     needs_confirmation: detections may be spurious, so that a new landmark wants several.
     """
@@ -53,12 +54,15 @@ class Sightings:
     diameter_m: Array
     label_gate: float = float("inf")
     needs_confirmation: bool = False
+    intensity: Array = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         """Check the stream."""
+        if not len(self.intensity):
+            object.__setattr__(self, "intensity", np.full(len(self.time_s), np.nan))
         if not self.label_gate > 0:
             raise InputError(f"sightings: label_gate is {self.label_gate}, expected above 0")
-        check(self, "sightings", rows="time_s", gaps=("diameter_m",))
+        check(self, "sightings", rows="time_s", gaps=("diameter_m", "intensity"))
         increasing("sightings", self.time_s, equal=True)
         above_zero("sightings", "range_m", self.range_m)
         for name in ("sigma_range_m", "sigma_bearing_rad"):

@@ -56,6 +56,7 @@ _SIGHTINGS = (
     "landmark",
     "diameter_m",
 )
+_GAPS = ("diameter_m", "intensity")
 _POSITIONS = ("time_s", "x_m", "y_m", "var_x_m2", "cov_xy_m2", "var_y_m2")
 _LANDMARKS = ("id", "x_m", "y_m", "var_x_m2", "cov_xy_m2", "var_y_m2")
 _POSES = ("time_s", "x_m", "y_m", "heading_rad")
@@ -183,7 +184,7 @@ def _read_sightings(path: Path, settings: SightingsModel | None = None) -> Sight
     if not path.exists():
         return None
     settings = settings or SightingsModel()
-    table = Table(path, _SIGHTINGS, comma=True, header=True, gaps=("diameter_m",))
+    table = Table(path, _SIGHTINGS, comma=True, header=True, gaps=_GAPS, optional=("intensity",))
     with table.locating():
         return Sightings(
             table["time_s"],
@@ -195,15 +196,13 @@ def _read_sightings(path: Path, settings: SightingsModel | None = None) -> Sight
             table["diameter_m"],
             settings.label_gate,
             settings.needs_confirmation,
+            table["intensity"] if "intensity" in table.columns else np.zeros(0),
         )
 
 
 def _write_sightings(path: Path, s: Sightings) -> None:
-    columns = (
-        s.time_s, s.range_m, s.bearing_rad, s.sigma_range_m, s.sigma_bearing_rad, s.landmark,
-        s.diameter_m,
-    )  # fmt: skip
-    _write_csv(path, _SIGHTINGS, *columns)
+    names = _SIGHTINGS if np.isnan(s.intensity).all() else (*_SIGHTINGS, "intensity")
+    _write_csv(path, names, *(getattr(s, name) for name in names))
 
 
 def _read_positions(path: Path, antenna_m: tuple[float, float]) -> Positions | None:

@@ -30,16 +30,21 @@ class Table:
         comma: bool = False,
         header: bool = False,
         gaps: tuple[str, ...] = (),
+        optional: tuple[str, ...] = (),
     ) -> None:
         """Read the file; `gaps` are columns in which nan means not measured.
 
+        optional: further columns, which a header may name behind the others, all or none.
         Raises InputError at the first line that is not a full record.
         """
         self.path, self.columns = path, columns
         self._delimiter, self._header, self._gaps = "," if comma else None, header, gaps
         text = read_text(path)
         lines = text.splitlines()
-        if header and (not lines or tuple(lines[0].strip().split(",")) != columns):
+        named = tuple(lines[0].strip().split(",")) if header and lines else ()
+        if optional and named == columns + optional:
+            self.columns = columns = named
+        if header and named != columns:
             raise InputError(f"{path}:1: expected the header {','.join(columns)}")
         records = self._lines(text)
         if not records:

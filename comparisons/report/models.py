@@ -25,6 +25,7 @@ class EkfResult(Model):
 
     rejected, ambiguous, candidate: sightings that association did not use. global_updates: of a
     compressed filter, and the share of the passive covariance that they left alone (set I).
+    attributes: whether diameters and intensities entered association.
     """
 
     filter: str
@@ -33,6 +34,7 @@ class EkfResult(Model):
     rejected: int
     ambiguous: int
     candidate: int
+    attributes: str = "off"
     gps: str
     fixes_fused: int
     fixes_rejected: int

@@ -14,7 +14,7 @@ from comparisons.checks.association import AssociationScore
 from comparisons.checks.own_association import OwnAssociationCheck
 from comparisons.checks.three_way import Pair, ThreeWay
 from comparisons.compare import Comparison
-from comparisons.logs.log import Log
+from comparisons.logs.log import Log, Sightings
 from comparisons.report.consistency_result import consistency_result
 from comparisons.report.dense_result import dense_result
 from comparisons.report.finite import finite
@@ -77,6 +77,7 @@ def ekf_result(run: EkfRun, choices: EkfChoices) -> EkfResult:
     return EkfResult(
         filter=choices.filter,
         association=str(choices.association),
+        attributes=choices.attributes,
         landmarks=len(run.estimate.landmark),
         **run.unused,
         gps=choices.gps,
@@ -148,6 +149,8 @@ def log_hash(log: Log) -> str:
             digest.update(b"absent")
             continue
         for name, value in sorted(vars(record).items()):
+            if name == "intensity" and isinstance(record, Sightings) and np.isnan(value).all():
+                continue  # as if there were no such column, so that logs without keep their hash
             digest.update(name.encode())
             digest.update(
                 np.ascontiguousarray(value).tobytes()

@@ -118,7 +118,9 @@ def add_ekf(table: Table, ekf: EkfResult) -> None:
     table.add_row(
         "EKF",
         f"{ekf.filter}, {ekf.landmarks} landmarks; sightings {ekf.rejected} rejected, "
-        f"{ekf.ambiguous} ambiguous, {ekf.candidate} of candidates ({ekf.association})",
+        f"{ekf.ambiguous} ambiguous, {ekf.candidate} of candidates ({ekf.association}"
+        + (", attributes" if ekf.attributes == "on" else "")
+        + ")",
     )
     if ekf.global_updates:
         table.add_row(

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.logs.log import Array, Log, Positions
+from comparisons.runs.attributes import sighted_attributes
 from comparisons.runs.timeline import Timeline
 from ekf_reference.association import REJECTED
 from ekf_reference.full_ekf import FullEkf
@@ -86,6 +87,7 @@ def drive(
     seen, done = log.sightings, 0
     z = np.column_stack((seen.range_m, seen.bearing_rad))
     sigma = np.column_stack((seen.sigma_range_m, seen.sigma_bearing_rad))
+    told = sighted_attributes(log)
     for k, time_s in enumerate(timeline.epoch_time_s.tolist()):
         for i in range(done, int(steps[k])):
             control, duration = timeline.control[i], float(timeline.step_duration_s[i])
@@ -99,7 +101,10 @@ def drive(
         rejected, fault = 0, None
         try:
             if rows.start < rows.stop:
-                slots = ekf.observe(z[rows], sigma[rows], seen.landmark[rows], time_s)
+                which = np.arange(rows.start, rows.stop)
+                slots = ekf.observe(
+                    z[rows], sigma[rows], seen.landmark[rows], time_s, told.take(which)
+                )
             if positions is not None:
                 for g in range(int(first_fix[k]), int(first_fix[k + 1])):
                     fix = positions.position_m[g], positions.covariance[g]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from comparisons.errors import InputError
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry
+from comparisons.runs.attributes import check_attributes, no_estimates
 from comparisons.runs.known_landmarks import surveyed
 from ekf_reference.absolute_updates import PositionFixes, PositionModel
 from ekf_reference.agreed_association import AgreedAssociation
@@ -18,8 +19,10 @@ from ekf_reference.association import (
     EuclideanNeighbour,
     KnownAssociation,
     NearestNeighbour,
+    RememberedAttributes,
     SurveyedLandmarks,
 )
+from ekf_reference.attributes import NO_ATTRIBUTES
 from ekf_reference.compressed_ekf import CompressedEkf, LocalAreas
 from ekf_reference.direction_cosine import DirectionCosinePosition
 from ekf_reference.direction_cosine_ekf import DirectionCosineEkf
@@ -41,12 +44,14 @@ class EkfChoices:
     """What a user may choose.
 
     association: None to choose by the log. gps: whether absolute positions are fused: `off`, `on`,
-    or `half` for every second one, the others being held back to judge by.
+    or `half` for every second one, the others being held back to judge by. attributes: `on` when
+    diameters and intensities tell landmarks apart, besides their places.
     """
 
     filter: str = "full"
     association: str | None = None
     gps: str = "off"
+    attributes: str = "off"
 
     @property
     def conservative(self) -> bool:
@@ -63,13 +68,15 @@ class EkfChoices:
             raise InputError(f"{log.name}: holds no positions to fuse; use --gps off")
         name = self.association
         if name is None:
-            return replace(self, association="known" if log.sightings.labelled else "nn")
+            known = log.sightings.labelled and self.attributes == "off"
+            return replace(self, association="known" if known else "nn").settle(log)
         if name not in ASSOCIATIONS:
             raise InputError(f"association '{name}' is unknown, expected {_either(ASSOCIATIONS)}")
         if name == "known" and not log.sightings.labelled:
             raise InputError(
                 f"{log.name}: its sightings do not all name their landmark; use --association nn"
             )
+        check_attributes(log, self.attributes, name)
         return self
 
 
@@ -139,19 +146,21 @@ def build_association(log: Log, choices: EkfChoices) -> Association:
     """
     slot_of, _, _ = surveyed(log)
     rule: Association
+    memory = no_estimates() if choices.attributes == "on" else None
     if choices.association == "known":
         rule = KnownAssociation(log.sightings.label_gate, first_slot=len(slot_of))
     else:
-        kinds = {
-            "nn": NearestNeighbour,
-            "jcbb": JointCompatibility,
-            "euclidean": EuclideanNeighbour,
-            "agreed": AgreedAssociation,
+        rules: dict[str, Association] = {
+            "nn": NearestNeighbour(attributes=memory or NO_ATTRIBUTES),
+            "jcbb": JointCompatibility(attributes=memory or NO_ATTRIBUTES),
+            "euclidean": EuclideanNeighbour(),
+            "agreed": AgreedAssociation(),
         }
-        rule = kinds[choices.association or "nn"]()
+        rule = rules[choices.association or "nn"]
         if log.sightings.needs_confirmation:
             rule = TrackManagement(rule)
-    return SurveyedLandmarks(rule, slot_of) if slot_of else rule
+    rule = SurveyedLandmarks(rule, slot_of) if slot_of else rule
+    return rule if memory is None else RememberedAttributes(rule, memory)
 
 
 def _either(names: tuple[str, ...]) -> str:

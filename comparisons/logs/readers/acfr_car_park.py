@@ -97,7 +97,7 @@ def read(path: Path) -> Log:
 
 
 def reflector_sightings(scans: Scans) -> Sightings:
-    """One sighting per run of lit beams: mean range and bearing of the run.
+    """One sighting per run of lit beams: mean range, bearing and intensity of the run.
 
     Beams belong to one run when at most two dark beams lie between them and their ranges differ
     by less than half a metre.
@@ -120,4 +120,5 @@ def reflector_sightings(scans: Scans) -> Sightings:
         np.full(count, _SIGMA_BEARING_RAD),
         np.full(count, NO_LANDMARK),
         np.full(count, np.nan),
+        intensity=np.bincount(run, scans.intensity[scan, beam]) / size,
     )

@@ -38,6 +38,10 @@ FAULTS: dict[str, tuple[Callable[[], object], str]] = {
         lambda: sightings(diameter_m=np.array((1.0, np.inf, np.nan))),
         "row 1: diameter_m is inf",
     ),
+    "infinite intensity": (
+        lambda: sightings(intensity=np.array((1.0, np.nan, np.inf))),
+        "row 2: intensity is inf",
+    ),
     "time backwards": (
         lambda: sightings(time_s=np.array((1.0, 2.0, 1.5))),
         "sightings, row 2: time 1.500000 s follows 2.000000 s",

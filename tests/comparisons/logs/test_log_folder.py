@@ -85,6 +85,25 @@ def test_round_trip_is_exact(kind: str, tmp_path: Path) -> None:
     assert log_hash(log) == log_hash(again)
 
 
+def test_intensities_are_one_more_column(tmp_path: Path) -> None:
+    """A folder without the column is as it was, and so is its log's hash."""
+    log = replace(simulated(loop_s=5.0), format="log-folder")
+    bright = np.arange(float(len(log.sightings.time_s))) / 7
+    bright[2] = np.nan
+    lit = replace(log, sightings=replace(log.sightings, intensity=bright))
+    for name, one in (("log", log), ("lit", lit)):
+        write_log_folder(one, tmp_path / name)
+        assert_same(one, read_log_folder(tmp_path / name))
+    header = (tmp_path / "log" / "sightings.csv").read_text().splitlines()[0]
+    assert header.endswith(",diameter_m")
+    path = tmp_path / "lit" / "sightings.csv"
+    assert path.read_text().splitlines()[0] == header + ",intensity"
+    assert log_hash(log) != log_hash(lit)
+    path.write_text(path.read_text().replace(",intensity", ",colour", 1))
+    with pytest.raises(InputError, match=r"expected the header .*diameter_m$"):
+        read_log_folder(tmp_path / "lit")
+
+
 def test_a_hash_tells_logs_apart() -> None:
     log = simulated(loop_s=5.0)
     other = replace(log, prior=replace(log.prior, time_s=-1e-9))

@@ -115,6 +115,7 @@ def test_car_park(tmp_path: Path) -> None:
     assert np.isnan(log.scans.range_m[0, 300])
     assert log.sightings.range_m.tolist() == [10.0, 10.0]
     assert np.allclose(log.sightings.bearing_rad, np.deg2rad(0.5))
+    assert log.sightings.intensity.tolist() == [1.0, 1.0]
     # North along the GPS track, one metre per second, from y = 0.
     assert np.allclose(log.prior.pose, (5.0, 0.0, np.pi / 2), atol=1e-9)
 

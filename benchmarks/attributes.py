@@ -1,0 +1,339 @@
+"""Association with more than position: trees by their diameter, reflectors by their intensity.
+
+    python benchmarks/attributes.py [--seeds 10] [--victoria-park DIR] [--car-park DIR]
+
+Simulated: pairs of trees 0.6 m apart along Nieto's loop, scored by the true landmarks. Victoria
+Park: what is recognised after blind stretches, what the diameters scatter by, the whole run without
+and with them, and with --blind runs without the sightings of the last seconds of every minute,
+scored by the run that has them all. Car park: what intensities say.
+"""
+
+from __future__ import annotations
+
+import argparse
+import copy
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+
+from comparisons.checks.accuracy import assess
+from comparisons.checks.association import score_partition
+from comparisons.logs.log import Log
+from comparisons.logs.readers import acfr_car_park, victoria_park
+from comparisons.logs.simulate.drive import Drive, simulate
+from comparisons.logs.simulate.worlds import World, nieto_loop
+from comparisons.runs.attributes import sighted_attributes
+from comparisons.runs.ekf_build import EkfChoices, build_association, build_ekf
+from comparisons.runs.ekf_run import EkfRun, run_ekf
+from comparisons.runs.timeline import build_timeline
+from ekf_reference.association import RememberedAttributes
+from ekf_reference.full_ekf import FullEkf
+from ekf_reference.trace import NullTrace
+
+Slots = NDArray[np.intp]
+APART_M = 0.6
+DIAMETERS_M = (0.15, 0.9)
+LONG_S = 60.0
+FARTHEST_LAG = 20
+LAG_S = 0.5
+AFTER_S = 5.0
+
+
+def paired_trees(seed: int, loops: float) -> Log:
+    """Nieto's loop, a second tree beside every landmark, each of its own diameter."""
+    rng = np.random.default_rng(seed)
+    world = nieto_loop()
+    turn = rng.uniform(0.0, 2.0 * np.pi, len(world.landmark))
+    beside = world.landmark + APART_M * np.column_stack((np.cos(turn), np.sin(turn)))
+    world = World(world.path, np.vstack((world.landmark, beside)))
+    log = simulate(rng, Drive(loops=0, extra_s=loops * Drive.loop_s), world)
+    seen = log.sightings
+    diameter = rng.uniform(*DIAMETERS_M, len(world.landmark))[seen.landmark]
+    log = replace(log, sightings=replace(seen, diameter_m=diameter))
+    sigma = np.sqrt(sighted_attributes(log).variance[:, 0])
+    measured = rng.normal(diameter, sigma)
+    return replace(log, sightings=replace(seen, diameter_m=measured))
+
+
+def run(log: Log, filter_name: str, association: str, attributes: str) -> EkfRun:
+    """The filter over a log."""
+    choices = EkfChoices(filter_name, association, attributes=attributes).settle(log)
+    return run_ekf(log, build_timeline(log), choices)
+
+
+def simulated(seeds: int, loops: float) -> None:
+    """Pairs of trees, by nearest neighbour and joint compatibility."""
+    print(f"pairs of trees {APART_M} m apart, {seeds} drives: precision, recall, landmarks, ATE")
+    for association in ("nn", "jcbb"):
+        for attributes in ("off", "on"):
+            rows = []
+            for seed in range(seeds):
+                log = paired_trees(seed, loops)
+                done = run(log, "compressed", association, attributes)
+                score = score_partition(done.slot, log.sightings.landmark[: len(done.slot)])
+                accuracy = assess(done.estimate, log, labelled=False)
+                ate = np.nan if accuracy is None else accuracy.ate_m
+                rows.append((score.precision, score.recall, len(done.estimate.landmark), ate))
+            median = np.median(np.array(rows, dtype=float), axis=0)
+            worst = np.min(np.array(rows, dtype=float)[:, :2], axis=0)
+            print(
+                f"{association:5} attributes {attributes:4} {median[0]:.3f} {median[1]:.3f} "
+                f"{median[2]:.0f} {median[3]:.2f} m (worst {worst[0]:.3f} {worst[1]:.3f})"
+            )
+
+
+def scatter(log: Log, slot: Slots) -> None:
+    """Of diameters of one landmark, over pairs of sightings long apart (Guivant 2002, eq. 15)."""
+    rng, used = np.random.default_rng(0), np.flatnonzero(slot >= 0)
+    first, second = [], []
+    for landmark in range(int(slot.max()) + 1):
+        rows = used[slot[used] == landmark]
+        a, b = rng.choice(rows, (2, 400))
+        apart = np.abs(log.sightings.time_s[a] - log.sightings.time_s[b]) > LONG_S
+        first.append(a[apart])
+        second.append(b[apart])
+    a, b = np.concatenate(first), np.concatenate(second)
+    seen = log.sightings
+    error = (seen.diameter_m[a] - seen.diameter_m[b]) ** 2
+    by = np.column_stack((seen.range_m[a] ** 2 + seen.range_m[b] ** 2, np.full(len(a), 2.0)))
+    width, shape = np.sqrt(nnls(by, error)[0])
+    variance = sighted_attributes(log).variance[:, 0]
+    share = error / (variance[a] + variance[b])
+    print(
+        f"diameters over {len(a)} pairs of sightings more than {LONG_S:g} s apart: least squares "
+        f"{width:.4f} rad and {shape:.3f} m; as stated, mean square {share.mean():.2f}, median "
+        f"{np.median(share):.2f} (0.45 of a Gaussian)"
+    )
+    order = used[np.lexsort((seen.time_s[used], slot[used]))]
+    mean = np.bincount(slot[used], seen.diameter_m[used]) / np.bincount(slot[used])
+    off = seen.diameter_m[order] - mean[slot[order]]
+    alike = []
+    for lag in range(1, FARTHEST_LAG + 1):
+        same = slot[order[lag:]] == slot[order[:-lag]]
+        same &= seen.time_s[order[lag:]] - seen.time_s[order[:-lag]] < LAG_S * lag
+        alike.append(float(np.corrcoef(off[lag:][same], off[:-lag][same])[0, 1]))
+    print(
+        f"  autocorrelation over sightings in a row {alike[0]:.2f}, {alike[4]:.2f} (5), "
+        f"{alike[19]:.2f} (20); 1 + twice its sum to {FARTHEST_LAG}: {1.0 + 2.0 * sum(alike):.1f}"
+    )
+
+
+def withheld(log: Log, length_s: float, period_s: float, phase_s: float) -> NDArray[np.bool_]:
+    """Which sightings (M,) are left when the last part of every period is blind."""
+    since = log.sightings.time_s - log.prior.time_s - phase_s
+    kept: NDArray[np.bool_] = (since <= 0.0) | (np.mod(since, period_s) <= period_s - length_s)
+    return kept
+
+
+def park(log: Log, blind_s: list[float], phases_s: list[float]) -> None:
+    """Victoria Park without and with diameters."""
+    reference = run(log, "compressed", "nn", "off").slot
+    scatter(log, reference)
+    print("Victoria Park, blind for, phase, attributes: pairs' precision and recall, landmarks, ")
+    print("  ambiguous, candidates, GPS median and RMS (aligned)")
+    for length in blind_s:
+        for phase in phases_s if length else phases_s[:1]:
+            kept = withheld(log, length, LONG_S, phase)
+            part = replace(log, sightings=log.sightings.chosen(kept))
+            for association in ("nn", "jcbb"):
+                for attributes in ("off", "on"):
+                    done = run(part, "compressed", association, attributes)
+                    true = reference[kept][: len(done.slot)]
+                    both = true >= 0
+                    score = score_partition(done.slot[both], true[both])
+                    accuracy = assess(done.estimate, log, labelled=False)
+                    assert accuracy is not None
+                    print(
+                        f"{length:4g} s {phase:4g} s {association:5} {attributes:4} "
+                        f"{score.precision:.3f} {score.recall:.3f} "
+                        f"{len(done.estimate.landmark)} {done.unused['ambiguous']} "
+                        f"{done.unused['candidate']} {accuracy.gps_median_aligned_m:.2f} "
+                        f"{accuracy.gps_rms_aligned_m:.2f} m",
+                        flush=True,
+                    )
+
+
+class Course:
+    """A filter stepped through a log, so that it can be copied on the way and go on blindly."""
+
+    def __init__(self, log: Log) -> None:
+        """Stands before the first epoch."""
+        self.timeline, seen = build_timeline(log), log.sightings
+        self.time_s = self.timeline.epoch_time_s
+        self._until = self.timeline.steps_until(), self.timeline.sightings_until()
+        self._z = np.column_stack((seen.range_m, seen.bearing_rad))
+        self._sigma = np.column_stack((seen.sigma_range_m, seen.sigma_bearing_rad))
+        self._label, self._told = seen.landmark, sighted_attributes(log)
+
+    def rows(self, epoch: int) -> Slots:
+        """The sightings of an epoch."""
+        return np.arange(self._until[1][epoch], self._until[1][epoch + 1])
+
+    def move(self, ekf: FullEkf, epoch: int) -> None:
+        """Predict up to an epoch from the one before."""
+        steps, line = self._until[0], self.timeline
+        for i in range(int(steps[epoch - 1]) if epoch else 0, int(steps[epoch])):
+            duration = float(line.step_duration_s[i])
+            ekf.predict(line.control[i], line.control_covariance[i], duration)
+
+    def look(self, ekf: FullEkf, epoch: int) -> Slots:
+        """Fuse what is seen there."""
+        rows = self.rows(epoch)
+        if not len(rows):
+            return np.zeros(0, dtype=np.intp)
+        return ekf.observe(
+            self._z[rows],
+            self._sigma[rows],
+            self._label[rows],
+            float(self.time_s[epoch]),
+            self._told.take(rows),
+        )
+
+
+def lost(log: Log, association: str, blind_s: list[float], every_s: float) -> None:
+    """Blind from here on for a while: is what is seen afterwards taken for what it is?
+
+    At regular times the filter, which goes by position but remembers diameters, is copied twice;
+    both copies drive on without sightings, and only one of them uses diameters afterwards. The
+    filter that was never blind says what is right.
+    """
+    choices = EkfChoices("compressed", association, attributes="on").settle(log)
+    course, ekf = Course(log), build_ekf(log, choices, NullTrace())
+    using = ekf.association
+    assert isinstance(using, RememberedAttributes)
+    by_position = build_association(log, replace(choices, attributes="off"))
+    ekf.association = RememberedAttributes(by_position, using.memory)
+    epochs = len(course.time_s)
+    true = np.full(len(log.sightings.time_s), -1, dtype=np.intp)
+    found: list[tuple[float, str, int, Slots, Slots]] = []
+    begins = np.arange(
+        log.prior.time_s + 2.0 * every_s, log.end_s - max(blind_s) - AFTER_S, every_s
+    )
+    starts = set(np.searchsorted(course.time_s, begins).tolist())
+    for k in range(epochs):
+        course.move(ekf, k)
+        true[course.rows(k)] = course.look(ekf, k)
+        if k not in starts:
+            continue
+        for length in blind_s:
+            for attributes in ("off", "on"):
+                (copied, rule), slots, rows = copy.deepcopy((ekf, using)), [], []
+                if attributes == "on":
+                    copied.association = rule
+                for j in range(k + 1, epochs):
+                    since = course.time_s[j] - course.time_s[k]
+                    if since > length + AFTER_S:
+                        break
+                    course.move(copied, j)
+                    if since > length:
+                        rows.append(course.rows(j))
+                        slots.append(course.look(copied, j))
+                before = ekf.state.landmark_count
+                seen, said = np.concatenate(rows), np.concatenate(slots)
+                found.append((length, attributes, before, seen, said))
+    print(
+        f"{log.name}, blind for, {association}, attributes: sightings of known landmarks in the "
+        f"{AFTER_S:g} s after, taken for the right one, a wrong one, unused; stretches mostly right"
+    )
+    for length in blind_s:
+        right: dict[str, list[float]] = {}
+        for attributes in ("off", "on"):
+            counts, right[attributes] = np.zeros(3), []
+            for at, how, before, rows_, slots_ in found:
+                known = (true[rows_] >= 0) & (true[rows_] < before)
+                if (at, how) != (length, attributes) or not known.any():
+                    continue
+                said, meant = slots_[known], true[rows_][known]
+                counts += [(said == meant).sum(), ((said >= 0) & (said != meant)).sum(),
+                           (said < 0).sum()]  # fmt: skip
+                right[attributes].append(float((said == meant).mean()))
+            share = 100.0 * counts / counts.sum()
+            print(
+                f"{length:4g} s {attributes:4} {share[0]:.1f} {share[1]:.1f} {share[2]:.1f} %; "
+                f"{sum(r > 0.5 for r in right[attributes])} of {len(right[attributes])}",
+                flush=True,
+            )
+        more = np.sign(np.subtract(right["on"], right["off"]))
+        print(f"     more right with them after {(more > 0).sum()}, less after {(more < 0).sum()}")
+
+
+def car_park(folder: Path) -> None:
+    """What the intensity of a lit run says: of beacons and of everything else that shines."""
+    log = acfr_car_park.read(folder)
+    truth = log.truth.landmarks
+    assert truth is not None
+    for attributes in ("off", "on"):
+        done = run(log, "full", "nn", attributes)
+        place, slot = done.estimate.landmark, done.slot
+        away = np.linalg.norm(place[:, None] - truth.position_m[None], axis=2).min(axis=1)
+        beacon = away <= 0.5
+        accuracy = assess(done.estimate, log, labelled=False)
+        assert accuracy is not None
+        print(
+            f"car park, attributes {attributes}: {beacon.sum()} landmarks at beacons, "
+            f"{(~beacon).sum()} elsewhere, {done.unused['ambiguous']} ambiguous, beacons' RMSE "
+            f"{accuracy.landmark_rmse_m:.3f} m"
+        )
+        if attributes == "on":
+            continue
+        used = slot >= 0
+        of_beacon = np.zeros(len(slot), dtype=bool)
+        of_beacon[used] = beacon[slot[used]]
+        distance, lit = log.sightings.range_m[: len(slot)], log.sightings.intensity[: len(slot)]
+        for low, high in ((0.0, 5.0), (5.0, 10.0), (10.0, 20.0)):
+            near = used & (distance >= low) & (distance < high)
+            cells = [
+                f"{name} {lit[rows].mean():.0f} +- {lit[rows].std():.0f} ({rows.sum()})"
+                for name, rows in (("beacons", near & of_beacon), ("others", near & ~of_beacon))
+                if rows.any()
+            ]
+            print(f"  intensity at {low:g} to {high:g} m: {', '.join(cells)}")
+        mean = np.bincount(slot[used], lit[used]) / np.bincount(slot[used])
+        within = lit[used] - mean[slot[used]]
+        print(
+            f"  within landmarks {within.std():.0f}, between beacons {mean[beacon].std():.0f}, "
+            f"median of all {np.median(lit):.0f}"
+        )
+
+    reference, times = run(log, "full", "nn", "off").slot, np.unique(log.sightings.time_s)
+    scan = np.searchsorted(times, log.sightings.time_s)
+    for every in (5, 10, 20, 40):
+        kept = scan % every == 0
+        part, told = replace(log, sightings=log.sightings.chosen(kept)), []
+        for attributes in ("off", "on"):
+            slot = run(part, "full", "nn", attributes).slot
+            true = reference[kept][: len(slot)]
+            score = score_partition(slot[true >= 0], true[true >= 0])
+            told.append(f"{attributes} {score.precision:.3f} {score.recall:.3f}")
+        print(f"  every {every} scans, pairs' precision and recall: {', '.join(told)}")
+
+
+def main() -> None:
+    """Run what was asked for."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--loops", type=float, default=2.0)
+    parser.add_argument("--victoria-park", type=Path)
+    parser.add_argument("--blind", type=float, nargs="*", default=[0.0])
+    parser.add_argument("--lost", type=float, nargs="+", default=[5.0, 10.0, 20.0, 40.0])
+    parser.add_argument("--every", type=float, default=20.0)
+    parser.add_argument("--phases", type=float, nargs="+", default=[0.0, 20.0, 40.0])
+    parser.add_argument("--car-park", type=Path)
+    given = parser.parse_args()
+    if given.seeds:
+        simulated(given.seeds, given.loops)
+        lost(paired_trees(0, given.loops), "nn", given.lost, given.every)
+    if given.car_park is not None:
+        car_park(given.car_park)
+    if given.victoria_park is not None:
+        log = victoria_park.read(given.victoria_park)
+        for association in ("nn", "jcbb"):
+            lost(log, association, given.lost, given.every)
+        park(log, given.blind, given.phases)
+
+
+if __name__ == "__main__":
+    main()

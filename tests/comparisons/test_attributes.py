@@ -1,0 +1,99 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from comparisons.compare import compare_estimators
+from comparisons.errors import InputError
+from comparisons.logs.log import NO_LANDMARK, Log
+from comparisons.report.result import build_result
+from comparisons.runs.attributes import sighted_attributes
+from comparisons.runs.ekf_build import EkfChoices
+from comparisons.runs.ekf_run import run_ekf
+from comparisons.runs.timeline import build_timeline
+from ekf_reference.association import RememberedAttributes
+from ekf_reference.full_ekf import FullEkf
+from tests.helpers import first_seconds, simulated
+
+ON = EkfChoices(association="nn", attributes="on")
+
+
+def with_diameters(seed: int = 0, loop_s: float = 20.0) -> tuple[Log, np.ndarray]:
+    """A drive without labels, every tree of its own diameter; and the diameters (L,)."""
+    log = simulated(seed, loop_s=loop_s)
+    seen, rng = log.sightings, np.random.default_rng(seed)
+    diameter = rng.uniform(0.2, 0.8, int(seen.landmark.max()) + 1)
+    log = replace(log, sightings=replace(seen, diameter_m=diameter[seen.landmark]))
+    sigma = np.sqrt(sighted_attributes(log).variance[:, 0])
+    measured = rng.normal(log.sightings.diameter_m, sigma)
+    blank = np.full(len(sigma), NO_LANDMARK)
+    return replace(log, sightings=replace(seen, landmark=blank, diameter_m=measured)), diameter
+
+
+def test_landmarks_remember_what_their_sightings_told() -> None:
+    log, diameter = with_diameters()
+    label = simulated(0, loop_s=20.0).sightings.landmark
+    kept: list[FullEkf] = []
+    run = run_ekf(log, build_timeline(log), ON, modify=kept.append)
+    rule = kept[0].association
+    assert isinstance(rule, RememberedAttributes)
+    memory = rule.memory
+    used = run.slot >= 0
+    assert memory.count[:, 0].tolist() == np.bincount(run.slot[used]).tolist()
+    first = [int(label[np.flatnonzero(run.slot == k)[0]]) for k in range(len(memory.count))]
+    off = (memory.mean[:, 0] - diameter[first]) / np.sqrt(memory.variance[:, 0])
+    assert (np.abs(off) < 4.0).all()
+    assert (memory.count[:, 1] == 0).all()
+
+
+def test_both_estimators_follow_an_association_by_attributes() -> None:
+    log, _ = with_diameters(loop_s=10.0)
+    comparison = compare_estimators(log, ON)
+    result = build_result(comparison, 0.0)
+    assert result.ekf.attributes == "on"
+    gaps = result.agreement.algebra_gap_sigma, result.agreement.model_gap_sigma
+    assert all(gap is not None and gap < 1e-6 for gap in gaps)
+    off = build_result(compare_estimators(log, EkfChoices(association="nn")), 0.0)
+    assert off.ekf.attributes == "off"
+
+
+def test_diameters_that_say_nothing_change_nothing_when_off() -> None:
+    log, _ = with_diameters(loop_s=10.0)
+    bare = replace(log.sightings, diameter_m=np.full(len(log.sightings.time_s), np.nan))
+    runs = [
+        run_ekf(one, build_timeline(one), EkfChoices(association="nn")).estimate
+        for one in (log, replace(log, sightings=bare))
+    ]
+    assert np.array_equal(runs[0].joint_mean, runs[1].joint_mean)
+    assert np.array_equal(runs[0].joint_covariance, runs[1].joint_covariance)
+
+
+@pytest.mark.parametrize(
+    ("choices", "message"),
+    [
+        (EkfChoices(association="known", attributes="on"), "'known' takes no attributes"),
+        (EkfChoices(association="agreed", attributes="on"), "'agreed' takes no attributes"),
+        (EkfChoices(attributes="on"), "hold no diameter and no intensity"),
+        (EkfChoices(attributes="yes"), "attributes 'yes' is unknown, expected off or on"),
+    ],
+)
+def test_what_cannot_be_had_is_said(choices: EkfChoices, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        choices.settle(simulated(loop_s=5.0))
+
+
+def test_the_unit_of_an_intensity_is_its_own() -> None:
+    """Its sigma is a share of the median, so that the sensor's scale does not matter."""
+    log = first_seconds(simulated(loop_s=10.0), 5.0)
+    bright = np.random.default_rng(0).uniform(1.0, 4.0, len(log.sightings.time_s))
+    bright[0] = np.nan
+    told = [
+        sighted_attributes(replace(log, sightings=replace(log.sightings, intensity=unit * bright)))
+        for unit in (1.0, 8192.0)
+    ]
+    share = [(one.value[1:, 1] ** 2) / one.variance[1:, 1] for one in told]
+    assert np.allclose(share[0], share[1], rtol=1e-12)
+    assert np.isnan(told[0].value[0, 1])
+    assert np.isfinite(told[0].variance).all()
