@@ -1,0 +1,302 @@
+"""Alignment of two sums of Gaussians by maximum correlation (Nieto 2005, eqs. 5.13 and 5.14)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ekf_reference.scan_landmarks.correlation import Pairs
+from ekf_reference.scan_landmarks.search import Lattice, starts
+from ekf_reference.scan_landmarks.sog import SumOfGaussians, rotation
+
+Array = NDArray[np.float64]
+
+_COUNTERPART = 9.21
+"""Squared Mahalanobis distance, 99 % of two degrees of freedom, of a Gaussian's counterpart."""
+_STIFFEST = 1e-9
+"""Least curvature over the greatest that a Newton step divides by."""
+_REFRESHED = 0.5
+"""Pairs are looked up again after a motion of so much of their margin."""
+
+
+@dataclass(frozen=True)
+class AlignmentOptions:
+    """How maxima are sought.
+
+    inflation_m: sigmas by which all covariances are inflated, in stages; the last must be 0, the
+    correlation itself. spacing_m: of the starts; the first inflation must bridge it. starts: most
+    that are followed; finished: most that are followed to the end. neighbours: most Gaussians of
+    the second sum that one of the first is paired with, reach: within so many sigmas. iterations:
+    most per stage. converged_m: a step so small, at the lever's end, is the last.
+    """
+
+    inflation_m: tuple[float, ...] = (0.5, 0.2, 0.07, 0.0)
+    spacing_m: float = 0.5
+    starts: int = 6
+    finished: int = 2
+    neighbours: int = 16
+    reach: float = 3.5
+    iterations: int = 30
+    converged_m: float = 1e-6
+
+    def __post_init__(self) -> None:
+        """Check the stages."""
+        if not self.inflation_m or self.inflation_m[-1] != 0.0:
+            raise ValueError(f"inflations {self.inflation_m} m, expected the last to be 0")
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """Where the first sum lies in the second one's frame, with evidence.
+
+    pose: (3,) x_M of Nieto 2005, eq. 5.14: x, y [m], heading [rad], the nearest to the guess's.
+    log_likelihood: ln Lambda there, -inf where the two do not meet. correlation: Lambda over the
+    geometric mean of what the first sum and those of the second that it meets have with
+    themselves, 0 to 1. overlap: share of the first sum's weight that finds a counterpart.
+    runner_up: Lambda of the second-best maximum found over that of the best; near 1 the result is
+    a guess among two, and 0 says that there was no other within the prior. iterations: of all
+    stages on the way to the result. converged: whether the last stage ended at a maximum.
+    """
+
+    pose: Array
+    log_likelihood: float
+    correlation: float
+    overlap: float
+    runner_up: float
+    iterations: int
+    converged: bool
+
+
+@dataclass(frozen=True)
+class Climb:
+    """Where a climb ended. value: Lambda."""
+
+    pose: Array
+    value: float
+    iterations: int
+    converged: bool
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Two sums to align. first is about its centroid, so that turns and shifts are nearly apart.
+
+    guess: (3,) and covariance: (3, 3) of the centred sum's pose.
+    """
+
+    first: SumOfGaussians
+    second: SumOfGaussians
+    centre: Array
+    guess: Array
+    covariance: Array
+    options: AlignmentOptions = field(default_factory=AlignmentOptions)
+
+    @classmethod
+    def of(
+        cls,
+        first: SumOfGaussians,
+        second: SumOfGaussians,
+        guess: Array,
+        covariance: Array,
+        options: AlignmentOptions | None = None,
+    ) -> Problem:
+        """Raises ValueError for a guess (3,) or a covariance (3, 3) that cannot be used."""
+        guess, covariance = np.asarray(guess, dtype=float), np.asarray(covariance, dtype=float)
+        if guess.shape != (3,) or not np.isfinite(guess).all():
+            raise ValueError(f"the guess is {guess}, expected three finite numbers")
+        if covariance.shape != (3, 3) or not np.isfinite(covariance).all():
+            raise ValueError("the guess's covariance must be three by three, and finite")
+        if np.linalg.eigvalsh(covariance)[0] < 0.0:
+            raise ValueError("the guess's covariance has a negative eigenvalue")
+        centre = first.centroid
+        jacobian = carried(guess, centre)
+        return cls(
+            SumOfGaussians(first.mean - centre, first.covariance, first.weight),
+            second,
+            centre,
+            moved(guess, centre),
+            jacobian @ covariance @ jacobian.T,
+            options or AlignmentOptions(),
+        )
+
+    @property
+    def scale(self) -> Array:
+        """(3,) units in which the three directions weigh alike: metres at the lever's end."""
+        lever = max(self.first.lever_m, 1e-3)
+        return np.array((1.0, 1.0, 1.0 / lever))
+
+    def pairs(self, pose: Array, inflation_m: float = 0.0) -> Pairs:
+        """Neighbours at a pose (3,)."""
+        o = self.options
+        return Pairs.near(
+            self.first, self.second, pose, self._reach_m(inflation_m), o.neighbours, inflation_m
+        )
+
+    def _reach_m(self, inflation_m: float) -> float:
+        widest = sum(_typical_variance(one) for one in (self.first, self.second))
+        return self.options.reach * math.sqrt(widest + inflation_m**2)
+
+
+def moved(pose: Array, shift: Array) -> Array:
+    """(3,) the pose of a point (2,) of a body at a pose (3,), heading as the body's."""
+    return np.append(pose[:2] + rotation(float(pose[2])) @ shift, pose[2])
+
+
+def carried(pose: Array, shift: Array) -> Array:
+    """(3, 3) derivative of `moved` by the pose."""
+    jacobian = np.eye(3)
+    x, y = rotation(float(pose[2])) @ shift
+    jacobian[:2, 2] = -y, x
+    return jacobian
+
+
+def align(
+    first: SumOfGaussians,
+    second: SumOfGaussians,
+    guess: Array,
+    covariance: Array,
+    options: AlignmentOptions | None = None,
+) -> Alignment:
+    """The pose of the first sum in the second's frame that has the highest correlation.
+
+    guess: (3,) x, y [m], heading [rad]. covariance: (3, 3) of its error: starts are spread over
+    it, so a wide one costs time, and a narrow one keeps other maxima out. It is no evidence and
+    does not pull. A sum without Gaussians meets nothing. Raises ValueError for a guess or a
+    covariance that cannot be used.
+    """
+    return aligned(Problem.of(first, second, guess, covariance, options))
+
+
+def aligned(problem: Problem) -> Alignment:
+    """The same for a problem that is put."""
+    if not len(problem.first) or not len(problem.second):
+        return _apart(problem)
+    o = problem.options
+    coarse = [_thinned(problem, s) for s in o.inflation_m]
+    lattice = Lattice.over(
+        problem.guess, problem.covariance, o.spacing_m, problem.first.lever_m
+    )
+    begin = starts(coarse[0].first, coarse[0].second, lattice, o.inflation_m[0], o.starts)
+    ends = [climb(coarse[0], pose, o.inflation_m[0]) for pose in begin]
+    ends = _distinct(problem, ends, o.inflation_m[0])[: o.finished]
+    finished = []
+    for end in ends:
+        steps = end.iterations
+        for stage, inflation_m in zip(coarse[1:], o.inflation_m[1:], strict=True):
+            end = climb(stage, end.pose, inflation_m)
+            steps += end.iterations
+        finished.append(Climb(end.pose, end.value, steps, end.converged))
+    finished = _distinct(problem, finished, o.spacing_m)
+    if not finished:
+        return _apart(problem)
+    best = finished[0]
+    runner_up = finished[1].value / best.value if len(finished) > 1 else 0.0
+    return evidence(problem, best, runner_up)
+
+
+def climb(problem: Problem, start: Array, inflation_m: float) -> Climb:
+    """The maximum of Lambda uphill of a pose (3,), by Newton's method in a trust region.
+
+    Where the exact Hessian of ln Lambda bends the wrong way its eigenvalues change sign, so that
+    every step is uphill. In scaled units the step's length is within the region.
+    """
+    o, unit = problem.options, problem.scale
+    margin = 0.5 * math.sqrt(_typical_variance(problem.first) + inflation_m**2)
+    pose, radius, taken = start, 2.0 * margin, 0
+    pairs = problem.pairs(pose, inflation_m)
+    looked = pose
+    here = pairs.derivatives(pose)
+    while taken < o.iterations and here.value > 0.0:
+        taken += 1
+        slope = here.gradient / here.value * unit
+        bend = np.outer(unit, unit) * here.hessian / here.value - np.outer(slope, slope)
+        step = _newton(slope, bend, radius)
+        length = float(np.linalg.norm(step))
+        if length < o.converged_m:
+            return Climb(pose, here.value, taken, converged=True)
+        tried = pairs.derivatives(pose + unit * step)
+        expected = float(slope @ step + 0.5 * step @ bend @ step)
+        gained = math.log(tried.value / here.value) if tried.value > 0.0 else -math.inf
+        if gained < 0.25 * expected:
+            radius = 0.25 * length
+        elif length > 0.9 * radius and gained > 0.5 * expected:
+            radius *= 2.0
+        if gained <= 0.0:
+            if length < 100.0 * o.converged_m:
+                return Climb(pose, here.value, taken, converged=True)
+            continue
+        pose, here = pose + unit * step, tried
+        if np.abs((pose - looked) / unit).max() > _REFRESHED * margin:
+            pairs, looked = problem.pairs(pose, inflation_m), pose
+            here = pairs.derivatives(pose)
+    return Climb(pose, here.value, taken, converged=False)
+
+
+def evidence(problem: Problem, best: Climb, runner_up: float) -> Alignment:
+    """What is said of a maximum."""
+    pairs = problem.pairs(best.pose)
+    laid = problem.first.transformed(best.pose)
+    distance, column = problem.second.tree.query(laid.mean)
+    apart = problem.second.mean[column] - laid.mean
+    spread = laid.covariance + problem.second.covariance[column]
+    square = np.einsum("ni,ni->n", apart, np.linalg.solve(spread, apart[:, :, None])[:, :, 0])
+    overlap = float(problem.first.weight[square < _COUNTERPART].sum())
+    met = np.unique(pairs.column[pairs.weight > 0.0])
+    own = _self_correlation(problem, problem.first)
+    its = _self_correlation(problem, problem.second.take(met))
+    share = float(problem.second.weight[met].sum())
+    return Alignment(
+        pose=moved(best.pose, -problem.centre),
+        log_likelihood=math.log(best.value),
+        correlation=best.value / (share * math.sqrt(own * its)),
+        overlap=overlap,
+        runner_up=runner_up,
+        iterations=best.iterations,
+        converged=best.converged,
+    )
+
+
+def _apart(problem: Problem) -> Alignment:
+    pose = moved(problem.guess, -problem.centre)
+    return Alignment(pose, -math.inf, 0.0, 0.0, 0.0, 0, converged=False)
+
+
+def _newton(slope: Array, bend: Array, radius: float) -> Array:
+    size, axes = np.linalg.eigh(bend)
+    size = np.maximum(np.abs(size), _STIFFEST * np.abs(size).max(initial=1e-300))
+    step: Array = axes @ ((axes.T @ slope) / size)
+    length = float(np.linalg.norm(step))
+    return step * (radius / length) if length > radius else step
+
+
+def _thinned(problem: Problem, inflation_m: float) -> Problem:
+    if not inflation_m > 0.0:
+        return problem
+    first, second = (s.thinned(inflation_m) for s in (problem.first, problem.second))
+    return Problem(
+        first, second, problem.centre, problem.guess, problem.covariance, problem.options
+    )
+
+
+def _distinct(problem: Problem, ends: list[Climb], apart_m: float) -> list[Climb]:
+    """Best first, without those within a distance of a better one, and without empty ones."""
+    kept: list[Climb] = []
+    for end in sorted(ends, key=lambda e: -e.value):
+        far = (np.linalg.norm((end.pose - k.pose) / problem.scale) > apart_m for k in kept)
+        if end.value > 0.0 and all(far):
+            kept.append(end)
+    return kept
+
+
+def _typical_variance(one: SumOfGaussians) -> float:
+    """The larger variance that nine Gaussians in ten stay below [m^2]."""
+    return float(np.quantile(np.trace(one.covariance, axis1=1, axis2=2), 0.9))
+
+
+def _self_correlation(problem: Problem, one: SumOfGaussians) -> float:
+    still = np.zeros(3)
+    reach = problem.options.reach * math.sqrt(2.0 * _typical_variance(one))
+    return Pairs.near(one, one, still, reach, problem.options.neighbours).value(still)

@@ -1,0 +1,115 @@
+"""Where alignments may begin: poses all over a prior, by a coarse picture of the second sum.
+
+Correlation by shifting the pose, as with occupancy grids (Nieto 2005, section 5.3): the second
+sum, blurred, is drawn once on a grid, and the first sum's means read it at many poses. What it
+finds are starts for the exact correlation, no results.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from ekf_reference.scan_landmarks.sog import SumOfGaussians
+
+Array = NDArray[np.float64]
+
+_SIGMAS = 2.5
+"""How far the lattice of starts goes."""
+_CELL = 0.6
+"""Size of a cell over the blur."""
+_BLURRED = 3.0
+_CELLS = 2**20
+_POSES = 2**13
+_AT_ONCE = 2**18
+"""Greatest number of readings of the picture at a time: its arrays stay in the cache."""
+_APART = 1.8
+"""Starts closer than so many steps of the lattice are one."""
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """Poses (n, 3) all over a prior, and the same in steps."""
+
+    pose: Array
+    step: Array
+
+    @classmethod
+    def over(cls, guess: Array, covariance: Array, spacing_m: float, lever_m: float) -> Lattice:
+        """Within 2.5 sigmas of a guess, no farther apart than a spacing at the lever's end.
+
+        Where that would be too many the spacing is wider. The guess itself is one of them.
+        """
+        unit = np.array((1.0, 1.0, 1.0 / max(lever_m, spacing_m)))
+        scaled = covariance / np.outer(unit, unit)
+        size, axes = np.linalg.eigh(scaled)
+        reach = _SIGMAS * np.sqrt(np.maximum(size, 0.0))
+        while True:
+            count = np.floor(reach / spacing_m).astype(int)
+            if np.prod(2.0 * count + 1.0) <= _POSES:
+                break
+            spacing_m *= 1.2
+        ranges = [np.arange(-n, n + 1) for n in count.tolist()]
+        step = np.stack(np.meshgrid(*ranges, indexing="ij"), axis=-1).reshape(-1, 3).astype(float)
+        far = np.square(step * spacing_m / np.maximum(reach, spacing_m)).sum(axis=1)
+        step = step[far <= 1.0]
+        return cls(guess + spacing_m * step @ axes.T * unit, step)
+
+
+def starts(
+    first: SumOfGaussians,
+    second: SumOfGaussians,
+    lattice: Lattice,
+    blur_m: float,
+    most: int,
+) -> Array:
+    """(k, 3) up to `most` poses of the lattice, best first, none in the basin of a better one."""
+    if len(lattice.pose) == 1:
+        return lattice.pose
+    score = _scores(first, second, lattice.pose, blur_m)
+    chosen: list[int] = []
+    for row in np.argsort(-score, kind="stable").tolist():
+        if score[row] <= 0.0 or len(chosen) == most:
+            break
+        apart = np.square(lattice.step[chosen] - lattice.step[row]).sum(axis=1)
+        if not chosen or apart.min() > _APART**2:
+            chosen.append(row)
+    return lattice.pose[chosen] if chosen else lattice.pose[len(lattice.pose) // 2][None]
+
+
+def _scores(
+    first: SumOfGaussians, second: SumOfGaussians, pose: Array, blur_m: float
+) -> Array:
+    """(n,) the first sum's means, weighed, in the picture of the second."""
+    cell = _CELL * blur_m
+    reach = float(np.hypot(*first.mean.T).max())
+    low = np.maximum(pose[:, :2].min(axis=0) - reach, second.mean.min(axis=0)) - _BLURRED * blur_m
+    high = np.minimum(pose[:, :2].max(axis=0) + reach, second.mean.max(axis=0)) + _BLURRED * blur_m
+    if (high <= low).any():
+        return np.zeros(len(pose))
+    cell = max(cell, math.sqrt(float(np.prod(high - low)) / _CELLS))
+    shape = np.ceil((high - low) / cell).astype(int) + 1
+    at = ((second.mean - low) / cell).astype(np.intp)
+    inside = ((second.mean >= low) & (at < shape)).all(axis=1)
+    flat = at[inside, 0] * shape[1] + at[inside, 1]
+    picture = np.bincount(flat, second.weight[inside], minlength=int(np.prod(shape)))
+    blurred = gaussian_filter(picture.reshape(shape), blur_m / cell, mode="constant", truncate=2.5)
+    framed = np.zeros(shape + 2)
+    framed[1:-1, 1:-1] = blurred
+    result = np.empty(len(pose))
+    rows = max(_AT_ONCE // len(first), 1)
+    for begin in range(0, len(pose), rows):
+        some = pose[begin : begin + rows]
+        cos, sin = np.cos(some[:, 2:]), np.sin(some[:, 2:])
+        x = cos * first.mean[:, 0] - sin * first.mean[:, 1] + (some[:, :1] - low[0])
+        y = sin * first.mean[:, 0] + cos * first.mean[:, 1] + (some[:, 1:2] - low[1])
+        i = np.clip(x * (1.0 / cell) + 1.0, 0.0, shape[0] + 1.0).astype(np.intp)
+        j = np.clip(y * (1.0 / cell) + 1.0, 0.0, shape[1] + 1.0).astype(np.intp)
+        i *= shape[1] + 2
+        i += j
+        result[begin : begin + rows] = framed.ravel().take(i) @ first.weight
+    return result
