@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,10 @@ _COUNTERPART = 9.21
 """Squared Mahalanobis distance, 99 % of two degrees of freedom, of a Gaussian's counterpart."""
 _STIFFEST = 1e-9
 """Least curvature over the greatest that a Newton step divides by."""
+_SHORTEST_M = 1e-3
+"""Least lever of a sum that is all in one place."""
+_COARSE = 0.03
+"""A step so short, in inflations, ends a stage that another follows."""
 _REFRESHED = 0.5
 """Pairs are looked up again after a motion of so much of their margin."""
 
@@ -33,9 +37,9 @@ class AlignmentOptions:
     most per stage. converged_m: a step so small, at the lever's end, is the last.
     """
 
-    inflation_m: tuple[float, ...] = (0.5, 0.2, 0.07, 0.0)
-    spacing_m: float = 0.5
-    starts: int = 6
+    inflation_m: tuple[float, ...] = (0.6, 0.2, 0.0)
+    spacing_m: float = 0.8
+    starts: int = 4
     finished: int = 2
     neighbours: int = 16
     reach: float = 3.5
@@ -84,7 +88,8 @@ class Climb:
 class Problem:
     """Two sums to align. first is about its centroid, so that turns and shifts are nearly apart.
 
-    guess: (3,) and covariance: (3, 3) of the centred sum's pose.
+    guess: (3,) and covariance: (3, 3) of the centred sum's pose. unit: (3,) in which the three
+    directions weigh alike, metres at the lever's end.
     """
 
     first: SumOfGaussians
@@ -92,7 +97,8 @@ class Problem:
     centre: Array
     guess: Array
     covariance: Array
-    options: AlignmentOptions = field(default_factory=AlignmentOptions)
+    unit: Array
+    options: AlignmentOptions
 
     @classmethod
     def of(
@@ -114,19 +120,14 @@ class Problem:
         centre = first.centroid
         jacobian = carried(guess, centre)
         return cls(
-            SumOfGaussians(first.mean - centre, first.covariance, first.weight),
+            SumOfGaussians(first.mean - centre, first.covariance, first.weight, first.seam),
             second,
             centre,
             moved(guess, centre),
             jacobian @ covariance @ jacobian.T,
+            np.array((1.0, 1.0, 1.0 / max(first.lever_m, _SHORTEST_M))),
             options or AlignmentOptions(),
         )
-
-    @property
-    def scale(self) -> Array:
-        """(3,) units in which the three directions weigh alike: metres at the lever's end."""
-        lever = max(self.first.lever_m, 1e-3)
-        return np.array((1.0, 1.0, 1.0 / lever))
 
     def pairs(self, pose: Array, inflation_m: float = 0.0) -> Pairs:
         """Neighbours at a pose (3,)."""
@@ -135,8 +136,15 @@ class Problem:
             self.first, self.second, pose, self._reach_m(inflation_m), o.neighbours, inflation_m
         )
 
+    def each(self, pose: Array) -> Array:
+        """(N,) what each of the first sum adds to Lambda at a pose (3,)."""
+        pairs = self.pairs(pose)
+        added = np.zeros(len(self.first))
+        added[pairs.row] = pairs.terms(pose).sum(axis=1)
+        return added
+
     def _reach_m(self, inflation_m: float) -> float:
-        widest = sum(_typical_variance(one) for one in (self.first, self.second))
+        widest = self.first.typical_variance + self.second.typical_variance
         return self.options.reach * math.sqrt(widest + inflation_m**2)
 
 
@@ -194,28 +202,65 @@ def aligned(problem: Problem) -> Alignment:
         return _apart(problem)
     best = finished[0]
     runner_up = finished[1].value / best.value if len(finished) > 1 else 0.0
+    inside = within_seams(problem, best.pose)
+    if len(inside.first):
+        again = climb(inside, best.pose, 0.0)
+        best = replace(again, iterations=best.iterations + again.iterations)
     return evidence(problem, best, runner_up)
 
 
-def climb(problem: Problem, start: Array, inflation_m: float) -> Climb:
+def within_seams(problem: Problem, pose: Array) -> Problem:
+    """Without those of the first sum that lie on a seam of the second, or beyond, at a pose (3,).
+
+    What a view loses moves with the sensor. Two views of one wall overlap most where both sensors
+    were at the same place along it; with all ends of the first view inside of the second, or
+    gone, the correlation stays as it is when one is moved along the other. (Turk and Levoy 1994
+    leave out such pairs of meshes.)
+    """
+    inside = on_no_seam(problem, pose)
+    return problem if inside.all() else replace(problem, first=problem.first.take(inside))
+
+
+def on_no_seam(problem: Problem, pose: Array) -> NDArray[np.bool_]:
+    """(N,) which of the first sum lie nearest to something of the second that is on no seam."""
+    if not problem.second.seam.any():
+        return np.ones(len(problem.first), dtype=bool)
+    place = problem.first.mean @ rotation(float(pose[2])).T + pose[:2]
+    inside: NDArray[np.bool_] = ~problem.second.seam[problem.second.tree.query(place)[1]]
+    return inside
+
+
+def climb(
+    problem: Problem,
+    start: Array,
+    inflation_m: float,
+    held: Array | None = None,
+    iterations: int | None = None,
+) -> Climb:
     """The maximum of Lambda uphill of a pose (3,), by Newton's method in a trust region.
+
+    held: (3, k) orthonormal directions, scaled, along which the pose stays. iterations:
+    fewer than the options'.
 
     Where the exact Hessian of ln Lambda bends the wrong way its eigenvalues change sign, so that
     every step is uphill. In scaled units the step's length is within the region.
     """
-    o, unit = problem.options, problem.scale
-    margin = 0.5 * math.sqrt(_typical_variance(problem.first) + inflation_m**2)
+    o, unit = problem.options, problem.unit
+    close = max(o.converged_m, _COARSE * inflation_m)
+    margin = 0.5 * math.sqrt(problem.first.typical_variance + inflation_m**2)
     pose, radius, taken = start, 2.0 * margin, 0
     pairs = problem.pairs(pose, inflation_m)
     looked = pose
     here = pairs.derivatives(pose)
-    while taken < o.iterations and here.value > 0.0:
+    while taken < (iterations or o.iterations) and here.value > 0.0:
         taken += 1
         slope = here.gradient / here.value * unit
         bend = np.outer(unit, unit) * here.hessian / here.value - np.outer(slope, slope)
         step = _newton(slope, bend, radius)
+        if held is not None:
+            step -= held @ (held.T @ step)
         length = float(np.linalg.norm(step))
-        if length < o.converged_m:
+        if length < close:
             return Climb(pose, here.value, taken, converged=True)
         tried = pairs.derivatives(pose + unit * step)
         expected = float(slope @ step + 0.5 * step @ bend @ step)
@@ -225,7 +270,7 @@ def climb(problem: Problem, start: Array, inflation_m: float) -> Climb:
         elif length > 0.9 * radius and gained > 0.5 * expected:
             radius *= 2.0
         if gained <= 0.0:
-            if length < 100.0 * o.converged_m:
+            if length < 100.0 * close:
                 return Climb(pose, here.value, taken, converged=True)
             continue
         pose, here = pose + unit * step, tried
@@ -238,6 +283,9 @@ def climb(problem: Problem, start: Array, inflation_m: float) -> Climb:
 def evidence(problem: Problem, best: Climb, runner_up: float) -> Alignment:
     """What is said of a maximum."""
     pairs = problem.pairs(best.pose)
+    value = pairs.value(best.pose)
+    if not value > 0.0:
+        return _apart(problem)
     laid = problem.first.transformed(best.pose)
     distance, column = problem.second.tree.query(laid.mean)
     apart = problem.second.mean[column] - laid.mean
@@ -250,8 +298,8 @@ def evidence(problem: Problem, best: Climb, runner_up: float) -> Alignment:
     share = float(problem.second.weight[met].sum())
     return Alignment(
         pose=moved(best.pose, -problem.centre),
-        log_likelihood=math.log(best.value),
-        correlation=best.value / (share * math.sqrt(own * its)),
+        log_likelihood=math.log(value),
+        correlation=value / (share * math.sqrt(own * its)),
         overlap=overlap,
         runner_up=runner_up,
         iterations=best.iterations,
@@ -276,27 +324,20 @@ def _thinned(problem: Problem, inflation_m: float) -> Problem:
     if not inflation_m > 0.0:
         return problem
     first, second = (s.thinned(inflation_m) for s in (problem.first, problem.second))
-    return Problem(
-        first, second, problem.centre, problem.guess, problem.covariance, problem.options
-    )
+    return replace(problem, first=first, second=second)
 
 
 def _distinct(problem: Problem, ends: list[Climb], apart_m: float) -> list[Climb]:
     """Best first, without those within a distance of a better one, and without empty ones."""
     kept: list[Climb] = []
     for end in sorted(ends, key=lambda e: -e.value):
-        far = (np.linalg.norm((end.pose - k.pose) / problem.scale) > apart_m for k in kept)
+        far = (np.linalg.norm((end.pose - k.pose) / problem.unit) > apart_m for k in kept)
         if end.value > 0.0 and all(far):
             kept.append(end)
     return kept
 
 
-def _typical_variance(one: SumOfGaussians) -> float:
-    """The larger variance that nine Gaussians in ten stay below [m^2]."""
-    return float(np.quantile(np.trace(one.covariance, axis1=1, axis2=2), 0.9))
-
-
 def _self_correlation(problem: Problem, one: SumOfGaussians) -> float:
     still = np.zeros(3)
-    reach = problem.options.reach * math.sqrt(2.0 * _typical_variance(one))
+    reach = problem.options.reach * math.sqrt(2.0 * one.typical_variance)
     return Pairs.near(one, one, still, reach, problem.options.neighbours).value(still)

@@ -46,7 +46,7 @@ class Pairs:
 
     mean: (N, 2) p. own: (N,) entries of P. other: (N, K, 2) q. its: (N, K) entries of Q with
     inflation. weight: (N, K) alpha_i beta_j, 0 where there is no counterpart. column: (N, K) rows
-    of the second sum.
+    of the second sum. row: (N,) those of the first sum that have a counterpart.
     """
 
     mean: Array
@@ -55,6 +55,7 @@ class Pairs:
     its: Entries
     weight: Array
     column: NDArray[np.intp]
+    row: NDArray[np.intp]
 
     @classmethod
     def near(
@@ -85,6 +86,7 @@ class Pairs:
             Entries(q[..., 0, 0] + wide, q[..., 0, 1], q[..., 1, 1] + wide),
             np.where(met, first.weight[kept, None] * second.weight[column], 0.0),
             column,
+            kept,
         )
 
     def value(self, pose: Array) -> float:

@@ -27,6 +27,8 @@ _CELLS = 2**20
 _POSES = 2**13
 _AT_ONCE = 2**18
 """Greatest number of readings of the picture at a time: its arrays stay in the cache."""
+_WORTH = 0.6
+"""Starts that promise less than so much of the best one's score are not followed."""
 _APART = 1.8
 """Starts closer than so many steps of the lattice are one."""
 
@@ -73,7 +75,7 @@ def starts(
     score = _scores(first, second, lattice.pose, blur_m)
     chosen: list[int] = []
     for row in np.argsort(-score, kind="stable").tolist():
-        if score[row] <= 0.0 or len(chosen) == most:
+        if score[row] <= _WORTH * score.max() or len(chosen) == most:
             break
         apart = np.square(lattice.step[chosen] - lattice.step[row]).sum(axis=1)
         if not chosen or apart.min() > _APART**2:

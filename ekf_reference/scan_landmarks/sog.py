@@ -10,18 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from ekf_reference.dense.scan import Scan, Sensor
-
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Flags = NDArray[np.bool_]
-
-_NEXT = 1.5
-"""Two returns are neighbours when so many beams or fewer apart."""
-_NOISY = 3.0
-"""Standard deviations by which ranges on one surface may differ beside its slope."""
-_MEET = 0.5
-"""Sigma of a piece of surface over its length, at which a row of pieces has an even height."""
 
 
 @dataclass(frozen=True)
@@ -29,20 +20,24 @@ class SumOfGaussians:
     """Gaussians of one frame, weighted (Nieto 2005, eq. 4.14).
 
     mean: (N, 2) [m]. covariance: (N, 2, 2) [m^2]. weight: (N,) alpha, positive, of sum one where
-    there are any. It is a shape, not a distribution of anything (section 4.3).
+    there are any. seam: (N,) where the surface goes on unseen, so that the sum ends and the
+    surface does not. It is a shape, not a distribution of anything (section 4.3).
     """
 
     mean: Array
     covariance: Array
     weight: Array
+    seam: Flags
 
     @classmethod
-    def of_equal_height(cls, mean: Array, covariance: Array) -> SumOfGaussians:
+    def of_equal_height(
+        cls, mean: Array, covariance: Array, seam: Flags | None = None
+    ) -> SumOfGaussians:
         """Alpha_i in proportion to sqrt((2 pi)^2 |P_i|), as in Nieto 2005, Fig. 4.11.
 
         On pieces of surface that is in proportion to their lengths. Raises ValueError for
         numbers that are not finite, shapes that do not fit, or covariances that are not
-        positive definite.
+        positive definite. Without seams the surface ends with the sum.
         """
         mean, covariance = np.asarray(mean, dtype=float), np.asarray(covariance, dtype=float)
         if mean.ndim != 2 or mean.shape[1] != 2 or covariance.shape != (len(mean), 2, 2):
@@ -55,7 +50,8 @@ class SumOfGaussians:
         if not (np.isfinite(mean).all() and positive.all()):
             raise ValueError("a mean is not finite or a covariance not positive definite")
         height = np.sqrt(area)
-        return cls(mean, covariance, height / (height.sum() if len(height) else 1.0))
+        weight = height / (height.sum() if len(height) else 1.0)
+        return cls(mean, covariance, weight, np.zeros(len(mean), bool) if seam is None else seam)
 
     def __len__(self) -> int:
         """Number of Gaussians."""
@@ -78,18 +74,25 @@ class SumOfGaussians:
             return 0.0
         return float(np.sqrt(np.square(self.mean - self.centroid).sum(axis=1).mean()))
 
+    @cached_property
+    def typical_variance(self) -> float:
+        """The larger one that nine Gaussians in ten stay below [m^2]."""
+        larger = np.sort(np.trace(self.covariance, axis1=1, axis2=2))
+        return float(larger[int(0.9 * (len(self) - 1))]) if len(self) else 0.0
+
     def transformed(self, pose: Array) -> SumOfGaussians:
         """The same in the frame in which this one's lies at pose (3,): x, y [m], heading [rad]."""
         turn = rotation(float(pose[2]))
-        return SumOfGaussians(
-            self.mean @ turn.T + pose[:2], turn @ self.covariance @ turn.T, self.weight
-        )
+        mean = self.mean @ turn.T + pose[:2]
+        return SumOfGaussians(mean, turn @ self.covariance @ turn.T, self.weight, self.seam)
 
     def take(self, rows: Index | Flags) -> SumOfGaussians:
         """Some of them, their weights adding up to one again."""
         weight = self.weight[rows]
         total = weight.sum() if len(weight) else 1.0
-        return SumOfGaussians(self.mean[rows], self.covariance[rows], weight / total)
+        return SumOfGaussians(
+            self.mean[rows], self.covariance[rows], weight / total, self.seam[rows]
+        )
 
     def value(self, point: Array) -> Array:
         """G (M,) of Nieto 2005, eqs. 4.13 and 4.14, at points (M, 2) [1/m^2]."""
@@ -101,7 +104,10 @@ class SumOfGaussians:
         return height
 
     def thinned(self, cell_m: float) -> SumOfGaussians:
-        """One Gaussian for those in each cell of a grid, with their mean, covariance and weight."""
+        """One Gaussian for those in each cell of a grid, with their mean, covariance and weight.
+
+        Seams are lost.
+        """
         if not len(self):
             return self
         cell = np.floor(self.mean / cell_m).astype(np.int64)
@@ -116,54 +122,11 @@ class SumOfGaussians:
         apart = self.mean - mean[row]
         spread = self.covariance + apart[:, :, None] * apart[:, None, :]
         flat = np.stack([average(column) for column in spread.reshape(-1, 4).T], axis=1)
-        return SumOfGaussians(mean, flat.reshape(-1, 2, 2), total)
+        none = np.zeros(len(total), dtype=bool)
+        return SumOfGaussians(mean, flat.reshape(-1, 2, 2), total, none)
 
 
 def rotation(heading_rad: float) -> Array:
     """(2, 2) from the axes of a frame with that heading to those it is seen in."""
     cos, sin = math.cos(heading_rad), math.sin(heading_rad)
     return np.array(((cos, -sin), (sin, cos)))
-
-
-def of_scan(
-    bearing_rad: Array, range_m: Array, sensor: Sensor, *, surface: bool = True
-) -> SumOfGaussians:
-    """The returns of a scan in the scanner's frame; beams (B,), those without return left out.
-
-    Means and covariances are Nieto 2005, eqs. 4.15 and 4.16. surface: each return also stands
-    for the surface between it and its neighbours on the same surface, and its Gaussian is so much
-    longer. Without that two scans of one wall match where their returns fall on each other,
-    which says where the beams went and nothing about the wall. A sensor with grazing_rad 0 has
-    no neighbours.
-    """
-    scan = Scan.of_ranges(np.zeros(3), bearing_rad, range_m, sensor)
-    covariance = scan.covariance
-    if surface and len(scan.range_m) > 1:
-        piece = _pieces(scan)
-        covariance = covariance + _MEET**2 * piece[:, :, None] * piece[:, None, :]
-    return SumOfGaussians.of_equal_height(scan.point, covariance)
-
-
-def joined(bearing_rad: Array, range_m: Array, sensor: Sensor) -> Flags:
-    """(B - 1,) whether a return (B,), in order of bearing, and the next lie on one surface.
-
-    They do when they are next to each other and the surface between them is met at no less than
-    the sensor's grazing angle, give or take the noise.
-    """
-    if not sensor.grazing_rad > 0.0:
-        return np.zeros(max(len(range_m) - 1, 0), dtype=bool)
-    turn = np.diff(bearing_rad)
-    nearer = np.minimum(range_m[1:], range_m[:-1])
-    steepest = nearer * turn / math.tan(sensor.grazing_rad)
-    noise = _NOISY * math.sqrt(2.0) * sensor.sigma_range_m
-    one: Flags = (turn <= _NEXT * sensor.beam_rad) & (np.abs(np.diff(range_m)) <= steepest + noise)
-    return one
-
-
-def _pieces(scan: Scan) -> Array:
-    """(B, 2) the piece of surface that a return stands for: half the way to each neighbour."""
-    one = joined(scan.bearing_rad, scan.range_m, scan.sensor)
-    half = 0.5 * np.where(one[:, None], np.diff(scan.point, axis=0), 0.0)
-    none = np.zeros((1, 2))
-    piece: Array = np.vstack((half, none)) + np.vstack((none, half))
-    return piece
