@@ -129,6 +129,11 @@ class Problem:
             options or AlignmentOptions(),
         )
 
+    @property
+    def covariance_scaled(self) -> Array:
+        """(3, 3) the guess's, in units."""
+        return self.covariance / np.outer(self.unit, self.unit)
+
     def pairs(self, pose: Array, inflation_m: float = 0.0) -> Pairs:
         """Neighbours at a pose (3,)."""
         o = self.options

@@ -69,7 +69,7 @@ class CovarianceOptions:
     sample_sigmas: float = 0.5
     neighbourhood_m: float = 0.5
     fallen: float = 0.1
-    beyond_chance: float = 5.0
+    beyond_chance: float = 4.0
     sharp: float = 100.0
     open_sigmas: float = 10.0
     calibration: float = 1.0
@@ -110,7 +110,7 @@ def scan_align(
     belief = belief or CovarianceOptions()
     found = aligned(problem)
     unit = problem.unit
-    about = problem.covariance / np.outer(unit, unit) + belief.neighbourhood_m**2 * np.eye(3)
+    about = problem.covariance_scaled + belief.neighbourhood_m**2 * np.eye(3)
     peak = moved(found.pose, problem.centre)
     shape = _Shape.at(problem, peak, about, belief)
     if len(shape.loose.T) and len(shape.fixed.T):
@@ -142,29 +142,49 @@ class _Shape:
         if pairs is not None and pairs.value(peak) > 0.0:
             curvature = fitted_curvature(pairs, peak, unit, about, belief.sample_sigmas)
             size, axes = np.linalg.eigh(curvature)
-        near = np.einsum("ik,ij,jk->k", axes, about, axes)
+        near = _along(about, axes)
         met = size * near > belief.sharp
-        for k in np.flatnonzero((size > 0.0) & ~met).tolist():
-            met[k] = all(
-                _falls(problem, peak, side * math.sqrt(near[k]) * axes[:, [k]], belief)
-                for side in (-1.0, 1.0)
-            )
-        fixed, loose = axes[:, met], axes[:, ~met]
-        covariance = (loose * near[~met]) @ loose.T * belief.open_sigmas**2
+        valley, bent = axes.copy(), np.zeros((3, 3))
+        for k in np.flatnonzero(~met).tolist():
+            way = math.sqrt(near[k]) * axes[:, k]
+            edges = [_edge(problem, peak, side * way) for side in (-1.0, 1.0)]
+            met[k] = size[k] > 0.0 and all(_falls(problem, peak, e, belief) for e in edges)
+            if not met[k]:
+                low, high = ((edge - peak) / unit for edge in edges)
+                valley[:, k] = high - low
+                bow = 0.5 * (high + low)
+                prior = float(axes[:, k] @ problem.covariance_scaled @ axes[:, k])
+                bent += 3.0 * (prior / near[k]) ** 2 * bow[:, None] * bow
+        # The valley's own direction: the curvature's axis is not as exact.
+        order = np.concatenate((valley[:, ~met], axes[:, met]), axis=1)
+        axes = np.linalg.qr(order)[0]
+        count = int(np.count_nonzero(~met))
+        loose, fixed = axes[:, :count], axes[:, count:]
+        covariance = (loose * _along(about, loose)) @ loose.T * belief.open_sigmas**2
         if pairs is not None and met.any():
-            covariance += _sandwich(pairs, peak, unit, size[met], fixed) * belief.calibration
+            covariance += _sandwich(pairs, peak, unit, curvature, fixed) * belief.calibration
+            covariance += fixed @ (fixed.T @ bent @ fixed) @ fixed.T
         return cls(curvature, fixed, loose, covariance)
 
 
-def _falls(problem: Problem, peak: Array, way: Array, belief: CovarianceOptions) -> bool:
-    """Lambda falls for certain from its maximum to the best pose beside the end of a way (3, 1).
+def _along(covariance: Array, axes: Array) -> Array:
+    """(k,) variances along axes (3, k)."""
+    variance: Array = np.einsum("ik,ij,jk->k", axes, covariance, axes)
+    return variance
+
+
+def _edge(problem: Problem, peak: Array, way: Array) -> Array:
+    """(3,) the best pose beside the end of a way (3,), scaled."""
+    begin = peak + problem.unit * way
+    held = (way / np.linalg.norm(way))[:, None]
+    return climb(within_seams(problem, begin), begin, 0.0, held, iterations=8).pose
+
+
+def _falls(problem: Problem, peak: Array, edge: Array, belief: CovarianceOptions) -> bool:
+    """Lambda falls for certain from its maximum to an edge (3,).
 
     By what is on no seam at either pose, so that what comes into view or leaves it has no say.
     """
-    begin = peak + problem.unit * way[:, 0]
-    edge = climb(
-        within_seams(problem, begin), begin, 0.0, held=way / np.linalg.norm(way), iterations=8
-    ).pose
     both = on_no_seam(problem, peak) & on_no_seam(problem, edge)
     if not both.any():
         return False
@@ -211,14 +231,15 @@ def quadratic_form(apart: Array, drop: Array) -> Array:
     return form / np.outer(scale, scale)
 
 
-def _sandwich(pairs: Pairs, peak: Array, unit: Array, size: Array, axes: Array) -> Array:
-    """(3, 3) C J C on the axes (3, k) with curvatures (k,), scaled; positive definite there."""
+def _sandwich(pairs: Pairs, peak: Array, unit: Array, curvature: Array, axes: Array) -> Array:
+    """(3, 3) C J C on axes (3, k), scaled; positive definite there."""
     score = unit[:, None, None] * pairs.scores(peak) / pairs.value(peak)
     of_first = score.sum(axis=2)
     row = pairs.column.ravel()
     of_second = np.stack([np.bincount(row, one.ravel()) for one in score])
     spread = of_first @ of_first.T + of_second @ of_second.T
-    root = axes / np.sqrt(size)
+    size, own = np.linalg.eigh(axes.T @ curvature @ axes)
+    root = axes @ own / np.sqrt(np.maximum(size, np.finfo(float).tiny))
     share, turn = np.linalg.eigh(root.T @ spread @ root)
     share = np.maximum(share, _LEAST / len(pairs.mean))
     half = root @ turn
