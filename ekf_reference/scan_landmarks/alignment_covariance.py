@@ -153,8 +153,7 @@ class _Shape:
                 low, high = ((edge - peak) / unit for edge in edges)
                 valley[:, k] = high - low
                 bow = 0.5 * (high + low)
-                prior = float(axes[:, k] @ problem.covariance_scaled @ axes[:, k])
-                bent += 3.0 * (prior / near[k]) ** 2 * bow[:, None] * bow
+                bent += bow[:, None] * bow
         # The valley's own direction: the curvature's axis is not as exact.
         order = np.concatenate((valley[:, ~met], axes[:, met]), axis=1)
         axes = np.linalg.qr(order)[0]
@@ -233,11 +232,13 @@ def quadratic_form(apart: Array, drop: Array) -> Array:
 
 def _sandwich(pairs: Pairs, peak: Array, unit: Array, curvature: Array, axes: Array) -> Array:
     """(3, 3) C J C on axes (3, k), scaled; positive definite there."""
-    score = unit[:, None, None] * pairs.scores(peak) / pairs.value(peak)
+    scale = unit[:, None, None] / pairs.value(peak)
+    score, twice = scale * pairs.scores(peak), (scale * pairs.scores_across(peak)).reshape(3, -1)
     of_first = score.sum(axis=2)
     row = pairs.column.ravel()
     of_second = np.stack([np.bincount(row, one.ravel()) for one in score])
-    spread = of_first @ of_first.T + of_second @ of_second.T
+    # A pair's own share is in the gradient of both of its returns.
+    spread = of_first @ of_first.T + of_second @ of_second.T - twice @ twice.T
     size, own = np.linalg.eigh(axes.T @ curvature @ axes)
     root = axes @ own / np.sqrt(np.maximum(size, np.finfo(float).tiny))
     share, turn = np.linalg.eigh(root.T @ spread @ root)

@@ -122,6 +122,20 @@ class Pairs:
         at = self._at(pose)
         return np.stack((at.term * at.v[0], at.term * at.v[1], at.term * at.by_heading.gradient))
 
+    def scores_across(self, pose: Array) -> Array:
+        """(3, N, K) the same, by the part of each pair's distance across its longer axis alone.
+
+        Along a surface the gradients of one return's pairs are large, and cancel.
+        """
+        at = self._at(pose)
+        i = at.inverse
+        # S's longer axis is the shorter one of its inverse.
+        angle = 0.5 * np.arctan2(-2.0 * i.xy, i.yy - i.xx)
+        cos, sin = np.cos(angle), np.sin(angle)
+        across = at.term * (cos * at.v[1] - sin * at.v[0])
+        x, y = -sin * across, cos * across
+        return np.stack((x, y, at.u[0][:, None] * x + at.u[1][:, None] * y))
+
     def _at(self, pose: Array) -> _Laid:
         return _Laid.of(self, pose)
 
