@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ekf_reference.scan_landmarks.correlation import Pairs
+from ekf_reference.scan_landmarks.correlation import Look, Pairs
 from ekf_reference.scan_landmarks.search import Lattice, starts
 from ekf_reference.scan_landmarks.sog import SumOfGaussians, rotation
 
@@ -22,8 +22,8 @@ _SHORTEST_M = 1e-3
 """Least lever of a sum that is all in one place."""
 _COARSE = 0.03
 """A step so short, in inflations, ends a stage that another follows."""
-_REFRESHED = 0.5
-"""Pairs are looked up again after a motion of so much of their margin."""
+_SLACK = 0.25
+"""Pairs are looked up again after a motion by so many typical sigmas."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,8 @@ class AlignmentOptions:
     inflation_m: sigmas by which all covariances are inflated, in stages; the last must be 0, the
     correlation itself. spacing_m: of the starts; the first inflation must bridge it. starts: most
     that are followed; finished: most that are followed to the end. neighbours: most Gaussians of
-    the second sum that one of the first is paired with, reach: within so many sigmas. iterations:
+    the second sum that one of the first is paired with, neighbours_inflated: in stages that only
+    prepare another; reach: within so many sigmas. iterations:
     most per stage. converged_m: a step so small, at the lever's end, is the last.
     """
 
@@ -41,7 +42,8 @@ class AlignmentOptions:
     spacing_m: float = 0.8
     starts: int = 4
     finished: int = 2
-    neighbours: int = 16
+    neighbours: int = 32
+    neighbours_inflated: int = 12
     reach: float = 3.5
     iterations: int = 30
     converged_m: float = 1e-6
@@ -137,20 +139,23 @@ class Problem:
     def pairs(self, pose: Array, inflation_m: float = 0.0) -> Pairs:
         """Neighbours at a pose (3,)."""
         o = self.options
-        return Pairs.near(
-            self.first, self.second, pose, self._reach_m(inflation_m), o.neighbours, inflation_m
+        most = o.neighbours_inflated if inflation_m > 0.0 else o.neighbours
+        slack = self.slack_m(inflation_m)
+        far = o.reach * math.sqrt(
+            self.first.typical_variance + self.second.typical_variance + inflation_m**2
         )
+        return Pairs.near(
+            self.first, self.second, pose, Look(most, far, o.reach, inflation_m, slack)
+        )
+
+    def slack_m(self, inflation_m: float = 0.0) -> float:
+        """How far, at the lever's end, pairs may move before they are looked up again."""
+        return _SLACK * math.sqrt(self.first.typical_variance + inflation_m**2)
 
     def each(self, pose: Array) -> Array:
         """(N,) what each of the first sum adds to Lambda at a pose (3,)."""
         pairs = self.pairs(pose)
-        added = np.zeros(len(self.first))
-        added[pairs.row] = pairs.terms(pose).sum(axis=1)
-        return added
-
-    def _reach_m(self, inflation_m: float) -> float:
-        widest = self.first.typical_variance + self.second.typical_variance
-        return self.options.reach * math.sqrt(widest + inflation_m**2)
+        return np.bincount(pairs.row, pairs.terms(pose), minlength=len(self.first))
 
 
 def moved(pose: Array, shift: Array) -> Array:
@@ -252,8 +257,8 @@ def climb(
     """
     o, unit = problem.options, problem.unit
     close = max(o.converged_m, _COARSE * inflation_m)
-    margin = 0.5 * math.sqrt(problem.first.typical_variance + inflation_m**2)
-    pose, radius, taken = start, 2.0 * margin, 0
+    slack = problem.slack_m(inflation_m)
+    pose, radius, taken = start, slack / _SLACK, 0
     pairs = problem.pairs(pose, inflation_m)
     looked = pose
     here = pairs.derivatives(pose)
@@ -279,7 +284,7 @@ def climb(
                 return Climb(pose, here.value, taken, converged=True)
             continue
         pose, here = pose + unit * step, tried
-        if np.abs((pose - looked) / unit).max() > _REFRESHED * margin:
+        if np.abs((pose - looked) / unit).max() > slack:
             pairs, looked = problem.pairs(pose, inflation_m), pose
             here = pairs.derivatives(pose)
     return Climb(pose, here.value, taken, converged=False)
@@ -297,7 +302,7 @@ def evidence(problem: Problem, best: Climb, runner_up: float) -> Alignment:
     spread = laid.covariance + problem.second.covariance[column]
     square = np.einsum("ni,ni->n", apart, np.linalg.solve(spread, apart[:, :, None])[:, :, 0])
     overlap = float(problem.first.weight[square < _COUNTERPART].sum())
-    met = np.unique(pairs.column[pairs.weight > 0.0])
+    met = np.unique(pairs.column)
     own = _self_correlation(problem, problem.first)
     its = _self_correlation(problem, problem.second.take(met))
     share = float(problem.second.weight[met].sum())
@@ -344,5 +349,6 @@ def _distinct(problem: Problem, ends: list[Climb], apart_m: float) -> list[Climb
 
 def _self_correlation(problem: Problem, one: SumOfGaussians) -> float:
     still = np.zeros(3)
-    reach = problem.options.reach * math.sqrt(2.0 * one.typical_variance)
-    return Pairs.near(one, one, still, reach, problem.options.neighbours).value(still)
+    o = problem.options
+    look = Look(o.neighbours, o.reach * math.sqrt(2.0 * one.typical_variance), o.reach)
+    return Pairs.near(one, one, still, look).value(still)

@@ -232,17 +232,16 @@ def quadratic_form(apart: Array, drop: Array) -> Array:
 
 def _sandwich(pairs: Pairs, peak: Array, unit: Array, curvature: Array, axes: Array) -> Array:
     """(3, 3) C J C on axes (3, k), scaled; positive definite there."""
-    scale = unit[:, None, None] / pairs.value(peak)
-    score, twice = scale * pairs.scores(peak), (scale * pairs.scores_across(peak)).reshape(3, -1)
-    of_first = score.sum(axis=2)
-    row = pairs.column.ravel()
-    of_second = np.stack([np.bincount(row, one.ravel()) for one in score])
+    scale = unit[:, None] / pairs.value(peak)
+    score, twice = scale * pairs.scores(peak), scale * pairs.scores_across(peak)
+    of_first = np.stack([np.bincount(pairs.row, one) for one in score])
+    of_second = np.stack([np.bincount(pairs.column, one) for one in score])
     # A pair's own share is in the gradient of both of its returns.
     spread = of_first @ of_first.T + of_second @ of_second.T - twice @ twice.T
     size, own = np.linalg.eigh(axes.T @ curvature @ axes)
     root = axes @ own / np.sqrt(np.maximum(size, np.finfo(float).tiny))
     share, turn = np.linalg.eigh(root.T @ spread @ root)
-    share = np.maximum(share, _LEAST / len(pairs.mean))
+    share = np.maximum(share, _LEAST / len(np.unique(pairs.row)))
     half = root @ turn
     return (half * share) @ half.T
 
