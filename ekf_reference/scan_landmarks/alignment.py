@@ -18,7 +18,7 @@ _COUNTERPART = 9.21
 """Squared Mahalanobis distance, 99 % of two degrees of freedom, of a Gaussian's counterpart."""
 _STIFFEST = 1e-9
 """Least curvature over the greatest that a Newton step divides by."""
-_SHORTEST_M = 1e-3
+_SHORTEST_M = 0.1
 """Least lever of a sum that is all in one place."""
 _COARSE = 0.03
 """A step so short, in inflations, ends a stage that another follows."""
@@ -231,12 +231,26 @@ def within_seams(problem: Problem, pose: Array) -> Problem:
     return problem if inside.all() else replace(problem, first=problem.first.take(inside))
 
 
-def on_no_seam(problem: Problem, pose: Array) -> NDArray[np.bool_]:
-    """(N,) which of the first sum lie nearest to something of the second that is on no seam."""
-    if not problem.second.seam.any():
+def on_no_seam(
+    problem: Problem, pose: Array, across_sigmas: float = math.inf
+) -> NDArray[np.bool_]:
+    """(N,) which of the first sum lie nearest to something of the second that is on no seam.
+
+    Or are farther off the surface at the seam than so many sigmas: they have left it by
+    its side, not by its end.
+    """
+    second = problem.second
+    if not second.seam.any():
         return np.ones(len(problem.first), dtype=bool)
     place = problem.first.mean @ rotation(float(pose[2])).T + pose[:2]
-    inside: NDArray[np.bool_] = ~problem.second.seam[problem.second.tree.query(place)[1]]
+    near = second.tree.query(place)[1]
+    inside: NDArray[np.bool_] = ~second.seam[near]
+    lost = np.flatnonzero(~inside)
+    if math.isfinite(across_sigmas) and len(lost):
+        size, axes = np.linalg.eigh(second.covariance[near[lost]])
+        apart = second.mean[near[lost]] - place[lost]
+        across = np.square(np.einsum("ni,ni->n", apart, axes[:, :, 0]))
+        inside[lost] = across > across_sigmas**2 * size[:, 0]
     return inside
 
 

@@ -47,6 +47,8 @@ _DIRECTIONS = np.array(
 """(12, 3) corners of an icosahedron: samples on all sides that fix six unknowns equally well."""
 _ROWS, _COLUMNS = np.triu_indices(3)
 _TWICE = np.where(_ROWS == _COLUMNS, 1.0, 2.0)
+_ASIDE = 7.0
+"""Sigmas off a surface beyond which something has left it by its side."""
 _LEAST = 0.1
 """Least variance of a fixed direction, over what it were with all returns independent."""
 
@@ -161,7 +163,9 @@ class _Shape:
         loose, fixed = axes[:, :count], axes[:, count:]
         covariance = (loose * _along(about, loose)) @ loose.T * belief.open_sigmas**2
         if pairs is not None and met.any():
-            covariance += _sandwich(pairs, peak, unit, curvature, fixed) * belief.calibration
+            flattest = belief.fallen / _along(about, fixed).max()
+            spread = _sandwich(pairs, peak, unit, curvature, fixed, flattest)
+            covariance += spread * belief.calibration
             covariance += fixed @ (fixed.T @ bent @ fixed) @ fixed.T
         return cls(curvature, fixed, loose, covariance)
 
@@ -184,7 +188,7 @@ def _falls(problem: Problem, peak: Array, edge: Array, belief: CovarianceOptions
 
     By what is on no seam at either pose, so that what comes into view or leaves it has no say.
     """
-    both = on_no_seam(problem, peak) & on_no_seam(problem, edge)
+    both = on_no_seam(problem, peak) & on_no_seam(problem, edge, _ASIDE)
     if not both.any():
         return False
     common = replace(problem, first=problem.first.take(both))
@@ -230,8 +234,10 @@ def quadratic_form(apart: Array, drop: Array) -> Array:
     return form / np.outer(scale, scale)
 
 
-def _sandwich(pairs: Pairs, peak: Array, unit: Array, curvature: Array, axes: Array) -> Array:
-    """(3, 3) C J C on axes (3, k), scaled; positive definite there."""
+def _sandwich(
+    pairs: Pairs, peak: Array, unit: Array, curvature: Array, axes: Array, flattest: float
+) -> Array:
+    """(3, 3) C J C on axes (3, k), scaled; positive definite there, no curvature below a least."""
     scale = unit[:, None] / pairs.value(peak)
     score, twice = scale * pairs.scores(peak), scale * pairs.scores_across(peak)
     of_first = np.stack([np.bincount(pairs.row, one) for one in score])
@@ -239,7 +245,7 @@ def _sandwich(pairs: Pairs, peak: Array, unit: Array, curvature: Array, axes: Ar
     # A pair's own share is in the gradient of both of its returns.
     spread = of_first @ of_first.T + of_second @ of_second.T - twice @ twice.T
     size, own = np.linalg.eigh(axes.T @ curvature @ axes)
-    root = axes @ own / np.sqrt(np.maximum(size, np.finfo(float).tiny))
+    root = axes @ own / np.sqrt(np.maximum(size, flattest))
     share, turn = np.linalg.eigh(root.T @ spread @ root)
     share = np.maximum(share, _LEAST / len(np.unique(pairs.row)))
     half = root @ turn
