@@ -12,9 +12,12 @@ from numpy.typing import NDArray
 
 from ekf_reference.dense.layers.classic_grid import ClassicGrid
 from ekf_reference.dense.scan import Scan
-from ekf_reference.scan_landmarks.search import Lattice
+from ekf_reference.scan_landmarks.search import Lattice, Picture
 
 Array = NDArray[np.float64]
+
+_OCCUPIED = 0.5
+"""Cells less likely occupied than that, or unknown, count for nothing."""
 
 
 @dataclass(frozen=True)
@@ -44,26 +47,21 @@ def correlate(
         raise ValueError("a scan has no returns")
     grid = ClassicGrid(resolution_m)
     grid.fuse(scan)
+    seen = grid.samples()
+    low, high = seen.point.min(axis=0), seen.point.max(axis=0)
+    occupied = np.where(seen.occupancy > _OCCUPIED, seen.occupancy, 0.0)
+    corner = low - 0.5 * resolution_m
+    picture = Picture.of(seen.point, occupied, corner, high, resolution_m)
+    weight = np.full(len(point), 1.0 / len(point))
     lever = float(np.sqrt(np.square(point - point.mean(axis=0)).sum(axis=1).mean()))
     best, spread, spacing = np.asarray(guess, dtype=float), covariance, resolution_m
     score = 0.0
     for _ in range(rounds):
         pose = Lattice.over(best, spread, spacing, lever).pose
-        value = _occupancy(grid, point, pose)
+        value = picture.scores(point, weight, pose)
         row = int(np.argmax(value))
         best, score = pose[row], float(value[row])
         unit = np.array((1.0, 1.0, 1.0 / max(lever, resolution_m)))
         spread = np.diag((0.6 * spacing * unit) ** 2)
         spacing /= 3.0
     return GridAlignment(best, score)
-
-
-def _occupancy(grid: ClassicGrid, point: Array, pose: Array) -> Array:
-    """(n,) mean P(occupied) at the points from every pose (n, 3); unknown cells count as free."""
-    cos, sin = np.cos(pose[:, 2:]), np.sin(pose[:, 2:])
-    x = cos * point[:, 0] - sin * point[:, 1] + pose[:, :1]
-    y = sin * point[:, 0] + cos * point[:, 1] + pose[:, 1:2]
-    where = np.stack((x.ravel(), y.ravel()), axis=1)
-    occupied = np.nan_to_num(grid.occupancy(where), nan=0.0).reshape(x.shape)
-    mean: Array = np.where(occupied > 0.5, occupied, 0.0).mean(axis=1)
-    return mean

@@ -8,7 +8,7 @@ finds are starts for the exact correlation, no results.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,35 +83,54 @@ def starts(
     return lattice.pose[chosen] if chosen else lattice.pose[len(lattice.pose) // 2][None]
 
 
-def _scores(
-    first: SumOfGaussians, second: SumOfGaussians, pose: Array, blur_m: float
-) -> Array:
+def _scores(first: SumOfGaussians, second: SumOfGaussians, pose: Array, blur_m: float) -> Array:
     """(n,) the first sum's means, weighed, in the picture of the second."""
-    cell = _CELL * blur_m
     reach = float(np.hypot(*first.mean.T).max())
     low = np.maximum(pose[:, :2].min(axis=0) - reach, second.mean.min(axis=0)) - _BLURRED * blur_m
     high = np.minimum(pose[:, :2].max(axis=0) + reach, second.mean.max(axis=0)) + _BLURRED * blur_m
     if (high <= low).any():
         return np.zeros(len(pose))
-    cell = max(cell, math.sqrt(float(np.prod(high - low)) / _CELLS))
-    shape = np.ceil((high - low) / cell).astype(int) + 1
-    at = ((second.mean - low) / cell).astype(np.intp)
-    inside = ((second.mean >= low) & (at < shape)).all(axis=1)
-    flat = at[inside, 0] * shape[1] + at[inside, 1]
-    picture = np.bincount(flat, second.weight[inside], minlength=int(np.prod(shape)))
-    blurred = gaussian_filter(picture.reshape(shape), blur_m / cell, mode="constant", truncate=2.5)
-    framed = np.zeros(shape + 2)
-    framed[1:-1, 1:-1] = blurred
-    result = np.empty(len(pose))
-    rows = max(_AT_ONCE // len(first), 1)
-    for begin in range(0, len(pose), rows):
-        some = pose[begin : begin + rows]
-        cos, sin = np.cos(some[:, 2:]), np.sin(some[:, 2:])
-        x = cos * first.mean[:, 0] - sin * first.mean[:, 1] + (some[:, :1] - low[0])
-        y = sin * first.mean[:, 0] + cos * first.mean[:, 1] + (some[:, 1:2] - low[1])
-        i = np.clip(x * (1.0 / cell) + 1.0, 0.0, shape[0] + 1.0).astype(np.intp)
-        j = np.clip(y * (1.0 / cell) + 1.0, 0.0, shape[1] + 1.0).astype(np.intp)
-        i *= shape[1] + 2
-        i += j
-        result[begin : begin + rows] = framed.ravel().take(i) @ first.weight
-    return result
+    cell = max(_CELL * blur_m, math.sqrt(float(np.prod(high - low)) / _CELLS))
+    drawn = Picture.of(second.mean, second.weight, low, high, cell)
+    blurred = gaussian_filter(drawn.value, blur_m / cell, mode="constant", truncate=2.5)
+    return replace(drawn, value=blurred).scores(first.mean, first.weight, pose)
+
+
+@dataclass(frozen=True)
+class Picture:
+    """value: (I, J) of square cells, the first with its corner at low (2,) [m]; 0 around them."""
+
+    value: Array
+    low: Array
+    cell_m: float
+
+    @classmethod
+    def of(
+        cls, point: Array, value: Array, low: Array, high: Array, cell_m: float
+    ) -> Picture:
+        """What points (N, 2) between two corners (2,) add to their cells."""
+        shape = np.ceil((high - low) / cell_m).astype(int) + 1
+        at = np.floor((point - low) / cell_m).astype(np.intp)
+        inside = ((at >= 0) & (at < shape)).all(axis=1)
+        flat = at[inside, 0] * shape[1] + at[inside, 1]
+        added = np.bincount(flat, value[inside], minlength=int(np.prod(shape)))
+        return cls(added.reshape(shape), low, cell_m)
+
+    def scores(self, point: Array, weight: Array, pose: Array) -> Array:
+        """(n,) sums of weight (N,) times the value where points (N, 2) lie from poses (n, 3)."""
+        shape = self.value.shape
+        framed = np.zeros((shape[0] + 2, shape[1] + 2))
+        framed[1:-1, 1:-1] = self.value
+        result, scale = np.empty(len(pose)), 1.0 / self.cell_m
+        rows = max(_AT_ONCE // len(point), 1)
+        for begin in range(0, len(pose), rows):
+            some = pose[begin : begin + rows]
+            cos, sin = np.cos(some[:, 2:]), np.sin(some[:, 2:])
+            x = cos * point[:, 0] - sin * point[:, 1] + (some[:, :1] - self.low[0])
+            y = sin * point[:, 0] + cos * point[:, 1] + (some[:, 1:2] - self.low[1])
+            i = np.clip(x * scale + 1.0, 0.0, shape[0] + 1.0).astype(np.intp)
+            j = np.clip(y * scale + 1.0, 0.0, shape[1] + 1.0).astype(np.intp)
+            i *= shape[1] + 2
+            i += j
+            result[begin : begin + rows] = framed.ravel().take(i) @ weight
+        return result

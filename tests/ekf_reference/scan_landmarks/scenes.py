@@ -91,3 +91,10 @@ def guess_of(rng: np.random.Generator, motion: Array, covariance: Array) -> Arra
     """(3,) wrong as the covariance says."""
     wrong: Array = motion + np.linalg.cholesky(covariance) @ rng.standard_normal(3)
     return wrong
+
+
+def random_sum(rng: np.random.Generator, count: int) -> SumOfGaussians:
+    """Gaussians of all shapes, a few metres apart."""
+    root = rng.normal(size=(count, 2, 2))
+    spread = root @ root.transpose(0, 2, 1) + 0.1 * np.eye(2)
+    return SumOfGaussians.of_equal_height(3.0 * rng.normal(size=(count, 2)), spread)
