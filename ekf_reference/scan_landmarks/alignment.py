@@ -323,7 +323,7 @@ def evidence(problem: Problem, best: Climb, runner_up: float) -> Alignment:
     return Alignment(
         pose=moved(best.pose, -problem.centre),
         log_likelihood=math.log(value),
-        correlation=value / (share * math.sqrt(own * its)),
+        correlation=min(value / (share * math.sqrt(own * its)), 1.0),
         overlap=overlap,
         runner_up=runner_up,
         iterations=best.iterations,
