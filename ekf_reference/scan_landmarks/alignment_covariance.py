@@ -19,18 +19,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ekf_reference.scan_landmarks.alignment import (
-    Alignment,
+from ekf_reference.scan_landmarks.alignment import Alignment, aligned, climb
+from ekf_reference.scan_landmarks.correlation import Pairs
+from ekf_reference.scan_landmarks.problem import (
     AlignmentOptions,
     Problem,
-    aligned,
     carried,
-    climb,
     moved,
     on_no_seam,
     within_seams,
 )
-from ekf_reference.scan_landmarks.correlation import Pairs
 from ekf_reference.scan_landmarks.sog import SumOfGaussians
 
 Array = NDArray[np.float64]
@@ -51,6 +49,8 @@ _ASIDE = 7.0
 """Sigmas off a surface beyond which something has left it by its side."""
 _RIPPLE = 0.5
 """Share of what a return adds that noise alone may take from it."""
+_NOTHING = 1e-100
+"""Lambda over its maximum below which it is no smaller."""
 _LEAST = 0.1
 """Least variance of a fixed direction, over what it were with all returns independent."""
 
@@ -105,7 +105,7 @@ def scan_align(
     options: AlignmentOptions | None = None,
     belief: CovarianceOptions | None = None,
 ) -> ScanAlignment:
-    """Align and say how well: [x_M, P_M] = scan_align(G_1, G_2, x_0) of Nieto 2005, section 5.4.
+    """Align and say how well: x_M and P_M of Nieto 2005, section 5.4.
 
     guess: (3,) x_0, the first sum's pose in the second's frame; covariance: (3, 3) of its error.
     Where the two do not meet the guess comes back with all directions open. Raises ValueError as
@@ -200,7 +200,7 @@ def _falls(problem: Problem, peak: Array, edge: Array, belief: CovarianceOptions
     common = replace(problem, first=problem.first.take(both))
     here, there = (common.each(pose) for pose in (peak, edge))
     lost = here - there
-    fall = -2.0 * math.log(max(there.sum() / here.sum(), 1e-300)) if here.sum() > 0.0 else 0.0
+    fall = -2.0 * math.log(max(there.sum() / here.sum(), _NOTHING)) if here.sum() > 0.0 else 0.0
     chance = belief.beyond_chance * float(np.linalg.norm(np.minimum(np.abs(lost), _RIPPLE * here)))
     return fall >= belief.fallen and float(lost.sum()) >= chance
 
@@ -221,7 +221,9 @@ def fitted_curvature(
     reach = np.minimum(sample_sigmas / np.sqrt(np.maximum(size, 1e-12)), near)
     sample = _DIRECTIONS * reach
     value = np.array([pairs.value(peak + unit * (axes @ one)) for one in sample])
-    return axes @ quadratic_form(sample, -2.0 * np.log(value / at.value)) @ axes.T
+    form = quadratic_form(sample, -2.0 * np.log(np.maximum(value / at.value, _NOTHING)))
+    fitted: Array = axes @ form @ axes.T
+    return fitted
 
 
 def quadratic_form(apart: Array, drop: Array) -> Array:
@@ -255,7 +257,8 @@ def _sandwich(
     share, turn = np.linalg.eigh(root.T @ spread @ root)
     share = np.maximum(share, _LEAST / len(np.unique(pairs.row)))
     half = root @ turn
-    return (half * share) @ half.T
+    spread = (half * share) @ half.T
+    return np.asarray(spread)
 
 
 def _result(problem: Problem, found: Alignment, pose: Array, shape: _Shape) -> ScanAlignment:

@@ -87,7 +87,7 @@ class Pairs:
         p = _entries(first.covariance)[:, row]
         q = _entries(second.covariance)[:, column]
         q[[0, 2]] += look.inflation_m**2
-        sxx, sxy, syy = _entries((turn @ first.covariance @ turn.T))[:, row] + q
+        sxx, sxy, syy = _entries(turn @ first.covariance @ turn.T)[:, row] + q
         sxx, syy = sxx + look.slack_m**2, syy + look.slack_m**2
         dx, dy = (second.mean[column] - place[row]).T
         square = dx * dx * syy - 2.0 * dx * dy * sxy + dy * dy * sxx

@@ -83,7 +83,8 @@ def _seams(scan: Scan, one: Flags, first_rad: float, last_rad: float) -> Flags:
         -scan.bearing_rad[back], scan.range_m[back], scan.point[back], one[back], -first_rad,
         scan.sensor,
     )  # fmt: skip
-    return seam | mirrored[back]
+    both: Flags = seam | mirrored[back]
+    return both
 
 
 def _one_sided(
@@ -111,4 +112,4 @@ def _one_sided(
     seam = ends.copy()
     for k in range(1, _SEAM):
         seam[:-k] |= ends[k:] & (run[:-k] == run[k:])
-    return seam
+    return np.asarray(seam)

@@ -105,16 +105,14 @@ class Picture:
     cell_m: float
 
     @classmethod
-    def of(
-        cls, point: Array, value: Array, low: Array, high: Array, cell_m: float
-    ) -> Picture:
+    def of(cls, point: Array, value: Array, low: Array, high: Array, cell_m: float) -> Picture:
         """What points (N, 2) between two corners (2,) add to their cells."""
         shape = np.ceil((high - low) / cell_m).astype(int) + 1
         at = np.floor((point - low) / cell_m).astype(np.intp)
         inside = ((at >= 0) & (at < shape)).all(axis=1)
         flat = at[inside, 0] * shape[1] + at[inside, 1]
         added = np.bincount(flat, value[inside], minlength=int(np.prod(shape)))
-        return cls(added.reshape(shape), low, cell_m)
+        return cls(added.reshape(shape).astype(float), low, cell_m)
 
     def scores(self, point: Array, weight: Array, pose: Array) -> Array:
         """(n,) sums of weight (N,) times the value where points (N, 2) lie from poses (n, 3)."""

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ekf_reference.dense.scan import Sensor
-from ekf_reference.scan_landmarks.alignment import AlignmentOptions
 from ekf_reference.scan_landmarks.alignment_covariance import CovarianceOptions, scan_align
+from ekf_reference.scan_landmarks.problem import AlignmentOptions
 from ekf_reference.scan_landmarks.sog import SumOfGaussians
 
 Array = NDArray[np.float64]
@@ -139,4 +139,5 @@ def _seen_again(segment: SumOfGaussians, sensor: Sensor, rng: np.random.Generato
     way = np.hypot(*segment.mean.T) + sensor.sigma_range_m * rng.standard_normal(count)
     aside = sensor.sigma_bearing_rad * rng.standard_normal(count)
     bearing = np.arctan2(segment.mean[:, 1], segment.mean[:, 0]) + aside
-    return way[:, None] * np.stack((np.cos(bearing), np.sin(bearing)), axis=1)
+    point: Array = way[:, None] * np.stack((np.cos(bearing), np.sin(bearing)), axis=1)
+    return point

@@ -113,10 +113,10 @@ class SumOfGaussians:
         cell = np.floor(self.mean / cell_m).astype(np.int64)
         _, row = np.unique(cell, axis=0, return_inverse=True)
         row = row.ravel()
-        total = np.bincount(row, weights=self.weight)
+        total = np.bincount(row, weights=self.weight).astype(float)
 
         def average(value: Array) -> Array:
-            return np.bincount(row, weights=self.weight * value) / total
+            return np.asarray(np.bincount(row, weights=self.weight * value) / total)
 
         mean = np.stack([average(column) for column in self.mean.T], axis=1)
         apart = self.mean - mean[row]

@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ekf_reference.scan_landmarks.alignment import AlignmentOptions
 from ekf_reference.scan_landmarks.alignment_covariance import (
     CovarianceOptions,
     ScanAlignment,
     scan_align,
 )
+from ekf_reference.scan_landmarks.problem import AlignmentOptions
 from ekf_reference.scan_landmarks.sog import Index, SumOfGaussians
 
 Array = NDArray[np.float64]

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from ekf_reference.dense.scan import Scan
-from ekf_reference.scan_landmarks.alignment import AlignmentOptions, align
+from ekf_reference.scan_landmarks.alignment import align
 from ekf_reference.scan_landmarks.grid_correlation import correlate
+from ekf_reference.scan_landmarks.problem import AlignmentOptions
 from ekf_reference.scan_landmarks.scan_shape import of_scan
 from ekf_reference.scan_landmarks.sog import SumOfGaussians
 from tests.ekf_reference.scan_landmarks.scenes import (
@@ -66,7 +67,8 @@ def test_scans_align_from_far(scene: object) -> None:
     One stage and one start alone fall into other maxima.
     """
     rng = np.random.default_rng(1)
-    error, alone = [], []
+    error: list[Array] = []
+    alone: list[Array] = []
     lone = AlignmentOptions(inflation_m=(0.0,), starts=1, finished=1, spacing_m=100.0)
     for _ in range(8):
         two = pair(rng, scene)  # type: ignore[arg-type]

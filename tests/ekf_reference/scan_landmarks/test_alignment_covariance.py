@@ -95,7 +95,7 @@ def test_nees_over_200_pairs_is_in_the_band(shaped: Trials) -> None:
 
 def test_the_band_rejects_broken_covariances(shaped: Trials) -> None:
     """The curvature of Lambda as it is (5.16), half, twice, and turned the wrong way."""
-    unscaled = np.linalg.inv(shaped.curvature)
+    unscaled: Array = np.linalg.inv(shaped.curvature).astype(float)
     assert shaped.nees(unscaled) < 0.3
     for factor in (0.5, 2.0):
         assert not within_band(shaped.nees(factor * shaped.covariance), 3, 200)
@@ -152,3 +152,14 @@ def test_without_a_meeting_the_guess_comes_back_with_all_open() -> None:
     np.testing.assert_allclose(found.pose, guess, atol=1e-12)
     assert found.open_directions == 3
     assert (np.linalg.eigvalsh(found.covariance - 25.0 * PRIOR) > 0.0).all()
+
+
+def test_wrong_maxima_have_covariances_too() -> None:
+    """From guesses far off, where Lambda may be nothing a sample away."""
+    rng = np.random.default_rng(17)
+    for _ in range(6):
+        two = pair(rng, YARD)
+        guess = two.motion + rng.uniform(-1.0, 1.0, 3) * (6.0, 6.0, 2.0)
+        found = scan_align(two.first, two.second, guess, PRIOR)
+        assert np.isfinite(found.pose).all()
+        assert (np.linalg.eigvalsh(found.covariance) > 0.0).all()
