@@ -75,8 +75,9 @@ def test_scan_front_end_benchmark_runs() -> None:
 @pytest.mark.usefixtures("open3d_library")
 def test_matchers_benchmark_runs(tmp_path: Path) -> None:
     picture = tmp_path / "basins.png"
-    lines = run("benchmarks/matchers.py", "--pairs", "1", "--plot", str(picture))
-    names = ["surface", "kiss", "point-to-point", "point-to-plane", "generalised"]
+    lines = run("benchmarks/matchers.py", "--pairs", "1", "--figure", str(picture))
+    icp = ["surface", "kiss", "point-to-point", "point-to-plane", "generalised"]
+    names = [*icp, "sog", "occupancy"]
     assert [line.split()[2] for line in lines[2:]] == names
     assert picture.read_bytes().startswith(b"\x89PNG")
 

@@ -1,0 +1,143 @@
+"""Segments of a scan, and whether they would make good landmarks (Nieto 2005, 5.2.2 and 5.7)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ekf_reference.dense.scan import Sensor
+from ekf_reference.scan_landmarks.alignment_covariance import CovarianceOptions, scan_align
+from ekf_reference.scan_landmarks.problem import AlignmentOptions
+from ekf_reference.scan_landmarks.sog import SumOfGaussians
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class SegmentationOptions:
+    """Which returns hang together (Nieto 2005, section 5.7), and how segments are tried.
+
+    range_m, bearing_rad: less than so much lies between two neighbours. least_points: of a
+    segment; the thesis has 100 on its car park. displacement_m, displacement_rad: standard
+    deviations of the random motions that copies are given. trials: copies. residual: share of the
+    displacement below which an alignment's error must stay; the thesis has a tenth. ambiguous:
+    greatest second maximum over the best.
+    """
+
+    range_m: float = 5.0
+    bearing_rad: float = math.radians(3.0)
+    least_points: int = 30
+    displacement_m: float = 0.5
+    displacement_rad: float = math.radians(10.0)
+    trials: int = 4
+    residual: float = 0.1
+    ambiguous: float = 0.8
+
+    def __post_init__(self) -> None:
+        """Check the counts."""
+        if self.least_points < 1 or self.trials < 1:
+            raise ValueError(
+                f"least points {self.least_points} and trials {self.trials} must be above zero"
+            )
+
+
+@dataclass(frozen=True)
+class Quality:
+    """How well a segment lays itself onto itself.
+
+    residual: greatest error of a trial over its displacement, in metres at the lever's end.
+    saliency: inverse of the trace of the covariance of the alignment [1/m^2], the object saliency
+    score of section 5.2.2, and least_information: its smallest eigenvalue inverted, the weakest
+    direction's [1/m^2]; headings as metres at the lever's end. runner_up: greatest second maximum
+    over the best. open_directions: most that the shape did not fix. accepted: whether it may
+    become a landmark. All of the worst trial.
+    """
+
+    residual: float
+    saliency: float
+    least_information: float
+    runner_up: float
+    open_directions: int
+    accepted: bool
+
+
+def segments(scan: SumOfGaussians, options: SegmentationOptions | None = None) -> list[Index]:
+    """Rows of a scan's returns that hang together, by bearing; none for a scan without returns.
+
+    scan: in the scanner's frame, returns in order of bearing, as `of_scan` makes it.
+    """
+    o = options or SegmentationOptions()
+    if not len(scan):
+        return []
+    bearing, way = np.arctan2(scan.mean[:, 1], scan.mean[:, 0]), np.hypot(*scan.mean.T)
+    cut = (np.abs(np.diff(way)) >= o.range_m) | (np.abs(np.diff(bearing)) >= o.bearing_rad)
+    runs = np.split(np.arange(len(scan)), np.flatnonzero(cut) + 1)
+    return [run for run in runs if len(run) >= o.least_points]
+
+
+def quality(
+    segment: SumOfGaussians,
+    sensor: Sensor,
+    rng: np.random.Generator,
+    options: SegmentationOptions | None = None,
+    alignment: AlignmentOptions | None = None,
+    belief: CovarianceOptions | None = None,
+) -> Quality:
+    """Register noisy, displaced copies of a segment with it (Nieto 2005, sections 5.2.2 and 5.7).
+
+    segment: some returns of a scan in the scanner's frame, so that noise can be added to ranges
+    and bearings. A copy of a wall finds its place along it, which no second look at the wall
+    does, by two things: the wall ends where the view does, which the segment's seams tell; and
+    copies share the segment's own noise. So every second return is copied, and registered with
+    the others.
+    """
+    o = options or SegmentationOptions()
+    if len(segment) < 2 or segment.lever_m <= 0.0:
+        return Quality(math.inf, 0.0, 0.0, 0.0, 3, accepted=False)
+    centre, lever = segment.centroid, segment.lever_m
+    spread = np.array((o.displacement_m, o.displacement_m, o.displacement_rad))
+    unit = np.array((1.0, 1.0, 1.0 / lever))
+    wide = replace(segment, covariance=_twice_as_long(segment, sensor))
+    halves = [wide.take(np.arange(k, len(wide), 2)) for k in (0, 1)]
+    residual, trace, widest, runner_up, free = 0.0, 0.0, 0.0, 0.0, 0
+    for trial in range(o.trials):
+        kept, copied = halves[trial % 2], halves[1 - trial % 2]
+        kept = replace(kept, mean=kept.mean - centre)
+        copy = replace(copied, mean=_seen_again(copied, sensor, rng) - centre)
+        displaced = spread * rng.standard_normal(3)
+        found = scan_align(copy, kept, displaced, np.diag(spread**2), alignment, belief)
+        error = np.linalg.norm(found.pose / unit) / np.linalg.norm(displaced / unit)
+        scaled = found.covariance / np.outer(unit, unit)
+        residual = max(residual, float(error))
+        trace = max(trace, float(np.trace(scaled)))
+        widest = max(widest, float(np.linalg.eigvalsh(scaled)[-1]))
+        runner_up = max(runner_up, found.alignment.runner_up)
+        free = max(free, found.open_directions)
+    good = residual < o.residual and not free and runner_up <= o.ambiguous
+    return Quality(residual, 1.0 / trace, 1.0 / widest, runner_up, free, accepted=good)
+
+
+def _twice_as_long(segment: SumOfGaussians, sensor: Sensor) -> Array:
+    """(N, 2, 2) covariances for pieces of surface twice as long, noise as it was."""
+    way = np.hypot(*segment.mean.T)
+    ray = segment.mean / way[:, None]
+    side = np.stack((-ray[:, 1], ray[:, 0]), axis=1)
+    across = (way * sensor.sigma_bearing_rad) ** 2
+    noise = sensor.sigma_range_m**2 * ray[:, :, None] * ray[:, None, :]
+    noise += across[:, None, None] * side[:, :, None] * side[:, None, :]
+    longer: Array = noise + 4.0 * (segment.covariance - noise)
+    return longer
+
+
+def _seen_again(segment: SumOfGaussians, sensor: Sensor, rng: np.random.Generator) -> Array:
+    """(N, 2) the returns with noise added to ranges and bearings."""
+    count = len(segment)
+    way = np.hypot(*segment.mean.T) + sensor.sigma_range_m * rng.standard_normal(count)
+    aside = sensor.sigma_bearing_rad * rng.standard_normal(count)
+    bearing = np.arctan2(segment.mean[:, 1], segment.mean[:, 0]) + aside
+    point: Array = way[:, None] * np.stack((np.cos(bearing), np.sin(bearing)), axis=1)
+    return point

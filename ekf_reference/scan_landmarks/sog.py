@@ -1,0 +1,132 @@
+"""A scan or a template as a sum of Gaussians (Nieto 2005, sections 4.3.1 and 5.2.1)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class SumOfGaussians:
+    """Gaussians of one frame, weighted (Nieto 2005, eq. 4.14).
+
+    mean: (N, 2) [m]. covariance: (N, 2, 2) [m^2]. weight: (N,) alpha, positive, of sum one where
+    there are any. seam: (N,) where the surface goes on unseen, so that the sum ends and the
+    surface does not. It is a shape, not a distribution of anything (section 4.3).
+    """
+
+    mean: Array
+    covariance: Array
+    weight: Array
+    seam: Flags
+
+    @classmethod
+    def of_equal_height(
+        cls, mean: Array, covariance: Array, seam: Flags | None = None
+    ) -> SumOfGaussians:
+        """Alpha_i in proportion to sqrt((2 pi)^2 |P_i|), as in Nieto 2005, Fig. 4.11.
+
+        On pieces of surface that is in proportion to their lengths. Raises ValueError for
+        numbers that are not finite, shapes that do not fit, or covariances that are not
+        positive definite. Without seams the surface ends with the sum.
+        """
+        mean, covariance = np.asarray(mean, dtype=float), np.asarray(covariance, dtype=float)
+        if mean.ndim != 2 or mean.shape[1] != 2 or covariance.shape != (len(mean), 2, 2):
+            raise ValueError(
+                f"means {mean.shape} and covariances {covariance.shape}, "
+                "expected (N, 2) and (N, 2, 2)"
+            )
+        area = np.linalg.det(covariance)
+        positive = (area > 0.0) & (covariance[:, 0, 0] > 0.0)
+        if not (np.isfinite(mean).all() and positive.all()):
+            raise ValueError("a mean is not finite or a covariance not positive definite")
+        height = np.sqrt(area)
+        weight = height / (height.sum() if len(height) else 1.0)
+        return cls(mean, covariance, weight, np.zeros(len(mean), bool) if seam is None else seam)
+
+    def __len__(self) -> int:
+        """Number of Gaussians."""
+        return len(self.mean)
+
+    @cached_property
+    def tree(self) -> cKDTree:
+        """The means, to look for neighbours."""
+        return cKDTree(self.mean)
+
+    @cached_property
+    def centroid(self) -> Array:
+        """(2,) mean of the points, the local axis of section 5.2.3 [m]; zeros where none."""
+        return self.mean.mean(axis=0) if len(self) else np.zeros(2)
+
+    @cached_property
+    def lever_m(self) -> float:
+        """Root mean square distance of the means from the centroid: a heading's worth [m/rad]."""
+        if not len(self):
+            return 0.0
+        return float(np.sqrt(np.square(self.mean - self.centroid).sum(axis=1).mean()))
+
+    @cached_property
+    def typical_variance(self) -> float:
+        """The larger one that nine Gaussians in ten stay below [m^2]."""
+        larger = np.sort(np.trace(self.covariance, axis1=1, axis2=2))
+        return float(larger[int(0.9 * (len(self) - 1))]) if len(self) else 0.0
+
+    def transformed(self, pose: Array) -> SumOfGaussians:
+        """The same in the frame in which this one's lies at pose (3,): x, y [m], heading [rad]."""
+        turn = rotation(float(pose[2]))
+        mean = self.mean @ turn.T + pose[:2]
+        return SumOfGaussians(mean, turn @ self.covariance @ turn.T, self.weight, self.seam)
+
+    def take(self, rows: Index | Flags) -> SumOfGaussians:
+        """Some of them, their weights adding up to one again."""
+        weight = self.weight[rows]
+        total = weight.sum() if len(weight) else 1.0
+        return SumOfGaussians(
+            self.mean[rows], self.covariance[rows], weight / total, self.seam[rows]
+        )
+
+    def value(self, point: Array) -> Array:
+        """G (M,) of Nieto 2005, eqs. 4.13 and 4.14, at points (M, 2) [1/m^2]."""
+        apart = point[:, None, :] - self.mean
+        inverse = np.linalg.inv(self.covariance)
+        square = np.einsum("mni,nij,mnj->mn", apart, inverse, apart)
+        peak = self.weight / (2.0 * np.pi * np.sqrt(np.linalg.det(self.covariance)))
+        height: Array = np.exp(-0.5 * square) @ peak
+        return height
+
+    def thinned(self, cell_m: float) -> SumOfGaussians:
+        """One Gaussian for those in each cell of a grid, with their mean, covariance and weight.
+
+        Seams are lost.
+        """
+        if not len(self):
+            return self
+        cell = np.floor(self.mean / cell_m).astype(np.int64)
+        _, row = np.unique(cell, axis=0, return_inverse=True)
+        row = row.ravel()
+        total = np.bincount(row, weights=self.weight).astype(float)
+
+        def average(value: Array) -> Array:
+            return np.asarray(np.bincount(row, weights=self.weight * value) / total)
+
+        mean = np.stack([average(column) for column in self.mean.T], axis=1)
+        apart = self.mean - mean[row]
+        spread = self.covariance + apart[:, :, None] * apart[:, None, :]
+        flat = np.stack([average(column) for column in spread.reshape(-1, 4).T], axis=1)
+        none = np.zeros(len(total), dtype=bool)
+        return SumOfGaussians(mean, flat.reshape(-1, 2, 2), total, none)
+
+
+def rotation(heading_rad: float) -> Array:
+    """(2, 2) from the axes of a frame with that heading to those it is seen in."""
+    cos, sin = math.cos(heading_rad), math.sin(heading_rad)
+    return np.array(((cos, -sin), (sin, cos)))

@@ -1,0 +1,166 @@
+"""Templates of landmarks, and what a scan says of them (Nieto 2005, 5.2.1, 5.2.3 and 5.7)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ekf_reference.scan_landmarks.alignment_covariance import (
+    CovarianceOptions,
+    ScanAlignment,
+    scan_align,
+)
+from ekf_reference.scan_landmarks.problem import AlignmentOptions
+from ekf_reference.scan_landmarks.sog import Index, SumOfGaussians
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+_LEAST_POINTS = 3
+_LEAST_LEVER_M = 0.01
+
+
+@dataclass(frozen=True)
+class Template:
+    """A landmark's shape in its own axis, and where the axis was when it was made.
+
+    shape: with its centroid at the axis' origin. pose: (3,) of the axis in the vehicle's frame,
+    x_L of Nieto 2005, eq. 5.2, as first seen; its heading is the vehicle's, so 0.
+    """
+
+    shape: SumOfGaussians
+    pose: Array
+
+    @classmethod
+    def of_segment(cls, scan: SumOfGaussians, rows: Index) -> Template:
+        """Some returns of a scan in the vehicle's frame; the axis at their centroid (5.2.3).
+
+        Raises ValueError for fewer than three returns, or all in one place: nothing in them
+        has a heading.
+        """
+        part = scan.take(rows)
+        if len(part) < _LEAST_POINTS or part.lever_m < _LEAST_LEVER_M:
+            raise ValueError(
+                f"a template of {len(part)} points within {part.lever_m:.3f} m, expected at least "
+                f"{_LEAST_POINTS} over {_LEAST_LEVER_M} m"
+            )
+        centre = part.centroid
+        return cls(replace(part, mean=part.mean - centre), np.append(centre, 0.0))
+
+
+@dataclass(frozen=True)
+class View:
+    """What a sensor sees: ranges up to reach_m, bearings from first_rad to last_rad.
+
+    share: least part of a template's points that must be in view (section 5.7). shadow_m: a
+    return nearer than a point by more than that hides it.
+    """
+
+    reach_m: float
+    first_rad: float
+    last_rad: float
+    share: float = 0.9
+    shadow_m: float = 1.0
+
+    def sees(self, point: Array) -> Flags:
+        """(N,) which points (N, 2) of the scanner's frame lie in the field of view."""
+        bearing = np.arctan2(point[:, 1], point[:, 0])
+        # Turned by whole circles into the one that begins at the first bearing.
+        after = np.mod(bearing - self.first_rad, 2.0 * np.pi)
+        inside: Flags = (np.hypot(*point.T) <= self.reach_m) & (
+            after <= self.last_rad - self.first_rad
+        )
+        return inside
+
+
+@dataclass(frozen=True)
+class ObservationOptions:
+    """When an alignment counts as seeing the landmark.
+
+    overlap: least share of the template that finds a counterpart. ambiguous: greatest second
+    maximum over the best.
+    """
+
+    overlap: float = 0.5
+    ambiguous: float = 0.8
+
+
+@dataclass(frozen=True)
+class Observation:
+    """What a scan says of a landmark.
+
+    alignment: z and R with their evidence, None when nothing was tried. share_in_view: of the
+    template's points. reason: why it must not be used, empty where it may.
+    """
+
+    alignment: ScanAlignment | None
+    share_in_view: float
+    reason: str
+
+    @property
+    def usable(self) -> bool:
+        """Whether it may go into a filter's update, through its gate."""
+        return not self.reason
+
+
+def share_in_view(template: Template, scan: SumOfGaussians, pose: Array, view: View) -> float:
+    """Share of a template's points that the sensor should see from where the scan was taken.
+
+    pose: (3,) of the template's axis in the scanner's frame. A point does not count when it lies
+    outside the field of view or when the returns on both its sides, no farther from it than their
+    own neighbours are, come from something much nearer.
+    """
+    point = template.shape.transformed(pose).mean
+    seen = view.sees(point)
+    if len(scan) > 1:
+        seen &= ~_hidden(point, scan, view.shadow_m)
+    return float(np.mean(seen))
+
+
+def observe(
+    template: Template,
+    scan: SumOfGaussians,
+    predicted: Array,
+    covariance: Array,
+    view: View,
+    options: ObservationOptions | None = None,
+    alignment: AlignmentOptions | None = None,
+    belief: CovarianceOptions | None = None,
+) -> Observation:
+    """[z, R] = scan_align(G_L, G_o, z^) of Nieto 2005, section 5.2.1, against the whole scan.
+
+    scan: in the scanner's frame, bearings in order. predicted: (3,) z^, the axis' pose in that
+    frame, and covariance: (3, 3) of its error. A blank scan, a template out of view, one that
+    does not meet the scan, and one that two places fit are told apart by the reason.
+    """
+    o = options or ObservationOptions()
+    if not len(scan):
+        return Observation(None, 0.0, "the scan has no returns")
+    share = share_in_view(template, scan, predicted, view)
+    if share < view.share:
+        return Observation(None, share, f"{share:.0%} of the template in view")
+    found = scan_align(template.shape, scan, predicted, covariance, alignment, belief)
+    evidence, reason = found.alignment, ""
+    if evidence.overlap < o.overlap:
+        reason = f"{evidence.overlap:.0%} of the template finds a counterpart"
+    elif evidence.runner_up > o.ambiguous:
+        reason = f"another place fits {evidence.runner_up:.0%} as well"
+    elif not evidence.converged:
+        reason = "the alignment did not converge"
+    return Observation(found, share, reason)
+
+
+def _hidden(point: Array, scan: SumOfGaussians, shadow_m: float) -> Flags:
+    """(N,) points (N, 2) behind the returns on both sides."""
+    bearing, way = np.arctan2(scan.mean[:, 1], scan.mean[:, 0]), np.hypot(*scan.mean.T)
+    spacing = np.diff(bearing)
+    width = 2.0 * float(np.median(spacing))
+    at = np.arctan2(point[:, 1], point[:, 0])
+    after = np.clip(np.searchsorted(bearing, at), 1, len(bearing) - 1)
+    beside = (at >= bearing[0] - width) & (at <= bearing[-1] + width)
+    close = beside & (spacing[after - 1] <= width)
+    nearer = np.maximum(way[after - 1], way[after]) + shadow_m < np.hypot(*point.T)
+    hidden: Flags = close & nearer
+    return hidden
