@@ -21,7 +21,8 @@ from ekf_reference.association import (
     slots_of,
     surroundings,
 )
-from ekf_reference.kalman import LocalMap, block_diagonal, stack, state_columns
+from ekf_reference.kalman import block_diagonal, stack, state_columns
+from ekf_reference.local_map import LocalMap
 from ekf_reference.observation import Observation
 from ekf_reference.sightings import Sightings
 
