@@ -115,6 +115,7 @@ class FullEkf:
         self._sightings_seen = 0
         self._oriented_seen = 0
         self._fixes_seen = 0
+        self._fusions_made = 0
         self.trace.prior(Beginning(prior_pose, prior_covariance))
 
     def read_pose(self) -> PoseReading:
@@ -212,6 +213,7 @@ class FullEkf:
             places, by_both = at.local.landmark, at.jacobian[:, -6:].reshape(3, 2, 3)
             self.trace.fusion(
                 FusionUse(
+                    self._fusions_made,
                     first,
                     second,
                     places[0],
@@ -223,6 +225,7 @@ class FullEkf:
                     weight,
                 )
             )
+        self._fusions_made += 1
         known = self.state.map_of(both, ORIENTED)
         self.remove(both[1:], ORIENTED)
         return known

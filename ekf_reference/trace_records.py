@@ -73,12 +73,14 @@ class PositionRecords:
 class FusionRecords:
     """T relations between two landmarks with a direction, or parts of them.
 
+    step: (T,) predictions made before. number: (T,) in their order, from 0; parts share it.
     first, second: (T,) slots. first_place, second_place: (T, 3), the points of linearisation.
     innovation: (T, 3). jacobian_first, jacobian_second: (T, 3, 3). noise: (T, 3, 3), R / weight.
     weight: (T,).
     """
 
     step: Index
+    number: Index
     first: Index
     second: Index
     first_place: Array
@@ -170,9 +172,10 @@ def fusion_records(uses: list[tuple[int, FusionUse]]) -> FusionRecords:
     """One row per fusion or part of it."""
     step = np.array([step for step, _ in uses], dtype=np.intp)
     square = (3, 3)
-    shapes = ((), (), (3,), (3,), (3,), square, square, square, ())
-    first, second, *columns = stacked([use for _, use in uses], shapes)
-    return FusionRecords(step, first.astype(np.intp), second.astype(np.intp), *columns)
+    shapes = ((), (), (), (3,), (3,), (3,), square, square, square, ())
+    number, first, second, *columns = stacked([use for _, use in uses], shapes)
+    slots = first.astype(np.intp), second.astype(np.intp)
+    return FusionRecords(step, number.astype(np.intp), *slots, *columns)
 
 
 def removal_records(removals: list[tuple[int, Removal]]) -> RemovalRecords:

@@ -73,6 +73,7 @@ class FusionUse(NamedTuple):
     where the second is in the frame of the first. Shapes are as in FusionRecords, of one.
     """
 
+    number: int
     first: int
     second: int
     first_place: Array

@@ -12,17 +12,10 @@ from comparisons.runs.ekf_run import EkfRun
 from comparisons.runs.estimate import Estimate
 from comparisons.runs.known_landmarks import surveyed
 from comparisons.runs.motion import motion_samples
+from comparisons.runs.recorded import oriented_points, recorded
 from comparisons.runs.timeline import Timeline
-from ekf_reference.trace import SightingRecords
 from graphslam import increments
-from graphslam.frozen import (
-    FrozenPoints,
-    RecordedPositions,
-    RecordedSightings,
-    RecordedSteps,
-    own_problem,
-    recorded_problem,
-)
+from graphslam.frozen_own import FrozenPoints, own_problem
 from graphslam.linear_problem import LinearProblem, solve
 from graphslam.marginals import Marginal
 from graphslam.problem import SlamProblem
@@ -95,30 +88,8 @@ def position_rows(timeline: Timeline, positions: Positions | None) -> PositionRo
 
 
 def linear_recorded(run: EkfRun) -> LinearProblem:
-    """F1: one linear problem from the EKF's own recorded matrices.
-
-    Landmarks that were put into the map without a sighting come last.
-    """
-    trace, begun = run.trace, run.trace.augmentations
-    until = run.timeline.steps_until()
-    begun = begun.rows(np.argsort(begun.weight <= 0.0, kind="stable"))
-    parts = (_from_updates(trace.updates), _from_augmentations(begun))
-    step, *columns = (np.concatenate(c) for c in zip(*parts, strict=True))
-    fixes = trace.positions
-    return recorded_problem(
-        trace.prior_pose,
-        trace.prior_covariance,
-        RecordedSteps(trace.departed, trace.arrived, trace.f, trace.q),
-        until,
-        RecordedSightings(np.searchsorted(until, step), *columns),
-        RecordedPositions(
-            np.searchsorted(until, fixes.step),
-            fixes.pose,
-            fixes.innovation,
-            fixes.jacobian_pose,
-            fixes.noise,
-        ),
-    )
+    """F1: one linear problem from the EKF's own recorded matrices."""
+    return recorded(run.trace, run.timeline.steps_until())
 
 
 def linear_own(problem: SlamProblem, run: EkfRun) -> LinearProblem:
@@ -142,6 +113,7 @@ def linear_own(problem: SlamProblem, run: EkfRun) -> LinearProblem:
         fix_row[trace.positions.number],
         trace.positions.weight,
         _as_headings(run, trace.positions.pose, trace.positions.step),
+        *oriented_points(trace, lambda pose, step: _as_headings(run, pose, step)),
     )
     return own_problem(problem, points)
 
@@ -199,18 +171,3 @@ def _as_headings(run: EkfRun, pose: Array, step: Index) -> Array:
     heading, about = np.arctan2(pose[:, 3], pose[:, 2]), run.departed[epoch, 2]
     heading += 2.0 * np.pi * np.round((about - heading) / (2.0 * np.pi))
     return np.column_stack((pose[:, :2], heading))
-
-
-def _from_updates(r: SightingRecords) -> tuple[np.ndarray, ...]:
-    return (
-        r.step, r.slot, r.pose, r.landmark, r.innovation, r.jacobian_pose, r.jacobian_other, r.noise
-    )  # fmt: skip
-
-
-def _from_augmentations(r: SightingRecords) -> tuple[np.ndarray, ...]:
-    """Landmark = point + G_x (x - pose) + G_z v, as a relation with residual zero."""
-    identity = np.broadcast_to(np.eye(2), r.noise.shape)
-    spread = r.jacobian_other @ r.noise @ r.jacobian_other.transpose(0, 2, 1)
-    return (
-        r.step, r.slot, r.pose, r.landmark, r.innovation, -r.jacobian_pose, identity, spread
-    )  # fmt: skip
