@@ -57,13 +57,14 @@ class LagEnd:
     """What a fixed-lag smoother leaves.
 
     poses: (K, 3) as they were when they left the lag, headings unwrapped; pose_covariance:
-    (K, 3, 3) then. landmarks: (L, 2) points. marginal: last pose, points and oriented landmarks
-    at the end. All of the additive global error.
+    (K, 3, 3) then. landmarks: (L, 2) points. oriented: (Q, 3). marginal: last pose, points and
+    oriented landmarks at the end. All of the additive global error.
     """
 
     poses: Array
     pose_covariance: Array
     landmarks: Array
+    oriented: Array
     marginal: Marginal
     updates: int
 
@@ -239,6 +240,7 @@ def run_fixed_lag(problem: SlamProblem, graph: gtsam.NonlinearFactorGraph, lag: 
         poses,
         turn @ covariance @ turn.transpose(0, 2, 1),
         places,
+        oriented,
         Marginal(mean, to_global(local.covariance, poses[-1, 2], oriented[:, 2])),
         updates,
     )

@@ -117,6 +117,8 @@ class SmootherResult:
 
     def oriented(self) -> Array:
         """(Q, 3) oriented landmarks: x, y, heading."""
+        if self.lagged is not None:
+            return self.lagged.oriented
         return oriented_from(self.values, self.problem)
 
     def joint(
@@ -206,11 +208,15 @@ def smooth(
     if options.method == "isam2":
         end = run_isam2(problem, graph)
         followed = from_values(end.values, problem)
+        oriented = oriented_from(end.values, problem)
         attempt("isam2", end.values, end.updates)
     elif options.method == "fixed-lag":
         lagged = run_fixed_lag(problem, graph, options.lag)
-        followed = lagged.poses, lagged.landmarks
-        attempt("fixed-lag", to_values(*followed, seen), lagged.updates)
+        followed, oriented = (lagged.poses, lagged.landmarks), lagged.oriented
+        start = to_values(*followed, seen, problem.oriented)
+        for key, place in enumerate(oriented, start=ORIENTED_KEY):
+            start.update(key, gtsam.Pose2(*place))
+        attempt("fixed-lag", start, lagged.updates)
     else:
         attempt("tracked", *track(problem, graph))
     proof = _prove(problem, graph, attempts, weighted=weighted)
@@ -243,16 +249,17 @@ def smooth(
         result,
         poses=followed[0],
         landmarks=followed[1],
-        proof=replace(proof, distance_sigma=_distance(result, *followed)),
+        proof=replace(proof, distance_sigma=_distance(result, *followed, oriented)),
         lagged=lagged,
     )
 
 
-def _distance(optimum: SmootherResult, poses: Array, landmarks: Array) -> float:
+def _distance(optimum: SmootherResult, poses: Array, landmarks: Array, oriented: Array) -> float:
     """Largest difference of the last pose and the landmarks from the optimum, in its sigma."""
     mean, covariance = optimum.marginal()
-    apart = np.concatenate((poses[-1], landmarks.ravel())) - mean
-    apart[2] = np.angle(np.exp(1j * apart[2]))
+    apart = np.concatenate((poses[-1], landmarks.ravel(), oriented.ravel())) - mean
+    turns = np.concatenate(([2], np.arange(len(mean) - oriented.size + 2, len(mean), 3)))
+    apart[turns] = np.angle(np.exp(1j * apart[turns]))
     return float(np.max(np.abs(apart) / np.sqrt(np.diag(covariance))))
 
 

@@ -49,6 +49,7 @@ class Made:
     """What a drive led to. known: the slot of each frame. The rest is what a smoother is told."""
 
     truth: Array
+    steps: int
     known: dict[int, int] = field(default_factory=dict)
     seen: list[tuple[int, int, Array, Array]] = field(default_factory=list)
     points_seen: list[tuple[int, int, Array]] = field(default_factory=list)
@@ -96,7 +97,7 @@ class _Tour:
 
     def __init__(self, ekf: FullEkf, seed: int, script: Script) -> None:
         self.ekf, self.script, self.rng = ekf, script, np.random.default_rng(seed)
-        self.made = Made(ekf.read_pose().pose + self.draw(PRIOR))
+        self.made = Made(ekf.read_pose().pose + self.draw(PRIOR), script.steps)
         self.gone: set[int] = set()
         self.gone_points: set[int] = set()
 
