@@ -163,8 +163,9 @@ class _Tour:
         self.gone.add(0)
         self.ekf.remove(np.array([self.made.known[0]]), ORIENTED)
         if self.script.order != "frames only":
-            self.gone_points.add(self.made.label_of[1])
-            self.ekf.remove(np.array([1]))
+            slot = sorted(self.made.label_of)[1]
+            self.gone_points.add(self.made.label_of[slot])
+            self.ekf.remove(np.array([slot]))
 
 
 def error(ekf: FullEkf, made: Made) -> Array:
