@@ -168,7 +168,10 @@ def compare_estimators(
     with clock.stage("checks"):
         progress("checks", 0, 0)
         agreement = compare(
-            _gaussian(run.estimate), Gaussian(*recorded), Gaussian(*own), _gaussian(smoothed)
+            _gaussian(run.estimate),
+            Gaussian(*recorded, len(run.estimate.oriented)),
+            Gaussian(*own, len(run.estimate.oriented)),
+            _gaussian(smoothed),
         )
         labelled = chosen.association == "known"
         begun = int(np.count_nonzero(run.trace.augmentations.weight > 0.0))
@@ -316,7 +319,7 @@ def _with_scans(
 
 
 def _gaussian(estimate: Estimate) -> Gaussian:
-    return Gaussian(estimate.joint_mean, estimate.joint_covariance)
+    return Gaussian(estimate.joint_mean, estimate.joint_covariance, len(estimate.oriented))
 
 
 class _Clock:

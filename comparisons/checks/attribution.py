@@ -109,7 +109,7 @@ def judge(
         outcome = "unproven"
         causes.append(_unproven(proof))
     else:
-        blocks = (agreement.pose, *agreement.landmarks, agreement.whole)
+        blocks = (agreement.pose, *agreement.landmarks, *agreement.oriented, agreement.whole)
         outcome = "agree" if all(map(block_agrees, blocks)) else "disagree"
         if outcome == "disagree":
             causes.append(_linearisation(agreement, run))
@@ -268,26 +268,28 @@ def _unproven(proof: Proof) -> Cause:
 
 
 def _linearisation(agreement: Agreement, run: EkfRun) -> Cause:
-    ids = run.estimate.landmark_id
-    off = [i for i, block in enumerate(agreement.landmarks) if not block_agrees(block)]
+    names = [f"landmark {i}" for i in run.estimate.landmark_id]
+    names += [f"scan landmark {i}" for i in run.estimate.oriented_id]
+    blocks = (*agreement.landmarks, *agreement.oriented)
+    off = [i for i, block in enumerate(blocks) if not block_agrees(block)]
     parts = []
-    far = [i for i in off if agreement.landmarks[i].distance > LARGEST_DISTANCE]
+    far = [i for i in off if blocks[i].distance > LARGEST_DISTANCE]
     if far:
-        worst = max(far, key=lambda i: agreement.landmarks[i].distance)
-        block = agreement.landmarks[worst]
+        worst = max(far, key=lambda i: blocks[i].distance)
+        block = blocks[worst]
         parts.append(
-            f"{len(far)} of {len(ids)} landmarks are too far off, landmark {ids[worst]} by "
+            f"{len(far)} of {len(names)} landmarks are too far off, {names[worst]} by "
             f"{block.difference_m:.2f} m ({block.distance:.1f} sigma)"
         )
     unsure = [i for i in off if i not in far]
     if unsure:
         worst, ratio = max(
-            ((i, r) for i in unsure for r in _ratios(agreement.landmarks[i])),
+            ((i, r) for i in unsure for r in _ratios(blocks[i])),
             key=lambda pair: max(pair[1], 1.0 / max(pair[1], 1e-300)),
         )
         parts.append(
-            f"{len(unsure)} of {len(ids)} landmarks have a wrong covariance, landmark "
-            f"{ids[worst]} {ratio:.2g} times the justified variance"
+            f"{len(unsure)} of {len(names)} landmarks have a wrong covariance, {names[worst]} "
+            f"{ratio:.2g} times the justified variance"
         )
     if agreement.pose.distance > LARGEST_DISTANCE:
         parts.append(

@@ -115,6 +115,11 @@ def run_ekf(
     arrays = trace.arrays()
     _check_counts(log, timeline, arrays)
     slot = _as_used(slot[: len(timeline.sighting_epoch)], arrays)
+    layout = ekf.state.layout
+    if np.isnan(ekf.state.landmarks).any() or np.isnan(ekf.state.oriented).any():
+        raise InputError(
+            f"{log.name}: the EKF removed landmarks on the way; comparisons follow them to the end"
+        )
     estimate = Estimate(
         timeline.epoch_time_s,
         departed[:epochs],
@@ -133,6 +138,8 @@ def run_ekf(
             "estimator": f"ekf_reference, {choices.filter} EKF",
             "association": str(choices.association),
         },
+        np.arange(len(layout.oriented)),
+        ekf.state.oriented.copy(),
     )
     fused = np.unique(arrays.positions.number)
     return EkfRun(
@@ -172,8 +179,10 @@ def _check_counts(log: Log, timeline: Timeline, trace: TraceArrays) -> None:
 
 
 def _joint_covariance(ekf: FullEkf) -> Array:
-    """Of the last pose as x, y, heading, and all landmarks."""
-    read, own = ekf.read_pose().jacobian, ekf.state.covariance
+    """Of the last pose as x, y, heading, and all landmarks, points first."""
+    read, own, packed = ekf.read_pose().jacobian, ekf.state.covariance, ekf.state.layout.packed()
+    if not ekf.state.layout.plain:
+        own = own[np.ix_(packed, packed)]
     p = read.shape[1]
     joint = np.empty((len(own) - p + 3, len(own) - p + 3))
     joint[:3, :3] = read @ own[:p, :p] @ read.T

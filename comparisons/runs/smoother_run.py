@@ -120,9 +120,10 @@ def linear_own(problem: SlamProblem, run: EkfRun) -> LinearProblem:
 
 def solve_recorded(linear: LinearProblem, run: EkfRun) -> Marginal:
     """F1's estimate of the last pose, as x, y, heading, and all landmarks."""
-    final, size = run.final, 2 * len(run.estimate.landmark)
+    final, estimate = run.final, run.estimate
+    size = estimate.landmark.size + estimate.oriented.size
     own = np.vstack((run.trace.departed, final.own))[run.timeline.steps_until()]
-    found = solve(linear, own, run.estimate.landmark)
+    found = solve(linear, own, estimate.landmark, estimate.oriented)
     p = len(final.own)
     read = np.zeros((3 + size, p + size))
     read[:3, :p], read[3:, p:] = final.jacobian, np.eye(size)
@@ -133,7 +134,7 @@ def solve_recorded(linear: LinearProblem, run: EkfRun) -> Marginal:
 
 def solve_own(linear: LinearProblem, run: EkfRun) -> Marginal:
     """F2's estimate of the last pose and all landmarks."""
-    return solve(linear, run.departed, run.estimate.landmark)
+    return solve(linear, run.departed, run.estimate.landmark, run.estimate.oriented)
 
 
 def run_smoother(
@@ -151,6 +152,7 @@ def smoothed_estimate(
     result: SmootherResult, time_s: Array, landmark_id: NDArray[np.int64], association: str
 ) -> Estimate:
     """The smoother's result with its marginals, at times (K,), for landmarks with ids (L,)."""
+    oriented = result.oriented()
     return Estimate(
         time_s,
         result.poses,
@@ -160,6 +162,8 @@ def smoothed_estimate(
         result.marginal().covariance,
         "fixed-lag" if result.lagged else "smoothed",
         {"estimator": f"graphslam, {result.options.method}", "association": association},
+        np.arange(len(oriented)),
+        oriented,
     )
 
 
