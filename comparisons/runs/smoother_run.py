@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +33,8 @@ PositionRows = tuple[Index, Array, Array, tuple[float, float]]
 def build_problem(log: Log, run: EkfRun) -> SlamProblem:
     """The log as the smoother's arrays, with the EKF's association of sightings to landmarks."""
     count = len(run.estimate.landmark)
-    return assemble(log, run.timeline, run.slot, count, *_positions(run), own_axes=run.own_axes)
+    problem = assemble(log, run.timeline, run.slot, count, *_positions(run), own_axes=run.own_axes)
+    return replace(problem, oriented=run.oriented)
 
 
 def assemble(
@@ -123,7 +125,7 @@ def solve_recorded(linear: LinearProblem, run: EkfRun) -> Marginal:
     final, estimate = run.final, run.estimate
     size = estimate.landmark.size + estimate.oriented.size
     own = np.vstack((run.trace.departed, final.own))[run.timeline.steps_until()]
-    found = solve(linear, own, estimate.landmark, estimate.oriented)
+    found = solve(linear, own, estimate.landmark, run.oriented_places)
     p = len(final.own)
     read = np.zeros((3 + size, p + size))
     read[:3, :p], read[3:, p:] = final.jacobian, np.eye(size)
@@ -134,7 +136,7 @@ def solve_recorded(linear: LinearProblem, run: EkfRun) -> Marginal:
 
 def solve_own(linear: LinearProblem, run: EkfRun) -> Marginal:
     """F2's estimate of the last pose and all landmarks."""
-    return solve(linear, run.departed, run.estimate.landmark, run.estimate.oriented)
+    return solve(linear, run.departed, run.estimate.landmark, run.oriented_places)
 
 
 def run_smoother(
@@ -151,19 +153,25 @@ def run_smoother(
 def smoothed_estimate(
     result: SmootherResult, time_s: Array, landmark_id: NDArray[np.int64], association: str
 ) -> Estimate:
-    """The smoother's result with its marginals, at times (K,), for landmarks with ids (L,)."""
+    """The smoother's result with its marginals, at times (K,), for landmarks with ids (L,).
+
+    Of two landmarks with a direction that are one, the first stands for both.
+    """
     oriented = result.oriented()
+    kept = np.setdiff1d(np.arange(len(oriented)), result.problem.oriented.twins.second)
+    covariance, points = result.marginal().covariance, 3 + result.landmarks.size
+    rows = np.concatenate((np.arange(points), points + (3 * kept[:, None] + (0, 1, 2)).ravel()))
     return Estimate(
         time_s,
         result.poses,
         result.pose_covariances(),
         landmark_id,
         result.landmarks,
-        result.marginal().covariance,
+        covariance[np.ix_(rows, rows)] if len(rows) < len(covariance) else covariance,
         "fixed-lag" if result.lagged else "smoothed",
         {"estimator": f"graphslam, {result.options.method}", "association": association},
-        np.arange(len(oriented)),
-        oriented,
+        kept,
+        oriented[kept],
     )
 
 
