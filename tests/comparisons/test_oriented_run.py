@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from comparisons.checks.agreement import Agreement, Gaussian, compare
+from comparisons.compare import compare_estimators
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
 from comparisons.runs.ekf_build import EkfChoices
@@ -26,6 +27,7 @@ from comparisons.runs.smoother_run import (
 from comparisons.runs.timeline import build_timeline
 from ekf_reference.compressed_ekf import CompressedState, LocalAreas
 from ekf_reference.full_ekf import NEW, FullEkf
+from ekf_reference.kalman import Correction, Index, KalmanState
 from ekf_reference.observation import PredictedSightings
 from ekf_reference.scan_landmarks.observation import OrientedObservation
 from graphslam.smoother import SmootherOptions
@@ -120,21 +122,41 @@ class Flipped(OrientedObservation):
         return at._replace(jacobian_pose=at.jacobian_pose * (1.0, 1.0, -1.0))
 
 
-def test_a_flipped_jacobian_shows_as_a_model_gap() -> None:
+def test_a_flipped_jacobian_is_a_model_gap_and_named() -> None:
     def plant(ekf: FullEkf) -> None:
         ekf.oriented_observation = Flipped()
 
-    chosen = EkfChoices("full", "known").settle(log())
-    run = run_ekf(log(), build_timeline(log()), chosen, modify=plant, source=Frames())
-    recorded = solve_recorded(linear_recorded(run), run)
-    own = solve_own(linear_own(build_problem(log(), run), run), run)
-    sigma = np.sqrt(np.diag(own.covariance))
-    apart = [np.abs((a.mean - b.mean) / sigma).max() for a, b in (
-        (Gaussian(run.estimate.joint_mean, run.estimate.joint_covariance), recorded),
-        (recorded, own),
-    )]  # fmt: skip
-    assert apart[0] < 1e-6
-    assert apart[1] > 0.1
+    broken = compare_estimators(log(), EkfChoices("full", "known"), modify=plant, source=Frames)
+    causes = broken.verdict.causes
+    assert [cause.gap for cause in causes] == ["model"]
+    assert "the Jacobian by heading differs" in causes[0].evidence
+    assert "sightings of scan landmarks" in causes[0].evidence
+
+
+def test_the_whole_job_agrees() -> None:
+    """Compared, written and read: scan landmarks are in both estimates."""
+    found = compare_estimators(log(), EkfChoices("full", "known"), source=Frames)
+    assert found.verdict.outcome == "agree"
+    assert len(found.agreement.oriented) == len(found.smoothed.oriented) > 4
+
+
+class Half(KalmanState):
+    """Broken: the gain of a landmark with a direction is halved where the mean is concerned."""
+
+    def update(
+        self, columns: Index, jacobian: Array, innovation: Array, noise: Array
+    ) -> Correction:
+        share = 0.5 if len(jacobian) % 3 == 0 and len(jacobian) % 2 else 1.0
+        return super().update(columns, jacobian, share * innovation, noise)
+
+
+def test_broken_algebra_is_named() -> None:
+    def plant(ekf: FullEkf) -> None:
+        ekf.state = Half(log().prior.pose, np.array(log().prior.covariance))
+
+    broken = compare_estimators(log(), EkfChoices("full", "known"), modify=plant, source=Frames)
+    assert "algebra" in [cause.gap for cause in broken.verdict.causes]
+    assert "the update gets the mean wrong" in broken.verdict.causes[0].evidence
 
 
 def test_what_goes_by_the_ledger_is_told() -> None:
