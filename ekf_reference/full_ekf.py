@@ -2,31 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ekf_reference.absolute_updates import (
-    NO_LANDMARKS,
-    Fused,
-    Linearised,
-    PositionFixes,
-    Steps,
-)
+from ekf_reference.absolute_updates import NO_LANDMARKS, Linearised, PositionFixes, Steps
 from ekf_reference.association import Association, Slots
 from ekf_reference.filter_state import FilterState
-from ekf_reference.kalman import (
-    Array,
-    Index,
-    KalmanState,
-    block_diagonal,
-    diagonal_blocks,
-    stack,
-    unstack,
-)
+from ekf_reference.fusing import begin, fuse, fuse_sightings
+from ekf_reference.kalman import Array, KalmanState, stack
 from ekf_reference.layout import ORIENTED, POINT
 from ekf_reference.local_map import LocalMap
 from ekf_reference.motion import MotionModel
@@ -40,7 +26,6 @@ from ekf_reference.trace import (
     PositionUse,
     Prediction,
     Removal,
-    SightingUse,
     Trace,
 )
 
@@ -178,13 +163,13 @@ class FullEkf:
             def linearise() -> Linearised:
                 return self._linearise_oriented(known, z[old])
 
-            for use in self._uses(seen, known, linearise, r, ORIENTED):
+            for use in fuse_sightings(self.state, self.steps, linearise, r, seen, known):
                 self.trace.oriented_update(use)
         if len(new):
             reading = self.read_pose()
             begun = self.oriented_observation.invert(reading.pose, z[new])
             how = begun.jacobian_pose @ reading.jacobian, begun.jacobian_sighting, covariance[new]
-            use = self._begin(self._oriented_seen + new, slots[new], begun.point, *how)
+            use = begin(self.state, self._oriented_seen + new, slots[new], begun.point, *how)
             self.trace.oriented_augmentation(use)
         self._oriented_seen += len(slots)
         return slots
@@ -209,7 +194,7 @@ class FullEkf:
             jacobian = np.hstack((by_pose, at.jacobian_pose[0], at.jacobian_landmark[0]))
             return Linearised(local, jacobian, innovation)
 
-        for weight, at, _ in self._fuse(self.steps, linearise, covariance):
+        for weight, at, _ in fuse(self.state, self.steps, linearise, covariance):
             places, by_both = at.local.landmark, at.jacobian[:, -6:].reshape(3, 2, 3)
             self.trace.fusion(
                 FusionUse(
@@ -253,7 +238,7 @@ class FullEkf:
         own = np.broadcast_to(np.eye(2), (count, 2, 2))
         nobody = np.full(count, -1)
         self.trace.augmentation(
-            self._begin(nobody, slots, point, apart, own, covariance, weight=0.0)
+            begin(self.state, nobody, slots, point, apart, own, covariance, weight=0.0)
         )
 
     def fix_position(self, z: Array, covariance: Array) -> bool:
@@ -265,20 +250,12 @@ class FullEkf:
 
         if not self.fixes.accepts(linearise(), covariance):
             return False
-        for weight, at, done in self._fuse(self.fixes.steps, linearise, covariance):
+        for weight, at, done in fuse(self.state, self.fixes.steps, linearise, covariance):
             noise, pose, spread = covariance / weight, at.local.pose, done.spread
             self.trace.position(
                 PositionUse(number, pose, at.innovation, at.jacobian, noise, spread, weight)
             )
         return True
-
-    def _fuse(
-        self, steps: Steps, linearise: Callable[[], Linearised], noise: Array
-    ) -> Iterator[Fused]:
-        """Fuse an observation in as many parts as the steps ask for; yields each once it is."""
-        for weight, at in steps.split(linearise, noise):
-            done = self.state.update(at.local.columns, at.jacobian, at.innovation, noise / weight)
-            yield Fused(weight, at, done)
 
     def _update(self, chosen: NDArray[np.bool_], slots: Slots, z: Array, noise: Array) -> None:
         rows = np.flatnonzero(chosen)
@@ -289,31 +266,9 @@ class FullEkf:
         def linearise() -> Linearised:
             return self._linearise(slot, z[rows])
 
-        for use in self._uses(self._sightings_seen + rows, slot, linearise, noise[rows], POINT):
+        what = noise[rows], self._sightings_seen + rows, slot
+        for use in fuse_sightings(self.state, self.steps, linearise, *what):
             self.trace.update(use)
-
-    def _uses(
-        self,
-        sighting: Index,
-        slot: Slots,
-        linearise: Callable[[], Linearised],
-        noise: Array,
-        width: int,
-    ) -> Iterator[SightingUse]:
-        """Fuse sightings of one kind of landmarks; yields how, part by part."""
-        for weight, at, done in self._fuse(self.steps, linearise, block_diagonal(noise)):
-            yield SightingUse(
-                sighting,
-                slot,
-                at.local.pose,
-                at.local.landmark,
-                at.innovation.reshape(-1, width),
-                *unstack(at.jacobian, width),
-                noise / weight,
-                diagonal_blocks(done.spread, width),
-                done.whitened.reshape(-1, width),
-                weight,
-            )
 
     def _linearise(self, slot: Slots, z: Array) -> Linearised:
         local = self.state.map_of(slot)
@@ -341,23 +296,6 @@ class FullEkf:
             spread = self.boundless_variance * by_sighting
         seen = self._sightings_seen + rows
         how = by_pose, by_sighting, spread
-        self.trace.augmentation(self._begin(seen, slots[rows], new.point, *how, weight))
+        self.trace.augmentation(begin(self.state, seen, slots[rows], new.point, *how, weight))
         if self.boundless_variance is not None:
             self._update(chosen, slots, z, noise)
-
-    def _begin(
-        self,
-        sighting: Index,
-        slot: Slots,
-        point: Array,
-        by_pose: Array,
-        by_sighting: Array,
-        noise: Array,
-        weight: float = 1.0,
-    ) -> SightingUse:
-        """Append landmarks to the state; returns how."""
-        pose, nothing = self.state.pose, np.zeros(point.shape)
-        surprise = np.zeros((*point.shape, point.shape[1])), nothing
-        how = by_pose, by_sighting, noise
-        self.state.augment(point, *how)
-        return SightingUse(sighting, slot, pose, point, nothing, *how, *surprise, weight)
