@@ -31,6 +31,7 @@ from comparisons.runs.ekf_build import EkfChoices, fused_positions, judging_posi
 from comparisons.runs.ekf_run import EkfRun, run_ekf
 from comparisons.runs.estimate import Array, Estimate
 from comparisons.runs.known_landmarks import join_known_sightings
+from comparisons.runs.oriented_sightings import NoOrientedSource, OrientedSource
 from comparisons.runs.own_association import associate_own
 from comparisons.runs.scan_log import BEYOND, with_scan_motion
 from comparisons.runs.scan_motion import ScanMotion, run_scan_odometry
@@ -102,12 +103,14 @@ def compare_estimators(
     smoother_association: str = "ekf",
     motion: str = "wheel",
     dense: DenseOptions | None = None,
+    source: Callable[[], OrientedSource] = NoOrientedSource,
 ) -> Comparison:
     """Run both estimators over a log and judge them.
 
     choices: filter and association; what is left open is chosen by the log. options: of the
     smoother. modify: see run_ekf. smoother_association: `ekf`, or `own` to solve for a second time
     with the smoother's own. motion: of MOTIONS. dense: a dense map to keep and compare, if any.
+    source: makes someone who sees landmarks with a direction, anew for every run of the filter.
     Raises InputError when the log cannot be used, and graphslam.marginals.SingularProblemError
     when the smoother has no solution.
     """
@@ -134,7 +137,14 @@ def compare_estimators(
     watcher = None if dense is None else DenseWatcher(log, dense)
     with clock.stage("ekf"):
         run = run_ekf(
-            log, timeline, chosen, positions, lambda k, n: progress("EKF", k, n), modify, watcher
+            log,
+            timeline,
+            chosen,
+            positions,
+            lambda k, n: progress("EKF", k, n),
+            modify,
+            watcher,
+            source(),
         )
     if not len(run.estimate.landmark):
         raise InputError(f"{log.name}: no sighting could be used, so there is no map to compare")
@@ -171,7 +181,10 @@ def compare_estimators(
     with clock.stage("checks"):
         progress("checks", 0, 0)
         agreement = compare(
-            _gaussian(run.estimate), Gaussian(*recorded), Gaussian(*own), _gaussian(smoothed)
+            _gaussian(run.estimate),
+            Gaussian(*recorded, len(run.estimate.oriented)),
+            Gaussian(*own, len(run.estimate.oriented)),
+            _gaussian(smoothed),
         )
         labelled = chosen.association == "known"
         consistency = check_consistency(
@@ -183,7 +196,7 @@ def compare_estimators(
             result.proof,
             run,
             lambda: model_differences(said, meant, ROUNDING, begun),
-            operations=lambda: _repeated(log, timeline, run, chosen, modify),
+            operations=lambda: _repeated(log, timeline, run, chosen, modify, source),
             explanations=lambda: explain(log, run),
             misuses=misuses(log, run, smoothed, labelled=labelled),
             conservative=chosen.conservative,
@@ -192,10 +205,7 @@ def compare_estimators(
             three_way=three,
             dense=compared,
             growth=lambda: linearisation_growth(
-                meant,
-                linear_optimum(problem, run, smoothed.pose, smoothed.landmark),
-                smoothed.pose,
-                smoothed.landmark,
+                meant, linear_optimum(problem, run, smoothed), smoothed
             ),
             dropouts=find_dropouts(run, smoothed),
             sensors=consistency.sensors,
@@ -239,6 +249,7 @@ def _repeated(
     run: EkfRun,
     choices: EkfChoices,
     modify: Callable[[FullEkf], None],
+    source: Callable[[], OrientedSource],
 ) -> tuple[AlgebraDifference, ...]:
     """The filter once more, with every operation repeated on a sound copy of its state."""
     watched: list[WatchedState | None] = []
@@ -247,7 +258,7 @@ def _repeated(
         modify(ekf)
         watched.append(watch(ekf, ROUNDING, run.trace.prior_pose, run.trace.prior_covariance))
 
-    run_ekf(log, timeline, choices, run.positions, modify=also)
+    run_ekf(log, timeline, choices, run.positions, modify=also, source=source())
     return watched[0].differences() if watched[0] is not None else ()
 
 
@@ -329,7 +340,7 @@ def _with_scans(
 
 
 def _gaussian(estimate: Estimate) -> Gaussian:
-    return Gaussian(estimate.joint_mean, estimate.joint_covariance)
+    return Gaussian(estimate.joint_mean, estimate.joint_covariance, len(estimate.oriented))
 
 
 class _Clock:

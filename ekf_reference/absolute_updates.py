@@ -14,7 +14,8 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from ekf_reference.kalman import Array, Correction, Index, LocalMap
+from ekf_reference.kalman import Array, Correction, Index
+from ekf_reference.local_map import LocalMap
 
 _WEAKEST = 2.0**-40
 

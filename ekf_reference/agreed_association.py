@@ -22,7 +22,7 @@ from ekf_reference.association import (
     surroundings,
 )
 from ekf_reference.joint_compatibility import pair_covariance
-from ekf_reference.kalman import LocalMap
+from ekf_reference.local_map import LocalMap
 from ekf_reference.observation import Observation
 from ekf_reference.sightings import Sightings
 

@@ -20,7 +20,8 @@ from ekf_reference.attributes import (
     Attributes,
     same_tail,
 )
-from ekf_reference.kalman import LocalMap
+from ekf_reference.layout import Layout
+from ekf_reference.local_map import LocalMap
 from ekf_reference.observation import Observation
 from ekf_reference.sightings import Sightings
 
@@ -44,8 +45,13 @@ class MappedState(Protocol):
     """What association asks of a filter's state."""
 
     @property
+    def layout(self) -> Layout:
+        """Where pose and landmarks lie."""
+        ...
+
+    @property
     def landmark_count(self) -> int:
-        """Number of landmarks in the map."""
+        """Number of points that were ever in the map: the next one's slot."""
         ...
 
     @property
@@ -170,8 +176,12 @@ class SurveyedLandmarks:
 def reject_beyond(
     gate: float, slots: Slots, state: MappedState, observation: Observation, sightings: Sightings
 ) -> Slots:
-    """The slots, REJECTED where a mapped landmark's nis exceeds the gate."""
+    """The slots, REJECTED where a landmark was removed or its nis exceeds the gate."""
     mapped = np.flatnonzero((slots >= 0) & (slots < state.landmark_count))
+    gone = state.layout.point[slots[mapped]] < 0
+    if gone.any():
+        slots = slots.copy()
+        slots[mapped[gone]], mapped = REJECTED, mapped[~gone]
     if np.isfinite(gate) and len(mapped):
         local = state.map_of(slots[mapped])
         nis = normalised_distances(local, observation, sightings.take(mapped)).nis

@@ -15,15 +15,9 @@ import numpy as np
 
 from ekf_reference.association import Association
 from ekf_reference.full_ekf import FullEkf, Stabilisation
-from ekf_reference.kalman import (
-    Array,
-    Correction,
-    Glance,
-    Index,
-    KalmanState,
-    LocalMap,
-    state_columns,
-)
+from ekf_reference.kalman import Array, Correction, Index, KalmanState
+from ekf_reference.layout import ABSENT, ORIENTED, POINT, Layout
+from ekf_reference.local_map import Glance, LocalMap
 from ekf_reference.motion import MotionModel
 from ekf_reference.trace import Trace
 
@@ -68,11 +62,15 @@ class CompressedState:
         self.areas = areas
         self.updates: list[GlobalUpdate] = []
         self._whole = KalmanState(pose, covariance)
+        self._layout = self._whole.layout  # with the landmarks that are only in the local state
         self._local: KalmanState
-        self._slots: Index  # active landmarks, ascending
-        self._place: Index  # of every landmark among the active ones, -1 if passive
+        self._slots: dict[int, Index]  # active landmarks of each kind, ascending
+        self._place: dict[int, Index]  # of every landmark among those, ABSENT if passive
+        self._entry: Index  # of every state entry in the local state, ABSENT if passive
         self._phi: Array
-        self._activate(np.zeros(0, dtype=np.intp), pose[:2], areas.half_m + areas.reach_m)
+        nothing = np.zeros(0, dtype=np.intp)
+        extent = areas.half_m + areas.reach_m
+        self._activate({POINT: nothing, ORIENTED: nothing}, pose[:2], extent)
 
     @property
     def pose(self) -> Array:
@@ -85,9 +83,14 @@ class CompressedState:
         return self._local.pose_covariance
 
     @property
+    def layout(self) -> Layout:
+        """Where pose and landmarks lie, active and passive."""
+        return self._layout
+
+    @property
     def landmark_count(self) -> int:
-        """Number of landmarks, active and passive."""
-        return self._whole.landmark_count + self._local.landmark_count - self._started
+        """Number of points that were ever in the state, active and passive."""
+        return len(self._layout.point)
 
     @property
     def mean(self) -> Array:
@@ -103,31 +106,43 @@ class CompressedState:
 
     @property
     def landmarks(self) -> Array:
-        """(L, 2) positions, passive ones included."""
+        """(L, 2) positions of points, passive ones included."""
         self._bring_up_to_date()
         return self._whole.landmarks
+
+    @property
+    def oriented(self) -> Array:
+        """(Q, 3) landmarks with a direction, passive ones included."""
+        self._bring_up_to_date()
+        return self._whole.oriented
 
     def glance(self) -> Glance:
         """The active part as it is, passive landmarks as the last global update left them.
 
         `landmarks` would bring the passive part up to date, which changes later rounding.
         """
-        landmark = np.concatenate((self._whole.landmarks, self._local.landmarks[self._started :]))
-        landmark[self._slots] = self._local.landmarks
-        return Glance(landmark, self._slots, self._local.covariance)
+        active, local = self._slots[POINT], self._local.glance()
+        before = len(self._whole.layout.point)
+        new = local.landmark[len(active) - (self.landmark_count - before) :]
+        landmark = np.concatenate((self._whole.landmarks, new))
+        landmark[active] = local.landmark
+        return Glance(landmark, active, local.covariance)
 
     def local_map(self, reach_m: float) -> LocalMap:
         """The landmarks within reach of the vehicle; enters a new area when they lie beyond it."""
         if self._offset() + reach_m > self._extent:
             self._enter(reach_m)
         found = self._local.local_map(reach_m)
-        return LocalMap(found.pose, self._slots[found.slot], found.landmark, found.covariance)
+        slot = self._slots[POINT][found.slot]
+        columns = self._layout.columns(slot)
+        return LocalMap(found.pose, slot, found.landmark, found.covariance, columns)
 
-    def map_of(self, slot: Index) -> LocalMap:
-        """Some landmarks, made active if they are not."""
-        place = self._local_slots(slot)  # may replace the local state
-        found = self._local.map_of(place)
-        return LocalMap(found.pose, slot, found.landmark, found.covariance)
+    def map_of(self, slot: Index, width: int = POINT) -> LocalMap:
+        """Some landmarks of a kind, made active if they are not. Raises ValueError if removed."""
+        columns = self._layout.columns(slot, width)
+        self._local_entries(columns)  # may replace the local state
+        found = self._local.map_of(self._place[width][slot], width)
+        return LocalMap(found.pose, slot, found.landmark, found.covariance, columns)
 
     def predict(self, pose: Array, jacobian_pose: Array, noise: Array) -> None:
         """Move the vehicle: phi <- F phi. Beyond the area's edge the next area begins."""
@@ -141,9 +156,7 @@ class CompressedState:
         self, columns: Index, jacobian: Array, innovation: Array, noise: Array
     ) -> Correction:
         """Fuse in the active states; psi, theta and phi take note, in this order."""
-        local = columns.copy()
-        slots = self._local_slots((columns[3::2] - 3) // 2)
-        local[3::2], local[4::2] = 3 + 2 * slots, 4 + 2 * slots
+        local = self._local_entries(columns)
         done = self._local.update(local, jacobian, innovation, noise)
         seen = done.inverse_root @ (jacobian @ self._phi[local])  # L^-1 H phi
         self._psi += seen.T @ seen
@@ -156,46 +169,70 @@ class CompressedState:
         self, point: Array, jacobian_pose: Array, jacobian_sighting: Array, noise: Array
     ) -> None:
         """Add landmarks inside the area: rows G_x phi_v."""
-        first = self.landmark_count
+        count, width = point.shape
+        slots, place = self._slots[width], self._place[width]
+        entries = self._local.layout.size + np.arange(point.size)
         self._local.augment(point, jacobian_pose, jacobian_sighting, noise)
         self._phi = np.vstack((self._phi, jacobian_pose.reshape(-1, 3) @ self._phi[:3]))
-        added = first + np.arange(len(point))
-        self._place = np.concatenate((self._place, len(self._slots) + np.arange(len(point))))
-        self._slots = np.concatenate((self._slots, added))
+        self._layout = self._layout.appended(count, width)
+        self._entry = np.concatenate((self._entry, entries))
+        self._place[width] = np.concatenate((place, len(slots) + np.arange(count)))
+        self._slots[width] = np.concatenate((slots, len(place) + np.arange(count)))
         self._fresh = False
+
+    def remove(self, slot: Index, width: int = POINT) -> None:
+        """Marginalise landmarks of a kind out, after a global update; the area stays.
+
+        Raises ValueError for landmarks that were removed before.
+        """
+        self._bring_up_to_date()
+        self._whole.remove(slot, width)
+        self._slots[width] = np.setdiff1d(self._slots[width], slot)
+        self._activate(self._slots, self._centre, self._extent)
 
     def leave(self) -> None:
         """Leave the area now: a global update, and a new area around the vehicle."""
         self._enter(self.areas.reach_m)
 
-    def _local_slots(self, slot: Index) -> Index:
-        """Places in the local map; passive landmarks are made active first."""
-        if self._place[slot].min(initial=0) < 0:
-            self._enter(self._extent - self.areas.half_m, slot)
-        return self._place[slot]
+    def _local_entries(self, columns: Index) -> Index:
+        """Entries in the local state; passive landmarks are made active first."""
+        if self._entry[columns].min(initial=0) < 0:
+            self._enter(self._extent - self.areas.half_m, columns)
+        return self._entry[columns]
 
     def _offset(self) -> float:
         """Distance from the area's centre, east-west or north-south, whichever is more."""
         return float(np.abs(self._local.pose[:2] - self._centre).max())
 
     def _enter(self, reach_m: float, wanted: Index | None = None) -> None:
-        """Leave the area and centre the next one on the vehicle; `wanted` become active, too."""
+        """Leave the area and centre the next one on the vehicle.
+
+        wanted: (c,) state entries whose landmarks become active wherever they are.
+        """
         self._bring_up_to_date()
         extent = self.areas.half_m + max(reach_m, self.areas.reach_m)
-        centre = self._whole.pose[:2]
-        near = np.abs(self._whole.landmarks - centre).max(axis=1, initial=0.0) <= extent
-        if wanted is not None:
-            near[wanted] = True
-        self._activate(np.flatnonzero(near), centre, extent)
+        centre, active = self._whole.pose[:2], {}
+        for width, place in ((POINT, self._whole.landmarks), (ORIENTED, self._whole.oriented)):
+            near = np.abs(place[:, :2] - centre).max(axis=1, initial=0.0) <= extent
+            if wanted is not None:
+                near[self._layout.slots_in(wanted, width)] = True
+            active[width] = np.flatnonzero(near)
+        self._activate(active, centre, extent)
 
-    def _activate(self, slots: Index, centre: Array, extent: float) -> None:
+    def _activate(self, slots: dict[int, Index], centre: Array, extent: float) -> None:
         self._slots, self._centre, self._extent = slots, centre, extent
-        self._started = len(slots)
-        self._place = np.full(self._whole.landmark_count, -1)
-        self._place[slots] = np.arange(len(slots))
-        self._columns = state_columns(slots)
+        self._layout, self._place = self._whole.layout, {}
+        for width, active in slots.items():
+            self._place[width] = np.full(len(self._layout.first(width)), ABSENT)
+            self._place[width][active] = np.arange(len(active))
+        self._columns = self._layout.columns(slots[POINT])
+        if len(slots[ORIENTED]):
+            oriented = self._layout.columns(slots[ORIENTED], ORIENTED)
+            self._columns = np.union1d(self._columns, oriented)
         self._local = self._whole.part(self._columns)
         size = len(self._columns)
+        self._entry = np.full(self._layout.size, ABSENT)
+        self._entry[self._columns] = np.arange(size)
         self._phi, self._psi, self._theta = np.eye(size), np.zeros((size, size)), np.zeros(size)
         self._fresh = True
 

@@ -22,9 +22,11 @@ from ekf_reference.kalman import Array, Correction, FilterDivergedError, Index, 
 from ekf_reference.motion import MotionModel
 from ekf_reference.trace import (
     Beginning,
+    FusionUse,
     NullTrace,
     PositionUse,
     Prediction,
+    Removal,
     SightingUse,
     Trace,
 )
@@ -177,6 +179,22 @@ class HeadingTrace:
         """H along the circle."""
         jacobian = use.jacobian_pose @ along_circle(use.pose)
         self._trace.position(use._replace(pose=self._pose(use.pose), jacobian_pose=jacobian))
+
+    def oriented_update(self, use: SightingUse) -> None:
+        """H along the circle."""
+        self._trace.oriented_update(self._sightings(use))
+
+    def oriented_augmentation(self, use: SightingUse) -> None:
+        """G_x along the circle."""
+        self._trace.oriented_augmentation(self._sightings(use))
+
+    def fusion(self, use: FusionUse) -> None:
+        """Pass on: the pose has no part in it."""
+        self._trace.fusion(use)
+
+    def removal(self, gone: Removal) -> None:
+        """Pass on, the pose having one entry less."""
+        self._trace.removal(gone._replace(entries=gone.entries - 1))
 
     def _sightings(self, use: SightingUse) -> SightingUse:
         jacobian = use.jacobian_pose @ along_circle(use.pose)

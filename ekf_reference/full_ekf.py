@@ -2,36 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ekf_reference.absolute_updates import (
-    NO_LANDMARKS,
-    Fused,
-    Linearised,
-    PositionFixes,
-    Steps,
-)
-from ekf_reference.association import Association, MappedState, Slots
-from ekf_reference.kalman import (
-    Array,
-    Correction,
-    Glance,
-    Index,
-    KalmanState,
-    block_diagonal,
-    diagonal_blocks,
-    stack,
-    unstack,
-)
+from ekf_reference.absolute_updates import NO_LANDMARKS, Linearised, PositionFixes, Steps
+from ekf_reference.association import Association, Slots
+from ekf_reference.filter_state import FilterState
+from ekf_reference.fusing import begin, fuse, fuse_sightings
+from ekf_reference.kalman import Array, KalmanState, stack
+from ekf_reference.layout import ORIENTED, POINT
+from ekf_reference.local_map import LocalMap
 from ekf_reference.motion import MotionModel
 from ekf_reference.observation import Observation, RangeBearing
+from ekf_reference.scan_landmarks.observation import OrientedObservation
 from ekf_reference.sightings import NOTHING_SIGHTED, SightedAttributes, Sightings
-from ekf_reference.trace import Beginning, NullTrace, PositionUse, Prediction, SightingUse, Trace
+from ekf_reference.trace import (
+    Beginning,
+    FusionUse,
+    NullTrace,
+    PositionUse,
+    Prediction,
+    Removal,
+    Trace,
+)
+
+NEW = -1
+"""The slot of a sighting of a landmark with a direction that is not in the map yet."""
 
 
 class StepNoise(Protocol):
@@ -70,55 +69,6 @@ class PoseReading(NamedTuple):
     jacobian: Array
 
 
-class FilterState(MappedState, Protocol):
-    """What the filter's steps ask of a state; KalmanState is one."""
-
-    @property
-    def mean(self) -> Array:
-        """(n,) pose, then landmarks."""
-        ...
-
-    @property
-    def covariance(self) -> Array:
-        """(n, n)."""
-        ...
-
-    @property
-    def pose(self) -> Array:
-        """(p,) x, y and the direction."""
-        ...
-
-    @property
-    def pose_covariance(self) -> Array:
-        """(p, p)."""
-        ...
-
-    @property
-    def landmarks(self) -> Array:
-        """(L, 2)."""
-        ...
-
-    def glance(self) -> Glance:
-        """All there is, without moving anything."""
-        ...
-
-    def predict(self, pose: Array, jacobian_pose: Array, noise: Array) -> None:
-        """Move the vehicle."""
-        ...
-
-    def update(
-        self, columns: Index, jacobian: Array, innovation: Array, noise: Array
-    ) -> Correction:
-        """Fuse one stacked observation."""
-        ...
-
-    def augment(
-        self, point: Array, jacobian_pose: Array, jacobian_sighting: Array, noise: Array
-    ) -> None:
-        """Append landmarks."""
-        ...
-
-
 class FullEkf:
     """Predict, associate, update, augment. Public attributes are its parts; all can be replaced.
 
@@ -140,6 +90,7 @@ class FullEkf:
         self.motion = motion
         self.association = association
         self.observation: Observation = RangeBearing()
+        self.oriented_observation = OrientedObservation()
         self.steps = Steps()
         self.fixes = PositionFixes()
         self.boundless_variance: float | None = None
@@ -147,7 +98,9 @@ class FullEkf:
         self.trace: Trace = trace or NullTrace()
         self.state: FilterState = KalmanState(prior_pose, prior_covariance)
         self._sightings_seen = 0
+        self._oriented_seen = 0
         self._fixes_seen = 0
+        self._fusions_made = 0
         self.trace.prior(Beginning(prior_pose, prior_covariance))
 
     def read_pose(self) -> PoseReading:
@@ -197,6 +150,86 @@ class FullEkf:
         self._sightings_seen += len(slots)
         return slots
 
+    def observe_oriented(self, z: Array, covariance: Array, slot: Slots) -> Slots:
+        """Fuse the sightings of landmarks with a direction at one instant; returns their slots.
+
+        z: (m, 3) x, y, heading in the vehicle's frame. covariance: (m, 3, 3) of what is added to
+        these. slot: (m,) which landmarks they are, or NEW; new ones are added after the update,
+        at the updated pose (Nieto 2005, eqs. 2.51 to 2.53). Raises ValueError for a slot that is
+        not in the map.
+        """
+        mapped, old = len(self.state.layout.oriented), np.flatnonzero(slot != NEW)
+        if ((slot[old] < 0) | (slot[old] >= mapped)).any():
+            raise ValueError(f"slots {slot.tolist()}, expected {NEW} or less than {mapped}")
+        new, slots = np.flatnonzero(slot == NEW), slot.copy()
+        slots[new] = mapped + np.arange(len(new))
+        if len(old):
+            r, seen, known = covariance[old], self._oriented_seen + old, slots[old]
+
+            def linearise() -> Linearised:
+                return self._linearise_oriented(known, z[old])
+
+            for use in fuse_sightings(self.state, self.steps, linearise, r, seen, known):
+                self.trace.oriented_update(use)
+        if len(new):
+            reading = self.read_pose()
+            begun = self.oriented_observation.invert(reading.pose, z[new])
+            how = begun.jacobian_pose @ reading.jacobian, begun.jacobian_sighting, covariance[new]
+            use = begin(self.state, self._oriented_seen + new, slots[new], begun.point, *how)
+            self.trace.oriented_augmentation(use)
+        self._oriented_seen += len(slots)
+        return slots
+
+    def fuse_oriented(self, first: int, second: int, z: Array, covariance: Array) -> LocalMap:
+        """Fuse two landmarks with a direction that are one (Nieto 2005, section 5.2.3).
+
+        z: (3,) where the second's frame is in the first's, such as the alignment of their
+        templates says, with covariance (3, 3); zero with little covariance makes them equal. The
+        second is removed. Returns the two as they were before that, to move what the second's
+        frame holds (scan_landmarks.frames). Raises ValueError for one landmark, or one removed.
+        """
+        if first == second:
+            raise ValueError(f"landmark {first} is one already")
+        both = np.array((first, second), dtype=np.intp)
+
+        def linearise() -> Linearised:
+            local = self.state.map_of(both, ORIENTED)
+            at = self.oriented_observation.predict(local.landmark[0], local.landmark[1:])
+            innovation = self.oriented_observation.innovation(z, at.z[0])
+            by_pose = np.zeros((3, len(local.pose)))
+            jacobian = np.hstack((by_pose, at.jacobian_pose[0], at.jacobian_landmark[0]))
+            return Linearised(local, jacobian, innovation)
+
+        for weight, at, _ in fuse(self.state, self.steps, linearise, covariance):
+            places, by_both = at.local.landmark, at.jacobian[:, -6:].reshape(3, 2, 3)
+            self.trace.fusion(
+                FusionUse(
+                    self._fusions_made,
+                    first,
+                    second,
+                    places[0],
+                    places[1],
+                    at.innovation,
+                    by_both[:, 0],
+                    by_both[:, 1],
+                    covariance / weight,
+                    weight,
+                )
+            )
+        self._fusions_made += 1
+        known = self.state.map_of(both, ORIENTED)
+        self.remove(both[1:], ORIENTED)
+        return known
+
+    def remove(self, slot: Slots, width: int = POINT) -> None:
+        """Marginalise landmarks (m,) of a kind out of the state, such as ones that may move.
+
+        Raises ValueError for landmarks that were removed before.
+        """
+        entries = self.state.layout.columns(slot, width)[len(self.state.pose) :]
+        self.state.remove(slot, width)
+        self.trace.removal(Removal(slot, width, entries))
+
     def insert_surveyed(self, point: Array, covariance: Array) -> None:
         """Put landmarks of known position (k, 2) and covariance (k, 2, 2) into the map.
 
@@ -209,7 +242,10 @@ class FullEkf:
         slots = self.state.landmark_count + np.arange(count)
         apart = np.zeros((count, 2, len(self.state.pose)))
         own = np.broadcast_to(np.eye(2), (count, 2, 2))
-        self._begin(np.full(count, -1), slots, point, apart, own, covariance, weight=0.0)
+        nobody = np.full(count, -1)
+        self.trace.augmentation(
+            begin(self.state, nobody, slots, point, apart, own, covariance, weight=0.0)
+        )
 
     def fix_position(self, z: Array, covariance: Array) -> bool:
         """Fuse an absolute position (2,) with covariance (2, 2); False when the gate rejects it."""
@@ -220,45 +256,25 @@ class FullEkf:
 
         if not self.fixes.accepts(linearise(), covariance):
             return False
-        for weight, at, done in self._fuse(self.fixes.steps, linearise, covariance):
+        for weight, at, done in fuse(self.state, self.fixes.steps, linearise, covariance):
             noise, pose, spread = covariance / weight, at.local.pose, done.spread
             self.trace.position(
                 PositionUse(number, pose, at.innovation, at.jacobian, noise, spread, weight)
             )
         return True
 
-    def _fuse(
-        self, steps: Steps, linearise: Callable[[], Linearised], noise: Array
-    ) -> Iterator[Fused]:
-        """Fuse an observation in as many parts as the steps ask for; yields each once it is."""
-        for weight, at in steps.split(linearise, noise):
-            done = self.state.update(at.local.columns, at.jacobian, at.innovation, noise / weight)
-            yield Fused(weight, at, done)
-
     def _update(self, chosen: NDArray[np.bool_], slots: Slots, z: Array, noise: Array) -> None:
         rows = np.flatnonzero(chosen)
         if not len(rows):
             return
-        slot, r = slots[rows], noise[rows]
+        slot = slots[rows]
 
         def linearise() -> Linearised:
             return self._linearise(slot, z[rows])
 
-        for weight, at, done in self._fuse(self.steps, linearise, block_diagonal(r)):
-            self.trace.update(
-                SightingUse(
-                    self._sightings_seen + rows,
-                    slot,
-                    at.local.pose,
-                    at.local.landmark,
-                    at.innovation.reshape(-1, 2),
-                    *unstack(at.jacobian),
-                    r / weight,
-                    diagonal_blocks(done.spread),
-                    done.whitened.reshape(-1, 2),
-                    weight,
-                )
-            )
+        what = noise[rows], self._sightings_seen + rows, slot
+        for use in fuse_sightings(self.state, self.steps, linearise, *what):
+            self.trace.update(use)
 
     def _linearise(self, slot: Slots, z: Array) -> Linearised:
         local = self.state.map_of(slot)
@@ -266,6 +282,13 @@ class FullEkf:
         innovation = self.observation.innovation(z, predicted.z)
         jacobian = stack(predicted.jacobian_pose, predicted.jacobian_landmark)
         return Linearised(local, jacobian, innovation.ravel())
+
+    def _linearise_oriented(self, slot: Slots, z: Array) -> Linearised:
+        local, reading = self.state.map_of(slot, ORIENTED), self.read_pose()
+        predicted = self.oriented_observation.predict(reading.pose, local.landmark)
+        innovation = self.oriented_observation.innovation(z, predicted.z)
+        by_pose = predicted.jacobian_pose @ reading.jacobian
+        return Linearised(local, stack(by_pose, predicted.jacobian_landmark), innovation.ravel())
 
     def _augment(self, chosen: NDArray[np.bool_], slots: Slots, z: Array, noise: Array) -> None:
         rows = np.flatnonzero(chosen)
@@ -278,25 +301,7 @@ class FullEkf:
             by_sighting = np.broadcast_to(np.eye(2), by_sighting.shape)
             spread = self.boundless_variance * by_sighting
         seen = self._sightings_seen + rows
-        self._begin(seen, slots[rows], new.point, by_pose, by_sighting, spread, weight)
+        how = by_pose, by_sighting, spread
+        self.trace.augmentation(begin(self.state, seen, slots[rows], new.point, *how, weight))
         if self.boundless_variance is not None:
             self._update(chosen, slots, z, noise)
-
-    def _begin(
-        self,
-        sighting: Index,
-        slot: Slots,
-        point: Array,
-        by_pose: Array,
-        by_sighting: Array,
-        noise: Array,
-        weight: float,
-    ) -> None:
-        """Append landmarks to the state and note how."""
-        pose, nothing = self.state.pose, np.zeros((len(slot), 2))
-        surprise = np.zeros((len(slot), 2, 2)), nothing
-        how = by_pose, by_sighting, noise
-        self.state.augment(point, *how)
-        self.trace.augmentation(
-            SightingUse(sighting, slot, pose, point, nothing, *how, *surprise, weight)
-        )

@@ -23,7 +23,8 @@ from ekf_reference.association import (
     surroundings,
 )
 from ekf_reference.attributes import NO_ATTRIBUTES, Attributes, same_tail
-from ekf_reference.kalman import LocalMap, block_diagonal, stack, state_columns
+from ekf_reference.kalman import block_diagonal, stack, state_columns
+from ekf_reference.local_map import LocalMap
 from ekf_reference.observation import Observation
 from ekf_reference.sightings import Sightings
 

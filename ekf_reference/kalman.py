@@ -2,68 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ekf_reference.layout import ORIENTED, POINT, Layout
+from ekf_reference.local_map import Glance, LocalMap
+
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
-
-
-@dataclass(frozen=True)
-class LocalMap:
-    """The landmarks that may be seen from here, as association needs them.
-
-    pose: (p,). slot: (L,) places in the map. landmark: (L, 2). covariance: (p + 2 L, p + 2 L) of
-    the pose and these landmarks.
-    """
-
-    pose: Array
-    slot: Index
-    landmark: Array
-    covariance: Array
-
-    @property
-    def columns(self) -> Index:
-        """(p + 2 L,) state entries of the pose and these landmarks."""
-        return state_columns(self.slot, len(self.pose))
-
-    @property
-    def vehicle(self) -> Array:
-        """(p, p) P_vv."""
-        p = len(self.pose)
-        return self.covariance[:p, :p]
-
-    @property
-    def cross(self) -> Array:
-        """(L, p, 2) P_vl of each landmark."""
-        p = len(self.pose)
-        return self.covariance[:p, p:].reshape(p, len(self.slot), 2).transpose(1, 0, 2)
-
-    @property
-    def own(self) -> Array:
-        """(L, 2, 2) P_ll of each landmark."""
-        p = len(self.pose)
-        diagonal, above = self.covariance.diagonal(), self.covariance.diagonal(1)
-        own = np.empty((len(self.slot), 2, 2))
-        own[:, 0, 0] = diagonal[p::2]
-        own[:, 1, 1] = diagonal[p + 1 :: 2]
-        own[:, 0, 1] = own[:, 1, 0] = above[p::2]
-        return own
-
-
-class Glance(NamedTuple):
-    """A state as it lies, read without moving anything: what dense maps are placed by.
-
-    landmark: (L, 2) all of them. slot: (m,) those whose covariance is current. covariance:
-    (p + 2 m, p + 2 m) of the pose and these. Read-only; it changes with the next write.
-    """
-
-    landmark: Array
-    slot: Index
-    covariance: Array
 
 
 class Correction(NamedTuple):
@@ -84,18 +32,32 @@ class FilterDivergedError(ArithmeticError):
 
 
 class KalmanState:
-    """Mean and covariance of the pose (p entries), then of the landmarks (x, y each).
+    """Mean and covariance of the pose (p entries), then of the landmarks as they came.
 
-    The pose is x, y, heading, or x, y, cosine, sine. The arrays handed out are read-only views;
-    they change with the next write. The heading is unwrapped, the covariance is of the additive
+    The pose is x, y, heading, or x, y, cosine, sine. Landmarks are points (x, y) or have a
+    direction (x, y, heading); `layout` says what lies where. The arrays handed out are read-only;
+    views change with the next write. Headings are unwrapped, the covariance is of the additive
     global error.
     """
 
     def __init__(self, pose: Array, covariance: Array) -> None:
         """pose: (p,). covariance: (p, p), symmetric positive definite."""
-        self._pose_size = self._size = len(pose)
+        self._layout = Layout.of_pose(len(pose))
         self._mean = np.array(pose, dtype=float)
         self._covariance = np.array(covariance, dtype=float)
+
+    @property
+    def _pose_size(self) -> int:
+        return self._layout.pose_size
+
+    @property
+    def _size(self) -> int:
+        return self._layout.size
+
+    @property
+    def layout(self) -> Layout:
+        """Where pose and landmarks lie."""
+        return self._layout
 
     @property
     def mean(self) -> Array:
@@ -119,17 +81,27 @@ class KalmanState:
 
     @property
     def landmarks(self) -> Array:
-        """(L, 2) positions."""
-        return self.mean[self._pose_size :].reshape(-1, 2)
+        """(L, 2) positions of all points; NaN where one was removed."""
+        if self._layout.plain:
+            return self.mean[self._pose_size :].reshape(-1, 2)
+        return self._places(POINT)
 
     @property
     def landmark_count(self) -> int:
-        """Number of landmarks in the state."""
-        return (self._size - self._pose_size) // 2
+        """Number of points that were ever in the state: the next one's slot."""
+        return len(self._layout.point)
+
+    @property
+    def oriented(self) -> Array:
+        """(Q, 3) x, y, heading of the landmarks with a direction; NaN where one was removed."""
+        return self._places(ORIENTED)
 
     def glance(self) -> Glance:
-        """All there is, without moving anything."""
-        return Glance(self.landmarks, np.arange(self.landmark_count), self.covariance)
+        """All there is of points, without moving anything."""
+        if self._layout.plain:
+            return Glance(self.landmarks, np.arange(self.landmark_count), self.covariance)
+        slot = self._layout.present()
+        return Glance(self.landmarks, slot, self.map_of(slot).covariance)
 
     def predict(self, pose: Array, jacobian_pose: Array, noise: Array) -> None:
         """Move the vehicle; the map stays (Nieto 2005, eqs. 2.32 and 2.36).
@@ -149,11 +121,12 @@ class KalmanState:
         near = np.abs(self.landmarks - self._mean[:2]).max(axis=1, initial=0.0) <= reach_m
         return self.map_of(np.flatnonzero(near))
 
-    def map_of(self, slot: Index) -> LocalMap:
-        """Some landmarks (m,), by their places in the map."""
-        columns = state_columns(slot, self._pose_size)
+    def map_of(self, slot: Index, width: int = POINT) -> LocalMap:
+        """Some landmarks (m,) of a kind, by their slots. Raises ValueError for removed ones."""
+        columns = self._layout.columns(slot, width)
         covariance = self._covariance[columns[:, None], columns]
-        return LocalMap(self.pose, slot, self.landmarks[slot], covariance)
+        landmark = self._mean[columns[self._pose_size :]].reshape(-1, width)
+        return LocalMap(self.pose, slot, landmark, covariance, columns)
 
     def update(
         self, columns: Index, jacobian: Array, innovation: Array, noise: Array
@@ -192,10 +165,11 @@ class KalmanState:
     ) -> None:
         """Append m landmarks, correlated through the vehicle (Nieto 2005, eqs. 2.51 to 2.53).
 
-        point: (m, 2). jacobian_pose: (m, 2, p). jacobian_sighting: (m, 2, 2). noise: (m, 2, 2),
-        the sightings' covariances.
+        point: (m, w), 2 entries for points and 3 for landmarks with a direction. jacobian_pose:
+        (m, w, p). jacobian_sighting: (m, w, w). noise: (m, w, w), the sightings' covariances.
         """
-        v, n, added = self._pose_size, self._size, 2 * len(point)
+        count, width = point.shape
+        v, n, added = self._pose_size, self._size, width * count
         self._reserve(n + added)
         p = self._covariance
         stacked = jacobian_pose.reshape(added, v)
@@ -206,13 +180,25 @@ class KalmanState:
         own = cross[:, :v] @ stacked.T + block_diagonal(spread)
         p[n : n + added, n : n + added] = 0.5 * (own + own.T)
         self._mean[n : n + added] = point.ravel()
-        self._size = n + added
+        self._layout = self._layout.appended(count, width)
+
+    def remove(self, slot: Index, width: int = POINT) -> None:
+        """Marginalise landmarks (m,) of a kind out; their slots stay empty.
+
+        Raises ValueError for landmarks that were removed before.
+        """
+        gone = self._layout.columns(slot, width)[self._pose_size :]
+        kept = np.setdiff1d(np.arange(self._size), gone)
+        size = len(kept)
+        self._mean[:size] = self._mean[kept]
+        self._covariance[:size, :size] = self._covariance[kept[:, None], kept]
+        self._layout = self._layout.without(slot, width)
 
     def part(self, columns: Index) -> KalmanState:
-        """The marginal of some state entries (c,), the pose's first."""
+        """The marginal of some state entries (c,), the pose's first; slots count anew."""
         chosen = KalmanState(self.pose, self.pose_covariance)
         chosen._reserve(len(columns))
-        chosen._size = len(columns)
+        chosen._layout = self._layout.part(columns)
         chosen._mean[: len(columns)] = self._mean[columns]
         chosen._covariance[: len(columns), : len(columns)] = self._covariance[
             columns[:, None], columns
@@ -254,7 +240,14 @@ class KalmanState:
         p[:n, everywhere] = cross.T
         p[everywhere[:, None], everywhere] = local.covariance
         mean[everywhere] = local.mean
-        self._size = total
+        self._layout = self._layout.continued(local.layout, a)
+
+    def _places(self, width: int) -> Array:
+        """(L, w) of all landmarks of a kind, a copy."""
+        first = self._layout.first(width)
+        place: Array = self._mean[first[:, None] + np.arange(width)]
+        place[first < 0] = np.nan
+        return place
 
     def _reserve(self, size: int) -> None:
         """Grow the buffers geometrically, so that adding landmarks stays cheap."""
@@ -269,7 +262,10 @@ class KalmanState:
 
 
 def state_columns(slot: Index, pose_size: int = 3) -> Index:
-    """State entries (p + 2 m,) of the pose and some landmarks (m,)."""
+    """Entries (p + 2 m,) of the pose and some points (m,) of a map that is nothing but points.
+
+    A LocalMap is; of a whole state its layout knows.
+    """
     columns = np.empty(pose_size + 2 * len(slot), dtype=np.intp)
     columns[:pose_size] = np.arange(pose_size)
     columns[pose_size::2] = pose_size + 2 * slot
@@ -278,46 +274,46 @@ def state_columns(slot: Index, pose_size: int = 3) -> Index:
 
 
 def stack(jacobian_pose: Array, jacobian_landmark: Array) -> Array:
-    """One Jacobian (2 m, p + 2 m) for m sightings, in the order of state_columns.
+    """One Jacobian (w m, p + w m) for m sightings, in the order of Layout.columns.
 
-    jacobian_pose: (m, 2, p). jacobian_landmark: (m, 2, 2).
+    jacobian_pose: (m, w, p). jacobian_landmark: (m, w, w).
 
-    Two sightings of one landmark get two pairs of columns with the same state entries, which
+    Two sightings of one landmark get two sets of columns with the same state entries, which
     sums their effect on S and on the gain as it should.
     """
-    m, _, p = jacobian_pose.shape
-    jacobian = np.zeros((m, 2, p + 2 * m))
+    m, width, p = jacobian_pose.shape
+    jacobian = np.zeros((m, width, p + width * m))
     jacobian[:, :, :p] = jacobian_pose
     which = np.arange(m)
-    jacobian[which, :, p + 2 * which] = jacobian_landmark[:, :, 0]
-    jacobian[which, :, p + 1 + 2 * which] = jacobian_landmark[:, :, 1]
-    return jacobian.reshape(2 * m, -1)
+    for i in range(width):
+        jacobian[which, :, p + i + width * which] = jacobian_landmark[:, :, i]
+    return jacobian.reshape(width * m, -1)
 
 
-def unstack(jacobian: Array) -> tuple[Array, Array]:
-    """The blocks (m, 2, p) and (m, 2, 2) that `stack` put together."""
-    m = len(jacobian) // 2
-    p = jacobian.shape[1] - 2 * m
-    blocks, which = jacobian.reshape(m, 2, -1), np.arange(m)[:, None]
-    by_landmark: Array = blocks[which, :, p + 2 * which + (0, 1)].transpose(0, 2, 1)
+def unstack(jacobian: Array, width: int = POINT) -> tuple[Array, Array]:
+    """The blocks (m, w, p) and (m, w, w) that `stack` put together."""
+    m = len(jacobian) // width
+    p = jacobian.shape[1] - width * m
+    blocks, which = jacobian.reshape(m, width, -1), np.arange(m)[:, None]
+    by_landmark: Array = blocks[which, :, p + width * which + np.arange(width)].transpose(0, 2, 1)
     return blocks[:, :, :p], by_landmark
 
 
-def diagonal_blocks(matrix: Array) -> Array:
-    """The blocks (m, 2, 2) on the diagonal of a (2 m, 2 m) matrix."""
-    m = len(matrix) // 2
+def diagonal_blocks(matrix: Array, width: int = POINT) -> Array:
+    """The blocks (m, w, w) on the diagonal of a (w m, w m) matrix."""
+    m = len(matrix) // width
     which = np.arange(m)
-    blocks: Array = matrix.reshape(m, 2, m, 2)[which, :, which]
+    blocks: Array = matrix.reshape(m, width, m, width)[which, :, which]
     return blocks
 
 
 def block_diagonal(blocks: Array) -> Array:
-    """(m, 2, 2) blocks to a (2 m, 2 m) matrix."""
-    m = len(blocks)
-    full = np.zeros((m, 2, m, 2))
+    """(m, w, w) blocks to a (w m, w m) matrix."""
+    m, width, _ = blocks.shape
+    full = np.zeros((m, width, m, width))
     which = np.arange(m)
     full[which, :, which, :] = blocks
-    return full.reshape(2 * m, 2 * m)
+    return full.reshape(width * m, width * m)
 
 
 def _read_only(array: Array) -> Array:

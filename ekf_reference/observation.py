@@ -15,8 +15,8 @@ Array = NDArray[np.float64]
 class PredictedSightings(NamedTuple):
     """Expected sightings of m landmarks from one pose.
 
-    z: (m, 2), such as range [m] and bearing [rad]. jacobian_pose: (m, 2, p). jacobian_landmark:
-    (m, 2, 2).
+    z: (m, w), such as range [m] and bearing [rad]; w is 2 for points and 3 for landmarks with a
+    direction. jacobian_pose: (m, w, p). jacobian_landmark: (m, w, w).
     """
 
     z: Array
@@ -27,7 +27,8 @@ class PredictedSightings(NamedTuple):
 class NewLandmarks(NamedTuple):
     """Landmarks computed from m sightings.
 
-    point: (m, 2) position [m]. jacobian_pose: (m, 2, p). jacobian_sighting: (m, 2, 2).
+    point: (m, w) position [m] and, where w is 3, heading. jacobian_pose: (m, w, p).
+    jacobian_sighting: (m, w, w).
     """
 
     point: Array

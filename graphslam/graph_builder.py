@@ -6,7 +6,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from graphslam.problem import SlamProblem
+from graphslam.problem import OrientedSightings, SlamProblem
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -138,6 +138,13 @@ def build_graph(problem: SlamProblem, kernel: str = "none") -> gtsam.NonlinearFa
             closed.covariance,
             closed.kernel if kernel == "none" else kernel,
         ),
+        *_between(
+            (ORIENTED_KEY + seen.twins.first).tolist(),
+            (ORIENTED_KEY + seen.twins.second).tolist(),
+            seen.twins.measured,
+            seen.twins.covariance,
+            kernel,
+        ),
     ):
         graph.push_back(factor)
     return graph
@@ -153,6 +160,7 @@ def last_poses(problem: SlamProblem) -> Index:
             np.zeros(len(problem.surveyed), dtype=np.intp),
             problem.oriented.pose,
             problem.closures.last,
+            problem.oriented.twins.pose,
         )
     )
 
@@ -168,13 +176,34 @@ def to_tangent(heading_rad: Array) -> Array:
     return turn
 
 
-def to_values(poses: Array, landmarks: Array, seen: Index) -> gtsam.Values:
-    """Values of poses (K, 3) and of those landmarks (L, 2) that `seen` lists."""
+def right_perturbation(measured: Array, covariance: Array) -> Array:
+    """Covariances (N, 3, 3) of what is added to x, y, heading (N, 3), as of the right perturbation.
+
+    To first order: from the frame that something is seen from into its own.
+    """
+    turn = to_tangent(measured[:, 2])
+    turned: Array = turn @ covariance @ turn.transpose(0, 2, 1)
+    return turned
+
+
+def to_values(
+    poses: Array, landmarks: Array, seen: Index, oriented: OrientedSightings | None = None
+) -> gtsam.Values:
+    """Values of poses (K, 3) and of those landmarks (L, 2) that `seen` lists.
+
+    oriented: sightings of oriented landmarks, which are put where they were first seen.
+    """
     values = gtsam.Values()
     for key, pose in enumerate(poses.tolist(), start=POSE_KEY):
         values.insert(key, gtsam.Pose2(*pose))
     for slot in seen.tolist():
         values.insert(LANDMARK_KEY + slot, landmarks[slot])
+    sighted = oriented or OrientedSightings()
+    for row in np.argsort(sighted.pose, kind="stable").tolist():
+        key = ORIENTED_KEY + int(sighted.landmark[row])
+        if not values.exists(key):
+            pose = values.atPose2(POSE_KEY + int(sighted.pose[row]))
+            values.insert(key, pose.compose(gtsam.Pose2(*sighted.measured[row])))
     return values
 
 

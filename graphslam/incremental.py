@@ -57,18 +57,19 @@ class LagEnd:
     """What a fixed-lag smoother leaves.
 
     poses: (K, 3) as they were when they left the lag, headings unwrapped; pose_covariance:
-    (K, 3, 3) then. marginal: last pose and all landmarks at the end. All of the additive global
-    error.
+    (K, 3, 3) then. landmarks: (L, 2) points. oriented: (Q, 3). marginal: last pose, points and
+    oriented landmarks at the end. All of the additive global error.
     """
 
     poses: Array
     pose_covariance: Array
     landmarks: Array
+    oriented: Array
     marginal: Marginal
     updates: int
 
 
-POSE = gtsam.symbolChr(POSE_KEY)
+POSE, _POINT = gtsam.symbolChr(POSE_KEY), gtsam.symbolChr(LANDMARK_KEY)
 
 
 class _Piece(NamedTuple):
@@ -223,18 +224,23 @@ def run_fixed_lag(problem: SlamProblem, graph: gtsam.NonlinearFactorGraph, lag: 
     for i in range(remaining.size()):
         if remaining.exists(i):
             factors.push_back(remaining.at(i))
-    seen = sorted(landmarks)
+    seen = sorted(key for key in landmarks if gtsam.symbolChr(key) == _POINT)
+    turned = sorted(set(landmarks) - set(seen))
     places = np.full((problem.landmark_count, 2), np.nan)
     for key in seen:
         places[key - LANDMARK_KEY] = smoother.calculateEstimatePoint2(key)
+    frames = [smoother.calculateEstimatePose2(key) for key in turned]
+    oriented = np.array([(at.x(), at.y(), at.theta()) for at in frames]).reshape(-1, 3)
     linear = factors.linearize(smoother.getLinearizationPoint())
-    local = joint_marginal(linear, [POSE_KEY + count - 1, *seen], 3 + 2 * len(seen))
+    kept, size = [POSE_KEY + count - 1, *seen, *turned], 3 + 2 * len(seen) + oriented.size
+    local = joint_marginal(linear, kept, size)
     slots = np.array(seen, dtype=np.int64) - LANDMARK_KEY
-    mean = np.concatenate((poses[-1], places[slots].ravel()))
+    mean = np.concatenate((poses[-1], places[slots].ravel(), oriented.ravel()))
     return LagEnd(
         poses,
         turn @ covariance @ turn.transpose(0, 2, 1),
         places,
-        Marginal(mean, to_global(local.covariance, poses[-1, 2])),
+        oriented,
+        Marginal(mean, to_global(local.covariance, poses[-1, 2], oriented[:, 2])),
         updates,
     )

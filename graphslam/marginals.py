@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from graphslam.graph_builder import LANDMARK_KEY, POSE_KEY, to_tangent
+from graphslam.graph_builder import LANDMARK_KEY, ORIENTED_KEY, POSE_KEY, to_tangent
 
 Array = NDArray[np.float64]
 
@@ -23,7 +23,7 @@ class SingularProblemError(ArithmeticError):
 
 
 class Marginal(NamedTuple):
-    """Mean (n,) and covariance (n, n) of the last pose and all landmarks, in that order."""
+    """Mean (n,) and covariance (n, n) of the last pose and all landmarks, points first."""
 
     mean: Array
     covariance: Array
@@ -36,11 +36,18 @@ def eliminate(graph: gtsam.GaussianFactorGraph) -> gtsam.GaussianBayesTree:
 
 
 def last_pose_and_landmarks(
-    graph: gtsam.GaussianFactorGraph, pose_count: int, landmark_count: int, pose_size: int = 3
+    graph: gtsam.GaussianFactorGraph,
+    pose_count: int,
+    landmark_count: int,
+    oriented_count: int = 0,
 ) -> Marginal:
-    """The joint marginal of these. pose_size: entries of a pose. See joint_marginal."""
-    kept = [POSE_KEY + pose_count - 1, *range(LANDMARK_KEY, LANDMARK_KEY + landmark_count)]
-    return joint_marginal(graph, kept, pose_size + 2 * landmark_count)
+    """The joint marginal of the last pose, points and oriented landmarks. See joint_marginal."""
+    kept = [
+        POSE_KEY + pose_count - 1,
+        *range(LANDMARK_KEY, LANDMARK_KEY + landmark_count),
+        *range(ORIENTED_KEY, ORIENTED_KEY + oriented_count),
+    ]
+    return joint_marginal(graph, kept, 3 + 2 * landmark_count + 3 * oriented_count)
 
 
 def joint_marginal(graph: gtsam.GaussianFactorGraph, kept: Sequence[int], size: int) -> Marginal:
@@ -70,13 +77,17 @@ def joint_marginal(graph: gtsam.GaussianFactorGraph, kept: Sequence[int], size: 
     return Marginal(inverse @ d, inverse @ inverse.T)
 
 
-def to_global(covariance: Array, heading_rad: float) -> Array:
-    """Turn the pose's part of a joint covariance (n, n), pose first, into the global error.
+def to_global(covariance: Array, heading_rad: float, oriented_rad: Array | None = None) -> Array:
+    """Turn poses in a joint covariance (n, n) into the global error.
 
-    P_global = blkdiag(R, I) P_local blkdiag(R, I)^T, R the pose's rotation.
+    The pose at `heading_rad` comes first, oriented landmarks at headings (Q,) last.
+    P_global = blkdiag(R, I) P_local blkdiag(R, I)^T, R a pose's rotation.
     """
-    turn = np.eye(len(covariance))
+    turn, last = np.eye(len(covariance)), np.zeros(0) if oriented_rad is None else oriented_rad
     turn[:3, :3] = to_tangent(np.array([heading_rad]))[0].T
+    for i, block in enumerate(to_tangent(last), start=-len(last)):
+        at = len(covariance) + 3 * i
+        turn[at : at + 3, at : at + 3] = block.T
     return turn @ covariance @ turn.T
 
 

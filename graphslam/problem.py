@@ -12,18 +12,40 @@ Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
+class Twins:
+    """N pairs of oriented landmarks that are one thing: where the second is in the first's frame.
+
+    pose: (N,) at which it was found, both having been seen. first, second: (N,) landmarks.
+    measured: (N, 3) x, y, heading. covariance: (N, 3, 3) of the right perturbation, in the
+    second's frame.
+    """
+
+    pose: Index = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    first: Index = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    second: Index = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    measured: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    covariance: Array = field(default_factory=lambda: np.zeros((0, 3, 3)))
+
+    def before(self, pose_count: int) -> Twins:
+        """Those found at the first `pose_count` poses."""
+        rows = self.pose < pose_count
+        return Twins(*(column[rows] for column in vars(self).values()))
+
+
+@dataclass(frozen=True)
 class OrientedSightings:
     """N sightings of landmarks that have a place and a direction, such as templates of scans.
 
     pose: (N,) and landmark: (N,) indices, these landmarks being numbered apart from the others.
     measured: (N, 3) x, y, heading of the landmark in the pose's frame. covariance: (N, 3, 3) of
-    the right perturbation, in the landmark's frame.
+    the right perturbation, in the landmark's frame. twins: of these landmarks, which are one.
     """
 
     pose: Index = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
     landmark: Index = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
     measured: Array = field(default_factory=lambda: np.zeros((0, 3)))
     covariance: Array = field(default_factory=lambda: np.zeros((0, 3, 3)))
+    twins: Twins = field(default_factory=Twins)
 
     @property
     def count(self) -> int:
@@ -33,7 +55,13 @@ class OrientedSightings:
     def before(self, pose_count: int) -> OrientedSightings:
         """Those from the first `pose_count` poses."""
         rows = self.pose < pose_count
-        return OrientedSightings(*(column[rows] for column in vars(self).values()))
+        return OrientedSightings(
+            self.pose[rows],
+            self.landmark[rows],
+            self.measured[rows],
+            self.covariance[rows],
+            self.twins.before(pose_count),
+        )
 
 
 @dataclass(frozen=True)
@@ -113,7 +141,9 @@ class SlamProblem:
     def residual_dimension(self) -> int:
         """Scalar measurements, the prior's three included."""
         pairs = len(self.z) + len(self.position) + len(self.surveyed)
-        triples = self.pose_count + len(self.oriented.measured) + len(self.closures.motion)
+        seen = self.oriented
+        triples = self.pose_count + len(self.closures.motion)
+        triples += len(seen.measured) + len(seen.twins.measured)
         return 3 * triples + 2 * pairs
 
     @property

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from graphslam.graph_builder import (
     KERNELS,
     LANDMARK_KEY,
+    ORIENTED_KEY,
     POSE_KEY,
     build_graph,
     from_values,
@@ -116,32 +117,44 @@ class SmootherResult:
 
     def oriented(self) -> Array:
         """(Q, 3) oriented landmarks: x, y, heading."""
+        if self.lagged is not None:
+            return self.lagged.oriented
         return oriented_from(self.values, self.problem)
 
-    def joint(self, poses: Sequence[int], landmarks: Sequence[int]) -> Array:
-        """Joint covariance (3 P + 2 L, 3 P + 2 L) of any poses and landmarks, in this order.
+    def joint(
+        self, poses: Sequence[int], landmarks: Sequence[int], oriented: Sequence[int] = ()
+    ) -> Array:
+        """Joint covariance (n, n) of any poses, points and oriented landmarks, in this order.
 
-        Of the additive global error, at the optimum.
+        Of the additive global error, at the optimum; n is 3 P + 2 L + 3 Q.
         """
-        keys = [POSE_KEY + k for k in poses] + [LANDMARK_KEY + j for j in landmarks]
-        size = 3 * len(poses) + 2 * len(landmarks)
+        frames = [POSE_KEY + k for k in poses], [ORIENTED_KEY + j for j in oriented]
+        keys = frames[0] + [LANDMARK_KEY + j for j in landmarks] + frames[1]
+        second = 3 * len(poses) + 2 * len(landmarks)
+        size = second + 3 * len(oriented)
         local = joint_marginal(self.graph.linearize(self.values), keys, size).covariance
         turn = np.eye(size)
-        headings = np.array([self.values.atPose2(POSE_KEY + k).theta() for k in poses])
-        for i, block in enumerate(to_tangent(headings)):
-            turn[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = block.T
+        for start, group in zip((0, second), frames, strict=True):
+            headings = np.array([self.values.atPose2(key).theta() for key in group])
+            for at, block in enumerate(to_tangent(headings)):
+                own = slice(start + 3 * at, start + 3 * at + 3)
+                turn[own, own] = block.T
         covariance: Array = turn @ local @ turn.T
         return covariance
 
     def marginal(self) -> Marginal:
-        """Last pose and all landmarks jointly: mean and covariance, additive global error."""
+        """Last pose and all landmarks jointly: mean and covariance, additive global error.
+
+        Oriented landmarks come last; their headings are as gtsam has them, wrapped.
+        """
         if self.lagged is not None:
             return self.lagged.marginal
-        mean = np.concatenate((self.poses[-1], self.landmarks.ravel()))
+        oriented = self.oriented()
+        mean = np.concatenate((self.poses[-1], self.landmarks.ravel(), oriented.ravel()))
         local = last_pose_and_landmarks(
-            self.graph.linearize(self.values), len(self.poses), len(self.landmarks)
+            self.graph.linearize(self.values), len(self.poses), len(self.landmarks), len(oriented)
         )
-        return Marginal(mean, to_global(local.covariance, self.poses[-1, 2]))
+        return Marginal(mean, to_global(local.covariance, self.poses[-1, 2], oriented[:, 2]))
 
     def pose_covariances(self) -> Array:
         """Covariance (K, 3, 3) of every pose, given all it was told; additive global error."""
@@ -189,17 +202,21 @@ def smooth(
         attempts.append((Start(name, error, spent + iterations, converged), end))
 
     for name, (poses, landmarks) in guesses.items():
-        attempt(name, to_values(poses, landmarks, seen))
+        attempt(name, to_values(poses, landmarks, seen, problem.oriented))
     progress(f"smoother, {options.method}")
     lagged = None
     if options.method == "isam2":
         end = run_isam2(problem, graph)
         followed = from_values(end.values, problem)
+        oriented = oriented_from(end.values, problem)
         attempt("isam2", end.values, end.updates)
     elif options.method == "fixed-lag":
         lagged = run_fixed_lag(problem, graph, options.lag)
-        followed = lagged.poses, lagged.landmarks
-        attempt("fixed-lag", to_values(*followed, seen), lagged.updates)
+        followed, oriented = (lagged.poses, lagged.landmarks), lagged.oriented
+        start = to_values(*followed, seen, problem.oriented)
+        for key, place in enumerate(oriented, start=ORIENTED_KEY):
+            start.update(key, gtsam.Pose2(*place))
+        attempt("fixed-lag", start, lagged.updates)
     else:
         attempt("tracked", *track(problem, graph))
     proof = _prove(problem, graph, attempts, weighted=weighted)
@@ -232,16 +249,17 @@ def smooth(
         result,
         poses=followed[0],
         landmarks=followed[1],
-        proof=replace(proof, distance_sigma=_distance(result, *followed)),
+        proof=replace(proof, distance_sigma=_distance(result, *followed, oriented)),
         lagged=lagged,
     )
 
 
-def _distance(optimum: SmootherResult, poses: Array, landmarks: Array) -> float:
+def _distance(optimum: SmootherResult, poses: Array, landmarks: Array, oriented: Array) -> float:
     """Largest difference of the last pose and the landmarks from the optimum, in its sigma."""
     mean, covariance = optimum.marginal()
-    apart = np.concatenate((poses[-1], landmarks.ravel())) - mean
-    apart[2] = np.angle(np.exp(1j * apart[2]))
+    apart = np.concatenate((poses[-1], landmarks.ravel(), oriented.ravel())) - mean
+    turns = np.concatenate(([2], np.arange(len(mean) - oriented.size + 2, len(mean), 3)))
+    apart[turns] = np.angle(np.exp(1j * apart[turns]))
     return float(np.max(np.abs(apart) / np.sqrt(np.diag(covariance))))
 
 

@@ -25,10 +25,20 @@ sigma), nor above the inverse share."""
 
 @dataclass(frozen=True)
 class Gaussian:
-    """mean: (n,), pose first, heading unwrapped, then landmarks. covariance: (n, n)."""
+    """mean: (n,), pose first, heading unwrapped, then landmarks. covariance: (n, n).
+
+    oriented: so many landmarks, the last ones, have x, y, heading; the others x, y.
+    """
 
     mean: Array
     covariance: Array
+    oriented: int = 0
+
+    @property
+    def headings(self) -> NDArray[np.intp]:
+        """Entries of the mean that are headings."""
+        first = len(self.mean) - 3 * self.oriented
+        return np.concatenate(([2], np.arange(first + 2, len(self.mean), 3)))
 
 
 @dataclass(frozen=True)
@@ -55,7 +65,7 @@ class Gap:
 
 @dataclass(frozen=True)
 class BlockAgreement:
-    """E against S in one block of the state, the pose's three or a landmark's two components.
+    """E against S in one block of the state: the pose's three numbers, a landmark's two or three.
 
     difference_m: distance of the positions. distance: root of d^T P_S^-1 d / dim; 1 means that
     the filter's deviation carries as much error as the optimum itself is uncertain.
@@ -72,7 +82,8 @@ class BlockAgreement:
 class Agreement:
     """All gaps, and E against S for the pose, every landmark and the whole.
 
-    landmark_difference_rms_m: root mean square distance of all landmarks.
+    landmark_difference_rms_m: root mean square distance of all landmarks. oriented: those that have
+    a direction, too; `landmarks` are the others.
     """
 
     algebra: Gap
@@ -82,6 +93,7 @@ class Agreement:
     landmarks: tuple[BlockAgreement, ...]
     whole: BlockAgreement
     landmark_difference_rms_m: float
+    oriented: tuple[BlockAgreement, ...] = ()
 
 
 def block_agrees(block: BlockAgreement) -> bool:
@@ -96,10 +108,14 @@ def block_agrees(block: BlockAgreement) -> bool:
 def compare(ekf: Gaussian, recorded: Gaussian, own: Gaussian, smoother: Gaussian) -> Agreement:
     """Compare E, F1, F2 and S. Raises ValueError when S's covariance is not positive definite."""
     sigma = np.sqrt(np.diag(smoother.covariance))
-    difference = _difference(ekf.mean, smoother.mean)
+    difference, points = _difference(ekf, smoother), len(sigma) - 3 * smoother.oriented
     landmarks = tuple(
-        _block(ekf, smoother, difference, slice(i, i + 2)) for i in range(3, len(sigma), 2)
+        _block(ekf, smoother, difference, slice(i, i + 2)) for i in range(3, points, 2)
     )
+    oriented = tuple(
+        _block(ekf, smoother, difference, slice(i, i + 3)) for i in range(points, len(sigma), 3)
+    )
+    distances = [block.difference_m for block in (*landmarks, *oriented)]
     return Agreement(
         gap(ekf, recorded, sigma),
         gap(recorded, own, sigma),
@@ -107,7 +123,8 @@ def compare(ekf: Gaussian, recorded: Gaussian, own: Gaussian, smoother: Gaussian
         _block(ekf, smoother, difference, slice(0, 3)),
         landmarks,
         _block(ekf, smoother, difference, slice(0, len(sigma))),
-        float(np.sqrt(np.mean([b.difference_m**2 for b in landmarks]))) if landmarks else 0.0,
+        float(np.sqrt(np.mean([d**2 for d in distances]))) if distances else 0.0,
+        oriented,
     )
 
 
@@ -119,7 +136,7 @@ def gap(first: Gaussian, second: Gaussian, sigma: Array) -> Gap:
         float(np.max(np.abs(g.covariance - g.covariance.T) / scale)) for g in (first, second)
     )
     spread = max(abs(low - 1.0), abs(high - 1.0), skew)
-    largest = float(np.max(np.abs(_difference(first.mean, second.mean)) / sigma))
+    largest = float(np.max(np.abs(_difference(first, second)) / sigma))
     return Gap(largest, spread, low, skew)
 
 
@@ -138,7 +155,7 @@ def eigenvalue_range(first: Array, second: Array) -> tuple[float, float]:
 
 def block_agreement(first: Gaussian, second: Gaussian) -> BlockAgreement:
     """Two Gaussians of one pose (3,), the second being the reference."""
-    return _block(first, second, _difference(first.mean, second.mean), slice(0, 3))
+    return _block(first, second, _difference(first, second), slice(0, 3))
 
 
 def _block(ekf: Gaussian, smoother: Gaussian, difference: Array, part: slice) -> BlockAgreement:
@@ -151,7 +168,10 @@ def _block(ekf: Gaussian, smoother: Gaussian, difference: Array, part: slice) ->
     return BlockAgreement(float(np.hypot(d[0], d[1])), distance, low, high)
 
 
-def _difference(first: Array, second: Array) -> Array:
-    difference = first - second
-    difference[2] = np.pi - np.mod(np.pi - difference[2], 2.0 * np.pi)
+def _difference(first: Gaussian, second: Gaussian) -> Array:
+    """Of the means, headings wrapped. Raises ValueError where they mean different things."""
+    if first.oriented != second.oriented:
+        raise ValueError(f"{first.oriented} landmarks with a direction against {second.oriented}")
+    difference, turns = first.mean - second.mean, second.headings
+    difference[turns] = np.pi - np.mod(np.pi - difference[turns], 2.0 * np.pi)
     return difference

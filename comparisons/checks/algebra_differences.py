@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.kalman import Correction, KalmanState
+from ekf_reference.layout import POINT
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -92,6 +93,14 @@ class WatchedState:
         sound.augment(point, jacobian_pose, jacobian_sighting, noise)
         self._state.augment(point, jacobian_pose, jacobian_sighting, noise)
         self._compare("the augmentation", sound, v, n)
+
+    def remove(self, slot: Index, width: int = POINT) -> None:
+        """Marginalise landmarks out, and compare with the marginal."""
+        v, gone = len(self._state.pose), self._state.layout.columns(slot, width)
+        kept = np.setdiff1d(np.arange(len(self._state.mean)), gone[v:])
+        sound = self._state.part(kept)
+        self._state.remove(slot, width)
+        self._compare("the removal", sound, v, len(kept))
 
     def differences(self) -> tuple[AlgebraDifference, ...]:
         """What differed, the largest first."""

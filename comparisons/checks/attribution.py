@@ -92,7 +92,7 @@ def judge(
         outcome = "unproven"
         causes.append(cause.unproven(proof))
     else:
-        blocks = (agreement.pose, *agreement.landmarks, agreement.whole)
+        blocks = (agreement.pose, *agreement.landmarks, *agreement.oriented, agreement.whole)
         outcome = "agree" if all(map(block_agrees, blocks)) else "disagree"
         if outcome == "disagree":
             causes.append(cause.linearisation(agreement, run, growth()))

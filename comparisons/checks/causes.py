@@ -182,26 +182,28 @@ def linearisation(
     agreement: Agreement, run: EkfRun, growth: LinearisationGrowth | None = None
 ) -> Cause:
     """The gap between F2 and S. growth: where it arose, if that was looked for."""
-    ids = run.estimate.landmark_id
-    off = [i for i, block in enumerate(agreement.landmarks) if not block_agrees(block)]
+    names = [f"landmark {i}" for i in run.estimate.landmark_id]
+    names += [f"scan landmark {i}" for i in run.estimate.oriented_id]
+    blocks = (*agreement.landmarks, *agreement.oriented)
+    off = [i for i, block in enumerate(blocks) if not block_agrees(block)]
     parts = []
-    far = [i for i in off if agreement.landmarks[i].distance > LARGEST_DISTANCE]
+    far = [i for i in off if blocks[i].distance > LARGEST_DISTANCE]
     if far:
-        worst = max(far, key=lambda i: agreement.landmarks[i].distance)
-        block = agreement.landmarks[worst]
+        worst = max(far, key=lambda i: blocks[i].distance)
+        block = blocks[worst]
         parts.append(
-            f"{len(far)} of {len(ids)} landmarks are too far off, landmark {ids[worst]} by "
+            f"{len(far)} of {len(names)} landmarks are too far off, {names[worst]} by "
             f"{block.difference_m:.2f} m ({block.distance:.1f} sigma)"
         )
     unsure = [i for i in off if i not in far]
     if unsure:
         worst, ratio = max(
-            ((i, r) for i in unsure for r in _ratios(agreement.landmarks[i])),
+            ((i, r) for i in unsure for r in _ratios(blocks[i])),
             key=lambda pair: max(pair[1], 1.0 / max(pair[1], 1e-300)),
         )
         parts.append(
-            f"{len(unsure)} of {len(ids)} landmarks have a wrong covariance, landmark "
-            f"{ids[worst]} {ratio:.2g} times the justified variance"
+            f"{len(unsure)} of {len(names)} landmarks have a wrong covariance, {names[worst]} "
+            f"{ratio:.2g} times the justified variance"
         )
     if agreement.pose.distance > LARGEST_DISTANCE:
         parts.append(
@@ -236,7 +238,10 @@ def linearisation(
 def _grew(growth: LinearisationGrowth, run: EkfRun, sigma: Array) -> str:
     """When, by which relation, at which uncertainty of the heading (K,)."""
     time_s, at = run.estimate.time_s, growth.epoch
-    seen = f" of landmark {run.estimate.landmark_id[growth.slot]}" if growth.slot >= 0 else ""
+    seen, ids = "", run.estimate.landmark_id
+    if growth.slot >= 0:
+        ids = run.estimate.oriented_id if "template" in growth.kind else ids
+        seen = f" of landmark {ids[growth.slot]}"
     around = float(np.degrees(sigma[max(at - 1, 0) : at + 1].max()))
     return (
         f"its equations miss the optimum's the most by {growth.kind}{seen} at {time_s[at]:.1f} s "

@@ -35,7 +35,7 @@ class Cast(NamedTuple):
 
 @dataclass(frozen=True)
 class Snapshot:
-    """The filter after a scan. landmark: (L, 2) [m]. covariance: (n, n), of the pose as well."""
+    """The filter after a scan. landmark: (L, 2) [m]. covariance: (n, n) of the pose and these."""
 
     time_s: float
     landmark: Array
@@ -105,4 +105,5 @@ def fused_until(log: Log, cast: Cast) -> Iterator[Snapshot]:
     keep = (sightings.landmark != label) | (sightings.time_s <= cast.fused_s)
     for time, ekf in watched_run(replace(log, sightings=sightings.chosen(keep))):
         if time >= cast.fused_s:
-            yield Snapshot(time, ekf.state.landmarks.copy(), ekf.state.covariance.copy())
+            everything = ekf.state.glance()
+            yield Snapshot(time, everything.landmark.copy(), everything.covariance.copy())

@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from comparisons.runs.estimate import Estimate
 from ekf_reference.observation import wrap_angle
-from graphslam.linear_problem import LinearProblem, times
+from graphslam.linear_problem import LinearProblem, LinearSightings, times
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -58,15 +59,22 @@ class LinearisationGrowth:
 
 
 def linearisation_growth(
-    frozen: LinearProblem, optimum: LinearProblem, poses: Array, landmarks: Array
+    frozen: LinearProblem, optimum: LinearProblem, smoothed: Estimate
 ) -> LinearisationGrowth:
     """Of one problem's relations, linearised by the filter and at the optimum.
 
-    frozen: F2. optimum: the same relations, in the same order, linearised at poses (K, 3) and
-    landmarks (L, 2), those of S.
+    frozen: F2. optimum: the same relations, in the same order, linearised at S, smoothed. Two
+    landmarks that were fused into one belong to no instant, and are left out.
     """
-    kinds = (_motion(frozen, optimum, poses), _sightings(frozen, optimum, poses, landmarks))
-    every = (*kinds, _positions(frozen, optimum, poses))
+    poses = smoothed.pose
+    every = (
+        _motion(frozen, optimum, poses),
+        _sightings("a sighting", frozen.sightings, optimum.sightings, poses, smoothed.landmark),
+        _sightings(
+            "a template's sighting", frozen.oriented, optimum.oriented, poses, smoothed.oriented
+        ),
+        _positions(frozen, optimum, poses),
+    )
     squared = np.zeros(len(poses))
     for one in every:
         np.add.at(squared, one.epoch, one.sigma**2)
@@ -87,12 +95,13 @@ def _motion(frozen: LinearProblem, optimum: LinearProblem, poses: Array) -> Line
 
 
 def _sightings(
-    frozen: LinearProblem, optimum: LinearProblem, poses: Array, landmarks: Array
+    kind: str, f: LinearSightings, at: LinearSightings, poses: Array, landmarks: Array
 ) -> LinearisationError:
-    f = frozen.sightings
-    said = f.b - times(f.a, _from(f.pose, poses[f.node]))
-    said -= times(f.c, landmarks[f.slot] - f.landmark)
-    return _error("a sighting", f.node, f.slot, said - optimum.sightings.b)
+    apart = landmarks[f.slot] - f.landmark
+    if apart.shape[1] == 3:
+        apart[:, 2] = wrap_angle(apart[:, 2])
+    said = f.b - times(f.a, _from(f.pose, poses[f.node])) - times(f.c, apart)
+    return _error(kind, f.node, f.slot, said - at.b)
 
 
 def _positions(frozen: LinearProblem, optimum: LinearProblem, poses: Array) -> LinearisationError:

@@ -83,6 +83,18 @@ def model_differences(
             _of_positions(recorded.positions),
             _of_positions(own.positions),
         ),
+        (
+            "sightings of scan landmarks",
+            "the innovation",
+            _of_sightings(recorded.oriented),
+            _of_sightings(own.oriented),
+        ),
+        (
+            "fusions of scan landmarks",
+            "the innovation",
+            _placed(recorded.twins.a, recorded.twins.c, recorded.twins.b),
+            _placed(own.twins.a, own.twins.c, own.twins.b),
+        ),
     )
     found = _priors(recorded.prior, own.prior, tolerance)
     for kind, place, said, meant in kinds:
@@ -147,10 +159,14 @@ def _compare(
 
 def _of_sightings(s: LinearSightings) -> _Places:
     """Landmark place l = landmark + c^-1 (b - a (x - pose) - noise)."""
-    inverse = _inverse(s.c)
-    jacobian = -inverse @ _by_heading(s.a, s.pose)
-    place = (inverse @ s.b[..., None])[..., 0]
-    return _Places(place, jacobian, inverse @ inverse.transpose(0, 2, 1))
+    return _placed(_by_heading(s.a, s.pose), s.c, s.b)
+
+
+def _placed(a: Array, c: Array, b: Array) -> _Places:
+    """What is placed by c^-1 (b - a dx - noise), dx of x, y, heading."""
+    inverse = _inverse(c)
+    place = (inverse @ b[..., None])[..., 0]
+    return _Places(place, -inverse @ a, inverse @ inverse.transpose(0, 2, 1))
 
 
 def _of_motion(m: LinearMotion) -> _Places:

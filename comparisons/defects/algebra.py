@@ -107,9 +107,9 @@ class IndependentLandmarks(KalmanState):
     ) -> Correction:
         """Update, then forget what ties landmarks together."""
         done = super().update(columns, jacobian, innovation, noise)
-        for i in range(3, self._size, 2):
-            self._covariance[i : i + 2, 3:i] = 0.0
-            self._covariance[3:i, i : i + 2] = 0.0
+        for own in self._layout.blocks():
+            self._covariance[own, 3 : own.start] = 0.0
+            self._covariance[3 : own.start, own] = 0.0
         return done
 
 

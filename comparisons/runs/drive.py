@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from comparisons.logs.log import Array, Log, Positions
 from comparisons.runs.attributes import sighted_attributes
+from comparisons.runs.oriented_sightings import NoOrientedSource, OrientedLedger, OrientedSource
 from comparisons.runs.timeline import Timeline
 from ekf_reference.association import REJECTED
 from ekf_reference.full_ekf import FullEkf
@@ -76,12 +77,16 @@ def drive(
     timeline: Timeline,
     positions: Positions | None = None,
     watching: Watcher | None = None,
+    source: OrientedSource | None = None,
+    ledger: OrientedLedger | None = None,
 ) -> Iterator[Stop]:
     """Predict, fuse the sightings, fuse the positions, stop; and so on to the end.
 
-    positions: to be fused; the timeline is built with the same.
+    positions: to be fused; the timeline is built with the same. source: of sightings of landmarks
+    with a direction, fused last and kept in the ledger.
     """
-    watching = watching or NoWatcher()
+    watching, source = watching or NoWatcher(), source or NoOrientedSource()
+    ledger = ledger or OrientedLedger()
     steps, first = timeline.steps_until(), timeline.sightings_until()
     begins, first_fix = timeline.step_begin_s(), timeline.positions_until()
     seen, done = log.sightings, 0
@@ -109,6 +114,7 @@ def drive(
                 for g in range(int(first_fix[k]), int(first_fix[k + 1])):
                     fix = positions.position_m[g], positions.covariance[g]
                     rejected += not ekf.fix_position(*fix)
+            source.look(ekf, k, time_s, ledger)
         except FilterDivergedError as error:
             fault = str(error)
         watching.updated(ekf)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +14,15 @@ from comparisons.runs.drive import NoWatcher, Watcher, drive
 from comparisons.runs.ekf_build import EkfChoices, build_ekf
 from comparisons.runs.estimate import Array, Estimate
 from comparisons.runs.known_landmarks import surveyed
+from comparisons.runs.oriented_sightings import OrientedLedger, OrientedSource
 from comparisons.runs.timeline import Timeline
 from ekf_reference.association import AMBIGUOUS, CANDIDATE, REJECTED
 from ekf_reference.compressed_ekf import CompressedState
 from ekf_reference.direction_cosine import OwnAxesObservation
 from ekf_reference.full_ekf import FullEkf, PoseReading
+from ekf_reference.layout import ORIENTED
 from ekf_reference.trace import RecordedTrace, TraceArrays
+from graphslam.problem import OrientedSightings
 
 _FARTHEST_M = 1e6
 """A pose so far from the start has diverged; what follows is not worth comparing."""
@@ -39,6 +42,8 @@ class EkfRun:
     the vehicle's axes, not as range and bearing.
     spared: what the global updates of a compressed filter left alone: (updates, mean share of the
     passive covariance). breakdown: what stopped the filter, None when it reached the end.
+    oriented: sightings of landmarks with a direction, as the smoother takes them; their ids in the
+    estimate are their slots.
     """
 
     estimate: Estimate
@@ -54,6 +59,14 @@ class EkfRun:
     rejected_fixes: int
     spared: tuple[int, float] = (0, 0.0)
     breakdown: str | None = None
+    oriented: OrientedSightings = field(default_factory=OrientedSightings)
+
+    @property
+    def oriented_places(self) -> Array:
+        """(Q, 3) of the estimate by slot, NaN for those that were fused with others."""
+        places = np.full((self.oriented.count, 3), np.nan)
+        places[self.estimate.oriented_id] = self.estimate.oriented
+        return places
 
     @property
     def unused(self) -> dict[str, int]:
@@ -70,14 +83,15 @@ def run_ekf(
     progress: Callable[[int, int], None] = lambda done, total: None,
     modify: Callable[[FullEkf], None] = lambda ekf: None,
     watcher: Watcher | None = None,
+    source: OrientedSource | None = None,
 ) -> EkfRun:
     """Drive the filter through all epochs, or as far as it comes.
 
     positions: to be fused; the timeline is built with the same. progress: called with epochs done
     and in all. modify: may replace parts of the filter before it starts, which is how defects are
-    planted. watcher: looks on.
+    planted. watcher: looks on. source: of sightings of landmarks with a direction.
     """
-    trace = RecordedTrace()
+    trace, ledger = RecordedTrace(), OrientedLedger()
     ekf = build_ekf(log, choices, trace)
     modify(ekf)
     watching = watcher or NoWatcher()
@@ -87,7 +101,7 @@ def run_ekf(
     covariance = np.empty((epochs, 3, 3))
     slot = np.full(len(log.sightings.time_s), REJECTED, dtype=np.intp)
     breakdown, rejected_fixes = None, 0
-    for k, stop in enumerate(drive(ekf, log, timeline, positions, watching)):
+    for k, stop in enumerate(drive(ekf, log, timeline, positions, watching, source, ledger)):
         slot[stop.rows], arrived[k] = stop.slots, stop.arrived
         rejected_fixes += stop.rejected_fixes
         departed[k], _, read = ekf.read_pose()
@@ -113,8 +127,12 @@ def run_ekf(
         breakdown = "the EKF broke down: its covariance is not finite at the end"
     timeline = timeline.prefix(epochs)
     arrays = trace.arrays()
-    _check_counts(log, timeline, arrays)
+    oriented = ledger.told()
+    _check_counts(log, timeline, arrays, oriented)
     slot = _as_used(slot[: len(timeline.sighting_epoch)], arrays)
+    if np.isnan(ekf.state.landmarks).any():
+        raise InputError(f"{log.name}: the EKF removed point landmarks, which must stay")
+    oriented_id = ekf.state.layout.present(ORIENTED)
     estimate = Estimate(
         timeline.epoch_time_s,
         departed[:epochs],
@@ -133,6 +151,8 @@ def run_ekf(
             "estimator": f"ekf_reference, {choices.filter} EKF",
             "association": str(choices.association),
         },
+        oriented_id,
+        ekf.state.oriented[oriented_id],
     )
     fused = np.unique(arrays.positions.number)
     return EkfRun(
@@ -149,12 +169,16 @@ def run_ekf(
         rejected_fixes,
         _spared(ekf),
         breakdown,
+        oriented,
     )
 
 
-def _check_counts(log: Log, timeline: Timeline, trace: TraceArrays) -> None:
+def _check_counts(
+    log: Log, timeline: Timeline, trace: TraceArrays, oriented: OrientedSightings
+) -> None:
     """Raise InputError for a filter that made something of data that it was not given."""
     sightings = np.concatenate((trace.updates.sighting, trace.augmentations.sighting))
+    frames = (trace.oriented_updates.sighting, trace.oriented_augmentations.sighting)
     for what, made, given in (
         ("predictions", len(trace.departed), len(timeline.control)),
         ("sightings", int(sightings.max(initial=-1)) + 1, len(timeline.sighting_epoch)),
@@ -162,6 +186,11 @@ def _check_counts(log: Log, timeline: Timeline, trace: TraceArrays) -> None:
             "positions",
             int(trace.positions.number.max(initial=-1)) + 1,
             len(timeline.position_epoch),
+        ),
+        (
+            "sightings of landmarks with a direction",
+            int(np.concatenate(frames).max(initial=-1)) + 1,
+            len(oriented.measured),
         ),
     ):
         if made > given or (what == "predictions" and made < given):
@@ -172,8 +201,10 @@ def _check_counts(log: Log, timeline: Timeline, trace: TraceArrays) -> None:
 
 
 def _joint_covariance(ekf: FullEkf) -> Array:
-    """Of the last pose as x, y, heading, and all landmarks."""
-    read, own = ekf.read_pose().jacobian, ekf.state.covariance
+    """Of the last pose as x, y, heading, and all landmarks, points first."""
+    read, own, packed = ekf.read_pose().jacobian, ekf.state.covariance, ekf.state.layout.packed()
+    if not ekf.state.layout.plain:
+        own = own[np.ix_(packed, packed)]
     p = read.shape[1]
     joint = np.empty((len(own) - p + 3, len(own) - p + 3))
     joint[:3, :3] = read @ own[:p, :p] @ read.T

@@ -16,8 +16,9 @@ class Estimate:
     """The result of one estimator on one log.
 
     time_s: (K,). pose: (K, 3), headings unwrapped. pose_covariance: (K, 3, 3), each pose alone.
-    landmark_id: (L,). landmark: (L, 2). joint_covariance: (3 + 2 L, 3 + 2 L) of the last pose and
-    all landmarks. All covariances are of the additive global error.
+    landmark_id: (L,). landmark: (L, 2). oriented_id: (Q,) and oriented: (Q, 3) x, y, heading of
+    landmarks that have a direction, such as scan landmarks. joint_covariance: (n, n) of the last
+    pose, the landmarks and then these. All covariances are of the additive global error.
     information: `filtered` (pose k knows the log up to k), `smoothed` (every pose has seen the
     future) or `fixed-lag` (pose k has seen the next few). Only the last
     pose and the map of the two may be compared directly.
@@ -31,15 +32,18 @@ class Estimate:
     joint_covariance: Array
     information: Literal["filtered", "smoothed", "fixed-lag"]
     provenance: dict[str, str] = field(default_factory=dict)
+    oriented_id: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    oriented: Array = field(default_factory=lambda: np.zeros((0, 3)))
 
     @property
     def joint_mean(self) -> Array:
-        """(3 + 2 L,) the last pose and all landmarks."""
-        return np.concatenate((self.pose[-1], self.landmark.ravel()))
+        """(n,) the last pose and all landmarks, n = 3 + 2 L + 3 Q."""
+        return np.concatenate((self.pose[-1], self.landmark.ravel(), self.oriented.ravel()))
 
     def landmark_covariances(self) -> Array:
         """(L, 2, 2) of each landmark alone."""
-        return landmark_blocks(self.joint_covariance)
+        points = 3 + 2 * len(self.landmark)
+        return landmark_blocks(self.joint_covariance[:points, :points])
 
 
 def landmark_blocks(joint: Array) -> Array:

@@ -1,4 +1,4 @@
-"""An estimate on disk: TUM trajectory, landmarks.csv, covariances.npz, estimate.toml."""
+"""An estimate on disk: trajectory, landmarks, covariances, estimate.toml (docs/formats.md)."""
 
 from __future__ import annotations
 
@@ -18,11 +18,13 @@ from comparisons.logs.table import Table, read_text
 from comparisons.logs.validation import LARGEST, distinct, increasing, whole_numbers, within
 from comparisons.runs.estimate import Array, Estimate
 
-FILES = ("trajectory.tum", "landmarks.csv", "covariances.npz", "estimate.toml")
-"""What an estimate folder holds."""
+SCAN_LANDMARKS = "scan_landmarks.csv"
+FILES = ("trajectory.tum", "landmarks.csv", SCAN_LANDMARKS, "covariances.npz", "estimate.toml")
+"""What an estimate folder holds; scan landmarks only where there are any."""
 
 _TUM = ("time_s", "x", "y", "z", "qx", "qy", "qz", "qw")
 _LANDMARKS = ("id", "x_m", "y_m")
+_ORIENTED = (*_LANDMARKS, "heading_rad")
 
 
 class Meta(BaseModel):
@@ -44,6 +46,10 @@ def write_estimate(estimate: Estimate, folder: Path) -> None:
         ",".join(_LANDMARKS) + "\n" + "".join(f"{i},{x!r},{y!r}\n" for i, (x, y) in rows),
         encoding="utf-8",
     )
+    if len(estimate.oriented_id):
+        rows = zip(estimate.oriented_id.tolist(), estimate.oriented.tolist(), strict=True)
+        lines = [",".join(_ORIENTED), *(",".join(map(repr, (i, *at))) for i, at in rows)]
+        (folder / SCAN_LANDMARKS).write_text("\n".join(lines) + "\n", encoding="utf-8")
     np.savez_compressed(
         folder / "covariances.npz",
         pose=estimate.pose_covariance,
@@ -72,7 +78,8 @@ def read_estimate(folder: Path) -> Estimate:
     archive_path = folder / "covariances.npz"
     pose, joint = read_archive(archive_path, ("pose", "last_pose_and_landmarks"))
     ids, landmark = read_landmarks(folder / "landmarks.csv")
-    size = 3 + 2 * len(ids)
+    oriented_id, oriented = read_scan_landmarks(folder / SCAN_LANDMARKS)
+    size = 3 + 2 * len(ids) + 3 * len(oriented_id)
     if pose.shape != (len(poses), 3, 3) or joint.shape != (size, size):
         raise InputError(
             f"{archive_path}: shapes {pose.shape} and {joint.shape}, expected "
@@ -80,7 +87,8 @@ def read_estimate(folder: Path) -> Estimate:
         )
     if not (np.isfinite(pose).all() and np.isfinite(joint).all()):
         raise InputError(f"{archive_path}: holds a value that is not a finite number")
-    return Estimate(time_s, poses, pose, ids, landmark, joint, meta.information, meta.provenance)
+    what = meta.information, meta.provenance
+    return Estimate(time_s, poses, pose, ids, landmark, joint, *what, oriented_id, oriented)
 
 
 def read_meta(path: Path) -> Meta:
@@ -110,10 +118,24 @@ def read_trajectory(path: Path) -> tuple[Array, Array]:
 
 def read_landmarks(path: Path) -> tuple[NDArray[np.int64], Array]:
     """Ids (L,) and places (L, 2) of a `landmarks.csv`. Raises InputError."""
-    table = Table(path, _LANDMARKS, comma=True, header=True)
+    return _read_table(path, "landmarks", _LANDMARKS)
+
+
+def read_scan_landmarks(path: Path) -> tuple[NDArray[np.int64], Array]:
+    """Ids (Q,) and x, y, heading (Q, 3) of a `scan_landmarks.csv`, none without one.
+
+    Raises InputError.
+    """
+    if not path.exists():
+        return np.zeros(0, dtype=np.int64), np.zeros((0, 3))
+    return _read_table(path, "scan_landmarks", _ORIENTED)
+
+
+def _read_table(path: Path, name: str, columns: tuple[str, ...]) -> tuple[NDArray[np.int64], Array]:
+    table = Table(path, columns, comma=True, header=True)
     with table.locating():
-        ids = whole_numbers("landmarks", "id", table["id"])
-        distinct("landmarks", ids)
-        for name in ("x_m", "y_m"):
-            within("landmarks", name, table[name], -LARGEST, LARGEST)
+        ids = whole_numbers(name, "id", table["id"])
+        distinct(name, ids)
+        for column in ("x_m", "y_m"):
+            within(name, column, table[column], -LARGEST, LARGEST)
     return ids, table.data[:, 1:]

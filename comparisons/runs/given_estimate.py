@@ -13,7 +13,13 @@ from comparisons.archive import read_arrays
 from comparisons.errors import InputError
 from comparisons.logs.validation import LARGEST
 from comparisons.runs.estimate import landmark_blocks
-from comparisons.runs.estimate_folder import read_landmarks, read_meta, read_trajectory
+from comparisons.runs.estimate_folder import (
+    SCAN_LANDMARKS,
+    read_landmarks,
+    read_meta,
+    read_scan_landmarks,
+    read_trajectory,
+)
 from comparisons.runs.trace_file import TRACE, TraceFile, read_trace
 from comparisons.runs.trajectory_files import read_trajectory_file
 
@@ -83,10 +89,12 @@ def read_given(path: Path, times: Path | None = None) -> GivenEstimate:
     if (path / "landmarks.csv").exists():
         ids, places = read_landmarks(path / "landmarks.csv")
     count = 0 if places is None else len(places)
+    points = 3 + 2 * count
+    size = points + 3 * len(read_scan_landmarks(path / SCAN_LANDMARKS)[0])
     shapes = {
         "pose": (len(pose), 3, 3),
         "landmarks": (count, 2, 2),
-        "last_pose_and_landmarks": (3 + 2 * count, 3 + 2 * count),
+        "last_pose_and_landmarks": (size, size),
     }
     found: dict[str, Array] = {}
     archive = path / "covariances.npz"
@@ -95,6 +103,8 @@ def read_given(path: Path, times: Path | None = None) -> GivenEstimate:
         for name, array in found.items():
             _check_covariance(f"{archive}: {name}", array, shapes[name])
     joint = found.get("last_pose_and_landmarks")
+    if joint is not None:
+        joint = joint[:points, :points]  # what is told of scan landmarks has nothing to be held by
     own = found.get("landmarks")
     if own is None and joint is not None and count:
         own = landmark_blocks(joint)

@@ -13,17 +13,10 @@ from comparisons.runs.ekf_run import EkfRun
 from comparisons.runs.estimate import Estimate
 from comparisons.runs.known_landmarks import surveyed
 from comparisons.runs.motion import motion_samples
+from comparisons.runs.recorded import oriented_points, recorded
 from comparisons.runs.timeline import Timeline
-from ekf_reference.trace import SightingRecords
 from graphslam import increments
-from graphslam.frozen import (
-    FrozenPoints,
-    RecordedPositions,
-    RecordedSightings,
-    RecordedSteps,
-    own_problem,
-    recorded_problem,
-)
+from graphslam.frozen_own import FrozenPoints, own_problem
 from graphslam.linear_problem import LinearProblem, solve
 from graphslam.marginals import Marginal
 from graphslam.problem import SlamProblem
@@ -40,7 +33,8 @@ PositionRows = tuple[Index, Array, Array, tuple[float, float]]
 def build_problem(log: Log, run: EkfRun) -> SlamProblem:
     """The log as the smoother's arrays, with the EKF's association of sightings to landmarks."""
     count = len(run.estimate.landmark)
-    return assemble(log, run.timeline, run.slot, count, *_positions(run), own_axes=run.own_axes)
+    problem = assemble(log, run.timeline, run.slot, count, *_positions(run), own_axes=run.own_axes)
+    return replace(problem, oriented=run.oriented)
 
 
 def assemble(
@@ -96,30 +90,8 @@ def position_rows(timeline: Timeline, positions: Positions | None) -> PositionRo
 
 
 def linear_recorded(run: EkfRun) -> LinearProblem:
-    """F1: one linear problem from the EKF's own recorded matrices.
-
-    Landmarks that were put into the map without a sighting come last.
-    """
-    trace, begun = run.trace, run.trace.augmentations
-    until = run.timeline.steps_until()
-    begun = begun.rows(np.argsort(begun.weight <= 0.0, kind="stable"))
-    parts = (_from_updates(trace.updates), _from_augmentations(begun))
-    step, *columns = (np.concatenate(c) for c in zip(*parts, strict=True))
-    fixes = trace.positions
-    return recorded_problem(
-        trace.prior_pose,
-        trace.prior_covariance,
-        RecordedSteps(trace.departed, trace.arrived, trace.f, trace.q),
-        until,
-        RecordedSightings(np.searchsorted(until, step), *columns),
-        RecordedPositions(
-            np.searchsorted(until, fixes.step),
-            fixes.pose,
-            fixes.innovation,
-            fixes.jacobian_pose,
-            fixes.noise,
-        ),
-    )
+    """F1: one linear problem from the EKF's own recorded matrices."""
+    return recorded(run.trace, run.timeline.steps_until())
 
 
 def linear_own(problem: SlamProblem, run: EkfRun) -> LinearProblem:
@@ -127,21 +99,26 @@ def linear_own(problem: SlamProblem, run: EkfRun) -> LinearProblem:
     return own_problem(problem, _points(problem, run))
 
 
-def linear_optimum(
-    problem: SlamProblem, run: EkfRun, poses: Array, landmarks: Array
-) -> LinearProblem:
-    """The same factors in the same order, linearised at poses (K, 3) and landmarks (L, 2)."""
-    there = _points(problem, run)
-    at = problem.sighting_pose[there.sighting], problem.sighting_landmark[there.sighting]
+def linear_optimum(problem: SlamProblem, run: EkfRun, optimum: Estimate) -> LinearProblem:
+    """The same factors in the same order, linearised at the smoother's estimate."""
+    there, seen, twins = _points(problem, run), problem.oriented, problem.oriented.twins
+    poses, frames = optimum.pose, optimum.oriented
+    pair, same = there.oriented.row, there.twins.row
     return own_problem(
         problem,
         replace(
             there,
             departed=poses,
             arrived=poses,
-            sighting_pose=poses[at[0]],
-            sighting_landmark=landmarks[at[1]],
+            sighting_pose=poses[problem.sighting_pose[there.sighting]],
+            sighting_landmark=optimum.landmark[problem.sighting_landmark[there.sighting]],
             position_pose=poses[problem.position_pose[there.position]],
+            oriented=replace(
+                there.oriented, first=poses[seen.pose[pair]], second=frames[seen.landmark[pair]]
+            ),
+            twins=replace(
+                there.twins, first=frames[twins.first[same]], second=frames[twins.second[same]]
+            ),
         ),
     )
 
@@ -166,14 +143,16 @@ def _points(problem: SlamProblem, run: EkfRun) -> FrozenPoints:
         fix_row[trace.positions.number],
         trace.positions.weight,
         _as_headings(run, trace.positions.pose, trace.positions.step),
+        *oriented_points(trace, lambda pose, step: _as_headings(run, pose, step)),
     )
 
 
 def solve_recorded(linear: LinearProblem, run: EkfRun) -> Marginal:
     """F1's estimate of the last pose, as x, y, heading, and all landmarks."""
-    final, size = run.final, 2 * len(run.estimate.landmark)
+    final, estimate = run.final, run.estimate
+    size = estimate.landmark.size + estimate.oriented.size
     own = np.vstack((run.trace.departed, final.own))[run.timeline.steps_until()]
-    found = solve(linear, own, run.estimate.landmark)
+    found = solve(linear, own, estimate.landmark, run.oriented_places)
     p = len(final.own)
     read = np.zeros((3 + size, p + size))
     read[:3, :p], read[3:, p:] = final.jacobian, np.eye(size)
@@ -184,7 +163,7 @@ def solve_recorded(linear: LinearProblem, run: EkfRun) -> Marginal:
 
 def solve_own(linear: LinearProblem, run: EkfRun) -> Marginal:
     """F2's estimate of the last pose and all landmarks."""
-    return solve(linear, run.departed, run.estimate.landmark)
+    return solve(linear, run.departed, run.estimate.landmark, run.oriented_places)
 
 
 def run_smoother(
@@ -201,16 +180,25 @@ def run_smoother(
 def smoothed_estimate(
     result: SmootherResult, time_s: Array, landmark_id: NDArray[np.int64], association: str
 ) -> Estimate:
-    """The smoother's result with its marginals, at times (K,), for landmarks with ids (L,)."""
+    """The smoother's result with its marginals, at times (K,), for landmarks with ids (L,).
+
+    Of two landmarks with a direction that are one, the first stands for both.
+    """
+    oriented = result.oriented()
+    kept = np.setdiff1d(np.arange(len(oriented)), result.problem.oriented.twins.second)
+    covariance, points = result.marginal().covariance, 3 + result.landmarks.size
+    rows = np.concatenate((np.arange(points), points + (3 * kept[:, None] + (0, 1, 2)).ravel()))
     return Estimate(
         time_s,
         result.poses,
         result.pose_covariances(),
         landmark_id,
         result.landmarks,
-        result.marginal().covariance,
+        covariance[np.ix_(rows, rows)] if len(rows) < len(covariance) else covariance,
         "fixed-lag" if result.lagged else "smoothed",
         {"estimator": f"graphslam, {result.options.method}", "association": association},
+        kept,
+        oriented[kept],
     )
 
 
@@ -222,18 +210,3 @@ def _as_headings(run: EkfRun, pose: Array, step: Index) -> Array:
     heading, about = np.arctan2(pose[:, 3], pose[:, 2]), run.departed[epoch, 2]
     heading += 2.0 * np.pi * np.round((about - heading) / (2.0 * np.pi))
     return np.column_stack((pose[:, :2], heading))
-
-
-def _from_updates(r: SightingRecords) -> tuple[np.ndarray, ...]:
-    return (
-        r.step, r.slot, r.pose, r.landmark, r.innovation, r.jacobian_pose, r.jacobian_other, r.noise
-    )  # fmt: skip
-
-
-def _from_augmentations(r: SightingRecords) -> tuple[np.ndarray, ...]:
-    """Landmark = point + G_x (x - pose) + G_z v, as a relation with residual zero."""
-    identity = np.broadcast_to(np.eye(2), r.noise.shape)
-    spread = r.jacobian_other @ r.noise @ r.jacobian_other.transpose(0, 2, 1)
-    return (
-        r.step, r.slot, r.pose, r.landmark, r.innovation, -r.jacobian_pose, identity, spread
-    )  # fmt: skip

@@ -12,7 +12,14 @@ from comparisons.archive import read_arrays
 from comparisons.errors import InputError
 from comparisons.logs.validation import LARGEST, LARGEST_ID
 from comparisons.runs.ekf_run import EkfRun
-from ekf_reference.trace import PositionRecords, SightingRecords, TraceArrays
+from ekf_reference.layout import ORIENTED
+from ekf_reference.trace import SightingRecords, TraceArrays
+from ekf_reference.trace_records import (
+    PositionRecords,
+    fusion_records,
+    removal_records,
+    sighting_records,
+)
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -152,6 +159,10 @@ def read_trace(path: Path, landmark_id: NDArray[np.int64]) -> TraceFile:
                 np.zeros_like(found["position_noise"]),
                 found["position_weight"],
             ),
+            sighting_records([], 3, ORIENTED),
+            sighting_records([], 3, ORIENTED),
+            fusion_records([]),
+            removal_records([]),
         ),
     )  # fmt: skip
 

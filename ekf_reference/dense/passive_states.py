@@ -14,9 +14,17 @@ import numpy as np
 
 from ekf_reference.dense.triangles import Array, local_jacobians, to_local
 from ekf_reference.full_ekf import FullEkf
-from ekf_reference.kalman import Index, KalmanState, block_diagonal, stack, state_columns
+from ekf_reference.kalman import Index, KalmanState, block_diagonal, stack
+from ekf_reference.layout import ORIENTED, POINT
 from ekf_reference.observation import Observation
-from ekf_reference.trace import Beginning, PositionUse, Prediction, SightingUse
+from ekf_reference.trace import (
+    Beginning,
+    FusionUse,
+    PositionUse,
+    Prediction,
+    Removal,
+    SightingUse,
+)
 
 
 class Watched(NamedTuple):
@@ -65,7 +73,7 @@ class PassiveStates:
     def watch(self, new: Watched) -> Index:
         """Append pairs of states, correlated through the filter's; returns their numbers (k,)."""
         p = self._ekf.state.covariance
-        columns = [state_columns(slot) for slot in new.slot]
+        columns = [self._ekf.state.layout.columns(slot) for slot in new.slot]
         cross = [j @ p[c] for j, c in zip(new.jacobian, columns, strict=True)]
         own = [x[:, c] @ j.T for x, c, j in zip(cross, columns, new.jacobian, strict=True)]
         first = len(self.value)
@@ -86,21 +94,51 @@ class PassiveStates:
 
     def update(self, use: SightingUse) -> None:
         """Sightings of mapped landmarks."""
-        jacobian = stack(use.jacobian_pose, use.jacobian_other)
-        noise = block_diagonal(use.noise)
-        self._receive(state_columns(use.slot), jacobian, use.innovation.ravel(), noise)
+        self._receive_sightings(use, POINT)
         self._next.update(use)
 
+    def oriented_update(self, use: SightingUse) -> None:
+        """Sightings of mapped landmarks with a direction."""
+        self._receive_sightings(use, ORIENTED)
+        self._next.oriented_update(use)
+
     def augmentation(self, use: SightingUse) -> None:
-        """Columns C_v G_x^T of the new landmarks; what they add of their own is independent."""
-        stacked = use.jacobian_pose.reshape(-1, 3)
-        self.cross = np.hstack((self.cross, self.cross[:, :3] @ stacked.T))
+        """New landmarks."""
+        self._append(use)
         self._next.augmentation(use)
+
+    def oriented_augmentation(self, use: SightingUse) -> None:
+        """New landmarks with a direction."""
+        self._append(use)
+        self._next.oriented_augmentation(use)
+
+    def fusion(self, use: FusionUse) -> None:
+        """Two landmarks with a direction that are one."""
+        both = np.array((use.first, use.second), dtype=np.intp)
+        columns = self._ekf.state.layout.columns(both, ORIENTED)[3:]
+        jacobian = np.hstack((use.jacobian_first, use.jacobian_second))
+        self._receive(columns, jacobian, use.innovation, use.noise)
+        self._next.fusion(use)
+
+    def removal(self, gone: Removal) -> None:
+        """Columns of landmarks that went."""
+        self.cross = np.delete(self.cross, gone.entries, axis=1)
+        self._next.removal(gone)
 
     def position(self, use: PositionUse) -> None:
         """An absolute position."""
         self._receive(np.arange(3), use.jacobian_pose, use.innovation, use.noise)
         self._next.position(use)
+
+    def _receive_sightings(self, use: SightingUse, width: int) -> None:
+        columns = self._ekf.state.layout.columns(use.slot, width)
+        jacobian = stack(use.jacobian_pose, use.jacobian_other)
+        self._receive(columns, jacobian, use.innovation.ravel(), block_diagonal(use.noise))
+
+    def _append(self, use: SightingUse) -> None:
+        """Columns C_v G_x^T of the new landmarks; what they add of their own is independent."""
+        stacked = use.jacobian_pose.reshape(-1, 3)
+        self.cross = np.hstack((self.cross, self.cross[:, :3] @ stacked.T))
 
     def _receive(self, columns: Index, jacobian: Array, innovation: Array, noise: Array) -> None:
         """What an update of the filter does to states it did not see (Nieto 2005, eq. 3.16).

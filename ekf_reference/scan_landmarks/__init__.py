@@ -1,1 +1,1 @@
-"""Scan-SLAM's templates and their matching (Nieto 2005, chapter 5)."""
+"""Landmarks that are pieces of scans: frames in the state, templates beside (Nieto 2005, ch. 5)."""

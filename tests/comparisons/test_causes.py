@@ -14,8 +14,9 @@ from comparisons.checks.linearisation_growth import linearisation_growth
 from comparisons.compare import Comparison, compare_estimators
 from comparisons.logs.log import Log
 from comparisons.runs.ekf_build import EkfChoices
+from comparisons.runs.estimate import Estimate
 from comparisons.runs.smoother_run import build_problem, linear_optimum, linear_own
-from graphslam.frozen import FrozenPoints, own_problem
+from graphslam.frozen_own import FrozenPoints, own_problem
 from graphslam.problem import SlamProblem
 from tests.helpers import Array, simulated
 
@@ -46,12 +47,19 @@ def linearised(landmark: Array, poses: Array) -> tuple[SlamProblem, FrozenPoints
     return problem, points
 
 
+def estimate(poses: Array, landmark: Array) -> Estimate:
+    return Estimate(
+        np.arange(2.0), poses, np.tile(np.eye(3), (2, 1, 1)), np.array([0]), landmark[None],
+        np.eye(5), "smoothed",
+    )  # fmt: skip
+
+
 def test_the_error_of_linearising_is_that_of_the_formula() -> None:
     poses, sideways = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), 2.0
     off = np.array([10.0, sideways])
     problem, at_filter = linearised(np.array([10.0, 0.0]), poses)
     optimum = own_problem(problem, linearised(off, poses)[1])
-    growth = linearisation_growth(own_problem(problem, at_filter), optimum, poses, off[None])
+    growth = linearisation_growth(own_problem(problem, at_filter), optimum, estimate(poses, off))
     by_range = (np.hypot(10.0, sideways) - 10.0) / 0.1
     by_bearing = (np.arctan2(sideways, 10.0) - sideways / 10.0) / 0.02
     assert growth.kind == "a sighting"
@@ -68,22 +76,26 @@ def test_a_prediction_counts_with_its_turn() -> None:
     landmark = np.array([10.0, 0.0])
     problem, at_filter = linearised(landmark, poses)
     optimum = own_problem(problem, linearised(landmark, turned)[1])
-    growth = linearisation_growth(own_problem(problem, at_filter), optimum, turned, landmark[None])
+    growth = linearisation_growth(
+        own_problem(problem, at_filter), optimum, estimate(turned, landmark)
+    )
     assert growth.squared[1] > 0.0
     assert growth.reached(1.0) == 1
     wound = turned + (0.0, 0.0, 2.0 * np.pi)
-    around = linearisation_growth(own_problem(problem, at_filter), optimum, wound, landmark[None])
+    around = linearisation_growth(
+        own_problem(problem, at_filter), optimum, estimate(wound, landmark)
+    )
     assert np.allclose(around.squared, growth.squared, rtol=1e-9)
 
 
 def test_at_the_optimum_nothing_is_missed() -> None:
     c = sound()
     problem = build_problem(c.log, c.ekf)
-    there = linear_optimum(problem, c.ekf, c.smoothed.pose, c.smoothed.landmark)
-    growth = linearisation_growth(there, there, c.smoothed.pose, c.smoothed.landmark)
+    there = linear_optimum(problem, c.ekf, c.smoothed)
+    growth = linearisation_growth(there, there, c.smoothed)
     assert growth.total == 0.0
     filters = linear_own(problem, c.ekf)
-    assert linearisation_growth(filters, there, c.smoothed.pose, c.smoothed.landmark).total > 0.1
+    assert linearisation_growth(filters, there, c.smoothed).total > 0.1
 
 
 def test_a_dropout_is_found_with_what_it_did() -> None:

@@ -1,0 +1,81 @@
+"""Sightings of landmarks with a direction, made while the filter runs: fused, and kept.
+
+Unlike a log's sightings they depend on the filter, as what a scan is matched with does. Whoever
+makes them hands them to the filter by way of a ledger, from which the smoother is told the same.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ekf_reference.full_ekf import FullEkf
+from ekf_reference.local_map import LocalMap
+from graphslam.graph_builder import right_perturbation
+from graphslam.problem import OrientedSightings, Twins
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+
+class OrientedLedger:
+    """What a filter was told of landmarks with a direction, in the order of its telling."""
+
+    def __init__(self) -> None:
+        """Start empty."""
+        self._seen: list[tuple[int, int, Array, Array]] = []
+        self._twins: list[tuple[int, int, int, Array, Array]] = []
+
+    def observe(self, ekf: FullEkf, epoch: int, z: Array, covariance: Array, slot: Index) -> Index:
+        """Fuse sightings (m, 3) with covariances (m, 3, 3); see FullEkf.observe_oriented."""
+        found = ekf.observe_oriented(z, covariance, slot)
+        self._seen += [
+            (epoch, int(s), at, r) for s, at, r in zip(found, z, covariance, strict=True)
+        ]
+        return found
+
+    def fuse(
+        self, ekf: FullEkf, epoch: int, first: int, second: int, z: Array, covariance: Array
+    ) -> LocalMap:
+        """Fuse two that are one; see FullEkf.fuse_oriented."""
+        known = ekf.fuse_oriented(first, second, z, covariance)
+        self._twins.append((epoch, first, second, z, covariance))
+        return known
+
+    def told(self) -> OrientedSightings:
+        """All of it, as the smoother takes it."""
+        return OrientedSightings(
+            np.array([epoch for epoch, *_ in self._seen], dtype=np.intp),
+            np.array([slot for _, slot, *_ in self._seen], dtype=np.intp),
+            *_measured([row[-2:] for row in self._seen]),
+            Twins(
+                np.array([epoch for epoch, *_ in self._twins], dtype=np.intp),
+                np.array([first for _, first, *_ in self._twins], dtype=np.intp),
+                np.array([second for _, _, second, *_ in self._twins], dtype=np.intp),
+                *_measured([row[-2:] for row in self._twins]),
+            ),
+        )
+
+
+class OrientedSource(Protocol):
+    """Someone who sees landmarks with a direction, such as a matcher of scans."""
+
+    def look(self, ekf: FullEkf, epoch: int, time_s: float, ledger: OrientedLedger) -> None:
+        """What is seen at an epoch, all else that was seen there being fused."""
+        ...
+
+
+class NoOrientedSource:
+    """Sees none."""
+
+    def look(self, ekf: FullEkf, epoch: int, time_s: float, ledger: OrientedLedger) -> None:
+        """Nothing."""
+
+
+def _measured(rows: list[tuple[Array, Array]]) -> tuple[Array, Array]:
+    """x, y, heading (n, 3), and covariances (n, 3, 3) as of the right perturbation."""
+    z = np.array([at for at, _ in rows], dtype=float).reshape(-1, 3)
+    r = np.array([spread for _, spread in rows], dtype=float).reshape(-1, 3, 3)
+    return z, right_perturbation(z, r)

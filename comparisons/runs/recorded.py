@@ -1,0 +1,97 @@
+"""An EKF's trace as the frozen smoothers take it: its relations, and where they were linearised."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ekf_reference.trace import SightingRecords, TraceArrays
+from graphslam.frozen import (
+    RecordedPositions,
+    RecordedSightings,
+    RecordedSteps,
+    RecordedTwins,
+    recorded_problem,
+)
+from graphslam.frozen_own import FrozenPairs
+from graphslam.linear_problem import LinearProblem
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+
+def recorded(trace: TraceArrays, until: Index) -> LinearProblem:
+    """F1: one linear problem from an EKF's own recorded matrices.
+
+    until: (K,) steps made when each pose is reached. Landmarks that were put into the map without
+    a sighting come last.
+    """
+    fixes, fusions = trace.positions, trace.fusions
+    return recorded_problem(
+        trace.prior_pose,
+        trace.prior_covariance,
+        RecordedSteps(trace.departed, trace.arrived, trace.f, trace.q),
+        until,
+        _sightings(trace.updates, trace.augmentations, until),
+        RecordedPositions(
+            np.searchsorted(until, fixes.step),
+            fixes.pose,
+            fixes.innovation,
+            fixes.jacobian_pose,
+            fixes.noise,
+        ),
+        _sightings(trace.oriented_updates, trace.oriented_augmentations, until),
+        RecordedTwins(
+            fusions.first,
+            fusions.second,
+            fusions.first_place,
+            fusions.second_place,
+            fusions.innovation,
+            fusions.jacobian_first,
+            fusions.jacobian_second,
+            fusions.noise,
+        ),
+    )
+
+
+def oriented_points(
+    trace: TraceArrays, as_headings: Callable[[Array, Index], Array]
+) -> tuple[FrozenPairs, FrozenPairs]:
+    """Where oriented landmarks were sighted from and fused, for a problem that has all of it.
+
+    as_headings: recorded poses (M, p) at steps (M,) as x, y, heading.
+    """
+    uses, fusions = (trace.oriented_updates, trace.oriented_augmentations), trace.fusions
+    return (
+        FrozenPairs(
+            np.concatenate([r.sighting for r in uses]),
+            np.concatenate([r.weight for r in uses]),
+            np.concatenate([as_headings(r.pose, r.step) for r in uses]),
+            np.concatenate([r.landmark for r in uses]),
+        ),
+        FrozenPairs(fusions.number, fusions.weight, fusions.first_place, fusions.second_place),
+    )
+
+
+def _sightings(updates: SightingRecords, begun: SightingRecords, until: Index) -> RecordedSightings:
+    begun = begun.rows(np.argsort(begun.weight <= 0.0, kind="stable"))
+    parts = (_from_updates(updates), _from_augmentations(begun))
+    step, *columns = (np.concatenate(c) for c in zip(*parts, strict=True))
+    return RecordedSightings(np.searchsorted(until, step), *columns)
+
+
+def _from_updates(r: SightingRecords) -> tuple[np.ndarray, ...]:
+    return (
+        r.step, r.slot, r.pose, r.landmark, r.innovation, r.jacobian_pose, r.jacobian_other, r.noise
+    )  # fmt: skip
+
+
+def _from_augmentations(r: SightingRecords) -> tuple[np.ndarray, ...]:
+    """Landmark = point + G_x (x - pose) + G_z v, as a relation with residual zero."""
+    identity = np.broadcast_to(np.eye(r.noise.shape[-1]), r.noise.shape)
+    spread = r.jacobian_other @ r.noise @ r.jacobian_other.transpose(0, 2, 1)
+    return (
+        r.step, r.slot, r.pose, r.landmark, r.innovation, -r.jacobian_pose, identity, spread
+    )  # fmt: skip

@@ -1,0 +1,70 @@
+"""What every observation has in common: how it is fused, how landmarks begin, and what is noted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from ekf_reference.absolute_updates import Fused, Linearised, Steps
+from ekf_reference.filter_state import FilterState
+from ekf_reference.kalman import Array, Index, block_diagonal, diagonal_blocks, unstack
+from ekf_reference.trace import SightingUse
+
+
+def fuse(
+    state: FilterState, steps: Steps, linearise: Callable[[], Linearised], noise: Array
+) -> Iterator[Fused]:
+    """Fuse an observation in as many parts as the steps ask for; yields each once it is.
+
+    noise: (m, m), R.
+    """
+    for weight, at in steps.split(linearise, noise):
+        done = state.update(at.local.columns, at.jacobian, at.innovation, noise / weight)
+        yield Fused(weight, at, done)
+
+
+def fuse_sightings(
+    state: FilterState,
+    steps: Steps,
+    linearise: Callable[[], Linearised],
+    noise: Array,
+    sighting: Index,
+    slot: Index,
+) -> Iterator[SightingUse]:
+    """Fuse sightings of one kind of landmarks together; yields how, part by part.
+
+    noise: (m, w, w), R of each. sighting, slot: (m,) their numbers and landmarks.
+    """
+    width = noise.shape[-1]
+    for weight, at, done in fuse(state, steps, linearise, block_diagonal(noise)):
+        yield SightingUse(
+            sighting,
+            slot,
+            at.local.pose,
+            at.local.landmark,
+            at.innovation.reshape(-1, width),
+            *unstack(at.jacobian, width),
+            noise / weight,
+            diagonal_blocks(done.spread, width),
+            done.whitened.reshape(-1, width),
+            weight,
+        )
+
+
+def begin(
+    state: FilterState,
+    sighting: Index,
+    slot: Index,
+    point: Array,
+    by_pose: Array,
+    by_sighting: Array,
+    noise: Array,
+    weight: float = 1.0,
+) -> SightingUse:
+    """Append landmarks to the state; returns how. Shapes are as in KalmanState.augment."""
+    pose, nothing = state.pose, np.zeros(point.shape)
+    surprise = np.zeros((*point.shape, point.shape[1])), nothing
+    how = by_pose, by_sighting, noise
+    state.augment(point, *how)
+    return SightingUse(sighting, slot, pose, point, nothing, *how, *surprise, weight)

@@ -1,0 +1,123 @@
+"""Landmarks with a direction where estimates are compared, written and read."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from comparisons.checks.agreement import Gaussian, compare
+from comparisons.checks.algebra_differences import WatchedState
+from comparisons.errors import InputError
+from comparisons.runs.estimate import Estimate
+from comparisons.runs.estimate_folder import read_estimate, write_estimate
+from comparisons.runs.given_estimate import read_given
+from ekf_reference.kalman import KalmanState
+from tests.ekf_reference.both_kinds import PRIOR, Script, build, drive
+from tests.graphslam.test_oriented import Conditioned, NoCross
+from tests.helpers import random_covariance
+
+
+def estimate() -> Estimate:
+    rng = np.random.default_rng(0)
+    pose, covariance = rng.standard_normal((4, 3)), random_covariance(rng, 13)
+    return Estimate(
+        np.arange(4.0),
+        pose,
+        np.tile(covariance[:3, :3], (4, 1, 1)),
+        np.array([7, 9]),
+        rng.standard_normal((2, 2)),
+        covariance,
+        "filtered",
+        {},
+        np.array([3, 5]),
+        rng.uniform(-10.0, 10.0, (2, 3)),
+    )
+
+
+def test_an_estimate_survives_its_folder(tmp_path: Path) -> None:
+    before = estimate()
+    write_estimate(before, tmp_path)
+    assert (tmp_path / "scan_landmarks.csv").read_text().startswith("id,x_m,y_m,heading_rad\n3,")
+    after = read_estimate(tmp_path)
+    for name in ("landmark_id", "landmark", "oriented_id", "oriented", "joint_covariance"):
+        assert np.array_equal(getattr(after, name), getattr(before, name)), name
+    assert len(before.joint_mean) == len(before.joint_covariance)
+    assert np.array_equal(after.landmark_covariances()[1], before.joint_covariance[5:7, 5:7])
+    given = read_given(tmp_path)
+    assert given.joint_covariance is not None
+    assert np.array_equal(given.joint_covariance, before.joint_covariance[:7, :7])
+
+
+def test_without_scan_landmarks_there_is_no_such_file(tmp_path: Path) -> None:
+    whole = estimate()
+    plain = replace(
+        whole,
+        joint_covariance=whole.joint_covariance[:7, :7],
+        oriented_id=np.zeros(0, dtype=np.int64),
+        oriented=np.zeros((0, 3)),
+    )
+    write_estimate(plain, tmp_path)
+    assert not (tmp_path / "scan_landmarks.csv").exists()
+    assert len(read_estimate(tmp_path).oriented) == 0
+
+
+def test_a_file_without_its_covariance_is_told(tmp_path: Path) -> None:
+    write_estimate(estimate(), tmp_path)
+    (tmp_path / "scan_landmarks.csv").unlink()
+    with pytest.raises(InputError, match=r"shapes .*\(13, 13\), expected .*\(7, 7\)"):
+        read_estimate(tmp_path)
+    with pytest.raises(InputError, match=r"expected \(7, 7\)"):
+        read_given(tmp_path)
+
+
+def test_landmarks_with_a_direction_are_blocks_of_three() -> None:
+    rng = np.random.default_rng(1)
+    covariance = random_covariance(rng, 13)
+    e = Gaussian(rng.standard_normal(13), covariance, 2)
+    turned = replace(e, mean=e.mean + 2.0 * np.pi * (np.eye(13)[9] - np.eye(13)[12]))
+    same = compare(e, turned, e, turned)
+    assert len(same.landmarks) == 2
+    assert len(same.oriented) == 2
+    assert max(g.sigma for g in (same.algebra, same.model, same.linearisation)) < 1e-12
+    off = replace(e, mean=e.mean + 0.5 * np.eye(13)[12])
+    found = compare(off, e, e, e)
+    assert found.oriented[1].distance > 0.01
+    assert found.oriented[1].difference_m == 0.0
+    assert found.oriented[0].distance == 0.0
+    assert max(block.distance for block in found.landmarks) == 0.0
+    own = covariance[10:, 10:]
+    d = np.array([0.0, 0.0, 0.5])
+    assert found.oriented[1].distance == pytest.approx(np.sqrt(d @ np.linalg.solve(own, d) / 3.0))
+    shifted = compare(replace(e, mean=e.mean + 3.0 * np.eye(13)[7]), e, e, e)
+    assert shifted.landmark_difference_rms_m == pytest.approx(1.5)
+
+
+def test_different_kinds_are_not_compared() -> None:
+    e = Gaussian(np.zeros(9), np.eye(9))
+    with pytest.raises(ValueError, match="0 landmarks with a direction against 2"):
+        compare(e, e, e, replace(e, oriented=2))
+
+
+@pytest.mark.parametrize(
+    ("state", "steps", "operation", "block"),
+    [
+        (KalmanState, 100, None, None),
+        (NoCross, 1, "the augmentation", "the new landmarks' covariance with the map"),
+        (Conditioned, 76, "the removal", "the map's covariance"),
+    ],
+)
+def test_operations_are_repeated_with_both_kinds(
+    state: type[KalmanState], steps: int, operation: str | None, block: str | None
+) -> None:
+    ekf = build()
+    watched = WatchedState(state(ekf.state.pose, PRIOR), 1e-9)
+    ekf.state = watched
+    drive(ekf, 0, Script(steps=steps, fuse_at=60, remove_at=75))
+    found = watched.differences()
+    assert bool(found) == (operation is not None)
+    if operation is not None:
+        assert (operation, block) in {(d.operation, d.block) for d in found}
+        assert {d.operation for d in found} == {operation}

@@ -1,0 +1,165 @@
+"""A run with landmarks that have a direction, from the log to the agreement of its estimates."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+import pytest
+
+from comparisons.checks.agreement import Agreement, Gaussian, compare
+from comparisons.compare import compare_estimators
+from comparisons.errors import InputError
+from comparisons.logs.log import Log
+from comparisons.runs.ekf_build import EkfChoices
+from comparisons.runs.ekf_run import EkfRun, run_ekf
+from comparisons.runs.oriented_sightings import OrientedLedger
+from comparisons.runs.smoother_run import (
+    build_problem,
+    linear_own,
+    linear_recorded,
+    run_smoother,
+    smoothed_estimate,
+    solve_own,
+    solve_recorded,
+)
+from comparisons.runs.timeline import build_timeline
+from ekf_reference.compressed_ekf import CompressedState, LocalAreas
+from ekf_reference.full_ekf import NEW, FullEkf
+from ekf_reference.kalman import Correction, Index, KalmanState
+from ekf_reference.observation import PredictedSightings
+from ekf_reference.scan_landmarks.observation import OrientedObservation
+from graphslam.smoother import SmootherOptions
+from tests.ekf_reference.both_kinds import relative
+from tests.helpers import Array, first_seconds, simulated
+
+R = np.diag((0.05, 0.05, 0.01)) ** 2
+FUSE_AT = 60
+
+
+@cache
+def log() -> Log:
+    return first_seconds(simulated(seed=4), 40.0)
+
+
+class Frames:
+    """Sees frames beside the way where they truly are, with noise; fuses the first two."""
+
+    def __init__(self, *, by_ledger: bool = True) -> None:
+        poses = log().truth.poses
+        assert poses is not None
+        self.poses, self.rng = poses, np.random.default_rng(0)
+        self.frames = poses.at(np.linspace(poses.time_s[0] + 1.0, 38.0, 8)) + (1.0, 2.0, 2.0)
+        self.slot: dict[int, int] = {}
+        self.gone: set[int] = set()
+        self.by_ledger = by_ledger
+
+    def measured(self, base: Array, frame: Array) -> Array:
+        return relative(base, frame) + np.linalg.cholesky(R) @ self.rng.standard_normal(3)
+
+    def look(self, ekf: FullEkf, epoch: int, time_s: float, ledger: OrientedLedger) -> None:
+        truth = self.poses.at(np.array([time_s]))[0]
+        away = np.hypot(*(self.frames[:, :2] - truth[:2]).T)
+        which = [i for i in np.flatnonzero(away < 15.0).tolist() if i not in self.gone]
+        if which:
+            z = np.array([self.measured(truth, self.frames[i]) for i in which])
+            slot = np.array([self.slot.get(i, NEW) for i in which], dtype=np.intp)
+            r = np.tile(R, (len(z), 1, 1))
+            if self.by_ledger:
+                slot = ledger.observe(ekf, epoch, z, r, slot)
+            else:
+                slot = ekf.observe_oriented(z, r, slot)
+            self.slot.update(zip(which, slot.tolist(), strict=True))
+        if epoch == FUSE_AT:
+            z = self.measured(self.frames[0], self.frames[1])
+            ledger.fuse(ekf, epoch, self.slot[0], self.slot[1], z, R)
+            self.gone.add(1)
+
+
+def chain(choices: EkfChoices, modify: Callable[[FullEkf], None]) -> tuple[EkfRun, Agreement]:
+    chosen = choices.settle(log())
+    run = run_ekf(log(), build_timeline(log()), chosen, modify=modify, source=Frames())
+    problem = build_problem(log(), run)
+    recorded = solve_recorded(linear_recorded(run), run)
+    own = solve_own(linear_own(problem, run), run)
+    result = run_smoother(problem, run, SmootherOptions())
+    assert result.proof.proven
+    assert result.proof.chi_square.reading == "plausible"
+    ids = run.estimate.landmark_id
+    smoothed = smoothed_estimate(result, run.timeline.epoch_time_s, ids, "the EKF's")
+    assert np.array_equal(smoothed.oriented_id, run.estimate.oriented_id)
+    count = len(smoothed.oriented)
+    ends = [Gaussian(e.joint_mean, e.joint_covariance, count) for e in (run.estimate, smoothed)]
+    return run, compare(ends[0], Gaussian(*recorded, count), Gaussian(*own, count), ends[1])
+
+
+def _compress(ekf: FullEkf) -> None:
+    ekf.state = CompressedState(log().prior.pose, log().prior.covariance, LocalAreas(8.0, 20.0))
+
+
+@pytest.mark.parametrize(
+    ("choices", "modify"),
+    [
+        (EkfChoices("full", "known"), lambda ekf: None),
+        (EkfChoices("full", "known"), _compress),
+        (EkfChoices("misono-full", "known"), lambda ekf: None),
+    ],
+)
+def test_the_estimates_agree_along_the_chain(
+    choices: EkfChoices, modify: Callable[[FullEkf], None]
+) -> None:
+    run, found = chain(choices, modify)
+    assert len(found.oriented) == run.oriented.count - 1 > 4
+    assert found.algebra.within(1e-6)
+    assert found.model.within(1e-6)
+    assert max(block.distance for block in found.oriented) < 1.0
+
+
+class Flipped(OrientedObservation):
+    def predict(self, pose: Array, landmarks: Array) -> PredictedSightings:
+        at = super().predict(pose, landmarks)
+        return at._replace(jacobian_pose=at.jacobian_pose * (1.0, 1.0, -1.0))
+
+
+def test_a_flipped_jacobian_is_a_model_gap_and_named() -> None:
+    def plant(ekf: FullEkf) -> None:
+        ekf.oriented_observation = Flipped()
+
+    broken = compare_estimators(log(), EkfChoices("full", "known"), modify=plant, source=Frames)
+    causes = broken.verdict.causes
+    assert [cause.gap for cause in causes] == ["model"]
+    assert "the Jacobian by heading differs" in causes[0].evidence
+    assert "sightings of scan landmarks" in causes[0].evidence
+
+
+def test_the_whole_job_agrees() -> None:
+    """Compared, written and read: scan landmarks are in both estimates."""
+    found = compare_estimators(log(), EkfChoices("full", "known"), source=Frames)
+    assert found.verdict.outcome == "agree"
+    assert len(found.agreement.oriented) == len(found.smoothed.oriented) > 4
+
+
+class Half(KalmanState):
+    """Broken: the gain of a landmark with a direction is halved where the mean is concerned."""
+
+    def update(
+        self, columns: Index, jacobian: Array, innovation: Array, noise: Array
+    ) -> Correction:
+        share = 0.5 if len(jacobian) % 3 == 0 and len(jacobian) % 2 else 1.0
+        return super().update(columns, jacobian, share * innovation, noise)
+
+
+def test_broken_algebra_is_named() -> None:
+    def plant(ekf: FullEkf) -> None:
+        ekf.state = Half(log().prior.pose, np.array(log().prior.covariance))
+
+    broken = compare_estimators(log(), EkfChoices("full", "known"), modify=plant, source=Frames)
+    assert "algebra" in [cause.gap for cause in broken.verdict.causes]
+    assert "the update gets the mean wrong" in broken.verdict.causes[0].evidence
+
+
+def test_what_goes_by_the_ledger_is_told() -> None:
+    chosen = EkfChoices("full", "known").settle(log())
+    with pytest.raises(InputError, match=r"sightings of landmarks with a direction, expected 0"):
+        run_ekf(log(), build_timeline(log()), chosen, source=Frames(by_ledger=False))

@@ -1,0 +1,82 @@
+"""Dense maps and passive states beside a filter that has landmarks with a direction, too."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ekf_reference.dense.passive_states import PassiveStates, points
+from ekf_reference.dense.view import FilterView
+from ekf_reference.trace import Removal, SightingUse
+from tests.ekf_reference.both_kinds import Script, build, drive
+from tests.helpers import Array, relative_error
+
+Z = np.array([[4.0, 0.5], [6.0, -1.0]])
+NOISE = np.tile(np.diag((0.01, 0.004)) ** 2, (2, 1, 1))
+SCRIPT = Script(steps=100, order="in turn", fuse_at=60, remove_at=75)
+
+
+def outcome(passive: type[PassiveStates] | None) -> tuple[Array, Array, Array]:
+    """Place, own covariance and covariance with the filter's, of two points from the start.
+
+    passive: who carries them; None for the filter itself, as points that are never seen again.
+    """
+    ekf = build()
+    if passive is not None:
+        beside = passive(ekf)
+        beside.watch(points(ekf.observation, ekf.state.pose, Z, NOISE))
+        drive(ekf, 4, SCRIPT)
+        return beside.value, beside.own, beside.cross
+    ekf.observe(Z, np.sqrt(NOISE[:, (0, 1), (0, 1)]), np.array([100, 101]))
+    dense = np.arange(2)
+    drive(ekf, 4, SCRIPT)
+    layout = ekf.state.layout
+    rows = layout.columns(dense)[3:]
+    kept = np.setdiff1d(np.arange(layout.size), rows)
+    p = ekf.state.covariance
+    own = np.array([p[np.ix_(r, r)] for r in rows.reshape(-1, 2)])
+    return ekf.state.landmarks[dense], own, p[np.ix_(rows, kept)]
+
+
+class Forgetful(PassiveStates):
+    """Broken: sightings of landmarks with a direction tell it nothing."""
+
+    def oriented_update(self, use: SightingUse) -> None:
+        self._next.oriented_update(use)
+
+
+class WrongColumns(PassiveStates):
+    """Broken: it drops the last columns in place of those of what was removed."""
+
+    def removal(self, gone: Removal) -> None:
+        last = self.cross.shape[1] - len(gone.entries)
+        super().removal(gone._replace(entries=last + np.arange(len(gone.entries))))
+
+
+def gaps(passive: type[PassiveStates]) -> float:
+    pairs = zip(outcome(passive), outcome(None), strict=True)
+    return max(relative_error(ours, theirs) for ours, theirs in pairs)
+
+
+def test_equal_to_a_filter_that_has_them_in_its_state() -> None:
+    assert gaps(PassiveStates) < 1e-8
+
+
+def test_the_equality_rejects_broken_variants() -> None:
+    assert gaps(Forgetful) > 1e-4
+    assert gaps(WrongColumns) > 1e-4
+
+
+def test_a_view_has_the_points_alone() -> None:
+    """Full and compressed: removed ones are NaN and have no covariance."""
+    for kind in ("full", "compressed"):
+        ekf = build(kind)
+        drive(ekf, 4, SCRIPT)
+        view, layout = FilterView.of(ekf), ekf.state.layout
+        assert np.isnan(view.landmark[1]).all()
+        assert 1 not in view.slot
+        assert len(view.covariance) == 3 + 2 * len(view.slot)
+        chosen = view.slot[[2, 0]]
+        columns = layout.columns(chosen)
+        expected = ekf.state.covariance[np.ix_(columns, columns)]
+        assert relative_error(view.joint(chosen), expected) < 1e-12
+        assert relative_error(view.landmark[chosen], ekf.state.landmarks[chosen]) < 1e-12
