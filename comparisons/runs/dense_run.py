@@ -18,6 +18,7 @@ from comparisons.runs.motion import CLOCK_S
 from comparisons.runs.planar_scans import PlanarScans
 from ekf_reference.dense.conditions import Conditions
 from ekf_reference.dense.dense_map import DenseMap
+from ekf_reference.dense.dynamic import DynamicLayer
 from ekf_reference.dense.layers.gaussians import Gaussians
 from ekf_reference.dense.layers.layer import Layer, Samples
 from ekf_reference.dense.layers.occupancy import OccupancyGrid
@@ -54,18 +55,19 @@ class GlobalMap(Protocol):
 class DenseOptions:
     """What is kept, and how.
 
-    layers: of LAYERS. resolution_m: of cells. known_apart_m, longest_edge_m: see
-    dense.conditions.Conditions.
+    layers: of LAYERS; none where only the dynamic layer is wanted. resolution_m: of cells.
+    known_apart_m, longest_edge_m: see dense.conditions.Conditions. dynamic: look for what moves.
     """
 
     layers: tuple[str, ...] = ("points", "occupancy")
     resolution_m: float = 0.2
     known_apart_m: float = 0.5
     longest_edge_m: float = 35.0
+    dynamic: bool = False
 
     def __post_init__(self) -> None:
         """Raises InputError."""
-        if not self.layers or set(self.layers) - set(LAYERS):
+        if not (self.layers or self.dynamic) or set(self.layers) - set(LAYERS):
             given = ", ".join(self.layers) or "none"
             raise InputError(f"layers {given}: expected some of {', '.join(LAYERS)}")
         if not 0.01 <= self.resolution_m <= 10.0:
@@ -87,6 +89,7 @@ class DenseOptions:
             {name: made[name] for name in self.layers},
             LocalRegions(conditions),
             WaitingRoom(patience=PATIENCE),
+            dynamic=DynamicLayer(size) if self.dynamic else None,
         )
 
 
@@ -197,7 +200,7 @@ class DenseWatcher:
     def _insert(self, view: FilterView) -> None:
         scan = self._scans.scan(self._next, view.pose)
         start = time.perf_counter()
-        self._dense.insert(view, scan)
+        self._dense.insert(view, scan, float(self._scans.time_s[self._next]))
         self._seconds["scans"] += time.perf_counter() - start
         for other in self._beside:
             other.fuse(scan)
