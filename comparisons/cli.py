@@ -17,6 +17,7 @@ from comparisons.cli_montecarlo import montecarlo
 from comparisons.cli_options import (
     AssociationOption,
     DenseOption,
+    DynamicOption,
     EstimateOption,
     FeaturesOption,
     FilterOption,
@@ -95,6 +96,7 @@ def run(
     noise_scale: NoiseOption = 1.0,
     dense: DenseOption = [],  # noqa: B006
     resolution: ResolutionOption = 0.2,
+    dynamic: DynamicOption = "off",
 ) -> None:
     """Run both estimators on a log, check one against the other, write a report folder.
 
@@ -106,6 +108,7 @@ def run(
       slamcheck run my-log-folder --association nn --out report
       slamcheck run path/to/acfr_car_park --motion both
       slamcheck run scan-loop --dense points --dense occupancy
+      slamcheck run dynamic-lanes --dynamic on
     """
     with guarded():
         from comparisons.runs.dense_run import DenseOptions
@@ -118,6 +121,8 @@ def run(
             raise InputError(
                 f"smoother association '{smoother_association}' is unknown, expected ekf or own"
             )
+        if dynamic not in ("off", "on"):
+            raise InputError(f"dynamic '{dynamic}' is unknown, expected off or on")
         kept = DenseOptions(tuple(dict.fromkeys(dense)) or ("points",), resolution)
         raise SystemExit(
             _run(
@@ -127,6 +132,7 @@ def run(
                 smoother_association,
                 motion,
                 kept if dense else None,
+                dynamic == "on",
                 out,
                 read_s,
             )
@@ -149,6 +155,7 @@ def _run(
     smoother_association: str,
     motion: str,
     dense: DenseOptions | None,
+    dynamic: bool,
     out: Path | None,
     read_s: float,
 ) -> int:
@@ -169,6 +176,7 @@ def _run(
             smoother_association=smoother_association,
             motion=motion,
             dense=dense,
+            dynamic=dynamic,
         )
         result = build_result(comparison, read_s)
         progress("report", 0, 0)

@@ -123,6 +123,21 @@ EstimateOption = Annotated[
         "landmarks.csv, covariances.npz, estimate.toml.",
     ),
 ]
+DynamicOption = Annotated[
+    str,
+    typer.Option(
+        "--dynamic",
+        metavar="off|on",
+        help="On: find where things move in the scans, and keep the filter from going by these.",
+    ),
+]
+DynamicLayerOption = Annotated[
+    bool,
+    typer.Option(
+        "--dynamic",
+        help="Find where things move, keep the filter from going by these, and write that layer.",
+    ),
+]
 DenseOption = Annotated[
     list[str],
     typer.Option(

@@ -55,6 +55,7 @@ from graphslam.smoother import SmootherOptions, SmootherResult, smooth
 Progress = Callable[[str, int, int], None]
 """Called with the stage, what is done and what there is to do (0 when not known)."""
 
+_DYNAMIC_ONLY = DenseOptions((), dynamic=True)
 MOTIONS = ("wheel", "scan", "both")
 
 
@@ -102,12 +103,14 @@ def compare_estimators(
     smoother_association: str = "ekf",
     motion: str = "wheel",
     dense: DenseOptions | None = None,
+    dynamic: bool = False,
 ) -> Comparison:
     """Run both estimators over a log and judge them.
 
     choices: filter and association; what is left open is chosen by the log. options: of the
     smoother. modify: see run_ekf. smoother_association: `ekf`, or `own` to solve for a second time
     with the smoother's own. motion: of MOTIONS. dense: a dense map to keep and compare, if any.
+    dynamic: look for what moves, and keep the filter from going by it.
     Raises InputError when the log cannot be used, and graphslam.marginals.SingularProblemError
     when the smoother has no solution.
     """
@@ -131,10 +134,23 @@ def compare_estimators(
         log = with_scan_motion(log, scanned, positions=chosen.gps != "off")
     positions = fused_positions(log, chosen)
     timeline = build_timeline(log, positions)
-    watcher = None if dense is None else DenseWatcher(log, dense)
+
+    def watch_over() -> DenseWatcher | None:
+        if dense is None and not dynamic:
+            return None
+        return DenseWatcher(log, replace(dense or _DYNAMIC_ONLY, dynamic=dynamic))
+
+    watcher = watch_over()
     with clock.stage("ekf"):
         run = run_ekf(
-            log, timeline, chosen, positions, lambda k, n: progress("EKF", k, n), modify, watcher
+            log,
+            timeline,
+            chosen,
+            positions,
+            lambda k, n: progress("EKF", k, n),
+            modify,
+            watcher,
+            watcher if dynamic else None,
         )
     if not len(run.estimate.landmark):
         raise InputError(f"{log.name}: no sighting could be used, so there is no map to compare")
@@ -162,7 +178,7 @@ def compare_estimators(
         with clock.stage("smoother on scans"):
             progress("smoother on scans", 0, 0)
             three = _with_scans(log, judged, scanned, run, result, smoothed)
-    mapped = None if watcher is None else watcher.run()
+    mapped = None if dense is None or watcher is None else watcher.run()
     compared = None
     if mapped is not None:
         with clock.stage("dense check"):
@@ -183,7 +199,9 @@ def compare_estimators(
             result.proof,
             run,
             lambda: model_differences(said, meant, ROUNDING, begun),
-            operations=lambda: _repeated(log, timeline, run, chosen, modify),
+            operations=lambda: _repeated(
+                log, timeline, run, chosen, modify, watch_over() if dynamic else None
+            ),
             explanations=lambda: explain(log, run),
             misuses=misuses(log, run, smoothed, labelled=labelled),
             conservative=chosen.conservative,
@@ -227,6 +245,7 @@ def compare_estimators(
                     *consistency.remarks,
                     *_on_scans(log, scanned),
                     *_on_dense(mapped, compared),
+                    *_on_motion(watcher if dynamic else None),
                 ),
             ),
             clock.seconds,
@@ -239,15 +258,19 @@ def _repeated(
     run: EkfRun,
     choices: EkfChoices,
     modify: Callable[[FullEkf], None],
+    watcher: DenseWatcher | None,
 ) -> tuple[AlgebraDifference, ...]:
-    """The filter once more, with every operation repeated on a sound copy of its state."""
+    """The filter once more, with every operation repeated on a sound copy of its state.
+
+    watcher: who tells it what moves, if anybody does.
+    """
     watched: list[WatchedState | None] = []
 
     def also(ekf: FullEkf) -> None:
         modify(ekf)
         watched.append(watch(ekf, ROUNDING, run.trace.prior_pose, run.trace.prior_covariance))
 
-    run_ekf(log, timeline, choices, run.positions, modify=also)
+    run_ekf(log, timeline, choices, run.positions, modify=also, watcher=watcher, guard=watcher)
     return watched[0].differences() if watched[0] is not None else ()
 
 
@@ -267,6 +290,16 @@ def _on_dense(mapped: DenseRun | None, compared: DenseAgreement | None) -> list[
     return [
         f"no return fell into one of {len(mapped.dense.regions.base)} regions, so no dense maps "
         "could be compared"
+    ]
+
+
+def _on_motion(watcher: DenseWatcher | None) -> list[str]:
+    """A remark where motion was looked for and none could have been found."""
+    if watcher is None or watcher.moves.compared:
+        return []
+    return [
+        "whether anything moves is not known: no region kept its shape between two looks "
+        f"({watcher.moves.deformed} changed it), as it takes three landmarks that stand still"
     ]
 
 

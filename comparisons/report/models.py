@@ -23,8 +23,10 @@ class LogResult(Model):
 class EkfResult(Model):
     """The filter.
 
-    rejected, ambiguous, candidate: sightings that association did not use. global_updates: of a
-    compressed filter, and the share of the passive covariance that they left alone (set I).
+    rejected, ambiguous, candidate: sightings that association did not use. dynamic: sightings that
+    were discarded since something moves there; retired: landmarks that are used no more, since they
+    stand in such a place. global_updates: of a compressed filter, and the share of the passive
+    covariance that they left alone (set I).
     """
 
     filter: str
@@ -33,6 +35,8 @@ class EkfResult(Model):
     rejected: int
     ambiguous: int
     candidate: int
+    dynamic: int
+    retired: int
     gps: str
     fixes_fused: int
     fixes_rejected: int

@@ -79,6 +79,7 @@ def ekf_result(run: EkfRun, choices: EkfChoices) -> EkfResult:
         association=str(choices.association),
         landmarks=len(run.estimate.landmark),
         **run.unused,
+        retired=len(run.retired),
         gps=choices.gps,
         fixes_fused=len(run.fix_number),
         fixes_rejected=run.rejected_fixes,

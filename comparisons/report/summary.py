@@ -120,6 +120,11 @@ def add_ekf(table: Table, ekf: EkfResult) -> None:
         f"{ekf.filter}, {ekf.landmarks} landmarks; sightings {ekf.rejected} rejected, "
         f"{ekf.ambiguous} ambiguous, {ekf.candidate} of candidates ({ekf.association})",
     )
+    if ekf.dynamic or ekf.retired:
+        table.add_row(
+            "dynamic",
+            f"{ekf.dynamic} sightings discarded, {ekf.retired} landmarks retired",
+        )
     if ekf.global_updates:
         table.add_row(
             "global updates",

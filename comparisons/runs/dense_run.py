@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
@@ -18,7 +19,7 @@ from comparisons.runs.motion import CLOCK_S
 from comparisons.runs.planar_scans import PlanarScans
 from ekf_reference.dense.conditions import Conditions
 from ekf_reference.dense.dense_map import DenseMap
-from ekf_reference.dense.dynamic import DynamicLayer
+from ekf_reference.dense.dynamic import Counters, DynamicLayer
 from ekf_reference.dense.layers.gaussians import Gaussians
 from ekf_reference.dense.layers.layer import Layer, Samples
 from ekf_reference.dense.layers.occupancy import OccupancyGrid
@@ -39,6 +40,8 @@ PATIENCE = 16
 """Scans that returns wait for a third landmark before a virtual one takes its place."""
 _TELLING_M = 0.05
 """Least shift of the regions by one update that is worth a picture (root mean square)."""
+_MARGIN_M = 0.5
+"""So near to a dynamic cell a sighting or a landmark counts as dynamic: both may be off."""
 _CLEARLY = 1.2
 """A later update must move the regions, all together, so many times as far to take its place."""
 
@@ -126,9 +129,16 @@ class DenseRun:
     before: BeforeClosing | None
     seconds: Mapping[str, float]
 
+    def is_dynamic(self, point: Array) -> NDArray[np.bool_]:
+        """(N,) which points (N, 2) [m] are where something was seen to move."""
+        return _is_dynamic(self.dense, self.landmark, point)
+
 
 class DenseWatcher:
-    """Feeds a dense map while the filter runs. Reads the filter only."""
+    """Feeds a dense map while the filter runs. Reads the filter only.
+
+    It is a DynamicGuard, too, for a filter that is to know what the map finds to be moving.
+    """
 
     def __init__(self, log: Log, options: DenseOptions, beside: Sequence[GlobalMap] = ()) -> None:
         """beside: maps that are given the same scans from the same poses. Raises InputError."""
@@ -179,6 +189,15 @@ class DenseWatcher:
             self._insert(FilterView.of(ekf))
         self._dense.place(replace(FilterView.of(ekf), landmark=ekf.state.landmarks))
 
+    def is_dynamic(self, point: Array) -> NDArray[np.bool_]:
+        """(N,) which points (N, 2) [m] are where something was seen to move."""
+        return _is_dynamic(self._dense, self._dense.landmark, point)
+
+    @property
+    def moves(self) -> Counters:
+        """What looking for motion came to; zeros where it was not asked for."""
+        return Counters() if self._dense.dynamic is None else self._dense.dynamic.counters
+
     def run(self) -> DenseRun:
         """The map, once the filter has finished."""
         done = len(self._pose)
@@ -220,3 +239,9 @@ class DenseWatcher:
         placed = self._dense.regions.placed(old)
         layers = {name: layer.samples(placed) for name, layer in self._dense.layers.items()}
         self._before = BeforeClosing(self._epoch_s, shift, old, placed.triangle, layers)
+
+
+def _is_dynamic(dense: DenseMap, landmark: Array, point: Array) -> NDArray[np.bool_]:
+    if dense.dynamic is None:
+        return np.zeros(len(point), dtype=bool)
+    return dense.dynamic.covers(point, dense.regions.placed(landmark), _MARGIN_M)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +15,10 @@ from comparisons.runs.ekf_build import EkfChoices, build_ekf
 from comparisons.runs.estimate import Array, Estimate
 from comparisons.runs.known_landmarks import surveyed
 from comparisons.runs.timeline import Timeline
-from ekf_reference.association import AMBIGUOUS, CANDIDATE, REJECTED
+from ekf_reference.association import AMBIGUOUS, CANDIDATE, DYNAMIC, REJECTED
 from ekf_reference.compressed_ekf import CompressedState
 from ekf_reference.direction_cosine import OwnAxesObservation
+from ekf_reference.dynamic_guard import DynamicGuard, StaticSightings
 from ekf_reference.full_ekf import FullEkf, PoseReading
 from ekf_reference.trace import RecordedTrace, TraceArrays
 
@@ -31,7 +32,8 @@ class EkfRun:
 
     timeline: what the filter was given; when it broke down, only up to there.
     positions: those that were given. fix_number: (G,) which of them were fused. rejected_fixes:
-    how many the gate rejected.
+    how many the gate rejected. retired: (R,) landmarks that were found to stand where things move;
+    they stay in the state, and nothing is matched with them any more.
     slot: (M,) landmark of each of the timeline's sightings, a negative code where unused (see
     ekf_reference.association).
     departed: (K, 3) the pose when each epoch was done. arrived: (K, 3) as predicted there.
@@ -54,11 +56,17 @@ class EkfRun:
     rejected_fixes: int
     spared: tuple[int, float] = (0, 0.0)
     breakdown: str | None = None
+    retired: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
 
     @property
     def unused(self) -> dict[str, int]:
         """Sightings that were not used, by reason."""
-        codes = {"rejected": REJECTED, "ambiguous": AMBIGUOUS, "candidate": CANDIDATE}
+        codes = {
+            "rejected": REJECTED,
+            "ambiguous": AMBIGUOUS,
+            "candidate": CANDIDATE,
+            "dynamic": DYNAMIC,
+        }
         return {name: int(np.count_nonzero(self.slot == code)) for name, code in codes.items()}
 
 
@@ -70,16 +78,21 @@ def run_ekf(
     progress: Callable[[int, int], None] = lambda done, total: None,
     modify: Callable[[FullEkf], None] = lambda ekf: None,
     watcher: Watcher | None = None,
+    guard: DynamicGuard | None = None,
 ) -> EkfRun:
     """Drive the filter through all epochs, or as far as it comes.
 
     positions: to be fused; the timeline is built with the same. progress: called with epochs done
     and in all. modify: may replace parts of the filter before it starts, which is how defects are
-    planted. watcher: looks on.
+    planted. watcher: looks on. guard: knows where things move, so that the filter does not go by
+    these.
     """
     trace = RecordedTrace()
     ekf = build_ekf(log, choices, trace)
     modify(ekf)
+    retired: set[int] = set()
+    if guard is not None:
+        ekf.association = StaticSightings(ekf.association, guard, retired)
     watching = watcher or NoWatcher()
     ekf.insert_surveyed(*surveyed(log)[1:])
     epochs = len(timeline.epoch_time_s)
@@ -149,6 +162,7 @@ def run_ekf(
         rejected_fixes,
         _spared(ekf),
         breakdown,
+        np.array(sorted(retired), dtype=np.intp),
     )
 
 

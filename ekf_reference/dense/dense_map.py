@@ -124,14 +124,17 @@ class DenseMap:
         self.landmark = np.where(np.isnan(view.landmark), known, view.landmark)
         return self.regions.placed(self.landmark)
 
-    def _known(
-        self, view: FilterView, placed: PlacedRegions, near: Index, sigma_m: float
-    ) -> Index:
-        """Those of the regions whose middle a scan from here places so well among its landmarks."""
-        middle = placed.triangle[near].mean(axis=1)
+    def _known(self, view: FilterView, placed: PlacedRegions, near: Index, sigma_m: float) -> Index:
+        """Those of the regions whose middle a scan from here places so well among its landmarks.
+
+        All of these are within reach, whose covariance every filter has up to date.
+        """
+        middle, base = placed.triangle[near].mean(axis=1), self.regions.base
         known = replace(view, landmark=self.landmark)
-        sigma = self.neglected.sigma_now(known, self.regions.base, near, middle)
-        return near[sigma <= sigma_m]
+        slot = self.neglected.corners(known, base[near], middle)[0]
+        close = np.isin(slot, view.near(self.reach_m)).all(axis=1)
+        sigma = self.neglected.sigma_now(known, base, near, middle)
+        return near[close & (sigma <= sigma_m)]
 
     def _note_error(self, view: FilterView, hits: Hits) -> None:
         """How well the regions were known from here, where they were hit."""

@@ -4,6 +4,11 @@ Occupancy maps of one region at two times are differenced, low-pass filtered, th
 united with what was found before. Fast motion shows between maps a second apart, slow motion
 between two visits. Maps of one region lie on the same landmarks: only local errors part them,
 whatever the vehicle has drifted in between (section 6.3.1).
+
+That takes three landmarks that stand still around every place. A landmark that moves, and is
+recognised all the same, drags its regions along; their maps lie on other ground and are not
+compared. Other regions see it pass, but where there are none it is not found out; in a scene
+in which all landmarks move nothing is.
 """
 
 from __future__ import annotations
@@ -43,10 +48,10 @@ class Differencing:
     """Which maps are differenced, and what counts as a change.
 
     fast_s: between two maps for fast motion (1 s in the thesis' experiment). look_s: how often maps
-    are differenced; the thesis does so every second, and what passes in between needs more
-    passes to be seen everywhere. absence_s: a region that was not seen for so long is visited anew; slow
-    motion is what differs from the end of the last visit. The thesis takes maps 150 s apart
-    instead, which is longer than its loop.
+    are differenced; the thesis does so every second, and then what passes in between must pass
+    more often to be seen everywhere. absence_s: a region that was not seen for so long is visited
+    anew; slow motion is what differs from the end of the last visit. The thesis takes maps 150 s
+    apart instead, which is longer than its loop.
 
     lowpass_m, slow_lowpass_m: standard deviation of the Gaussian low-pass. A band of width w that
     has changed keeps erf(w / (2 sqrt(2) lowpass)) of its height: of what noise does to a contour, a
@@ -184,6 +189,15 @@ class DynamicLayer:
             parts.append(origin[region] + local[:, :1] * a[region] + local[:, 1:] * b[region])
         return np.concatenate(parts)
 
+    def area_m2(self, placed: PlacedRegions) -> float:
+        """Of all dynamic cells."""
+        _, a, b = placed.frames
+        whole = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+        return sum(
+            float(whole[n] * self.mask(n).sum() / np.prod(self.grid.grids[n].cells))
+            for n in self.regions.tolist()
+        )
+
     def covers(self, point: Array, placed: PlacedRegions, margin_m: float = 0.0) -> Mask:
         """(N,) which points (N, 2) [m] lie in a dynamic cell, or so near to the middle of one.
 
@@ -208,11 +222,13 @@ class DynamicLayer:
         return covered
 
     def occupancy(self, point: Array, placed: PlacedRegions) -> Array:
-        """(N,) 1 in dynamic cells, 0 in the others, NaN where nothing was ever seen: to be drawn."""
+        """(N,) 1 in dynamic cells, 0 in others, NaN where nothing was ever seen: to be drawn."""
         known = np.isfinite(self.grid.occupancy(point, placed))
         return np.where(known, self.covers(point, placed).astype(float), np.nan)
 
-    def _seen(self, region: int, grid: RegionGrid, old: Single, triangle: Array, now: float) -> None:
+    def _seen(
+        self, region: int, grid: RegionGrid, old: Single, triangle: Array, now: float
+    ) -> None:
         """A scan has changed a region's grid, which was `old` before."""
         edge_m = np.linalg.norm(triangle - np.roll(triangle, 1, axis=0), axis=1)
         history = self._history.get(region)
@@ -220,17 +236,17 @@ class DynamicLayer:
             passes = self.rule.lowpass_m, self.rule.slow_lowpass_m
             brief, lasting = (LowPass.over(grid, triangle, sigma_m) for sigma_m in passes)
             none = np.zeros(len(old), dtype=bool)
-            first = deque((_Map(now, probability(old), edge_m),))
+            first = deque((_Map(now, _occupancy(old), edge_m),))
             history = _History(none, brief, lasting, first, now, now)
             self._history[region] = history
         elif now - history.seen_s > self.rule.absence_s:
-            history.visit = _Map(history.seen_s, probability(old), edge_m)
-            history.recent = deque((_Map(now, probability(old), edge_m),))
+            history.visit = _Map(history.seen_s, _occupancy(old), edge_m)
+            history.recent = deque((_Map(now, _occupancy(old), edge_m),))
         history.seen_s = now
         if now - history.looked_s < self.rule.look_s - _CLOCK_S:
             return
         history.looked_s = now
-        current, recent = _Map(now, probability(grid.odds), edge_m), history.recent
+        current, recent = _Map(now, _occupancy(grid.odds), edge_m), history.recent
         recent.append(current)
         while recent[1].time_s <= now - self.rule.fast_s + _CLOCK_S:
             recent.popleft()
@@ -258,6 +274,10 @@ class DynamicLayer:
         fresh = _large(changed, rule.least_m2 / lowpass.cell_m2)[inside] & ~history.dynamic
         history.dynamic |= fresh
         return int(np.count_nonzero(fresh))
+
+
+def _occupancy(odds: Single) -> Single:
+    return probability(odds.astype(float)).astype(np.float32)
 
 
 def _large(changed: Mask, least: float) -> Mask:

@@ -58,7 +58,7 @@ def lanes_world(*, carried: bool = False) -> ScanWorld:
 
     Vehicles turn a slanting side to the sensor, 6 m long and 3 m deep, made of discs, so that all
     of a lane is seen to be driven on; they begin and end out of reach.
-    carried: a landmark stands on the first vehicle of the first lane.
+    carried: a landmark stands on the vehicle that passes first on the first lane.
     """
     a, b = UTE.sensor_forward_m, UTE.sensor_left_m
     path = np.column_stack((0.125 * np.arange(200.0) - a, np.full(200, -b)))
@@ -86,7 +86,7 @@ def lanes_world(*, carried: bool = False) -> ScanWorld:
         pole=np.column_stack((place, np.full(len(place), _POLE_M))),
         pole_height_m=np.full(len(place), 4.0),
         movers=movers,
-        carrier=(19,) if carried else (),
+        carrier=(2 * _DISCS + _DISCS // 2,) if carried else (),
     )
 
 
@@ -103,11 +103,11 @@ def _driving(north: float, towards: float, vehicle: int, part: float) -> Mover:
     return Mover(start, end, _SPEED_MPS, _DISC_M, lead_s=lead_m / _SPEED_MPS, back=False)
 
 
-def places_world(*, carried: bool = False) -> ScanWorld:
+def places_world() -> ScanWorld:
     """A small loop; at CHANGE_S one object is taken away and two are brought (Fig. 6.10).
 
-    The one that is taken away from the middle and one of those that are brought are the same.
-    carried: a landmark stands on it. All that is moved is round.
+    The one that is taken away from the middle and one of those that are brought are the same. All
+    that is moved is round.
     """
     objects: tuple[PlacedShape, ...] = (
         ("box", 8, 21, 9, 3, 4), ("wedge", 20, 16, 6, 5, 30), ("hexagon", -3, 16, 4, 4, 0),
@@ -120,11 +120,7 @@ def places_world(*, carried: bool = False) -> ScanWorld:
     )  # fmt: skip
     world = with_landmarks(corners, objects)
     moved = Displaced((11.0, 9.0), (20.0, 7.5), CHANGE_S)
-    return replace(
-        world,
-        movers=(moved, Displaced(None, (2.0, 8.0), CHANGE_S)),
-        carrier=(0,) if carried else (),
-    )
+    return replace(world, movers=(moved, Displaced(None, (2.0, 8.0), CHANGE_S)))
 
 
 def moved_over(movers: tuple[Moving, ...], point: Array, time_s: Array) -> NDArray[np.bool_]:

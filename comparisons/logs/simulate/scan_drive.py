@@ -154,7 +154,7 @@ def scan_slam(loops: int = 1, noise_scale: float = 1.0) -> ScanExperiment:
 def dynamic_lanes(
     loops: int = 1, noise_scale: float = 1.0, *, carried: bool = False
 ) -> ScanExperiment:
-    """Nieto 2005, section 6.3.3, Fig. 6.9: a sensor that stands beside two lanes, ten scans a second.
+    """Nieto 2005, section 6.3.3, Fig. 6.9: a sensor stands by two lanes, ten scans a second.
 
     Its sigmas are the section's; how well standing still is known is ours. A loop is 30 s.
     carried: a vehicle carries a landmark.
@@ -175,17 +175,15 @@ def dynamic_lanes(
     return ScanExperiment("dynamic-lanes", source, world, drive, _scanner(drive))
 
 
-def dynamic_places(
-    loops: int = 2, noise_scale: float = 1.0, *, carried: bool = False
-) -> ScanExperiment:
+def dynamic_places(loops: int = 1, noise_scale: float = 1.0) -> ScanExperiment:
     """Nieto 2005, section 6.3.3, Fig. 6.10: places that change between two passes.
 
     Of the sensor the thesis says nothing more than for Fig. 6.9, so it is the same, at the rate of
-    Table 4.1. carried: the object that is moved carries a landmark.
+    Table 4.1. One more loop is driven, since it takes two for anything to have changed.
     """
-    world = places_world(carried=carried)
+    world = places_world()
     drive = replace(
-        _drive(world, loops, noise_scale),
+        _drive(world, loops + 1, noise_scale),
         scan_every=14,
         sigma_steering_rad=math.radians(3.0),
         sigma_range_m=0.15,
@@ -216,9 +214,7 @@ def _scanner(drive: Drive) -> Planar:
     return Planar(drive.max_range_m, drive.sigma_range_m, drive.sigma_bearing_rad)
 
 
-def _hidden(
-    world: ScanWorld, drive: Drive, pose: Array, landmark: Array
-) -> NDArray[np.bool_]:
+def _hidden(world: ScanWorld, drive: Drive, pose: Array, landmark: Array) -> NDArray[np.bool_]:
     """(N, L) landmarks (N, L, 2) behind an object, seen from poses (N, 3). Poles hide nothing."""
     offset = landmark - pose[:, None, :2]
     distance = np.hypot(offset[..., 0], offset[..., 1])
