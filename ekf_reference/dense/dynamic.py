@@ -53,13 +53,14 @@ class Differencing:
     anew; slow motion is what differs from the end of the last visit. The thesis takes maps 150 s
     apart instead, which is longer than its loop.
 
-    lowpass_m, slow_lowpass_m: standard deviation of the Gaussian low-pass. A band of width w that
-    has changed keeps erf(w / (2 sqrt(2) lowpass)) of its height: of what noise does to a contour, a
-    band of one cell of 0.2 m, that is a quarter; of the side of a vehicle, a band of two cells or
-    three, half to two thirds. Over a long time local errors move contours by more.
+    lowpass, slow_lowpass: standard deviation of the Gaussian low-pass, in units of the standard
+    deviation of where the grid puts a return (GridUpdate.sigma_m). Surfaces are bands of 2.4 of
+    these. A band of width w that has changed keeps erf(w / (2 sqrt(2) lowpass)) of its height: one
+    that came or went two thirds (fast) or half (slow), one that noise has moved by a quarter of its
+    width less than 0.2. Over a long time local errors move contours by more.
     threshold, slow_threshold: least change of occupancy. The thesis has 0.5, of a filter that it
-    does not give; here it lies between the two. least_m2: a smaller piece of changed ground is
-    noise, too: a pole that some beams pass by comes and goes.
+    does not give; here it lies between the two. least: a smaller piece of changed ground, in
+    squares of the same unit, is noise, too: a pole that some beams pass by comes and goes.
 
     deformed_m: where an edge of the region has changed by more between two maps, local coordinates
     name other ground, and the maps are not compared: a landmark that moves deforms its regions.
@@ -70,18 +71,18 @@ class Differencing:
     fast_s: float = 1.0
     look_s: float = 0.25
     absence_s: float = 10.0
-    lowpass_m: float = 0.3
-    slow_lowpass_m: float = 0.4
+    lowpass: float = 1.2
+    slow_lowpass: float = 1.7
     threshold: float = 0.3
     slow_threshold: float = 0.35
-    least_m2: float = 0.3
+    least: float = 5.0
     deformed_m: float = 0.3
     known_m: float = 0.3
 
     def __post_init__(self) -> None:
         """Raises ValueError for a number out of range."""
         for name, value in vars(self).items():
-            if not (value > 0.0 or (name == "least_m2" and value == 0.0)):
+            if not (value > 0.0 or (name == "least" and value == 0.0)):
                 raise ValueError(f"{name} is {value}, expected more than 0")
         for name in ("threshold", "slow_threshold"):
             if not getattr(self, name) < 1.0:
@@ -107,6 +108,7 @@ class _History:
     dynamic: Mask
     brief: LowPass
     lasting: LowPass
+    least_m2: float
     recent: deque[_Map]
     looked_s: float
     seen_s: float
@@ -153,13 +155,14 @@ class DynamicLayer:
         """
         before = {n: self.grid.grids[n].odds.copy() for n in near.tolist() if n in self.grid.grids}
         self.grid.fuse(hits, placed, scan, near)
+        sigma_m = self.grid.update.sigma_m(scan)
         for region in near.tolist():
             grid = self.grid.grids[region]
             old = before.get(region)
             if old is None:
                 old = np.zeros_like(grid.odds)
             if not np.array_equal(old, grid.odds):
-                self._seen(region, grid, old, placed.triangle[region], time_s)
+                self._seen(region, old, placed.triangle[region], sigma_m, time_s)
 
     def mask(self, region: int) -> Mask:
         """(n,) which of a region's cells are dynamic; empty for a region that was never seen."""
@@ -226,18 +229,17 @@ class DynamicLayer:
         known = np.isfinite(self.grid.occupancy(point, placed))
         return np.where(known, self.covers(point, placed).astype(float), np.nan)
 
-    def _seen(
-        self, region: int, grid: RegionGrid, old: Single, triangle: Array, now: float
-    ) -> None:
-        """A scan has changed a region's grid, which was `old` before."""
+    def _seen(self, region: int, old: Single, triangle: Array, sigma_m: float, now: float) -> None:
+        """A scan, with returns so exact, has changed a region's grid, which was `old` before."""
+        grid = self.grid.grids[region]
         edge_m = np.linalg.norm(triangle - np.roll(triangle, 1, axis=0), axis=1)
         history = self._history.get(region)
         if history is None:
-            passes = self.rule.lowpass_m, self.rule.slow_lowpass_m
-            brief, lasting = (LowPass.over(grid, triangle, sigma_m) for sigma_m in passes)
+            widths = self.rule.lowpass * sigma_m, self.rule.slow_lowpass * sigma_m
+            brief, lasting = (LowPass.over(grid, triangle, width_m) for width_m in widths)
             none = np.zeros(len(old), dtype=bool)
             first = deque((_Map(now, _occupancy(old), edge_m),))
-            history = _History(none, brief, lasting, first, now, now)
+            history = _History(none, brief, lasting, self.rule.least * sigma_m**2, first, now, now)
             self._history[region] = history
         elif now - history.seen_s > self.rule.absence_s:
             history.visit = _Map(history.seen_s, _occupancy(old), edge_m)
@@ -271,7 +273,7 @@ class DynamicLayer:
             return 0
         lowpass = history.lasting if slow else history.brief
         changed = inside & (np.abs(lowpass(difference)) > threshold)
-        fresh = _large(changed, rule.least_m2 / lowpass.cell_m2)[inside] & ~history.dynamic
+        fresh = _large(changed, history.least_m2 / lowpass.cell_m2)[inside] & ~history.dynamic
         history.dynamic |= fresh
         return int(np.count_nonzero(fresh))
 
