@@ -294,12 +294,14 @@ def _on_dense(mapped: DenseRun | None, compared: DenseAgreement | None) -> list[
 
 
 def _on_motion(watcher: DenseWatcher | None) -> list[str]:
-    """A remark where motion was looked for and none could have been found."""
-    if watcher is None or watcher.moves.compared:
+    """A remark where motion was looked for, and most of it would not have been found."""
+    if watcher is None or watcher.moves.compared > watcher.moves.deformed:
         return []
     return [
-        "whether anything moves is not known: no region kept its shape between two looks "
-        f"({watcher.moves.deformed} changed it), as it takes three landmarks that stand still"
+        "whether anything moves is hardly known: of "
+        f"{watcher.moves.compared + watcher.moves.deformed} pairs of maps "
+        f"{watcher.moves.deformed} could not be compared, since their region had changed its "
+        "shape; it takes three landmarks that stand still"
     ]
 
 

@@ -22,6 +22,7 @@ DENSE_COLOUR = "#1b3a4b"
 DYNAMIC_COLOUR = "#e08a1e"
 REGION_COLOUR = "#8fb996"
 _MOST_DRAWN = 200_000
+_BESIDE_M = 1.0
 
 
 def draw_regions(axis: Axes, triangle: Array) -> None:
@@ -154,4 +155,8 @@ def dynamic_figure(mapping: DenseMapping, dynamic: DynamicLayer) -> Figure:
     axis.plot(*mapping.dense.landmark.T, "+", color=TRUTH_COLOUR, markersize=6, zorder=5)
     axis.set_title("where occupancy changed (orange), and what is occupied in the end")
     _plan(axis)
+    seen = dynamic.grid.samples(mapping.placed).point
+    if len(seen):  # regions may reach far beyond
+        low, high = seen.min(axis=0) - _BESIDE_M, seen.max(axis=0) + _BESIDE_M
+        axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     return figure

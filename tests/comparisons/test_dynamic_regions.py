@@ -169,11 +169,10 @@ def all_moving() -> ScanExperiment:
 def test_a_scene_that_is_all_moving_is_said_to_be_beyond_it() -> None:
     """As dense.dynamic documents: it takes landmarks that stand still."""
     log = simulate(np.random.default_rng(0), all_moving())
-    watcher = DenseWatcher(log, LOOKING)
-    choices = EkfChoices().settle(log)
-    done = run_ekf(log, build_timeline(log), choices, watcher=watcher, guard=watcher)
-    assert done.breakdown is None
-    assert watcher.moves.deformed > watcher.moves.compared
+    comparison = compare_estimators(log, dynamic=True)
+    assert comparison.ekf.breakdown is None
+    assert comparison.verdict.outcome != "agree"
+    assert any("hardly known" in remark for remark in comparison.verdict.remarks)
 
 
 def test_the_commands_write_and_tell(tmp_path: Path) -> None:

@@ -93,9 +93,7 @@ def test_the_rest_is_as_with_the_landmark_marginalised_out() -> None:
             state = own.state
             rest = np.delete(np.arange(len(state.mean)), (3 + 2 * slot, 4 + 2 * slot))
             own.state = state.part(rest)  # type: ignore[attr-defined]
-            rule.slot_of = {
-                label: s - (s > slot) for label, s in rule.slot_of.items() if s != slot
-            }
+            rule.slot_of = {label: s - (s > slot) for label, s in rule.slot_of.items() if s != slot}
             done = True
         still = seen != 2 if yard.known else np.ones(len(seen), dtype=bool)
         if still.any():
