@@ -118,6 +118,14 @@ def test_a_landmark_on_a_vehicle_is_removed_and_the_error_is_smaller(carried: li
         assert (good.landmark_rmse_m or 9.0) < 0.5 * (bad.landmark_rmse_m or 0.0)
 
 
+@pytest.mark.parametrize("filter_name", ["full", "compressed"])
+def test_a_landmark_that_was_taken_away_leaves_the_map(filter_name: str) -> None:
+    """Nieto 2005, Fig. 6.20, where it stood on a car that has left."""
+    log = simulate(np.random.default_rng(0), dynamic_places(carried=True))
+    done = run(log, filter_name, guarded=True)
+    assert done.estimate.landmark_id[done.retired].tolist() == [log.sightings.landmark.max()]
+
+
 def test_full_and_compressed_retire_the_same(carried: list[Log]) -> None:
     full, compressed = (run(carried[0], f, guarded=True) for f in ("full", "compressed"))
     assert np.array_equal(full.retired, compressed.retired)

@@ -103,11 +103,10 @@ def _driving(north: float, towards: float, vehicle: int, part: float) -> Mover:
     return Mover(start, end, _SPEED_MPS, _DISC_M, lead_s=lead_m / _SPEED_MPS, back=False)
 
 
-def places_world() -> ScanWorld:
+def places_world(*, carried: bool = False) -> ScanWorld:
     """A small loop; at CHANGE_S one object is taken away and two are brought (Fig. 6.10).
 
-    The one that is taken away from the middle and one of those that are brought are the same. All
-    that is moved is round.
+    All that is moved is round. carried: a landmark stands on what is taken away.
     """
     objects: tuple[PlacedShape, ...] = (
         ("box", 8, 21, 9, 3, 4), ("wedge", 20, 16, 6, 5, 30), ("hexagon", -3, 16, 4, 4, 0),
@@ -119,8 +118,12 @@ def places_world() -> ScanWorld:
         (-8, 8),
     )  # fmt: skip
     world = with_landmarks(corners, objects)
-    moved = Displaced((11.0, 9.0), (20.0, 7.5), CHANGE_S)
-    return replace(world, movers=(moved, Displaced(None, (2.0, 8.0), CHANGE_S)))
+    movers = (
+        Displaced((11.0, 9.0), None, CHANGE_S),
+        Displaced(None, (20.0, 7.5), CHANGE_S),
+        Displaced(None, (2.0, 8.0), CHANGE_S),
+    )
+    return replace(world, movers=movers, carrier=(0,) if carried else ())
 
 
 def moved_over(movers: tuple[Moving, ...], point: Array, time_s: Array) -> NDArray[np.bool_]:

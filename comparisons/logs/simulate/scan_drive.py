@@ -175,13 +175,16 @@ def dynamic_lanes(
     return ScanExperiment("dynamic-lanes", source, world, drive, _scanner(drive))
 
 
-def dynamic_places(loops: int = 1, noise_scale: float = 1.0) -> ScanExperiment:
+def dynamic_places(
+    loops: int = 1, noise_scale: float = 1.0, *, carried: bool = False
+) -> ScanExperiment:
     """Nieto 2005, section 6.3.3, Fig. 6.10: places that change between two passes.
 
     Of the sensor the thesis says nothing more than for Fig. 6.9, so it is the same, at the rate of
     Table 4.1. One more loop is driven, since it takes two for anything to have changed.
+    carried: what is taken away takes a landmark along.
     """
-    world = places_world()
+    world = places_world(carried=carried)
     drive = replace(
         _drive(world, loops + 1, noise_scale),
         scan_every=14,
