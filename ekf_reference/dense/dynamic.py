@@ -54,8 +54,9 @@ class Differencing:
     apart instead, which is longer than its loop.
 
     lowpass, slow_lowpass: standard deviation of the Gaussian low-pass, in units of the standard
-    deviation of where the grid puts a return (GridUpdate.sigma_m). Surfaces are bands of 2.4 of
-    these. A band of width w that has changed keeps erf(w / (2 sqrt(2) lowpass)) of its height: one
+    deviation of where the grid puts a return (GridUpdate.sigma_m), or of a cell if that is more: a
+    shift by one is seldom motion, however exact the scanner. Surfaces are bands of 2.4 of
+    the former. A band of width w that has changed keeps erf(w / (2 sqrt(2) lowpass)) of its height: one
     that came or went two thirds (fast) or half (slow), one that noise has moved by a quarter of its
     width less than 0.2. Over a long time local errors move contours by more.
     threshold, slow_threshold: least change of occupancy. The thesis has 0.5, of a filter that it
@@ -133,7 +134,7 @@ class DynamicLayer:
     """Flags per cell of every region, on occupancy grids of their own.
 
     The grids answer faster than those of a map that is kept: with p_occupied 0.9, p_free 0.3 and
-    a confidence of 0.95 two returns make free ground occupied, and six looks clear it.
+    a confidence of 0.95 two returns make free ground occupied, and four looks past it free again.
     """
 
     resolution_m: float = 0.2
@@ -155,7 +156,7 @@ class DynamicLayer:
         """
         before = {n: self.grid.grids[n].odds.copy() for n in near.tolist() if n in self.grid.grids}
         self.grid.fuse(hits, placed, scan, near)
-        sigma_m = self.grid.update.sigma_m(scan)
+        sigma_m = max(self.grid.update.sigma_m(scan), self.resolution_m)
         for region in near.tolist():
             grid = self.grid.grids[region]
             old = before.get(region)
@@ -252,10 +253,10 @@ class DynamicLayer:
         recent.append(current)
         while recent[1].time_s <= now - self.rule.fast_s + _CLOCK_S:
             recent.popleft()
-        if recent[0].time_s <= now - self.rule.fast_s + _CLOCK_S:
-            self.counters.fast += self._unite(history, grid, current, recent[0], slow=False)
         if history.visit is not None:
             self.counters.slow += self._unite(history, grid, current, history.visit, slow=True)
+        if recent[0].time_s <= now - self.rule.fast_s + _CLOCK_S:
+            self.counters.fast += self._unite(history, grid, current, recent[0], slow=False)
 
     def _unite(self, history: _History, grid: RegionGrid, new: _Map, old: _Map, slow: bool) -> int:
         """OR what two maps differ by to what is dynamic; returns the number of new cells."""
