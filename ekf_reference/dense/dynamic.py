@@ -55,10 +55,11 @@ class Differencing:
 
     lowpass, slow_lowpass: standard deviation of the Gaussian low-pass, in units of the standard
     deviation of where the grid puts a return (GridUpdate.sigma_m), or of a cell if that is more: a
-    shift by one is seldom motion, however exact the scanner. Surfaces are bands of 2.4 of
-    the former. A band of width w that has changed keeps erf(w / (2 sqrt(2) lowpass)) of its height: one
-    that came or went two thirds (fast) or half (slow), one that noise has moved by a quarter of its
-    width less than 0.2. Over a long time local errors move contours by more.
+    shift by one is seldom motion, however exact the scanner. Surfaces are bands of 2.4 of the
+    former. A band of width w that has changed keeps erf(w / (2 sqrt(2) lowpass)) of its height: of
+    one that came or went two thirds (fast) or half (slow), less with exact scanners on large cells;
+    of one that noise has moved by a quarter of its width less than 0.2. Over a long time local
+    errors move contours by more.
     threshold, slow_threshold: least change of occupancy. The thesis has 0.5, of a filter that it
     does not give; here it lies between the two. least: a smaller piece of changed ground, in
     squares of the same unit, is noise, too: a pole that some beams pass by comes and goes.
