@@ -43,10 +43,17 @@ def main() -> None:
     """Print one line per question."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=20)
-    seeds = range(parser.parse_args().seeds)
+    parser.add_argument("--seconds", type=float, default=30.0, help="of the drives with lanes")
+    arguments = parser.parse_args()
+    seeds = range(arguments.seeds)
+
+    def lanes(*, carried: bool = False) -> ScanExperiment:
+        experiment = dynamic_lanes(carried=carried)
+        return replace(experiment, drive=replace(experiment.drive, loop_s=arguments.seconds))
+
     scores = []
     for seed in seeds:
-        experiment = dynamic_lanes()
+        experiment = lanes()
         mapping, layer = mapped(experiment, seed)
         seen = layer.grid.samples(mapping.placed).point
         time = np.arange(0.0, mapping.log.duration_s, 0.02)
@@ -64,7 +71,7 @@ def main() -> None:
         counts.append(int(places(layer.points(mapping.placed)).max(initial=-1)) + 1)
     exact = sum(count == 3 for count in counts)
     print(f"places: 3 found in {exact} of {len(counts)} drives, in all: {sorted(counts)}")
-    for name, experiment in (("lanes", dynamic_lanes()), ("places", dynamic_places())):
+    for name, experiment in (("lanes", lanes()), ("places", dynamic_places())):
         flagged = known = drives = 0
         for seed in seeds:
             mapping, layer = mapped(still(experiment), seed)
@@ -79,7 +86,7 @@ def main() -> None:
     for seed in seeds:
         pair = []
         for looking in (False, True):
-            mapping, _ = mapped(dynamic_lanes(carried=True), seed, looking=looking)
+            mapping, _ = mapped(lanes(carried=True), seed, looking=looking)
             accuracy = assess(mapping.ekf.estimate, mapping.log, labelled=True)
             pair.append(np.nan if accuracy is None else accuracy.ate_m or np.nan)
         errors.append(pair)

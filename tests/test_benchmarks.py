@@ -113,7 +113,7 @@ def test_defects_benchmark_runs() -> None:
 
 
 def test_dynamic_regions_benchmark_runs() -> None:
-    lines = run("benchmarks/dynamic_regions.py", "--seeds", "1")
+    lines = run("benchmarks/dynamic_regions.py", "--seeds", "1", "--seconds", "6")
     assert [line.split(":")[0] for line in lines] == [
         "lanes",
         "places",
