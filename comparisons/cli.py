@@ -19,6 +19,7 @@ from comparisons.cli_options import (
     AssociationOption,
     AttributesOption,
     DenseOption,
+    DynamicOption,
     EstimateOption,
     FeaturesOption,
     FiguresOption,
@@ -110,6 +111,7 @@ def run(
     live: LiveOption = False,
     record: RecordOption = None,
     trace: TraceOption = False,
+    dynamic: DynamicOption = "off",
 ) -> None:
     """Run both estimators on a log, check one against the other, write a report folder.
 
@@ -122,6 +124,7 @@ def run(
       slamcheck run path/to/acfr_car_park --motion both
       slamcheck run scan-loop --dense points --dense occupancy
       slamcheck run simulated-loop --figures pdf --record run.rrd
+      slamcheck run dynamic-lanes --dynamic on
     """
     with guarded():
         check_figures(figures)
@@ -139,6 +142,8 @@ def run(
             raise InputError(
                 f"smoother association '{smoother_association}' is unknown, expected ekf or own"
             )
+        if dynamic not in ("off", "on"):
+            raise InputError(f"dynamic '{dynamic}' is unknown, expected off or on")
         kept = DenseOptions(tuple(dict.fromkeys(dense)) or ("points",), resolution)
         raise SystemExit(
             _run(
@@ -148,6 +153,7 @@ def run(
                 smoother_association,
                 motion,
                 kept if dense else None,
+                dynamic == "on",
                 out,
                 read_s,
                 Extras(tuple(figures), live, record, trace),
@@ -171,6 +177,7 @@ def _run(
     smoother_association: str,
     motion: str,
     dense: DenseOptions | None,
+    dynamic: bool,
     out: Path | None,
     read_s: float,
     extras: Extras,
@@ -192,6 +199,7 @@ def _run(
             smoother_association=smoother_association,
             motion=motion,
             dense=dense,
+            dynamic=dynamic,
         )
         result = build_result(comparison, read_s)
         progress("report", 0, 0)

@@ -139,6 +139,21 @@ TimesOption = Annotated[
 TraceOption = Annotated[
     bool, typer.Option("--trace", help="Write ekf/trace.npz: what the EKF linearised where.")
 ]
+DynamicOption = Annotated[
+    str,
+    typer.Option(
+        "--dynamic",
+        metavar="off|on",
+        help="On: find where things move in the scans, and keep the filter from going by these.",
+    ),
+]
+DynamicLayerOption = Annotated[
+    bool,
+    typer.Option(
+        "--dynamic",
+        help="Find where things move, keep the filter from going by these, and write that layer.",
+    ),
+]
 DenseOption = Annotated[
     list[str],
     typer.Option(

@@ -7,6 +7,7 @@ from pathlib import Path
 from comparisons.cli_options import (
     AssociationOption,
     CloudOption,
+    DynamicLayerOption,
     FeaturesOption,
     FilterOption,
     FormatOption,
@@ -86,6 +87,7 @@ def map_command(
     log: LogArgument,
     layer: LayerOption = ["occupancy"],  # noqa: B006
     resolution: ResolutionOption = 0.2,
+    dynamic: DynamicLayerOption = False,
     format_name: FormatOption = None,
     out: OutOption = None,
     filter_name: FilterOption = "full",
@@ -104,6 +106,7 @@ def map_command(
     Examples:
       slamcheck map occupancy-loop                    simulated scans, with true surfaces
       slamcheck map path/to/acfr_car_park --layer points --layer occupancy --resolution 0.4
+      slamcheck map dynamic-places --dynamic          and where something has changed
     """
     with guarded():
         from comparisons.atomic import check_replaceable, folder_name
@@ -114,7 +117,7 @@ def map_command(
         from comparisons.runs.ekf_build import EkfChoices
 
         check_cloud(cloud)
-        options = DenseOptions(tuple(dict.fromkeys(layer)), resolution)
+        options = DenseOptions(tuple(dict.fromkeys(layer)), resolution, dynamic=dynamic)
         choices = EkfChoices(filter_name, association, gps)
         source, read_s = read_named(log, format_name, robot, seed, loops, noise_scale, features)
         folder = out or Path(f"slamcheck-map-{folder_name(source.name)}")

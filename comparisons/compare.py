@@ -56,6 +56,7 @@ from graphslam.smoother import SmootherOptions, SmootherResult, smooth
 Progress = Callable[[str, int, int], None]
 """Called with the stage, what is done and what there is to do (0 when not known)."""
 
+_DYNAMIC_ONLY = DenseOptions((), dynamic=True)
 MOTIONS = ("wheel", "scan", "both")
 
 
@@ -104,6 +105,7 @@ def compare_estimators(
     motion: str = "wheel",
     dense: DenseOptions | None = None,
     source: Callable[[], OrientedSource] = NoOrientedSource,
+    dynamic: bool = False,
 ) -> Comparison:
     """Run both estimators over a log and judge them.
 
@@ -111,6 +113,7 @@ def compare_estimators(
     smoother. modify: see run_ekf. smoother_association: `ekf`, or `own` to solve for a second time
     with the smoother's own. motion: of MOTIONS. dense: a dense map to keep and compare, if any.
     source: makes someone who sees landmarks with a direction, anew for every run of the filter.
+    dynamic: look for what moves, and keep the filter from going by it.
     Raises InputError when the log cannot be used, and graphslam.marginals.SingularProblemError
     when the smoother has no solution.
     """
@@ -134,7 +137,13 @@ def compare_estimators(
         log = with_scan_motion(log, scanned, positions=chosen.gps != "off")
     positions = fused_positions(log, chosen)
     timeline = build_timeline(log, positions)
-    watcher = None if dense is None else DenseWatcher(log, dense)
+
+    def watch_over() -> DenseWatcher | None:
+        if dense is None and not dynamic:
+            return None
+        return DenseWatcher(log, replace(dense or _DYNAMIC_ONLY, dynamic=dynamic))
+
+    watcher = watch_over()
     with clock.stage("ekf"):
         run = run_ekf(
             log,
@@ -145,6 +154,7 @@ def compare_estimators(
             modify,
             watcher,
             source(),
+            watcher if dynamic else None,
         )
     if not len(run.estimate.landmark):
         raise InputError(f"{log.name}: no sighting could be used, so there is no map to compare")
@@ -172,7 +182,7 @@ def compare_estimators(
         with clock.stage("smoother on scans"):
             progress("smoother on scans", 0, 0)
             three = _with_scans(log, judged, scanned, run, result, smoothed)
-    mapped = None if watcher is None else watcher.run()
+    mapped = None if dense is None or watcher is None else watcher.run()
     compared = None
     if mapped is not None:
         with clock.stage("dense check"):
@@ -196,7 +206,9 @@ def compare_estimators(
             result.proof,
             run,
             lambda: model_differences(said, meant, ROUNDING, begun),
-            operations=lambda: _repeated(log, timeline, run, chosen, modify, source),
+            operations=lambda: _repeated(
+                log, timeline, run, chosen, modify, source(), watch_over() if dynamic else None
+            ),
             explanations=lambda: explain(log, run),
             misuses=misuses(log, run, smoothed, labelled=labelled),
             conservative=chosen.conservative,
@@ -237,6 +249,7 @@ def compare_estimators(
                     *consistency.remarks,
                     *_on_scans(log, scanned),
                     *_on_dense(mapped, compared),
+                    *_on_motion(watcher if dynamic else None),
                 ),
             ),
             clock.seconds,
@@ -249,16 +262,23 @@ def _repeated(
     run: EkfRun,
     choices: EkfChoices,
     modify: Callable[[FullEkf], None],
-    source: Callable[[], OrientedSource],
+    source: OrientedSource,
+    watcher: DenseWatcher | None,
 ) -> tuple[AlgebraDifference, ...]:
-    """The filter once more, with every operation repeated on a sound copy of its state."""
+    """The filter once more, with every operation repeated on a sound copy of its state.
+
+    watcher: who tells it what moves, if anybody does.
+    """
     watched: list[WatchedState | None] = []
 
     def also(ekf: FullEkf) -> None:
         modify(ekf)
         watched.append(watch(ekf, ROUNDING, run.trace.prior_pose, run.trace.prior_covariance))
 
-    run_ekf(log, timeline, choices, run.positions, modify=also, source=source())
+    run_ekf(
+        log, timeline, choices, run.positions, modify=also, watcher=watcher, source=source,
+        guard=watcher,
+    )  # fmt: skip
     return watched[0].differences() if watched[0] is not None else ()
 
 
@@ -278,6 +298,18 @@ def _on_dense(mapped: DenseRun | None, compared: DenseAgreement | None) -> list[
     return [
         f"no return fell into one of {len(mapped.dense.regions.base)} regions, so no dense maps "
         "could be compared"
+    ]
+
+
+def _on_motion(watcher: DenseWatcher | None) -> list[str]:
+    """A remark where motion was looked for, and most of it would not have been found."""
+    if watcher is None or watcher.moves.compared > watcher.moves.deformed:
+        return []
+    return [
+        "whether anything moves is hardly known: of "
+        f"{watcher.moves.compared + watcher.moves.deformed} pairs of maps "
+        f"{watcher.moves.deformed} could not be compared, since their region had changed its "
+        "shape; it takes three landmarks that stand still"
     ]
 
 

@@ -50,7 +50,11 @@ def map_log(
     options: DenseOptions | None = None,
     progress: Progress = lambda stage, done, total: None,
 ) -> DenseMapping:
-    """Run the filter with a dense map beside it. Raises InputError."""
+    """Run the filter with a dense map beside it. Raises InputError.
+
+    Where the map looks for what moves, the filter does not go by that; else it does not notice
+    the map.
+    """
     chosen = (choices or EkfChoices()).settle(log)
     log = join_known_sightings(log)
     if not len(log.sightings.time_s):
@@ -72,6 +76,7 @@ def map_log(
         positions,
         lambda k, n: progress("map", k, n),
         watcher=watcher,
+        guard=watcher if options.dynamic else None,
     )
     seconds = {"filter and map": time.perf_counter() - start}
     dense = watcher.run()

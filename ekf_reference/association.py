@@ -34,6 +34,8 @@ AMBIGUOUS = -2
 """Not used: too far from every landmark to join it, too near to start another, or beaten to it."""
 CANDIDATE = -3
 """Not used yet: it may become a landmark (see track_management)."""
+DYNAMIC = -4
+"""Not used: seen where things move, or of a landmark that stands there (see dynamic_guard)."""
 
 SEARCH_MARGIN_M = 10.0
 SEARCH_SIGMAS = 4.0

@@ -123,3 +123,14 @@ def test_defects_benchmark_runs() -> None:
     assert lines[1].startswith("steering sign ")
     assert lines[2] == "1 of 1 caught, 1 with the right first cause"
     assert "0 of 2 flagged, 0.0 to 84.2 %" in lines[3]
+
+
+def test_dynamic_regions_benchmark_runs() -> None:
+    lines = run("benchmarks/dynamic_regions.py", "--seeds", "1", "--seconds", "6")
+    assert [line.split(":")[0] for line in lines] == [
+        "lanes",
+        "places",
+        "lanes, nothing moving",
+        "places, nothing moving",
+        "landmark on a vehicle",
+    ]

@@ -161,4 +161,14 @@ def _remarks(proof: Proof, run: EkfRun) -> list[str]:
             f"{sum(unused.values())} of {len(run.slot)} sightings were not used: "
             + ", ".join(f"{count} {reason}" for reason, count in unused.items())
         )
+    if len(run.retired):
+        names = ", ".join(str(i) for i in run.estimate.landmark_id[run.retired].tolist())
+        if len(run.retired) == len(run.estimate.landmark):
+            remarks.append(
+                "every landmark is in motion: in the end odometry alone moves the filter"
+            )
+        remarks.append(
+            f"landmarks {names} stand where something moves: they stay as they were last seen, and "
+            "nothing is matched with them any more"
+        )
     return remarks

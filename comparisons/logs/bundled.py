@@ -61,13 +61,13 @@ def _waypoint_run(choices: SimulationChoices) -> Log:
     return simulate(np.random.default_rng(choices.seed), run)
 
 
-def _scans(experiment: str) -> Callable[[SimulationChoices], Log]:
+def _scans(experiment: str, **options: bool) -> Callable[[SimulationChoices], Log]:
     def simulated(choices: SimulationChoices) -> Log:
         from comparisons.logs.simulate import scan_drive
 
         make = getattr(scan_drive, experiment)
         rng = np.random.default_rng(choices.seed)
-        return scan_drive.simulate(rng, make(choices.loops, choices.noise_scale))
+        return scan_drive.simulate(rng, make(choices.loops, choices.noise_scale, **options))
 
     return simulated
 
@@ -103,6 +103,18 @@ NAMED: dict[str, NamedLog] = {
         "simulated",
         "laser scans for occupancy maps, Nieto 2005 Fig. 4.2 (--seed, --loops, --noise-scale)",
         _scans("occupancy"),
+    ),
+    "dynamic-lanes": NamedLog(
+        "simulated",
+        "a standing scanner, traffic and a landmark on a vehicle, Nieto 2005 Fig. 6.9 (--seed, "
+        "--loops, --noise-scale)",
+        _scans("dynamic_lanes", carried=True),
+    ),
+    "dynamic-places": NamedLog(
+        "simulated",
+        "objects brought and taken away at 40 s of a loop of 34 s, Nieto 2005 Fig. 6.10 (--seed, "
+        "--loops + 1, --noise-scale)",
+        _scans("dynamic_places"),
     ),
     "scan-slam": NamedLog(
         "simulated",

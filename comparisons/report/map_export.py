@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from matplotlib.image import imsave
@@ -16,7 +17,6 @@ from numpy.typing import NDArray
 
 from comparisons.errors import InputError
 from comparisons.runs.estimate import Array
-from ekf_reference.dense.layers.layer import Layer
 from ekf_reference.dense.placed_regions import PlacedRegions
 
 OCCUPIED_ABOVE, FREE_BELOW = 0.65, 0.25
@@ -58,6 +58,14 @@ class Raster:
         return shade[::-1]
 
 
+class Drawable(Protocol):
+    """What a raster can be made of; every Layer is."""
+
+    def occupancy(self, point: Array, placed: PlacedRegions) -> Array:
+        """(N,) from 0 to 1 at points (N, 2) [m], NaN where nothing is known."""
+        ...
+
+
 def window(placed: PlacedRegions) -> tuple[float, float, float, float]:
     """West, south, east, north of all regions [m]. Raises InputError where there are none."""
     corner = placed.triangle.reshape(-1, 2)
@@ -70,7 +78,7 @@ def window(placed: PlacedRegions) -> tuple[float, float, float, float]:
 
 
 def rasterise(
-    layer: Layer,
+    layer: Drawable,
     placed: PlacedRegions,
     cell_m: float,
     bounds: tuple[float, float, float, float] | None = None,

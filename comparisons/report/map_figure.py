@@ -15,11 +15,14 @@ from comparisons.report.picture import blank
 from comparisons.report.plots import EKF_COLOUR, TRUTH_COLOUR
 from comparisons.runs.dense_run import DenseRun
 from comparisons.runs.estimate import Array
+from ekf_reference.dense.dynamic import DynamicLayer
 from ekf_reference.dense.layers.layer import Samples
 
 DENSE_COLOUR = "#1b3a4b"
+DYNAMIC_COLOUR = "#e08a1e"
 REGION_COLOUR = "#8fb996"
 _MOST_DRAWN = 200_000
+_BESIDE_M = 1.0
 
 
 def draw_regions(axis: Axes, triangle: Array) -> None:
@@ -135,4 +138,25 @@ def dense_map_figure(mapping: DenseMapping) -> Figure:
     _plan(axis)
     for spare in axes[len(panels) + 1 :]:
         spare.set_axis_off()
+    return figure
+
+
+def dynamic_figure(mapping: DenseMapping, dynamic: DynamicLayer) -> Figure:
+    """Where something moves, over what is occupied."""
+    figure = blank(8.6, 6.4)
+    axis = figure.subplots()
+    draw_regions(axis, mapping.placed.triangle)
+    if mapping.log.truth.surfaces is not None:
+        draw_surfaces(axis, mapping.log.truth.surfaces.segment)
+    for samples in mapping.layers.values():
+        draw_occupied(axis, samples)
+    x, y = _thinned(dynamic.points(mapping.placed)).T
+    axis.scatter(x, y, s=3.0, marker="s", linewidths=0, color=DYNAMIC_COLOUR, zorder=4)
+    axis.plot(*mapping.dense.landmark.T, "+", color=TRUTH_COLOUR, markersize=6, zorder=5)
+    axis.set_title("where occupancy changed (orange), and what is occupied in the end")
+    _plan(axis)
+    seen = dynamic.grid.samples(mapping.placed).point
+    if len(seen):  # regions may reach far beyond
+        low, high = seen.min(axis=0) - _BESIDE_M, seen.max(axis=0) + _BESIDE_M
+        axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     return figure

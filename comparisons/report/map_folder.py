@@ -9,7 +9,7 @@ import numpy as np
 from comparisons.atomic import fresh_folder
 from comparisons.mapping import DenseMapping
 from comparisons.report.map_export import rasterise, write_image, write_ros_map
-from comparisons.report.map_figure import dense_map_figure
+from comparisons.report.map_figure import dense_map_figure, dynamic_figure
 from comparisons.report.map_models import MapResult
 from comparisons.report.picture import save
 from comparisons.runs.dense_run import LAYERS
@@ -19,7 +19,7 @@ from graphslam.scan.clouds import write_cloud
 
 _SUFFIXES = ("png", "pgw", "pgm", "yaml", "pcd", "ply")
 MAP_CONTENTS = frozenset(
-    {"map.json", "map.png", "regions.csv"}
+    {"map.json", "map.png", "regions.csv", "dynamic.png", "dynamic.pgw", "dynamic-map.png"}
     | {f"{layer}.{suffix}" for layer in LAYERS for suffix in _SUFFIXES}
     | {f"ekf/{name}" for name in ESTIMATE_FILES}
 )
@@ -39,6 +39,9 @@ def write_map_folder(
         (work / "ekf").mkdir()
         write_estimate(mapping.ekf.estimate, work / "ekf")
         save(dense_map_figure(mapping), work / "map.png")
+        dynamic = mapping.dense.dense.dynamic
+        if dynamic is not None:
+            save(dynamic_figure(mapping, dynamic), work / "dynamic-map.png")
         if len(mapping.placed.triangle):
             _write_layers(mapping, work, cloud)
             (work / "regions.csv").write_text(regions_csv(mapping), encoding="utf-8")
@@ -56,6 +59,9 @@ def _write_layers(mapping: DenseMapping, work: Path, cloud: str | None) -> None:
         if cloud is not None and len(point):
             flat = np.column_stack((point, np.zeros(len(point))))
             write_cloud(work / f"{name}.{cloud}", flat)
+    if mapping.dense.dense.dynamic is not None:
+        raster = rasterise(mapping.dense.dense.dynamic, mapping.placed, cell_m)
+        write_image(raster, work / "dynamic.png")
 
 
 def regions_csv(mapping: DenseMapping) -> str:

@@ -41,6 +41,24 @@ class ClosingResult(Model):
     shift_m: float
 
 
+class DynamicResult(Model):
+    """Where something moves.
+
+    places: connected ones. cells, area_m2: flagged. fast, slow: of these, by what showed them
+    first. compared: pairs of maps; deformed: pairs that could not be, since the region's landmarks
+    had moved against each other. landmarks: ids of those in the map that stand in such a place.
+    """
+
+    places: int
+    cells: int
+    area_m2: float
+    fast: int
+    slow: int
+    compared: int
+    deformed: int
+    landmarks: list[int]
+
+
 class MapResult(Model):
     """`map.json`: a dense map between the filter's landmarks."""
 
@@ -53,6 +71,7 @@ class MapResult(Model):
     layers: dict[str, LayerResult]
     surface_errors: dict[str, SurfaceErrorResult]
     closing: ClosingResult | None
+    dynamic: DynamicResult | None
     remarks: list[str]
     seconds: dict[str, float]
     versions: dict[str, str]

@@ -13,6 +13,7 @@ from comparisons.mapping import DenseMapping
 from comparisons.report.dense_result import add_surface_errors, surface_error_results
 from comparisons.report.map_models import (
     ClosingResult,
+    DynamicResult,
     LayerResult,
     MapResult,
     ReturnsResult,
@@ -25,6 +26,7 @@ from comparisons.report.result import (
 )
 from comparisons.report.summary import add_accuracy, add_ekf, add_log
 from ekf_reference.dense.dense_map import DenseMap
+from ekf_reference.dense.dynamic import places
 
 
 def build_map_result(mapping: DenseMapping, read_s: float) -> MapResult:
@@ -49,6 +51,7 @@ def build_map_result(mapping: DenseMapping, read_s: float) -> MapResult:
         closing=None
         if before is None
         else ClosingResult(time_s=before.time_s, shift_m=before.shift_m),
+        dynamic=_dynamic(m),
         remarks=_remarks(m),
         seconds={"read": read_s, **m.seconds, **{k: float(v) for k, v in m.dense.seconds.items()}},
         versions=package_versions(),
@@ -72,6 +75,12 @@ def print_map(result: MapResult, console: Console) -> None:
     for name, layer in result.layers.items():
         table.add_row(name, f"{layer.samples:,} held, {layer.occupied:,} occupied")
     add_surface_errors(table, result.surface_errors)
+    if result.dynamic is not None:
+        table.add_row(
+            "dynamic",
+            f"{result.dynamic.places} places, {result.dynamic.area_m2:.1f} m2, "
+            f"{len(result.dynamic.landmarks)} landmarks in them",
+        )
     table.add_row("seconds", ", ".join(f"{stage} {s:.2f}" for stage, s in result.seconds.items()))
     console.print(table)
     for remark in result.remarks:
@@ -84,6 +93,21 @@ def _returns(dense: DenseMap) -> ReturnsResult:
         waiting = len(dense.waiting.points.scan)
         lost = dense.waiting.counts.dropped + dense.waiting.counts.vanished
     return ReturnsResult(**vars(dense.tally), waiting=waiting, lost=lost)
+
+
+def _dynamic(m: DenseMapping) -> DynamicResult | None:
+    layer = m.dense.dense.dynamic
+    if layer is None:
+        return None
+    number = places(layer.points(m.placed))
+    under = m.dense.is_dynamic(m.ekf.estimate.landmark)
+    return DynamicResult(
+        places=int(number.max(initial=-1)) + 1,
+        cells=len(number),
+        area_m2=layer.area_m2(m.placed),
+        **vars(layer.counters),
+        landmarks=m.ekf.estimate.landmark_id[under].tolist(),
+    )
 
 
 def _remarks(m: DenseMapping) -> list[str]:

@@ -23,9 +23,11 @@ class LogResult(Model):
 class EkfResult(Model):
     """The filter.
 
-    rejected, ambiguous, candidate: sightings that association did not use. global_updates: of a
-    compressed filter, and the share of the passive covariance that they left alone (set I).
-    attributes: whether diameters and intensities entered association.
+    rejected, ambiguous, candidate: sightings that association did not use. dynamic: sightings that
+    were discarded since something moves there; retired: landmarks that are used no more, since they
+    stand in such a place. global_updates: of a compressed filter, and the share of the passive
+    covariance that they left alone (set I). attributes: whether diameters and intensities entered
+    association.
     """
 
     filter: str
@@ -34,6 +36,8 @@ class EkfResult(Model):
     rejected: int
     ambiguous: int
     candidate: int
+    dynamic: int
+    retired: int
     attributes: str = "off"
     gps: str
     fixes_fused: int

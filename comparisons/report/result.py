@@ -80,6 +80,7 @@ def ekf_result(run: EkfRun, choices: EkfChoices) -> EkfResult:
         attributes=choices.attributes,
         landmarks=len(run.estimate.landmark),
         **run.unused,
+        retired=len(run.retired),
         gps=choices.gps,
         fixes_fused=len(run.fix_number),
         fixes_rejected=run.rejected_fixes,

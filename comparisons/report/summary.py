@@ -122,6 +122,11 @@ def add_ekf(table: Table, ekf: EkfResult) -> None:
         + (", attributes" if ekf.attributes == "on" else "")
         + ")",
     )
+    if ekf.dynamic or ekf.retired:
+        table.add_row(
+            "dynamic",
+            f"{ekf.dynamic} sightings discarded, {ekf.retired} landmarks retired",
+        )
     if ekf.global_updates:
         table.add_row(
             "global updates",

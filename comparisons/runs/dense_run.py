@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
@@ -18,6 +19,7 @@ from comparisons.runs.motion import CLOCK_S
 from comparisons.runs.planar_scans import PlanarScans
 from ekf_reference.dense.conditions import Conditions
 from ekf_reference.dense.dense_map import DenseMap
+from ekf_reference.dense.dynamic import Counters, DynamicLayer
 from ekf_reference.dense.layers.gaussians import Gaussians
 from ekf_reference.dense.layers.layer import Layer, Samples
 from ekf_reference.dense.layers.occupancy import Coarsening, OccupancyGrid
@@ -38,6 +40,8 @@ PATIENCE = 16
 """Scans that returns wait for a third landmark before a virtual one takes its place."""
 _TELLING_M = 0.05
 """Least shift of the regions by one update that is worth a picture (root mean square)."""
+_MARGIN_M = 0.5
+"""So near to a dynamic cell a sighting or a landmark counts as dynamic: both may be off."""
 _CLEARLY = 1.2
 """A later update must move the regions, all together, so many times as far to take its place."""
 
@@ -54,8 +58,9 @@ class GlobalMap(Protocol):
 class DenseOptions:
     """What is kept, and how.
 
-    layers: of LAYERS. resolution_m: of cells. known_apart_m, longest_edge_m: see
-    dense.conditions.Conditions. coarsening: of the occupancy layer's almost empty regions.
+    layers: of LAYERS; none where only the dynamic layer is wanted. resolution_m: of cells.
+    known_apart_m, longest_edge_m: see dense.conditions.Conditions. dynamic: look for what moves.
+    coarsening: of the occupancy layer's almost empty regions.
     """
 
     layers: tuple[str, ...] = ("points", "occupancy")
@@ -63,10 +68,11 @@ class DenseOptions:
     known_apart_m: float = 0.5
     longest_edge_m: float = 35.0
     coarsening: Coarsening | None = None
+    dynamic: bool = False
 
     def __post_init__(self) -> None:
         """Raises InputError."""
-        if not self.layers or set(self.layers) - set(LAYERS):
+        if not (self.layers or self.dynamic) or set(self.layers) - set(LAYERS):
             given = ", ".join(self.layers) or "none"
             raise InputError(f"layers {given}: expected some of {', '.join(LAYERS)}")
         if not 0.01 <= self.resolution_m <= 10.0:
@@ -88,6 +94,7 @@ class DenseOptions:
             {name: made[name] for name in self.layers},
             LocalRegions(conditions),
             WaitingRoom(patience=PATIENCE),
+            dynamic=DynamicLayer(size) if self.dynamic else None,
         )
 
 
@@ -124,9 +131,16 @@ class DenseRun:
     before: BeforeClosing | None
     seconds: Mapping[str, float]
 
+    def is_dynamic(self, point: Array) -> NDArray[np.bool_]:
+        """(N,) which points (N, 2) [m] are where something was seen to move."""
+        return _is_dynamic(self.dense, self.landmark, point)
+
 
 class DenseWatcher:
-    """Feeds a dense map while the filter runs. Reads the filter only."""
+    """Feeds a dense map while the filter runs. Reads the filter only.
+
+    It is a DynamicGuard, too, for a filter that is to know what the map finds to be moving.
+    """
 
     def __init__(self, log: Log, options: DenseOptions, beside: Sequence[GlobalMap] = ()) -> None:
         """beside: maps that are given the same scans from the same poses. Raises InputError."""
@@ -177,6 +191,15 @@ class DenseWatcher:
             self._insert(FilterView.of(ekf))
         self._dense.place(replace(FilterView.of(ekf), landmark=ekf.state.landmarks))
 
+    def is_dynamic(self, point: Array) -> NDArray[np.bool_]:
+        """(N,) which points (N, 2) [m] are where something was seen to move."""
+        return _is_dynamic(self._dense, self._dense.landmark, point)
+
+    @property
+    def moves(self) -> Counters:
+        """What looking for motion came to; zeros where it was not asked for."""
+        return Counters() if self._dense.dynamic is None else self._dense.dynamic.counters
+
     def run(self) -> DenseRun:
         """The map, once the filter has finished."""
         done = len(self._pose)
@@ -198,7 +221,7 @@ class DenseWatcher:
     def _insert(self, view: FilterView) -> None:
         scan = self._scans.scan(self._next, view.pose)
         start = time.perf_counter()
-        self._dense.insert(view, scan)
+        self._dense.insert(view, scan, float(self._scans.time_s[self._next]))
         self._seconds["scans"] += time.perf_counter() - start
         for other in self._beside:
             other.fuse(scan)
@@ -218,3 +241,9 @@ class DenseWatcher:
         placed = self._dense.regions.placed(old)
         layers = {name: layer.samples(placed) for name, layer in self._dense.layers.items()}
         self._before = BeforeClosing(self._epoch_s, shift, old, placed.triangle, layers)
+
+
+def _is_dynamic(dense: DenseMap, landmark: Array, point: Array) -> NDArray[np.bool_]:
+    if dense.dynamic is None:
+        return np.zeros(len(point), dtype=bool)
+    return dense.dynamic.covers(point, dense.regions.placed(landmark), _MARGIN_M)

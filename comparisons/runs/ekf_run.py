@@ -16,9 +16,10 @@ from comparisons.runs.estimate import Array, Estimate
 from comparisons.runs.known_landmarks import surveyed
 from comparisons.runs.oriented_sightings import OrientedLedger, OrientedSource
 from comparisons.runs.timeline import Timeline
-from ekf_reference.association import AMBIGUOUS, CANDIDATE, REJECTED
+from ekf_reference.association import AMBIGUOUS, CANDIDATE, DYNAMIC, REJECTED
 from ekf_reference.compressed_ekf import CompressedState
 from ekf_reference.direction_cosine import OwnAxesObservation
+from ekf_reference.dynamic_guard import DynamicGuard, StaticSightings
 from ekf_reference.full_ekf import FullEkf, PoseReading
 from ekf_reference.layout import ORIENTED
 from ekf_reference.trace import RecordedTrace, TraceArrays
@@ -34,7 +35,8 @@ class EkfRun:
 
     timeline: what the filter was given; when it broke down, only up to there.
     positions: those that were given. fix_number: (G,) which of them were fused. rejected_fixes:
-    how many the gate rejected.
+    how many the gate rejected. retired: (R,) landmarks that were found to stand where things move;
+    they stay in the state, and nothing is matched with them any more.
     slot: (M,) landmark of each of the timeline's sightings, a negative code where unused (see
     ekf_reference.association).
     departed: (K, 3) the pose when each epoch was done. arrived: (K, 3) as predicted there.
@@ -60,6 +62,7 @@ class EkfRun:
     spared: tuple[int, float] = (0, 0.0)
     breakdown: str | None = None
     oriented: OrientedSightings = field(default_factory=OrientedSightings)
+    retired: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
 
     @property
     def oriented_places(self) -> Array:
@@ -71,7 +74,12 @@ class EkfRun:
     @property
     def unused(self) -> dict[str, int]:
         """Sightings that were not used, by reason."""
-        codes = {"rejected": REJECTED, "ambiguous": AMBIGUOUS, "candidate": CANDIDATE}
+        codes = {
+            "rejected": REJECTED,
+            "ambiguous": AMBIGUOUS,
+            "candidate": CANDIDATE,
+            "dynamic": DYNAMIC,
+        }
         return {name: int(np.count_nonzero(self.slot == code)) for name, code in codes.items()}
 
 
@@ -84,16 +92,21 @@ def run_ekf(
     modify: Callable[[FullEkf], None] = lambda ekf: None,
     watcher: Watcher | None = None,
     source: OrientedSource | None = None,
+    guard: DynamicGuard | None = None,
 ) -> EkfRun:
     """Drive the filter through all epochs, or as far as it comes.
 
     positions: to be fused; the timeline is built with the same. progress: called with epochs done
     and in all. modify: may replace parts of the filter before it starts, which is how defects are
-    planted. watcher: looks on. source: of sightings of landmarks with a direction.
+    planted. watcher: looks on. source: of sightings of landmarks with a direction. guard: knows
+    where things move, so that the filter does not go by these.
     """
     trace, ledger = RecordedTrace(), OrientedLedger()
     ekf = build_ekf(log, choices, trace)
     modify(ekf)
+    retired: set[int] = set()
+    if guard is not None:
+        ekf.association = StaticSightings(ekf.association, guard, retired)
     watching = watcher or NoWatcher()
     ekf.insert_surveyed(*surveyed(log)[1:])
     epochs = len(timeline.epoch_time_s)
@@ -170,6 +183,7 @@ def run_ekf(
         _spared(ekf),
         breakdown,
         oriented,
+        np.array(sorted(retired), dtype=np.intp),
     )
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ekf_reference.dense.dynamic import DynamicLayer
 from ekf_reference.dense.layers.layer import Hits, Layer
 from ekf_reference.dense.neglected import NeglectedCorrelation, corners_of
 from ekf_reference.dense.placed_regions import PlacedRegions
@@ -46,8 +47,9 @@ class DenseMap:
     simulations do. reach_m: of the landmarks that may form regions. least_points: returns that
     wait in vain before a region with a virtual corner is made for them. seek_every: scans after
     which regions are sought again; with every new landmark they are, too. neglected: per region,
-    how far what the map leaves out may still move its data (section 3.6). landmark: (L, 2) [m]
-    where the regions' landmarks were when the filter was last read.
+    how far what the map leaves out may still move its data (section 3.6). dynamic: where things
+    move, if that is looked for (section 6.3); it is no Layer, since it asks when. landmark: (L, 2)
+    [m] where the regions' landmarks were when the filter was last read.
     """
 
     layers: Mapping[str, Layer]
@@ -56,6 +58,7 @@ class DenseMap:
     reach_m: float = 35.0
     least_points: int = 10
     seek_every: int = 4
+    dynamic: DynamicLayer | None = None
     tally: Tally = field(default_factory=Tally)
     neglected: NeglectedCorrelation = field(init=False)
     landmark: Array = field(default_factory=lambda: np.empty((0, 2)))
@@ -91,7 +94,7 @@ class DenseMap:
                 self.landmark, slot, view.pose, view.joint(slot)
             )
 
-    def insert(self, view: FilterView, scan: Scan) -> None:
+    def insert(self, view: FilterView, scan: Scan, time_s: float = 0.0) -> None:
         """Take in a scan seen from the view's pose, at once and in every layer."""
         placed = self.place(view)
         found = placed.locate(scan.point)
@@ -105,6 +108,9 @@ class DenseMap:
         near = np.sort(placed.tree.meeting(scan.box()[None]).item)
         for layer in self.layers.values():
             layer.fuse(hits, placed, scan, near)
+        if self.dynamic is not None:
+            known = self._known(view, placed, near, self.dynamic.rule.known_m)
+            self.dynamic.fuse(hits, placed, scan, known, time_s)
         self._note_error(view, hits)
         self._let_wait(view, scan, np.flatnonzero(found.region < 0))
 
@@ -117,6 +123,18 @@ class DenseMap:
         known[: len(self.landmark)] = self.landmark
         self.landmark = np.where(np.isnan(view.landmark), known, view.landmark)
         return self.regions.placed(self.landmark)
+
+    def _known(self, view: FilterView, placed: PlacedRegions, near: Index, sigma_m: float) -> Index:
+        """Those of the regions whose middle a scan from here places so well among its landmarks.
+
+        All of these are within reach, whose covariance every filter has up to date.
+        """
+        middle, base = placed.triangle[near].mean(axis=1), self.regions.base
+        known = replace(view, landmark=self.landmark)
+        slot = self.neglected.corners(known, base[near], middle)[0]
+        close = np.isin(slot, view.near(self.reach_m)).all(axis=1)
+        sigma = self.neglected.sigma_now(known, base, near, middle)
+        return near[close & (sigma <= sigma_m)]
 
     def _note_error(self, view: FilterView, hits: Hits) -> None:
         """How well the regions were known from here, where they were hit."""

@@ -110,8 +110,7 @@ class NeglectedCorrelation:
         region that is NaN in the answer is left as it was: not all of its covariance is current.
         """
         self._grow(len(base))
-        spread = neglected_covariance(view, self.corners(view, base[region], point), point)
-        sigma = _worst_sigma(spread)
+        sigma = self.sigma_now(view, base, region, point)
         known = np.isfinite(sigma)
         row, new = region[known], sigma[known]
         more = np.ones(len(row)) if weight is None else weight[known]
@@ -120,6 +119,12 @@ class NeglectedCorrelation:
         before = np.nan_to_num(self.mean_m[row])
         self.mean_m[row] = before + (new - before) * more / self.count[row]
         return sigma
+
+    def sigma_now(self, view: FilterView, base: Index, region: Index, point: Array) -> Array:
+        """(k,) standard deviations [m] of one scan, as `note` returns them, without noting."""
+        return _worst_sigma(
+            neglected_covariance(view, self.corners(view, base[region], point), point)
+        )
 
     def sigma_m(self, region: Index) -> Array:
         """(k,) mean standard deviation of regions (k,); twice of it is rarely exceeded."""

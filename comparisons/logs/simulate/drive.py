@@ -113,8 +113,11 @@ def point_sightings(
     pose: Array,
     hidden: NDArray[np.bool_] | None = None,
 ) -> Sightings:
-    """All landmarks (L, 2) in view of every scan (N,), with noise; hidden: (N, L) are left out."""
-    offset = landmark[None] - pose[:, None, :2]
+    """All landmarks in view of every scan (N,), with noise; hidden: (N, L) are left out.
+
+    landmark: (L, 2), or (N, L, 2) where they are in each scan, NaN for nowhere.
+    """
+    offset = landmark - pose[:, None, :2]
     distance = np.linalg.norm(offset, axis=2)
     bearing = np.arctan2(offset[..., 1], offset[..., 0]) - pose[:, None, 2]
     bearing = np.angle(np.exp(1j * bearing))

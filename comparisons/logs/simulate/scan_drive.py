@@ -18,6 +18,7 @@ from comparisons.logs.simulate.drive import (
     true_drive,
     wheel_odometry,
 )
+from comparisons.logs.simulate.dynamic_worlds import lanes_world, places_world
 from comparisons.logs.simulate.ray_casting import cast
 from comparisons.logs.simulate.scan_worlds import (
     ScanWorld,
@@ -51,15 +52,17 @@ class ScanExperiment:
 def simulate(rng: np.random.Generator, experiment: ScanExperiment) -> Log:
     """One simulated log with truth: poses at every odometry sample, landmarks, surfaces.
 
-    The same generator state gives the same log. Between two samples the vehicle goes straight
+    Landmarks that are carried about are seen but are not among the truth's. The same generator
+    state gives the same log. Between two samples the vehicle goes straight
     and turns evenly, which is what the motion model's Euler step says (N, eq. A.4).
     """
     world, drive, scanner = experiment.world, experiment.drive, experiment.scanner
     time, control, pose = true_drive(drive, world)
     odometry = wheel_odometry(rng, drive, time, control)
     samples = drive.scan_samples(len(control))
-    hidden = _hidden(world, drive, pose[samples])
-    sightings = point_sightings(rng, drive, world.landmark, time[samples], pose[samples], hidden)
+    landmark = world.landmarks_at(time[samples])
+    hidden = _hidden(world, drive, pose[samples], landmark)
+    sightings = point_sightings(rng, drive, landmark, time[samples], pose[samples], hidden)
 
     def pose_at(instant: Array) -> Array:
         return np.column_stack([np.interp(instant, time, column) for column in pose.T])
@@ -148,6 +151,53 @@ def scan_slam(loops: int = 1, noise_scale: float = 1.0) -> ScanExperiment:
     return ScanExperiment("scan-slam", source, world, drive, _scanner(drive))
 
 
+def dynamic_lanes(
+    loops: int = 1, noise_scale: float = 1.0, *, carried: bool = False
+) -> ScanExperiment:
+    """Nieto 2005, section 6.3.3, Fig. 6.9: a sensor stands by two lanes, ten scans a second.
+
+    Its sigmas are the section's; how well standing still is known is ours. A loop is 30 s.
+    carried: a vehicle carries a landmark.
+    """
+    world = lanes_world(carried=carried)
+    drive = Drive(
+        loops=loops,
+        speed_mps=0.0,
+        loop_s=30.0,
+        scan_every=4,
+        sigma_speed_mps=0.1,
+        sigma_range_m=0.15,
+        sigma_bearing_rad=math.radians(1.0),
+        max_range_m=25.0,
+        noise_scale=noise_scale,
+    )
+    source = "Nieto 2005, section 6.3.3, Fig. 6.9; the places are ours"
+    return ScanExperiment("dynamic-lanes", source, world, drive, _scanner(drive))
+
+
+def dynamic_places(
+    loops: int = 1, noise_scale: float = 1.0, *, carried: bool = False
+) -> ScanExperiment:
+    """Nieto 2005, section 6.3.3, Fig. 6.10: places that change between two passes.
+
+    Of the sensor the thesis says nothing more than for Fig. 6.9, so it is the same, at the rate of
+    Table 4.1. One more loop is driven, since it takes two for anything to have changed.
+    carried: what is taken away takes a landmark along.
+    """
+    world = places_world(carried=carried)
+    drive = replace(
+        _drive(world, loops + 1, noise_scale),
+        scan_every=14,
+        sigma_steering_rad=math.radians(3.0),
+        sigma_range_m=0.15,
+        sigma_bearing_rad=math.radians(1.0),
+        max_range_m=25.0,
+        extra_s=0.0,
+    )
+    source = "Nieto 2005, section 6.3.3, Fig. 6.10; the places are ours"
+    return ScanExperiment("dynamic-places", source, world, drive, _scanner(drive))
+
+
 def _drive(world: ScanWorld, loops: int, noise_scale: float) -> Drive:
     """What Tables 3.1, 4.1 and 5.1 have in common."""
     speed = 3.0
@@ -167,9 +217,9 @@ def _scanner(drive: Drive) -> Planar:
     return Planar(drive.max_range_m, drive.sigma_range_m, drive.sigma_bearing_rad)
 
 
-def _hidden(world: ScanWorld, drive: Drive, pose: Array) -> NDArray[np.bool_]:
-    """(N, L) landmarks behind an object, seen from poses (N, 3). Poles hide nothing."""
-    offset = world.landmark[None] - pose[:, None, :2]
+def _hidden(world: ScanWorld, drive: Drive, pose: Array, landmark: Array) -> NDArray[np.bool_]:
+    """(N, L) landmarks (N, L, 2) behind an object, seen from poses (N, 3). Poles hide nothing."""
+    offset = landmark - pose[:, None, :2]
     distance = np.hypot(offset[..., 0], offset[..., 1])
     hidden = np.zeros(distance.shape, dtype=bool)
     near = np.nonzero(distance <= drive.max_range_m)

@@ -7,6 +7,7 @@ are driven follow the thesis; where each object stands, and all heights, are our
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,11 +23,30 @@ _POLE_SIDES = 32
 _PATH_STEP_M = 0.125
 
 
+class Moving(Protocol):
+    """An upright round thing whose place is a matter of time."""
+
+    @property
+    def diameter_m(self) -> float:
+        """Across."""
+        ...
+
+    @property
+    def height_m(self) -> float:
+        """Over the ground."""
+        ...
+
+    def place(self, time_s: Array) -> Array:
+        """(N, 2) at times (N,), NaN while it is nowhere."""
+        ...
+
+
 @dataclass(frozen=True)
 class Mover:
     """A disc that goes from start to end (2,) [m] and back, for ever, at constant speed.
 
-    lead_s: how long it has been on its way when the log begins.
+    lead_s: how long it has been on its way when the log begins. back: False for one that, at the
+    end, is at the start again at once, as traffic on a lane is.
     """
 
     start: tuple[float, float]
@@ -35,12 +55,14 @@ class Mover:
     diameter_m: float = 0.5
     height_m: float = 1.7
     lead_s: float = 0.0
+    back: bool = True
 
     def place(self, time_s: Array) -> Array:
         """(N, 2) at times (N,)."""
         start, way = np.array(self.start), np.array(self.end) - self.start
         length = float(np.hypot(*way))
-        gone = np.mod(self.speed_mps * (time_s + self.lead_s), 2.0 * length)
+        period = 2.0 * length if self.back else length
+        gone = np.mod(self.speed_mps * (time_s + self.lead_s), period)
         part = np.minimum(gone, 2.0 * length - gone) / length
         place: Array = start + part[:, None] * way
         return place
@@ -51,14 +73,22 @@ class ScanWorld(World):
     """A closed path (P, 2) among things that a scanner sees, and landmarks (L, 2), maybe none.
 
     outline: closed polygons (K, 2), the first corner not repeated, and their heights (O,).
-    pole: (M, 3) x, y, diameter [m], and their heights (M,).
+    pole: (M, 3) x, y, diameter [m], and their heights (M,). movers: what does not stand still.
+    carrier: numbers of the movers that a landmark stands on, in the middle.
     """
 
     outline: tuple[Array, ...] = ()
     outline_height_m: Array = field(default_factory=lambda: np.zeros(0))
     pole: Array = field(default_factory=lambda: np.zeros((0, 3)))
     pole_height_m: Array = field(default_factory=lambda: np.zeros(0))
-    movers: tuple[Mover, ...] = ()
+    movers: tuple[Moving, ...] = ()
+    carrier: tuple[int, ...] = ()
+
+    def landmarks_at(self, time_s: Array) -> Array:
+        """(N, L + C, 2) at times (N,): those that stand, then those carried; NaN nowhere."""
+        still = np.broadcast_to(self.landmark, (len(time_s), *self.landmark.shape))
+        carried = [self.movers[k].place(time_s)[:, None] for k in self.carrier]
+        return np.concatenate((still, *carried), axis=1)
 
     @property
     def loop_m(self) -> float:
@@ -95,7 +125,7 @@ def dense_slam_world() -> ScanWorld:
     Driven counter-clockwise from the origin, so that the left is reached last. The landmarks
     are thin poles, which the scanner sees as well.
     """
-    return _with_landmarks(
+    return with_landmarks(
         _PATH_OF_100_BY_80,
         (
             ("bay", 4, 27, 22, 14, 10),
@@ -123,7 +153,7 @@ def occupancy_world() -> ScanWorld:
     Three objects stand at the top of the middle. The one at the bottom left is seen from one
     side at the start and from the other at the end.
     """
-    return _with_landmarks(
+    return with_landmarks(
         _PATH_OF_100_BY_80,
         (
             ("box", -14, 43, 10, 7, 0),
@@ -146,7 +176,7 @@ def occupancy_world() -> ScanWorld:
 
 def scan_slam_world() -> ScanWorld:
     """Nieto 2005, section 5.6 and Fig. 5.8: 180 m x 160 m, objects of many shapes, no landmarks."""
-    objects: tuple[_Object, ...] = (
+    objects: tuple[PlacedShape, ...] = (
         ("box", 18, -9, 16, 4, 5), ("ell", 20, 14, 12, 14, 10), ("wedge", 46, -8, 10, 7, 0),
         ("hexagon", 46, 14, 9, 9, 0), ("trapezoid", 72, -4, 14, 8, 25),
         ("box", 68, 28, 12, 7, 60), ("bay", 95, 30, 14, 7, 80), ("cross", 70, 52, 12, 12, 30),
@@ -167,7 +197,7 @@ def scan_slam_world() -> ScanWorld:
         (0, 0), (35, 1), (66, 8), (84, 30), (83, 60), (86, 90), (72, 118), (44, 127), (14, 133),
         (-16, 133), (-46, 128), (-65, 106), (-66, 80), (-53, 58), (-62, 38), (-58, 17), (-32, 2),
     )  # fmt: skip
-    return ScanWorld(_path(corners), np.zeros((0, 2)), *_objects(objects))
+    return ScanWorld(_path(corners), np.zeros((0, 2)), *placed_shapes(objects))
 
 
 _PATH_OF_100_BY_80 = (
@@ -199,11 +229,11 @@ _HEIGHTS_M = (6.0, 1.2, 3.0, 8.0, 1.5, 4.0)
 _POLE_M = 0.3
 _POLE_HEIGHT_M = 4.0
 
-_Object = tuple[str, float, float, float, float, float]
+PlacedShape = tuple[str, float, float, float, float, float]
 """Shape, x, y of its middle, length and width [m], turn [deg]."""
 
 
-def _objects(objects: tuple[_Object, ...]) -> tuple[tuple[Array, ...], Array]:
+def placed_shapes(objects: tuple[PlacedShape, ...]) -> tuple[tuple[Array, ...], Array]:
     """Outlines and heights: what has one shape differs in height, some lower than a vehicle."""
     outline = []
     for shape, x, y, length, width, turn_deg in objects:
@@ -225,12 +255,12 @@ def _path(corners: tuple[tuple[float, float], ...]) -> Array:
     return np.column_stack([np.interp(even, way, column) for column in fine.T])
 
 
-def _with_landmarks(
-    corners: tuple[tuple[float, float], ...], objects: tuple[_Object, ...]
+def with_landmarks(
+    corners: tuple[tuple[float, float], ...], objects: tuple[PlacedShape, ...]
 ) -> ScanWorld:
     """Landmarks every few metres, now left, now right of the path, where no object is near."""
     path = _path(corners)
-    world = ScanWorld(path, np.zeros((0, 2)), *_objects(objects))
+    world = ScanWorld(path, np.zeros((0, 2)), *placed_shapes(objects))
     solids = world.solids()
     tangent = np.roll(path, -1, axis=0) - path
     left = np.column_stack((-tangent[:, 1], tangent[:, 0])) / _PATH_STEP_M

@@ -1,0 +1,212 @@
+"""Dynamic regions of whole drives (Nieto 2005, section 6.3.3), and a filter that keeps off them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from comparisons.checks.accuracy import assess
+from comparisons.compare import Comparison, compare_estimators
+from comparisons.errors import InputError
+from comparisons.logs.log import Log
+from comparisons.logs.simulate.dynamic_worlds import LANES_M, Displaced, moved_over
+from comparisons.logs.simulate.scan_drive import (
+    ScanExperiment,
+    dynamic_lanes,
+    dynamic_places,
+    simulate,
+)
+from comparisons.logs.simulate.scan_worlds import Mover
+from comparisons.mapping import DenseMapping, map_log
+from comparisons.report.map_models import MapResult
+from comparisons.runs.dense_run import DenseOptions, DenseWatcher
+from comparisons.runs.ekf_build import EkfChoices
+from comparisons.runs.ekf_run import EkfRun, run_ekf
+from comparisons.runs.timeline import build_timeline
+from ekf_reference.dense.dynamic import DynamicLayer, places
+from tests.comparisons.test_cli import slamcheck
+
+LOOKING = DenseOptions((), dynamic=True)
+
+
+def shortened(experiment: ScanExperiment, seconds: float) -> ScanExperiment:
+    return replace(experiment, drive=replace(experiment.drive, loop_s=seconds))
+
+
+def mapped(experiment: ScanExperiment, seed: int = 0) -> tuple[DenseMapping, DynamicLayer]:
+    log = simulate(np.random.default_rng(seed), experiment)
+    mapping = map_log(log, options=LOOKING)
+    assert mapping.dense.dense.dynamic is not None
+    return mapping, mapping.dense.dense.dynamic
+
+
+def test_both_lanes_are_found() -> None:
+    """Against the ground that the vehicles' bodies covered, of all that was ever seen."""
+    experiment = dynamic_lanes()
+    mapping, layer = mapped(experiment)
+    seen = layer.grid.samples(mapping.placed).point
+    time = np.arange(0.0, mapping.log.duration_s, 0.02)
+    truth = moved_over(experiment.world.movers, seen, time)
+    found = layer.covers(seen, mapping.placed)
+    right = np.count_nonzero(truth & found)
+    assert right > 0.9 * np.count_nonzero(found)  # precision
+    assert right > 0.9 * np.count_nonzero(truth)  # recall
+    number = places(layer.points(mapping.placed))
+    middle = sorted(
+        layer.points(mapping.placed)[number == k, 1].mean() for k in range(number.max() + 1)
+    )
+    assert middle == pytest.approx(sorted(LANES_M), abs=0.3)
+
+
+def test_exactly_the_three_changed_places_are_found() -> None:
+    experiment = dynamic_places()
+    mapping, layer = mapped(experiment)
+    point = layer.points(mapping.placed)
+    number = places(point)
+    middle = np.array([point[number == k].mean(axis=0) for k in range(number.max() + 1)])
+    assert len(middle) == 3
+    changed = [
+        place
+        for mover in experiment.world.movers
+        if isinstance(mover, Displaced)
+        for place in (mover.before, mover.after)
+        if place is not None
+    ]
+    apart = np.linalg.norm(middle[:, None] - np.array(changed)[None], axis=2)
+    assert sorted(apart.argmin(axis=0).tolist()) == [0, 1, 2]
+    assert apart.min(axis=0).max() < 1.3  # only the sides that were seen
+    assert layer.counters.slow > 50
+
+
+@pytest.mark.parametrize("experiment", [shortened(dynamic_lanes(), 10.0), dynamic_places()])
+def test_where_nothing_moves_nothing_is_found(experiment: ScanExperiment) -> None:
+    still = replace(experiment, world=replace(experiment.world, movers=()))
+    mapping, layer = mapped(still)
+    assert layer.counters.compared > 200
+    assert not len(layer.points(mapping.placed))
+    assert not mapping.ekf.unused["dynamic"]
+
+
+def run(log: Log, filter_name: str = "full", *, guarded: bool) -> EkfRun:
+    watcher = DenseWatcher(log, LOOKING) if guarded else None
+    choices = EkfChoices(filter_name).settle(log)
+    return run_ekf(log, build_timeline(log), choices, watcher=watcher, guard=watcher)
+
+
+@pytest.fixture(scope="module")
+def carried() -> list[Log]:
+    experiment = shortened(dynamic_lanes(carried=True), 12.0)
+    return [simulate(np.random.default_rng(seed), experiment) for seed in range(3)]
+
+
+def test_a_landmark_on_a_vehicle_is_removed_and_the_error_is_smaller(carried: list[Log]) -> None:
+    for log in carried:
+        moving = int(log.sightings.landmark.max())
+        without, within = run(log, guarded=False), run(log, guarded=True)
+        assert moving in within.estimate.landmark_id[within.retired]
+        assert len(within.retired) <= 3
+        assert within.unused["dynamic"] > 20
+        assert not without.unused["dynamic"]
+        bad, good = (assess(r.estimate, log, labelled=True) for r in (without, within))
+        assert bad is not None
+        assert good is not None
+        assert (good.ate_m or 9.0) < 0.5 * (bad.ate_m or 0.0)
+        assert (good.landmark_rmse_m or 9.0) < 0.5 * (bad.landmark_rmse_m or 0.0)
+
+
+@pytest.mark.parametrize("filter_name", ["full", "compressed"])
+def test_a_landmark_that_was_taken_away_leaves_the_map(filter_name: str) -> None:
+    """Nieto 2005, Fig. 6.20, where it stood on a car that has left."""
+    log = simulate(np.random.default_rng(0), dynamic_places(carried=True))
+    done = run(log, filter_name, guarded=True)
+    assert done.estimate.landmark_id[done.retired].tolist() == [log.sightings.landmark.max()]
+
+
+def test_full_and_compressed_retire_the_same(carried: list[Log]) -> None:
+    full, compressed = (run(carried[0], f, guarded=True) for f in ("full", "compressed"))
+    assert np.array_equal(full.retired, compressed.retired)
+    assert np.array_equal(full.slot, compressed.slot)
+    assert np.allclose(full.departed, compressed.departed, rtol=0.0, atol=1e-9)
+    assert np.allclose(
+        full.estimate.joint_covariance, compressed.estimate.joint_covariance, rtol=0.0, atol=1e-10
+    )
+
+
+@pytest.fixture(scope="module")
+def compared(carried: list[Log]) -> Comparison:
+    return compare_estimators(carried[1], dynamic=True)
+
+
+def test_the_frozen_smoothers_stay_exact(compared: Comparison) -> None:
+    gaps = compared.agreement.algebra, compared.agreement.model
+    assert max(g.sigma for g in gaps) < 1e-8
+    assert max(g.covariance for g in gaps) < 1e-8
+    assert compared.verdict.outcome == "agree"
+    told = " ".join(compared.verdict.remarks)
+    assert " dynamic" in told
+    assert "stand where something moves" in told
+
+
+def all_moving() -> ScanExperiment:
+    """Every landmark rides on something, each its own way."""
+    experiment = shortened(dynamic_lanes(), 6.0)
+    turn = 2.4 * np.arange(10.0)
+    start = np.column_stack((9.0 + 6.0 * np.cos(turn), 5.0 * np.sin(turn)))
+    end = start + 6.0 * np.column_stack((np.cos(1.7 * turn), np.sin(1.7 * turn)))
+    movers = tuple(
+        Mover((a[0], a[1]), (b[0], b[1]), 1.5, 0.8) for a, b in zip(start, end, strict=True)
+    )
+    nothing = np.zeros((0, 2))
+    world = replace(
+        experiment.world,
+        landmark=nothing,
+        outline=(),
+        outline_height_m=np.zeros(0),
+        pole=np.zeros((0, 3)),
+        pole_height_m=np.zeros(0),
+        movers=movers,
+        carrier=tuple(range(10)),
+    )
+    return replace(experiment, world=world)
+
+
+def test_a_scene_that_is_all_moving_is_said_to_be_beyond_it() -> None:
+    """As dense.dynamic documents: it takes landmarks that stand still."""
+    log = simulate(np.random.default_rng(0), all_moving())
+    comparison = compare_estimators(log, dynamic=True)
+    assert comparison.ekf.breakdown is None
+    assert comparison.verdict.outcome != "agree"
+    assert any("hardly known" in remark for remark in comparison.verdict.remarks)
+
+
+def test_the_commands_write_and_tell(tmp_path: Path) -> None:
+    done = slamcheck("map", "dynamic-places", "--dynamic", "--out", "map", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    folder = tmp_path / "map"
+    result = MapResult.model_validate_json((folder / "map.json").read_text())
+    assert result.dynamic is not None
+    assert result.dynamic.places == 3
+    assert "3 places" in done.stdout
+    for name in ("dynamic.png", "dynamic-map.png"):
+        assert (folder / name).read_bytes().startswith(b"\x89PNG")
+    assert len((folder / "dynamic.pgw").read_text().splitlines()) == 6
+    arguments = ("run", "dynamic-lanes", "--dynamic", "on", "--out", "run")
+    done = slamcheck(*arguments, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    ekf = json.loads((tmp_path / "run" / "result.json").read_text())["ekf"]
+    assert ekf["dynamic"] > 100
+    assert ekf["retired"] >= 1
+    wrong = slamcheck("run", "dynamic-lanes", "--dynamic", "maybe", cwd=tmp_path)
+    assert wrong.returncode == 2
+    assert "dynamic 'maybe' is unknown, expected off or on" in wrong.stderr
+
+
+def test_a_log_without_scans_cannot_be_looked_at() -> None:
+    from comparisons.logs.bundled import open_log
+
+    with pytest.raises(InputError, match="holds no scans"):
+        compare_estimators(open_log("simulated-loop"), dynamic=True)
