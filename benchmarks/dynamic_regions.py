@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from comparisons.checks.accuracy import assess
-from comparisons.logs.simulate.dynamic_worlds import moved_over
+from comparisons.checks.dynamic_accuracy import middles, score_dynamic
 from comparisons.logs.simulate.scan_drive import (
     ScanExperiment,
     dynamic_lanes,
@@ -22,7 +22,7 @@ from comparisons.logs.simulate.scan_drive import (
 )
 from comparisons.mapping import DenseMapping, map_log
 from comparisons.runs.dense_run import DenseOptions
-from ekf_reference.dense.dynamic import DynamicLayer, places
+from ekf_reference.dense.dynamic import DynamicLayer
 
 
 def mapped(
@@ -55,12 +55,10 @@ def main() -> None:
     for seed in seeds:
         experiment = lanes()
         mapping, layer = mapped(experiment, seed)
-        seen = layer.grid.samples(mapping.placed).point
-        time = np.arange(0.0, mapping.log.duration_s, 0.02)
-        truth = moved_over(experiment.world.movers, seen, time)
-        found = layer.covers(seen, mapping.placed)
-        right = np.count_nonzero(truth & found)
-        scores.append((right / max(found.sum(), 1), right / truth.sum()))
+        score = score_dynamic(
+            layer, mapping.placed, experiment.world.movers, mapping.log.duration_s
+        )
+        scores.append((score.precision, score.recall))
     low, mean = np.min(scores, axis=0), np.mean(scores, axis=0)
     print(
         f"lanes: precision {mean[0]:.3f} (least {low[0]:.3f}), recall {mean[1]:.3f} ({low[1]:.3f})"
@@ -68,7 +66,7 @@ def main() -> None:
     counts = []
     for seed in seeds:
         mapping, layer = mapped(dynamic_places(), seed)
-        counts.append(int(places(layer.points(mapping.placed)).max(initial=-1)) + 1)
+        counts.append(len(middles(layer.points(mapping.placed))))
     exact = sum(count == 3 for count in counts)
     print(f"places: 3 found in {exact} of {len(counts)} drives, in all: {sorted(counts)}")
     for name, experiment in (("lanes", lanes()), ("places", dynamic_places())):

@@ -7,6 +7,7 @@ from comparisons.reproduction import (
     guivant_figures,
     misono,
     nieto_dense_figures,
+    nieto_motion,
     nieto_regions,
     nieto_slam_figures,
 )
@@ -18,6 +19,7 @@ FIGURES: tuple[AnyFigure, ...] = (
     *nieto_slam_figures.FIGURES,
     *nieto_regions.FIGURES,
     *nieto_dense_figures.FIGURES,
+    *nieto_motion.FIGURES,
 )
 
 

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from comparisons.checks.accuracy import assess
+from comparisons.checks.dynamic_accuracy import middles, score_dynamic
 from comparisons.compare import Comparison, compare_estimators
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
-from comparisons.logs.simulate.dynamic_worlds import LANES_M, Displaced, moved_over
+from comparisons.logs.simulate.dynamic_worlds import LANES_M, Displaced
 from comparisons.logs.simulate.scan_drive import (
     ScanExperiment,
     dynamic_lanes,
@@ -27,7 +28,7 @@ from comparisons.runs.dense_run import DenseOptions, DenseWatcher
 from comparisons.runs.ekf_build import EkfChoices
 from comparisons.runs.ekf_run import EkfRun, run_ekf
 from comparisons.runs.timeline import build_timeline
-from ekf_reference.dense.dynamic import DynamicLayer, places
+from ekf_reference.dense.dynamic import DynamicLayer
 from tests.comparisons.test_cli import slamcheck
 
 LOOKING = DenseOptions((), dynamic=True)
@@ -48,26 +49,17 @@ def test_both_lanes_are_found() -> None:
     """Against the ground that the vehicles' bodies covered, of all that was ever seen."""
     experiment = dynamic_lanes()
     mapping, layer = mapped(experiment)
-    seen = layer.grid.samples(mapping.placed).point
-    time = np.arange(0.0, mapping.log.duration_s, 0.02)
-    truth = moved_over(experiment.world.movers, seen, time)
-    found = layer.covers(seen, mapping.placed)
-    right = np.count_nonzero(truth & found)
-    assert right > 0.9 * np.count_nonzero(found)  # precision
-    assert right > 0.9 * np.count_nonzero(truth)  # recall
-    number = places(layer.points(mapping.placed))
-    middle = sorted(
-        layer.points(mapping.placed)[number == k, 1].mean() for k in range(number.max() + 1)
-    )
-    assert middle == pytest.approx(sorted(LANES_M), abs=0.3)
+    duration_s = mapping.log.duration_s
+    score = score_dynamic(layer, mapping.placed, experiment.world.movers, duration_s)
+    assert score.precision > 0.9
+    assert score.recall > 0.9
+    assert sorted(score.middle[:, 1]) == pytest.approx(sorted(LANES_M), abs=0.3)
 
 
 def test_exactly_the_three_changed_places_are_found() -> None:
     experiment = dynamic_places()
     mapping, layer = mapped(experiment)
-    point = layer.points(mapping.placed)
-    number = places(point)
-    middle = np.array([point[number == k].mean(axis=0) for k in range(number.max() + 1)])
+    middle = middles(layer.points(mapping.placed))
     assert len(middle) == 3
     changed = [
         place

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 from typing import Any
 
 import numpy as np
 
 from comparisons.checks.dense_accuracy import surface_error
+from comparisons.checks.dynamic_accuracy import DynamicScore
 from comparisons.reproduction import (
     guivant,
     misono,
     nieto_dense,
+    nieto_motion,
     nieto_regions,
     nieto_slam,
 )
 from comparisons.reproduction.contract import Sources
+from comparisons.runs.estimate import Array
 from ekf_reference.dense.layers.layer import Samples
 
 WALL = np.array([(0.0, 0.0, 20.0, 0.0)])
@@ -64,7 +68,15 @@ def covered() -> guivant.Covered:
     return guivant.Covered("made up", path, trees, path[:, 0] < 110.0, around)
 
 
-SMALL = {
+def motions(true: Array) -> nieto_motion.Motions:
+    """Places that are found where they are, but for a little."""
+    held, found = samples(0.0), np.where(np.isfinite(true), true, 0.0) + 0.1
+    score = DynamicScore(0.95, 0.93, found)
+    one = nieto_motion.Motion(score, found, held, CORNERS, WALL, CORNERS[None])
+    return nieto_motion.Motions("made up", (one,), true)
+
+
+SMALL: dict[str, Callable[[], Any]] = {
     "section 2.9": lambda: nieto_slam.loops(Sources(drives=2)),
     "section 2.9 with positions": lambda: nieto_slam.fixed(Sources()),
     "Examples 3.1 and 3.2": lambda: nieto_regions.examples(Sources(drives=2)),
@@ -76,4 +88,6 @@ SMALL = {
     "chapter 4": lambda: nieto_dense.layered_maps(Sources(drives=1)),
     "section 4.1.3, ten rounds": rounds,
     "section 4.1.3, two sizes of cells": coarsened,
+    "section 6.3.3, fast motion": lambda: motions(np.array([(np.nan, 5.0), (np.nan, -5.0)])),
+    "section 6.3.3, slow motion": lambda: motions(np.array([(0.0, 0.0), (9.0, 0.0), (4.0, 8.0)])),
 }

@@ -63,6 +63,21 @@ def closed(change: Callable[[Any], Any]) -> Callable[[Any], Any]:
     return lambda maps: replace(maps, closed=tuple(change(m) for m in maps.closed))
 
 
+def blurred(motion: Any) -> Any:
+    return replace(motion, score=replace(motion.score, precision=0.8, recall=0.8))
+
+
+def one_place_more(motion: Any) -> Any:
+    middle = np.vstack((motion.score.middle, motion.score.middle[:1] + 3.0))
+    return replace(motion, score=replace(motion.score, middle=middle))
+
+
+def one_place_twice(motion: Any) -> Any:
+    middle = motion.score.middle.copy()
+    middle[1] = middle[0] + 0.2
+    return replace(motion, score=replace(motion.score, middle=middle))
+
+
 def swapped(d: Any) -> Any:
     return replace(d, before=d.after, after=d.before)
 
@@ -243,6 +258,11 @@ BROKEN: list[tuple[str, Callable[[Any], Any], set[int]]] = [
     ("N4.10", worse, {0, 1, 2}),
     ("N4.12", worse, {0, 1}),
     ("N4.16", worse, {0, 1}),
+    ("N6.9", each(blurred), {2, 3}),
+    ("N6.9", each(one_place_more), {1}),
+    ("N6.9", each(one_place_twice), {0}),
+    ("N6.10", each(one_place_more), {1}),
+    ("N6.10", each(one_place_twice), {0}),
 ]
 
 
@@ -259,7 +279,18 @@ def test_every_figure_has_a_broken_variant() -> None:
     assert {name for name, _, _ in BROKEN} == set(BY_NAME)
 
 
-SOUND = {"N2.11": 3, "N2.12": 1, "N3.18": 1, "N4.5": 2, "N4.6": 3, "G7": 2, "G8": 4, "G9": 4}
+SOUND = {
+    "N2.11": 3,
+    "N2.12": 1,
+    "N3.18": 1,
+    "N4.5": 2,
+    "N4.6": 3,
+    "N6.9": 4,
+    "N6.10": 2,
+    "G7": 2,
+    "G8": 4,
+    "G9": 4,
+}
 
 
 @pytest.mark.parametrize("name", sorted(SOUND))
