@@ -49,17 +49,7 @@ def first_seconds(log: Log, seconds: float) -> Log:
             speed_mps=odometry.speed_mps[:n],
             steering_rad=odometry.steering_rad[:n],
         ),
-        sightings=replace(
-            seen,
-            time_s=seen.time_s[:m],
-            range_m=seen.range_m[:m],
-            bearing_rad=seen.bearing_rad[:m],
-            sigma_range_m=seen.sigma_range_m[:m],
-            sigma_bearing_rad=seen.sigma_bearing_rad[:m],
-            landmark=seen.landmark[:m],
-            diameter_m=seen.diameter_m[:m],
-            intensity=seen.intensity[:m],
-        ),
+        sightings=seen.chosen(np.arange(len(seen.time_s)) < m),
     )
 
 

@@ -217,16 +217,7 @@ def test_scans_alone_make_a_log(tmp_path: Path, scan_loop: Log) -> None:
         scan_loop,
         name="bare",
         odometry=RelativePoses(none, np.zeros((0, 3)), np.zeros((0, 3, 3))),
-        sightings=replace(
-            seen,
-            time_s=none,
-            range_m=none,
-            bearing_rad=none,
-            sigma_range_m=none,
-            sigma_bearing_rad=none,
-            landmark=none.astype(np.int64),
-            diameter_m=none,
-        ),
+        sightings=seen.chosen(np.zeros(len(seen.time_s), dtype=bool)),
     )
     write_log_folder(bare, tmp_path / "bare")
     done = slamcheck("odometry", "bare", "--out", "out", cwd=tmp_path)

@@ -110,7 +110,7 @@ def check_log(log: Log) -> None:
     """What every log promises, whoever wrote it: finite numbers, gaps where there may be some."""
     for stream in (log.odometry, log.sightings, log.positions, log.known_sightings, log.scans):
         for name, value in vars(stream).items() if stream is not None else ():
-            if isinstance(value, np.ndarray) and name not in ("diameter_m", "range_m"):
+            if isinstance(value, np.ndarray) and name not in ("diameter_m", "intensity", "range_m"):
                 assert np.isfinite(value).all(), name
     assert np.isfinite((log.end_s, log.duration_s)).all()
     assert log.records

@@ -228,9 +228,9 @@ def waiting_points(name: str) -> tuple[WaitingRoom, Array]:
     def watch(ekf: FullEkf) -> None:
         observe = ekf.observe
 
-        def watched(z: Array, sigma: Array, identity: Index, time_s: float) -> Any:
+        def watched(z: Array, sigma: Array, identity: Index, time_s: float, *told: Any) -> Any:
             room.predicted(FilterView.of(ekf))
-            result = observe(z, sigma, identity, time_s)
+            result = observe(z, sigma, identity, time_s, *told)
             view = FilterView.of(ekf)
             room.updated(view)
             pair = newest_pair(view)
