@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
 from comparisons.checks.dynamic_accuracy import DynamicScore, score_dynamic
-from comparisons.logs.simulate.dynamic_worlds import LANES_M, Displaced
+from comparisons.logs.simulate import dynamic_worlds
 from comparisons.logs.simulate.scan_drive import (
     ScanExperiment,
     dynamic_lanes,
@@ -87,21 +87,14 @@ def _motions(experiment: ScanExperiment, true: Array, sources: Sources) -> Motio
 
 def lanes(sources: Sources) -> Motions:
     """Two lanes of traffic before a scanner that stands."""
-    true = np.array([(np.nan, north) for north in LANES_M])
+    true = np.array([(np.nan, north) for north in dynamic_worlds.LANES_M])
     return _motions(dynamic_lanes(), true, sources)
 
 
 def changed_places(sources: Sources) -> Motions:
     """One object taken away and two brought between two passes."""
     experiment = dynamic_places()
-    true = [
-        place
-        for mover in experiment.world.movers
-        if isinstance(mover, Displaced)
-        for place in (mover.before, mover.after)
-        if place is not None
-    ]
-    return _motions(experiment, np.array(true), sources)
+    return _motions(experiment, dynamic_worlds.changed_places(experiment.world.movers), sources)
 
 
 def claims_6_9(found: Motions) -> list[Claim]:

@@ -14,7 +14,7 @@ from comparisons.checks.dynamic_accuracy import middles, score_dynamic
 from comparisons.compare import Comparison, compare_estimators
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
-from comparisons.logs.simulate.dynamic_worlds import LANES_M, Displaced
+from comparisons.logs.simulate.dynamic_worlds import LANES_M, changed_places
 from comparisons.logs.simulate.scan_drive import (
     ScanExperiment,
     dynamic_lanes,
@@ -61,14 +61,8 @@ def test_exactly_the_three_changed_places_are_found() -> None:
     mapping, layer = mapped(experiment)
     middle = middles(layer.points(mapping.placed))
     assert len(middle) == 3
-    changed = [
-        place
-        for mover in experiment.world.movers
-        if isinstance(mover, Displaced)
-        for place in (mover.before, mover.after)
-        if place is not None
-    ]
-    apart = np.linalg.norm(middle[:, None] - np.array(changed)[None], axis=2)
+    changed = changed_places(experiment.world.movers)
+    apart = np.linalg.norm(middle[:, None] - changed[None], axis=2)
     assert sorted(apart.argmin(axis=0).tolist()) == [0, 1, 2]
     assert apart.min(axis=0).max() < 1.3  # only the sides that were seen
     assert layer.counters.slow > 50

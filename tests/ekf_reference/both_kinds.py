@@ -12,6 +12,8 @@ from ekf_reference.compressed_ekf import CompressedEkf, LocalAreas
 from ekf_reference.full_ekf import NEW, FullEkf, Stabilisation
 from ekf_reference.layout import ORIENTED
 from ekf_reference.motion import UnicycleModel
+from ekf_reference.observation import PredictedSightings
+from ekf_reference.scan_landmarks.observation import OrientedObservation
 from ekf_reference.trace import Trace
 from tests.helpers import Array
 
@@ -184,3 +186,20 @@ def error(ekf: FullEkf, made: Made) -> Array:
         angles.append(int(at) + 2)
     off[angles] = np.angle(np.exp(1j * off[angles]))
     return off
+
+
+class Unwrapped(OrientedObservation):
+    """Headings are not wrapped."""
+
+    def innovation(self, z: Array, predicted: Array) -> Array:
+        return z - predicted
+
+
+class Flipped(OrientedObservation):
+    """The heading's column of the Jacobian, as by the pose, with its sign flipped."""
+
+    def predict(self, pose: Array, landmarks: Array) -> PredictedSightings:
+        at = super().predict(pose, landmarks)
+        by_pose = at.jacobian_pose.copy()
+        by_pose[:, :2, 2] *= -1.0
+        return at._replace(jacobian_pose=by_pose)

@@ -30,7 +30,9 @@ from tests.ekf_reference.both_kinds import (
     FRAMES,
     PRIOR,
     TWINS,
+    Flipped,
     Script,
+    Unwrapped,
     build,
     drive,
     error,
@@ -140,21 +142,6 @@ def test_without_noise_there_is_no_error(kind: str, order: str) -> None:
     made = drive(ekf, 0, Script(order=order, noise=0.0, fuse_at=60, remove_at=75))
     assert ekf.state.pose[2] > 3.0 * np.pi
     assert np.abs(error(ekf, made)).max() < 1e-11
-
-
-class Unwrapped(OrientedObservation):
-    def innovation(self, z: Array, predicted: Array) -> Array:
-        return z - predicted
-
-
-class Flipped(OrientedObservation):
-    """The heading's column of the Jacobian, as by the pose, with its sign flipped."""
-
-    def predict(self, pose: Array, landmarks: Array) -> PredictedSightings:
-        at = super().predict(pose, landmarks)
-        by_pose = at.jacobian_pose.copy()
-        by_pose[:, :2, 2] *= -1.0
-        return at._replace(jacobian_pose=by_pose)
 
 
 class NoLever(OrientedObservation):

@@ -14,7 +14,6 @@ from ekf_reference.full_ekf import FullEkf
 from ekf_reference.kalman import KalmanState
 from ekf_reference.layout import ORIENTED
 from ekf_reference.motion import UnicycleModel
-from ekf_reference.observation import PredictedSightings
 from ekf_reference.scan_landmarks.observation import OrientedObservation
 from ekf_reference.trace import RecordedTrace, TraceArrays
 from graphslam.frozen_own import FrozenPairs, FrozenPoints, own_problem
@@ -29,9 +28,11 @@ from tests.ekf_reference.both_kinds import (
     RADIUS_M,
     SIGMA,
     STEP_S,
+    Flipped,
     Made,
     Q,
     Script,
+    Unwrapped,
     build,
     drive,
 )
@@ -164,21 +165,6 @@ def test_parts_of_an_update_are_replayed() -> None:
     assert gap(f1, chain.own()) < 1e-9
 
 
-class WrongSign(OrientedObservation):
-    """The lever of the vehicle's heading, with its sign flipped."""
-
-    def predict(self, pose: Array, landmarks: Array) -> PredictedSightings:
-        at = super().predict(pose, landmarks)
-        by_pose = at.jacobian_pose.copy()
-        by_pose[:, :2, 2] *= -1.0
-        return at._replace(jacobian_pose=by_pose)
-
-
-class Unwrapped(OrientedObservation):
-    def innovation(self, z: Array, predicted: Array) -> Array:
-        return z - predicted
-
-
 class NoCross(KalmanState):
     """New landmarks with a direction know the vehicle but not the map."""
 
@@ -203,7 +189,7 @@ class Conditioned(KalmanState):
         super().remove(slot, width)
 
 
-@pytest.mark.parametrize("model", [WrongSign, Unwrapped])
+@pytest.mark.parametrize("model", [Flipped, Unwrapped])
 def test_a_wrong_model_shows_as_a_model_gap_alone(model: type[OrientedObservation]) -> None:
     def plant(ekf: FullEkf) -> None:
         ekf.oriented_observation = model()
