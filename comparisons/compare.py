@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,11 +17,13 @@ from comparisons.checks.consistency import Consistency, check_consistency
 from comparisons.checks.dense_agreement import DenseAgreement, compare_dense
 from comparisons.checks.dropouts import find_dropouts
 from comparisons.checks.explanations import explain
+from comparisons.checks.extra_remarks import on_dense, on_motion, on_scans
 from comparisons.checks.linearisation_growth import linearisation_growth
 from comparisons.checks.model_differences import model_differences
-from comparisons.checks.own_association import OwnAssociationCheck, check_own_association
+from comparisons.checks.own_association import OwnAssociationCheck
 from comparisons.checks.scan_increments import IncrementCheck, check_increments
-from comparisons.checks.three_way import ThreeWay, compare_maps, find_culprit, readable
+from comparisons.checks.three_way import ThreeWay
+from comparisons.clock import Clock
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
 from comparisons.runs.dense_run import DenseOptions, DenseRun, DenseWatcher
@@ -32,26 +32,23 @@ from comparisons.runs.ekf_run import EkfRun, run_ekf
 from comparisons.runs.estimate import Array, Estimate
 from comparisons.runs.known_landmarks import join_known_sightings
 from comparisons.runs.oriented_sightings import NoOrientedSource, OrientedSource
-from comparisons.runs.own_association import associate_own
-from comparisons.runs.scan_log import BEYOND, with_scan_motion
+from comparisons.runs.scan_log import with_scan_motion
 from comparisons.runs.scan_motion import ScanMotion, run_scan_odometry
-from comparisons.runs.scan_smoother import smooth_on_scans
 from comparisons.runs.smoother_run import (
     build_problem,
     linear_optimum,
     linear_own,
     linear_recorded,
-    position_rows,
     run_smoother,
     smoothed_estimate,
     solve_own,
     solve_recorded,
 )
 from comparisons.runs.timeline import Timeline, build_timeline
+from comparisons.second_opinions import with_own_association, with_scans
 from ekf_reference.full_ekf import FullEkf
 from graphslam.increments import dead_reckoned
-from graphslam.scan.loop_closure import loop_closer
-from graphslam.smoother import SmootherOptions, SmootherResult, smooth
+from graphslam.smoother import SmootherOptions, SmootherResult
 
 Progress = Callable[[str, int, int], None]
 """Called with the stage, what is done and what there is to do (0 when not known)."""
@@ -119,7 +116,7 @@ def compare_estimators(
     """
     if motion not in MOTIONS:
         raise InputError(f"motion '{motion}' is unknown, expected one of {', '.join(MOTIONS)}")
-    clock = _Clock()
+    clock = Clock()
     chosen = (choices or EkfChoices()).settle(log)
     log = join_known_sightings(log)
     if not len(log.sightings.time_s):
@@ -176,12 +173,12 @@ def compare_estimators(
     if smoother_association == "own":
         with clock.stage("own association"):
             progress("own association", 0, 0)
-            second = _with_own_association(log, judged, run, smoothed, result.options)
+            second = with_own_association(log, judged, run, smoothed, result.options)
     three = None
     if motion == "both" and scanned is not None:
         with clock.stage("smoother on scans"):
             progress("smoother on scans", 0, 0)
-            three = _with_scans(log, judged, scanned, run, result, smoothed)
+            three = with_scans(log, judged, scanned, run, result, smoothed)
     mapped = None if dense is None or watcher is None else watcher.run()
     compared = None
     if mapped is not None:
@@ -247,9 +244,9 @@ def compare_estimators(
                 remarks=(
                     *verdict.remarks,
                     *consistency.remarks,
-                    *_on_scans(log, scanned),
-                    *_on_dense(mapped, compared),
-                    *_on_motion(watcher if dynamic else None),
+                    *on_scans(log, scanned),
+                    *on_dense(mapped, compared),
+                    *on_motion(watcher if dynamic else None),
                 ),
             ),
             clock.seconds,
@@ -282,107 +279,5 @@ def _repeated(
     return watched[0].differences() if watched[0] is not None else ()
 
 
-def _on_scans(log: Log, motion: ScanMotion | None) -> list[str]:
-    """Remarks on the scans' motion, if there is one."""
-    if motion is None:
-        return []
-    beyond = log.provenance.get(BEYOND)
-    told = [f"{beyond} sightings lie outside the time of the scans and were left out"]
-    return motion.remarks + (told if beyond else [])
-
-
-def _on_dense(mapped: DenseRun | None, compared: DenseAgreement | None) -> list[str]:
-    """Remarks on the dense map, if one was asked for."""
-    if mapped is None or compared is not None:
-        return []
-    return [
-        f"no return fell into one of {len(mapped.dense.regions.base)} regions, so no dense maps "
-        "could be compared"
-    ]
-
-
-def _on_motion(watcher: DenseWatcher | None) -> list[str]:
-    """A remark where motion was looked for, and most of it would not have been found."""
-    if watcher is None or watcher.moves.compared > watcher.moves.deformed:
-        return []
-    return [
-        "whether anything moves is hardly known: of "
-        f"{watcher.moves.compared + watcher.moves.deformed} pairs of maps "
-        f"{watcher.moves.deformed} could not be compared, since their region had changed its "
-        "shape; it takes three landmarks that stand still"
-    ]
-
-
-def _with_own_association(
-    log: Log, judged: Log, run: EkfRun, smoothed: Estimate, options: SmootherOptions
-) -> OwnAssociationCheck:
-    """Associate without the filter, solve, assess, and compare with what its association gave."""
-    found = associate_own(log, run.timeline, position_rows(run.timeline, run.positions))
-    if not found.problem.landmark_count:
-        raise InputError(f"{log.name}: the smoother's own association found no landmark")
-    result = smooth(found.problem, {"association": (found.poses, found.landmarks)}, options=options)
-    ids = np.arange(found.problem.landmark_count)
-    estimate = smoothed_estimate(result, run.timeline.epoch_time_s, ids, "its own")
-    return check_own_association(
-        log.sightings,
-        run.timeline.sighting_epoch,
-        run.slot,
-        found.slot,
-        smoothed,
-        estimate,
-        result.proof,
-        assess(estimate, judged, labelled=False),
-        score_association(found.slot, result.landmarks, log),
-    )
-
-
-def _with_scans(
-    log: Log,
-    judged: Log,
-    motion: ScanMotion,
-    run: EkfRun,
-    wheels: SmootherResult,
-    smoothed: Estimate,
-) -> ThreeWay:
-    """Solve with the scans' motion, and hold both estimates on wheels against that."""
-    closer = loop_closer(motion.options)
-    scans = smooth_on_scans(log, motion, run, closer, SmootherOptions())
-    accuracy = assess(scans.estimate, judged, labelled=False)
-    ekf, smoother = (compare_maps(own, scans.estimate) for own in (run.estimate, smoothed))
-    proof = readable(scans.result)
-    culprit, evidence = "", "the maps agree"
-    if not (ekf.agrees and smoother.agrees):
-        culprit, evidence = find_culprit(
-            readable(wheels),
-            proof,
-            assess(smoothed, judged, labelled=False),
-            accuracy,
-        )
-    return ThreeWay(
-        scans.estimate,
-        scans.result.proof,
-        proof.chi_square,
-        accuracy,
-        ekf,
-        smoother,
-        scans.loops,
-        culprit,
-        evidence,
-    )
-
-
 def _gaussian(estimate: Estimate) -> Gaussian:
     return Gaussian(estimate.joint_mean, estimate.joint_covariance, len(estimate.oriented))
-
-
-class _Clock:
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        start = time.perf_counter()
-        try:
-            yield
-        finally:
-            self.seconds[name] = time.perf_counter() - start

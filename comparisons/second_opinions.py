@@ -1,0 +1,78 @@
+"""Other smoothers beside the one that follows the filter: with its own association, or on scans."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from comparisons.checks.accuracy import assess
+from comparisons.checks.association import score_association
+from comparisons.checks.own_association import OwnAssociationCheck, check_own_association
+from comparisons.checks.three_way import ThreeWay, compare_maps, find_culprit, readable
+from comparisons.errors import InputError
+from comparisons.logs.log import Log
+from comparisons.runs.ekf_run import EkfRun
+from comparisons.runs.estimate import Estimate
+from comparisons.runs.own_association import associate_own
+from comparisons.runs.scan_motion import ScanMotion
+from comparisons.runs.scan_smoother import smooth_on_scans
+from comparisons.runs.smoother_run import position_rows, smoothed_estimate
+from graphslam.scan.loop_closure import loop_closer
+from graphslam.smoother import SmootherOptions, SmootherResult, smooth
+
+
+def with_own_association(
+    log: Log, judged: Log, run: EkfRun, smoothed: Estimate, options: SmootherOptions
+) -> OwnAssociationCheck:
+    """Associate without the filter, solve, assess, and compare with what its association gave."""
+    found = associate_own(log, run.timeline, position_rows(run.timeline, run.positions))
+    if not found.problem.landmark_count:
+        raise InputError(f"{log.name}: the smoother's own association found no landmark")
+    result = smooth(found.problem, {"association": (found.poses, found.landmarks)}, options=options)
+    ids = np.arange(found.problem.landmark_count)
+    estimate = smoothed_estimate(result, run.timeline.epoch_time_s, ids, "its own")
+    return check_own_association(
+        log.sightings,
+        run.timeline.sighting_epoch,
+        run.slot,
+        found.slot,
+        smoothed,
+        estimate,
+        result.proof,
+        assess(estimate, judged, labelled=False),
+        score_association(found.slot, result.landmarks, log),
+    )
+
+
+def with_scans(
+    log: Log,
+    judged: Log,
+    motion: ScanMotion,
+    run: EkfRun,
+    wheels: SmootherResult,
+    smoothed: Estimate,
+) -> ThreeWay:
+    """Solve with the scans' motion, and hold both estimates on wheels against that."""
+    closer = loop_closer(motion.options)
+    scans = smooth_on_scans(log, motion, run, closer, SmootherOptions())
+    accuracy = assess(scans.estimate, judged, labelled=False)
+    ekf, smoother = (compare_maps(own, scans.estimate) for own in (run.estimate, smoothed))
+    proof = readable(scans.result)
+    culprit, evidence = "", "the maps agree"
+    if not (ekf.agrees and smoother.agrees):
+        culprit, evidence = find_culprit(
+            readable(wheels),
+            proof,
+            assess(smoothed, judged, labelled=False),
+            accuracy,
+        )
+    return ThreeWay(
+        scans.estimate,
+        scans.result.proof,
+        proof.chi_square,
+        accuracy,
+        ekf,
+        smoother,
+        scans.loops,
+        culprit,
+        evidence,
+    )
