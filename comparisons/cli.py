@@ -26,6 +26,7 @@ from comparisons.cli_options import (
     FormatOption,
     GpsOption,
     LagOption,
+    LandmarksOption,
     LiveOption,
     LogArgument,
     LoopsOption,
@@ -93,6 +94,7 @@ def run(
     association: AssociationOption = None,
     attributes: AttributesOption = "off",
     features: FeaturesOption = "log",
+    landmarks: LandmarksOption = "points",
     motion: MotionOption = "wheel",
     gps: GpsOption = "off",
     smoother: MethodOption = "batch",
@@ -121,6 +123,7 @@ def run(
       slamcheck run my-log-folder --association nn --out report
       slamcheck run path/to/acfr_car_park --motion both
       slamcheck run scan-loop --dense points --dense occupancy
+      slamcheck run scan-slam --landmarks scans
       slamcheck run simulated-loop --figures pdf --record run.rrd
     """
     with guarded():
@@ -147,6 +150,7 @@ def run(
                 options,
                 smoother_association,
                 motion,
+                landmarks,
                 kept if dense else None,
                 out,
                 read_s,
@@ -170,6 +174,7 @@ def _run(
     options: SmootherOptions,
     smoother_association: str,
     motion: str,
+    landmarks: str,
     dense: DenseOptions | None,
     out: Path | None,
     read_s: float,
@@ -192,6 +197,7 @@ def _run(
             smoother_association=smoother_association,
             motion=motion,
             dense=dense,
+            landmarks=landmarks,
         )
         result = build_result(comparison, read_s)
         progress("report", 0, 0)
