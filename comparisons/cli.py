@@ -27,6 +27,7 @@ from comparisons.cli_options import (
     FormatOption,
     GpsOption,
     LagOption,
+    LandmarksOption,
     LiveOption,
     LogArgument,
     LoopsOption,
@@ -94,6 +95,7 @@ def run(
     association: AssociationOption = None,
     attributes: AttributesOption = "off",
     features: FeaturesOption = "log",
+    landmarks: LandmarksOption = "points",
     motion: MotionOption = "wheel",
     gps: GpsOption = "off",
     smoother: MethodOption = "batch",
@@ -123,6 +125,7 @@ def run(
       slamcheck run my-log-folder --association nn --out report
       slamcheck run path/to/acfr_car_park --motion both
       slamcheck run scan-loop --dense points --dense occupancy
+      slamcheck run scan-slam --landmarks scans
       slamcheck run simulated-loop --figures pdf --record run.rrd
       slamcheck run dynamic-lanes --dynamic on
     """
@@ -152,6 +155,7 @@ def run(
                 options,
                 smoother_association,
                 motion,
+                landmarks,
                 kept if dense else None,
                 dynamic == "on",
                 out,
@@ -176,6 +180,7 @@ def _run(
     options: SmootherOptions,
     smoother_association: str,
     motion: str,
+    landmarks: str,
     dense: DenseOptions | None,
     dynamic: bool,
     out: Path | None,
@@ -200,6 +205,7 @@ def _run(
             motion=motion,
             dense=dense,
             dynamic=dynamic,
+            landmarks=landmarks,
         )
         result = build_result(comparison, read_s)
         progress("report", 0, 0)

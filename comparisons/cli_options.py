@@ -177,3 +177,10 @@ RecordOption = Annotated[
     Path | None,
     typer.Option(metavar="FILE.rrd", help="Write that replay to a file for the viewer."),
 ]
+LandmarksOption = Annotated[
+    str,
+    typer.Option(
+        metavar="points|scans|both",
+        help="The log's sightings, pieces of its raw scans (Scan-SLAM), or both.",
+    ),
+]

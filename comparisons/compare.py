@@ -34,6 +34,7 @@ from comparisons.runs.known_landmarks import join_known_sightings
 from comparisons.runs.oriented_sightings import NoOrientedSource, OrientedSource
 from comparisons.runs.scan_log import with_scan_motion
 from comparisons.runs.scan_motion import ScanMotion, run_scan_odometry
+from comparisons.runs.scan_slam_source import ScanSlamSources
 from comparisons.runs.smoother_run import (
     build_problem,
     linear_optimum,
@@ -47,6 +48,7 @@ from comparisons.runs.smoother_run import (
 from comparisons.runs.timeline import Timeline, build_timeline
 from comparisons.second_opinions import with_own_association, with_scans
 from ekf_reference.full_ekf import FullEkf
+from ekf_reference.scan_landmarks.scan_slam import ScanLandmarks
 from graphslam.increments import dead_reckoned
 from graphslam.smoother import SmootherOptions, SmootherResult
 
@@ -67,7 +69,8 @@ class Comparison:
     the filter is as sure as it may be; it has remarks, and no say in the verdict. scan_motion,
     increments: what the scans gave and how honest it is, when they were asked. dense, dense_check:
     the dense map and how it compares with the smoother's, when asked for; no check where nothing
-    fell into a region. seconds: by stage.
+    fell into a region. scan_landmarks: what the scans gave as landmarks, when they were asked.
+    seconds: by stage.
     """
 
     log: Log
@@ -88,6 +91,7 @@ class Comparison:
     increments: IncrementCheck | None
     dense: DenseRun | None
     dense_check: DenseAgreement | None
+    scan_landmarks: ScanLandmarks | None
     verdict: Verdict
     seconds: dict[str, float]
 
@@ -103,6 +107,7 @@ def compare_estimators(
     dense: DenseOptions | None = None,
     source: Callable[[], OrientedSource] = NoOrientedSource,
     dynamic: bool = False,
+    landmarks: str = "points",
 ) -> Comparison:
     """Run both estimators over a log and judge them.
 
@@ -111,6 +116,7 @@ def compare_estimators(
     with the smoother's own. motion: of MOTIONS. dense: a dense map to keep and compare, if any.
     source: makes someone who sees landmarks with a direction, anew for every run of the filter.
     dynamic: look for what moves, and keep the filter from going by it.
+    landmarks: of LANDMARKS; with `scans` or `both` the log's scans are the source.
     Raises InputError when the log cannot be used, and graphslam.marginals.SingularProblemError
     when the smoother has no solution.
     """
@@ -119,11 +125,14 @@ def compare_estimators(
     clock = Clock()
     chosen = (choices or EkfChoices()).settle(log)
     log = join_known_sightings(log)
-    if not len(log.sightings.time_s):
+    if landmarks != "scans" and not len(log.sightings.time_s):
         raise InputError(
             f"{log.name}: holds no sightings of landmarks (try --features trees, or "
-            "slamcheck odometry for its scans)"
+            "--landmarks scans or slamcheck odometry for its scans)"
         )
+    if landmarks == "scans" and (motion == "both" or smoother_association == "own"):
+        asked = "--motion both" if motion == "both" else "--smoother-association own"
+        raise InputError(f"{asked} compares landmarks that are points; use --landmarks both")
     if motion != "scan" and not len(log.odometry.time_s):
         raise InputError(f"{log.name}: holds no odometry; use --motion scan")
     scanned = None
@@ -132,8 +141,11 @@ def compare_estimators(
             scanned = run_scan_odometry(log, progress=lambda k, n: progress("scan odometry", k, n))
     if motion == "scan" and scanned is not None:
         log = with_scan_motion(log, scanned, positions=chosen.gps != "off")
+    slam = ScanSlamSources.of(log, landmarks)
+    if slam is not None:
+        log, source = slam.log, slam
     positions = fused_positions(log, chosen)
-    timeline = build_timeline(log, positions)
+    timeline = build_timeline(log, positions, None if slam is None else slam.scans.time_s)
 
     def watch_over() -> DenseWatcher | None:
         if dense is None and not dynamic:
@@ -153,8 +165,11 @@ def compare_estimators(
             source(),
             watcher if dynamic else None,
         )
-    if not len(run.estimate.landmark):
-        raise InputError(f"{log.name}: no sighting could be used, so there is no map to compare")
+    if not len(run.estimate.landmark) + len(run.estimate.oriented):
+        raise InputError(
+            f"{log.name}: no {'sighting' if slam is None else 'scan'} could be used, so there is "
+            "no map to compare"
+        )
     problem = build_problem(log, run)
     with clock.stage("frozen"):
         progress("frozen smoothers", 0, 0)
@@ -239,6 +254,7 @@ def compare_estimators(
             None if scanned is None else check_increments(scanned, log),
             mapped,
             compared,
+            None if slam is None else slam.found,
             replace(
                 verdict,
                 remarks=(

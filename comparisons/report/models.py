@@ -233,6 +233,27 @@ class IncrementResult(Model):
     median: float | None
 
 
+class ScanLandmarkResult(LandmarkResult):
+    """The same of a scan landmark. sightings: used of it. points: of its template."""
+
+    ekf_heading_rad: float
+    smoother_heading_rad: float
+    sightings: int
+    points: int
+
+
+class ScanSlamResult(Model):
+    """Scan-SLAM. scans: looked at. rejected: segments that failed their trial.
+
+    sightings: how often a landmark near the scanner was used, or why not.
+    """
+
+    scans: int
+    landmarks: list[ScanLandmarkResult]
+    rejected: int
+    sightings: dict[str, int]
+
+
 class CauseResult(Model):
     """One reason for the verdict."""
 
@@ -256,6 +277,7 @@ class Result(Model):
     scan_odometry: ScanOdometryResult | None
     increments: IncrementResult | None
     dense: DenseResult | None
+    scan_slam: ScanSlamResult | None
     verdict: Literal["agree", "disagree", "unproven"]
     causes: list[CauseResult]
     remarks: list[str]

@@ -9,7 +9,6 @@ from importlib.metadata import PackageNotFoundError, version
 import numpy as np
 
 from comparisons.checks.accuracy import Accuracy
-from comparisons.checks.agreement import BlockAgreement, block_agrees
 from comparisons.checks.association import AssociationScore
 from comparisons.checks.own_association import OwnAssociationCheck
 from comparisons.checks.three_way import Pair, ThreeWay
@@ -41,6 +40,7 @@ from comparisons.report.scan_odometry import (
     increment_result,
     scan_odometry_result,
 )
+from comparisons.report.scan_slam import block_fields, scan_slam_result
 from comparisons.runs.ekf_build import EkfChoices
 from comparisons.runs.ekf_run import EkfRun
 from graphslam import smoother
@@ -64,6 +64,7 @@ def build_result(comparison: Comparison, read_s: float) -> Result:
         else scan_odometry_result(c.scan_motion, guess=True, seconds=c.seconds["scan odometry"]),
         increments=increment_result(c.increments),
         dense=dense_result(c.dense_check),
+        scan_slam=scan_slam_result(c),
         verdict=c.verdict.outcome,
         causes=[CauseResult(**vars(cause)) for cause in c.verdict.causes],
         remarks=[*c.verdict.remarks, *increment_remarks(c.increments)],
@@ -163,16 +164,6 @@ def log_hash(log: Log) -> str:
 
 def _agreement(c: Comparison) -> AgreementResult:
     a, ekf = c.agreement, c.ekf.estimate
-
-    def block(b: BlockAgreement) -> dict[str, float | bool | None]:
-        return {
-            "difference_m": b.difference_m,
-            "distance_sigma": b.distance,
-            "variance_ratio_least": finite(b.least),
-            "variance_ratio_largest": finite(b.largest),
-            "agrees": block_agrees(b),
-        }
-
     return AgreementResult(
         algebra_gap_sigma=finite(a.algebra.sigma),
         algebra_gap_covariance=finite(a.algebra.covariance),
@@ -183,14 +174,14 @@ def _agreement(c: Comparison) -> AgreementResult:
         optimism=finite(a.whole.least),
         pessimism=finite(a.whole.largest),
         landmark_difference_rms_m=a.landmark_difference_rms_m,
-        pose=BlockResult(**block(a.pose)),  # type: ignore[arg-type]
-        map=BlockResult(**block(a.whole)),  # type: ignore[arg-type]
+        pose=BlockResult(**block_fields(a.pose)),  # type: ignore[arg-type]
+        map=BlockResult(**block_fields(a.whole)),  # type: ignore[arg-type]
         landmarks=[
             LandmarkResult(
                 id=int(ekf.landmark_id[i]),
                 ekf_m=tuple(ekf.landmark[i].tolist()),
                 smoother_m=tuple(c.smoothed.landmark[i].tolist()),
-                **block(b),  # type: ignore[arg-type]
+                **block_fields(b),  # type: ignore[arg-type]
             )
             for i, b in enumerate(a.landmarks)
         ],

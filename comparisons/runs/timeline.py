@@ -69,8 +69,13 @@ class Timeline:
         return np.searchsorted(self.position_epoch, np.arange(len(self.epoch_time_s) + 1))
 
 
-def build_timeline(log: Log, positions: Positions | None = None) -> Timeline:
+def build_timeline(
+    log: Log, positions: Positions | None = None, looks: Array | None = None
+) -> Timeline:
     """Cut the log into epochs and steps; `positions` are those to be fused, if any.
+
+    looks: (N,) further times that become epochs, such as those of scans; without wheel odometry
+    they must be poses' times, too.
 
     Wheel odometry: an epoch at every instant with sightings or positions, at the end of the log,
     and in every half second in which the vehicle drove without either; a sample's control acts
@@ -82,14 +87,15 @@ def build_timeline(log: Log, positions: Positions | None = None) -> Timeline:
     that is below any clock, but leaves the two poses all but the same and costs digits.
     """
     fixes = positions.time_s if positions is not None else np.zeros(0)
+    looks = np.zeros(0) if looks is None else looks
     if isinstance(log.odometry, RelativePoses):
-        return _from_relative_poses(log, log.odometry, fixes)
-    odometry, start = log.odometry, _resolved(np.array([log.prior.time_s]))
+        return _from_relative_poses(log, log.odometry, fixes, looks)
+    odometry, start = log.odometry, resolved(np.array([log.prior.time_s]))
     seen, fixes, sampled = (
-        _resolved(times) for times in (log.sightings.time_s, fixes, odometry.time_s)
+        resolved(times) for times in (log.sightings.time_s, fixes, odometry.time_s)
     )
-    end = _resolved(np.array([log.end_s]))
-    epochs = np.unique(np.concatenate((start, seen, fixes, end)))
+    end = resolved(np.array([log.end_s]))
+    epochs = np.unique(np.concatenate((start, seen, fixes, resolved(looks), end)))
     epochs = np.union1d(epochs, _between(epochs, sampled[(sampled > start) & (sampled < end)]))
     cuts = np.unique(np.concatenate((epochs, sampled)))
     begin = cuts[:-1]
@@ -123,14 +129,16 @@ def _between(epochs: Array, sampled: Array) -> Array:
     return sampled[first[empty]]
 
 
-def _resolved(time_s: Array) -> Array:
+def resolved(time_s: Array) -> Array:
+    """Times as epochs have them."""
     return np.round(time_s, 4)
 
 
-def _from_relative_poses(log: Log, odometry: RelativePoses, fixes: Array) -> Timeline:
+def _from_relative_poses(log: Log, odometry: RelativePoses, fixes: Array, looks: Array) -> Timeline:
     epochs = np.concatenate(([log.prior.time_s], odometry.time_s))
     places = []
-    for stream, times in (("sightings", log.sightings.time_s), ("positions", fixes)):
+    streams = (("sightings", log.sightings.time_s), ("positions", fixes), ("scans", looks))
+    for stream, times in streams:
         where = np.minimum(np.searchsorted(epochs, times), len(epochs) - 1)
         stray = np.flatnonzero(epochs[where] != times)
         if len(stray):
@@ -146,5 +154,5 @@ def _from_relative_poses(log: Log, odometry: RelativePoses, fixes: Array) -> Tim
         np.diff(epochs),
         odometry.displacement,
         odometry.covariance,
-        *places,
+        *places[:2],
     )

@@ -25,7 +25,10 @@ class SegmentationOptions:
     segment; the thesis has 100 on its car park. displacement_m, displacement_rad: standard
     deviations of the random motions that copies are given. trials: copies. residual: share of the
     displacement below which an alignment's error must stay; the thesis has a tenth. ambiguous:
-    greatest second maximum over the best.
+    greatest second maximum over the best. interleaved: every second return is copied and registered
+    with the others; else all are, with all, as the thesis has it. Where noise is as large as the
+    spacing of returns a copy shares little with what it is laid onto, and half of a segment does
+    not show its corners.
     """
 
     range_m: float = 5.0
@@ -36,6 +39,8 @@ class SegmentationOptions:
     trials: int = 4
     residual: float = 0.1
     ambiguous: float = 0.8
+    interleaved: bool = True
+    open_directions: int = 0
 
     def __post_init__(self) -> None:
         """Check the counts."""
@@ -54,7 +59,9 @@ class Quality:
     score of section 5.2.2, and least_information: its smallest eigenvalue inverted, the weakest
     direction's [1/m^2]; headings as metres at the lever's end. runner_up: greatest second maximum
     over the best. open_directions: most that the shape did not fix. accepted: whether it may
-    become a landmark. All of the worst trial.
+    become a landmark. All of the worst trial. covariance: (3, 3) mean of the trials', of the
+    segment's frame at its centroid: as the noise that is added to a copy is that of the segment's
+    own scan, it says how well the segment's returns tell where the surface is.
     """
 
     residual: float
@@ -63,6 +70,7 @@ class Quality:
     runner_up: float
     open_directions: int
     accepted: bool
+    covariance: Array
 
 
 def segments(scan: SumOfGaussians, options: SegmentationOptions | None = None) -> list[Index]:
@@ -92,17 +100,20 @@ def quality(
     segment: some returns of a scan in the scanner's frame, so that noise can be added to ranges
     and bearings. A copy of a wall finds its place along it, which no second look at the wall
     does, by two things: the wall ends where the view does, which the segment's seams tell; and
-    copies share the segment's own noise. So every second return is copied, and registered with
-    the others.
+    copies share the segment's own noise, unless they are interleaved.
     """
     o = options or SegmentationOptions()
-    if len(segment) < 2 or segment.lever_m <= 0.0:
-        return Quality(math.inf, 0.0, 0.0, 0.0, 3, accepted=False)
+    if len(segment) < 3 or segment.lever_m < 0.01:
+        nothing = np.full((3, 3), np.inf)
+        return Quality(math.inf, 0.0, 0.0, 0.0, 3, accepted=False, covariance=nothing)
     centre, lever = segment.centroid, segment.lever_m
     spread = np.array((o.displacement_m, o.displacement_m, o.displacement_rad))
     unit = np.array((1.0, 1.0, 1.0 / lever))
-    wide = replace(segment, covariance=_twice_as_long(segment, sensor))
-    halves = [wide.take(np.arange(k, len(wide), 2)) for k in (0, 1)]
+    halves = [segment, segment]
+    if o.interleaved:
+        wide = replace(segment, covariance=_twice_as_long(segment, sensor))
+        halves = [wide.take(np.arange(k, len(wide), 2)) for k in (0, 1)]
+    covariance = np.zeros((3, 3))
     residual, trace, widest, runner_up, free = 0.0, 0.0, 0.0, 0.0, 0
     for trial in range(o.trials):
         kept, copied = halves[trial % 2], halves[1 - trial % 2]
@@ -110,15 +121,20 @@ def quality(
         copy = replace(copied, mean=_seen_again(copied, sensor, rng) - centre)
         displaced = spread * rng.standard_normal(3)
         found = scan_align(copy, kept, displaced, np.diag(spread**2), alignment, belief)
-        error = np.linalg.norm(found.pose / unit) / np.linalg.norm(displaced / unit)
         scaled = found.covariance / np.outer(unit, unit)
+        size, axes = np.linalg.eigh(scaled)
+        told = axes[:, : 3 - found.open_directions].T @ (found.pose / unit)
+        error = np.linalg.norm(told) / np.linalg.norm(displaced / unit)
+        kept_size = np.minimum(size, o.displacement_m**2)
+        covariance += (axes * kept_size) @ axes.T * np.outer(unit, unit) / o.trials
         residual = max(residual, float(error))
         trace = max(trace, float(np.trace(scaled)))
-        widest = max(widest, float(np.linalg.eigvalsh(scaled)[-1]))
+        widest = max(widest, float(size[-1]))
         runner_up = max(runner_up, found.alignment.runner_up)
         free = max(free, found.open_directions)
-    good = residual < o.residual and not free and runner_up <= o.ambiguous
-    return Quality(residual, 1.0 / trace, 1.0 / widest, runner_up, free, accepted=good)
+    good = residual < o.residual and free <= o.open_directions and runner_up <= o.ambiguous
+    saliency, weakest = 1.0 / trace, 1.0 / widest
+    return Quality(residual, saliency, weakest, runner_up, free, good, covariance)
 
 
 def _twice_as_long(segment: SumOfGaussians, sensor: Sensor) -> Array:

@@ -21,6 +21,12 @@ Flags = NDArray[np.bool_]
 _LEAST_POINTS = 3
 _LEAST_LEVER_M = 0.01
 
+BLANK = "blank scan"
+OUT_OF_VIEW = "out of view"
+APART = "does not meet the scan"
+AMBIGUOUS = "ambiguous"
+UNFINISHED = "not converged"
+
 
 @dataclass(frozen=True)
 class Template:
@@ -92,12 +98,14 @@ class Observation:
     """What a scan says of a landmark.
 
     alignment: z and R with their evidence, None when nothing was tried. share_in_view: of the
-    template's points. reason: why it must not be used, empty where it may.
+    template's points. reason: why it must not be used, empty where it may; kind: the same as one of
+    BLANK, OUT_OF_VIEW, APART, AMBIGUOUS, UNFINISHED.
     """
 
     alignment: ScanAlignment | None
     share_in_view: float
     reason: str
+    kind: str = ""
 
     @property
     def usable(self) -> bool:
@@ -137,19 +145,19 @@ def observe(
     """
     o = options or ObservationOptions()
     if not len(scan):
-        return Observation(None, 0.0, "the scan has no returns")
+        return Observation(None, 0.0, "the scan has no returns", BLANK)
     share = share_in_view(template, scan, predicted, view)
     if share < view.share:
-        return Observation(None, share, f"{share:.0%} of the template in view")
+        return Observation(None, share, f"{share:.0%} of the template in view", OUT_OF_VIEW)
     found = scan_align(template.shape, scan, predicted, covariance, alignment, belief)
-    evidence, reason = found.alignment, ""
+    evidence, reason, kind = found.alignment, "", ""
     if evidence.overlap < o.overlap:
-        reason = f"{evidence.overlap:.0%} of the template finds a counterpart"
+        reason, kind = f"{evidence.overlap:.0%} of the template finds a counterpart", APART
     elif evidence.runner_up > o.ambiguous:
-        reason = f"another place fits {evidence.runner_up:.0%} as well"
+        reason, kind = f"another place fits {evidence.runner_up:.0%} as well", AMBIGUOUS
     elif not evidence.converged:
-        reason = "the alignment did not converge"
-    return Observation(found, share, reason)
+        reason, kind = "the alignment did not converge", UNFINISHED
+    return Observation(found, share, reason, kind)
 
 
 def _hidden(point: Array, scan: SumOfGaussians, shadow_m: float) -> Flags:

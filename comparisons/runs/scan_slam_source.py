@@ -1,0 +1,146 @@
+"""Scan-SLAM over a log: its scans, one by one, as sightings of scan landmarks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.errors import InputError
+from comparisons.logs.log import Log
+from comparisons.logs.odometry import RelativePoses
+from comparisons.runs.beam_noise import sensor_of
+from comparisons.runs.oriented_sightings import OrientedLedger
+from comparisons.runs.planar_scans import PlanarScans
+from comparisons.runs.timeline import resolved
+from ekf_reference.dense.scan import Scan
+from ekf_reference.full_ekf import FullEkf
+from ekf_reference.scan_landmarks.scan_shape import of_scan
+from ekf_reference.scan_landmarks.scan_slam import ScanLandmarks, ScanSlam, ScanSlamOptions
+from ekf_reference.scan_landmarks.sog import SumOfGaussians
+from ekf_reference.scan_landmarks.templates import View
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+LANDMARKS = ("points", "scans", "both")
+"""What the landmarks are: the log's sightings of points, pieces of its scans, or both."""
+_MARGIN_M = 0.01
+"""The farthest return is in view."""
+
+
+@dataclass(frozen=True)
+class _Telling:
+    """The ledger, at one epoch."""
+
+    ledger: OrientedLedger
+    ekf: FullEkf
+    epoch: int
+
+    def observe(self, z: Array, covariance: Array, slot: Index) -> Index:
+        """See OrientedLedger.observe."""
+        return self.ledger.observe(self.ekf, self.epoch, z, covariance, slot)
+
+
+class LogScans:
+    """The planar scans of a log as sums of Gaussians, made when they are asked for.
+
+    time_s: (N,), as epochs have them. sensor: what made them. mount: (3,) of the scanner in the
+    vehicle's frame. view: what it sees.
+    """
+
+    def __init__(self, log: Log) -> None:
+        """Raises InputError for a log without planar scans, or with none at the time of a pose."""
+        if log.scans is None or not len(log.scans.time_s):
+            raise InputError(
+                f"{log.name}: holds no planar scans, of which scan landmarks are made; "
+                "use --landmarks points"
+            )
+        self._planar = PlanarScans(log)
+        time_s, self._number = self._planar.time_s, np.arange(len(self._planar.time_s))
+        if isinstance(log.odometry, RelativePoses):
+            self._number = np.flatnonzero(np.isin(time_s, log.odometry.time_s))
+            if not len(self._number):
+                raise InputError(f"{log.name}: no scan was taken at the time of a relative pose")
+        else:
+            time_s = resolved(time_s)
+        self.time_s = time_s[self._number]
+        self.sensor, self.mount = sensor_of(log.scans), log.scans.mount.pose
+        first, last = float(log.scans.angle_rad.min()), float(log.scans.angle_rad.max())
+        self._rims = np.array((first, last))
+        farthest = max(float(self._seen(k).range_m.max(initial=0.0)) for k in range(len(self)))
+        self.view = View(farthest + _MARGIN_M, first, last)
+
+    def __len__(self) -> int:
+        """N."""
+        return len(self.time_s)
+
+    def shape(self, number: int) -> SumOfGaussians:
+        """Scan `number` in the scanner's frame."""
+        seen = self._seen(number)
+        # Beams without a return at the rims tell where the view ends.
+        bearing = np.append(seen.bearing_rad, self._rims)
+        return of_scan(bearing, np.append(seen.range_m, (np.nan, np.nan)), self.sensor)
+
+    def _seen(self, number: int) -> Scan:
+        return self._planar.scan(int(self._number[number]), np.zeros(3))
+
+
+class ScanSlamSource:
+    """An OrientedSource: looks at a log's scans at their times. See ScanSlam."""
+
+    def __init__(self, scans: LogScans, options: ScanSlamOptions | None = None) -> None:
+        """Start without landmarks."""
+        self._scans, self._next = scans, 0
+        self._slam = ScanSlam(scans.sensor, scans.view, scans.mount, options)
+
+    @property
+    def found(self) -> ScanLandmarks:
+        """Templates, and what became of their sightings."""
+        return self._slam.found
+
+    def look(self, ekf: FullEkf, epoch: int, time_s: float, ledger: OrientedLedger) -> None:
+        """The scan of this epoch, if there is one."""
+        times = self._scans.time_s
+        while self._next < len(times) and times[self._next] < time_s:
+            self._next += 1
+        if self._next < len(times) and times[self._next] == time_s:
+            self._slam.step(ekf, self._scans.shape(self._next), _Telling(ledger, ekf, epoch))
+            self._next += 1
+
+
+class ScanSlamSources:
+    """Scan-SLAM as often as a filter is run over one log. log: as the filter is to read it."""
+
+    def __init__(self, log: Log, scans: LogScans) -> None:
+        """scans: the log's."""
+        self.log, self.scans = log, scans
+        self._made: list[ScanSlamSource] = []
+
+    @classmethod
+    def of(cls, log: Log, landmarks: str) -> ScanSlamSources | None:
+        """What `landmarks` of LANDMARKS asks for; None for points alone. Raises InputError."""
+        if landmarks not in LANDMARKS:
+            raise InputError(
+                f"landmarks '{landmarks}' are unknown, expected {', '.join(LANDMARKS[:-1])} or "
+                f"{LANDMARKS[-1]}"
+            )
+        if landmarks == "points":
+            return None
+        scans = LogScans(log)
+        if landmarks == "scans":
+            log = replace(
+                log, sightings=log.sightings.chosen(np.zeros(len(log.sightings.time_s), dtype=bool))
+            )
+        return cls(log, scans)
+
+    def __call__(self) -> ScanSlamSource:
+        """Another one, without landmarks."""
+        self._made.append(ScanSlamSource(self.scans))
+        return self._made[-1]
+
+    @property
+    def found(self) -> ScanLandmarks:
+        """By the first run."""
+        return self._made[0].found
