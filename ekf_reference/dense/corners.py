@@ -27,14 +27,14 @@ class HarrisOptions:
 
     gradient_m: sigma at which derivatives are taken. window_m: sigma of the window over which
     their products are averaged. trace: k. least: response of the weakest corner over that of a
-    solid block's right angle; walls as thin as scans draw them have 0.03 to 0.4 there, and less
-    than 0.01 where they end. apart_m: of two corners nearer than that, the stronger counts.
+    solid block's right angle; walls as thin as scans draw them have 0.1 and more there, and 0.02
+    to 0.05 where they end. apart_m: of two corners nearer than that, the stronger counts.
     """
 
-    gradient_m: float = 0.4
+    gradient_m: float = 0.3
     window_m: float = 0.8
     trace: float = 0.06
-    least: float = 0.02
+    least: float = 0.01
     apart_m: float = 2.0
 
     def __post_init__(self) -> None:
