@@ -25,6 +25,7 @@ from comparisons.cli_options import (
     FilterOption,
     FormatOption,
     GpsOption,
+    HighLevelOption,
     LagOption,
     LiveOption,
     LogArgument,
@@ -68,6 +69,7 @@ if TYPE_CHECKING:
     from comparisons.logs.log import Log
     from comparisons.runs.dense_run import DenseOptions
     from comparisons.runs.ekf_build import EkfChoices
+    from comparisons.runs.high_level_source import HighLevelOptions
     from graphslam.smoother import SmootherOptions
 
 _VERDICTS = {"agree": AGREE, "disagree": DISAGREE, "unproven": UNPROVEN}
@@ -106,6 +108,7 @@ def run(
     noise_scale: NoiseOption = 1.0,
     dense: DenseOption = [],  # noqa: B006
     resolution: ResolutionOption = 0.2,
+    high_level: HighLevelOption = "off",
     figures: FiguresOption = [],  # noqa: B006
     live: LiveOption = False,
     record: RecordOption = None,
@@ -121,6 +124,7 @@ def run(
       slamcheck run my-log-folder --association nn --out report
       slamcheck run path/to/acfr_car_park --motion both
       slamcheck run scan-loop --dense points --dense occupancy
+      slamcheck run occupancy-loop --loops 2 --high-level on
       slamcheck run simulated-loop --figures pdf --record run.rrd
     """
     with guarded():
@@ -131,6 +135,7 @@ def run(
             check_viewer(live, record)
         from comparisons.runs.dense_run import DenseOptions
         from comparisons.runs.ekf_build import EkfChoices
+        from comparisons.runs.high_level_source import HighLevelOptions
 
         source, read_s = read_named(log, format_name, robot, seed, loops, noise_scale, features)
         choices = EkfChoices(filter_name, association, gps, attributes)
@@ -139,6 +144,8 @@ def run(
             raise InputError(
                 f"smoother association '{smoother_association}' is unknown, expected ekf or own"
             )
+        if high_level not in ("off", "on"):
+            raise InputError(f"--high-level is '{high_level}', expected off or on")
         kept = DenseOptions(tuple(dict.fromkeys(dense)) or ("points",), resolution)
         raise SystemExit(
             _run(
@@ -148,6 +155,7 @@ def run(
                 smoother_association,
                 motion,
                 kept if dense else None,
+                HighLevelOptions() if high_level == "on" else None,
                 out,
                 read_s,
                 Extras(tuple(figures), live, record, trace),
@@ -171,6 +179,7 @@ def _run(
     smoother_association: str,
     motion: str,
     dense: DenseOptions | None,
+    high_level: HighLevelOptions | None,
     out: Path | None,
     read_s: float,
     extras: Extras,
@@ -192,6 +201,7 @@ def _run(
             smoother_association=smoother_association,
             motion=motion,
             dense=dense,
+            high_level=high_level,
         )
         result = build_result(comparison, read_s)
         progress("report", 0, 0)

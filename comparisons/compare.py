@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -30,6 +31,7 @@ from comparisons.runs.dense_run import DenseOptions, DenseRun, DenseWatcher
 from comparisons.runs.ekf_build import EkfChoices, fused_positions, judging_positions
 from comparisons.runs.ekf_run import EkfRun, run_ekf
 from comparisons.runs.estimate import Array, Estimate
+from comparisons.runs.high_level_source import HighLevelOptions, HighLevelRun, HighLevelSource
 from comparisons.runs.known_landmarks import join_known_sightings
 from comparisons.runs.oriented_sightings import NoOrientedSource, OrientedSource
 from comparisons.runs.own_association import associate_own
@@ -69,7 +71,8 @@ class Comparison:
     the filter is as sure as it may be; it has remarks, and no say in the verdict. scan_motion,
     increments: what the scans gave and how honest it is, when they were asked. dense, dense_check:
     the dense map and how it compares with the smoother's, when asked for; no check where nothing
-    fell into a region. seconds: by stage.
+    fell into a region. high_level: what became of high level landmarks, when asked for. seconds:
+    by stage.
     """
 
     log: Log
@@ -90,6 +93,7 @@ class Comparison:
     increments: IncrementCheck | None
     dense: DenseRun | None
     dense_check: DenseAgreement | None
+    high_level: HighLevelRun | None
     verdict: Verdict
     seconds: dict[str, float]
 
@@ -104,6 +108,7 @@ def compare_estimators(
     motion: str = "wheel",
     dense: DenseOptions | None = None,
     source: Callable[[], OrientedSource] = NoOrientedSource,
+    high_level: HighLevelOptions | None = None,
 ) -> Comparison:
     """Run both estimators over a log and judge them.
 
@@ -111,6 +116,7 @@ def compare_estimators(
     smoother. modify: see run_ekf. smoother_association: `ekf`, or `own` to solve for a second time
     with the smoother's own. motion: of MOTIONS. dense: a dense map to keep and compare, if any.
     source: makes someone who sees landmarks with a direction, anew for every run of the filter.
+    high_level: to look for high level landmarks, in place of that.
     Raises InputError when the log cannot be used, and graphslam.marginals.SingularProblemError
     when the smoother has no solution.
     """
@@ -135,6 +141,9 @@ def compare_estimators(
     positions = fused_positions(log, chosen)
     timeline = build_timeline(log, positions)
     watcher = None if dense is None else DenseWatcher(log, dense)
+    if high_level is not None:
+        source = partial(HighLevelSource, log, high_level)
+    seeing = source()
     with clock.stage("ekf"):
         run = run_ekf(
             log,
@@ -144,7 +153,7 @@ def compare_estimators(
             lambda k, n: progress("EKF", k, n),
             modify,
             watcher,
-            source(),
+            seeing,
         )
     if not len(run.estimate.landmark):
         raise InputError(f"{log.name}: no sighting could be used, so there is no map to compare")
@@ -230,6 +239,7 @@ def compare_estimators(
             None if scanned is None else check_increments(scanned, log),
             mapped,
             compared,
+            seeing.run() if isinstance(seeing, HighLevelSource) else None,
             replace(
                 verdict,
                 remarks=(

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ekf_reference.dense.corners import HarrisOptions, harris
-from ekf_reference.dense.layers.gaussians import Ellipses, Gaussians
-from ekf_reference.dense.layers.occupancy import OccupancyGrid
+from ekf_reference.dense.layers.gaussians import Gaussians
+from ekf_reference.dense.layers.layer import Layer
 from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.triangles import Array, turned
 from ekf_reference.scan_landmarks.observation import OrientedObservation
@@ -33,9 +33,10 @@ class SearchOptions:
 
     reach_m: how far from the vehicle, along the axes; cell_m: of the grid that is looked at.
     pair_m: greatest distance of two corners. margin_m: from the corners to the rectangle's sides.
-    least: Gaussians in it. occupied: least occupancy of the cell that a Gaussian lies in, for no
-    scan that looks past takes a Gaussian out of its layer. clear_m: corners and Gaussians so near
-    to a point landmark are that landmark, which the filter has.
+    least: Gaussians in it. thin_m: cells in which they then become one, 0 for all of them: what a
+    match costs grows with their number. occupied: least occupancy of the cell that a Gaussian
+    lies in, for no scan that looks past takes one out of its layer. clear_m: corners and
+    Gaussians so near to a point landmark are that landmark, which the filter has.
     """
 
     reach_m: float = 30.0
@@ -54,7 +55,7 @@ class Found(NamedTuple):
 
     place: (3,) of its axis in the world: centroid of the template and the vehicle's heading.
     rectangle: (4, 2) corners of it, corner: (2, 2) that it was drawn around, both in the axis.
-    region: that holds most of the template.
+    region: that holds most of the template. gaussians: of the layer that the template is made of.
     """
 
     template: Template
@@ -62,6 +63,7 @@ class Found(NamedTuple):
     rectangle: Array
     corner: Array
     region: int
+    gaussians: int
 
 
 @dataclass(frozen=True)
@@ -87,7 +89,7 @@ class Around:
     pose: (3,). landmark: (L, 2) [m], NaN where one has left the map.
     """
 
-    occupancy: OccupancyGrid
+    occupancy: Layer
     gaussians: Gaussians
     placed: PlacedRegions
     pose: Array
@@ -95,10 +97,14 @@ class Around:
 
 
 def search(around: Around, known: Array, options: SearchOptions | None = None) -> Search:
-    """Candidates around the vehicle whose rectangles overlap none of the known (K, 4, 2)."""
+    """Candidates around the vehicle whose rectangles overlap none of the known (K, 4, 2).
+
+    Known ones that are NaN have left the map.
+    """
     o = options or SearchOptions()
     corner = _corners(around, o)
-    taken, shown, found, poor, old = list(known), [], [], 0, 0
+    taken = list(known[np.isfinite(known).all(axis=(1, 2))])
+    shown, found, poor, old = [], [], 0, 0
     for pair in corner[pairs(corner, o.pair_m)]:
         area = rectangle(pair, o.margin_m)
         if any(overlapping(area, other) for other in taken):
@@ -179,7 +185,8 @@ def _corners(around: Around, o: SearchOptions) -> Array:
     share = around.occupancy.occupancy(place.reshape(-1, 2), around.placed)
     stands = np.clip(2.0 * np.nan_to_num(share, nan=0.5) - 1.0, 0.0, 1.0)
     found = origin + harris(stands.reshape(len(steps), -1), o.cell_m, o.harris).point
-    return found[_clear(found, around.landmark, o.clear_m)]
+    clear: Array = found[_clear(found, around.landmark, o.clear_m)]
+    return clear
 
 
 def _template(around: Around, pair: Array, area: Array, o: SearchOptions) -> Found | None:
@@ -193,15 +200,14 @@ def _template(around: Around, pair: Array, area: Array, o: SearchOptions) -> Fou
     kept = kept[share >= o.occupied]
     if len(kept) < o.least:
         return None
-    chosen = Ellipses(*(column[kept] for column in there))
-    shape = SumOfGaussians.of_equal_height(chosen.mean, chosen.covariance)
-    if o.thin_m:
+    shape = SumOfGaussians.of_equal_height(there.mean[kept], there.covariance[kept])
+    if o.thin_m > 0.0:
         shape = shape.thinned(o.thin_m)
     back = OrientedObservation().predict(around.pose, np.zeros((1, 3))).z[0]
     template = Template.of_segment(shape.transformed(back), np.arange(len(shape)))
     place = OrientedObservation().invert(around.pose, template.pose[None]).point[0]
-    region = int(np.bincount(chosen.region).argmax())
-    return Found(template, place, to_frame(place, area), to_frame(place, pair), region)
+    region = int(np.bincount(there.region[kept]).argmax())
+    return Found(template, place, to_frame(place, area), to_frame(place, pair), region, len(kept))
 
 
 def _clear(point: Array, landmark: Array, least_m: float) -> Flags:

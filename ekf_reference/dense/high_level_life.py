@@ -8,6 +8,7 @@ is observed like the others.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -21,6 +22,7 @@ from ekf_reference.dense.triangles import Array
 from ekf_reference.dense.view import FilterView
 from ekf_reference.full_ekf import NEW, FullEkf
 from ekf_reference.layout import ORIENTED
+from ekf_reference.scan_landmarks.alignment_covariance import CovarianceOptions
 from ekf_reference.scan_landmarks.observation import OrientedObservation
 from ekf_reference.scan_landmarks.sog import SumOfGaussians
 from ekf_reference.scan_landmarks.templates import (
@@ -55,7 +57,7 @@ class LifeOptions:
     """
 
     settled: tuple[float, float, float] = (0.3, 0.3, 0.05)
-    share: float = 0.5
+    share: float = 0.3
     observation: ObservationOptions = field(default_factory=lambda: ObservationOptions(0.4, 0.8))
 
 
@@ -64,13 +66,15 @@ class HighLevelLandmark:
     """One of them.
 
     rectangle: (4, 2) in its axis. base: (2,) landmarks L1 and L2, and held: (3,) its pose in their
-    frame when it was found. slot: among the filter's landmarks with a direction; NEW while passive.
+    frame when it was found. belief: in maxima of its correlation. slot: among the filter's
+    landmarks with a direction; NEW while passive.
     """
 
     template: Template
     rectangle: Array
     base: Index
     held: Array
+    belief: CovarianceOptions
     slot: int = NEW
 
 
@@ -119,7 +123,9 @@ class HighLevelLandmarks:
         ends = [(i, j) for i in real for j in real if i < j]
         pair = max(ends, key=lambda ij: float(np.hypot(*(point[ij[0]] - point[ij[1]]))))
         held = local_pose(found.place, point[pair[0]], point[pair[1]])
-        kept = HighLevelLandmark(found.template, found.rectangle, np.array(pair), held)
+        kept = HighLevelLandmark(
+            found.template, found.rectangle, np.array(pair), held, _belief(found)
+        )
         self.landmark.append(kept)
 
     def places(self, ekf: FullEkf) -> Array:
@@ -132,10 +138,9 @@ class HighLevelLandmarks:
         return np.reshape(rows, (-1, 3))
 
     def rectangles(self, ekf: FullEkf) -> Array:
-        """(K, 4, 2) in the world now, without those that have left the map."""
+        """(K, 4, 2) in the world now, NaN as of `places`."""
         there = zip(self.landmark, self.places(ekf), strict=True)
-        drawn = [to_world(at, one.rectangle) for one, at in there if np.isfinite(at).all()]
-        return np.reshape(drawn, (-1, 4, 2))
+        return np.reshape([to_world(at, one.rectangle) for one, at in there], (-1, 4, 2))
 
     def look(self, ekf: FullEkf, scan: Glimpse) -> list[Sighting]:
         """Sightings of what should be in view, those within the gate."""
@@ -144,15 +149,19 @@ class HighLevelLandmarks:
         sightings = []
         for number in np.flatnonzero(near).tolist():
             one = self.landmark[number]
-            expected = self._passive(view, one) if one.slot == NEW else _active(ekf, one.slot)
+            expected = self.expected(ekf, view, one)
             if expected is None:
                 self.counts["out of reach"] += 1
                 continue
-            made, reason = self._sight(one.template, scan, expected)
+            made, reason = self._sight(one, scan, expected)
             self.counts[reason] += 1
             if made is not None:
                 sightings.append(Sighting(number, *made))
         return sightings
+
+    def expected(self, ekf: FullEkf, view: FilterView, one: HighLevelLandmark) -> Expected | None:
+        """Its pose in the vehicle's frame; None where the covariance of what it hangs on is old."""
+        return self._passive(view, one) if one.slot == NEW else _active(ekf, one.slot)
 
     def begun(self, sightings: list[Sighting], slot: Index) -> None:
         """The filter has fused sightings and says which of its landmarks (m,) they are."""
@@ -169,17 +178,18 @@ class HighLevelLandmarks:
         return Expected(at.z[0], by_vehicle @ covariance @ by_vehicle.T + spread)
 
     def _sight(
-        self, template: Template, scan: Glimpse, expected: Expected
+        self, one: HighLevelLandmark, scan: Glimpse, expected: Expected
     ) -> tuple[Expected | None, str]:
         there = _OBSERVATION.predict(scan.mount, expected.z[None])
         turn = there.jacobian_landmark[0]
         prior = turn @ expected.covariance @ turn.T
         view = replace(scan.view, share=self.options.share)
-        seen = observe(
-            template, scan.shape, there.z[0], prior, view, self.options.observation
-        )
+        judged = self.options.observation
+        seen = observe(one.template, scan.shape, there.z[0], prior, view, judged, belief=one.belief)
         if not seen.usable or seen.alignment is None:
             return None, _kind(seen)
+        if one.slot == NEW and seen.alignment.open_directions:
+            return None, "a direction is open"
         back = _OBSERVATION.invert(scan.mount, seen.alignment.pose[None])
         turn = back.jacobian_sighting[0]
         noise = turn @ seen.alignment.covariance @ turn.T
@@ -188,6 +198,13 @@ class HighLevelLandmarks:
         if distance > GATE:
             return None, "outside the gate"
         return Expected(back.point[0], noise), "seen"
+
+
+def _belief(found: Found) -> CovarianceOptions:
+    """Chance makes ripples of so many Gaussians as there were, not as they have become."""
+    usual = CovarianceOptions()
+    merged = found.gaussians / len(found.template.shape)
+    return replace(usual, beyond_chance=usual.beyond_chance / math.sqrt(merged))
 
 
 def _in_the_world(one: HighLevelLandmark, point: Array) -> Array:

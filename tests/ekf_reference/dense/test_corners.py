@@ -83,7 +83,9 @@ def test_a_straight_wall_has_none() -> None:
         wall = np.clip(1.0 - np.abs(aside) / CELL_M, 0.0, 1.0)
         assert not len(harris(wall, CELL_M).point)
         along = np.cos(angle) * at - np.sin(angle) * at[:, None]
-        ends = harris(wall * (along > 0.0), CELL_M, HarrisOptions(least=0.003)).point  # where it ends something has a corner
+        ends = harris(
+            wall * (along > 0.0), CELL_M, HarrisOptions(least=0.003)
+        ).point  # where it ends something has a corner
         assert len(ends) == 1
         assert np.linalg.norm(ends - MIDDLE) < 1.0
     assert not len(harris(np.zeros((SIDE, SIDE)), CELL_M).point)

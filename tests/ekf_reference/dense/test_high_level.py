@@ -45,18 +45,23 @@ def outline(centre: Array) -> Array:
 
 
 @cache
-def around() -> Around:
-    """Three boxes and a pole, which is a landmark, driven round inside and outside."""
-    landmark, regions = lattice(np.full(2, -30.0), np.full(2, 30.0), 10.0)
-    placed = regions.placed(landmark)
+def yard() -> Solids:
+    """Three boxes and a pole."""
     corner = np.concatenate([outline(c) for c in CENTRES])
     ahead = np.concatenate([np.roll(outline(c), -1, axis=0) for c in CENTRES])
-    solids = Solids(np.hstack((corner, ahead)), disc=np.array((((*POLE, 0.4)),)))
+    return Solids(np.hstack((corner, ahead)), disc=np.array(((*POLE, 0.4),)))
+
+
+@cache
+def around() -> Around:
+    """The yard, driven round inside and outside; the pole is a landmark."""
+    landmark, regions = lattice(np.full(2, -30.0), np.full(2, 30.0), 10.0)
+    placed = regions.placed(landmark)
     occupancy, gaussians, rng = OccupancyGrid(), Gaussians(), np.random.default_rng(0)
     for turn in np.arange(0.0, 2.0 * np.pi, 0.15):
         for radius in (3.0, 20.0):
             pose = np.array((radius * math.cos(turn), radius * math.sin(turn), turn))
-            seen = cast(BEAMS, pose, solids) + 0.05 * rng.standard_normal(len(BEAMS))
+            seen = cast(BEAMS, pose, yard()) + 0.05 * rng.standard_normal(len(BEAMS))
             what = told(placed, Scan.of_ranges(pose, BEAMS, seen, SENSOR))
             occupancy.fuse(*what)
             gaussians.fuse(*what)
@@ -149,9 +154,10 @@ def test_a_rectangle_keeps_its_margin() -> None:
     drawn = rectangle(pair, 5.0)
     side = np.roll(drawn, -1, axis=0) - drawn
     assert np.allclose(np.linalg.norm(side, axis=1), (15.0, 10.0, 15.0, 10.0))
-    assert np.all(side[:, 0] * np.roll(side, -1, axis=0)[:, 1] > side[:, 1] * np.roll(side, -1, axis=0)[:, 0])
-    inwards = np.einsum("kj,ckj->ck", turned(side), pair[:, None] - drawn) / np.linalg.norm(side, axis=1)
-    assert np.isclose(inwards.min(), 5.0)
+    after = np.roll(side, -1, axis=0)
+    assert (side[:, 0] * after[:, 1] - side[:, 1] * after[:, 0] > 0.0).all()
+    inwards = np.einsum("kj,ckj->ck", turned(side), pair[:, None] - drawn)
+    assert np.isclose((inwards / np.linalg.norm(side, axis=1)).min(), 5.0)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -166,7 +172,7 @@ def test_overlap_equals_common_points(seed: int) -> None:
         assert overlapping(one, other) == overlapping(other, one)
         if common or not overlapping(one, other):
             assert overlapping(one, other) == (common > 0)
-            both += common > 0
+            both += int(common > 0)
     assert 10 < both < 50
 
 
