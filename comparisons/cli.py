@@ -26,6 +26,7 @@ from comparisons.cli_options import (
     FilterOption,
     FormatOption,
     GpsOption,
+    HighLevelOption,
     LagOption,
     LandmarksOption,
     LiveOption,
@@ -70,6 +71,7 @@ if TYPE_CHECKING:
     from comparisons.logs.log import Log
     from comparisons.runs.dense_run import DenseOptions
     from comparisons.runs.ekf_build import EkfChoices
+    from comparisons.runs.high_level_source import HighLevelOptions
     from graphslam.smoother import SmootherOptions
 
 _VERDICTS = {"agree": AGREE, "disagree": DISAGREE, "unproven": UNPROVEN}
@@ -109,6 +111,7 @@ def run(
     noise_scale: NoiseOption = 1.0,
     dense: DenseOption = [],  # noqa: B006
     resolution: ResolutionOption = 0.2,
+    high_level: HighLevelOption = "off",
     figures: FiguresOption = [],  # noqa: B006
     live: LiveOption = False,
     record: RecordOption = None,
@@ -126,6 +129,7 @@ def run(
       slamcheck run path/to/acfr_car_park --motion both
       slamcheck run scan-loop --dense points --dense occupancy
       slamcheck run scan-slam --landmarks scans
+      slamcheck run occupancy-loop --loops 2 --high-level on
       slamcheck run simulated-loop --figures pdf --record run.rrd
       slamcheck run dynamic-lanes --dynamic on
     """
@@ -137,6 +141,7 @@ def run(
             check_viewer(live, record)
         from comparisons.runs.dense_run import DenseOptions
         from comparisons.runs.ekf_build import EkfChoices
+        from comparisons.runs.high_level_source import HighLevelOptions
 
         source, read_s = read_named(log, format_name, robot, seed, loops, noise_scale, features)
         choices = EkfChoices(filter_name, association, gps, attributes)
@@ -147,6 +152,8 @@ def run(
             )
         if dynamic not in ("off", "on"):
             raise InputError(f"dynamic '{dynamic}' is unknown, expected off or on")
+        if high_level not in ("off", "on"):
+            raise InputError(f"--high-level is '{high_level}', expected off or on")
         kept = DenseOptions(tuple(dict.fromkeys(dense)) or ("points",), resolution)
         raise SystemExit(
             _run(
@@ -158,6 +165,7 @@ def run(
                 landmarks,
                 kept if dense else None,
                 dynamic == "on",
+                HighLevelOptions() if high_level == "on" else None,
                 out,
                 read_s,
                 Extras(tuple(figures), live, record, trace),
@@ -183,6 +191,7 @@ def _run(
     landmarks: str,
     dense: DenseOptions | None,
     dynamic: bool,
+    high_level: HighLevelOptions | None,
     out: Path | None,
     read_s: float,
     extras: Extras,
@@ -206,6 +215,7 @@ def _run(
             dense=dense,
             dynamic=dynamic,
             landmarks=landmarks,
+            high_level=high_level,
         )
         result = build_result(comparison, read_s)
         progress("report", 0, 0)

@@ -162,6 +162,14 @@ DenseOption = Annotated[
         help="Keep this layer of a dense map and hold it against the smoother's; may be repeated.",
     ),
 ]
+HighLevelOption = Annotated[
+    str,
+    typer.Option(
+        "--high-level",
+        metavar="off|on",
+        help="On: landmarks made of what stands in the filter's dense map, seen in the scans.",
+    ),
+]
 FiguresOption = Annotated[
     list[str],
     typer.Option(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -30,6 +31,7 @@ from comparisons.runs.dense_run import DenseOptions, DenseRun, DenseWatcher
 from comparisons.runs.ekf_build import EkfChoices, fused_positions, judging_positions
 from comparisons.runs.ekf_run import EkfRun, run_ekf
 from comparisons.runs.estimate import Array, Estimate
+from comparisons.runs.high_level_source import HighLevelOptions, HighLevelRun, HighLevelSource
 from comparisons.runs.known_landmarks import join_known_sightings
 from comparisons.runs.oriented_sightings import NoOrientedSource, OrientedSource
 from comparisons.runs.scan_log import with_scan_motion
@@ -70,7 +72,7 @@ class Comparison:
     increments: what the scans gave and how honest it is, when they were asked. dense, dense_check:
     the dense map and how it compares with the smoother's, when asked for; no check where nothing
     fell into a region. scan_landmarks: what the scans gave as landmarks, when they were asked.
-    seconds: by stage.
+    high_level: what became of high level landmarks, when asked for. seconds: by stage.
     """
 
     log: Log
@@ -92,6 +94,7 @@ class Comparison:
     dense: DenseRun | None
     dense_check: DenseAgreement | None
     scan_landmarks: ScanLandmarks | None
+    high_level: HighLevelRun | None
     verdict: Verdict
     seconds: dict[str, float]
 
@@ -108,6 +111,7 @@ def compare_estimators(
     source: Callable[[], OrientedSource] = NoOrientedSource,
     dynamic: bool = False,
     landmarks: str = "points",
+    high_level: HighLevelOptions | None = None,
 ) -> Comparison:
     """Run both estimators over a log and judge them.
 
@@ -115,8 +119,8 @@ def compare_estimators(
     smoother. modify: see run_ekf. smoother_association: `ekf`, or `own` to solve for a second time
     with the smoother's own. motion: of MOTIONS. dense: a dense map to keep and compare, if any.
     source: makes someone who sees landmarks with a direction, anew for every run of the filter.
-    dynamic: look for what moves, and keep the filter from going by it.
-    landmarks: of LANDMARKS; with `scans` or `both` the log's scans are the source.
+    dynamic: look for what moves, and keep the filter from going by it. landmarks: of LANDMARKS;
+    with `scans` or `both` the log's scans are the source, with high_level the dense map.
     Raises InputError when the log cannot be used, and graphslam.marginals.SingularProblemError
     when the smoother has no solution.
     """
@@ -133,6 +137,8 @@ def compare_estimators(
     if landmarks == "scans" and (motion == "both" or smoother_association == "own"):
         asked = "--motion both" if motion == "both" else "--smoother-association own"
         raise InputError(f"{asked} compares landmarks that are points; use --landmarks both")
+    if landmarks != "points" and high_level is not None:
+        raise InputError("--high-level on goes with --landmarks points only")
     if motion != "scan" and not len(log.odometry.time_s):
         raise InputError(f"{log.name}: holds no odometry; use --motion scan")
     scanned = None
@@ -146,6 +152,9 @@ def compare_estimators(
         log, source = slam.log, slam
     positions = fused_positions(log, chosen)
     timeline = build_timeline(log, positions, None if slam is None else slam.scans.time_s)
+    if high_level is not None:
+        source = partial(HighLevelSource, log, high_level)
+    seeing = source()
 
     def watch_over() -> DenseWatcher | None:
         if dense is None and not dynamic:
@@ -162,7 +171,7 @@ def compare_estimators(
             lambda k, n: progress("EKF", k, n),
             modify,
             watcher,
-            source(),
+            seeing,
             watcher if dynamic else None,
         )
     if not len(run.estimate.landmark) + len(run.estimate.oriented):
@@ -255,6 +264,7 @@ def compare_estimators(
             mapped,
             compared,
             None if slam is None else slam.found,
+            seeing.run() if isinstance(seeing, HighLevelSource) else None,
             replace(
                 verdict,
                 remarks=(

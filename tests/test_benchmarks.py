@@ -118,6 +118,12 @@ def test_dense_maps_benchmark_drives() -> None:
     assert lines[-1].startswith("returns: ")
 
 
+def test_high_level_benchmark_runs() -> None:
+    few = ("--searches", "1", "--sizes", "11", "20", "--only", "size")
+    lines = run("benchmarks/high_level.py", *few)
+    assert [line.split()[0] for line in lines[2:]] == ["11", "22"]
+
+
 def test_defects_benchmark_runs() -> None:
     lines = run("benchmarks/defects.py", "--only", "steering", "--seeds", "2", "--loop-s", "20")
     assert lines[1].startswith("steering sign ")

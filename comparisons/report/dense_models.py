@@ -34,6 +34,21 @@ class DenseRegionResult(Model):
     distance_m: float
 
 
+class HighLevelResult(Model):
+    """High level landmarks. See comparisons.runs.high_level_source.HighLevelRun.
+
+    found: accepted by a search. kept: seen again, and since then in the state. looks: at those
+    within reach, by outcome, `seen` among them.
+    """
+
+    searches: int
+    candidates: int
+    poor: int
+    found: int
+    kept: int
+    looks: dict[str, int]
+
+
 class DenseResult(Model):
     """Dense maps of filter and smoother. regions: the worst first, at most twenty.
 

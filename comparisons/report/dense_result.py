@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
 from rich.table import Table
 
 from comparisons.checks.dense_accuracy import SurfaceError
@@ -12,9 +13,11 @@ from comparisons.report.dense_models import (
     DenseLayerResult,
     DenseRegionResult,
     DenseResult,
+    HighLevelResult,
     SurfaceErrorResult,
 )
 from comparisons.report.finite import finite
+from comparisons.runs.high_level_source import HighLevelRun
 
 _LISTED = 20
 
@@ -48,6 +51,29 @@ def surface_error_results(errors: Mapping[str, SurfaceError]) -> dict[str, Surfa
         )
         for name, e in errors.items()
     }
+
+
+def high_level_result(run: HighLevelRun | None) -> HighLevelResult | None:
+    """What became of them."""
+    if run is None:
+        return None
+    return HighLevelResult(
+        searches=run.searches,
+        candidates=run.candidates,
+        poor=run.poor,
+        found=len(run.slot),
+        kept=int(np.count_nonzero(run.slot >= 0)),
+        looks=dict(sorted(run.looks.items())),
+    )
+
+
+def high_level_text(made: HighLevelResult) -> str:
+    """Found, kept, seen, in a line."""
+    rest = ", ".join(f"{n} {name}" for name, n in made.looks.items() if name != "seen")
+    return (
+        f"{made.found} landmarks found in {made.searches} searches, {made.kept} kept; "
+        f"{made.looks.get('seen', 0)} sightings" + (f" ({rest})" if rest else "")
+    )
 
 
 def add_dense(table: Table, dense: DenseResult) -> None:

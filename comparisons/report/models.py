@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 from comparisons.report.consistency_models import ConsistencyResult
-from comparisons.report.dense_models import DenseResult
+from comparisons.report.dense_models import DenseResult, HighLevelResult
 from comparisons.report.model import Model
 
 
@@ -278,6 +278,7 @@ class Result(Model):
     increments: IncrementResult | None
     dense: DenseResult | None
     scan_slam: ScanSlamResult | None
+    high_level: HighLevelResult | None = None
     verdict: Literal["agree", "disagree", "unproven"]
     causes: list[CauseResult]
     remarks: list[str]

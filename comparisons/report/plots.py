@@ -15,6 +15,7 @@ from comparisons.front_end import FrontEnd
 from comparisons.logs.log import Log
 from comparisons.report.picture import blank
 from comparisons.runs.estimate import Estimate
+from comparisons.runs.high_level_source import HighLevelRun
 from comparisons.solve import Solution
 from ekf_reference.correlation import correlation_coefficients
 
@@ -23,6 +24,7 @@ Array = NDArray[np.float64]
 EKF_COLOUR = "#d1495b"
 SMOOTHER_COLOUR = "#00798c"
 TRUTH_COLOUR = "#444444"
+HIGH_LEVEL_COLOUR = "#2e7d32"
 _MOST_DRAWN = 100_000
 SCANS_COLOUR = "#edae49"
 _LOOK = {
@@ -100,7 +102,25 @@ def map_figure(comparison: Comparison) -> Figure:
     estimates = {"smoother": comparison.smoothed, "EKF": comparison.ekf.estimate}
     if comparison.three_way is not None:
         estimates["smoother on scans"] = comparison.three_way.estimate
-    return _map(comparison.log, comparison.dead_reckoned, estimates, title)
+    figure = _map(comparison.log, comparison.dead_reckoned, estimates, title)
+    if comparison.high_level is not None:
+        draw_high_level(figure.axes[0], comparison.high_level)
+        figure.axes[0].legend(loc="best", fontsize=8)
+    return figure
+
+
+def draw_high_level(axis: Axes, made: HighLevelRun) -> None:
+    """Rectangles of high level landmarks, dashed where never seen again, and their axes."""
+    closed = np.concatenate((made.rectangle, made.rectangle[:, :1]), axis=1)
+    for style, name, chosen in (
+        ("solid", "high level landmarks", made.slot >= 0),
+        ("dashed", "found, not seen again", made.slot < 0),
+    ):
+        lines = LineCollection(list(closed[chosen]), linestyles=style, linewidths=0.9, label=name)
+        lines.set_color(HIGH_LEVEL_COLOUR)
+        axis.add_collection(lines)
+    both = list(np.stack(made.axes, axis=1))
+    axis.add_collection(LineCollection(both, colors=HIGH_LEVEL_COLOUR, linewidths=1.6))
 
 
 def solution_figure(solution: Solution) -> Figure:

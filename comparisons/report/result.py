@@ -15,7 +15,7 @@ from comparisons.checks.three_way import Pair, ThreeWay
 from comparisons.compare import Comparison
 from comparisons.logs.log import Log, Sightings
 from comparisons.report.consistency_result import consistency_result
-from comparisons.report.dense_result import dense_result
+from comparisons.report.dense_result import dense_result, high_level_result
 from comparisons.report.finite import finite
 from comparisons.report.models import (
     Accuracies,
@@ -65,6 +65,7 @@ def build_result(comparison: Comparison, read_s: float) -> Result:
         increments=increment_result(c.increments),
         dense=dense_result(c.dense_check),
         scan_slam=scan_slam_result(c),
+        high_level=high_level_result(c.high_level),
         verdict=c.verdict.outcome,
         causes=[CauseResult(**vars(cause)) for cause in c.verdict.causes],
         remarks=[*c.verdict.remarks, *increment_remarks(c.increments)],

@@ -8,7 +8,7 @@ from rich.table import Table
 
 from comparisons.checks.causes import GAPS
 from comparisons.report.consistency_result import consistency_rows
-from comparisons.report.dense_result import add_dense
+from comparisons.report.dense_result import add_dense, high_level_text
 from comparisons.report.models import (
     AccuracyResult,
     AssociationResult,
@@ -90,6 +90,8 @@ def print_summary(result: Result, console: Console) -> None:
         add_scan_slam(table, result.scan_slam)
     if result.dense is not None:
         add_dense(table, result.dense)
+    if result.high_level is not None:
+        table.add_row("high level", high_level_text(result.high_level))
     table.add_row("seconds", ", ".join(f"{stage} {s:.2f}" for stage, s in result.seconds.items()))
     console.print(table)
     print_verdict(result.verdict, result.causes, result.remarks, console)

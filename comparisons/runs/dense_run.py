@@ -156,6 +156,11 @@ class DenseWatcher:
         self._seconds = {"regions": 0.0, "scans": 0.0}
         self._epoch_s = log.prior.time_s
 
+    @property
+    def dense(self) -> DenseMap:
+        """The map as it is now."""
+        return self._dense
+
     def stepping(self, ekf: FullEkf, time_s: float, control: Array, duration_s: float) -> None:
         """Take in the scans of the interval that is about to be predicted."""
         while self._due(time_s + duration_s - CLOCK_S):

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from ekf_reference.full_ekf import FullEkf
 from ekf_reference.kalman import FilterDivergedError
 
 
+@runtime_checkable
 class Watcher(Protocol):
     """Someone who looks on while the filter runs, and reads only."""
 
@@ -36,6 +37,34 @@ class Watcher(Protocol):
     def finished(self, ekf: FullEkf, time_s: float) -> None:
         """It has come to its end, or as far as it could."""
         ...
+
+
+class Watchers:
+    """Several, one after the other."""
+
+    def __init__(self, watching: Sequence[Watcher]) -> None:
+        """In the order in which they are told."""
+        self._watching = watching
+
+    def stepping(self, ekf: FullEkf, time_s: float, control: Array, duration_s: float) -> None:
+        """Tell all."""
+        for one in self._watching:
+            one.stepping(ekf, time_s, control, duration_s)
+
+    def arrived(self, ekf: FullEkf) -> None:
+        """Tell all."""
+        for one in self._watching:
+            one.arrived(ekf)
+
+    def updated(self, ekf: FullEkf) -> None:
+        """Tell all."""
+        for one in self._watching:
+            one.updated(ekf)
+
+    def finished(self, ekf: FullEkf, time_s: float) -> None:
+        """Tell all."""
+        for one in self._watching:
+            one.finished(ekf, time_s)
 
 
 class NoWatcher:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from comparisons.errors import InputError
 from comparisons.logs.log import Log, Positions
-from comparisons.runs.drive import NoWatcher, Watcher, drive
+from comparisons.runs.drive import Watcher, Watchers, drive
 from comparisons.runs.ekf_build import EkfChoices, build_ekf
 from comparisons.runs.estimate import Array, Estimate
 from comparisons.runs.known_landmarks import surveyed
@@ -98,8 +98,8 @@ def run_ekf(
 
     positions: to be fused; the timeline is built with the same. progress: called with epochs done
     and in all. modify: may replace parts of the filter before it starts, which is how defects are
-    planted. watcher: looks on. source: of sightings of landmarks with a direction. guard: knows
-    where things move, so that the filter does not go by these.
+    planted. watcher: looks on. source: of sightings of landmarks with a direction; one that is a
+    Watcher, too, looks on. guard: knows where things move, so that the filter does not go by these.
     """
     trace, ledger = RecordedTrace(), OrientedLedger()
     ekf = build_ekf(log, choices, trace)
@@ -107,7 +107,7 @@ def run_ekf(
     retired: set[int] = set()
     if guard is not None:
         ekf.association = StaticSightings(ekf.association, guard, retired)
-    watching = watcher or NoWatcher()
+    watching = Watchers([one for one in (watcher, source) if isinstance(one, Watcher)])
     ekf.insert_surveyed(*surveyed(log)[1:])
     epochs = len(timeline.epoch_time_s)
     departed, arrived = np.empty((epochs, 3)), np.empty((epochs, 3))

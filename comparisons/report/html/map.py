@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from comparisons.compare import Comparison
 from comparisons.report.html.drawing import Drawing, kept
-from comparisons.report.plots import EKF_COLOUR, SMOOTHER_COLOUR, ellipses
+from comparisons.report.plots import EKF_COLOUR, HIGH_LEVEL_COLOUR, SMOOTHER_COLOUR, ellipses
 from comparisons.runs.estimate import Estimate
 
 Array = NDArray[np.float64]
@@ -17,6 +17,7 @@ Index = NDArray[np.intp]
 
 RATIO_LAYER = "variance ratio, least"
 _SIGMAS = 3.0
+_SEEN = {True: "seen again", False: "never seen again"}
 _MOST_LINES = 3000
 _NO_RATIO = "#888888"
 _RATIO_COLOURS = ("#7f3b08", "#e08214", "#fee0b6", "#f7f7f7", "#d8daeb", "#8073ac", "#2d004b")
@@ -59,6 +60,11 @@ def run_map(c: Comparison) -> RunMap:
     if c.dense_check is not None:
         for name, layer in c.dense_check.layers.items():
             drawing.dots(f"dense {name}", "#5b7c8d", layer.point)
+    if c.high_level is not None:
+        made, colour = c.high_level, HIGH_LEVEL_COLOUR
+        told = [f"high level landmark, {_SEEN[s >= 0]}" for s in made.slot.tolist()]
+        drawing.outlines("high level landmarks", colour, made.rectangle, told)
+        drawing.links("their axes", colour, *made.axes)
     _associations(drawing, c)
     finite = np.isfinite(ekf.pose).all(axis=1) & np.isfinite(smoothed.pose).all(axis=1)
     row = np.flatnonzero(finite)

@@ -9,6 +9,7 @@ import numpy as np
 
 from comparisons.compare import Comparison
 from comparisons.report.consistency_result import consistency_rows
+from comparisons.report.dense_result import high_level_text
 from comparisons.report.models import AccuracyResult, Result
 from ekf_reference.association import AMBIGUOUS, CANDIDATE, REJECTED
 
@@ -37,6 +38,8 @@ def figures(result: Result) -> list[tuple[str, str]]:
     rows.append(("optimism", _number(gaps.optimism)))
     rows.append(("landmarks apart (RMS)", f"{gaps.landmark_difference_rms_m:.3f} m"))
     rows += consistency_rows(result.consistency)
+    if result.high_level is not None:
+        rows.append(("high level landmarks", high_level_text(result.high_level)))
     if result.accuracy is not None:
         rows.append(("EKF's accuracy", _accuracy(result.accuracy.ekf)))
         rows.append(("smoother's accuracy", _accuracy(result.accuracy.smoother)))

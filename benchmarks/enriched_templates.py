@@ -1,0 +1,160 @@
+"""How far off an alignment may begin: templates of a scan, and of the dense map (Nieto 2005, 6.2).
+
+    python benchmarks/enriched_templates.py [--seeds 2] [--draws 4] [--errors 0.25 1 2 3 4 6]
+                                            [--figure basin.png]
+
+`occupancy-loop`, its dense map from the true poses, so that it is known where every template is.
+bare: the returns of one scan in the rectangle of a high level landmark; enriched: the Gaussians of
+the layer in the same rectangle. Both are aligned with scans from elsewhere, from one start off by
+so much and turned by 10 degrees a metre; done when within 0.3 m and 5 degrees.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple, cast
+
+import numpy as np
+from dense_maps import view_of  # type: ignore[import-not-found]
+from numpy.typing import NDArray
+
+from comparisons.logs.bundled import SimulationChoices, open_log
+from comparisons.report.picture import blank, save
+from comparisons.runs.dense_run import DenseOptions
+from comparisons.runs.planar_scans import PlanarScans
+from ekf_reference.dense.high_level import Around, search, to_world, within
+from ekf_reference.dense.layers.gaussians import Gaussians
+from ekf_reference.observation import wrap_angle
+from ekf_reference.scan_landmarks.alignment import align
+from ekf_reference.scan_landmarks.observation import OrientedObservation
+from ekf_reference.scan_landmarks.scan_shape import of_scan
+from ekf_reference.scan_landmarks.sog import SumOfGaussians
+from ekf_reference.scan_landmarks.templates import Template
+
+Array = NDArray[np.float64]
+
+SIGHTED = OrientedObservation()
+EVERY = 30
+"""Scans between two searches."""
+LEAST_RETURNS = 25
+APART_M = 6.0
+"""Least way between the scan of a template and one that it is aligned with."""
+SCANS = 4
+ONE_START = np.diag((1e-6, 1e-6, 1e-8))
+TURN = math.radians(10.0)
+CLOSE = (0.3, math.radians(5.0))
+
+
+class Case(NamedTuple):
+    """Two templates of one thing, their true poses in a scan (3,), and the scan."""
+
+    bare: SumOfGaussians
+    bare_pose: Array
+    enriched: SumOfGaussians
+    enriched_pose: Array
+    scan: SumOfGaussians
+
+
+def cases(seed: int) -> Iterator[Case]:
+    """All landmarks of a drive, each with a few scans."""
+    log = open_log("occupancy-loop", None, 1, SimulationChoices(seed, 1, 1.0))
+    truth, scans = log.truth, PlanarScans(log)
+    assert truth.poses is not None
+    assert truth.landmarks is not None
+    landmark, pose = truth.landmarks.position_m, truth.poses.at(scans.time_s)
+    dense = DenseOptions(("occupancy", "sog")).build()
+    shapes = []
+    for number, at in enumerate(pose):
+        view = view_of(at, landmark, np.arange(len(landmark)))
+        scan = scans.scan(number, at)
+        dense.predicted(view)
+        dense.updated(view)
+        dense.insert(view, scan)
+        shapes.append(of_scan(scan.bearing_rad, scan.range_m, scan.sensor))
+    layers, placed = dense.layers, dense.regions.placed(landmark)
+    known: list[Array] = []
+    for at in pose[::EVERY]:
+        sog = cast(Gaussians, layers["sog"])
+        around = Around(layers["occupancy"], sog, placed, at, landmark)
+        for one in search(around, np.reshape(known, (-1, 4, 2))).found:
+            area = to_world(one.place, one.rectangle)
+            known.append(area)
+            inside = [within(area, to_world(p, s.mean)) for p, s in zip(pose, shapes, strict=True)]
+            count = np.array([np.count_nonzero(rows) for rows in inside])
+            best = int(count.argmax())
+            bare = Template.of_segment(shapes[best], np.flatnonzero(inside[best]))
+            place = SIGHTED.invert(pose[best], bare.pose[None]).point[0]
+            away = np.linalg.norm(pose[:, :2] - pose[best, :2], axis=1) > APART_M
+            other = np.flatnonzero(away & (count >= LEAST_RETURNS))
+            for row in other[:: max(1, len(other) // SCANS)][:SCANS].tolist():
+                yield Case(
+                    bare.shape,
+                    SIGHTED.predict(pose[row], place[None]).z[0],
+                    one.template.shape,
+                    SIGHTED.predict(pose[row], one.place[None]).z[0],
+                    shapes[row],
+                )
+
+
+def finds(template: SumOfGaussians, true: Array, scan: SumOfGaussians, off: Array) -> bool:
+    """Whether an alignment that begins off by (3,) ends where the template is."""
+    found = align(template, scan, true + off, ONE_START).pose - true
+    return bool(np.hypot(*found[:2]) <= CLOSE[0] and abs(float(wrap_angle(found[2]))) <= CLOSE[1])
+
+
+def success(seeds: int, draws: int, errors: Sequence[float]) -> tuple[Array, int]:
+    """(E, 2) shares of starts that lead home, bare and enriched, and the number of cases."""
+    rng = np.random.default_rng(0)
+    all_cases = [case for seed in range(seeds) for case in cases(seed)]
+    won = np.zeros((len(errors), 2))
+    for row, error in enumerate(errors):
+        for case in all_cases:
+            for way, side in zip(
+                rng.uniform(0.0, 2.0 * np.pi, draws), rng.choice((-1.0, 1.0), draws), strict=True
+            ):
+                off = error * np.array((math.cos(way), math.sin(way), side * TURN))
+                won[row, 0] += finds(case.bare, case.bare_pose, case.scan, off)
+                won[row, 1] += finds(case.enriched, case.enriched_pose, case.scan, off)
+    return won / (draws * len(all_cases)), len(all_cases)
+
+
+def draw(errors: Sequence[float], share: Array, path: Path) -> None:
+    """Both curves."""
+    figure = blank(6.0, 4.0)
+    axis = figure.add_subplot()
+    axis.plot(errors, 100.0 * share[:, 0], "o--", color="#d1495b", label="one scan's returns")
+    axis.plot(errors, 100.0 * share[:, 1], "s-", color="#00798c", label="the dense map's Gaussians")
+    axis.set_xlabel("initial error [m], and 10 degrees a metre")
+    axis.set_ylabel("alignments that succeed [%]")
+    axis.set_ylim(0.0, 105.0)
+    axis.grid(visible=True, color="#eeeeee")
+    axis.legend(title="template", fontsize=8)
+    save(figure, path)
+
+
+def main() -> None:
+    """Measure, print, draw."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--draws", type=int, default=4)
+    parser.add_argument("--errors", type=float, nargs="+", default=[0.25, 1.0, 2.0, 3.0, 4.0, 6.0])
+    parser.add_argument("--figure", type=Path)
+    choices = parser.parse_args()
+    share, count = success(choices.seeds, choices.draws, choices.errors)
+    print(f"{count} pairs of a template and a scan from elsewhere, {choices.draws} starts each")
+    print("error [m]    bare  enriched")
+    for error, (bare, enriched) in zip(choices.errors, share, strict=True):
+        print(f"{error:9.2f}  {bare:6.1%}  {enriched:8.1%}")
+    if choices.figure is not None:
+        draw(choices.errors, share, choices.figure)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,158 @@
+"""High level landmarks beside the filter: found in a dense map of its own, seen in the scans."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.logs.log import Log
+from comparisons.runs.dense_run import DenseOptions, DenseWatcher
+from comparisons.runs.estimate import Array
+from comparisons.runs.oriented_sightings import OrientedLedger
+from comparisons.runs.planar_scans import PlanarScans
+from ekf_reference.dense.high_level import Around, Search, SearchOptions, search, to_world
+from ekf_reference.dense.high_level_life import Glimpse, HighLevelLandmarks, LifeOptions
+from ekf_reference.dense.layers.gaussians import Gaussians
+from ekf_reference.full_ekf import FullEkf
+from ekf_reference.scan_landmarks.scan_shape import of_scan
+from ekf_reference.scan_landmarks.templates import View
+
+_AXIS_M = 3.0
+"""Length at which axes are drawn."""
+_APART_S = 0.05
+"""A scan farther than that from an epoch was not taken from its pose."""
+
+
+@dataclass(frozen=True)
+class HighLevelOptions:
+    """every_s: between two searches. resolution_m: of the occupancy layer.
+
+    Nieto 2005, section 6.1.3, searches every minute; in the worlds here a loop takes 77 s, and an
+    object stays within reach for less than half of a minute.
+    """
+
+    every_s: float = 20.0
+    search: SearchOptions = field(default_factory=SearchOptions)
+    life: LifeOptions = field(default_factory=LifeOptions)
+    resolution_m: float = 0.2
+
+
+@dataclass(frozen=True)
+class HighLevelRun:
+    """What became of the search in a drive.
+
+    searches: made. candidates: rectangles that overlapped nothing known; poor: of these, with too
+    few Gaussians. looks: at landmarks within reach, by outcome, `seen` among them. slot: (K,)
+    of all that were found, among the filter's landmarks with a direction; negative where a
+    landmark was never seen again. place: (K, 3) and rectangle: (K, 4, 2), at the end, NaN where
+    what it hung on has left the map.
+    """
+
+    searches: int
+    candidates: int
+    poor: int
+    looks: Mapping[str, int]
+    slot: NDArray[np.intp]
+    place: Array
+    rectangle: Array
+
+    @property
+    def axes(self) -> tuple[Array, Array]:
+        """Lines (2 K, 2) and (2 K, 2) [m] that show where all axes are and how they are turned."""
+        tip = [to_world(place, _AXIS_M * np.eye(2)) for place in self.place]
+        return np.repeat(self.place[:, :2], 2, axis=0), np.reshape(tip, (-1, 2))
+
+
+class HighLevelSource:
+    """Watches the filter, keeping a dense map, and sees the landmarks that are found in it.
+
+    The map at an epoch holds the scans of earlier ones: a scan never meets itself.
+    """
+
+    def __init__(self, log: Log, options: HighLevelOptions | None = None) -> None:
+        """Raises InputError for a log without scans."""
+        self.options = options or HighLevelOptions()
+        kept = DenseOptions(("occupancy", "sog"), self.options.resolution_m)
+        self.landmarks = HighLevelLandmarks(self.options.life)
+        self._watcher = DenseWatcher(log, kept)
+        self._scans = PlanarScans(log)
+        self._view = _view(log)
+        self._searches: list[Search] = []
+        self._next_s = log.prior.time_s + self.options.every_s
+        self._place, self._rectangle = np.empty((0, 3)), np.empty((0, 4, 2))
+
+    def stepping(self, ekf: FullEkf, time_s: float, control: Array, duration_s: float) -> None:
+        """Take in the scans of the interval."""
+        self._watcher.stepping(ekf, time_s, control, duration_s)
+
+    def arrived(self, ekf: FullEkf) -> None:
+        """What waits for a region follows the vehicle."""
+        self._watcher.arrived(ekf)
+
+    def updated(self, ekf: FullEkf) -> None:
+        """The map follows its landmarks."""
+        self._watcher.updated(ekf)
+
+    def finished(self, ekf: FullEkf, time_s: float) -> None:
+        """Note where all are in the end."""
+        self._watcher.finished(ekf, time_s)
+        self._place, self._rectangle = self.landmarks.places(ekf), self.landmarks.rectangles(ekf)
+
+    def look(self, ekf: FullEkf, epoch: int, time_s: float, ledger: OrientedLedger) -> None:
+        """Match the scan of the epoch, if there is one; search before that when it is time to."""
+        if time_s >= self._next_s:
+            self._next_s = time_s + self.options.every_s
+            self._search(ekf)
+        if not self.landmarks.landmark:
+            return
+        number = int(np.abs(self._scans.time_s - time_s).argmin())
+        if abs(float(self._scans.time_s[number]) - time_s) > _APART_S:
+            return
+        scan = self._scans.scan(number, np.zeros(3))
+        shape = of_scan(scan.bearing_rad, scan.range_m, scan.sensor)
+        seen = self.landmarks.look(ekf, Glimpse(shape, scan.pose, self._view))
+        if seen:
+            slot = [self.landmarks.landmark[one.number].slot for one in seen]
+            z, noise = np.array([one.z for one in seen]), np.array([s.covariance for s in seen])
+            which = np.array(slot, dtype=np.intp)
+            self.landmarks.begun(seen, ledger.observe(ekf, epoch, z, noise, which))
+
+    def run(self) -> HighLevelRun:
+        """What came of it, once the filter has finished."""
+        return HighLevelRun(
+            len(self._searches),
+            sum(len(one.candidate) for one in self._searches),
+            sum(one.poor for one in self._searches),
+            dict(self.landmarks.counts),
+            np.array([one.slot for one in self.landmarks.landmark], dtype=np.intp),
+            self._place,
+            self._rectangle,
+        )
+
+    def _search(self, ekf: FullEkf) -> None:
+        dense = self._watcher.dense
+        around = Around(
+            dense.layers["occupancy"],
+            cast(Gaussians, dense.layers["sog"]),
+            dense.regions.placed(dense.landmark),
+            ekf.read_pose().pose,
+            dense.landmark,
+        )
+        found = search(around, self.landmarks.rectangles(ekf), self.options.search)
+        self._searches.append(found)
+        for one in found.found:
+            self.landmarks.take(one, dense.regions.base[one.region], dense.landmark)
+
+
+def _view(log: Log) -> View:
+    """What the log's scanner can see: its beams, as far as anything returned."""
+    if log.scans is None:
+        return View(50.0, -math.pi, math.pi)
+    way, angle = log.scans.range_m, log.scans.angle_rad
+    reach = float(way[np.isfinite(way)].max(initial=0.0))
+    return View(reach, float(angle.min()), float(angle.max()))

@@ -1,0 +1,217 @@
+"""High level landmarks: what no single scan shows, found in the dense map (Nieto 2005, 6.1).
+
+A corner of the occupancy layer is paired with the nearest one; a rectangle is drawn around the two
+(Fig. 6.4); and the Gaussians of the sum-of-Gaussians layer inside it, if there are enough of
+them, are the template of a landmark with a direction (6.1.2). Only the regions around the
+vehicle are looked at, so that the cost does not depend on the size of the map (6.1.3).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ekf_reference.dense.corners import HarrisOptions, harris
+from ekf_reference.dense.layers.gaussians import Gaussians
+from ekf_reference.dense.layers.layer import Layer
+from ekf_reference.dense.placed_regions import PlacedRegions
+from ekf_reference.dense.triangles import Array, turned
+from ekf_reference.scan_landmarks.observation import OrientedObservation
+from ekf_reference.scan_landmarks.sog import SumOfGaussians, rotation
+from ekf_reference.scan_landmarks.templates import Template
+
+Index = NDArray[np.intp]
+Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class SearchOptions:
+    """Where and what is looked for; lengths and the least number are those of Nieto 2005, 6.1.3.
+
+    reach_m: how far from the vehicle, along the axes; cell_m: of the grid that is looked at.
+    pair_m: greatest distance of two corners. margin_m: from the corners to the rectangle's sides.
+    least: Gaussians in it. thin_m: cells in which they then become one, 0 for all of them: what a
+    match costs grows with their number. occupied: least occupancy of the cell that a Gaussian
+    lies in, for no scan that looks past takes one out of its layer. clear_m: corners and
+    Gaussians so near to a point landmark are that landmark, which the filter has.
+    """
+
+    reach_m: float = 30.0
+    cell_m: float = 0.25
+    pair_m: float = 12.0
+    margin_m: float = 5.0
+    least: int = 200
+    occupied: float = 0.5
+    clear_m: float = 1.0
+    thin_m: float = 0.3
+    harris: HarrisOptions = field(default_factory=HarrisOptions)
+
+
+class Found(NamedTuple):
+    """A landmark's template and where it is now.
+
+    place: (3,) of its axis in the world: centroid of the template and the vehicle's heading.
+    rectangle: (4, 2) corners of it, corner: (2, 2) that it was drawn around, both in the axis.
+    region: that holds most of the template. gaussians: of the layer that the template is made of.
+    """
+
+    template: Template
+    place: Array
+    rectangle: Array
+    corner: Array
+    region: int
+    gaussians: int
+
+
+@dataclass(frozen=True)
+class Search:
+    """What one search came to.
+
+    corner: (C, 2) all, in the world. candidate: (n, 4, 2) rectangles, known ones left out.
+    found: accepted. poor: candidates with too few Gaussians. known: those of landmarks that there
+    are already.
+    """
+
+    corner: Array
+    candidate: Array
+    found: tuple[Found, ...]
+    poor: int
+    known: int
+
+
+@dataclass(frozen=True)
+class Around:
+    """What a search reads: two layers, the regions where they are, the filter's pose and points.
+
+    pose: (3,). landmark: (L, 2) [m], NaN where one has left the map.
+    """
+
+    occupancy: Layer
+    gaussians: Gaussians
+    placed: PlacedRegions
+    pose: Array
+    landmark: Array
+
+
+def search(around: Around, known: Array, options: SearchOptions | None = None) -> Search:
+    """Candidates around the vehicle whose rectangles overlap none of the known (K, 4, 2).
+
+    Known ones that are NaN have left the map.
+    """
+    o = options or SearchOptions()
+    corner = _corners(around, o)
+    taken = list(known[np.isfinite(known).all(axis=(1, 2))])
+    shown, found, poor, old = [], [], 0, 0
+    for pair in corner[pairs(corner, o.pair_m)]:
+        area = rectangle(pair, o.margin_m)
+        if any(overlapping(area, other) for other in taken):
+            old += 1
+            continue
+        shown.append(area)
+        made = _template(around, pair, area, o)
+        if made is None:
+            poor += 1
+        else:
+            found.append(made)
+            taken.append(area)
+    return Search(corner, np.reshape(shown, (-1, 4, 2)), tuple(found), poor, old)
+
+
+def pairs(corner: Array, most_m: float) -> Index:
+    """(n, 2) corners (C, 2), each with the nearest that is left, the closest two first."""
+    apart = np.linalg.norm(corner[:, None] - corner, axis=2)
+    first, second = np.nonzero(np.triu(apart <= most_m, 1))
+    free, chosen = np.ones(len(corner), dtype=bool), []
+    for k in np.argsort(apart[first, second], kind="stable"):
+        if free[first[k]] and free[second[k]]:
+            free[[first[k], second[k]]] = False
+            chosen.append((first[k], second[k]))
+    return np.array(chosen, dtype=np.intp).reshape(-1, 2)
+
+
+def rectangle(pair: Array, margin_m: float) -> Array:
+    """(4, 2) counter-clockwise, along two corners (2, 2), its sides so far from them."""
+    ahead = pair[1] - pair[0]
+    ahead = margin_m * ahead / np.linalg.norm(ahead)
+    left = turned(ahead)
+    return np.array(
+        (
+            pair[0] - ahead - left,
+            pair[1] + ahead - left,
+            pair[1] + ahead + left,
+            pair[0] - ahead + left,
+        )
+    )
+
+
+def within(area: Array, point: Array) -> Flags:
+    """(N,) which points (N, 2) lie in a convex area (K, 2), counter-clockwise."""
+    side = np.roll(area, -1, axis=0) - area
+    inwards = np.einsum("kj,nkj->nk", turned(side), point[:, None] - area)
+    inside: Flags = (inwards >= 0.0).all(axis=1)
+    return inside
+
+
+def overlapping(first: Array, second: Array) -> bool:
+    """Whether two convex areas (K, 2) have ground in common: no side separates them."""
+    for one, other in ((first, second), (second, first)):
+        side = np.roll(one, -1, axis=0) - one
+        inwards = np.einsum("kj,nkj->nk", turned(side), other[:, None] - one)
+        if (inwards <= 0.0).all(axis=0).any():
+            return False
+    return True
+
+
+def to_frame(pose: Array, point: Array) -> Array:
+    """Points (N, 2) of the world in the frame of a pose (3,)."""
+    local: Array = (point - pose[:2]) @ rotation(float(pose[2]))
+    return local
+
+
+def to_world(pose: Array, point: Array) -> Array:
+    """The inverse."""
+    place: Array = point @ rotation(float(pose[2])).T + pose[:2]
+    return place
+
+
+def _corners(around: Around, o: SearchOptions) -> Array:
+    """(C, 2) in the world."""
+    steps = np.arange(2 * int(o.reach_m / o.cell_m) + 1)
+    origin = around.pose[:2] - o.cell_m * steps[-1] / 2.0
+    place = origin + o.cell_m * np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1)
+    share = around.occupancy.occupancy(place.reshape(-1, 2), around.placed)
+    stands = np.clip(2.0 * np.nan_to_num(share, nan=0.5) - 1.0, 0.0, 1.0)
+    found = origin + harris(stands.reshape(len(steps), -1), o.cell_m, o.harris).point
+    clear: Array = found[_clear(found, around.landmark, o.clear_m)]
+    return clear
+
+
+def _template(around: Around, pair: Array, area: Array, o: SearchOptions) -> Found | None:
+    """The landmark in a rectangle (4, 2), None where too little stands there."""
+    box = np.concatenate((area.min(axis=0), area.max(axis=0)))
+    near = np.sort(around.placed.tree.meeting(box[None]).item)
+    there = around.gaussians.ellipses(around.placed, near)
+    kept = np.flatnonzero(within(area, there.mean))
+    kept = kept[_clear(there.mean[kept], around.landmark, o.clear_m)]
+    share = around.occupancy.occupancy(there.mean[kept], around.placed)
+    kept = kept[share >= o.occupied]
+    if len(kept) < o.least:
+        return None
+    shape = SumOfGaussians.of_equal_height(there.mean[kept], there.covariance[kept])
+    if o.thin_m > 0.0:
+        shape = shape.thinned(o.thin_m)
+    back = OrientedObservation().predict(around.pose, np.zeros((1, 3))).z[0]
+    template = Template.of_segment(shape.transformed(back), np.arange(len(shape)))
+    place = OrientedObservation().invert(around.pose, template.pose[None]).point[0]
+    region = int(np.bincount(there.region[kept]).argmax())
+    return Found(template, place, to_frame(place, area), to_frame(place, pair), region, len(kept))
+
+
+def _clear(point: Array, landmark: Array, least_m: float) -> Flags:
+    """(N,) which points (N, 2) are no nearer than that to any landmark (L, 2)."""
+    apart = np.linalg.norm(point[:, None] - landmark[np.isfinite(landmark[:, 0])], axis=2)
+    clear: Flags = apart.min(axis=1, initial=np.inf) >= least_m
+    return clear

@@ -1,0 +1,225 @@
+"""The life of high level landmarks: passive until seen again, then in the state (Nieto 2005, 6.1).
+
+A passive one is kept in the frame of two of its region's landmarks and moves with the map. What a
+scan says of it, aligned with its template, begins it in the state as eqs. 2.51 to 2.53 do with
+any new landmark: no covariance is made up, and the dense map's is not needed. From then on it
+is observed like the others.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ekf_reference.dense.high_level import Found, to_world
+from ekf_reference.dense.local_pose import Frames, local_pose, read_local_poses
+from ekf_reference.dense.triangles import Array
+from ekf_reference.dense.view import FilterView
+from ekf_reference.full_ekf import NEW, FullEkf
+from ekf_reference.layout import ORIENTED
+from ekf_reference.scan_landmarks.alignment_covariance import CovarianceOptions
+from ekf_reference.scan_landmarks.observation import OrientedObservation
+from ekf_reference.scan_landmarks.sog import SumOfGaussians
+from ekf_reference.scan_landmarks.templates import (
+    Observation,
+    ObservationOptions,
+    Template,
+    View,
+    observe,
+)
+
+Index = NDArray[np.intp]
+
+GATE = 11.345
+"""Squared Mahalanobis distance, 99 % of three degrees of freedom."""
+_REASONS = {
+    "in view": "out of view",
+    "counterpart": "no counterpart",
+    "as well": "ambiguous",
+    "converge": "not converged",
+    "returns": "no returns",
+}
+_OBSERVATION = OrientedObservation()
+
+
+@dataclass(frozen=True)
+class LifeOptions:
+    """How sightings are made and judged.
+
+    settled: sigmas [m, m, rad] of where the dense map holds a landmark within the frame of two
+    others. share, observation: see scan_landmarks.templates; a template holds what was seen
+    from several sides, so that less of it is in view than of a scan's own.
+    """
+
+    settled: tuple[float, float, float] = (0.3, 0.3, 0.05)
+    share: float = 0.3
+    observation: ObservationOptions = field(default_factory=lambda: ObservationOptions(0.4, 0.8))
+
+
+@dataclass(frozen=True)
+class HighLevelLandmark:
+    """One of them.
+
+    rectangle: (4, 2) in its axis. base: (2,) landmarks L1 and L2, and held: (3,) its pose in their
+    frame when it was found. belief: in maxima of its correlation. slot: among the filter's
+    landmarks with a direction; NEW while passive.
+    """
+
+    template: Template
+    rectangle: Array
+    base: Index
+    held: Array
+    belief: CovarianceOptions
+    slot: int = NEW
+
+
+class Sighting(NamedTuple):
+    """number: of the landmark. z: (3,) its pose in the vehicle's frame. covariance: (3, 3)."""
+
+    number: int
+    z: Array
+    covariance: Array
+
+
+@dataclass(frozen=True)
+class Glimpse:
+    """A scan to look for landmarks in.
+
+    shape: its sum, bearings in order, in the scanner's frame; mount: (3,) of that in the vehicle.
+    view: what the scanner can see.
+    """
+
+    shape: SumOfGaussians
+    mount: Array
+    view: View
+
+
+class Expected(NamedTuple):
+    """A landmark's pose in some frame: z (3,), and covariance (3, 3) of what is known of it."""
+
+    z: Array
+    covariance: Array
+
+
+@dataclass
+class HighLevelLandmarks:
+    """All that were found. counts: of looks that came to nothing, by reason, and of `seen`."""
+
+    options: LifeOptions = field(default_factory=LifeOptions)
+    landmark: list[HighLevelLandmark] = field(default_factory=list)
+    counts: Counter[str] = field(default_factory=Counter)
+
+    def take(self, found: Found, base: Index, point: Array) -> None:
+        """Keep a landmark by its region's longest side between landmarks of the filter.
+
+        base: (3,) as of LocalRegions. point: (L, 2) [m] the filter's.
+        """
+        real = base[base >= 0]
+        ends = [(i, j) for i in real for j in real if i < j]
+        pair = max(ends, key=lambda ij: float(np.hypot(*(point[ij[0]] - point[ij[1]]))))
+        held = local_pose(found.place, point[pair[0]], point[pair[1]])
+        kept = HighLevelLandmark(
+            found.template, found.rectangle, np.array(pair), held, _belief(found)
+        )
+        self.landmark.append(kept)
+
+    def places(self, ekf: FullEkf) -> Array:
+        """(K, 3) of all axes in the world now; NaN where what they hang on has left the map."""
+        point, oriented = FilterView.of(ekf).landmark, ekf.state.oriented
+        rows = [
+            oriented[one.slot] if one.slot != NEW else _in_the_world(one, point)
+            for one in self.landmark
+        ]
+        return np.reshape(rows, (-1, 3))
+
+    def rectangles(self, ekf: FullEkf) -> Array:
+        """(K, 4, 2) in the world now, NaN as of `places`."""
+        there = zip(self.landmark, self.places(ekf), strict=True)
+        return np.reshape([to_world(at, one.rectangle) for one, at in there], (-1, 4, 2))
+
+    def look(self, ekf: FullEkf, scan: Glimpse) -> list[Sighting]:
+        """Sightings of what should be in view, those within the gate."""
+        view = FilterView.of(ekf)
+        near = np.linalg.norm(self.places(ekf)[:, :2] - view.pose[:2], axis=1) <= scan.view.reach_m
+        sightings = []
+        for number in np.flatnonzero(near).tolist():
+            one = self.landmark[number]
+            expected = self.expected(ekf, view, one)
+            if expected is None:
+                self.counts["out of reach"] += 1
+                continue
+            made, reason = self._sight(one, scan, expected)
+            self.counts[reason] += 1
+            if made is not None:
+                sightings.append(Sighting(number, *made))
+        return sightings
+
+    def expected(self, ekf: FullEkf, view: FilterView, one: HighLevelLandmark) -> Expected | None:
+        """Its pose in the vehicle's frame; None where the covariance of what it hangs on is old."""
+        return self._passive(view, one) if one.slot == NEW else _active(ekf, one.slot)
+
+    def begun(self, sightings: list[Sighting], slot: Index) -> None:
+        """The filter has fused sightings and says which of its landmarks (m,) they are."""
+        for one, own in zip(sightings, slot.tolist(), strict=True):
+            self.landmark[one.number] = replace(self.landmark[one.number], slot=own)
+
+    def _passive(self, view: FilterView, one: HighLevelLandmark) -> Expected | None:
+        if not np.isin(one.base, view.slot).all():
+            return None
+        vehicle, covariance = (part[0] for part in read_local_poses(view, one.base[None]))
+        at = _OBSERVATION.predict(vehicle, one.held[None])
+        by_vehicle, by_own = at.jacobian_pose[0], at.jacobian_landmark[0]
+        spread = by_own @ np.diag(np.square(self.options.settled)) @ by_own.T
+        return Expected(at.z[0], by_vehicle @ covariance @ by_vehicle.T + spread)
+
+    def _sight(
+        self, one: HighLevelLandmark, scan: Glimpse, expected: Expected
+    ) -> tuple[Expected | None, str]:
+        there = _OBSERVATION.predict(scan.mount, expected.z[None])
+        turn = there.jacobian_landmark[0]
+        prior = turn @ expected.covariance @ turn.T
+        view = replace(scan.view, share=self.options.share)
+        judged = self.options.observation
+        seen = observe(one.template, scan.shape, there.z[0], prior, view, judged, belief=one.belief)
+        if not seen.usable or seen.alignment is None:
+            return None, _kind(seen)
+        if one.slot == NEW and seen.alignment.open_directions:
+            return None, "a direction is open"
+        back = _OBSERVATION.invert(scan.mount, seen.alignment.pose[None])
+        turn = back.jacobian_sighting[0]
+        noise = turn @ seen.alignment.covariance @ turn.T
+        innovation = _OBSERVATION.innovation(back.point[0], expected.z)
+        distance = innovation @ np.linalg.solve(expected.covariance + noise, innovation)
+        if distance > GATE:
+            return None, "outside the gate"
+        return Expected(back.point[0], noise), "seen"
+
+
+def _belief(found: Found) -> CovarianceOptions:
+    """Chance makes ripples of so many Gaussians as there were, not as they have become."""
+    usual = CovarianceOptions()
+    merged = found.gaussians / len(found.template.shape)
+    return replace(usual, beyond_chance=usual.beyond_chance / math.sqrt(merged))
+
+
+def _in_the_world(one: HighLevelLandmark, point: Array) -> Array:
+    first, second = point[one.base]
+    ahead = second - first
+    place = Frames.of(first, second).to_world(one.held[:2])
+    return np.append(place, one.held[2] + np.arctan2(ahead[1], ahead[0]))
+
+
+def _active(ekf: FullEkf, slot: int) -> Expected:
+    local, reading = ekf.state.map_of(np.array([slot]), ORIENTED), ekf.read_pose()
+    at = _OBSERVATION.predict(reading.pose, local.landmark)
+    jacobian = np.hstack((at.jacobian_pose[0] @ reading.jacobian, at.jacobian_landmark[0]))
+    return Expected(at.z[0], jacobian @ local.covariance @ jacobian.T)
+
+
+def _kind(seen: Observation) -> str:
+    return next(kind for end, kind in _REASONS.items() if seen.reason.endswith(end))

@@ -1,0 +1,115 @@
+"""High level landmarks in a whole run: found, kept, told to the smoother, and worth having."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from comparisons.cli import app
+from comparisons.compare import Comparison, compare_estimators
+from comparisons.logs.bundled import SimulationChoices, open_log
+from comparisons.logs.log import Log
+from comparisons.report.result import build_result
+from comparisons.runs.ekf_build import EkfChoices
+from comparisons.runs.ekf_run import EkfRun, run_ekf
+from comparisons.runs.high_level_source import HighLevelOptions, HighLevelSource
+from comparisons.runs.timeline import build_timeline
+from ekf_reference.dense.high_level import SearchOptions
+from tests.helpers import Array, first_seconds
+
+SEEDS = (1, 3)
+
+
+@cache
+def log(seed: int) -> Log:
+    """A loop and a half."""
+    return first_seconds(open_log("occupancy-loop", choices=SimulationChoices(seed, 2)), 120.0)
+
+
+def driven(seed: int, source: HighLevelSource | None = None) -> EkfRun:
+    choices = EkfChoices().settle(log(seed))
+    return run_ekf(log(seed), build_timeline(log(seed)), choices, source=source)
+
+
+@cache
+def with_them(seed: int) -> Comparison:
+    return compare_estimators(log(seed), high_level=HighLevelOptions())
+
+
+def error_m(run: EkfRun, seed: int) -> float:
+    """Of the vehicle, root mean square."""
+    poses = log(seed).truth.poses
+    assert poses is not None
+    apart = run.departed[:, :2] - poses.at(run.estimate.time_s)[:, :2]
+    return float(np.sqrt(np.square(apart).sum(axis=1).mean()))
+
+
+def bits(run: EkfRun) -> list[Array]:
+    e = run.estimate
+    return [run.departed, e.pose_covariance, e.landmark, e.joint_covariance]
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_at_least_four_are_found_and_kept_and_the_estimates_agree(seed: int) -> None:
+    found = with_them(seed)
+    made = found.high_level
+    assert made is not None
+    assert np.count_nonzero(made.slot >= 0) >= 4
+    assert len(found.ekf.estimate.oriented) == np.count_nonzero(made.slot >= 0)
+    assert made.looks["seen"] > 30
+    assert found.agreement.algebra.within(1e-6)
+    assert found.agreement.model.within(1e-6)
+    result = build_result(found, 0.0).high_level
+    assert result is not None
+    assert result.kept <= result.found == len(made.slot)
+
+
+def test_the_vehicle_is_nearer_to_the_truth_with_them() -> None:
+    """Paired; ten seeds in benchmarks/high_level.py."""
+    pairs = [(error_m(driven(s), s), error_m(with_them(s).ekf, s)) for s in SEEDS]
+    without, having = np.mean(pairs, axis=0)
+    assert having < without
+
+
+def test_they_stand_where_something_stands() -> None:
+    """Every kept landmark's rectangle holds a part of a true object, moved with the map or not."""
+    made, truth = with_them(1).high_level, log(1).truth.surfaces
+    assert made is not None
+    assert truth is not None
+    middle = 0.5 * (truth.segment[:, :2] + truth.segment[:, 2:])
+    near = [np.linalg.norm(middle - place[:2], axis=1).min() for place in made.place]
+    assert max(near) < 9.0
+
+
+def test_where_none_are_accepted_the_filter_is_the_same_to_the_bit() -> None:
+    """Looking for them changes nothing; taking them does."""
+    nothing = HighLevelSource(log(1), HighLevelOptions(search=SearchOptions(least=10**6)))
+    searched, without = driven(1, nothing), driven(1)
+    assert nothing.run().searches > 3
+    assert nothing.run().poor == nothing.run().candidates > 0
+    for ours, theirs in zip(bits(searched), bits(without), strict=True):
+        assert np.array_equal(ours, theirs)
+    assert not np.array_equal(bits(with_them(1).ekf)[0], bits(without)[0])
+
+
+def test_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from comparisons.logs.log_folder import write_log_folder
+
+    write_log_folder(first_seconds(log(1), 45.0), tmp_path / "log")
+    run = ["run", str(tmp_path / "log"), "--out", str(tmp_path / "out"), "--high-level"]
+    with pytest.raises(SystemExit) as wrong:
+        app([*run, "yes"], standalone_mode=False)
+    assert wrong.value.code == 2
+    assert "expected off or on" in capsys.readouterr().err
+    with pytest.raises(SystemExit) as done:
+        app([*run, "on"], standalone_mode=False)
+    assert done.value.code == 0
+    assert "high level" in capsys.readouterr().out
+    result = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert result["high_level"]["searches"] == 2
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "high level" in page
