@@ -121,7 +121,17 @@ def test_dense_maps_benchmark_drives() -> None:
 def test_high_level_benchmark_runs() -> None:
     few = ("--searches", "1", "--sizes", "11", "20", "--only", "size")
     lines = run("benchmarks/high_level.py", *few)
-    assert [line.split()[0] for line in lines[2:]] == ["11", "22"]
+    assert [line.split()[0] for line in lines[2:]] == ["11", "20"]
+
+
+def test_enriched_templates_benchmark_runs(tmp_path: Path) -> None:
+    picture = tmp_path / "basin.png"
+    few = ("--seeds", "1", "--draws", "1", "--errors", "0.25", "--figure", str(picture))
+    lines = run("benchmarks/enriched_templates.py", *few)
+    error, bare, enriched = (float(part.rstrip("%")) for part in lines[2].split())
+    assert error == 0.25
+    assert enriched > bare > 20.0
+    assert picture.read_bytes().startswith(b"\x89PNG")
 
 
 def test_defects_benchmark_runs() -> None:
