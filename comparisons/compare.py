@@ -35,7 +35,7 @@ from comparisons.runs.oriented_sightings import NoOrientedSource, OrientedSource
 from comparisons.runs.own_association import associate_own
 from comparisons.runs.scan_log import BEYOND, with_scan_motion
 from comparisons.runs.scan_motion import ScanMotion, run_scan_odometry
-from comparisons.runs.scan_slam_source import ScanSlamSources
+from comparisons.runs.scan_slam_source import ScanSlamSource, ScanSlamSources
 from comparisons.runs.scan_smoother import smooth_on_scans
 from comparisons.runs.smoother_run import (
     build_problem,
@@ -50,7 +50,6 @@ from comparisons.runs.smoother_run import (
 )
 from comparisons.runs.timeline import Timeline, build_timeline
 from ekf_reference.full_ekf import FullEkf
-from ekf_reference.scan_landmarks.scan_slam import ScanLandmarks
 from graphslam.increments import dead_reckoned
 from graphslam.scan.loop_closure import loop_closer
 from graphslam.smoother import SmootherOptions, SmootherResult, smooth
@@ -71,7 +70,7 @@ class Comparison:
     the filter is as sure as it may be; it has remarks, and no say in the verdict. scan_motion,
     increments: what the scans gave and how honest it is, when they were asked. dense, dense_check:
     the dense map and how it compares with the smoother's, when asked for; no check where nothing
-    fell into a region. scan_landmarks: what the scans gave as landmarks, when they were asked.
+    fell into a region. scan_slam: what the scans gave as landmarks, when they were asked.
     seconds: by stage.
     """
 
@@ -93,7 +92,7 @@ class Comparison:
     increments: IncrementCheck | None
     dense: DenseRun | None
     dense_check: DenseAgreement | None
-    scan_landmarks: ScanLandmarks | None
+    scan_slam: ScanSlamSource | None
     verdict: Verdict
     seconds: dict[str, float]
 
@@ -245,7 +244,7 @@ def compare_estimators(
             None if scanned is None else check_increments(scanned, log),
             mapped,
             compared,
-            None if slam is None else slam.found,
+            None if slam is None else slam.first,
             replace(
                 verdict,
                 remarks=(
