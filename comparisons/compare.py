@@ -35,7 +35,7 @@ from comparisons.runs.oriented_sightings import NoOrientedSource, OrientedSource
 from comparisons.runs.own_association import associate_own
 from comparisons.runs.scan_log import BEYOND, with_scan_motion
 from comparisons.runs.scan_motion import ScanMotion, run_scan_odometry
-from comparisons.runs.scan_slam_source import ScanSlamSource, ScanSlamSources
+from comparisons.runs.scan_slam_source import LANDMARKS, ScanSlamSource, ScanSlamSources
 from comparisons.runs.scan_smoother import smooth_on_scans
 from comparisons.runs.smoother_run import (
     build_problem,
@@ -121,6 +121,10 @@ def compare_estimators(
     """
     if motion not in MOTIONS:
         raise InputError(f"motion '{motion}' is unknown, expected one of {', '.join(MOTIONS)}")
+    if landmarks not in LANDMARKS:
+        raise InputError(
+            f"landmarks '{landmarks}' are unknown, expected one of {', '.join(LANDMARKS)}"
+        )
     clock = _Clock()
     chosen = (choices or EkfChoices()).settle(log)
     log = join_known_sightings(log)

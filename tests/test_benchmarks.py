@@ -123,3 +123,9 @@ def test_defects_benchmark_runs() -> None:
     assert lines[1].startswith("steering sign ")
     assert lines[2] == "1 of 1 caught, 1 with the right first cause"
     assert "0 of 2 flagged, 0.0 to 84.2 %" in lines[3]
+
+
+def test_scan_slam_benchmark_runs() -> None:
+    lines = run("benchmarks/scan_slam.py", "--seeds", "1", "--seconds", "6")
+    assert [line.split()[0] for line in lines] == ["seed", "0", "median"]
+    assert lines[1].split()[-1] == "agree"
