@@ -36,7 +36,7 @@ from comparisons.runs.known_landmarks import join_known_sightings
 from comparisons.runs.oriented_sightings import NoOrientedSource, OrientedSource
 from comparisons.runs.scan_log import with_scan_motion
 from comparisons.runs.scan_motion import ScanMotion, run_scan_odometry
-from comparisons.runs.scan_slam_source import ScanSlamSources
+from comparisons.runs.scan_slam_source import LANDMARKS, ScanSlamSource, ScanSlamSources
 from comparisons.runs.smoother_run import (
     build_problem,
     linear_optimum,
@@ -50,7 +50,6 @@ from comparisons.runs.smoother_run import (
 from comparisons.runs.timeline import Timeline, build_timeline
 from comparisons.second_opinions import with_own_association, with_scans
 from ekf_reference.full_ekf import FullEkf
-from ekf_reference.scan_landmarks.scan_slam import ScanLandmarks
 from graphslam.increments import dead_reckoned
 from graphslam.smoother import SmootherOptions, SmootherResult
 
@@ -71,7 +70,7 @@ class Comparison:
     the filter is as sure as it may be; it has remarks, and no say in the verdict. scan_motion,
     increments: what the scans gave and how honest it is, when they were asked. dense, dense_check:
     the dense map and how it compares with the smoother's, when asked for; no check where nothing
-    fell into a region. scan_landmarks: what the scans gave as landmarks, when they were asked.
+    fell into a region. scan_slam: what the scans gave as landmarks, when they were asked.
     high_level: what became of high level landmarks, when asked for. seconds: by stage.
     """
 
@@ -93,7 +92,7 @@ class Comparison:
     increments: IncrementCheck | None
     dense: DenseRun | None
     dense_check: DenseAgreement | None
-    scan_landmarks: ScanLandmarks | None
+    scan_slam: ScanSlamSource | None
     high_level: HighLevelRun | None
     verdict: Verdict
     seconds: dict[str, float]
@@ -126,6 +125,10 @@ def compare_estimators(
     """
     if motion not in MOTIONS:
         raise InputError(f"motion '{motion}' is unknown, expected one of {', '.join(MOTIONS)}")
+    if landmarks not in LANDMARKS:
+        raise InputError(
+            f"landmarks '{landmarks}' are unknown, expected one of {', '.join(LANDMARKS)}"
+        )
     clock = Clock()
     chosen = (choices or EkfChoices()).settle(log)
     log = join_known_sightings(log)
@@ -263,7 +266,7 @@ def compare_estimators(
             None if scanned is None else check_increments(scanned, log),
             mapped,
             compared,
-            None if slam is None else slam.found,
+            None if slam is None else slam.first,
             seeing.run() if isinstance(seeing, HighLevelSource) else None,
             replace(
                 verdict,

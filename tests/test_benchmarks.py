@@ -150,3 +150,9 @@ def test_dynamic_regions_benchmark_runs() -> None:
         "places, nothing moving",
         "landmark on a vehicle",
     ]
+
+
+def test_scan_slam_benchmark_runs() -> None:
+    lines = run("benchmarks/scan_slam.py", "--seeds", "1", "--seconds", "6")
+    assert [line.split()[0] for line in lines] == ["seed", "0", "median"]
+    assert lines[1].split()[-1] == "agree"

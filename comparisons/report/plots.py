@@ -14,10 +14,12 @@ from comparisons.compare import Comparison
 from comparisons.front_end import FrontEnd
 from comparisons.logs.log import Log
 from comparisons.report.picture import blank
+from comparisons.report.scan_slam import axes_of, place_covariances, template_points
 from comparisons.runs.estimate import Estimate
 from comparisons.runs.high_level_source import HighLevelRun
 from comparisons.solve import Solution
 from ekf_reference.correlation import correlation_coefficients
+from ekf_reference.scan_landmarks.scan_slam import ScanLandmarks
 
 Array = NDArray[np.float64]
 
@@ -103,9 +105,13 @@ def map_figure(comparison: Comparison) -> Figure:
     if comparison.three_way is not None:
         estimates["smoother on scans"] = comparison.three_way.estimate
     figure = _map(comparison.log, comparison.dead_reckoned, estimates, title)
+    axis = figure.axes[0]
     if comparison.high_level is not None:
-        draw_high_level(figure.axes[0], comparison.high_level)
-        figure.axes[0].legend(loc="best", fontsize=8)
+        draw_high_level(axis, comparison.high_level)
+    if comparison.scan_slam is not None:
+        _add_scan_landmarks(axis, comparison, comparison.scan_slam.found)
+    if len(comparison.ekf.estimate.oriented):
+        axis.legend(loc="best", fontsize=8)
     return figure
 
 
@@ -121,6 +127,23 @@ def draw_high_level(axis: Axes, made: HighLevelRun) -> None:
         axis.add_collection(lines)
     both = list(np.stack(made.axes, axis=1))
     axis.add_collection(LineCollection(both, colors=HIGH_LEVEL_COLOUR, linewidths=1.6))
+
+
+def _add_scan_landmarks(axis: Axes, c: Comparison, found: ScanLandmarks) -> None:
+    """Templates where the filter has them, and both estimates' axes and ellipses."""
+    ekf = c.ekf.estimate
+    if c.log.truth.surfaces is not None:
+        segment = c.log.truth.surfaces.segment.reshape(-1, 2, 2)
+        axis.add_collection(LineCollection(list(segment), colors="#bbbbbb", linewidths=1.5))
+    points = template_points(found, ekf.oriented_id, ekf.oriented)
+    axis.plot(*points.T, ".", color="#222222", markersize=1.2, label="EKF's templates", zorder=1)
+    for name, estimate in (("smoother", c.smoothed), ("EKF", ekf)):
+        colour = _LOOK[name][0]
+        outline = ellipses(estimate.oriented[:, :2], place_covariances(estimate), 3.0)
+        axis.add_collection(LineCollection(list(outline), colors=colour, linewidths=0.7))
+        label = f"{name} scan landmarks, 3 sigma"
+        frames = LineCollection(list(axes_of(estimate)), colors=colour, linewidths=1.2, label=label)
+        axis.add_collection(frames)
 
 
 def solution_figure(solution: Solution) -> Figure:
@@ -165,6 +188,8 @@ def _map(log: Log, dead_reckoned: Array, estimates: dict[str, Estimate], title: 
         colour, marker, style = _LOOK[name]
         draw_trajectory(axis, estimate.pose[:, :2], colour, f"{name} trajectory", style)
         outline = ellipses(estimate.landmark, estimate.landmark_covariances(), 3.0)
+        if not len(estimate.landmark) and len(estimate.oriented):
+            continue
         label = f"{name} landmarks, 3 sigma"
         draw_landmarks(axis, estimate.landmark, outline, colour, marker, label)
     axis.set_aspect("equal", adjustable="datalim")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.table import Table
 
 from comparisons.checks.agreement import BlockAgreement, block_agrees
 from comparisons.compare import Comparison
@@ -14,6 +13,7 @@ from comparisons.runs.estimate import Estimate
 from ekf_reference.scan_landmarks.scan_slam import ScanLandmarks
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 
 
 def block_fields(b: BlockAgreement) -> dict[str, float | bool | None]:
@@ -29,9 +29,9 @@ def block_fields(b: BlockAgreement) -> dict[str, float | bool | None]:
 
 def scan_slam_result(c: Comparison) -> ScanSlamResult | None:
     """What the scans gave as landmarks; None when they were not asked."""
-    found = c.scan_landmarks
-    if found is None:
+    if c.scan_slam is None:
         return None
+    found = c.scan_slam.found
     ekf, smoothed = c.ekf.estimate, c.smoothed
     return ScanSlamResult(
         scans=found.scans,
@@ -53,28 +53,30 @@ def scan_slam_result(c: Comparison) -> ScanSlamResult | None:
     )
 
 
-def add_scan_slam(table: Table, result: ScanSlamResult) -> None:
+def scan_slam_rows(result: ScanSlamResult) -> list[tuple[str, str]]:
     """Rows of a run's summary."""
     agreeing = sum(row.agrees for row in result.landmarks)
-    table.add_row(
-        "scan landmarks",
-        f"{agreeing} of {len(result.landmarks)} agree; {result.scans:,} scans, "
-        f"{result.rejected} segments rejected",
-    )
     told = (f"{count:,} {reason}" for reason, count in result.sightings.items() if count)
-    table.add_row("their sightings", ", ".join(told) or "none")
+    return [
+        (
+            "scan landmarks",
+            f"{agreeing} of {len(result.landmarks)} agree; {result.scans:,} scans, "
+            f"{result.rejected} segments rejected",
+        ),
+        ("their sightings", ", ".join(told) or "none"),
+    ]
 
 
-def template_points(found: ScanLandmarks, estimate: Estimate) -> Array:
-    """(P, 2) the templates' points where an estimate has their axes [m]."""
+def template_points(found: ScanLandmarks, slot: Index, place: Array) -> Array:
+    """(P, 2) the points of templates with their axes at places (Q, 3) [m]."""
     placed = [
-        found.template[slot].shape.transformed(pose).mean
-        for slot, pose in zip(estimate.oriented_id.tolist(), estimate.oriented, strict=True)
+        found.template[s].shape.transformed(pose).mean
+        for s, pose in zip(slot.tolist(), place, strict=True)
     ]
     return np.vstack([np.zeros((0, 2)), *placed])
 
 
-def axes(estimate: Estimate, length_m: float = 2.0) -> Array:
+def axes_of(estimate: Estimate, length_m: float = 2.0) -> Array:
     """(Q, 3, 2) the ends of each landmark's two axes, left's, origin, ahead's."""
     place, heading = estimate.oriented[:, :2], estimate.oriented[:, 2]
     ahead = np.stack((np.cos(heading), np.sin(heading)), axis=1)

@@ -19,7 +19,7 @@ from comparisons.report.models import (
     SmootherResult,
 )
 from comparisons.report.scan_odometry import add_scan_odometry
-from comparisons.report.scan_slam import add_scan_slam
+from comparisons.report.scan_slam import scan_slam_rows
 
 _STYLE = {"agree": "bold green", "disagree": "bold red", "unproven": "bold yellow"}
 
@@ -87,7 +87,8 @@ def print_summary(result: Result, console: Console) -> None:
             )
         add_accuracy(table, "smoother on scans", three.accuracy)
     if result.scan_slam is not None:
-        add_scan_slam(table, result.scan_slam)
+        for name, shown in scan_slam_rows(result.scan_slam):
+            table.add_row(name, shown)
     if result.dense is not None:
         add_dense(table, result.dense)
     if result.high_level is not None:

@@ -87,6 +87,19 @@ class LogScans:
         return self._planar.scan(int(self._number[number]), np.zeros(3))
 
 
+@dataclass(frozen=True)
+class Closing:
+    """The scan whose fusion moved the scan landmarks the most, as a rule a loop's closing.
+
+    shift_m: root mean square over the landmarks. before, after: (Q, 3) of all that were there.
+    """
+
+    time_s: float
+    shift_m: float
+    before: Array
+    after: Array
+
+
 class ScanSlamSource:
     """An OrientedSource: looks at a log's scans at their times. See ScanSlam."""
 
@@ -94,6 +107,7 @@ class ScanSlamSource:
         """Start without landmarks."""
         self._scans, self._next = scans, 0
         self._slam = ScanSlam(scans.sensor, scans.view, scans.mount, options)
+        self.closing: Closing | None = None
 
     @property
     def found(self) -> ScanLandmarks:
@@ -106,8 +120,17 @@ class ScanSlamSource:
         while self._next < len(times) and times[self._next] < time_s:
             self._next += 1
         if self._next < len(times) and times[self._next] == time_s:
+            before = ekf.state.oriented.copy()
             self._slam.step(ekf, self._scans.shape(self._next), _Telling(ledger, ekf, epoch))
+            self._note(time_s, before, ekf.state.oriented[: len(before)].copy())
             self._next += 1
+
+    def _note(self, time_s: float, before: Array, after: Array) -> None:
+        squared = np.square(after[:, :2] - before[:, :2]).sum(axis=1)
+        known = self.closing
+        if known is None or squared.sum() > known.shift_m**2 * len(known.before):
+            shift = float(np.sqrt(squared.mean())) if len(squared) else 0.0
+            self.closing = Closing(time_s, shift, before, after)
 
 
 class ScanSlamSources:
@@ -121,11 +144,6 @@ class ScanSlamSources:
     @classmethod
     def of(cls, log: Log, landmarks: str) -> ScanSlamSources | None:
         """What `landmarks` of LANDMARKS asks for; None for points alone. Raises InputError."""
-        if landmarks not in LANDMARKS:
-            raise InputError(
-                f"landmarks '{landmarks}' are unknown, expected {', '.join(LANDMARKS[:-1])} or "
-                f"{LANDMARKS[-1]}"
-            )
         if landmarks == "points":
             return None
         scans = LogScans(log)
@@ -141,6 +159,6 @@ class ScanSlamSources:
         return self._made[-1]
 
     @property
-    def found(self) -> ScanLandmarks:
-        """By the first run."""
-        return self._made[0].found
+    def first(self) -> ScanSlamSource:
+        """What the first run left."""
+        return self._made[0]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from comparisons.compare import Comparison
 from comparisons.report.html.drawing import Drawing, kept
 from comparisons.report.plots import EKF_COLOUR, HIGH_LEVEL_COLOUR, SMOOTHER_COLOUR, ellipses
+from comparisons.report.scan_slam import axes_of, place_covariances, template_points
 from comparisons.runs.estimate import Estimate
 
 Array = NDArray[np.float64]
@@ -50,6 +51,8 @@ def run_map(c: Comparison) -> RunMap:
         smoothed.landmark,
         walls[:, :2],
         walls[:, 2:],
+        ekf.oriented[:, :2],
+        smoothed.oriented[:, :2],
     )
     if len(walls):
         drawing.links("true surfaces", "#9a9a9a", walls[:, :2], walls[:, 2:])
@@ -82,6 +85,7 @@ def run_map(c: Comparison) -> RunMap:
         outline = ellipses(estimate.landmark, estimate.landmark_covariances(), _SIGMAS, 32)
         drawing.outlines(f"{name} landmarks, 3 sigma", colour, outline, told)
         drawing.marks(f"{name} landmarks", colour, estimate.landmark, told, _keys(estimate))
+    _scan_landmarks(drawing, c)
     drawing.links("differences", "#7b4fa3", ekf.landmark, smoothed.landmark)
     ratio = np.array([b.least for b in c.agreement.landmarks])
     decades = _decades(ratio)
@@ -91,6 +95,31 @@ def run_map(c: Comparison) -> RunMap:
         RATIO_LAYER, "#666666", ekf.landmark, told, _keys(ekf), colours, shown=False
     )  # fmt: skip
     return RunMap(drawing, np.round(ekf.time_s[row], 3).tolist(), decades)
+
+
+def _scan_landmarks(drawing: Drawing, c: Comparison) -> None:
+    """Templates, ellipses and axes; their keys tell them from points."""
+    if c.scan_slam is None:
+        return
+    ekf = c.ekf.estimate
+    drawing.dots(
+        "templates", "#333333", template_points(c.scan_slam.found, ekf.oriented_id, ekf.oriented)
+    )
+    keys = [f"s{i}" for i in ekf.oriented_id.tolist()]
+    for name, colour, estimate in (
+        ("smoother", SMOOTHER_COLOUR, c.smoothed),
+        ("EKF", EKF_COLOUR, ekf),
+    ):
+        told = [
+            f"{name}, scan landmark {i}: {b.difference_m:.3f} m apart, {b.distance:.2g} sigma"
+            for i, b in zip(ekf.oriented_id.tolist(), c.agreement.oriented, strict=True)
+        ]
+        place, ends = estimate.oriented[:, :2], axes_of(estimate)
+        outline = ellipses(place, place_covariances(estimate), _SIGMAS, 32)
+        drawing.outlines(f"{name} scan landmarks, 3 sigma", colour, outline, told)
+        start, end = np.repeat(place, 2, axis=0), ends[:, ::2].reshape(-1, 2)
+        drawing.links(f"{name} scan landmarks' axes", colour, start, end)
+        drawing.marks(f"{name} scan landmarks", colour, place, told, keys)
 
 
 def ratio_colours(ratio: Array, decades: float) -> list[str]:

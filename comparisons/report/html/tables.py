@@ -10,7 +10,8 @@ import numpy as np
 from comparisons.compare import Comparison
 from comparisons.report.consistency_result import consistency_rows
 from comparisons.report.dense_result import high_level_text
-from comparisons.report.models import AccuracyResult, Result
+from comparisons.report.models import AccuracyResult, LandmarkResult, Result
+from comparisons.report.scan_slam import scan_slam_rows
 from ekf_reference.association import AMBIGUOUS, CANDIDATE, REJECTED
 
 _MOST_ROWS = 200
@@ -37,6 +38,8 @@ def figures(result: Result) -> list[tuple[str, str]]:
         rows.append((name, f"{_number(sigma)} sigma, {_number(covariance)} in covariance"))
     rows.append(("optimism", _number(gaps.optimism)))
     rows.append(("landmarks apart (RMS)", f"{gaps.landmark_difference_rms_m:.3f} m"))
+    if result.scan_slam is not None:
+        rows += scan_slam_rows(result.scan_slam)
     rows += consistency_rows(result.consistency)
     if result.high_level is not None:
         rows.append(("high level landmarks", high_level_text(result.high_level)))
@@ -51,9 +54,9 @@ def landmarks(result: Result) -> str:
     head = ("landmark", "apart [m]", "sigma", "least variance", "largest variance", "")
     rows = [
         (
-            f'data-key="{row.id}" tabindex="0" class="{"" if row.agrees else "bad"}"',
+            f'data-key="{key}" tabindex="0" class="{"" if row.agrees else "bad"}"',
             (
-                str(row.id),
+                name,
                 f"{row.difference_m:.3f}",
                 f"{row.distance_sigma:.2f}",
                 _number(row.variance_ratio_least),
@@ -61,13 +64,21 @@ def landmarks(result: Result) -> str:
                 "agrees" if row.agrees else "disagrees",
             ),
         )
-        for row in result.agreement.landmarks
+        for key, name, row in _rows(result)
     ]
     return (
         '<h2>Landmarks</h2><p class="note">A row finds its landmark on the map, and the other way '
         "round. Variances are the filter's over the smoother's.</p>"
         f"{_sortable('landmarks', head, rows)}"
     )
+
+
+def _rows(result: Result) -> list[tuple[str, str, LandmarkResult]]:
+    """Every landmark with its key on the map and its name."""
+    points = [(str(row.id), str(row.id), row) for row in result.agreement.landmarks]
+    slam = result.scan_slam
+    scans = [] if slam is None else slam.landmarks
+    return points + [(f"s{row.id}", f"scan {row.id}", row) for row in scans]
 
 
 def association_differences(c: Comparison) -> str:

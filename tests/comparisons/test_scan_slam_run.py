@@ -1,0 +1,97 @@
+"""Scan-SLAM over logs: a short drive through the whole chain, and what cannot be used."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from comparisons.compare import Comparison, compare_estimators
+from comparisons.errors import InputError
+from comparisons.logs.log import Log
+from comparisons.logs.simulate.scan_drive import scan_slam, simulate
+from comparisons.report.result import build_result
+from comparisons.report.run_folder import write_run_folder
+from comparisons.runs.beam_noise import sensor_of
+from comparisons.runs.scan_slam_source import LogScans
+from comparisons.runs.timeline import build_timeline
+from tests.helpers import first_seconds, simulated
+
+
+@cache
+def log() -> Log:
+    return first_seconds(simulate(np.random.default_rng(3), scan_slam()), 15.0)
+
+
+@cache
+def compared() -> Comparison:
+    return compare_estimators(log(), landmarks="scans")
+
+
+def nees(c: Comparison, factor: float = 1.0) -> float:
+    """Of the poses with scans, over 3; factor: on the variances."""
+    assert c.log.truth.poses is not None
+    e = c.ekf.estimate
+    error = e.pose - c.log.truth.poses.at(e.time_s)
+    inverse = np.linalg.inv(factor * e.pose_covariance[5:])
+    return float(np.einsum("ki,kij,kj->k", error[5:], inverse, error[5:]).mean() / 3.0)
+
+
+def test_the_short_drive_agrees_to_rounding_and_is_honest() -> None:
+    c = compared()
+    assert c.verdict.outcome == "agree"
+    assert c.agreement.algebra.within(1e-6)
+    assert c.agreement.model.within(1e-6)
+    assert len(c.ekf.estimate.oriented) > 3
+    assert c.accuracy_ekf is not None
+    assert c.accuracy_dead_reckoned is not None
+    assert c.accuracy_ekf.ate_m < 0.7 * c.accuracy_dead_reckoned.ate_m
+    assert nees(c) < 3.0
+    assert nees(c, 0.05) > 3.0  # broken: far too sure
+
+
+def test_it_is_reported_and_drawn(tmp_path: Path) -> None:
+    c = compared()
+    result = build_result(c, 0.0)
+    slam = result.scan_slam
+    assert slam is not None
+    assert slam.scans == len(LogScans(log()))
+    assert len(slam.landmarks) == len(c.ekf.estimate.oriented)
+    begun = len(slam.landmarks)
+    assert sum(row.sightings for row in slam.landmarks) == slam.sightings["used"] + begun
+    write_run_folder(c, result, tmp_path / "out")
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "EKF scan landmarks, 3 sigma" in page
+    assert 'data-key="s0"' in page
+    assert (tmp_path / "out" / "ekf" / "scan_landmarks.csv").exists()
+
+
+def test_epochs_at_scans_are_added_only_when_asked_for() -> None:
+    scans = LogScans(log())
+    assert np.isin(scans.time_s, build_timeline(log(), None, scans.time_s).epoch_time_s).all()
+    assert not np.isin(scans.time_s, build_timeline(log()).epoch_time_s).all()
+
+
+def test_the_scanners_noise_is_told_by_its_scans() -> None:
+    assert log().scans is not None
+    sensor = sensor_of(log().scans)  # type: ignore[arg-type]
+    assert sensor.sigma_range_m == pytest.approx(0.1, rel=0.25)  # Table 5.1
+    assert np.rad2deg(sensor.sigma_bearing_rad) == pytest.approx(1.0, rel=0.25)
+
+
+def test_what_cannot_be_used_is_said_in_a_line() -> None:
+    with pytest.raises(InputError, match="holds no planar scans"):
+        compare_estimators(simulated(), landmarks="scans")
+    with pytest.raises(InputError, match="landmarks 'walls' are unknown"):
+        compare_estimators(log(), landmarks="walls")
+    with pytest.raises(InputError, match="holds no sightings of landmarks"):
+        compare_estimators(log())
+    with pytest.raises(InputError, match="use --landmarks both"):
+        compare_estimators(log(), landmarks="scans", smoother_association="own")
+    assert log().scans is not None
+    blank = replace(log().scans, range_m=np.full_like(log().scans.range_m, np.nan))  # type: ignore
+    with pytest.raises(InputError, match="no scan could be used"):
+        compare_estimators(replace(log(), scans=blank), landmarks="scans")

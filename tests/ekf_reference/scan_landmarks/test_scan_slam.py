@@ -1,0 +1,160 @@
+"""One scan after the other into a filter: what is seen, gated, begun, and what is refused."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+
+from ekf_reference.association import KnownAssociation
+from ekf_reference.full_ekf import NEW, FullEkf
+from ekf_reference.layout import ORIENTED
+from ekf_reference.motion import RelativePoseModel
+from ekf_reference.scan_landmarks.scan_shape import of_scan
+from ekf_reference.scan_landmarks.scan_slam import GATED, USED, Predicted, ScanSlam, ScanSlamOptions
+from ekf_reference.scan_landmarks.segmentation import SegmentationOptions
+from ekf_reference.scan_landmarks.sog import Index, SumOfGaussians
+from ekf_reference.scan_landmarks.templates import BLANK, OUT_OF_VIEW, Template, View
+from tests.ekf_reference.both_kinds import relative
+from tests.ekf_reference.scan_landmarks.scenes import BEAMS, LASER, ranges
+from tests.ekf_reference.scan_landmarks.test_templates import STAR
+from tests.helpers import Array, central_difference, relative_error
+
+VIEW = View(40.0, float(BEAMS[0]), float(BEAMS[-1]))
+MOUNT = np.array((0.4, -0.3, 0.2))
+PRIOR = np.diag((0.05, 0.05, 0.01)) ** 2
+EVERY = ScanSlamOptions(begin_every=1)
+
+
+@dataclass
+class Told:
+    """Remembers what it is told, and tells the filter."""
+
+    ekf: FullEkf
+    slot: list[int] = field(default_factory=list)
+    z: list[Array] = field(default_factory=list)
+
+    def observe(self, z: Array, covariance: Array, slot: Index) -> Index:
+        self.slot += slot.tolist()
+        self.z += list(z)
+        return self.ekf.observe_oriented(z, covariance, slot)
+
+
+def filter_at(pose: Array) -> FullEkf:
+    return FullEkf(RelativePoseModel(), KnownAssociation(), pose, PRIOR)
+
+
+def scan_from(vehicle: Array, seed: int = 0) -> SumOfGaussians:
+    cos, sin = np.cos(vehicle[2]), np.sin(vehicle[2])
+    turn = np.array(((cos, -sin), (sin, cos)))
+    scanner = np.append(vehicle[:2] + turn @ MOUNT[:2], vehicle[2] + MOUNT[2])
+    way = ranges(np.random.default_rng(seed), STAR, scanner, LASER)
+    return of_scan(BEAMS, way, LASER)
+
+
+def begun(options: ScanSlamOptions = EVERY) -> tuple[ScanSlam, FullEkf, Told]:
+    """One landmark, begun by the first scan."""
+    slam, ekf = ScanSlam(LASER, VIEW, MOUNT, options), filter_at(np.zeros(3))
+    told = Told(ekf)
+    slam.step(ekf, scan_from(np.zeros(3)), told)
+    assert told.slot == [NEW]
+    assert list(slam.found.template) == [0]
+    return slam, ekf, told
+
+
+def test_a_landmark_is_begun_once_and_then_seen_where_it_is() -> None:
+    slam, ekf, told = begun()
+    moved = np.array((0.5, 0.2, 0.1))
+    ekf.predict(moved, np.diag((0.1, 0.1, 0.02)) ** 2, 1.0)
+    slam.step(ekf, scan_from(moved, 1), told)
+    assert told.slot == [NEW, 0]
+    assert slam.found.reasons[USED] == 1
+    expected = relative(moved, told.z[0])  # the first scan was taken at the origin
+    assert np.abs(told.z[1] - expected).max() < 0.12
+    unturned = np.append(told.z[0][:2] - moved[:2], 0.0)  # broken: a template that is not turned
+    assert np.abs(told.z[1] - unturned).max() > 0.4
+
+
+def test_the_prediction_is_h_p_ht_in_the_scanners_frame() -> None:
+    slam, ekf, _ = begun()
+    predicted = slam._predict(ekf)
+    local = ekf.state.map_of(np.array([0]), ORIENTED)
+
+    def seen(both: Array) -> Array:
+        scanner = relative_inverse(both[:3], MOUNT)
+        return relative(scanner, both[3:])
+
+    both = np.concatenate((local.pose, local.landmark[0]))
+    h = central_difference(seen, both)
+    assert relative_error(predicted.covariance[0], h @ local.covariance @ h.T) < 1e-6
+    assert np.abs(predicted.z[0] - seen(both)).max() < 1e-12
+    alone = local.covariance.copy()
+    alone[:3, 3:] = alone[3:, :3] = 0.0  # broken: without what vehicle and landmark share
+    assert relative_error(predicted.covariance[0], h @ alone @ h.T) > 0.1
+
+
+def relative_inverse(base: Array, shift: Array) -> Array:
+    """Base and shift composed."""
+    cos, sin = np.cos(base[2]), np.sin(base[2])
+    east, north = cos * shift[0] - sin * shift[1], sin * shift[0] + cos * shift[1]
+    return np.array((base[0] + east, base[1] + north, base[2] + shift[2]))
+
+
+def test_a_filter_that_errs_more_than_it_says_is_gated() -> None:
+    slam, ekf, told = begun()
+    ekf.predict(np.array((0.5, 0.0, 0.0)), np.eye(3) * 1e-8, 1.0)
+    slam.step(ekf, scan_from(np.array((0.1, 0.3, 0.0)), 1), told)
+    assert slam.found.reasons[GATED] == 1
+    assert told.slot == [NEW]
+
+
+def test_a_blank_scan_is_counted_and_changes_nothing() -> None:
+    slam, ekf, told = begun()
+    before = ekf.state.mean.copy()
+    slam.step(ekf, of_scan(BEAMS, np.full(len(BEAMS), np.nan), LASER), told)
+    assert slam.found.reasons[BLANK] == 1
+    assert np.array_equal(ekf.state.mean, before)
+
+
+def test_a_template_out_of_view_is_not_aligned() -> None:
+    slam, ekf, told = begun()
+    ekf.predict(np.array((0.0, 0.0, np.pi)), np.eye(3) * 1e-6, 1.0)
+    slam.step(ekf, scan_from(np.zeros(3), 1), told)
+    assert slam.found.reasons[OUT_OF_VIEW] == 1
+    assert not slam.found.reasons[USED]
+    assert 0 not in told.slot
+
+
+@pytest.mark.parametrize("points", [1, 2])
+def test_segments_too_small_for_a_heading_begin_nothing(points: int) -> None:
+    options = replace(EVERY, segmentation=SegmentationOptions(least_points=1), ahead_m=0.0)
+    slam, ekf = ScanSlam(LASER, VIEW, MOUNT, options), filter_at(np.zeros(3))
+    way = np.full(len(BEAMS), np.nan)
+    way[180 : 180 + points] = 5.0
+    slam.step(ekf, of_scan(BEAMS, way, LASER), Told(ekf))
+    assert not slam.found.template
+
+
+def test_of_two_identical_templates_each_keeps_its_own_sightings() -> None:
+    slam, ekf, told = begun()
+    template = slam.found.template[0]
+    far = template.pose + (30.0, 0.0, 0.0)
+    ekf.observe_oriented(far[None], PRIOR[None], np.array([NEW]))
+    slam.found.template[1] = Template(template.shape, far)
+    slam._last_seen[1] = 0
+    slam.step(ekf, scan_from(np.zeros(3), 2), told)
+    assert told.slot == [NEW, 0]
+    assert USED in slam.found.reasons
+    assert slam.found.sightings == {0: 2}
+
+
+def test_a_known_segment_is_no_new_landmark_and_an_unknown_one_is() -> None:
+    slam, ekf, _ = begun()
+    predicted = slam._predict(ekf)
+    shape = slam.found.template[0].shape.transformed(predicted.z[0])
+    assert slam._explained(shape, predicted)
+    away = replace(shape, mean=shape.mean + (0.0, 12.0))
+    assert not slam._explained(away, predicted)
+    nothing = Predicted(*(column[:0] for column in predicted))
+    assert not slam._explained(shape, nothing)
