@@ -134,8 +134,8 @@ def compare_estimators(
     log = join_known_sightings(log)
     if landmarks != "scans" and not len(log.sightings.time_s):
         raise InputError(
-            f"{log.name}: holds no sightings of landmarks (try --features trees, or "
-            "--landmarks scans or slamcheck odometry for its scans)"
+            f"{log.name}: holds no sightings of landmarks (try --features trees, "
+            "--landmarks scans, or slamcheck odometry for its scans)"
         )
     if landmarks == "scans" and (motion == "both" or smoother_association == "own"):
         asked = "--motion both" if motion == "both" else "--smoother-association own"

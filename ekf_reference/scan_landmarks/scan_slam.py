@@ -5,8 +5,9 @@ would be in the true surface. Let a landmark be the axis at which the template f
 surface best. Then the first sighting, at the template's own pose, errs by the template's noise
 alone: its R is that of a registration of the segment with a noisy copy of itself. Later ones err
 by the noise of their scans, and by nothing of the template's, whose error is the same each time.
-The alignment's covariance holds both, so it is larger than that: what is left out, that no two
-views show the same part of a surface, takes up the difference (measured by NEES).
+The alignment's covariance, which holds both, is taken: too large, as chi-square says, and with it
+the pose's NEES is honest as long as no loop is missed. What several sightings share through one
+template is still not in the state, so the smoother may be too sure.
 """
 
 from __future__ import annotations

@@ -123,7 +123,8 @@ def quality(
         found = scan_align(copy, kept, displaced, np.diag(spread**2), alignment, belief)
         scaled = found.covariance / np.outer(unit, unit)
         size, axes = np.linalg.eigh(scaled)
-        told = axes[:, : 3 - found.open_directions].T @ (found.pose / unit)
+        fixed = 3 - found.open_directions if o.open_directions else 3
+        told = axes[:, :fixed].T @ (found.pose / unit)
         error = np.linalg.norm(told) / np.linalg.norm(displaced / unit)
         kept_size = np.minimum(size, o.displacement_m**2)
         covariance += (axes * kept_size) @ axes.T * np.outer(unit, unit) / o.trials

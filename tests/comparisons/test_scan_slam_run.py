@@ -48,7 +48,10 @@ def test_the_short_drive_agrees_to_rounding_and_is_honest() -> None:
     assert len(c.ekf.estimate.oriented) > 3
     assert c.accuracy_ekf is not None
     assert c.accuracy_dead_reckoned is not None
-    assert c.accuracy_ekf.ate_m < 0.7 * c.accuracy_dead_reckoned.ate_m
+    ours, wheels = c.accuracy_ekf.ate_m, c.accuracy_dead_reckoned.ate_m
+    assert ours is not None
+    assert wheels is not None
+    assert ours < 0.7 * wheels
     assert nees(c) < 3.0
     assert nees(c, 0.05) > 3.0  # broken: far too sure
 
