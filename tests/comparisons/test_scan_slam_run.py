@@ -18,6 +18,7 @@ from comparisons.report.run_folder import write_run_folder
 from comparisons.runs.beam_noise import sensor_of
 from comparisons.runs.scan_slam_source import LogScans
 from comparisons.runs.timeline import build_timeline
+from comparisons.runs.trace_file import write_trace
 from tests.helpers import first_seconds, simulated
 
 
@@ -67,6 +68,12 @@ def test_it_is_reported_and_drawn(tmp_path: Path) -> None:
     assert "EKF scan landmarks, 3 sigma" in page
     assert 'data-key="s0"' in page
     assert (tmp_path / "out" / "ekf" / "scan_landmarks.csv").exists()
+
+
+def test_a_trace_that_cannot_hold_scan_landmarks_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="--trace is for landmarks that are points"):
+        write_trace(compared().ekf, tmp_path / "trace.npz")
+    assert not list(tmp_path.iterdir())
 
 
 def test_epochs_at_scans_are_added_only_when_asked_for() -> None:
