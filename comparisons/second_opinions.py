@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from comparisons.checks.accuracy import assess
@@ -23,11 +25,15 @@ from graphslam.smoother import SmootherOptions, SmootherResult, smooth
 def with_own_association(
     log: Log, judged: Log, run: EkfRun, smoothed: Estimate, options: SmootherOptions
 ) -> OwnAssociationCheck:
-    """Associate without the filter, solve, assess, and compare with what its association gave."""
+    """Associate without the filter, solve, assess, and compare with what its association gave.
+
+    Only points are associated anew: sightings of landmarks with a direction stay as they are.
+    """
     found = associate_own(log, run.timeline, position_rows(run.timeline, run.positions))
     if not found.problem.landmark_count:
         raise InputError(f"{log.name}: the smoother's own association found no landmark")
-    result = smooth(found.problem, {"association": (found.poses, found.landmarks)}, options=options)
+    problem = replace(found.problem, oriented=run.oriented)
+    result = smooth(problem, {"association": (found.poses, found.landmarks)}, options=options)
     ids = np.arange(found.problem.landmark_count)
     estimate = smoothed_estimate(result, run.timeline.epoch_time_s, ids, "its own")
     return check_own_association(
