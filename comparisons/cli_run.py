@@ -190,8 +190,8 @@ def _run(
         )
         result = build_result(comparison, read_s)
         progress("report", 0, 0)
+        extras.save(comparison)  # first: where that fails, no folder is left
         write_run_folder(comparison, result, folder, extras.figures, trace=extras.trace)
-        extras.save(comparison)
     print_result(lambda console: print_summary(result, console), folder)
     extras.show(comparison)
     return _VERDICTS[result.verdict]
