@@ -125,6 +125,10 @@ def run(
             raise InputError(f"dynamic '{dynamic}' is unknown, expected off or on")
         if high_level not in ("off", "on"):
             raise InputError(f"--high-level is '{high_level}', expected off or on")
+        if trace and (filter_name.startswith("misono") or landmarks != "points"):
+            raise InputError(
+                "--trace is for filters of x, y and heading, and for landmarks that are points"
+            )
         kept = DenseOptions(tuple(dict.fromkeys(dense)) or ("points",), resolution)
         raise SystemExit(
             _run(
