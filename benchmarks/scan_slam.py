@@ -69,20 +69,26 @@ def measured(seed: int, seconds: float) -> tuple[Row, str]:
     start = time.process_time()
     c = compare_estimators(_until(log, seconds), landmarks="scans")
     cpu_s = time.process_time() - start
-    ates = [a.ate_m for a in (c.accuracy_ekf, c.accuracy_smoother, c.accuracy_dead_reckoned) if a]
+    judged = (c.accuracy_ekf, c.accuracy_smoother, c.accuracy_dead_reckoned)
+    ekf_m, smoother_m, wheels_m = (float(a.ate_m or 0.0) if a else 0.0 for a in judged)
     error = _pose_error(c)
     spread = c.ekf.estimate.pose_covariance[1:]
     nees = np.einsum("ki,kij,kj->k", error[1:], np.linalg.inv(spread), error[1:]) / 3.0
+    before_m, after_m = _map_errors(c)
     a = c.agreement
-    gaps = (max(g.sigma, g.covariance) for g in (a.algebra, a.model))
+    algebra, model = (max(g.sigma, g.covariance) for g in (a.algebra, a.model))
     row = Row(
         len(c.ekf.estimate.oriented),
         len(c.ekf.oriented.measured),
-        *(float(ate or 0.0) for ate in ates),
+        ekf_m,
+        smoother_m,
+        wheels_m,
         float(np.hypot(*error[-1, :2])),
-        *_map_errors(c),
+        before_m,
+        after_m,
         float(nees.mean()),
-        *gaps,
+        algebra,
+        model,
         a.linearisation.sigma,
         cpu_s,
     )

@@ -156,5 +156,5 @@ def test_a_known_segment_is_no_new_landmark_and_an_unknown_one_is() -> None:
     assert slam._explained(shape, predicted)
     away = replace(shape, mean=shape.mean + (0.0, 12.0))
     assert not slam._explained(away, predicted)
-    nothing = Predicted(*(column[:0] for column in predicted))
+    nothing = Predicted(*(column[:0] for column in predicted))  # type: ignore[arg-type]
     assert not slam._explained(shape, nothing)
