@@ -127,7 +127,10 @@ def build_baseline(results: Sequence[Result], settings: Settings) -> Baseline:
 
 
 def compare_with(baseline: Baseline, result: Result) -> list[Change]:
-    """All metrics, the verdict first. Raises InputError where the log is another one."""
+    """All metrics, the verdict first. Raises InputError where the log is another one.
+
+    A count that a baseline from before does not have may be there, as long as it is zero.
+    """
     if result.log.sha256 != baseline.sha256:
         raise InputError(
             f"{result.log.name}: is not the log of the baseline ({baseline.log}): its streams "
@@ -140,7 +143,7 @@ def compare_with(baseline: Baseline, result: Result) -> list[Change]:
     for name, kept in baseline.metrics.items():
         value = now.pop(name, None)
         changes.append(Change(name, kept.value, value, kept.tolerance, _holds(name, kept, value)))
-    changes += [Change(name, None, value, 0.0, value is None) for name, value in now.items()]
+    changes += [Change(name, None, value, 0.0, not value) for name, value in now.items()]
     return changes
 
 

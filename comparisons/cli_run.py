@@ -125,6 +125,10 @@ def run(
             raise InputError(f"dynamic '{dynamic}' is unknown, expected off or on")
         if high_level not in ("off", "on"):
             raise InputError(f"--high-level is '{high_level}', expected off or on")
+        if trace and (filter_name.startswith("misono") or landmarks != "points"):
+            raise InputError(
+                "--trace is for filters of x, y and heading, and for landmarks that are points"
+            )
         kept = DenseOptions(tuple(dict.fromkeys(dense)) or ("points",), resolution)
         raise SystemExit(
             _run(
@@ -190,8 +194,8 @@ def _run(
         )
         result = build_result(comparison, read_s)
         progress("report", 0, 0)
+        extras.save(comparison)  # first: where that fails, no folder is left
         write_run_folder(comparison, result, folder, extras.figures, trace=extras.trace)
-        extras.save(comparison)
     print_result(lambda console: print_summary(result, console), folder)
     extras.show(comparison)
     return _VERDICTS[result.verdict]

@@ -225,6 +225,7 @@ def compare_estimators(
             log, run, smoothed, labelled=labelled, robust=result.options.robust
         )
         begun = int(np.count_nonzero(run.trace.augmentations.weight > 0.0))
+        whole = replace(smoothed, oriented=result.oriented())  # by slot, fused ones among them
         verdict = judge(
             agreement,
             result.proof,
@@ -240,9 +241,7 @@ def compare_estimators(
             own=second,
             three_way=three,
             dense=compared,
-            growth=lambda: linearisation_growth(
-                meant, linear_optimum(problem, run, smoothed), smoothed
-            ),
+            growth=lambda: linearisation_growth(meant, linear_optimum(problem, run, whole), whole),
             dropouts=find_dropouts(run, smoothed),
             sensors=consistency.sensors,
         )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from comparisons.checks.accuracy import assess
@@ -16,6 +18,7 @@ from comparisons.runs.own_association import associate_own
 from comparisons.runs.scan_motion import ScanMotion
 from comparisons.runs.scan_smoother import smooth_on_scans
 from comparisons.runs.smoother_run import position_rows, smoothed_estimate
+from ekf_reference.association import DYNAMIC
 from graphslam.scan.loop_closure import loop_closer
 from graphslam.smoother import SmootherOptions, SmootherResult, smooth
 
@@ -23,11 +26,17 @@ from graphslam.smoother import SmootherOptions, SmootherResult, smooth
 def with_own_association(
     log: Log, judged: Log, run: EkfRun, smoothed: Estimate, options: SmootherOptions
 ) -> OwnAssociationCheck:
-    """Associate without the filter, solve, assess, and compare with what its association gave."""
-    found = associate_own(log, run.timeline, position_rows(run.timeline, run.positions))
+    """Associate without the filter, solve, assess, and compare with what its association gave.
+
+    Only points are associated anew: sightings of landmarks with a direction stay as they are.
+    """
+    rows = position_rows(run.timeline, run.positions)
+    moving = np.flatnonzero(run.slot == DYNAMIC)
+    found = associate_own(log, run.timeline, rows, moving)
     if not found.problem.landmark_count:
         raise InputError(f"{log.name}: the smoother's own association found no landmark")
-    result = smooth(found.problem, {"association": (found.poses, found.landmarks)}, options=options)
+    problem = replace(found.problem, oriented=run.oriented)
+    result = smooth(problem, {"association": (found.poses, found.landmarks)}, options=options)
     ids = np.arange(found.problem.landmark_count)
     estimate = smoothed_estimate(result, run.timeline.epoch_time_s, ids, "its own")
     return check_own_association(

@@ -238,10 +238,10 @@ def linearisation(
 def _grew(growth: LinearisationGrowth, run: EkfRun, sigma: Array) -> str:
     """When, by which relation, at which uncertainty of the heading (K,)."""
     time_s, at = run.estimate.time_s, growth.epoch
-    seen, ids = "", run.estimate.landmark_id
+    seen = ""
     if growth.slot >= 0:
-        ids = run.estimate.oriented_id if "template" in growth.kind else ids
-        seen = f" of landmark {ids[growth.slot]}"
+        template = "template" in growth.kind  # whose landmark's id is its slot
+        seen = f" of landmark {growth.slot if template else run.estimate.landmark_id[growth.slot]}"
     around = float(np.degrees(sigma[max(at - 1, 0) : at + 1].max()))
     return (
         f"its equations miss the optimum's the most by {growth.kind}{seen} at {time_s[at]:.1f} s "

@@ -65,6 +65,7 @@ def find_dropouts(run: EkfRun, smoothed: Estimate) -> Dropouts:
     time_s, until = run.estimate.time_s, run.timeline.steps_until()
     trace = run.trace
     used = [r.step for r in (trace.updates, trace.augmentations, trace.positions)]
+    used += [r.step for r in (trace.oriented_updates, trace.oriented_augmentations)]
     seen = np.searchsorted(until, np.concatenate(used))
     marks = np.unique(np.concatenate(([0], seen, [len(time_s) - 1])))
     interval = np.diff(time_s[marks])

@@ -132,6 +132,11 @@ def check_trace(
 def _timelines(file: TraceFile, last_s: float, timeline: Timeline) -> tuple[Timeline, Timeline]:
     """The log's, with the epochs that the filter stopped at, and the same with its own steps."""
     step_s, epoch_s = file.step_time_s, timeline.epoch_time_s
+    if step_s[0] < epoch_s[0] - _CLOCK_S:
+        raise InputError(
+            f"{file.path}: the first step ends at {step_s[0]:.4f} s, expected none before the log "
+            f"begins at {epoch_s[0]:.4f} s"
+        )
     reached = np.searchsorted(step_s, epoch_s + _CLOCK_S, side="right")
     stops = np.concatenate(([epoch_s[0]], step_s))[reached] >= epoch_s - _CLOCK_S
     kept = np.flatnonzero(stops)

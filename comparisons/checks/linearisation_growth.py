@@ -63,8 +63,8 @@ def linearisation_growth(
 ) -> LinearisationGrowth:
     """Of one problem's relations, linearised by the filter and at the optimum.
 
-    frozen: F2. optimum: the same relations, in the same order, linearised at S, smoothed. Two
-    landmarks that were fused into one belong to no instant, and are left out.
+    frozen: F2. optimum: the same relations, in the same order, linearised at S, smoothed,
+    which has all landmarks by slot. That two are one belongs to no instant, and is left out.
     """
     poses = smoothed.pose
     every = (

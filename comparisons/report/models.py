@@ -36,8 +36,8 @@ class EkfResult(Model):
     rejected: int
     ambiguous: int
     candidate: int
-    dynamic: int
-    retired: int
+    dynamic: int = 0
+    retired: int = 0
     attributes: str = "off"
     gps: str
     fixes_fused: int
@@ -277,7 +277,7 @@ class Result(Model):
     scan_odometry: ScanOdometryResult | None
     increments: IncrementResult | None
     dense: DenseResult | None
-    scan_slam: ScanSlamResult | None
+    scan_slam: ScanSlamResult | None = None
     high_level: HighLevelResult | None = None
     verdict: Literal["agree", "disagree", "unproven"]
     causes: list[CauseResult]

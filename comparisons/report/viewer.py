@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import sys
 from importlib import import_module
@@ -43,6 +44,10 @@ def check_viewer(live: bool, record: Path | None) -> None:
         raise InputError(f"{record}: expected a file name that ends with {SUFFIX}")
     if record is not None and record.is_dir():
         raise InputError(f"{record}: is a folder, expected a file to write")
+    if record is not None:
+        above = next(p for p in record.absolute().parents if p.exists())
+        if not (above.is_dir() and os.access(above, os.W_OK)):
+            raise InputError(f"{record}: cannot be written into {above}")
     if live or record is not None:
         load_rerun()
 
@@ -65,7 +70,11 @@ def record_run(comparison: Comparison, path: Path) -> None:
 
     def write(part: Path) -> None:
         stream = load_rerun().RecordingStream("slamcheck")
-        stream.save(part)
+        try:
+            stream.save(part)
+        except RuntimeError as error:  # rerun's word for what the system refuses
+            reason = str(error).splitlines()[0]
+            raise InputError(f"{path}: cannot be written ({reason})") from None
         _send(comparison, stream)
 
     write_whole(path, write)

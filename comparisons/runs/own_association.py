@@ -30,12 +30,20 @@ class OwnAssociation:
     landmarks: Array
 
 
-def associate_own(log: Log, timeline: Timeline, rows: PositionRows) -> OwnAssociation:
-    """Decide who was seen, by position alone; sightings of surveyed landmarks go by their ids."""
+def associate_own(
+    log: Log, timeline: Timeline, rows: PositionRows, left_out: Index | None = None
+) -> OwnAssociation:
+    """Decide who was seen, by position alone; sightings of surveyed landmarks go by their ids.
+
+    left_out: sightings that are not to be used.
+    """
     slot_of, places, _ = surveyed(log)
     label = log.sightings.landmark[: len(timeline.sighting_epoch)]
     slot = np.array([slot_of.get(key, -1) for key in label.tolist()], dtype=np.intp)
-    open_rows = np.flatnonzero(slot < 0)
+    free = slot < 0
+    if left_out is not None:
+        slot[left_out], free[left_out] = -1, False
+    open_rows = np.flatnonzero(free)
     nobody = np.full(len(label), -1, dtype=np.intp)
     nobody[open_rows] = 0
     everything = assemble(log, timeline, nobody, 1, *rows)

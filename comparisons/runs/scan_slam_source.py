@@ -16,6 +16,7 @@ from comparisons.runs.planar_scans import PlanarScans
 from comparisons.runs.timeline import resolved
 from ekf_reference.dense.scan import Scan
 from ekf_reference.full_ekf import FullEkf
+from ekf_reference.kalman import FilterDivergedError
 from ekf_reference.scan_landmarks.scan_shape import of_scan
 from ekf_reference.scan_landmarks.scan_slam import ScanLandmarks, ScanSlam, ScanSlamOptions
 from ekf_reference.scan_landmarks.sog import SumOfGaussians
@@ -115,11 +116,13 @@ class ScanSlamSource:
         return self._slam.found
 
     def look(self, ekf: FullEkf, epoch: int, time_s: float, ledger: OrientedLedger) -> None:
-        """The scan of this epoch, if there is one."""
+        """The scan of this epoch, if there is one. Raises FilterDivergedError."""
         times = self._scans.time_s
         while self._next < len(times) and times[self._next] < time_s:
             self._next += 1
         if self._next < len(times) and times[self._next] == time_s:
+            if not np.isfinite(ekf.state.pose_covariance).all():
+                raise FilterDivergedError("the pose's covariance is not finite")
             before = ekf.state.oriented.copy()
             self._slam.step(ekf, self._scans.shape(self._next), _Telling(ledger, ekf, epoch))
             self._note(time_s, before, ekf.state.oriented[: len(before)].copy())

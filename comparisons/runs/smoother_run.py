@@ -100,7 +100,10 @@ def linear_own(problem: SlamProblem, run: EkfRun) -> LinearProblem:
 
 
 def linear_optimum(problem: SlamProblem, run: EkfRun, optimum: Estimate) -> LinearProblem:
-    """The same factors in the same order, linearised at the smoother's estimate."""
+    """The same factors in the same order, linearised at the smoother's estimate.
+
+    optimum: with all landmarks with a direction by slot, those that were fused with others, too.
+    """
     there, seen, twins = _points(problem, run), problem.oriented, problem.oriented.twins
     poses, frames = optimum.pose, optimum.oriented
     pair, same = there.oriented.row, there.twins.row

@@ -278,7 +278,12 @@ def _spans(view: FilterView, axis: Index) -> Mask:
 
 
 def _inverse(covariance: Array) -> Array:
-    """Of covariances (G, 3, 3); zero in directions without variance, where nothing is to learn."""
+    """Of covariances (G, 3, 3); zero in directions without variance, where nothing is to learn.
+
+    Nor is there anything to learn from one that is not finite, as a broken filter leaves it.
+    """
+    finite = np.isfinite(covariance).all(axis=(1, 2), keepdims=True)
+    covariance = np.where(finite, covariance, 0.0)
     sigma = np.sqrt(np.einsum("gii->gi", covariance))
     sigma = np.where(sigma > 0.0, sigma, 1.0)
     scale = sigma[:, :, None] * sigma[:, None, :]

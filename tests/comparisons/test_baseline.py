@@ -77,6 +77,23 @@ def test_a_figure_that_is_gone_is_no_figure_that_holds(result: Result, kept: Bas
     assert "none now" in str(broken[0])
 
 
+def test_a_count_that_older_baselines_lack_may_be_zero(result: Result, kept: Baseline) -> None:
+    older = kept.model_copy(
+        update={"metrics": {k: v for k, v in kept.metrics.items() if k != "ekf.retired"}}
+    )
+    assert all(c.holds for c in compare_with(older, result))
+    retired = result.model_copy(update={"ekf": result.ekf.model_copy(update={"retired": 1})})
+    assert [c.name for c in compare_with(older, retired) if not c.holds] == ["ekf.retired"]
+
+
+def test_results_of_older_runs_are_read(result: Result) -> None:
+    data = result.model_dump()
+    for name in ("dynamic", "retired", "attributes"):
+        del data["ekf"][name]
+    del data["scan_slam"], data["high_level"]
+    assert Result.model_validate(data) == result
+
+
 def test_repetitions_tell_the_noise_floor(result: Result) -> None:
     assert result.agreement.optimism is not None
     other = changed(result, optimism=1.2 * result.agreement.optimism)

@@ -120,6 +120,16 @@ def test_a_dropout_is_found_with_what_it_did() -> None:
     assert "refused" not in told[0].evidence
 
 
+def test_a_stretch_with_scan_landmarks_seen_is_no_dropout() -> None:
+    c = compare_estimators(silent(simulated(seed=3, loop_s=30.0), 10.0, 22.0))
+    assert find_dropouts(c.ekf, c.smoothed).stretches
+    steps = np.arange(len(c.ekf.trace.departed))
+    for kind in ("oriented_updates", "oriented_augmentations"):
+        seen = replace(getattr(c.ekf.trace, kind), step=steps)
+        run = replace(c.ekf, trace=replace(c.ekf.trace, **{kind: seen}))
+        assert not find_dropouts(run, c.smoothed).stretches
+
+
 def test_the_sigma_at_a_dropouts_end_is_the_prediction() -> None:
     log = silent(simulated(seed=3, loop_s=30.0), 22.0, 1e9)
     c = compare_estimators(log)

@@ -210,6 +210,7 @@ BAD: dict[str, tuple[Callable[[Arrays], object], str]] = {
     "indefinite": (put("update_noise", 5, -1.0), "update_noise, row 5, is not symmetric"),
     "weight": (put("update_weight", 0, 2.0), "update_weight holds a value outside"),
     "end": (put("step_time_s", -1, 1e3), "the last step ends at"),
+    "too early": (lambda a: a["step_time_s"].__isub__(1e3), "the first step ends at"),
     "text": (lambda a: a.update(step_f=np.array(["x"])), "step_f is not an array of numbers"),
     "singular": (lambda a: a.update(step_q=0.0 * a["step_q"]), "singular; add a little to step_q"),
 }  # fmt: skip

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
 from comparisons.checks.agreement import Agreement, Gaussian, compare
+from comparisons.checks.linearisation_growth import linearisation_growth
 from comparisons.compare import compare_estimators
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
@@ -17,6 +19,7 @@ from comparisons.runs.ekf_run import EkfRun, run_ekf
 from comparisons.runs.oriented_sightings import OrientedLedger
 from comparisons.runs.smoother_run import (
     build_problem,
+    linear_optimum,
     linear_own,
     linear_recorded,
     run_smoother,
@@ -138,6 +141,35 @@ def test_the_whole_job_agrees() -> None:
     found = compare_estimators(log(), EkfChoices("full", "known"), source=Frames)
     assert found.verdict.outcome == "agree"
     assert len(found.agreement.oriented) == len(found.smoothed.oriented) > 4
+
+
+def test_where_linearising_cost_something_is_found_with_fused_landmarks() -> None:
+    chosen = EkfChoices("full", "known").settle(log())
+    run = run_ekf(log(), build_timeline(log()), chosen, source=Frames())
+    problem = build_problem(log(), run)
+    result = run_smoother(problem, run, SmootherOptions())
+    ids = run.estimate.landmark_id
+    smoothed = smoothed_estimate(result, run.timeline.epoch_time_s, ids, "the EKF's")
+    whole = replace(smoothed, oriented=result.oriented())
+    there = linear_optimum(problem, run, whole)
+    assert linearisation_growth(there, there, whole).total == 0.0
+    meant = linear_own(problem, run)
+    found = linearisation_growth(meant, there, whole)
+    assert found.squared.max() < 1.0
+    # Broken: what is left of fused landmarks moves up into their slots.
+    moved = np.vstack((smoothed.oriented, smoothed.oriented[-1:]))
+    shifted = replace(smoothed, oriented=moved)
+    wrong = linearisation_growth(meant, linear_optimum(problem, run, shifted), shifted)
+    assert wrong.squared.max() > 1.0
+
+
+def test_the_smoothers_own_association_is_told_of_frames_too() -> None:
+    choices = EkfChoices("full", "nn")
+    found = compare_estimators(log(), choices, source=Frames, smoother_association="own")
+    assert found.verdict.outcome == "agree"
+    own = found.own_association
+    assert own is not None
+    assert own.pose.least > 0.9
 
 
 class Half(KalmanState):

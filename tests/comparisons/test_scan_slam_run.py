@@ -16,9 +16,14 @@ from comparisons.logs.simulate.scan_drive import scan_slam, simulate
 from comparisons.report.result import build_result
 from comparisons.report.run_folder import write_run_folder
 from comparisons.runs.beam_noise import sensor_of
-from comparisons.runs.scan_slam_source import LogScans
+from comparisons.runs.ekf_build import EkfChoices
+from comparisons.runs.ekf_run import run_ekf
+from comparisons.runs.scan_slam_source import LogScans, ScanSlamSources
 from comparisons.runs.timeline import build_timeline
-from tests.helpers import first_seconds, simulated
+from comparisons.runs.trace_file import write_trace
+from ekf_reference.full_ekf import FullEkf
+from ekf_reference.motion import MotionModel, MotionStep
+from tests.helpers import Array, first_seconds, simulated
 
 
 @cache
@@ -70,6 +75,37 @@ def test_it_is_reported_and_drawn(tmp_path: Path) -> None:
     assert "EKF scan landmarks, 3 sigma" in page
     assert 'data-key="s0"' in page
     assert (tmp_path / "out" / "ekf" / "scan_landmarks.csv").exists()
+
+
+def test_a_trace_that_cannot_hold_scan_landmarks_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="--trace is for landmarks that are points"):
+        write_trace(compared().ekf, tmp_path / "trace.npz")
+    assert not list(tmp_path.iterdir())
+
+
+class Broken:
+    """A motion model whose Jacobian is no number from two metres on."""
+
+    def __init__(self, sound: MotionModel) -> None:
+        self.sound = sound
+
+    def step(self, pose: Array, control: Array, duration_s: float) -> MotionStep:
+        made = self.sound.step(pose, control, duration_s)
+        far = np.hypot(*(made.pose[:2] - log().prior.pose[:2])) > 2.0
+        return made._replace(jacobian_pose=made.jacobian_pose * (np.nan if far else 1.0))
+
+
+def test_a_covariance_that_is_not_finite_breaks_the_filter_down() -> None:
+    def plant(ekf: FullEkf) -> None:
+        ekf.motion = Broken(ekf.motion)
+
+    sources = ScanSlamSources.of(log(), "scans")
+    assert sources is not None
+    timeline = build_timeline(sources.log, None, sources.scans.time_s)
+    choices = EkfChoices().settle(sources.log)
+    run = run_ekf(sources.log, timeline, choices, modify=plant, source=sources())
+    assert run.breakdown is not None
+    assert "the pose's covariance is not finite" in run.breakdown
 
 
 def test_epochs_at_scans_are_added_only_when_asked_for() -> None:

@@ -20,6 +20,9 @@ from comparisons.report.models import Result, SolutionResult
 from comparisons.report.result import build_result
 from comparisons.runs.ekf_build import EkfChoices
 from comparisons.runs.estimate_folder import read_estimate
+from comparisons.runs.own_association import associate_own
+from comparisons.runs.smoother_run import position_rows
+from comparisons.runs.timeline import build_timeline
 from comparisons.solve import solve_log
 from graphslam.g2o import read_g2o
 from graphslam.smoother import SmootherOptions
@@ -211,3 +214,13 @@ def test_sightings_differ_where_their_landmarks_are_no_counterparts() -> None:
     matched[second] = first
     assert differing_sightings(filters, own, matched).tolist() == [4, 5, 7]
     assert np.flatnonzero(filters != own).tolist() != [4, 5, 7]  # a broken variant: the numbers
+
+
+def test_sightings_that_are_left_out_make_no_landmark() -> None:
+    log = simulated(0, loop_s=10.0)
+    timeline, few = build_timeline(log), np.arange(0, 20)
+    rows = position_rows(timeline, None)
+    found = associate_own(log, timeline, rows, few)
+    assert (found.slot[few] == -1).all()
+    assert (np.delete(found.slot, few) >= 0).any()
+    assert (associate_own(log, timeline, rows).slot[few] >= 0).any()

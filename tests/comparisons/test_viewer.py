@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from comparisons.atomic import write_whole
 from comparisons.compare import Comparison, compare_estimators
 from comparisons.errors import InputError
 from comparisons.report import viewer
@@ -50,6 +51,32 @@ def test_a_replay_is_written(
     for name in (b"map/ekf/trajectory", b"map/smoother/pose", b"map/ekf/landmarks", b"map/truth"):
         assert name in said
     assert [p.name for p in tmp_path.iterdir()] == ["run.rrd"]
+
+
+@pytest.mark.skipif(importlib.util.find_spec(PACKAGE) is None, reason="rerun is not installed")
+def test_a_replay_that_cannot_be_written_is_one_line(
+    comparison: Comparison, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise RuntimeError("Failed to create file\nand more")
+
+    stream = viewer.load_rerun().RecordingStream
+    monkeypatch.setattr(stream, "save", refuse)
+    with pytest.raises(InputError, match=r"a\.rrd: cannot be written \(Failed to create file\)$"):
+        viewer.record_run(comparison, tmp_path / "a.rrd")
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match="cannot be written into"):
+        viewer.check_viewer(False, tmp_path / "file" / "a.rrd")
+
+
+def test_a_file_that_was_begun_does_not_stay(tmp_path: Path) -> None:
+    def write(part: Path) -> None:
+        part.write_text("half")
+        raise OSError(28, "No space left on device")
+
+    with pytest.raises(InputError, match="No space left"):
+        write_whole(tmp_path / "a.json", write)
+    assert not list(tmp_path.iterdir())
 
 
 def test_without_rerun_one_line_says_what_to_install(

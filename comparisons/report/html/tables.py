@@ -12,10 +12,15 @@ from comparisons.report.consistency_result import consistency_rows
 from comparisons.report.dense_result import high_level_text
 from comparisons.report.models import AccuracyResult, LandmarkResult, Result
 from comparisons.report.scan_slam import scan_slam_rows
-from ekf_reference.association import AMBIGUOUS, CANDIDATE, REJECTED
+from ekf_reference.association import AMBIGUOUS, CANDIDATE, DYNAMIC, REJECTED
 
 _MOST_ROWS = 200
-_UNUSED = {REJECTED: "rejected", AMBIGUOUS: "ambiguous", CANDIDATE: "candidate"}
+_UNUSED = {
+    REJECTED: "rejected",
+    AMBIGUOUS: "ambiguous",
+    CANDIDATE: "candidate",
+    DYNAMIC: "dynamic",
+}
 
 
 def figures(result: Result) -> list[tuple[str, str]]:
