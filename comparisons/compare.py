@@ -242,7 +242,7 @@ def compare_estimators(
             three_way=three,
             dense=compared,
             growth=lambda: linearisation_growth(meant, linear_optimum(problem, run, whole), whole),
-            dropouts=find_dropouts(run, smoothed),
+            dropouts=lambda: find_dropouts(run, smoothed),
             sensors=consistency.sensors,
         )
         reckoned = dead_reckoned(problem.prior_pose, problem.increment)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -10,6 +9,7 @@ import numpy as np
 
 from comparisons.checks.accuracy import Accuracy, assess, assess_trajectory
 from comparisons.checks.scan_increments import IncrementCheck, check_increments
+from comparisons.clock import Clock
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
@@ -95,35 +95,32 @@ def run_front_end(
     labelled = log.sightings.labelled
     given = EkfChoices(association="known" if labelled else "nn", gps=choices.gps).settle(log)
     log = join_known_sightings(log)
-    seconds: dict[str, float] = {}
-    start = time.perf_counter()
-    motion = run_scan_odometry(
-        log, progress=lambda k, n: progress("scan odometry", k, n), guess=choices.guess
-    )
-    seconds["odometry"] = time.perf_counter() - start
-    start = time.perf_counter()
-    named = _with_named_sightings(log, motion, labelled=labelled)
-    scanned = with_scan_motion(named, motion, positions=choices.gps != "off")
-    positions = fused_positions(scanned, given)
-    timeline = build_timeline(scanned, positions)
-    slot, ids = slots_by_label(scanned)
-    rows = position_rows(timeline, positions)
-    problem = assemble(scanned, timeline, slot, len(ids), *rows)
-    clouds = motion.clouds(timeline.epoch_time_s)
-    closer: LoopCloser = NoLoopClosure()
-    if choices.loops:
-        closer = loop_closer(
-            motion.options,
-            None if choices.matcher == "surface" else MATCHERS[choices.matcher](),
-            lambda k, n: progress("loop closure", k, n),
+    clock = Clock()
+    with clock.stage("odometry"):
+        motion = run_scan_odometry(
+            log, progress=lambda k, n: progress("scan odometry", k, n), guess=choices.guess
         )
-    closed = closer.close(problem, clouds)
-    seconds["loops"] = time.perf_counter() - start
-    start = time.perf_counter()
-    progress("graph", 0, 0)
-    graph = smooth(replace(problem, closures=closed.closures), {})
-    estimate = smoothed_estimate(graph, timeline.epoch_time_s, ids, "the log's labels")
-    seconds["graph"] = time.perf_counter() - start
+    with clock.stage("loops"):
+        named = _with_named_sightings(log, motion, labelled=labelled)
+        scanned = with_scan_motion(named, motion, positions=choices.gps != "off")
+        positions = fused_positions(scanned, given)
+        timeline = build_timeline(scanned, positions)
+        slot, ids = slots_by_label(scanned)
+        rows = position_rows(timeline, positions)
+        problem = assemble(scanned, timeline, slot, len(ids), *rows)
+        clouds = motion.clouds(timeline.epoch_time_s)
+        closer: LoopCloser = NoLoopClosure()
+        if choices.loops:
+            closer = loop_closer(
+                motion.options,
+                None if choices.matcher == "surface" else MATCHERS[choices.matcher](),
+                lambda k, n: progress("loop closure", k, n),
+            )
+        closed = closer.close(problem, clouds)
+    with clock.stage("graph"):
+        progress("graph", 0, 0)
+        graph = smooth(replace(problem, closures=closed.closures), {})
+        estimate = smoothed_estimate(graph, timeline.epoch_time_s, ids, "the log's labels")
     odometry = dead_reckoned(problem.prior_pose, problem.increment)
     wheels = None
     if len(log.odometry.time_s):
@@ -145,7 +142,7 @@ def run_front_end(
         None if wheels is None else assess_trajectory(timeline.epoch_time_s, wheels, judged),
         assess_trajectory(timeline.epoch_time_s, odometry, judged),
         assess(estimate, judged, labelled=labelled),
-        seconds,
+        clock.seconds,
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 
 from comparisons.checks.accuracy import Accuracy, assess, assess_trajectory
 from comparisons.checks.association import AssociationScore, score_association
+from comparisons.clock import Clock
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
 from comparisons.runs.ekf_build import EkfChoices, fused_positions, judging_positions
@@ -68,29 +68,26 @@ def solve_log(
     log = join_known_sightings(log)
     positions = fused_positions(log, given)
     timeline = build_timeline(log, positions)
-    seconds: dict[str, float] = {}
-    start = time.perf_counter()
-    rows = position_rows(timeline, positions)
+    clock = Clock()
     guesses = {}
-    if name == "own":
-        progress("association", 0, 0)
-        own = associate_own(log, timeline, rows)
-        slot, problem = own.slot, own.problem
-        ids = np.arange(problem.landmark_count)
-        guesses["association"] = (own.poses, own.landmarks)
-    else:
-        slot, ids = slots_by_label(log)
-        problem = assemble(log, timeline, slot, len(ids), *rows)
+    with clock.stage("association"):
+        rows = position_rows(timeline, positions)
+        if name == "own":
+            progress("association", 0, 0)
+            own = associate_own(log, timeline, rows)
+            slot, problem = own.slot, own.problem
+            ids = np.arange(problem.landmark_count)
+            guesses["association"] = (own.poses, own.landmarks)
+        else:
+            slot, ids = slots_by_label(log)
+            problem = assemble(log, timeline, slot, len(ids), *rows)
     if not len(ids):
         raise InputError(f"{log.name}: no sighting could be used, so there is no map to solve for")
-    seconds["association"] = time.perf_counter() - start
-    start = time.perf_counter()
-    result = smooth(problem, guesses, lambda stage: progress(stage, 0, 0), options)
-    seconds["smoother"] = time.perf_counter() - start
-    start = time.perf_counter()
-    progress("marginals", 0, 0)
-    estimate = smoothed_estimate(result, timeline.epoch_time_s, ids, name)
-    seconds["marginals"] = time.perf_counter() - start
+    with clock.stage("smoother"):
+        result = smooth(problem, guesses, lambda stage: progress(stage, 0, 0), options)
+    with clock.stage("marginals"):
+        progress("marginals", 0, 0)
+        estimate = smoothed_estimate(result, timeline.epoch_time_s, ids, name)
     reckoned = dead_reckoned(problem.prior_pose, problem.increment)
     judged = replace(log, positions=judging_positions(log, given))
     labelled = name == "known"
@@ -105,5 +102,5 @@ def solve_log(
         assess(estimate, judged, labelled=labelled),
         assess_trajectory(timeline.epoch_time_s, reckoned, judged),
         None if labelled else score_association(slot, result.landmarks, log),
-        seconds,
+        clock.seconds,
     )

@@ -51,7 +51,7 @@ def judge(
     three_way: ThreeWay | None = None,
     dense: DenseAgreement | None = None,
     growth: Callable[[], LinearisationGrowth | None] = lambda: None,
-    dropouts: Dropouts | None = None,
+    dropouts: Callable[[], Dropouts | None] = lambda: None,
     sensors: Sequence[SensorInnovations] = (),
 ) -> Verdict:
     """The verdict on a run.
@@ -66,9 +66,9 @@ def judge(
     observations. own: the smoother with its own association; when its last pose is another, the
     associations differ in what matters. three_way: the smoother on scans, when asked for; it is
     heard when its own optimum is proven. dense: the dense maps of both, when asked for. growth:
-    finds out where linearising cost something, when it did. dropouts, sensors: stretches without
-    observations, and innovations; they explain a disagreement, or a missing proof, and never make
-    one.
+    finds out where linearising cost something, when it did. dropouts: finds stretches without
+    observations; these and the sensors' innovations explain a disagreement, or a missing proof,
+    and never make one.
     """
     causes = [Cause("data", misuse.evidence, misuse.hint) for misuse in misuses]
     algebra = agreement.algebra
@@ -106,7 +106,7 @@ def judge(
             outcome = "disagree"
             causes.append(cause.dense(dense))
     if outcome != "agree" and not red:
-        causes += cause.noise(proof.chi_square, sensors) + cause.dropout(dropouts)
+        causes += cause.noise(proof.chi_square, sensors) + cause.dropout(dropouts())
     remarks = _remarks(proof, run)
     if three_way is not None:
         remarks += _remarks_on_scans(three_way)

@@ -97,10 +97,8 @@ def _motion(frozen: LinearProblem, optimum: LinearProblem, poses: Array) -> Line
 def _sightings(
     kind: str, f: LinearSightings, at: LinearSightings, poses: Array, landmarks: Array
 ) -> LinearisationError:
-    apart = landmarks[f.slot] - f.landmark
-    if apart.shape[1] == 3:
-        apart[:, 2] = wrap_angle(apart[:, 2])
-    said = f.b - times(f.a, _from(f.pose, poses[f.node])) - times(f.c, apart)
+    said = f.b - times(f.a, _from(f.pose, poses[f.node]))
+    said -= times(f.c, _from(f.landmark, landmarks[f.slot]))
     return _error(kind, f.node, f.slot, said - at.b)
 
 
@@ -110,10 +108,10 @@ def _positions(frozen: LinearProblem, optimum: LinearProblem, poses: Array) -> L
     return _error("a position", f.node, np.full(len(f.node), -1), said - optimum.positions.b)
 
 
-def _from(point: Array, pose: Array) -> Array:
-    """Poses (N, 3) seen from points (N, 3), headings the short way round."""
-    apart = pose - point
-    apart[:, 2] = wrap_angle(apart[:, 2])
+def _from(point: Array, place: Array) -> Array:
+    """Places (N, 2) or (N, 3) seen from points of linearisation, headings the short way round."""
+    apart = place - point
+    apart[:, 2:] = wrap_angle(apart[:, 2:])
     return apart
 
 
