@@ -7,8 +7,11 @@ from comparisons.reproduction import (
     guivant_figures,
     misono,
     nieto_dense_figures,
+    nieto_high_level_figures,
     nieto_motion,
     nieto_regions,
+    nieto_scan_slam_figures,
+    nieto_scans,
     nieto_slam_figures,
 )
 from comparisons.reproduction.contract import AnyFigure
@@ -19,6 +22,9 @@ FIGURES: tuple[AnyFigure, ...] = (
     *nieto_slam_figures.FIGURES,
     *nieto_regions.FIGURES,
     *nieto_dense_figures.FIGURES,
+    *nieto_scans.FIGURES,
+    *nieto_scan_slam_figures.FIGURES,
+    *nieto_high_level_figures.FIGURES,
     *nieto_motion.FIGURES,
 )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import cast
 
@@ -74,8 +74,14 @@ class HighLevelSource:
     The map at an epoch holds the scans of earlier ones: a scan never meets itself.
     """
 
-    def __init__(self, log: Log, options: HighLevelOptions | None = None) -> None:
-        """Raises InputError for a log without scans."""
+    def __init__(
+        self,
+        log: Log,
+        options: HighLevelOptions | None = None,
+        searched: Callable[[float, Around, Search], None] = lambda time_s, around, search: None,
+    ) -> None:
+        """searched: shown every search. Raises InputError for a log without scans."""
+        self._searched = searched
         self.options = options or HighLevelOptions()
         kept = DenseOptions(("occupancy", "sog"), self.options.resolution_m)
         self.landmarks = HighLevelLandmarks(self.options.life)
@@ -107,7 +113,7 @@ class HighLevelSource:
         """Match the scan of the epoch, if there is one; search before that when it is time to."""
         if time_s >= self._next_s:
             self._next_s = time_s + self.options.every_s
-            self._search(ekf)
+            self._search(ekf, time_s)
         if not self.landmarks.landmark:
             return
         number = int(np.abs(self._scans.time_s - time_s).argmin())
@@ -134,7 +140,7 @@ class HighLevelSource:
             self._rectangle,
         )
 
-    def _search(self, ekf: FullEkf) -> None:
+    def _search(self, ekf: FullEkf, time_s: float) -> None:
         dense = self._watcher.dense
         around = Around(
             dense.layers["occupancy"],
@@ -145,6 +151,7 @@ class HighLevelSource:
         )
         found = search(around, self.landmarks.rectangles(ekf), self.options.search)
         self._searches.append(found)
+        self._searched(time_s, around, found)
         for one in found.found:
             self.landmarks.take(one, dense.regions.base[one.region], dense.landmark)
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ekf_reference.dense.corners import HarrisOptions, harris
-from ekf_reference.dense.layers.gaussians import Gaussians
+from ekf_reference.dense.layers.gaussians import Ellipses, Gaussians
 from ekf_reference.dense.layers.layer import Layer
 from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.triangles import Array, turned
@@ -71,15 +71,20 @@ class Search:
     """What one search came to.
 
     corner: (C, 2) all, in the world. candidate: (n, 4, 2) rectangles, known ones left out.
-    found: accepted. poor: candidates with too few Gaussians. known: those of landmarks that there
-    are already.
+    gaussians: (n,) that stand in them. found: accepted. known: those of landmarks that there are
+    already.
     """
 
     corner: Array
     candidate: Array
+    gaussians: Index
     found: tuple[Found, ...]
-    poor: int
     known: int
+
+    @property
+    def poor(self) -> int:
+        """Candidates with too few Gaussians."""
+        return len(self.candidate) - len(self.found)
 
 
 @dataclass(frozen=True)
@@ -104,20 +109,20 @@ def search(around: Around, known: Array, options: SearchOptions | None = None) -
     o = options or SearchOptions()
     corner = _corners(around, o)
     taken = list(known[np.isfinite(known).all(axis=(1, 2))])
-    shown, found, poor, old = [], [], 0, 0
+    shown, count, found, old = [], list[int](), list[Found](), 0
     for pair in corner[pairs(corner, o.pair_m)]:
         area = rectangle(pair, o.margin_m)
         if any(overlapping(area, other) for other in taken):
             old += 1
             continue
+        standing = _standing(around, area, o)
         shown.append(area)
-        made = _template(around, pair, area, o)
-        if made is None:
-            poor += 1
-        else:
-            found.append(made)
+        count.append(len(standing.mean))
+        if count[-1] >= o.least:
+            found.append(_landmark(around, pair, area, standing, o))
             taken.append(area)
-    return Search(corner, np.reshape(shown, (-1, 4, 2)), tuple(found), poor, old)
+    candidate = np.reshape(shown, (-1, 4, 2))
+    return Search(corner, candidate, np.array(count, dtype=np.intp), tuple(found), old)
 
 
 def pairs(corner: Array, most_m: float) -> Index:
@@ -189,8 +194,8 @@ def _corners(around: Around, o: SearchOptions) -> Array:
     return clear
 
 
-def _template(around: Around, pair: Array, area: Array, o: SearchOptions) -> Found | None:
-    """The landmark in a rectangle (4, 2), None where too little stands there."""
+def _standing(around: Around, area: Array, o: SearchOptions) -> Ellipses:
+    """The Gaussians in a rectangle (4, 2) that are something that stands, and no point landmark."""
     box = np.concatenate((area.min(axis=0), area.max(axis=0)))
     near = np.sort(around.placed.tree.meeting(box[None]).item)
     there = around.gaussians.ellipses(around.placed, near)
@@ -198,16 +203,21 @@ def _template(around: Around, pair: Array, area: Array, o: SearchOptions) -> Fou
     kept = kept[_clear(there.mean[kept], around.landmark, o.clear_m)]
     share = around.occupancy.occupancy(there.mean[kept], around.placed)
     kept = kept[share >= o.occupied]
-    if len(kept) < o.least:
-        return None
-    shape = SumOfGaussians.of_equal_height(there.mean[kept], there.covariance[kept])
+    return Ellipses(there.mean[kept], there.covariance[kept], there.region[kept])
+
+
+def _landmark(
+    around: Around, pair: Array, area: Array, standing: Ellipses, o: SearchOptions
+) -> Found:
+    """The landmark of a rectangle (4, 2) and what stands in it."""
+    shape = SumOfGaussians.of_equal_height(standing.mean, standing.covariance)
     if o.thin_m > 0.0:
         shape = shape.thinned(o.thin_m)
     back = OrientedObservation().predict(around.pose, np.zeros((1, 3))).z[0]
     template = Template.of_segment(shape.transformed(back), np.arange(len(shape)))
     place = OrientedObservation().invert(around.pose, template.pose[None]).point[0]
-    region = int(np.bincount(there.region[kept]).argmax())
-    return Found(template, place, to_frame(place, area), to_frame(place, pair), region, len(kept))
+    region, count = int(np.bincount(standing.region).argmax()), len(standing.mean)
+    return Found(template, place, to_frame(place, area), to_frame(place, pair), region, count)
 
 
 def _clear(point: Array, landmark: Array, least_m: float) -> Flags:

@@ -10,17 +10,22 @@ import numpy as np
 
 from comparisons.checks.dense_accuracy import surface_error
 from comparisons.checks.dynamic_accuracy import DynamicScore
+from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.reproduction import (
     guivant,
     misono,
     nieto_dense,
+    nieto_high_level,
     nieto_motion,
     nieto_regions,
+    nieto_scan_slam,
+    nieto_scans,
     nieto_slam,
 )
 from comparisons.reproduction.contract import Sources
 from comparisons.runs.estimate import Array
 from ekf_reference.dense.layers.layer import Samples
+from tests.helpers import first_seconds
 
 WALL = np.array([(0.0, 0.0, 20.0, 0.0)])
 CORNERS = np.array([(0.0, -5.0), (20.0, -5.0), (10.0, 8.0)])
@@ -76,6 +81,31 @@ def motions(true: Array) -> nieto_motion.Motions:
     return nieto_motion.Motions("made up", (one,), true)
 
 
+def scan_drives() -> nieto_scan_slam.ScanDrives:
+    """Landmarks on a wall at the left top, which a closing puts back where they are."""
+    wall = np.array([(-60.0, 100.0, -40.0, 100.0)])
+    points = np.column_stack((np.arange(-2.0, 2.1, 0.25), np.zeros(17)))
+    true = np.column_stack((np.linspace(-58.0, -42.0, 5), np.full(5, 100.0), np.zeros(5)))
+    covariance = np.repeat(np.eye(2)[None], 5, axis=0)
+    before, after = (
+        nieto_scan_slam.ScanMap(
+            np.arange(5), true + (aside, aside, 0.0), aside**2 * covariance, true, (points,) * 5
+        )
+        for aside in (2.0, 0.1)
+    )
+    path = true[:, :2] + (0.0, -8.0)
+    one = nieto_scan_slam.ScanDrive(
+        0, path, path, 5.0, before, path[:3], after, 0.5, 5.0, wall
+    )  # fmt: skip
+    return nieto_scan_slam.ScanDrives("made up", (one,))
+
+
+def high_level_drives() -> nieto_high_level.HighLevelDrives:
+    log = open_log("occupancy-loop", choices=SimulationChoices(1, 2))
+    drive = nieto_high_level.of_log(first_seconds(log, 100.0), 60.0)
+    return nieto_high_level.HighLevelDrives("the beginning of a drive", (drive,))
+
+
 SMALL: dict[str, Callable[[], Any]] = {
     "section 2.9": lambda: nieto_slam.loops(Sources(drives=2)),
     "section 2.9 with positions": lambda: nieto_slam.fixed(Sources()),
@@ -88,6 +118,10 @@ SMALL: dict[str, Callable[[], Any]] = {
     "chapter 4": lambda: nieto_dense.layered_maps(Sources(drives=1)),
     "section 4.1.3, ten rounds": rounds,
     "section 4.1.3, two sizes of cells": coarsened,
+    "section 5.3.1, two scans": lambda: nieto_scans.scans(Sources(drives=1)),
+    "section 5.6": scan_drives,
+    "section 6.1.3, two pairs of corners": lambda: nieto_high_level.corner_pairs(Sources(drives=1)),
+    "section 6.1.3": high_level_drives,
     "section 6.3.3, fast motion": lambda: motions(np.array([(np.nan, 5.0), (np.nan, -5.0)])),
     "section 6.3.3, slow motion": lambda: motions(np.array([(0.0, 0.0), (9.0, 0.0), (4.0, 8.0)])),
 }

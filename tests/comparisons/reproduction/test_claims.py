@@ -222,6 +222,47 @@ def exchanged_rounds(found: Any) -> Any:
     return replace(found, each=tuple(wrong))
 
 
+def as_before(t: Any) -> Any:
+    """Neither method moves anything, and both are sure."""
+    return t._replace(sog=t.before, icp=t.before, covariance=1e-9 * np.eye(3), usable=True)
+
+
+def astray(d: Any) -> Any:
+    """The loop is missed, the templates are of something else, and the filter is sure of it."""
+
+    def off(m: Any, by_m: float) -> Any:
+        points = tuple(p + (0.0, 3.0) for p in m.points)
+        place, small = m.true + (by_m, 0.0, 0.0), 1e-4 * m.covariance
+        return replace(m, place=place, covariance=small, points=points)
+
+    return replace(d, before=off(d.before, 2.0), after=off(d.after, 9.0), ate_m=d.wheels_m)
+
+
+def with_counts(*count: int) -> Callable[[Any], Any]:
+    return each(lambda one: replace(one, search=replace(one.search, gaussians=np.array(count))))
+
+
+def cornerless(one: Any) -> Any:
+    nothing = replace(
+        one.search,
+        corner=one.search.corner[:0],
+        candidate=one.search.candidate[:0],
+        gaussians=one.search.gaussians[:0],
+        found=(),
+    )
+    return replace(one, search=nothing)
+
+
+def nothing_found(d: Any) -> Any:
+    run = replace(d.run, slot=d.run.slot[:0], place=d.run.place[:0])
+    searches = tuple(cornerless(one) for one in d.searches)
+    return replace(d, searches=searches, run=run, sigma=d.sigma[:0])
+
+
+def misplaced(d: Any) -> Any:
+    return replace(d, templates=tuple(t + 40.0 for t in d.templates), error_m=2.0 * d.without_m)
+
+
 BROKEN: list[tuple[str, Callable[[Any], Any], set[int]]] = [
     ("G7", lambda c: replace(c, heard=~c.heard), {0}),
     ("G7", lambda c: replace(c, heard=np.arange(len(c.heard)) != 150), {1}),
@@ -258,6 +299,15 @@ BROKEN: list[tuple[str, Callable[[Any], Any], set[int]]] = [
     ("N4.10", worse, {0, 1, 2}),
     ("N4.12", worse, {0, 1}),
     ("N4.16", worse, {0, 1}),
+    ("N5.5", each(as_before), {0, 1, 2, 3}),
+    ("N5.6", each(as_before), {0, 1, 2}),
+    ("N5.8", each(astray), {0, 1, 2, 3, 4}),
+    ("N5.9", each(astray), {0, 1}),
+    ("N6.4", each(cornerless), {0, 1, 2, 3}),
+    ("N6.4", with_counts(500, 400), {1, 3}),
+    ("N6.4", with_counts(50, 40), {1, 2}),
+    ("N6.5", each(nothing_found), {0, 1, 2, 3, 4}),
+    ("N6.6", each(misplaced), {0, 1, 2}),
     ("N6.9", each(blurred), {2, 3}),
     ("N6.9", each(one_place_more), {1}),
     ("N6.9", each(one_place_twice), {0}),
@@ -285,6 +335,10 @@ SOUND = {
     "N3.18": 1,
     "N4.5": 2,
     "N4.6": 3,
+    "N5.5": 4,
+    "N5.8": 5,
+    "N5.9": 2,
+    "N6.4": 4,
     "N6.9": 4,
     "N6.10": 2,
     "G7": 2,

@@ -1,0 +1,51 @@
+"""What a real drive leaves for Figs. 5.8 and 5.9, and where the true axes are."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from comparisons.checks.dense_accuracy import distance_to_segments
+from comparisons.errors import InputError
+from comparisons.logs.log import Log
+from comparisons.logs.simulate.scan_drive import scan_slam, simulate
+from comparisons.reproduction.nieto_scan_slam import ScanDrive, of_log
+from tests.helpers import first_seconds
+
+
+@cache
+def log() -> Log:
+    return first_seconds(simulate(np.random.default_rng(3), scan_slam()), 6.0)
+
+
+@cache
+def driven() -> ScanDrive:
+    return of_log(log())
+
+
+def test_templates_lie_on_the_objects_once_their_axes_are_put_where_they_are() -> None:
+    d = driven()
+    assert len(d.after.slot) >= len(d.before.slot) > 0
+    truly = distance_to_segments(d.after.truly_placed, d.segment)
+    assert np.median(truly) < 0.2
+    turned = replace(d.after, true=d.after.true + (0.0, 0.0, 0.5))  # broken: another heading
+    assert np.median(distance_to_segments(turned.truly_placed, d.segment)) > 0.3
+
+
+def test_before_is_the_map_that_the_filter_had_at_that_instant() -> None:
+    d = driven()
+    assert np.isfinite(d.before.covariance).all()
+    assert (np.linalg.eigvalsh(d.before.covariance) > 0.0).all()
+    assert d.before.within.all()
+    sure = replace(d.before, covariance=1e-4 * d.before.covariance)  # broken: far too sure
+    assert not sure.within.all()
+    assert len(d.path_before) < len(d.path)
+    assert d.ate_m < d.wheels_m
+
+
+def test_a_log_without_truth_is_refused() -> None:
+    with pytest.raises(InputError, match="true poses and surfaces are needed"):
+        of_log(replace(log(), truth=replace(log().truth, surfaces=None)))
