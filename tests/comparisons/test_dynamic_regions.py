@@ -169,6 +169,23 @@ def test_a_scene_that_is_all_moving_is_said_to_be_beyond_it() -> None:
     assert any("hardly known" in remark for remark in comparison.verdict.remarks)
 
 
+def test_scan_landmarks_of_a_scene_that_is_all_moving_do_not_agree() -> None:
+    """As the README says. Were all that stands still, the same run would agree."""
+    moving = all_moving()
+    movers = tuple(replace(m, speed_mps=0.0) for m in moving.world.movers)  # type: ignore[type-var]
+    still = replace(moving, world=replace(moving.world, movers=movers))
+    found = [
+        compare_estimators(simulate(np.random.default_rng(0), e), landmarks="scans")
+        for e in (moving, still)
+    ]
+    assert [c.ekf.breakdown for c in found] == [None, None]
+    assert [c.verdict.outcome for c in found] == ["disagree", "agree"]
+    reasons = [c.scan_slam.found.reasons for c in found if c.scan_slam is not None]
+    share = [r["used"] / sum(r.values()) for r in reasons]
+    assert share[0] < 0.2
+    assert share[1] > 0.9
+
+
 def test_the_commands_write_and_tell(tmp_path: Path) -> None:
     done = slamcheck("map", "dynamic-places", "--dynamic", "--out", "map", cwd=tmp_path)
     assert done.returncode == 0, done.stderr

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -94,6 +95,21 @@ def test_where_none_are_accepted_the_filter_is_the_same_to_the_bit() -> None:
     for ours, theirs in zip(bits(searched), bits(without), strict=True):
         assert np.array_equal(ours, theirs)
     assert not np.array_equal(bits(with_them(1).ekf)[0], bits(without)[0])
+
+
+def test_blank_scans_show_no_landmark_and_leave_the_filter_alone() -> None:
+    """To the bit; with its returns the same drive has landmarks."""
+    short = first_seconds(log(1), 45.0)
+    assert short.scans is not None
+    blank = replace(short.scans, range_m=np.full_like(short.scans.range_m, np.nan))
+    choices, timeline = EkfChoices().settle(short), build_timeline(short)
+    sources = [HighLevelSource(replace(short, scans=s)) for s in (blank, short.scans)]
+    runs = [run_ekf(short, timeline, choices, source=source) for source in (*sources, None)]
+    found = [len(source.run().slot) for source in sources]
+    assert found[0] == 0 < found[1]
+    assert sources[0].run().searches == sources[1].run().searches > 1
+    for ours, theirs in zip(bits(runs[0]), bits(runs[2]), strict=True):
+        assert np.array_equal(ours, theirs)
 
 
 def test_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

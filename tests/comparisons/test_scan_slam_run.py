@@ -23,6 +23,8 @@ from comparisons.runs.timeline import build_timeline
 from comparisons.runs.trace_file import write_trace
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.motion import MotionModel, MotionStep
+from ekf_reference.scan_landmarks.scan_slam import USED
+from ekf_reference.scan_landmarks.templates import BLANK
 from tests.helpers import Array, first_seconds, simulated
 
 
@@ -119,6 +121,28 @@ def test_the_scanners_noise_is_told_by_its_scans() -> None:
     sensor = sensor_of(log().scans)  # type: ignore[arg-type]
     assert sensor.sigma_range_m == pytest.approx(0.1, rel=0.25)  # Table 5.1
     assert np.rad2deg(sensor.sigma_bearing_rad) == pytest.approx(1.0, rel=0.25)
+
+
+def test_scans_that_hold_nothing_or_one_return_begin_nothing_and_the_run_goes_on() -> None:
+    short = first_seconds(log(), 6.0)
+    assert short.scans is not None
+    held = short.scans.range_m.copy()
+    held[1::3] = np.nan
+    held[2::3, 1:] = np.nan
+    held[2::3, 0] = 5.0
+    poor = replace(short, scans=replace(short.scans, range_m=held))
+    found = {}
+    for one in (poor, short):
+        sources = ScanSlamSources.of(one, "scans")
+        assert sources is not None
+        timeline = build_timeline(sources.log, None, sources.scans.time_s)
+        choices = EkfChoices().settle(sources.log)
+        assert run_ekf(sources.log, timeline, choices, source=sources()).breakdown is None
+        found[one is poor] = sources.first.found
+    assert found[True].scans == found[False].scans
+    assert found[True].reasons[BLANK] > 0 == found[False].reasons[BLANK]
+    assert 0 < found[True].reasons[USED] < found[False].reasons[USED]
+    assert min(len(t.shape) for t in found[True].template.values()) >= 15
 
 
 def test_what_cannot_be_used_is_said_in_a_line() -> None:

@@ -115,6 +115,8 @@ def test_a_blank_scan_is_counted_and_changes_nothing() -> None:
     slam.step(ekf, of_scan(BEAMS, np.full(len(BEAMS), np.nan), LASER), told)
     assert slam.found.reasons[BLANK] == 1
     assert np.array_equal(ekf.state.mean, before)
+    slam.step(ekf, scan_from(np.zeros(3), 2), told)
+    assert not np.array_equal(ekf.state.mean, before)  # one with returns does
 
 
 def test_a_template_out_of_view_is_not_aligned() -> None:
