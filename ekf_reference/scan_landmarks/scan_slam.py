@@ -152,9 +152,8 @@ class ScanSlam:
 
     def _predict(self, ekf: FullEkf) -> Predicted:
         """Z^ and H P H^T of all landmarks that may be within reach (Nieto 2005, eq. 5.15)."""
-        reading, place = ekf.read_pose(), ekf.state.oriented
-        away = np.hypot(*(place[:, :2] - reading.pose[:2]).T)
-        near = np.flatnonzero(away <= self.view.reach_m + float(np.hypot(*self.mount[:2])))
+        reading, reach_m = ekf.read_pose(), self.view.reach_m + float(np.hypot(*self.mount[:2]))
+        near = ekf.state.within(reach_m, ORIENTED)
         local = ekf.state.map_of(near, ORIENTED)
         at = ekf.oriented_observation.predict(reading.pose, local.landmark)
         by_pose = at.jacobian_pose @ reading.jacobian
