@@ -113,7 +113,8 @@ class ScanLandmarks:
     """What a run has gathered. template: by slot. sightings: used, by slot.
 
     reasons: how often a landmark near the scanner was USED, or why not. rejected: segments
-    that no landmark explained and that failed their trial. scans: looked at.
+    that no landmark explained and that failed their trial. scans: looked at. fused: how many
+    landmarks were found to be others.
     """
 
     template: dict[int, Template] = field(default_factory=dict)
@@ -121,6 +122,7 @@ class ScanLandmarks:
     reasons: Counter[str] = field(default_factory=Counter)
     rejected: int = 0
     scans: int = 0
+    fused: int = 0
 
 
 class ScanSlam:
