@@ -46,7 +46,7 @@ class FusingOptions:
     pair that does not fit is tried again. What counts as a fit is for ScanSlamOptions to say.
     """
 
-    within_m: float = 4.0
+    within_m: float = 1.5
     certain_m: float = 0.5
     certain_rad: float = 0.05
     tried: int = 2
