@@ -42,13 +42,16 @@ class FusingOptions:
     """When two scan landmarks are one. The thesis says no more than that they are very close.
 
     within_m: most between their axes. certain_m, certain_rad: largest sigma of where the one is
-    seen from the other. tried: most pairs that one scan has time for. again_after: scans until a
-    pair that does not fit is tried again. What counts as a fit is for ScanSlamOptions to say.
+    seen from the other. open_directions: most of x, y and heading that the fit may leave open; what
+    it does not fix would stay wrong between the points of one template. tried: most pairs that
+    one scan has time for. again_after: scans until a pair that does not fit is tried again. What
+    else makes a fit is for ScanSlamOptions to say.
     """
 
     within_m: float = 1.5
     certain_m: float = 0.5
     certain_rad: float = 0.05
+    open_directions: int = 0
     tried: int = 2
     again_after: int = 50
 
@@ -119,6 +122,7 @@ class Twins:
         spread = pair.covariance + found.covariance
         fits = (
             evidence.converged
+            and found.open_directions <= self.options.open_directions
             and evidence.overlap >= o.observation.overlap
             and evidence.runner_up <= o.observation.ambiguous
             and innovation @ np.linalg.solve(spread, innovation) <= o.gate
