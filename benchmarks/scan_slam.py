@@ -1,10 +1,10 @@
 """Scan-SLAM on Nieto's environment (Nieto 2005, section 5.6, Table 5.1): drives without a landmark.
 
-    python benchmarks/scan_slam.py [--seeds 10] [--seconds 176]
+    python benchmarks/scan_slam.py [--seeds 10] [--first 0] [--seconds 176] [--fuse]
 
 Per drive: errors of filter, smoother and odometry alone; distances of the templates' points to the
 true surfaces before the scan that moved the map the most, a loop's closing, and in the end; NEES of
-the pose over 3; the gaps; processor time.
+the pose over 3; the gaps; processor time. With --fuse landmarks that turn out to be one are fused.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ class Row:
     """One drive. Errors [m]: at all times, of the map before closing and at last, at the end."""
 
     landmarks: int
+    fused: int
     used: int
     ekf_m: float
     smoother_m: float
@@ -49,13 +50,15 @@ def main() -> None:
     """Run all, print a table and the medians."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--seconds", type=float, default=math.inf)
+    parser.add_argument("--fuse", action="store_true")
     choices = parser.parse_args()
     names = list(Row.__dataclass_fields__)
     print("seed ", *(f"{name:>13}" for name in names), "  verdict")
     rows = []
-    for seed in range(choices.seeds):
-        row, verdict = measured(seed, choices.seconds)
+    for seed in range(choices.first, choices.first + choices.seeds):
+        row, verdict = measured(seed, choices.seconds, fuse=choices.fuse)
         rows.append(row)
         shown = (f"{value:13.3g}" for value in vars(row).values())
         print(f"{seed:4} ", *shown, f"  {verdict}", flush=True)
@@ -63,11 +66,11 @@ def main() -> None:
     print("median", *(f"{value:13.3g}" for value in medians))
 
 
-def measured(seed: int, seconds: float) -> tuple[Row, str]:
+def measured(seed: int, seconds: float, *, fuse: bool = False) -> tuple[Row, str]:
     """One drive, and the verdict."""
     log = simulate(np.random.default_rng(seed), scan_slam())
     start = time.process_time()
-    c = compare_estimators(_until(log, seconds), landmarks="scans")
+    c = compare_estimators(_until(log, seconds), landmarks="scans", fuse_landmarks=fuse)
     cpu_s = time.process_time() - start
     ates = [a.ate_m for a in (c.accuracy_ekf, c.accuracy_smoother, c.accuracy_dead_reckoned) if a]
     error = _pose_error(c)
@@ -84,7 +87,8 @@ def measured(seed: int, seconds: float) -> tuple[Row, str]:
         a.linearisation.sigma,
         cpu_s,
     )
-    row = Row(len(c.ekf.estimate.oriented), len(c.ekf.oriented.measured), *figures)
+    seen = c.ekf.oriented
+    row = Row(len(c.ekf.estimate.oriented), len(seen.twins.first), len(seen.measured), *figures)
     return row, c.verdict.outcome
 
 
@@ -102,8 +106,10 @@ def _map_errors(c: Comparison) -> Iterator[float]:
     if c.scan_slam is None or c.scan_slam.closing is None or c.log.truth.surfaces is None:
         raise ValueError("no scan landmarks, or no true surfaces")
     closing, found = c.scan_slam.closing, c.scan_slam.found
-    slots = np.arange(len(closing.before))
-    for place in (closing.before, c.ekf.oriented_places[slots]):
+    # Templates of landmarks that were fused later are other landmarks' by now.
+    kept = np.isin(closing.slot, c.ekf.estimate.oriented_id)
+    slots = closing.slot[kept]
+    for place in (closing.before[kept], c.ekf.oriented_places[slots]):
         points = template_points(found, slots, place)
         yield error_of_points(points, c.log.truth.surfaces.segment).median_m
 

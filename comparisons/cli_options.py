@@ -162,6 +162,14 @@ DenseOption = Annotated[
         help="Keep this layer of a dense map and hold it against the smoother's; may be repeated.",
     ),
 ]
+FuseLandmarksOption = Annotated[
+    str,
+    typer.Option(
+        "--fuse-landmarks",
+        metavar="off|on",
+        help="On: scan landmarks that turn out to be one are fused, templates and all.",
+    ),
+]
 HighLevelOption = Annotated[
     str,
     typer.Option(

@@ -15,6 +15,7 @@ from comparisons.cli_options import (
     FiguresOption,
     FilterOption,
     FormatOption,
+    FuseLandmarksOption,
     GpsOption,
     HighLevelOption,
     LagOption,
@@ -69,6 +70,7 @@ def run(
     attributes: AttributesOption = "off",
     features: FeaturesOption = "log",
     landmarks: LandmarksOption = "points",
+    fuse_landmarks: FuseLandmarksOption = "off",
     motion: MotionOption = "wheel",
     gps: GpsOption = "off",
     smoother: MethodOption = "batch",
@@ -125,6 +127,8 @@ def run(
             raise InputError(f"dynamic '{dynamic}' is unknown, expected off or on")
         if high_level not in ("off", "on"):
             raise InputError(f"--high-level is '{high_level}', expected off or on")
+        if fuse_landmarks not in ("off", "on"):
+            raise InputError(f"--fuse-landmarks is '{fuse_landmarks}', expected off or on")
         if trace and (filter_name.startswith("misono") or landmarks != "points"):
             raise InputError(
                 "--trace is for filters of x, y and heading, and for landmarks that are points"
@@ -138,6 +142,7 @@ def run(
                 smoother_association,
                 motion,
                 landmarks,
+                fuse_landmarks == "on",
                 kept if dense else None,
                 dynamic == "on",
                 HighLevelOptions() if high_level == "on" else None,
@@ -164,6 +169,7 @@ def _run(
     smoother_association: str,
     motion: str,
     landmarks: str,
+    fuse_landmarks: bool,
     dense: DenseOptions | None,
     dynamic: bool,
     high_level: HighLevelOptions | None,
@@ -190,6 +196,7 @@ def _run(
             dense=dense,
             dynamic=dynamic,
             landmarks=landmarks,
+            fuse_landmarks=fuse_landmarks,
             high_level=high_level,
         )
         result = build_result(comparison, read_s)

@@ -50,6 +50,7 @@ from comparisons.runs.smoother_run import (
 from comparisons.runs.timeline import Timeline, build_timeline
 from comparisons.second_opinions import with_own_association, with_scans
 from ekf_reference.full_ekf import FullEkf
+from ekf_reference.scan_landmarks.twins import FusingOptions
 from graphslam.increments import dead_reckoned
 from graphslam.smoother import SmootherOptions, SmootherResult
 
@@ -111,6 +112,8 @@ def compare_estimators(
     dynamic: bool = False,
     landmarks: str = "points",
     high_level: HighLevelOptions | None = None,
+    *,
+    fuse_landmarks: bool = False,
 ) -> Comparison:
     """Run both estimators over a log and judge them.
 
@@ -120,6 +123,7 @@ def compare_estimators(
     source: makes someone who sees landmarks with a direction, anew for every run of the filter.
     dynamic: look for what moves, and keep the filter from going by it. landmarks: of LANDMARKS;
     with `scans` or `both` the log's scans are the source, with high_level the dense map.
+    fuse_landmarks: fuse scan landmarks that turn out to be one.
     Raises InputError when the log cannot be used, and graphslam.marginals.SingularProblemError
     when the smoother has no solution.
     """
@@ -142,6 +146,8 @@ def compare_estimators(
         raise InputError(f"{asked} compares landmarks that are points; use --landmarks both")
     if landmarks != "points" and high_level is not None:
         raise InputError("--high-level on goes with --landmarks points only")
+    if landmarks == "points" and fuse_landmarks:
+        raise InputError("--fuse-landmarks on goes with --landmarks scans or both")
     if motion != "scan" and not len(log.odometry.time_s):
         raise InputError(f"{log.name}: holds no odometry; use --motion scan")
     scanned = None
@@ -150,7 +156,7 @@ def compare_estimators(
             scanned = run_scan_odometry(log, progress=lambda k, n: progress("scan odometry", k, n))
     if motion == "scan" and scanned is not None:
         log = with_scan_motion(log, scanned, positions=chosen.gps != "off")
-    slam = ScanSlamSources.of(log, landmarks)
+    slam = ScanSlamSources.of(log, landmarks, FusingOptions() if fuse_landmarks else None)
     if slam is not None:
         log, source = slam.log, slam
     positions = fused_positions(log, chosen)

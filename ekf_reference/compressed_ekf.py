@@ -5,6 +5,9 @@ around it) are filtered. What they learn about the passive states b is kept in p
 and carried over in one global update on leaving the area, or whenever somebody asks. The result
 is that of the full filter, to rounding. The recursions are derived in Guivant and Nebot 2001,
 which the paper cites.
+
+The means of passive states need no global update to be read: x_b + P_ba(0) theta costs a product
+with a vector. Only covariances outside the area do.
 """
 
 from __future__ import annotations
@@ -15,7 +18,7 @@ import numpy as np
 
 from ekf_reference.association import Association
 from ekf_reference.full_ekf import FullEkf, Stabilisation
-from ekf_reference.kalman import Array, Correction, Index, KalmanState
+from ekf_reference.kalman import Array, Correction, Index, KalmanState, within
 from ekf_reference.layout import ABSENT, ORIENTED, POINT, Layout
 from ekf_reference.local_map import Glance, LocalMap
 from ekf_reference.motion import MotionModel
@@ -28,8 +31,8 @@ class LocalAreas:
 
     half_m: the vehicle may move this far east, west, north or south of an area's centre before
     the next area is centred on it; that gives the hysteresis. reach_m: landmarks this much
-    farther out are active too. least_gain: c1 of Guivant 2002, eq. 22; zero for the exact
-    update, 1e-4 is the paper's example.
+    farther out are active too, or as far as somebody asks who is within reach. least_gain: c1 of
+    Guivant 2002, eq. 22; zero for the exact update, 1e-4 is the paper's example.
     """
 
     half_m: float = 25.0
@@ -52,7 +55,7 @@ class GlobalUpdate:
 
 
 class CompressedState:
-    """The same face as KalmanState; reading mean or covariance brings the passive part up to date.
+    """The same face as KalmanState; reading all of mean or covariance makes a global update.
 
     phi: (a', a), psi: (a, a), theta: (a,) as in section 4; a states at the area's start, a' now.
     """
@@ -60,6 +63,7 @@ class CompressedState:
     def __init__(self, pose: Array, covariance: Array, areas: LocalAreas) -> None:
         """Start with one area around the vehicle."""
         self.areas = areas
+        self._reach_m = areas.reach_m
         self.updates: list[GlobalUpdate] = []
         self._whole = KalmanState(pose, covariance)
         self._layout = self._whole.layout  # with the landmarks that are only in the local state
@@ -107,20 +111,15 @@ class CompressedState:
     @property
     def landmarks(self) -> Array:
         """(L, 2) positions of points, passive ones included."""
-        self._bring_up_to_date()
-        return self._whole.landmarks
+        return self._places(POINT)
 
     @property
     def oriented(self) -> Array:
         """(Q, 3) landmarks with a direction, passive ones included."""
-        self._bring_up_to_date()
-        return self._whole.oriented
+        return self._places(ORIENTED)
 
     def glance(self) -> Glance:
-        """The active part as it is, passive landmarks as the last global update left them.
-
-        `landmarks` would bring the passive part up to date, which changes later rounding.
-        """
+        """The active part as it is, passive landmarks as the last global update left them."""
         active, local = self._slots[POINT], self._local.glance()
         before = len(self._whole.layout.point)
         new = local.landmark[len(active) - (self.landmark_count - before) :]
@@ -136,6 +135,14 @@ class CompressedState:
         slot = self._slots[POINT][found.slot]
         columns = self._layout.columns(slot)
         return LocalMap(found.pose, slot, found.landmark, found.covariance, columns)
+
+    def within(self, reach_m: float, width: int = POINT) -> Index:
+        """Slots of a kind at most `reach_m` from the vehicle; exact, and without a global update.
+
+        Areas that begin from now on reach so far, so that those found are active, as a rule.
+        """
+        self._reach_m = max(self._reach_m, reach_m)
+        return within(self._places(width), self._local.mean, reach_m)
 
     def map_of(self, slot: Index, width: int = POINT) -> LocalMap:
         """Some landmarks of a kind, made active if they are not. Raises ValueError if removed."""
@@ -200,6 +207,20 @@ class CompressedState:
             self._enter(self._extent - self.areas.half_m, columns)
         return self._entry[columns]
 
+    def _places(self, width: int) -> Array:
+        """(L, w) of all landmarks of a kind, passive ones as a global update would leave them."""
+        active, before = self._slots[width], self._whole.layout
+        known = _by_width(self._whole, width)
+        place = np.full((len(self._layout.first(width)), width), np.nan)
+        place[: len(known)] = known
+        place[active] = _by_width(self._local, width)
+        passive = np.setdiff1d(before.present(width), active, assume_unique=True)
+        if len(passive) and not self._fresh:
+            rows = before.columns(passive, width)[before.pose_size :]
+            shift = self._whole.covariance[np.ix_(rows, self._columns)] @ self._theta
+            place[passive] += shift.reshape(-1, width)
+        return place
+
     def _offset(self) -> float:
         """Distance from the area's centre, east-west or north-south, whichever is more."""
         return float(np.abs(self._local.pose[:2] - self._centre).max())
@@ -210,7 +231,7 @@ class CompressedState:
         wanted: (c,) state entries whose landmarks become active wherever they are.
         """
         self._bring_up_to_date()
-        extent = self.areas.half_m + max(reach_m, self.areas.reach_m)
+        extent = self.areas.half_m + max(reach_m, self._reach_m)
         centre, active = self._whole.pose[:2], {}
         for width, place in ((POINT, self._whole.landmarks), (ORIENTED, self._whole.oriented)):
             near = np.abs(place[:, :2] - centre).max(axis=1, initial=0.0) <= extent
@@ -259,6 +280,10 @@ class CompressedState:
         whole.merge(self._columns, self._local, self._phi, root, before @ self._theta, spared)
         self.updates.append(GlobalUpdate(passive, active, len(spared)))
         self._activate(self._slots, self._centre, self._extent)
+
+
+def _by_width(state: KalmanState, width: int) -> Array:
+    return state.landmarks if width == POINT else state.oriented
 
 
 class CompressedEkf(FullEkf):

@@ -52,6 +52,10 @@ class FilterState(MappedState, Protocol):
         """Some landmarks of a kind by slot."""
         ...
 
+    def within(self, reach_m: float, width: int = POINT) -> Index:
+        """Slots of the landmarks of a kind at most `reach_m` from the vehicle."""
+        ...
+
     def glance(self) -> Glance:
         """All there is of points, without moving anything."""
         ...

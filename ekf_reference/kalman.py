@@ -121,6 +121,10 @@ class KalmanState:
         near = np.abs(self.landmarks - self._mean[:2]).max(axis=1, initial=0.0) <= reach_m
         return self.map_of(np.flatnonzero(near))
 
+    def within(self, reach_m: float, width: int = POINT) -> Index:
+        """Slots (m,) of the landmarks of a kind that are at most `reach_m` from the vehicle."""
+        return within(self._places(width), self._mean, reach_m)
+
     def map_of(self, slot: Index, width: int = POINT) -> LocalMap:
         """Some landmarks (m,) of a kind, by their slots. Raises ValueError for removed ones."""
         columns = self._layout.columns(slot, width)
@@ -259,6 +263,12 @@ class KalmanState:
         mean[:n] = self._mean[:n]
         covariance[:n, :n] = self._covariance[:n, :n]
         self._mean, self._covariance = mean, covariance
+
+
+def within(place: Array, centre: Array, reach_m: float) -> Index:
+    """Rows (m,) of places (L, w) at most `reach_m` from where a state (n,) begins; none is NaN."""
+    away = np.hypot(place[:, 0] - centre[0], place[:, 1] - centre[1])
+    return np.flatnonzero(away <= reach_m)
 
 
 def state_columns(slot: Index, pose_size: int = 3) -> Index:

@@ -245,12 +245,14 @@ class ScanLandmarkResult(LandmarkResult):
 class ScanSlamResult(Model):
     """Scan-SLAM. scans: looked at. rejected: segments that failed their trial.
 
-    sightings: how often a landmark near the scanner was used, or why not.
+    fused: landmarks found to be others. sightings: how often a landmark near the scanner was used,
+    or why not.
     """
 
     scans: int
     landmarks: list[ScanLandmarkResult]
     rejected: int
+    fused: int = 0
     sightings: dict[str, int]
 
 

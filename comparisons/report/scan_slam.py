@@ -49,6 +49,7 @@ def scan_slam_result(c: Comparison) -> ScanSlamResult | None:
             for i, b in enumerate(c.agreement.oriented)
         ],
         rejected=found.rejected,
+        fused=found.fused,
         sightings=dict(found.reasons),
     )
 
@@ -61,7 +62,8 @@ def scan_slam_rows(result: ScanSlamResult) -> list[tuple[str, str]]:
         (
             "scan landmarks",
             f"{agreeing} of {len(result.landmarks)} agree; {result.scans:,} scans, "
-            f"{result.rejected} segments rejected",
+            f"{result.rejected} segments rejected"
+            + (f", {result.fused} landmarks fused with others" if result.fused else ""),
         ),
         ("their sightings", ", ".join(told) or "none"),
     ]

@@ -17,10 +17,12 @@ from comparisons.runs.timeline import resolved
 from ekf_reference.dense.scan import Scan
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.kalman import FilterDivergedError
+from ekf_reference.local_map import LocalMap
 from ekf_reference.scan_landmarks.scan_shape import of_scan
 from ekf_reference.scan_landmarks.scan_slam import ScanLandmarks, ScanSlam, ScanSlamOptions
 from ekf_reference.scan_landmarks.sog import SumOfGaussians
 from ekf_reference.scan_landmarks.templates import View
+from ekf_reference.scan_landmarks.twins import FusingOptions, Twins
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -42,6 +44,10 @@ class _Telling:
     def observe(self, z: Array, covariance: Array, slot: Index) -> Index:
         """See OrientedLedger.observe."""
         return self.ledger.observe(self.ekf, self.epoch, z, covariance, slot)
+
+    def fuse(self, first: int, second: int, z: Array, covariance: Array) -> LocalMap:
+        """See OrientedLedger.fuse."""
+        return self.ledger.fuse(self.ekf, self.epoch, first, second, z, covariance)
 
 
 class LogScans:
@@ -92,22 +98,30 @@ class LogScans:
 class Closing:
     """The scan whose fusion moved the scan landmarks the most, as a rule a loop's closing.
 
-    shift_m: root mean square over the landmarks. before, after: (Q, 3) of all that were there.
+    shift_m: root mean square over the landmarks. slot: (Q,) those that were there and still are.
+    before, after: (Q, 3).
     """
 
     time_s: float
     shift_m: float
+    slot: Index
     before: Array
     after: Array
 
 
 class ScanSlamSource:
-    """An OrientedSource: looks at a log's scans at their times. See ScanSlam."""
+    """An OrientedSource: looks at a log's scans at their times. See ScanSlam and Twins."""
 
-    def __init__(self, scans: LogScans, options: ScanSlamOptions | None = None) -> None:
-        """Start without landmarks."""
+    def __init__(
+        self,
+        scans: LogScans,
+        options: ScanSlamOptions | None = None,
+        fusing: FusingOptions | None = None,
+    ) -> None:
+        """Start without landmarks. fusing: of landmarks that are one; None to leave them two."""
         self._scans, self._next = scans, 0
         self._slam = ScanSlam(scans.sensor, scans.view, scans.mount, options)
+        self._twins = None if fusing is None else Twins(self._slam, fusing)
         self.closing: Closing | None = None
 
     @property
@@ -124,28 +138,35 @@ class ScanSlamSource:
             if not np.isfinite(ekf.state.pose_covariance).all():
                 raise FilterDivergedError("the pose's covariance is not finite")
             before = ekf.state.oriented.copy()
-            self._slam.step(ekf, self._scans.shape(self._next), _Telling(ledger, ekf, epoch))
+            telling = _Telling(ledger, ekf, epoch)
+            self._slam.step(ekf, self._scans.shape(self._next), telling)
+            if self._twins is not None:
+                self._twins.step(ekf, telling)
             self._note(time_s, before, ekf.state.oriented[: len(before)].copy())
             self._next += 1
 
     def _note(self, time_s: float, before: Array, after: Array) -> None:
+        there = np.flatnonzero(np.isfinite(after[:, 0]))
+        before, after = before[there], after[there]
         squared = np.square(after[:, :2] - before[:, :2]).sum(axis=1)
         known = self.closing
         if known is None or squared.sum() > known.shift_m**2 * len(known.before):
             shift = float(np.sqrt(squared.mean())) if len(squared) else 0.0
-            self.closing = Closing(time_s, shift, before, after)
+            self.closing = Closing(time_s, shift, there, before, after)
 
 
 class ScanSlamSources:
     """Scan-SLAM as often as a filter is run over one log. log: as the filter is to read it."""
 
-    def __init__(self, log: Log, scans: LogScans) -> None:
-        """scans: the log's."""
-        self.log, self.scans = log, scans
+    def __init__(self, log: Log, scans: LogScans, fusing: FusingOptions | None = None) -> None:
+        """scans: the log's. fusing: see ScanSlamSource."""
+        self.log, self.scans, self.fusing = log, scans, fusing
         self._made: list[ScanSlamSource] = []
 
     @classmethod
-    def of(cls, log: Log, landmarks: str) -> ScanSlamSources | None:
+    def of(
+        cls, log: Log, landmarks: str, fusing: FusingOptions | None = None
+    ) -> ScanSlamSources | None:
         """What `landmarks` of LANDMARKS asks for; None for points alone. Raises InputError."""
         if landmarks == "points":
             return None
@@ -154,11 +175,11 @@ class ScanSlamSources:
             log = replace(
                 log, sightings=log.sightings.chosen(np.zeros(len(log.sightings.time_s), dtype=bool))
             )
-        return cls(log, scans)
+        return cls(log, scans, fusing)
 
     def __call__(self) -> ScanSlamSource:
         """Another one, without landmarks."""
-        self._made.append(ScanSlamSource(self.scans))
+        self._made.append(ScanSlamSource(self.scans, fusing=self.fusing))
         return self._made[-1]
 
     @property

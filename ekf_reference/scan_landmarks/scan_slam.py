@@ -113,7 +113,8 @@ class ScanLandmarks:
     """What a run has gathered. template: by slot. sightings: used, by slot.
 
     reasons: how often a landmark near the scanner was USED, or why not. rejected: segments
-    that no landmark explained and that failed their trial. scans: looked at.
+    that no landmark explained and that failed their trial. scans: looked at. fused: how many
+    landmarks were found to be others.
     """
 
     template: dict[int, Template] = field(default_factory=dict)
@@ -121,6 +122,7 @@ class ScanLandmarks:
     reasons: Counter[str] = field(default_factory=Counter)
     rejected: int = 0
     scans: int = 0
+    fused: int = 0
 
 
 class ScanSlam:
@@ -152,9 +154,8 @@ class ScanSlam:
 
     def _predict(self, ekf: FullEkf) -> Predicted:
         """Z^ and H P H^T of all landmarks that may be within reach (Nieto 2005, eq. 5.15)."""
-        reading, place = ekf.read_pose(), ekf.state.oriented
-        away = np.hypot(*(place[:, :2] - reading.pose[:2]).T)
-        near = np.flatnonzero(away <= self.view.reach_m + float(np.hypot(*self.mount[:2])))
+        reading, reach_m = ekf.read_pose(), self.view.reach_m + float(np.hypot(*self.mount[:2]))
+        near = ekf.state.within(reach_m, ORIENTED)
         local = ekf.state.map_of(near, ORIENTED)
         at = ekf.oriented_observation.predict(reading.pose, local.landmark)
         by_pose = at.jacobian_pose @ reading.jacobian

@@ -96,6 +96,7 @@ def test_bad_input_is_one_line_and_exit_2(tmp_path: Path) -> None:
         ("run", "simulated-loop", "--gps", "on"): "holds no positions to fuse; use --gps off",
         ("run", "simulated-loop", "--attributes", "on"): "hold no diameter and no intensity; use",
         ("run", "simulated-loop", "--gps", "maybe"): "gps 'maybe' is unknown, expected off, on",
+        ("run", "simulated-loop", "--fuse-landmarks", "maybe"): "--fuse-landmarks is 'maybe'",
         ("run", "n" * 300): "no such file or folder",
         ("run", "--bogus"): "No such option: --bogus",
         ("run", "--seed", "abc"): "--seed",

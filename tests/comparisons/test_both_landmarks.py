@@ -1,0 +1,176 @@
+"""Points and pieces of scans in one filter, with Scan-SLAM itself in the loop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from comparisons.compare import Comparison, compare_estimators
+from comparisons.errors import InputError
+from comparisons.logs.log import Log
+from comparisons.logs.simulate.scan_drive import dense_slam, simulate
+from comparisons.report.result import build_result
+from comparisons.report.run_folder import write_run_folder
+from comparisons.runs.dense_run import DenseOptions
+from comparisons.runs.ekf_build import FILTERS, LEAST_GAIN, EkfChoices
+from comparisons.runs.ekf_run import EkfRun, run_ekf
+from comparisons.runs.high_level_source import HighLevelOptions
+from comparisons.runs.scan_slam_source import ScanSlamSources
+from comparisons.runs.timeline import build_timeline
+from ekf_reference.compressed_ekf import CompressedState, LocalAreas
+from ekf_reference.full_ekf import FullEkf
+from ekf_reference.kalman import Array, FilterDivergedError, Index
+from ekf_reference.layout import ORIENTED, POINT
+from tests.helpers import first_seconds, simulated
+
+AREAS = 4.0, 10.0
+"""Small, so that areas are left and landmarks are passive. Sightings of points go no farther."""
+REACH_M = 18.0
+"""The scanner's."""
+
+
+@cache
+def log() -> Log:
+    """Twenty seconds of a loop, by sensors that do not see far."""
+    made = first_seconds(simulate(np.random.default_rng(3), dense_slam()), 20.0)
+    assert made.scans is not None
+    near = np.where(made.scans.range_m < REACH_M, made.scans.range_m, np.nan)
+    seen = made.sightings.chosen(made.sightings.range_m < AREAS[1])
+    return replace(made, scans=replace(made.scans, range_m=near), sightings=seen)
+
+
+class Areas:
+    """Gives a filter small areas, and remembers its state."""
+
+    def __init__(self, made: type[CompressedState] = CompressedState, gain: float = 0.0) -> None:
+        self.made, self.areas = made, LocalAreas(*AREAS, gain)
+
+    def __call__(self, ekf: FullEkf) -> None:
+        ekf.state = self.state = self.made(log().prior.pose, log().prior.covariance, self.areas)
+
+
+def nothing(ekf: FullEkf) -> None:
+    """As it is."""
+
+
+@cache
+def compared(name: str) -> Comparison:
+    choices, modify = EkfChoices(name), nothing
+    if name.startswith("compressed"):
+        modify = Areas(gain=LEAST_GAIN if choices.conservative else 0.0)
+    return compare_estimators(log(), choices, modify=modify, landmarks="both")
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_every_filter_agrees_with_both_kinds_of_landmarks(name: str) -> None:
+    c = compared(name)
+    assert len(c.agreement.landmarks) == len(c.ekf.estimate.landmark) > 5
+    assert len(c.agreement.oriented) == len(c.ekf.estimate.oriented) >= 3
+    a = c.agreement.algebra
+    if c.choices.conservative:  # not exact, and never too sure
+        assert a.sigma < 1e-6 < a.covariance < 0.01
+        assert a.least > 1.0 - 1e-6
+        assert c.ekf.spared[1] > 0.1
+    else:
+        assert a.within(1e-6)
+    if name == "misono":  # as published, it knows only part of its Jacobian
+        assert [cause.gap for cause in c.verdict.causes] == ["model"]
+        assert not c.agreement.model.within(1e-2)
+        return
+    assert c.verdict.outcome == "agree"
+    assert c.agreement.model.within(1e-6)
+    if name.startswith("compressed"):
+        assert c.ekf.spared[0] > 0
+
+
+def ran(modify: Callable[[FullEkf], None]) -> tuple[EkfRun, int]:
+    """A run of the filter alone, and how many scans there were."""
+    sources = ScanSlamSources.of(log(), "both")
+    assert sources is not None
+    timeline = build_timeline(sources.log, None, sources.scans.time_s)
+    chosen = EkfChoices().settle(sources.log)
+    run = run_ekf(sources.log, timeline, chosen, modify=modify, source=sources())
+    return run, sources.first.found.scans
+
+
+def apart(one: EkfRun, other: EkfRun) -> float:
+    """The largest difference, in sigmas or products of two."""
+    a, b = one.estimate, other.estimate
+    if len(a.joint_mean) != len(b.joint_mean):
+        return np.inf
+    sigma = np.sqrt(np.diag(b.joint_covariance))
+    mean = np.abs((a.joint_mean - b.joint_mean) / sigma).max()
+    spread = (a.joint_covariance - b.joint_covariance) / np.outer(sigma, sigma)
+    return float(max(mean, np.abs(spread).max()))
+
+
+class NoRows(CompressedState):
+    """Broken: new landmarks with a direction know nothing of passive ones."""
+
+    def augment(
+        self, point: Array, jacobian_pose: Array, jacobian_sighting: Array, noise: Array
+    ) -> None:
+        super().augment(point, jacobian_pose, jacobian_sighting, noise)
+        if point.shape[1] == ORIENTED:
+            self._phi[-point.size :] = 0.0
+
+
+def test_the_compressed_filter_equals_the_full_one() -> None:
+    full, _ = ran(nothing)
+    areas = Areas()
+    compressed, _ = ran(areas)
+    assert len(areas.state.updates) > 3
+    assert max(u.passive for u in areas.state.updates) > 5
+    assert apart(compressed, full) < 1e-9
+    try:
+        broken, _ = ran(Areas(NoRows))
+    except FilterDivergedError:
+        return
+    assert apart(broken, full) > 1e-6
+
+
+class AtEveryScan(CompressedState):
+    """Broken: asking who is near makes a global update."""
+
+    def within(self, reach_m: float, width: int = POINT) -> Index:
+        self._bring_up_to_date()
+        return super().within(reach_m, width)
+
+
+def test_scans_cost_no_global_update() -> None:
+    """Only to leave an area does, which takes the vehicle so many metres at least."""
+    areas, broken = Areas(), Areas(AtEveryScan)
+    run, scans = ran(areas)
+    way = np.abs(np.diff(run.estimate.pose[:, :2], axis=0)).max(axis=1).sum()
+    most = way / AREAS[0] + 2
+    assert scans > 2 * most
+    assert len(areas.state.updates) <= most
+    ran(broken)
+    assert len(broken.state.updates) > scans
+
+
+def test_the_run_is_written_with_both_kinds(tmp_path: Path) -> None:
+    c = compared("compressed")
+    write_run_folder(c, build_result(c, 0.0), tmp_path / "out")
+    for name in ("landmarks.csv", "scan_landmarks.csv"):
+        assert (tmp_path / "out" / "ekf" / name).exists()
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "EKF scan landmarks, 3 sigma" in page
+
+
+def test_what_goes_beside_both_and_what_does_not() -> None:
+    mapped = compare_estimators(
+        log(), EkfChoices("compressed", "nn"), modify=Areas(), landmarks="both",
+        dense=DenseOptions(("points",)), dynamic=True, smoother_association="own", motion="both",
+    )  # fmt: skip
+    assert mapped.verdict.outcome == "agree"
+    assert mapped.agreement.model.within(1e-6)
+    with pytest.raises(InputError, match="--high-level on goes with --landmarks points only"):
+        compare_estimators(log(), landmarks="both", high_level=HighLevelOptions())
+    with pytest.raises(InputError, match="holds no planar scans"):
+        compare_estimators(simulated(), landmarks="both")

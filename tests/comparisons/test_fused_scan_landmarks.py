@@ -1,0 +1,97 @@
+"""Scan landmarks fused while driving: told to the smoother, and right in every filter."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+import pytest
+
+from comparisons.compare import Comparison, compare_estimators
+from comparisons.errors import InputError
+from comparisons.logs.log import Log
+from comparisons.logs.simulate.scan_drive import dense_slam, simulate
+from comparisons.report.result import build_result
+from comparisons.runs.ekf_build import EkfChoices
+from comparisons.runs.oriented_sightings import OrientedLedger
+from comparisons.runs.scan_slam_source import LogScans, ScanSlamSource
+from ekf_reference.compressed_ekf import CompressedState, LocalAreas
+from ekf_reference.full_ekf import FullEkf
+from ekf_reference.local_map import LocalMap
+from ekf_reference.scan_landmarks.scan_slam import ScanSlamOptions
+from ekf_reference.scan_landmarks.twins import FusingOptions
+from tests.helpers import Array, first_seconds
+
+CARELESS = ScanSlamOptions(apart_m=-100.0, explained=2.0)
+"""Begins landmarks where there are some: twins, and many of them."""
+
+
+@cache
+def log() -> Log:
+    return first_seconds(simulate(np.random.default_rng(3), dense_slam()), 9.0)
+
+
+def source() -> ScanSlamSource:
+    return ScanSlamSource(LogScans(log()), CARELESS, FusingOptions())
+
+
+def small(ekf: FullEkf) -> None:
+    ekf.state = CompressedState(log().prior.pose, log().prior.covariance, LocalAreas(4.0, 10.0))
+
+
+@cache
+def compared(name: str = "full") -> Comparison:
+    modify: Callable[[FullEkf], None] = small if name == "compressed" else lambda ekf: None
+    return compare_estimators(log(), EkfChoices(name), modify=modify, source=source)
+
+
+@pytest.mark.parametrize("name", ["full", "compressed", "misono-full"])
+def test_the_smoother_is_told_of_the_fused(name: str) -> None:
+    c = compared(name)
+    twins = c.ekf.oriented.twins
+    assert len(twins.first) > 3
+    assert len(c.agreement.oriented) == c.ekf.oriented.count - len(twins.first)
+    assert c.agreement.algebra.within(1e-6)
+    assert c.agreement.model.within(1e-6)
+    assert c.verdict.outcome == "agree"
+
+
+def test_the_compressed_filter_fuses_as_the_full_one_does() -> None:
+    full, compressed = (compared(name).ekf.estimate for name in ("full", "compressed"))
+    sigma = np.sqrt(np.diag(full.joint_covariance))
+    assert np.array_equal(full.oriented_id, compressed.oriented_id)
+    assert np.abs((full.joint_mean - compressed.joint_mean) / sigma).max() < 1e-9
+    apart = full.joint_covariance - compressed.joint_covariance
+    assert np.abs(apart / np.outer(sigma, sigma)).max() < 1e-9
+
+
+def test_what_the_smoother_is_not_told_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    def halved(
+        self: OrientedLedger,
+        ekf: FullEkf,
+        epoch: int,
+        first: int,
+        second: int,
+        z: Array,
+        covariance: Array,
+    ) -> LocalMap:
+        known = ekf.fuse_oriented(first, second, z, 0.25 * covariance)
+        self._twins.append((epoch, first, second, z, covariance))
+        return known
+
+    monkeypatch.setattr(OrientedLedger, "fuse", halved)
+    broken = compare_estimators(log(), EkfChoices("full"), source=source)
+    assert [cause.gap for cause in broken.verdict.causes] == ["model"]
+
+
+def test_it_is_an_option_and_counted() -> None:
+    """The whole job: points and scans, with fusing and without, and what it does not go with."""
+    found = compare_estimators(log(), landmarks="both", fuse_landmarks=True)
+    slam = build_result(found, 0.0).scan_slam
+    assert slam is not None
+    assert slam.fused == len(found.ekf.oriented.twins.first)
+    begun = len(slam.landmarks) + slam.fused
+    assert sum(row.sightings for row in slam.landmarks) == slam.sightings["used"] + begun
+    with pytest.raises(InputError, match="--fuse-landmarks on goes with --landmarks scans or both"):
+        compare_estimators(log(), fuse_landmarks=True)
