@@ -82,8 +82,9 @@ FeaturesOption = Annotated[
 AttributesOption = Annotated[
     str,
     typer.Option(
-        metavar="off|on",
-        help="On: diameters and intensities tell landmarks apart, too (nn and jcbb).",
+        metavar="off|on|layer",
+        help="On: diameters and intensities tell landmarks apart, too (nn and jcbb); layer: the "
+        "intensities of raw scans around them, from the dense map.",
     ),
 ]
 GpsOption = Annotated[
@@ -116,7 +117,9 @@ CloudOption = Annotated[
 ]
 LayerOption = Annotated[
     list[str],
-    typer.Option("--layer", metavar="points|occupancy|particles|sog", help="May be repeated."),
+    typer.Option(
+        "--layer", metavar="points|occupancy|particles|sog|values", help="May be repeated."
+    ),
 ]
 ResolutionOption = Annotated[
     float, typer.Option(metavar="M", help="Size of cells in metres, of grids and pictures.")
@@ -158,7 +161,7 @@ DenseOption = Annotated[
     list[str],
     typer.Option(
         "--dense",
-        metavar="points|occupancy|particles|sog",
+        metavar="points|occupancy|particles|sog|values",
         help="Keep this layer of a dense map and hold it against the smoother's; may be repeated.",
     ),
 ]

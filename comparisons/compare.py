@@ -159,10 +159,13 @@ def compare_estimators(
         source = partial(HighLevelSource, log, high_level)
     seeing = source()
 
+    by_layer, layers = chosen.attributes == "layer", () if dense is None else dense.layers
+
     def watch_over() -> DenseWatcher | None:
-        if dense is None and not dynamic:
+        if dense is None and not dynamic and not by_layer:
             return None
-        return DenseWatcher(log, replace(dense or _DYNAMIC_ONLY, dynamic=dynamic))
+        kept = tuple(dict.fromkeys((*layers, "values"))) if by_layer else layers
+        return DenseWatcher(log, replace(dense or _DYNAMIC_ONLY, layers=kept, dynamic=dynamic))
 
     watcher = watch_over()
     with clock.stage("ekf"):
@@ -176,6 +179,7 @@ def compare_estimators(
             watcher,
             seeing,
             watcher if dynamic else None,
+            watcher if by_layer else None,
         )
     if not len(run.estimate.landmark) + len(run.estimate.oriented):
         raise InputError(
@@ -232,7 +236,14 @@ def compare_estimators(
             run,
             lambda: model_differences(said, meant, ROUNDING, begun),
             operations=lambda: _repeated(
-                log, timeline, run, chosen, modify, source(), watch_over() if dynamic else None
+                log,
+                timeline,
+                run,
+                chosen,
+                modify,
+                source(),
+                watch_over() if dynamic or by_layer else None,
+                dynamic,
             ),
             explanations=lambda: explain(log, run),
             misuses=misuses(log, run, smoothed, labelled=labelled),
@@ -289,10 +300,11 @@ def _repeated(
     modify: Callable[[FullEkf], None],
     source: OrientedSource,
     watcher: DenseWatcher | None,
+    dynamic: bool,
 ) -> tuple[AlgebraDifference, ...]:
     """The filter once more, with every operation repeated on a sound copy of its state.
 
-    watcher: who tells it what moves, if anybody does.
+    watcher: who tells it what moves, or what is around its landmarks, if anybody does.
     """
     watched: list[WatchedState | None] = []
 
@@ -302,7 +314,7 @@ def _repeated(
 
     run_ekf(
         log, timeline, choices, run.positions, modify=also, watcher=watcher, source=source,
-        guard=watcher,
+        guard=watcher if dynamic else None, layer=watcher,
     )  # fmt: skip
     return watched[0].differences() if watched[0] is not None else ()
 

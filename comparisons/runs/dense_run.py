@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
+from comparisons.runs.attributes import AROUND_M
 from comparisons.runs.ekf_build import motion_model
 from comparisons.runs.estimate import Array
 from comparisons.runs.motion import CLOCK_S
@@ -25,6 +26,7 @@ from ekf_reference.dense.layers.layer import Layer, Samples
 from ekf_reference.dense.layers.occupancy import Coarsening, OccupancyGrid
 from ekf_reference.dense.layers.particles import Particles
 from ekf_reference.dense.layers.points import Points
+from ekf_reference.dense.layers.values import PlaceValues, Values
 from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.sensor_model import InverseSensorModel
@@ -32,7 +34,7 @@ from ekf_reference.dense.view import FilterView
 from ekf_reference.dense.waiting import WaitingRoom
 from ekf_reference.full_ekf import FullEkf
 
-LAYERS = ("points", "occupancy", "particles", "sog")
+LAYERS = ("points", "occupancy", "particles", "sog", "values")
 GRID_MODEL = InverseSensorModel(p_occupied=0.65, p_free=0.45)
 """Of grids: several looks, not one noisy return, make a cell occupied, and what stands is often
 looked past."""
@@ -86,6 +88,7 @@ class DenseOptions:
             "occupancy": OccupancyGrid(size, GRID_MODEL, coarsening=self.coarsening),
             "particles": Particles(np.random.default_rng(0)),
             "sog": Gaussians(),
+            "values": Values(),
         }
         conditions = Conditions(
             known_apart_m=self.known_apart_m, longest_edge_m=self.longest_edge_m
@@ -139,12 +142,17 @@ class DenseRun:
 class DenseWatcher:
     """Feeds a dense map while the filter runs. Reads the filter only.
 
-    It is a DynamicGuard, too, for a filter that is to know what the map finds to be moving.
+    It is a DynamicGuard, too, for a filter that is to know what the map finds to be moving, and
+    tells LayerValues to one that goes by what is around its landmarks.
     """
 
     def __init__(self, log: Log, options: DenseOptions, beside: Sequence[GlobalMap] = ()) -> None:
         """beside: maps that are given the same scans from the same poses. Raises InputError."""
         self._scans = PlanarScans(log)
+        if "values" in options.layers and not self._scans.valued:
+            raise InputError(
+                f"{log.name}: its scans hold no intensities, which the layer of values is made of"
+            )
         self._options = options
         self._dense = options.build()
         self._beside = beside
@@ -199,6 +207,15 @@ class DenseWatcher:
     def is_dynamic(self, point: Array) -> NDArray[np.bool_]:
         """(N,) which points (N, 2) [m] are where something was seen to move."""
         return _is_dynamic(self._dense, self._dense.landmark, point)
+
+    def values_at(self, slot: NDArray[np.intp]) -> PlaceValues:
+        """What the layer of values holds around landmarks (L,), for the filter's association.
+
+        Raises KeyError without that layer.
+        """
+        layer, landmark = self._dense.layers["values"], self._dense.landmark
+        placed = self._dense.regions.placed(landmark)
+        return cast(Values, layer).around(landmark[slot], placed, AROUND_M)
 
     @property
     def moves(self) -> Counters:

@@ -14,7 +14,7 @@ from comparisons.logs.log import Log
 from comparisons.runs.dense_run import DenseOptions, DenseWatcher
 from comparisons.runs.estimate import Array
 from comparisons.runs.oriented_sightings import OrientedLedger
-from comparisons.runs.planar_scans import PlanarScans
+from comparisons.runs.planar_scans import PlanarScans, view_to
 from ekf_reference.dense.high_level import Around, Search, SearchOptions, search, to_world
 from ekf_reference.dense.high_level_life import Glimpse, HighLevelLandmarks, LifeOptions
 from ekf_reference.dense.layers.gaussians import Gaussians
@@ -153,6 +153,5 @@ def _view(log: Log) -> View:
     """What the log's scanner can see: its beams, as far as anything returned."""
     if log.scans is None:
         return View(50.0, -math.pi, math.pi)
-    way, angle = log.scans.range_m, log.scans.angle_rad
-    reach = float(way[np.isfinite(way)].max(initial=0.0))
-    return View(reach, float(angle.min()), float(angle.max()))
+    way = log.scans.range_m
+    return view_to(log.scans, float(way[np.isfinite(way)].max(initial=0.0)))
