@@ -99,7 +99,7 @@ def simulated(seeds: int, loops: float) -> None:
                 count = len(done.estimate.landmark)
                 known = np.nan
                 if watcher is not None:
-                    known = float((watcher.values_at(np.arange(count)).count > 0).mean())
+                    known = float((watcher.values_at(np.arange(count)).returns > 0).mean())
                 left_out = done.unused["ambiguous"]
                 rows.append((score.precision, score.recall, left_out, count, accuracy.ate_m, known))
             table = np.array(rows, dtype=float)
@@ -132,7 +132,7 @@ def car_park(folder: Path) -> None:
         if watcher is not None:
             held = watcher.values_at(np.arange(len(away)))
             for name, rows in (("beacons", away <= 0.5), ("others", away > 0.5)):
-                rows = rows & (held.count > 0)
+                rows = rows & (held.returns > 0)
                 mean, within = held.mean[rows], np.sqrt(held.variance[rows])
                 print(
                     f"  {name}: {rows.sum()} in the layer, intensity {mean.mean():.2f} +- "

@@ -173,6 +173,22 @@ HighLevelOption = Annotated[
         help="On: landmarks made of what stands in the filter's dense map, seen in the scans.",
     ),
 ]
+HighLevelCellOption = Annotated[
+    float,
+    typer.Option(
+        "--high-level-cell", metavar="M", help="Cells of its map, which Gaussians are apart by."
+    ),
+]
+HighLevelPairOption = Annotated[
+    float,
+    typer.Option("--high-level-pair", metavar="M", help="Greatest distance of two corners of one."),
+]
+HighLevelLeastOption = Annotated[
+    int, typer.Option("--high-level-least", metavar="N", help="Gaussians that one must have.")
+]
+HighLevelEveryOption = Annotated[
+    float, typer.Option("--high-level-every", metavar="S", help="Seconds between two searches.")
+]
 FiguresOption = Annotated[
     list[str],
     typer.Option(

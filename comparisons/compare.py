@@ -57,6 +57,7 @@ Progress = Callable[[str, int, int], None]
 """Called with the stage, what is done and what there is to do (0 when not known)."""
 
 _DYNAMIC_ONLY = DenseOptions((), dynamic=True)
+_VALUES_ONLY = DenseOptions(("values",))
 MOTIONS = ("wheel", "scan", "both")
 
 
@@ -155,19 +156,24 @@ def compare_estimators(
         log, source = slam.log, slam
     positions = fused_positions(log, chosen)
     timeline = build_timeline(log, positions, None if slam is None else slam.scans.time_s)
-    if high_level is not None:
-        source = partial(HighLevelSource, log, high_level)
-    seeing = source()
-
-    by_layer, layers = chosen.attributes == "layer", () if dense is None else dense.layers
+    by_layer = chosen.attributes == "layer"
 
     def watch_over() -> DenseWatcher | None:
         if dense is None and not dynamic and not by_layer:
             return None
-        kept = tuple(dict.fromkeys((*layers, "values"))) if by_layer else layers
-        return DenseWatcher(log, replace(dense or _DYNAMIC_ONLY, layers=kept, dynamic=dynamic))
+        kept = replace(dense or (_VALUES_ONLY if by_layer else _DYNAMIC_ONLY), dynamic=dynamic)
+        also = _VALUES_ONLY.layers if by_layer else ()
+        if high_level is not None:
+            also += high_level.layers_in(kept)
+        return DenseWatcher(log, kept, also=also)
 
     watcher = watch_over()
+    if high_level is not None:
+        source = partial(HighLevelSource, log, high_level)
+    shared = (
+        watcher is not None and high_level is not None and high_level.layers_in(watcher.options)
+    )
+    seeing = HighLevelSource(log, high_level, watcher) if shared else source()
     with clock.stage("ekf"):
         run = run_ekf(
             log,

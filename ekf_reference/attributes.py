@@ -158,7 +158,9 @@ class LayerAttributes:
         own = SightedAttributes(seen.value[:, [column]], seen.variance[:, [column]])
         known = mean[:, None], variance[:, None]
         second = compared(own, *known, population(*known))
-        return AttributeDistances(*(a + b for a, b in zip(first, second, strict=True)))
+        return AttributeDistances(
+            first.nis + second.nis, first.n + second.n, first.dof + second.dof
+        )
 
 
 def compared(

@@ -61,12 +61,14 @@ class DenseOptions:
     """What is kept, and how.
 
     layers: of LAYERS; none where only the dynamic layer is wanted. resolution_m: of cells.
+    d_min_m: of the Gaussians, see dense.layers.gaussians.
     known_apart_m, longest_edge_m: see dense.conditions.Conditions. dynamic: look for what moves.
     coarsening: of the occupancy layer's almost empty regions.
     """
 
     layers: tuple[str, ...] = ("points", "occupancy")
     resolution_m: float = 0.2
+    d_min_m: float = 0.2
     known_apart_m: float = 0.5
     longest_edge_m: float = 35.0
     coarsening: Coarsening | None = None
@@ -77,24 +79,25 @@ class DenseOptions:
         if not (self.layers or self.dynamic) or set(self.layers) - set(LAYERS):
             given = ", ".join(self.layers) or "none"
             raise InputError(f"layers {given}: expected some of {', '.join(LAYERS)}")
-        if not 0.01 <= self.resolution_m <= 10.0:
-            raise InputError(f"resolution {self.resolution_m} m: expected 0.01 to 10 m")
+        for name, size in (("resolution", self.resolution_m), ("d_min", self.d_min_m)):
+            if not 0.01 <= size <= 10.0:
+                raise InputError(f"{name} {size} m: expected 0.01 to 10 m")
 
-    def build(self) -> DenseMap:
-        """An empty map."""
+    def build(self, also: tuple[str, ...] = ()) -> DenseMap:
+        """An empty map. also: more layers."""
         size = self.resolution_m
         made: Mapping[str, Layer] = {
             "points": Points(size),
             "occupancy": OccupancyGrid(size, GRID_MODEL, coarsening=self.coarsening),
             "particles": Particles(np.random.default_rng(0)),
-            "sog": Gaussians(),
+            "sog": Gaussians(self.d_min_m),
             "values": Values(),
         }
         conditions = Conditions(
             known_apart_m=self.known_apart_m, longest_edge_m=self.longest_edge_m
         )
         return DenseMap(
-            {name: made[name] for name in self.layers},
+            {name: made[name] for name in dict.fromkeys((*self.layers, *also))},
             LocalRegions(conditions),
             WaitingRoom(patience=PATIENCE),
             dynamic=DynamicLayer(size) if self.dynamic else None,
@@ -134,6 +137,11 @@ class DenseRun:
     before: BeforeClosing | None
     seconds: Mapping[str, float]
 
+    @property
+    def layers(self) -> Mapping[str, Layer]:
+        """Those that were asked for; the map may hold more for others."""
+        return {name: self.dense.layers[name] for name in self.options.layers}
+
     def is_dynamic(self, point: Array) -> NDArray[np.bool_]:
         """(N,) which points (N, 2) [m] are where something was seen to move."""
         return _is_dynamic(self.dense, self.landmark, point)
@@ -143,18 +151,28 @@ class DenseWatcher:
     """Feeds a dense map while the filter runs. Reads the filter only.
 
     It is a DynamicGuard, too, for a filter that is to know what the map finds to be moving, and
-    tells LayerValues to one that goes by what is around its landmarks.
+    tells LayerValues to one that goes by what is around its landmarks. options: what it was asked
+    to keep.
     """
 
-    def __init__(self, log: Log, options: DenseOptions, beside: Sequence[GlobalMap] = ()) -> None:
-        """beside: maps that are given the same scans from the same poses. Raises InputError."""
+    def __init__(
+        self,
+        log: Log,
+        options: DenseOptions,
+        beside: Sequence[GlobalMap] = (),
+        also: tuple[str, ...] = (),
+    ) -> None:
+        """beside: maps that are given the same scans from the same poses. also: more layers.
+
+        Raises InputError.
+        """
         self._scans = PlanarScans(log)
-        if "values" in options.layers and not self._scans.valued:
+        if "values" in (*options.layers, *also) and not self._scans.valued:
             raise InputError(
                 f"{log.name}: its scans hold no intensities, which the layer of values is made of"
             )
-        self._options = options
-        self._dense = options.build()
+        self.options = options
+        self._dense = options.build(also)
         self._beside = beside
         self._motion, self._relative = motion_model(log), isinstance(log.odometry, RelativePoses)
         self._next = 0
@@ -226,7 +244,7 @@ class DenseWatcher:
         """The map, once the filter has finished."""
         done = len(self._pose)
         return DenseRun(
-            self._options,
+            self.options,
             self._dense,
             self._scans,
             self._scans.time_s[:done],

@@ -93,7 +93,7 @@ def test_a_landmark_that_the_layer_does_not_know_stands_with_the_others() -> Non
     found = told_by(layer).distances(np.arange(2), seen)
     assert found.dof.tolist() == [[1, 0]]
     assert found.nis.tolist() == [[0.0, 0.0]]
-    assert np.isclose(*found.n[0], rtol=1e-12)
+    assert np.isclose(found.n[0, 0], found.n[0, 1], rtol=1e-12)
 
 
 @pytest.mark.parametrize(("kind", "holds"), [(Painted, True), (SureOfItself, False)])
@@ -130,7 +130,7 @@ def test_the_layer_holds_the_poles_colours_while_the_filter_drives() -> None:
     watcher = DenseWatcher(log, DenseOptions(("values",)))
     run = run_ekf(log, build_timeline(log), LAYER.settle(log), watcher=watcher, layer=watcher)
     held = watcher.values_at(np.arange(len(run.estimate.landmark)))
-    seen = held.count >= 10
+    seen = held.returns >= 10
     assert seen.sum() >= 5
     off = np.abs(held.mean[seen, None] - COLOURS).min(axis=1)
     assert np.median(off) < 0.5 * SIGMA_COLOUR

@@ -23,13 +23,13 @@ from ekf_reference.dense.triangles import Array
 class PlaceValues(NamedTuple):
     """What a layer holds around some places, in the values' unit.
 
-    mean: (L,) and variance: (L,) of single returns from there, NaN where none is known. count:
-    (L,) of these returns.
+    mean: (L,) and variance: (L,) of single returns from there, NaN where none is known. returns:
+    (L,) how many these are.
     """
 
     mean: Array
     variance: Array
-    count: Array
+    returns: Array
 
 
 class Values:

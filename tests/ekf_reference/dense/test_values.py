@@ -40,7 +40,7 @@ def test_mean_and_scatter_are_those_of_all_returns_around(centre: tuple[float, f
         values.append(value[1:])
     every = np.concatenate(values)
     there = made.around(np.array((centre, (0.5, 9.0), (np.nan, 1.0))), placed, 0.3)
-    assert there.count.tolist() == [160, 0, 0]
+    assert there.returns.tolist() == [160, 0, 0]
     assert relative_error(there.mean[:1], every.mean(keepdims=True)) < 1e-12
     assert relative_error(there.variance[:1], every.var(keepdims=True)) < 1e-12
     assert np.isnan(there.mean[1:]).all()
@@ -82,7 +82,7 @@ def test_returns_that_wait_keep_their_values(told: bool) -> None:
     placed, seen = dense.place(line), scan()
     there = layer.around(seen.point, placed, 0.05)
     assert seen.value is not None
-    known = there.count > 0
+    known = there.returns > 0
     assert known.mean() > 0.3
     assert np.abs(there.mean - seen.value)[known].max() < 0.05
 
