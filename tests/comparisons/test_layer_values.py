@@ -21,6 +21,7 @@ from comparisons.runs.ekf_run import run_ekf
 from comparisons.runs.timeline import build_timeline
 from ekf_reference.association import NearestNeighbour
 from ekf_reference.attributes import AttributeEstimates, LayerAttributes
+from ekf_reference.full_ekf import FullEkf
 from ekf_reference.joint_compatibility import JointCompatibility
 from ekf_reference.kalman import KalmanState
 from ekf_reference.observation import RangeBearing
@@ -169,3 +170,23 @@ def test_what_cannot_be_had_is_said() -> None:
         DenseWatcher(replace(log, scans=dark), DenseOptions(("values",)))
     with pytest.raises(ValueError, match="the map that keeps it"):
         build_association(log, LAYER)
+
+
+class Doubled(KalmanState):
+    """Wrong: the prediction adds its noise twice."""
+
+    def predict(self, pose: Array, jacobian: Array, noise: Array) -> None:
+        """See KalmanState.predict."""
+        super().predict(pose, jacobian, 2.0 * noise)
+
+
+def test_an_algebra_gap_is_traced_with_the_layer_as_well() -> None:
+    """The second run, operation by operation, goes by a map of its own."""
+
+    def wrong(ekf: FullEkf) -> None:
+        ekf.state = Doubled(ekf.state.pose, ekf.state.pose_covariance)
+
+    compared = compare_estimators(drive(), LAYER, modify=wrong)
+    causes = " ".join(cause.evidence for cause in compared.verdict.causes)
+    assert compared.verdict.outcome == "disagree"
+    assert "the prediction gets the vehicle's covariance wrong" in causes
