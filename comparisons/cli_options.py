@@ -82,8 +82,9 @@ FeaturesOption = Annotated[
 AttributesOption = Annotated[
     str,
     typer.Option(
-        metavar="off|on",
-        help="On: diameters and intensities tell landmarks apart, too (nn and jcbb).",
+        metavar="off|on|layer",
+        help="On: diameters and intensities tell landmarks apart, too (nn and jcbb); layer: the "
+        "intensities of raw scans around them, from the dense map.",
     ),
 ]
 GpsOption = Annotated[
@@ -116,7 +117,9 @@ CloudOption = Annotated[
 ]
 LayerOption = Annotated[
     list[str],
-    typer.Option("--layer", metavar="points|occupancy|particles|sog", help="May be repeated."),
+    typer.Option(
+        "--layer", metavar="points|occupancy|particles|sog|values", help="May be repeated."
+    ),
 ]
 ResolutionOption = Annotated[
     float, typer.Option(metavar="M", help="Size of cells in metres, of grids and pictures.")
@@ -158,7 +161,7 @@ DenseOption = Annotated[
     list[str],
     typer.Option(
         "--dense",
-        metavar="points|occupancy|particles|sog",
+        metavar="points|occupancy|particles|sog|values",
         help="Keep this layer of a dense map and hold it against the smoother's; may be repeated.",
     ),
 ]
@@ -177,6 +180,22 @@ HighLevelOption = Annotated[
         metavar="off|on",
         help="On: landmarks made of what stands in the filter's dense map, seen in the scans.",
     ),
+]
+HighLevelCellOption = Annotated[
+    float,
+    typer.Option(
+        "--high-level-cell", metavar="M", help="Cells of its map, which Gaussians are apart by."
+    ),
+]
+HighLevelPairOption = Annotated[
+    float,
+    typer.Option("--high-level-pair", metavar="M", help="Greatest distance of two corners of one."),
+]
+HighLevelLeastOption = Annotated[
+    int, typer.Option("--high-level-least", metavar="N", help="Gaussians that one must have.")
+]
+HighLevelEveryOption = Annotated[
+    float, typer.Option("--high-level-every", metavar="S", help="Seconds between two searches.")
 ]
 FiguresOption = Annotated[
     list[str],

@@ -17,7 +17,11 @@ from comparisons.cli_options import (
     FormatOption,
     FuseLandmarksOption,
     GpsOption,
+    HighLevelCellOption,
+    HighLevelEveryOption,
+    HighLevelLeastOption,
     HighLevelOption,
+    HighLevelPairOption,
     LagOption,
     LandmarksOption,
     LiveOption,
@@ -85,6 +89,10 @@ def run(
     dense: DenseOption = [],  # noqa: B006
     resolution: ResolutionOption = 0.2,
     high_level: HighLevelOption = "off",
+    high_level_cell: HighLevelCellOption = 0.2,
+    high_level_pair: HighLevelPairOption = 12.0,
+    high_level_least: HighLevelLeastOption = 200,
+    high_level_every: HighLevelEveryOption = 20.0,
     figures: FiguresOption = [],  # noqa: B006
     live: LiveOption = False,
     record: RecordOption = None,
@@ -133,6 +141,9 @@ def run(
             raise InputError(
                 "--trace is for filters of x, y and heading, and for landmarks that are points"
             )
+        searched = HighLevelOptions.of(
+            high_level_cell, high_level_pair, high_level_least, high_level_every
+        )
         kept = DenseOptions(tuple(dict.fromkeys(dense)) or ("points",), resolution)
         raise SystemExit(
             _run(
@@ -145,7 +156,7 @@ def run(
                 fuse_landmarks == "on",
                 kept if dense else None,
                 dynamic == "on",
-                HighLevelOptions() if high_level == "on" else None,
+                searched if high_level == "on" else None,
                 out,
                 read_s,
                 Extras(tuple(figures), live, record, trace),

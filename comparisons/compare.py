@@ -58,6 +58,7 @@ Progress = Callable[[str, int, int], None]
 """Called with the stage, what is done and what there is to do (0 when not known)."""
 
 _DYNAMIC_ONLY = DenseOptions((), dynamic=True)
+_VALUES_ONLY = DenseOptions(("values",))
 MOTIONS = ("wheel", "scan", "both")
 
 
@@ -161,16 +162,24 @@ def compare_estimators(
         log, source = slam.log, slam
     positions = fused_positions(log, chosen)
     timeline = build_timeline(log, positions, None if slam is None else slam.scans.time_s)
-    if high_level is not None:
-        source = partial(HighLevelSource, log, high_level)
-    seeing = source()
+    by_layer = chosen.attributes == "layer"
 
     def watch_over() -> DenseWatcher | None:
-        if dense is None and not dynamic:
+        if dense is None and not dynamic and not by_layer:
             return None
-        return DenseWatcher(log, replace(dense or _DYNAMIC_ONLY, dynamic=dynamic))
+        kept = replace(dense or (_VALUES_ONLY if by_layer else _DYNAMIC_ONLY), dynamic=dynamic)
+        also = _VALUES_ONLY.layers if by_layer else ()
+        if high_level is not None:
+            also += high_level.layers_in(kept)
+        return DenseWatcher(log, kept, also=also)
 
     watcher = watch_over()
+    if high_level is not None:
+        source = partial(HighLevelSource, log, high_level)
+    shared = (
+        watcher is not None and high_level is not None and high_level.layers_in(watcher.options)
+    )
+    seeing = HighLevelSource(log, high_level, watcher) if shared else source()
     with clock.stage("ekf"):
         run = run_ekf(
             log,
@@ -182,6 +191,7 @@ def compare_estimators(
             watcher,
             seeing,
             watcher if dynamic else None,
+            watcher if by_layer else None,
         )
     if not len(run.estimate.landmark) + len(run.estimate.oriented):
         raise InputError(
@@ -238,7 +248,14 @@ def compare_estimators(
             run,
             lambda: model_differences(said, meant, ROUNDING, begun),
             operations=lambda: _repeated(
-                log, timeline, run, chosen, modify, source(), watch_over() if dynamic else None
+                log,
+                timeline,
+                run,
+                chosen,
+                modify,
+                source(),
+                watch_over() if dynamic or by_layer else None,
+                dynamic,
             ),
             explanations=lambda: explain(log, run),
             misuses=misuses(log, run, smoothed, labelled=labelled),
@@ -295,10 +312,11 @@ def _repeated(
     modify: Callable[[FullEkf], None],
     source: OrientedSource,
     watcher: DenseWatcher | None,
+    dynamic: bool,
 ) -> tuple[AlgebraDifference, ...]:
     """The filter once more, with every operation repeated on a sound copy of its state.
 
-    watcher: who tells it what moves, if anybody does.
+    watcher: who tells it what moves, or what is around its landmarks, if anybody does.
     """
     watched: list[WatchedState | None] = []
 
@@ -308,7 +326,7 @@ def _repeated(
 
     run_ekf(
         log, timeline, choices, run.positions, modify=also, watcher=watcher, source=source,
-        guard=watcher,
+        guard=watcher if dynamic else None, layer=watcher,
     )  # fmt: skip
     return watched[0].differences() if watched[0] is not None else ()
 

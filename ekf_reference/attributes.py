@@ -9,14 +9,14 @@ eqs. 2.58 and 2.60), and their degrees of freedom. The filter's state knows noth
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammainccinv
 
-from ekf_reference.sightings import Sightings
+from ekf_reference.sightings import SightedAttributes, Sightings
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.intp]
@@ -96,18 +96,11 @@ class AttributeEstimates:
         per unit of the attribute against one without, and the unit would decide.
         """
         self._reach(int(slot.max(initial=-1)) + 1)
-        seen, known = sightings.attributes, (self.count > 0)[slot]
+        seen = sightings.attributes
         if not seen.value.shape[1]:
             return NO_ATTRIBUTES.distances(slot, sightings)
-        any_mean, any_variance = self._population()
-        mean = np.where(known, self.mean[slot], any_mean)
-        spread = np.where(known, self.variance[slot], any_variance) + seen.variance[:, None]
-        nis = (seen.value[:, None] - mean) ** 2 / spread  # (m, L, A)
-        both = np.isfinite(seen.value)[:, None] & known
-        n = np.nansum(nis + np.log(spread), axis=2)
-        return AttributeDistances(
-            np.where(both, nis, 0.0).sum(axis=2), n, np.count_nonzero(both, axis=2)
-        )
+        anyone = population(self.mean, self.variance)
+        return compared(seen, self.mean[slot], self.variance[slot], anyone)
 
     def note(self, slots: Counts, sightings: Sightings) -> None:
         """Average in the attributes of sightings that were given to landmarks."""
@@ -122,16 +115,6 @@ class AttributeEstimates:
         np.add.at(self._weighted, (slot, column), seen.value[row, column] / variance)
         np.minimum.at(self._least, (slot, column), variance)
 
-    def _population(self) -> tuple[Array, Array]:
-        """Mean and variance (A,) over the landmarks, NaN while none has the attribute."""
-        known = self.count > 0
-        landmarks = known.sum(axis=0)
-        share = known / np.where(landmarks, landmarks, np.nan)
-        mean = np.where(known, self.mean, 0.0)
-        centre = (share * mean).sum(axis=0)
-        own = np.where(known, self.variance, 0.0)
-        return centre, (share * ((mean - centre) ** 2 + own)).sum(axis=0)
-
     def _reach(self, landmarks: int) -> None:
         more = landmarks - len(self.count)
         if more > 0:
@@ -140,6 +123,72 @@ class AttributeEstimates:
             self._information = np.pad(self._information, below)
             self._weighted = np.pad(self._weighted, below)
             self._least = np.pad(self._least, below, constant_values=np.inf)
+
+
+class LayerValues(Protocol):
+    """Whoever keeps a layer of the dense map, which the landmarks lie in."""
+
+    def values_at(self, slot: Counts) -> tuple[Array, Array, Array]:
+        """Of returns from around landmarks by slot (L,): mean, variance (NaN: none), and count."""
+        ...
+
+
+@dataclass(frozen=True)
+class LayerAttributes:
+    """One attribute is told by a layer of the dense map, the others are remembered.
+
+    The landmark's is what all scans have shown around its place, whatever its sightings were
+    taken for; the sighting's, in `column`, is what its own scan shows around it.
+    """
+
+    memory: AttributeEstimates
+    layer: LayerValues
+    column: int
+
+    def distances(self, slot: Counts, sightings: Sightings) -> AttributeDistances:
+        """As AttributeEstimates does. A return scatters as the layer's do, beside its noise."""
+        seen, column = sightings.attributes, self.column
+        others = seen.value.copy()
+        others[:, column] = np.nan
+        remembered = SightedAttributes(others, seen.variance)
+        first = self.memory.distances(slot, replace(sightings, attributes=remembered))
+        mean, scatter, count = self.layer.values_at(slot)
+        noise = seen.variance[:, column].mean()  # of one return, in the layer as here
+        variance = scatter + noise / np.maximum(count, 1.0)
+        own = SightedAttributes(seen.value[:, [column]], seen.variance[:, [column]])
+        known = mean[:, None], variance[:, None]
+        second = compared(own, *known, population(*known))
+        return AttributeDistances(
+            first.nis + second.nis, first.n + second.n, first.dof + second.dof
+        )
+
+
+def compared(
+    seen: SightedAttributes, mean: Array, variance: Array, anyone: tuple[Array, Array]
+) -> AttributeDistances:
+    """From sightings to landmarks with attributes (L, A), NaN where unknown.
+
+    anyone: (A,) mean and variance of what a landmark that lacks one stands with.
+    """
+    known = np.isfinite(mean)
+    spread = np.where(known, variance, anyone[1]) + seen.variance[:, None]
+    nis = (seen.value[:, None] - np.where(known, mean, anyone[0])) ** 2 / spread  # (m, L, A)
+    both = np.isfinite(seen.value)[:, None] & known
+    n = np.nansum(nis + np.log(spread), axis=2)
+    return AttributeDistances(
+        np.where(both, nis, 0.0).sum(axis=2), n, np.count_nonzero(both, axis=2)
+    )
+
+
+def population(mean: Array, variance: Array) -> tuple[Array, Array]:
+    """Mean and variance (A,) over landmarks (L, A), NaN while none has the attribute."""
+    known = np.isfinite(mean)
+    landmarks = known.sum(axis=0)
+    share = known / np.where(landmarks, landmarks, np.nan)
+    mean = np.where(known, mean, 0.0)
+    centre = (share * mean).sum(axis=0)
+    own = np.where(known, variance, 0.0)
+    return centre, (share * ((mean - centre) ** 2 + own)).sum(axis=0)
 
 
 def same_tail(gate: float, dof: Counts) -> Array:

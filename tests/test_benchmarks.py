@@ -48,6 +48,13 @@ def test_waypoint_run_benchmark_runs(tmp_path: Path) -> None:
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
+def test_layer_values_benchmark_runs() -> None:
+    lines = run("benchmarks/layer_values.py", "--seeds", "1", "--loops", "0.08")
+    assert [line.split()[:2] for line in lines[3:6]] == [
+        ["nn", k] for k in ("off", "layer", "mixed")
+    ]
+
+
 def test_attributes_benchmark_runs() -> None:
     few = ("--seeds", "1", "--loops", "0.3", "--lost", "2", "--every", "5")
     lines = run("benchmarks/attributes.py", *few)
@@ -78,7 +85,8 @@ def test_matchers_benchmark_runs(tmp_path: Path) -> None:
     lines = run("benchmarks/matchers.py", "--pairs", "1", "--figure", str(picture))
     icp = ["surface", "kiss", "point-to-point", "point-to-plane", "generalised"]
     names = [*icp, "sog", "occupancy"]
-    assert [line.split()[2] for line in lines[2:]] == names
+    assert [line.split()[2] for line in lines[2:-1]] == names
+    assert "with covariance" in lines[-1]
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 

@@ -96,7 +96,7 @@ def compare_dense(log: Log, dense: DenseRun, smoothed: Estimate) -> DenseAgreeme
     other = _returns(log, dense, smoothed, by_smoother, grid)
     layers, rows, errors = {}, [], {}
     surfaces = log.truth.surfaces
-    for name, layer in dense.dense.layers.items():
+    for name, layer in dense.layers.items():
         samples = layer.samples(by_filter)
         if surfaces is not None:
             errors[name] = surface_error(samples, surfaces.segment)

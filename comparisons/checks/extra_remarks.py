@@ -7,6 +7,7 @@ from comparisons.logs.log import Log
 from comparisons.runs.dense_run import DenseRun, DenseWatcher
 from comparisons.runs.scan_log import BEYOND
 from comparisons.runs.scan_motion import ScanMotion
+from ekf_reference.dense.dynamic import places
 
 
 def on_scans(log: Log, motion: ScanMotion | None) -> list[str]:
@@ -29,12 +30,19 @@ def on_dense(mapped: DenseRun | None, compared: DenseAgreement | None) -> list[s
 
 
 def on_motion(watcher: DenseWatcher | None) -> list[str]:
-    """A remark where motion was looked for, and most of it would not have been found."""
-    if watcher is None or watcher.moves.compared > watcher.moves.deformed:
+    """Remarks where motion was looked for: what was found, and whether most of it could be."""
+    layer = None if watcher is None else watcher.dense.dynamic
+    if watcher is None or layer is None:
         return []
-    return [
-        "whether anything moves is hardly known: of "
-        f"{watcher.moves.compared + watcher.moves.deformed} pairs of maps "
-        f"{watcher.moves.deformed} could not be compared, since their region had changed its "
-        "shape; it takes three landmarks that stand still"
-    ]
+    placed = watcher.dense.regions.placed(watcher.dense.landmark)
+    count = int(places(layer.points(placed)).max(initial=-1)) + 1
+    found = f"something moves in {count} places, {layer.area_m2(placed):.1f} m2 in all"
+    remarks = [found if count else "nothing was seen to move"]
+    if watcher.moves.compared <= watcher.moves.deformed:
+        remarks.append(
+            "whether anything moves is hardly known: of "
+            f"{watcher.moves.compared + watcher.moves.deformed} pairs of maps "
+            f"{watcher.moves.deformed} could not be compared, since their region had changed its "
+            "shape; it takes three landmarks that stand still"
+        )
+    return remarks

@@ -37,11 +37,13 @@ class DenseRegionResult(Model):
 class HighLevelResult(Model):
     """High level landmarks. See comparisons.runs.high_level_source.HighLevelRun.
 
-    found: accepted by a search. kept: seen again, and since then in the state. looks: at those
-    within reach, by outcome, `seen` among them.
+    corners, pairs: of all searches. found: accepted by one. kept: seen again, and since then in the
+    state. looks: at those within reach, by outcome, `seen` among them.
     """
 
     searches: int
+    corners: int
+    pairs: int
     candidates: int
     poor: int
     found: int

@@ -59,6 +59,8 @@ def high_level_result(run: HighLevelRun | None) -> HighLevelResult | None:
         return None
     return HighLevelResult(
         searches=run.searches,
+        corners=run.corners,
+        pairs=run.pairs,
         candidates=run.candidates,
         poor=run.poor,
         found=len(run.slot),
@@ -71,7 +73,8 @@ def high_level_text(made: HighLevelResult) -> str:
     """Found, kept, seen, in a line."""
     rest = ", ".join(f"{n} {name}" for name, n in made.looks.items() if name != "seen")
     return (
-        f"{made.found} landmarks found in {made.searches} searches, {made.kept} kept; "
+        f"{made.found} landmarks found in {made.searches} searches ({made.corners} corners, "
+        f"{made.pairs} pairs, {made.poor} with too few Gaussians), {made.kept} kept; "
         f"{made.looks.get('seen', 0)} sightings" + (f" ({rest})" if rest else "")
     )
 

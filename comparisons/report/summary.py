@@ -125,7 +125,7 @@ def add_ekf(table: Table, ekf: EkfResult) -> None:
         "EKF",
         f"{ekf.filter}, {ekf.landmarks} landmarks; sightings {ekf.rejected} rejected, "
         f"{ekf.ambiguous} ambiguous, {ekf.candidate} of candidates ({ekf.association}"
-        + (", attributes" if ekf.attributes == "on" else "")
+        + {"on": ", attributes", "layer": ", attributes of a layer"}.get(ekf.attributes, "")
         + ")",
     )
     if ekf.dynamic or ekf.retired:

@@ -167,7 +167,7 @@ def of_log(log: Log, every_s: float) -> HighLevelDrive:
     def searched(time_s: float, around: Around, found: Search) -> None:
         searches.append(Searched.of(time_s, around, found))
 
-    source = HighLevelSource(log, HighLevelOptions(every_s), searched)
+    source = HighLevelSource(log, HighLevelOptions(every_s), searched=searched)
     choices, timeline = EkfChoices().settle(log), build_timeline(log)
     without = run_ekf(log, timeline, choices)
     run = run_ekf(log, timeline, choices, source=source)

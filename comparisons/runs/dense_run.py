@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
+from comparisons.runs.attributes import AROUND_M
 from comparisons.runs.ekf_build import motion_model
 from comparisons.runs.estimate import Array
 from comparisons.runs.motion import CLOCK_S
@@ -25,6 +26,7 @@ from ekf_reference.dense.layers.layer import Layer, Samples
 from ekf_reference.dense.layers.occupancy import Coarsening, OccupancyGrid
 from ekf_reference.dense.layers.particles import Particles
 from ekf_reference.dense.layers.points import Points
+from ekf_reference.dense.layers.values import PlaceValues, Values
 from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.sensor_model import InverseSensorModel
@@ -32,7 +34,7 @@ from ekf_reference.dense.view import FilterView
 from ekf_reference.dense.waiting import WaitingRoom
 from ekf_reference.full_ekf import FullEkf
 
-LAYERS = ("points", "occupancy", "particles", "sog")
+LAYERS = ("points", "occupancy", "particles", "sog", "values")
 GRID_MODEL = InverseSensorModel(p_occupied=0.65, p_free=0.45)
 """Of grids: several looks, not one noisy return, make a cell occupied, and what stands is often
 looked past."""
@@ -59,12 +61,14 @@ class DenseOptions:
     """What is kept, and how.
 
     layers: of LAYERS; none where only the dynamic layer is wanted. resolution_m: of cells.
+    d_min_m: of the Gaussians, see dense.layers.gaussians.
     known_apart_m, longest_edge_m: see dense.conditions.Conditions. dynamic: look for what moves.
     coarsening: of the occupancy layer's almost empty regions.
     """
 
     layers: tuple[str, ...] = ("points", "occupancy")
     resolution_m: float = 0.2
+    d_min_m: float = 0.2
     known_apart_m: float = 0.5
     longest_edge_m: float = 35.0
     coarsening: Coarsening | None = None
@@ -75,23 +79,25 @@ class DenseOptions:
         if not (self.layers or self.dynamic) or set(self.layers) - set(LAYERS):
             given = ", ".join(self.layers) or "none"
             raise InputError(f"layers {given}: expected some of {', '.join(LAYERS)}")
-        if not 0.01 <= self.resolution_m <= 10.0:
-            raise InputError(f"resolution {self.resolution_m} m: expected 0.01 to 10 m")
+        for name, size in (("resolution", self.resolution_m), ("d_min", self.d_min_m)):
+            if not 0.01 <= size <= 10.0:
+                raise InputError(f"{name} {size} m: expected 0.01 to 10 m")
 
-    def build(self) -> DenseMap:
-        """An empty map."""
+    def build(self, also: tuple[str, ...] = ()) -> DenseMap:
+        """An empty map. also: more layers."""
         size = self.resolution_m
         made: Mapping[str, Layer] = {
             "points": Points(size),
             "occupancy": OccupancyGrid(size, GRID_MODEL, coarsening=self.coarsening),
             "particles": Particles(np.random.default_rng(0)),
-            "sog": Gaussians(),
+            "sog": Gaussians(self.d_min_m),
+            "values": Values(),
         }
         conditions = Conditions(
             known_apart_m=self.known_apart_m, longest_edge_m=self.longest_edge_m
         )
         return DenseMap(
-            {name: made[name] for name in self.layers},
+            {name: made[name] for name in dict.fromkeys((*self.layers, *also))},
             LocalRegions(conditions),
             WaitingRoom(patience=PATIENCE),
             dynamic=DynamicLayer(size) if self.dynamic else None,
@@ -131,6 +137,11 @@ class DenseRun:
     before: BeforeClosing | None
     seconds: Mapping[str, float]
 
+    @property
+    def layers(self) -> Mapping[str, Layer]:
+        """Those that were asked for; the map may hold more for others."""
+        return {name: self.dense.layers[name] for name in self.options.layers}
+
     def is_dynamic(self, point: Array) -> NDArray[np.bool_]:
         """(N,) which points (N, 2) [m] are where something was seen to move."""
         return _is_dynamic(self.dense, self.landmark, point)
@@ -139,14 +150,29 @@ class DenseRun:
 class DenseWatcher:
     """Feeds a dense map while the filter runs. Reads the filter only.
 
-    It is a DynamicGuard, too, for a filter that is to know what the map finds to be moving.
+    It is a DynamicGuard, too, for a filter that is to know what the map finds to be moving, and
+    tells LayerValues to one that goes by what is around its landmarks. options: what it was asked
+    to keep.
     """
 
-    def __init__(self, log: Log, options: DenseOptions, beside: Sequence[GlobalMap] = ()) -> None:
-        """beside: maps that are given the same scans from the same poses. Raises InputError."""
+    def __init__(
+        self,
+        log: Log,
+        options: DenseOptions,
+        beside: Sequence[GlobalMap] = (),
+        also: tuple[str, ...] = (),
+    ) -> None:
+        """beside: maps that are given the same scans from the same poses. also: more layers.
+
+        Raises InputError.
+        """
         self._scans = PlanarScans(log)
-        self._options = options
-        self._dense = options.build()
+        if "values" in (*options.layers, *also) and not self._scans.valued:
+            raise InputError(
+                f"{log.name}: its scans hold no intensities, which the layer of values is made of"
+            )
+        self.options = options
+        self._dense = options.build(also)
         self._beside = beside
         self._motion, self._relative = motion_model(log), isinstance(log.odometry, RelativePoses)
         self._next = 0
@@ -200,6 +226,15 @@ class DenseWatcher:
         """(N,) which points (N, 2) [m] are where something was seen to move."""
         return _is_dynamic(self._dense, self._dense.landmark, point)
 
+    def values_at(self, slot: NDArray[np.intp]) -> PlaceValues:
+        """What the layer of values holds around landmarks (L,), for the filter's association.
+
+        Raises KeyError without that layer.
+        """
+        layer, landmark = self._dense.layers["values"], self._dense.landmark
+        placed = self._dense.regions.placed(landmark)
+        return cast(Values, layer).around(landmark[slot], placed, AROUND_M)
+
     @property
     def moves(self) -> Counters:
         """What looking for motion came to; zeros where it was not asked for."""
@@ -209,7 +244,7 @@ class DenseWatcher:
         """The map, once the filter has finished."""
         done = len(self._pose)
         return DenseRun(
-            self._options,
+            self.options,
             self._dense,
             self._scans,
             self._scans.time_s[:done],

@@ -16,6 +16,7 @@ from comparisons.runs.timeline import Timeline
 from ekf_reference.association import REJECTED
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.kalman import FilterDivergedError
+from ekf_reference.sightings import SightedAttributes
 
 
 @runtime_checkable
@@ -108,11 +109,13 @@ def drive(
     watching: Watcher | None = None,
     source: OrientedSource | None = None,
     ledger: OrientedLedger | None = None,
+    told: SightedAttributes | None = None,
 ) -> Iterator[Stop]:
     """Predict, fuse the sightings, fuse the positions, stop; and so on to the end.
 
     positions: to be fused; the timeline is built with the same. source: of sightings of landmarks
-    with a direction, fused last and kept in the ledger.
+    with a direction, fused last and kept in the ledger. told: what the sightings tell besides
+    places, in place of what the log says.
     """
     watching, source = watching or NoWatcher(), source or NoOrientedSource()
     ledger = ledger or OrientedLedger()
@@ -121,7 +124,7 @@ def drive(
     seen, done = log.sightings, 0
     z = np.column_stack((seen.range_m, seen.bearing_rad))
     sigma = np.column_stack((seen.sigma_range_m, seen.sigma_bearing_rad))
-    told = sighted_attributes(log)
+    told = told or sighted_attributes(log)
     for k, time_s in enumerate(timeline.epoch_time_s.tolist()):
         for i in range(done, int(steps[k])):
             control, duration = timeline.control[i], float(timeline.step_duration_s[i])

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from comparisons.errors import InputError
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry
-from comparisons.runs.attributes import check_attributes, no_estimates
+from comparisons.runs.attributes import BRIGHTNESS, check_attributes, no_estimates
 from comparisons.runs.known_landmarks import surveyed
 from ekf_reference.absolute_updates import PositionFixes, PositionModel
 from ekf_reference.agreed_association import AgreedAssociation
@@ -22,7 +22,7 @@ from ekf_reference.association import (
     RememberedAttributes,
     SurveyedLandmarks,
 )
-from ekf_reference.attributes import NO_ATTRIBUTES
+from ekf_reference.attributes import NO_ATTRIBUTES, Attributes, LayerAttributes, LayerValues
 from ekf_reference.compressed_ekf import CompressedEkf, LocalAreas
 from ekf_reference.direction_cosine import DirectionCosinePosition
 from ekf_reference.direction_cosine_ekf import DirectionCosineEkf
@@ -45,7 +45,8 @@ class EkfChoices:
 
     association: None to choose by the log. gps: whether absolute positions are fused: `off`, `on`,
     or `half` for every second one, the others being held back to judge by. attributes: `on` when
-    diameters and intensities tell landmarks apart, besides their places.
+    diameters and intensities tell landmarks apart, besides their places; `layer` when intensities
+    are those of the dense map's layer.
     """
 
     filter: str = "full"
@@ -80,14 +81,19 @@ class EkfChoices:
         return self
 
 
-def build_ekf(log: Log, choices: EkfChoices, trace: Trace) -> FullEkf:
-    """The filter that a log and settled choices call for, standing at its prior."""
+def build_ekf(
+    log: Log, choices: EkfChoices, trace: Trace, layer: LayerValues | None = None
+) -> FullEkf:
+    """The filter that a log and settled choices call for, standing at its prior.
+
+    layer: see build_association.
+    """
     odometry, prior = log.odometry, log.prior
     stabilisation = Stabilisation()
     if not isinstance(odometry, RelativePoses):
         noise = odometry.noise
         stabilisation = Stabilisation(noise.variance_rate_position, noise.variance_rate_heading)
-    rule = build_association(log, choices)
+    rule = build_association(log, choices, layer)
     common = (motion_model(log), rule, prior.pose, prior.covariance, stabilisation, trace)
     ekf: FullEkf
     antenna = log.positions.antenna_m if log.positions is not None else (0.0, 0.0)
@@ -139,20 +145,28 @@ def _rows(p: Positions, rows: NDArray[np.intp]) -> Positions | None:
     return p.chosen(rows) if len(rows) else None
 
 
-def build_association(log: Log, choices: EkfChoices) -> Association:
+def build_association(
+    log: Log, choices: EkfChoices, layer: LayerValues | None = None
+) -> Association:
     """The rule; detections that need confirmation pass as candidates first.
 
-    Sightings of surveyed landmarks go by their labels in any case.
+    Sightings of surveyed landmarks go by their labels in any case. layer: of the map that is kept
+    beside the filter. Raises ValueError where attributes are to come from one and there is none.
     """
     slot_of, _, _ = surveyed(log)
     rule: Association
-    memory = no_estimates() if choices.attributes == "on" else None
+    memory = no_estimates() if choices.attributes != "off" else None
+    told: Attributes = memory or NO_ATTRIBUTES
+    if choices.attributes == "layer" and memory is not None:
+        if layer is None:
+            raise ValueError("attributes of a layer need the map that keeps it")
+        told = LayerAttributes(memory, layer, BRIGHTNESS)
     if choices.association == "known":
         rule = KnownAssociation(log.sightings.label_gate, first_slot=len(slot_of))
     else:
         rules: dict[str, Association] = {
-            "nn": NearestNeighbour(attributes=memory or NO_ATTRIBUTES),
-            "jcbb": JointCompatibility(attributes=memory or NO_ATTRIBUTES),
+            "nn": NearestNeighbour(attributes=told),
+            "jcbb": JointCompatibility(attributes=told),
             "euclidean": EuclideanNeighbour(),
             "agreed": AgreedAssociation(),
         }

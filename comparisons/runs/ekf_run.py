@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from comparisons.errors import InputError
 from comparisons.logs.log import Log, Positions
+from comparisons.runs.attributes import sighted_attributes
 from comparisons.runs.drive import Watcher, Watchers, drive
 from comparisons.runs.ekf_build import EkfChoices, build_ekf
 from comparisons.runs.estimate import Array, Estimate
@@ -17,6 +18,7 @@ from comparisons.runs.known_landmarks import surveyed
 from comparisons.runs.oriented_sightings import OrientedLedger, OrientedSource
 from comparisons.runs.timeline import Timeline
 from ekf_reference.association import AMBIGUOUS, CANDIDATE, DYNAMIC, REJECTED
+from ekf_reference.attributes import LayerValues
 from ekf_reference.compressed_ekf import CompressedState
 from ekf_reference.direction_cosine import OwnAxesObservation
 from ekf_reference.dynamic_guard import DynamicGuard, StaticSightings
@@ -93,6 +95,7 @@ def run_ekf(
     watcher: Watcher | None = None,
     source: OrientedSource | None = None,
     guard: DynamicGuard | None = None,
+    layer: LayerValues | None = None,
 ) -> EkfRun:
     """Drive the filter through all epochs, or as far as it comes.
 
@@ -100,9 +103,10 @@ def run_ekf(
     and in all. modify: may replace parts of the filter before it starts, which is how defects are
     planted. watcher: looks on. source: of sightings of landmarks with a direction; one that is a
     Watcher, too, looks on. guard: knows where things move, so that the filter does not go by these.
+    layer: knows what is around landmarks, for attributes of that kind.
     """
     trace, ledger = RecordedTrace(), OrientedLedger()
-    ekf = build_ekf(log, choices, trace)
+    ekf = build_ekf(log, choices, trace, layer)
     modify(ekf)
     retired: set[int] = set()
     if guard is not None:
@@ -114,7 +118,9 @@ def run_ekf(
     covariance = np.empty((epochs, 3, 3))
     slot = np.full(len(log.sightings.time_s), REJECTED, dtype=np.intp)
     breakdown, rejected_fixes = None, 0
-    for k, stop in enumerate(drive(ekf, log, timeline, positions, watching, source, ledger)):
+    told = sighted_attributes(log, choices.attributes)
+    stops = drive(ekf, log, timeline, positions, watching, source, ledger, told)
+    for k, stop in enumerate(stops):
         slot[stop.rows], arrived[k] = stop.slots, stop.arrived
         rejected_fixes += stop.rejected_fixes
         departed[k], _, read = ekf.read_pose()

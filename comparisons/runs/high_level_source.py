@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from comparisons.errors import InputError
 from comparisons.logs.log import Log
 from comparisons.runs.dense_run import DenseOptions, DenseWatcher
+from comparisons.runs.drive import NoWatcher, Watcher
 from comparisons.runs.estimate import Array
 from comparisons.runs.oriented_sightings import OrientedLedger
-from comparisons.runs.planar_scans import PlanarScans
+from comparisons.runs.planar_scans import PlanarScans, view_to
 from ekf_reference.dense.high_level import Around, Search, SearchOptions, search, to_world
 from ekf_reference.dense.high_level_life import Glimpse, HighLevelLandmarks, LifeOptions
 from ekf_reference.dense.layers.gaussians import Gaussians
@@ -22,6 +24,8 @@ from ekf_reference.full_ekf import FullEkf
 from ekf_reference.scan_landmarks.scan_shape import of_scan
 from ekf_reference.scan_landmarks.templates import View
 
+SEARCHED = ("occupancy", "sog")
+"""Layers that are searched."""
 _AXIS_M = 3.0
 """Length at which axes are drawn."""
 _APART_S = 0.05
@@ -30,7 +34,7 @@ _APART_S = 0.05
 
 @dataclass(frozen=True)
 class HighLevelOptions:
-    """every_s: between two searches. resolution_m: of the occupancy layer.
+    """every_s: between two searches. resolution_m: of the occupancy layer. d_min_m: of the sum's.
 
     Nieto 2005, section 6.1.3, searches every minute; in the worlds here a loop takes 77 s, and an
     object stays within reach for less than half of a minute.
@@ -40,20 +44,51 @@ class HighLevelOptions:
     search: SearchOptions = field(default_factory=SearchOptions)
     life: LifeOptions = field(default_factory=LifeOptions)
     resolution_m: float = 0.2
+    d_min_m: float = 0.2
+
+    @classmethod
+    def of(cls, cell_m: float, pair_m: float, least: int, every_s: float) -> HighLevelOptions:
+        """What a user may choose: cells, which d_min follows, as in Nieto 2005, section 6.5.
+
+        pair_m, least: see SearchOptions. Raises InputError.
+        """
+        for name, value, low, high in (
+            ("cell", cell_m, 0.05, 2.0),
+            ("pair", pair_m, 1.0, 100.0),
+            ("least", least, 3, 10**6),
+            ("every", every_s, 0.1, 1e6),
+        ):
+            if not low <= value <= high:
+                raise InputError(f"--high-level-{name} is {value}, expected {low:g} to {high:g}")
+        usual = SearchOptions()
+        looked = replace(usual, cell_m=max(usual.cell_m, cell_m), pair_m=pair_m, least=least)
+        return cls(every_s, looked, resolution_m=cell_m, d_min_m=cell_m)
+
+    @property
+    def kept(self) -> DenseOptions:
+        """The dense map that is searched."""
+        return DenseOptions(SEARCHED, self.resolution_m, self.d_min_m)
+
+    def layers_in(self, options: DenseOptions) -> tuple[str, ...]:
+        """What a map with these options should keep, too; nothing where it has other cells."""
+        alike = replace(options, layers=SEARCHED, dynamic=False) == self.kept
+        return SEARCHED if alike else ()
 
 
 @dataclass(frozen=True)
 class HighLevelRun:
     """What became of the search in a drive.
 
-    searches: made. candidates: rectangles that overlapped nothing known; poor: of these, with too
-    few Gaussians. looks: at landmarks within reach, by outcome, `seen` among them. slot: (K,)
-    of all that were found, among the filter's landmarks with a direction; negative where a
-    landmark was never seen again. place: (K, 3) and rectangle: (K, 4, 2), at the end, NaN where
-    what it hung on has left the map.
+    searches: made. corners: in all of these, and pairs of them. candidates: rectangles that
+    overlapped nothing known; poor: of these, with too few Gaussians. looks: at landmarks
+    within reach, by outcome, `seen` among them. slot: (K,) of all that were found, among the
+    filter's landmarks with a direction; negative where one was never seen again. place: (K, 3) and
+    rectangle: (K, 4, 2), at the end, NaN where what it hung on has left the map.
     """
 
     searches: int
+    corners: int
+    pairs: int
     candidates: int
     poor: int
     looks: Mapping[str, int]
@@ -69,7 +104,7 @@ class HighLevelRun:
 
 
 class HighLevelSource:
-    """Watches the filter, keeping a dense map, and sees the landmarks that are found in it.
+    """Watches the filter, with a dense map, and sees the landmarks that are found in it.
 
     The map at an epoch holds the scans of earlier ones: a scan never meets itself.
     """
@@ -78,14 +113,18 @@ class HighLevelSource:
         self,
         log: Log,
         options: HighLevelOptions | None = None,
+        shared: DenseWatcher | None = None,
         searched: Callable[[float, Around, Search], None] = lambda time_s, around, search: None,
     ) -> None:
-        """searched: shown every search. Raises InputError for a log without scans."""
+        """shared: who keeps such a map already, and is told before this one; None for an own one.
+
+        searched: shown every search. Raises InputError for a log without scans.
+        """
         self._searched = searched
         self.options = options or HighLevelOptions()
-        kept = DenseOptions(("occupancy", "sog"), self.options.resolution_m)
         self.landmarks = HighLevelLandmarks(self.options.life)
-        self._watcher = DenseWatcher(log, kept)
+        self._map = shared or DenseWatcher(log, self.options.kept)
+        self._watcher: Watcher = NoWatcher() if shared else self._map
         self._scans = PlanarScans(log)
         self._view = _view(log)
         self._searches: list[Search] = []
@@ -132,6 +171,8 @@ class HighLevelSource:
         """What came of it, once the filter has finished."""
         return HighLevelRun(
             len(self._searches),
+            sum(len(one.corner) for one in self._searches),
+            sum(len(one.candidate) + one.known for one in self._searches),
             sum(len(one.candidate) for one in self._searches),
             sum(one.poor for one in self._searches),
             dict(self.landmarks.counts),
@@ -141,7 +182,7 @@ class HighLevelSource:
         )
 
     def _search(self, ekf: FullEkf, time_s: float) -> None:
-        dense = self._watcher.dense
+        dense = self._map.dense
         around = Around(
             dense.layers["occupancy"],
             cast(Gaussians, dense.layers["sog"]),
@@ -160,6 +201,5 @@ def _view(log: Log) -> View:
     """What the log's scanner can see: its beams, as far as anything returned."""
     if log.scans is None:
         return View(50.0, -math.pi, math.pi)
-    way, angle = log.scans.range_m, log.scans.angle_rad
-    reach = float(way[np.isfinite(way)].max(initial=0.0))
-    return View(reach, float(angle.min()), float(angle.max()))
+    way = log.scans.range_m
+    return view_to(log.scans, float(way[np.isfinite(way)].max(initial=0.0)))

@@ -9,6 +9,7 @@ from comparisons.logs.log import Log
 from comparisons.logs.scans import Scans
 from comparisons.runs.scan_source import ScanSource
 from ekf_reference.dense.scan import Scan, Sensor
+from ekf_reference.scan_landmarks.templates import View
 from graphslam.scan import planar
 from graphslam.scan.points import above_ground, beam_noise
 
@@ -36,6 +37,11 @@ class PlanarScans:
             self.sensor = _sensor(log.scans)
         self._flat = log.clouds is None
 
+    @property
+    def valued(self) -> bool:
+        """The scans tell more of a return than where it comes from: its intensity."""
+        return self._source.values(0) is not None
+
     def scan(self, number: int, vehicle: Array) -> Scan:
         """Scan `number` of them, seen with the vehicle at a pose (3,)."""
         points = self._source.points(number)
@@ -47,9 +53,20 @@ class PlanarScans:
         near = (distance >= self._options.least_range_m) & (distance <= self._most)
         if not self._flat:
             near &= _nearest(bearing, distance)
+        value = self._source.values(number)
         return Scan.of_ranges(
-            planar.compose(vehicle, self._mount), bearing[near], distance[near], self.sensor, number
+            planar.compose(vehicle, self._mount),
+            bearing[near],
+            distance[near],
+            self.sensor,
+            number,
+            None if value is None else value[near],
         )
+
+
+def view_to(scans: Scans, reach_m: float) -> View:
+    """What planar scans can show up to a reach: as far round as their beams go."""
+    return View(reach_m, float(scans.angle_rad.min()), float(scans.angle_rad.max()))
 
 
 def _sensor(scans: Scans) -> Sensor:

@@ -12,7 +12,7 @@ from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
 from comparisons.runs.beam_noise import sensor_of
 from comparisons.runs.oriented_sightings import OrientedLedger
-from comparisons.runs.planar_scans import PlanarScans
+from comparisons.runs.planar_scans import PlanarScans, view_to
 from comparisons.runs.timeline import resolved
 from ekf_reference.dense.scan import Scan
 from ekf_reference.full_ekf import FullEkf
@@ -21,7 +21,6 @@ from ekf_reference.local_map import LocalMap
 from ekf_reference.scan_landmarks.scan_shape import of_scan
 from ekf_reference.scan_landmarks.scan_slam import ScanLandmarks, ScanSlam, ScanSlamOptions
 from ekf_reference.scan_landmarks.sog import SumOfGaussians
-from ekf_reference.scan_landmarks.templates import View
 from ekf_reference.scan_landmarks.twins import FusingOptions, Twins
 
 Array = NDArray[np.float64]
@@ -74,10 +73,9 @@ class LogScans:
             time_s = resolved(time_s)
         self.time_s = time_s[self._number]
         self.sensor, self.mount = sensor_of(log.scans), log.scans.mount.pose
-        first, last = float(log.scans.angle_rad.min()), float(log.scans.angle_rad.max())
-        self._rims = np.array((first, last))
         farthest = max(float(self._seen(k).range_m.max(initial=0.0)) for k in range(len(self)))
-        self.view = View(farthest + _MARGIN_M, first, last)
+        self.view = view_to(log.scans, farthest + _MARGIN_M)
+        self._rims = np.array((self.view.first_rad, self.view.last_rad))
 
     def __len__(self) -> int:
         """N."""

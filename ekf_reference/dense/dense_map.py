@@ -65,6 +65,7 @@ class DenseMap:
     _sought_among: int = 0
     _sought_until: int = 0
     _potential: Potential | None = None
+    _value: Array = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
         """The error layer follows the regions."""
@@ -103,7 +104,11 @@ class DenseMap:
         self.tally.returns += len(scan.range_m)
         self.tally.fused += len(inside)
         hits = Hits(
-            found.region[inside], found.local[inside], scan.point[inside], scan.covariance[inside]
+            found.region[inside],
+            found.local[inside],
+            scan.point[inside],
+            scan.covariance[inside],
+            None if scan.value is None else scan.value[inside],
         )
         near = np.sort(placed.tree.meeting(scan.box()[None]).item)
         for layer in self.layers.values():
@@ -154,7 +159,16 @@ class DenseMap:
             self.waiting.predicted(view)  # a scan may come a little after the last epoch
             point, spread = scan.point[outside], scan.covariance[outside]
             number = self.waiting.add(view, point, spread, self.tally.scans, self._potential)
+            self._note_values(number, outside, scan)
         self.tally.outside += int(np.count_nonzero(number < 0))
+
+    def _note_values(self, number: Index, outside: Index, scan: Scan) -> None:
+        """What else was measured of returns that wait, by the numbers that they got."""
+        if scan.value is not None:
+            more = int(number.max(initial=-1)) + 1 - len(self._value)
+            self._value = np.append(self._value, np.full(max(more, 0), np.nan))
+            kept = number >= 0
+            self._value[number[kept]] = scan.value[outside[kept]]
 
     def _make_virtual(self, view: FilterView, slot: Index, waiting: WaitingRoom) -> Index:
         """Regions with virtual corners for what has waited too long."""
@@ -171,6 +185,7 @@ class DenseMap:
         if not len(out.region):
             return
         self.tally.late += len(out.region)
-        hits = Hits(out.region, out.local, out.point, out.covariance)
+        value = self._value[out.number] if len(self._value) else None
+        hits = Hits(out.region, out.local, out.point, out.covariance, value)
         for layer in self.layers.values():
             layer.fuse(hits, placed, None, np.unique(out.region))

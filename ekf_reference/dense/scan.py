@@ -68,7 +68,8 @@ class Scan:
     """The returns of one scan. pose: (3,) of the scanner in the world.
 
     bearing_rad: (B,) ascending, in [-pi, pi), from the scanner's ahead. range_m: (B,) finite,
-    above zero. number: of the scan, not decreasing.
+    above zero. number: of the scan, not decreasing. value: (B,) what else was measured of each
+    return, such as how bright it is; None where nothing was.
     """
 
     pose: Array
@@ -76,10 +77,17 @@ class Scan:
     range_m: Array
     sensor: Sensor
     number: int = 0
+    value: Array | None = None
 
     @classmethod
     def of_ranges(
-        cls, pose: Array, bearing_rad: Array, range_m: Array, sensor: Sensor, number: int = 0
+        cls,
+        pose: Array,
+        bearing_rad: Array,
+        range_m: Array,
+        sensor: Sensor,
+        number: int = 0,
+        value: Array | None = None,
     ) -> Scan:
         """From beams in any order (B,). What is not finite or not above zero is no return.
 
@@ -90,7 +98,8 @@ class Scan:
         )
         bearing = np.mod(bearing_rad[returned] + np.pi, _TURN) - np.pi
         order = np.argsort(bearing, kind="stable")
-        return cls(pose, bearing[order], range_m[returned][order], sensor, number)
+        told = None if value is None else value[returned][order]
+        return cls(pose, bearing[order], range_m[returned][order], sensor, number, told)
 
     @property
     def origin(self) -> Array:

@@ -123,6 +123,7 @@ def climb(
     every step is uphill. In scaled units the step's length is within the region.
     """
     o, unit = problem.options, problem.unit
+    units = np.outer(unit, unit)
     close = max(o.converged_m, _COARSE * inflation_m)
     slack = problem.slack_m(inflation_m)
     pose, radius, taken = start, slack / SLACK, 0
@@ -132,7 +133,7 @@ def climb(
     while taken < (iterations or o.iterations) and here.value > 0.0:
         taken += 1
         slope = here.gradient / here.value * unit
-        bend = np.outer(unit, unit) * here.hessian / here.value - np.outer(slope, slope)
+        bend = units * here.hessian / here.value - slope[:, None] * slope
         step = _newton(slope, bend, radius)
         if held is not None:
             step -= held @ (held.T @ step)

@@ -14,7 +14,7 @@ of different returns is independent.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -142,7 +142,8 @@ class _Shape:
     @classmethod
     def at(cls, problem: Problem, peak: Array, about: Array, belief: CovarianceOptions) -> _Shape:
         unit, axes, size, curvature = problem.unit, np.eye(3), np.zeros(3), np.zeros((3, 3))
-        inside = within_seams(problem, peak)
+        off_seams = on_no_seam(problem, peak)
+        inside = problem.taking(off_seams)
         pairs = inside.pairs(peak) if len(inside.first) and len(problem.second) else None
         if pairs is not None and pairs.value(peak) > 0.0:
             curvature = fitted_curvature(pairs, peak, unit, about, belief.sample_sigmas)
@@ -153,7 +154,9 @@ class _Shape:
         for k in np.flatnonzero(~met).tolist() if curvature.any() else ():
             way = math.sqrt(near[k]) * axes[:, k]
             edges = [_edge(problem, peak, side * way) for side in (-1.0, 1.0)]
-            met[k] = size[k] > 0.0 and all(_falls(problem, peak, e, belief) for e in edges)
+            met[k] = size[k] > 0.0 and all(
+                _falls(problem, peak, edge, belief, off_seams) for edge in edges
+            )
             if not met[k]:
                 low, high = ((edge - peak) / unit for edge in edges)
                 valley[:, k] = high - low
@@ -189,15 +192,22 @@ def _edge(problem: Problem, peak: Array, way: Array) -> Array:
     return pose
 
 
-def _falls(problem: Problem, peak: Array, edge: Array, belief: CovarianceOptions) -> bool:
+def _falls(
+    problem: Problem,
+    peak: Array,
+    edge: Array,
+    belief: CovarianceOptions,
+    off_seams: NDArray[np.bool_],
+) -> bool:
     """Lambda falls for certain from its maximum to an edge (3,).
 
-    By what is on no seam at either pose, so that what comes into view or leaves it has no say.
+    By what is on no seam at either pose (off_seams: at the maximum), so that what comes into view
+    or leaves it has no say.
     """
-    both = on_no_seam(problem, peak) & on_no_seam(problem, edge, _ASIDE)
+    both = off_seams & on_no_seam(problem, edge, _ASIDE)
     if not both.any():
         return False
-    common = replace(problem, first=problem.first.take(both))
+    common = problem.taking(both)
     here, there = (common.each(pose) for pose in (peak, edge))
     lost = here - there
     fall = -2.0 * math.log(max(there.sum() / here.sum(), _NOTHING)) if here.sum() > 0.0 else 0.0

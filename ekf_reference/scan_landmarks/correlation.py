@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,8 +36,7 @@ class Look:
     slack_m: float = 0.0
 
 
-@dataclass(frozen=True)
-class Entries:
+class Entries(NamedTuple):
     """Symmetric 2 x 2 matrices (M,) by their entries."""
 
     xx: Array
@@ -57,8 +57,8 @@ class Derivatives:
 class Pairs:
     """Gaussians of the first sum, each with its nearest ones of the second, as they lay at a pose.
 
-    row, column: (M,) which of the first and of the second. mean: (M, 2) p. own: (M,) entries of P.
-    other: (M, 2) q. its: (M,) entries of Q with inflation. weight: (M,) alpha_i beta_j.
+    row, column: (M,) which of the first and of the second. mean: (2, M) p. own: (M,) entries of P.
+    other: (2, M) q. its: (M,) entries of Q with inflation. weight: (M,) alpha_i beta_j.
     """
 
     row: Index
@@ -78,29 +78,28 @@ class Pairs:
         look: Look,
     ) -> Pairs:
         """At a pose (3,), within reach even after a motion by the slack."""
-        turn = rotation(float(pose[2]))
-        place = first.mean @ turn.T + pose[:2]
+        place = first.mean @ rotation(float(pose[2])).T + pose[:2]
         count = min(look.most, len(second))
         _, column = second.tree.query(place, k=[*range(1, count + 1)], distance_upper_bound=look.m)
-        row, rank = np.nonzero(column < len(second))
-        column = column[row, rank]
-        p = _entries(first.covariance)[:, row]
-        q = _entries(second.covariance)[:, column]
-        q[[0, 2]] += look.inflation_m**2
-        sxx, sxy, syy = _entries(turn @ first.covariance @ turn.T)[:, row] + q
-        sxx, syy = sxx + look.slack_m**2, syy + look.slack_m**2
-        dx, dy = (second.mean[column] - place[row]).T
+        row = np.flatnonzero(column < len(second))
+        column, row = column.ravel().take(row), row // count
+        p, q = first.entries, second.entries
+        q = q + np.array(((look.inflation_m**2,), (0.0,), (look.inflation_m**2,)))
+        own = np.stack(_turned(Entries(*p), float(pose[2])))
+        own[::2] += look.slack_m**2
+        sxx, sxy, syy = own.take(row, axis=1) + q.take(column, axis=1)
+        dx, dy = second.columns.take(column, axis=1) - place.T.take(row, axis=1)
         square = dx * dx * syy - 2.0 * dx * dy * sxy + dy * dy * sxx
-        met = square <= look.sigmas**2 * (sxx * syy - sxy * sxy)
-        row, column = row[met], column[met]
+        met = np.flatnonzero(square <= look.sigmas**2 * (sxx * syy - sxy * sxy))
+        row, column = row.take(met), column.take(met)
         return cls(
             row,
             column,
-            first.mean[row],
-            Entries(*p[:, met]),
-            second.mean[column],
-            Entries(*q[:, met]),
-            first.weight[row] * second.weight[column],
+            first.columns.take(row, axis=1),
+            Entries(*p.take(row, axis=1)),
+            second.columns.take(column, axis=1),
+            Entries(*q.take(column, axis=1)),
+            first.weight.take(row) * second.weight.take(column),
         )
 
     def value(self, pose: Array) -> float:
@@ -155,10 +154,11 @@ class Pairs:
 class _Laid:
     """Pairs at a pose; all (M,).
 
-    v: S^-1 d. u: dy/dheading. arm: y - t. own: R P R^T.
+    over: 1 / |S|. v: S^-1 d. u: dy/dheading. arm: y - t. own: R P R^T.
     """
 
     term: Array
+    over: Array
     inverse: Entries
     v: tuple[Array, Array]
     u: tuple[Array, Array]
@@ -168,65 +168,63 @@ class _Laid:
     @classmethod
     def of(cls, pairs: Pairs, pose: Array) -> _Laid:
         cos, sin = math.cos(pose[2]), math.sin(pose[2])
-        px, py = pairs.mean.T
+        px, py = pairs.mean
         ax, ay = cos * px - sin * py, sin * px + cos * py
-        p = pairs.own
-        # R P R^T by the double angle.
-        half, mean = 0.5 * (p.xx - p.yy), 0.5 * (p.xx + p.yy)
-        cos2, sin2 = cos * cos - sin * sin, 2.0 * cos * sin
-        along, mixed = cos2 * half - sin2 * p.xy, sin2 * half + cos2 * p.xy
-        own = Entries(mean + along, mixed, mean - along)
-        sxx, sxy, syy = own.xx + pairs.its.xx, mixed + pairs.its.xy, own.yy + pairs.its.yy
+        own = _turned(pairs.own, float(pose[2]))
+        sxx, sxy, syy = own.xx + pairs.its.xx, own.xy + pairs.its.xy, own.yy + pairs.its.yy
         over = 1.0 / (sxx * syy - sxy * sxy)
         inverse = Entries(syy * over, -sxy * over, sxx * over)
-        dx = pairs.other[:, 0] - ax - pose[0]
-        dy = pairs.other[:, 1] - ay - pose[1]
+        dx = pairs.other[0] - ax - pose[0]
+        dy = pairs.other[1] - ay - pose[1]
         vx, vy = _times(inverse, dx, dy)
         height = pairs.weight * np.sqrt(over) * (0.5 / math.pi)
         term = height * np.exp(-0.5 * (dx * vx + dy * vy))
-        return cls(term, inverse, (vx, vy), (-ay, ax), (ax, ay), own)
+        return cls(term, over, inverse, (vx, vy), (-ay, ax), (ax, ay), own)
 
 
-@dataclass(frozen=True)
-class _Turned:
-    """How ln gamma changes with heading; all (M,). first: S'. sv: S' v."""
+class _Turned(NamedTuple):
+    """How ln gamma changes with heading; all (M,).
 
-    first: Entries
+    S' = J C - C J of C = R P R^T has no trace: it is (-a, b; b, a). sv: S' v. trace: of S^-1 S'.
+    """
+
+    a: Array
+    b: Array
     sv: tuple[Array, Array]
+    trace: Array
     gradient: Array
 
     @classmethod
     def of(cls, at: _Laid) -> _Turned:
-        c, (vx, vy), (ux, uy) = at.own, at.v, at.u
-        first = Entries(-2.0 * c.xy, c.xx - c.yy, 2.0 * c.xy)  # J C - C J
-        sv = _times(first, vx, vy)
-        pull = ux * vx + uy * vy + 0.5 * (vx * sv[0] + vy * sv[1])
-        return cls(first, sv, pull - 0.5 * _trace(at.inverse, first))
+        c, i, (vx, vy), (ux, uy) = at.own, at.inverse, at.v, at.u
+        a, b = 2.0 * c.xy, c.xx - c.yy
+        sx, sy = b * vy - a * vx, b * vx + a * vy
+        trace = 2.0 * b * i.xy - a * (i.xx - i.yy)
+        pull = (ux + 0.5 * sx) * vx + (uy + 0.5 * sy) * vy
+        return cls(a, b, (sx, sy), trace, pull - 0.5 * trace)
 
     def second(self, at: _Laid) -> Array:
-        """(M,) the second derivative without the part that dv brings."""
-        (vx, vy), (ax, ay), s, i = at.v, at.arm, self.first, at.inverse
-        twice = Entries(-2.0 * s.xy, s.xx - s.yy, 2.0 * s.xy)
-        tx, ty = _times(twice, vx, vy)
-        m00, m01 = i.xx * s.xx + i.xy * s.xy, i.xx * s.xy + i.xy * s.yy
-        m10, m11 = i.xy * s.xx + i.yy * s.xy, i.xy * s.xy + i.yy * s.yy
-        square = m00 * m00 + 2.0 * m01 * m10 + m11 * m11
-        # The second derivative of a rotation is minus the rotation.
-        inward = -(vx * ax + vy * ay)
-        result: Array = inward + 0.5 * (tx * vx + ty * vy - _trace(i, twice) + square)
+        """(M,) the second derivative without the part that dv brings.
+
+        S'' = J S' - S' J is -2 (b, a; a, -b), and tr (S^-1 S')^2 = tr^2 - 2 det. The second
+        derivative of a rotation is minus the rotation.
+        """
+        (vx, vy), (ax, ay), a, b, i = at.v, at.arm, self.a, self.b, at.inverse
+        by_b = i.xx - i.yy - vx * vx + vy * vy
+        by_a = 2.0 * (i.xy - vx * vy)
+        square = 0.5 * self.trace * self.trace + at.over * (a * a + b * b)
+        result: Array = b * by_b + a * by_a + square - (vx * ax + vy * ay)
         return result
+
+
+def _turned(p: Entries, heading_rad: float) -> Entries:
+    """R P R^T by the double angle."""
+    cos, sin = math.cos(heading_rad), math.sin(heading_rad)
+    half, mean = 0.5 * (p.xx - p.yy), 0.5 * (p.xx + p.yy)
+    cos2, sin2 = cos * cos - sin * sin, 2.0 * cos * sin
+    along, mixed = cos2 * half - sin2 * p.xy, sin2 * half + cos2 * p.xy
+    return Entries(mean + along, mixed, mean - along)
 
 
 def _times(matrix: Entries, x: Array, y: Array) -> tuple[Array, Array]:
     return matrix.xx * x + matrix.xy * y, matrix.xy * x + matrix.yy * y
-
-
-def _trace(inverse: Entries, other: Entries) -> Array:
-    """Trace of the product."""
-    trace: Array = inverse.xx * other.xx + 2.0 * inverse.xy * other.xy + inverse.yy * other.yy
-    return trace
-
-
-def _entries(matrix: Array) -> Array:
-    """(3, N) xx, xy, yy of (N, 2, 2)."""
-    return np.stack((matrix[:, 0, 0], matrix[:, 0, 1], matrix[:, 1, 1]))

@@ -92,6 +92,10 @@ class Problem:
             options or AlignmentOptions(),
         )
 
+    def taking(self, rows: NDArray[np.bool_]) -> Problem:
+        """With those of the first sum (N,) alone; the same where these are all."""
+        return self if rows.all() else replace(self, first=self.first.take(rows))
+
     @property
     def covariance_scaled(self) -> Array:
         """(3, 3) the guess's, in units."""
@@ -141,8 +145,7 @@ def within_seams(problem: Problem, pose: Array) -> Problem:
     gone, the correlation stays as it is when one is moved along the other. (Turk and Levoy 1994
     leave out such pairs of meshes.)
     """
-    inside = on_no_seam(problem, pose)
-    return problem if inside.all() else replace(problem, first=problem.first.take(inside))
+    return problem.taking(on_no_seam(problem, pose))
 
 
 def on_no_seam(problem: Problem, pose: Array, across_sigmas: float = math.inf) -> NDArray[np.bool_]:

@@ -63,6 +63,16 @@ class SumOfGaussians:
         return cKDTree(self.mean)
 
     @cached_property
+    def columns(self) -> Array:
+        """(2, N) the means [m], each coordinate in a row of its own."""
+        return np.ascontiguousarray(self.mean.T)
+
+    @cached_property
+    def entries(self) -> Array:
+        """(3, N) xx, xy and yy of the covariances [m^2], each in a row of its own."""
+        return self.covariance.reshape(-1, 4).T[[0, 1, 3]]
+
+    @cached_property
     def centroid(self) -> Array:
         """(2,) mean of the points, the local axis of section 5.2.3 [m]; zeros where none."""
         return self.mean.mean(axis=0) if len(self) else np.zeros(2)
@@ -77,7 +87,7 @@ class SumOfGaussians:
     @cached_property
     def typical_variance(self) -> float:
         """The larger one that nine Gaussians in ten stay below [m^2]."""
-        larger = np.sort(np.trace(self.covariance, axis1=1, axis2=2))
+        larger = np.sort(self.entries[0] + self.entries[2])
         return float(larger[int(0.9 * (len(self) - 1))]) if len(self) else 0.0
 
     def transformed(self, pose: Array) -> SumOfGaussians:

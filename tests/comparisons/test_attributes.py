@@ -76,7 +76,7 @@ def test_diameters_that_say_nothing_change_nothing_when_off() -> None:
         (EkfChoices(association="known", attributes="on"), "'known' takes no attributes"),
         (EkfChoices(association="agreed", attributes="on"), "'agreed' takes no attributes"),
         (EkfChoices(attributes="on"), "hold no diameter and no intensity"),
-        (EkfChoices(attributes="yes"), "attributes 'yes' is unknown, expected off or on"),
+        (EkfChoices(attributes="yes"), "attributes 'yes' is unknown, expected off, on or layer"),
     ],
 )
 def test_what_cannot_be_had_is_said(choices: EkfChoices, message: str) -> None:

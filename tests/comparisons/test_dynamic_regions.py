@@ -134,6 +134,7 @@ def test_the_frozen_smoothers_stay_exact(compared: Comparison) -> None:
     assert compared.verdict.outcome == "agree"
     told = " ".join(compared.verdict.remarks)
     assert " dynamic" in told
+    assert "something moves in" in told
     assert "stand where something moves" in told
 
 

@@ -12,12 +12,14 @@ import pytest
 
 from comparisons.cli import app
 from comparisons.compare import Comparison, compare_estimators
+from comparisons.errors import InputError
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
 from comparisons.report.result import build_result
+from comparisons.runs.dense_run import DenseOptions
 from comparisons.runs.ekf_build import EkfChoices
 from comparisons.runs.ekf_run import EkfRun, run_ekf
-from comparisons.runs.high_level_source import HighLevelOptions, HighLevelSource
+from comparisons.runs.high_level_source import SEARCHED, HighLevelOptions, HighLevelSource
 from comparisons.runs.timeline import build_timeline
 from ekf_reference.dense.high_level import SearchOptions
 from tests.helpers import Array, first_seconds
@@ -112,6 +114,51 @@ def test_blank_scans_show_no_landmark_and_leave_the_filter_alone() -> None:
         assert np.array_equal(ours, theirs)
 
 
+def test_one_dense_map_serves_the_search_and_the_report_and_changes_no_bit() -> None:
+    """And one with other cells does not serve it: then there are two, and again no bit changes."""
+    beside = DenseOptions(("points",))
+    short = first_seconds(log(1), 32.0)
+    alone = compare_estimators(short, high_level=HighLevelOptions())
+    both = compare_estimators(short, dense=beside, high_level=HighLevelOptions())
+    other = replace(beside, resolution_m=0.4)
+    two = compare_estimators(short, dense=other, high_level=HighLevelOptions())
+    for one in (both, two):
+        assert one.dense is not None
+        assert list(one.dense.layers) == ["points"]
+        for ours, theirs in zip(bits(one.ekf), bits(alone.ekf), strict=True):
+            assert np.array_equal(ours, theirs)
+        assert one.high_level is not None
+        assert alone.high_level is not None
+        assert dict(one.high_level.looks) == dict(alone.high_level.looks)
+    assert both.dense is not None
+    assert set(both.dense.dense.layers) == {"points", *SEARCHED}
+    assert two.dense is not None
+    assert set(two.dense.dense.layers) == {"points"}
+
+
+@pytest.mark.parametrize(
+    ("given", "name"),
+    [
+        ((0.0, 7.0, 9, 20.0), "cell"),
+        ((0.5, np.nan, 9, 20.0), "pair"),
+        ((0.5, 7.0, 0, 20.0), "least"),
+        ((0.5, 7.0, 9, -1.0), "every"),
+    ],
+)
+def test_settings_that_cannot_be_are_refused(
+    given: tuple[float, float, int, float], name: str
+) -> None:
+    with pytest.raises(InputError, match=f"--high-level-{name} is .*, expected"):
+        HighLevelOptions.of(*given)
+
+
+def test_usual_settings_are_those_of_the_options_and_others_arrive() -> None:
+    assert HighLevelOptions.of(0.2, 12.0, 200, 20.0) == HighLevelOptions()
+    nieto = HighLevelOptions.of(0.5, 7.0, 50, 60.0)  # section 6.5
+    assert (nieto.kept.resolution_m, nieto.kept.d_min_m, nieto.search.cell_m) == (0.5, 0.5, 0.5)
+    assert (nieto.search.pair_m, nieto.search.least, nieto.every_s) == (7.0, 50, 60.0)
+
+
 def test_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     from comparisons.logs.log_folder import write_log_folder
 
@@ -121,8 +168,12 @@ def test_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
         app([*run, "yes"], standalone_mode=False)
     assert wrong.value.code == 2
     assert "expected off or on" in capsys.readouterr().err
+    with pytest.raises(SystemExit) as wrong:
+        app([*run, "on", "--high-level-pair", "0"], standalone_mode=False)
+    assert wrong.value.code == 2
+    assert "--high-level-pair is 0.0, expected 1 to 100" in capsys.readouterr().err
     with pytest.raises(SystemExit) as done:
-        app([*run, "on"], standalone_mode=False)
+        app([*run, "on", "--high-level-least", "190"], standalone_mode=False)
     assert done.value.code == 0
     assert "high level" in capsys.readouterr().out
     result = json.loads((tmp_path / "out" / "result.json").read_text())

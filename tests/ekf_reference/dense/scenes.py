@@ -14,6 +14,7 @@ from ekf_reference.dense.layers.layer import Hits, Layer
 from ekf_reference.dense.layers.occupancy import OccupancyGrid
 from ekf_reference.dense.layers.particles import Particles
 from ekf_reference.dense.layers.points import Points
+from ekf_reference.dense.layers.values import Values
 from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.scan import Scan, Sensor
@@ -24,7 +25,7 @@ SENSOR = Sensor(0.1, math.radians(0.5), math.radians(0.5))
 HERE = np.array([2.0, 5.0, 0.1])
 WALL_M = 14.3
 """A wall along north, at this east."""
-LAYERS = ("points", "occupancy", "particles", "gaussians")
+LAYERS = ("points", "occupancy", "particles", "gaussians", "values")
 
 
 def layer(name: str, seed: int = 0) -> Layer:
@@ -33,6 +34,7 @@ def layer(name: str, seed: int = 0) -> Layer:
         "occupancy": OccupancyGrid(),
         "particles": Particles(np.random.default_rng(seed)),
         "gaussians": Gaussians(),
+        "values": Values(0.2),
     }
     return made[name]
 
@@ -62,7 +64,11 @@ def told(
     found = placed.locate(scan.point)
     inside = np.flatnonzero(found.region >= 0)
     hits = Hits(
-        found.region[inside], found.local[inside], scan.point[inside], scan.covariance[inside]
+        found.region[inside],
+        found.local[inside],
+        scan.point[inside],
+        scan.covariance[inside],
+        np.ones(len(inside)),
     )
     near = np.sort(placed.tree.meeting(scan.box()[None]).item)
     return hits, placed, None if late else scan, near

@@ -1,0 +1,192 @@
+"""Landmarks told apart by a layer of the dense map (Nieto 2005, section 6.4)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from benchmarks.layer_values import COLOURS, SIGMA_COLOUR, coloured_poles
+from comparisons.compare import compare_estimators
+from comparisons.errors import InputError
+from comparisons.logs.log import Log
+from comparisons.report.result import build_result
+from comparisons.runs.attributes import AROUND_M, BRIGHTNESS, sighted_attributes
+from comparisons.runs.dense_run import DenseOptions, DenseWatcher
+from comparisons.runs.ekf_build import EkfChoices, build_association
+from comparisons.runs.ekf_run import run_ekf
+from comparisons.runs.timeline import build_timeline
+from ekf_reference.association import NearestNeighbour
+from ekf_reference.attributes import AttributeEstimates, LayerAttributes
+from ekf_reference.full_ekf import FullEkf
+from ekf_reference.joint_compatibility import JointCompatibility
+from ekf_reference.kalman import KalmanState
+from ekf_reference.observation import RangeBearing
+from ekf_reference.sightings import SightedAttributes, Sightings
+from tests.helpers import Array, simulated
+
+LAYER = EkfChoices(association="nn", attributes="layer")
+RULES = (NearestNeighbour, JointCompatibility)
+
+
+@dataclass(frozen=True)
+class Painted:
+    """A layer that holds the same number of returns around every landmark (L,)."""
+
+    mean: Array
+    variance: Array
+    count: float = 30.0
+
+    def values_at(self, slot: np.ndarray) -> tuple[Array, Array, Array]:
+        return self.mean[slot], self.variance[slot], np.full(len(slot), self.count)
+
+
+class SureOfItself(Painted):
+    """Wrong: what the layer says there has no scatter."""
+
+    def values_at(self, slot: np.ndarray) -> tuple[Array, Array, Array]:
+        mean, _, count = super().values_at(slot)
+        return mean, np.zeros(len(slot)), 1e12 * count
+
+
+@cache
+def drive() -> Log:
+    return coloured_poles(0, 0.12)
+
+
+def told_by(layer: Painted) -> LayerAttributes:
+    return LayerAttributes(AttributeEstimates(np.ones(2)), layer, BRIGHTNESS)
+
+
+def two_poles_in_one_gate(value: float, nearer: int) -> tuple[KalmanState, Sightings]:
+    """Nieto 2005, section 6.4: a sighting between two poles, a little nearer to one of them."""
+    state = KalmanState(np.zeros(3), np.diag((0.3**2, 0.3**2, 0.02**2)))
+    for y in (-0.3, 0.3):
+        point = np.array(((10.0, y),))
+        by_pose, by_point = np.zeros((1, 2, 3)), np.eye(2)[None]
+        state.augment(point, by_pose, by_point, 1e-6 * np.eye(2)[None])
+    z = np.array(((10.0, 0.01 * (nearer - 0.5)),))
+    seen = SightedAttributes(np.array(((np.nan, value),)), np.full((1, 2), SIGMA_COLOUR**2))
+    return state, Sightings(z, np.diag((0.05**2, 0.005**2))[None], np.array((-1,)), attributes=seen)
+
+
+@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize("right", [0, 1])
+def test_colour_decides_between_two_poles_in_one_gate(
+    rule: type[NearestNeighbour | JointCompatibility], right: int
+) -> None:
+    """By position the nearer one wins, by colour the right one; colours exchanged, the other."""
+    state, seen = two_poles_in_one_gate(COLOURS[right], nearer=1 - right)
+    slots = []
+    for colours in (COLOURS, COLOURS[::-1]):
+        layer = Painted(np.array(colours), np.full(2, SIGMA_COLOUR**2))
+        slots.append(rule(attributes=told_by(layer)).assign(state, RangeBearing(), seen)[0])
+    assert slots == [right, 1 - right]
+    assert rule().assign(state, RangeBearing(), seen)[0] != right
+
+
+def test_a_landmark_that_the_layer_does_not_know_stands_with_the_others() -> None:
+    layer = Painted(np.array((1.0, np.nan)), np.array((0.04, np.nan)))
+    _, seen = two_poles_in_one_gate(1.0, 0)
+    found = told_by(layer).distances(np.arange(2), seen)
+    assert found.dof.tolist() == [[1, 0]]
+    assert found.nis.tolist() == [[0.0, 0.0]]
+    assert np.isclose(found.n[0, 0], found.n[0, 1], rtol=1e-12)
+
+
+@pytest.mark.parametrize(("kind", "holds"), [(Painted, True), (SureOfItself, False)])
+def test_what_a_sighting_shows_scatters_as_it_is_said_to(kind: type[Painted], holds: bool) -> None:
+    """Colours of one pole differ from side to side, more than one return is noisy."""
+    rng, side, trials = np.random.default_rng(2), 0.8, 2000
+    told = told_by(kind(np.zeros(1), np.full(1, side**2)))
+    value = np.column_stack((np.full(trials, np.nan), rng.normal(0.0, side, trials)))
+    value[:, 1] += rng.normal(0.0, SIGMA_COLOUR, trials)
+    seen = SightedAttributes(value, np.full((trials, 2), SIGMA_COLOUR**2))
+    z, noise = np.zeros((trials, 2)), np.tile(np.eye(2), (trials, 1, 1))
+    many = Sightings(z, noise, np.full(trials, -1), attributes=seen)
+    total = float(told.distances(np.zeros(1, dtype=np.intp), many).nis.sum())
+    low, high = chi2.ppf((0.0005, 0.9995), trials)
+    assert (low < total < high) == holds
+
+
+def test_sightings_are_told_what_their_scan_shows_around_them() -> None:
+    log = drive()
+    told = sighted_attributes(log, "layer")
+    value = told.value[:, BRIGHTNESS]
+    known = np.isfinite(value)
+    assert known.mean() > 0.9
+    assert 0.5 < np.sqrt(told.variance[0, BRIGHTNESS]) / SIGMA_COLOUR < 2.0
+    off = np.abs(value[known, None] - COLOURS).min(axis=1)
+    assert (off < 3.0 * SIGMA_COLOUR).mean() > 0.95
+    farther = replace(log.sightings, range_m=log.sightings.range_m + 3.0 * AROUND_M)
+    beside = sighted_attributes(replace(log, sightings=farther), "layer").value[:, BRIGHTNESS]
+    assert np.isfinite(beside).mean() < 0.5
+
+
+def test_the_layer_holds_the_poles_colours_while_the_filter_drives() -> None:
+    log = drive()
+    watcher = DenseWatcher(log, DenseOptions(("values",)))
+    run = run_ekf(log, build_timeline(log), LAYER.settle(log), watcher=watcher, layer=watcher)
+    held = watcher.values_at(np.arange(len(run.estimate.landmark)))
+    seen = held.returns >= 10
+    assert seen.sum() >= 5
+    off = np.abs(held.mean[seen, None] - COLOURS).min(axis=1)
+    assert np.median(off) < 0.5 * SIGMA_COLOUR
+    blind = DenseWatcher(log, DenseOptions(("values",)))
+    off_run = run_ekf(log, build_timeline(log), EkfChoices(association="nn"), watcher=blind)
+    label = log.sightings.landmark
+    wrong = [_wrong(one.slot, label[: len(one.slot)]) for one in (run, off_run)]
+    assert wrong[0] <= wrong[1]
+
+
+def _wrong(slot: np.ndarray, label: np.ndarray) -> int:
+    """Sightings that are unused, or not given to the landmark most of their label are."""
+    wrong = int((slot < 0).sum())
+    for one in np.unique(label[slot >= 0]):
+        used = slot[(label == one) & (slot >= 0)]
+        wrong += len(used) - int(np.bincount(used).max())
+    return wrong
+
+
+def test_both_estimators_follow_an_association_by_a_layer() -> None:
+    result = build_result(compare_estimators(drive(), LAYER), 0.0)
+    assert result.ekf.attributes == "layer"
+    gaps = result.agreement.algebra_gap_sigma, result.agreement.model_gap_sigma
+    assert all(gap is not None and gap < 1e-6 for gap in gaps)
+    assert result.dense is None
+
+
+def test_what_cannot_be_had_is_said() -> None:
+    bare = simulated(loop_s=5.0)
+    with pytest.raises(InputError, match="holds no scans with intensities"):
+        LAYER.settle(bare)
+    log = drive()
+    assert log.scans is not None
+    dark = replace(log.scans, intensity=np.zeros_like(log.scans.intensity))
+    with pytest.raises(InputError, match="its scans hold no intensities"):
+        DenseWatcher(replace(log, scans=dark), DenseOptions(("values",)))
+    with pytest.raises(ValueError, match="the map that keeps it"):
+        build_association(log, LAYER)
+
+
+class Doubled(KalmanState):
+    """Wrong: the prediction adds its noise twice."""
+
+    def predict(self, pose: Array, jacobian: Array, noise: Array) -> None:
+        """See KalmanState.predict."""
+        super().predict(pose, jacobian, 2.0 * noise)
+
+
+def test_an_algebra_gap_is_traced_with_the_layer_as_well() -> None:
+    """The second run, operation by operation, goes by a map of its own."""
+
+    def wrong(ekf: FullEkf) -> None:
+        ekf.state = Doubled(ekf.state.pose, ekf.state.pose_covariance)
+
+    compared = compare_estimators(drive(), LAYER, modify=wrong)
+    causes = " ".join(cause.evidence for cause in compared.verdict.causes)
+    assert compared.verdict.outcome == "disagree"
+    assert "the prediction gets the vehicle's covariance wrong" in causes
