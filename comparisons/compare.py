@@ -124,7 +124,7 @@ def compare_estimators(
     source: makes someone who sees landmarks with a direction, anew for every run of the filter.
     dynamic: look for what moves, and keep the filter from going by it. landmarks: of LANDMARKS;
     with `scans` or `both` the log's scans are the source, with high_level the dense map.
-    smoother_matcher: `ekf`, or `own` to see the scan landmarks anew with the smoother's own matcher.
+    smoother_matcher: `ekf`, or `own` for a smoother that sees the scan landmarks by itself, too.
     Raises InputError when the log cannot be used, and graphslam.marginals.SingularProblemError
     when the smoother has no solution.
     """

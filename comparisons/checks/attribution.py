@@ -15,6 +15,7 @@ from comparisons.checks.dense_agreement import DenseAgreement
 from comparisons.checks.dropouts import Dropouts
 from comparisons.checks.innovations import SensorInnovations
 from comparisons.checks.linearisation_growth import LinearisationGrowth
+from comparisons.checks.matching_cause import matching as matching_cause
 from comparisons.checks.model_differences import ModelDifference
 from comparisons.checks.own_association import OwnAssociationCheck
 from comparisons.checks.own_matching import OwnMatchingCheck
@@ -104,7 +105,7 @@ def judge(
             causes.append(cause.association(own, run))
         if matching is not None and matching.proof.proven and not matching.agrees:
             outcome = "disagree"
-            causes.append(cause.matching(matching, run))
+            causes.append(matching_cause(matching, run))
         if three_way is not None and three_way.proof.proven and not three_way.ekf.agrees:
             outcome = "disagree"
             causes.append(cause.motion(three_way))
@@ -117,7 +118,9 @@ def judge(
     if three_way is not None:
         remarks += _remarks_on_scans(three_way)
     if matching is not None and not matching.proof.proven:
-        remarks.append("the smoother with its own matcher is unproven, and has no say in the verdict")
+        remarks.append(
+            "the smoother with its own matcher is unproven: it has no say in the verdict"
+        )
     if robust in ("huber", "cauchy"):
         remarks.append(
             f"the smoother's {robust} kernel lowers the weight of what fits badly: its covariances "

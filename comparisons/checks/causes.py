@@ -24,7 +24,6 @@ from comparisons.checks.innovations import SensorInnovations
 from comparisons.checks.linearisation_growth import LinearisationGrowth
 from comparisons.checks.model_differences import ModelDifference
 from comparisons.checks.own_association import OwnAssociationCheck
-from comparisons.checks.own_matching import LandmarkMatching, OwnMatchingCheck
 from comparisons.checks.three_way import ThreeWay
 from comparisons.runs.ekf_run import EkfRun
 from graphslam.optimum import DISTANCE_LIMIT, ChiSquareTest, Proof
@@ -119,50 +118,6 @@ def _costliest(own: OwnAssociationCheck, run: EkfRun) -> str:
         f"; sighting {row} at {t:.1f} s misses the filter's landmark "
         f"{run.estimate.landmark_id[run.slot[row]]} by {theirs**0.5:.1f} sigma of its noise, the "
         f"smoother's own by {ours**0.5:.1f}"
-    )
-
-
-def matching(own: OwnMatchingCheck, run: EkfRun) -> Cause:
-    """S against S''."""
-    parts, hint = [], "look at sightings that only one of both made: loops, places that look alike"
-    if own.shifted:
-        x, y, turn = own.shift
-        parts.append(
-            f"all alignments of the filter are shifted by {x:.3f} m ahead, {y:.3f} m to the left "
-            f"and {np.degrees(turn):.2f} degrees from the smoother's own "
-            f"({np.sqrt(own.shift_squared / 3.0):.1f} sigma)"
-        )
-        hint = "look at the alignment: its heading's sign and zero, the scanner's mount"
-    if own.contradicting:
-        parts += [_contradicting(one, run) for one in own.contradicting[:_NAMED]]
-        if len(own.contradicting) > _NAMED:
-            parts.append(f"{len(own.contradicting) - _NAMED} more such landmarks")
-        if not own.shifted:
-            hint = (
-                "look at the alignments of these landmarks: the template's axis, R, or another "
-                "place that looks alike"
-            )
-    if not own.estimates_agree:
-        pair, (theirs, ours, both) = own.smoother, own.sightings
-        parts.append(
-            f"with its own matcher the smoother's last pose is {own.pose.difference_m:.2f} m "
-            f"({own.pose.distance:.1f} sigma) elsewhere, its path {own.path_rms_m[1]:.2f} m (RMS), "
-            f"{pair.outside} of {len(pair.distance_sigma)} scan landmarks lie beyond their 99 % "
-            f"region; of {theirs:,} alignments of the filter and {ours:,} of the smoother {both:,} "
-            "are of the same landmark and scan"
-        )
-    return Cause("matching", "; ".join(parts), hint)
-
-
-def _contradicting(one: LandmarkMatching, run: EkfRun) -> str:
-    """A landmark whose alignments contradict, and the scan where they do the most."""
-    place, worst = np.hypot(*one.shift[:2]), np.hypot(*one.worst[:2])
-    return (
-        f"the filter's alignments of scan landmark {one.slot} are {place:.2f} m and "
-        f"{np.degrees(one.shift[2]):.1f} degrees from the smoother's own "
-        f"({np.sqrt(one.squared / 3.0):.1f} sigma over {one.common} scans; in the scan at "
-        f"{run.estimate.time_s[one.worst_epoch]:.1f} s {worst:.2f} m and "
-        f"{np.degrees(one.worst[2]):.1f} degrees, {np.sqrt(one.worst_squared / 3.0):.1f} sigma)"
     )
 
 

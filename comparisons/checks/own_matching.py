@@ -30,6 +30,9 @@ GATE = float(chi2.ppf(0.99, 3))
 gate, for alignments that differ as if nothing were shared."""
 LEAST_SEEN = 3
 """Alignments of a landmark, or landmarks, fewer than which say nothing of what they share."""
+_NOTHING = np.eye(3) / 2.0**2
+"""Information that no difference is expected, to 2 m and rad: along what a shape leaves open both
+alignments stay where they were begun, and their difference there is not told."""
 _SHIFT = float(chi2.ppf(0.999, 3))
 
 
@@ -37,7 +40,7 @@ _SHIFT = float(chi2.ppf(0.999, 3))
 class LandmarkMatching:
     """How the alignments of one template differ, the filter's minus the smoother's own.
 
-    slot: of the landmark. common: alignments with scans that both used. squared: mean squared
+    Of differences only what the shape fixes is told. slot: of the landmark. common: alignments with scans that both used. squared: mean squared
     distance by the sum of both covariances, 3 if they were independent. shift: (3,) the weighted
     mean difference, in the vehicle's frame. worst_epoch: of the scan where they are farthest
     apart; worst: the difference (3,) there, and worst_squared its squared distance.
@@ -122,7 +125,7 @@ def check_own_matching(
     difference = filters.measured[rows[0]] - own.measured[rows[1]]
     difference[:, 2] = np.pi - np.mod(np.pi - difference[:, 2], 2.0 * np.pi)
     spread = _in_poses_frame(filters, rows[0]) + _in_poses_frame(own, rows[1])
-    information = np.linalg.inv(spread)
+    information = np.linalg.inv(spread).astype(np.float64)
     squared = np.einsum("ni,nij,nj->n", difference, information, difference)
     epoch, slot = np.array(common, dtype=np.intp).reshape(-1, 2).T
     landmarks = [
@@ -139,7 +142,7 @@ def check_own_matching(
         *common_shift(slot, difference, information),
         compare_frames(ekf, estimate),
         compare_frames(smoothed, estimate),
-        block_agreement(last[0], Gaussian(last[1].mean, sum(e.covariance for e in last))),
+        block_agreement(last[0], Gaussian(last[1].mean, last[0].covariance + last[1].covariance)),
         (_rms(path[0]), _rms(path[1])),
         estimate,
         proof,
@@ -188,16 +191,17 @@ def compare_frames(first: Estimate, second: Estimate) -> Pair:
 def _of_landmark(
     slot: int, rows: Index, epoch: Index, difference: Array, information: Array, squared: Array
 ) -> LandmarkMatching:
-    weight = information[rows]
-    shift = np.linalg.solve(weight.sum(axis=0), np.einsum("nij,nj->i", weight, difference[rows]))
-    worst = rows[np.argmax(squared[rows])]
+    weight, worst = information[rows], int(rows[np.argmax(squared[rows])])
+    mean = np.einsum("nij,nj->i", weight, difference[rows]) / len(rows)
+    shift = np.linalg.solve(weight.mean(axis=0) + _NOTHING, mean)
+    there = information[worst]
     return LandmarkMatching(
         slot,
         len(rows),
         float(squared[rows].mean()),
         shift,
         int(epoch[worst]),
-        difference[worst],
+        np.linalg.solve(there + _NOTHING, there @ difference[worst]),
         float(squared[worst]),
     )
 

@@ -159,9 +159,7 @@ class TemplateMatchers:
         return MatchOptions(
             reaches_m=(max(_COARSE_M, 2.0 * reach_m), reach_m),
             iterations=30,
-            judge=RefinementOptions(
-                reach_m=reach_m, least_stiffness=fixed, free_sigma_m=free_m
-            ),
+            judge=RefinementOptions(reach_m=reach_m, least_stiffness=fixed, free_sigma_m=free_m),
             cell_m=0.2 * s.voxel_m,
             neighbours=max(24, s.neighbours // 2),
             radius_m=s.radius_m,
