@@ -40,10 +40,11 @@ _SHIFT = float(chi2.ppf(0.999, 3))
 class LandmarkMatching:
     """How the alignments of one template differ, the filter's minus the smoother's own.
 
-    Of differences only what the shape fixes is told. slot: of the landmark. common: alignments with scans that both used. squared: mean squared
-    distance by the sum of both covariances, 3 if they were independent. shift: (3,) the weighted
-    mean difference, in the vehicle's frame. worst_epoch: of the scan where they are farthest
-    apart; worst: the difference (3,) there, and worst_squared its squared distance.
+    slot: of the landmark. common: scans that both aligned it with. squared: mean squared distance
+    by the sum of both covariances, 3 if they were independent. shift: (3,) the weighted mean
+    difference, in the vehicle's frame. worst_epoch: of the scan where they are farthest apart;
+    worst: the difference (3,) there, and worst_squared its squared distance. Of differences only
+    what the shape fixes is told.
     """
 
     slot: int
