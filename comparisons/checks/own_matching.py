@@ -176,6 +176,8 @@ def compare_frames(first: Estimate, second: Estimate) -> Pair:
     _, i, j = np.intersect1d(
         first.oriented_id, second.oriented_id, assume_unique=True, return_indices=True
     )
+    if not len(i):
+        return Pair(0.0, 0.0, np.zeros(0), 0)
     a, b = first.oriented[i], second.oriented[j]
     apart = a - b
     apart[:, 2] = np.pi - np.mod(np.pi - apart[:, 2], 2.0 * np.pi)

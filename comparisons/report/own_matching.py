@@ -51,7 +51,7 @@ def map_pair_result(p: Pair) -> MapPairResult:
     return MapPairResult(
         rms_m=p.rms_m,
         rms_aligned_m=p.rms_aligned_m,
-        distance_sigma_median=finite(float(np.median(p.distance_sigma))),
+        distance_sigma_median=_median(p.distance_sigma),
         outside=p.outside,
         landmarks=len(p.distance_sigma),
         agrees=p.agrees,
@@ -102,6 +102,10 @@ def _landmark(one: LandmarkMatching, time_s: Array) -> LandmarkMatchingResult:
 
 def _place(difference: Array) -> tuple[float, float]:
     return float(difference[0]), float(difference[1])
+
+
+def _median(values: Array) -> float | None:
+    return finite(float(np.median(values))) if len(values) else None
 
 
 def _sigma(squared: float) -> float | None:
