@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from comparisons.checks.own_matching import check_own_matching, common_shift, compare_frames
 from comparisons.compare import Comparison, compare_estimators
@@ -21,11 +21,14 @@ from comparisons.report.html.tables import matching_differences
 from comparisons.report.result import build_result
 from comparisons.report.run_folder import write_run_folder
 from comparisons.runs.estimate import Estimate
-from ekf_reference.scan_landmarks import scan_slam as filters
-from ekf_reference.scan_landmarks.templates import Observation, Template
+from comparisons.runs.oriented_sightings import OrientedLedger
+from ekf_reference.full_ekf import FullEkf
 from graphslam.optimum import ChiSquareTest, Proof, Stationarity
 from graphslam.problem import OrientedSightings
 from tests.helpers import Array, first_seconds, simulated
+
+Index = NDArray[np.intp]
+Flags = NDArray[np.bool_]
 
 TURNED = (0.0, 0.0, np.deg2rad(2.0))
 MOVED = (0.35, 0.35, 0.0)
@@ -33,7 +36,7 @@ MOVED = (0.35, 0.35, 0.0)
 
 @cache
 def log() -> Log:
-    return first_seconds(simulate(np.random.default_rng(3), scan_slam()), 12.0)
+    return first_seconds(simulate(np.random.default_rng(3), scan_slam()), 11.0)
 
 
 @cache
@@ -42,22 +45,18 @@ def compared() -> Comparison:
 
 
 def planted(
-    monkeypatch: pytest.MonkeyPatch, shift: tuple[float, ...], chosen: Callable[[int], bool]
+    monkeypatch: pytest.MonkeyPatch, shift: tuple[float, ...], chosen: Callable[[Index], Flags]
 ) -> Comparison:
-    """A run whose SOG matcher adds a shift to z of the templates chosen by order of matching."""
-    sound, order = filters.observe, list[Template]()
+    """A run whose SOG matcher adds a shift to z of known landmarks, those with chosen slots."""
+    sound = OrientedLedger.observe
 
-    def observe(template: Template, *rest: object) -> Observation:
-        found = sound(template, *rest)  # type: ignore[arg-type]
-        if not any(template is known for known in order):
-            order.append(template)
-        number = next(i for i, known in enumerate(order) if known is template)
-        if found.alignment is None or not chosen(number):
-            return found
-        moved = replace(found.alignment, pose=found.alignment.pose + shift)
-        return replace(found, alignment=moved)
+    def observe(
+        self: OrientedLedger, ekf: FullEkf, epoch: int, z: Array, covariance: Array, slot: Index
+    ) -> Index:
+        wrong = z + np.where((slot >= 0) & chosen(slot), 1.0, 0.0)[:, None] * shift
+        return sound(self, ekf, epoch, wrong, covariance, slot)
 
-    monkeypatch.setattr(filters, "observe", observe)
+    monkeypatch.setattr(OrientedLedger, "observe", observe)
     return compare_estimators(log(), landmarks="scans", smoother_matcher="own")
 
 
@@ -80,7 +79,7 @@ def test_no_alignment_of_the_filter_is_used(
     monkeypatch: pytest.MonkeyPatch, open3d_library: ModuleType
 ) -> None:
     """A heading that is 2 degrees off: S follows it, S'' does not, and it is named."""
-    c = planted(monkeypatch, TURNED, lambda number: True)
+    c = planted(monkeypatch, TURNED, lambda slot: slot >= 0)
     own = c.own_matching
     assert own is not None
     assert all(cause.gap == "matching" for cause in c.verdict.causes)  # S sees nothing
@@ -95,7 +94,7 @@ def test_no_alignment_of_the_filter_is_used(
 def test_an_offset_of_one_landmark_is_named(
     monkeypatch: pytest.MonkeyPatch, open3d_library: ModuleType
 ) -> None:
-    c = planted(monkeypatch, MOVED, lambda number: number == 3)
+    c = planted(monkeypatch, MOVED, lambda slot: slot == 3)
     own = c.own_matching
     assert own is not None
     assert [cause.gap for cause in c.verdict.causes] == ["matching"]
@@ -129,9 +128,9 @@ def test_what_cannot_be_used_is_said_in_a_line() -> None:
         compare_estimators(log(), landmarks="scans", smoother_matcher="kiss")
 
 
-def differences(rng: np.random.Generator, shift: Array) -> tuple[Array, Array, Array]:
+def differences(rng: np.random.Generator, shift: Array) -> tuple[Index, Array, Array]:
     """Of eight landmarks, those of one alike but for little, as shared noise makes them."""
-    slot = np.repeat(np.arange(8), 12)
+    slot: Index = np.repeat(np.arange(8), 12)
     of_landmark = 0.04 * rng.standard_normal((8, 3))
     own = of_landmark[slot] + 0.01 * rng.standard_normal((len(slot), 3))
     return slot, own + shift, np.tile(np.eye(3) / 0.1**2, (len(slot), 1, 1))
