@@ -71,7 +71,8 @@ class OwnMatchingCheck:
     common; shift_squared: its squared distance, 0 for fewer than three landmarks. ekf, smoother:
     each of the two against S'', all scan landmarks that they share. pose: S against S'' in the last
     pose, by the sum of both covariances. path_rms_m: between the paths of the EKF and S'', and of S
-    and S''. estimate, proof, accuracy: of S''. reasons: what became of the own matches.
+    and S''. estimate, proof, accuracy: of S''. alignments: the own ones, as the matcher made them.
+    reasons: what became of the own matches.
     """
 
     sightings: tuple[int, int, int]
@@ -86,6 +87,7 @@ class OwnMatchingCheck:
     estimate: Estimate
     proof: Proof
     accuracy: Accuracy | None
+    alignments: OrientedSightings
     reasons: Counter[str]
 
     @property
@@ -148,6 +150,7 @@ def check_own_matching(
         estimate,
         proof,
         accuracy,
+        own,
         reasons,
     )
 

@@ -132,23 +132,25 @@ def matching_differences(result: Result) -> str:
     if own is None:
         return ""
     head = (
-        "scan landmark",
-        "scans that both aligned",
-        "apart [sigma, rms]",
-        "ahead, left [m]",
-        "heading [degrees]",
-        "farthest at [s]",
-        "there [sigma]",
+        "landmark",
+        "scans",
+        "sigma",
+        "ahead [m]",
+        "left [m]",
+        "turn [deg]",
+        "worst [s]",
+        "its sigma",
         "",
     )
     rows = [
         (
             f'data-key="s{one.id}" tabindex="0" class="{"bad" if one.contradicts else ""}"',
             (
-                str(one.id),
+                f"scan {one.id}",
                 str(one.common),
                 _number(one.distance_sigma),
-                f"{one.shift_m[0]:.3f}, {one.shift_m[1]:.3f}",
+                f"{one.shift_m[0]:.3f}",
+                f"{one.shift_m[1]:.3f}",
                 f"{np.degrees(one.shift_rad):.2f}",
                 f"{one.worst_time_s:.3f}",
                 _number(one.worst_sigma),
@@ -159,8 +161,9 @@ def matching_differences(result: Result) -> str:
     ]
     return (
         f'<h2>Alignments of two matchers</h2><p class="note">The filter\'s minus those of '
-        f"{escape(own.matcher)}, which the smoother made from its own estimate. Sigmas are of the "
-        "sum of both covariances; directions that a shape leaves open count next to nothing.</p>"
+        f"{escape(own.matcher)}, which the smoother made from its own estimate, over the scans that "
+        "both aligned a landmark with; the worst of these by its time. Sigmas are of the sum of both "
+        "covariances; directions that a shape leaves open count next to nothing.</p>"
         f"{_sortable('matching', head, rows)}"
     )
 
