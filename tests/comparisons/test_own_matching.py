@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,22 +23,22 @@ from comparisons.report.html.tables import matching_differences
 from comparisons.report.result import build_result
 from comparisons.report.run_folder import write_run_folder
 from comparisons.runs.estimate import Estimate
-from comparisons.runs.oriented_sightings import OrientedLedger
-from ekf_reference.full_ekf import FullEkf
+from ekf_reference.scan_landmarks.alignment_covariance import ScanAlignment, scan_align
+from ekf_reference.scan_landmarks.sog import SumOfGaussians
+from graphslam.graph_builder import to_tangent
 from graphslam.optimum import ChiSquareTest, Proof, Stationarity
 from graphslam.problem import OrientedSightings
 from tests.helpers import Array, first_seconds, simulated
 
 Index = NDArray[np.intp]
-Flags = NDArray[np.bool_]
 
 TURNED = (0.0, 0.0, np.deg2rad(2.0))
-MOVED = (0.35, 0.35, 0.0)
+MOVED_M = 0.5
 
 
 @cache
 def log() -> Log:
-    return first_seconds(simulate(np.random.default_rng(3), scan_slam()), 11.0)
+    return first_seconds(simulate(np.random.default_rng(3), scan_slam()), 14.0)
 
 
 @cache
@@ -45,19 +47,29 @@ def compared() -> Comparison:
 
 
 def planted(
-    monkeypatch: pytest.MonkeyPatch, shift: tuple[float, ...], chosen: Callable[[Index], Flags]
+    monkeypatch: pytest.MonkeyPatch,
+    shift: tuple[float, ...],
+    chosen: Callable[[SumOfGaussians], bool],
 ) -> Comparison:
-    """A run whose SOG matcher adds a shift to z of known landmarks, those with chosen slots."""
-    sound = OrientedLedger.observe
+    """A run whose SOG matcher adds a shift to z of templates with chosen shapes."""
 
-    def observe(
-        self: OrientedLedger, ekf: FullEkf, epoch: int, z: Array, covariance: Array, slot: Index
-    ) -> Index:
-        wrong = z + np.where((slot >= 0) & chosen(slot), 1.0, 0.0)[:, None] * shift
-        return sound(self, ekf, epoch, wrong, covariance, slot)
+    def wrong(first: SumOfGaussians, *rest: Any) -> ScanAlignment:
+        found = scan_align(first, *rest)
+        return replace(found, pose=found.pose + shift) if chosen(first) else found
 
-    monkeypatch.setattr(OrientedLedger, "observe", observe)
+    monkeypatch.setattr("ekf_reference.scan_landmarks.templates.scan_align", wrong)
     return compare_estimators(log(), landmarks="scans", smoother_matcher="own")
+
+
+def best_seen() -> tuple[int, Array]:
+    """The landmark that both saw the most, and which way (2,) its alignments are the surest."""
+    own = compared().own_matching
+    assert own is not None
+    slot = max(own.landmarks, key=lambda one: one.common).slot
+    rows = np.flatnonzero(own.alignments.landmark == slot)[1:]
+    turn = to_tangent(own.alignments.measured[rows, 2])
+    seen = np.linalg.inv(turn.transpose(0, 2, 1) @ own.alignments.covariance[rows] @ turn)
+    return slot, np.linalg.eigh(seen.mean(axis=0)[:2, :2])[1][:, -1]
 
 
 def test_a_sound_matcher_is_confirmed(open3d_library: ModuleType) -> None:
@@ -79,7 +91,7 @@ def test_no_alignment_of_the_filter_is_used(
     monkeypatch: pytest.MonkeyPatch, open3d_library: ModuleType
 ) -> None:
     """A heading that is 2 degrees off: S follows it, S'' does not, and it is named."""
-    c = planted(monkeypatch, TURNED, lambda slot: slot >= 0)
+    c = planted(monkeypatch, TURNED, lambda shape: True)
     own = c.own_matching
     assert own is not None
     assert all(cause.gap == "matching" for cause in c.verdict.causes)  # S sees nothing
@@ -94,13 +106,18 @@ def test_no_alignment_of_the_filter_is_used(
 def test_an_offset_of_one_landmark_is_named(
     monkeypatch: pytest.MonkeyPatch, open3d_library: ModuleType
 ) -> None:
-    c = planted(monkeypatch, MOVED, lambda slot: slot == 3)
+    which, way = best_seen()
+    shift = (*(MOVED_M * way).tolist(), 0.0)
+    assert compared().scan_slam is not None
+    its = compared().scan_slam.found.template[which].shape.mean  # type: ignore[union-attr]
+    c = planted(monkeypatch, shift, lambda shape: np.array_equal(shape.mean, its))
     own = c.own_matching
     assert own is not None
     assert [cause.gap for cause in c.verdict.causes] == ["matching"]
     assert not own.shifted
     (worst,) = own.contradicting
-    assert np.hypot(*worst.shift[:2]) == pytest.approx(np.hypot(*MOVED[:2]), rel=0.25)
+    assert worst.slot == which
+    assert worst.shift[:2] @ way == pytest.approx(MOVED_M, rel=0.3)
     assert f"scan landmark {worst.slot} are 0." in c.verdict.causes[0].evidence
     table = matching_differences(build_result(c, 0.0))
     assert table.count("contradicts") == 1
@@ -119,6 +136,8 @@ def test_it_is_reported(tmp_path: Path, open3d_library: ModuleType) -> None:
     page = (tmp_path / "out" / "report.html").read_text()
     assert "Alignments of two matchers" in page
     assert 'id="matching"' in page
+    assert "smoother trajectory, own matcher" in page
+    assert (tmp_path / "out" / "own-matcher" / "scan_landmarks.csv").exists()
 
 
 def test_what_cannot_be_used_is_said_in_a_line() -> None:

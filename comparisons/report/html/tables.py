@@ -161,8 +161,8 @@ def matching_differences(result: Result) -> str:
     ]
     return (
         f'<h2>Alignments of two matchers</h2><p class="note">The filter\'s minus those of '
-        f"{escape(own.matcher)}, which the smoother made from its own estimate, over the scans that "
-        "both aligned a landmark with; the worst of these by its time. Sigmas are of the sum of both "
+        f"{escape(own.matcher)}, made from the smoother's own estimate, over the scans that both "
+        "aligned a landmark with; the worst of these by its time. Sigmas are of the sum of both "
         "covariances; directions that a shape leaves open count next to nothing.</p>"
         f"{_sortable('matching', head, rows)}"
     )
