@@ -34,7 +34,7 @@ def matching(own: OwnMatchingCheck, run: EkfRun) -> Cause:
             )
     if not own.estimates_agree:
         pair, (theirs, ours, both) = own.smoother, own.sightings
-        if own.landmarks and not own.contradicting:
+        if own.landmarks and not (own.contradicting or own.shifted):
             parts.append(f"the farthest apart: {_apart_for(own.landmarks[0], run)}")
         parts.append(
             f"with its own matcher the smoother's last pose is {own.pose.difference_m:.2f} m "

@@ -68,11 +68,11 @@ class OwnMatchingCheck:
     sightings: alignments, begun landmarks left out: the filter's, the smoother's own, and those of
     one landmark in one scan that both made. squared: (C,) squared distances of these by the sum of
     both covariances. landmarks: farthest apart first. shift: (3,) what all differences have in
-    common; shift_squared: its squared distance, 0 for fewer than three landmarks. ekf, smoother:
-    each of the two against S'', all scan landmarks that they share. pose: S against S'' in the last
-    pose, by the sum of both covariances. path_rms_m: between the paths of the EKF and S'', and of S
-    and S''. estimate, proof, accuracy: of S''. alignments: the own ones, as the matcher made them.
-    reasons: what became of the own matches.
+    common, few landmarks that contradict left out; shift_squared: its squared distance, 0 for
+    fewer than three landmarks. ekf, smoother: each of the two against S'', all scan landmarks that
+    they share. pose: S against S'' in the last pose, by the sum of both covariances. path_rms_m:
+    between the paths of the EKF and S'', and of S and S''. estimate, proof, accuracy: of S''.
+    alignments: the own ones, as the matcher made them. reasons: what became of the own matches.
     """
 
     sightings: tuple[int, int, int]
@@ -135,6 +135,9 @@ def check_own_matching(
         _of_landmark(s, np.flatnonzero(slot == s), epoch, difference, information, squared)
         for s in np.unique(slot).tolist()
     ]
+    wrong = [one.slot for one in landmarks if one.contradicts]
+    # Of a shift that all share, all speak; a few that contradict are no part of it.
+    sound = ~np.isin(slot, wrong if 2 * len(wrong) < len(landmarks) else [])
     begun = tuple(ones.count for ones in (filters, own))
     path = [e.pose[:, :2] - estimate.pose[:, :2] for e in (ekf, smoothed)]
     last = [Gaussian(e.pose[-1], e.joint_covariance[:3, :3]) for e in (smoothed, estimate)]
@@ -142,7 +145,7 @@ def check_own_matching(
         (len(filters.measured) - begun[0], len(own.measured) - begun[1], len(common)),
         squared,
         tuple(sorted(landmarks, key=lambda one: -one.squared)),
-        *common_shift(slot, difference, information),
+        *common_shift(slot[sound], difference[sound], information[sound]),
         compare_frames(ekf, estimate),
         compare_frames(smoothed, estimate),
         block_agreement(last[0], Gaussian(last[1].mean, last[0].covariance + last[1].covariance)),

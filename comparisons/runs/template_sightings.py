@@ -20,9 +20,8 @@ from ekf_reference.scan_landmarks.templates import Template as FiltersTemplate
 from graphslam.problem import SlamProblem
 from graphslam.scan import planar
 from graphslam.scan.open3d_matchers import GeneralisedMatcher
+from graphslam.scan.template_matchers import Template, TemplateMatchers
 from graphslam.scan.template_sightings import (
-    Template,
-    TemplateMatchers,
     TemplateOptions,
     TemplateSightings,
     sight_templates,

@@ -13,15 +13,13 @@ from graphslam.scan import planar
 from graphslam.scan.matchers import SurfaceMatcher
 from graphslam.scan.odometry import OdometryOptions
 from graphslam.scan.open3d_matchers import GeneralisedMatcher
+from graphslam.scan.template_matchers import Template, TemplateMatchers, lever_m
 from graphslam.scan.template_sightings import (
     BEGUN,
     GATED,
     USED,
-    Template,
-    TemplateMatchers,
     TemplateOptions,
     TemplateSightings,
-    lever_m,
     sight_templates,
 )
 from graphslam.smoother import smooth
