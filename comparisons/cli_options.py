@@ -76,6 +76,13 @@ SmootherAssociationOption = Annotated[
         help="Own: solve for a second time, with the smoother's own association.",
     ),
 ]
+SmootherMatcherOption = Annotated[
+    str,
+    typer.Option(
+        metavar="ekf|own",
+        help="Own: solve for a second time, scan landmarks seen by Open3D's generalised ICP.",
+    ),
+]
 FeaturesOption = Annotated[
     str, typer.Option(metavar="log|trees", help="The log's sightings, or trunks in its scans.")
 ]

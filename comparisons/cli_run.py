@@ -38,6 +38,7 @@ from comparisons.cli_options import (
     RobustOption,
     SeedOption,
     SmootherAssociationOption,
+    SmootherMatcherOption,
     SolveAssociationOption,
     TimesOption,
     TraceOption,
@@ -79,6 +80,7 @@ def run(
     gps: GpsOption = "off",
     smoother: MethodOption = "batch",
     smoother_association: SmootherAssociationOption = "ekf",
+    smoother_matcher: SmootherMatcherOption = "ekf",
     lag: LagOption = 100,
     optimiser: OptimiserOption = "levenberg-marquardt",
     robust: RobustOption = "none",
@@ -110,6 +112,7 @@ def run(
       slamcheck run path/to/acfr_car_park --motion both
       slamcheck run scan-loop --dense points --dense occupancy
       slamcheck run scan-slam --landmarks scans
+      slamcheck run scan-slam --landmarks scans --smoother-matcher own
       slamcheck run occupancy-loop --loops 2 --high-level on
       slamcheck run simulated-loop --figures pdf --record run.rrd
       slamcheck run dynamic-lanes --dynamic on
@@ -131,6 +134,10 @@ def run(
             raise InputError(
                 f"smoother association '{smoother_association}' is unknown, expected ekf or own"
             )
+        if smoother_matcher not in ("ekf", "own"):
+            raise InputError(
+                f"smoother matcher '{smoother_matcher}' is unknown, expected ekf or own"
+            )
         if dynamic not in ("off", "on"):
             raise InputError(f"dynamic '{dynamic}' is unknown, expected off or on")
         if high_level not in ("off", "on"):
@@ -151,6 +158,7 @@ def run(
                 choices,
                 options,
                 smoother_association,
+                smoother_matcher,
                 motion,
                 landmarks,
                 fuse_landmarks == "on",
@@ -178,6 +186,7 @@ def _run(
     choices: EkfChoices,
     options: SmootherOptions,
     smoother_association: str,
+    smoother_matcher: str,
     motion: str,
     landmarks: str,
     fuse_landmarks: bool,
@@ -209,6 +218,7 @@ def _run(
             landmarks=landmarks,
             fuse_landmarks=fuse_landmarks,
             high_level=high_level,
+            smoother_matcher=smoother_matcher,
         )
         result = build_result(comparison, read_s)
         progress("report", 0, 0)

@@ -22,6 +22,7 @@ from comparisons.checks.extra_remarks import on_dense, on_motion, on_scans
 from comparisons.checks.linearisation_growth import linearisation_growth
 from comparisons.checks.model_differences import model_differences
 from comparisons.checks.own_association import OwnAssociationCheck
+from comparisons.checks.own_matching import OwnMatchingCheck
 from comparisons.checks.scan_increments import IncrementCheck, check_increments
 from comparisons.checks.three_way import ThreeWay
 from comparisons.clock import Clock
@@ -48,7 +49,7 @@ from comparisons.runs.smoother_run import (
     solve_recorded,
 )
 from comparisons.runs.timeline import Timeline, build_timeline
-from comparisons.second_opinions import with_own_association, with_scans
+from comparisons.second_opinions import with_own_association, with_own_matching, with_scans
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.scan_landmarks.twins import FusingOptions
 from graphslam.increments import dead_reckoned
@@ -68,7 +69,8 @@ class Comparison:
 
     dead_reckoned: (K, 3) where the odometry alone leads. association: how it compares with the
     log's labels, when it was made without them. own_association: the smoother with its own, when
-    asked for. three_way: the smoother on scans beside both, when asked for. consistency: whether
+    asked for. own_matching: the smoother with its own matcher of scan landmarks, when asked for.
+    three_way: the smoother on scans beside both, when asked for. consistency: whether
     the filter is as sure as it may be; it has remarks, and no say in the verdict. scan_motion,
     increments: what the scans gave and how honest it is, when they were asked. dense, dense_check:
     the dense map and how it compares with the smoother's, when asked for; no check where nothing
@@ -89,6 +91,7 @@ class Comparison:
     accuracy_dead_reckoned: Accuracy | None
     association: AssociationScore | None
     own_association: OwnAssociationCheck | None
+    own_matching: OwnMatchingCheck | None
     three_way: ThreeWay | None
     scan_motion: ScanMotion | None
     increments: IncrementCheck | None
@@ -115,6 +118,7 @@ def compare_estimators(
     high_level: HighLevelOptions | None = None,
     *,
     fuse_landmarks: bool = False,
+    smoother_matcher: str = "ekf",
 ) -> Comparison:
     """Run both estimators over a log and judge them.
 
@@ -125,6 +129,7 @@ def compare_estimators(
     dynamic: look for what moves, and keep the filter from going by it. landmarks: of LANDMARKS;
     with `scans` or `both` the log's scans are the source, with high_level the dense map.
     fuse_landmarks: fuse scan landmarks that turn out to be one.
+    smoother_matcher: `ekf`, or `own` for a smoother that sees the scan landmarks by itself, too.
     Raises InputError when the log cannot be used, and graphslam.marginals.SingularProblemError
     when the smoother has no solution.
     """
@@ -145,6 +150,10 @@ def compare_estimators(
     if landmarks == "scans" and (motion == "both" or smoother_association == "own"):
         asked = "--motion both" if motion == "both" else "--smoother-association own"
         raise InputError(f"{asked} compares landmarks that are points; use --landmarks both")
+    if smoother_matcher not in ("ekf", "own"):
+        raise InputError(f"smoother matcher '{smoother_matcher}' is unknown, expected ekf or own")
+    if smoother_matcher == "own" and landmarks == "points":
+        raise InputError("--smoother-matcher own goes with --landmarks scans or both")
     if landmarks != "points" and high_level is not None:
         raise InputError("--high-level on goes with --landmarks points only")
     if landmarks == "points" and fuse_landmarks:
@@ -217,6 +226,13 @@ def compare_estimators(
         with clock.stage("own association"):
             progress("own association", 0, 0)
             second = with_own_association(log, judged, run, smoothed, result.options)
+    matching = None
+    if smoother_matcher == "own" and slam is not None:
+        with clock.stage("own matcher"):
+            matching = with_own_matching(
+                log, judged, run, slam.first, smoothed, result.options,
+                lambda k, n: progress("own matcher", k, n),
+            )  # fmt: skip
     three = None
     if motion == "both" and scanned is not None:
         with clock.stage("smoother on scans"):
@@ -262,6 +278,7 @@ def compare_estimators(
             conservative=chosen.conservative,
             robust=result.options.robust,
             own=second,
+            matching=matching,
             three_way=three,
             dense=compared,
             growth=lambda: linearisation_growth(meant, linear_optimum(problem, run, whole), whole),
@@ -283,6 +300,7 @@ def compare_estimators(
             assess_trajectory(run.timeline.epoch_time_s, reckoned, judged),
             None if labelled else score_association(run.slot, run.estimate.landmark, log),
             second,
+            matching,
             three,
             scanned,
             None if scanned is None else check_increments(scanned, log),

@@ -1,7 +1,11 @@
-"""Other smoothers beside the one that follows the filter: with its own association, or on scans."""
+"""Other smoothers beside the one that follows the filter.
+
+With its own association, with its own matcher of scan landmarks, or on scans.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +13,7 @@ import numpy as np
 from comparisons.checks.accuracy import assess
 from comparisons.checks.association import score_association
 from comparisons.checks.own_association import OwnAssociationCheck, check_own_association
+from comparisons.checks.own_matching import OwnMatchingCheck, check_own_matching
 from comparisons.checks.three_way import ThreeWay, compare_maps, find_culprit, readable
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
@@ -16,8 +21,10 @@ from comparisons.runs.ekf_run import EkfRun
 from comparisons.runs.estimate import Estimate
 from comparisons.runs.own_association import associate_own
 from comparisons.runs.scan_motion import ScanMotion
+from comparisons.runs.scan_slam_source import ScanSlamSource
 from comparisons.runs.scan_smoother import smooth_on_scans
 from comparisons.runs.smoother_run import position_rows, smoothed_estimate
+from comparisons.runs.template_sightings import own_sightings
 from ekf_reference.association import DYNAMIC
 from graphslam.scan.loop_closure import loop_closer
 from graphslam.smoother import SmootherOptions, SmootherResult, smooth
@@ -49,6 +56,35 @@ def with_own_association(
         result.proof,
         assess(estimate, judged, labelled=False),
         score_association(found.slot, result.landmarks, log),
+    )
+
+
+def with_own_matching(
+    log: Log,
+    judged: Log,
+    run: EkfRun,
+    slam: ScanSlamSource,
+    smoothed: Estimate,
+    options: SmootherOptions,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> OwnMatchingCheck:
+    """See the scan landmarks anew, solve, assess, and compare with the filter's alignments.
+
+    Its sightings take the place of the filter's, so that no scan counts twice.
+    """
+    problem, found = own_sightings(log, run, slam.found.template, progress)
+    result = smooth(problem, {}, options=options)
+    ids = run.estimate.landmark_id
+    estimate = smoothed_estimate(result, run.timeline.epoch_time_s, ids, "the EKF's")
+    return check_own_matching(
+        run.oriented,
+        found.alignments,
+        run.estimate,
+        smoothed,
+        estimate,
+        result.proof,
+        assess(estimate, judged, labelled=False),
+        found.reasons,
     )
 
 

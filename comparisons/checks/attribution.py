@@ -15,8 +15,10 @@ from comparisons.checks.dense_agreement import DenseAgreement
 from comparisons.checks.dropouts import Dropouts
 from comparisons.checks.innovations import SensorInnovations
 from comparisons.checks.linearisation_growth import LinearisationGrowth
+from comparisons.checks.matching_cause import matching as matching_cause
 from comparisons.checks.model_differences import ModelDifference
 from comparisons.checks.own_association import OwnAssociationCheck
+from comparisons.checks.own_matching import OwnMatchingCheck
 from comparisons.checks.three_way import ThreeWay
 from comparisons.runs.ekf_run import EkfRun
 from graphslam.optimum import Proof
@@ -48,6 +50,7 @@ def judge(
     conservative: bool = False,
     robust: str = "none",
     own: OwnAssociationCheck | None = None,
+    matching: OwnMatchingCheck | None = None,
     three_way: ThreeWay | None = None,
     dense: DenseAgreement | None = None,
     growth: Callable[[], LinearisationGrowth | None] = lambda: None,
@@ -64,7 +67,8 @@ def judge(
     disagreement whatever the smoother found, for it compares the filter with linear algebra.
     Otherwise an unproven optimum gives no verdict at all. robust: how the smoother meets wild
     observations. own: the smoother with its own association; when its last pose is another, the
-    associations differ in what matters. three_way: the smoother on scans, when asked for; it is
+    associations differ in what matters. matching: the smoother with its own matcher, heard when
+    its optimum is proven. three_way: the smoother on scans, when asked for; it is
     heard when its own optimum is proven. dense: the dense maps of both, when asked for. growth:
     finds out where linearising cost something, when it did. dropouts: finds stretches without
     observations; these and the sensors' innovations explain a disagreement, or a missing proof,
@@ -99,6 +103,9 @@ def judge(
         if own is not None and own.proof.proven and not block_agrees(own.pose):
             outcome = "disagree"
             causes.append(cause.association(own, run))
+        if matching is not None and matching.proof.proven and not matching.agrees:
+            outcome = "disagree"
+            causes.append(matching_cause(matching, run))
         if three_way is not None and three_way.proof.proven and not three_way.ekf.agrees:
             outcome = "disagree"
             causes.append(cause.motion(three_way))
@@ -110,6 +117,10 @@ def judge(
     remarks = _remarks(proof, run)
     if three_way is not None:
         remarks += _remarks_on_scans(three_way)
+    if matching is not None and not matching.proof.proven:
+        remarks.append(
+            "the smoother with its own matcher is unproven: it has no say in the verdict"
+        )
     if robust in ("huber", "cauchy"):
         remarks.append(
             f"the smoother's {robust} kernel lowers the weight of what fits badly: its covariances "

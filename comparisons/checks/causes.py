@@ -30,7 +30,7 @@ from graphslam.optimum import DISTANCE_LIMIT, ChiSquareTest, Proof
 
 Array = NDArray[np.float64]
 
-GAPS = ("algebra", "model", "linearisation", "association")
+GAPS = ("algebra", "model", "linearisation", "association", "matching")
 """Causes that are gaps between the estimates; other causes explain one, or stand beside."""
 _NAMED = 3
 """So many differences of the models are named."""

@@ -6,6 +6,7 @@ from typing import Literal
 
 from comparisons.report.consistency_models import ConsistencyResult
 from comparisons.report.dense_models import DenseResult, HighLevelResult
+from comparisons.report.matching_models import LandmarkMatchingResult
 from comparisons.report.model import Model
 
 
@@ -256,6 +257,37 @@ class ScanSlamResult(Model):
     sightings: dict[str, int]
 
 
+class OwnMatchingResult(Model):
+    """The smoother with its own matcher. See comparisons.checks.own_matching.
+
+    filter, own, common: alignments, begun landmarks left out. shift_sigma: of what all differences
+    have in common, None for too few. ekf, smoother: scan landmarks of each against those of this
+    smoother. pose_distance_sigma: by the sum of both covariances.
+    """
+
+    matcher: str
+    filter: int
+    own: int
+    common: int
+    distance_sigma: float | None
+    shift_m: tuple[float, float]
+    shift_rad: float
+    shift_sigma: float | None
+    landmarks: list[LandmarkMatchingResult]
+    ekf: MapPairResult
+    smoother: MapPairResult
+    pose_difference_m: float
+    pose_distance_sigma: float | None
+    path_ekf_m: float
+    path_smoother_m: float
+    agrees: bool
+    proven: bool
+    chi2: float
+    dof: int
+    reasons: dict[str, int]
+    accuracy: AccuracyResult | None
+
+
 class CauseResult(Model):
     """One reason for the verdict."""
 
@@ -275,6 +307,7 @@ class Result(Model):
     accuracy: Accuracies | None
     association: AssociationResult | None
     own_association: OwnAssociationResult | None
+    own_matching: OwnMatchingResult | None = None
     three_way: ThreeWayResult | None
     scan_odometry: ScanOdometryResult | None
     increments: IncrementResult | None

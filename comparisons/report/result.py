@@ -11,7 +11,7 @@ import numpy as np
 from comparisons.checks.accuracy import Accuracy
 from comparisons.checks.association import AssociationScore
 from comparisons.checks.own_association import OwnAssociationCheck
-from comparisons.checks.three_way import Pair, ThreeWay
+from comparisons.checks.three_way import ThreeWay
 from comparisons.compare import Comparison
 from comparisons.logs.log import Log, Sightings
 from comparisons.report.consistency_result import consistency_result
@@ -27,7 +27,6 @@ from comparisons.report.models import (
     EkfResult,
     LandmarkResult,
     LogResult,
-    MapPairResult,
     OwnAssociationResult,
     PartitionResult,
     Result,
@@ -35,6 +34,7 @@ from comparisons.report.models import (
     StartResult,
     ThreeWayResult,
 )
+from comparisons.report.own_matching import map_pair_result, own_matching_result
 from comparisons.report.scan_odometry import (
     increment_remarks,
     increment_result,
@@ -58,6 +58,7 @@ def build_result(comparison: Comparison, read_s: float) -> Result:
         accuracy=_accuracies(c),
         association=association_result(c.association),
         own_association=_own_association(c.own_association),
+        own_matching=own_matching_result(c),
         three_way=_three_way(c.three_way),
         scan_odometry=None
         if c.scan_motion is None
@@ -224,19 +225,9 @@ def _three_way(three: ThreeWay | None) -> ThreeWayResult | None:
     if three is None:
         return None
 
-    def pair(p: Pair) -> MapPairResult:
-        return MapPairResult(
-            rms_m=p.rms_m,
-            rms_aligned_m=p.rms_aligned_m,
-            distance_sigma_median=finite(float(np.median(p.distance_sigma))),
-            outside=p.outside,
-            landmarks=len(p.distance_sigma),
-            agrees=p.agrees,
-        )
-
     return ThreeWayResult(
-        ekf=pair(three.ekf),
-        smoother=pair(three.smoother),
+        ekf=map_pair_result(three.ekf),
+        smoother=map_pair_result(three.smoother),
         loops=three.loops,
         proven=three.proof.proven,
         chi2=three.chi_square.chi2,

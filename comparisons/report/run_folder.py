@@ -18,7 +18,7 @@ from comparisons.runs.estimate_folder import FILES as ESTIMATE_FILES
 from comparisons.runs.estimate_folder import write_estimate
 from comparisons.runs.trace_file import TRACE, write_trace
 
-ESTIMATORS = ("ekf", "smoother", "scans")
+ESTIMATORS = ("ekf", "smoother", "scans", "own-matcher")
 _PICTURES = ("map", "correlation", "consistency", "dense")
 CONTENTS = frozenset(
     {"result.json", "report.html", f"ekf/{TRACE}"}
@@ -41,12 +41,17 @@ def write_run_folder(
     formats: of the pictures; see picture.save. trace: the filter's, too.
     """
     with fresh_folder(folder, CONTENTS) as work:
-        estimates = [comparison.ekf.estimate, comparison.smoothed]
-        if comparison.three_way is not None:
-            estimates.append(comparison.three_way.estimate)
-        for name, estimate in zip(ESTIMATORS, estimates, strict=False):
-            (work / name).mkdir()
-            write_estimate(estimate, work / name)
+        three, own = comparison.three_way, comparison.own_matching
+        estimates = (
+            comparison.ekf.estimate,
+            comparison.smoothed,
+            None if three is None else three.estimate,
+            None if own is None else own.estimate,
+        )
+        for name, estimate in zip(ESTIMATORS, estimates, strict=True):
+            if estimate is not None:
+                (work / name).mkdir()
+                write_estimate(estimate, work / name)
         if trace:
             write_trace(comparison.ekf, work / "ekf" / TRACE)
         save(map_figure(comparison), work / "map.png", formats)

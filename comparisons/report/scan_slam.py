@@ -88,9 +88,4 @@ def axes_of(estimate: Estimate, length_m: float = 2.0) -> Array:
 
 def place_covariances(estimate: Estimate) -> Array:
     """(Q, 2, 2) of the places of scan landmarks."""
-    first = len(estimate.joint_covariance) - 3 * len(estimate.oriented)
-    blocks = [
-        estimate.joint_covariance[k : k + 2, k : k + 2]
-        for k in range(first, len(estimate.joint_covariance), 3)
-    ]
-    return np.array(blocks).reshape(-1, 2, 2)
+    return estimate.oriented_covariances()[:, :2, :2]

@@ -18,6 +18,7 @@ from comparisons.report.models import (
     Result,
     SmootherResult,
 )
+from comparisons.report.own_matching import own_matching_rows
 from comparisons.report.scan_odometry import add_scan_odometry
 from comparisons.report.scan_slam import scan_slam_rows
 
@@ -74,6 +75,10 @@ def print_summary(result: Result, console: Console) -> None:
         )
         add_accuracy(table, "with it", own.accuracy)
         add_association(table, own.association)
+    if result.own_matching is not None:
+        for name, shown in own_matching_rows(result.own_matching):
+            table.add_row(name, shown)
+        add_accuracy(table, "with it", result.own_matching.accuracy)
     if result.scan_odometry is not None:
         add_scan_odometry(table, result.scan_odometry, result.increments)
     three = result.three_way

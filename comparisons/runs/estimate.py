@@ -40,6 +40,14 @@ class Estimate:
         """(n,) the last pose and all landmarks, n = 3 + 2 L + 3 Q."""
         return np.concatenate((self.pose[-1], self.landmark.ravel(), self.oriented.ravel()))
 
+    def oriented_covariances(self) -> Array:
+        """(Q, 3, 3) of each landmark with a direction alone."""
+        first = len(self.joint_covariance) - 3 * len(self.oriented)
+        which = np.arange(len(self.oriented))
+        own = self.joint_covariance[first:, first:].reshape(len(which), 3, len(which), 3)
+        blocks: Array = own[which, :, which, :]
+        return blocks
+
     def landmark_covariances(self) -> Array:
         """(L, 2, 2) of each landmark alone."""
         points = 3 + 2 * len(self.landmark)

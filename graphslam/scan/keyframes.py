@@ -53,17 +53,8 @@ class KeyframeBelief:
 
     def relative(self, first: int, second: int) -> tuple[Array, Array]:
         """(3,) the second in the first's frame, with covariance (3, 3) in those axes."""
-        start, end = self.pose[first], self.pose[second]
-        motion = planar.wrapped(planar.between(start, end))
-        cos, sin = np.cos(start[2]), np.sin(start[2])
-        jacobian = np.zeros((3, 6))
-        jacobian[:2, 3:5] = ((cos, sin), (-sin, cos))
-        jacobian[:2, :2] = -jacobian[:2, 3:5]
-        jacobian[:2, 2] = motion[1], -motion[0]
-        jacobian[2, 2], jacobian[2, 5] = -1.0, 1.0
         block = np.block([[self._joint[i, j] for j in (first, second)] for i in (first, second)])
-        covariance: Array = jacobian @ block @ jacobian.T
-        return motion, covariance
+        return planar.relative(self.pose[first], self.pose[second], block)
 
     def misplacement(self, base: int, around: range, motion: Array) -> Array:
         """(3, 3) how far keyframes around a base, as placed by the graph, may lead a match astray.

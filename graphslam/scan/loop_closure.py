@@ -22,7 +22,7 @@ from graphslam.scan.matchers import MatchOptions, SurfaceMatcher
 from graphslam.scan.odometry import OdometryOptions
 from graphslam.scan.points import placed
 from graphslam.scan.refinement import RefinementOptions
-from graphslam.scan.registration import Matcher, Registration, ScanError
+from graphslam.scan.registration import Matcher, Registration, ScanError, squared_distance
 from graphslam.smoother import smooth
 
 Array = NDArray[np.float64]
@@ -226,10 +226,7 @@ class RegistrationLoopCloser:
             return f"residual {match.residual_m:.3f} m, expected {o.most_residual_m:g} m at most"
         if match.stiffness[0] < o.least_stiffness:
             return "the surroundings leave a direction open"
-        difference = planar.wrapped(match.motion - expected)
-        turn = planar.rotation(match.motion[2])
-        total = spread + turn @ match.covariance @ turn.T
-        distance = float(difference @ np.linalg.solve(total, difference))
+        distance = squared_distance(match, expected, spread)
         if distance > _CHI2_3_999:
             return f"contradicts the graph: squared distance {distance:.0f}"
         return ""

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphslam.scan import kiss, planar
-from graphslam.scan.points import usable
+from graphslam.scan.points import LEAST_POINTS, usable
 from graphslam.scan.refinement import RefinementOptions, refine
 from graphslam.scan.registration import Matcher, Registration, ScanError
 from graphslam.scan.surfaces import SurfaceMap
@@ -36,7 +36,7 @@ class MatchOptions:
     iterations: most per stage. converged: relative or absolute change, as the aligner has it, at
     which a stage ends. judge: what is believed of the motion found, its calibration being on top of
     the matcher's own. It looks for surfaces in the target thinned to cells of cell_m, among so
-    many neighbours within radius_m.
+    many neighbours within radius_m. least_points: of a source.
     """
 
     reaches_m: tuple[float, ...] = (2.0, 0.5)
@@ -46,6 +46,7 @@ class MatchOptions:
     cell_m: float = 0.1
     neighbours: int = 24
     radius_m: float = 0.5
+    least_points: int = LEAST_POINTS
 
 
 class JudgedMatcher:
@@ -75,7 +76,8 @@ class JudgedMatcher:
         start = np.asarray(guess, dtype=float)
         if start.shape != (3,) or not np.isfinite(start).all():
             raise ScanError(f"the guess is {guess}, expected three finite numbers")
-        source, target = checked(source, "source"), checked(target, "target")
+        source = checked(source, "source", self.options.least_points)
+        target = checked(target, "target")
         if source[:, 2].any() and not target[:, 2].any():
             raise ScanError("the target is planar and the source is not")
         found = start
@@ -160,13 +162,13 @@ class KissMatcher(JudgedMatcher):
             yield motion
 
 
-def checked(points: Array, name: str) -> Array:
+def checked(points: Array, name: str, least: int = LEAST_POINTS) -> Array:
     """(N, 3) those points that are numbers, in an order that depends on the points alone.
 
     Raises ScanError, naming the cloud, where they are too few or in one place.
     """
     try:
-        cloud = usable(points, 0.0, _FAR_M)
+        cloud = usable(points, 0.0, _FAR_M, least)
     except ScanError as error:
         raise ScanError(f"{name}: {error}") from None
     return np.ascontiguousarray(cloud[np.lexsort(cloud.T)])

@@ -29,6 +29,21 @@ def between(start: Array, end: Array) -> Array:
     return np.array((cos * east + sin * north, -sin * east + cos * north, end[2] - start[2]))
 
 
+def relative(start: Array, end: Array, covariance: Array) -> tuple[Array, Array]:
+    """(3,) end in the frame of start, heading wrapped, with its covariance (3, 3) in those axes.
+
+    covariance: (6, 6) of the additive global error of both, start first.
+    """
+    motion = wrapped(between(start, end))
+    cos, sin = math.cos(start[2]), math.sin(start[2])
+    jacobian = np.zeros((3, 6))
+    jacobian[:2, 3:5] = ((cos, sin), (-sin, cos))
+    jacobian[:2, :2] = -jacobian[:2, 3:5]
+    jacobian[:2, 2] = motion[1], -motion[0]
+    jacobian[2, 2], jacobian[2, 5] = -1.0, 1.0
+    return motion, jacobian @ covariance @ jacobian.T
+
+
 def share(motion: Array, count: int) -> Array:
     """(3,) the motion that, done `count` times, leads where this one does.
 

@@ -78,8 +78,10 @@ def above_ground(points: Array, margin_m: float) -> Array:
     return kept
 
 
-def usable(points: Array, least_range_m: float, most_range_m: float) -> Array:
-    """The points (M, 3) that are numbers and within range of the vehicle.
+def usable(
+    points: Array, least_range_m: float, most_range_m: float, least: int = LEAST_POINTS
+) -> Array:
+    """The points (M, 3) that are numbers and within range of the vehicle, `least` of them or more.
 
     Raises ScanError when that is not a cloud to align: wrong shape, too few, or all in one place.
     """
@@ -87,10 +89,10 @@ def usable(points: Array, least_range_m: float, most_range_m: float) -> Array:
     with np.errstate(invalid="ignore", over="ignore"):
         distance = np.sqrt(np.einsum("ni,ni->n", cloud, cloud))
         kept: Array = cloud[(distance >= least_range_m) & (distance <= most_range_m)]
-    if len(kept) < LEAST_POINTS:
+    if len(kept) < least:
         raise ScanError(
             f"{len(kept)} of {len(cloud)} points lie within {least_range_m:g} to "
-            f"{most_range_m:g} m, expected {LEAST_POINTS} at least"
+            f"{most_range_m:g} m, expected {least} at least"
         )
     x, y = kept[:, 0], kept[:, 1]
     if max(x.max() - x.min(), y.max() - y.min()) < _LEAST_SPREAD_M:

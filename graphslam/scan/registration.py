@@ -8,6 +8,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from graphslam.scan import planar
+
 Array = NDArray[np.float64]
 
 
@@ -34,6 +36,17 @@ class Registration:
     residual_m: float
     stiffness: Array
     open_directions: int = 0
+
+
+def squared_distance(match: Registration, expected: Array, spread: Array) -> float:
+    """How far a match is from where it was expected (3,), by both covariances; chi-square of 3.
+
+    spread: (3, 3) of the expectation, in the target's axes.
+    """
+    difference = planar.wrapped(match.motion - expected)
+    turn = planar.rotation(match.motion[2])
+    total = spread + turn @ match.covariance @ turn.T
+    return float(difference @ np.linalg.solve(total, difference))
 
 
 class Matcher(Protocol):

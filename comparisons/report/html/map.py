@@ -21,6 +21,7 @@ _SIGMAS = 3.0
 _SEEN = {True: "seen again", False: "never seen again"}
 _MOST_LINES = 3000
 _NO_RATIO = "#888888"
+_OWN_MATCHER_COLOUR = "#6a3d9a"
 _RATIO_COLOURS = ("#7f3b08", "#e08214", "#fee0b6", "#f7f7f7", "#d8daeb", "#8073ac", "#2d004b")
 """From too sure to too careful; ColorBrewer's PuOr, which the colour-blind can read."""
 _LEAST_DECADES, _MOST_DECADES = 0.5, 3.0
@@ -68,6 +69,9 @@ def run_map(c: Comparison) -> RunMap:
         told = [f"high level landmark, {_SEEN[s >= 0]}" for s in made.slot.tolist()]
         drawing.outlines("high level landmarks", colour, made.rectangle, told)
         drawing.links("their axes", colour, *made.axes)
+    if c.own_matching is not None:
+        path = c.own_matching.estimate.pose[:, :2]
+        drawing.path("smoother trajectory, own matcher", _OWN_MATCHER_COLOUR, path, "2 2")
     _associations(drawing, c)
     finite = np.isfinite(ekf.pose).all(axis=1) & np.isfinite(smoothed.pose).all(axis=1)
     row = np.flatnonzero(finite)

@@ -10,7 +10,13 @@ from comparisons.report.html.curves import curve_data, data_block
 from comparisons.report.html.look import script
 from comparisons.report.html.map import RATIO_LAYER, ratio_legend, run_map
 from comparisons.report.html.shell import document, picture, table
-from comparisons.report.html.tables import association_differences, figures, landmarks, timing
+from comparisons.report.html.tables import (
+    association_differences,
+    figures,
+    landmarks,
+    matching_differences,
+    timing,
+)
 from comparisons.report.models import Result
 from comparisons.report.panels import ConsistencyPanels
 
@@ -49,6 +55,7 @@ def page(comparison: Comparison, panels: ConsistencyPanels, result: Result, pict
         table(("", ""), figures(result)),
         *_embedded(pictures),
         association_differences(comparison),
+        matching_differences(result),
         landmarks(result),
         f"<h2>Time</h2>{timing(result.seconds)}",
         f"<h2>Versions</h2>{table(('package', 'version'), list(result.versions.items()))}",

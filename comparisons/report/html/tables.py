@@ -11,6 +11,7 @@ from comparisons.compare import Comparison
 from comparisons.report.consistency_result import consistency_rows
 from comparisons.report.dense_result import high_level_text
 from comparisons.report.models import AccuracyResult, LandmarkResult, Result
+from comparisons.report.own_matching import own_matching_rows
 from comparisons.report.scan_slam import scan_slam_rows
 from ekf_reference.association import AMBIGUOUS, CANDIDATE, DYNAMIC, REJECTED
 
@@ -45,6 +46,8 @@ def figures(result: Result) -> list[tuple[str, str]]:
     rows.append(("landmarks apart (RMS)", f"{gaps.landmark_difference_rms_m:.3f} m"))
     if result.scan_slam is not None:
         rows += scan_slam_rows(result.scan_slam)
+    if result.own_matching is not None:
+        rows += own_matching_rows(result.own_matching)
     rows += consistency_rows(result.consistency)
     if result.high_level is not None:
         rows.append(("high level landmarks", high_level_text(result.high_level)))
@@ -120,6 +123,48 @@ def association_differences(c: Comparison) -> str:
     return (
         f'<h2>Associations that differ</h2><p class="note">{told}</p>'
         f"{_sortable('association', head, rows) if rows else ''}"
+    )
+
+
+def matching_differences(result: Result) -> str:
+    """How the two matchers' alignments differ, by scan landmark; empty if not asked."""
+    own = result.own_matching
+    if own is None:
+        return ""
+    head = (
+        "landmark",
+        "scans",
+        "sigma",
+        "ahead [m]",
+        "left [m]",
+        "turn [deg]",
+        "worst [s]",
+        "its sigma",
+        "",
+    )
+    rows = [
+        (
+            f'data-key="s{one.id}" tabindex="0" class="{"bad" if one.contradicts else ""}"',
+            (
+                f"scan {one.id}",
+                str(one.common),
+                _number(one.distance_sigma),
+                f"{one.shift_m[0]:.3f}",
+                f"{one.shift_m[1]:.3f}",
+                f"{np.degrees(one.shift_rad):.2f}",
+                f"{one.worst_time_s:.3f}",
+                _number(one.worst_sigma),
+                "contradicts" if one.contradicts else "agrees",
+            ),
+        )
+        for one in own.landmarks
+    ]
+    return (
+        f'<h2>Alignments of two matchers</h2><p class="note">The filter\'s minus those of '
+        f"{escape(own.matcher)}, made from the smoother's own estimate, over the scans that both "
+        "aligned a landmark with; the worst of these by its time. Sigmas are of the sum of both "
+        "covariances; directions that a shape leaves open count next to nothing.</p>"
+        f"{_sortable('matching', head, rows)}"
     )
 
 

@@ -1,0 +1,278 @@
+"""Templates of scans as landmarks, seen by the smoother's own matcher from its own estimate.
+
+A template is a piece of one scan. Which landmarks there are, and which returns each was made of,
+is data; where it is in later scans is found here: predicted from the joint covariance of all that
+was sighted so far, matched, and believed only within a gate. After each piece of the drive
+everything is solved anew.
+
+All alignments of one template share the noise of its points, which no factor between a pose and a
+landmark can say. So as factors they are wider than the matcher's covariance says, by as much as one
+return is wrong by.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from graphslam.belief import Belief
+from graphslam.graph_builder import ORIENTED_KEY, POSE_KEY, build_graph, oriented_from
+from graphslam.initialisation import extension
+from graphslam.marginals import joint_marginal, to_global
+from graphslam.optimisers import levenberg_marquardt
+from graphslam.problem import OrientedSightings, SlamProblem
+from graphslam.scan import planar
+from graphslam.scan.loop_closure import starts
+from graphslam.scan.odometry import OdometryOptions
+from graphslam.scan.registration import Registration, ScanError, squared_distance
+from graphslam.scan.template_matchers import COARSE_M, Template, TemplateMatchers, lever_m
+
+Array = NDArray[np.float64]
+
+USED, BEGUN = "used", "begun"
+APART = "does not meet the scan"
+UNMATCHED = "not matched"
+MISFIT = "does not fit"
+AMBIGUOUS = "ambiguous"
+GATED = "contradicts the estimate"
+LEFT_OUT = "left out"
+
+
+@dataclass(frozen=True)
+class TemplateOptions:
+    """When a template is looked for and when a match is believed.
+
+    reach_m: axes farther away are not looked for. per_scan: most templates matched with one scan,
+    those first that were not seen for the longest. least_overlap, most_residual_m, gate: of a match
+    to believe; the gate is of three degrees of freedom, 99.9 %. piece: scans between two solutions.
+    begun_m: sigma of a new template along what its shape does not fix: of all axes that fit, its
+    own is the one where it was taken. shared_m: sigma of one return, by which factors are wider
+    than the matcher says.
+    """
+
+    reach_m: float = 50.0
+    per_scan: int = 8
+    least_overlap: float = 0.7
+    most_residual_m: float = 0.35
+    gate: float = 16.27
+    piece: int = 5
+    begun_m: float = 0.05
+    shared_m: float = 0.05
+
+    @classmethod
+    def suited(cls, settings: OdometryOptions, sigma_m: float) -> TemplateOptions:
+        """For scans that suit these settings of scan odometry, each return sigma_m off."""
+        residual_m = max(0.15, 0.4 * settings.refinement.reach_m)
+        return cls(most_residual_m=residual_m, shared_m=sigma_m)
+
+
+class Sighting(NamedTuple):
+    """One, as in OrientedSightings."""
+
+    pose: int
+    landmark: int
+    measured: Array
+    covariance: Array
+
+
+@dataclass(frozen=True)
+class TemplateSightings:
+    """What was found. alignments: of templates by number, the first of each being its beginning.
+
+    factors: the same, wide enough to be taken as independent. reasons: how often a template near
+    the scanner was USED, or why not.
+    """
+
+    alignments: OrientedSightings
+    factors: OrientedSightings
+    reasons: Counter[str] = field(default_factory=Counter)
+
+
+def sight_templates(
+    problem: SlamProblem,
+    templates: Mapping[int, Template],
+    clouds: Mapping[int, Array],
+    matchers: TemplateMatchers,
+    options: TemplateOptions | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> TemplateSightings:
+    """Look for all templates in all scans, in the order of the drive.
+
+    problem: whose landmarks with a direction are not read. templates: by number, all from 0 on.
+    clouds: (M, 3) by the pose that they were seen from. progress: told of poses done, of all.
+    Raises graphslam.marginals.SingularProblemError.
+    """
+    drive = _Drive(replace(problem, oriented=OrientedSightings()), templates, matchers, options)
+    begun: dict[int, list[int]] = {}
+    for number, template in templates.items():
+        begun.setdefault(template.pose, []).append(number)
+    for pose in range(problem.pose_count):
+        drive.move_to(pose)
+        if pose in clouds or pose in begun:
+            progress(pose, problem.pose_count)
+            try:
+                cloud = clouds[pose]
+            except (KeyError, ScanError):  # nothing to match; what began here was seen, though
+                cloud = np.zeros((0, 3))
+            drive.look(cloud)
+            drive.begin(sorted(begun.get(pose, [])), cloud)
+    return TemplateSightings(drive.alignments(), drive.factors(), drive.reasons)
+
+
+class _Drive:
+    """What is known on the way. pose: the last one; belief: of it and the templates `_known`."""
+
+    def __init__(
+        self,
+        problem: SlamProblem,
+        templates: Mapping[int, Template],
+        matchers: TemplateMatchers,
+        options: TemplateOptions | None,
+    ) -> None:
+        self._problem, self._templates, self._matchers = problem, templates, matchers
+        self._options = options or TemplateOptions()
+        self.reasons: Counter[str] = Counter()
+        self._seen: list[Sighting] = []
+        self._last: dict[int, int] = {}
+        self._pose = 0
+        self._belief = Belief(problem.prior_pose, problem.prior_covariance)
+        self._known = 0
+        self._values = gtsam.Values()
+        self._solved, self._since = 0, 0
+
+    def factors(self) -> OrientedSightings:
+        """All sightings so far, as they are told to the smoother."""
+        seen = self.alignments()
+        levers = {n: lever_m(self._templates[n].points) for n in np.unique(seen.landmark).tolist()}
+        wider = np.array([levers[n] for n in seen.landmark.tolist()])
+        shared = np.zeros((len(wider), 3, 3))
+        shared[:, 0, 0] = shared[:, 1, 1] = self._options.shared_m**2
+        shared[:, 2, 2] = (self._options.shared_m / wider) ** 2
+        shared[np.unique(seen.landmark, return_index=True)[1]] = 0.0
+        return replace(seen, covariance=seen.covariance + shared)
+
+    def alignments(self) -> OrientedSightings:
+        """All sightings so far, as they were matched, in order."""
+        seen = self._seen
+        return OrientedSightings(
+            np.array([s.pose for s in seen], dtype=np.intp),
+            np.array([s.landmark for s in seen], dtype=np.intp),
+            np.array([s.measured for s in seen]).reshape(-1, 3),
+            np.array([s.covariance for s in seen]).reshape(-1, 3, 3),
+        )
+
+    def move_to(self, pose: int) -> None:
+        """By the odometry."""
+        p = self._problem
+        for k in range(self._pose, pose):
+            self._belief.move(p.increment[k], p.increment_covariance[k])
+        self._pose = pose
+
+    def begin(self, numbers: list[int], cloud: Array) -> None:
+        """Templates taken from here."""
+        for number in numbers:
+            t = self._templates[number]
+            spread = self._matchers.begun(t, cloud, self._options.begun_m)
+            self._take(Sighting(self._pose, number, t.place, spread), BEGUN)
+
+    def look(self, cloud: Array) -> None:
+        """Match what may be in view with the scan from here (N, 3)."""
+        self._since += 1
+        if self._since >= self._options.piece and len(self._last) > 0:
+            self._solve()
+        if not len(cloud):
+            return
+        tree = cKDTree(cloud)
+        tried = 0
+        for number in sorted(range(self._known), key=self._last.__getitem__):
+            expected, spread = self._expected(number)
+            if not self._near(number, expected, spread, tree):
+                continue
+            if tried == self._options.per_scan:
+                self.reasons[LEFT_OUT] += 1
+                continue
+            tried += 1
+            found = self._match(number, cloud, expected, spread)
+            if isinstance(found, str):
+                self.reasons[found] += 1
+            else:
+                self._take(Sighting(self._pose, number, found.motion, found.covariance), USED)
+
+    def _take(self, sighting: Sighting, reason: str) -> None:
+        self._seen.append(sighting)
+        self._last[sighting.landmark] = self._pose
+        self.reasons[reason] += 1
+
+    def _expected(self, number: int) -> tuple[Array, Array]:
+        """(3,) the template's axis in the pose's frame, and its covariance (3, 3) in these axes."""
+        at = 3 + 3 * number
+        rows = np.concatenate((np.arange(3), np.arange(at, at + 3)))
+        mean, covariance = self._belief.mean, self._belief.covariance
+        return planar.relative(mean[:3], mean[at : at + 3], covariance[np.ix_(rows, rows)])
+
+    def _near(self, number: int, expected: Array, spread: Array, tree: cKDTree) -> bool:
+        """Whether the scan may show a template: its points have returns near them."""
+        o = self._options
+        if np.hypot(*expected[:2]) > o.reach_m:
+            return False
+        reach = COARSE_M + 2.0 * float(np.sqrt(np.trace(spread[:2, :2])))
+        place = planar.moved(expected, self._templates[number].points)
+        near = np.isfinite(tree.query(place, distance_upper_bound=reach)[0]).mean()
+        if near < o.least_overlap:
+            self.reasons[APART] += 1
+        return bool(near >= o.least_overlap)
+
+    def _match(
+        self, number: int, cloud: Array, expected: Array, spread: Array
+    ) -> Registration | str:
+        """A believable match, or the reason why there is none."""
+        o, points = self._options, self._templates[number].points
+        found: list[Registration] = []
+        reason = ""
+        for start in starts(expected, spread, lever_m(points)):
+            try:
+                match = self._matchers.matcher(len(points)).match(points, cloud, start)
+            except ScanError:
+                reason = reason or UNMATCHED
+                continue
+            if match.overlap < o.least_overlap or match.residual_m > o.most_residual_m:
+                reason = reason or MISFIT
+            elif squared_distance(match, expected, spread) > o.gate:
+                reason = reason or GATED
+            else:
+                found.append(match)
+        if not found:
+            return reason
+        best = min(found, key=lambda match: match.residual_m)
+        turn = planar.rotation(best.motion[2])
+        own = turn @ best.covariance @ turn.T
+        if any(squared_distance(other, best.motion, own) > o.gate for other in found):
+            return AMBIGUOUS
+        return best
+
+    def _solve(self) -> None:
+        """Everything up to the last pose anew, and the belief from it."""
+        known = len(self._last)
+        part = replace(self._problem, oriented=self.factors()).prefix(self._pose + 1)
+        graph = build_graph(part)
+        for s in self._seen:  # begun where everything was solved the last time, after that
+            if s.pose < self._solved and not self._values.exists(ORIENTED_KEY + s.landmark):
+                here = self._values.atPose2(POSE_KEY + s.pose)
+                place = here.compose(gtsam.Pose2(*s.measured))
+                self._values.insert(ORIENTED_KEY + s.landmark, place)
+        self._values.insert(extension(part, self._values, self._solved, self._pose + 1))
+        self._values, *_ = levenberg_marquardt(graph, self._values, 1e-4, limit=5)
+        here = self._values.atPose2(POSE_KEY + self._pose)
+        keys = [POSE_KEY + self._pose, *range(ORIENTED_KEY, ORIENTED_KEY + known)]
+        local = joint_marginal(graph.linearize(self._values), keys, 3 + 3 * known).covariance
+        places = oriented_from(self._values, part)
+        mean = np.concatenate(([here.x(), here.y(), here.theta()], places.ravel()))
+        self._belief = Belief(mean, to_global(local, here.theta(), places[:, 2]))
+        self._known, self._solved, self._since = known, self._pose + 1, 0

@@ -1,0 +1,219 @@
+"""The smoother with its own matcher of scan landmarks, beside the one that has the filter's."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from comparisons.checks.own_matching import check_own_matching, common_shift, compare_frames
+from comparisons.compare import Comparison, compare_estimators
+from comparisons.errors import InputError
+from comparisons.logs.log import Log
+from comparisons.logs.simulate.scan_drive import scan_slam, simulate
+from comparisons.report.html.tables import matching_differences
+from comparisons.report.result import build_result
+from comparisons.report.run_folder import write_run_folder
+from comparisons.runs.estimate import Estimate
+from ekf_reference.scan_landmarks.alignment_covariance import ScanAlignment, scan_align
+from ekf_reference.scan_landmarks.sog import SumOfGaussians
+from graphslam.graph_builder import to_tangent
+from graphslam.optimum import ChiSquareTest, Proof, Stationarity
+from graphslam.problem import OrientedSightings
+from tests.helpers import Array, first_seconds, simulated
+
+Index = NDArray[np.intp]
+
+TURNED = (0.0, 0.0, np.deg2rad(2.0))
+MOVED_M = 0.5
+
+
+@cache
+def log() -> Log:
+    return first_seconds(simulate(np.random.default_rng(3), scan_slam()), 14.0)
+
+
+@cache
+def compared() -> Comparison:
+    return compare_estimators(log(), landmarks="scans", smoother_matcher="own")
+
+
+def planted(
+    monkeypatch: pytest.MonkeyPatch,
+    shift: tuple[float, ...],
+    chosen: Callable[[SumOfGaussians], bool],
+) -> Comparison:
+    """A run whose SOG matcher adds a shift to z of templates with chosen shapes."""
+
+    def wrong(first: SumOfGaussians, *rest: Any) -> ScanAlignment:
+        found = scan_align(first, *rest)
+        return replace(found, pose=found.pose + shift) if chosen(first) else found
+
+    monkeypatch.setattr("ekf_reference.scan_landmarks.templates.scan_align", wrong)
+    return compare_estimators(log(), landmarks="scans", smoother_matcher="own")
+
+
+def best_seen() -> tuple[int, Array]:
+    """The landmark that both saw the most, and which way (2,) its alignments are the surest."""
+    own = compared().own_matching
+    assert own is not None
+    slot = max(own.landmarks, key=lambda one: one.common).slot
+    rows = np.flatnonzero(own.alignments.landmark == slot)[1:]
+    turn = to_tangent(own.alignments.measured[rows, 2])
+    seen = np.linalg.inv(turn.transpose(0, 2, 1) @ own.alignments.covariance[rows] @ turn)
+    return slot, np.linalg.eigh(seen.mean(axis=0)[:2, :2])[1][:, -1]
+
+
+def test_a_sound_matcher_is_confirmed(open3d_library: ModuleType) -> None:
+    c = compared()
+    own = c.own_matching
+    assert own is not None
+    assert c.verdict.outcome == "agree"
+    assert own.agrees
+    assert own.proof.proven
+    assert own.sightings[2] > 0.7 * own.sightings[0]
+    # Sharing template and scan they differ by much less than both covariances.
+    assert np.mean(own.squared) / 3.0 < 0.5
+    assert own.accuracy is not None
+    assert own.accuracy.ate_m is not None
+    assert own.accuracy.ate_m < 0.5
+
+
+def test_no_alignment_of_the_filter_is_used(
+    monkeypatch: pytest.MonkeyPatch, open3d_library: ModuleType
+) -> None:
+    """A heading that is 2 degrees off: S follows it, S'' does not, and it is named."""
+    c = planted(monkeypatch, TURNED, lambda shape: True)
+    own = c.own_matching
+    assert own is not None
+    assert all(cause.gap == "matching" for cause in c.verdict.causes)  # S sees nothing
+    assert c.verdict.outcome == "disagree"
+    assert own.shifted
+    assert np.rad2deg(own.shift[2]) == pytest.approx(2.0, abs=0.8)
+    assert np.hypot(*own.shift[:2]) < 0.05
+    assert "all alignments of the filter are shifted by" in c.verdict.causes[0].evidence
+    assert "heading" in c.verdict.causes[0].hint
+
+
+def test_an_offset_of_one_landmark_is_named(
+    monkeypatch: pytest.MonkeyPatch, open3d_library: ModuleType
+) -> None:
+    which, way = best_seen()
+    shift = (*(MOVED_M * way).tolist(), 0.0)
+    assert compared().scan_slam is not None
+    its = compared().scan_slam.found.template[which].shape.mean  # type: ignore[union-attr]
+    c = planted(monkeypatch, shift, lambda shape: np.array_equal(shape.mean, its))
+    own = c.own_matching
+    assert own is not None
+    assert [cause.gap for cause in c.verdict.causes] == ["matching"]
+    assert not own.shifted
+    (worst,) = own.contradicting
+    assert worst.slot == which
+    assert worst.shift[:2] @ way == pytest.approx(MOVED_M, rel=0.3)
+    assert f"scan landmark {worst.slot} are 0." in c.verdict.causes[0].evidence
+    table = matching_differences(build_result(c, 0.0))
+    assert table.count("contradicts") == 1
+
+
+def test_it_is_reported(tmp_path: Path, open3d_library: ModuleType) -> None:
+    c = compared()
+    result = build_result(c, 0.0)
+    own = result.own_matching
+    assert own is not None
+    assert own.agrees
+    assert own.reasons["begun"] == len(c.ekf.estimate.oriented)
+    assert own.reasons["used"] == own.own
+    assert sum(row.common for row in own.landmarks) == own.common
+    write_run_folder(c, result, tmp_path / "out")
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "Alignments of two matchers" in page
+    assert 'id="matching"' in page
+    assert "smoother trajectory, own matcher" in page
+    assert (tmp_path / "out" / "own-matcher" / "scan_landmarks.csv").exists()
+
+
+def test_what_cannot_be_used_is_said_in_a_line() -> None:
+    with pytest.raises(InputError, match="--smoother-matcher own goes with --landmarks scans"):
+        compare_estimators(simulated(), smoother_matcher="own")
+    with pytest.raises(InputError, match="smoother matcher 'kiss' is unknown, expected ekf or own"):
+        compare_estimators(log(), landmarks="scans", smoother_matcher="kiss")
+
+
+def differences(rng: np.random.Generator, shift: Array) -> tuple[Index, Array, Array]:
+    """Of eight landmarks, those of one alike but for little, as shared noise makes them."""
+    slot: Index = np.repeat(np.arange(8), 12)
+    of_landmark = 0.04 * rng.standard_normal((8, 3))
+    own = of_landmark[slot] + 0.01 * rng.standard_normal((len(slot), 3))
+    return slot, own + shift, np.tile(np.eye(3) / 0.1**2, (len(slot), 1, 1))
+
+
+def test_a_common_shift_is_found_and_no_other() -> None:
+    limit = 16.27
+    above = [
+        common_shift(*differences(np.random.default_rng(s), np.zeros(3)))[1] for s in range(99)
+    ]
+    assert (
+        np.mean(np.array(above) > limit) <= 0.08
+    )  # eight landmarks tell their own scatter roughly
+    moved = np.array((0.0, 0.0, 0.08))
+    shift, squared = common_shift(*differences(np.random.default_rng(0), moved))
+    assert squared > limit
+    np.testing.assert_allclose(shift, moved, atol=0.05)
+    slot, d, information = differences(np.random.default_rng(0), moved)
+    assert common_shift(slot % 2, d, information)[1] == 0.0  # two have nothing in common
+
+
+def frames(place: Array, sigma: float) -> Estimate:
+    size = 3 + 3 * len(place)
+    return Estimate(
+        np.zeros(1),
+        np.zeros((1, 3)),
+        np.eye(3)[None],
+        np.zeros(0, dtype=np.int64),
+        np.zeros((0, 2)),
+        sigma**2 * np.eye(size),
+        "smoothed",
+        {},
+        np.arange(len(place)),
+        place,
+    )
+
+
+def test_frames_are_compared_by_both_covariances_and_round_the_circle() -> None:
+    a = np.array(((0.0, 0.0, np.pi - 0.01), (5.0, 1.0, 0.0)))
+    b = a + ((0.0, 0.0, 0.02 - 2.0 * np.pi), (3.0, 0.0, 0.0))
+    pair = compare_frames(frames(a, 0.3), frames(b, 0.4))
+    np.testing.assert_allclose(pair.distance_sigma, (0.04 / 3**0.5, 6.0 / 3**0.5), rtol=1e-9)
+    assert pair.outside == 1
+    assert pair.rms_m == pytest.approx(3.0 / 2**0.5)
+    assert not len(compare_frames(frames(a[:0], 0.3), frames(b[:0], 0.3)).distance_sigma)
+
+
+def test_alignments_are_compared_where_both_have_one_and_none_has_begun() -> None:
+    def told(rows: list[tuple[int, int, float]], sigma: float) -> OrientedSightings:
+        z = np.array([(x, 0.0, np.pi / 2) for *_, x in rows])
+        spread = np.tile(np.diag((sigma, 10.0 * sigma, sigma)) ** 2, (len(rows), 1, 1))
+        pose, landmark = (np.array([row[i] for row in rows], dtype=np.intp) for i in (0, 1))
+        return OrientedSightings(pose, landmark, z, spread)
+
+    filters_ = told([(0, 0, 1.0), (1, 0, 2.0), (2, 0, 3.0), (2, 1, 9.0), (3, 0, 4.0)], 0.3)
+    own = told([(0, 0, 7.0), (1, 0, 2.5), (3, 0, 4.0), (2, 1, 9.0), (4, 0, 1.0)], 0.4)
+    test = ChiSquareTest(1.0, 1, 0.0, 2.0)
+    proof = Proof(Stationarity(0.0, definite=True), test, ("a", "b"))
+    some = frames(np.zeros((2, 3)), 1.0)
+    found = check_own_matching(filters_, own, some, some, some, proof, None, Counter())
+    assert found.sightings == (3, 3, 2)
+    (one,) = found.landmarks
+    assert one.common == 2
+    assert one.worst_epoch == 1
+    # The landmark's own y is the pose's x: turned by a quarter.
+    np.testing.assert_allclose(sorted(found.squared), (0.0, (0.5 / 5.0) ** 2), atol=1e-12)
+    assert found.agrees
