@@ -34,6 +34,7 @@ from comparisons.cli_options import (
     SeedOption,
     SmootherAssociationOption,
     SolveAssociationOption,
+    TemplatesOption,
     TimesOption,
     TraceOption,
 )
@@ -69,6 +70,7 @@ def run(
     attributes: AttributesOption = "off",
     features: FeaturesOption = "log",
     landmarks: LandmarksOption = "points",
+    templates: TemplatesOption = "bare",
     motion: MotionOption = "wheel",
     gps: GpsOption = "off",
     smoother: MethodOption = "batch",
@@ -99,7 +101,7 @@ def run(
       slamcheck run my-log-folder --association nn --out report
       slamcheck run path/to/acfr_car_park --motion both
       slamcheck run scan-loop --dense points --dense occupancy
-      slamcheck run scan-slam --landmarks scans
+      slamcheck run scan-slam --landmarks scans --dense occupancy
       slamcheck run occupancy-loop --loops 2 --high-level on
       slamcheck run simulated-loop --figures pdf --record run.rrd
       slamcheck run dynamic-lanes --dynamic on
@@ -138,6 +140,7 @@ def run(
                 smoother_association,
                 motion,
                 landmarks,
+                templates,
                 kept if dense else None,
                 dynamic == "on",
                 HighLevelOptions() if high_level == "on" else None,
@@ -164,6 +167,7 @@ def _run(
     smoother_association: str,
     motion: str,
     landmarks: str,
+    templates: str,
     dense: DenseOptions | None,
     dynamic: bool,
     high_level: HighLevelOptions | None,
@@ -176,6 +180,7 @@ def _run(
     from comparisons.report.result import build_result
     from comparisons.report.run_folder import CONTENTS, write_run_folder
     from comparisons.report.summary import print_summary
+    from comparisons.runs.scan_slam_source import slam_options
 
     folder = out or Path(f"slamcheck-{folder_name(log.name)}")
     check_replaceable(folder, CONTENTS)
@@ -190,6 +195,7 @@ def _run(
             dense=dense,
             dynamic=dynamic,
             landmarks=landmarks,
+            slam_options=slam_options(templates, landmarks),
             high_level=high_level,
         )
         result = build_result(comparison, read_s)
