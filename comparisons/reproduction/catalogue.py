@@ -9,6 +9,7 @@ from comparisons.reproduction import (
     nieto_dense_figures,
     nieto_motion,
     nieto_regions,
+    nieto_scan_maps_figures,
     nieto_slam_figures,
 )
 from comparisons.reproduction.contract import AnyFigure
@@ -19,6 +20,7 @@ FIGURES: tuple[AnyFigure, ...] = (
     *nieto_slam_figures.FIGURES,
     *nieto_regions.FIGURES,
     *nieto_dense_figures.FIGURES,
+    *nieto_scan_maps_figures.FIGURES,
     *nieto_motion.FIGURES,
 )
 

@@ -10,17 +10,20 @@ import numpy as np
 
 from comparisons.checks.dense_accuracy import surface_error
 from comparisons.checks.dynamic_accuracy import DynamicScore
+from comparisons.logs.bundled import open_log
 from comparisons.reproduction import (
     guivant,
     misono,
     nieto_dense,
     nieto_motion,
     nieto_regions,
+    nieto_scan_maps,
     nieto_slam,
 )
 from comparisons.reproduction.contract import Sources
 from comparisons.runs.estimate import Array
 from ekf_reference.dense.layers.layer import Samples
+from tests.helpers import first_seconds
 
 WALL = np.array([(0.0, 0.0, 20.0, 0.0)])
 CORNERS = np.array([(0.0, -5.0), (20.0, -5.0), (10.0, 8.0)])
@@ -76,6 +79,12 @@ def motions(true: Array) -> nieto_motion.Motions:
     return nieto_motion.Motions("made up", (one,), true)
 
 
+def scan_maps() -> nieto_scan_maps.ScanMaps:
+    """The first seconds of a drive; what closes there is not a loop."""
+    log = first_seconds(open_log("scan-slam-maps"), 12.0)
+    return nieto_scan_maps.of_logs([log], "the beginning of a drive")
+
+
 SMALL: dict[str, Callable[[], Any]] = {
     "section 2.9": lambda: nieto_slam.loops(Sources(drives=2)),
     "section 2.9 with positions": lambda: nieto_slam.fixed(Sources()),
@@ -88,6 +97,7 @@ SMALL: dict[str, Callable[[], Any]] = {
     "chapter 4": lambda: nieto_dense.layered_maps(Sources(drives=1)),
     "section 4.1.3, ten rounds": rounds,
     "section 4.1.3, two sizes of cells": coarsened,
+    "section 6.2.1": scan_maps,
     "section 6.3.3, fast motion": lambda: motions(np.array([(np.nan, 5.0), (np.nan, -5.0)])),
     "section 6.3.3, slow motion": lambda: motions(np.array([(0.0, 0.0), (9.0, 0.0), (4.0, 8.0)])),
 }
