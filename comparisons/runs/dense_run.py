@@ -63,7 +63,8 @@ class DenseOptions:
 
     layers: of LAYERS; none where only the dynamic layer is wanted. resolution_m: of cells.
     known_apart_m, longest_edge_m: see dense.conditions.Conditions. dynamic: look for what moves.
-    coarsening: of the occupancy layer's almost empty regions. known_m: see DenseMap.
+    coarsening: of the occupancy layer's almost empty regions. known_m, reach_m: see DenseMap.
+    patience, capacity: of what waits for a region.
     """
 
     layers: tuple[str, ...] = ("points", "occupancy")
@@ -73,6 +74,9 @@ class DenseOptions:
     coarsening: Coarsening | None = None
     dynamic: bool = False
     known_m: float = math.inf
+    reach_m: float = 35.0
+    patience: int = PATIENCE
+    capacity: int = 5_000
 
     def __post_init__(self) -> None:
         """Raises InputError."""
@@ -81,6 +85,23 @@ class DenseOptions:
             raise InputError(f"layers {given}: expected some of {', '.join(LAYERS)}")
         if not 0.01 <= self.resolution_m <= 10.0:
             raise InputError(f"resolution {self.resolution_m} m: expected 0.01 to 10 m")
+
+    def among(self, kinds: tuple[int, ...]) -> DenseOptions:
+        """Suited to regions that hang on landmarks of some kinds.
+
+        Scan landmarks stand 20 m apart and more, where points stand 5 m apart. Among them alone
+        regions are larger, and it takes longer until there are three.
+        """
+        if POINT in kinds:
+            return self
+        return replace(
+            self,
+            known_apart_m=3.0 * self.known_apart_m,
+            longest_edge_m=max(self.longest_edge_m, 60.0),
+            reach_m=max(self.reach_m, 50.0),
+            patience=4 * self.patience,
+            capacity=4 * self.capacity,
+        )
 
     def build(self) -> DenseMap:
         """An empty map."""
@@ -97,7 +118,8 @@ class DenseOptions:
         return DenseMap(
             {name: made[name] for name in self.layers},
             LocalRegions(conditions),
-            WaitingRoom(patience=PATIENCE),
+            WaitingRoom(self.capacity, self.patience),
+            self.reach_m,
             dynamic=DynamicLayer(size) if self.dynamic else None,
             known_m=self.known_m,
         )
@@ -176,8 +198,8 @@ class DenseWatcher:
         kinds: of landmarks that regions hang on, by width (Nieto 2005, section 6.2).
         """
         self._scans = PlanarScans(log)
-        self._options, self._kinds = options, kinds
-        self._dense = options.build()
+        self._options, self._kinds = options.among(kinds), kinds
+        self._dense = self._options.build()
         self._beside = beside
         self._motion, self._relative = motion_model(log), isinstance(log.odometry, RelativePoses)
         self._next = 0
