@@ -140,7 +140,7 @@ class ScanSlamSource:
         """Start without landmarks. map_of: who keeps a map that templates are enriched from."""
         self._scans, self._next = scans, 0
         self._slam = ScanSlam(scans.sensor, scans.view, scans.mount, options)
-        self._map_of = map_of
+        self.map_of = map_of
         if map_of is not None:
             self._slam.around = Surroundings(map_of.dense).around
         self.closing: Closing | None = None
@@ -152,18 +152,18 @@ class ScanSlamSource:
 
     def stepping(self, ekf: FullEkf, time_s: float, control: Array, duration_s: float) -> None:
         """The map, if there is one, takes in the scans of the interval."""
-        if self._map_of is not None:
-            self._map_of.stepping(ekf, time_s, control, duration_s)
+        if self.map_of is not None:
+            self.map_of.stepping(ekf, time_s, control, duration_s)
 
     def arrived(self, ekf: FullEkf) -> None:
         """What waits there follows the vehicle."""
-        if self._map_of is not None:
-            self._map_of.arrived(ekf)
+        if self.map_of is not None:
+            self.map_of.arrived(ekf)
 
     def updated(self, ekf: FullEkf) -> None:
         """It follows its landmarks."""
-        if self._map_of is not None:
-            self._map_of.updated(ekf)
+        if self.map_of is not None:
+            self.map_of.updated(ekf)
 
     def finished(self, ekf: FullEkf, time_s: float) -> None:
         """No template is enriched any more."""

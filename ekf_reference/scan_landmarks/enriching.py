@@ -48,13 +48,23 @@ class Around(Protocol):
 
 
 def enriched(template: Template, around: SumOfGaussians) -> SumOfGaussians:
-    """A template's Gaussians with those around it, both in its axis, by their lengths."""
-    both = template.shape, around
-    whole = SumOfGaussians.of_equal_height(
-        np.concatenate([part.mean for part in both]),
-        np.concatenate([part.covariance for part in both]),
+    """A template's Gaussians and those around it, both in its axis; each half of the sum.
+
+    By their lengths, as within a scan, the map would outweigh the template many times over. It is
+    never whole, and the correlation gains by laying what is in it onto what is not.
+    """
+    n = len(around)
+    even = SumOfGaussians(
+        around.mean, around.covariance, np.full(n, 1.0 / max(n, 1)), np.zeros(n, dtype=bool)
+    ).thinned(_THIN_M)
+    shape, n = template.shape, len(even)
+    weight = np.concatenate((shape.weight, np.full(n, 1.0 / max(n, 1))))
+    return SumOfGaussians(
+        np.concatenate((shape.mean, even.mean)),
+        np.concatenate((shape.covariance, even.covariance)),
+        weight / weight.sum(),
+        np.concatenate((shape.seam, even.seam)),
     )
-    return whole.thinned(_THIN_M)
 
 
 def observe_enriched(

@@ -92,6 +92,7 @@ def test_the_sum_has_both_in_one_axis() -> None:
     whole = enriched(template, around)
     assert whole.weight.sum() == pytest.approx(1.0)
     assert len(whole) < len(template.shape) + len(around)
+    assert whole.weight[: len(template.shape)].sum() == pytest.approx(0.5)
     for part in (template.shape, around):
         assert whole.tree.query(part.mean)[0].max() < 0.3 * np.sqrt(2.0)
     there = align(whole, seen(ALIKE), template.pose, 1e-4 * np.eye(3)).pose
