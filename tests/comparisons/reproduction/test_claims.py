@@ -226,7 +226,7 @@ def far_off(one: Any) -> Any:
     """The map is worse than before the closing, and holds what the templates do."""
     m = one.mapping
     errors = {name: replace(error, median_m=3.0) for name, error in m.errors.items()}
-    layers = {name: s._replace(point=s.point[:5]) for name, s in m.layers.items()}
+    layers = {k: type(s)(*(column[:5] for column in s)) for k, s in m.layers.items()}
     return replace(one, mapping=replace(m, errors=errors, layers=layers))
 
 
