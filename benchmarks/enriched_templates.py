@@ -12,7 +12,6 @@ so much and turned by 10 degrees a metre; done when within 0.3 m and 5 degrees.
 from __future__ import annotations
 
 import argparse
-import math
 import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -25,14 +24,13 @@ import numpy as np
 from dense_maps import view_of  # type: ignore[import-not-found]
 from numpy.typing import NDArray
 
+from comparisons.checks.basin import converges, offsets
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.report.picture import blank, save
 from comparisons.runs.dense_run import DenseOptions
 from comparisons.runs.planar_scans import PlanarScans
 from ekf_reference.dense.high_level import Around, search, to_world, within
 from ekf_reference.dense.layers.gaussians import Gaussians
-from ekf_reference.observation import wrap_angle
-from ekf_reference.scan_landmarks.alignment import align
 from ekf_reference.scan_landmarks.observation import OrientedObservation
 from ekf_reference.scan_landmarks.scan_shape import of_scan
 from ekf_reference.scan_landmarks.sog import SumOfGaussians
@@ -47,9 +45,6 @@ LEAST_RETURNS = 25
 APART_M = 6.0
 """Least way between the scan of a template and one that it is aligned with."""
 SCANS = 4
-ONE_START = np.diag((1e-6, 1e-6, 1e-8))
-TURN = math.radians(10.0)
-CLOSE = (0.3, math.radians(5.0))
 
 
 class Case(NamedTuple):
@@ -103,12 +98,6 @@ def cases(seed: int) -> Iterator[Case]:
                 )
 
 
-def finds(template: SumOfGaussians, true: Array, scan: SumOfGaussians, off: Array) -> bool:
-    """Whether an alignment that begins off by (3,) ends where the template is."""
-    found = align(template, scan, true + off, ONE_START).pose - true
-    return bool(np.hypot(*found[:2]) <= CLOSE[0] and abs(float(wrap_angle(found[2]))) <= CLOSE[1])
-
-
 def success(seeds: int, draws: int, errors: Sequence[float]) -> tuple[Array, int]:
     """(E, 2) shares of starts that lead home, bare and enriched, and the number of cases."""
     rng = np.random.default_rng(0)
@@ -116,12 +105,9 @@ def success(seeds: int, draws: int, errors: Sequence[float]) -> tuple[Array, int
     won = np.zeros((len(errors), 2))
     for row, error in enumerate(errors):
         for case in all_cases:
-            for way, side in zip(
-                rng.uniform(0.0, 2.0 * np.pi, draws), rng.choice((-1.0, 1.0), draws), strict=True
-            ):
-                off = error * np.array((math.cos(way), math.sin(way), side * TURN))
-                won[row, 0] += finds(case.bare, case.bare_pose, case.scan, off)
-                won[row, 1] += finds(case.enriched, case.enriched_pose, case.scan, off)
+            for off in offsets(rng, error, draws):
+                won[row, 0] += converges(case.bare, case.bare_pose, case.scan, off)
+                won[row, 1] += converges(case.enriched, case.enriched_pose, case.scan, off)
     return won / (draws * len(all_cases)), len(all_cases)
 
 

@@ -226,3 +226,11 @@ LandmarksOption = Annotated[
         help="The log's sightings, pieces of its raw scans (Scan-SLAM), or both.",
     ),
 ]
+TemplatesOption = Annotated[
+    str,
+    typer.Option(
+        metavar="bare|enriched",
+        help="Enriched: what the dense map holds around a scan landmark says where it is sought "
+        "while the vehicle is uncertain.",
+    ),
+]

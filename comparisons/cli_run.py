@@ -40,6 +40,7 @@ from comparisons.cli_options import (
     SmootherAssociationOption,
     SmootherMatcherOption,
     SolveAssociationOption,
+    TemplatesOption,
     TimesOption,
     TraceOption,
 )
@@ -76,6 +77,7 @@ def run(
     features: FeaturesOption = "log",
     landmarks: LandmarksOption = "points",
     fuse_landmarks: FuseLandmarksOption = "off",
+    templates: TemplatesOption = "bare",
     motion: MotionOption = "wheel",
     gps: GpsOption = "off",
     smoother: MethodOption = "batch",
@@ -113,6 +115,7 @@ def run(
       slamcheck run scan-loop --dense points --dense occupancy
       slamcheck run scan-slam --landmarks scans
       slamcheck run scan-slam --landmarks scans --smoother-matcher own
+      slamcheck run scan-slam-maps --landmarks scans --dense occupancy
       slamcheck run occupancy-loop --loops 2 --high-level on
       slamcheck run simulated-loop --figures pdf --record run.rrd
       slamcheck run dynamic-lanes --dynamic on
@@ -162,6 +165,7 @@ def run(
                 motion,
                 landmarks,
                 fuse_landmarks == "on",
+                templates,
                 kept if dense else None,
                 dynamic == "on",
                 searched if high_level == "on" else None,
@@ -190,6 +194,7 @@ def _run(
     motion: str,
     landmarks: str,
     fuse_landmarks: bool,
+    templates: str,
     dense: DenseOptions | None,
     dynamic: bool,
     high_level: HighLevelOptions | None,
@@ -202,6 +207,7 @@ def _run(
     from comparisons.report.result import build_result
     from comparisons.report.run_folder import CONTENTS, write_run_folder
     from comparisons.report.summary import print_summary
+    from comparisons.runs.scan_slam_source import slam_options
 
     folder = out or Path(f"slamcheck-{folder_name(log.name)}")
     check_replaceable(folder, CONTENTS)
@@ -217,6 +223,7 @@ def _run(
             dynamic=dynamic,
             landmarks=landmarks,
             fuse_landmarks=fuse_landmarks,
+            slam_options=slam_options(templates, landmarks),
             high_level=high_level,
             smoother_matcher=smoother_matcher,
         )

@@ -13,6 +13,7 @@ from comparisons.cli_options import (
     FormatOption,
     GpsOption,
     GuessOption,
+    LandmarksOption,
     LayerOption,
     LogArgument,
     LoopClosureOption,
@@ -23,6 +24,7 @@ from comparisons.cli_options import (
     ResolutionOption,
     RobotOption,
     SeedOption,
+    TemplatesOption,
 )
 from comparisons.cli_support import (
     AGREE,
@@ -93,6 +95,8 @@ def map_command(
     filter_name: FilterOption = "full",
     association: AssociationOption = None,
     features: FeaturesOption = "log",
+    landmarks: LandmarksOption = "points",
+    templates: TemplatesOption = "bare",
     gps: GpsOption = "off",
     cloud: CloudOption = None,
     robot: RobotOption = 1,
@@ -107,6 +111,7 @@ def map_command(
       slamcheck map occupancy-loop                    simulated scans, with true surfaces
       slamcheck map path/to/acfr_car_park --layer points --layer occupancy --resolution 0.4
       slamcheck map dynamic-places --dynamic          and where something has changed
+      slamcheck map scan-slam --landmarks scans --layer occupancy --layer sog
     """
     with guarded():
         from comparisons.atomic import check_replaceable, folder_name
@@ -115,15 +120,17 @@ def map_command(
         from comparisons.report.map_result import build_map_result, print_map
         from comparisons.runs.dense_run import DenseOptions
         from comparisons.runs.ekf_build import EkfChoices
+        from comparisons.runs.scan_slam_source import slam_options
 
         check_cloud(cloud)
+        slam = slam_options(templates, landmarks)
         options = DenseOptions(tuple(dict.fromkeys(layer)), resolution, dynamic=dynamic)
         choices = EkfChoices(filter_name, association, gps)
         source, read_s = read_named(log, format_name, robot, seed, loops, noise_scale, features)
         folder = out or Path(f"slamcheck-map-{folder_name(source.name)}")
         check_replaceable(folder, MAP_CONTENTS)
         with progress_bar() as progress:
-            mapping = map_log(source, choices, options, progress)
+            mapping = map_log(source, choices, options, progress, landmarks, slam)
             result = build_map_result(mapping, read_s)
             progress("report", 0, 0)
             write_map_folder(mapping, result, folder, cloud)

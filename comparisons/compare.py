@@ -37,7 +37,12 @@ from comparisons.runs.known_landmarks import join_known_sightings
 from comparisons.runs.oriented_sightings import NoOrientedSource, OrientedSource
 from comparisons.runs.scan_log import with_scan_motion
 from comparisons.runs.scan_motion import ScanMotion, run_scan_odometry
-from comparisons.runs.scan_slam_source import LANDMARKS, ScanSlamSource, ScanSlamSources
+from comparisons.runs.scan_slam_source import (
+    LANDMARKS,
+    ScanSlamSource,
+    ScanSlamSources,
+    check_landmarks,
+)
 from comparisons.runs.smoother_run import (
     build_problem,
     linear_optimum,
@@ -51,6 +56,7 @@ from comparisons.runs.smoother_run import (
 from comparisons.runs.timeline import Timeline, build_timeline
 from comparisons.second_opinions import with_own_association, with_own_matching, with_scans
 from ekf_reference.full_ekf import FullEkf
+from ekf_reference.scan_landmarks.scan_slam import ScanSlamOptions
 from ekf_reference.scan_landmarks.twins import FusingOptions
 from graphslam.increments import dead_reckoned
 from graphslam.smoother import SmootherOptions, SmootherResult
@@ -115,6 +121,7 @@ def compare_estimators(
     source: Callable[[], OrientedSource] = NoOrientedSource,
     dynamic: bool = False,
     landmarks: str = "points",
+    slam_options: ScanSlamOptions | None = None,
     high_level: HighLevelOptions | None = None,
     *,
     fuse_landmarks: bool = False,
@@ -127,18 +134,15 @@ def compare_estimators(
     with the smoother's own. motion: of MOTIONS. dense: a dense map to keep and compare, if any.
     source: makes someone who sees landmarks with a direction, anew for every run of the filter.
     dynamic: look for what moves, and keep the filter from going by it. landmarks: of LANDMARKS;
-    with `scans` or `both` the log's scans are the source, with high_level the dense map.
-    fuse_landmarks: fuse scan landmarks that turn out to be one.
+    with `scans` or `both` the log's scans are the source, looked at as slam_options say, with
+    high_level the dense map. fuse_landmarks: fuse scan landmarks that turn out to be one.
     smoother_matcher: `ekf`, or `own` for a smoother that sees the scan landmarks by itself, too.
     Raises InputError when the log cannot be used, and graphslam.marginals.SingularProblemError
     when the smoother has no solution.
     """
     if motion not in MOTIONS:
         raise InputError(f"motion '{motion}' is unknown, expected one of {', '.join(MOTIONS)}")
-    if landmarks not in LANDMARKS:
-        raise InputError(
-            f"landmarks '{landmarks}' are unknown, expected one of {', '.join(LANDMARKS)}"
-        )
+    check_landmarks(landmarks)
     clock = Clock()
     chosen = (choices or EkfChoices()).settle(log)
     log = join_known_sightings(log)
@@ -166,7 +170,8 @@ def compare_estimators(
             scanned = run_scan_odometry(log, progress=lambda k, n: progress("scan odometry", k, n))
     if motion == "scan" and scanned is not None:
         log = with_scan_motion(log, scanned, positions=chosen.gps != "off")
-    slam = ScanSlamSources.of(log, landmarks, FusingOptions() if fuse_landmarks else None)
+    fusing = FusingOptions() if fuse_landmarks else None
+    slam = ScanSlamSources.of(log, landmarks, slam_options, fusing)
     if slam is not None:
         log, source = slam.log, slam
     positions = fused_positions(log, chosen)
@@ -180,7 +185,7 @@ def compare_estimators(
         also = _VALUES_ONLY.layers if by_layer else ()
         if high_level is not None:
             also += high_level.layers_in(kept)
-        return DenseWatcher(log, kept, also=also)
+        return DenseWatcher(log, kept, also=also, kinds=LANDMARKS[landmarks])
 
     watcher = watch_over()
     if high_level is not None:

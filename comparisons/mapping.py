@@ -15,10 +15,12 @@ from comparisons.runs.dense_run import GRID_MODEL, DenseOptions, DenseRun, Dense
 from comparisons.runs.ekf_build import EkfChoices, fused_positions
 from comparisons.runs.ekf_run import EkfRun, run_ekf
 from comparisons.runs.known_landmarks import join_known_sightings
+from comparisons.runs.scan_slam_source import LANDMARKS, ScanSlamSources, check_landmarks
 from comparisons.runs.timeline import build_timeline
 from ekf_reference.dense.layers.classic_grid import ClassicGrid
 from ekf_reference.dense.layers.layer import Samples
 from ekf_reference.dense.placed_regions import PlacedRegions
+from ekf_reference.scan_landmarks.scan_slam import ScanLandmarks, ScanSlamOptions
 
 Progress = Callable[[str, int, int], None]
 
@@ -30,7 +32,7 @@ class DenseMapping:
     placed: the regions as the landmarks lie in the end; layers: what each layer holds there.
     classic: the same scans in one grid in the world's frame, as is usual without DenseSLAM.
     errors: by layer, `classic` (where regions are) among them, against true surfaces where the
-    log has them.
+    log has them. scan_landmarks: what the scans gave as landmarks, None where they were not asked.
     """
 
     log: Log
@@ -41,6 +43,7 @@ class DenseMapping:
     layers: Mapping[str, Samples]
     classic: Samples
     errors: Mapping[str, SurfaceError]
+    scan_landmarks: ScanLandmarks | None
     seconds: dict[str, float]
 
 
@@ -49,33 +52,41 @@ def map_log(
     choices: EkfChoices | None = None,
     options: DenseOptions | None = None,
     progress: Progress = lambda stage, done, total: None,
+    landmarks: str = "points",
+    slam: ScanSlamOptions | None = None,
 ) -> DenseMapping:
     """Run the filter with a dense map beside it. Raises InputError.
 
     Where the map looks for what moves, the filter does not go by that; else it does not notice
-    the map.
+    the map. landmarks: of LANDMARKS, which the map hangs on (Nieto 2005, section 6.2). slam: of
+    scan landmarks.
     """
+    check_landmarks(landmarks)
     chosen = (choices or EkfChoices()).settle(log)
     log = join_known_sightings(log)
-    if not len(log.sightings.time_s):
+    if landmarks != "scans" and not len(log.sightings.time_s):
         raise InputError(
             f"{log.name}: holds no sightings of landmarks, between which the map is kept "
-            "(try --features trees)"
+            "(try --features trees or --landmarks scans)"
         )
     if not len(log.odometry.time_s):
         raise InputError(f"{log.name}: holds no odometry, which the filter needs")
     options = options or DenseOptions()
+    sources = ScanSlamSources.of(log, landmarks, slam)
+    log = log if sources is None else sources.log
     classic = ClassicGrid(options.resolution_m, GRID_MODEL)
-    watcher = DenseWatcher(log, options, (classic,))
+    watcher = DenseWatcher(log, options, (classic,), kinds=LANDMARKS[landmarks])
     positions = fused_positions(log, chosen)
+    source = None if sources is None else sources()
     start = time.perf_counter()
     run = run_ekf(
         log,
-        build_timeline(log, positions),
+        build_timeline(log, positions, None if sources is None else sources.scans.time_s),
         chosen,
         positions,
         lambda k, n: progress("map", k, n),
         watcher=watcher,
+        source=source,
         guard=watcher if options.dynamic else None,
     )
     seconds = {"filter and map": time.perf_counter() - start}
@@ -90,4 +101,5 @@ def map_log(
         there = Samples(usual.point[kept], usual.occupancy[kept], region[kept])
         held = {**layers, "classic": there}
         errors = {k: surface_error(s, log.truth.surfaces.segment) for k, s in held.items()}
-    return DenseMapping(log, chosen, run, dense, placed, layers, usual, errors, seconds)
+    found = None if source is None else source.found
+    return DenseMapping(log, chosen, run, dense, placed, layers, usual, errors, found, seconds)

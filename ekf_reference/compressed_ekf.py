@@ -20,7 +20,7 @@ from ekf_reference.association import Association
 from ekf_reference.full_ekf import FullEkf, Stabilisation
 from ekf_reference.kalman import Array, Correction, Index, KalmanState, within
 from ekf_reference.layout import ABSENT, ORIENTED, POINT, Layout
-from ekf_reference.local_map import Glance, LocalMap
+from ekf_reference.local_map import Glance, LocalMap, by_number
 from ekf_reference.motion import MotionModel
 from ekf_reference.trace import Trace
 
@@ -118,14 +118,33 @@ class CompressedState:
         """(Q, 3) landmarks with a direction, passive ones included."""
         return self._places(ORIENTED)
 
-    def glance(self) -> Glance:
-        """The active part as it is, passive landmarks as the last global update left them."""
-        active, local = self._slots[POINT], self._local.glance()
-        before = len(self._whole.layout.point)
-        new = local.landmark[len(active) - (self.landmark_count - before) :]
-        landmark = np.concatenate((self._whole.landmarks, new))
-        landmark[active] = local.landmark
-        return Glance(landmark, active, local.covariance)
+    def glance(self, kinds: tuple[int, ...] = (POINT,)) -> Glance:
+        """The active part as it is, passive landmarks as the last global update left them.
+
+        `landmarks` would bring the passive part up to date, which changes later rounding.
+        """
+        local, places = self._local.glance(kinds), []
+        number = np.empty_like(local.slot)
+        for k, width in enumerate(kinds):
+            active, (whole, part) = self._slots[width], self._both(width)
+            place = np.full((len(self._layout.first(width)), POINT), np.nan)
+            place[: len(whole)] = whole[:, :POINT]
+            place[active] = part[:, :POINT]
+            places.append(place)
+            of_kind = local.slot % len(kinds) == k
+            number[of_kind] = len(kinds) * active[local.slot[of_kind] // len(kinds)] + k
+        covariance, order = local.covariance, np.argsort(number)
+        if (np.diff(order) < 0).any():
+            entries = len(self.pose) + (POINT * order[:, None] + np.arange(POINT)).ravel()
+            columns = np.concatenate((np.arange(len(self.pose)), entries))
+            covariance = covariance[columns[:, None], columns]
+        return Glance(by_number(places), number[order], covariance)
+
+    def _both(self, width: int) -> tuple[Array, Array]:
+        """Landmarks of a kind as of the last global update, and the active ones as they are."""
+        if width == POINT:
+            return self._whole.landmarks, self._local.landmarks
+        return self._whole.oriented, self._local.oriented
 
     def local_map(self, reach_m: float) -> LocalMap:
         """The landmarks within reach of the vehicle; enters a new area when they lie beyond it."""

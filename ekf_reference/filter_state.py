@@ -56,8 +56,8 @@ class FilterState(MappedState, Protocol):
         """Slots of the landmarks of a kind at most `reach_m` from the vehicle."""
         ...
 
-    def glance(self) -> Glance:
-        """All there is of points, without moving anything."""
+    def glance(self, kinds: tuple[int, ...] = (POINT,)) -> Glance:
+        """Pose and places of all landmarks of some kinds, without moving anything."""
         ...
 
     def predict(self, pose: Array, jacobian_pose: Array, noise: Array) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ekf_reference.layout import ORIENTED, POINT, Layout
-from ekf_reference.local_map import Glance, LocalMap
+from ekf_reference.local_map import Glance, LocalMap, by_number
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -96,12 +96,15 @@ class KalmanState:
         """(Q, 3) x, y, heading of the landmarks with a direction; NaN where one was removed."""
         return self._places(ORIENTED)
 
-    def glance(self) -> Glance:
-        """All there is of points, without moving anything."""
-        if self._layout.plain:
+    def glance(self, kinds: tuple[int, ...] = (POINT,)) -> Glance:
+        """Pose and places of all landmarks of some kinds, without moving anything."""
+        if self._layout.plain and kinds == (POINT,):
             return Glance(self.landmarks, np.arange(self.landmark_count), self.covariance)
-        slot = self._layout.present()
-        return Glance(self.landmarks, slot, self.map_of(slot).covariance)
+        number, first = self._layout.numbered(kinds)
+        entries = (first[:, None] + np.arange(POINT)).ravel()
+        columns = np.concatenate((np.arange(self._pose_size), entries))
+        place = by_number([self._places(width) for width in kinds])
+        return Glance(place, number, self._covariance[columns[:, None], columns])
 
     def predict(self, pose: Array, jacobian_pose: Array, noise: Array) -> None:
         """Move the vehicle; the map stays (Nieto 2005, eqs. 2.32 and 2.36).

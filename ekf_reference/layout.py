@@ -77,6 +77,19 @@ class Layout:
         points = self.columns(self.present(POINT), POINT)
         return np.concatenate((points, self.columns(oriented, ORIENTED)[p:]))
 
+    def numbered(self, kinds: tuple[int, ...]) -> tuple[Index, Index]:
+        """Numbers (m,), ascending, and first entries (m,) of the landmarks there are of some kinds.
+
+        Landmark `slot` of the k-th of n kinds has the number n slot + k, for good: with one kind
+        numbers are slots.
+        """
+        slots = [self.present(width) for width in kinds]
+        number = np.concatenate([len(kinds) * s + k for k, s in enumerate(slots)])
+        each = zip(kinds, slots, strict=True)
+        first = np.concatenate([self.first(width)[s] for width, s in each])
+        order = np.argsort(number)
+        return number[order], first[order]
+
     def blocks(self) -> list[slice]:
         """The entries of every landmark, in their order in the state."""
         kinds = ((self.point, POINT), (self.oriented, ORIENTED))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -52,13 +53,25 @@ class LocalMap:
 
 
 class Glance(NamedTuple):
-    """Pose and point landmarks as they lie, read without a change: what dense maps are placed by.
+    """Pose and places of landmarks, read without a change: what dense maps are placed by.
 
-    landmark: (L, 2) all of them, NaN where one was removed. slot: (m,) those whose covariance is
-    current. covariance: (p + 2 m, p + 2 m) of the pose and these. Read-only; it changes with the
-    next write.
+    landmark: (L, 2) by number (see Layout.numbered), NaN where there is none. slot: (m,) the
+    numbers of those whose covariance is current, ascending. covariance: (p + 2 m, p + 2 m) of the
+    pose and these. Read-only; it changes with the next write.
     """
 
     landmark: Array
     slot: Index
     covariance: Array
+
+
+def by_number(kinds: Sequence[Array]) -> Array:
+    """(L, 2) places by number (see Layout.numbered) of landmarks (L_k, 2 or 3) of each kind.
+
+    NaN where no landmark has the number.
+    """
+    count = max((len(kinds) * len(each) for each in kinds), default=0)
+    place = np.full((count, 2), np.nan)
+    for k, each in enumerate(kinds):
+        place[k :: len(kinds)][: len(each)] = each[:, :2]
+    return place

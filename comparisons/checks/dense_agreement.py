@@ -91,7 +91,8 @@ class DenseAgreement:
 def compare_dense(log: Log, dense: DenseRun, smoothed: Estimate) -> DenseAgreement | None:
     """Compare all layers; None where no return fell into a region."""
     regions = dense.dense.regions
-    by_filter, by_smoother = regions.placed(dense.landmark), regions.placed(smoothed.landmark)
+    by_filter = regions.placed(dense.landmark)
+    by_smoother = regions.placed(dense.landmarks_of(smoothed))
     grid = ClassicGrid(dense.options.resolution_m, GRID_MODEL)
     other = _returns(log, dense, smoothed, by_smoother, grid)
     layers, rows, errors = {}, [], {}

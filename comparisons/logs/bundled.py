@@ -121,6 +121,11 @@ NAMED: dict[str, NamedLog] = {
         "laser scans of objects alone, Nieto 2005 Fig. 5.8 (--seed, --loops, --noise-scale)",
         _scans("scan_slam"),
     ),
+    "scan-slam-maps": NamedLog(
+        "simulated",
+        "the same scanner in half the area, Nieto 2005 Fig. 6.7 (--seed, --loops, --noise-scale)",
+        _scans("scan_slam_with_maps"),
+    ),
 }
 
 

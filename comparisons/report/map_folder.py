@@ -67,10 +67,11 @@ def _write_layers(mapping: DenseMapping, work: Path, cloud: str | None) -> None:
 def regions_csv(mapping: DenseMapping) -> str:
     """One row per region: corners, where they are, returns noted, and the error layer.
 
-    A corner is a landmark's id, or `a+b` for a virtual one behind landmarks a and b.
+    A corner is a landmark's id, s and the number of a scan landmark, or `a+b` for a virtual one
+    behind landmarks a and b.
     """
     dense, ids = mapping.dense.dense, mapping.ekf.estimate.landmark_id
-    pair = ids[dense.regions.virtual.pair]
+    pair = dense.regions.virtual.pair
     neglected = dense.neglected
     numbers = np.arange(len(dense.regions.base))
     mean_m = neglected.sigma_m(numbers)
@@ -78,7 +79,10 @@ def regions_csv(mapping: DenseMapping) -> str:
         "region,corner1,corner2,corner3,x1,y1,x2,y2,x3,y3,fused_at_once,sigma_m,sigma_largest_m"
     ]
     for region, base in enumerate(dense.regions.base.tolist()):
-        names = [str(ids[c]) if c >= 0 else f"{pair[-1 - c, 0]}+{pair[-1 - c, 1]}" for c in base]
+        names = [
+            "+".join(mapping.dense.name_of(n, ids) for n in ([c] if c >= 0 else pair[-1 - c]))
+            for c in base
+        ]
         places = [f"{v:.4f}" for v in mapping.placed.triangle[region].ravel()]
         sigma = [f"{v:.4f}" for v in (mean_m[region], neglected.largest_m[region])]
         count = f"{neglected.count[region]:.0f}"

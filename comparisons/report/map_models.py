@@ -60,11 +60,12 @@ class DynamicResult(Model):
 
 
 class MapResult(Model):
-    """`map.json`: a dense map between the filter's landmarks."""
+    """`map.json`: a dense map between the filter's landmarks, points and pieces of scans."""
 
     log: LogResult
     ekf: EkfResult
     accuracy: AccuracyResult | None
+    scan_landmarks: int
     regions: int
     resolution_m: float
     returns: ReturnsResult

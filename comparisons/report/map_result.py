@@ -38,6 +38,7 @@ def build_map_result(mapping: DenseMapping, read_s: float) -> MapResult:
         log=log_result(m.log),
         ekf=ekf_result(m.ekf, m.choices),
         accuracy=accuracy_result(assess(m.ekf.estimate, m.log, labelled=labelled)),
+        scan_landmarks=len(m.ekf.estimate.oriented),
         regions=len(m.placed.triangle),
         resolution_m=m.dense.options.resolution_m,
         returns=_returns(m.dense.dense),
@@ -66,6 +67,8 @@ def print_map(result: MapResult, console: Console) -> None:
     add_log(table, result.log)
     add_ekf(table, result.ekf)
     add_accuracy(table, "accuracy", result.accuracy)
+    if result.scan_landmarks:
+        table.add_row("scan landmarks", f"{result.scan_landmarks:,}")
     returns = result.returns
     table.add_row(
         "returns",

@@ -10,6 +10,7 @@ from comparisons.reproduction import (
     nieto_high_level_figures,
     nieto_motion,
     nieto_regions,
+    nieto_scan_maps_figures,
     nieto_scan_slam_figures,
     nieto_scans,
     nieto_slam_figures,
@@ -25,6 +26,7 @@ FIGURES: tuple[AnyFigure, ...] = (
     *nieto_scans.FIGURES,
     *nieto_scan_slam_figures.FIGURES,
     *nieto_high_level_figures.FIGURES,
+    *nieto_scan_maps_figures.FIGURES,
     *nieto_motion.FIGURES,
 )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -15,7 +16,7 @@ from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
 from comparisons.runs.attributes import AROUND_M
 from comparisons.runs.ekf_build import motion_model
-from comparisons.runs.estimate import Array
+from comparisons.runs.estimate import Array, Estimate
 from comparisons.runs.motion import CLOCK_S
 from comparisons.runs.planar_scans import PlanarScans
 from ekf_reference.dense.conditions import Conditions
@@ -33,6 +34,8 @@ from ekf_reference.dense.sensor_model import InverseSensorModel
 from ekf_reference.dense.view import FilterView
 from ekf_reference.dense.waiting import WaitingRoom
 from ekf_reference.full_ekf import FullEkf
+from ekf_reference.layout import ORIENTED, POINT
+from ekf_reference.local_map import by_number
 
 LAYERS = ("points", "occupancy", "particles", "sog", "values")
 GRID_MODEL = InverseSensorModel(p_occupied=0.65, p_free=0.45)
@@ -63,7 +66,8 @@ class DenseOptions:
     layers: of LAYERS; none where only the dynamic layer is wanted. resolution_m: of cells.
     d_min_m: of the Gaussians, see dense.layers.gaussians.
     known_apart_m, longest_edge_m: see dense.conditions.Conditions. dynamic: look for what moves.
-    coarsening: of the occupancy layer's almost empty regions.
+    coarsening: of the occupancy layer's almost empty regions. known_m, reach_m: see DenseMap.
+    patience, capacity: of what waits for a region.
     """
 
     layers: tuple[str, ...] = ("points", "occupancy")
@@ -73,6 +77,10 @@ class DenseOptions:
     longest_edge_m: float = 35.0
     coarsening: Coarsening | None = None
     dynamic: bool = False
+    known_m: float = math.inf
+    reach_m: float = 35.0
+    patience: int = PATIENCE
+    capacity: int = 5_000
 
     def __post_init__(self) -> None:
         """Raises InputError."""
@@ -82,6 +90,23 @@ class DenseOptions:
         for name, size in (("resolution", self.resolution_m), ("d_min", self.d_min_m)):
             if not 0.01 <= size <= 10.0:
                 raise InputError(f"{name} {size} m: expected 0.01 to 10 m")
+
+    def among(self, kinds: tuple[int, ...]) -> DenseOptions:
+        """Suited to regions that hang on landmarks of some kinds.
+
+        Scan landmarks stand 20 m apart and more, where points stand 5 m apart. Among them alone
+        regions are larger, and it takes longer until there are three.
+        """
+        if POINT in kinds:
+            return self
+        return replace(
+            self,
+            known_apart_m=3.0 * self.known_apart_m,
+            longest_edge_m=max(self.longest_edge_m, 60.0),
+            reach_m=max(self.reach_m, 50.0),
+            patience=4 * self.patience,
+            capacity=4 * self.capacity,
+        )
 
     def build(self, also: tuple[str, ...] = ()) -> DenseMap:
         """An empty map. also: more layers."""
@@ -99,8 +124,10 @@ class DenseOptions:
         return DenseMap(
             {name: made[name] for name in dict.fromkeys((*self.layers, *also))},
             LocalRegions(conditions),
-            WaitingRoom(patience=PATIENCE),
+            WaitingRoom(self.capacity, self.patience),
+            self.reach_m,
             dynamic=DynamicLayer(size) if self.dynamic else None,
+            known_m=self.known_m,
         )
 
 
@@ -123,11 +150,13 @@ class BeforeClosing:
 class DenseRun:
     """A dense map and how it came about.
 
-    scan_time_s: (N,) of all scans taken in, scan_pose: (N, 3) the filter's vehicle then.
-    scans: the log's. landmark: (L, 2) where the filter has them in the end. seconds: spent on
-    regions and on scans.
+    kinds: of landmarks that its regions hang on, by width; places in the map are numbers as of
+    Layout.numbered. scan_time_s: (N,) of all scans taken in, scan_pose: (N, 3) the filter's vehicle
+    then. scans: the log's. landmark: (L, 2) where the filter has them in the end. seconds: spent
+    on regions and on scans.
     """
 
+    kinds: tuple[int, ...]
     options: DenseOptions
     dense: DenseMap
     scans: PlanarScans
@@ -146,6 +175,21 @@ class DenseRun:
         """(N,) which points (N, 2) [m] are where something was seen to move."""
         return _is_dynamic(self.dense, self.landmark, point)
 
+    def landmarks_of(self, estimate: Estimate) -> Array:
+        """(L, 2) [m] the map's landmarks as an estimate has them, NaN where it has them not."""
+        oriented = np.full((int(estimate.oriented_id.max(initial=-1)) + 1, ORIENTED), np.nan)
+        oriented[estimate.oriented_id] = estimate.oriented
+        each = {POINT: estimate.landmark, ORIENTED: oriented}
+        known = by_number([each[width] for width in self.kinds])
+        place = np.full_like(self.landmark, np.nan)
+        place[: len(known)] = known[: len(place)]
+        return place
+
+    def name_of(self, number: int, point_id: NDArray[np.int64]) -> str:
+        """Of a landmark of the map: a point's id (L,), or s and the slot of a scan landmark."""
+        slot, kind = divmod(int(number), len(self.kinds))
+        return str(point_id[slot]) if self.kinds[kind] == POINT else f"s{slot}"
+
 
 class DenseWatcher:
     """Feeds a dense map while the filter runs. Reads the filter only.
@@ -161,18 +205,20 @@ class DenseWatcher:
         options: DenseOptions,
         beside: Sequence[GlobalMap] = (),
         also: tuple[str, ...] = (),
+        kinds: tuple[int, ...] = (POINT,),
     ) -> None:
         """beside: maps that are given the same scans from the same poses. also: more layers.
 
-        Raises InputError.
+        kinds: of landmarks that regions hang on, by width (Nieto 2005, section 6.2). Raises
+        InputError.
         """
         self._scans = PlanarScans(log)
         if "values" in (*options.layers, *also) and not self._scans.valued:
             raise InputError(
                 f"{log.name}: its scans hold no intensities, which the layer of values is made of"
             )
-        self.options = options
-        self._dense = options.build(also)
+        self.options, self._kinds = options.among(kinds), kinds
+        self._dense = self.options.build(also)
         self._beside = beside
         self._motion, self._relative = motion_model(log), isinstance(log.odometry, RelativePoses)
         self._next = 0
@@ -190,7 +236,7 @@ class DenseWatcher:
     def stepping(self, ekf: FullEkf, time_s: float, control: Array, duration_s: float) -> None:
         """Take in the scans of the interval that is about to be predicted."""
         while self._due(time_s + duration_s - CLOCK_S):
-            view = FilterView.of(ekf)
+            view = FilterView.of(ekf, self._kinds)
             part = max(float(self._scans.time_s[self._next]) - time_s, 0.0)
             if part > CLOCK_S:
                 share = part / duration_s if self._relative else 1.0
@@ -202,13 +248,13 @@ class DenseWatcher:
     def arrived(self, ekf: FullEkf) -> None:
         """What waits follows the vehicle."""
         start = time.perf_counter()
-        self._dense.predicted(FilterView.of(ekf))
+        self._dense.predicted(FilterView.of(ekf, self._kinds))
         self._seconds["regions"] += time.perf_counter() - start
 
     def updated(self, ekf: FullEkf) -> None:
         """Make the regions that are now possible; keep the map as it was if it moved a lot."""
         start = time.perf_counter()
-        view = FilterView.of(ekf)
+        view = FilterView.of(ekf, self._kinds)
         old = self._dense.landmark
         self._dense.place(view)
         if len(old):
@@ -219,8 +265,10 @@ class DenseWatcher:
     def finished(self, ekf: FullEkf, time_s: float) -> None:
         """Take in what was scanned at the very end."""
         while self._due(time_s + CLOCK_S):
-            self._insert(FilterView.of(ekf))
-        self._dense.place(replace(FilterView.of(ekf), landmark=ekf.state.landmarks))
+            self._insert(FilterView.of(ekf, self._kinds))
+        whole = {POINT: ekf.state.landmarks, ORIENTED: ekf.state.oriented}
+        landmark = by_number([whole[width] for width in self._kinds])
+        self._dense.place(replace(FilterView.of(ekf, self._kinds), landmark=landmark))
 
     def is_dynamic(self, point: Array) -> NDArray[np.bool_]:
         """(N,) which points (N, 2) [m] are where something was seen to move."""
@@ -244,6 +292,7 @@ class DenseWatcher:
         """The map, once the filter has finished."""
         done = len(self._pose)
         return DenseRun(
+            self._kinds,
             self.options,
             self._dense,
             self._scans,

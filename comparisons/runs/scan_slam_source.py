@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,12 +12,15 @@ from comparisons.errors import InputError
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
 from comparisons.runs.beam_noise import sensor_of
+from comparisons.runs.dense_run import DenseOptions, DenseWatcher
 from comparisons.runs.oriented_sightings import OrientedLedger
 from comparisons.runs.planar_scans import PlanarScans, view_to
 from comparisons.runs.timeline import resolved
 from ekf_reference.dense.scan import Scan
+from ekf_reference.dense.surroundings import Surroundings
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.kalman import FilterDivergedError
+from ekf_reference.layout import ORIENTED, POINT
 from ekf_reference.local_map import LocalMap
 from ekf_reference.scan_landmarks.scan_shape import of_scan
 from ekf_reference.scan_landmarks.scan_slam import ScanLandmarks, ScanSlam, ScanSlamOptions
@@ -26,8 +30,14 @@ from ekf_reference.scan_landmarks.twins import FusingOptions, Twins
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-LANDMARKS = ("points", "scans", "both")
-"""What the landmarks are: the log's sightings of points, pieces of its scans, or both."""
+LANDMARKS = {"points": (POINT,), "scans": (ORIENTED,), "both": (POINT, ORIENTED)}
+"""What the landmarks are: the log's sightings of points, pieces of its scans, or both; and the
+kinds that regions of a dense map hang on, by width."""
+ENRICH_M = 1.0
+"""Sigma of where a landmark should be seen, from which on its template alone may be fragile."""
+_ENRICHING = DenseOptions(("occupancy", "sog"), known_m=0.5)
+"""What templates are enriched from: a scan from a vehicle that does not know where it is among a
+region's landmarks would draw there what it is to be compared with."""
 _MARGIN_M = 0.01
 """The farthest return is in view."""
 
@@ -47,6 +57,23 @@ class _Telling:
     def fuse(self, first: int, second: int, z: Array, covariance: Array) -> LocalMap:
         """See OrientedLedger.fuse."""
         return self.ledger.fuse(self.ekf, self.epoch, first, second, z, covariance)
+
+
+def check_landmarks(landmarks: str) -> None:
+    """Raises InputError for what is not of LANDMARKS."""
+    if landmarks not in LANDMARKS:
+        raise InputError(
+            f"landmarks '{landmarks}' are unknown, expected one of {', '.join(LANDMARKS)}"
+        )
+
+
+def slam_options(templates: str, landmarks: str) -> ScanSlamOptions:
+    """For `bare` or `enriched` templates of scan landmarks. Raises InputError."""
+    if templates not in ("bare", "enriched"):
+        raise InputError(f"--templates is '{templates}', expected bare or enriched")
+    if templates == "enriched" and landmarks == "points":
+        raise InputError("--templates enriched goes with --landmarks scans or both")
+    return ScanSlamOptions(enrich_m=ENRICH_M if templates == "enriched" else math.inf)
 
 
 class LogScans:
@@ -114,18 +141,43 @@ class ScanSlamSource:
         self,
         scans: LogScans,
         options: ScanSlamOptions | None = None,
+        map_of: DenseWatcher | None = None,
         fusing: FusingOptions | None = None,
     ) -> None:
-        """Start without landmarks. fusing: of landmarks that are one; None to leave them two."""
+        """Start without landmarks. map_of: who keeps a map that templates are enriched from.
+
+        fusing: of landmarks that are one; None to leave them two.
+        """
         self._scans, self._next = scans, 0
         self._slam = ScanSlam(scans.sensor, scans.view, scans.mount, options)
         self._twins = None if fusing is None else Twins(self._slam, fusing)
+        self.map_of = map_of
+        if map_of is not None:
+            self._slam.around = Surroundings(map_of.dense).around
         self.closing: Closing | None = None
 
     @property
     def found(self) -> ScanLandmarks:
         """Templates, and what became of their sightings."""
         return self._slam.found
+
+    def stepping(self, ekf: FullEkf, time_s: float, control: Array, duration_s: float) -> None:
+        """The map, if there is one, takes in the scans of the interval."""
+        if self.map_of is not None:
+            self.map_of.stepping(ekf, time_s, control, duration_s)
+
+    def arrived(self, ekf: FullEkf) -> None:
+        """What waits there follows the vehicle."""
+        if self.map_of is not None:
+            self.map_of.arrived(ekf)
+
+    def updated(self, ekf: FullEkf) -> None:
+        """It follows its landmarks."""
+        if self.map_of is not None:
+            self.map_of.updated(ekf)
+
+    def finished(self, ekf: FullEkf, time_s: float) -> None:
+        """No template is enriched any more."""
 
     def look(self, ekf: FullEkf, epoch: int, time_s: float, ledger: OrientedLedger) -> None:
         """The scan of this epoch, if there is one. Raises FilterDivergedError."""
@@ -156,14 +208,29 @@ class ScanSlamSource:
 class ScanSlamSources:
     """Scan-SLAM as often as a filter is run over one log. log: as the filter is to read it."""
 
-    def __init__(self, log: Log, scans: LogScans, fusing: FusingOptions | None = None) -> None:
-        """scans: the log's. fusing: see ScanSlamSource."""
-        self.log, self.scans, self.fusing = log, scans, fusing
+    def __init__(
+        self,
+        log: Log,
+        scans: LogScans,
+        kinds: tuple[int, ...],
+        options: ScanSlamOptions | None = None,
+        fusing: FusingOptions | None = None,
+    ) -> None:
+        """scans: the log's. kinds: of landmarks that a map to enrich templates from hangs on.
+
+        fusing: see ScanSlamSource.
+        """
+        self.log, self.scans = log, scans
+        self._kinds, self._options, self._fusing = kinds, options or ScanSlamOptions(), fusing
         self._made: list[ScanSlamSource] = []
 
     @classmethod
     def of(
-        cls, log: Log, landmarks: str, fusing: FusingOptions | None = None
+        cls,
+        log: Log,
+        landmarks: str,
+        options: ScanSlamOptions | None = None,
+        fusing: FusingOptions | None = None,
     ) -> ScanSlamSources | None:
         """What `landmarks` of LANDMARKS asks for; None for points alone. Raises InputError."""
         if landmarks == "points":
@@ -173,11 +240,14 @@ class ScanSlamSources:
             log = replace(
                 log, sightings=log.sightings.chosen(np.zeros(len(log.sightings.time_s), dtype=bool))
             )
-        return cls(log, scans, fusing)
+        return cls(log, scans, LANDMARKS[landmarks], options, fusing)
 
     def __call__(self) -> ScanSlamSource:
         """Another one, without landmarks."""
-        self._made.append(ScanSlamSource(self.scans, fusing=self.fusing))
+        kept = None
+        if math.isfinite(self._options.enrich_m):
+            kept = DenseWatcher(self.log, _ENRICHING, kinds=self._kinds)
+        self._made.append(ScanSlamSource(self.scans, self._options, kept, self._fusing))
         return self._made[-1]
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
@@ -49,7 +50,9 @@ class DenseMap:
     which regions are sought again; with every new landmark they are, too. neglected: per region,
     how far what the map leaves out may still move its data (section 3.6). dynamic: where things
     move, if that is looked for (section 6.3); it is no Layer, since it asks when. landmark: (L, 2)
-    [m] where the regions' landmarks were when the filter was last read.
+    [m] where the regions' landmarks were when the filter was last read. known_m: greatest standard
+    deviation of a region, seen from the vehicle, at which its returns are fused; the others count
+    as outside.
     """
 
     layers: Mapping[str, Layer]
@@ -59,6 +62,7 @@ class DenseMap:
     least_points: int = 10
     seek_every: int = 4
     dynamic: DynamicLayer | None = None
+    known_m: float = math.inf
     tally: Tally = field(default_factory=Tally)
     neglected: NeglectedCorrelation = field(init=False)
     landmark: Array = field(default_factory=lambda: np.empty((0, 2)))
@@ -81,9 +85,10 @@ class DenseMap:
         self.place(view)
         if self.waiting is not None:
             self.waiting.updated(view)
-        if len(view.landmark) == self._sought_among and self.tally.scans < self._sought_until:
+        there = int(np.isfinite(self.landmark[:, 0]).sum())  # or were, before they left the map
+        if there == self._sought_among and self.tally.scans < self._sought_until:
             return
-        self._sought_among = len(view.landmark)
+        self._sought_among = there
         self._sought_until = self.tally.scans + self.seek_every
         slot = view.near(self.reach_m)
         made = self.regions.extend(self.landmark, slot, view.joint_of_landmarks(slot))
@@ -99,10 +104,16 @@ class DenseMap:
         """Take in a scan seen from the view's pose, at once and in every layer."""
         placed = self.place(view)
         found = placed.locate(scan.point)
-        inside = np.flatnonzero(found.region >= 0)
+        near = np.sort(placed.tree.meeting(scan.box()[None]).item)
+        doubtful = np.zeros(len(found.region), dtype=bool)
+        if math.isfinite(self.known_m):
+            near = self._known(view, placed, near, self.known_m)
+            doubtful = (found.region >= 0) & ~np.isin(found.region, near)
+        inside = np.flatnonzero((found.region >= 0) & ~doubtful)
         self.tally.scans += 1
         self.tally.returns += len(scan.range_m)
         self.tally.fused += len(inside)
+        self.tally.outside += int(np.count_nonzero(doubtful))
         hits = Hits(
             found.region[inside],
             found.local[inside],
@@ -110,7 +121,6 @@ class DenseMap:
             scan.covariance[inside],
             None if scan.value is None else scan.value[inside],
         )
-        near = np.sort(placed.tree.meeting(scan.box()[None]).item)
         for layer in self.layers.values():
             layer.fuse(hits, placed, scan, near)
         if self.dynamic is not None:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ekf_reference.dense.triangles import Array
 from ekf_reference.full_ekf import FullEkf
+from ekf_reference.layout import POINT
 
 Index = NDArray[np.intp]
 
@@ -17,10 +18,15 @@ Index = NDArray[np.intp]
 class FilterView:
     """A filter at one instant (Nieto 2005, section 3.7: information flows one way).
 
-    pose: (3,) x, y, heading. landmark: (L, 2) [m] all of the map; one that has left the map is
-    NaN, since places in the map are for good. slot: (m,) landmarks whose covariance is current,
-    ascending; of a compressed filter the active ones. covariance: (3 + 2 m, 3 + 2 m) of the pose
-    and these. The arrays are the filter's own, read-only, and hold until it moves on.
+    pose: (3,) x, y, heading. landmark: (L, 2) [m] all of the map; one that has left the map, or
+    is not there yet, is NaN, since places in the map are for good. slot: (m,) landmarks whose
+    covariance is current, ascending; of a compressed filter the active ones. covariance:
+    (3 + 2 m, 3 + 2 m) of the pose and these. The arrays are the filter's own, read-only, and hold
+    until it moves on.
+
+    Of landmarks with a direction these are the places: x and y of the state, with what of its
+    covariance belongs to them (Nieto 2005, section 6.2). With several kinds a place in the map is
+    a number as of Layout.numbered.
     """
 
     pose: Array
@@ -29,9 +35,9 @@ class FilterView:
     covariance: Array
 
     @classmethod
-    def of(cls, ekf: FullEkf) -> FilterView:
-        """The filter as it is now, whatever it keeps its pose as."""
-        reading, seen = ekf.read_pose(), ekf.state.glance()
+    def of(cls, ekf: FullEkf, kinds: tuple[int, ...] = (POINT,)) -> FilterView:
+        """The filter as it is now, whatever it keeps its pose as. kinds: of landmarks, by width."""
+        reading, seen = ekf.read_pose(), ekf.state.glance(kinds)
         covariance = seen.covariance
         p = len(reading.own)
         if p != 3:

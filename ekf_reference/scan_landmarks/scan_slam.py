@@ -12,6 +12,7 @@ template is still not in the state, so the smoother may be too sure.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Protocol
@@ -24,6 +25,7 @@ from ekf_reference.dense.scan import Sensor
 from ekf_reference.full_ekf import NEW, FullEkf
 from ekf_reference.layout import ORIENTED
 from ekf_reference.scan_landmarks.alignment_covariance import CovarianceOptions
+from ekf_reference.scan_landmarks.enriching import Around, observe_enriched
 from ekf_reference.scan_landmarks.problem import AlignmentOptions
 from ekf_reference.scan_landmarks.segmentation import SegmentationOptions, quality, segments
 from ekf_reference.scan_landmarks.sog import SumOfGaussians, rotation
@@ -78,7 +80,8 @@ class ScanSlamOptions:
     landmark's axis is at least so far from all others; explained_m: a return that is nearer to a
     template's point is that landmark's, and explained: a segment with such a share of these is no
     new one; the landmark's uncertainty is added to both distances. floor_m, floor_rad: least sigma
-    of where an alignment is sought.
+    of where an alignment is sought. enrich_m: sigma of z^ from which on what stands around a
+    landmark says where its template is sought (Nieto 2005, section 6.2).
     """
 
     aligned: int = 5
@@ -90,6 +93,7 @@ class ScanSlamOptions:
     explained: float = 0.5
     floor_m: float = 0.1
     floor_rad: float = 0.02
+    enrich_m: float = math.inf
     gate: float = GATE
     segmentation: SegmentationOptions = _SEGMENTATION
     observation: ObservationOptions = _OBSERVATION
@@ -113,8 +117,9 @@ class ScanLandmarks:
     """What a run has gathered. template: by slot. sightings: used, by slot.
 
     reasons: how often a landmark near the scanner was USED, or why not. rejected: segments
-    that no landmark explained and that failed their trial. scans: looked at. fused: how many
-    landmarks were found to be others.
+    that no landmark explained and that failed their trial. scans: looked at. enriched: alignments
+    that began where what stands around the landmark fits. fused: how many landmarks were found to
+    be others.
     """
 
     template: dict[int, Template] = field(default_factory=dict)
@@ -122,6 +127,7 @@ class ScanLandmarks:
     reasons: Counter[str] = field(default_factory=Counter)
     rejected: int = 0
     scans: int = 0
+    enriched: int = 0
     fused: int = 0
 
 
@@ -142,13 +148,14 @@ class ScanSlam:
         self.mount = np.asarray(mount, dtype=float)
         self.options = options or ScanSlamOptions()
         self.found = ScanLandmarks()
+        self.around: Around | None = None
         self._rng = np.random.default_rng(seed)
         self._last_seen: dict[int, int] = {}
 
     def step(self, ekf: FullEkf, scan: SumOfGaussians, tell: Teller) -> None:
         """One scan, in the scanner's frame: predict, align, gate, update, augment."""
         self.found.scans += 1
-        self._update(self._predict(ekf), scan, tell)
+        self._update(ekf, self._predict(ekf), scan, tell)
         if self.found.scans % self.options.begin_every == 1 or self.options.begin_every == 1:
             self._augment(self._predict(ekf), scan, tell)
 
@@ -169,23 +176,24 @@ class ScanSlam:
         z[:, :2] = z[:, :2] @ out[:2, :2]
         return Predicted(near, z, out.T @ spread @ out)
 
-    def _update(self, predicted: Predicted, scan: SumOfGaussians, tell: Teller) -> None:
+    def _update(
+        self, ekf: FullEkf, predicted: Predicted, scan: SumOfGaussians, tell: Teller
+    ) -> None:
         """[z, R] = scan_align(G_L, G_o, z^) of those in view; those within the gate are fused."""
         seen: list[tuple[int, Array, Array]] = []
         for row in self._in_view(predicted, scan):
             slot, z = int(predicted.slot[row]), predicted.z[row]
             spread, o = predicted.covariance[row], self.options
             wide = spread + np.diag((o.floor_m, o.floor_m, o.floor_rad)) ** 2
-            what = observe(
-                self.found.template[slot],
-                scan,
-                z,
-                wide,
-                self.view,
-                o.observation,
-                o.alignment,
-                o.belief,
-            )
+            template, around = self.found.template[slot], None
+            if self.around is not None and np.linalg.norm(wide[:2, :2], 2) > o.enrich_m**2:
+                around = self.around(template, ekf.state.oriented[slot])
+            how = self.view, o.observation, o.alignment, o.belief
+            if around is None:
+                what = observe(template, scan, z, wide, *how)
+            else:
+                what = observe_enriched(template, around, scan, z, wide, *how)
+                self.found.enriched += 1
             kind = what.kind or USED
             if what.usable and what.alignment is not None:
                 r = what.alignment.covariance

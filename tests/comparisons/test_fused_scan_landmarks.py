@@ -33,7 +33,7 @@ def log() -> Log:
 
 
 def source() -> ScanSlamSource:
-    return ScanSlamSource(LogScans(log()), CARELESS, FusingOptions())
+    return ScanSlamSource(LogScans(log()), CARELESS, fusing=FusingOptions())
 
 
 def small(ekf: FullEkf) -> None:

@@ -22,6 +22,7 @@ from comparisons.logs.simulate.dynamic_worlds import lanes_world, places_world
 from comparisons.logs.simulate.ray_casting import cast
 from comparisons.logs.simulate.scan_worlds import (
     ScanWorld,
+    dense_scan_slam_world,
     dense_slam_world,
     occupancy_world,
     scan_slam_world,
@@ -149,6 +150,15 @@ def scan_slam(loops: int = 1, noise_scale: float = 1.0) -> ScanExperiment:
     )
     source = "Nieto 2005, section 5.6, Fig. 5.8, Table 5.1; the places are ours"
     return ScanExperiment("scan-slam", source, world, drive, _scanner(drive))
+
+
+def scan_slam_with_maps(loops: int = 1, noise_scale: float = 1.0) -> ScanExperiment:
+    """Nieto 2005, section 6.2.1, Fig. 6.7; of vehicle and scanner nothing new is said there."""
+    drive = scan_slam(loops, noise_scale).drive
+    world = dense_scan_slam_world()
+    drive = replace(drive, loop_s=world.loop_m / drive.speed_mps)
+    source = "Nieto 2005, section 6.2.1, Fig. 6.7, Table 5.1; the places are ours"
+    return ScanExperiment("scan-slam-maps", source, world, drive, _scanner(drive))
 
 
 def dynamic_lanes(

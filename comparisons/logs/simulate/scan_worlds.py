@@ -174,6 +174,15 @@ def occupancy_world() -> ScanWorld:
     )
 
 
+def dense_scan_slam_world() -> ScanWorld:
+    """Nieto 2005, section 6.2.1 and Fig. 6.7: 120 m x 100 m, objects alone.
+
+    The path and most objects are those of Fig. 4.2.
+    """
+    world = occupancy_world()
+    return replace(world, landmark=np.zeros((0, 2)), pole=np.zeros((0, 3)), pole_height_m=_NO_POLES)
+
+
 def scan_slam_world() -> ScanWorld:
     """Nieto 2005, section 5.6 and Fig. 5.8: 180 m x 160 m, objects of many shapes, no landmarks."""
     objects: tuple[PlacedShape, ...] = (
@@ -206,6 +215,7 @@ _PATH_OF_100_BY_80 = (
 )  # fmt: skip
 """Through these the loop is driven, in order."""
 
+_NO_POLES = np.zeros(0)
 _ARM = 1.0 / 6.0
 _SHAPES = {
     "box": ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)),

@@ -18,6 +18,7 @@ from comparisons.reproduction import (
     nieto_high_level,
     nieto_motion,
     nieto_regions,
+    nieto_scan_maps,
     nieto_scan_slam,
     nieto_scans,
     nieto_slam,
@@ -106,6 +107,12 @@ def high_level_drives() -> nieto_high_level.HighLevelDrives:
     return nieto_high_level.HighLevelDrives("the beginning of a drive", (drive,))
 
 
+def scan_maps() -> nieto_scan_maps.ScanMaps:
+    """The first seconds of a drive; what closes there is not a loop."""
+    log = first_seconds(open_log("scan-slam-maps"), 12.0)
+    return nieto_scan_maps.of_logs([log], "the beginning of a drive")
+
+
 SMALL: dict[str, Callable[[], Any]] = {
     "section 2.9": lambda: nieto_slam.loops(Sources(drives=2)),
     "section 2.9 with positions": lambda: nieto_slam.fixed(Sources()),
@@ -122,6 +129,7 @@ SMALL: dict[str, Callable[[], Any]] = {
     "section 5.6": scan_drives,
     "section 6.1.3, two pairs of corners": lambda: nieto_high_level.corner_pairs(Sources(drives=1)),
     "section 6.1.3": high_level_drives,
+    "section 6.2.1": scan_maps,
     "section 6.3.3, fast motion": lambda: motions(np.array([(np.nan, 5.0), (np.nan, -5.0)])),
     "section 6.3.3, slow motion": lambda: motions(np.array([(0.0, 0.0), (9.0, 0.0), (4.0, 8.0)])),
 }

@@ -263,6 +263,22 @@ def misplaced(d: Any) -> Any:
     return replace(d, templates=tuple(t + 40.0 for t in d.templates), error_m=2.0 * d.without_m)
 
 
+def far_off(one: Any) -> Any:
+    """The map is worse than before the closing, and holds what the templates do."""
+    m = one.mapping
+    errors = {name: replace(error, median_m=3.0) for name, error in m.errors.items()}
+    layers = {k: type(s)(*(column[:5] for column in s)) for k, s in m.layers.items()}
+    return replace(one, mapping=replace(m, errors=errors, layers=layers))
+
+
+def no_help(found: Any) -> Any:
+    """What is around a template leads astray."""
+    basin, worse = found.basin, np.array((0.8, 0.4))
+    shares = {"converged": worse, "wrong": 1.0 - worse}
+    each = {name: np.tile(share, (len(basin.error_m), 1)) for name, share in shares.items()}
+    return replace(found, basin=replace(basin, **each))
+
+
 BROKEN: list[tuple[str, Callable[[Any], Any], set[int]]] = [
     ("G7", lambda c: replace(c, heard=~c.heard), {0}),
     ("G7", lambda c: replace(c, heard=np.arange(len(c.heard)) != 150), {1}),
@@ -308,6 +324,8 @@ BROKEN: list[tuple[str, Callable[[Any], Any], set[int]]] = [
     ("N6.4", with_counts(50, 40), {1, 2}),
     ("N6.5", each(nothing_found), {0, 1, 2, 3, 4}),
     ("N6.6", each(misplaced), {0, 1, 2}),
+    ("N6.7", each(far_off), {0, 1, 2}),
+    ("N6.8", no_help, {0, 1}),
     ("N6.9", each(blurred), {2, 3}),
     ("N6.9", each(one_place_more), {1}),
     ("N6.9", each(one_place_twice), {0}),

@@ -160,3 +160,25 @@ def test_a_known_segment_is_no_new_landmark_and_an_unknown_one_is() -> None:
     assert not slam._explained(away, predicted)
     nothing = Predicted(predicted.slot[:0], predicted.z[:0], predicted.covariance[:0])
     assert not slam._explained(shape, nothing)
+
+
+def test_templates_are_enriched_from_a_sigma_on() -> None:
+    """What is around is asked for where the landmark lies now, and only from the threshold on."""
+    asked: list[Array] = []
+
+    def around(template: Template, place: Array) -> SumOfGaussians:
+        asked.append(place.copy())
+        return template.shape
+
+    moved = np.array((0.3, 0.1, 0.02))
+    for enrich_m, times in ((0.01, 1), (5.0, 0), (np.inf, 0)):
+        slam, ekf, told = begun(replace(EVERY, enrich_m=enrich_m))
+        slam.around = around
+        place = ekf.state.oriented[0].copy()
+        ekf.predict(moved, PRIOR, 1.0)
+        slam.step(ekf, scan_from(moved, 1), told)
+        assert slam.found.enriched == len(asked) == times
+        assert slam.found.reasons[USED] == 1
+        for one in asked:
+            assert np.array_equal(one, place)
+        asked.clear()

@@ -1,0 +1,92 @@
+"""Templates with what the dense map knows around them (Nieto 2005, section 6.2).
+
+The map was placed by the same filter, from scans of which the filter has used much already: what it
+says is not independent of the prior, and there is no R for it. So it says only which of the maxima
+of a template's correlation is the right one, a question of association. z and R come from the
+landmark's own template, from there, against the whole prior, as without a map; so does the gate.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ekf_reference.scan_landmarks.alignment import align
+from ekf_reference.scan_landmarks.alignment_covariance import CovarianceOptions
+from ekf_reference.scan_landmarks.problem import AlignmentOptions
+from ekf_reference.scan_landmarks.sog import SumOfGaussians
+from ekf_reference.scan_landmarks.templates import (
+    AMBIGUOUS,
+    Observation,
+    ObservationOptions,
+    Template,
+    View,
+    observe,
+    share_in_view,
+)
+
+Array = NDArray[np.float64]
+
+_THIN_M = 0.3
+"""Cells in which Gaussians become one: what an alignment costs grows with their number."""
+_ONE_START_M = 1e4
+"""A spacing that leaves nothing of a prior but its middle."""
+
+
+class Around(Protocol):
+    """Who knows what stands around a landmark."""
+
+    def __call__(self, template: Template, place: Array) -> SumOfGaussians | None:
+        """The surroundings in the landmark's axis, which is at a place (3,) in the world now.
+
+        None where nothing but the template is known.
+        """
+        ...
+
+
+def enriched(template: Template, around: SumOfGaussians) -> SumOfGaussians:
+    """A template's Gaussians and those around it, both in its axis; each half of the sum.
+
+    By their lengths, as within a scan, the map would outweigh the template many times over. It is
+    never whole, and the correlation gains by laying what is in it onto what is not.
+    """
+    n = len(around)
+    even = SumOfGaussians(
+        around.mean, around.covariance, np.full(n, 1.0 / max(n, 1)), np.zeros(n, dtype=bool)
+    ).thinned(_THIN_M)
+    shape, n = template.shape, len(even)
+    weight = np.concatenate((shape.weight, np.full(n, 1.0 / max(n, 1))))
+    return SumOfGaussians(
+        np.concatenate((shape.mean, even.mean)),
+        np.concatenate((shape.covariance, even.covariance)),
+        weight / weight.sum(),
+        np.concatenate((shape.seam, even.seam)),
+    )
+
+
+def observe_enriched(
+    template: Template,
+    around: SumOfGaussians,
+    scan: SumOfGaussians,
+    predicted: Array,
+    covariance: Array,
+    view: View,
+    options: ObservationOptions,
+    alignment: AlignmentOptions,
+    belief: CovarianceOptions,
+) -> Observation:
+    """What a scan says of a landmark (see `observe`), sought where its surroundings fit.
+
+    around: as `Around` answers. Two places that fit the surroundings are as ambiguous as two that
+    fit a template.
+    """
+    found = align(enriched(template, around), scan, predicted, covariance, alignment)
+    if found.runner_up > options.ambiguous:
+        share = share_in_view(template, scan, predicted, view)
+        told = f"another place fits what is around {found.runner_up:.0%} as well"
+        return Observation(None, share, told, AMBIGUOUS)
+    once = replace(alignment, spacing_m=_ONE_START_M)
+    return observe(template, scan, found.pose, covariance, view, options, once, belief)

@@ -1,0 +1,161 @@
+"""Regions that hang on scan landmarks are those that hang on points (Nieto 2005, section 6.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+import pytest
+
+from ekf_reference.dense.dense_map import DenseMap
+from ekf_reference.dense.scan import Scan
+from ekf_reference.dense.view import FilterView
+from ekf_reference.full_ekf import FullEkf
+from ekf_reference.layout import ORIENTED, POINT, Layout
+from ekf_reference.local_map import by_number
+from tests.ekf_reference.both_kinds import Script, build, drive
+from tests.ekf_reference.dense.scenes import LAYERS, SENSOR
+from tests.ekf_reference.dense.test_dense_map import content, dense_map, room
+from tests.helpers import Array
+
+BOTH = (POINT, ORIENTED)
+BEARING = np.linspace(-1.2, 1.2, 31)
+
+
+def driven(kind: str, script: Script, look: Callable[[FullEkf], None]) -> FullEkf:
+    """A drive, its filter looked at before every prediction."""
+    ekf = build(kind)
+    predict = ekf.predict
+
+    def looked(*given: object) -> None:
+        look(ekf)
+        predict(*given)  # type: ignore[arg-type]
+
+    ekf.predict = looked  # type: ignore[method-assign, assignment]
+    drive(ekf, 1, script)
+    return ekf
+
+
+def as_points(ekf: FullEkf) -> FilterView:
+    """The definition, by whole state: landmarks with a direction, their x and y alone."""
+    first = ekf.state.layout.oriented
+    entries = (first[:, None] + (0, 1)).ravel()
+    kept = np.concatenate((np.arange(3), entries))
+    return FilterView(
+        ekf.state.pose,
+        ekf.state.mean[entries].reshape(-1, 2),
+        np.arange(len(first)),
+        ekf.state.covariance[np.ix_(kept, kept)],
+    )
+
+
+def without_cross(ekf: FullEkf) -> FilterView:
+    """Broken: what vehicle and landmarks share is left out."""
+    view = as_points(ekf)
+    covariance = view.covariance.copy()
+    covariance[:3, 3:] = covariance[3:, :3] = 0.0
+    return FilterView(view.pose, view.landmark, view.slot, covariance)
+
+
+def shifted(ekf: FullEkf) -> FilterView:
+    """Broken: y and heading are taken for x and y in the covariance."""
+    first = ekf.state.layout.oriented
+    kept = np.concatenate((np.arange(3), (first[:, None] + (1, 2)).ravel()))
+    view = as_points(ekf)
+    return FilterView(view.pose, view.landmark, view.slot, ekf.state.covariance[np.ix_(kept, kept)])
+
+
+@cache
+def mapped(read: Callable[[FullEkf], FilterView]) -> tuple[DenseMap, FilterView]:
+    """A dense map kept beside a drive among landmarks with a direction."""
+    dense, rng = dense_map(*LAYERS, waiting=room()), np.random.default_rng(2)
+
+    def look(ekf: FullEkf) -> None:
+        view = read(ekf)
+        dense.predicted(view)
+        dense.updated(view)
+        way = rng.uniform(3.0, 12.0, len(BEARING))
+        dense.insert(view, Scan.of_ranges(view.pose, BEARING, way, SENSOR))
+
+    return dense, read(driven("full", Script(order="frames only"), look))
+
+
+def by_filter(ekf: FullEkf) -> FilterView:
+    return FilterView.of(ekf, (ORIENTED,))
+
+
+def test_the_map_is_that_between_points_of_the_same_mean_and_covariance() -> None:
+    dense, view = mapped(by_filter)
+    points, same = mapped(as_points)
+    assert len(dense.regions.base) > 4
+    assert dense.tally.late > 10
+    assert content(dense, view) == content(points, same)
+
+
+@pytest.mark.parametrize("broken", [without_cross, shifted])
+def test_another_covariance_makes_another_map(broken: Callable[[FullEkf], FilterView]) -> None:
+    dense, view = mapped(by_filter)
+    other, same = mapped(broken)
+    assert content(dense, view) != content(other, same)
+
+
+SCRIPT = Script(order="in turn", fuse_at=90, remove_at=100)
+
+
+def test_both_kinds_are_shown_by_number() -> None:
+    ekf = driven("full", SCRIPT, lambda _: None)
+    view, state = FilterView.of(ekf, BOTH), ekf.state
+    assert np.array_equal(view.landmark[0::2][: len(state.landmarks)], state.landmarks, True)
+    assert np.array_equal(view.landmark[1::2][: len(state.oriented)], state.oriented[:, :2], True)
+    assert np.isfinite(view.landmark[view.slot]).all()
+    for number in view.slot[[0, 3, -1]].tolist():
+        slot, kind = divmod(number, 2)
+        first = int(state.layout.first(BOTH[kind])[slot])
+        columns = np.array((0, 1, 2, first, first + 1))
+        wanted = state.covariance[np.ix_(columns, columns)]
+        assert np.array_equal(view.joint(np.array([number])), wanted)
+
+
+def test_numbers_are_for_good() -> None:
+    """Through arrivals of either kind, a fusion and removals, a landmark keeps its own."""
+    first: dict[int, Array] = {}
+
+    def look(ekf: FullEkf) -> None:
+        view = FilterView.of(ekf, BOTH)
+        for number in view.slot.tolist():
+            known = first.setdefault(number, view.landmark[number].copy())
+            assert np.hypot(*(known - view.landmark[number])) < 2.0
+
+    driven("full", SCRIPT, look)
+    places = np.array(list(first.values()))
+    apart = np.linalg.norm(places[:, None] - places, axis=2) + 9.0 * np.eye(len(places))
+    assert len(first) > 12
+    assert np.median(apart.min(axis=1)) > 2.0  # so that a mix-up would have been seen
+
+
+def test_the_compressed_filter_shows_what_the_full_one_does() -> None:
+    seen: dict[str, list[FilterView]] = {"full": [], "compressed": []}
+    for kind, views in seen.items():
+        driven(kind, SCRIPT, lambda ekf, views=views: views.append(FilterView.of(ekf, BOTH)))  # type: ignore[misc]
+    passive = 0
+    for full, part in zip(*seen.values(), strict=True):
+        assert (np.diff(part.slot) > 0).all()
+        ours = part.landmark[part.slot]
+        assert np.allclose(ours, full.landmark[part.slot], rtol=0.0, atol=1e-9)
+        assert np.allclose(part.joint(part.slot), full.joint(part.slot), rtol=1e-7, atol=1e-12)
+        passive += len(full.slot) - len(part.slot)
+    assert passive > 0
+
+
+def test_with_points_alone_numbers_are_slots() -> None:
+    layout = Layout.of_pose(3).appended(2, POINT).appended(1, ORIENTED).appended(1, POINT)
+    number, first = layout.numbered((POINT,))
+    assert number.tolist() == [0, 1, 2]
+    assert first.tolist() == [3, 5, 10]
+    number, first = layout.numbered(BOTH)
+    assert number.tolist() == [0, 1, 2, 4]
+    assert first.tolist() == [3, 7, 5, 10]
+    point = np.arange(4.0).reshape(2, 2)
+    assert np.array_equal(by_number([point]), point)
+    assert not len(by_number([point[:0], point[:0]]))
