@@ -33,7 +33,7 @@ def measured(name: str, seed: int, templates: str) -> str:
     """One drive, as a row."""
     log = open_log(name, choices=SimulationChoices(seed))
     start = time.process_time()
-    options = slam_options(templates, "scans")
+    options = slam_options(None, templates, "scans")
     m = map_log(log, options=DenseOptions(LAYERS), landmarks="scans", slam=options)
     cpu_s = time.process_time() - start
     truth, surfaces, before = log.truth.poses, log.truth.surfaces, m.dense.before

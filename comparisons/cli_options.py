@@ -226,6 +226,14 @@ LandmarksOption = Annotated[
         help="The log's sightings, pieces of its raw scans (Scan-SLAM), or both.",
     ),
 ]
+PiecesOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="joined|single",
+        help="Whether all segments of a scan become one landmark, or each its own; usually joined, "
+        "but single where a dense map hangs on them.",
+    ),
+]
 TemplatesOption = Annotated[
     str,
     typer.Option(

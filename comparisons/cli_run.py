@@ -32,6 +32,7 @@ from comparisons.cli_options import (
     NoiseOption,
     OptimiserOption,
     OutOption,
+    PiecesOption,
     RecordOption,
     ResolutionOption,
     RobotOption,
@@ -62,6 +63,7 @@ if TYPE_CHECKING:
     from comparisons.runs.dense_run import DenseOptions
     from comparisons.runs.ekf_build import EkfChoices
     from comparisons.runs.high_level_source import HighLevelOptions
+    from ekf_reference.scan_landmarks.scan_slam import ScanSlamOptions
     from graphslam.smoother import SmootherOptions
 
 _VERDICTS = {"agree": AGREE, "disagree": DISAGREE, "unproven": UNPROVEN}
@@ -77,6 +79,7 @@ def run(
     features: FeaturesOption = "log",
     landmarks: LandmarksOption = "points",
     fuse_landmarks: FuseLandmarksOption = "off",
+    pieces: PiecesOption = None,
     templates: TemplatesOption = "bare",
     motion: MotionOption = "wheel",
     gps: GpsOption = "off",
@@ -129,6 +132,7 @@ def run(
         from comparisons.runs.dense_run import DenseOptions
         from comparisons.runs.ekf_build import EkfChoices
         from comparisons.runs.high_level_source import HighLevelOptions
+        from comparisons.runs.scan_slam_source import slam_options
 
         source, read_s = read_named(log, format_name, robot, seed, loops, noise_scale, features)
         choices = EkfChoices(filter_name, association, gps, attributes)
@@ -165,7 +169,7 @@ def run(
                 motion,
                 landmarks,
                 fuse_landmarks == "on",
-                templates,
+                slam_options(pieces, templates, landmarks),
                 kept if dense else None,
                 dynamic == "on",
                 searched if high_level == "on" else None,
@@ -194,7 +198,7 @@ def _run(
     motion: str,
     landmarks: str,
     fuse_landmarks: bool,
-    templates: str,
+    looking: ScanSlamOptions | None,
     dense: DenseOptions | None,
     dynamic: bool,
     high_level: HighLevelOptions | None,
@@ -207,7 +211,6 @@ def _run(
     from comparisons.report.result import build_result
     from comparisons.report.run_folder import CONTENTS, write_run_folder
     from comparisons.report.summary import print_summary
-    from comparisons.runs.scan_slam_source import slam_options
 
     folder = out or Path(f"slamcheck-{folder_name(log.name)}")
     check_replaceable(folder, CONTENTS)
@@ -223,7 +226,7 @@ def _run(
             dynamic=dynamic,
             landmarks=landmarks,
             fuse_landmarks=fuse_landmarks,
-            slam_options=slam_options(templates, landmarks),
+            slam_options=looking,
             high_level=high_level,
             smoother_matcher=smoother_matcher,
         )

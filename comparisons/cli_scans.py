@@ -21,6 +21,7 @@ from comparisons.cli_options import (
     MatcherOption,
     NoiseOption,
     OutOption,
+    PiecesOption,
     ResolutionOption,
     RobotOption,
     SeedOption,
@@ -96,6 +97,7 @@ def map_command(
     association: AssociationOption = None,
     features: FeaturesOption = "log",
     landmarks: LandmarksOption = "points",
+    pieces: PiecesOption = None,
     templates: TemplatesOption = "bare",
     gps: GpsOption = "off",
     cloud: CloudOption = None,
@@ -123,7 +125,7 @@ def map_command(
         from comparisons.runs.scan_slam_source import slam_options
 
         check_cloud(cloud)
-        slam = slam_options(templates, landmarks)
+        slam = slam_options(pieces, templates, landmarks)
         options = DenseOptions(tuple(dict.fromkeys(layer)), resolution, dynamic=dynamic)
         choices = EkfChoices(filter_name, association, gps)
         source, read_s = read_named(log, format_name, robot, seed, loops, noise_scale, features)

@@ -42,6 +42,7 @@ from comparisons.runs.scan_slam_source import (
     ScanSlamSource,
     ScanSlamSources,
     check_landmarks,
+    usual_options,
 )
 from comparisons.runs.smoother_run import (
     build_problem,
@@ -171,12 +172,13 @@ def compare_estimators(
     if motion == "scan" and scanned is not None:
         log = with_scan_motion(log, scanned, positions=chosen.gps != "off")
     fusing = FusingOptions() if fuse_landmarks else None
-    slam = ScanSlamSources.of(log, landmarks, slam_options, fusing)
+    by_layer = chosen.attributes == "layer"
+    looking = slam_options or usual_options(mapped=dense is not None or dynamic or by_layer)
+    slam = ScanSlamSources.of(log, landmarks, looking, fusing)
     if slam is not None:
         log, source = slam.log, slam
     positions = fused_positions(log, chosen)
     timeline = build_timeline(log, positions, None if slam is None else slam.scans.time_s)
-    by_layer = chosen.attributes == "layer"
 
     def watch_over() -> DenseWatcher | None:
         if dense is None and not dynamic and not by_layer:

@@ -15,7 +15,12 @@ from comparisons.runs.dense_run import GRID_MODEL, DenseOptions, DenseRun, Dense
 from comparisons.runs.ekf_build import EkfChoices, fused_positions
 from comparisons.runs.ekf_run import EkfRun, run_ekf
 from comparisons.runs.known_landmarks import join_known_sightings
-from comparisons.runs.scan_slam_source import LANDMARKS, ScanSlamSources, check_landmarks
+from comparisons.runs.scan_slam_source import (
+    LANDMARKS,
+    ScanSlamSources,
+    check_landmarks,
+    usual_options,
+)
 from comparisons.runs.timeline import build_timeline
 from ekf_reference.dense.layers.classic_grid import ClassicGrid
 from ekf_reference.dense.layers.layer import Samples
@@ -72,7 +77,7 @@ def map_log(
     if not len(log.odometry.time_s):
         raise InputError(f"{log.name}: holds no odometry, which the filter needs")
     options = options or DenseOptions()
-    sources = ScanSlamSources.of(log, landmarks, slam)
+    sources = ScanSlamSources.of(log, landmarks, slam or usual_options(mapped=True))
     log = log if sources is None else sources.log
     classic = ClassicGrid(options.resolution_m, GRID_MODEL)
     watcher = DenseWatcher(log, options, (classic,), kinds=LANDMARKS[landmarks])

@@ -22,6 +22,7 @@ from ekf_reference.full_ekf import FullEkf
 from ekf_reference.kalman import FilterDivergedError
 from ekf_reference.layout import ORIENTED, POINT
 from ekf_reference.local_map import LocalMap
+from ekf_reference.scan_landmarks.pieces import JoinedSegments, Pieces, SingleSegments
 from ekf_reference.scan_landmarks.scan_shape import of_scan
 from ekf_reference.scan_landmarks.scan_slam import ScanLandmarks, ScanSlam, ScanSlamOptions
 from ekf_reference.scan_landmarks.sog import SumOfGaussians
@@ -33,6 +34,8 @@ Index = NDArray[np.intp]
 LANDMARKS = {"points": (POINT,), "scans": (ORIENTED,), "both": (POINT, ORIENTED)}
 """What the landmarks are: the log's sightings of points, pieces of its scans, or both; and the
 kinds that regions of a dense map hang on, by width."""
+PIECES: dict[str, Pieces] = {"joined": JoinedSegments(), "single": SingleSegments()}
+"""Which returns of a scan become one landmark."""
 ENRICH_M = 1.0
 """Sigma of where a landmark should be seen, from which on its template alone may be fragile."""
 _ENRICHING = DenseOptions(("occupancy", "sog"), known_m=0.5)
@@ -67,13 +70,32 @@ def check_landmarks(landmarks: str) -> None:
         )
 
 
-def slam_options(templates: str, landmarks: str) -> ScanSlamOptions:
-    """For `bare` or `enriched` templates of scan landmarks. Raises InputError."""
+def usual_options(*, mapped: bool) -> ScanSlamOptions:
+    """mapped: a dense map hangs on the scan landmarks, which then have to stand among objects."""
+    return ScanSlamOptions(pieces=SingleSegments()) if mapped else ScanSlamOptions()
+
+
+def slam_options(pieces: str | None, templates: str, landmarks: str) -> ScanSlamOptions | None:
+    """As asked for; None where that is what is usual. Raises InputError.
+
+    pieces: of PIECES, None for the usual ones. templates: `bare` or `enriched`.
+    """
     if templates not in ("bare", "enriched"):
         raise InputError(f"--templates is '{templates}', expected bare or enriched")
-    if templates == "enriched" and landmarks == "points":
-        raise InputError("--templates enriched goes with --landmarks scans or both")
-    return ScanSlamOptions(enrich_m=ENRICH_M if templates == "enriched" else math.inf)
+    if pieces is not None and pieces not in PIECES:
+        raise InputError(f"--pieces is '{pieces}', expected {' or '.join(PIECES)}")
+    richer = templates == "enriched"
+    if not richer and pieces is None:
+        return None
+    if landmarks == "points":
+        asked = "--templates enriched" if richer else f"--pieces {pieces}"
+        raise InputError(f"{asked} goes with --landmarks scans or both")
+    options = usual_options(mapped=richer)
+    return replace(
+        options,
+        pieces=options.pieces if pieces is None else PIECES[pieces],
+        enrich_m=ENRICH_M if richer else math.inf,
+    )
 
 
 class LogScans:

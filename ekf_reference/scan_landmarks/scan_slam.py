@@ -19,15 +19,15 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from ekf_reference.dense.scan import Sensor
 from ekf_reference.full_ekf import NEW, FullEkf
 from ekf_reference.layout import ORIENTED
 from ekf_reference.scan_landmarks.alignment_covariance import CovarianceOptions
 from ekf_reference.scan_landmarks.enriching import Around, observe_enriched
+from ekf_reference.scan_landmarks.pieces import JoinedSegments, Known, Pieces
 from ekf_reference.scan_landmarks.problem import AlignmentOptions
-from ekf_reference.scan_landmarks.segmentation import SegmentationOptions, quality, segments
+from ekf_reference.scan_landmarks.segmentation import quality
 from ekf_reference.scan_landmarks.sog import SumOfGaussians, rotation
 from ekf_reference.scan_landmarks.templates import (
     BLANK,
@@ -49,16 +49,7 @@ LEFT_OUT = "left out"
 GATE = 11.345
 """Chi-square, 99 % of three degrees of freedom."""
 
-_SEGMENTATION = SegmentationOptions(
-    least_points=15,
-    displacement_m=1.5,
-    displacement_rad=np.deg2rad(20.0),
-    trials=2,
-    residual=0.15,
-    interleaved=False,
-    open_directions=2,
-)
-_OBSERVATION, _ALIGNMENT = ObservationOptions(), AlignmentOptions()
+_PIECES, _OBSERVATION, _ALIGNMENT = JoinedSegments(), ObservationOptions(), AlignmentOptions()
 _BELIEF = CovarianceOptions(neighbourhood_m=1.0, beyond_chance=3.0, sharp=6.0)
 
 
@@ -74,28 +65,18 @@ class Teller(Protocol):
 class ScanSlamOptions:
     """How much is done per scan, and what counts. The thesis tells none of these but the gate.
 
-    aligned: most landmarks that one scan is laid onto. begin_every: scans between two in which new
-    landmarks are sought. tried: most segments whose quality is tried then. ahead_m: a segment must
-    still be in view when the vehicle has gone so far. apart_m: a new
-    landmark's axis is at least so far from all others; explained_m: a return that is nearer to a
-    template's point is that landmark's, and explained: a segment with such a share of these is no
-    new one; the landmark's uncertainty is added to both distances. floor_m, floor_rad: least sigma
-    of where an alignment is sought. enrich_m: sigma of z^ from which on what stands around a
-    landmark says where its template is sought (Nieto 2005, section 6.2).
+    aligned: most landmarks that one scan is laid onto. pieces: which returns become landmarks.
+    floor_m, floor_rad: least sigma of where an alignment is sought. enrich_m: sigma of z^ from
+    which on what stands around a landmark says where its template is sought (Nieto 2005,
+    section 6.2).
     """
 
     aligned: int = 5
-    begin_every: int = 2
-    tried: int = 2
-    ahead_m: float = 3.0
-    apart_m: float = 4.0
-    explained_m: float = 1.0
-    explained: float = 0.5
+    pieces: Pieces = _PIECES
     floor_m: float = 0.1
     floor_rad: float = 0.02
     enrich_m: float = math.inf
     gate: float = GATE
-    segmentation: SegmentationOptions = _SEGMENTATION
     observation: ObservationOptions = _OBSERVATION
     alignment: AlignmentOptions = _ALIGNMENT
     belief: CovarianceOptions = _BELIEF
@@ -116,8 +97,8 @@ class Predicted(NamedTuple):
 class ScanLandmarks:
     """What a run has gathered. template: by slot. sightings: used, by slot.
 
-    reasons: how often a landmark near the scanner was USED, or why not. rejected: segments
-    that no landmark explained and that failed their trial. scans: looked at. enriched: alignments
+    reasons: how often a landmark near the scanner was USED, or why not. rejected: pieces
+    that failed their trial. scans: looked at. enriched: alignments
     that began where what stands around the landmark fits. fused: how many landmarks were found to
     be others.
     """
@@ -144,20 +125,22 @@ class ScanSlam:
     ) -> None:
         """mount: (3,) of the scanner in the vehicle's frame. seed: of the quality's trials."""
         self.sensor = sensor
-        self.view = view
         self.mount = np.asarray(mount, dtype=float)
         self.options = options or ScanSlamOptions()
+        self.view = replace(view, share=self.options.pieces.share)
+        self._seeing = replace(self.options.observation, visible=self.options.pieces.visible)
         self.found = ScanLandmarks()
         self.around: Around | None = None
         self._rng = np.random.default_rng(seed)
         self._last_seen: dict[int, int] = {}
+        self._begun = 0
 
     def step(self, ekf: FullEkf, scan: SumOfGaussians, tell: Teller) -> None:
         """One scan, in the scanner's frame: predict, align, gate, update, augment."""
         self.found.scans += 1
-        self._update(ekf, self._predict(ekf), scan, tell)
-        if self.found.scans % self.options.begin_every == 1 or self.options.begin_every == 1:
-            self._augment(self._predict(ekf), scan, tell)
+        used = self._update(ekf, self._predict(ekf), scan, tell)
+        if self.options.pieces.due(self.found.scans, self._begun, used):
+            self._augment(ekf, scan, tell)
 
     def _predict(self, ekf: FullEkf) -> Predicted:
         """Z^ and H P H^T of all landmarks that may be within reach (Nieto 2005, eq. 5.15)."""
@@ -178,8 +161,11 @@ class ScanSlam:
 
     def _update(
         self, ekf: FullEkf, predicted: Predicted, scan: SumOfGaussians, tell: Teller
-    ) -> None:
-        """[z, R] = scan_align(G_L, G_o, z^) of those in view; those within the gate are fused."""
+    ) -> int:
+        """[z, R] = scan_align(G_L, G_o, z^) of those in view; those within the gate are fused.
+
+        Returns how many.
+        """
         seen: list[tuple[int, Array, Array]] = []
         for row in self._in_view(predicted, scan):
             slot, z = int(predicted.slot[row]), predicted.z[row]
@@ -188,7 +174,7 @@ class ScanSlam:
             template, around = self.found.template[slot], None
             if self.around is not None and np.linalg.norm(wide[:2, :2], 2) > o.enrich_m**2:
                 around = self.around(template, ekf.state.oriented[slot])
-            how = self.view, o.observation, o.alignment, o.belief
+            how = self.view, self._seeing, o.alignment, o.belief
             if around is None:
                 what = observe(template, scan, z, wide, *how)
             else:
@@ -206,6 +192,7 @@ class ScanSlam:
             self.found.reasons[kind] += 1
         if seen:
             self._told(tell, seen)
+        return len(seen)
 
     def _in_view(self, predicted: Predicted, scan: SumOfGaussians) -> list[int]:
         """Rows of the predicted that are in view, those first that were longest out of sight."""
@@ -223,58 +210,28 @@ class ScanSlam:
         """Of a landmark's template that should be seen; of a blank scan nothing is."""
         return share_in_view(self.found.template[slot], scan, z, self.view) if len(scan) else 0.0
 
-    def _augment(self, predicted: Predicted, scan: SumOfGaussians, tell: Teller) -> None:
-        """Segments that no landmark explains begin one, if they lay themselves onto themselves."""
-        o, tried = self.options, 0
-        inside = np.array(
-            [
-                self._share(s, z, scan) >= self.view.share
-                for s, z, _ in zip(*predicted, strict=True)
-            ],
-            dtype=bool,
-        )
-        predicted = Predicted(*(column[inside] for column in predicted))
-        for rows in sorted(segments(scan, o.segmentation), key=len, reverse=True):
-            if tried >= o.tried:
-                return
-            segment = scan.take(rows)
-            if self._passing(segment, scan) or self._explained(segment, predicted):
-                continue
-            tried += 1
-            found = quality(segment, self.sensor, self._rng, o.segmentation, o.alignment, o.belief)
+    def _augment(self, ekf: FullEkf, scan: SumOfGaussians, tell: Teller) -> None:
+        """Pieces begin a landmark if they lay themselves onto themselves."""
+        o = self.options
+
+        def known() -> list[Known]:
+            near = zip(*self._predict(ekf), strict=True)
+            return [
+                Known(self.found.template[int(slot)], z, spread)
+                for slot, z, spread in near
+                if self._share(int(slot), z, scan) >= self.view.share
+            ]
+
+        for rows in o.pieces.found(scan, self.view, self._out()[0, :2], known):
+            piece, trial = scan.take(rows), o.pieces.segmentation
+            found = quality(piece, self.sensor, self._rng, trial, o.alignment, o.belief)
             if not found.accepted:
                 self.found.rejected += 1
                 continue
             template = Template.of_segment(scan, rows)
             slot = self._told(tell, [(NEW, template.pose, found.covariance)])
             self.found.template[slot] = template
-
-    def _passing(self, segment: SumOfGaussians, scan: SumOfGaussians) -> bool:
-        """Whether a segment is about to leave the view."""
-        if len(segment) < 3:
-            return True
-        out = self._out()[:2, :2]
-        ahead = np.append(segment.centroid - self.options.ahead_m * out[0], 0.0)
-        shape = replace(segment, mean=segment.mean - segment.centroid)
-        template = Template(shape, ahead)
-        return (
-            share_in_view(template, scan.take(np.zeros(0, dtype=np.intp)), ahead, self.view)
-            < self.view.share
-        )
-
-    def _explained(self, segment: SumOfGaussians, predicted: Predicted) -> bool:
-        """Whether a segment is too near to a landmark's axis, or mostly its template's."""
-        o = self.options
-        for slot, z, covariance in zip(*predicted, strict=True):
-            shape = self.found.template[int(slot)].shape
-            turned = covariance[2, 2] * shape.lever_m**2
-            sigma = np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1] + turned)
-            if np.hypot(*(z[:2] - segment.centroid)) < o.apart_m + 2.0 * sigma:
-                return True
-            away = cKDTree(shape.transformed(z).mean).query(segment.mean)[0]
-            if np.mean(away < o.explained_m + 2.0 * sigma) > o.explained:
-                return True
-        return False
+            self._begun = self.found.scans
 
     def _told(self, tell: Teller, seen: list[tuple[int, Array, Array]]) -> int:
         """Tell of sightings (slot, z, R) in the scanner's frame; returns the last one's slot."""

@@ -83,14 +83,15 @@ class View:
 
 @dataclass(frozen=True)
 class ObservationOptions:
-    """When an alignment counts as seeing the landmark.
+    """What is aligned, and when that counts as seeing the landmark.
 
-    overlap: least share of the template that finds a counterpart. ambiguous: greatest second
-    maximum over the best.
+    overlap: least share of what is aligned that finds a counterpart. ambiguous: greatest second
+    maximum over the best. visible: of the template only what should be in view is aligned.
     """
 
     overlap: float = 0.5
     ambiguous: float = 0.8
+    visible: bool = False
 
 
 @dataclass(frozen=True)
@@ -120,11 +121,7 @@ def share_in_view(template: Template, scan: SumOfGaussians, pose: Array, view: V
     outside the field of view or when the returns on both its sides, no farther from it than their
     own neighbours are, come from something much nearer.
     """
-    point = template.shape.transformed(pose).mean
-    seen = view.sees(point)
-    if len(scan) > 1:
-        seen &= ~_hidden(point, scan, view.shadow_m)
-    return float(np.mean(seen))
+    return float(np.mean(_in_view(template, scan, pose, view)))
 
 
 def observe(
@@ -146,10 +143,12 @@ def observe(
     o = options or ObservationOptions()
     if not len(scan):
         return Observation(None, 0.0, "the scan has no returns", BLANK)
-    share = share_in_view(template, scan, predicted, view)
+    seen = _in_view(template, scan, predicted, view)
+    share = float(np.mean(seen))
     if share < view.share:
         return Observation(None, share, f"{share:.0%} of the template in view", OUT_OF_VIEW)
-    found = scan_align(template.shape, scan, predicted, covariance, alignment, belief)
+    shape = template.shape.take(seen) if o.visible else template.shape
+    found = scan_align(shape, scan, predicted, covariance, alignment, belief)
     evidence, reason, kind = found.alignment, "", ""
     if evidence.overlap < o.overlap:
         reason, kind = f"{evidence.overlap:.0%} of the template finds a counterpart", APART
@@ -158,6 +157,13 @@ def observe(
     elif not evidence.converged:
         reason, kind = "the alignment did not converge", UNFINISHED
     return Observation(found, share, reason, kind)
+
+
+def _in_view(template: Template, scan: SumOfGaussians, pose: Array, view: View) -> Flags:
+    """(N,) which of a template's points the sensor should see; see share_in_view."""
+    point = template.shape.transformed(pose).mean
+    seen = view.sees(point)
+    return seen & ~_hidden(point, scan, view.shadow_m) if len(scan) > 1 else seen
 
 
 def _hidden(point: Array, scan: SumOfGaussians, shadow_m: float) -> Flags:

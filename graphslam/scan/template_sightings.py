@@ -35,6 +35,7 @@ from graphslam.scan.registration import Registration, ScanError, squared_distanc
 from graphslam.scan.template_matchers import COARSE_M, Template, TemplateMatchers, lever_m
 
 Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 
 USED, BEGUN = "used", "begun"
 APART = "does not meet the scan"
@@ -50,8 +51,10 @@ class TemplateOptions:
     """When a template is looked for and when a match is believed.
 
     reach_m: axes farther away are not looked for. per_scan: most templates matched with one scan,
-    those first that were not seen for the longest. least_overlap, most_residual_m, gate: of a match
-    to believe; the gate is of three degrees of freedom, 99.9 %. piece: scans between two solutions.
+    those first that were not seen for the longest. least_share: of a template's points that must
+    have returns near them to be matched; only these are. least_overlap, most_residual_m, gate: of
+    a match to believe; the gate is of three degrees of freedom, 99.9 %. piece: scans between two
+    solutions.
     begun_m: sigma of a new template along what its shape does not fix: of all axes that fit, its
     own is the one where it was taken. shared_m: sigma of one return, by which factors are wider
     than the matcher says.
@@ -59,6 +62,7 @@ class TemplateOptions:
 
     reach_m: float = 50.0
     per_scan: int = 8
+    least_share: float = 0.5
     least_overlap: float = 0.7
     most_residual_m: float = 0.35
     gate: float = 16.27
@@ -193,13 +197,14 @@ class _Drive:
         tried = 0
         for number in sorted(range(self._known), key=self._last.__getitem__):
             expected, spread = self._expected(number)
-            if not self._near(number, expected, spread, tree):
+            near = self._near(number, expected, spread, tree)
+            if np.mean(near) < self._options.least_share:
                 continue
             if tried == self._options.per_scan:
                 self.reasons[LEFT_OUT] += 1
                 continue
             tried += 1
-            found = self._match(number, cloud, expected, spread)
+            found = self._match(self._templates[number].points[near], cloud, expected, spread)
             if isinstance(found, str):
                 self.reasons[found] += 1
             else:
@@ -217,23 +222,23 @@ class _Drive:
         mean, covariance = self._belief.mean, self._belief.covariance
         return planar.relative(mean[:3], mean[at : at + 3], covariance[np.ix_(rows, rows)])
 
-    def _near(self, number: int, expected: Array, spread: Array, tree: cKDTree) -> bool:
-        """Whether the scan may show a template: its points have returns near them."""
-        o = self._options
+    def _near(self, number: int, expected: Array, spread: Array, tree: cKDTree) -> Flags:
+        """(M,) which points of a template have returns near them; none of one out of reach."""
+        o, points = self._options, self._templates[number].points
         if np.hypot(*expected[:2]) > o.reach_m:
-            return False
+            return np.zeros(len(points), dtype=bool)
         reach = COARSE_M + 2.0 * float(np.sqrt(np.trace(spread[:2, :2])))
-        place = planar.moved(expected, self._templates[number].points)
-        near = np.isfinite(tree.query(place, distance_upper_bound=reach)[0]).mean()
-        if near < o.least_overlap:
+        place = planar.moved(expected, points)
+        near: Flags = np.isfinite(tree.query(place, distance_upper_bound=reach)[0])
+        if near.mean() < o.least_share:
             self.reasons[APART] += 1
-        return bool(near >= o.least_overlap)
+        return near
 
     def _match(
-        self, number: int, cloud: Array, expected: Array, spread: Array
+        self, points: Array, cloud: Array, expected: Array, spread: Array
     ) -> Registration | str:
-        """A believable match, or the reason why there is none."""
-        o, points = self._options, self._templates[number].points
+        """A believable match of a template's points (M, 3), or the reason why there is none."""
+        o = self._options
         found: list[Registration] = []
         reason = ""
         for start in starts(expected, spread, lever_m(points)):

@@ -19,11 +19,12 @@ from comparisons.runs.scan_slam_source import LogScans, ScanSlamSource
 from ekf_reference.compressed_ekf import CompressedState, LocalAreas
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.local_map import LocalMap
+from ekf_reference.scan_landmarks.pieces import SingleSegments
 from ekf_reference.scan_landmarks.scan_slam import ScanSlamOptions
 from ekf_reference.scan_landmarks.twins import FusingOptions
 from tests.helpers import Array, first_seconds
 
-CARELESS = ScanSlamOptions(apart_m=-100.0, explained=2.0)
+CARELESS = ScanSlamOptions(pieces=SingleSegments(apart_m=-100.0, explained=2.0))
 """Begins landmarks where there are some: twins, and many of them."""
 
 

@@ -24,6 +24,8 @@ from comparisons.report.result import build_result
 from comparisons.report.run_folder import write_run_folder
 from comparisons.runs.estimate import Estimate
 from ekf_reference.scan_landmarks.alignment_covariance import ScanAlignment, scan_align
+from ekf_reference.scan_landmarks.pieces import SingleSegments
+from ekf_reference.scan_landmarks.scan_slam import ScanSlamOptions
 from ekf_reference.scan_landmarks.sog import SumOfGaussians
 from graphslam.graph_builder import to_tangent
 from graphslam.optimum import ChiSquareTest, Proof, Stationarity
@@ -32,6 +34,7 @@ from tests.helpers import Array, first_seconds, simulated
 
 Index = NDArray[np.intp]
 
+SINGLE = ScanSlamOptions(pieces=SingleSegments())
 TURNED = (0.0, 0.0, np.deg2rad(2.0))
 MOVED_M = 0.5
 
@@ -43,7 +46,7 @@ def log() -> Log:
 
 @cache
 def compared() -> Comparison:
-    return compare_estimators(log(), landmarks="scans", smoother_matcher="own")
+    return compare_estimators(log(), landmarks="scans", slam_options=SINGLE, smoother_matcher="own")
 
 
 def planted(
@@ -58,7 +61,7 @@ def planted(
         return replace(found, pose=found.pose + shift) if chosen(first) else found
 
     monkeypatch.setattr("ekf_reference.scan_landmarks.templates.scan_align", wrong)
-    return compare_estimators(log(), landmarks="scans", smoother_matcher="own")
+    return compare_estimators(log(), landmarks="scans", slam_options=SINGLE, smoother_matcher="own")
 
 
 def best_seen() -> tuple[int, Array]:
@@ -85,6 +88,17 @@ def test_a_sound_matcher_is_confirmed(open3d_library: ModuleType) -> None:
     assert own.accuracy is not None
     assert own.accuracy.ate_m is not None
     assert own.accuracy.ate_m < 0.5
+
+
+def test_joined_segments_are_seen_by_both(open3d_library: ModuleType) -> None:
+    """Of which half may be out of view."""
+    c = compare_estimators(log(), landmarks="scans", smoother_matcher="own")
+    own = c.own_matching
+    assert own is not None
+    assert c.verdict.outcome == "agree"
+    assert own.agrees
+    assert own.sightings[2] > 0.7 * own.sightings[0]
+    assert np.mean(own.squared) / 3.0 < 1.0
 
 
 def test_no_alignment_of_the_filter_is_used(

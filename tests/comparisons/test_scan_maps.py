@@ -17,7 +17,7 @@ from comparisons.report.map_result import build_map_result
 from comparisons.runs.dense_run import DenseOptions
 from comparisons.runs.ekf_build import EkfChoices
 from comparisons.runs.ekf_run import run_ekf
-from comparisons.runs.scan_slam_source import ScanSlamSources, slam_options
+from comparisons.runs.scan_slam_source import ScanSlamSources, slam_options, usual_options
 from comparisons.runs.timeline import build_timeline
 from ekf_reference.layout import ORIENTED, POINT
 from ekf_reference.scan_landmarks.scan_slam import ScanSlamOptions
@@ -42,7 +42,7 @@ def mapped() -> DenseMapping:
 
 
 def test_the_filter_does_not_feel_the_map() -> None:
-    sources = ScanSlamSources.of(log(), "scans")
+    sources = ScanSlamSources.of(log(), "scans", usual_options(mapped=True))
     assert sources is not None
     timeline = build_timeline(sources.log, None, sources.scans.time_s)
     alone = run_ekf(sources.log, timeline, EkfChoices().settle(sources.log), source=sources())
@@ -100,9 +100,13 @@ def test_a_map_to_enrich_templates_from_hangs_on_the_same_landmarks() -> None:
 
 def test_what_cannot_be_asked_for_is_said_in_a_line() -> None:
     with pytest.raises(InputError, match="--templates is 'rich', expected bare or enriched"):
-        slam_options("rich", "scans")
+        slam_options(None, "rich", "scans")
+    with pytest.raises(InputError, match="--pieces is 'all', expected joined or single"):
+        slam_options("all", "bare", "scans")
+    with pytest.raises(InputError, match="--pieces single goes with --landmarks scans or both"):
+        slam_options("single", "bare", "points")
     with pytest.raises(InputError, match="goes with --landmarks scans or both"):
-        slam_options("enriched", "points")
+        slam_options(None, "enriched", "points")
     with pytest.raises(InputError, match="landmarks 'walls' are unknown"):
         map_log(log(), landmarks="walls")
     with pytest.raises(InputError, match="holds no sightings of landmarks"):

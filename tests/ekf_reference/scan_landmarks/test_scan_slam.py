@@ -11,8 +11,9 @@ from ekf_reference.association import KnownAssociation
 from ekf_reference.full_ekf import NEW, FullEkf
 from ekf_reference.layout import ORIENTED
 from ekf_reference.motion import RelativePoseModel
+from ekf_reference.scan_landmarks.pieces import SingleSegments
 from ekf_reference.scan_landmarks.scan_shape import of_scan
-from ekf_reference.scan_landmarks.scan_slam import GATED, USED, Predicted, ScanSlam, ScanSlamOptions
+from ekf_reference.scan_landmarks.scan_slam import GATED, USED, ScanSlam, ScanSlamOptions
 from ekf_reference.scan_landmarks.segmentation import SegmentationOptions
 from ekf_reference.scan_landmarks.sog import Index, SumOfGaussians
 from ekf_reference.scan_landmarks.templates import BLANK, OUT_OF_VIEW, Template, View
@@ -24,7 +25,8 @@ from tests.helpers import Array, central_difference, relative_error
 VIEW = View(40.0, float(BEAMS[0]), float(BEAMS[-1]))
 MOUNT = np.array((0.4, -0.3, 0.2))
 PRIOR = np.diag((0.05, 0.05, 0.01)) ** 2
-EVERY = ScanSlamOptions(begin_every=1)
+SINGLE = SingleSegments(every=1)
+EVERY = ScanSlamOptions(pieces=SINGLE)
 
 
 @dataclass
@@ -130,7 +132,8 @@ def test_a_template_out_of_view_is_not_aligned() -> None:
 
 @pytest.mark.parametrize("points", [1, 2])
 def test_segments_too_small_for_a_heading_begin_nothing(points: int) -> None:
-    options = replace(EVERY, segmentation=SegmentationOptions(least_points=1), ahead_m=0.0)
+    small = replace(SINGLE, segmentation=SegmentationOptions(least_points=1), ahead_m=0.0)
+    options = replace(EVERY, pieces=small)
     slam, ekf = ScanSlam(LASER, VIEW, MOUNT, options), filter_at(np.zeros(3))
     way = np.full(len(BEAMS), np.nan)
     way[180 : 180 + points] = 5.0
@@ -149,17 +152,6 @@ def test_of_two_identical_templates_each_keeps_its_own_sightings() -> None:
     assert told.slot == [NEW, 0]
     assert USED in slam.found.reasons
     assert slam.found.sightings == {0: 2}
-
-
-def test_a_known_segment_is_no_new_landmark_and_an_unknown_one_is() -> None:
-    slam, ekf, _ = begun()
-    predicted = slam._predict(ekf)
-    shape = slam.found.template[0].shape.transformed(predicted.z[0])
-    assert slam._explained(shape, predicted)
-    away = replace(shape, mean=shape.mean + (0.0, 12.0))
-    assert not slam._explained(away, predicted)
-    nothing = Predicted(predicted.slot[:0], predicted.z[:0], predicted.covariance[:0])
-    assert not slam._explained(shape, nothing)
 
 
 def test_templates_are_enriched_from_a_sigma_on() -> None:

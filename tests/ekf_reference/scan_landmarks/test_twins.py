@@ -11,6 +11,7 @@ from comparisons.logs.simulate.ray_casting import Solids
 from ekf_reference.full_ekf import NEW
 from ekf_reference.layout import ORIENTED
 from ekf_reference.local_map import LocalMap
+from ekf_reference.scan_landmarks.pieces import SingleSegments
 from ekf_reference.scan_landmarks.scan_shape import of_scan
 from ekf_reference.scan_landmarks.scan_slam import USED, ScanSlam, ScanSlamOptions
 from ekf_reference.scan_landmarks.segmentation import segments
@@ -168,7 +169,7 @@ def test_what_may_slide_along_the_other_is_not_fused() -> None:
     assert len(tell.fused) == 1
 
 
-SMALL_ONES = replace(EVERY, apart_m=1.0, explained_m=0.3, tried=4)
+SMALL_ONES = ScanSlamOptions(pieces=SingleSegments(every=1, apart_m=1.0, explained_m=0.3, tried=4))
 
 
 def alike(options: ScanSlamOptions = SMALL_ONES) -> tuple[ScanSlam, Telling]:

@@ -1,0 +1,183 @@
+"""Which pieces of a scan become landmarks (Nieto 2005, sections 5.2.2, 5.2.3 and 5.7).
+
+The thesis takes segments, and on its car park such of a hundred returns of 361. With ranges and
+bearings as noisy as in Table 5.1 the segment of one object tells a heading to a degree and often
+nothing along its wall: all of a scan's segments apart give about a twentieth of the information
+that its returns hold together. `JoinedSegments` fuses at once what section 5.2.3 would fuse later:
+segments of one scan, whose places relative to each other are known as exactly as the scan is.
+`SingleSegments` keeps them apart, on the objects, where regions of a dense map can hang on them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from ekf_reference.scan_landmarks.segmentation import SegmentationOptions, segments
+from ekf_reference.scan_landmarks.sog import Index, SumOfGaussians
+from ekf_reference.scan_landmarks.templates import Template, View, share_in_view
+
+Array = NDArray[np.float64]
+
+
+class Known(NamedTuple):
+    """A landmark in view. z: (3,) where it should be seen, covariance: (3, 3) of that."""
+
+    template: Template
+    z: Array
+    covariance: Array
+
+
+class Pieces(Protocol):
+    """Which returns become landmarks, when, and how much of their templates must be in view.
+
+    visible: only what should be seen of a template is aligned.
+    """
+
+    @property
+    def share(self) -> float:
+        """See View."""
+        ...
+
+    @property
+    def visible(self) -> bool:
+        """See ObservationOptions."""
+        ...
+
+    @property
+    def segmentation(self) -> SegmentationOptions:
+        """Segments, and how pieces are tried."""
+        ...
+
+    def due(self, scans: int, begun: int, used: int) -> bool:
+        """Whether the scan of number `scans` may begin some: the last that did was `begun`.
+
+        used: landmarks that were seen in this one.
+        """
+        ...
+
+    def found(
+        self, scan: SumOfGaussians, view: View, ahead: Array, known: Callable[[], list[Known]]
+    ) -> Iterator[Index]:
+        """Rows of the scan's returns, by piece. ahead: (2,) where the vehicle goes, length one.
+
+        known: the landmarks in view, worked out when asked for.
+        """
+        ...
+
+
+_TRIAL = SegmentationOptions(
+    displacement_m=1.5,
+    displacement_rad=np.deg2rad(20.0),
+    trials=2,
+    residual=0.15,
+    interleaved=False,
+    open_directions=2,
+)
+_JOINED, _SINGLE = (replace(_TRIAL, least_points=least) for least in (8, 15))
+
+
+@dataclass(frozen=True)
+class JoinedSegments:
+    """All segments of a scan in one landmark, as far as they stay in view.
+
+    every: scans between two that begin one, as long as fewer than `enough` are seen; one that sees
+    none always does. ahead_m: what is still in view when the vehicle has gone so far is taken, or
+    half and a quarter of it where that leaves fewer than `least` returns. share: less than the
+    thesis' 90 %, as a view changes sooner than what is seen of one object.
+    """
+
+    every: int = 5
+    enough: int = 5
+    ahead_m: float = 10.0
+    least: int = 50
+    share: float = 0.5
+    visible: bool = True
+    segmentation: SegmentationOptions = _JOINED
+
+    def due(self, scans: int, begun: int, used: int) -> bool:
+        """See Pieces."""
+        return not used or (used < self.enough and scans >= begun + self.every)
+
+    def found(
+        self, scan: SumOfGaussians, view: View, ahead: Array, known: Callable[[], list[Known]]
+    ) -> Iterator[Index]:
+        """See Pieces. One, or none."""
+        parts = segments(scan, self.segmentation)
+        if not parts:
+            return
+        rows = np.concatenate(parts)
+        for share in (1.0, 0.5, 0.25):
+            left = rows[view.sees(scan.mean[rows] - share * self.ahead_m * ahead)]
+            if len(left) >= self.least:
+                yield left
+                return
+
+
+@dataclass(frozen=True)
+class SingleSegments:
+    """A landmark for each segment that no other one explains, the longest first.
+
+    every: scans between two that may begin some. tried: most segments whose quality is tried
+    then. ahead_m: a segment must still be in view when the vehicle has gone so far. apart_m: a new
+    landmark's axis is at least so far from all others; explained_m: a return that is nearer to a
+    template's point is that landmark's, and explained: a segment with such a share of these is no
+    new one; the landmark's uncertainty is added to both distances. share: the thesis' 90 %.
+    """
+
+    every: int = 2
+    tried: int = 2
+    ahead_m: float = 3.0
+    apart_m: float = 4.0
+    explained_m: float = 1.0
+    explained: float = 0.5
+    share: float = 0.9
+    visible: bool = False
+    segmentation: SegmentationOptions = _SINGLE
+
+    def due(self, scans: int, begun: int, used: int) -> bool:
+        """See Pieces."""
+        return self.every == 1 or scans % self.every == 1
+
+    def found(
+        self, scan: SumOfGaussians, view: View, ahead: Array, known: Callable[[], list[Known]]
+    ) -> Iterator[Index]:
+        """See Pieces."""
+        in_view, tried = known(), 0
+        for rows in sorted(segments(scan, self.segmentation), key=len, reverse=True):
+            if tried >= self.tried:
+                return
+            segment = scan.take(rows)
+            if self._passing(segment, scan, view, ahead) or self._explained(segment, in_view):
+                continue
+            tried += 1
+            yield rows
+
+    def _passing(
+        self, segment: SumOfGaussians, scan: SumOfGaussians, view: View, ahead: Array
+    ) -> bool:
+        """Whether a segment is about to leave the view."""
+        if len(segment) < 3:
+            return True
+        then = np.append(segment.centroid - self.ahead_m * ahead, 0.0)
+        shape = replace(segment, mean=segment.mean - segment.centroid)
+        nothing = scan.take(np.zeros(0, dtype=np.intp))
+        return share_in_view(Template(shape, then), nothing, then, view) < view.share
+
+    def _explained(self, segment: SumOfGaussians, known: list[Known]) -> bool:
+        """Whether a segment is too near to a landmark's axis, or mostly its template's."""
+        for template, z, covariance in known:
+            shape = template.shape
+            turned = covariance[2, 2] * shape.lever_m**2
+            sigma = np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1] + turned)
+            if np.hypot(*(z[:2] - segment.centroid)) < self.apart_m + 2.0 * sigma:
+                return True
+            away = cKDTree(shape.transformed(z).mean).query(segment.mean)[0]
+            if np.mean(away < self.explained_m + 2.0 * sigma) > self.explained:
+                return True
+        return False
