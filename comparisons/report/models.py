@@ -246,14 +246,17 @@ class ScanLandmarkResult(LandmarkResult):
 class ScanSlamResult(Model):
     """Scan-SLAM. scans: looked at. rejected: segments that failed their trial.
 
-    fused: landmarks found to be others. sightings: how often a landmark near the scanner was used,
-    or why not.
+    pieces: whether all segments of a scan are one landmark, or each its own. fused: landmarks
+    found to be others. enriched: alignments that began where what stands around fits. sightings:
+    how often a landmark near the scanner was used, or why not.
     """
 
     scans: int
     landmarks: list[ScanLandmarkResult]
     rejected: int
     fused: int = 0
+    enriched: int = 0
+    pieces: str = "single"
     sightings: dict[str, int]
 
 

@@ -50,6 +50,8 @@ def scan_slam_result(c: Comparison) -> ScanSlamResult | None:
         ],
         rejected=found.rejected,
         fused=found.fused,
+        enriched=found.enriched,
+        pieces=c.scan_slam.pieces,
         sightings=dict(found.reasons),
     )
 
@@ -62,8 +64,9 @@ def scan_slam_rows(result: ScanSlamResult) -> list[tuple[str, str]]:
         (
             "scan landmarks",
             f"{agreeing} of {len(result.landmarks)} agree; {result.scans:,} scans, "
-            f"{result.rejected} segments rejected"
-            + (f", {result.fused} landmarks fused with others" if result.fused else ""),
+            f"{result.pieces} segments, {result.rejected} rejected"
+            + (f", {result.fused} landmarks fused with others" if result.fused else "")
+            + (f", {result.enriched:,} alignments enriched" if result.enriched else ""),
         ),
         ("their sightings", ", ".join(told) or "none"),
     ]

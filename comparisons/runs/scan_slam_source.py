@@ -34,7 +34,7 @@ Index = NDArray[np.intp]
 LANDMARKS = {"points": (POINT,), "scans": (ORIENTED,), "both": (POINT, ORIENTED)}
 """What the landmarks are: the log's sightings of points, pieces of its scans, or both; and the
 kinds that regions of a dense map hang on, by width."""
-PIECES: dict[str, Pieces] = {"joined": JoinedSegments(), "single": SingleSegments()}
+PIECES: dict[str, Pieces] = {one.name: one for one in (JoinedSegments(), SingleSegments())}
 """Which returns of a scan become one landmark."""
 ENRICH_M = 1.0
 """Sigma of where a landmark should be seen, from which on its template alone may be fragile."""
@@ -182,6 +182,11 @@ class ScanSlamSource:
     def found(self) -> ScanLandmarks:
         """Templates, and what became of their sightings."""
         return self._slam.found
+
+    @property
+    def pieces(self) -> str:
+        """Of PIECES."""
+        return self._slam.options.pieces.name
 
     def stepping(self, ekf: FullEkf, time_s: float, control: Array, duration_s: float) -> None:
         """The map, if there is one, takes in the scans of the interval."""

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol
+from typing import ClassVar, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,11 @@ class Pieces(Protocol):
 
     visible: only what should be seen of a template is aligned.
     """
+
+    @property
+    def name(self) -> str:
+        """One word."""
+        ...
 
     @property
     def share(self) -> float:
@@ -92,6 +97,7 @@ class JoinedSegments:
     thesis' 90 %, as a view changes sooner than what is seen of one object.
     """
 
+    name: ClassVar[str] = "joined"
     every: int = 5
     enough: int = 5
     ahead_m: float = 10.0
@@ -130,6 +136,7 @@ class SingleSegments:
     new one; the landmark's uncertainty is added to both distances. share: the thesis' 90 %.
     """
 
+    name: ClassVar[str] = "single"
     every: int = 2
     tried: int = 2
     ahead_m: float = 3.0
