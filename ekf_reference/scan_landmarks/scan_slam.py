@@ -50,7 +50,7 @@ GATE = 11.345
 """Chi-square, 99 % of three degrees of freedom."""
 
 _PIECES, _OBSERVATION, _ALIGNMENT = JoinedSegments(), ObservationOptions(), AlignmentOptions()
-_BELIEF = CovarianceOptions(neighbourhood_m=1.0)
+_BELIEF = CovarianceOptions(neighbourhood_m=1.0, beyond_chance=3.0)
 
 
 class Teller(Protocol):
