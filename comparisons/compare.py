@@ -159,6 +159,10 @@ def compare_estimators(
         raise InputError(f"smoother matcher '{smoother_matcher}' is unknown, expected ekf or own")
     if smoother_matcher == "own" and landmarks == "points":
         raise InputError("--smoother-matcher own goes with --landmarks scans or both")
+    if landmarks == "scans" and chosen.attributes != "off":
+        raise InputError(
+            f"--attributes {chosen.attributes} tells points apart; use --landmarks points or both"
+        )
     if landmarks != "points" and high_level is not None:
         raise InputError("--high-level on goes with --landmarks points only")
     if landmarks == "points" and fuse_landmarks:

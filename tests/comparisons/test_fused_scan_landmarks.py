@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -14,8 +16,11 @@ from comparisons.logs.log import Log
 from comparisons.logs.simulate.scan_drive import dense_slam, simulate
 from comparisons.report.result import build_result
 from comparisons.runs.ekf_build import EkfChoices
+from comparisons.runs.ekf_run import run_ekf
 from comparisons.runs.oriented_sightings import OrientedLedger
-from comparisons.runs.scan_slam_source import LogScans, ScanSlamSource
+from comparisons.runs.scan_slam_source import LogScans, ScanSlamSource, ScanSlamSources
+from comparisons.runs.template_sightings import own_sightings
+from comparisons.runs.timeline import build_timeline
 from ekf_reference.compressed_ekf import CompressedState, LocalAreas
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.local_map import LocalMap
@@ -96,3 +101,21 @@ def test_it_is_an_option_and_counted() -> None:
     assert sum(row.sightings for row in slam.landmarks) == slam.sightings["used"] + begun
     with pytest.raises(InputError, match="--fuse-landmarks on goes with --landmarks scans or both"):
         compare_estimators(log(), fuse_landmarks=True)
+
+
+def test_the_smoothers_own_matcher_has_templates_of_one_scan_each(
+    open3d_library: ModuleType,
+) -> None:
+    """Fused ones are of two, and a number is missing for each."""
+    eager = replace(CARELESS, pieces=replace(CARELESS.pieces, every=1))  # type: ignore[type-var]
+    sources = ScanSlamSources.of(log(), "scans", eager, FusingOptions())
+    assert sources is not None
+    timeline = build_timeline(sources.log, None, sources.scans.time_s)
+    run = run_ekf(sources.log, timeline, EkfChoices().settle(sources.log), source=sources())
+    made = sources.first.found
+    assert made.fused >= 2
+    assert sorted(made.begun) == list(range(len(made.template) + made.fused))
+    problem, own = own_sightings(sources.log, run, made.begun)
+    assert set(own.alignments.landmark.tolist()) == set(made.begun)
+    assert problem.oriented.count == len(made.begun)
+    assert not len(problem.oriented.twins.first)
