@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import cache
 from types import ModuleType
 
@@ -16,11 +15,8 @@ from comparisons.logs.log import Log
 from comparisons.logs.simulate.scan_drive import dense_slam, simulate
 from comparisons.report.result import build_result
 from comparisons.runs.ekf_build import EkfChoices
-from comparisons.runs.ekf_run import run_ekf
 from comparisons.runs.oriented_sightings import OrientedLedger
-from comparisons.runs.scan_slam_source import LogScans, ScanSlamSource, ScanSlamSources
-from comparisons.runs.template_sightings import own_sightings
-from comparisons.runs.timeline import build_timeline
+from comparisons.runs.scan_slam_source import LogScans, ScanSlamSource
 from ekf_reference.compressed_ekf import CompressedState, LocalAreas
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.local_map import LocalMap
@@ -29,7 +25,9 @@ from ekf_reference.scan_landmarks.scan_slam import ScanSlamOptions
 from ekf_reference.scan_landmarks.twins import FusingOptions
 from tests.helpers import Array, first_seconds
 
-CARELESS = ScanSlamOptions(pieces=SingleSegments(apart_m=-100.0, explained=2.0))
+CARELESS = ScanSlamOptions(
+    pieces=SingleSegments(every=1, tried=6, ahead_m=0.0, apart_m=-100.0, explained=2.0)
+)
 """Begins landmarks where there are some: twins, and many of them."""
 
 
@@ -91,31 +89,22 @@ def test_what_the_smoother_is_not_told_is_found(monkeypatch: pytest.MonkeyPatch)
     assert [cause.gap for cause in broken.verdict.causes] == ["model"]
 
 
-def test_it_is_an_option_and_counted() -> None:
-    """The whole job: points and scans, with fusing and without, and what it does not go with."""
-    found = compare_estimators(log(), landmarks="both", fuse_landmarks=True)
-    slam = build_result(found, 0.0).scan_slam
+def test_it_is_an_option_and_counted(open3d_library: ModuleType) -> None:
+    """The whole job, what it does not go with, and the smoother's own matcher beside it.
+
+    That one has templates of one scan each: fused ones are of two, and leave gaps in the numbers.
+    """
+    found = compare_estimators(
+        log(), landmarks="both", slam_options=CARELESS, fuse_landmarks=True, smoother_matcher="own"
+    )
+    result = build_result(found, 0.0)
+    slam, own = result.scan_slam, result.own_matching
     assert slam is not None
-    assert slam.fused == len(found.ekf.oriented.twins.first)
+    assert own is not None
+    assert slam.fused == len(found.ekf.oriented.twins.first) >= 2
     begun = len(slam.landmarks) + slam.fused
     assert sum(row.sightings for row in slam.landmarks) == slam.sightings["used"] + begun
+    assert own.reasons["begun"] == begun
+    assert own.ekf.landmarks == len(slam.landmarks)
     with pytest.raises(InputError, match="--fuse-landmarks on goes with --landmarks scans or both"):
         compare_estimators(log(), fuse_landmarks=True)
-
-
-def test_the_smoothers_own_matcher_has_templates_of_one_scan_each(
-    open3d_library: ModuleType,
-) -> None:
-    """Fused ones are of two, and a number is missing for each."""
-    eager = replace(CARELESS, pieces=replace(CARELESS.pieces, every=1))  # type: ignore[type-var]
-    sources = ScanSlamSources.of(log(), "scans", eager, FusingOptions())
-    assert sources is not None
-    timeline = build_timeline(sources.log, None, sources.scans.time_s)
-    run = run_ekf(sources.log, timeline, EkfChoices().settle(sources.log), source=sources())
-    made = sources.first.found
-    assert made.fused >= 2
-    assert sorted(made.begun) == list(range(len(made.template) + made.fused))
-    problem, own = own_sightings(sources.log, run, made.begun)
-    assert set(own.alignments.landmark.tolist()) == set(made.begun)
-    assert problem.oriented.count == len(made.begun)
-    assert not len(problem.oriented.twins.first)
