@@ -167,6 +167,12 @@ def compare_estimators(
         raise InputError("--high-level on goes with --landmarks points only")
     if landmarks == "points" and fuse_landmarks:
         raise InputError("--fuse-landmarks on goes with --landmarks scans or both")
+    if fuse_landmarks and (dense is not None or dynamic or chosen.attributes == "layer"):
+        # Regions that hang on a landmark that was fused would stay behind.
+        raise InputError(
+            "--fuse-landmarks on goes without --dense, --dynamic on and --attributes layer: "
+            "regions of a map hang on scan landmarks for good"
+        )
     if motion != "scan" and not len(log.odometry.time_s):
         raise InputError(f"{log.name}: holds no odometry; use --motion scan")
     scanned = None

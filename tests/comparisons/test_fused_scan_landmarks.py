@@ -14,6 +14,7 @@ from comparisons.errors import InputError
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.scan_drive import dense_slam, simulate
 from comparisons.report.result import build_result
+from comparisons.runs.dense_run import DenseOptions
 from comparisons.runs.ekf_build import EkfChoices
 from comparisons.runs.oriented_sightings import OrientedLedger
 from comparisons.runs.scan_slam_source import LogScans, ScanSlamSource
@@ -108,3 +109,8 @@ def test_it_is_an_option_and_counted(open3d_library: ModuleType) -> None:
     assert own.ekf.landmarks == len(slam.landmarks)
     with pytest.raises(InputError, match="--fuse-landmarks on goes with --landmarks scans or both"):
         compare_estimators(log(), fuse_landmarks=True)
+    with pytest.raises(InputError, match="regions of a map hang on scan landmarks for good"):
+        compare_estimators(log(), landmarks="scans", fuse_landmarks=True, dynamic=True)
+    points = DenseOptions(("points",))
+    with pytest.raises(InputError, match="goes without --dense"):
+        compare_estimators(log(), landmarks="scans", fuse_landmarks=True, dense=points)
