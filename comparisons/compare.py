@@ -159,10 +159,20 @@ def compare_estimators(
         raise InputError(f"smoother matcher '{smoother_matcher}' is unknown, expected ekf or own")
     if smoother_matcher == "own" and landmarks == "points":
         raise InputError("--smoother-matcher own goes with --landmarks scans or both")
+    if landmarks == "scans" and chosen.attributes != "off":
+        raise InputError(
+            f"--attributes {chosen.attributes} tells points apart; use --landmarks points or both"
+        )
     if landmarks != "points" and high_level is not None:
         raise InputError("--high-level on goes with --landmarks points only")
     if landmarks == "points" and fuse_landmarks:
         raise InputError("--fuse-landmarks on goes with --landmarks scans or both")
+    if fuse_landmarks and (dense is not None or dynamic or chosen.attributes == "layer"):
+        # Regions that hang on a landmark that was fused would stay behind.
+        raise InputError(
+            "--fuse-landmarks on goes without --dense, --dynamic on and --attributes layer: "
+            "regions of a map hang on scan landmarks for good"
+        )
     if motion != "scan" and not len(log.odometry.time_s):
         raise InputError(f"{log.name}: holds no odometry; use --motion scan")
     scanned = None

@@ -72,7 +72,7 @@ def with_own_matching(
 
     Its sightings take the place of the filter's, so that no scan counts twice.
     """
-    problem, found = own_sightings(log, run, slam.found.template, progress)
+    problem, found = own_sightings(log, run, slam.found.begun, progress)
     result = smooth(problem, {}, options=options)
     ids = run.estimate.landmark_id
     estimate = smoothed_estimate(result, run.timeline.epoch_time_s, ids, "the EKF's")

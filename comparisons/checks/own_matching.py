@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.stats import chi2, f
 
 from comparisons.checks.accuracy import Accuracy, aligned
 from comparisons.checks.agreement import BlockAgreement, Gaussian, block_agreement
@@ -33,7 +33,8 @@ LEAST_SEEN = 3
 _NOTHING = np.eye(3) / 2.0**2
 """Information that no difference is expected, to 2 m and rad: along what a shape leaves open both
 alignments stay where they were begun, and their difference there is not told."""
-_SHIFT = float(chi2.ppf(0.999, 3))
+_SHIFTED = 0.999
+"""Certainty at which all alignments are shifted."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,8 @@ class OwnMatchingCheck:
     one landmark in one scan that both made. squared: (C,) squared distances of these by the sum of
     both covariances. landmarks: farthest apart first. shift: (3,) what all differences have in
     common, few landmarks that contradict left out; shift_squared: its squared distance, 0 for
-    fewer than three landmarks. ekf, smoother: each of the two against S'', all scan landmarks that
+    fewer than three landmarks; shift_freedom: degrees of freedom of the scatter that this is by.
+    ekf, smoother: each of the two against S'', all scan landmarks that
     they share. pose: S against S'' in the last pose, by the sum of both covariances. path_rms_m:
     between the paths of the EKF and S'', and of S and S''. estimate, proof, accuracy: of S''.
     alignments: the own ones, as the matcher made them. reasons: what became of the own matches.
@@ -80,6 +82,7 @@ class OwnMatchingCheck:
     landmarks: tuple[LandmarkMatching, ...]
     shift: Array
     shift_squared: float
+    shift_freedom: int
     ekf: Pair
     smoother: Pair
     pose: BlockAgreement
@@ -97,8 +100,9 @@ class OwnMatchingCheck:
 
     @property
     def shifted(self) -> bool:
-        """Whether all alignments are shifted together."""
-        return self.shift_squared > _SHIFT
+        """Whether all alignments are shifted together: F, for the scatter is measured, too."""
+        freedom = self.shift_freedom
+        return freedom > 0 and self.shift_squared > 3.0 * float(f.ppf(_SHIFTED, 3, freedom))
 
     @property
     def estimates_agree(self) -> bool:
@@ -158,23 +162,23 @@ def check_own_matching(
     )
 
 
-def common_shift(slot: Index, difference: Array, information: Array) -> tuple[Array, float]:
-    """What differences (C, 3) have in common, (3,), and its squared distance.
+def common_shift(slot: Index, difference: Array, information: Array) -> tuple[Array, float, int]:
+    """What differences (C, 3) have in common, (3,), its squared distance, the scatter's freedom.
 
     slot: (C,) whose they are. information: (C, 3, 3) of each. A template's differences count as
     one, and the scatter about the shift is measured: it is less than stated, as the noise of scan
-    and template is shared. Fewer than three landmarks have nothing in common: 0.
+    and template is shared. Fewer than three landmarks have nothing in common: 0, 0.
     """
     slots, which, count = np.unique(slot, return_inverse=True, return_counts=True)
     if len(slots) < LEAST_SEEN:
-        return np.zeros(3), 0.0
+        return np.zeros(3), 0.0, 0
     weight = information / count[which][:, None, None]
     total = weight.sum(axis=0)
     shift = np.linalg.solve(total, np.einsum("nij,nj->i", weight, difference))
     rest = difference - shift
-    freedom = 3.0 * (len(slots) - 1)
+    freedom = 3 * (len(slots) - 1)
     scatter = float(np.einsum("ni,nij,nj->", rest, weight, rest)) / freedom
-    return shift, float(shift @ total @ shift) / max(scatter, np.finfo(float).tiny)
+    return shift, float(shift @ total @ shift) / max(scatter, np.finfo(float).tiny), freedom
 
 
 def compare_frames(first: Estimate, second: Estimate) -> Pair:

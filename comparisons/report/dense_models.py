@@ -37,13 +37,14 @@ class DenseRegionResult(Model):
 class HighLevelResult(Model):
     """High level landmarks. See comparisons.runs.high_level_source.HighLevelRun.
 
-    corners, pairs: of all searches. found: accepted by one. kept: seen again, and since then in the
-    state. looks: at those within reach, by outcome, `seen` among them.
+    corners, pairs: of all searches, None in results of before they were counted. found: accepted by
+    one. kept: seen again, and since then in the state. looks: at those within reach, by outcome,
+    `seen` among them.
     """
 
     searches: int
-    corners: int
-    pairs: int
+    corners: int | None = None
+    pairs: int | None = None
     candidates: int
     poor: int
     found: int

@@ -275,13 +275,14 @@ class DenseWatcher:
         return _is_dynamic(self._dense, self._dense.landmark, point)
 
     def values_at(self, slot: NDArray[np.intp]) -> PlaceValues:
-        """What the layer of values holds around landmarks (L,), for the filter's association.
+        """What the layer of values holds around points by slot (L,), for the filter's association.
 
         Raises KeyError without that layer.
         """
         layer, landmark = self._dense.layers["values"], self._dense.landmark
         placed = self._dense.regions.placed(landmark)
-        return cast(Values, layer).around(landmark[slot], placed, AROUND_M)
+        number = len(self._kinds) * slot + self._kinds.index(POINT)  # see Layout.numbered
+        return cast(Values, layer).around(landmark[number], placed, AROUND_M)
 
     @property
     def moves(self) -> Counters:

@@ -79,6 +79,10 @@ class CloudsAt(Mapping[int, Array]):
         """(M, 3) points."""
         return self._options.prepared(self._source.points(self._scan[pose]))
 
+    def __contains__(self, pose: object) -> bool:
+        """Whether there is a scan of it; nothing is made, and a blank one counts."""
+        return pose in self._scan
+
     def __iter__(self) -> Iterator[int]:
         """Poses in order."""
         return iter(self._scan)

@@ -39,8 +39,9 @@ def own_sightings(
     """What the smoother is to solve, its scan landmarks sighted by Open3D's generalised ICP.
 
     Of the filter it takes which returns of which scan a template was made of, and where its axis
-    was put; none of its alignments, and no pose. templates: by slot. Raises ValueError for a log
-    without planar scans, and graphslam.scan.open3d_library.Open3dMissingError.
+    was put; none of its alignments, no pose, and not which landmarks it fused. templates: by slot,
+    as they were begun. Raises ValueError for a log without planar scans, and
+    graphslam.scan.open3d_library.Open3dMissingError.
     """
     if log.scans is None:
         raise ValueError("the log has no planar scans")

@@ -97,13 +97,14 @@ class Predicted(NamedTuple):
 class ScanLandmarks:
     """What a run has gathered. template: by slot. sightings: used, by slot.
 
-    reasons: how often a landmark near the scanner was USED, or why not. rejected: pieces
-    that failed their trial. scans: looked at. enriched: alignments
-    that began where what stands around the landmark fits. fused: how many landmarks were found to
-    be others.
+    begun: templates by slot as they were begun, each of one scan, those of landmarks that were
+    fused since among them. reasons: how often a landmark near the scanner was USED, or why not.
+    rejected: pieces that failed their trial. scans: looked at. enriched: alignments that began
+    where what stands around the landmark fits. fused: how many landmarks were found to be others.
     """
 
     template: dict[int, Template] = field(default_factory=dict)
+    begun: dict[int, Template] = field(default_factory=dict)
     sightings: Counter[int] = field(default_factory=Counter)
     reasons: Counter[str] = field(default_factory=Counter)
     rejected: int = 0
@@ -230,7 +231,7 @@ class ScanSlam:
                 continue
             template = Template.of_segment(scan, rows)
             slot = self._told(tell, [(NEW, template.pose, found.covariance)])
-            self.found.template[slot] = template
+            self.found.template[slot] = self.found.begun[slot] = template
             self._begun = self.found.scans
 
     def _told(self, tell: Teller, seen: list[tuple[int, Array, Array]]) -> int:

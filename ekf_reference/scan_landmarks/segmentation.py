@@ -25,7 +25,8 @@ class SegmentationOptions:
     segment; the thesis has 100 on its car park. displacement_m, displacement_rad: standard
     deviations of the random motions that copies are given. trials: copies. residual: share of the
     displacement below which an alignment's error must stay; the thesis has a tenth. ambiguous:
-    greatest second maximum over the best. interleaved: every second return is copied and registered
+    greatest second maximum over the best. open_directions: most of x, y and heading that a segment
+    may leave open. interleaved: every second return is copied and registered
     with the others; else all are, with all, as the thesis has it. Where noise is as large as the
     spacing of returns a copy shares little with what it is laid onto, and half of a segment does
     not show its corners.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from comparisons.errors import InputError
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.scan_drive import dense_slam, simulate
 from comparisons.report.result import build_result
+from comparisons.runs.dense_run import DenseOptions
 from comparisons.runs.ekf_build import EkfChoices
 from comparisons.runs.oriented_sightings import OrientedLedger
 from comparisons.runs.scan_slam_source import LogScans, ScanSlamSource
@@ -24,7 +26,9 @@ from ekf_reference.scan_landmarks.scan_slam import ScanSlamOptions
 from ekf_reference.scan_landmarks.twins import FusingOptions
 from tests.helpers import Array, first_seconds
 
-CARELESS = ScanSlamOptions(pieces=SingleSegments(apart_m=-100.0, explained=2.0))
+CARELESS = ScanSlamOptions(
+    pieces=SingleSegments(every=1, tried=6, ahead_m=0.0, apart_m=-100.0, explained=2.0)
+)
 """Begins landmarks where there are some: twins, and many of them."""
 
 
@@ -86,13 +90,27 @@ def test_what_the_smoother_is_not_told_is_found(monkeypatch: pytest.MonkeyPatch)
     assert [cause.gap for cause in broken.verdict.causes] == ["model"]
 
 
-def test_it_is_an_option_and_counted() -> None:
-    """The whole job: points and scans, with fusing and without, and what it does not go with."""
-    found = compare_estimators(log(), landmarks="both", fuse_landmarks=True)
-    slam = build_result(found, 0.0).scan_slam
+def test_it_is_an_option_and_counted(open3d_library: ModuleType) -> None:
+    """The whole job, what it does not go with, and the smoother's own matcher beside it.
+
+    That one has templates of one scan each: fused ones are of two, and leave gaps in the numbers.
+    """
+    found = compare_estimators(
+        log(), landmarks="both", slam_options=CARELESS, fuse_landmarks=True, smoother_matcher="own"
+    )
+    result = build_result(found, 0.0)
+    slam, own = result.scan_slam, result.own_matching
     assert slam is not None
-    assert slam.fused == len(found.ekf.oriented.twins.first)
+    assert own is not None
+    assert slam.fused == len(found.ekf.oriented.twins.first) >= 2
     begun = len(slam.landmarks) + slam.fused
     assert sum(row.sightings for row in slam.landmarks) == slam.sightings["used"] + begun
+    assert own.reasons["begun"] == begun
+    assert own.ekf.landmarks == len(slam.landmarks)
     with pytest.raises(InputError, match="--fuse-landmarks on goes with --landmarks scans or both"):
         compare_estimators(log(), fuse_landmarks=True)
+    with pytest.raises(InputError, match="regions of a map hang on scan landmarks for good"):
+        compare_estimators(log(), landmarks="scans", fuse_landmarks=True, dynamic=True)
+    points = DenseOptions(("points",))
+    with pytest.raises(InputError, match="goes without --dense"):
+        compare_estimators(log(), landmarks="scans", fuse_landmarks=True, dense=points)

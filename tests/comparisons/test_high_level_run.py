@@ -15,6 +15,7 @@ from comparisons.compare import Comparison, compare_estimators
 from comparisons.errors import InputError
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
+from comparisons.report.dense_models import HighLevelResult
 from comparisons.report.result import build_result
 from comparisons.runs.dense_run import DenseOptions
 from comparisons.runs.ekf_build import EkfChoices
@@ -180,3 +181,9 @@ def test_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert result["high_level"]["searches"] == 2
     page = (tmp_path / "out" / "report.html").read_text()
     assert "high level" in page
+
+
+def test_results_of_before_corners_were_counted_are_read() -> None:
+    """Of a run side by side with an older one."""
+    told = {"searches": 3, "candidates": 2, "poor": 1, "found": 1, "kept": 1, "looks": {"seen": 4}}
+    assert HighLevelResult.model_validate(told).corners is None

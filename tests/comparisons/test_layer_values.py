@@ -24,6 +24,7 @@ from ekf_reference.attributes import AttributeEstimates, LayerAttributes
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.joint_compatibility import JointCompatibility
 from ekf_reference.kalman import KalmanState
+from ekf_reference.layout import ORIENTED, POINT
 from ekf_reference.observation import RangeBearing
 from ekf_reference.sightings import SightedAttributes, Sightings
 from tests.helpers import Array, simulated
@@ -149,6 +150,24 @@ def _wrong(slot: np.ndarray, label: np.ndarray) -> int:
         used = slot[(label == one) & (slot >= 0)]
         wrong += len(used) - int(np.bincount(used).max())
     return wrong
+
+
+def test_a_map_on_both_kinds_of_landmarks_tells_the_same_of_points() -> None:
+    """Its landmarks have other numbers there than among points alone."""
+    log, found = drive(), []
+    for kinds in ((POINT,), (POINT, ORIENTED)):
+        watcher = DenseWatcher(log, DenseOptions(("values",)), kinds=kinds)
+        run = run_ekf(log, build_timeline(log), LAYER.settle(log), watcher=watcher, layer=watcher)
+        slot = np.arange(len(run.estimate.landmark))
+        found.append((run.slot, *watcher.values_at(slot)))
+    assert np.isfinite(found[0][1]).sum() >= 5
+    for alone, both in zip(*found, strict=True):
+        np.testing.assert_array_equal(alone, both)
+
+
+def test_points_alone_have_attributes() -> None:
+    with pytest.raises(InputError, match="--attributes layer tells points apart"):
+        compare_estimators(drive(), LAYER, landmarks="scans")
 
 
 def test_both_estimators_follow_an_association_by_a_layer() -> None:

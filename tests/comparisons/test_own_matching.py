@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.stats import chi2, f
 
 from comparisons.checks.own_matching import check_own_matching, common_shift, compare_frames
 from comparisons.compare import Comparison, compare_estimators
@@ -154,6 +155,20 @@ def test_it_is_reported(tmp_path: Path, open3d_library: ModuleType) -> None:
     assert (tmp_path / "out" / "own-matcher" / "scan_landmarks.csv").exists()
 
 
+def test_a_blank_scan_is_no_alignment(open3d_library: ModuleType) -> None:
+    short = first_seconds(log(), 5.0)
+    assert short.scans is not None
+    blank = short.scans.range_m.copy()
+    blank[7] = np.nan  # no return
+    blank[12, 3:] = np.nan  # too few
+    blanked = replace(short, scans=replace(short.scans, range_m=blank))
+    c = compare_estimators(blanked, landmarks="scans", smoother_matcher="own")
+    assert c.own_matching is not None
+    seen = c.ekf.timeline.epoch_time_s[c.own_matching.alignments.pose]
+    assert len(np.unique(seen)) > 10
+    assert not np.isin(seen, short.scans.time_s[[7, 12]]).any()
+
+
 def test_what_cannot_be_used_is_said_in_a_line() -> None:
     with pytest.raises(InputError, match="--smoother-matcher own goes with --landmarks scans"):
         compare_estimators(simulated(), smoother_matcher="own")
@@ -161,28 +176,38 @@ def test_what_cannot_be_used_is_said_in_a_line() -> None:
         compare_estimators(log(), landmarks="scans", smoother_matcher="kiss")
 
 
-def differences(rng: np.random.Generator, shift: Array) -> tuple[Index, Array, Array]:
-    """Of eight landmarks, those of one alike but for little, as shared noise makes them."""
-    slot: Index = np.repeat(np.arange(8), 12)
-    of_landmark = 0.04 * rng.standard_normal((8, 3))
+def differences(
+    rng: np.random.Generator, shift: Array, landmarks: int
+) -> tuple[Index, Array, Array]:
+    """Those of one landmark alike but for little, as shared noise makes them."""
+    slot: Index = np.repeat(np.arange(landmarks), 12)
+    of_landmark = 0.04 * rng.standard_normal((landmarks, 3))
     own = of_landmark[slot] + 0.01 * rng.standard_normal((len(slot), 3))
     return slot, own + shift, np.tile(np.eye(3) / 0.1**2, (len(slot), 1, 1))
 
 
-def test_a_common_shift_is_found_and_no_other() -> None:
-    limit = 16.27
-    above = [
-        common_shift(*differences(np.random.default_rng(s), np.zeros(3)))[1] for s in range(99)
-    ]
-    assert (
-        np.mean(np.array(above) > limit) <= 0.08
-    )  # eight landmarks tell their own scatter roughly
-    moved = np.array((0.0, 0.0, 0.08))
-    shift, squared = common_shift(*differences(np.random.default_rng(0), moved))
-    assert squared > limit
-    np.testing.assert_allclose(shift, moved, atol=0.05)
-    slot, d, information = differences(np.random.default_rng(0), moved)
-    assert common_shift(slot % 2, d, information)[1] == 0.0  # two have nothing in common
+@pytest.mark.parametrize("landmarks", [3, 8])
+def test_a_common_shift_is_found_and_no_other(landmarks: int) -> None:
+    """However few landmarks tell the scatter: for three, chi-square's limit is too low."""
+
+    def told(seed: int, moved: float) -> tuple[Array, float, int]:
+        rng = np.random.default_rng(seed)
+        return common_shift(*differences(rng, np.array((0.0, 0.0, moved)), landmarks))
+
+    none = [told(seed, 0.0) for seed in range(300)]
+    assert {freedom for *_, freedom in none} == {3 * (landmarks - 1)}
+    limit = 3.0 * f.ppf(0.999, 3, 3 * (landmarks - 1))
+    squared = np.array([value for _, value, _ in none])
+    assert np.mean(squared > limit) <= 0.01
+    assert (np.mean(squared > chi2.ppf(0.999, 3)) > 0.015) == (landmarks == 3)
+    shift, found, _ = told(0, 0.5)
+    assert found > limit
+    np.testing.assert_allclose(shift, (0.0, 0.0, 0.5), atol=0.07)
+
+
+def test_two_landmarks_have_nothing_in_common() -> None:
+    slot, d, information = differences(np.random.default_rng(0), np.full(3, 0.5), 8)
+    assert common_shift(slot % 2, d, information)[1:] == (0.0, 0)
 
 
 def frames(place: Array, sigma: float) -> Estimate:
