@@ -246,6 +246,7 @@ class ScanLandmarkResult(LandmarkResult):
 class ScanSlamResult(Model):
     """Scan-SLAM. scans: looked at. rejected: segments that failed their trial.
 
+    dynamic: returns left out since something moves there.
     pieces: whether all segments of a scan are one landmark, or each its own. fused: landmarks
     found to be others. enriched: alignments that began where what stands around fits. sightings:
     how often a landmark near the scanner was used, or why not.
@@ -254,6 +255,7 @@ class ScanSlamResult(Model):
     scans: int
     landmarks: list[ScanLandmarkResult]
     rejected: int
+    dynamic: int = 0
     fused: int = 0
     enriched: int = 0
     pieces: str = "single"

@@ -49,6 +49,7 @@ def scan_slam_result(c: Comparison) -> ScanSlamResult | None:
             for i, b in enumerate(c.agreement.oriented)
         ],
         rejected=found.rejected,
+        dynamic=found.dynamic,
         fused=found.fused,
         enriched=found.enriched,
         pieces=c.scan_slam.pieces,
@@ -66,6 +67,7 @@ def scan_slam_rows(result: ScanSlamResult) -> list[tuple[str, str]]:
             f"{agreeing} of {len(result.landmarks)} agree; {result.scans:,} scans, "
             f"{result.pieces} segments, {result.rejected} rejected"
             + (f", {result.fused} landmarks fused with others" if result.fused else "")
+            + (f", {result.dynamic:,} returns left out that move" if result.dynamic else "")
             + (f", {result.enriched:,} alignments enriched" if result.enriched else ""),
         ),
         ("their sightings", ", ".join(told) or "none"),

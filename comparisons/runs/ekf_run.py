@@ -15,7 +15,7 @@ from comparisons.runs.drive import Watcher, Watchers, drive
 from comparisons.runs.ekf_build import EkfChoices, build_ekf
 from comparisons.runs.estimate import Array, Estimate
 from comparisons.runs.known_landmarks import surveyed
-from comparisons.runs.oriented_sightings import OrientedLedger, OrientedSource
+from comparisons.runs.oriented_sightings import GuardedSource, OrientedLedger, OrientedSource
 from comparisons.runs.timeline import Timeline
 from ekf_reference.association import AMBIGUOUS, CANDIDATE, DYNAMIC, REJECTED
 from ekf_reference.attributes import LayerValues
@@ -111,6 +111,8 @@ def run_ekf(
     retired: set[int] = set()
     if guard is not None:
         ekf.association = StaticSightings(ekf.association, guard, retired)
+        if isinstance(source, GuardedSource):
+            source.keep_from(guard)
     watching = Watchers([one for one in (watcher, source) if isinstance(one, Watcher)])
     ekf.insert_surveyed(*surveyed(log)[1:])
     epochs = len(timeline.epoch_time_s)

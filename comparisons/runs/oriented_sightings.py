@@ -6,11 +6,12 @@ makes them hands them to the filter by way of a ledger, from which the smoother 
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ekf_reference.dynamic_guard import DynamicGuard
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.local_map import LocalMap
 from graphslam.graph_builder import right_perturbation
@@ -64,6 +65,15 @@ class OrientedSource(Protocol):
 
     def look(self, ekf: FullEkf, epoch: int, time_s: float, ledger: OrientedLedger) -> None:
         """What is seen at an epoch, all else that was seen there being fused."""
+        ...
+
+
+@runtime_checkable
+class GuardedSource(Protocol):
+    """An OrientedSource that can leave out what moves."""
+
+    def keep_from(self, guard: DynamicGuard) -> None:
+        """What lies where something moves is left out from now on."""
         ...
 
 

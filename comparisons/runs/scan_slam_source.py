@@ -18,6 +18,7 @@ from comparisons.runs.planar_scans import PlanarScans, view_to
 from comparisons.runs.timeline import resolved
 from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.surroundings import Surroundings
+from ekf_reference.dynamic_guard import DynamicGuard
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.kalman import FilterDivergedError
 from ekf_reference.layout import ORIENTED, POINT
@@ -25,11 +26,12 @@ from ekf_reference.local_map import LocalMap
 from ekf_reference.scan_landmarks.pieces import JoinedSegments, Pieces, SingleSegments
 from ekf_reference.scan_landmarks.scan_shape import of_scan
 from ekf_reference.scan_landmarks.scan_slam import ScanLandmarks, ScanSlam, ScanSlamOptions
-from ekf_reference.scan_landmarks.sog import SumOfGaussians
+from ekf_reference.scan_landmarks.sog import SumOfGaussians, rotation
 from ekf_reference.scan_landmarks.twins import FusingOptions, Twins
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
+Flags = NDArray[np.bool_]
 
 LANDMARKS = {"points": (POINT,), "scans": (ORIENTED,), "both": (POINT, ORIENTED)}
 """What the landmarks are: the log's sightings of points, pieces of its scans, or both; and the
@@ -130,12 +132,18 @@ class LogScans:
         """N."""
         return len(self.time_s)
 
-    def shape(self, number: int) -> SumOfGaussians:
-        """Scan `number` in the scanner's frame."""
+    def shape(self, number: int, left_out: Flags | None = None) -> SumOfGaussians:
+        """Scan `number` in the scanner's frame. left_out: (R,) returns to take for none."""
         seen = self._seen(number)
+        way = seen.range_m if left_out is None else np.where(left_out, np.nan, seen.range_m)
         # Beams without a return at the rims tell where the view ends.
         bearing = np.append(seen.bearing_rad, self._rims)
-        return of_scan(bearing, np.append(seen.range_m, (np.nan, np.nan)), self.sensor)
+        return of_scan(bearing, np.append(way, (np.nan, np.nan)), self.sensor)
+
+    def points(self, number: int, pose: Array) -> Array:
+        """(R, 2) the returns of a scan that was taken from a vehicle at a pose (3,) [m]."""
+        seen = self._seen(number).point @ rotation(float(self.mount[2])).T + self.mount[:2]
+        return np.asarray(seen @ rotation(float(pose[2])).T + pose[:2])
 
     def _seen(self, number: int) -> Scan:
         return self._planar.scan(int(self._number[number]), np.zeros(3))
@@ -174,6 +182,7 @@ class ScanSlamSource:
         self._slam = ScanSlam(scans.sensor, scans.view, scans.mount, options)
         self._twins = None if fusing is None else Twins(self._slam, fusing)
         self.map_of = map_of
+        self._guard: DynamicGuard | None = None
         if map_of is not None:
             self._slam.around = Surroundings(map_of.dense).around
         self.closing: Closing | None = None
@@ -187,6 +196,18 @@ class ScanSlamSource:
     def pieces(self) -> str:
         """Of PIECES."""
         return self._slam.options.pieces.name
+
+    def keep_from(self, guard: DynamicGuard) -> None:
+        """Returns that lie where something moves are left out, and counted."""
+        self._guard = guard
+
+    def _scan(self, ekf: FullEkf) -> SumOfGaussians:
+        """This epoch's, without what moves."""
+        if self._guard is None:
+            return self._scans.shape(self._next)
+        moves = self._guard.is_dynamic(self._scans.points(self._next, ekf.read_pose().pose))
+        self.found.dynamic += int(np.count_nonzero(moves))
+        return self._scans.shape(self._next, moves)
 
     def stepping(self, ekf: FullEkf, time_s: float, control: Array, duration_s: float) -> None:
         """The map, if there is one, takes in the scans of the interval."""
@@ -216,7 +237,7 @@ class ScanSlamSource:
                 raise FilterDivergedError("the pose's covariance is not finite")
             before = ekf.state.oriented.copy()
             telling = _Telling(ledger, ekf, epoch)
-            self._slam.step(ekf, self._scans.shape(self._next), telling)
+            self._slam.step(ekf, self._scan(ekf), telling)
             if self._twins is not None:
                 self._twins.step(ekf, telling)
             self._note(time_s, before, ekf.state.oriented[: len(before)].copy())

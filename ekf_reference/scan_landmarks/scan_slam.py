@@ -99,7 +99,8 @@ class ScanLandmarks:
 
     begun: templates by slot as they were begun, each of one scan, those of landmarks that were
     fused since among them. reasons: how often a landmark near the scanner was USED, or why not.
-    rejected: pieces that failed their trial. scans: looked at. enriched: alignments that began
+    rejected: pieces that failed their trial. scans: looked at. dynamic: returns that
+    were left out since something moves there. enriched: alignments that began
     where what stands around the landmark fits. fused: how many landmarks were found to be others.
     """
 
@@ -109,6 +110,7 @@ class ScanLandmarks:
     reasons: Counter[str] = field(default_factory=Counter)
     rejected: int = 0
     scans: int = 0
+    dynamic: int = 0
     enriched: int = 0
     fused: int = 0
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from comparisons.compare import Comparison, compare_estimators
 from comparisons.errors import InputError
@@ -15,6 +16,7 @@ from comparisons.logs.log import Log
 from comparisons.logs.simulate.scan_drive import scan_slam, simulate
 from comparisons.report.result import build_result
 from comparisons.report.run_folder import write_run_folder
+from comparisons.report.scan_slam import template_points
 from comparisons.runs.beam_noise import sensor_of
 from comparisons.runs.ekf_build import EkfChoices
 from comparisons.runs.ekf_run import run_ekf
@@ -143,6 +145,30 @@ def test_scans_that_hold_nothing_or_one_return_begin_nothing_and_the_run_goes_on
     assert found[True].reasons[BLANK] > 0 == found[False].reasons[BLANK]
     assert 0 < found[True].reasons[USED] < found[False].reasons[USED]
     assert min(len(t.shape) for t in found[True].template.values()) >= 15
+
+
+class NorthMoves:
+    """A guard that holds everything north of the start to be moving."""
+
+    def is_dynamic(self, point: Array) -> NDArray[np.bool_]:
+        return np.asarray(point[:, 1] > 2.0)
+
+
+def test_returns_from_where_something_moves_are_left_out_and_counted() -> None:
+    short = first_seconds(log(), 5.0)
+    held = {}
+    for guard in (NorthMoves(), None):
+        sources = ScanSlamSources.of(short, "scans")
+        assert sources is not None
+        timeline = build_timeline(sources.log, None, sources.scans.time_s)
+        choices = EkfChoices().settle(sources.log)
+        run = run_ekf(sources.log, timeline, choices, source=sources(), guard=guard)
+        found = sources.first.found
+        held[guard is None] = template_points(
+            found, run.estimate.oriented_id, run.estimate.oriented
+        )
+        assert (found.dynamic > 100) == (guard is not None)
+    assert held[False][:, 1].max() < 3.0 < held[True][:, 1].max()
 
 
 def test_what_cannot_be_used_is_said_in_a_line() -> None:
