@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -167,10 +168,13 @@ def compare_estimators(
         raise InputError("--high-level on goes with --landmarks points only")
     if landmarks == "points" and fuse_landmarks:
         raise InputError("--fuse-landmarks on goes with --landmarks scans or both")
-    if fuse_landmarks and (dense is not None or dynamic or chosen.attributes == "layer"):
+    enriched = slam_options is not None and math.isfinite(slam_options.enrich_m)
+    watching = dense is not None or dynamic or chosen.attributes == "layer"
+    if fuse_landmarks and (watching or enriched):
         # Regions that hang on a landmark that was fused would stay behind.
         raise InputError(
-            "--fuse-landmarks on goes without --dense, --dynamic on and --attributes layer: "
+            "--fuse-landmarks on goes without --dense, --dynamic on, --attributes layer and "
+            "--templates enriched: "
             "regions of a map hang on scan landmarks for good"
         )
     if motion != "scan" and not len(log.odometry.time_s):
@@ -183,7 +187,7 @@ def compare_estimators(
         log = with_scan_motion(log, scanned, positions=chosen.gps != "off")
     fusing = FusingOptions() if fuse_landmarks else None
     by_layer = chosen.attributes == "layer"
-    looking = slam_options or usual_options(mapped=dense is not None or dynamic or by_layer)
+    looking = slam_options or usual_options(mapped=watching)
     slam = ScanSlamSources.of(log, landmarks, looking, fusing)
     if slam is not None:
         log, source = slam.log, slam
@@ -191,7 +195,7 @@ def compare_estimators(
     timeline = build_timeline(log, positions, None if slam is None else slam.scans.time_s)
 
     def watch_over() -> DenseWatcher | None:
-        if dense is None and not dynamic and not by_layer:
+        if not watching:
             return None
         kept = replace(dense or (_VALUES_ONLY if by_layer else _DYNAMIC_ONLY), dynamic=dynamic)
         also = _VALUES_ONLY.layers if by_layer else ()

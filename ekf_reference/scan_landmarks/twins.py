@@ -76,7 +76,7 @@ class Twins:
 
     def step(self, ekf: FullEkf, tell: Fuser) -> None:
         """Fuse those within reach that are one, the closest first; call it after every scan."""
-        gone: set[int] = set()
+        gone = set[int]()
         for pair in self._close(ekf, self._slam.view.reach_m)[: self.options.tried]:
             if gone & {pair.first, pair.second}:
                 continue
@@ -86,7 +86,7 @@ class Twins:
                 continue
             known = tell.fuse(pair.first, pair.second, *fit)
             self._unite(pair.first, pair.second, known)
-            gone.add(pair.second)
+            gone |= {pair.first, pair.second}  # what other pairs say of these is past
 
     def _close(self, ekf: FullEkf, reach_m: float) -> list[Pair]:
         """Pairs that are near each other for certain; the larger template is the first of each."""

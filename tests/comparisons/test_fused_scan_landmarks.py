@@ -111,6 +111,9 @@ def test_it_is_an_option_and_counted(open3d_library: ModuleType) -> None:
         compare_estimators(log(), fuse_landmarks=True)
     with pytest.raises(InputError, match="regions of a map hang on scan landmarks for good"):
         compare_estimators(log(), landmarks="scans", fuse_landmarks=True, dynamic=True)
+    richer = ScanSlamOptions(enrich_m=1.0)
+    with pytest.raises(InputError, match="and --templates enriched"):
+        compare_estimators(log(), landmarks="scans", fuse_landmarks=True, slam_options=richer)
     points = DenseOptions(("points",))
     with pytest.raises(InputError, match="goes without --dense"):
         compare_estimators(log(), landmarks="scans", fuse_landmarks=True, dense=points)
