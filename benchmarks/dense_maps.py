@@ -30,7 +30,7 @@ from comparisons.checks.dense_accuracy import OCCUPIED, distance_to_segments
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.simulate.ray_casting import Solids, cast
 from comparisons.mapping import DenseMapping, map_log
-from comparisons.runs.dense_run import LAYERS, DenseOptions
+from comparisons.runs.dense_run import SURFACES, DenseOptions
 from ekf_reference.dense.dense_map import DenseMap
 from ekf_reference.dense.layers.layer import Hits, Layer
 from ekf_reference.dense.placed_regions import PlacedRegions
@@ -134,15 +134,15 @@ def speed_of_layers(scans: int) -> None:
     landmark = grid_of_landmarks(6, 5, 8.0)
     view = view_of(np.zeros(3), landmark, np.arange(len(landmark)))
     taken = [seen(rng, wall, pose) for pose in circling(2 * scans, 2.0)]
-    dense = DenseOptions(LAYERS).build()
+    dense = DenseOptions(SURFACES).build()
     dense.updated(view)
     placed = dense.place(view)
     told = [Told.of(placed, scan) for scan in taken]
     rows: dict[str, list[float]] = {}
-    for name in LAYERS:
-        layer = DenseOptions(LAYERS).build().layers[name]
+    for name in SURFACES:
+        layer = DenseOptions(SURFACES).build().layers[name]
         rows[name] = [one.fuse(layer) for one in told]
-    layers = list(DenseOptions(LAYERS).build().layers.values())
+    layers = list(DenseOptions(SURFACES).build().layers.values())
     rows["all four"] = [one.fuse_all(layers) for one in told]
     rows["all four, with DenseMap.insert"] = [timed(dense, view, scan)[1] for scan in taken]
     in_view = np.median([len(one.near) for one in told])
@@ -191,7 +191,7 @@ class Patches:
         """All are visited, in rows, as a vehicle finds them."""
         rng = np.random.default_rng(0)
         one, side = grid_of_landmarks(6, 2, 10.0), math.ceil(math.sqrt(count))
-        made = cls(DenseOptions(LAYERS).build(), np.empty((0, 2)), np.arange(len(one)))
+        made = cls(DenseOptions(SURFACES).build(), np.empty((0, 2)), np.arange(len(one)))
         for number in range(count):
             corner = APART_M * np.array((number % side, number // side), dtype=float)
             made.landmark = np.vstack((made.landmark, corner + one))
@@ -237,12 +237,12 @@ def errors_of_drives(seeds: int, loops: int) -> None:
     mapped = []
     for seed in range(seeds):
         log = open_log("occupancy-loop", None, 1, SimulationChoices(seed, loops, 1.0))
-        mapped.append(map_log(log, options=DenseOptions(LAYERS)))
+        mapped.append(map_log(log, options=DenseOptions(SURFACES)))
     print(f"occupancy-loop, {seeds} drives of {loops} loops")
     print("distance to the surfaces [m]     as it is               after the landmarks' motion")
     columns = f"median   95 %  >{FAR} m"
     print(f"of what is above {OCCUPIED}      number  {columns}   {columns}")
-    for name in (*LAYERS, "classic"):
+    for name in (*SURFACES, "classic"):
         pairs = [distances(one, name) for one in mapped]
         raw, still = (np.concatenate(part) for part in zip(*pairs, strict=True))
         print(f"{name:20} {len(raw):10d}  {spread(raw)}   {spread(still)}")

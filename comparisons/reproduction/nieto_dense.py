@@ -14,7 +14,13 @@ from comparisons.logs.log import Log
 from comparisons.logs.simulate.scan_drive import occupancy
 from comparisons.mapping import DenseMapping, map_log
 from comparisons.reproduction.contract import Experiment, Sources
-from comparisons.runs.dense_run import GRID_MODEL, LAYERS, BeforeClosing, DenseOptions, DenseWatcher
+from comparisons.runs.dense_run import (
+    GRID_MODEL,
+    SURFACES,
+    BeforeClosing,
+    DenseOptions,
+    DenseWatcher,
+)
 from comparisons.runs.drive import drive
 from comparisons.runs.ekf_build import EkfChoices, build_ekf
 from comparisons.runs.estimate import Array
@@ -144,7 +150,7 @@ def raw_maps(sources: Sources) -> Maps:
 
 def layered_maps(sources: Sources) -> Maps:
     """Chapter 4: all layers."""
-    return _maps("occupancy-loop", LAYERS, sources)
+    return _maps("occupancy-loop", SURFACES, sources)
 
 
 def rounds(sources: Sources) -> Rounds:

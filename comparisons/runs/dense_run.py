@@ -37,7 +37,9 @@ from ekf_reference.full_ekf import FullEkf
 from ekf_reference.layout import ORIENTED, POINT
 from ekf_reference.local_map import by_number
 
-LAYERS = ("points", "occupancy", "particles", "sog", "values")
+SURFACES = ("points", "occupancy", "particles", "sog")
+"""Layers of where surfaces are."""
+LAYERS = (*SURFACES, "values")
 GRID_MODEL = InverseSensorModel(p_occupied=0.65, p_free=0.45)
 """Of grids: several looks, not one noisy return, make a cell occupied, and what stands is often
 looked past."""

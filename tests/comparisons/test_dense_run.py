@@ -53,7 +53,7 @@ def test_a_watcher_that_writes_would_be_noticed(log: Log) -> None:
 
     class Meddler(DenseWatcher):
         def updated(self, ekf) -> None:  # type: ignore[no-untyped-def]
-            ekf.state.landmarks.sum()
+            ekf.state.covariance.sum()
             super().updated(ekf)
 
     choices = EkfChoices("compressed").settle(log)
