@@ -26,7 +26,7 @@ from ekf_reference.local_map import LocalMap
 from ekf_reference.scan_landmarks.pieces import JoinedSegments, Pieces, SingleSegments
 from ekf_reference.scan_landmarks.scan_shape import of_scan
 from ekf_reference.scan_landmarks.scan_slam import ScanLandmarks, ScanSlam, ScanSlamOptions
-from ekf_reference.scan_landmarks.sog import SumOfGaussians, rotation
+from ekf_reference.scan_landmarks.sog import SumOfGaussians
 from ekf_reference.scan_landmarks.twins import FusingOptions, Twins
 
 Array = NDArray[np.float64]
@@ -124,7 +124,8 @@ class LogScans:
             time_s = resolved(time_s)
         self.time_s = time_s[self._number]
         self.sensor, self.mount = sensor_of(log.scans), log.scans.mount.pose
-        farthest = max(float(self._seen(k).range_m.max(initial=0.0)) for k in range(len(self)))
+        seen = (self.scan(k, np.zeros(3)) for k in range(len(self)))
+        farthest = max(float(one.range_m.max(initial=0.0)) for one in seen)
         self.view = view_to(log.scans, farthest + _MARGIN_M)
         self._rims = np.array((self.view.first_rad, self.view.last_rad))
 
@@ -132,21 +133,20 @@ class LogScans:
         """N."""
         return len(self.time_s)
 
-    def shape(self, number: int, left_out: Flags | None = None) -> SumOfGaussians:
-        """Scan `number` in the scanner's frame. left_out: (R,) returns to take for none."""
-        seen = self._seen(number)
+    def shape(self, number: int) -> SumOfGaussians:
+        """Scan `number` in the scanner's frame."""
+        return self.shape_of(self.scan(number, np.zeros(3)))
+
+    def shape_of(self, seen: Scan, left_out: Flags | None = None) -> SumOfGaussians:
+        """A scan in the scanner's frame. left_out: (R,) returns to take for none."""
         way = seen.range_m if left_out is None else np.where(left_out, np.nan, seen.range_m)
         # Beams without a return at the rims tell where the view ends.
         bearing = np.append(seen.bearing_rad, self._rims)
         return of_scan(bearing, np.append(way, (np.nan, np.nan)), self.sensor)
 
-    def points(self, number: int, pose: Array) -> Array:
-        """(R, 2) the returns of a scan that was taken from a vehicle at a pose (3,) [m]."""
-        seen = self._seen(number).point @ rotation(float(self.mount[2])).T + self.mount[:2]
-        return np.asarray(seen @ rotation(float(pose[2])).T + pose[:2])
-
-    def _seen(self, number: int) -> Scan:
-        return self._planar.scan(int(self._number[number]), np.zeros(3))
+    def scan(self, number: int, vehicle: Array) -> Scan:
+        """Scan `number`, seen with the vehicle at a pose (3,)."""
+        return self._planar.scan(int(self._number[number]), vehicle)
 
 
 @dataclass(frozen=True)
@@ -205,9 +205,10 @@ class ScanSlamSource:
         """This epoch's, without what moves."""
         if self._guard is None:
             return self._scans.shape(self._next)
-        moves = self._guard.is_dynamic(self._scans.points(self._next, ekf.read_pose().pose))
+        seen = self._scans.scan(self._next, ekf.read_pose().pose)
+        moves = self._guard.is_dynamic(seen.point)
         self.found.dynamic += int(np.count_nonzero(moves))
-        return self._scans.shape(self._next, moves)
+        return self._scans.shape_of(seen, moves)
 
     def stepping(self, ekf: FullEkf, time_s: float, control: Array, duration_s: float) -> None:
         """The map, if there is one, takes in the scans of the interval."""

@@ -171,6 +171,38 @@ def test_returns_from_where_something_moves_are_left_out_and_counted() -> None:
     assert held[False][:, 1].max() < 3.0 < held[True][:, 1].max()
 
 
+class Listener:
+    """A guard that remembers where it was asked about, and holds nothing to be moving."""
+
+    def __init__(self) -> None:
+        self.asked: list[Array] = []
+
+    def is_dynamic(self, point: Array) -> NDArray[np.bool_]:
+        self.asked.append(point)
+        return np.zeros(len(point), dtype=bool)
+
+
+def test_the_guard_is_asked_about_the_world_whatever_the_scanners_mount() -> None:
+    short = first_seconds(log(), 1.0)
+    assert short.scans is not None
+    mounted = replace(short.scans, mount=replace(short.scans.mount, forward_m=0.7, heading_rad=0.3))
+    sources = ScanSlamSources.of(replace(short, scans=mounted), "scans")
+    assert sources is not None
+    source, guard = sources(), Listener()
+    source.keep_from(guard)
+    timeline = build_timeline(sources.log, None, sources.scans.time_s)
+    choices = EkfChoices().settle(sources.log)
+    run_ekf(sources.log, timeline, choices, source=source)
+    assert short.truth.poses is not None
+    pose, scan = short.truth.poses.at(mounted.time_s[:1])[0], mounted.range_m[0]
+    way, heading = scan[np.isfinite(scan)], pose[2] + 0.3
+    angle = mounted.angle_rad[np.isfinite(scan)] + heading
+    at = pose[:2] + 0.7 * np.array((np.cos(pose[2]), np.sin(pose[2])))
+    expected = at + way[:, None] * np.column_stack((np.cos(angle), np.sin(angle)))
+    away = np.linalg.norm(guard.asked[0][:, None] - expected[None], axis=2).min(axis=1)
+    assert np.median(away) < 0.1
+
+
 def test_what_cannot_be_used_is_said_in_a_line() -> None:
     with pytest.raises(InputError, match="holds no planar scans"):
         compare_estimators(simulated(), landmarks="scans")
