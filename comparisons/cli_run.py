@@ -141,10 +141,6 @@ def run(
             raise InputError(
                 f"smoother association '{smoother_association}' is unknown, expected ekf or own"
             )
-        if smoother_matcher not in ("ekf", "own"):
-            raise InputError(
-                f"smoother matcher '{smoother_matcher}' is unknown, expected ekf or own"
-            )
         if dynamic not in ("off", "on"):
             raise InputError(f"dynamic '{dynamic}' is unknown, expected off or on")
         if high_level not in ("off", "on"):

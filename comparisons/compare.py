@@ -169,13 +169,13 @@ def compare_estimators(
     if landmarks == "points" and fuse_landmarks:
         raise InputError("--fuse-landmarks on goes with --landmarks scans or both")
     enriched = slam_options is not None and math.isfinite(slam_options.enrich_m)
-    watching = dense is not None or dynamic or chosen.attributes == "layer"
+    by_layer = chosen.attributes == "layer"
+    watching = dense is not None or dynamic or by_layer
     if fuse_landmarks and (watching or enriched):
         # Regions that hang on a landmark that was fused would stay behind.
         raise InputError(
             "--fuse-landmarks on goes without --dense, --dynamic on, --attributes layer and "
-            "--templates enriched: "
-            "regions of a map hang on scan landmarks for good"
+            "--templates enriched: regions of a map hang on scan landmarks for good"
         )
     if motion != "scan" and not len(log.odometry.time_s):
         raise InputError(f"{log.name}: holds no odometry; use --motion scan")
@@ -186,7 +186,6 @@ def compare_estimators(
     if motion == "scan" and scanned is not None:
         log = with_scan_motion(log, scanned, positions=chosen.gps != "off")
     fusing = FusingOptions() if fuse_landmarks else None
-    by_layer = chosen.attributes == "layer"
     looking = slam_options or usual_options(mapped=watching)
     slam = ScanSlamSources.of(log, landmarks, looking, fusing)
     if slam is not None:
