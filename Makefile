@@ -4,7 +4,7 @@ BIN := $(VENV)/bin
 CANDIDATES := $(PYTHON) python3 python3.13 python3.12 python3.11
 FITS := import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))
 
-.PHONY: run test nightly clean
+.PHONY: run test test-golden nightly clean
 
 # slamcheck exits with 0, 1 or 3 for its verdict; only 2 and crashes are failures of the job.
 run: $(VENV)/installed
@@ -14,7 +14,11 @@ test: $(VENV)/installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile -m "not golden"
+
+# Every golden run: results equal to those kept, to the bit on the machine that kept them.
+test-golden: $(VENV)/installed-dev
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest tests/golden
 
 # Ten times as many damaged and hostile files as `make test` tries, drawn anew each time.
 nightly: $(VENV)/installed-dev
