@@ -19,16 +19,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
+from comparisons.adapters.attributes import sighted_attributes
+from comparisons.adapters.ekf_factory import EkfChoices, build_association, build_ekf
+from comparisons.adapters.ekf_run import EkfRun, run_ekf
+from comparisons.adapters.timeline import build_timeline
 from comparisons.checks.accuracy import assess
 from comparisons.checks.association import score_partition
 from comparisons.logs.log import Log
 from comparisons.logs.readers import acfr_car_park, victoria_park
 from comparisons.logs.simulate.drive import Drive, simulate
 from comparisons.logs.simulate.worlds import World, nieto_loop
-from comparisons.runs.attributes import sighted_attributes
-from comparisons.runs.ekf_build import EkfChoices, build_association, build_ekf
-from comparisons.runs.ekf_run import EkfRun, run_ekf
-from comparisons.runs.timeline import build_timeline
 from ekf_reference.association import RememberedAttributes
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.trace import NullTrace

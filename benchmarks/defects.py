@@ -3,7 +3,7 @@
     python benchmarks/defects.py [--seed 4] [--seeds 200] [--noise-scale 0.3] [--only WORD]
                                 [--table]
 
-Every defect of comparisons.defects runs on a log that shows it; `named` says whether the first
+Every defect of experiments.defects runs on a log that shows it; `named` says whether the first
 cause is the right one. Then the sound filter drives simulated loops with so much of the stated
 noise, one per seed; a verdict of `disagree` is a false alarm. The interval is Clopper and
 Pearson's, 95 %. --table prints the defects as Markdown.
@@ -21,9 +21,9 @@ from collections import Counter
 import numpy as np
 from scipy.stats import beta
 
-from comparisons.compare import compare_estimators
-from comparisons.defects.catalogue import CATALOGUE, named_first, run_defect
+from comparisons.experiments.defects.catalogue import CATALOGUE, named_first, run_defect
 from comparisons.logs.simulate.drive import Drive, simulate
+from comparisons.pipeline.compare import compare_estimators
 
 
 def interval(count: int, total: int) -> tuple[float, float]:

@@ -26,11 +26,11 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from comparisons.checks.accuracy import match_by_distance, rigid_motion
-from comparisons.checks.dense_accuracy import OCCUPIED, distance_to_segments
+from comparisons.extensions.dense_maps.accuracy import OCCUPIED, distance_to_segments
+from comparisons.extensions.dense_maps.source import SURFACES, DenseOptions
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.simulate.ray_casting import Solids, cast
-from comparisons.mapping import DenseMapping, map_log
-from comparisons.runs.dense_run import SURFACES, DenseOptions
+from comparisons.pipeline.dense_map import DenseMapping, map_log
 from ekf_reference.dense.dense_map import DenseMap
 from ekf_reference.dense.layers.layer import Hits, Layer
 from ekf_reference.dense.placed_regions import PlacedRegions

@@ -13,15 +13,15 @@ from dataclasses import replace
 import numpy as np
 
 from comparisons.checks.accuracy import assess
-from comparisons.checks.dynamic_accuracy import middles, score_dynamic
+from comparisons.experiments.reproduction.dynamic_accuracy import middles, score_dynamic
+from comparisons.extensions.dense_maps.source import DenseOptions
 from comparisons.logs.simulate.scan_drive import (
     ScanExperiment,
     dynamic_lanes,
     dynamic_places,
     simulate,
 )
-from comparisons.mapping import DenseMapping, map_log
-from comparisons.runs.dense_run import DenseOptions
+from comparisons.pipeline.dense_map import DenseMapping, map_log
 from ekf_reference.dense.dynamic import DynamicLayer
 
 

@@ -24,11 +24,11 @@ import numpy as np
 from dense_maps import view_of  # type: ignore[import-not-found]
 from numpy.typing import NDArray
 
-from comparisons.checks.basin import converges, offsets
+from comparisons.adapters.planar_scans import PlanarScans
+from comparisons.experiments.reproduction.basin import converges, offsets
+from comparisons.extensions.dense_maps.source import DenseOptions
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.report.picture import blank, save
-from comparisons.runs.dense_run import DenseOptions
-from comparisons.runs.planar_scans import PlanarScans
 from ekf_reference.dense.high_level import Around, search, to_world, within
 from ekf_reference.dense.layers.gaussians import Gaussians
 from ekf_reference.scan_landmarks.observation import OrientedObservation

@@ -23,12 +23,12 @@ import numpy as np
 from dense_maps import Patches  # type: ignore[import-not-found]
 from numpy.typing import NDArray
 
+from comparisons.adapters.ekf_factory import EkfChoices
+from comparisons.adapters.ekf_run import EkfRun, run_ekf
+from comparisons.adapters.timeline import build_timeline
+from comparisons.extensions.high_level.source import HighLevelOptions, HighLevelSource
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
-from comparisons.runs.ekf_build import EkfChoices
-from comparisons.runs.ekf_run import EkfRun, run_ekf
-from comparisons.runs.high_level_source import HighLevelOptions, HighLevelSource
-from comparisons.runs.timeline import build_timeline
 from ekf_reference.dense.high_level import Around, search
 from ekf_reference.observation import wrap_angle
 

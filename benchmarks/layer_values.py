@@ -17,8 +17,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from comparisons.adapters.ekf_factory import EkfChoices
+from comparisons.adapters.ekf_run import EkfRun, run_ekf
+from comparisons.adapters.timeline import build_timeline
 from comparisons.checks.accuracy import assess
 from comparisons.checks.association import score_partition
+from comparisons.extensions.dense_maps.source import DenseOptions, DenseWatcher
 from comparisons.logs.log import Log
 from comparisons.logs.readers import acfr_car_park
 from comparisons.logs.simulate.drive import Drive
@@ -26,10 +30,6 @@ from comparisons.logs.simulate.scan_drive import ScanExperiment, simulate
 from comparisons.logs.simulate.scan_worlds import ScanWorld
 from comparisons.logs.simulate.scanners import Planar
 from comparisons.logs.simulate.worlds import nieto_loop
-from comparisons.runs.dense_run import DenseOptions, DenseWatcher
-from comparisons.runs.ekf_build import EkfChoices
-from comparisons.runs.ekf_run import EkfRun, run_ekf
-from comparisons.runs.timeline import build_timeline
 
 Array = NDArray[np.float64]
 

@@ -17,7 +17,7 @@ import tempfile
 import time
 from pathlib import Path
 
-CODE = "from comparisons.cli import main; main()"
+CODE = "from comparisons.cli.app import main; main()"
 
 
 def measure(arguments: list[str]) -> dict[str, float]:

@@ -20,17 +20,17 @@ from pathlib import Path
 
 import numpy as np
 
-from comparisons.checks.decorrelation_example import decorrelation_example
-from comparisons.checks.neglected_change import NeglectedChange, neglected_change
-from comparisons.logs.log import Log
-from comparisons.logs.simulate.drive import Drive
-from comparisons.logs.simulate.drive import simulate as simulate_landmarks
-from comparisons.logs.simulate.scan_drive import dense_slam, occupancy, simulate
-from comparisons.report.dense_figures import (
+from comparisons.experiments.reproduction.decorrelation_example import decorrelation_example
+from comparisons.experiments.reproduction.dense_figures import (
     decorrelation_figure,
     displacement_figure,
     neglected_figure,
 )
+from comparisons.experiments.reproduction.neglected_change import NeglectedChange, neglected_change
+from comparisons.logs.log import Log
+from comparisons.logs.simulate.drive import Drive
+from comparisons.logs.simulate.drive import simulate as simulate_landmarks
+from comparisons.logs.simulate.scan_drive import dense_slam, occupancy, simulate
 from comparisons.report.picture import save
 
 SICK = (0.02, math.radians(0.1))

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.compare import Comparison, compare_estimators
+from comparisons.estimates.estimate import Estimate
 from comparisons.logs.simulate.scan_drive import scan_slam, simulate
-from comparisons.runs.estimate import Estimate
+from comparisons.pipeline.compare import Comparison, compare_estimators
 from graphslam.graph_builder import to_tangent
 from graphslam.problem import OrientedSightings
 from graphslam.scan import planar

@@ -22,14 +22,14 @@ from kiss_icp.mapping import VoxelHashMap
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from comparisons.checks.scan_increments import check_increments, normalised_errors
-from comparisons.front_end import run_front_end
+from comparisons.adapters.motion import motion_between
+from comparisons.adapters.scan_odometry import ScanMotion, run_scan_odometry
+from comparisons.adapters.scan_source import ScanSource
+from comparisons.extensions.scan_motion.increments import check_increments, normalised_errors
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
 from comparisons.logs.readers import read_log
-from comparisons.runs.motion import motion_between
-from comparisons.runs.scan_motion import ScanMotion, run_scan_odometry
-from comparisons.runs.scan_source import ScanSource
+from comparisons.pipeline.odometry import run_front_end
 from graphslam.scan import planar
 from graphslam.scan.odometry import ScanOdometry
 from graphslam.scan.refinement import refine

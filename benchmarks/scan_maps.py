@@ -20,11 +20,11 @@ import time
 
 import numpy as np
 
-from comparisons.checks.dense_accuracy import surface_error
+from comparisons.extensions.dense_maps.accuracy import surface_error
+from comparisons.extensions.dense_maps.source import DenseOptions
+from comparisons.extensions.scan_landmarks.source import slam_options
 from comparisons.logs.bundled import SimulationChoices, open_log
-from comparisons.mapping import map_log
-from comparisons.runs.dense_run import DenseOptions
-from comparisons.runs.scan_slam_source import slam_options
+from comparisons.pipeline.dense_map import map_log
 
 LAYERS = ("occupancy", "sog")
 

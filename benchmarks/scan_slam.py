@@ -18,12 +18,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.checks.dense_accuracy import error_of_points
-from comparisons.compare import Comparison, compare_estimators
+from comparisons.extensions.dense_maps.accuracy import error_of_points
+from comparisons.extensions.scan_landmarks.result import template_points
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import SteeringOdometry
 from comparisons.logs.simulate.scan_drive import scan_slam, simulate
-from comparisons.report.scan_slam import template_points
+from comparisons.pipeline.compare import Comparison, compare_estimators
 
 
 @dataclass(frozen=True)

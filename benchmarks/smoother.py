@@ -21,7 +21,7 @@ import gtsam
 import numpy as np
 
 from comparisons.logs.bundled import open_log
-from comparisons.solve import solve_log
+from comparisons.pipeline.solve import solve_log
 from graphslam.graph_builder import LANDMARK_KEY, POSE_KEY, build_graph
 from graphslam.incremental import run_isam2
 from graphslam.initialisation import extension, track

@@ -13,9 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from comparisons.report.picture import blank, save
-from comparisons.reproduction.contract import Sources
-from comparisons.reproduction.misono import (
+from comparisons.experiments.reproduction.contract import Sources
+from comparisons.experiments.reproduction.misono import (
     ESTIMATORS,
     Drives,
     Journeys,
@@ -24,6 +23,7 @@ from comparisons.reproduction.misono import (
     drives,
     journeys,
 )
+from comparisons.report.picture import blank, save
 
 
 def main() -> None:

@@ -50,12 +50,12 @@ def slam_check() -> Callable[..., Any]:
 
     def check(log: Log, estimate: str | Path | None = None, **settings: str) -> Any:
         if estimate is None:
-            from comparisons.compare import compare_estimators
-            from comparisons.runs.ekf_build import EkfChoices
+            from comparisons.adapters.ekf_factory import EkfChoices
+            from comparisons.pipeline.compare import compare_estimators
 
             return compare_estimators(log, EkfChoices(**settings)).verdict
-        from comparisons.check_given import check_given
-        from comparisons.runs.given_estimate import read_given
+        from comparisons.estimates.external import read_given
+        from comparisons.pipeline.check import check_given
 
         given = read_given(Path(estimate))
         return check_given(log, given, settings.get("association"), settings.get("gps", "off"))

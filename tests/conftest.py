@@ -8,8 +8,8 @@ from typing import NoReturn
 import pytest
 from hypothesis import Phase, settings
 
-from comparisons.compare import Comparison, compare_estimators
 from comparisons.logs.bundled import open_log
+from comparisons.pipeline.compare import Comparison, compare_estimators
 from graphslam.scan.open3d_library import Open3dMissingError, open3d
 
 # What is drawn in continuous integration is always the same; at night it is new, and more.

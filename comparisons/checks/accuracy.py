@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
-from comparisons.runs.estimate import Estimate
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

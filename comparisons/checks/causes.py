@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from comparisons.adapters.ekf_run import EkfRun
 from comparisons.checks.agreement import (
     LARGEST_DISTANCE,
     LEAST_VARIANCE_RATIO,
@@ -17,15 +18,14 @@ from comparisons.checks.agreement import (
     Gap,
     block_agrees,
 )
-from comparisons.checks.algebra_differences import AlgebraDifference
-from comparisons.checks.dense_agreement import AGREE_M, DenseAgreement
-from comparisons.checks.dropouts import Dropouts
-from comparisons.checks.innovations import SensorInnovations
-from comparisons.checks.linearisation_growth import LinearisationGrowth
-from comparisons.checks.model_differences import ModelDifference
-from comparisons.checks.own_association import OwnAssociationCheck
-from comparisons.checks.three_way import ThreeWay
-from comparisons.runs.ekf_run import EkfRun
+from comparisons.checks.consistency.innovations import SensorInnovations
+from comparisons.checks.diagnosis.algebra_differences import AlgebraDifference
+from comparisons.checks.diagnosis.dropouts import Dropouts
+from comparisons.checks.diagnosis.linearisation_growth import LinearisationGrowth
+from comparisons.checks.diagnosis.model_differences import ModelDifference
+from comparisons.extensions.dense_maps.check import AGREE_M, DenseAgreement
+from comparisons.extensions.own_association.check import OwnAssociationCheck
+from comparisons.extensions.scan_motion.three_way import ThreeWay
 from graphslam.optimum import DISTANCE_LIMIT, ChiSquareTest, Proof
 
 Array = NDArray[np.float64]

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from comparisons.checks.dense_agreement import DenseAgreement
+from comparisons.adapters.scan_odometry import ScanMotion
+from comparisons.extensions.dense_maps.check import DenseAgreement
+from comparisons.extensions.dense_maps.source import DenseRun, DenseWatcher
 from comparisons.logs.log import Log
-from comparisons.runs.dense_run import DenseRun, DenseWatcher
-from comparisons.runs.scan_log import BEYOND
-from comparisons.runs.scan_motion import ScanMotion
+from comparisons.logs.transforms.scan_motion import BEYOND
 from ekf_reference.dense.dynamic import places
 
 

@@ -17,10 +17,10 @@ from comparisons.checks.agreement import (
     eigenvalue_range,
 )
 from comparisons.checks.causes import Cause
-from comparisons.checks.diagnosis import Paths, diagnose, rms
+from comparisons.checks.diagnosis.diagnosis import Paths, diagnose, rms
 from comparisons.errors import InputError
-from comparisons.runs.estimate import Array, Estimate
-from comparisons.runs.given_estimate import GivenEstimate
+from comparisons.estimates.estimate import Array, Estimate
+from comparisons.estimates.external import GivenEstimate
 from ekf_reference.observation import wrap_angle
 
 Index = NDArray[np.intp]

@@ -8,17 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.checks.agreement import ROUNDING, Agreement, Gap, Gaussian, compare
-from comparisons.checks.attribution import Verdict, judge
-from comparisons.checks.bookkeeping import Misuse, misuses
-from comparisons.checks.explanations import explain
-from comparisons.checks.model_differences import model_differences
-from comparisons.errors import InputError
-from comparisons.logs.log import Log, Positions
-from comparisons.runs.ekf_run import EkfRun
-from comparisons.runs.estimate import Estimate
-from comparisons.runs.given_estimate import GivenEstimate
-from comparisons.runs.smoother_run import (
+from comparisons.adapters.ekf_run import EkfRun
+from comparisons.adapters.smoother_input import (
     build_problem,
     linear_own,
     linear_recorded,
@@ -27,8 +18,17 @@ from comparisons.runs.smoother_run import (
     solve_own,
     solve_recorded,
 )
-from comparisons.runs.timeline import Timeline, build_timeline
-from comparisons.runs.trace_file import TraceFile
+from comparisons.adapters.timeline import Timeline, build_timeline
+from comparisons.checks.agreement import ROUNDING, Agreement, Gap, Gaussian, compare
+from comparisons.checks.diagnosis.bookkeeping import Misuse, misuses
+from comparisons.checks.diagnosis.explanations import explain
+from comparisons.checks.diagnosis.model_differences import model_differences
+from comparisons.checks.verdict import Verdict, judge
+from comparisons.errors import InputError
+from comparisons.estimates.estimate import Estimate
+from comparisons.estimates.external import GivenEstimate
+from comparisons.estimates.trace_file import TraceFile
+from comparisons.logs.log import Log, Positions
 from ekf_reference.association import REJECTED
 from ekf_reference.full_ekf import PoseReading
 from graphslam.smoother import SmootherOptions
@@ -64,7 +64,7 @@ def check_trace(
     *,
     labelled: bool,
 ) -> TraceCheck:
-    """Compute the gaps as comparisons.compare does for the reference EKF, and judge them.
+    """Compute the gaps as comparisons.pipeline.compare does for the reference EKF, and judge them.
 
     positions: those that were to be fused. Raises InputError for a trace that does not fit the log.
     """

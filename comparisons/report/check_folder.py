@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from comparisons.atomic import fresh_folder
-from comparisons.check_given import GivenCheck
+from comparisons.estimates.folder import FILES as ESTIMATE_FILES
+from comparisons.estimates.folder import write_estimate
+from comparisons.pipeline.check import GivenCheck
 from comparisons.report.check_models import CheckResult
 from comparisons.report.picture import save
 from comparisons.report.plots import check_figure
-from comparisons.runs.estimate_folder import FILES as ESTIMATE_FILES
-from comparisons.runs.estimate_folder import write_estimate
 
 CHECK_CONTENTS = frozenset(
     {"check.json", "map.png"} | {f"smoother/{name}" for name in ESTIMATE_FILES}

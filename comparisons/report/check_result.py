@@ -5,9 +5,9 @@ from __future__ import annotations
 from rich.console import Console
 from rich.table import Table
 
-from comparisons.check_given import GivenCheck
 from comparisons.checks.given_agreement import Block
 from comparisons.checks.given_trace import TraceCheck
+from comparisons.pipeline.check import GivenCheck
 from comparisons.report.check_models import (
     CheckResult,
     GivenBlockResult,

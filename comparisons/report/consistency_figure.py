@@ -5,7 +5,7 @@ from __future__ import annotations
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from comparisons.compare import Comparison
+from comparisons.pipeline.compare import Comparison
 from comparisons.report.panels import ConsistencyPanels, Panel
 from comparisons.report.picture import blank
 from comparisons.report.plots import TRUTH_COLOUR

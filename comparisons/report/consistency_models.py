@@ -6,7 +6,7 @@ from comparisons.report.model import Model
 
 
 class NeesResult(Model):
-    """Normalised errors squared, each with `dof`. See comparisons.checks.normalised.Normalised.
+    """Normalised errors squared, each with `dof`. See checks.consistency.normalised.
 
     mean: `dof` is right. Over time, and over landmarks of one run, the values are correlated: no
     band holds for their average. single_band: 95 % of single values lie in it; inside: the share
@@ -53,7 +53,7 @@ class NisResult(Model):
 
 
 class WhitenessResult(Model):
-    """See comparisons.checks.innovations.Whiteness. band: half widths, lag by lag."""
+    """See comparisons.checks.consistency.innovations.Whiteness. band: half widths, lag by lag."""
 
     component: str
     order: str
@@ -65,7 +65,7 @@ class WhitenessResult(Model):
 
 
 class InnovationResult(Model):
-    """One sensor's innovations. See comparisons.checks.innovations."""
+    """One sensor's innovations. See comparisons.checks.consistency.innovations."""
 
     sensor: str
     nis: list[NisResult]
@@ -74,7 +74,7 @@ class InnovationResult(Model):
 
 
 class FilterAgainstSmootherResult(Model):
-    """Filtered poses against smoothed ones. See comparisons.checks.filter_smoother.
+    """Filtered poses against smoothed ones. See comparisons.checks.consistency.filter_smoother.
 
     squared_per_dof: 1 is right; inside: share of the epochs in their single 95 % band. least_ratio:
     smallest variance of the filter over the smoother's, at least_ratio_s; surer_epochs: how many

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from comparisons.checks.consistency import Consistency
-from comparisons.checks.filter_smoother import FilterAgainstSmoother
-from comparisons.checks.innovations import SensorInnovations
-from comparisons.checks.nees import TruthConsistency
-from comparisons.checks.normalised import Normalised
+from comparisons.checks.consistency.consistency import Consistency
+from comparisons.checks.consistency.filter_smoother import FilterAgainstSmoother
+from comparisons.checks.consistency.innovations import SensorInnovations
+from comparisons.checks.consistency.nees import TruthConsistency
+from comparisons.checks.consistency.normalised import Normalised
 from comparisons.report.consistency_models import (
     ConsistencyResult,
     FilterAgainstSmootherResult,

@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from comparisons.atomic import fresh_folder
-from comparisons.front_end import FrontEnd
+from comparisons.estimates.folder import FILES as ESTIMATE_FILES
+from comparisons.estimates.folder import tum_text, write_estimate
+from comparisons.pipeline.odometry import FrontEnd
 from comparisons.report.models import FrontEndResult
 from comparisons.report.picture import save
 from comparisons.report.plots import front_end_figure
-from comparisons.runs.estimate_folder import FILES as ESTIMATE_FILES
-from comparisons.runs.estimate_folder import tum_text, write_estimate
 from graphslam.g2o import G2oContents, holds, write_g2o
 from graphslam.scan.clouds import write_cloud
 

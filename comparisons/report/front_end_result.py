@@ -7,21 +7,21 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from comparisons.front_end import FrontEnd
-from comparisons.report.models import (
-    FrontEndResult,
-    LoopResult,
-)
-from comparisons.report.result import accuracy_result, log_result, package_versions, smoother_result
-from comparisons.report.scan_odometry import (
+from comparisons.extensions.scan_motion.result import (
     add_scan_odometry,
     by_reason,
     increment_remarks,
     increment_result,
     scan_odometry_result,
 )
+from comparisons.logs.transforms.scan_motion import sightings_kept
+from comparisons.pipeline.odometry import FrontEnd
+from comparisons.report.models import (
+    FrontEndResult,
+    LoopResult,
+)
+from comparisons.report.result import accuracy_result, log_result, package_versions, smoother_result
 from comparisons.report.summary import add_accuracy, add_log, add_smoother
-from comparisons.runs.scan_log import sightings_kept
 
 
 def build_front_end_result(front_end: FrontEnd, read_s: float) -> FrontEndResult:

@@ -16,7 +16,7 @@ from matplotlib.image import imsave
 from numpy.typing import NDArray
 
 from comparisons.errors import InputError
-from comparisons.runs.estimate import Array
+from comparisons.estimates.estimate import Array
 from ekf_reference.dense.placed_regions import PlacedRegions
 
 OCCUPIED_ABOVE, FREE_BELOW = 0.65, 0.25

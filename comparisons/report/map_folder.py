@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 
 from comparisons.atomic import fresh_folder
-from comparisons.mapping import DenseMapping
+from comparisons.estimates.folder import FILES as ESTIMATE_FILES
+from comparisons.estimates.folder import write_estimate
+from comparisons.extensions.dense_maps.figure import dense_map_figure, dynamic_figure
+from comparisons.extensions.dense_maps.source import LAYERS
+from comparisons.pipeline.dense_map import DenseMapping
 from comparisons.report.map_export import rasterise, write_image, write_ros_map
-from comparisons.report.map_figure import dense_map_figure, dynamic_figure
 from comparisons.report.map_models import MapResult
 from comparisons.report.picture import save
-from comparisons.runs.dense_run import LAYERS
-from comparisons.runs.estimate_folder import FILES as ESTIMATE_FILES
-from comparisons.runs.estimate_folder import write_estimate
 from graphslam.scan.clouds import write_cloud
 
 _SUFFIXES = ("png", "pgw", "pgm", "yaml", "pcd", "ply")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from comparisons.report.dense_models import SurfaceErrorResult
+from comparisons.extensions.dense_maps.models import SurfaceErrorResult
 from comparisons.report.model import Model
 from comparisons.report.models import (
     AccuracyResult,

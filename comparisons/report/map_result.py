@@ -8,9 +8,9 @@ from rich.markup import escape
 from rich.table import Table
 
 from comparisons.checks.accuracy import assess
-from comparisons.checks.dense_accuracy import OCCUPIED
-from comparisons.mapping import DenseMapping
-from comparisons.report.dense_result import add_surface_errors, surface_error_results
+from comparisons.extensions.dense_maps.accuracy import OCCUPIED
+from comparisons.extensions.dense_maps.result import add_surface_errors, surface_error_results
+from comparisons.pipeline.dense_map import DenseMapping
 from comparisons.report.map_models import (
     ClosingResult,
     DynamicResult,

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Literal
 
+from comparisons.extensions.dense_maps.models import DenseResult, HighLevelResult
+from comparisons.extensions.own_matching.models import LandmarkMatchingResult
 from comparisons.report.consistency_models import ConsistencyResult
-from comparisons.report.dense_models import DenseResult, HighLevelResult
-from comparisons.report.matching_models import LandmarkMatchingResult
 from comparisons.report.model import Model
 
 
@@ -156,7 +156,7 @@ class AssociationResult(Model):
 
 
 class OwnAssociationResult(Model):
-    """The smoother with its own association. See comparisons.checks.own_association.
+    """The smoother with its own association. See comparisons.extensions.own_association.check.
 
     agreement: share of the pairs of sightings put together by either that both put together.
     pose_distance_sigma: between the last poses with the one and the other association.
@@ -178,7 +178,7 @@ class OwnAssociationResult(Model):
 
 
 class MapPairResult(Model):
-    """Two maps of the same landmarks. See comparisons.checks.three_way.Pair."""
+    """Two maps of the same landmarks. See comparisons.extensions.scan_motion.three_way.Pair."""
 
     rms_m: float
     rms_aligned_m: float
@@ -223,7 +223,7 @@ class ScanOdometryResult(Model):
 
 
 class IncrementResult(Model):
-    """Errors of the increments. See comparisons.checks.scan_increments.IncrementCheck."""
+    """Errors of the increments. See extensions.scan_motion.increments."""
 
     against: str
     nees: float
@@ -263,7 +263,7 @@ class ScanSlamResult(Model):
 
 
 class OwnMatchingResult(Model):
-    """The smoother with its own matcher. See comparisons.checks.own_matching.
+    """The smoother with its own matcher. See comparisons.extensions.own_matching.check.
 
     filter, own, common: alignments, begun landmarks left out. shift_sigma: of what all differences
     have in common, None for too few. ekf, smoother: scan landmarks of each against those of this

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.checks.innovations import SensorInnovations
-from comparisons.checks.normalised import mean_band
-from comparisons.compare import Comparison
+from comparisons.checks.consistency.innovations import SensorInnovations
+from comparisons.checks.consistency.normalised import mean_band
+from comparisons.pipeline.compare import Comparison
 from comparisons.report.plots import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR
 
 Array = NDArray[np.float64]

@@ -9,15 +9,15 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from comparisons.check_given import GivenCheck
-from comparisons.compare import Comparison
-from comparisons.front_end import FrontEnd
+from comparisons.estimates.estimate import Estimate
+from comparisons.extensions.high_level.source import HighLevelRun
+from comparisons.extensions.scan_landmarks.result import axes_of, place_covariances, template_points
 from comparisons.logs.log import Log
+from comparisons.pipeline.check import GivenCheck
+from comparisons.pipeline.compare import Comparison
+from comparisons.pipeline.odometry import FrontEnd
+from comparisons.pipeline.solve import Solution
 from comparisons.report.picture import blank
-from comparisons.report.scan_slam import axes_of, place_covariances, template_points
-from comparisons.runs.estimate import Estimate
-from comparisons.runs.high_level_source import HighLevelRun
-from comparisons.solve import Solution
 from ekf_reference.correlation import correlation_coefficients
 from ekf_reference.scan_landmarks.scan_slam import ScanLandmarks
 

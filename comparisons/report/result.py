@@ -8,14 +8,23 @@ from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
 
+from comparisons.adapters.ekf_factory import EkfChoices
+from comparisons.adapters.ekf_run import EkfRun
 from comparisons.checks.accuracy import Accuracy
 from comparisons.checks.association import AssociationScore
-from comparisons.checks.own_association import OwnAssociationCheck
-from comparisons.checks.three_way import ThreeWay
-from comparisons.compare import Comparison
+from comparisons.extensions.dense_maps.result import dense_result, high_level_result
+from comparisons.extensions.own_association.check import OwnAssociationCheck
+from comparisons.extensions.own_matching.result import map_pair_result, own_matching_result
+from comparisons.extensions.scan_landmarks.result import block_fields, scan_slam_result
+from comparisons.extensions.scan_motion.result import (
+    increment_remarks,
+    increment_result,
+    scan_odometry_result,
+)
+from comparisons.extensions.scan_motion.three_way import ThreeWay
 from comparisons.logs.log import Log, Sightings
+from comparisons.pipeline.compare import Comparison
 from comparisons.report.consistency_result import consistency_result
-from comparisons.report.dense_result import dense_result, high_level_result
 from comparisons.report.finite import finite
 from comparisons.report.models import (
     Accuracies,
@@ -34,15 +43,6 @@ from comparisons.report.models import (
     StartResult,
     ThreeWayResult,
 )
-from comparisons.report.own_matching import map_pair_result, own_matching_result
-from comparisons.report.scan_odometry import (
-    increment_remarks,
-    increment_result,
-    scan_odometry_result,
-)
-from comparisons.report.scan_slam import block_fields, scan_slam_result
-from comparisons.runs.ekf_build import EkfChoices
-from comparisons.runs.ekf_run import EkfRun
 from graphslam import smoother
 
 

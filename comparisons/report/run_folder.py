@@ -6,17 +6,17 @@ from collections.abc import Collection
 from pathlib import Path
 
 from comparisons.atomic import fresh_folder
-from comparisons.compare import Comparison
+from comparisons.estimates.folder import FILES as ESTIMATE_FILES
+from comparisons.estimates.folder import write_estimate
+from comparisons.estimates.trace_file import TRACE, write_trace
+from comparisons.extensions.dense_maps.figure import dense_check_figure
+from comparisons.pipeline.compare import Comparison
 from comparisons.report.consistency_figure import consistency_figure
 from comparisons.report.html.page import page
-from comparisons.report.map_figure import dense_check_figure
 from comparisons.report.models import Result
 from comparisons.report.panels import consistency_panels
 from comparisons.report.picture import FORMATS, save
 from comparisons.report.plots import correlation_figure, map_figure
-from comparisons.runs.estimate_folder import FILES as ESTIMATE_FILES
-from comparisons.runs.estimate_folder import write_estimate
-from comparisons.runs.trace_file import TRACE, write_trace
 
 ESTIMATORS = ("ekf", "smoother", "scans", "own-matcher")
 _PICTURES = ("map", "correlation", "consistency", "dense")

@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from comparisons.atomic import fresh_folder
+from comparisons.estimates.folder import FILES as ESTIMATE_FILES
+from comparisons.estimates.folder import write_estimate
+from comparisons.pipeline.solve import Solution
 from comparisons.report.models import SolutionResult
 from comparisons.report.picture import save
 from comparisons.report.plots import solution_figure
-from comparisons.runs.estimate_folder import FILES as ESTIMATE_FILES
-from comparisons.runs.estimate_folder import write_estimate
-from comparisons.solve import Solution
 from graphslam.g2o import G2oContents, holds, write_g2o
 
 SOLUTION_CONTENTS = frozenset(

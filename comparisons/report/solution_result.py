@@ -7,6 +7,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from comparisons.pipeline.solve import Solution
 from comparisons.report.models import SolutionResult
 from comparisons.report.result import (
     accuracy_result,
@@ -16,7 +17,6 @@ from comparisons.report.result import (
     smoother_result,
 )
 from comparisons.report.summary import add_accuracy, add_association, add_log, add_smoother
-from comparisons.solve import Solution
 
 
 def build_solution_result(solution: Solution, read_s: float) -> SolutionResult:

@@ -7,8 +7,11 @@ from rich.markup import escape
 from rich.table import Table
 
 from comparisons.checks.causes import GAPS
+from comparisons.extensions.dense_maps.result import add_dense, high_level_text
+from comparisons.extensions.own_matching.result import own_matching_rows
+from comparisons.extensions.scan_landmarks.result import scan_slam_rows
+from comparisons.extensions.scan_motion.result import add_scan_odometry
 from comparisons.report.consistency_result import consistency_rows
-from comparisons.report.dense_result import add_dense, high_level_text
 from comparisons.report.models import (
     AccuracyResult,
     AssociationResult,
@@ -18,9 +21,6 @@ from comparisons.report.models import (
     Result,
     SmootherResult,
 )
-from comparisons.report.own_matching import own_matching_rows
-from comparisons.report.scan_odometry import add_scan_odometry
-from comparisons.report.scan_slam import scan_slam_rows
 
 _STYLE = {"agree": "bold green", "disagree": "bold red", "unproven": "bold yellow"}
 

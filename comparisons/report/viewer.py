@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from comparisons.adapters.scan_source import ScanSource
 from comparisons.atomic import write_whole
-from comparisons.compare import Comparison
 from comparisons.errors import InputError
+from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log, Poses
+from comparisons.pipeline.compare import Comparison
 from comparisons.report.plots import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR, ellipses
-from comparisons.runs.estimate import Estimate
-from comparisons.runs.scan_source import ScanSource
 from graphslam.scan import planar
 
 Array = NDArray[np.float64]

@@ -6,15 +6,15 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from comparisons.adapters.ekf_factory import EkfChoices
 from comparisons.checks.association import (
     compare_partitions,
     counterparts,
     score_association,
     score_partition,
 )
-from comparisons.compare import compare_estimators
 from comparisons.logs.log import NO_LANDMARK, Landmarks, Truth
-from comparisons.runs.ekf_build import EkfChoices
+from comparisons.pipeline.compare import compare_estimators
 from tests.helpers import simulated
 
 

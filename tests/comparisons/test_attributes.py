@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from comparisons.compare import compare_estimators
+from comparisons.adapters.attributes import sighted_attributes
+from comparisons.adapters.ekf_factory import EkfChoices
+from comparisons.adapters.ekf_run import run_ekf
+from comparisons.adapters.timeline import build_timeline
 from comparisons.errors import InputError
 from comparisons.logs.log import NO_LANDMARK, Log
+from comparisons.pipeline.compare import compare_estimators
 from comparisons.report.result import build_result
-from comparisons.runs.attributes import sighted_attributes
-from comparisons.runs.ekf_build import EkfChoices
-from comparisons.runs.ekf_run import run_ekf
-from comparisons.runs.timeline import build_timeline
 from ekf_reference.association import RememberedAttributes
 from ekf_reference.full_ekf import FullEkf
 from tests.helpers import first_seconds, simulated

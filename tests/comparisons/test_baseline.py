@@ -20,9 +20,9 @@ from comparisons.baseline import (
     write_baseline,
     write_junit,
 )
-from comparisons.compare import compare_estimators
 from comparisons.errors import InputError
 from comparisons.logs.log_folder import write_log_folder
+from comparisons.pipeline.compare import compare_estimators
 from comparisons.report.models import Result
 from comparisons.report.result import build_result
 from comparisons.report.side_by_side import read_results, side_by_side

@@ -10,18 +10,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from comparisons.compare import Comparison, compare_estimators
+from comparisons.adapters.ekf_factory import FILTERS, LEAST_GAIN, EkfChoices
+from comparisons.adapters.ekf_run import EkfRun, run_ekf
+from comparisons.adapters.timeline import build_timeline
 from comparisons.errors import InputError
+from comparisons.extensions.dense_maps.source import DenseOptions
+from comparisons.extensions.high_level.source import HighLevelOptions
+from comparisons.extensions.scan_landmarks.source import ScanSlamSources
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.scan_drive import dense_slam, simulate
+from comparisons.pipeline.compare import Comparison, compare_estimators
 from comparisons.report.result import build_result
 from comparisons.report.run_folder import write_run_folder
-from comparisons.runs.dense_run import DenseOptions
-from comparisons.runs.ekf_build import FILTERS, LEAST_GAIN, EkfChoices
-from comparisons.runs.ekf_run import EkfRun, run_ekf
-from comparisons.runs.high_level_source import HighLevelOptions
-from comparisons.runs.scan_slam_source import ScanSlamSources
-from comparisons.runs.timeline import build_timeline
 from ekf_reference.compressed_ekf import CompressedState, LocalAreas
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.kalman import Array, FilterDivergedError, Index

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from comparisons.checks.agreement import ROUNDING
-from comparisons.compare import compare_estimators
-from comparisons.defects.catalogue import CATALOGUE
+from comparisons.experiments.defects.catalogue import CATALOGUE
 from comparisons.logs.log import Log
+from comparisons.pipeline.compare import compare_estimators
 from tests.helpers import simulated
 
 GAPS = {

@@ -7,15 +7,15 @@ from functools import cache
 
 import numpy as np
 
+from comparisons.adapters.ekf_factory import EkfChoices
+from comparisons.adapters.smoother_input import build_problem, linear_optimum, linear_own
 from comparisons.checks import causes
 from comparisons.checks.causes import GAPS
-from comparisons.checks.dropouts import find_dropouts
-from comparisons.checks.linearisation_growth import linearisation_growth
-from comparisons.compare import Comparison, compare_estimators
+from comparisons.checks.diagnosis.dropouts import find_dropouts
+from comparisons.checks.diagnosis.linearisation_growth import linearisation_growth
+from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
-from comparisons.runs.ekf_build import EkfChoices
-from comparisons.runs.estimate import Estimate
-from comparisons.runs.smoother_run import build_problem, linear_optimum, linear_own
+from comparisons.pipeline.compare import Comparison, compare_estimators
 from graphslam.frozen_own import FrozenPoints, own_problem
 from graphslam.problem import SlamProblem
 from tests.helpers import Array, simulated

@@ -11,17 +11,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from comparisons.check_given import check_given
+from comparisons.adapters.ekf_factory import EkfChoices
+from comparisons.adapters.ekf_run import run_ekf
+from comparisons.adapters.timeline import build_timeline
 from comparisons.errors import InputError
+from comparisons.estimates.estimate import Estimate
+from comparisons.estimates.external import GivenEstimate, read_given
+from comparisons.estimates.folder import tum_text, write_estimate
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
+from comparisons.pipeline.check import check_given
 from comparisons.report.check_models import CheckResult
-from comparisons.runs.ekf_build import EkfChoices
-from comparisons.runs.ekf_run import run_ekf
-from comparisons.runs.estimate import Estimate
-from comparisons.runs.estimate_folder import tum_text, write_estimate
-from comparisons.runs.given_estimate import GivenEstimate, read_given
-from comparisons.runs.timeline import build_timeline
 from tests.comparisons.test_cli import slamcheck
 
 

@@ -7,8 +7,8 @@ import pytest
 
 from comparisons.checks.accuracy import aligned, assess, match_by_distance
 from comparisons.checks.agreement import BlockAgreement, Gaussian, block_agrees, compare, gap
-from comparisons.checks.attribution import judge
-from comparisons.compare import Comparison, compare_estimators
+from comparisons.checks.verdict import judge
+from comparisons.pipeline.compare import Comparison, compare_estimators
 from graphslam.optimum import Proof, Stationarity, chi_square_test
 from tests.helpers import random_covariance, simulated
 

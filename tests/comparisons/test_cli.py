@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
+from comparisons.estimates.folder import read_estimate
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.report.models import Result
-from comparisons.runs.estimate_folder import read_estimate
 from tests.helpers import simulated
 
 
@@ -28,7 +28,7 @@ def python(code: str, cwd: Path, *arguments: str) -> subprocess.CompletedProcess
 
 
 def slamcheck(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return python("from comparisons.cli import main; main()", cwd, *arguments)
+    return python("from comparisons.cli import app; app.main()", cwd, *arguments)
 
 
 def test_a_run_leaves_a_whole_folder(tmp_path: Path) -> None:
@@ -118,11 +118,11 @@ def test_bad_input_is_one_line_and_exit_2(tmp_path: Path) -> None:
 def test_a_crash_is_no_verdict(tmp_path: Path) -> None:
     """An unforeseen failure shows its traceback and exits with 70."""
     code = (
-        "import sys, comparisons.compare as c\n"
+        "import sys, comparisons.pipeline.compare as c\n"
         "def fails(*a, **k): raise ZeroDivisionError('planted')\n"
         "c.compare_estimators = fails\n"
         "sys.argv[1:] = ['run', 'simulated-loop', '--out', 'report']\n"
-        "from comparisons.cli import main\nmain()\n"
+        "from comparisons.cli.app import main\nmain()\n"
     )
     done = python(code, tmp_path)
     assert done.returncode == 70
@@ -132,11 +132,11 @@ def test_a_crash_is_no_verdict(tmp_path: Path) -> None:
 
 def test_an_interrupt_leaves_nothing(tmp_path: Path) -> None:
     code = (
-        "import sys, comparisons.compare as c\n"
+        "import sys, comparisons.pipeline.compare as c\n"
         "def stop(*a, **k): raise KeyboardInterrupt\n"
         "c.compare_estimators = stop\n"
         "sys.argv[1:] = ['run', 'simulated-loop', '--out', 'a/report']\n"
-        "from comparisons.cli import main\nmain()\n"
+        "from comparisons.cli.app import main\nmain()\n"
     )
     done = python(code, tmp_path)
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
@@ -147,7 +147,7 @@ def test_a_closed_pipe_keeps_the_verdict(tmp_path: Path) -> None:
     code = (
         "import os, sys\nos.close(1)\n"
         "sys.argv[1:] = ['run', 'simulated-loop', '--out', 'report']\n"
-        "from comparisons.cli import main\nmain()\n"
+        "from comparisons.cli.app import main\nmain()\n"
     )
     assert python(code, tmp_path).returncode == 0
     assert (tmp_path / "report" / "result.json").exists()
@@ -212,7 +212,7 @@ def test_lists_and_help(tmp_path: Path) -> None:
 @pytest.mark.parametrize("arguments", [["--help"], ["run", "--help"]])
 def test_help_imports_nothing_heavy(arguments: list[str], tmp_path: Path) -> None:
     code = (
-        "import sys\nfrom comparisons.cli import main\n"
+        "import sys\nfrom comparisons.cli.app import main\n"
         f"sys.argv[1:] = {arguments!r}\n"
         "try:\n    main()\nexcept SystemExit:\n    pass\n"
         "heavy = {'numpy', 'scipy', 'gtsam', 'matplotlib', 'open3d'} & set(sys.modules)\n"
@@ -223,7 +223,9 @@ def test_help_imports_nothing_heavy(arguments: list[str], tmp_path: Path) -> Non
 
 
 def test_a_cloud_that_cannot_be_written_is_told_of_before_the_work(tmp_path: Path) -> None:
-    without = "import sys; sys.modules['open3d'] = None; from comparisons.cli import main; main()"
+    without = (
+        "import sys; sys.modules['open3d'] = None; from comparisons.cli import app; app.main()"
+    )
     done = python(without, tmp_path, "odometry", "no-such-log", "--cloud", "pcd")
     assert done.returncode == 2
     assert "Open3D is not installed" in done.stderr

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from comparisons.compare import compare_estimators
 from comparisons.logs.log import Log, Prior, Sightings
 from comparisons.logs.odometry import RelativePoses
+from comparisons.pipeline.compare import compare_estimators
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.kalman import Array, Correction, Index, KalmanState
 from tests.helpers import simulated

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from comparisons.checks.nees import TruthConsistency
-from comparisons.checks.normalised import mean_band
-from comparisons.compare import Comparison, compare_estimators
-from comparisons.runs.estimate import Estimate
+from comparisons.checks.consistency.nees import TruthConsistency
+from comparisons.checks.consistency.normalised import mean_band
+from comparisons.estimates.estimate import Estimate
+from comparisons.pipeline.compare import Comparison, compare_estimators
 from tests.helpers import Array, simulated
 
 SEEDS = 20

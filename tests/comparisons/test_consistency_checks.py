@@ -9,10 +9,19 @@ import pytest
 from scipy.spatial.distance import mahalanobis
 from scipy.stats import chi2
 
-from comparisons.checks.filter_smoother import FilterAgainstSmoother, filter_against_smoother
-from comparisons.checks.innovations import Nis, SensorInnovations, sensor, whiten, whiteness
-from comparisons.checks.nees import distances, map_errors, pose_errors, spanning_tree
-from comparisons.checks.normalised import mean_band, normalise
+from comparisons.checks.consistency.filter_smoother import (
+    FilterAgainstSmoother,
+    filter_against_smoother,
+)
+from comparisons.checks.consistency.innovations import (
+    Nis,
+    SensorInnovations,
+    sensor,
+    whiten,
+    whiteness,
+)
+from comparisons.checks.consistency.nees import distances, map_errors, pose_errors, spanning_tree
+from comparisons.checks.consistency.normalised import mean_band, normalise
 from tests.comparisons.linear_world import STEPS, Runs, simulate
 from tests.helpers import Array, central_difference, relative_error
 

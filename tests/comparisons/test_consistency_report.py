@@ -10,18 +10,18 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from comparisons.checks.innovations import check_innovations
-from comparisons.compare import Comparison, compare_estimators
+from comparisons.adapters.ekf_factory import EkfChoices, fused_positions
+from comparisons.adapters.ekf_run import EkfRun, run_ekf
+from comparisons.adapters.timeline import build_timeline
+from comparisons.checks.consistency.innovations import check_innovations
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log, Positions
+from comparisons.pipeline.compare import Comparison, compare_estimators
 from comparisons.report.consistency_figure import consistency_figure
 from comparisons.report.panels import consistency_panels
 from comparisons.report.picture import save
 from comparisons.report.result import build_result
 from comparisons.report.summary import print_summary
-from comparisons.runs.ekf_build import EkfChoices, fused_positions
-from comparisons.runs.ekf_run import EkfRun, run_ekf
-from comparisons.runs.timeline import build_timeline
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.kalman import Array, Correction, Index, KalmanState
 from graphslam.smoother import SmootherOptions

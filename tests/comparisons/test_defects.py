@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from comparisons.compare import compare_estimators
-from comparisons.defects.catalogue import CATALOGUE, named_first, run_defect
-from comparisons.defects.defect import Defect, Plant, with_observation, with_steps
-from comparisons.defects.logs import LOGS, open_case
 from comparisons.errors import InputError
+from comparisons.experiments.defects.catalogue import CATALOGUE, named_first, run_defect
+from comparisons.experiments.defects.defect import Defect, Plant, with_observation, with_steps
+from comparisons.experiments.defects.logs import LOGS, open_case
+from comparisons.pipeline.compare import compare_estimators
 from ekf_reference.absolute_updates import PositionModel
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.kalman import KalmanState

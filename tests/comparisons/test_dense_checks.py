@@ -9,18 +9,18 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from comparisons.checks.dense_accuracy import (
+from comparisons.adapters.motion import poses_at
+from comparisons.extensions.dense_maps.accuracy import (
     distance_to_segments,
     error_of_points,
     surface_error,
 )
-from comparisons.checks.dense_agreement import AGREE_M, compare_dense
-from comparisons.compare import Comparison, compare_estimators
+from comparisons.extensions.dense_maps.check import AGREE_M, compare_dense
+from comparisons.extensions.dense_maps.result import dense_result
+from comparisons.extensions.dense_maps.source import DenseOptions
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.odometry import RelativePoses
-from comparisons.report.dense_result import dense_result
-from comparisons.runs.dense_run import DenseOptions
-from comparisons.runs.motion import poses_at
+from comparisons.pipeline.compare import Comparison, compare_estimators
 from ekf_reference.dense.layers.layer import Samples
 from graphslam.scan import planar
 
@@ -95,7 +95,7 @@ def test_a_map_that_hangs_on_wrong_landmarks_is_found(compared: Comparison) -> N
 def test_a_dense_disagreement_is_a_cause(
     monkeypatch: pytest.MonkeyPatch, compared: Comparison
 ) -> None:
-    monkeypatch.setattr("comparisons.checks.dense_agreement.AGREE_M", 1e-4)
+    monkeypatch.setattr("comparisons.extensions.dense_maps.check.AGREE_M", 1e-4)
     log = open_log("occupancy-loop", choices=SimulationChoices(seed=2))
     found = compare_estimators(log, dense=DenseOptions(("points",)))
     assert compared.verdict.outcome == "agree"

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from comparisons.checks.dense_accuracy import surface_error
+from comparisons.extensions.dense_maps.accuracy import surface_error
+from comparisons.extensions.dense_maps.source import DenseOptions
 from comparisons.logs.bundled import SimulationChoices, open_log
-from comparisons.mapping import DenseMapping, map_log
-from comparisons.runs.dense_run import DenseOptions
+from comparisons.pipeline.dense_map import DenseMapping, map_log
 
 SEEDS = (1, 2, 5)
 

@@ -8,14 +8,17 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from comparisons.checks.decorrelation_example import DecorrelationExample, decorrelation_example
-from comparisons.checks.neglected_change import neglected_change
-from comparisons.report.dense_figures import (
+from comparisons.experiments.reproduction.decorrelation_example import (
+    DecorrelationExample,
+    decorrelation_example,
+)
+from comparisons.experiments.reproduction.dense_figures import (
     decorrelation_figure,
     displacement_figure,
     draw_displacement,
     neglected_figure,
 )
+from comparisons.experiments.reproduction.neglected_change import neglected_change
 from comparisons.report.picture import save
 from tests.helpers import simulated
 

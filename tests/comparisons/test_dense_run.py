@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from comparisons.adapters.ekf_factory import FILTERS, EkfChoices
+from comparisons.adapters.ekf_run import EkfRun, run_ekf
+from comparisons.adapters.planar_scans import PlanarScans
+from comparisons.adapters.timeline import build_timeline
 from comparisons.errors import InputError
+from comparisons.extensions.dense_maps.source import DenseOptions, DenseRun, DenseWatcher
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log, Sightings
 from comparisons.logs.scans import Clouds, Scans
-from comparisons.runs.dense_run import DenseOptions, DenseRun, DenseWatcher
-from comparisons.runs.ekf_build import FILTERS, EkfChoices
-from comparisons.runs.ekf_run import EkfRun, run_ekf
-from comparisons.runs.planar_scans import PlanarScans
-from comparisons.runs.timeline import build_timeline
 from ekf_reference.dense.virtual_landmarks import VirtualLandmarks
 from tests.helpers import Array
 
@@ -176,7 +176,7 @@ def test_clouds_are_seen_as_scans() -> None:
     pose = log.truth.poses.at(scans.time_s[5:6])[0]
     scan = scans.scan(5, pose)
     assert 30 < len(scan.range_m) <= 720
-    from comparisons.checks.dense_accuracy import distance_to_segments
+    from comparisons.extensions.dense_maps.accuracy import distance_to_segments
 
     assert log.truth.surfaces is not None
     off = distance_to_segments(scan.point, log.truth.surfaces.segment)

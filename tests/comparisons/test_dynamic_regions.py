@@ -9,10 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from comparisons.adapters.ekf_factory import EkfChoices
+from comparisons.adapters.ekf_run import EkfRun, run_ekf
+from comparisons.adapters.timeline import build_timeline
 from comparisons.checks.accuracy import assess
-from comparisons.checks.dynamic_accuracy import middles, score_dynamic
-from comparisons.compare import Comparison, compare_estimators
 from comparisons.errors import InputError
+from comparisons.experiments.reproduction.dynamic_accuracy import middles, score_dynamic
+from comparisons.extensions.dense_maps.source import DenseOptions, DenseWatcher
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.dynamic_worlds import LANES_M, changed_places
 from comparisons.logs.simulate.scan_drive import (
@@ -22,12 +25,9 @@ from comparisons.logs.simulate.scan_drive import (
     simulate,
 )
 from comparisons.logs.simulate.scan_worlds import Mover
-from comparisons.mapping import DenseMapping, map_log
+from comparisons.pipeline.compare import Comparison, compare_estimators
+from comparisons.pipeline.dense_map import DenseMapping, map_log
 from comparisons.report.map_models import MapResult
-from comparisons.runs.dense_run import DenseOptions, DenseWatcher
-from comparisons.runs.ekf_build import EkfChoices
-from comparisons.runs.ekf_run import EkfRun, run_ekf
-from comparisons.runs.timeline import build_timeline
 from ekf_reference.dense.dynamic import DynamicLayer
 from tests.comparisons.test_cli import slamcheck
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from comparisons.runs.drive import NoWatcher, drive
-from comparisons.runs.ekf_build import EkfChoices, build_ekf
-from comparisons.runs.ekf_run import run_ekf
-from comparisons.runs.timeline import build_timeline
-from comparisons.runs.watched_run import watched_run
+from comparisons.adapters.ekf_factory import EkfChoices, build_ekf
+from comparisons.adapters.ekf_run import run_ekf
+from comparisons.adapters.filter_loop import NoWatcher, drive
+from comparisons.adapters.timeline import build_timeline
+from comparisons.experiments.reproduction.watched_run import watched_run
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.trace import NullTrace
 from tests.helpers import simulated

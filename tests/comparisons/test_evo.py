@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from comparisons.adapters.ekf_factory import EkfChoices
+from comparisons.adapters.ekf_run import run_ekf
+from comparisons.adapters.timeline import build_timeline
 from comparisons.checks.accuracy import assess_trajectory
+from comparisons.estimates.trajectory_files import Trajectory, write_trajectory
 from comparisons.logs.log import Poses
-from comparisons.runs.ekf_build import EkfChoices
-from comparisons.runs.ekf_run import run_ekf
-from comparisons.runs.timeline import build_timeline
-from comparisons.runs.trajectory_files import Trajectory, write_trajectory
 from tests.helpers import simulated
 
 

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from comparisons.compare import compare_estimators
+from comparisons.adapters.ekf_factory import EkfChoices
 from comparisons.errors import InputError
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
 from comparisons.logs.scans import Mount, Scans
-from comparisons.runs.ekf_build import EkfChoices
-from comparisons.runs.features import choose_features
+from comparisons.logs.transforms.tree_features import choose_features
+from comparisons.pipeline.compare import compare_estimators
 from graphslam.scan import planar
 from tests.ekf_reference.test_tree_detection import ANGLES, scan_of
 from tests.helpers import simulated

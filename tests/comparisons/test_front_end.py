@@ -9,19 +9,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from comparisons.checks.three_way import compare_maps, find_culprit
-from comparisons.compare import Comparison, compare_estimators
+from comparisons.adapters.scan_odometry import ScanMotion, run_scan_odometry
 from comparisons.errors import InputError
-from comparisons.front_end import FrontEndChoices, run_front_end
+from comparisons.estimates.folder import read_estimate
+from comparisons.extensions.scan_motion.three_way import compare_maps, find_culprit
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry
 from comparisons.logs.readers import read_log
+from comparisons.pipeline.compare import Comparison, compare_estimators
+from comparisons.pipeline.odometry import FrontEndChoices, run_front_end
 from comparisons.report.models import FrontEndResult, Result
 from comparisons.report.result import build_result
-from comparisons.runs.estimate_folder import read_estimate
-from comparisons.runs.scan_motion import ScanMotion, run_scan_odometry
 from graphslam.g2o import read_g2o
 from tests.comparisons.test_cli import slamcheck
 
@@ -156,7 +156,7 @@ def test_scans_surer_than_they_may_be_are_remarked_upon(
         motion = run_scan_odometry(*arguments, **options)
         return replace(motion, covariance=0.1 * motion.covariance)
 
-    monkeypatch.setattr("comparisons.compare.run_scan_odometry", boasting)
+    monkeypatch.setattr("comparisons.pipeline.compare.run_scan_odometry", boasting)
     result = build_result(compare_estimators(scan_loop, motion="scan"), 0.0)
     assert any("surer than they may be" in remark for remark in result.remarks)
 

@@ -10,22 +10,22 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from comparisons.checks.attribution import judge
-from comparisons.checks.scan_increments import check_increments
-from comparisons.checks.three_way import compare_maps
-from comparisons.compare import Comparison, compare_estimators
+from comparisons.adapters.ekf_factory import EkfChoices
+from comparisons.adapters.motion import motion_between
+from comparisons.adapters.scan_odometry import ScanMotion, run_scan_odometry
+from comparisons.checks.verdict import judge
 from comparisons.errors import InputError
-from comparisons.front_end import FrontEndChoices, run_front_end
+from comparisons.estimates.estimate import Estimate
+from comparisons.extensions.scan_motion.increments import check_increments
+from comparisons.extensions.scan_motion.three_way import compare_maps
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import NO_LANDMARK, Landmarks, Log, Positions, Sightings, Truth
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry
+from comparisons.pipeline.compare import Comparison, compare_estimators
+from comparisons.pipeline.odometry import FrontEndChoices, run_front_end
+from comparisons.pipeline.solve import solve_log
 from comparisons.report.front_end_result import build_front_end_result
 from comparisons.report.result import log_hash
-from comparisons.runs.ekf_build import EkfChoices
-from comparisons.runs.estimate import Estimate
-from comparisons.runs.motion import motion_between
-from comparisons.runs.scan_motion import ScanMotion, run_scan_odometry
-from comparisons.solve import solve_log
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.kalman import FilterDivergedError
 from graphslam.optimum import Stationarity
@@ -184,7 +184,7 @@ def test_scans_too_sure_of_themselves_are_told_of(monkeypatch: pytest.MonkeyPatc
         wrong = np.random.default_rng(0).normal(0.0, (0.1, 0.1, 0.02), motion.displacement.shape)
         return replace(motion, displacement=motion.displacement + wrong)
 
-    monkeypatch.setattr("comparisons.compare.run_scan_odometry", boasting)
+    monkeypatch.setattr("comparisons.pipeline.compare.run_scan_odometry", boasting)
     c = three_estimates(open_log("scan-loop"))
     assert c.three_way is not None
     assert c.three_way.chi_square.reading == "too high"
@@ -248,7 +248,7 @@ def test_positions_held_back_stay_so_where_scans_begin_late(
     def noted(estimate: Estimate, log: Log, *, labelled: bool) -> None:
         judging.append(log.positions)
 
-    monkeypatch.setattr("comparisons.front_end.assess", noted)
+    monkeypatch.setattr("comparisons.pipeline.odometry.assess", noted)
     late = without_odometry(with_scans(short(), slice(2, None)))
     for first_s in (0.0, 0.4):
         front_end = run_front_end(with_positions(late, first_s), FrontEndChoices(gps="half"))

@@ -9,15 +9,15 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from comparisons.compare import Comparison, compare_estimators
+from comparisons.adapters.ekf_factory import EkfChoices
+from comparisons.adapters.oriented_sightings import OrientedLedger
 from comparisons.errors import InputError
+from comparisons.extensions.dense_maps.source import DenseOptions
+from comparisons.extensions.scan_landmarks.source import LogScans, ScanSlamSource
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.scan_drive import dense_slam, simulate
+from comparisons.pipeline.compare import Comparison, compare_estimators
 from comparisons.report.result import build_result
-from comparisons.runs.dense_run import DenseOptions
-from comparisons.runs.ekf_build import EkfChoices
-from comparisons.runs.oriented_sightings import OrientedLedger
-from comparisons.runs.scan_slam_source import LogScans, ScanSlamSource
 from ekf_reference.compressed_ekf import CompressedState, LocalAreas
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.local_map import LocalMap

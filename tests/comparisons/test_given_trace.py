@@ -8,20 +8,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from comparisons.check_given import GivenCheck, check_given
+from comparisons.adapters.ekf_factory import EkfChoices, fused_positions
+from comparisons.adapters.ekf_run import EkfRun, run_ekf
+from comparisons.adapters.timeline import build_timeline
 from comparisons.checks.agreement import Gap
-from comparisons.compare import Comparison, compare_estimators
-from comparisons.defects.catalogue import CATALOGUE
-from comparisons.defects.defect import Defect
-from comparisons.defects.logs import open_case
 from comparisons.errors import InputError
+from comparisons.estimates.external import read_given
+from comparisons.estimates.folder import write_estimate
+from comparisons.estimates.trace_file import TRACE, write_trace
+from comparisons.experiments.defects.catalogue import CATALOGUE
+from comparisons.experiments.defects.defect import Defect
+from comparisons.experiments.defects.logs import open_case
 from comparisons.logs.log import Log
-from comparisons.runs.ekf_build import EkfChoices, fused_positions
-from comparisons.runs.ekf_run import EkfRun, run_ekf
-from comparisons.runs.estimate_folder import write_estimate
-from comparisons.runs.given_estimate import read_given
-from comparisons.runs.timeline import build_timeline
-from comparisons.runs.trace_file import TRACE, write_trace
+from comparisons.pipeline.check import GivenCheck, check_given
+from comparisons.pipeline.compare import Comparison, compare_estimators
 from ekf_reference.full_ekf import FullEkf
 from tests.comparisons.test_cli import slamcheck
 from tests.helpers import Array

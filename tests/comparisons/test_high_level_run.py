@@ -10,18 +10,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from comparisons.cli import app
-from comparisons.compare import Comparison, compare_estimators
+from comparisons.adapters.ekf_factory import EkfChoices
+from comparisons.adapters.ekf_run import EkfRun, run_ekf
+from comparisons.adapters.timeline import build_timeline
+from comparisons.cli.app import app
 from comparisons.errors import InputError
+from comparisons.extensions.dense_maps.models import HighLevelResult
+from comparisons.extensions.dense_maps.source import DenseOptions
+from comparisons.extensions.high_level.source import SEARCHED, HighLevelOptions, HighLevelSource
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
-from comparisons.report.dense_models import HighLevelResult
+from comparisons.pipeline.compare import Comparison, compare_estimators
 from comparisons.report.result import build_result
-from comparisons.runs.dense_run import DenseOptions
-from comparisons.runs.ekf_build import EkfChoices
-from comparisons.runs.ekf_run import EkfRun, run_ekf
-from comparisons.runs.high_level_source import SEARCHED, HighLevelOptions, HighLevelSource
-from comparisons.runs.timeline import build_timeline
 from ekf_reference.dense.high_level import SearchOptions
 from tests.helpers import Array, first_seconds
 

@@ -10,7 +10,7 @@ import matplotlib.image
 import numpy as np
 import pytest
 
-from comparisons.compare import Comparison, compare_estimators
+from comparisons.pipeline.compare import Comparison, compare_estimators
 from comparisons.report.html.look import script
 from comparisons.report.result import build_result
 from comparisons.report.run_folder import write_run_folder

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from comparisons.compare import Comparison, compare_estimators
+from comparisons.pipeline.compare import Comparison, compare_estimators
 from comparisons.report.html.curves import data_block
 from comparisons.report.html.drawing import Drawing
 from comparisons.report.html.look import policy, script, style

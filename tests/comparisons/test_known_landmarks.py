@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from comparisons.compare import compare_estimators
+from comparisons.adapters.ekf_factory import EkfChoices
 from comparisons.logs.log import Landmarks, Log, Sightings
 from comparisons.logs.log_folder import read_log_folder, write_log_folder
-from comparisons.runs.ekf_build import EkfChoices
-from comparisons.runs.known_landmarks import SURVEYED, join_known_sightings
+from comparisons.logs.transforms.known_landmarks import SURVEYED, join_known_sightings
+from comparisons.pipeline.compare import compare_estimators
 from tests.helpers import simulated
 
 SIGMA = 0.05

@@ -10,15 +10,15 @@ import pytest
 from scipy.stats import chi2
 
 from benchmarks.layer_values import COLOURS, SIGMA_COLOUR, coloured_poles
-from comparisons.compare import compare_estimators
+from comparisons.adapters.attributes import AROUND_M, BRIGHTNESS, sighted_attributes
+from comparisons.adapters.ekf_factory import EkfChoices, build_association
+from comparisons.adapters.ekf_run import run_ekf
+from comparisons.adapters.timeline import build_timeline
 from comparisons.errors import InputError
+from comparisons.extensions.dense_maps.source import DenseOptions, DenseWatcher
 from comparisons.logs.log import Log
+from comparisons.pipeline.compare import compare_estimators
 from comparisons.report.result import build_result
-from comparisons.runs.attributes import AROUND_M, BRIGHTNESS, sighted_attributes
-from comparisons.runs.dense_run import DenseOptions, DenseWatcher
-from comparisons.runs.ekf_build import EkfChoices, build_association
-from comparisons.runs.ekf_run import run_ekf
-from comparisons.runs.timeline import build_timeline
 from ekf_reference.association import NearestNeighbour
 from ekf_reference.attributes import AttributeEstimates, LayerAttributes
 from ekf_reference.full_ekf import FullEkf

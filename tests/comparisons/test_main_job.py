@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from comparisons.compare import Comparison, compare_estimators
+from comparisons.adapters.ekf_factory import EkfChoices
 from comparisons.logs.bundled import open_log
-from comparisons.runs.ekf_build import EkfChoices
+from comparisons.pipeline.compare import Comparison, compare_estimators
 from tests.helpers import first_seconds
 
 

@@ -9,9 +9,13 @@ from functools import cache
 import numpy as np
 import pytest
 
-from comparisons.checks import neglected_change as check
-from comparisons.checks.neglected_change import NeglectedChange, correlation, neglected_change
 from comparisons.errors import InputError
+from comparisons.experiments.reproduction import neglected_change as check
+from comparisons.experiments.reproduction.neglected_change import (
+    NeglectedChange,
+    correlation,
+    neglected_change,
+)
 from comparisons.logs.log import Log, Truth
 from comparisons.logs.simulate.scan_drive import dense_slam, occupancy, simulate
 from ekf_reference.dense.passive_states import PassiveStates

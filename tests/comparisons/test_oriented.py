@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from comparisons.checks.agreement import Gaussian, compare
-from comparisons.checks.algebra_differences import WatchedState
+from comparisons.checks.diagnosis.algebra_differences import WatchedState
 from comparisons.errors import InputError
-from comparisons.runs.estimate import Estimate
-from comparisons.runs.estimate_folder import read_estimate, write_estimate
-from comparisons.runs.given_estimate import read_given
+from comparisons.estimates.estimate import Estimate
+from comparisons.estimates.external import read_given
+from comparisons.estimates.folder import read_estimate, write_estimate
 from ekf_reference.kalman import KalmanState
 from tests.ekf_reference.both_kinds import PRIOR, Script, build, drive
 from tests.graphslam.test_oriented import Conditioned, NoCross

@@ -9,15 +9,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from comparisons.checks.agreement import Agreement, Gaussian, compare
-from comparisons.checks.linearisation_growth import linearisation_growth
-from comparisons.compare import compare_estimators
-from comparisons.errors import InputError
-from comparisons.logs.log import Log
-from comparisons.runs.ekf_build import EkfChoices
-from comparisons.runs.ekf_run import EkfRun, run_ekf
-from comparisons.runs.oriented_sightings import OrientedLedger
-from comparisons.runs.smoother_run import (
+from comparisons.adapters.ekf_factory import EkfChoices
+from comparisons.adapters.ekf_run import EkfRun, run_ekf
+from comparisons.adapters.oriented_sightings import OrientedLedger
+from comparisons.adapters.smoother_input import (
     build_problem,
     linear_optimum,
     linear_own,
@@ -27,7 +22,12 @@ from comparisons.runs.smoother_run import (
     solve_own,
     solve_recorded,
 )
-from comparisons.runs.timeline import build_timeline
+from comparisons.adapters.timeline import build_timeline
+from comparisons.checks.agreement import Agreement, Gaussian, compare
+from comparisons.checks.diagnosis.linearisation_growth import linearisation_growth
+from comparisons.errors import InputError
+from comparisons.logs.log import Log
+from comparisons.pipeline.compare import compare_estimators
 from ekf_reference.compressed_ekf import CompressedState, LocalAreas
 from ekf_reference.full_ekf import NEW, FullEkf
 from ekf_reference.kalman import Correction, Index, KalmanState

@@ -15,15 +15,19 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import chi2, f
 
-from comparisons.checks.own_matching import check_own_matching, common_shift, compare_frames
-from comparisons.compare import Comparison, compare_estimators
 from comparisons.errors import InputError
+from comparisons.estimates.estimate import Estimate
+from comparisons.extensions.own_matching.check import (
+    check_own_matching,
+    common_shift,
+    compare_frames,
+)
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.scan_drive import scan_slam, simulate
+from comparisons.pipeline.compare import Comparison, compare_estimators
 from comparisons.report.html.tables import matching_differences
 from comparisons.report.result import build_result
 from comparisons.report.run_folder import write_run_folder
-from comparisons.runs.estimate import Estimate
 from ekf_reference.scan_landmarks.alignment_covariance import ScanAlignment, scan_align
 from ekf_reference.scan_landmarks.pieces import SingleSegments
 from ekf_reference.scan_landmarks.scan_slam import ScanSlamOptions

@@ -10,12 +10,12 @@ import gtsam
 import numpy as np
 import pytest
 
-from comparisons.compare import compare_estimators
+from comparisons.adapters.ekf_factory import EkfChoices, fused_positions, judging_positions
+from comparisons.adapters.ekf_run import EkfRun, run_ekf
+from comparisons.adapters.timeline import build_timeline
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log, Positions
-from comparisons.runs.ekf_build import EkfChoices, fused_positions, judging_positions
-from comparisons.runs.ekf_run import EkfRun, run_ekf
-from comparisons.runs.timeline import build_timeline
+from comparisons.pipeline.compare import compare_estimators
 from ekf_reference.absolute_updates import Steps
 from ekf_reference.full_ekf import FullEkf
 from graphslam.graph_builder import position_factor

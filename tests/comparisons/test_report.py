@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from comparisons.atomic import check_replaceable, folder_name, fresh_folder
-from comparisons.compare import Comparison, compare_estimators
 from comparisons.errors import InputError
+from comparisons.estimates.folder import read_estimate, write_estimate
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Positions
 from comparisons.logs.log_folder import read_log_folder, write_log_folder
+from comparisons.pipeline.compare import Comparison, compare_estimators
 from comparisons.report.plots import ellipses, map_figure
 from comparisons.report.result import build_result, log_hash
-from comparisons.runs.estimate_folder import read_estimate, write_estimate
 from tests.helpers import random_covariance, simulated
 
 

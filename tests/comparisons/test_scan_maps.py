@@ -7,18 +7,22 @@ from functools import cache
 import numpy as np
 import pytest
 
-from comparisons.compare import Comparison, compare_estimators
+from comparisons.adapters.ekf_factory import EkfChoices
+from comparisons.adapters.ekf_run import run_ekf
+from comparisons.adapters.timeline import build_timeline
 from comparisons.errors import InputError
+from comparisons.extensions.dense_maps.source import DenseOptions
+from comparisons.extensions.scan_landmarks.source import (
+    ScanSlamSources,
+    slam_options,
+    usual_options,
+)
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
-from comparisons.mapping import DenseMapping, map_log
+from comparisons.pipeline.compare import Comparison, compare_estimators
+from comparisons.pipeline.dense_map import DenseMapping, map_log
 from comparisons.report.map_folder import regions_csv
 from comparisons.report.map_result import build_map_result
-from comparisons.runs.dense_run import DenseOptions
-from comparisons.runs.ekf_build import EkfChoices
-from comparisons.runs.ekf_run import run_ekf
-from comparisons.runs.scan_slam_source import ScanSlamSources, slam_options, usual_options
-from comparisons.runs.timeline import build_timeline
 from ekf_reference.layout import ORIENTED, POINT
 from ekf_reference.scan_landmarks.scan_slam import ScanSlamOptions
 from tests.helpers import first_seconds

@@ -12,9 +12,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from comparisons.checks.scan_increments import check_increments, normalised_errors
-from comparisons.compare import compare_estimators
+from comparisons.adapters.scan_odometry import ScanMotion, run_scan_odometry
 from comparisons.errors import InputError
+from comparisons.extensions.scan_motion.increments import check_increments, normalised_errors
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.odometry import RelativePoses
@@ -25,8 +25,8 @@ from comparisons.logs.simulate.scan_drive import (
     dense_slam_in_space,
     simulate,
 )
-from comparisons.runs.scan_log import divide, with_scan_motion
-from comparisons.runs.scan_motion import ScanMotion, run_scan_odometry
+from comparisons.logs.transforms.scan_motion import divide, with_scan_motion
+from comparisons.pipeline.compare import compare_estimators
 from graphslam.increments import Samples, compose
 from graphslam.scan import planar
 from tests.helpers import random_covariance, relative_error

@@ -10,19 +10,19 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from comparisons.compare import Comparison, compare_estimators
+from comparisons.adapters.beam_noise import sensor_of
+from comparisons.adapters.ekf_factory import EkfChoices
+from comparisons.adapters.ekf_run import run_ekf
+from comparisons.adapters.timeline import build_timeline
 from comparisons.errors import InputError
+from comparisons.estimates.trace_file import write_trace
+from comparisons.extensions.scan_landmarks.result import template_points
+from comparisons.extensions.scan_landmarks.source import LogScans, ScanSlamSources
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.scan_drive import scan_slam, simulate
+from comparisons.pipeline.compare import Comparison, compare_estimators
 from comparisons.report.result import build_result
 from comparisons.report.run_folder import write_run_folder
-from comparisons.report.scan_slam import template_points
-from comparisons.runs.beam_noise import sensor_of
-from comparisons.runs.ekf_build import EkfChoices
-from comparisons.runs.ekf_run import run_ekf
-from comparisons.runs.scan_slam_source import LogScans, ScanSlamSources
-from comparisons.runs.timeline import build_timeline
-from comparisons.runs.trace_file import write_trace
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.motion import MotionModel, MotionStep
 from ekf_reference.scan_landmarks.scan_slam import USED

@@ -8,22 +8,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from comparisons.adapters.ekf_factory import EkfChoices
+from comparisons.adapters.smoother_association import associate_own
+from comparisons.adapters.smoother_input import position_rows
+from comparisons.adapters.timeline import build_timeline
 from comparisons.checks import causes
 from comparisons.checks.association import counterparts
-from comparisons.checks.own_association import check_own_association, differing_sightings
-from comparisons.compare import compare_estimators
 from comparisons.errors import InputError
+from comparisons.estimates.folder import read_estimate
+from comparisons.extensions.own_association.check import check_own_association, differing_sightings
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import NO_LANDMARK, Log
+from comparisons.pipeline.compare import compare_estimators
+from comparisons.pipeline.solve import solve_log
 from comparisons.report.html.tables import association_differences
 from comparisons.report.models import Result, SolutionResult
 from comparisons.report.result import build_result
-from comparisons.runs.ekf_build import EkfChoices
-from comparisons.runs.estimate_folder import read_estimate
-from comparisons.runs.own_association import associate_own
-from comparisons.runs.smoother_run import position_rows
-from comparisons.runs.timeline import build_timeline
-from comparisons.solve import solve_log
 from graphslam.g2o import read_g2o
 from graphslam.smoother import SmootherOptions
 from tests.comparisons.test_cli import slamcheck

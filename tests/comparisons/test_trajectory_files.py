@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from comparisons.errors import InputError
-from comparisons.runs.given_estimate import read_given
-from comparisons.runs.trajectory_files import (
+from comparisons.estimates.external import read_given
+from comparisons.estimates.trajectory_files import (
     FORMATS,
     Trajectory,
     read_trajectory_file,

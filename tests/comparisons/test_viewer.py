@@ -10,14 +10,14 @@ from pathlib import Path
 import pytest
 
 from comparisons.atomic import write_whole
-from comparisons.compare import Comparison, compare_estimators
 from comparisons.errors import InputError
+from comparisons.pipeline.compare import Comparison, compare_estimators
 from comparisons.report import viewer
 from comparisons.report.result import build_result
 from comparisons.report.run_folder import CONTENTS, write_run_folder
 from tests.helpers import first_seconds, simulated
 
-CODE = "from comparisons.cli import main; main()"
+CODE = "from comparisons.cli.app import main; main()"
 PACKAGE = "rerun"
 
 

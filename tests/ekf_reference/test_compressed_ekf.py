@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from comparisons.adapters.ekf_factory import EkfChoices, build_ekf
+from comparisons.adapters.ekf_run import EkfRun, run_ekf
+from comparisons.adapters.smoother_input import linear_recorded, solve_recorded
+from comparisons.adapters.timeline import build_timeline
 from comparisons.checks.agreement import eigenvalue_range
-from comparisons.compare import compare_estimators
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
-from comparisons.runs.ekf_build import EkfChoices, build_ekf
-from comparisons.runs.ekf_run import EkfRun, run_ekf
-from comparisons.runs.smoother_run import linear_recorded, solve_recorded
-from comparisons.runs.timeline import build_timeline
+from comparisons.pipeline.compare import compare_estimators
 from ekf_reference.compressed_ekf import CompressedEkf, CompressedState, LocalAreas
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.kalman import Array, Correction, Index, KalmanState

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from comparisons.adapters.ekf_factory import EkfChoices
 from comparisons.checks.agreement import ROUNDING
-from comparisons.compare import Comparison, compare_estimators
-from comparisons.defects.defect import with_state
+from comparisons.experiments.defects.defect import with_state
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.waypoints import WaypointRun, simulate
-from comparisons.runs.ekf_build import EkfChoices
+from comparisons.pipeline.compare import Comparison, compare_estimators
 from ekf_reference.association import KnownAssociation
 from ekf_reference.direction_cosine import (
     OwnAxesObservation,

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from comparisons.compare import Comparison, compare_estimators
+from comparisons.adapters.ekf_factory import EkfChoices
+from comparisons.adapters.ekf_run import run_ekf
+from comparisons.adapters.timeline import build_timeline
 from comparisons.logs.log import Positions
-from comparisons.runs.ekf_build import EkfChoices
-from comparisons.runs.ekf_run import run_ekf
-from comparisons.runs.timeline import build_timeline
+from comparisons.pipeline.compare import Comparison, compare_estimators
 from ekf_reference.correlation import correlation_coefficients
 from ekf_reference.full_ekf import FullEkf
 from tests.helpers import Array, first_seconds, random_covariance, simulated

@@ -11,24 +11,24 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
+from comparisons.adapters.ekf_factory import EkfChoices
+from comparisons.adapters.ekf_run import run_ekf
+from comparisons.adapters.timeline import build_timeline
 from comparisons.baseline import Settings, build_baseline, read_baseline, write_baseline
-from comparisons.compare import compare_estimators
+from comparisons.estimates.external import GivenEstimate, read_given
+from comparisons.estimates.folder import write_estimate
+from comparisons.estimates.trace_file import TRACE, write_trace
+from comparisons.estimates.trajectory_files import Trajectory, write_trajectory
+from comparisons.experiments.scenarios.scenario import read_scenario
+from comparisons.experiments.scenarios.world import World, build_world
 from comparisons.logs.log import Log
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.logs.readers import read_log
+from comparisons.pipeline.compare import compare_estimators
+from comparisons.pipeline.solve import solve_log
 from comparisons.report import side_by_side
 from comparisons.report.models import Result
 from comparisons.report.result import build_result
-from comparisons.runs.ekf_build import EkfChoices
-from comparisons.runs.ekf_run import run_ekf
-from comparisons.runs.estimate_folder import write_estimate
-from comparisons.runs.given_estimate import GivenEstimate, read_given
-from comparisons.runs.timeline import build_timeline
-from comparisons.runs.trace_file import TRACE, write_trace
-from comparisons.runs.trajectory_files import Trajectory, write_trajectory
-from comparisons.scenarios.scenario import read_scenario
-from comparisons.scenarios.world import World, build_world
-from comparisons.solve import solve_log
 from graphslam.g2o import G2oContents, write_g2o
 from tests.comparisons.logs.test_log_folder import full_log, velocity_log
 from tests.comparisons.logs.test_readers import car_park, graph, mrclam, victoria

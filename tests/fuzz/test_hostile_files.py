@@ -22,8 +22,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from comparisons.cli import main
-from comparisons.cli_support import guarded
+from comparisons.cli.app import main
+from comparisons.cli.support import guarded
 from comparisons.logs.log_folder import write_log_folder
 from tests.fuzz.damage import Damage, damages
 from tests.fuzz.subjects import BAGS, SUBJECTS, Subject

@@ -48,7 +48,7 @@ def write_kept(name: str, fingerprints: dict[str, Fingerprint]) -> None:
 
 def _slamcheck(argv: list[str]) -> str:
     """What a command printed. Raises AssertionError where it ended in an error."""
-    from comparisons.cli import main
+    from comparisons.cli.app import main
 
     printed, said = io.StringIO(), io.StringIO()
     with (

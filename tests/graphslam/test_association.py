@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from comparisons.adapters.ekf_factory import EkfChoices
+from comparisons.adapters.ekf_run import run_ekf
+from comparisons.adapters.smoother_association import associate_own
+from comparisons.adapters.smoother_input import assemble, position_rows
+from comparisons.adapters.timeline import build_timeline
 from comparisons.checks.association import compare_partitions, score_association, score_partition
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
-from comparisons.runs.ekf_build import EkfChoices
-from comparisons.runs.ekf_run import run_ekf
-from comparisons.runs.own_association import associate_own
-from comparisons.runs.smoother_run import assemble, position_rows
-from comparisons.runs.timeline import build_timeline
 from graphslam.association import AssociationResult, associate
 from graphslam.belief import Belief, wrapped
 from graphslam.problem import SlamProblem

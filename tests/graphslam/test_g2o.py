@@ -9,10 +9,10 @@ import gtsam
 import numpy as np
 import pytest
 
-from comparisons.compare import compare_estimators
 from comparisons.errors import InputError
 from comparisons.logs.bundled import open_log
-from comparisons.solve import solve_log
+from comparisons.pipeline.compare import compare_estimators
+from comparisons.pipeline.solve import solve_log
 from graphslam.g2o import G2oContents, read_g2o, write_g2o
 from graphslam.problem import SlamProblem
 from tests.helpers import relative_error, simulated

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from comparisons.adapters.ekf_factory import EkfChoices
+from comparisons.adapters.ekf_run import run_ekf
+from comparisons.adapters.smoother_input import build_problem
+from comparisons.adapters.timeline import build_timeline
 from comparisons.logs.bundled import open_log
-from comparisons.runs.ekf_build import EkfChoices
-from comparisons.runs.ekf_run import run_ekf
-from comparisons.runs.smoother_run import build_problem
-from comparisons.runs.timeline import build_timeline
-from comparisons.solve import solve_log
+from comparisons.pipeline.solve import solve_log
 from graphslam.graph_builder import (
     build_graph,
     last_poses,

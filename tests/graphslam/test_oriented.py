@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from comparisons.runs.recorded import oriented_points, recorded
+from comparisons.adapters.recorded import oriented_points, recorded
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.kalman import KalmanState
 from ekf_reference.layout import ORIENTED

@@ -6,10 +6,10 @@ import gtsam
 import numpy as np
 import pytest
 
-from comparisons.runs.ekf_build import EkfChoices
-from comparisons.runs.ekf_run import run_ekf
-from comparisons.runs.smoother_run import build_problem
-from comparisons.runs.timeline import build_timeline
+from comparisons.adapters.ekf_factory import EkfChoices
+from comparisons.adapters.ekf_run import run_ekf
+from comparisons.adapters.smoother_input import build_problem
+from comparisons.adapters.timeline import build_timeline
 from graphslam.frozen import RecordedPositions, RecordedSightings, RecordedSteps, recorded_problem
 from graphslam.graph_builder import (
     LANDMARK_KEY,

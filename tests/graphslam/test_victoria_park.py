@@ -7,8 +7,8 @@ from dataclasses import replace
 import gtsam
 import pytest
 
-from comparisons.compare import Comparison
-from comparisons.runs.smoother_run import build_problem
+from comparisons.adapters.smoother_input import build_problem
+from comparisons.pipeline.compare import Comparison
 from graphslam.graph_builder import build_graph
 from graphslam.initialisation import extension
 from graphslam.optimisers import levenberg_marquardt

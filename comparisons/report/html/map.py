@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.compare import Comparison
+from comparisons.estimates.estimate import Estimate
+from comparisons.extensions.scan_landmarks.result import axes_of, place_covariances, template_points
+from comparisons.pipeline.compare import Comparison
 from comparisons.report.html.drawing import Drawing, kept
 from comparisons.report.plots import EKF_COLOUR, HIGH_LEVEL_COLOUR, SMOOTHER_COLOUR, ellipses
-from comparisons.report.scan_slam import axes_of, place_covariances, template_points
-from comparisons.runs.estimate import Estimate
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from html import escape
 from pathlib import Path
 
-from comparisons.compare import Comparison
+from comparisons.pipeline.compare import Comparison
 from comparisons.report.html.curves import curve_data, data_block
 from comparisons.report.html.look import script
 from comparisons.report.html.map import RATIO_LAYER, ratio_legend, run_map

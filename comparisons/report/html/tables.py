@@ -7,12 +7,12 @@ from html import escape
 
 import numpy as np
 
-from comparisons.compare import Comparison
+from comparisons.extensions.dense_maps.result import high_level_text
+from comparisons.extensions.own_matching.result import own_matching_rows
+from comparisons.extensions.scan_landmarks.result import scan_slam_rows
+from comparisons.pipeline.compare import Comparison
 from comparisons.report.consistency_result import consistency_rows
-from comparisons.report.dense_result import high_level_text
 from comparisons.report.models import AccuracyResult, LandmarkResult, Result
-from comparisons.report.own_matching import own_matching_rows
-from comparisons.report.scan_slam import scan_slam_rows
 from ekf_reference.association import AMBIGUOUS, CANDIDATE, DYNAMIC, REJECTED
 
 _MOST_ROWS = 200

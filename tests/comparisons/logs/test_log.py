@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from comparisons.adapters.timeline import build_timeline
 from comparisons.errors import InputError
 from comparisons.logs.log import Landmarks, Log, Positions, Prior, Sightings
 from comparisons.logs.odometry import Ackermann, OdometryNoise, RelativePoses, SteeringOdometry
 from comparisons.logs.scans import Scans
-from comparisons.runs.timeline import build_timeline
 from tests.helpers import simulated
 
 EYE = np.eye(2)
@@ -208,7 +208,7 @@ def test_of_two_samples_at_one_instant_the_later_holds() -> None:
 
 
 def test_sightings_between_relative_poses_are_refused(victoria_park: object) -> None:
-    from comparisons.compare import Comparison
+    from comparisons.pipeline.compare import Comparison
 
     assert isinstance(victoria_park, Comparison)
     log = victoria_park.log

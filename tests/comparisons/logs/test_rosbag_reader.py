@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from comparisons.adapters.scan_odometry import run_scan_odometry
 from comparisons.errors import InputError
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.readers import read_log
-from comparisons.runs.features import choose_features
-from comparisons.runs.scan_motion import run_scan_odometry
+from comparisons.logs.transforms.tree_features import choose_features
 from tests.comparisons.logs.test_scan_readers import assert_survives_a_folder, damaged
 
 pytest.importorskip("rosbags")

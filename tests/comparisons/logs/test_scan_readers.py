@@ -21,7 +21,7 @@ from comparisons.logs.readers.scan_odometry import (
     displacements,
     poses_at,
 )
-from comparisons.runs.features import choose_features
+from comparisons.logs.transforms.tree_features import choose_features
 from tests.comparisons.logs.test_log_folder import assert_same
 
 

@@ -7,15 +7,15 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from comparisons.adapters.ekf_factory import EkfChoices
+from comparisons.adapters.ekf_run import run_ekf
+from comparisons.adapters.timeline import build_timeline
 from comparisons.checks.accuracy import assess, assess_trajectory
+from comparisons.experiments.reproduction.navigator import direction_cosine_navigator
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.simulate.waypoints import WaypointRun, simulate
-from comparisons.runs.ekf_build import EkfChoices
-from comparisons.runs.ekf_run import run_ekf
-from comparisons.runs.features import choose_features
-from comparisons.runs.navigator import direction_cosine_navigator
-from comparisons.runs.timeline import build_timeline
+from comparisons.logs.transforms.tree_features import choose_features
 from ekf_reference.observation import RangeBearing
 from graphslam.increments import dead_reckoned
 

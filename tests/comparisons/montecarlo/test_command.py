@@ -15,16 +15,16 @@ import numpy as np
 import pytest
 
 from comparisons.errors import InputError
-from comparisons.montecarlo.chunk_files import ChunkFiles
-from comparisons.montecarlo.runs import Records
-from comparisons.montecarlo.study import Study, run_study
-from comparisons.montecarlo.workers import spread
-from comparisons.scenarios.scenario import bundled_scenarios, read_scenario
-from comparisons.scenarios.world import build_world, measure
+from comparisons.experiments.montecarlo.chunk_files import ChunkFiles
+from comparisons.experiments.montecarlo.runs import Records
+from comparisons.experiments.montecarlo.study import Study, run_study
+from comparisons.experiments.montecarlo.workers import spread
+from comparisons.experiments.scenarios.scenario import bundled_scenarios, read_scenario
+from comparisons.experiments.scenarios.world import build_world, measure
 from tests.comparisons.montecarlo.worlds import short
 
 ROOT = Path(__file__).resolve().parents[3]
-SLAMCHECK = (sys.executable, "-c", "from comparisons.cli import main; main()", "montecarlo")
+SLAMCHECK = (sys.executable, "-c", "from comparisons.cli.app import main; main()", "montecarlo")
 ENVIRONMENT = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
 
 
@@ -44,7 +44,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 def scenario(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The circle, shorter."""
     path = tmp_path_factory.mktemp("scenario") / "short.toml"
-    text = (ROOT / "comparisons/scenarios/circle.toml").read_text()
+    text = (ROOT / "comparisons/experiments/scenarios/circle.toml").read_text()
     path.write_text(text.replace("steps = 2500", "steps = 200"))
     return path
 

@@ -6,8 +6,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from comparisons.montecarlo.runs import Records, recorded_steps
-from comparisons.montecarlo.statistics import anees_band, compare_pairs, figures_of, tally
+from comparisons.experiments.montecarlo.runs import Records, recorded_steps
+from comparisons.experiments.montecarlo.statistics import (
+    anees_band,
+    compare_pairs,
+    figures_of,
+    tally,
+)
 
 
 def records(rng: np.random.Generator, runs: int, scale: float = 1.0, steps: int = 40) -> Records:

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from comparisons.montecarlo.runs import FILTERS, run_filter
-from comparisons.scenarios.world import Measurements, World, measure
-from comparisons.variants.batch_ekf import BatchEkf
-from comparisons.variants.batch_models import RelativePosition, Sensor
-from comparisons.variants.batch_state import BatchState, InvariantState, sighted
-from comparisons.variants.linearisation import (
+from comparisons.experiments.montecarlo.runs import FILTERS, run_filter
+from comparisons.experiments.scenarios.world import Measurements, World, measure
+from comparisons.experiments.variants.batch_ekf import BatchEkf
+from comparisons.experiments.variants.batch_models import RelativePosition, Sensor
+from comparisons.experiments.variants.batch_state import BatchState, InvariantState, sighted
+from comparisons.experiments.variants.linearisation import (
     AtEstimate,
     AtFirstEstimate,
     AtTruth,

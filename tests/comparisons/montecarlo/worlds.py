@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from comparisons.scenarios.scenario import Scenario, read_scenario
-from comparisons.scenarios.world import World, build_world
+from comparisons.experiments.scenarios.scenario import Scenario, read_scenario
+from comparisons.experiments.scenarios.world import World, build_world
 
 
 def short(name: str, steps: int) -> Scenario:

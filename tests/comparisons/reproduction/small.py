@@ -8,10 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from comparisons.checks.dense_accuracy import surface_error
-from comparisons.checks.dynamic_accuracy import DynamicScore
-from comparisons.logs.bundled import SimulationChoices, open_log
-from comparisons.reproduction import (
+from comparisons.estimates.estimate import Array
+from comparisons.experiments.reproduction import (
     guivant,
     misono,
     nieto_dense,
@@ -23,8 +21,10 @@ from comparisons.reproduction import (
     nieto_scans,
     nieto_slam,
 )
-from comparisons.reproduction.contract import Sources
-from comparisons.runs.estimate import Array
+from comparisons.experiments.reproduction.contract import Sources
+from comparisons.experiments.reproduction.dynamic_accuracy import DynamicScore
+from comparisons.extensions.dense_maps.accuracy import surface_error
+from comparisons.logs.bundled import SimulationChoices, open_log
 from ekf_reference.dense.layers.layer import Samples
 from tests.helpers import first_seconds
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from comparisons.experiments.reproduction.catalogue import FIGURES
+from comparisons.experiments.reproduction.contract import AnyFigure, Claim, at_least, at_most
 from comparisons.report.picture import blank
-from comparisons.reproduction.catalogue import FIGURES
-from comparisons.reproduction.contract import AnyFigure, Claim, at_least, at_most
 from tests.comparisons.reproduction.small import data, round_of, samples
 
 BY_NAME = {figure.name: figure for figure in FIGURES}

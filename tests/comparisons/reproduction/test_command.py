@@ -12,8 +12,8 @@ import pytest
 from matplotlib.figure import Figure as Canvas
 
 from comparisons.errors import InputError, RecordError
-from comparisons.reproduction import catalogue, folder, runner
-from comparisons.reproduction.contract import (
+from comparisons.experiments.reproduction import catalogue, folder, runner
+from comparisons.experiments.reproduction.contract import (
     AnyFigure,
     Claim,
     Experiment,
@@ -24,9 +24,9 @@ from comparisons.reproduction.contract import (
     at_least,
     at_most,
 )
-from comparisons.reproduction.folder import build_result, write_gallery
-from comparisons.reproduction.models import ReproductionResult
-from comparisons.reproduction.runner import reproduce
+from comparisons.experiments.reproduction.folder import build_result, write_gallery
+from comparisons.experiments.reproduction.models import ReproductionResult
+from comparisons.experiments.reproduction.runner import reproduce
 from tests.comparisons.test_cli import slamcheck
 
 HOSTILE = """x"><script>document.title='owned'</script><img src=http://evil/ onerror=alert(1)>'&"""

@@ -8,11 +8,11 @@ from functools import cache
 import numpy as np
 import pytest
 
-from comparisons.checks.dense_accuracy import distance_to_segments
 from comparisons.errors import InputError
+from comparisons.experiments.reproduction.nieto_scan_slam import ScanDrive, of_log
+from comparisons.extensions.dense_maps.accuracy import distance_to_segments
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.scan_drive import scan_slam, simulate
-from comparisons.reproduction.nieto_scan_slam import ScanDrive, of_log
 from tests.helpers import first_seconds
 
 

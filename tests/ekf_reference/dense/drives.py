@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from comparisons.experiments.reproduction.watched_run import watched_run
 from comparisons.logs.log import Log
-from comparisons.runs.watched_run import watched_run
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.observation import RangeBearing
 from ekf_reference.trace import Trace

@@ -8,14 +8,14 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from comparisons.checks.decorrelation_example import (
+from comparisons.errors import InputError
+from comparisons.experiments.reproduction.decorrelation_example import (
     Cast,
     DecorrelationExample,
     Snapshot,
     decorrelation_example,
     fused_until,
 )
-from comparisons.errors import InputError
 from comparisons.logs.log import Log
 from ekf_reference.dense.conditions import Conditions, coordinate_correlation
 from ekf_reference.dense.decorrelation import (

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from comparisons.runs.ekf_build import EkfChoices
-from comparisons.runs.ekf_run import run_ekf
-from comparisons.runs.timeline import build_timeline
+from comparisons.adapters.ekf_factory import EkfChoices
+from comparisons.adapters.ekf_run import run_ekf
+from comparisons.adapters.timeline import build_timeline
 from ekf_reference.dense.local_pose import Frames
 from ekf_reference.dense.regions import Index, LocalRegions
 from ekf_reference.dense.triangles import axes, solve

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from comparisons.checks.scan_increments import normalised_errors
+from comparisons.adapters.scan_odometry import run_scan_odometry
+from comparisons.extensions.scan_motion.increments import normalised_errors
 from comparisons.logs.simulate import scan_drive
-from comparisons.runs.scan_motion import run_scan_odometry
 from graphslam.scan import planar
 from graphslam.scan.odometry import Increment, OdometryOptions, ScanOdometry
 from graphslam.scan.registration import ScanError

@@ -1,0 +1,268 @@
+"""Run the reference EKF over a log."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.adapters.attributes import sighted_attributes
+from comparisons.adapters.ekf_factory import EkfChoices, build_ekf
+from comparisons.adapters.filter_loop import Watcher, Watchers, drive
+from comparisons.adapters.oriented_sightings import GuardedSource, OrientedLedger, OrientedSource
+from comparisons.adapters.timeline import Timeline
+from comparisons.errors import InputError
+from comparisons.estimates.estimate import Array, Estimate
+from comparisons.logs.log import Log, Positions
+from comparisons.logs.transforms.known_landmarks import surveyed
+from ekf_reference.association import AMBIGUOUS, CANDIDATE, DYNAMIC, REJECTED
+from ekf_reference.attributes import LayerValues
+from ekf_reference.compressed_ekf import CompressedState
+from ekf_reference.direction_cosine import OwnAxesObservation
+from ekf_reference.dynamic_guard import DynamicGuard, StaticSightings
+from ekf_reference.full_ekf import FullEkf, PoseReading
+from ekf_reference.layout import ORIENTED
+from ekf_reference.trace import RecordedTrace, TraceArrays
+from graphslam.problem import OrientedSightings
+
+_FARTHEST_M = 1e6
+"""A pose so far from the start has diverged; what follows is not worth comparing."""
+
+
+@dataclass(frozen=True)
+class EkfRun:
+    """An estimate with what the other estimators need of it.
+
+    timeline: what the filter was given; when it broke down, only up to there.
+    positions: those that were given. fix_number: (G,) which of them were fused. rejected_fixes:
+    how many the gate rejected. retired: (R,) landmarks that were found to stand where things move;
+    they stay in the state, and nothing is matched with them any more.
+    slot: (M,) landmark of each of the timeline's sightings, a negative code where unused (see
+    ekf_reference.association).
+    departed: (K, 3) the pose when each epoch was done. arrived: (K, 3) as predicted there.
+    final: the last pose, against the trace's. own_axes: the filter fuses sightings as points in
+    the vehicle's axes, not as range and bearing.
+    spared: what the global updates of a compressed filter left alone: (updates, mean share of the
+    passive covariance). breakdown: what stopped the filter, None when it reached the end.
+    oriented: sightings of landmarks with a direction, as the smoother takes them; their ids in the
+    estimate are their slots.
+    """
+
+    estimate: Estimate
+    timeline: Timeline
+    trace: TraceArrays
+    slot: NDArray[np.intp]
+    departed: Array
+    arrived: Array
+    final: PoseReading
+    own_axes: bool
+    positions: Positions | None
+    fix_number: NDArray[np.intp]
+    rejected_fixes: int
+    spared: tuple[int, float] = (0, 0.0)
+    breakdown: str | None = None
+    oriented: OrientedSightings = field(default_factory=OrientedSightings)
+    retired: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+
+    @property
+    def oriented_places(self) -> Array:
+        """(Q, 3) of the estimate by slot, NaN for those that were fused with others."""
+        places = np.full((self.oriented.count, 3), np.nan)
+        places[self.estimate.oriented_id] = self.estimate.oriented
+        return places
+
+    @property
+    def unused(self) -> dict[str, int]:
+        """Sightings that were not used, by reason."""
+        codes = {
+            "rejected": REJECTED,
+            "ambiguous": AMBIGUOUS,
+            "candidate": CANDIDATE,
+            "dynamic": DYNAMIC,
+        }
+        return {name: int(np.count_nonzero(self.slot == code)) for name, code in codes.items()}
+
+
+def run_ekf(
+    log: Log,
+    timeline: Timeline,
+    choices: EkfChoices,
+    positions: Positions | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+    modify: Callable[[FullEkf], None] = lambda ekf: None,
+    watcher: Watcher | None = None,
+    source: OrientedSource | None = None,
+    guard: DynamicGuard | None = None,
+    layer: LayerValues | None = None,
+) -> EkfRun:
+    """Drive the filter through all epochs, or as far as it comes.
+
+    positions: to be fused; the timeline is built with the same. progress: called with epochs done
+    and in all. modify: may replace parts of the filter before it starts, which is how defects are
+    planted. watcher: looks on. source: of sightings of landmarks with a direction; one that is a
+    Watcher, too, looks on. guard: knows where things move, so that the filter does not go by these.
+    layer: knows what is around landmarks, for attributes of that kind.
+    """
+    trace, ledger = RecordedTrace(), OrientedLedger()
+    ekf = build_ekf(log, choices, trace, layer)
+    modify(ekf)
+    retired: set[int] = set()
+    if guard is not None:
+        ekf.association = StaticSightings(ekf.association, guard, retired)
+        if isinstance(source, GuardedSource):
+            source.keep_from(guard)
+    watching = Watchers([one for one in (watcher, source) if isinstance(one, Watcher)])
+    ekf.insert_surveyed(*surveyed(log)[1:])
+    epochs = len(timeline.epoch_time_s)
+    departed, arrived = np.empty((epochs, 3)), np.empty((epochs, 3))
+    covariance = np.empty((epochs, 3, 3))
+    slot = np.full(len(log.sightings.time_s), REJECTED, dtype=np.intp)
+    breakdown, rejected_fixes = None, 0
+    told = sighted_attributes(log, choices.attributes)
+    stops = drive(ekf, log, timeline, positions, watching, source, ledger, told)
+    for k, stop in enumerate(stops):
+        slot[stop.rows], arrived[k] = stop.slots, stop.arrived
+        rejected_fixes += stop.rejected_fixes
+        departed[k], _, read = ekf.read_pose()
+        covariance[k] = read @ ekf.state.pose_covariance @ read.T
+        away = float(np.abs(departed[k, :2] - log.prior.pose[:2]).max())
+        fault = stop.fault
+        if fault is None and not away <= _FARTHEST_M:
+            fault = f"its pose is {away:.2g} m from the start"
+        if fault is not None:
+            breakdown = f"the EKF broke down at {timeline.epoch_time_s[k]:.3f} s: {fault}"
+            epochs = k + 1
+            break
+        if k % 64 == 0:
+            progress(k, epochs)
+    progress(epochs, epochs)
+    watching.finished(ekf, float(timeline.epoch_time_s[epochs - 1]))
+    joint = _joint_covariance(ekf)
+    if not np.isfinite(ekf.state.mean).all():
+        raise InputError(
+            f"{log.name}: the EKF's mean is not finite, so there is nothing to compare"
+        )
+    if breakdown is None and not np.isfinite(joint).all():
+        breakdown = "the EKF broke down: its covariance is not finite at the end"
+    timeline = timeline.prefix(epochs)
+    arrays = trace.arrays()
+    oriented = ledger.told()
+    _check_counts(log, timeline, arrays, oriented)
+    slot = _as_used(slot[: len(timeline.sighting_epoch)], arrays)
+    if np.isnan(ekf.state.landmarks).any():
+        raise InputError(f"{log.name}: the EKF removed point landmarks, which must stay")
+    oriented_id = ekf.state.layout.present(ORIENTED)
+    estimate = Estimate(
+        timeline.epoch_time_s,
+        departed[:epochs],
+        covariance[:epochs],
+        _landmark_ids(
+            log.sightings.landmark[: len(slot)],
+            slot,
+            ekf.state.landmark_count,
+            choices,
+            surveyed(log)[0],
+        ),
+        ekf.state.landmarks.copy(),
+        joint,
+        "filtered",
+        {
+            "estimator": f"ekf_reference, {choices.filter} EKF",
+            "association": str(choices.association),
+        },
+        oriented_id,
+        ekf.state.oriented[oriented_id],
+    )
+    fused = np.unique(arrays.positions.number)
+    return EkfRun(
+        estimate,
+        timeline,
+        arrays,
+        slot,
+        departed[:epochs],
+        arrived[:epochs],
+        ekf.read_recorded_pose(),
+        isinstance(ekf.observation, OwnAxesObservation),
+        positions,
+        fused,
+        rejected_fixes,
+        _spared(ekf),
+        breakdown,
+        oriented,
+        np.array(sorted(retired), dtype=np.intp),
+    )
+
+
+def _check_counts(
+    log: Log, timeline: Timeline, trace: TraceArrays, oriented: OrientedSightings
+) -> None:
+    """Raise InputError for a filter that made something of data that it was not given."""
+    sightings = np.concatenate((trace.updates.sighting, trace.augmentations.sighting))
+    frames = (trace.oriented_updates.sighting, trace.oriented_augmentations.sighting)
+    for what, made, given in (
+        ("predictions", len(trace.departed), len(timeline.control)),
+        ("sightings", int(sightings.max(initial=-1)) + 1, len(timeline.sighting_epoch)),
+        (
+            "positions",
+            int(trace.positions.number.max(initial=-1)) + 1,
+            len(timeline.position_epoch),
+        ),
+        (
+            "sightings of landmarks with a direction",
+            int(np.concatenate(frames).max(initial=-1)) + 1,
+            len(oriented.measured),
+        ),
+    ):
+        if made > given or (what == "predictions" and made < given):
+            raise InputError(
+                f"{log.name}: the EKF recorded {made} {what}, expected {given}: one is called "
+                "twice, or left out"
+            )
+
+
+def _joint_covariance(ekf: FullEkf) -> Array:
+    """Of the last pose as x, y, heading, and all landmarks, points first."""
+    read, own, packed = ekf.read_pose().jacobian, ekf.state.covariance, ekf.state.layout.packed()
+    if not ekf.state.layout.plain:
+        own = own[np.ix_(packed, packed)]
+    p = read.shape[1]
+    joint = np.empty((len(own) - p + 3, len(own) - p + 3))
+    joint[:3, :3] = read @ own[:p, :p] @ read.T
+    joint[:3, 3:] = read @ own[:p, p:]
+    joint[3:, :3] = joint[:3, 3:].T
+    joint[3:, 3:] = own[p:, p:]
+    return joint
+
+
+def _spared(ekf: FullEkf) -> tuple[int, float]:
+    if not isinstance(ekf.state, CompressedState):
+        return 0, 0.0
+    updates = [u for u in ekf.state.updates if u.passive]
+    return len(updates), float(np.mean([u.saved for u in updates])) if updates else 0.0
+
+
+def _as_used(slot: NDArray[np.intp], trace: TraceArrays) -> NDArray[np.intp]:
+    """Slots as recorded: a breakdown in the midst of a scan leaves part of it used."""
+    used = np.where(slot >= 0, REJECTED, slot)
+    for records in (trace.updates, trace.augmentations):
+        seen = records.sighting >= 0
+        used[records.sighting[seen]] = records.slot[seen]
+    return used
+
+
+def _landmark_ids(
+    label: NDArray[np.int64],
+    slot: NDArray[np.intp],
+    count: int,
+    choices: EkfChoices,
+    slot_of: dict[int, int],
+) -> NDArray[np.int64]:
+    """The log's labels where they were trusted, else the slots themselves."""
+    ids = np.arange(count)
+    ids[list(slot_of.values())] = list(slot_of)
+    if choices.association == "known":
+        used = slot >= 0
+        ids[slot[used]] = label[used]
+    return ids

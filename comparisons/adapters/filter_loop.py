@@ -1,0 +1,155 @@
+"""A filter driven through a log, epoch by epoch, with someone looking on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.adapters.attributes import sighted_attributes
+from comparisons.adapters.oriented_sightings import NoOrientedSource, OrientedLedger, OrientedSource
+from comparisons.adapters.timeline import Timeline
+from comparisons.logs.log import Array, Log, Positions
+from ekf_reference.association import REJECTED
+from ekf_reference.full_ekf import FullEkf
+from ekf_reference.kalman import FilterDivergedError
+from ekf_reference.sightings import SightedAttributes
+
+
+@runtime_checkable
+class Watcher(Protocol):
+    """Someone who looks on while the filter runs, and reads only."""
+
+    def stepping(self, ekf: FullEkf, time_s: float, control: Array, duration_s: float) -> None:
+        """The filter, all that was seen until now fused, is about to predict from this time."""
+        ...
+
+    def arrived(self, ekf: FullEkf) -> None:
+        """It has predicted up to an epoch, and fused nothing there yet."""
+        ...
+
+    def updated(self, ekf: FullEkf) -> None:
+        """It has fused what was seen at the epoch."""
+        ...
+
+    def finished(self, ekf: FullEkf, time_s: float) -> None:
+        """It has come to its end, or as far as it could."""
+        ...
+
+
+class Watchers:
+    """Several, one after the other."""
+
+    def __init__(self, watching: Sequence[Watcher]) -> None:
+        """In the order in which they are told."""
+        self._watching = watching
+
+    def stepping(self, ekf: FullEkf, time_s: float, control: Array, duration_s: float) -> None:
+        """Tell all."""
+        for one in self._watching:
+            one.stepping(ekf, time_s, control, duration_s)
+
+    def arrived(self, ekf: FullEkf) -> None:
+        """Tell all."""
+        for one in self._watching:
+            one.arrived(ekf)
+
+    def updated(self, ekf: FullEkf) -> None:
+        """Tell all."""
+        for one in self._watching:
+            one.updated(ekf)
+
+    def finished(self, ekf: FullEkf, time_s: float) -> None:
+        """Tell all."""
+        for one in self._watching:
+            one.finished(ekf, time_s)
+
+
+class NoWatcher:
+    """Looks away."""
+
+    def stepping(self, ekf: FullEkf, time_s: float, control: Array, duration_s: float) -> None:
+        """Nothing."""
+
+    def arrived(self, ekf: FullEkf) -> None:
+        """Nothing."""
+
+    def updated(self, ekf: FullEkf) -> None:
+        """Nothing."""
+
+    def finished(self, ekf: FullEkf, time_s: float) -> None:
+        """Nothing."""
+
+
+@dataclass(frozen=True)
+class Stop:
+    """The filter at an epoch, all that was seen there fused.
+
+    time_s: of it. rows: of the log's sightings, slots: (m,) what became of them; `rejected` where
+    the filter broke down first. arrived: (3,) the pose as predicted there. rejected_fixes:
+    positions that the gate rejected. fault: what broke the filter down, which ends the drive.
+    """
+
+    time_s: float
+    rows: slice
+    slots: NDArray[np.intp]
+    arrived: Array
+    rejected_fixes: int
+    fault: str | None
+
+
+def drive(
+    ekf: FullEkf,
+    log: Log,
+    timeline: Timeline,
+    positions: Positions | None = None,
+    watching: Watcher | None = None,
+    source: OrientedSource | None = None,
+    ledger: OrientedLedger | None = None,
+    told: SightedAttributes | None = None,
+) -> Iterator[Stop]:
+    """Predict, fuse the sightings, fuse the positions, stop; and so on to the end.
+
+    positions: to be fused; the timeline is built with the same. source: of sightings of landmarks
+    with a direction, fused last and kept in the ledger. told: what the sightings tell besides
+    places, in place of what the log says.
+    """
+    watching, source = watching or NoWatcher(), source or NoOrientedSource()
+    ledger = ledger or OrientedLedger()
+    steps, first = timeline.steps_until(), timeline.sightings_until()
+    begins, first_fix = timeline.step_begin_s(), timeline.positions_until()
+    seen, done = log.sightings, 0
+    z = np.column_stack((seen.range_m, seen.bearing_rad))
+    sigma = np.column_stack((seen.sigma_range_m, seen.sigma_bearing_rad))
+    told = told or sighted_attributes(log)
+    for k, time_s in enumerate(timeline.epoch_time_s.tolist()):
+        for i in range(done, int(steps[k])):
+            control, duration = timeline.control[i], float(timeline.step_duration_s[i])
+            watching.stepping(ekf, float(begins[i]), control, duration)
+            ekf.predict(control, timeline.control_covariance[i], duration)
+        done = int(steps[k])
+        arrived = ekf.read_pose().pose
+        watching.arrived(ekf)
+        rows = slice(int(first[k]), int(first[k + 1]))
+        slots = np.full(rows.stop - rows.start, REJECTED, dtype=np.intp)
+        rejected, fault = 0, None
+        try:
+            if rows.start < rows.stop:
+                which = np.arange(rows.start, rows.stop)
+                slots = ekf.observe(
+                    z[rows], sigma[rows], seen.landmark[rows], time_s, told.take(which)
+                )
+            if positions is not None:
+                for g in range(int(first_fix[k]), int(first_fix[k + 1])):
+                    fix = positions.position_m[g], positions.covariance[g]
+                    rejected += not ekf.fix_position(*fix)
+            source.look(ekf, k, time_s, ledger)
+        except FilterDivergedError as error:
+            fault = str(error)
+        watching.updated(ekf)
+        yield Stop(time_s, rows, slots, arrived, rejected, fault)
+        if fault is not None:
+            return

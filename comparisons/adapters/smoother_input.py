@@ -1,0 +1,215 @@
+"""Run the smoother, and the two frozen smoothers, over what the EKF was given."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.adapters.ekf_run import EkfRun
+from comparisons.adapters.motion import motion_samples
+from comparisons.adapters.recorded import oriented_points, recorded
+from comparisons.adapters.timeline import Timeline
+from comparisons.estimates.estimate import Estimate
+from comparisons.logs.log import Log, Positions
+from comparisons.logs.transforms.known_landmarks import surveyed
+from graphslam import increments
+from graphslam.frozen_own import FrozenPoints, own_problem
+from graphslam.linear_problem import LinearProblem, solve
+from graphslam.marginals import Marginal
+from graphslam.problem import SlamProblem
+from graphslam.smoother import SmootherOptions, SmootherResult, smooth
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+
+PositionRows = tuple[Index, Array, Array, tuple[float, float]]
+"""Pose, position and covariance of each fix, and the antenna's lever arm."""
+
+
+def build_problem(log: Log, run: EkfRun) -> SlamProblem:
+    """The log as the smoother's arrays, with the EKF's association of sightings to landmarks."""
+    count = len(run.estimate.landmark)
+    problem = assemble(log, run.timeline, run.slot, count, *_positions(run), own_axes=run.own_axes)
+    return replace(problem, oriented=run.oriented)
+
+
+def assemble(
+    log: Log,
+    timeline: Timeline,
+    slot: Index,
+    landmark_count: int,
+    position_epoch: Index,
+    position: Array,
+    position_covariance: Array,
+    antenna_m: tuple[float, float],
+    *,
+    own_axes: bool = False,
+) -> SlamProblem:
+    """The log as the smoother's arrays. slot: (M,) of the timeline's sightings, negative unused."""
+    used = np.flatnonzero(slot >= 0)
+    seen = log.sightings
+    composed = increments.compose(
+        motion_samples(log, timeline), timeline.step_epoch - 1, len(timeline.epoch_time_s) - 1
+    )
+    return SlamProblem(
+        log.prior.pose,
+        log.prior.covariance,
+        composed.displacement,
+        composed.covariance,
+        timeline.sighting_epoch[used],
+        slot[used],
+        np.column_stack((seen.range_m, seen.bearing_rad))[used],
+        np.column_stack((seen.sigma_range_m, seen.sigma_bearing_rad))[used],
+        landmark_count,
+        position_epoch,
+        position,
+        position_covariance,
+        antenna_m,
+        *surveyed(log)[1:],
+        own_axes=own_axes,
+    )
+
+
+def _positions(run: EkfRun) -> PositionRows:
+    """The fixes that the filter accepted: poses, positions, covariances, lever arm."""
+    epoch, z, covariance, antenna_m = position_rows(run.timeline, run.positions)
+    rows = run.fix_number
+    return epoch[rows], z[rows], covariance[rows], antenna_m
+
+
+def position_rows(timeline: Timeline, positions: Positions | None) -> PositionRows:
+    """Of the positions that the timeline has."""
+    if positions is None:
+        return np.zeros(0, dtype=np.intp), np.zeros((0, 2)), np.zeros((0, 2, 2)), (0.0, 0.0)
+    p, count = positions, len(timeline.position_epoch)
+    return timeline.position_epoch, p.position_m[:count], p.covariance[:count], p.antenna_m
+
+
+def linear_recorded(run: EkfRun) -> LinearProblem:
+    """F1: one linear problem from the EKF's own recorded matrices."""
+    return recorded(run.trace, run.timeline.steps_until())
+
+
+def linear_own(problem: SlamProblem, run: EkfRun) -> LinearProblem:
+    """F2: the smoother's own factors, linearised where the EKF was."""
+    return own_problem(problem, _points(problem, run))
+
+
+def linear_optimum(problem: SlamProblem, run: EkfRun, optimum: Estimate) -> LinearProblem:
+    """The same factors in the same order, linearised at the smoother's estimate.
+
+    optimum: with all landmarks with a direction by slot, those that were fused with others, too.
+    """
+    there, seen, twins = _points(problem, run), problem.oriented, problem.oriented.twins
+    poses, frames = optimum.pose, optimum.oriented
+    pair, same = there.oriented.row, there.twins.row
+    return own_problem(
+        problem,
+        replace(
+            there,
+            departed=poses,
+            arrived=poses,
+            sighting_pose=poses[problem.sighting_pose[there.sighting]],
+            sighting_landmark=optimum.landmark[problem.sighting_landmark[there.sighting]],
+            position_pose=poses[problem.position_pose[there.position]],
+            oriented=replace(
+                there.oriented, first=poses[seen.pose[pair]], second=frames[seen.landmark[pair]]
+            ),
+            twins=replace(
+                there.twins, first=frames[twins.first[same]], second=frames[twins.second[same]]
+            ),
+        ),
+    )
+
+
+def _points(problem: SlamProblem, run: EkfRun) -> FrozenPoints:
+    trace = run.trace
+    sighting_row = np.cumsum(run.slot >= 0) - 1  # a log's sighting to the problem's
+    fix_row = np.zeros(int(run.fix_number.max(initial=-1)) + 1, dtype=np.intp)
+    fix_row[run.fix_number] = np.arange(len(run.fix_number))
+    # A landmark begun with a boundless prior is augmented without its sighting's information.
+    begun = trace.augmentations
+    both = (trace.updates, begun.rows(np.flatnonzero(begun.weight > 0.0)))
+    return FrozenPoints(
+        run.departed,
+        run.arrived,
+        sighting_row[np.concatenate([r.sighting for r in both])],
+        np.concatenate([r.weight for r in both]),
+        _as_headings(
+            run, *(np.concatenate([getattr(r, n) for r in both]) for n in ("pose", "step"))
+        ),
+        np.concatenate([r.landmark for r in both]),
+        fix_row[trace.positions.number],
+        trace.positions.weight,
+        _as_headings(run, trace.positions.pose, trace.positions.step),
+        *oriented_points(trace, lambda pose, step: _as_headings(run, pose, step)),
+    )
+
+
+def solve_recorded(linear: LinearProblem, run: EkfRun) -> Marginal:
+    """F1's estimate of the last pose, as x, y, heading, and all landmarks."""
+    final, estimate = run.final, run.estimate
+    size = estimate.landmark.size + estimate.oriented.size
+    own = np.vstack((run.trace.departed, final.own))[run.timeline.steps_until()]
+    found = solve(linear, own, estimate.landmark, run.oriented_places)
+    p = len(final.own)
+    read = np.zeros((3 + size, p + size))
+    read[:3, :p], read[3:, p:] = final.jacobian, np.eye(size)
+    mean = np.concatenate((final.pose, found.mean[p:]))
+    mean[:3] += final.jacobian @ (found.mean[:p] - final.own)
+    return Marginal(mean, read @ found.covariance @ read.T)
+
+
+def solve_own(linear: LinearProblem, run: EkfRun) -> Marginal:
+    """F2's estimate of the last pose and all landmarks."""
+    return solve(linear, run.departed, run.estimate.landmark, run.oriented_places)
+
+
+def run_smoother(
+    problem: SlamProblem,
+    run: EkfRun,
+    options: SmootherOptions,
+    progress: Callable[[str], None] = lambda stage: None,
+) -> SmootherResult:
+    """The relinearised smoother, the EKF's estimate being one of its starts."""
+    guess = (run.departed, run.estimate.landmark)
+    return smooth(problem, {"ekf": guess}, progress, options)
+
+
+def smoothed_estimate(
+    result: SmootherResult, time_s: Array, landmark_id: NDArray[np.int64], association: str
+) -> Estimate:
+    """The smoother's result with its marginals, at times (K,), for landmarks with ids (L,).
+
+    Of two landmarks with a direction that are one, the first stands for both.
+    """
+    oriented = result.oriented()
+    kept = np.setdiff1d(np.arange(len(oriented)), result.problem.oriented.twins.second)
+    covariance, points = result.marginal().covariance, 3 + result.landmarks.size
+    rows = np.concatenate((np.arange(points), points + (3 * kept[:, None] + (0, 1, 2)).ravel()))
+    return Estimate(
+        time_s,
+        result.poses,
+        result.pose_covariances(),
+        landmark_id,
+        result.landmarks,
+        covariance[np.ix_(rows, rows)] if len(rows) < len(covariance) else covariance,
+        "fixed-lag" if result.lagged else "smoothed",
+        {"estimator": f"graphslam, {result.options.method}", "association": association},
+        kept,
+        oriented[kept],
+    )
+
+
+def _as_headings(run: EkfRun, pose: Array, step: Index) -> Array:
+    """Recorded poses (M, p) as x, y, heading, the heading near the one of its epoch."""
+    if pose.shape[1] == 3:
+        return pose
+    epoch = np.searchsorted(run.timeline.steps_until(), step)
+    heading, about = np.arctan2(pose[:, 3], pose[:, 2]), run.departed[epoch, 2]
+    heading += 2.0 * np.pi * np.round((about - heading) / (2.0 * np.pi))
+    return np.column_stack((pose[:, :2], heading))

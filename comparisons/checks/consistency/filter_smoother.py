@@ -1,0 +1,98 @@
+"""The filter's poses against the smoother's, which needs no truth.
+
+For a linear Gaussian problem and the same data, the smoothed pose is what the filtered one becomes
+when the rest of the log is told, so Cov(filtered - smoothed) = P_filtered - P_smoothed. That
+difference is positive semidefinite; where it is not, the filter is surer of a pose than the
+smoother that knows the future as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from comparisons.checks.consistency.normalised import counted, faults
+from ekf_reference.observation import wrap_angle
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+CLEAR = 0.05
+"""Least share of the filter's variance that the future took away, in a direction that is judged,
+and how much surer than the smoother a filter may be; relinearising moves variances a little."""
+
+
+@dataclass(frozen=True)
+class FilterAgainstSmoother:
+    """Per epoch; those whose covariances cannot be used are left out and counted in faults.
+
+    time_s: (n,). error: (n, 3) e. sigma: (n, 3) of the diagonal of P_E - P_S, zero where that is
+    negative. squared: (n,) e^T (P_E - P_S)^-1 e over the dof (n,) directions in which the
+    difference is clearly positive, e = x_E - x_S, additive, heading wrapped. ratio: (n,) least
+    P_E over P_S of all directions; below 1 the filter is surer than the smoother. Epochs share
+    their future: averages have no plain band.
+    """
+
+    time_s: Array
+    error: Array
+    sigma: Array
+    squared: Array
+    dof: Index
+    ratio: Array
+    faults: Mapping[str, int]
+
+    @property
+    def mean_per_dof(self) -> float | None:
+        """1 is right. None where no direction is clear."""
+        return float(self.squared.sum() / self.dof.sum()) if self.dof.any() else None
+
+    @property
+    def inside(self) -> float | None:
+        """Share of the epochs with clear directions in their single 95 % band."""
+        squared, dof = self.squared[self.dof > 0], self.dof[self.dof > 0]
+        if not len(dof):
+            return None
+        low, high = chi2.ppf(0.025, dof), chi2.ppf(0.975, dof)
+        return float(np.mean((squared >= low) & (squared <= high)))
+
+    @property
+    def surer(self) -> Index:
+        """Epochs at which the filter is surer than the smoother."""
+        return np.flatnonzero(self.ratio < 1.0 - CLEAR)
+
+
+def filter_against_smoother(
+    time_s: Array,
+    filtered: Array,
+    filtered_covariance: Array,
+    smoothed: Array,
+    smoothed_covariance: Array,
+) -> FilterAgainstSmoother:
+    """Poses (K, 3) and covariances (K, 3, 3) of both, at times (K,)."""
+    fault = faults(filtered_covariance)
+    other = faults(smoothed_covariance)
+    fault = np.where(fault == "", np.where(other == "", "", "smoother's " + other), fault)
+    row = np.flatnonzero(fault == "")
+    e = filtered[row] - smoothed[row]
+    e[:, 2] = wrap_angle(e[:, 2])
+    gap = filtered_covariance[row] - smoothed_covariance[row]
+    inverse_root = np.linalg.inv(np.linalg.cholesky(filtered_covariance[row]))
+    share = inverse_root @ smoothed_covariance[row] @ inverse_root.transpose(0, 2, 1)
+    left, axes = np.linalg.eigh(share)
+    gained = 1.0 - left
+    clear = gained > CLEAR
+    along = np.einsum("nji,nj->ni", axes, np.einsum("nij,nj->ni", inverse_root, e))
+    squared = np.where(clear, along**2 / np.where(clear, gained, 1.0), 0.0).sum(axis=1)
+    return FilterAgainstSmoother(
+        time_s[row],
+        e,
+        np.sqrt(np.maximum(np.einsum("nii->ni", gap), 0.0)),
+        squared,
+        clear.sum(axis=1),
+        1.0 / left[:, -1],
+        counted(fault),
+    )

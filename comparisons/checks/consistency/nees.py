@@ -1,0 +1,172 @@
+"""Normalised estimation error squared, against truth.
+
+Errors are estimate minus truth in the log's frame, additive in x, y and heading, the heading's
+wrapped, as are the covariances. A wrong start moves them all alike; distances between landmarks,
+and from the last pose to landmarks, do not depend on the frame, and are judged beside them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import minimum_spanning_tree
+
+from comparisons.checks.accuracy import match_landmarks
+from comparisons.checks.consistency.normalised import Normalised, normalise
+from comparisons.estimates.estimate import Estimate, landmark_blocks
+from comparisons.logs.log import Log
+from ekf_reference.observation import wrap_angle
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+_LEAST_SIGMAS = 5.0
+"""A distance shorter than so many of its sigmas is not a linear function of the errors."""
+
+
+@dataclass(frozen=True)
+class PoseErrors:
+    """The poses at the epochs within the truth's time.
+
+    time_s: (n,). error: (n, 3) x, y, heading; sigma: (n, 3), NaN where a variance is negative.
+    pose, position, heading: of all three, the first two, and the last, per epoch. Their averages
+    over one run are autocorrelated: no band holds for them.
+    """
+
+    time_s: Array
+    error: Array
+    sigma: Array
+    pose: Normalised
+    position: Normalised
+    heading: Normalised
+
+
+@dataclass(frozen=True)
+class MapErrors:
+    """The landmarks at the end that the truth knows too.
+
+    landmarks: each alone, 2 dof; they share the vehicle's error. map: all jointly. whole: with
+    the last pose, where its truth is known. distance, distances: along a spanning tree over the
+    landmarks and, where known, the last pose, each alone and all jointly; as many distances as a
+    tree has are free of each other. skipped: those too short for their sigmas to be judged.
+    """
+
+    landmarks: Normalised
+    map: Normalised
+    whole: Normalised | None
+    distance: Normalised
+    distances: Normalised
+    skipped: int
+
+
+@dataclass(frozen=True)
+class TruthConsistency:
+    """One estimate against truth; None where the log has no such truth, or nothing matches."""
+
+    poses: PoseErrors | None
+    map: MapErrors | None
+
+
+def against_truth(estimate: Estimate, log: Log, *, labelled: bool) -> TruthConsistency | None:
+    """NEES of an estimate, None when the log knows no truth. labelled: see accuracy.assess."""
+    poses, mapped = _pose_errors(estimate, log), _map_errors(estimate, log, labelled)
+    return None if poses is None and mapped is None else TruthConsistency(poses, mapped)
+
+
+def pose_errors(time_s: Array, pose: Array, covariance: Array, true: Array) -> PoseErrors:
+    """Poses (n, 3) with covariances (n, 3, 3) against true poses (n, 3)."""
+    error = pose - true
+    error[:, 2] = wrap_angle(error[:, 2])
+    variance = np.einsum("nii->ni", covariance)
+    sigma = np.sqrt(np.where(variance >= 0.0, variance, np.nan))
+    parts = (slice(0, 3), slice(0, 2), slice(2, 3))
+    whole, position, heading = (normalise(error[:, p], covariance[:, p, p]) for p in parts)
+    return PoseErrors(time_s, error, sigma, whole, position, heading)
+
+
+def map_errors(
+    mean: Array, covariance: Array, true: Array, doubt: Array, *, with_pose: bool
+) -> MapErrors:
+    """The last pose and L landmarks (3 + 2 L,) with their covariance against the truth's.
+
+    doubt: (3 + 2 L, 3 + 2 L) covariance of the truth. with_pose: whether its pose is known.
+    """
+    error, total = mean - true, covariance + doubt
+    error[2] = wrap_angle(error[2])
+    places = np.concatenate((mean[None, :2], mean[3:].reshape(-1, 2)))
+    ends = spanning_tree(places if with_pose else places[1:]) + (0 if with_pose else 1)
+    at, jacobian = distances(mean, ends)
+    spread = jacobian @ total @ jacobian.T
+    kept = np.flatnonzero(~(at**2 < _LEAST_SIGMAS**2 * np.diag(spread)))
+    apart = (at - distances(true, ends)[0])[kept]
+    spread = spread[np.ix_(kept, kept)]
+    return MapErrors(
+        normalise(error[3:].reshape(-1, 2), landmark_blocks(total)),
+        normalise(error[None, 3:], total[None, 3:, 3:]),
+        normalise(error[None], total[None]) if with_pose else None,
+        normalise(apart[:, None], np.diag(spread)[:, None, None]),
+        normalise(apart[None], spread[None]),
+        len(at) - len(kept),
+    )
+
+
+def spanning_tree(places: Array) -> Index:
+    """(N - 1, 2) ends of the shortest edges that hold places (N, 2) together."""
+    apart = np.linalg.norm(places[:, None] - places[None], axis=2)
+    tree = minimum_spanning_tree(np.maximum(apart, 1e-12)).tocoo()
+    return np.column_stack((tree.row, tree.col)).astype(np.intp)
+
+
+def distances(state: Array, ends: Index) -> tuple[Array, Array]:
+    """Distances (E,) between places of a state (3 + 2 L,) and their Jacobian (E, 3 + 2 L).
+
+    ends: (E, 2), 0 for the pose, 1 to L for landmarks.
+    """
+    column = np.where(ends == 0, 0, 1 + 2 * ends)
+    apart = state[column[:, 1, None] + (0, 1)] - state[column[:, 0, None] + (0, 1)]
+    length = np.linalg.norm(apart, axis=1)
+    along = apart / np.maximum(length, 1e-300)[:, None]
+    jacobian, edge = np.zeros((len(ends), len(state))), np.arange(len(ends))
+    for axis in (0, 1):
+        jacobian[edge, column[:, 0] + axis] = -along[:, axis]
+        jacobian[edge, column[:, 1] + axis] = along[:, axis]
+    return length, jacobian
+
+
+def _pose_errors(estimate: Estimate, log: Log) -> PoseErrors | None:
+    poses, t = log.truth.poses, estimate.time_s
+    if poses is None:
+        return None
+    known = np.flatnonzero((t >= poses.time_s[0]) & (t <= poses.time_s[-1]))
+    if not len(known):
+        return None
+    at, covariance = poses.at(t[known]), estimate.pose_covariance[known]
+    return pose_errors(t[known], estimate.pose[known], covariance, at)
+
+
+def _map_errors(estimate: Estimate, log: Log, labelled: bool) -> MapErrors | None:
+    table, poses, end_s = log.truth.landmarks, log.truth.poses, estimate.time_s[-1]
+    if table is None:
+        return None
+    ours, theirs = match_landmarks(
+        (estimate.landmark_id, estimate.landmark), (table.id, table.position_m), labelled=labelled
+    )
+    if not len(ours):
+        return None
+    with_pose = poses is not None and bool(poses.time_s[0] <= end_s <= poses.time_s[-1])
+    last = estimate.pose[-1]
+    if poses is not None and with_pose:
+        last = poses.at(np.array([end_s]))[0]
+    state = np.concatenate((np.arange(3), (3 + 2 * ours[:, None] + (0, 1)).ravel()))
+    doubt = np.zeros((len(state), len(state)))
+    for i, block in enumerate(table.covariance[theirs]):
+        doubt[3 + 2 * i : 5 + 2 * i, 3 + 2 * i : 5 + 2 * i] = block
+    return map_errors(
+        estimate.joint_mean[state],
+        estimate.joint_covariance[np.ix_(state, state)],
+        np.concatenate((last, table.position_m[theirs].ravel())),
+        doubt,
+        with_pose=with_pose,
+    )

@@ -1,0 +1,1 @@
+"""Where a gap arose, and what would explain it."""

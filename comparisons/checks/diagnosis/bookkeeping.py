@@ -1,0 +1,144 @@
+"""Whether the filter used the data as the log has them: each once, in time, under its label.
+
+Both estimators take the filter's association, so what it does to labels shows in no gap.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import binom, chi2
+
+from comparisons.adapters.ekf_run import EkfRun
+from comparisons.checks.misfit import squared_misfit
+from comparisons.estimates.estimate import Estimate
+from comparisons.logs.log import Log
+from ekf_reference.association import REJECTED
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+_WHOLE = 1e-9
+"""Weights that add up to one do so to this."""
+_FITS = float(chi2.ppf(0.99, 2))
+"""A sighting whose residual at the optimum is within this had no reason to be rejected."""
+_ALLOWED = 0.01
+"""Share of fitting sightings that a gate may cost; the usual gates cost 0.1 %."""
+_SURE = 1e-6
+
+
+@dataclass(frozen=True)
+class Misuse:
+    """What was done to the data, and what to look at."""
+
+    evidence: str
+    hint: str
+
+
+def misuses(log: Log, run: EkfRun, smoothed: Estimate, *, labelled: bool) -> tuple[Misuse, ...]:
+    """All that is found. labelled: the filter was to go by the log's labels."""
+    trace, timeline = run.trace, run.timeline
+    uses = (trace.updates, trace.augmentations)
+    number, step, weight = (
+        np.concatenate([getattr(use, name) for use in uses])
+        for name in ("sighting", "step", "weight")
+    )
+    seen = number >= 0
+    fixes = trace.positions
+    kinds = (
+        ("sightings", number[seen], step[seen], weight[seen], timeline.sighting_epoch),
+        ("positions", fixes.number, fixes.step, fixes.weight, timeline.position_epoch),
+    )
+    found = []
+    for kind, which, when, share, epoch in kinds:
+        found += _late(kind, when, timeline.steps_until()[epoch[which]])
+        found += _counted(kind, which, share)
+    if labelled:
+        found += _labels(log.sightings.landmark[: len(run.slot)], run.slot)
+        found += _gated(log, run, smoothed)
+    return tuple(found)
+
+
+def _late(kind: str, step: Index, due: Index) -> list[Misuse]:
+    late = step - due
+    off = late != 0
+    if not off.any():
+        return []
+    often = int(np.median(late[off]))
+    side = "late" if often > 0 else "early"
+    return [
+        Misuse(
+            f"{np.count_nonzero(off)} of {len(step)} uses of {kind} come {side}, by {abs(often)} "
+            "steps of the odometry (median)",
+            "look at the order of events: predict up to an observation's own time, then fuse it",
+        )
+    ]
+
+
+def _counted(kind: str, number: Index, weight: Array) -> list[Misuse]:
+    total = np.bincount(number, weight)
+    often = int(np.count_nonzero(total > 1.0 + _WHOLE))
+    if not often:
+        return []
+    return [
+        Misuse(
+            f"{often} of {len(np.unique(number))} {kind} are fused more than once, with up to "
+            f"{total.max():.3g} times their information",
+            f"look for a second call with the same {kind}, or a queue that is not emptied",
+        )
+    ]
+
+
+def _labels(label: NDArray[np.int64], slot: Index) -> list[Misuse]:
+    """One landmark per label, one label per landmark."""
+    used = slot >= 0
+    pairs, count = np.unique(np.column_stack((label[used], slot[used])), axis=0, return_counts=True)
+    found = []
+    labels, slots = (np.unique(pairs[:, k], return_counts=True) for k in (0, 1))
+    if (slots[1] > 1).any():
+        mixed = slots[0][slots[1] > 1]
+        usual = sum(int(count[pairs[:, 1] == one].max()) for one in mixed)
+        stray = int(count[np.isin(pairs[:, 1], mixed)].sum()) - usual
+        found.append(
+            Misuse(
+                f"sightings of different labels are put into one landmark: {len(mixed)} of "
+                f"{len(slots[0])} landmarks, {stray} sightings",
+                "look at what turns a label into a place in the map",
+            )
+        )
+    elif (labels[1] > 1).any():
+        worst = int(labels[1].argmax())
+        found.append(
+            Misuse(
+                f"sightings of {np.count_nonzero(labels[1] > 1)} of {len(labels[0])} labels are "
+                f"put into several landmarks, of label {labels[0][worst]} into {labels[1][worst]}",
+                "look for landmarks that are begun anew although they are in the map",
+            )
+        )
+    return found
+
+
+def _gated(log: Log, run: EkfRun, smoothed: Estimate) -> list[Misuse]:
+    """Labelled sightings that were rejected, although they fit the optimum."""
+    label = log.sightings.landmark[: len(run.slot)]
+    rows = np.flatnonzero((run.slot == REJECTED) & np.isin(label, smoothed.landmark_id))
+    if not len(rows):
+        return []
+    order = np.argsort(smoothed.landmark_id)
+    place = order[np.searchsorted(smoothed.landmark_id[order], label[rows])]
+    pose = smoothed.pose[run.timeline.sighting_epoch[rows]]
+    squared = squared_misfit(log.sightings, rows, pose, smoothed.landmark[place])
+    fitting = int(np.count_nonzero(squared <= _FITS))
+    total = len(rows) + int(np.count_nonzero(run.slot >= 0))
+    if binom.sf(fitting - 1, total, _ALLOWED) > _SURE:
+        return []
+    return [
+        Misuse(
+            f"{fitting} of {total} labelled sightings were rejected although they fit the optimum "
+            "within their own noise",
+            "look at the gate: squared distances against a bound of chi-square, not of sigmas; "
+            "or at a filter that is too sure of itself",
+        )
+    ]

@@ -1,0 +1,119 @@
+"""Where linearising cost something: the filter's linear equations against the true ones, at S.
+
+A relation that the filter linearised says a dx = b + noise around its point. At the optimum S its
+residual b - a dx should be the nonlinear one; what it is off by, in units of the relation's noise,
+is its linearisation error. F2 minus S is what all of these, put through the normal equations,
+amount to (with the Jacobians' own change).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.estimates.estimate import Estimate
+from ekf_reference.observation import wrap_angle
+from graphslam.linear_problem import LinearProblem, LinearSightings, times
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class LinearisationError:
+    """Per relation of one kind: its epoch (M,), landmark slot (M,) or -1, and error (M,) [sigma].
+
+    The error is the length of the whitened vector.
+    """
+
+    kind: str
+    epoch: Index
+    slot: Index
+    sigma: Array
+
+
+@dataclass(frozen=True)
+class LinearisationGrowth:
+    """Over the epochs (K,): squared errors of all relations there, summed [sigma^2].
+
+    kind, epoch, slot, sigma: of the worst relation. slot: -1 where it sees no landmark.
+    """
+
+    squared: Array
+    kind: str
+    epoch: int
+    slot: int
+    sigma: float
+
+    @property
+    def total(self) -> float:
+        """Sum over the whole log [sigma^2]."""
+        return float(self.squared.sum())
+
+    def reached(self, share: float) -> int:
+        """The epoch by which this share of the total has come together."""
+        gathered = np.cumsum(self.squared)
+        return int(np.searchsorted(gathered, share * gathered[-1]))
+
+
+def linearisation_growth(
+    frozen: LinearProblem, optimum: LinearProblem, smoothed: Estimate
+) -> LinearisationGrowth:
+    """Of one problem's relations, linearised by the filter and at the optimum.
+
+    frozen: F2. optimum: the same relations, in the same order, linearised at S, smoothed,
+    which has all landmarks by slot. That two are one belongs to no instant, and is left out.
+    """
+    poses = smoothed.pose
+    every = (
+        _motion(frozen, optimum, poses),
+        _sightings("a sighting", frozen.sightings, optimum.sightings, poses, smoothed.landmark),
+        _sightings(
+            "a template's sighting", frozen.oriented, optimum.oriented, poses, smoothed.oriented
+        ),
+        _positions(frozen, optimum, poses),
+    )
+    squared = np.zeros(len(poses))
+    for one in every:
+        np.add.at(squared, one.epoch, one.sigma**2)
+    worst = max(every, key=lambda one: one.sigma.max(initial=0.0))
+    if not len(worst.sigma):
+        return LinearisationGrowth(squared, "nothing", 0, -1, 0.0)
+    row = int(np.argmax(worst.sigma))
+    return LinearisationGrowth(
+        squared, worst.kind, int(worst.epoch[row]), int(worst.slot[row]), float(worst.sigma[row])
+    )
+
+
+def _motion(frozen: LinearProblem, optimum: LinearProblem, poses: Array) -> LinearisationError:
+    f = frozen.motion
+    said = f.b - times(f.a, _from(f.departed, poses[:-1])) - times(f.c, _from(f.arrived, poses[1:]))
+    epoch = np.arange(1, len(poses))
+    return _error("a prediction", epoch, np.full(len(epoch), -1), said - optimum.motion.b)
+
+
+def _sightings(
+    kind: str, f: LinearSightings, at: LinearSightings, poses: Array, landmarks: Array
+) -> LinearisationError:
+    said = f.b - times(f.a, _from(f.pose, poses[f.node]))
+    said -= times(f.c, _from(f.landmark, landmarks[f.slot]))
+    return _error(kind, f.node, f.slot, said - at.b)
+
+
+def _positions(frozen: LinearProblem, optimum: LinearProblem, poses: Array) -> LinearisationError:
+    f = frozen.positions
+    said = f.b - times(f.a, _from(f.pose, poses[f.node]))
+    return _error("a position", f.node, np.full(len(f.node), -1), said - optimum.positions.b)
+
+
+def _from(point: Array, place: Array) -> Array:
+    """Places (N, 2) or (N, 3) seen from points of linearisation, headings the short way round."""
+    apart = place - point
+    apart[:, 2:] = wrap_angle(apart[:, 2:])
+    return apart
+
+
+def _error(kind: str, epoch: Index, slot: Index, whitened: Array) -> LinearisationError:
+    return LinearisationError(kind, epoch, slot, np.linalg.norm(whitened, axis=1))

@@ -1,0 +1,77 @@
+"""The command that reproduces the documents' figures. Heavy imports stay inside it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from comparisons.cli.support import AGREE, DISAGREE, guarded, print_result, progress_bar
+
+
+def reproduce(
+    figures: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="FIGURE...|all", help="Their names; lists them if left out."),
+    ] = None,
+    data: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="Holds victoria_park/ or acfr_car_park/, the real logs that some figures need.",
+        ),
+    ] = None,
+    drives: Annotated[
+        int, typer.Option(metavar="N", help="Simulated drives behind a claim about many.")
+    ] = 10,
+    workers: Annotated[int, typer.Option(metavar="W", help="Processes on this machine.")] = 1,
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder to write.")] = Path(
+        "slamcheck-reproduction"
+    ),
+) -> None:
+    """Draw figures of the source documents anew and check what the documents claim by them.
+
+    Exits with 0 when all claims hold, with 1 when one does not. Without names it lists the figures.
+
+    \b
+    Examples:
+      slamcheck reproduce                             what there is
+      slamcheck reproduce N3.5 N3.12
+      slamcheck reproduce all --workers 2 --out figures
+      slamcheck reproduce all --data path/to/logs
+    """
+    with guarded():
+        if not figures:
+            _list()
+            raise SystemExit(AGREE)
+        import time
+
+        from comparisons.atomic import check_replaceable
+        from comparisons.experiments.reproduction.contract import Sources
+        from comparisons.experiments.reproduction.folder import (
+            CONTENTS,
+            build_result,
+            print_claims,
+            write_gallery,
+        )
+        from comparisons.experiments.reproduction.runner import reproduce as run
+
+        check_replaceable(out, CONTENTS)
+        start = time.perf_counter()
+        with progress_bar() as progress:
+            found = run(tuple(figures), Sources(data, drives), workers, progress)
+            result = build_result(found, drives, time.perf_counter() - start)
+            progress("gallery", 0, 0)
+            write_gallery(found, result, out)
+        print_result(lambda console: print_claims(result, console), out)
+        raise SystemExit(AGREE if result.holds else DISAGREE)
+
+
+def _list() -> None:
+    from comparisons.experiments.reproduction.catalogue import FIGURES
+
+    for figure in FIGURES:
+        needs = figure.experiment.needs
+        extra = f" (needs --data with {needs}/)" if needs else ""
+        typer.echo(f"{figure.name:6} {figure.source}: {figure.title}{extra}")

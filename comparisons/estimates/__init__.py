@@ -1,0 +1,1 @@
+"""Estimates: in memory, on disk, traces, and those of other systems."""

@@ -1,0 +1,135 @@
+"""An estimate from someone else's system: a trajectory, and as much more as there is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.archive import read_arrays
+from comparisons.errors import InputError
+from comparisons.estimates.estimate import landmark_blocks
+from comparisons.estimates.folder import (
+    SCAN_LANDMARKS,
+    read_landmarks,
+    read_meta,
+    read_scan_landmarks,
+    read_trajectory,
+)
+from comparisons.estimates.trace_file import TRACE, TraceFile, read_trace
+from comparisons.estimates.trajectory_files import read_trajectory_file
+from comparisons.logs.validation import LARGEST
+
+Array = NDArray[np.float64]
+
+Information = Literal["filtered", "smoothed", "fixed-lag"]
+_ARRAYS = ("pose", "landmarks", "last_pose_and_landmarks")
+
+
+@dataclass(frozen=True)
+class GivenEstimate:
+    """What was handed in; None for what was not.
+
+    time_s: (K,). pose: (K, 3) x, y, heading, unwrapped. landmark_id: (L,) and landmark: (L, 2),
+    both None without a map. pose_covariance: (K, 3, 3). landmark_covariance: (L, 2, 2).
+    joint_covariance: (3 + 2 L, 3 + 2 L) of the last pose and all landmarks. All covariances are
+    of the additive global error. information: as of Estimate.
+    trace: what the filter linearised where.
+    """
+
+    time_s: Array
+    pose: Array
+    landmark_id: NDArray[np.int64] | None = None
+    landmark: Array | None = None
+    pose_covariance: Array | None = None
+    landmark_covariance: Array | None = None
+    joint_covariance: Array | None = None
+    information: Information = "filtered"
+    trace: TraceFile | None = None
+
+    @property
+    def absent(self) -> list[str]:
+        """What is missing, in words."""
+        return [
+            words
+            for value, words in (
+                (self.landmark, "landmarks"),
+                (self.pose_covariance, "pose covariances"),
+                (self.landmark_covariance, "landmark covariances"),
+                (self.joint_covariance, "the joint covariance"),
+            )
+            if value is None
+        ]
+
+
+def read_given(path: Path, times: Path | None = None) -> GivenEstimate:
+    """A trajectory's file, or a folder with `trajectory.tum` and any files of an estimate folder.
+
+    times: of a KITTI file. Raises InputError.
+    """
+    if not path.exists():
+        raise InputError(f"{path}: no such file or folder, expected a trajectory or a folder")
+    if not path.is_dir():
+        time_s, pose, covariance = read_trajectory_file(path, times)
+        if not len(pose):
+            raise InputError(f"{path}: holds no poses")
+        return GivenEstimate(time_s, pose, pose_covariance=covariance)
+    if times is not None:
+        raise InputError(f"{path}: is a folder; --times is for KITTI files")
+    time_s, pose = read_trajectory(path / "trajectory.tum")
+    if not len(pose):
+        raise InputError(f"{path / 'trajectory.tum'}: holds no poses")
+    information: Information = "filtered"
+    if (path / "estimate.toml").exists():
+        information = read_meta(path / "estimate.toml").information
+    ids = places = None
+    if (path / "landmarks.csv").exists():
+        ids, places = read_landmarks(path / "landmarks.csv")
+    count = 0 if places is None else len(places)
+    points = 3 + 2 * count
+    size = points + 3 * len(read_scan_landmarks(path / SCAN_LANDMARKS)[0])
+    shapes = {
+        "pose": (len(pose), 3, 3),
+        "landmarks": (count, 2, 2),
+        "last_pose_and_landmarks": (size, size),
+    }
+    found: dict[str, Array] = {}
+    archive = path / "covariances.npz"
+    if archive.exists():
+        found = read_arrays(archive, _ARRAYS)
+        for name, array in found.items():
+            _check_covariance(f"{archive}: {name}", array, shapes[name])
+    joint = found.get("last_pose_and_landmarks")
+    if joint is not None:
+        joint = joint[:points, :points]  # what is told of scan landmarks has nothing to be held by
+    own = found.get("landmarks")
+    if own is None and joint is not None and count:
+        own = landmark_blocks(joint)
+    trace = None
+    if (path / TRACE).exists():
+        if ids is None:
+            raise InputError(f"{path / TRACE}: needs landmarks.csv beside it")
+        trace = read_trace(path / TRACE, ids)
+    return GivenEstimate(
+        time_s,
+        pose,
+        ids,
+        places,
+        found.get("pose"),
+        own,
+        joint,
+        information,
+        trace,
+    )
+
+
+def _check_covariance(name: str, array: Array, shape: tuple[int, ...]) -> None:
+    if array.shape != shape:
+        raise InputError(f"{name} has shape {array.shape}, expected {shape}")
+    if not np.isfinite(array).all():
+        raise InputError(f"{name} holds a value that is not a finite number")
+    if (np.abs(array) > LARGEST**2).any():
+        raise InputError(f"{name} holds a value beyond {LARGEST**2:g}, expected a covariance")

@@ -1,0 +1,141 @@
+"""An estimate on disk: trajectory, landmarks, covariances, estimate.toml (docs/formats.md)."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from comparisons.archive import read_archive
+from comparisons.errors import InputError
+from comparisons.estimates.estimate import Array, Estimate
+from comparisons.logs.log_meta import first_fault
+from comparisons.logs.table import Table, read_text
+from comparisons.logs.validation import LARGEST, distinct, increasing, whole_numbers, within
+
+SCAN_LANDMARKS = "scan_landmarks.csv"
+FILES = ("trajectory.tum", "landmarks.csv", SCAN_LANDMARKS, "covariances.npz", "estimate.toml")
+"""What an estimate folder holds; scan landmarks only where there are any."""
+
+_TUM = ("time_s", "x", "y", "z", "qx", "qy", "qz", "qw")
+_LANDMARKS = ("id", "x_m", "y_m")
+_ORIENTED = (*_LANDMARKS, "heading_rad")
+
+
+class Meta(BaseModel):
+    """`estimate.toml`."""
+
+    model_config = ConfigDict(extra="forbid")
+    version: Literal[1]
+    information: Literal["filtered", "smoothed", "fixed-lag"]
+    provenance: dict[str, str] = {}
+
+
+def write_estimate(estimate: Estimate, folder: Path) -> None:
+    """Write into a folder that exists and is empty."""
+    (folder / "trajectory.tum").write_text(
+        tum_text(estimate.time_s, estimate.pose), encoding="utf-8"
+    )
+    rows = zip(estimate.landmark_id.tolist(), estimate.landmark.tolist(), strict=True)
+    (folder / "landmarks.csv").write_text(
+        ",".join(_LANDMARKS) + "\n" + "".join(f"{i},{x!r},{y!r}\n" for i, (x, y) in rows),
+        encoding="utf-8",
+    )
+    if len(estimate.oriented_id):
+        rows = zip(estimate.oriented_id.tolist(), estimate.oriented.tolist(), strict=True)
+        lines = [",".join(_ORIENTED), *(",".join(map(repr, (i, *at))) for i, at in rows)]
+        (folder / SCAN_LANDMARKS).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    np.savez_compressed(
+        folder / "covariances.npz",
+        pose=estimate.pose_covariance,
+        last_pose_and_landmarks=estimate.joint_covariance,
+    )
+    lines = ["version = 1", f"information = {json.dumps(estimate.information)}", "", "[provenance]"]
+    lines += [
+        f"{json.dumps(k, ensure_ascii=False)} = {json.dumps(v, ensure_ascii=False)}"
+        for k, v in estimate.provenance.items()
+    ]
+    (folder / "estimate.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def tum_text(time_s: Array, pose: Array) -> str:
+    """A trajectory as TUM lines, from times (K,) and planar poses (K, 3)."""
+    half = 0.5 * pose[:, 2]
+    flat = np.zeros((len(half), 3))
+    rows = np.column_stack((time_s, pose[:, :2], flat, np.sin(half), np.cos(half)))
+    return "".join(" ".join(map(repr, row)) + "\n" for row in rows.tolist())
+
+
+def read_estimate(folder: Path) -> Estimate:
+    """Read a folder. Headings are unwrapped from pose to pose. Raises InputError."""
+    meta = read_meta(folder / "estimate.toml")
+    time_s, poses = read_trajectory(folder / "trajectory.tum")
+    archive_path = folder / "covariances.npz"
+    pose, joint = read_archive(archive_path, ("pose", "last_pose_and_landmarks"))
+    ids, landmark = read_landmarks(folder / "landmarks.csv")
+    oriented_id, oriented = read_scan_landmarks(folder / SCAN_LANDMARKS)
+    size = 3 + 2 * len(ids) + 3 * len(oriented_id)
+    if pose.shape != (len(poses), 3, 3) or joint.shape != (size, size):
+        raise InputError(
+            f"{archive_path}: shapes {pose.shape} and {joint.shape}, expected "
+            f"{(len(poses), 3, 3)} and {(size, size)}"
+        )
+    if not (np.isfinite(pose).all() and np.isfinite(joint).all()):
+        raise InputError(f"{archive_path}: holds a value that is not a finite number")
+    what = meta.information, meta.provenance
+    return Estimate(time_s, poses, pose, ids, landmark, joint, *what, oriented_id, oriented)
+
+
+def read_meta(path: Path) -> Meta:
+    """`estimate.toml`. Raises InputError."""
+    try:
+        return Meta.model_validate(tomllib.loads(read_text(path)))
+    except ValidationError as error:
+        raise InputError(f"{path}: {first_fault(error)}") from None
+    except (ValueError, RecursionError) as error:  # TOMLDecodeError is a ValueError
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{path}: not valid TOML: {error}") from None
+
+
+def read_trajectory(path: Path) -> tuple[Array, Array]:
+    """Times (K,) and planar poses (K, 3) of a TUM file, headings unwrapped. Raises InputError."""
+    tum = Table(path, _TUM)
+    with tum.locating():
+        for name in ("time_s", "x", "y"):
+            within("trajectory", name, tum[name], -LARGEST, LARGEST)
+        increasing("trajectory", tum["time_s"])
+        norm = np.linalg.norm(tum.data[:, 4:], axis=1)
+        within("trajectory", "quaternion's norm", norm, 0.99, 1.01)
+    heading = np.unwrap(2.0 * np.arctan2(tum["qz"], tum["qw"]))
+    return tum["time_s"], np.column_stack((tum["x"], tum["y"], heading))
+
+
+def read_landmarks(path: Path) -> tuple[NDArray[np.int64], Array]:
+    """Ids (L,) and places (L, 2) of a `landmarks.csv`. Raises InputError."""
+    return _read_table(path, "landmarks", _LANDMARKS)
+
+
+def read_scan_landmarks(path: Path) -> tuple[NDArray[np.int64], Array]:
+    """Ids (Q,) and x, y, heading (Q, 3) of a `scan_landmarks.csv`, none without one.
+
+    Raises InputError.
+    """
+    if not path.exists():
+        return np.zeros(0, dtype=np.int64), np.zeros((0, 3))
+    return _read_table(path, "scan_landmarks", _ORIENTED)
+
+
+def _read_table(path: Path, name: str, columns: tuple[str, ...]) -> tuple[NDArray[np.int64], Array]:
+    table = Table(path, columns, comma=True, header=True)
+    with table.locating():
+        ids = whole_numbers(name, "id", table["id"])
+        distinct(name, ids)
+        for column in ("x_m", "y_m"):
+            within(name, column, table[column], -LARGEST, LARGEST)
+    return ids, table.data[:, 1:]

@@ -1,0 +1,267 @@
+"""`trace.npz`: what a filter linearised where, on disk, so that another's algebra can be judged."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.adapters.ekf_run import EkfRun
+from comparisons.archive import read_arrays
+from comparisons.errors import InputError
+from comparisons.logs.validation import LARGEST, LARGEST_ID
+from ekf_reference.layout import ORIENTED
+from ekf_reference.trace import SightingRecords, TraceArrays
+from ekf_reference.trace_records import (
+    PositionRecords,
+    fusion_records,
+    removal_records,
+    sighting_records,
+)
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+TRACE = "trace.npz"
+"""Stands in an estimate folder."""
+
+_PRIOR = {"prior_pose": (3,), "prior_covariance": (3, 3)}
+_STEPS = {
+    "step_time_s": (),
+    **dict.fromkeys(("step_departed", "step_arrived"), (3,)),
+    **dict.fromkeys(("step_f", "step_q"), (3, 3)),
+}
+_USE = {
+    **dict.fromkeys(("step", "sighting", "landmark"), ()),
+    "pose": (3,),
+    "point": (2,),
+    "jacobian_pose": (2, 3),
+    "noise": (2, 2),
+}
+_UPDATES = {f"update_{name}": shape for name, shape in _USE.items()} | {
+    "update_innovation": (2,),
+    "update_jacobian_landmark": (2, 2),
+}
+_BEGINNINGS = {f"begin_{name}": shape for name, shape in _USE.items()} | {
+    "begin_jacobian_sighting": (2, 2)
+}
+_POSITIONS = {
+    **dict.fromkeys(("position_step", "position_number"), ()),
+    "position_pose": (3,),
+    "position_innovation": (2,),
+    "position_jacobian_pose": (2, 3),
+    "position_noise": (2, 2),
+}
+_WEIGHTS = tuple(f"{part}_weight" for part in ("update", "begin", "position"))
+_SHAPES: dict[str, tuple[int, ...]] = {
+    **_STEPS, **_UPDATES, **_BEGINNINGS, **_POSITIONS, **dict.fromkeys(_WEIGHTS, ())
+}  # fmt: skip
+_WHOLE = ("step", "sighting", "landmark", "number")
+
+
+@dataclass(frozen=True)
+class TraceFile:
+    """A filter's trace with the time (N,) at which each step ends, and where it was read.
+
+    Slots are places in the estimate's list of landmarks. Headings are unwrapped along the trace;
+    `spread` and `whitened` are zero, for no gap needs them.
+    """
+
+    path: Path
+    step_time_s: Array
+    trace: TraceArrays
+
+
+def write_trace(run: EkfRun, path: Path) -> None:
+    """Write a run's trace. Raises InputError for filters that keep no x, y and heading.
+
+    Also for runs with landmarks that have a direction: without these a filter's algebra is wrong.
+    """
+    trace, ids = run.trace, run.estimate.landmark_id
+    if trace.prior_pose.shape != (3,) or run.own_axes:
+        raise InputError("--trace is for filters of x, y and heading, range and bearing")
+    if len(run.oriented.measured):
+        raise InputError("--trace is for landmarks that are points; its file holds no others")
+    begin_s = run.timeline.step_begin_s()
+    arrays: dict[str, Array | NDArray[np.integer]] = {
+        "prior_pose": trace.prior_pose,
+        "prior_covariance": trace.prior_covariance,
+        "step_time_s": begin_s + run.timeline.step_duration_s,
+        "step_departed": trace.departed,
+        "step_arrived": trace.arrived,
+        "step_f": trace.f,
+        "step_q": trace.q,
+    }
+    for part, records, other in (
+        ("update", trace.updates, "landmark"),
+        ("begin", trace.augmentations, "sighting"),
+    ):
+        arrays |= {
+            f"{part}_step": records.step,
+            f"{part}_sighting": records.sighting,
+            f"{part}_landmark": ids[records.slot],
+            f"{part}_pose": records.pose,
+            f"{part}_point": records.landmark,
+            f"{part}_jacobian_pose": records.jacobian_pose,
+            f"{part}_jacobian_{other}": records.jacobian_other,
+            f"{part}_noise": records.noise,
+            f"{part}_weight": records.weight,
+        }
+    arrays["update_innovation"] = trace.updates.innovation
+    for name in ("step", "number", "pose", "innovation", "jacobian_pose", "noise", "weight"):
+        arrays[f"position_{name}"] = getattr(trace.positions, name)
+    np.savez_compressed(path, **arrays)  # type: ignore[arg-type]
+
+
+def read_trace(path: Path, landmark_id: NDArray[np.int64]) -> TraceFile:
+    """Read a trace of a filter whose landmarks have the ids (L,), in the estimate's order.
+
+    Positions and weights may be absent: none, and one. Raises InputError naming the array.
+    """
+    names = (*_PRIOR, *_SHAPES)
+    found = read_arrays(path, names)
+    missing = [n for n in (*_PRIOR, *_STEPS, *_UPDATES, *_BEGINNINGS) if n not in found]
+    if missing:
+        raise InputError(f"{path}: holds no {missing[0]}")
+    for name, shape in _PRIOR.items():
+        _check(path, name, found[name], shape)
+    for part in (_STEPS, _UPDATES, _BEGINNINGS, _POSITIONS):
+        first = next(iter(part))
+        if part is _POSITIONS and first not in found:
+            found |= {name: np.zeros((0, *shape)) for name, shape in part.items()}
+        count = len(found[first])
+        weight = f"{first.partition('_')[0]}_weight"
+        found.setdefault(weight, np.ones(count))
+        for name, shape in (part | {weight: ()} if part is not _STEPS else part).items():
+            if name not in found:
+                raise InputError(f"{path}: holds no {name}")
+            _check(path, name, found[name], (count, *shape))
+    _check_contents(path, found)
+    _unwrap(found)
+    slot = _slots(path, found, landmark_id)
+    return TraceFile(
+        path,
+        found["step_time_s"],
+        TraceArrays(
+            found["prior_pose"],
+            found["prior_covariance"],
+            found["step_departed"],
+            found["step_arrived"],
+            found["step_f"],
+            found["step_q"],
+            _sightings(found, "update", slot["update"], found["update_innovation"], "landmark"),
+            _sightings(found, "begin", slot["begin"], np.zeros_like(found["begin_point"]),
+                       "sighting"),
+            PositionRecords(
+                found["position_step"].astype(np.intp),
+                found["position_number"].astype(np.intp),
+                found["position_pose"],
+                found["position_innovation"],
+                found["position_jacobian_pose"],
+                found["position_noise"],
+                np.zeros_like(found["position_noise"]),
+                found["position_weight"],
+            ),
+            sighting_records([], 3, ORIENTED),
+            sighting_records([], 3, ORIENTED),
+            fusion_records([]),
+            removal_records([]),
+        ),
+    )  # fmt: skip
+
+
+def _sightings(
+    found: dict[str, Array], part: str, slot: Index, innovation: Array, other: str
+) -> SightingRecords:
+    noise = found[f"{part}_noise"]
+    return SightingRecords(
+        found[f"{part}_step"].astype(np.intp),
+        found[f"{part}_sighting"].astype(np.intp),
+        slot,
+        found[f"{part}_pose"],
+        found[f"{part}_point"],
+        innovation,
+        found[f"{part}_jacobian_pose"],
+        found[f"{part}_jacobian_{other}"],
+        noise,
+        np.zeros_like(noise),
+        np.zeros((len(noise), 2)),
+        found[f"{part}_weight"],
+    )
+
+
+def _check(path: Path, name: str, array: Array, shape: tuple[int, ...]) -> None:
+    if array.shape != shape:
+        raise InputError(f"{path}: {name} has shape {array.shape}, expected {shape}")
+    if not (np.abs(array) <= LARGEST**2).all():
+        raise InputError(f"{path}: {name} holds a value that is no number up to {LARGEST**2:g}")
+    if (
+        name.partition("_")[2] in _WHOLE
+        and not ((array == np.round(array)) & (array >= 0) & (array < LARGEST_ID)).all()
+    ):
+        raise InputError(f"{path}: {name} holds a value that is no whole number from 0 on")
+
+
+def _check_contents(path: Path, found: dict[str, Array]) -> None:
+    """Orders, ranges, covariances and weights."""
+    count = len(found["step_time_s"])
+    if not count:
+        raise InputError(f"{path}: holds no steps")
+    if (np.diff(found["step_time_s"]) <= 0).any():
+        raise InputError(f"{path}: step_time_s runs backwards or repeats")
+    for part in ("update", "begin", "position"):
+        step, weight = found[f"{part}_step"], found[f"{part}_weight"]
+        if (np.diff(step) < 0).any() or (step > count).any():
+            raise InputError(f"{path}: {part}_step must ascend from 0 to at most {count} steps")
+        smallest = 0.0 if part == "begin" else 1e-9
+        if not ((weight >= smallest) & (weight <= 1.0)).all():
+            raise InputError(f"{path}: {part}_weight holds a value outside {smallest:g} to 1")
+    for name in ("prior_covariance", "step_q", "update_noise", "begin_noise", "position_noise"):
+        matrices = found[name].reshape(-1, *found[name].shape[-2:])
+        least = np.linalg.eigvalsh(matrices)[:, 0] if len(matrices) else np.zeros(0)
+        scale = np.abs(matrices).max(axis=(1, 2), initial=0.0)
+        positive = least >= -1e-9 * scale if name == "step_q" else least > 0.0
+        skew = np.abs(matrices - matrices.transpose(0, 2, 1)).max(axis=(1, 2), initial=0.0)
+        bad = np.flatnonzero(~positive | (skew > 1e-9 * scale))
+        if len(bad):
+            raise InputError(
+                f"{path}: {name}, row {bad[0]}, is not symmetric and positive definite"
+            )
+
+
+def _unwrap(found: dict[str, Array]) -> None:
+    """Headings without jumps along the trace, whatever the filter wraps and when."""
+    departed, arrived = found["step_departed"].copy(), found["step_arrived"].copy()
+    start = found["prior_pose"][2:]
+    steps = np.column_stack((departed[:, 2], arrived[:, 2])).ravel()
+    along = np.unwrap(np.concatenate((start, steps)))
+    departed[:, 2], arrived[:, 2] = along[1::2], along[2::2]
+    found |= {"step_departed": departed, "step_arrived": arrived}
+    reached = along[0::2]
+    for part in ("update", "begin", "position"):
+        pose = found[f"{part}_pose"].copy()
+        apart = reached[found[f"{part}_step"].astype(np.intp)] - pose[:, 2]
+        pose[:, 2] += 2.0 * np.pi * np.round(apart / (2.0 * np.pi))
+        found[f"{part}_pose"] = pose
+
+
+def _slots(path: Path, found: dict[str, Array], landmark_id: NDArray[np.int64]) -> dict[str, Index]:
+    """Places (M,) of the landmarks in the estimate, each begun once before it is updated."""
+    order = np.argsort(landmark_id)
+    slots: dict[str, Index] = {}
+    for part in ("update", "begin"):
+        ids = found[f"{part}_landmark"].astype(np.int64)
+        stray = ids[~np.isin(ids, landmark_id)]
+        if len(stray):
+            raise InputError(f"{path}: {part}_landmark holds {stray[0]}, not among landmarks.csv")
+        slots[part] = order[np.searchsorted(landmark_id[order], ids)]
+    times_begun = np.bincount(slots["begin"], minlength=len(landmark_id))
+    wrong = np.flatnonzero(times_begun != 1)
+    if len(wrong):
+        raise InputError(
+            f"{path}: landmark {landmark_id[wrong[0]]} begins {times_begun[wrong[0]]} times, "
+            "expected once"
+        )
+    return slots

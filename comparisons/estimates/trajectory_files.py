@@ -1,0 +1,139 @@
+"""Trajectories as one file: TUM, KITTI with its times beside it, and CSV with covariances.
+
+KITTI holds twelve numbers a line, the upper three rows of a pose's 4 x 4 matrix; here the drive's
+plane is x and y, and z points up. It knows no times; they stand in a file of their own, a number a
+line.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from comparisons.atomic import write_whole
+from comparisons.errors import InputError
+from comparisons.estimates.estimate import Array
+from comparisons.estimates.folder import read_trajectory, tum_text
+from comparisons.logs.table import Table, read_text
+from comparisons.logs.validation import LARGEST, increasing, within
+
+FORMATS = ("tum", "kitti", "csv")
+TIMES = "times.txt"
+"""Stands beside a KITTI file."""
+
+_CSV = ("time_s", "x_m", "y_m", "heading_rad")
+_COVARIANCE = tuple(f"cov_{i}{j}" for i in range(3) for j in range(i, 3))
+_KITTI = (
+    *("r00", "r01", "r02", "x", "r10", "r11", "r12", "y"),
+    *("r20", "r21", "r22", "z"),
+)
+_UPPER = np.triu_indices(3)
+_WHOLE = [0, 1, 2, 1, 3, 4, 2, 4, 5]
+
+
+class Trajectory(NamedTuple):
+    """time_s: (K,). pose: (K, 3) x, y [m], heading [rad], unwrapped. covariance: (K, 3, 3)."""
+
+    time_s: Array
+    pose: Array
+    covariance: Array | None = None
+
+
+def read_trajectory_file(path: Path, times: Path | None = None) -> Trajectory:
+    """A file in any of the formats, told apart by its first record.
+
+    times: of a KITTI file; `times.txt` beside it by default. Raises InputError.
+    """
+    lines = (line.strip() for line in read_text(path).splitlines())
+    first = next((line for line in lines if line and not line.startswith("#")), "")
+    kitti = len(first.split()) == len(_KITTI)
+    if times is not None and not kitti:
+        raise InputError(f"{path}: holds its own times; --times is for KITTI files")
+    if kitti:
+        return _read_kitti(path, times or path.with_name(TIMES))
+    if first.startswith(_CSV[0] + ","):
+        return _read_csv(path, first)
+    return Trajectory(*read_trajectory(path))
+
+
+def write_trajectory(trajectory: Trajectory, path: Path, format_name: str) -> None:
+    """Write a new file, with KITTI also `times.txt` beside it. Raises InputError."""
+    if format_name not in FORMATS:
+        raise InputError(f"format '{format_name}' is unknown, expected {', '.join(FORMATS)}")
+    texts = {path: _TEXTS[format_name](trajectory)}
+    if format_name == "kitti":
+        texts[path.with_name(TIMES)] = "".join(f"{t!r}\n" for t in trajectory.time_s.tolist())
+        if len(texts) < 2:
+            raise InputError(f"{path}: is the name of the times, expected another one")
+    for target in texts:
+        if target.exists() or target.is_symlink():
+            raise InputError(f"{target}: exists already, expected a new name")
+    for target, text in texts.items():
+        write_whole(target, partial(Path.write_text, data=text, encoding="utf-8"))
+
+
+def _read_csv(path: Path, header: str) -> Trajectory:
+    columns = _CSV + _COVARIANCE if "cov_" in header else _CSV
+    table = Table(path, columns, comma=True, header=True)
+    with table.locating():
+        for name in columns[:4]:
+            within("trajectory", name, table[name], -LARGEST, LARGEST)
+        increasing("trajectory", table["time_s"])
+    covariance = None
+    if len(columns) > 4:
+        with table.locating():
+            for name in _COVARIANCE:
+                within("trajectory", name, table[name], -(LARGEST**2), LARGEST**2)
+        covariance = table.data[:, 4:][:, _WHOLE].reshape(-1, 3, 3)
+    pose = np.column_stack((table.data[:, 1:3], np.unwrap(table["heading_rad"])))
+    return Trajectory(table["time_s"], pose, covariance)
+
+
+def _read_kitti(path: Path, times: Path) -> Trajectory:
+    if not times.exists():
+        raise InputError(f"{path}: KITTI holds no times, expected {times.name} there, or --times")
+    table, clock = Table(path, _KITTI), Table(times, ("time_s",))
+    if len(table) != len(clock):
+        raise InputError(f"{times}: {len(clock)} times, expected {len(table)} as poses in {path}")
+    with clock.locating():
+        within("times", "time_s", clock["time_s"], -LARGEST, LARGEST)
+        increasing("times", clock["time_s"])
+    with table.locating():
+        for name in ("x", "y"):
+            within("trajectory", name, table[name], -LARGEST, LARGEST)
+        within("trajectory", "r22 (of a pose in the plane x, y)", table["r22"], 0.99, 1.01)
+        norm = np.hypot(table["r00"], table["r10"])
+        within("trajectory", "rotation's norm", norm, 0.99, 1.01)
+    heading = np.unwrap(np.arctan2(table["r10"], table["r00"]))
+    return Trajectory(clock["time_s"], np.column_stack((table["x"], table["y"], heading)))
+
+
+def _csv_text(trajectory: Trajectory) -> str:
+    columns: tuple[str, ...] = _CSV
+    parts = [trajectory.time_s[:, None], trajectory.pose]
+    if trajectory.covariance is not None:
+        columns += _COVARIANCE
+        parts.append(trajectory.covariance[:, *_UPPER])
+    return ",".join(columns) + "\n" + _rows(np.hstack(parts), ",")
+
+
+def _kitti_text(trajectory: Trajectory) -> str:
+    x, y, heading = trajectory.pose.T
+    cos, sin, zero, one = np.cos(heading), np.sin(heading), np.zeros(len(x)), np.ones(len(x))
+    rows = (cos, -sin, zero, x, sin, cos, zero, y, zero, zero, one, zero)
+    return _rows(np.column_stack(rows), " ")
+
+
+def _rows(table: Array, delimiter: str) -> str:
+    """Numbers that read back to the same bits."""
+    return "".join(delimiter.join(map(repr, row)) + "\n" for row in table.tolist())
+
+
+_TEXTS = {
+    "tum": lambda trajectory: tum_text(trajectory.time_s, trajectory.pose),
+    "kitti": _kitti_text,
+    "csv": _csv_text,
+}

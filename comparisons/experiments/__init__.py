@@ -1,0 +1,1 @@
+"""Published figures, Monte Carlo studies, planted defects; nothing above imports them."""

@@ -1,0 +1,258 @@
+"""Defects of what the filter does with the data: intervals, labels, order, counts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.experiments.defects.defect import (
+    Array,
+    Defect,
+    OtherMotion,
+    with_motion,
+    with_steps,
+)
+from ekf_reference.association import REJECTED, KnownAssociation, MappedState, Slots
+from ekf_reference.full_ekf import FullEkf
+from ekf_reference.motion import MotionStep
+from ekf_reference.observation import Observation
+from ekf_reference.sightings import NOTHING_SIGHTED, SightedAttributes, Sightings
+
+_GATE_SIGMA = 2.0
+
+
+@dataclass
+class PreviousInterval(OtherMotion):
+    """Every step lasts as long as the one before should have."""
+
+    last_s: float | None = None
+
+    def step(self, pose: Array, control: Array, duration_s: float) -> MotionStep:
+        """Late by one."""
+        duration, self.last_s = self.last_s or duration_s, duration_s
+        return super().step(pose, control, duration)
+
+
+class ConstantInterval(OtherMotion):
+    """Every step lasts 25 ms."""
+
+    def step(self, pose: Array, control: Array, duration_s: float) -> MotionStep:
+        """The interval is ignored."""
+        return super().step(pose, control, 0.025)
+
+
+class AppliedTwice(OtherMotion):
+    """Every control acts twice."""
+
+    def step(self, pose: Array, control: Array, duration_s: float) -> MotionStep:
+        """Two steps in one."""
+        one = super().step(pose, control, duration_s)
+        two = super().step(one.pose, control, duration_s)
+        by_control = two.jacobian_pose @ one.jacobian_control + two.jacobian_control
+        return MotionStep(two.pose, two.jacobian_pose @ one.jacobian_pose, by_control)
+
+
+class AppliedHalf(OtherMotion):
+    """Every control acts for half of its interval."""
+
+    def step(self, pose: Array, control: Array, duration_s: float) -> MotionStep:
+        """Half the time."""
+        return super().step(pose, control, 0.5 * duration_s)
+
+
+class OneScanLate(FullEkf):
+    """Sightings wait for the next scan's time."""
+
+    _waiting: tuple[Array, Array, NDArray[np.int64], float, SightedAttributes] | None = None
+
+    def observe(
+        self,
+        z: Array,
+        sigma: Array,
+        identity: NDArray[np.int64],
+        time_s: float = 0.0,
+        attributes: SightedAttributes = NOTHING_SIGHTED,
+    ) -> Slots:
+        """Fuse the ones before."""
+        due, self._waiting = self._waiting, (z, sigma, identity, time_s, attributes)
+        if due is not None:
+            super().observe(*due)
+        return np.full(len(z), REJECTED)
+
+
+class OneStepLate(FullEkf):
+    """Sightings are fused after the next prediction."""
+
+    _waiting: tuple[Array, Array, NDArray[np.int64], float, SightedAttributes] | None = None
+
+    def observe(
+        self,
+        z: Array,
+        sigma: Array,
+        identity: NDArray[np.int64],
+        time_s: float = 0.0,
+        attributes: SightedAttributes = NOTHING_SIGHTED,
+    ) -> Slots:
+        """Wait."""
+        self._waiting = (z, sigma, identity, time_s, attributes)
+        return np.full(len(z), REJECTED)
+
+    def predict(self, control: Array, covariance: Array, duration_s: float) -> None:
+        """Move on, then fuse."""
+        super().predict(control, covariance, duration_s)
+        due, self._waiting = self._waiting, None
+        if due is not None:
+            super().observe(*due)
+
+
+class FixedTwice(FullEkf):
+    """Every position is fused twice."""
+
+    def fix_position(self, z: Array, covariance: Array) -> bool:
+        """Once, and again."""
+        used = super().fix_position(z, covariance)
+        self._fixes_seen -= 1
+        return super().fix_position(z, covariance) and used
+
+
+class SeenTwice(FullEkf):
+    """Every sighting is fused twice."""
+
+    def observe(
+        self,
+        z: Array,
+        sigma: Array,
+        identity: NDArray[np.int64],
+        time_s: float = 0.0,
+        attributes: SightedAttributes = NOTHING_SIGHTED,
+    ) -> Slots:
+        """Once, and again."""
+        slots = super().observe(z, sigma, identity, time_s, attributes)
+        self._sightings_seen -= len(slots)
+        super().observe(z, sigma, identity, time_s, attributes)
+        return slots
+
+
+@dataclass
+class BegunAnew(KnownAssociation):
+    """Landmarks are forgotten when they leave the view, and begun anew on return."""
+
+    last_seen_s: dict[int, float] = field(default_factory=dict)
+
+    def assign(self, state: MappedState, observation: Observation, sightings: Sightings) -> Slots:
+        """New slots for labels unseen for 5 s."""
+        for label in sightings.identity.tolist():
+            if sightings.time_s - self.last_seen_s.get(label, sightings.time_s) > 5.0:
+                self.slot_of.pop(label, None)
+            self.last_seen_s[label] = sightings.time_s
+        slots = sightings.identity.astype(np.intp)
+        added = state.landmark_count
+        for i, label in enumerate(sightings.identity.tolist()):
+            if label not in self.slot_of:
+                self.slot_of[label] = added
+                added += 1
+            slots[i] = self.slot_of[label]
+        return slots
+
+
+@dataclass
+class SwappedLabels(KnownAssociation):
+    """In every tenth scan the first two labels are exchanged."""
+
+    scans: int = 0
+
+    def assign(self, state: MappedState, observation: Observation, sightings: Sightings) -> Slots:
+        """Exchange, where both landmarks are known."""
+        slots = super().assign(state, observation, sightings)
+        self.scans += 1
+        if self.scans % 10 == 0 and len(slots) > 1 and slots[:2].max() < state.landmark_count:
+            slots[:2] = slots[1::-1]
+        return slots
+
+
+def _begin_anew(ekf: FullEkf) -> None:
+    ekf.association = BegunAnew()
+
+
+def _swap_labels(ekf: FullEkf) -> None:
+    ekf.association = SwappedLabels()
+
+
+def _gate_by_sigma(ekf: FullEkf) -> None:
+    ekf.association = KnownAssociation(gate=_GATE_SIGMA)
+
+
+DEFECTS = (
+    Defect(
+        "previous interval",
+        "a step lasts as long as the one before it",
+        ("model", "the predicted pose", "the previous step's interval"),
+        with_motion(PreviousInterval),
+        "uneven",
+    ),
+    Defect(
+        "interval ignored",
+        "every step lasts 25 ms, whatever the stamps say",
+        ("model", "the predicted pose", "interval is always 0.025 s"),
+        with_motion(ConstantInterval),
+        "uneven",
+    ),
+    Defect(
+        "control applied twice",
+        "every control moves the vehicle two times",
+        ("model", "the predicted pose", "the control is applied twice"),
+        with_motion(AppliedTwice),
+    ),
+    Defect(
+        "control applied half",
+        "every control acts for half of its interval",
+        ("model", "the predicted pose", "0.5 times its interval"),
+        with_motion(AppliedHalf),
+    ),
+    Defect(
+        "sighting one scan late",
+        "sightings are fused at the time of the next scan",
+        ("data", "sightings", "late"),
+        with_steps(OneScanLate),
+    ),
+    Defect(
+        "sighting one step late",
+        "sightings are fused after the next prediction",
+        ("data", "sightings", "late"),
+        with_steps(OneStepLate),
+    ),
+    Defect(
+        "position fused twice",
+        "every absolute position is used two times",
+        ("data", "positions", "more than once"),
+        with_steps(FixedTwice),
+        "positions",
+    ),
+    Defect(
+        "sighting fused twice",
+        "every sighting is used two times",
+        ("data", "sightings", "more than once"),
+        with_steps(SeenTwice),
+    ),
+    Defect(
+        "landmark begun anew",
+        "a landmark that returns into view becomes another one",
+        ("data", "labels", "several landmarks"),
+        _begin_anew,
+        "closing",
+    ),
+    Defect(
+        "labels exchanged",
+        "two labels of every tenth scan are exchanged",
+        ("data", "labels", "one landmark"),
+        _swap_labels,
+    ),
+    Defect(
+        "gate of sigmas",
+        f"the gate compares squared distances with {_GATE_SIGMA:g} sigma",
+        ("data", "rejected", "gate"),
+        _gate_by_sigma,
+    ),
+)

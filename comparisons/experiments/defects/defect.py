@@ -1,0 +1,107 @@
+"""What a planted defect is, and the parts that planting takes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ekf_reference.full_ekf import FullEkf
+from ekf_reference.kalman import KalmanState
+from ekf_reference.motion import MotionModel, MotionStep
+from ekf_reference.observation import NewLandmarks, Observation, PredictedSightings, RangeBearing
+
+Array = NDArray[np.float64]
+Plant = Callable[[FullEkf], None]
+
+
+@dataclass(frozen=True)
+class Defect:
+    """One way in which EKF-SLAM code goes wrong.
+
+    expected_cause: the gap that the report's first cause must name, then words that its evidence
+    or hint must hold. plant: puts the defect into a filter that has not started. log: of
+    comparisons.experiments.defects.logs, one that shows it.
+    """
+
+    name: str
+    what: str
+    expected_cause: tuple[str, ...]
+    plant: Plant
+    log: str = "loop"
+
+
+@dataclass
+class OtherObservation:
+    """An observation model that differs from the sound one in what a subclass overrides."""
+
+    sound: RangeBearing = field(default_factory=RangeBearing)
+
+    def measured(self, z: Array, sigma: Array) -> tuple[Array, Array]:
+        """As they come, and R."""
+        return self.sound.measured(z, sigma)
+
+    def range_m(self, z: Array) -> Array:
+        """(m,) the range."""
+        return self.sound.range_m(z)
+
+    def predict(self, pose: Array, landmarks: Array) -> PredictedSightings:
+        """Expected sightings."""
+        return self.sound.predict(pose, landmarks)
+
+    def innovation(self, z: Array, predicted: Array) -> Array:
+        """Difference, wrapped."""
+        return self.sound.innovation(z, predicted)
+
+    def invert(self, pose: Array, z: Array) -> NewLandmarks:
+        """Places of new landmarks."""
+        return self.sound.invert(pose, z)
+
+
+@dataclass
+class OtherMotion:
+    """A motion model made of the sound one by a subclass."""
+
+    sound: MotionModel
+
+    def step(self, pose: Array, control: Array, duration_s: float) -> MotionStep:
+        """Predict."""
+        return self.sound.step(pose, control, duration_s)
+
+
+def with_state(state: type[KalmanState]) -> Plant:
+    """Another keeper of mean and covariance."""
+
+    def plant(ekf: FullEkf) -> None:
+        ekf.state = state(ekf.state.pose, np.array(ekf.state.covariance))
+
+    return plant
+
+
+def with_observation(observation: Callable[[], Observation]) -> Plant:
+    """Another observation model, new for every filter."""
+
+    def plant(ekf: FullEkf) -> None:
+        ekf.observation = observation()
+
+    return plant
+
+
+def with_motion(motion: Callable[[MotionModel], MotionModel]) -> Plant:
+    """Another motion model, made of the filter's own."""
+
+    def plant(ekf: FullEkf) -> None:
+        ekf.motion = motion(ekf.motion)
+
+    return plant
+
+
+def with_steps(kind: type[FullEkf]) -> Plant:
+    """Other steps of the filter itself."""
+
+    def plant(ekf: FullEkf) -> None:
+        ekf.__class__ = kind
+
+    return plant

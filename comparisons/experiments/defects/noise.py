@@ -1,0 +1,97 @@
+"""Defects of what the filter takes the noise to be."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from comparisons.experiments.defects.defect import Array, Defect, with_observation, with_steps
+from ekf_reference.full_ekf import FullEkf
+from ekf_reference.observation import RangeBearing
+
+
+class SigmaSquaredTwice(RangeBearing):
+    """R from variances that were squared again."""
+
+    def noise(self, sigma: Array) -> Array:
+        """R with sigma^4."""
+        return super().noise(sigma**2)
+
+
+class SigmaForVariance(RangeBearing):
+    """R from sigmas that were not squared."""
+
+    def noise(self, sigma: Array) -> Array:
+        """R with sigma."""
+        return super().noise(np.sqrt(sigma))
+
+
+class TwiceTheVariance(RangeBearing):
+    """R counted twice."""
+
+    def noise(self, sigma: Array) -> Array:
+        """R, and again."""
+        return 2.0 * super().noise(sigma)
+
+
+class DegreesForRadians(RangeBearing):
+    """The bearing's sigma was given in degrees and taken for radians."""
+
+    def noise(self, sigma: Array) -> Array:
+        """R with the bearing's sigma 57 times as large."""
+        return super().noise(sigma * (1.0, np.degrees(1.0)))
+
+
+class ControlSigmaForVariance(FullEkf):
+    """Q from sigmas that were not squared."""
+
+    def predict(self, control: Array, covariance: Array, duration_s: float) -> None:
+        """Q with sigma."""
+        super().predict(control, np.sqrt(covariance), duration_s)
+
+
+class TwiceTheControlVariance(FullEkf):
+    """Q counted twice."""
+
+    def predict(self, control: Array, covariance: Array, duration_s: float) -> None:
+        """Q, and again."""
+        super().predict(control, 2.0 * covariance, duration_s)
+
+
+DEFECTS = (
+    Defect(
+        "sigma squared twice",
+        "R holds sigma^4",
+        ("model", "the noise covariance", "squared twice"),
+        with_observation(SigmaSquaredTwice),
+    ),
+    Defect(
+        "sigma for variance in R",
+        "R holds sigma",
+        ("model", "the noise covariance", "R holds sigma"),
+        with_observation(SigmaForVariance),
+    ),
+    Defect(
+        "twice the variance in R",
+        "R holds 2 sigma^2",
+        ("model", "the noise covariance", "R is 2 times"),
+        with_observation(TwiceTheVariance),
+    ),
+    Defect(
+        "degrees for radians in R",
+        "the bearing's sigma is in degrees",
+        ("model", "the noise covariance", "degrees"),
+        with_observation(DegreesForRadians),
+    ),
+    Defect(
+        "sigma for variance in Q",
+        "the control's covariance holds sigma",
+        ("model", "the noise covariance", "Q holds sigma"),
+        with_steps(ControlSigmaForVariance),
+    ),
+    Defect(
+        "twice the variance in Q",
+        "the control's covariance is doubled",
+        ("model", "the noise covariance", "Q is 2 times"),
+        with_steps(TwiceTheControlVariance),
+    ),
+)

@@ -1,0 +1,83 @@
+"""Finished chunks on disk, one file per filter and chunk, so that a killed job goes on."""
+
+from __future__ import annotations
+
+import os
+import re
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from comparisons.atomic import UNFINISHED, write_whole
+from comparisons.errors import InputError
+from comparisons.experiments.montecarlo.runs import Records
+
+CHUNK = 25
+"""Runs of a chunk. It is computed whole even where fewer are asked for, so that a run's figures do
+not depend on how many there are, nor on who computes them."""
+
+_REPORTS = frozenset({"montecarlo.json", "curves.png"})
+_NAME = re.compile(r"[a-z]+-\d{6}\.npz")
+
+
+def check_folder(folder: Path) -> None:
+    """Raises InputError where a study must not be written: other files than a study's are there."""
+    try:
+        if folder.exists() and not folder.is_dir():
+            raise InputError(f"{folder}: is a file, expected a folder to write")
+        for path in sorted(folder.rglob("*")) if folder.exists() else []:
+            name = path.relative_to(folder).as_posix()
+            inside, _, last = name.rpartition("/")
+            known = last.removeprefix(UNFINISHED)  # a killed job may leave one
+            ours = (
+                known in _REPORTS if not inside else inside == "chunks" and _NAME.fullmatch(known)
+            )
+            if not ours and name != "chunks":
+                raise InputError(
+                    f"{folder}: already holds {name}; give a new folder or empty this one"
+                )
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be read ({error.strerror or error})") from None
+
+
+class ChunkFiles:
+    """The chunks of one study. sha256: of what they were computed from."""
+
+    def __init__(self, folder: Path, sha256: str, records: int) -> None:
+        """folder: the study's. records: recorded steps of a run."""
+        self._folder, self._sha256, self._shape = folder / "chunks", sha256, (CHUNK, records)
+
+    def path(self, name: str, chunk: int) -> Path:
+        """Where a filter's chunk is kept."""
+        return self._folder / f"{name}-{chunk:06d}.npz"
+
+    def read(self, name: str, chunk: int) -> Records | None:
+        """A finished chunk; None where there is none, or a damaged one.
+
+        Raises InputError where the file is whole but of another study.
+        """
+        try:
+            with np.load(self.path(name, chunk), allow_pickle=False) as file:
+                sha256 = str(file["sha256"])
+                records = Records(*(file[field] for field in Records._fields))
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+            return None
+        if sha256 != self._sha256:
+            raise InputError(
+                f"{self._folder.parent}: its chunks are of another scenario; give a new folder"
+            )
+        if any(r.shape != self._shape or r.dtype != np.float64 for r in records):
+            return None
+        return records
+
+    def write(self, name: str, chunk: int, records: Records) -> None:
+        """Keep a chunk; the file appears whole or not at all."""
+
+        def save(part: Path) -> None:
+            with part.open("wb") as file:
+                np.savez(file, allow_pickle=False, sha256=self._sha256, **records._asdict())
+                file.flush()
+                os.fsync(file.fileno())
+
+        write_whole(self.path(name, chunk), save)

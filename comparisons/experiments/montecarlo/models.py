@@ -1,0 +1,57 @@
+"""`montecarlo.json`, for machines. The models are the file's documentation."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class ConsistencyResult(_Model):
+    """See comparisons.experiments.montecarlo.statistics.Consistency."""
+
+    anees: float | None
+    band: tuple[float | None, float | None]
+    place: Literal["below", "inside", "above"]
+    share_above: float | None
+
+
+class MonteCarloFilterResult(_Model):
+    """One filter. consistency: by pose, position, heading, landmarks."""
+
+    lost: int
+    consistency: dict[str, ConsistencyResult]
+    rmse_position_m: float | None
+    rmse_heading_rad: float | None
+    rmse_landmark_m: float | None
+
+
+class PairResult(_Model):
+    """First minus second, per run. See comparisons.experiments.montecarlo.statistics.Pair."""
+
+    first: str
+    second: str
+    what: str
+    mean: float | None
+    interval: tuple[float | None, float | None]
+    runs: int
+
+
+class MonteCarloResult(_Model):
+    """The whole file; the same bytes however the work was spread. level: of bands, intervals."""
+
+    scenario: str
+    description: str
+    sha256: str
+    runs: int
+    steps: int
+    recorded_steps: int
+    duration_s: float
+    landmarks: int
+    level: float
+    filters: dict[str, MonteCarloFilterResult]
+    pairs: list[PairResult]

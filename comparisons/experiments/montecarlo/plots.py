@@ -1,0 +1,59 @@
+"""Pictures of Monte Carlo studies. They draw on a given axis and compute nothing."""
+
+from __future__ import annotations
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from comparisons.experiments.montecarlo.statistics import DOF
+from comparisons.experiments.montecarlo.study import Outcome
+from comparisons.experiments.variants.batch_models import Array
+from comparisons.report.picture import blank
+
+_COLOURS = {
+    "ekf": "#d1495b",
+    "fej": "#edae49",
+    "oc": "#00798c",
+    "riekf": "#6a4c93",
+    "ideal": "#444444",
+}
+
+
+def draw_anees(
+    axis: Axes, time_s: Array, curves: dict[str, Array], band: tuple[float, float]
+) -> None:
+    """ANEES over time of each filter (T,), and the band."""
+    axis.axhspan(*band, color="#8fb996", alpha=0.35, linewidth=0)
+    draw_curves(axis, time_s, curves)
+
+
+def draw_curves(axis: Axes, time_s: Array, curves: dict[str, Array]) -> None:
+    """One line per filter; the ideal one dashed, since it needs the truth."""
+    for name, curve in curves.items():
+        style = "--" if name == "ideal" else "-"
+        axis.plot(time_s, curve, style, color=_COLOURS[name], linewidth=0.9, label=name)
+    axis.set_ylim(bottom=0.0)
+
+
+def curves_figure(outcome: Outcome) -> Figure:
+    """ANEES above, RMSE below."""
+    figure = blank(15.0, 6.8)
+    above, below = figure.subplots(2, 4, sharex=True)
+    time, by_filter = outcome.time_s, outcome.figures
+    for axis, block in zip(above, DOF, strict=True):
+        band = next(iter(by_filter.values())).consistency[block].band
+        curves = {name: f.consistency[block].curve for name, f in by_filter.items()}
+        draw_anees(axis, time, curves, band)
+        axis.set_title(f"ANEES of {block}, 95 % band", fontsize=10)
+    units = {"position": "m", "heading": "rad", "landmarks": "m"}
+    for axis, (what, unit) in zip(below[1:], units.items(), strict=True):
+        draw_curves(axis, time, {name: f.rmse_curve[what] for name, f in by_filter.items()})
+        axis.set_title(f"RMSE of {what} [{unit}]", fontsize=10)
+        axis.set_xlabel("time [s]")
+    below[0].axis("off")
+    below[0].legend(*above[0].get_legend_handles_labels(), loc="center", frameon=False)
+    for axis in above:
+        axis.tick_params(labelbottom=True)
+    study = outcome.study
+    figure.suptitle(f"{study.name}: {study.runs} runs", fontsize=11)
+    return figure

@@ -1,0 +1,101 @@
+"""A chunk of runs through one filter: errors and NEES along the way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from comparisons.experiments.scenarios.world import Measurements, World
+from comparisons.experiments.variants.batch_ekf import BatchEkf, BatchFilter, InvariantEkf
+from comparisons.experiments.variants.batch_models import Array, wrap_angle
+from comparisons.experiments.variants.linearisation import (
+    AtEstimate,
+    AtFirstEstimate,
+    AtTruth,
+    ObservabilityConstrained,
+)
+
+_MOST_RECORDS = 500
+
+FILTERS: dict[str, Callable[[World, int], BatchFilter]] = {
+    "ekf": lambda w, runs: BatchEkf(w.robot, AtEstimate(), runs, len(w.landmark)),
+    "fej": lambda w, runs: BatchEkf(w.robot, AtFirstEstimate(), runs, len(w.landmark)),
+    "oc": lambda w, runs: BatchEkf(w.robot, ObservabilityConstrained(), runs, len(w.landmark)),
+    "riekf": lambda w, runs: InvariantEkf(w.robot, runs, len(w.landmark)),
+    "ideal": lambda w, runs: BatchEkf(
+        w.robot, AtTruth(w.pose, w.control, w.landmark), runs, len(w.landmark)
+    ),
+}
+
+
+class Records(NamedTuple):
+    """Runs (B) by recorded steps (T). NaN from where a run was lost.
+
+    NEES of the pose is in the filter's own error coordinates; the others are of additive errors.
+    landmarks: NEES and squared error, each the mean over the landmarks mapped so far.
+    """
+
+    pose_nees: Array
+    position_nees: Array
+    heading_nees: Array
+    landmark_nees: Array
+    position_square: Array
+    heading_square: Array
+    landmark_square: Array
+
+
+def recorded_steps(steps: int) -> list[int]:
+    """Steps (from 1) after which errors are recorded: at most 500, evenly, the last among them."""
+    stride = -(-steps // _MOST_RECORDS)
+    return list(range(steps, 0, -stride))[::-1]
+
+
+def run_filter(name: str, world: World, data: Measurements) -> Records:
+    """One filter over the measurements of some runs."""
+    runs, steps = data.control.shape[:2]
+    filter_ = FILTERS[name](world, runs)
+    wanted = {step: column for column, step in enumerate(recorded_steps(steps))}
+    records = Records(*(np.full((runs, len(wanted)), np.nan) for _ in Records._fields))
+    for k in range(steps):
+        filter_.predict(data.control[:, k])
+        if len(world.seen[k]):
+            filter_.observe(data.z[k], world.sigma[k], world.seen[k])
+        if (column := wanted.get(k + 1)) is not None:
+            for figure, values in zip(records, _errors(filter_, world, k + 1), strict=True):
+                figure[:, column] = np.where(filter_.state.lost, np.nan, values)
+    return records
+
+
+def _errors(filter_: BatchFilter, world: World, step: int) -> Records:
+    state, truth = filter_.state, world.pose[step]
+    error, covariance = state.pose_error(truth)
+    covariance[state.lost] = np.eye(3)
+    pose_nees = np.einsum("bi,bij,bj->b", error, np.linalg.inv(covariance), error)
+    additive = state.pose_covariance()
+    position = truth[:2] - state.pose[:, :2]
+    heading = wrap_angle(truth[2] - state.pose[:, 2])
+    runs = len(heading)
+    landmark_nees = landmark_square = np.full(runs, np.nan)
+    if len(filter_.label):
+        missed = world.landmark[filter_.label] - state.landmarks
+        landmark_nees = _planar_nees(missed, state.landmark_covariance()).mean(axis=1)
+        landmark_square = (missed**2).sum(axis=2).mean(axis=1)
+    return Records(
+        pose_nees,
+        _planar_nees(position, additive[:, :2, :2]),
+        heading**2 / additive[:, 2, 2],
+        landmark_nees,
+        (position**2).sum(axis=1),
+        heading**2,
+        landmark_square,
+    )
+
+
+def _planar_nees(error: Array, covariance: Array) -> Array:
+    """e^T C^-1 e of errors (..., 2)."""
+    x, y = error[..., 0], error[..., 1]
+    a, b, c = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
+    nees: Array = (c * x * x - 2.0 * b * x * y + a * y * y) / (a * c - b * b)
+    return nees

@@ -1,0 +1,161 @@
+"""Pictures of what local regions do. Functions draw on a given axis and compute nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from comparisons.experiments.reproduction.decorrelation_example import DecorrelationExample
+from comparisons.experiments.reproduction.neglected_change import NeglectedChange
+from comparisons.report.picture import blank
+from comparisons.report.plots import (
+    EKF_COLOUR,
+    SCANS_COLOUR,
+    SMOOTHER_COLOUR,
+    TRUTH_COLOUR,
+    Array,
+    draw_reference,
+)
+
+WORLD_COLOUR, LOCAL_COLOUR = EKF_COLOUR, SMOOTHER_COLOUR
+_CORNER_COLOURS = (SMOOTHER_COLOUR, SCANS_COLOUR, TRUTH_COLOUR)
+_AROUND_M = 12.0
+
+
+def draw_region(axis: Axes, example: DecorrelationExample) -> None:
+    """The region's axes, the point in it and the distant landmark (Nieto 2005, Fig. 3.5 a)."""
+    first, second, third = example.triangle[0]
+    point, distant = example.point[0], example.distant[0]
+    axis.plot(*example.landmark.T, "*", color=TRUTH_COLOUR, markersize=5, label="landmarks")
+    for end in (second, third):
+        axis.plot(*np.stack((first, end)).T, color=LOCAL_COLOUR, linewidth=1.6)
+    axis.plot(*np.stack((first, point)).T, ":", color=WORLD_COLOUR, label="point $i$ in its region")
+    axis.plot(*np.stack((point, distant)).T, "--", color=SCANS_COLOUR, label="to landmark $j$")
+    axis.plot(*point, "o", color=WORLD_COLOUR, markersize=5)
+    shown = np.concatenate((example.triangle[0], point[None], distant[None]))
+    low, high = shown.min(axis=0) - _AROUND_M, shown.max(axis=0) + _AROUND_M
+    axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+    _label(axis, "east [m]", "north [m]")
+
+
+def draw_base_correlation(axis: Axes, time_s: Array, coefficients: Array) -> None:
+    """Of the point with its base landmarks, (T, 3, 2) in east and north (Fig. 3.5 b)."""
+    for corner, colour in enumerate(_CORNER_COLOURS):
+        axis.plot(time_s, coefficients[:, corner, 0], "-", color=colour, label=f"L{corner + 1}")
+        axis.plot(time_s, coefficients[:, corner, 1], "--", color=colour)
+    _label(axis, "time [s]", "correlation, base and point")
+
+
+def draw_decorrelation(axis: Axes, time_s: Array, world: Array, local: Array) -> None:
+    """Coefficients (T, 2, 2) of a distant landmark with the point (Fig. 3.5 c)."""
+    axis.plot(time_s, world[:, 0, 0], "-", color=WORLD_COLOUR, label="in the world")
+    axis.plot(time_s, world[:, 1, 1], "--", color=WORLD_COLOUR)
+    axis.plot(time_s, local[:, 0, 0], "-", color=LOCAL_COLOUR, label="in its region")
+    axis.plot(time_s, local[:, 1, 1], "--", color=LOCAL_COLOUR)
+    axis.set_ylim(-0.02, 1.02)
+    _label(axis, "time [s]", "correlation, $j$ and point")
+
+
+def draw_sigma(axis: Axes, time_s: Array, world_m: Array, local_m: Array) -> None:
+    """Standard deviations (T, 2) of the point (Fig. 3.5 d)."""
+    axis.plot(time_s, world_m[:, 0], "-", color=WORLD_COLOUR, label="in the world")
+    axis.plot(time_s, world_m[:, 1], "--", color=WORLD_COLOUR)
+    axis.plot(time_s, local_m[:, 0], "-", color=LOCAL_COLOUR, label="in its region")
+    axis.plot(time_s, local_m[:, 1], "--", color=LOCAL_COLOUR)
+    axis.set_ylim(bottom=0.0)
+    _label(axis, "time [s]", "standard deviation [m]")
+
+
+def draw_displacement(axis: Axes, time_s: Array, world_m: Array, local_m: Array) -> None:
+    """How far the point has moved, (T,) each (Nieto 2005, Fig. 3.12 a)."""
+    axis.plot(time_s, world_m, "-", color=WORLD_COLOUR, label="in the world")
+    axis.plot(time_s, local_m, "--", color=LOCAL_COLOUR, label="in its region")
+    _label(axis, "time [s]", "change of place [m]")
+
+
+def draw_wandering(axis: Axes, point: Array, true_point: Array | None) -> None:
+    """The point (T, 2) in the world as time goes on, and where it is (Fig. 3.12 b)."""
+    axis.plot(*point.T, ".", color=WORLD_COLOUR, markersize=4, label="estimates")
+    axis.plot(*point[0], "o", color=WORLD_COLOUR, markerfacecolor="none", label="the first")
+    if true_point is not None:
+        draw_reference(axis, true_point[None], "*", "truth")
+    axis.set_aspect("equal", adjustable="datalim")
+    _label(axis, "east [m]", "north [m]")
+
+
+def draw_changes(axis: Axes, expected: Array, found: Array, wanted: str) -> None:
+    """Predicted changes (R, 2) against observed ones or errors, east and north of all regions."""
+    axis.axline((0.0, 0.0), slope=1.0, color="#bbbbbb", linewidth=0.9)
+    for column, marker, name in ((0, "o", "east"), (1, "x", "north")):
+        axis.plot(
+            expected[:, column], found[:, column], marker, markersize=4,
+            color=LOCAL_COLOUR, markerfacecolor="none", label=name,
+        )  # fmt: skip
+    axis.set_aspect("equal", adjustable="datalim")
+    _label(axis, "predicted change [m]", wanted)
+
+
+def draw_bound(axis: Axes, sigma_m: Array, size_m: Array) -> None:
+    """Sizes of observed changes (R,) against the error layer's sigma, with twice of it."""
+    axis.plot(sigma_m, size_m, "o", color=LOCAL_COLOUR, markersize=4, markerfacecolor="none")
+    for times, style in ((1.0, "--"), (2.0, "-")):
+        label = f"{times:.0f} sigma"
+        axis.axline(
+            (0.0, 0.0), slope=times, linestyle=style, color=WORLD_COLOUR, linewidth=0.9, label=label
+        )
+    axis.set_xlim(left=0.0)
+    axis.set_ylim(bottom=0.0)
+    _label(axis, "sigma of the error layer [m]", "observed change [m]")
+
+
+def decorrelation_figure(example: DecorrelationExample) -> Figure:
+    """Nieto 2005, Fig. 3.5, in a figure of its own."""
+    figure = blank(9.0, 7.5)
+    draw_example_3_1(figure, example)
+    return figure
+
+
+def draw_example_3_1(figure: Figure, example: DecorrelationExample) -> None:
+    """Nieto 2005, Fig. 3.5: solid in east or along axis a, dashed in north or along axis b."""
+    axes, found, time = figure.subplots(2, 2).ravel(), example.correlations, example.time_s
+    draw_region(axes[0], example)
+    draw_base_correlation(axes[1], time, example.with_base)
+    draw_decorrelation(axes[2], time, found.world, found.local)
+    draw_sigma(axes[3], time, found.sigma_world_m, found.sigma_local_m)
+
+
+def displacement_figure(example: DecorrelationExample) -> Figure:
+    """Nieto 2005, Fig. 3.12, in a figure of its own."""
+    figure = blank(9.0, 4.2)
+    draw_example_3_2(figure, example)
+    return figure
+
+
+def draw_example_3_2(figure: Figure, example: DecorrelationExample) -> None:
+    """Nieto 2005, Fig. 3.12."""
+    left, right = figure.subplots(1, 2)
+    draw_displacement(left, example.time_s, example.moved.world_m, example.moved.local_m)
+    draw_wandering(right, example.point, example.true_point)
+
+
+def neglected_figure(changes: NeglectedChange) -> Figure:
+    """What regions neglect: predicted, observed, true, and bounded beforehand."""
+    figure = blank(12.0, 4.2)
+    first, second, third = figure.subplots(1, 3)
+    draw_changes(
+        first, changes.predicted, changes.observed, "change in a filter with the points [m]"
+    )
+    draw_changes(second, changes.predicted, changes.error, "error by truth [m]")
+    draw_bound(third, changes.sigma_m, changes.observed_m)
+    first.set_title(f"correlation {changes.agreement:.3f}", fontsize=10)
+    second.set_title(f"correlation {changes.explained:.2f}", fontsize=10)
+    third.set_title(f"{changes.within_two_sigmas:.0%} within 2 sigma", fontsize=10)
+    return figure
+
+
+def _label(axis: Axes, x: str, y: str) -> None:
+    axis.set_xlabel(x)
+    axis.set_ylabel(y)
+    axis.grid(visible=True, color="#eeeeee")
+    axis.legend(fontsize=8, loc="best")

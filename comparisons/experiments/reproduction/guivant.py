@@ -1,0 +1,205 @@
+"""Guivant, Masson and Nebot 2002, section 5: SLAM that meets GPS, Figs. 7, 8 and 9.
+
+With Victoria Park's raw detections (--data) these run on it; without, Figs. 8 and 9 run on a
+simulated loop of 220 s, long enough for the "200 s navigating with pure SLAM" of Fig. 9.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from comparisons.adapters.ekf_factory import EkfChoices, build_ekf, fused_positions
+from comparisons.adapters.ekf_run import run_ekf
+from comparisons.adapters.filter_loop import drive
+from comparisons.adapters.timeline import build_timeline
+from comparisons.errors import InputError
+from comparisons.estimates.estimate import Array
+from comparisons.experiments.reproduction.contract import Experiment, Sources
+from comparisons.experiments.reproduction.watched_run import truth_in_order
+from comparisons.logs.bundled import open_log
+from comparisons.logs.log import Log, Positions
+from comparisons.logs.simulate.drive import Drive, simulate
+from ekf_reference.full_ekf import FullEkf
+from ekf_reference.trace import NullTrace, RecordedTrace, Trace
+
+ALONE_S, AFTER_S = 200.0, 30.0
+"""How long the filter goes without positions (Fig. 9), and how long it is watched with them."""
+SLOW = Drive(speed_mps=1.15, loop_s=255.0 / 1.15)
+_RTK_M = 0.1
+"""Sigma of simulated positions: "10 cm accuracy for short periods"."""
+NEAR_M = 20.0
+_GAP_S, _CLOCK_S = 2.0, 1e-6
+WATCHED = 3
+
+
+@dataclass(frozen=True)
+class Aided:
+    """SLAM alone, then with positions; one row per epoch.
+
+    time_s: (T,). pose: (T, 3). sigma_m: (T,) of the position, both axes together; alone_sigma_m:
+    (T,) of a filter that gets no positions at all. landmark_sigma_m: (T, WATCHED) of landmarks
+    begun at different times, NaN before. first: row of the first epoch with a position fused.
+    fix_s: (G,), fix_m: (G, 2) that were given, sigma_fix_m of each. parts: (P + 1, 2) where the
+    vehicle was before each part of the first fused position, and after the last. true: (T, 2), or
+    None.
+    """
+
+    log: str
+    time_s: Array
+    pose: Array
+    sigma_m: Array
+    alone_sigma_m: Array
+    landmark_sigma_m: Array
+    first: int
+    fix_s: Array
+    fix_m: Array
+    sigma_fix_m: float
+    parts: Array
+    true: Array | None
+
+    def off_fix_m(self) -> Array:
+        """(G,) distances of the vehicle, once it has used them, to the positions."""
+        row = np.minimum(np.searchsorted(self.time_s, self.fix_s - _CLOCK_S), len(self.time_s) - 1)
+        apart: Array = np.linalg.norm(self.pose[row, :2] - self.fix_m, axis=1)
+        return apart
+
+    @property
+    def surprise_m(self) -> float:
+        """How far the first position that is fused lies from where SLAM thought to be."""
+        number = int(np.searchsorted(self.fix_s, self.time_s[self.first] - _CLOCK_S))
+        return float(np.linalg.norm(self.fix_m[number] - self.parts[0]))
+
+
+@dataclass(frozen=True)
+class Covered:
+    """A whole drive with GPS. path: (T, 2). trees: (L, 2). heard: (T,) whether GPS reported.
+
+    around: (T,) trees within NEAR_M.
+    """
+
+    log: str
+    path: Array
+    trees: Array
+    heard: NDArray[np.bool_]
+    around: NDArray[np.int64]
+
+
+def aided(sources: Sources) -> Aided:
+    """On Victoria Park where given, else simulated; positions begin after ALONE_S."""
+    folder = sources.folder("victoria_park")
+    if folder is not None:
+        return aid(open_log(str(folder)), "compressed")
+    log = simulate(np.random.default_rng(0), SLOW)
+    poses = truth_in_order(log)[0]
+    time = np.arange(ALONE_S, log.end_s, 1.0)
+    noise = _RTK_M * np.random.default_rng(1).standard_normal((len(time), 2))
+    spread = np.broadcast_to(_RTK_M**2 * np.eye(2), (len(time), 2, 2))
+    return aid(replace(log, positions=Positions(time, poses.at(time)[:, :2] + noise, spread)))
+
+
+def aid(log: Log, filter_name: str = "full") -> Aided:
+    """Withhold a log's positions for ALONE_S, then watch for AFTER_S."""
+    given = log.positions
+    if given is None:
+        raise InputError(f"{log.name}: holds no positions")
+    start = log.prior.time_s + ALONE_S
+    due = (given.time_s >= start - _CLOCK_S) & (given.time_s <= min(log.end_s, start + AFTER_S))
+    positions = given.chosen(due)
+    choices = EkfChoices(filter_name, None, "on").settle(log)
+    time, pose, sigma, maps, parts, first = [], [], [], [], np.empty((0, 2)), -1
+    trace = RecordedTrace()
+    for time_s, ekf, fused in _epochs(log, choices, positions, trace):
+        time.append(time_s)
+        pose.append(ekf.read_pose().pose)
+        sigma.append(np.sqrt(np.trace(ekf.state.pose_covariance[:2, :2])))
+        maps.append(np.sqrt(np.diag(ekf.state.covariance)[3:].reshape(-1, 2).sum(axis=1)))
+        if fused and first < 0:
+            first = len(time) - 1
+            used = trace.arrays().positions
+            parts = np.vstack((used.pose[used.number == used.number[0], :2], pose[-1][:2]))
+    if first < 0:
+        raise InputError(f"{log.name}: no position was accepted after {ALONE_S:.0f} s")
+    none = positions.chosen(np.zeros(0, dtype=np.intp))
+    alone_s, alone = zip(
+        *(
+            (time_s, float(np.sqrt(np.trace(ekf.state.pose_covariance[:2, :2]))))
+            for time_s, ekf, _ in _epochs(log, choices, none, NullTrace())
+        ),
+        strict=True,
+    )
+    at = np.array(time)
+    whole = np.full((len(at), WATCHED), np.nan)
+    chosen = np.linspace(0, len(maps[first]) - 1, WATCHED + 2).astype(int)[:WATCHED]
+    for row, sigmas in enumerate(maps):
+        there = chosen < len(sigmas)
+        whole[row, there] = sigmas[chosen[there]]
+    return Aided(
+        f"{log.name}, positions withheld for {ALONE_S:.0f} s",
+        at,
+        np.array(pose),
+        np.array(sigma),
+        np.interp(at, alone_s, alone),
+        whole,
+        first,
+        positions.time_s,
+        positions.position_m,
+        float(np.sqrt(positions.covariance[0, 0, 0])),
+        parts,
+        None if log.truth.poses is None else log.truth.poses.at(at)[:, :2],
+    )
+
+
+def _epochs(
+    log: Log, choices: EkfChoices, positions: Positions, trace: Trace
+) -> Iterator[tuple[float, FullEkf, bool]]:
+    """Time, the filter, and whether it has used a position; until AFTER_S have passed with them."""
+    ekf, until = build_ekf(log, choices, trace), log.prior.time_s + ALONE_S + AFTER_S
+    begun, given, rejected = False, positions.time_s, 0
+    for stop in drive(ekf, log, build_timeline(log, positions), positions):
+        if stop.fault is not None:
+            raise InputError(f"{log.name}: {stop.fault}")
+        if stop.time_s > until:
+            return
+        rejected += stop.rejected_fixes
+        begun = int(np.searchsorted(given, stop.time_s + _CLOCK_S)) > rejected
+        yield stop.time_s, ekf, begun
+
+
+def covered(sources: Sources) -> Covered:
+    """Victoria Park with GPS."""
+    folder = sources.folder("victoria_park")
+    if folder is None:
+        raise InputError("victoria_park/ is needed")
+    log = open_log(str(folder))
+    choices = EkfChoices("compressed", None, "on").settle(log)
+    positions = fused_positions(log, choices)
+    if positions is None:
+        raise InputError(f"{log.name}: holds no positions")
+    run = run_ekf(log, build_timeline(log, positions), choices, positions)
+    time, path = run.estimate.time_s, run.estimate.pose[:, :2]
+    apart = np.abs(time - nearest(positions.time_s, time))
+    trees = cKDTree(run.estimate.landmark)
+    return Covered(
+        f"{log.name}, --gps on, --filter compressed",
+        path,
+        run.estimate.landmark,
+        apart <= _GAP_S,
+        trees.query_ball_point(path, NEAR_M, return_length=True).astype(np.int64),
+    )
+
+
+def nearest(values: Array, at: Array) -> Array:
+    """(N,) of ascending values (G,), the nearest to each of (N,)."""
+    after = np.clip(np.searchsorted(values, at), 1, len(values) - 1)
+    low, high = values[after - 1], values[after]
+    result: Array = np.where(at - low <= high - at, low, high)
+    return result
+
+
+AIDED = Experiment("Guivant's Figs. 8 and 9", aided)
+COVERED = Experiment("Guivant's Fig. 7", covered, "victoria_park")

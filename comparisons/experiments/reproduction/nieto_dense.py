@@ -1,0 +1,229 @@
+"""Nieto 2005, sections 3.9 and 4.1.3 to 4.3: dense maps in simulation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.adapters.ekf_factory import EkfChoices, build_ekf
+from comparisons.adapters.filter_loop import drive
+from comparisons.adapters.timeline import build_timeline
+from comparisons.errors import InputError
+from comparisons.estimates.estimate import Array
+from comparisons.experiments.reproduction.contract import Experiment, Sources
+from comparisons.experiments.reproduction.watched_run import truth_in_order
+from comparisons.extensions.dense_maps.accuracy import SurfaceError, surface_error
+from comparisons.extensions.dense_maps.source import (
+    GRID_MODEL,
+    SURFACES,
+    BeforeClosing,
+    DenseOptions,
+    DenseWatcher,
+)
+from comparisons.logs.bundled import SimulationChoices, open_log
+from comparisons.logs.log import Log
+from comparisons.logs.simulate.scan_drive import occupancy
+from comparisons.pipeline.dense_map import DenseMapping, map_log
+from ekf_reference.dense.layers.classic_grid import ClassicGrid
+from ekf_reference.dense.layers.gaussians import Ellipses, Gaussians
+from ekf_reference.dense.layers.layer import Samples
+from ekf_reference.dense.layers.occupancy import Coarsening, OccupancyGrid
+from ekf_reference.dense.sensor_model import log_odds
+from ekf_reference.trace import NullTrace
+
+ROUNDS = (1, 2, 3, 4, 5, 10)
+"""Of Fig. 4.5."""
+_COARSE_ROUNDS = 2
+_MORE = 20
+"""Drives that are added at the most until the loop of one is closed by a shift."""
+_CLOSING_M = 0.3
+"""Least shift of the landmarks (RMS) by the update that closes a loop."""
+
+
+@dataclass(frozen=True)
+class ClosedMap:
+    """A dense map whose loop was closed by one strong update. true: (L, 2) as the filter's."""
+
+    mapping: DenseMapping
+    before: BeforeClosing
+    true: Array
+
+    @property
+    def segment(self) -> Array:
+        """(S, 4) true surfaces [m]."""
+        surfaces = self.mapping.log.truth.surfaces
+        return np.empty((0, 4)) if surfaces is None else surfaces.segment
+
+    def error_before(self, layer: str) -> SurfaceError:
+        """Of a layer, before the closing."""
+        return surface_error(self.before.layers[layer], self.segment)
+
+    @property
+    def ellipses(self) -> Ellipses:
+        """Of the sum of Gaussians."""
+        layer = self.mapping.dense.dense.layers["sog"]
+        if not isinstance(layer, Gaussians):
+            raise TypeError(f"{type(layer).__name__} is no sum of Gaussians")
+        return layer.ellipses(self.mapping.placed)
+
+    def thirds(self, east: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Which of (N,) lie in the left and in the right third of the true path."""
+        low, high = np.quantile(truth_in_order(self.mapping.log)[0].pose[:, 0], (1 / 3, 2 / 3))
+        return east <= low, east >= high
+
+
+@dataclass(frozen=True)
+class Maps:
+    """Of several drives. all_drives: also those whose loop closed gently; the first is drawn."""
+
+    log: str
+    closed: tuple[ClosedMap, ...]
+    all_drives: tuple[DenseMapping, ...]
+
+
+@dataclass(frozen=True)
+class Round:
+    """The map after some rounds. classic: one grid in the world. dense: the occupancy layer.
+
+    landmark, true: (L, 2).
+    """
+
+    number: int
+    classic: Samples
+    dense: Samples
+    landmark: Array
+    true: Array
+    classic_error: SurfaceError
+    dense_error: SurfaceError
+
+
+@dataclass(frozen=True)
+class Rounds:
+    """One long drive. segment: (S, 4) true surfaces."""
+
+    log: str
+    each: tuple[Round, ...]
+    segment: Array
+
+
+@dataclass(frozen=True)
+class Coarsened:
+    """Occupancy grids with larger cells in almost empty regions, and with one size of cells.
+
+    triangle: (R, 3, 2). cell_m: (R,) of each region, NaN where nothing was seen. cells, cells_even:
+    how many. emptiest: largest share of a region's cells that is empty, by the rule's measure.
+    """
+
+    log: str
+    triangle: Array
+    cell_m: Array
+    coarse: Samples
+    cells: int
+    cells_even: int
+    emptiest: float
+    error: SurfaceError
+    error_even: SurfaceError
+    segment: Array
+
+
+def _maps(name: str, layers: tuple[str, ...], sources: Sources) -> Maps:
+    drives, closed = list[DenseMapping](), list[ClosedMap]()
+    while len(drives) < sources.drives or not closed:
+        if len(drives) == sources.drives + _MORE:
+            raise InputError(f"{name}: no drive's loop is closed by a shift of {_CLOSING_M} m")
+        log = open_log(name, choices=SimulationChoices(len(drives)))
+        mapping = map_log(log, options=DenseOptions(layers))
+        drives.append(mapping)
+        before = mapping.dense.before
+        if before is not None and before.shift_m > _CLOSING_M:
+            closed.append(ClosedMap(mapping, before, truth_in_order(log)[1]))
+    told = f"{name}, {len(drives)} drives from seed 0"
+    return Maps(f"{told}, {len(closed)} of them corrected at once", tuple(closed), tuple(drives))
+
+
+def raw_maps(sources: Sources) -> Maps:
+    """Section 3.9: raw returns."""
+    return _maps("scan-loop", ("points",), sources)
+
+
+def layered_maps(sources: Sources) -> Maps:
+    """Chapter 4: all layers."""
+    return _maps("occupancy-loop", SURFACES, sources)
+
+
+def rounds(sources: Sources) -> Rounds:
+    """Section 4.1.3: ten rounds, one grid beside the dense map."""
+    log = open_log("occupancy-loop", choices=SimulationChoices(0, ROUNDS[-1]))
+    segment, true = _segment(log), truth_in_order(log)[1]
+    classic = ClassicGrid(DenseOptions().resolution_m, GRID_MODEL)
+    watcher = DenseWatcher(log, DenseOptions(("occupancy",)), (classic,))
+    ekf = build_ekf(log, EkfChoices().settle(log), NullTrace())
+    loop_s, due, each = occupancy().drive.loop_s, list(ROUNDS), list[Round]()
+    for stop in drive(ekf, log, build_timeline(log), watching=watcher):
+        if due and stop.time_s >= due[0] * loop_s:
+            each.append(_round(due.pop(0), watcher, classic, segment, true))
+    return Rounds(f"occupancy-loop --loops {ROUNDS[-1]}, seed 0", tuple(each), segment)
+
+
+def _round(
+    number: int, watcher: DenseWatcher, classic: ClassicGrid, segment: Array, true: Array
+) -> Round:
+    run = watcher.run()
+    placed = run.dense.regions.placed(run.landmark)
+    dense, usual = run.dense.layers["occupancy"].samples(placed), classic.samples()
+    inside = np.flatnonzero(placed.locate(usual.point).region >= 0)
+    there = Samples(usual.point[inside], usual.occupancy[inside], usual.region[inside])
+    errors = surface_error(there, segment), surface_error(dense, segment)
+    return Round(number, there, dense, run.landmark, true[: len(run.landmark)], *errors)
+
+
+def coarsened(sources: Sources) -> Coarsened:
+    """Section 4.1.3, Fig. 4.6: 0.2 m, and 0.5 m where a region is almost empty."""
+    log = open_log("occupancy-loop", choices=SimulationChoices(0, _COARSE_ROUNDS))
+    segment = _segment(log)
+    maps = [
+        map_log(log, options=DenseOptions(("occupancy",), coarsening=rule))
+        for rule in (Coarsening(), None)
+    ]
+    coarse, even = (_grid(m) for m in maps)
+    cells, cells_even = (sum(len(g.odds) for g in layer.grids.values()) for layer in (coarse, even))
+    triangle = maps[0].placed.triangle
+    edge = np.linalg.norm(triangle[:, 1:] - triangle[:, :1], axis=2)
+    cell_m = np.full(len(triangle), np.nan)
+    for region, grid in coarse.grids.items():
+        cell_m[region] = float(np.max(edge[region] / grid.cells))
+    samples = [m.layers["occupancy"] for m in maps]
+    return Coarsened(
+        f"occupancy-loop --loops {_COARSE_ROUNDS}, seed 0",
+        triangle,
+        cell_m,
+        samples[0],
+        cells,
+        cells_even,
+        max(float(np.mean(g.odds < log_odds(Coarsening().least))) for g in even.grids.values()),
+        surface_error(samples[0], segment),
+        surface_error(samples[1], segment),
+        segment,
+    )
+
+
+def _grid(mapping: DenseMapping) -> OccupancyGrid:
+    layer = mapping.dense.dense.layers["occupancy"]
+    if not isinstance(layer, OccupancyGrid):
+        raise TypeError(f"{type(layer).__name__} is no OccupancyGrid")
+    return layer
+
+
+def _segment(log: Log) -> Array:
+    surfaces = log.truth.surfaces
+    if surfaces is None:
+        raise InputError(f"{log.name}: true surfaces are needed")
+    return surfaces.segment
+
+
+RAW = Experiment("section 3.9", raw_maps)
+LAYERED = Experiment("chapter 4", layered_maps)
+ROUNDED = Experiment("section 4.1.3, ten rounds", rounds)
+COARSENED = Experiment("section 4.1.3, two sizes of cells", coarsened)

@@ -1,0 +1,206 @@
+"""Nieto 2005, section 6.3.3: dynamic areas by fast and by slow motion, Figs. 6.9 and 6.10."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Canvas
+
+from comparisons.estimates.estimate import Array
+from comparisons.experiments.reproduction.contract import (
+    AnyFigure,
+    Claim,
+    Experiment,
+    Figure,
+    Sources,
+    at_least,
+    at_most,
+)
+from comparisons.experiments.reproduction.drawing import plan
+from comparisons.experiments.reproduction.dynamic_accuracy import DynamicScore, score_dynamic
+from comparisons.extensions.dense_maps.figure import draw_occupied, draw_regions, draw_surfaces
+from comparisons.extensions.dense_maps.source import DenseOptions
+from comparisons.logs.simulate import dynamic_worlds
+from comparisons.logs.simulate.scan_drive import (
+    ScanExperiment,
+    dynamic_lanes,
+    dynamic_places,
+    simulate,
+)
+from comparisons.pipeline.dense_map import DenseMapping, map_log
+from comparisons.report.plots import TRUTH_COLOUR
+from ekf_reference.dense.layers.layer import Samples
+
+_DYNAMIC_COLOUR = "#e08a1e"
+_MOST_DRIVES = 3
+"""So many drives per claim: the places are the same in all, only the noise is another."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What one drive found. dynamic: (N, 2) cells [m]. landmark: (L, 2). occupied: in the end.
+
+    segment: (S, 4) what stands. triangle: (R, 3, 2).
+    """
+
+    score: DynamicScore
+    dynamic: Array
+    occupied: Samples
+    landmark: Array
+    segment: Array
+    triangle: Array
+
+
+@dataclass(frozen=True)
+class Motions:
+    """Of some drives; the first is drawn. true: (P, 2) [m] middles of the places that change."""
+
+    log: str
+    each: tuple[Motion, ...]
+    true: Array
+
+
+def _motion(experiment: ScanExperiment, seed: int) -> Motion:
+    log = simulate(np.random.default_rng(seed), experiment)
+    mapping: DenseMapping = map_log(log, options=DenseOptions(("occupancy",), dynamic=True))
+    layer = mapping.dense.dense.dynamic
+    if layer is None:
+        raise TypeError("the map kept no dynamic layer")
+    surfaces = log.truth.surfaces
+    return Motion(
+        score_dynamic(layer, mapping.placed, experiment.world.movers, log.duration_s),
+        layer.points(mapping.placed),
+        mapping.layers["occupancy"],
+        mapping.dense.landmark,
+        np.empty((0, 4)) if surfaces is None else surfaces.segment,
+        mapping.placed.triangle,
+    )
+
+
+def _motions(experiment: ScanExperiment, true: Array, sources: Sources) -> Motions:
+    drives = min(sources.drives, _MOST_DRIVES)
+    told = f"{experiment.name}, {drives} drives from seed 0"
+    return Motions(told, tuple(_motion(experiment, seed) for seed in range(drives)), true)
+
+
+def lanes(sources: Sources) -> Motions:
+    """Two lanes of traffic before a scanner that stands."""
+    true = np.array([(np.nan, north) for north in dynamic_worlds.LANES_M])
+    return _motions(dynamic_lanes(), true, sources)
+
+
+def changed_places(sources: Sources) -> Motions:
+    """One object taken away and two brought between two passes."""
+    experiment = dynamic_places()
+    return _motions(experiment, dynamic_worlds.changed_places(experiment.world.movers), sources)
+
+
+def claims_6_9(found: Motions) -> list[Claim]:
+    """Both lanes, and hardly anything else."""
+    off = [_off(m.score.middle[:, 1:], found.true[:, 1:]) for m in found.each]
+    return [
+        at_most(
+            "dynamic areas lie where the vehicles drive (largest distance of a lane's middle from "
+            "its own area's, in all drives)",
+            max(off),
+            0.5,
+            "m",
+        ),
+        at_most(
+            "and nowhere else: number of areas (most of the drives)",
+            max(len(m.score.middle) for m in found.each),
+            2,
+            why="a few cells at a pole beside a lane, with nothing but shadow behind it",
+        ),
+        at_least(
+            "cells found are driven on (least precision of the drives)",
+            min(m.score.precision for m in found.each),
+            0.9,
+        ),
+        at_least(
+            "cells driven on are found (least recall of the drives)",
+            min(m.score.recall for m in found.each),
+            0.9,
+        ),
+    ]
+
+
+def claims_6_10(found: Motions) -> list[Claim]:
+    """The three places, and no other."""
+    off = [_off(m.score.middle, found.true) for m in found.each]
+    return [
+        at_most(
+            "areas are found where the objects stood or stand (largest distance of their middles, "
+            "in all drives; only the sides that were seen are found)",
+            max(off),
+            1.3,
+            "m",
+        ),
+        at_most(
+            "and nowhere else: number of areas (most of the drives)",
+            max(len(m.score.middle) for m in found.each),
+            3,
+        ),
+    ]
+
+
+def _off(middle: Array, true: Array) -> float:
+    """Largest distance of true places (P, d) from their nearest; infinite where two share one."""
+    if len(middle) < len(true):
+        return float("inf")
+    apart = np.linalg.norm(middle[:, None] - true[None], axis=2)
+    if len(np.unique(apart.argmin(axis=0))) != len(true):
+        return float("inf")
+    return float(apart.min(axis=0).max())
+
+
+def _draw(axis: Axes, found: Motions, title: str) -> None:
+    motion = found.each[0]
+    draw_regions(axis, motion.triangle)
+    draw_surfaces(axis, motion.segment)
+    draw_occupied(axis, motion.occupied)
+    axis.plot(*motion.dynamic.T, ".", color=_DYNAMIC_COLOUR, markersize=2, zorder=4)
+    axis.plot(*motion.landmark.T, "+", color=TRUTH_COLOUR, markersize=5)
+    east, north = np.vstack((motion.dynamic, motion.landmark)).T
+    axis.set(xlim=(east.min() - 3, east.max() + 3), ylim=(north.min() - 3, north.max() + 3))
+    plan(axis, title)
+
+
+def draw_6_9(canvas: Canvas, found: Motions) -> None:
+    """The dynamic cells over what is occupied in the end."""
+    _draw(canvas.add_subplot(), found, "fast motion (orange), what is occupied, regions")
+
+
+def draw_6_10(canvas: Canvas, found: Motions) -> None:
+    """The same, with the places that changed."""
+    axis = canvas.add_subplot()
+    _draw(axis, found, "slow motion (orange), the changed places (circles)")
+    axis.plot(*found.true.T, "o", markersize=16, markerfacecolor="none", color=TRUTH_COLOUR)
+
+
+FIGURES: tuple[AnyFigure, ...] = (
+    Figure(
+        "N6.9",
+        "Fast motion found by differencing occupancy",
+        "Nieto 2005, Fig. 6.9",
+        "Maps a second apart, differenced, low-passed and thresholded, leave two areas, where the "
+        "two objects move; the contours of what stands are filtered away.",
+        Experiment("section 6.3.3, fast motion", lanes),
+        draw_6_9,
+        claims_6_9,
+        (8.0, 7.0),
+    ),
+    Figure(
+        "N6.10",
+        "Slow motion found between two visits",
+        "Nieto 2005, Fig. 6.10",
+        "Between two visits one object is taken away and two are brought; three areas are found, "
+        "and these are the places.",
+        Experiment("section 6.3.3, slow motion", changed_places),
+        draw_6_10,
+        claims_6_10,
+        (8.0, 7.0),
+    ),
+)

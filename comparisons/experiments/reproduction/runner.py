@@ -1,0 +1,68 @@
+"""Run the experiments behind figures, once each, and draw."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from comparisons.errors import InputError
+from comparisons.experiments.montecarlo.workers import spread
+from comparisons.experiments.reproduction.catalogue import chosen
+from comparisons.experiments.reproduction.contract import AnyFigure, Reproduced, Skipped, Sources
+from comparisons.report.picture import blank, encoded
+from ekf_reference.kalman import FilterDivergedError
+
+Progress = Callable[[str, int, int], None]
+
+
+def reproduce(
+    names: tuple[str, ...],
+    sources: Sources,
+    workers: int = 1,
+    progress: Progress = lambda stage, done, total: None,
+) -> list[Reproduced | Skipped]:
+    """The figures of these names in the catalogue's order; the same with any number of workers.
+
+    Raises InputError for unknown names, unreadable data, or where nothing can be run.
+    """
+    if workers < 1:
+        raise InputError(f"--workers is {workers}, expected 1 or more")
+    figures = chosen(names)
+    results: dict[str, Reproduced | Skipped] = {}
+    groups: dict[str, list[str]] = {}
+    for figure in figures:
+        needs = figure.experiment.needs
+        if needs is not None and sources.folder(needs) is None:
+            results[figure.name] = Skipped(figure, f"needs --data FOLDER with {needs}/")
+        else:
+            groups.setdefault(figure.experiment.name, []).append(figure.name)
+    if not groups:
+        reasons = [f"{f.name} needs --data FOLDER with {f.experiment.needs}/" for f in figures]
+        raise InputError(f"nothing to run: {', '.join(reasons)}")
+    tasks = [(tuple(group), sources) for group in groups.values()]
+    progress("figures", 0, len(tasks))
+    for done, (place, found) in enumerate(spread(_experiment, tasks, workers), start=1):
+        results |= {r.figure.name: r for r in found}
+        progress(f"figures ({', '.join(tasks[place][0])} done)", done, len(tasks))
+    return [results[figure.name] for figure in figures]
+
+
+def _experiment(names: tuple[str, ...], sources: Sources) -> list[Reproduced]:
+    """One experiment and its figures; by name, which is how processes tell each other."""
+    figures = chosen(names)
+    start = time.perf_counter()
+    try:
+        data = figures[0].experiment.run(sources)
+    except (InputError, FilterDivergedError) as error:
+        raise InputError(f"{', '.join(names)}: {error}") from None
+    seconds = time.perf_counter() - start
+    return [_drawn(figure, data, seconds, names) for figure in figures]
+
+
+def _drawn(figure: AnyFigure, data: Any, seconds: float, group: Sequence[str]) -> Reproduced:
+    canvas = blank(*figure.size)
+    figure.draw(canvas, data)
+    png, pdf = encoded(canvas)
+    others = tuple(name for name in group if name != figure.name)
+    return Reproduced(figure, figure.judged(data), data.log, seconds, others, png, pdf)

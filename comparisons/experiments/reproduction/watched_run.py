@@ -1,0 +1,56 @@
+"""A filter's run from within: stop after every scan and look, or put something beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from comparisons.adapters.ekf_factory import EkfChoices, build_ekf
+from comparisons.adapters.filter_loop import NoWatcher, drive
+from comparisons.adapters.timeline import build_timeline
+from comparisons.errors import InputError
+from comparisons.logs.log import Array, Log, Poses, Positions
+from ekf_reference.full_ekf import FullEkf
+from ekf_reference.kalman import FilterDivergedError
+from ekf_reference.trace import NullTrace, Trace
+
+
+def watched_run(
+    log: Log,
+    choices: EkfChoices | None = None,
+    trace: Trace | None = None,
+    predicted: Callable[[FullEkf], None] = lambda ekf: None,
+    positions: Positions | None = None,
+) -> Iterator[tuple[float, FullEkf]]:
+    """The filter after every scan with sightings, and the scan's time [s]; one filter throughout.
+
+    choices: the full filter by default. predicted: shown the filter before it fuses. positions:
+    to be fused. Surveyed landmarks are not used. Raises FilterDivergedError.
+    """
+    ekf = build_ekf(log, (choices or EkfChoices()).settle(log), trace or NullTrace())
+    for stop in drive(ekf, log, build_timeline(log, positions), positions, _Shown(predicted)):
+        if stop.fault is not None:
+            raise FilterDivergedError(stop.fault)
+        if len(stop.slots):
+            yield stop.time_s, ekf
+
+
+def truth_in_order(log: Log) -> tuple[Poses, Array]:
+    """Poses, and landmarks (L, 2) in the order in which a filter that knows labels adds them.
+
+    Raises InputError for a log without truth or labels.
+    """
+    poses, true = log.truth.poses, log.truth.landmarks
+    if poses is None or true is None or not log.sightings.labelled:
+        raise InputError(f"{log.name}: true poses, true landmarks and labels are needed")
+    return poses, true.places_of(log.sightings.labels_in_order)
+
+
+class _Shown(NoWatcher):
+    """Shows the filter to someone before it fuses."""
+
+    def __init__(self, predicted: Callable[[FullEkf], None]) -> None:
+        self._predicted = predicted
+
+    def arrived(self, ekf: FullEkf) -> None:
+        """Show it."""
+        self._predicted(ekf)

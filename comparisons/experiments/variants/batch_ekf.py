@@ -1,0 +1,166 @@
+"""EKF-SLAM of many runs at once, with a choice of where it linearises.
+
+A step is predict, then observe. All runs see the same landmarks at the same time and know which.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from comparisons.experiments.variants.batch_models import (
+    Array,
+    Sensor,
+    control_jacobian,
+    turned,
+    unicycle,
+)
+from comparisons.experiments.variants.batch_state import BatchState, InvariantState, Slots
+from comparisons.experiments.variants.linearisation import Linearisation
+
+
+@dataclass(frozen=True)
+class Robot:
+    """What a filter is told of the robot. sigma_odometry: of speed and yaw rate, per step."""
+
+    pose: Array
+    covariance: Array
+    sensor: Sensor
+    step_s: float
+    sigma_odometry: Array
+
+
+class BatchFilter(Protocol):
+    """Contract of the filters."""
+
+    @property
+    def state(self) -> BatchState:
+        """The runs' Gaussians."""
+        ...
+
+    @property
+    def label(self) -> Slots:
+        """(L,) landmarks' labels, in the state's order."""
+        ...
+
+    def predict(self, control: Array) -> None:
+        """Move under measured (v, omega), (B, 2)."""
+        ...
+
+    def observe(self, z: Array, sigma: Array, label: Slots) -> None:
+        """Fuse one instant's sightings (B, m, 2), sigmas (m, 2), of landmarks (m,), all unlike."""
+        ...
+
+
+class _Labelled:
+    """Which landmark is where in the state."""
+
+    def __init__(self) -> None:
+        self.label = np.zeros(0, dtype=np.intp)
+
+    def split(self, label: Slots) -> tuple[Slots, Slots, Slots]:
+        """Rows seen before, their slots, and rows that are new."""
+        same = label[:, None] == self.label
+        known = same.any(axis=1)
+        return np.flatnonzero(known), np.nonzero(same)[1], np.flatnonzero(~known)
+
+    def add(self, label: Slots) -> None:
+        self.label = np.concatenate((self.label, label))
+
+
+class BatchEkf:
+    """The EKF with additive errors; where it linearises is its only freedom."""
+
+    def __init__(self, robot: Robot, linearisation: Linearisation, runs: int, capacity: int):
+        """capacity: the most landmarks there may be."""
+        self._robot, self._points, self._labels = robot, linearisation, _Labelled()
+        self.state = BatchState(robot.pose, robot.covariance, runs, capacity)
+        linearisation.start(self.state)
+
+    @property
+    def label(self) -> Slots:
+        """(L,) labels."""
+        return self._labels.label
+
+    def predict(self, control: Array) -> None:
+        """P becomes Phi P Phi^T + B Q B^T."""
+        robot = self._robot
+        arrival = unicycle(self.state.pose, control, robot.step_s)
+        at = self._points.predicted(self.state, arrival, control)
+        b = control_jacobian(at.heading, at.control, robot.step_s)
+        noise = (b * robot.sigma_odometry**2) @ b.transpose(0, 2, 1)
+        self.state.predict(arrival, at.travel, noise)
+
+    def observe(self, z: Array, sigma: Array, label: Slots) -> None:
+        """Update with what is known, then begin what is new, at the updated pose."""
+        old, slot, new = self._labels.split(label)
+        if len(old):
+            self._update(z[:, old], sigma[old], slot)
+        if len(new):
+            self._augment(z[:, new], sigma[new], label[new])
+
+    def _update(self, z: Array, sigma: Array, slot: Slots) -> None:
+        sensor, pose = self._robot.sensor, self.state.pose
+        offset = self.state.landmarks[:, slot] - pose[:, None, :2]
+        innovation = sensor.innovation(z, sensor.sight(pose[:, 2:], offset))
+        at = self._points.sighted(self.state, self.label[slot], slot)
+        matrix = sensor.by_offset(at.heading[:, None], at.offset)
+        self.state.update(slot, matrix, at.offset, innovation, sigma**2)
+
+    def _augment(self, z: Array, sigma: Array, label: Slots) -> None:
+        sensor, pose = self._robot.sensor, self.state.pose
+        point = pose[:, None, :2] + sensor.offset(pose[:, 2:], z)
+        at = self._points.begun(self.state, label, point)
+        by_sighting = np.linalg.inv(sensor.by_offset(at.heading[:, None], at.offset))
+        spread = (by_sighting * sigma[:, None] ** 2) @ by_sighting.transpose(0, 1, 3, 2)
+        self.state.augment(point, at.offset, spread)
+        self._labels.add(label)
+
+
+class InvariantEkf:
+    """The right-invariant EKF (Barrau and Bonnabel 2015): its errors do not see the heading."""
+
+    def __init__(self, robot: Robot, runs: int, capacity: int):
+        """capacity: the most landmarks there may be."""
+        self._robot, self._labels = robot, _Labelled()
+        start = np.eye(3)
+        start[:2, 2] = -turned(robot.pose[:2])
+        covariance = start @ robot.covariance @ start.T
+        self.state = InvariantState(robot.pose, covariance, runs, capacity)
+
+    @property
+    def label(self) -> Slots:
+        """(L,) labels."""
+        return self._labels.label
+
+    def predict(self, control: Array) -> None:
+        """Phi is the identity; a turn that went wrong shows in every point."""
+        robot, state = self._robot, self.state
+        arrival = unicycle(state.pose, control, robot.step_s)
+        b = control_jacobian(state.pose[:, 2], control, robot.step_s)
+        gamma = np.zeros((*state.mean.shape, 2))
+        gamma[:, :3] = b
+        gamma[:, :2] -= turned(arrival[:, :2])[..., None] * b[:, None, 2]
+        arm = turned(state.landmarks).reshape(len(arrival), -1)
+        gamma[:, 3:] = -arm[..., None] * b[:, None, 2]
+        state.predict_invariant(arrival, gamma, robot.sigma_odometry**2)
+
+    def observe(self, z: Array, sigma: Array, label: Slots) -> None:
+        """Update with what is known, then begin what is new, at the updated pose."""
+        sensor, state = self._robot.sensor, self.state
+        old, slot, new = self._labels.split(label)
+        if len(old):
+            offset = state.landmarks[:, slot] - state.pose[:, None, :2]
+            heading = state.pose[:, 2:]
+            innovation = sensor.innovation(z[:, old], sensor.sight(heading, offset))
+            matrix = sensor.by_offset(heading, offset)
+            state.update(slot, matrix, None, innovation, sigma[old] ** 2)
+        if len(new):
+            heading = state.pose[:, 2:]
+            offset = sensor.offset(heading, z[:, new])
+            by_sighting = np.linalg.inv(sensor.by_offset(heading, offset))
+            spread = (by_sighting * sigma[new, None] ** 2) @ by_sighting.transpose(0, 1, 3, 2)
+            state.augment(state.pose[:, None, :2] + offset, np.zeros_like(offset), spread)
+            self._labels.add(label[new])

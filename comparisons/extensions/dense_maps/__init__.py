@@ -1,0 +1,1 @@
+"""DenseSLAM: dense maps in local regions, compared between both estimators."""

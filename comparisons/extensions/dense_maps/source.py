@@ -1,0 +1,341 @@
+"""A dense map beside the filter: every scan of a log, from where the filter then thought it was."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.adapters.attributes import AROUND_M
+from comparisons.adapters.ekf_factory import motion_model
+from comparisons.adapters.motion import CLOCK_S
+from comparisons.adapters.planar_scans import PlanarScans
+from comparisons.errors import InputError
+from comparisons.estimates.estimate import Array, Estimate
+from comparisons.logs.log import Log
+from comparisons.logs.odometry import RelativePoses
+from ekf_reference.dense.conditions import Conditions
+from ekf_reference.dense.dense_map import DenseMap
+from ekf_reference.dense.dynamic import Counters, DynamicLayer
+from ekf_reference.dense.layers.gaussians import Gaussians
+from ekf_reference.dense.layers.layer import Layer, Samples
+from ekf_reference.dense.layers.occupancy import Coarsening, OccupancyGrid
+from ekf_reference.dense.layers.particles import Particles
+from ekf_reference.dense.layers.points import Points
+from ekf_reference.dense.layers.values import PlaceValues, Values
+from ekf_reference.dense.regions import LocalRegions
+from ekf_reference.dense.scan import Scan
+from ekf_reference.dense.sensor_model import InverseSensorModel
+from ekf_reference.dense.view import FilterView
+from ekf_reference.dense.waiting import WaitingRoom
+from ekf_reference.full_ekf import FullEkf
+from ekf_reference.layout import ORIENTED, POINT
+from ekf_reference.local_map import by_number
+
+SURFACES = ("points", "occupancy", "particles", "sog")
+"""Layers of where surfaces are."""
+LAYERS = (*SURFACES, "values")
+GRID_MODEL = InverseSensorModel(p_occupied=0.65, p_free=0.45)
+"""Of grids: several looks, not one noisy return, make a cell occupied, and what stands is often
+looked past."""
+PATIENCE = 16
+"""Scans that returns wait for a third landmark before a virtual one takes its place."""
+_TELLING_M = 0.05
+"""Least shift of the regions by one update that is worth a picture (root mean square)."""
+_MARGIN_M = 0.5
+"""So near to a dynamic cell a sighting or a landmark counts as dynamic: both may be off."""
+_CLEARLY = 1.2
+"""A later update must move the regions, all together, so many times as far to take its place."""
+
+
+class GlobalMap(Protocol):
+    """A map in the world's frame, which nothing moves afterwards."""
+
+    def fuse(self, scan: Scan) -> None:
+        """Take in a scan from the pose that it was given."""
+        ...
+
+
+@dataclass(frozen=True)
+class DenseOptions:
+    """What is kept, and how.
+
+    layers: of LAYERS; none where only the dynamic layer is wanted. resolution_m: of cells.
+    d_min_m: of the Gaussians, see dense.layers.gaussians.
+    known_apart_m, longest_edge_m: see dense.conditions.Conditions. dynamic: look for what moves.
+    coarsening: of the occupancy layer's almost empty regions. known_m, reach_m: see DenseMap.
+    patience, capacity: of what waits for a region.
+    """
+
+    layers: tuple[str, ...] = ("points", "occupancy")
+    resolution_m: float = 0.2
+    d_min_m: float = 0.2
+    known_apart_m: float = 0.5
+    longest_edge_m: float = 35.0
+    coarsening: Coarsening | None = None
+    dynamic: bool = False
+    known_m: float = math.inf
+    reach_m: float = 35.0
+    patience: int = PATIENCE
+    capacity: int = 5_000
+
+    def __post_init__(self) -> None:
+        """Raises InputError."""
+        if not (self.layers or self.dynamic) or set(self.layers) - set(LAYERS):
+            given = ", ".join(self.layers) or "none"
+            raise InputError(f"layers {given}: expected some of {', '.join(LAYERS)}")
+        for name, size in (("resolution", self.resolution_m), ("d_min", self.d_min_m)):
+            if not 0.01 <= size <= 10.0:
+                raise InputError(f"{name} {size} m: expected 0.01 to 10 m")
+
+    def among(self, kinds: tuple[int, ...]) -> DenseOptions:
+        """Suited to regions that hang on landmarks of some kinds.
+
+        Scan landmarks stand 20 m apart and more, where points stand 5 m apart. Among them alone
+        regions are larger, and it takes longer until there are three.
+        """
+        if POINT in kinds:
+            return self
+        return replace(
+            self,
+            known_apart_m=3.0 * self.known_apart_m,
+            longest_edge_m=max(self.longest_edge_m, 60.0),
+            reach_m=max(self.reach_m, 50.0),
+            patience=4 * self.patience,
+            capacity=4 * self.capacity,
+        )
+
+    def build(self, also: tuple[str, ...] = ()) -> DenseMap:
+        """An empty map. also: more layers."""
+        size = self.resolution_m
+        made: Mapping[str, Layer] = {
+            "points": Points(size),
+            "occupancy": OccupancyGrid(size, GRID_MODEL, coarsening=self.coarsening),
+            "particles": Particles(np.random.default_rng(0)),
+            "sog": Gaussians(self.d_min_m),
+            "values": Values(),
+        }
+        conditions = Conditions(
+            known_apart_m=self.known_apart_m, longest_edge_m=self.longest_edge_m
+        )
+        return DenseMap(
+            {name: made[name] for name in dict.fromkeys((*self.layers, *also))},
+            LocalRegions(conditions),
+            WaitingRoom(self.capacity, self.patience),
+            self.reach_m,
+            dynamic=DynamicLayer(size) if self.dynamic else None,
+            known_m=self.known_m,
+        )
+
+
+@dataclass(frozen=True)
+class BeforeClosing:
+    """The map just before the update that moved it the most, as a rule a loop's closing.
+
+    time_s: of the update. shift_m: root mean square over the landmarks that are corners of
+    regions. landmark: (L, 2), triangle: (R, 3, 2), and layers: what each held, as they then lay.
+    """
+
+    time_s: float
+    shift_m: float
+    landmark: Array
+    triangle: Array
+    layers: Mapping[str, Samples]
+
+
+@dataclass(frozen=True)
+class DenseRun:
+    """A dense map and how it came about.
+
+    kinds: of landmarks that its regions hang on, by width; places in the map are numbers as of
+    Layout.numbered. scan_time_s: (N,) of all scans taken in, scan_pose: (N, 3) the filter's vehicle
+    then. scans: the log's. landmark: (L, 2) where the filter has them in the end. seconds: spent
+    on regions and on scans.
+    """
+
+    kinds: tuple[int, ...]
+    options: DenseOptions
+    dense: DenseMap
+    scans: PlanarScans
+    scan_time_s: Array
+    scan_pose: Array
+    landmark: Array
+    before: BeforeClosing | None
+    seconds: Mapping[str, float]
+
+    @property
+    def layers(self) -> Mapping[str, Layer]:
+        """Those that were asked for; the map may hold more for others."""
+        return {name: self.dense.layers[name] for name in self.options.layers}
+
+    def is_dynamic(self, point: Array) -> NDArray[np.bool_]:
+        """(N,) which points (N, 2) [m] are where something was seen to move."""
+        return _is_dynamic(self.dense, self.landmark, point)
+
+    def landmarks_of(self, estimate: Estimate) -> Array:
+        """(L, 2) [m] the map's landmarks as an estimate has them, NaN where it has them not."""
+        oriented = np.full((int(estimate.oriented_id.max(initial=-1)) + 1, ORIENTED), np.nan)
+        oriented[estimate.oriented_id] = estimate.oriented
+        each = {POINT: estimate.landmark, ORIENTED: oriented}
+        known = by_number([each[width] for width in self.kinds])
+        place = np.full_like(self.landmark, np.nan)
+        place[: len(known)] = known[: len(place)]
+        return place
+
+    def name_of(self, number: int, point_id: NDArray[np.int64]) -> str:
+        """Of a landmark of the map: a point's id (L,), or s and the slot of a scan landmark."""
+        slot, kind = divmod(int(number), len(self.kinds))
+        return str(point_id[slot]) if self.kinds[kind] == POINT else f"s{slot}"
+
+
+class DenseWatcher:
+    """Feeds a dense map while the filter runs. Reads the filter only.
+
+    It is a DynamicGuard, too, for a filter that is to know what the map finds to be moving, and
+    tells LayerValues to one that goes by what is around its landmarks. options: what it was asked
+    to keep.
+    """
+
+    def __init__(
+        self,
+        log: Log,
+        options: DenseOptions,
+        beside: Sequence[GlobalMap] = (),
+        also: tuple[str, ...] = (),
+        kinds: tuple[int, ...] = (POINT,),
+    ) -> None:
+        """beside: maps that are given the same scans from the same poses. also: more layers.
+
+        kinds: of landmarks that regions hang on, by width (Nieto 2005, section 6.2). Raises
+        InputError.
+        """
+        self._scans = PlanarScans(log)
+        if "values" in (*options.layers, *also) and not self._scans.valued:
+            raise InputError(
+                f"{log.name}: its scans hold no intensities, which the layer of values is made of"
+            )
+        self.options, self._kinds = options.among(kinds), kinds
+        self._dense = self.options.build(also)
+        self._beside = beside
+        self._motion, self._relative = motion_model(log), isinstance(log.odometry, RelativePoses)
+        self._next = 0
+        self._pose: list[Array] = []
+        self._before: BeforeClosing | None = None
+        self._moved_most = 0.0
+        self._seconds = {"regions": 0.0, "scans": 0.0}
+        self._epoch_s = log.prior.time_s
+
+    @property
+    def dense(self) -> DenseMap:
+        """The map as it is now."""
+        return self._dense
+
+    def stepping(self, ekf: FullEkf, time_s: float, control: Array, duration_s: float) -> None:
+        """Take in the scans of the interval that is about to be predicted."""
+        while self._due(time_s + duration_s - CLOCK_S):
+            view = FilterView.of(ekf, self._kinds)
+            part = max(float(self._scans.time_s[self._next]) - time_s, 0.0)
+            if part > CLOCK_S:
+                share = part / duration_s if self._relative else 1.0
+                step = self._motion.step(view.pose, share * control, part)
+                view = replace(view, pose=step.pose)
+            self._insert(view)
+        self._epoch_s = time_s + duration_s
+
+    def arrived(self, ekf: FullEkf) -> None:
+        """What waits follows the vehicle."""
+        start = time.perf_counter()
+        self._dense.predicted(FilterView.of(ekf, self._kinds))
+        self._seconds["regions"] += time.perf_counter() - start
+
+    def updated(self, ekf: FullEkf) -> None:
+        """Make the regions that are now possible; keep the map as it was if it moved a lot."""
+        start = time.perf_counter()
+        view = FilterView.of(ekf, self._kinds)
+        old = self._dense.landmark
+        self._dense.place(view)
+        if len(old):
+            self._note_shift(old, self._dense.landmark[: len(old)])
+        self._dense.updated(view)
+        self._seconds["regions"] += time.perf_counter() - start
+
+    def finished(self, ekf: FullEkf, time_s: float) -> None:
+        """Take in what was scanned at the very end."""
+        while self._due(time_s + CLOCK_S):
+            self._insert(FilterView.of(ekf, self._kinds))
+        whole = {POINT: ekf.state.landmarks, ORIENTED: ekf.state.oriented}
+        landmark = by_number([whole[width] for width in self._kinds])
+        self._dense.place(replace(FilterView.of(ekf, self._kinds), landmark=landmark))
+
+    def is_dynamic(self, point: Array) -> NDArray[np.bool_]:
+        """(N,) which points (N, 2) [m] are where something was seen to move."""
+        return _is_dynamic(self._dense, self._dense.landmark, point)
+
+    def values_at(self, slot: NDArray[np.intp]) -> PlaceValues:
+        """What the layer of values holds around points by slot (L,), for the filter's association.
+
+        Raises KeyError without that layer.
+        """
+        layer, landmark = self._dense.layers["values"], self._dense.landmark
+        placed = self._dense.regions.placed(landmark)
+        number = len(self._kinds) * slot + self._kinds.index(POINT)  # see Layout.numbered
+        return cast(Values, layer).around(landmark[number], placed, AROUND_M)
+
+    @property
+    def moves(self) -> Counters:
+        """What looking for motion came to; zeros where it was not asked for."""
+        return Counters() if self._dense.dynamic is None else self._dense.dynamic.counters
+
+    def run(self) -> DenseRun:
+        """The map, once the filter has finished."""
+        done = len(self._pose)
+        return DenseRun(
+            self._kinds,
+            self.options,
+            self._dense,
+            self._scans,
+            self._scans.time_s[:done],
+            np.array(self._pose).reshape(-1, 3),
+            self._dense.landmark,
+            self._before,
+            self._seconds,
+        )
+
+    def _due(self, until_s: float) -> bool:
+        times = self._scans.time_s
+        return self._next < len(times) and float(times[self._next]) < until_s
+
+    def _insert(self, view: FilterView) -> None:
+        scan = self._scans.scan(self._next, view.pose)
+        start = time.perf_counter()
+        self._dense.insert(view, scan, float(self._scans.time_s[self._next]))
+        self._seconds["scans"] += time.perf_counter() - start
+        for other in self._beside:
+            other.fuse(scan)
+        self._pose.append(view.pose)
+        self._next += 1
+
+    def _note_shift(self, old: Array, new: Array) -> None:
+        corner = np.unique(self._dense.regions.base)
+        corner = corner[corner >= 0]  # virtual ones hang on these
+        if not len(corner):
+            return
+        squared = np.square(new[corner] - old[corner]).sum(axis=1)
+        shift, moved = float(np.sqrt(squared.mean())), float(np.sqrt(squared.sum()))
+        if shift < _TELLING_M or moved < _CLEARLY * self._moved_most:
+            return
+        self._moved_most = moved
+        placed = self._dense.regions.placed(old)
+        layers = {name: layer.samples(placed) for name, layer in self._dense.layers.items()}
+        self._before = BeforeClosing(self._epoch_s, shift, old, placed.triangle, layers)
+
+
+def _is_dynamic(dense: DenseMap, landmark: Array, point: Array) -> NDArray[np.bool_]:
+    if dense.dynamic is None:
+        return np.zeros(len(point), dtype=bool)
+    return dense.dynamic.covers(point, dense.regions.placed(landmark), _MARGIN_M)

@@ -1,0 +1,1 @@
+"""Where something moves, and what the filter ignores there."""

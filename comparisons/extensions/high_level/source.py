@@ -1,0 +1,205 @@
+"""High level landmarks beside the filter: found in a dense map of its own, seen in the scans."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.adapters.filter_loop import NoWatcher, Watcher
+from comparisons.adapters.oriented_sightings import OrientedLedger
+from comparisons.adapters.planar_scans import PlanarScans, view_to
+from comparisons.errors import InputError
+from comparisons.estimates.estimate import Array
+from comparisons.extensions.dense_maps.source import DenseOptions, DenseWatcher
+from comparisons.logs.log import Log
+from ekf_reference.dense.high_level import Around, Search, SearchOptions, search, to_world
+from ekf_reference.dense.high_level_life import Glimpse, HighLevelLandmarks, LifeOptions
+from ekf_reference.dense.layers.gaussians import Gaussians
+from ekf_reference.full_ekf import FullEkf
+from ekf_reference.scan_landmarks.scan_shape import of_scan
+from ekf_reference.scan_landmarks.templates import View
+
+SEARCHED = ("occupancy", "sog")
+"""Layers that are searched."""
+_AXIS_M = 3.0
+"""Length at which axes are drawn."""
+_APART_S = 0.05
+"""A scan farther than that from an epoch was not taken from its pose."""
+
+
+@dataclass(frozen=True)
+class HighLevelOptions:
+    """every_s: between two searches. resolution_m: of the occupancy layer. d_min_m: of the sum's.
+
+    Nieto 2005, section 6.1.3, searches every minute; in the worlds here a loop takes 77 s, and an
+    object stays within reach for less than half of a minute.
+    """
+
+    every_s: float = 20.0
+    search: SearchOptions = field(default_factory=SearchOptions)
+    life: LifeOptions = field(default_factory=LifeOptions)
+    resolution_m: float = 0.2
+    d_min_m: float = 0.2
+
+    @classmethod
+    def of(cls, cell_m: float, pair_m: float, least: int, every_s: float) -> HighLevelOptions:
+        """What a user may choose: cells, which d_min follows, as in Nieto 2005, section 6.5.
+
+        pair_m, least: see SearchOptions. Raises InputError.
+        """
+        for name, value, low, high in (
+            ("cell", cell_m, 0.05, 2.0),
+            ("pair", pair_m, 1.0, 100.0),
+            ("least", least, 3, 10**6),
+            ("every", every_s, 0.1, 1e6),
+        ):
+            if not low <= value <= high:
+                raise InputError(f"--high-level-{name} is {value}, expected {low:g} to {high:g}")
+        usual = SearchOptions()
+        looked = replace(usual, cell_m=max(usual.cell_m, cell_m), pair_m=pair_m, least=least)
+        return cls(every_s, looked, resolution_m=cell_m, d_min_m=cell_m)
+
+    @property
+    def kept(self) -> DenseOptions:
+        """The dense map that is searched."""
+        return DenseOptions(SEARCHED, self.resolution_m, self.d_min_m)
+
+    def layers_in(self, options: DenseOptions) -> tuple[str, ...]:
+        """What a map with these options should keep, too; nothing where it has other cells."""
+        alike = replace(options, layers=SEARCHED, dynamic=False) == self.kept
+        return SEARCHED if alike else ()
+
+
+@dataclass(frozen=True)
+class HighLevelRun:
+    """What became of the search in a drive.
+
+    searches: made. corners: in all of these, and pairs of them. candidates: rectangles that
+    overlapped nothing known; poor: of these, with too few Gaussians. looks: at landmarks
+    within reach, by outcome, `seen` among them. slot: (K,) of all that were found, among the
+    filter's landmarks with a direction; negative where one was never seen again. place: (K, 3) and
+    rectangle: (K, 4, 2), at the end, NaN where what it hung on has left the map.
+    """
+
+    searches: int
+    corners: int
+    pairs: int
+    candidates: int
+    poor: int
+    looks: Mapping[str, int]
+    slot: NDArray[np.intp]
+    place: Array
+    rectangle: Array
+
+    @property
+    def axes(self) -> tuple[Array, Array]:
+        """Lines (2 K, 2) and (2 K, 2) [m] that show where all axes are and how they are turned."""
+        tip = [to_world(place, _AXIS_M * np.eye(2)) for place in self.place]
+        return np.repeat(self.place[:, :2], 2, axis=0), np.reshape(tip, (-1, 2))
+
+
+class HighLevelSource:
+    """Watches the filter, with a dense map, and sees the landmarks that are found in it.
+
+    The map at an epoch holds the scans of earlier ones: a scan never meets itself.
+    """
+
+    def __init__(
+        self,
+        log: Log,
+        options: HighLevelOptions | None = None,
+        shared: DenseWatcher | None = None,
+        searched: Callable[[float, Around, Search], None] = lambda time_s, around, search: None,
+    ) -> None:
+        """shared: who keeps such a map already, and is told before this one; None for an own one.
+
+        searched: shown every search. Raises InputError for a log without scans.
+        """
+        self._searched = searched
+        self.options = options or HighLevelOptions()
+        self.landmarks = HighLevelLandmarks(self.options.life)
+        self._map = shared or DenseWatcher(log, self.options.kept)
+        self._watcher: Watcher = NoWatcher() if shared else self._map
+        self._scans = PlanarScans(log)
+        self._view = _view(log)
+        self._searches: list[Search] = []
+        self._next_s = log.prior.time_s + self.options.every_s
+        self._place, self._rectangle = np.empty((0, 3)), np.empty((0, 4, 2))
+
+    def stepping(self, ekf: FullEkf, time_s: float, control: Array, duration_s: float) -> None:
+        """Take in the scans of the interval."""
+        self._watcher.stepping(ekf, time_s, control, duration_s)
+
+    def arrived(self, ekf: FullEkf) -> None:
+        """What waits for a region follows the vehicle."""
+        self._watcher.arrived(ekf)
+
+    def updated(self, ekf: FullEkf) -> None:
+        """The map follows its landmarks."""
+        self._watcher.updated(ekf)
+
+    def finished(self, ekf: FullEkf, time_s: float) -> None:
+        """Note where all are in the end."""
+        self._watcher.finished(ekf, time_s)
+        self._place, self._rectangle = self.landmarks.places(ekf), self.landmarks.rectangles(ekf)
+
+    def look(self, ekf: FullEkf, epoch: int, time_s: float, ledger: OrientedLedger) -> None:
+        """Match the scan of the epoch, if there is one; search before that when it is time to."""
+        if time_s >= self._next_s:
+            self._next_s = time_s + self.options.every_s
+            self._search(ekf, time_s)
+        if not self.landmarks.landmark:
+            return
+        number = int(np.abs(self._scans.time_s - time_s).argmin())
+        if abs(float(self._scans.time_s[number]) - time_s) > _APART_S:
+            return
+        scan = self._scans.scan(number, np.zeros(3))
+        shape = of_scan(scan.bearing_rad, scan.range_m, scan.sensor)
+        seen = self.landmarks.look(ekf, Glimpse(shape, scan.pose, self._view))
+        if seen:
+            slot = [self.landmarks.landmark[one.number].slot for one in seen]
+            z, noise = np.array([one.z for one in seen]), np.array([s.covariance for s in seen])
+            which = np.array(slot, dtype=np.intp)
+            self.landmarks.begun(seen, ledger.observe(ekf, epoch, z, noise, which))
+
+    def run(self) -> HighLevelRun:
+        """What came of it, once the filter has finished."""
+        return HighLevelRun(
+            len(self._searches),
+            sum(len(one.corner) for one in self._searches),
+            sum(len(one.candidate) + one.known for one in self._searches),
+            sum(len(one.candidate) for one in self._searches),
+            sum(one.poor for one in self._searches),
+            dict(self.landmarks.counts),
+            np.array([one.slot for one in self.landmarks.landmark], dtype=np.intp),
+            self._place,
+            self._rectangle,
+        )
+
+    def _search(self, ekf: FullEkf, time_s: float) -> None:
+        dense = self._map.dense
+        around = Around(
+            dense.layers["occupancy"],
+            cast(Gaussians, dense.layers["sog"]),
+            dense.regions.placed(dense.landmark),
+            ekf.read_pose().pose,
+            dense.landmark,
+        )
+        found = search(around, self.landmarks.rectangles(ekf), self.options.search)
+        self._searches.append(found)
+        self._searched(time_s, around, found)
+        for one in found.found:
+            self.landmarks.take(one, dense.regions.base[one.region], dense.landmark)
+
+
+def _view(log: Log) -> View:
+    """What the log's scanner can see: its beams, as far as anything returned."""
+    if log.scans is None:
+        return View(50.0, -math.pi, math.pi)
+    way = log.scans.range_m
+    return view_to(log.scans, float(way[np.isfinite(way)].max(initial=0.0)))

@@ -1,0 +1,1 @@
+"""The smoother a second time, with its own matcher of scan landmarks."""

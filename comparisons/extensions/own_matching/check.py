@@ -1,0 +1,243 @@
+"""S'': the smoother with alignments of its own matcher beside S, which has the filter's.
+
+Both align the same template with the same scan, so what the noise does to the scan it does to
+both, and alignments differ by much less than the sum of their covariances. A landmark's are held
+against that sum. A shift that all have in common is held against how much they scatter about it.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2, f
+
+from comparisons.checks.accuracy import Accuracy, aligned
+from comparisons.checks.agreement import BlockAgreement, Gaussian, block_agreement
+from comparisons.estimates.estimate import Estimate
+from comparisons.extensions.scan_motion.three_way import Pair
+from graphslam.graph_builder import to_tangent
+from graphslam.optimum import Proof
+from graphslam.problem import OrientedSightings
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+GATE = float(chi2.ppf(0.99, 3))
+"""A landmark's alignments contradict when their mean squared distance is more: as the filter's own
+gate, for alignments that differ as if nothing were shared."""
+LEAST_SEEN = 3
+"""Alignments of a landmark, or landmarks, fewer than which say nothing of what they share."""
+_NOTHING = np.eye(3) / 2.0**2
+"""Information that no difference is expected, to 2 m and rad: along what a shape leaves open both
+alignments stay where they were begun, and their difference there is not told."""
+_SHIFTED = 0.999
+"""Certainty at which all alignments are shifted."""
+
+
+@dataclass(frozen=True)
+class LandmarkMatching:
+    """How the alignments of one template differ, the filter's minus the smoother's own.
+
+    slot: of the landmark. common: scans that both aligned it with. squared: mean squared distance
+    by the sum of both covariances, 3 if they were independent. shift: (3,) the weighted mean
+    difference, in the vehicle's frame. worst_epoch: of the scan where they are farthest apart;
+    worst: the difference (3,) there, and worst_squared its squared distance. Of differences only
+    what the shape fixes is told.
+    """
+
+    slot: int
+    common: int
+    squared: float
+    shift: Array
+    worst_epoch: int
+    worst: Array
+    worst_squared: float
+
+    @property
+    def contradicts(self) -> bool:
+        """Whether they are farther apart than both covariances allow."""
+        return self.common >= LEAST_SEEN and self.squared > GATE
+
+
+@dataclass(frozen=True)
+class OwnMatchingCheck:
+    """The matching gap, S - S''.
+
+    sightings: alignments, begun landmarks left out: the filter's, the smoother's own, and those of
+    one landmark in one scan that both made. squared: (C,) squared distances of these by the sum of
+    both covariances. landmarks: farthest apart first. shift: (3,) what all differences have in
+    common, few landmarks that contradict left out; shift_squared: its squared distance, 0 for
+    fewer than three landmarks; shift_freedom: degrees of freedom of the scatter that this is by.
+    ekf, smoother: each of the two against S'', all scan landmarks that
+    they share. pose: S against S'' in the last pose, by the sum of both covariances. path_rms_m:
+    between the paths of the EKF and S'', and of S and S''. estimate, proof, accuracy: of S''.
+    alignments: the own ones, as the matcher made them. reasons: what became of the own matches.
+    """
+
+    sightings: tuple[int, int, int]
+    squared: Array
+    landmarks: tuple[LandmarkMatching, ...]
+    shift: Array
+    shift_squared: float
+    shift_freedom: int
+    ekf: Pair
+    smoother: Pair
+    pose: BlockAgreement
+    path_rms_m: tuple[float, float]
+    estimate: Estimate
+    proof: Proof
+    accuracy: Accuracy | None
+    alignments: OrientedSightings
+    reasons: Counter[str]
+
+    @property
+    def contradicting(self) -> tuple[LandmarkMatching, ...]:
+        """Landmarks whose alignments contradict."""
+        return tuple(one for one in self.landmarks if one.contradicts)
+
+    @property
+    def shifted(self) -> bool:
+        """Whether all alignments are shifted together: F, for the scatter is measured, too."""
+        freedom = self.shift_freedom
+        return freedom > 0 and self.shift_squared > 3.0 * float(f.ppf(_SHIFTED, 3, freedom))
+
+    @property
+    def estimates_agree(self) -> bool:
+        """Whether S and S'' agree, as far as both are sure."""
+        return self.smoother.agrees and self.pose.distance**2 * 3.0 <= GATE
+
+    @property
+    def agrees(self) -> bool:
+        """Whether nothing speaks against the filter's matcher."""
+        return self.estimates_agree and not self.shifted and not self.contradicting
+
+
+def check_own_matching(
+    filters: OrientedSightings,
+    own: OrientedSightings,
+    ekf: Estimate,
+    smoothed: Estimate,
+    estimate: Estimate,
+    proof: Proof,
+    accuracy: Accuracy | None,
+    reasons: Counter[str],
+) -> OwnMatchingCheck:
+    """Compare. filters, own: the sightings that S and S'' were told. estimate: S''."""
+    used = (_later(filters), _later(own))
+    common = sorted(used[0].keys() & used[1].keys())
+    rows = [np.array([one[pair] for pair in common], dtype=np.intp) for one in used]
+    difference = filters.measured[rows[0]] - own.measured[rows[1]]
+    difference[:, 2] = np.pi - np.mod(np.pi - difference[:, 2], 2.0 * np.pi)
+    spread = _in_poses_frame(filters, rows[0]) + _in_poses_frame(own, rows[1])
+    information = np.linalg.inv(spread).astype(np.float64)
+    squared = np.einsum("ni,nij,nj->n", difference, information, difference)
+    epoch, slot = np.array(common, dtype=np.intp).reshape(-1, 2).T
+    landmarks = [
+        _of_landmark(s, np.flatnonzero(slot == s), epoch, difference, information, squared)
+        for s in np.unique(slot).tolist()
+    ]
+    wrong = [one.slot for one in landmarks if one.contradicts]
+    # Of a shift that all share, all speak; a few that contradict are no part of it.
+    sound = ~np.isin(slot, wrong if 2 * len(wrong) < len(landmarks) else [])
+    begun = tuple(ones.count for ones in (filters, own))
+    path = [e.pose[:, :2] - estimate.pose[:, :2] for e in (ekf, smoothed)]
+    last = [Gaussian(e.pose[-1], e.joint_covariance[:3, :3]) for e in (smoothed, estimate)]
+    return OwnMatchingCheck(
+        (len(filters.measured) - begun[0], len(own.measured) - begun[1], len(common)),
+        squared,
+        tuple(sorted(landmarks, key=lambda one: -one.squared)),
+        *common_shift(slot[sound], difference[sound], information[sound]),
+        compare_frames(ekf, estimate),
+        compare_frames(smoothed, estimate),
+        block_agreement(last[0], Gaussian(last[1].mean, last[0].covariance + last[1].covariance)),
+        (_rms(path[0]), _rms(path[1])),
+        estimate,
+        proof,
+        accuracy,
+        own,
+        reasons,
+    )
+
+
+def common_shift(slot: Index, difference: Array, information: Array) -> tuple[Array, float, int]:
+    """What differences (C, 3) have in common, (3,), its squared distance, the scatter's freedom.
+
+    slot: (C,) whose they are. information: (C, 3, 3) of each. A template's differences count as
+    one, and the scatter about the shift is measured: it is less than stated, as the noise of scan
+    and template is shared. Fewer than three landmarks have nothing in common: 0, 0.
+    """
+    slots, which, count = np.unique(slot, return_inverse=True, return_counts=True)
+    if len(slots) < LEAST_SEEN:
+        return np.zeros(3), 0.0, 0
+    weight = information / count[which][:, None, None]
+    total = weight.sum(axis=0)
+    shift = np.linalg.solve(total, np.einsum("nij,nj->i", weight, difference))
+    rest = difference - shift
+    freedom = 3 * (len(slots) - 1)
+    scatter = float(np.einsum("ni,nij,nj->", rest, weight, rest)) / freedom
+    return shift, float(shift @ total @ shift) / max(scatter, np.finfo(float).tiny), freedom
+
+
+def compare_frames(first: Estimate, second: Estimate) -> Pair:
+    """Scan landmarks that both have, x, y and heading, by the sum of both covariances."""
+    _, i, j = np.intersect1d(
+        first.oriented_id, second.oriented_id, assume_unique=True, return_indices=True
+    )
+    if not len(i):
+        return Pair(0.0, 0.0, np.zeros(0), 0)
+    a, b = first.oriented[i], second.oriented[j]
+    apart = a - b
+    apart[:, 2] = np.pi - np.mod(np.pi - apart[:, 2], 2.0 * np.pi)
+    total = first.oriented_covariances()[i] + second.oriented_covariances()[j]
+    squared = np.einsum("ni,ni->n", apart, np.linalg.solve(total, apart[:, :, None])[:, :, 0])
+    return Pair(
+        _rms(apart[:, :2]),
+        _rms(aligned(a[:, :2], b[:, :2]) - b[:, :2]),
+        np.sqrt(squared / 3.0),
+        int(np.count_nonzero(~(squared <= GATE))),  # what is no number lies nowhere
+    )
+
+
+def _of_landmark(
+    slot: int, rows: Index, epoch: Index, difference: Array, information: Array, squared: Array
+) -> LandmarkMatching:
+    weight, worst = information[rows], int(rows[np.argmax(squared[rows])])
+    mean = np.einsum("nij,nj->i", weight, difference[rows]) / len(rows)
+    shift = np.linalg.solve(weight.mean(axis=0) + _NOTHING, mean)
+    there = information[worst]
+    return LandmarkMatching(
+        slot,
+        len(rows),
+        float(squared[rows].mean()),
+        shift,
+        int(epoch[worst]),
+        np.linalg.solve(there + _NOTHING, there @ difference[worst]),
+        float(squared[worst]),
+    )
+
+
+def _later(seen: OrientedSightings) -> dict[tuple[int, int], int]:
+    """Rows of sightings by pose and landmark, but for those in which a landmark begins."""
+    rows: dict[tuple[int, int], int] = {}
+    begun: set[int] = set()
+    for row in np.argsort(seen.pose, kind="stable").tolist():
+        slot = int(seen.landmark[row])
+        if slot in begun:
+            rows[int(seen.pose[row]), slot] = row
+        begun.add(slot)
+    return rows
+
+
+def _in_poses_frame(seen: OrientedSightings, rows: Index) -> Array:
+    """(C, 3, 3) covariances in the frame of the pose that sees, not of the landmark."""
+    turn = to_tangent(seen.measured[rows, 2])
+    turned: Array = turn.transpose(0, 2, 1) @ seen.covariance[rows] @ turn
+    return turned
+
+
+def _rms(apart: Array) -> float:
+    """Root mean square length of rows (N, 2); 0 without any."""
+    return float(np.sqrt(np.mean(np.sum(apart**2, axis=1)))) if len(apart) else 0.0

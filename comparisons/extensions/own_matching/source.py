@@ -1,0 +1,77 @@
+"""The scan landmarks of a run as the smoother's own matcher sees them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from comparisons.adapters.beam_noise import sensor_of
+from comparisons.adapters.ekf_run import EkfRun
+from comparisons.adapters.scan_source import CloudsAt, ScanSource
+from comparisons.adapters.smoother_input import build_problem
+from comparisons.adapters.timeline import resolved
+from comparisons.logs.log import Log
+from comparisons.logs.odometry import RelativePoses
+from ekf_reference.scan_landmarks.templates import Template as FiltersTemplate
+from graphslam.problem import SlamProblem
+from graphslam.scan import planar
+from graphslam.scan.open3d_matchers import GeneralisedMatcher
+from graphslam.scan.template_matchers import Template, TemplateMatchers
+from graphslam.scan.template_sightings import (
+    TemplateOptions,
+    TemplateSightings,
+    sight_templates,
+)
+
+Array = NDArray[np.float64]
+
+
+def own_sightings(
+    log: Log,
+    run: EkfRun,
+    templates: Mapping[int, FiltersTemplate],
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> tuple[SlamProblem, TemplateSightings]:
+    """What the smoother is to solve, its scan landmarks sighted by Open3D's generalised ICP.
+
+    Of the filter it takes which returns of which scan a template was made of, and where its axis
+    was put; none of its alignments, no pose, and not which landmarks it fused. templates: by slot,
+    as they were begun. Raises ValueError for a log without planar scans, and
+    graphslam.scan.open3d_library.Open3dMissingError.
+    """
+    if log.scans is None:
+        raise ValueError("the log has no planar scans")
+    source, problem = ScanSource(log), build_problem(log, run)
+    settings = source.suited_options()
+    scan_of = _scan_of_epoch(log, source, run)
+    taken = {}
+    for slot, template in templates.items():
+        epoch = int(problem.oriented.pose[problem.oriented.landmark == slot].min())
+        place = planar.compose(log.scans.mount.pose, template.pose)
+        returns = source.points(scan_of[epoch])
+        shape = np.column_stack((template.shape.mean, np.zeros(len(template.shape))))
+        row = cKDTree(returns).query(planar.moved(place, shape))[1]
+        own = planar.moved(planar.between(place, np.zeros(3)), returns[row])
+        taken[slot] = Template(epoch, place, own)
+    found = sight_templates(
+        problem,
+        taken,
+        CloudsAt(source, scan_of, settings),
+        TemplateMatchers(settings, GeneralisedMatcher),
+        TemplateOptions.suited(settings, sensor_of(log.scans).sigma_range_m),
+        progress,
+    )
+    return replace(problem, oriented=found.factors), found
+
+
+def _scan_of_epoch(log: Log, source: ScanSource, run: EkfRun) -> dict[int, int]:
+    """Numbers of scans by the epochs that they were taken at."""
+    epochs = run.timeline.epoch_time_s
+    time_s = source.time_s if isinstance(log.odometry, RelativePoses) else resolved(source.time_s)
+    at = np.minimum(np.searchsorted(epochs, time_s), len(epochs) - 1)
+    scans = np.flatnonzero(epochs[at] == time_s)
+    return dict(zip(at[scans].tolist(), scans.tolist(), strict=True))

@@ -1,0 +1,1 @@
+"""Scan-SLAM: landmarks made of scans (Nieto 2005, chapter 5)."""

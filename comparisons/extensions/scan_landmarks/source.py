@@ -1,0 +1,305 @@
+"""Scan-SLAM over a log: its scans, one by one, as sightings of scan landmarks."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.adapters.beam_noise import sensor_of
+from comparisons.adapters.oriented_sightings import OrientedLedger
+from comparisons.adapters.planar_scans import PlanarScans, view_to
+from comparisons.adapters.timeline import resolved
+from comparisons.errors import InputError
+from comparisons.extensions.dense_maps.source import DenseOptions, DenseWatcher
+from comparisons.logs.log import Log
+from comparisons.logs.odometry import RelativePoses
+from ekf_reference.dense.scan import Scan
+from ekf_reference.dense.surroundings import Surroundings
+from ekf_reference.dynamic_guard import DynamicGuard
+from ekf_reference.full_ekf import FullEkf
+from ekf_reference.kalman import FilterDivergedError
+from ekf_reference.layout import ORIENTED, POINT
+from ekf_reference.local_map import LocalMap
+from ekf_reference.scan_landmarks.pieces import JoinedSegments, Pieces, SingleSegments
+from ekf_reference.scan_landmarks.scan_shape import of_scan
+from ekf_reference.scan_landmarks.scan_slam import ScanLandmarks, ScanSlam, ScanSlamOptions
+from ekf_reference.scan_landmarks.sog import SumOfGaussians
+from ekf_reference.scan_landmarks.twins import FusingOptions, Twins
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+Flags = NDArray[np.bool_]
+
+LANDMARKS = {"points": (POINT,), "scans": (ORIENTED,), "both": (POINT, ORIENTED)}
+"""What the landmarks are: the log's sightings of points, pieces of its scans, or both; and the
+kinds that regions of a dense map hang on, by width."""
+PIECES: dict[str, Pieces] = {one.name: one for one in (JoinedSegments(), SingleSegments())}
+"""Which returns of a scan become one landmark."""
+ENRICH_M = 1.0
+"""Sigma of where a landmark should be seen, from which on its template alone may be fragile."""
+_ENRICHING = DenseOptions(("occupancy", "sog"), known_m=0.5)
+"""What templates are enriched from: a scan from a vehicle that does not know where it is among a
+region's landmarks would draw there what it is to be compared with."""
+_MARGIN_M = 0.01
+"""The farthest return is in view."""
+
+
+@dataclass(frozen=True)
+class _Telling:
+    """The ledger, at one epoch."""
+
+    ledger: OrientedLedger
+    ekf: FullEkf
+    epoch: int
+
+    def observe(self, z: Array, covariance: Array, slot: Index) -> Index:
+        """See OrientedLedger.observe."""
+        return self.ledger.observe(self.ekf, self.epoch, z, covariance, slot)
+
+    def fuse(self, first: int, second: int, z: Array, covariance: Array) -> LocalMap:
+        """See OrientedLedger.fuse."""
+        return self.ledger.fuse(self.ekf, self.epoch, first, second, z, covariance)
+
+
+def check_landmarks(landmarks: str) -> None:
+    """Raises InputError for what is not of LANDMARKS."""
+    if landmarks not in LANDMARKS:
+        raise InputError(
+            f"landmarks '{landmarks}' are unknown, expected one of {', '.join(LANDMARKS)}"
+        )
+
+
+def usual_options(*, mapped: bool) -> ScanSlamOptions:
+    """mapped: a dense map hangs on the scan landmarks, which then have to stand among objects."""
+    return ScanSlamOptions(pieces=SingleSegments()) if mapped else ScanSlamOptions()
+
+
+def slam_options(pieces: str | None, templates: str, landmarks: str) -> ScanSlamOptions | None:
+    """As asked for; None where that is what is usual. Raises InputError.
+
+    pieces: of PIECES, None for the usual ones. templates: `bare` or `enriched`.
+    """
+    if templates not in ("bare", "enriched"):
+        raise InputError(f"--templates is '{templates}', expected bare or enriched")
+    if pieces is not None and pieces not in PIECES:
+        raise InputError(f"--pieces is '{pieces}', expected {' or '.join(PIECES)}")
+    richer = templates == "enriched"
+    if not richer and pieces is None:
+        return None
+    if landmarks == "points":
+        asked = "--templates enriched" if richer else f"--pieces {pieces}"
+        raise InputError(f"{asked} goes with --landmarks scans or both")
+    options = usual_options(mapped=richer)
+    return replace(
+        options,
+        pieces=options.pieces if pieces is None else PIECES[pieces],
+        enrich_m=ENRICH_M if richer else math.inf,
+    )
+
+
+class LogScans:
+    """The planar scans of a log as sums of Gaussians, made when they are asked for.
+
+    time_s: (N,), as epochs have them. sensor: what made them. mount: (3,) of the scanner in the
+    vehicle's frame. view: what it sees.
+    """
+
+    def __init__(self, log: Log) -> None:
+        """Raises InputError for a log without planar scans, or with none at the time of a pose."""
+        if log.scans is None or not len(log.scans.time_s):
+            raise InputError(
+                f"{log.name}: holds no planar scans, of which scan landmarks are made; "
+                "use --landmarks points"
+            )
+        self._planar = PlanarScans(log)
+        time_s, self._number = self._planar.time_s, np.arange(len(self._planar.time_s))
+        if isinstance(log.odometry, RelativePoses):
+            self._number = np.flatnonzero(np.isin(time_s, log.odometry.time_s))
+            if not len(self._number):
+                raise InputError(f"{log.name}: no scan was taken at the time of a relative pose")
+        else:
+            time_s = resolved(time_s)
+        self.time_s = time_s[self._number]
+        self.sensor, self.mount = sensor_of(log.scans), log.scans.mount.pose
+        seen = (self.scan(k, np.zeros(3)) for k in range(len(self)))
+        farthest = max(float(one.range_m.max(initial=0.0)) for one in seen)
+        self.view = view_to(log.scans, farthest + _MARGIN_M)
+        self._rims = np.array((self.view.first_rad, self.view.last_rad))
+
+    def __len__(self) -> int:
+        """N."""
+        return len(self.time_s)
+
+    def shape(self, number: int) -> SumOfGaussians:
+        """Scan `number` in the scanner's frame."""
+        return self.shape_of(self.scan(number, np.zeros(3)))
+
+    def shape_of(self, seen: Scan, left_out: Flags | None = None) -> SumOfGaussians:
+        """A scan in the scanner's frame. left_out: (R,) returns to take for none."""
+        way = seen.range_m if left_out is None else np.where(left_out, np.nan, seen.range_m)
+        # Beams without a return at the rims tell where the view ends.
+        bearing = np.append(seen.bearing_rad, self._rims)
+        return of_scan(bearing, np.append(way, (np.nan, np.nan)), self.sensor)
+
+    def scan(self, number: int, vehicle: Array) -> Scan:
+        """Scan `number`, seen with the vehicle at a pose (3,)."""
+        return self._planar.scan(int(self._number[number]), vehicle)
+
+
+@dataclass(frozen=True)
+class Closing:
+    """The scan whose fusion moved the scan landmarks the most, as a rule a loop's closing.
+
+    shift_m: root mean square over the landmarks. slot: (Q,) those that were there and still are.
+    before, after: (Q, 3).
+    """
+
+    time_s: float
+    shift_m: float
+    slot: Index
+    before: Array
+    after: Array
+
+
+class ScanSlamSource:
+    """An OrientedSource: looks at a log's scans at their times. See ScanSlam and Twins."""
+
+    def __init__(
+        self,
+        scans: LogScans,
+        options: ScanSlamOptions | None = None,
+        map_of: DenseWatcher | None = None,
+        fusing: FusingOptions | None = None,
+    ) -> None:
+        """Start without landmarks. map_of: who keeps a map that templates are enriched from.
+
+        fusing: of landmarks that are one; None to leave them two.
+        """
+        self._scans, self._next = scans, 0
+        self._slam = ScanSlam(scans.sensor, scans.view, scans.mount, options)
+        self._twins = None if fusing is None else Twins(self._slam, fusing)
+        self.map_of = map_of
+        self._guard: DynamicGuard | None = None
+        if map_of is not None:
+            self._slam.around = Surroundings(map_of.dense).around
+        self.closing: Closing | None = None
+
+    @property
+    def found(self) -> ScanLandmarks:
+        """Templates, and what became of their sightings."""
+        return self._slam.found
+
+    @property
+    def pieces(self) -> str:
+        """Of PIECES."""
+        return self._slam.options.pieces.name
+
+    def keep_from(self, guard: DynamicGuard) -> None:
+        """Returns that lie where something moves are left out, and counted."""
+        self._guard = guard
+
+    def _scan(self, ekf: FullEkf) -> SumOfGaussians:
+        """This epoch's, without what moves."""
+        if self._guard is None:
+            return self._scans.shape(self._next)
+        seen = self._scans.scan(self._next, ekf.read_pose().pose)
+        moves = self._guard.is_dynamic(seen.point)
+        self.found.dynamic += int(np.count_nonzero(moves))
+        return self._scans.shape_of(seen, moves)
+
+    def stepping(self, ekf: FullEkf, time_s: float, control: Array, duration_s: float) -> None:
+        """The map, if there is one, takes in the scans of the interval."""
+        if self.map_of is not None:
+            self.map_of.stepping(ekf, time_s, control, duration_s)
+
+    def arrived(self, ekf: FullEkf) -> None:
+        """What waits there follows the vehicle."""
+        if self.map_of is not None:
+            self.map_of.arrived(ekf)
+
+    def updated(self, ekf: FullEkf) -> None:
+        """It follows its landmarks."""
+        if self.map_of is not None:
+            self.map_of.updated(ekf)
+
+    def finished(self, ekf: FullEkf, time_s: float) -> None:
+        """No template is enriched any more."""
+
+    def look(self, ekf: FullEkf, epoch: int, time_s: float, ledger: OrientedLedger) -> None:
+        """The scan of this epoch, if there is one. Raises FilterDivergedError."""
+        times = self._scans.time_s
+        while self._next < len(times) and times[self._next] < time_s:
+            self._next += 1
+        if self._next < len(times) and times[self._next] == time_s:
+            if not np.isfinite(ekf.state.pose_covariance).all():
+                raise FilterDivergedError("the pose's covariance is not finite")
+            before = ekf.state.oriented.copy()
+            telling = _Telling(ledger, ekf, epoch)
+            self._slam.step(ekf, self._scan(ekf), telling)
+            if self._twins is not None:
+                self._twins.step(ekf, telling)
+            self._note(time_s, before, ekf.state.oriented[: len(before)].copy())
+            self._next += 1
+
+    def _note(self, time_s: float, before: Array, after: Array) -> None:
+        there = np.flatnonzero(np.isfinite(after[:, 0]))
+        before, after = before[there], after[there]
+        squared = np.square(after[:, :2] - before[:, :2]).sum(axis=1)
+        known = self.closing
+        if known is None or squared.sum() > known.shift_m**2 * len(known.before):
+            shift = float(np.sqrt(squared.mean())) if len(squared) else 0.0
+            self.closing = Closing(time_s, shift, there, before, after)
+
+
+class ScanSlamSources:
+    """Scan-SLAM as often as a filter is run over one log. log: as the filter is to read it."""
+
+    def __init__(
+        self,
+        log: Log,
+        scans: LogScans,
+        kinds: tuple[int, ...],
+        options: ScanSlamOptions | None = None,
+        fusing: FusingOptions | None = None,
+    ) -> None:
+        """scans: the log's. kinds: of landmarks that a map to enrich templates from hangs on.
+
+        fusing: see ScanSlamSource.
+        """
+        self.log, self.scans = log, scans
+        self._kinds, self._options, self._fusing = kinds, options or ScanSlamOptions(), fusing
+        self._made: list[ScanSlamSource] = []
+
+    @classmethod
+    def of(
+        cls,
+        log: Log,
+        landmarks: str,
+        options: ScanSlamOptions | None = None,
+        fusing: FusingOptions | None = None,
+    ) -> ScanSlamSources | None:
+        """What `landmarks` of LANDMARKS asks for; None for points alone. Raises InputError."""
+        if landmarks == "points":
+            return None
+        scans = LogScans(log)
+        if landmarks == "scans":
+            log = replace(
+                log, sightings=log.sightings.chosen(np.zeros(len(log.sightings.time_s), dtype=bool))
+            )
+        return cls(log, scans, LANDMARKS[landmarks], options, fusing)
+
+    def __call__(self) -> ScanSlamSource:
+        """Another one, without landmarks."""
+        kept = None
+        if math.isfinite(self._options.enrich_m):
+            kept = DenseWatcher(self.log, _ENRICHING, kinds=self._kinds)
+        self._made.append(ScanSlamSource(self.scans, self._options, kept, self._fusing))
+        return self._made[-1]
+
+    @property
+    def first(self) -> ScanSlamSource:
+        """What the first run left."""
+        return self._made[0]

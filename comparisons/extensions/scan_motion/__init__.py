@@ -1,0 +1,1 @@
+"""Motion from scans in place of, or beside, the odometry."""

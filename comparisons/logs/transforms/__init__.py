@@ -1,0 +1,1 @@
+"""From one log to another: surveyed landmarks, tree features, motion from scans."""

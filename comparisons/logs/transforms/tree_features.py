@@ -1,0 +1,71 @@
+"""Sightings made from a log's raw scans, in place of those that the log brings."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from comparisons.adapters.motion import motion_between
+from comparisons.errors import InputError
+from comparisons.logs.log import NO_LANDMARK, Log, Sightings
+from comparisons.logs.scans import Scans
+from ekf_reference.tree_detection import ROUNDNESS, TreeTracker
+from graphslam.scan import planar
+from graphslam.scan.points import planar_points
+
+FEATURES = ("log", "trees")
+SIGMA_BEARING_RAD = np.deg2rad(1.0)
+
+
+def choose_features(log: Log, name: str) -> Log:
+    """The log with the sightings asked for: its own, or trunks found in its scans."""
+    if name not in FEATURES:
+        raise InputError(f"features '{name}' is unknown, expected {' or '.join(FEATURES)}")
+    if name == "log":
+        return log
+    if log.scans is None:
+        raise InputError(f"{log.name}: holds no scans to find trees in; use --features log")
+    return with_tree_sightings(log, log.scans)
+
+
+def with_tree_sightings(log: Log, scans: Scans) -> Log:
+    """Range, bearing and diameter of tracked trunks (Guivant 2002, section 3.1).
+
+    The vehicle's motion between scans, which the tracks need, is dead reckoned. Trunks are found
+    and followed in the scanner's frame, and told in the vehicle's.
+    """
+    if not len(log.odometry.time_s):
+        raise InputError(f"{log.name}: holds no odometry, which following trunks needs")
+    inside = (scans.time_s >= log.prior.time_s) & (scans.time_s <= log.odometry.time_s[-1])
+    rows = np.flatnonzero(inside)
+    tracker = TreeTracker()
+    parts = []
+    motion = motion_between(log, scans.time_s[rows]).displacement
+    mount = scans.mount.pose
+    for row, driven in zip(rows.tolist(), motion, strict=True):
+        moved = planar.between(mount, planar.compose(driven, mount))
+        trunks = tracker.detect(scans.angle_rad, scans.range_m[row], moved)
+        sigma = np.hypot(tracker.model.sigma_range_m, ROUNDNESS * np.sqrt(trunks.diameter_variance))
+        count = len(trunks.track)
+        time = np.full(count, scans.time_s[row])
+        place = planar_points(trunks.bearing_rad, trunks.range_m, mount)
+        distance, bearing = np.hypot(*place.T[:2]), np.arctan2(place[:, 1], place[:, 0])
+        parts.append((time, distance, bearing, sigma, trunks.diameter_m))
+    if not sum(len(part[0]) for part in parts):
+        raise InputError(f"{log.name}: no trunks in its scans")
+    time, distance, bearing, sigma, diameter = (
+        np.concatenate(column) for column in zip(*parts, strict=True)
+    )
+    sightings = Sightings(
+        time,
+        distance,
+        bearing,
+        sigma,
+        np.full(len(time), SIGMA_BEARING_RAD),
+        np.full(len(time), NO_LANDMARK),
+        diameter,
+        needs_confirmation=True,
+    )
+    provenance = {**log.provenance, "features": "tree trunks from the scans"}
+    return replace(log, sightings=sightings, provenance=provenance)

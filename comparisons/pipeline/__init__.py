@@ -1,0 +1,1 @@
+"""The jobs: prepare a log, run both estimators, compare, solve, check, map."""
