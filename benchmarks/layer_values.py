@@ -50,13 +50,17 @@ def coloured_poles(seed: int, loops: float, *, mixed: bool = False) -> Log:
     landmark = np.vstack((plain.landmark, beside))
     count = len(landmark)
     pole = np.column_stack((landmark, np.full(count, DIAMETER_M)))
-    world = ScanWorld(plain.path, landmark, pole=pole, pole_height_m=np.full(count, 2.0))
+    world = ScanWorld(
+        path=plain.path, landmark=landmark, pole=pole, pole_height_m=np.full(count, 2.0)
+    )
     drive = Drive(
         loops=0, extra_s=loops * Drive.loop_s, sigma_range_m=0.05,
         sigma_bearing_rad=math.radians(0.3), max_range_m=20.0, sigma_speed_mps=0.5,
         sigma_steering_rad=math.radians(5.0),
     )  # fmt: skip
-    scanner = Planar(drive.max_range_m, 0.02, math.radians(0.1))
+    scanner = Planar(
+        max_range_m=drive.max_range_m, sigma_range_m=0.02, sigma_beam_rad=math.radians(0.1)
+    )
     log = simulate(rng, ScanExperiment("coloured-poles", __doc__, world, drive, scanner))
     first = rng.integers(0, 2, count // 2)
     colour = np.array(COLOURS)[np.concatenate((first, 1 - first))]

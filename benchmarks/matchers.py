@@ -106,7 +106,15 @@ def registration(pose: Array, added: Array, overlap: float, free: int) -> Regist
     """Of a pose and the covariance of the error added to it; what was not measured is NaN."""
     turn = planar.rotation(pose[2])
     nothing = np.full(3, np.nan)
-    return Registration(pose, turn.T @ added @ turn, 0, overlap, np.nan, nothing, free)
+    return Registration(
+        motion=pose,
+        covariance=turn.T @ added @ turn,
+        inliers=0,
+        overlap=overlap,
+        residual_m=np.nan,
+        stiffness=nothing,
+        open_directions=free,
+    )
 
 
 def simulated_pairs(rng: np.random.Generator, count: int) -> list[Pair]:

@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SightingRecords:
     """M sightings of one kind of landmarks, in the order in which the filter used them.
 
@@ -47,10 +47,10 @@ class SightingRecords:
 
     def rows(self, rows: Index) -> SightingRecords:
         """Some of them."""
-        return SightingRecords(*(column[rows] for column in vars(self).values()))
+        return SightingRecords(**{name: column[rows] for name, column in vars(self).items()})
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PositionRecords:
     """G position fixes, or parts of them.
 
@@ -69,7 +69,7 @@ class PositionRecords:
     weight: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FusionRecords:
     """T relations between two landmarks with a direction, or parts of them.
 
@@ -105,7 +105,7 @@ class RemovalRecords:
     slot: Index
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class TraceArrays:
     """A finished trace.
 
@@ -145,18 +145,18 @@ def sighting_records(
         return np.concatenate((np.zeros((0, *shape)), *parts))
 
     return SightingRecords(
-        repeated([step for step, _ in uses], ()).astype(np.intp),
-        joined([use.sighting for use in each], ()).astype(np.intp),
-        joined([use.slot for use in each], ()).astype(np.intp),
-        repeated([use.pose for use in each], (p,)),
-        joined([use.landmark for use in each], (width,)),
-        joined([use.innovation for use in each], (width,)),
-        joined([use.jacobian_pose for use in each], (width, p)),
-        joined([use.jacobian_other for use in each], (width, width)),
-        joined([use.noise for use in each], (width, width)),
-        joined([use.spread for use in each], (width, width)),
-        joined([use.whitened for use in each], (width,)),
-        repeated([use.weight for use in each], ()),
+        step=repeated([step for step, _ in uses], ()).astype(np.intp),
+        sighting=joined([use.sighting for use in each], ()).astype(np.intp),
+        slot=joined([use.slot for use in each], ()).astype(np.intp),
+        pose=repeated([use.pose for use in each], (p,)),
+        landmark=joined([use.landmark for use in each], (width,)),
+        innovation=joined([use.innovation for use in each], (width,)),
+        jacobian_pose=joined([use.jacobian_pose for use in each], (width, p)),
+        jacobian_other=joined([use.jacobian_other for use in each], (width, width)),
+        noise=joined([use.noise for use in each], (width, width)),
+        spread=joined([use.spread for use in each], (width, width)),
+        whitened=joined([use.whitened for use in each], (width,)),
+        weight=repeated([use.weight for use in each], ()),
     )
 
 
@@ -164,8 +164,19 @@ def position_records(uses: list[tuple[int, PositionUse]], p: int) -> PositionRec
     """One row per fix or part of it."""
     step = np.array([step for step, _ in uses], dtype=np.intp)
     shapes = ((), (p,), (2,), (2, p), (2, 2), (2, 2), ())
-    number, *columns = stacked([use for _, use in uses], shapes)
-    return PositionRecords(step, number.astype(np.intp), *columns)
+    number, pose, innovation, jacobian_pose, noise, spread, weight = stacked(
+        [use for _, use in uses], shapes
+    )
+    return PositionRecords(
+        step=step,
+        number=number.astype(np.intp),
+        pose=pose,
+        innovation=innovation,
+        jacobian_pose=jacobian_pose,
+        noise=noise,
+        spread=spread,
+        weight=weight,
+    )
 
 
 def fusion_records(uses: list[tuple[int, FusionUse]]) -> FusionRecords:
@@ -174,8 +185,20 @@ def fusion_records(uses: list[tuple[int, FusionUse]]) -> FusionRecords:
     square = (3, 3)
     shapes = ((), (), (), (3,), (3,), (3,), square, square, square, ())
     number, first, second, *columns = stacked([use for _, use in uses], shapes)
-    slots = first.astype(np.intp), second.astype(np.intp)
-    return FusionRecords(step, number.astype(np.intp), *slots, *columns)
+    first_place, second_place, innovation, by_first, by_second, noise, weight = columns
+    return FusionRecords(
+        step=step,
+        number=number.astype(np.intp),
+        first=first.astype(np.intp),
+        second=second.astype(np.intp),
+        first_place=first_place,
+        second_place=second_place,
+        innovation=innovation,
+        jacobian_first=by_first,
+        jacobian_second=by_second,
+        noise=noise,
+        weight=weight,
+    )
 
 
 def removal_records(removals: list[tuple[int, Removal]]) -> RemovalRecords:

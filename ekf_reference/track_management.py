@@ -35,7 +35,7 @@ class Reliability:
     silence_s: float = 3.0
 
 
-@dataclass
+@dataclass(kw_only=True)
 class TrackManagement:
     """Wraps an association rule; its new landmarks have to pass as candidates first.
 

@@ -39,7 +39,7 @@ class Clusters:
     width_rad: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class TrunkModel:
     """What a trunk looks like, and how well it is seen.
 
@@ -105,7 +105,7 @@ def diameter_variance(range_m: Array, width_rad: Array, model: TrunkModel) -> Ar
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Trunks:
     """T detections of one scan: centres and diameters.
 
@@ -121,7 +121,7 @@ class Trunks:
     scans: Index
 
 
-@dataclass
+@dataclass(kw_only=True)
 class TreeTracker:
     """Follows trunks from scan to scan and filters their diameters (Guivant 2002, eq. 16).
 
@@ -159,12 +159,12 @@ class TreeTracker:
         self._scans[row] += 1
         diameter = self._diameter[row]
         trunks = Trunks(
-            self._track[row],
-            found.range_m + ROUNDNESS * diameter,
-            found.bearing_rad,
-            diameter,
-            self._variance[row],
-            self._scans[row],
+            track=self._track[row],
+            range_m=found.range_m + ROUNDNESS * diameter,
+            bearing_rad=found.bearing_rad,
+            diameter_m=diameter,
+            diameter_variance=self._variance[row],
+            scans=self._scans[row],
         )
         self._keep(self._unseen <= self.silence)
         return trunks

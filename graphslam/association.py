@@ -50,7 +50,7 @@ class AssociationResult:
     landmarks: Array
 
 
-@dataclass
+@dataclass(kw_only=True)
 class _Draft:
     """What is decided so far.
 
@@ -83,13 +83,13 @@ def associate(problem: SlamProblem, options: Options | None = None) -> Associati
     values = gtsam.Values()
     values.insert(POSE_KEY, gtsam.Pose2(*problem.prior_pose))
     draft = _Draft(
-        problem,
-        options,
-        np.argsort(problem.sighting_pose, kind="stable"),
-        np.full(len(problem.z), UNSEEN, dtype=np.intp),
-        values,
-        Belief(problem.prior_pose, problem.prior_covariance),
-        np.zeros(len(problem.z), dtype=bool),
+        problem=problem,
+        options=options,
+        order=np.argsort(problem.sighting_pose, kind="stable"),
+        slot=np.full(len(problem.z), UNSEEN, dtype=np.intp),
+        values=values,
+        belief=Belief(problem.prior_pose, problem.prior_covariance),
+        included=np.zeros(len(problem.z), dtype=bool),
     )
     _see(draft, 0)
     while draft.known < problem.pose_count:

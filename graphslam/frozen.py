@@ -42,7 +42,7 @@ class RecordedSteps:
     q: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RecordedSightings:
     """M relations residual = jacobian_pose (x - pose) + jacobian_landmark (l - landmark) + v.
 
@@ -76,7 +76,7 @@ class RecordedPositions:
     covariance: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RecordedTwins:
     """T relations residual = jacobian_first (l - first_place) + jacobian_second (l' - ...) + v.
 
@@ -114,34 +114,44 @@ def recorded_problem(
     identity = np.broadcast_to(np.eye(p), (len(chain.f) + 1, p, p))
     before, after = whiten(chain.q, -chain.f, identity[1:])
     return LinearProblem(
-        LinearPrior(prior_pose, whiten(prior_covariance[None], identity[:1])[0][0]),
-        LinearMotion(
+        prior=LinearPrior(prior_pose, whiten(prior_covariance[None], identity[:1])[0][0]),
+        motion=LinearMotion(
             chain.departed,
             chain.arrived,
             before,
             after,
             np.zeros_like(chain.arrived),
         ),
-        _recorded_sightings(sightings),
-        LinearPositions(
+        sightings=_recorded_sightings(sightings),
+        positions=LinearPositions(
             positions.node,
             positions.pose,
             *whiten(positions.covariance, positions.jacobian_pose, positions.residual),
         ),
-        LinearSurvey(np.zeros((0, 2)), np.zeros((0, 2, 2))),
-        no_oriented() if oriented is None else _recorded_sightings(oriented),
-        no_twins() if twins is None else _recorded_twins(twins),
+        survey=LinearSurvey(np.zeros((0, 2)), np.zeros((0, 2, 2))),
+        oriented=no_oriented() if oriented is None else _recorded_sightings(oriented),
+        twins=no_twins() if twins is None else _recorded_twins(twins),
     )
 
 
 def _recorded_sightings(seen: RecordedSightings) -> LinearSightings:
-    rows = whiten(seen.covariance, seen.jacobian_pose, seen.jacobian_landmark, seen.residual)
-    return LinearSightings(seen.node, seen.slot, seen.pose, seen.landmark, *rows)
+    a, c, b = whiten(seen.covariance, seen.jacobian_pose, seen.jacobian_landmark, seen.residual)
+    return LinearSightings(
+        node=seen.node, slot=seen.slot, pose=seen.pose, landmark=seen.landmark, a=a, c=c, b=b
+    )
 
 
 def _recorded_twins(twins: RecordedTwins) -> LinearTwins:
-    rows = whiten(twins.covariance, twins.jacobian_first, twins.jacobian_second, twins.residual)
-    return LinearTwins(twins.first, twins.second, twins.first_place, twins.second_place, *rows)
+    a, c, b = whiten(twins.covariance, twins.jacobian_first, twins.jacobian_second, twins.residual)
+    return LinearTwins(
+        first=twins.first,
+        second=twins.second,
+        first_place=twins.first_place,
+        second_place=twins.second_place,
+        a=a,
+        c=c,
+        b=b,
+    )
 
 
 def _compose(steps: RecordedSteps, until: Index) -> RecordedSteps:

@@ -46,7 +46,7 @@ class FrozenPairs:
     second: Array = field(default_factory=lambda: np.zeros((0, 3)))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FrozenPoints:
     """Where the filter linearised this package's factors, for K poses.
 
@@ -81,19 +81,21 @@ def own_problem(problem: SlamProblem, points: FrozenPoints) -> LinearProblem:
     start.insert(0, gtsam.Pose2(*problem.prior_pose))
     prior = _linearised([prior_factor(0, problem)], start, 3, 3)[0]
     return LinearProblem(
-        LinearPrior(problem.prior_pose, prior[:, :3] @ to_tangent(problem.prior_pose[2:3])[0]),
-        _own_motion(problem, points),
-        _own_sightings(problem, points),
-        _own_positions(problem, points),
-        LinearSurvey(
+        prior=LinearPrior(
+            problem.prior_pose, prior[:, :3] @ to_tangent(problem.prior_pose[2:3])[0]
+        ),
+        motion=_own_motion(problem, points),
+        sightings=_own_sightings(problem, points),
+        positions=_own_positions(problem, points),
+        survey=LinearSurvey(
             problem.surveyed,
             *whiten(
                 problem.surveyed_covariance,
                 np.broadcast_to(np.eye(2), problem.surveyed_covariance.shape),
             ),
         ),
-        _own_oriented(problem.oriented, points.oriented),
-        _own_twins(problem.oriented.twins, points.twins),
+        oriented=_own_oriented(problem.oriented, points.oriented),
+        twins=_own_twins(problem.oriented.twins, points.twins),
     )
 
 
@@ -126,7 +128,9 @@ def _own_sightings(problem: SlamProblem, points: FrozenPoints) -> LinearSighting
         rows = _linearised(factors, values, 2, 5)
         a, c, b = rows[:, :, :3] @ to_tangent(pose[:, 2]), rows[:, :, 3:5], rows[:, :, 5]
     node, slot = problem.sighting_pose[chosen], problem.sighting_landmark[chosen]
-    return LinearSightings(node, slot, pose, points.sighting_landmark, a, c, b)
+    return LinearSightings(
+        node=node, slot=slot, pose=pose, landmark=points.sighting_landmark, a=a, c=c, b=b
+    )
 
 
 def _linearised(
@@ -193,14 +197,30 @@ def _own_positions(problem: SlamProblem, points: FrozenPoints) -> LinearPosition
 
 def _own_oriented(seen: OrientedSightings, at: FrozenPairs) -> LinearSightings:
     """Sightings of oriented landmarks."""
-    rows = _frame_in_frame(seen.measured, seen.covariance, at)
-    return LinearSightings(seen.pose[at.row], seen.landmark[at.row], at.first, at.second, *rows)
+    a, c, b = _frame_in_frame(seen.measured, seen.covariance, at)
+    return LinearSightings(
+        node=seen.pose[at.row],
+        slot=seen.landmark[at.row],
+        pose=at.first,
+        landmark=at.second,
+        a=a,
+        c=c,
+        b=b,
+    )
 
 
 def _own_twins(twins: Twins, at: FrozenPairs) -> LinearTwins:
     """Oriented landmarks that are one."""
-    rows = _frame_in_frame(twins.measured, twins.covariance, at)
-    return LinearTwins(twins.first[at.row], twins.second[at.row], at.first, at.second, *rows)
+    a, c, b = _frame_in_frame(twins.measured, twins.covariance, at)
+    return LinearTwins(
+        first=twins.first[at.row],
+        second=twins.second[at.row],
+        first_place=at.first,
+        second_place=at.second,
+        a=a,
+        c=c,
+        b=b,
+    )
 
 
 def _frame_in_frame(measured: Array, covariance: Array, at: FrozenPairs) -> tuple[Array, ...]:

@@ -143,19 +143,23 @@ def read_g2o(path: Path) -> G2oContents:
         raise ValueError(f"{path}: EDGE_PRIOR_XY must hold the first landmarks, each once")
     survey = [survey[i] for i in np.argsort(slots)] if slots else []
     polar = np.array([_polar(r) for r in seen]).reshape(-1, 4)
+    prior_pose, prior_covariance = _prior(path, edges["EDGE_PRIOR_SE2"], poses[0], pose_of)
     return G2oContents(
         SlamProblem(
-            *_prior(path, edges["EDGE_PRIOR_SE2"], poses[0], pose_of),
-            np.array([r.numbers[2:5] for r in moves]).reshape(-1, 3),
-            np.array([_covariance(r, 5) for r in moves]).reshape(-1, 3, 3),
-            np.array([place(r, 0, pose_of, "pose") for r in seen], dtype=np.intp),
-            np.array([place(r, 1, slot_of, "landmark") for r in seen], dtype=np.intp),
-            polar[:, :2],
-            polar[:, 2:],
-            len(slot_of),
-            np.array([place(r, 0, pose_of, "pose") for r in fixes], dtype=np.intp),
-            np.array([r.numbers[1:3] for r in fixes]).reshape(-1, 2),
-            np.array([_covariance(r, 3) for r in fixes]).reshape(-1, 2, 2),
+            prior_pose=prior_pose,
+            prior_covariance=prior_covariance,
+            increment=np.array([r.numbers[2:5] for r in moves]).reshape(-1, 3),
+            increment_covariance=np.array([_covariance(r, 5) for r in moves]).reshape(-1, 3, 3),
+            sighting_pose=np.array([place(r, 0, pose_of, "pose") for r in seen], dtype=np.intp),
+            sighting_landmark=np.array(
+                [place(r, 1, slot_of, "landmark") for r in seen], dtype=np.intp
+            ),
+            z=polar[:, :2],
+            sigma=polar[:, 2:],
+            landmark_count=len(slot_of),
+            position_pose=np.array([place(r, 0, pose_of, "pose") for r in fixes], dtype=np.intp),
+            position=np.array([r.numbers[1:3] for r in fixes]).reshape(-1, 2),
+            position_covariance=np.array([_covariance(r, 3) for r in fixes]).reshape(-1, 2, 2),
             surveyed=np.array([r.numbers[1:3] for r in survey]).reshape(-1, 2),
             surveyed_covariance=np.array([_covariance(r, 3) for r in survey]).reshape(-1, 2, 2),
             closures=Closures(

@@ -52,7 +52,7 @@ class IncrementalEnd:
     checkpoints: tuple[Checkpoint, ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LagEnd:
     """What a fixed-lag smoother leaves.
 
@@ -237,10 +237,10 @@ def run_fixed_lag(problem: SlamProblem, graph: gtsam.NonlinearFactorGraph, lag: 
     slots = np.array(seen, dtype=np.int64) - LANDMARK_KEY
     mean = np.concatenate((poses[-1], places[slots].ravel(), oriented.ravel()))
     return LagEnd(
-        poses,
-        turn @ covariance @ turn.transpose(0, 2, 1),
-        places,
-        oriented,
-        Marginal(mean, to_global(local.covariance, poses[-1, 2], oriented[:, 2])),
-        updates,
+        poses=poses,
+        pose_covariance=turn @ covariance @ turn.transpose(0, 2, 1),
+        landmarks=places,
+        oriented=oriented,
+        marginal=Marginal(mean, to_global(local.covariance, poses[-1, 2], oriented[:, 2])),
+        updates=updates,
     )

@@ -42,7 +42,7 @@ class LinearMotion:
     b: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LinearSightings:
     """Of landmark `slot` from pose `node`: a (x - pose) + c (l - landmark) = b + noise.
 
@@ -80,7 +80,7 @@ class LinearSurvey:
     a: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LinearTwins:
     """Of two oriented landmarks: a (l - first_place) + c (l' - second_place) = b + noise.
 
@@ -99,16 +99,26 @@ class LinearTwins:
 def no_oriented() -> LinearSightings:
     """No sighting of an oriented landmark."""
     nobody, nothing, square = np.zeros(0, dtype=np.intp), np.zeros((0, 3)), np.zeros((0, 3, 3))
-    return LinearSightings(nobody, nobody, nothing, nothing, square, square, nothing)
+    return LinearSightings(
+        node=nobody, slot=nobody, pose=nothing, landmark=nothing, a=square, c=square, b=nothing
+    )
 
 
 def no_twins() -> LinearTwins:
     """No two landmarks are one."""
     nobody, nothing, square = np.zeros(0, dtype=np.intp), np.zeros((0, 3)), np.zeros((0, 3, 3))
-    return LinearTwins(nobody, nobody, nothing, nothing, square, square, nothing)
+    return LinearTwins(
+        first=nobody,
+        second=nobody,
+        first_place=nothing,
+        second_place=nothing,
+        a=square,
+        c=square,
+        b=nothing,
+    )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LinearProblem:
     """All relations of one log. sightings: of points. oriented: of oriented landmarks."""
 

@@ -96,7 +96,7 @@ class Closures:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SlamProblem:
     """Everything the smoother is told, for K poses, L landmarks and M sightings.
 

@@ -17,7 +17,7 @@ UNSEEN, PENDING = -1, -2
 """Not used, for it could be of several landmarks; not explained by any landmark, so far."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Options:
     """What counts as the same, as possible, and as certain.
 

@@ -85,7 +85,7 @@ class Start:
     converged: bool
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SmootherResult:
     """The estimate asked for, and the evidence from the lowest of all attempts.
 
@@ -230,18 +230,18 @@ def smooth(
         raise SingularProblemError(why or "the measurements do not fix every pose and landmark")
     poses, landmarks = from_values(values, problem)
     result = SmootherResult(
-        options,
-        problem,
-        poses,
-        landmarks,
-        best.error,
-        best.iterations,
-        best.converged,
-        tuple(start for start, _ in attempts),
-        proof,
-        rejected,
-        values,
-        graph,
+        options=options,
+        problem=problem,
+        poses=poses,
+        landmarks=landmarks,
+        error=best.error,
+        iterations=best.iterations,
+        converged=best.converged,
+        starts=tuple(start for start, _ in attempts),
+        proof=proof,
+        rejected=rejected,
+        values=values,
+        graph=graph,
     )
     if options.method == "batch":
         return result

@@ -172,7 +172,7 @@ def build_association(
         }
         rule = rules[choices.association or "nn"]
         if log.sightings.needs_confirmation:
-            rule = TrackManagement(rule)
+            rule = TrackManagement(rule=rule)
     rule = SurveyedLandmarks(rule, slot_of) if slot_of else rule
     return rule if memory is None else RememberedAttributes(rule, memory)
 

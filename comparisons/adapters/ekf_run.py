@@ -155,25 +155,25 @@ def run_ekf(
         raise InputError(f"{log.name}: the EKF removed point landmarks, which must stay")
     oriented_id = ekf.state.layout.present(ORIENTED)
     estimate = Estimate(
-        timeline.epoch_time_s,
-        departed[:epochs],
-        covariance[:epochs],
-        _landmark_ids(
+        time_s=timeline.epoch_time_s,
+        pose=departed[:epochs],
+        pose_covariance=covariance[:epochs],
+        landmark_id=_landmark_ids(
             log.sightings.landmark[: len(slot)],
             slot,
             ekf.state.landmark_count,
             choices,
             surveyed(log)[0],
         ),
-        ekf.state.landmarks.copy(),
-        joint,
-        "filtered",
-        {
+        landmark=ekf.state.landmarks.copy(),
+        joint_covariance=joint,
+        information="filtered",
+        provenance={
             "estimator": f"ekf_reference, {choices.filter} EKF",
             "association": str(choices.association),
         },
-        oriented_id,
-        ekf.state.oriented[oriented_id],
+        oriented_id=oriented_id,
+        oriented=ekf.state.oriented[oriented_id],
     )
     fused = np.unique(arrays.positions.number)
     return EkfRun(

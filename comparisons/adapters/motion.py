@@ -46,13 +46,13 @@ def motion_between(log: Log, time_s: Array) -> increments.Samples:
     """
     count = len(time_s)
     marks = Sightings(
-        time_s,
-        np.ones(count),
-        np.zeros(count),
-        np.ones(count),
-        np.ones(count),
-        np.zeros(count, dtype=np.int64),
-        np.full(count, np.nan),
+        time_s=time_s,
+        range_m=np.ones(count),
+        bearing_rad=np.zeros(count),
+        sigma_range_m=np.ones(count),
+        sigma_bearing_rad=np.ones(count),
+        landmark=np.zeros(count, dtype=np.int64),
+        diameter_m=np.full(count, np.nan),
     )
     try:
         timeline = build_timeline(replace(log, sightings=marks))

@@ -44,14 +44,14 @@ def recorded(trace: TraceArrays, until: Index) -> LinearProblem:
         ),
         _sightings(trace.oriented_updates, trace.oriented_augmentations, until),
         RecordedTwins(
-            fusions.first,
-            fusions.second,
-            fusions.first_place,
-            fusions.second_place,
-            fusions.innovation,
-            fusions.jacobian_first,
-            fusions.jacobian_second,
-            fusions.noise,
+            first=fusions.first,
+            second=fusions.second,
+            first_place=fusions.first_place,
+            second_place=fusions.second_place,
+            residual=fusions.innovation,
+            jacobian_first=fusions.jacobian_first,
+            jacobian_second=fusions.jacobian_second,
+            covariance=fusions.noise,
         ),
     )
 
@@ -77,21 +77,37 @@ def oriented_points(
 
 def _sightings(updates: SightingRecords, begun: SightingRecords, until: Index) -> RecordedSightings:
     begun = begun.rows(np.argsort(begun.weight <= 0.0, kind="stable"))
-    parts = (_from_updates(updates), _from_augmentations(begun))
-    step, *columns = (np.concatenate(c) for c in zip(*parts, strict=True))
-    return RecordedSightings(np.searchsorted(until, step), *columns)
+    used, augmented = _from_updates(updates, until), _from_augmentations(begun, until)
+    return RecordedSightings(
+        **{
+            name: np.concatenate((column, vars(augmented)[name]))
+            for name, column in vars(used).items()
+        }
+    )
 
 
-def _from_updates(r: SightingRecords) -> tuple[np.ndarray, ...]:
-    return (
-        r.step, r.slot, r.pose, r.landmark, r.innovation, r.jacobian_pose, r.jacobian_other, r.noise
-    )  # fmt: skip
+def _from_updates(r: SightingRecords, until: Index) -> RecordedSightings:
+    return RecordedSightings(
+        node=np.searchsorted(until, r.step),
+        slot=r.slot,
+        pose=r.pose,
+        landmark=r.landmark,
+        residual=r.innovation,
+        jacobian_pose=r.jacobian_pose,
+        jacobian_landmark=r.jacobian_other,
+        covariance=r.noise,
+    )
 
 
-def _from_augmentations(r: SightingRecords) -> tuple[np.ndarray, ...]:
+def _from_augmentations(r: SightingRecords, until: Index) -> RecordedSightings:
     """Landmark = point + G_x (x - pose) + G_z v, as a relation with residual zero."""
-    identity = np.broadcast_to(np.eye(r.noise.shape[-1]), r.noise.shape)
-    spread = r.jacobian_other @ r.noise @ r.jacobian_other.transpose(0, 2, 1)
-    return (
-        r.step, r.slot, r.pose, r.landmark, r.innovation, -r.jacobian_pose, identity, spread
-    )  # fmt: skip
+    return RecordedSightings(
+        node=np.searchsorted(until, r.step),
+        slot=r.slot,
+        pose=r.pose,
+        landmark=r.landmark,
+        residual=r.innovation,
+        jacobian_pose=-r.jacobian_pose,
+        jacobian_landmark=np.broadcast_to(np.eye(r.noise.shape[-1]), r.noise.shape),
+        covariance=r.jacobian_other @ r.noise @ r.jacobian_other.transpose(0, 2, 1),
+    )

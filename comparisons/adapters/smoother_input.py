@@ -55,21 +55,23 @@ def assemble(
     composed = increments.compose(
         motion_samples(log, timeline), timeline.step_epoch - 1, len(timeline.epoch_time_s) - 1
     )
+    _, surveyed_place, surveyed_covariance = surveyed(log)
     return SlamProblem(
-        log.prior.pose,
-        log.prior.covariance,
-        composed.displacement,
-        composed.covariance,
-        timeline.sighting_epoch[used],
-        slot[used],
-        np.column_stack((seen.range_m, seen.bearing_rad))[used],
-        np.column_stack((seen.sigma_range_m, seen.sigma_bearing_rad))[used],
-        landmark_count,
-        position_epoch,
-        position,
-        position_covariance,
-        antenna_m,
-        *surveyed(log)[1:],
+        prior_pose=log.prior.pose,
+        prior_covariance=log.prior.covariance,
+        increment=composed.displacement,
+        increment_covariance=composed.covariance,
+        sighting_pose=timeline.sighting_epoch[used],
+        sighting_landmark=slot[used],
+        z=np.column_stack((seen.range_m, seen.bearing_rad))[used],
+        sigma=np.column_stack((seen.sigma_range_m, seen.sigma_bearing_rad))[used],
+        landmark_count=landmark_count,
+        position_pose=position_epoch,
+        position=position,
+        position_covariance=position_covariance,
+        lever_m=antenna_m,
+        surveyed=surveyed_place,
+        surveyed_covariance=surveyed_covariance,
         own_axes=own_axes,
     )
 
@@ -134,19 +136,23 @@ def _points(problem: SlamProblem, run: EkfRun) -> FrozenPoints:
     # A landmark begun with a boundless prior is augmented without its sighting's information.
     begun = trace.augmentations
     both = (trace.updates, begun.rows(np.flatnonzero(begun.weight > 0.0)))
+    oriented, twins = oriented_points(trace, lambda pose, step: _as_headings(run, pose, step))
     return FrozenPoints(
-        run.departed,
-        run.arrived,
-        sighting_row[np.concatenate([r.sighting for r in both])],
-        np.concatenate([r.weight for r in both]),
-        _as_headings(
-            run, *(np.concatenate([getattr(r, n) for r in both]) for n in ("pose", "step"))
+        departed=run.departed,
+        arrived=run.arrived,
+        sighting=sighting_row[np.concatenate([r.sighting for r in both])],
+        sighting_weight=np.concatenate([r.weight for r in both]),
+        sighting_pose=_as_headings(
+            run,
+            np.concatenate([r.pose for r in both]),
+            np.concatenate([r.step for r in both]),
         ),
-        np.concatenate([r.landmark for r in both]),
-        fix_row[trace.positions.number],
-        trace.positions.weight,
-        _as_headings(run, trace.positions.pose, trace.positions.step),
-        *oriented_points(trace, lambda pose, step: _as_headings(run, pose, step)),
+        sighting_landmark=np.concatenate([r.landmark for r in both]),
+        position=fix_row[trace.positions.number],
+        position_weight=trace.positions.weight,
+        position_pose=_as_headings(run, trace.positions.pose, trace.positions.step),
+        oriented=oriented,
+        twins=twins,
     )
 
 
@@ -192,16 +198,18 @@ def smoothed_estimate(
     covariance, points = result.marginal().covariance, 3 + result.landmarks.size
     rows = np.concatenate((np.arange(points), points + (3 * kept[:, None] + (0, 1, 2)).ravel()))
     return Estimate(
-        time_s,
-        result.poses,
-        result.pose_covariances(),
-        landmark_id,
-        result.landmarks,
-        covariance[np.ix_(rows, rows)] if len(rows) < len(covariance) else covariance,
-        "fixed-lag" if result.lagged else "smoothed",
-        {"estimator": f"graphslam, {result.options.method}", "association": association},
-        kept,
-        oriented[kept],
+        time_s=time_s,
+        pose=result.poses,
+        pose_covariance=result.pose_covariances(),
+        landmark_id=landmark_id,
+        landmark=result.landmarks,
+        joint_covariance=covariance[np.ix_(rows, rows)]
+        if len(rows) < len(covariance)
+        else covariance,
+        information="fixed-lag" if result.lagged else "smoothed",
+        provenance={"estimator": f"graphslam, {result.options.method}", "association": association},
+        oriented_id=kept,
+        oriented=oriented[kept],
     )
 
 

@@ -21,7 +21,7 @@ _COMPLEX = np.array([1.0, 1.0j])
 """Takes points to complex numbers."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Accuracy:
     """Errors of one estimate; None where the log has no such reference.
 

@@ -78,7 +78,7 @@ class BlockAgreement:
     largest: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Agreement:
     """All gaps, and E against S for the pose, every landmark and the whole.
 
@@ -117,14 +117,16 @@ def compare(ekf: Gaussian, recorded: Gaussian, own: Gaussian, smoother: Gaussian
     )
     distances = [block.difference_m for block in (*landmarks, *oriented)]
     return Agreement(
-        gap(ekf, recorded, sigma),
-        gap(recorded, own, sigma),
-        gap(own, smoother, sigma),
-        _block(ekf, smoother, difference, slice(0, 3)),
-        landmarks,
-        _block(ekf, smoother, difference, slice(0, len(sigma))),
-        float(np.sqrt(np.mean([d**2 for d in distances]))) if distances else 0.0,
-        oriented,
+        algebra=gap(ekf, recorded, sigma),
+        model=gap(recorded, own, sigma),
+        linearisation=gap(own, smoother, sigma),
+        pose=_block(ekf, smoother, difference, slice(0, 3)),
+        landmarks=landmarks,
+        whole=_block(ekf, smoother, difference, slice(0, len(sigma))),
+        landmark_difference_rms_m=float(np.sqrt(np.mean([d**2 for d in distances])))
+        if distances
+        else 0.0,
+        oriented=oriented,
     )
 
 

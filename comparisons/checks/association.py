@@ -81,7 +81,7 @@ def _clusters(place: NDArray[np.float64]) -> NDArray[np.int64]:
     return groups.astype(np.int64)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PartitionAgreement:
     """Two associations of the same sightings, neither being the truth.
 
@@ -118,13 +118,13 @@ def compare_partitions(first: NDArray[np.intp], second: NDArray[np.intp]) -> Par
     together = _pairs(table.ravel())
     own = [_pairs(np.bincount(slot[slot >= 0])) for slot in (first, second)]
     return PartitionAgreement(
-        together,
-        own[0] - together,
-        own[1] - together,
-        _divided(table),
-        _divided(table.T),
-        int(np.count_nonzero((first >= 0) & (second < 0))),
-        int(np.count_nonzero((first < 0) & (second >= 0))),
+        pairs_both=together,
+        pairs_first=own[0] - together,
+        pairs_second=own[1] - together,
+        splits=_divided(table),
+        merges=_divided(table.T),
+        only_first=int(np.count_nonzero((first >= 0) & (second < 0))),
+        only_second=int(np.count_nonzero((first < 0) & (second >= 0))),
     )
 
 

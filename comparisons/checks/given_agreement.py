@@ -62,7 +62,7 @@ class Block:
         return self.least >= LEAST_VARIANCE_RATIO and self.largest <= 1.0 / LEAST_VARIANCE_RATIO
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class GivenAgreement:
     """All that could be compared.
 
@@ -122,17 +122,17 @@ def compare_given(
     ours, theirs = _matched(given, smoothed, labelled=labelled)
     blocks = _landmark_blocks(given, smoothed, ours, theirs)
     found = GivenAgreement(
-        time_s,
-        pose,
-        reference,
-        float(np.sqrt(np.square(difference[:, :2]).sum(axis=1).mean())),
-        float(np.sqrt(np.square(difference[:, 2]).mean())),
-        outside,
-        end,
-        smoothed.landmark_id[theirs],
-        tuple(blocks),
-        (0 if given.landmark is None else len(given.landmark)) - len(ours),
-        (),
+        time_s=time_s,
+        pose=pose,
+        reference=reference,
+        rms_m=float(np.sqrt(np.square(difference[:, :2]).sum(axis=1).mean())),
+        rms_heading_rad=float(np.sqrt(np.square(difference[:, 2]).mean())),
+        outside=outside,
+        last=end,
+        landmark_id=smoothed.landmark_id[theirs],
+        landmarks=tuple(blocks),
+        unmatched=(0 if given.landmark is None else len(given.landmark)) - len(ours),
+        causes=(),
     )
 
     @cache

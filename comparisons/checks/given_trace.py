@@ -39,7 +39,7 @@ _CLOCK_S = 0.5e-4
 """Half of what times are resolved to."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class TraceCheck:
     """Gaps and causes. algebra: None where the estimate lacks the joint covariance.
 
@@ -76,13 +76,13 @@ def check_trace(
     own, theirs = _timelines(file, float(given.time_s[-1]), build_timeline(log, positions))
     joint = given.joint_covariance
     last = Estimate(
-        given.time_s[-1:],
-        given.pose[-1:],
-        np.zeros((1, 3, 3)),
-        given.landmark_id,
-        given.landmark,
-        np.eye(3 + 2 * len(given.landmark)) if joint is None else joint,
-        "filtered",
+        time_s=given.time_s[-1:],
+        pose=given.pose[-1:],
+        pose_covariance=np.zeros((1, 3, 3)),
+        landmark_id=given.landmark_id,
+        landmark=given.landmark,
+        joint_covariance=np.eye(3 + 2 * len(given.landmark)) if joint is None else joint,
+        information="filtered",
     )
     run = _as_run(file, last, theirs, positions)
     problem = build_problem(log, replace(run, timeline=own))
@@ -119,13 +119,13 @@ def check_trace(
         robust=options.robust,
     )
     return TraceCheck(
-        agreement,
-        agreement.algebra if whole else None,
-        verdict,
-        len(run.trace.departed),
-        len(run.trace.updates.step),
-        len(run.trace.augmentations.step),
-        len(run.trace.positions.step),
+        agreement=agreement,
+        algebra=agreement.algebra if whole else None,
+        verdict=verdict,
+        steps=len(run.trace.departed),
+        updates=len(run.trace.updates.step),
+        begun=len(run.trace.augmentations.step),
+        fixes=len(run.trace.positions.step),
     )
 
 

@@ -29,7 +29,7 @@ Information = Literal["filtered", "smoothed", "fixed-lag"]
 _ARRAYS = ("pose", "landmarks", "last_pose_and_landmarks")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class GivenEstimate:
     """What was handed in; None for what was not.
 
@@ -76,7 +76,7 @@ def read_given(path: Path, times: Path | None = None) -> GivenEstimate:
         time_s, pose, covariance = read_trajectory_file(path, times)
         if not len(pose):
             raise InputError(f"{path}: holds no poses")
-        return GivenEstimate(time_s, pose, pose_covariance=covariance)
+        return GivenEstimate(time_s=time_s, pose=pose, pose_covariance=covariance)
     if times is not None:
         raise InputError(f"{path}: is a folder; --times is for KITTI files")
     time_s, pose = read_trajectory(path / "trajectory.tum")
@@ -114,15 +114,15 @@ def read_given(path: Path, times: Path | None = None) -> GivenEstimate:
             raise InputError(f"{path / TRACE}: needs landmarks.csv beside it")
         trace = read_trace(path / TRACE, ids)
     return GivenEstimate(
-        time_s,
-        pose,
-        ids,
-        places,
-        found.get("pose"),
-        own,
-        joint,
-        information,
-        trace,
+        time_s=time_s,
+        pose=pose,
+        landmark_id=ids,
+        landmark=places,
+        pose_covariance=found.get("pose"),
+        landmark_covariance=own,
+        joint_covariance=joint,
+        information=information,
+        trace=trace,
     )
 
 

@@ -87,8 +87,18 @@ def read_estimate(folder: Path) -> Estimate:
         )
     if not (np.isfinite(pose).all() and np.isfinite(joint).all()):
         raise InputError(f"{archive_path}: holds a value that is not a finite number")
-    what = meta.information, meta.provenance
-    return Estimate(time_s, poses, pose, ids, landmark, joint, *what, oriented_id, oriented)
+    return Estimate(
+        time_s=time_s,
+        pose=poses,
+        pose_covariance=pose,
+        landmark_id=ids,
+        landmark=landmark,
+        joint_covariance=joint,
+        information=meta.information,
+        provenance=meta.provenance,
+        oriented_id=oriented_id,
+        oriented=oriented,
+    )
 
 
 def read_meta(path: Path) -> Meta:

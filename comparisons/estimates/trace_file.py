@@ -145,31 +145,34 @@ def read_trace(path: Path, landmark_id: NDArray[np.int64]) -> TraceFile:
         path,
         found["step_time_s"],
         TraceArrays(
-            found["prior_pose"],
-            found["prior_covariance"],
-            found["step_departed"],
-            found["step_arrived"],
-            found["step_f"],
-            found["step_q"],
-            _sightings(found, "update", slot["update"], found["update_innovation"], "landmark"),
-            _sightings(found, "begin", slot["begin"], np.zeros_like(found["begin_point"]),
-                       "sighting"),
-            PositionRecords(
-                found["position_step"].astype(np.intp),
-                found["position_number"].astype(np.intp),
-                found["position_pose"],
-                found["position_innovation"],
-                found["position_jacobian_pose"],
-                found["position_noise"],
-                np.zeros_like(found["position_noise"]),
-                found["position_weight"],
+            prior_pose=found["prior_pose"],
+            prior_covariance=found["prior_covariance"],
+            departed=found["step_departed"],
+            arrived=found["step_arrived"],
+            f=found["step_f"],
+            q=found["step_q"],
+            updates=_sightings(
+                found, "update", slot["update"], found["update_innovation"], "landmark"
             ),
-            sighting_records([], 3, ORIENTED),
-            sighting_records([], 3, ORIENTED),
-            fusion_records([]),
-            removal_records([]),
+            augmentations=_sightings(
+                found, "begin", slot["begin"], np.zeros_like(found["begin_point"]), "sighting"
+            ),
+            positions=PositionRecords(
+                step=found["position_step"].astype(np.intp),
+                number=found["position_number"].astype(np.intp),
+                pose=found["position_pose"],
+                innovation=found["position_innovation"],
+                jacobian_pose=found["position_jacobian_pose"],
+                noise=found["position_noise"],
+                spread=np.zeros_like(found["position_noise"]),
+                weight=found["position_weight"],
+            ),
+            oriented_updates=sighting_records([], 3, ORIENTED),
+            oriented_augmentations=sighting_records([], 3, ORIENTED),
+            fusions=fusion_records([]),
+            removals=removal_records([]),
         ),
-    )  # fmt: skip
+    )
 
 
 def _sightings(
@@ -177,18 +180,18 @@ def _sightings(
 ) -> SightingRecords:
     noise = found[f"{part}_noise"]
     return SightingRecords(
-        found[f"{part}_step"].astype(np.intp),
-        found[f"{part}_sighting"].astype(np.intp),
-        slot,
-        found[f"{part}_pose"],
-        found[f"{part}_point"],
-        innovation,
-        found[f"{part}_jacobian_pose"],
-        found[f"{part}_jacobian_{other}"],
-        noise,
-        np.zeros_like(noise),
-        np.zeros((len(noise), 2)),
-        found[f"{part}_weight"],
+        step=found[f"{part}_step"].astype(np.intp),
+        sighting=found[f"{part}_sighting"].astype(np.intp),
+        slot=slot,
+        pose=found[f"{part}_pose"],
+        landmark=found[f"{part}_point"],
+        innovation=innovation,
+        jacobian_pose=found[f"{part}_jacobian_pose"],
+        jacobian_other=found[f"{part}_jacobian_{other}"],
+        noise=noise,
+        spread=np.zeros_like(noise),
+        whitened=np.zeros((len(noise), 2)),
+        weight=found[f"{part}_weight"],
     )
 
 

@@ -34,7 +34,7 @@ NO_LANDMARK = -1
 """Landmark id of a sighting whose landmark the sensor did not name."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Sightings:
     """Range-bearing detections of landmarks, bearings counter-clockwise from straight ahead.
 
@@ -207,7 +207,7 @@ class Prior:
         positive_definite("prior", self.covariance[None])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Log:
     """One drive: its streams, its prior, and where they come from.
 

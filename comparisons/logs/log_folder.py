@@ -85,18 +85,20 @@ def read_log_folder(folder: Path) -> Log:
         raise InputError(f"{folder / 'sightings.csv'}: no such file")
     try:
         return Log(
-            meta.name,
-            "log-folder",
-            Prior(meta.prior.time_s, np.array(meta.prior.pose), np.array(meta.prior.covariance)),
-            _read_odometry(folder / "odometry.csv", meta),
-            sightings,
-            _read_positions(folder / "positions.csv", meta.positions.antenna_m),
-            _read_landmarks(folder / "known_landmarks.csv"),
-            _read_sightings(folder / "known_sightings.csv"),
-            _read_scans(folder / "scans.npz", meta.scans),
-            _read_clouds(folder / "clouds.npz"),
-            truth,
-            meta.provenance,
+            name=meta.name,
+            format="log-folder",
+            prior=Prior(
+                meta.prior.time_s, np.array(meta.prior.pose), np.array(meta.prior.covariance)
+            ),
+            odometry=_read_odometry(folder / "odometry.csv", meta),
+            sightings=sightings,
+            positions=_read_positions(folder / "positions.csv", meta.positions.antenna_m),
+            known_landmarks=_read_landmarks(folder / "known_landmarks.csv"),
+            known_sightings=_read_sightings(folder / "known_sightings.csv"),
+            scans=_read_scans(folder / "scans.npz", meta.scans),
+            clouds=_read_clouds(folder / "clouds.npz"),
+            truth=truth,
+            provenance=meta.provenance,
         )
     except RecordError as error:
         raise InputError(f"{folder}: {error}") from None
@@ -187,16 +189,16 @@ def _read_sightings(path: Path, settings: SightingsModel | None = None) -> Sight
     table = Table(path, _SIGHTINGS, comma=True, header=True, gaps=_GAPS, optional=("intensity",))
     with table.locating():
         return Sightings(
-            table["time_s"],
-            table["range_m"],
-            table["bearing_rad"],
-            table["sigma_range_m"],
-            table["sigma_bearing_rad"],
-            whole_numbers("sightings", "landmark", table["landmark"]),
-            table["diameter_m"],
-            settings.label_gate,
-            settings.needs_confirmation,
-            table["intensity"] if "intensity" in table.columns else np.zeros(0),
+            time_s=table["time_s"],
+            range_m=table["range_m"],
+            bearing_rad=table["bearing_rad"],
+            sigma_range_m=table["sigma_range_m"],
+            sigma_bearing_rad=table["sigma_bearing_rad"],
+            landmark=whole_numbers("sightings", "landmark", table["landmark"]),
+            diameter_m=table["diameter_m"],
+            label_gate=settings.label_gate,
+            needs_confirmation=settings.needs_confirmation,
+            intensity=table["intensity"] if "intensity" in table.columns else np.zeros(0),
         )
 
 
@@ -248,7 +250,14 @@ def _read_scans(path: Path, settings: ScansModel) -> Scans | None:
     )
     mount = Mount(settings.forward_m, settings.left_m, settings.heading_rad)
     with _naming(path):
-        return Scans(time_s, angle_rad, range_m, intensity, mount, settings.beam_s)
+        return Scans(
+            time_s=time_s,
+            angle_rad=angle_rad,
+            range_m=range_m,
+            intensity=intensity,
+            mount=mount,
+            beam_s=settings.beam_s,
+        )
 
 
 def _read_clouds(path: Path) -> Clouds | None:

@@ -36,7 +36,7 @@ class Mount:
         return np.array((self.forward_m, self.left_m, self.heading_rad))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Scans:
     """Planar laser scans. angle_rad: (B,) from the scanner's ahead, counter-clockwise.
 

@@ -106,7 +106,7 @@ def smallest_angle(triangle: Array) -> Array:
     return angle
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Conditions:
     """Bounds of the three conditions, and how large a region may be.
 

@@ -37,7 +37,7 @@ class Tally:
     outside: int = 0
 
 
-@dataclass
+@dataclass(kw_only=True)
 class DenseMap:
     """Regions between a filter's landmarks, and layers in them, fed scan by scan.
 

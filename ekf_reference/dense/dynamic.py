@@ -43,7 +43,7 @@ _MODEL = InverseSensorModel(p_occupied=0.9, p_free=0.3)
 _CONFIDENCE = 0.95
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Differencing:
     """Which maps are differenced, and what counts as a change.
 
@@ -99,7 +99,7 @@ class _Map(NamedTuple):
     edge_m: Array
 
 
-@dataclass
+@dataclass(kw_only=True)
 class _History:
     """What is remembered of a region.
 
@@ -241,7 +241,15 @@ class DynamicLayer:
             brief, lasting = (LowPass.over(grid, triangle, width_m) for width_m in widths)
             none = np.zeros(len(old), dtype=bool)
             first = deque((_Map(now, _occupancy(old), edge_m),))
-            history = _History(none, brief, lasting, self.rule.least * sigma_m**2, first, now, now)
+            history = _History(
+                dynamic=none,
+                brief=brief,
+                lasting=lasting,
+                least_m2=self.rule.least * sigma_m**2,
+                recent=first,
+                looked_s=now,
+                seen_s=now,
+            )
             self._history[region] = history
         elif now - history.seen_s > self.rule.absence_s:
             history.visit = _Map(history.seen_s, _occupancy(old), edge_m)

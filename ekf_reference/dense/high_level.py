@@ -27,7 +27,7 @@ Index = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SearchOptions:
     """Where and what is looked for; lengths and the least number are those of Nieto 2005, 6.1.3.
 

@@ -61,7 +61,7 @@ class LifeOptions:
     observation: ObservationOptions = field(default_factory=lambda: ObservationOptions(0.4, 0.8))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class HighLevelLandmark:
     """One of them.
 
@@ -124,7 +124,11 @@ class HighLevelLandmarks:
         pair = max(ends, key=lambda ij: float(np.hypot(*(point[ij[0]] - point[ij[1]]))))
         held = local_pose(found.place, point[pair[0]], point[pair[1]])
         kept = HighLevelLandmark(
-            found.template, found.rectangle, np.array(pair), held, _belief(found)
+            template=found.template,
+            rectangle=found.rectangle,
+            base=np.array(pair),
+            held=held,
+            belief=_belief(found),
         )
         self.landmark.append(kept)
 

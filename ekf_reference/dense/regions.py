@@ -51,7 +51,7 @@ class Potential(NamedTuple):
     placed: PlacedRegions
 
 
-@dataclass
+@dataclass(kw_only=True)
 class LocalRegions:
     """The regions, oldest first; `extend` and `extend_virtual` append, nothing else changes.
 

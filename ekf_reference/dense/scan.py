@@ -63,7 +63,7 @@ class Beams:
     range_m: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Scan:
     """The returns of one scan. pose: (3,) of the scanner in the world.
 
@@ -99,7 +99,14 @@ class Scan:
         bearing = np.mod(bearing_rad[returned] + np.pi, _TURN) - np.pi
         order = np.argsort(bearing, kind="stable")
         told = None if value is None else value[returned][order]
-        return cls(pose, bearing[order], range_m[returned][order], sensor, number, told)
+        return cls(
+            pose=pose,
+            bearing_rad=bearing[order],
+            range_m=range_m[returned][order],
+            sensor=sensor,
+            number=number,
+            value=told,
+        )
 
     @property
     def origin(self) -> Array:

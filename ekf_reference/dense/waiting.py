@@ -89,7 +89,7 @@ class Points(NamedTuple):
         return cls(index, np.empty((0, 2)), np.empty((0, 2)), np.empty((0, 2, 3)), index, index)
 
 
-@dataclass
+@dataclass(kw_only=True)
 class WaitingRoom:
     """The points that wait. Of a scan: predicted, the filter's update, updated, release, add.
 

@@ -29,7 +29,7 @@ _COARSE = 0.03
 """A step so short, in inflations, ends a stage that another follows."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Alignment:
     """Where the first sum lies in the second one's frame, with evidence.
 
@@ -187,7 +187,15 @@ def evidence(problem: Problem, best: Climb, runner_up: float) -> Alignment:
 
 def _apart(problem: Problem) -> Alignment:
     pose = moved(problem.guess, -problem.centre)
-    return Alignment(pose, -math.inf, 0.0, 0.0, 0.0, 0, converged=False)
+    return Alignment(
+        pose=pose,
+        log_likelihood=-math.inf,
+        correlation=0.0,
+        overlap=0.0,
+        runner_up=0.0,
+        iterations=0,
+        converged=False,
+    )
 
 
 def _newton(slope: Array, bend: Array, radius: float) -> Array:

@@ -55,7 +55,7 @@ _LEAST = 0.1
 """Least variance of a fixed direction, over what it were with all returns independent."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class CovarianceOptions:
     """What is believed of a maximum.
 

@@ -53,7 +53,7 @@ class Derivatives:
     hessian: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Pairs:
     """Gaussians of the first sum, each with its nearest ones of the second, as they lay at a pose.
 
@@ -93,13 +93,13 @@ class Pairs:
         met = np.flatnonzero(square <= look.sigmas**2 * (sxx * syy - sxy * sxy))
         row, column = row.take(met), column.take(met)
         return cls(
-            row,
-            column,
-            first.columns.take(row, axis=1),
-            Entries(*p.take(row, axis=1)),
-            second.columns.take(column, axis=1),
-            Entries(*q.take(column, axis=1)),
-            first.weight.take(row) * second.weight.take(column),
+            row=row,
+            column=column,
+            mean=first.columns.take(row, axis=1),
+            own=Entries(*p.take(row, axis=1)),
+            other=second.columns.take(column, axis=1),
+            its=Entries(*q.take(column, axis=1)),
+            weight=first.weight.take(row) * second.weight.take(column),
         )
 
     def value(self, pose: Array) -> float:
@@ -150,7 +150,7 @@ class Pairs:
         return np.stack((x, y, at.u[0] * x + at.u[1] * y))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class _Laid:
     """Pairs at a pose; all (M,).
 
@@ -179,7 +179,9 @@ class _Laid:
         vx, vy = _times(inverse, dx, dy)
         height = pairs.weight * np.sqrt(over) * (0.5 / math.pi)
         term = height * np.exp(-0.5 * (dx * vx + dy * vy))
-        return cls(term, over, inverse, (vx, vy), (-ay, ax), (ax, ay), own)
+        return cls(
+            term=term, over=over, inverse=inverse, v=(vx, vy), u=(-ay, ax), arm=(ax, ay), own=own
+        )
 
 
 class _Turned(NamedTuple):

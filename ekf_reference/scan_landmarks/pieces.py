@@ -87,7 +87,7 @@ _TRIAL = SegmentationOptions(
 _JOINED, _SINGLE = (replace(_TRIAL, least_points=least) for least in (8, 15))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class JoinedSegments:
     """All segments of a scan in one landmark, as far as they stay in view.
 
@@ -125,7 +125,7 @@ class JoinedSegments:
                 return
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SingleSegments:
     """A landmark for each segment that no other one explains, the longest first.
 

@@ -19,7 +19,7 @@ SLACK = 0.25
 """Pairs are looked up again after a motion by so many typical sigmas."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class AlignmentOptions:
     """How maxima are sought.
 
@@ -47,7 +47,7 @@ class AlignmentOptions:
             raise ValueError(f"inflations {self.inflation_m} m, expected the last to be 0")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Problem:
     """Two sums to align. first is about its centroid, so that turns and shifts are nearly apart.
 
@@ -83,13 +83,13 @@ class Problem:
         centre = first.centroid
         jacobian = carried(guess, centre)
         return cls(
-            SumOfGaussians(first.mean - centre, first.covariance, first.weight, first.seam),
-            second,
-            centre,
-            moved(guess, centre),
-            jacobian @ covariance @ jacobian.T,
-            np.array((1.0, 1.0, 1.0 / max(first.lever_m, _SHORTEST_M))),
-            options or AlignmentOptions(),
+            first=SumOfGaussians(first.mean - centre, first.covariance, first.weight, first.seam),
+            second=second,
+            centre=centre,
+            guess=moved(guess, centre),
+            covariance=jacobian @ covariance @ jacobian.T,
+            unit=np.array((1.0, 1.0, 1.0 / max(first.lever_m, _SHORTEST_M))),
+            options=options or AlignmentOptions(),
         )
 
     def taking(self, rows: NDArray[np.bool_]) -> Problem:

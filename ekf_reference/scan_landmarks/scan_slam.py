@@ -61,7 +61,7 @@ class Teller(Protocol):
         ...
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ScanSlamOptions:
     """How much is done per scan, and what counts. The thesis tells none of these but the gate.
 
@@ -93,7 +93,7 @@ class Predicted(NamedTuple):
     covariance: Array
 
 
-@dataclass
+@dataclass(kw_only=True)
 class ScanLandmarks:
     """What a run has gathered. template: by slot. sightings: used, by slot.
 

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SegmentationOptions:
     """Which returns hang together (Nieto 2005, section 5.7), and how segments are tried.
 
@@ -51,7 +51,7 @@ class SegmentationOptions:
             )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Quality:
     """How well a segment lays itself onto itself.
 
@@ -106,7 +106,15 @@ def quality(
     o = options or SegmentationOptions()
     if len(segment) < 3 or segment.lever_m < 0.01:
         nothing = np.full((3, 3), np.inf)
-        return Quality(math.inf, 0.0, 0.0, 0.0, 3, accepted=False, covariance=nothing)
+        return Quality(
+            residual=math.inf,
+            saliency=0.0,
+            least_information=0.0,
+            runner_up=0.0,
+            open_directions=3,
+            accepted=False,
+            covariance=nothing,
+        )
     centre, lever = segment.centroid, segment.lever_m
     spread = np.array((o.displacement_m, o.displacement_m, o.displacement_rad))
     unit = np.array((1.0, 1.0, 1.0 / lever))
@@ -136,7 +144,15 @@ def quality(
         free = max(free, found.open_directions)
     good = residual < o.residual and free <= o.open_directions and runner_up <= o.ambiguous
     saliency, weakest = 1.0 / trace, 1.0 / widest
-    return Quality(residual, saliency, weakest, runner_up, free, good, covariance)
+    return Quality(
+        residual=residual,
+        saliency=saliency,
+        least_information=weakest,
+        runner_up=runner_up,
+        open_directions=free,
+        accepted=good,
+        covariance=covariance,
+    )
 
 
 def _twice_as_long(segment: SumOfGaussians, sensor: Sensor) -> Array:

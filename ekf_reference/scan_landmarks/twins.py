@@ -37,7 +37,7 @@ class Fuser(Protocol):
         ...
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FusingOptions:
     """When two scan landmarks are one. The thesis says no more than that they are very close.
 

@@ -68,7 +68,7 @@ class NoLoopClosure:
         return Closed()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LoopOptions:
     """When a match is tried and when it is believed.
 

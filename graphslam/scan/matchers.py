@@ -28,7 +28,7 @@ _UNKNOWN_M = 1e4
 """A sigma so wide that the covariance's axes are those of what is not fixed, to rounding."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class MatchOptions:
     """How far to look and what to believe.
 

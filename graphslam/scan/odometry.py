@@ -36,7 +36,7 @@ _RENEWAL = 0.25
 """The map is made anew after this share of its memory."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class OdometryOptions:
     """Settings of KISS-ICP and of what is believed of it.
 

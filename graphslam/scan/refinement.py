@@ -23,7 +23,7 @@ _CONVERGED = 3e-4
 """Steps below this, in metres and radians, are well inside any laser's noise."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RefinementOptions:
     """How to align and what to believe.
 
@@ -66,13 +66,13 @@ def refine(
             f"{options.least_overlap:.0%} at least"
         )
     return Registration(
-        motion,
-        system.covariance(motion[2]),
-        system.pairs,
-        system.overlap,
-        math.sqrt(system.variance),
-        system.stiffness,
-        3 - int(np.count_nonzero(system.fixed)),
+        motion=motion,
+        covariance=system.covariance(motion[2]),
+        inliers=system.pairs,
+        overlap=system.overlap,
+        residual_m=math.sqrt(system.variance),
+        stiffness=system.stiffness,
+        open_directions=3 - int(np.count_nonzero(system.fixed)),
     )
 
 

@@ -17,7 +17,7 @@ class ScanError(ValueError):
     """A scan that cannot be used, or a match that cannot be trusted. The message says why."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Registration:
     """How a source cloud lies in a target's frame, with evidence.
 

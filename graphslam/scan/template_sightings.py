@@ -46,7 +46,7 @@ GATED = "contradicts the estimate"
 LEFT_OUT = "left out"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class TemplateOptions:
     """When a template is looked for and when a match is believed.
 

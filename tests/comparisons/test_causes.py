@@ -37,21 +37,40 @@ def silent(log: Log, begin_s: float, end_s: float) -> Log:
 def linearised(landmark: Array, poses: Array) -> tuple[SlamProblem, FrozenPoints]:
     """One landmark ahead, seen once from the first of two poses, linearised where asked."""
     problem = SlamProblem(
-        poses[0], np.eye(3), np.array([[1.0, 0.0, 0.0]]), np.eye(3)[None],
-        np.array([0]), np.array([0]), np.array([[10.0, 0.0]]), np.array([[0.1, 0.02]]), 1,
-    )  # fmt: skip
+        prior_pose=poses[0],
+        prior_covariance=np.eye(3),
+        increment=np.array([[1.0, 0.0, 0.0]]),
+        increment_covariance=np.eye(3)[None],
+        sighting_pose=np.array([0]),
+        sighting_landmark=np.array([0]),
+        z=np.array([[10.0, 0.0]]),
+        sigma=np.array([[0.1, 0.02]]),
+        landmark_count=1,
+    )
     points = FrozenPoints(
-        poses, poses, np.array([0]), np.ones(1), poses[:1], landmark[None],
-        NONE, np.zeros(0), np.zeros((0, 3)),
-    )  # fmt: skip
+        departed=poses,
+        arrived=poses,
+        sighting=np.array([0]),
+        sighting_weight=np.ones(1),
+        sighting_pose=poses[:1],
+        sighting_landmark=landmark[None],
+        position=NONE,
+        position_weight=np.zeros(0),
+        position_pose=np.zeros((0, 3)),
+    )
     return problem, points
 
 
 def estimate(poses: Array, landmark: Array) -> Estimate:
     return Estimate(
-        np.arange(2.0), poses, np.tile(np.eye(3), (2, 1, 1)), np.array([0]), landmark[None],
-        np.eye(5), "smoothed",
-    )  # fmt: skip
+        time_s=np.arange(2.0),
+        pose=poses,
+        pose_covariance=np.tile(np.eye(3), (2, 1, 1)),
+        landmark_id=np.array([0]),
+        landmark=landmark[None],
+        joint_covariance=np.eye(5),
+        information="smoothed",
+    )
 
 
 def test_the_error_of_linearising_is_that_of_the_formula() -> None:

@@ -39,18 +39,18 @@ def right(log: Log) -> Estimate:
 @pytest.fixture(scope="module")
 def whole(right: Estimate) -> GivenEstimate:
     return GivenEstimate(
-        right.time_s,
-        right.pose,
-        right.landmark_id,
-        right.landmark,
-        right.pose_covariance,
-        right.landmark_covariances(),
-        right.joint_covariance,
+        time_s=right.time_s,
+        pose=right.pose,
+        landmark_id=right.landmark_id,
+        landmark=right.landmark,
+        pose_covariance=right.pose_covariance,
+        landmark_covariance=right.landmark_covariances(),
+        joint_covariance=right.joint_covariance,
     )
 
 
 def bare(given: GivenEstimate) -> GivenEstimate:
-    return GivenEstimate(given.time_s, given.pose)
+    return GivenEstimate(time_s=given.time_s, pose=given.pose)
 
 
 def turned(given: GivenEstimate, angle: float, shift: tuple[float, float]) -> GivenEstimate:

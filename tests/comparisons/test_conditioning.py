@@ -47,15 +47,22 @@ def precise_log() -> Log:
         when.append(float(k))
     seen = np.array(z) + rng.standard_normal((steps, 2)) * (1e-3, 1e-3)
     return Log(
-        "precise",
-        "test",
-        Prior(0.0, np.zeros(3), 1e-10 * (np.eye(3) + 0.5)),
-        RelativePoses(np.array(when), displacement, np.broadcast_to(covariance, (steps, 3, 3))),
-        Sightings(
-            np.array(when), seen[:, 0], seen[:, 1], np.full(steps, 1e-3), np.full(steps, 1e-3),
-            np.zeros(steps, dtype=np.int64), np.full(steps, np.nan),
+        name="precise",
+        format="test",
+        prior=Prior(0.0, np.zeros(3), 1e-10 * (np.eye(3) + 0.5)),
+        odometry=RelativePoses(
+            np.array(when), displacement, np.broadcast_to(covariance, (steps, 3, 3))
         ),
-    )  # fmt: skip
+        sightings=Sightings(
+            time_s=np.array(when),
+            range_m=seen[:, 0],
+            bearing_rad=seen[:, 1],
+            sigma_range_m=np.full(steps, 1e-3),
+            sigma_bearing_rad=np.full(steps, 1e-3),
+            landmark=np.zeros(steps, dtype=np.int64),
+            diameter_m=np.full(steps, np.nan),
+        ),
+    )
 
 
 def test_small_correlations_are_kept() -> None:

@@ -113,13 +113,13 @@ def collinear(log: Log, landmarks: int = 6) -> Log:
     row, number = np.nonzero((range_m < 25.0) & (np.abs(bearing) < np.pi / 2))
     count = len(row)
     seen = Sightings(
-        time[row],
-        range_m[row, number],
-        bearing[row, number],
-        np.full(count, 0.1),
-        np.full(count, 0.02),
-        number,
-        np.full(count, np.nan),
+        time_s=time[row],
+        range_m=range_m[row, number],
+        bearing_rad=bearing[row, number],
+        sigma_range_m=np.full(count, 0.1),
+        sigma_bearing_rad=np.full(count, 0.02),
+        landmark=number,
+        diameter_m=np.full(count, np.nan),
     )
     return replace(log, sightings=seen, truth=replace(log.truth, landmarks=None))
 

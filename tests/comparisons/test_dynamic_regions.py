@@ -145,7 +145,8 @@ def all_moving() -> ScanExperiment:
     start = np.column_stack((9.0 + 6.0 * np.cos(turn), 5.0 * np.sin(turn)))
     end = start + 6.0 * np.column_stack((np.cos(1.7 * turn), np.sin(1.7 * turn)))
     movers = tuple(
-        Mover((a[0], a[1]), (b[0], b[1]), 1.5, 0.8) for a, b in zip(start, end, strict=True)
+        Mover(start=(a[0], a[1]), end=(b[0], b[1]), speed_mps=1.5, diameter_m=0.8)
+        for a, b in zip(start, end, strict=True)
     )
     nothing = np.zeros((0, 2))
     world = replace(

@@ -32,7 +32,13 @@ def with_scans(log: Log, mount: Mount = Mount()) -> Log:  # noqa: B008 - frozen
     place = np.array(list(vars(mount).values()))
     scanner = [planar.compose(truth.poses.pose[k], place) for k in rows]
     ranges = np.array([scan_of(trunks, pose, 0.02, rng) for pose in scanner])
-    scans = Scans(truth.poses.time_s[rows], ANGLES, ranges, np.zeros_like(ranges), mount)
+    scans = Scans(
+        time_s=truth.poses.time_s[rows],
+        angle_rad=ANGLES,
+        range_m=ranges,
+        intensity=np.zeros_like(ranges),
+        mount=mount,
+    )
     return replace(log, scans=scans)
 
 
@@ -76,6 +82,11 @@ def test_features_that_cannot_be_had() -> None:
         choose_features(log, "trees")
     with pytest.raises(InputError, match="features 'corners' is unknown, expected log or trees"):
         choose_features(log, "corners")
-    blank = Scans(np.array([1.0, 2.0]), ANGLES, np.full((2, 361), np.nan), np.zeros((2, 361)))
+    blank = Scans(
+        time_s=np.array([1.0, 2.0]),
+        angle_rad=ANGLES,
+        range_m=np.full((2, 361), np.nan),
+        intensity=np.zeros((2, 361)),
+    )
     with pytest.raises(InputError, match="no trunks in its scans"):
         choose_features(replace(log, scans=blank), "trees")

@@ -31,9 +31,14 @@ def with_survey(log: Log, every: int = 6) -> Log:
     def part(rows: np.ndarray) -> Sightings:
         s = log.sightings
         return Sightings(
-            s.time_s[rows], s.range_m[rows], s.bearing_rad[rows], s.sigma_range_m[rows],
-            s.sigma_bearing_rad[rows], s.landmark[rows], s.diameter_m[rows],
-        )  # fmt: skip
+            time_s=s.time_s[rows],
+            range_m=s.range_m[rows],
+            bearing_rad=s.bearing_rad[rows],
+            sigma_range_m=s.sigma_range_m[rows],
+            sigma_bearing_rad=s.sigma_bearing_rad[rows],
+            landmark=s.landmark[rows],
+            diameter_m=s.diameter_m[rows],
+        )
 
     return replace(
         log,

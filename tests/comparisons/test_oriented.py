@@ -24,16 +24,16 @@ def estimate() -> Estimate:
     rng = np.random.default_rng(0)
     pose, covariance = rng.standard_normal((4, 3)), random_covariance(rng, 13)
     return Estimate(
-        np.arange(4.0),
-        pose,
-        np.tile(covariance[:3, :3], (4, 1, 1)),
-        np.array([7, 9]),
-        rng.standard_normal((2, 2)),
-        covariance,
-        "filtered",
-        {},
-        np.array([3, 5]),
-        rng.uniform(-10.0, 10.0, (2, 3)),
+        time_s=np.arange(4.0),
+        pose=pose,
+        pose_covariance=np.tile(covariance[:3, :3], (4, 1, 1)),
+        landmark_id=np.array([7, 9]),
+        landmark=rng.standard_normal((2, 2)),
+        joint_covariance=covariance,
+        information="filtered",
+        provenance={},
+        oriented_id=np.array([3, 5]),
+        oriented=rng.uniform(-10.0, 10.0, (2, 3)),
     )
 
 

@@ -217,16 +217,16 @@ def test_two_landmarks_have_nothing_in_common() -> None:
 def frames(place: Array, sigma: float) -> Estimate:
     size = 3 + 3 * len(place)
     return Estimate(
-        np.zeros(1),
-        np.zeros((1, 3)),
-        np.eye(3)[None],
-        np.zeros(0, dtype=np.int64),
-        np.zeros((0, 2)),
-        sigma**2 * np.eye(size),
-        "smoothed",
-        {},
-        np.arange(len(place)),
-        place,
+        time_s=np.zeros(1),
+        pose=np.zeros((1, 3)),
+        pose_covariance=np.eye(3)[None],
+        landmark_id=np.zeros(0, dtype=np.int64),
+        landmark=np.zeros((0, 2)),
+        joint_covariance=sigma**2 * np.eye(size),
+        information="smoothed",
+        provenance={},
+        oriented_id=np.arange(len(place)),
+        oriented=place,
     )
 
 

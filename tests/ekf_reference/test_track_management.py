@@ -18,7 +18,7 @@ def seen(time_s: float, *points: tuple[float, float]) -> Sightings:
 
 
 def managed(**reliability: float) -> TrackManagement:
-    return TrackManagement(NearestNeighbour(), Reliability(**reliability))  # type: ignore[arg-type]
+    return TrackManagement(rule=NearestNeighbour(), reliability=Reliability(**reliability))  # type: ignore[arg-type]
 
 
 def feed(

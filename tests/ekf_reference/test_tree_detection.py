@@ -33,7 +33,7 @@ def test_bias_of_range_and_diameter(distance: float, diameter: float) -> None:
     range_error, diameter_error = [], []
     for _ in range(150):
         bearing = rng.uniform(-1.2, 1.2)
-        tracker = TreeTracker(TrunkModel(sigma_range_m=0.02))
+        tracker = TreeTracker(model=TrunkModel(sigma_range_m=0.02))
         trunk = np.array([[distance * np.cos(bearing), distance * np.sin(bearing), diameter]])
         seen = None
         for _ in range(20):  # the sensor turns a little between the scans

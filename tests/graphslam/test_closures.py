@@ -30,15 +30,15 @@ def circle(closures: Closures, seed: int = 0) -> SlamProblem:
     noise = np.array([rng.multivariate_normal(np.zeros(3), c) for c in spread])
     moves = np.tile((1.0, 0.2, 2.0 * np.pi / 12), (12, 1)) + noise
     return SlamProblem(
-        np.array((1.0, 2.0, 0.7)),
-        1e-2 * random_covariance(rng, 3),
-        moves,
-        spread,
-        NOWHERE,
-        NOWHERE,
-        np.zeros((0, 2)),
-        np.zeros((0, 2)),
-        0,
+        prior_pose=np.array((1.0, 2.0, 0.7)),
+        prior_covariance=1e-2 * random_covariance(rng, 3),
+        increment=moves,
+        increment_covariance=spread,
+        sighting_pose=NOWHERE,
+        sighting_landmark=NOWHERE,
+        z=np.zeros((0, 2)),
+        sigma=np.zeros((0, 2)),
+        landmark_count=0,
         closures=closures,
     )
 

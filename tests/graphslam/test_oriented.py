@@ -103,15 +103,17 @@ def problem_of(made: Made) -> SlamProblem:
         twins,
     )
     return SlamProblem(
-        np.array([RADIUS_M, 0.0, 0.5 * np.pi]),
-        PRIOR,
-        np.tile(at.pose, (steps, 1)),
-        np.tile(right_perturbation(at.pose[None], spread[None]), (steps, 1, 1)),
-        node,
-        slot,
-        z,
-        np.tile(SIGMA, (len(z), 1)),
-        int(slot.max()) + 1,
+        prior_pose=np.array([RADIUS_M, 0.0, 0.5 * np.pi]),
+        prior_covariance=PRIOR,
+        increment=np.tile(at.pose, (steps, 1)),
+        increment_covariance=np.tile(
+            right_perturbation(at.pose[None], spread[None]), (steps, 1, 1)
+        ),
+        sighting_pose=node,
+        sighting_landmark=slot,
+        z=z,
+        sigma=np.tile(SIGMA, (len(z), 1)),
+        landmark_count=int(slot.max()) + 1,
         oriented=oriented,
     )
 
@@ -119,17 +121,19 @@ def problem_of(made: Made) -> SlamProblem:
 def points_of(trace: TraceArrays, ekf: FullEkf) -> FrozenPoints:
     uses = trace.updates, trace.augmentations
     nobody, nothing = np.zeros(0, dtype=np.intp), np.zeros((0, 3))
+    oriented, twins = oriented_points(trace, lambda pose, step: pose)
     return FrozenPoints(
-        np.vstack((trace.departed, ekf.state.pose)),
-        np.vstack((trace.prior_pose, trace.arrived)),
-        np.concatenate([r.sighting for r in uses]),
-        np.concatenate([r.weight for r in uses]),
-        np.concatenate([r.pose for r in uses]),
-        np.concatenate([r.landmark for r in uses]),
-        nobody,
-        np.zeros(0),
-        nothing,
-        *oriented_points(trace, lambda pose, step: pose),
+        departed=np.vstack((trace.departed, ekf.state.pose)),
+        arrived=np.vstack((trace.prior_pose, trace.arrived)),
+        sighting=np.concatenate([r.sighting for r in uses]),
+        sighting_weight=np.concatenate([r.weight for r in uses]),
+        sighting_pose=np.concatenate([r.pose for r in uses]),
+        sighting_landmark=np.concatenate([r.landmark for r in uses]),
+        position=nobody,
+        position_weight=np.zeros(0),
+        position_pose=nothing,
+        oriented=oriented,
+        twins=twins,
     )
 
 
@@ -260,12 +264,30 @@ def test_a_frame_in_a_frame_by_central_differences() -> None:
     at = FrozenPairs(np.zeros(1, dtype=np.intp), np.ones(1), first, second)
     seen = OrientedSightings(np.zeros(1, dtype=np.intp), np.zeros(1, dtype=np.intp), measured, unit)
     problem = SlamProblem(
-        np.zeros(3), np.eye(3), np.zeros((0, 3)), np.zeros((0, 3, 3)), nothing, nothing,
-        np.zeros((0, 2)), np.zeros((0, 2)), 0, oriented=seen,
-    )  # fmt: skip
+        prior_pose=np.zeros(3),
+        prior_covariance=np.eye(3),
+        increment=np.zeros((0, 3)),
+        increment_covariance=np.zeros((0, 3, 3)),
+        sighting_pose=nothing,
+        sighting_landmark=nothing,
+        z=np.zeros((0, 2)),
+        sigma=np.zeros((0, 2)),
+        landmark_count=0,
+        oriented=seen,
+    )
     empty, none = np.zeros((0, 2)), np.zeros((0, 3))
-    points = FrozenPoints(first, first, nothing, np.zeros(0), none, empty, nothing, np.zeros(0),
-                          none, at)  # fmt: skip
+    points = FrozenPoints(
+        departed=first,
+        arrived=first,
+        sighting=nothing,
+        sighting_weight=np.zeros(0),
+        sighting_pose=none,
+        sighting_landmark=empty,
+        position=nothing,
+        position_weight=np.zeros(0),
+        position_pose=none,
+        oriented=at,
+    )
     rows = own_problem(problem, points).oriented
 
     def expected(x: Array) -> Array:

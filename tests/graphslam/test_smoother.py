@@ -149,15 +149,23 @@ def test_frozen_smoother_on_one_step_equals_the_kalman_filter() -> None:
     mean = np.concatenate((x1, l0)) + gain @ nu
     covariance = predicted - gain @ h @ predicted
     sightings = RecordedSightings(
-        np.array((0, 1)), np.array((0, 0)), np.array((x0, x1)), np.array((l0, l0)),
-        np.array((np.zeros(2), nu)), np.array((-gx, hv)), np.array((np.eye(2), hl)),
-        np.array((r, r)),
-    )  # fmt: skip
+        node=np.array((0, 1)),
+        slot=np.array((0, 0)),
+        pose=np.array((x0, x1)),
+        landmark=np.array((l0, l0)),
+        residual=np.array((np.zeros(2), nu)),
+        jacobian_pose=np.array((-gx, hv)),
+        jacobian_landmark=np.array((np.eye(2), hl)),
+        covariance=np.array((r, r)),
+    )
     motion = RecordedSteps(x0[None], x1[None], f[None], q[None])
     nothing = RecordedPositions(
-        np.zeros(0, dtype=np.intp), np.zeros((0, 3)), np.zeros((0, 2)), np.zeros((0, 2, 3)),
+        np.zeros(0, dtype=np.intp),
+        np.zeros((0, 3)),
+        np.zeros((0, 2)),
+        np.zeros((0, 2, 3)),
         np.zeros((0, 2, 2)),
-    )  # fmt: skip
+    )
     linear = recorded_problem(x0, p0, motion, np.array((0, 1)), sightings, nothing)
     frozen = solve(linear, np.array((x0, x1)), l0[None])
     assert relative_error(frozen.mean, mean) < 1e-10

@@ -26,7 +26,7 @@ CLEAR = 0.05
 and how much surer than the smoother a filter may be; relinearising moves variances a little."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FilterAgainstSmoother:
     """Per epoch; those whose covariances cannot be used are left out and counted in faults.
 
@@ -88,11 +88,11 @@ def filter_against_smoother(
     along = np.einsum("nji,nj->ni", axes, np.einsum("nij,nj->ni", inverse_root, e))
     squared = np.where(clear, along**2 / np.where(clear, gained, 1.0), 0.0).sum(axis=1)
     return FilterAgainstSmoother(
-        time_s[row],
-        e,
-        np.sqrt(np.maximum(np.einsum("nii->ni", gap), 0.0)),
-        squared,
-        clear.sum(axis=1),
-        1.0 / left[:, -1],
-        counted(fault),
+        time_s=time_s[row],
+        error=e,
+        sigma=np.sqrt(np.maximum(np.einsum("nii->ni", gap), 0.0)),
+        squared=squared,
+        dof=clear.sum(axis=1),
+        ratio=1.0 / left[:, -1],
+        faults=counted(fault),
     )

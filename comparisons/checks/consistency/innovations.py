@@ -49,7 +49,7 @@ class Nis:
         return "too low" if self.mean < self.band.low else "too high"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Whiteness:
     """Autocorrelation of a standardised component at lags 1 to k, and its average.
 
@@ -192,13 +192,13 @@ def whiteness(
     c, m = np.array(coefficient), np.array(pairs, dtype=float)
     statistic = (n + 2.0) / n * float(np.sum(m * c**2))
     return Whiteness(
-        component,
-        order,
-        c,
-        2.0 / np.sqrt(m),
-        float(chi2.sf(statistic, len(c))),
-        float(values.mean()),
-        2.0 * float(np.sqrt(power / n)),
+        component=component,
+        order=order,
+        coefficient=c,
+        band=2.0 / np.sqrt(m),
+        p_value=float(chi2.sf(statistic, len(c))),
+        mean=float(values.mean()),
+        mean_band=2.0 * float(np.sqrt(power / n)),
     )
 
 

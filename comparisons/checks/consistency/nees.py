@@ -26,7 +26,7 @@ _LEAST_SIGMAS = 5.0
 """A distance shorter than so many of its sigmas is not a linear function of the errors."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PoseErrors:
     """The poses at the epochs within the truth's time.
 
@@ -43,7 +43,7 @@ class PoseErrors:
     heading: Normalised
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class MapErrors:
     """The landmarks at the end that the truth knows too.
 
@@ -83,7 +83,9 @@ def pose_errors(time_s: Array, pose: Array, covariance: Array, true: Array) -> P
     sigma = np.sqrt(np.where(variance >= 0.0, variance, np.nan))
     parts = (slice(0, 3), slice(0, 2), slice(2, 3))
     whole, position, heading = (normalise(error[:, p], covariance[:, p, p]) for p in parts)
-    return PoseErrors(time_s, error, sigma, whole, position, heading)
+    return PoseErrors(
+        time_s=time_s, error=error, sigma=sigma, pose=whole, position=position, heading=heading
+    )
 
 
 def map_errors(
@@ -103,12 +105,12 @@ def map_errors(
     apart = (at - distances(true, ends)[0])[kept]
     spread = spread[np.ix_(kept, kept)]
     return MapErrors(
-        normalise(error[3:].reshape(-1, 2), landmark_blocks(total)),
-        normalise(error[None, 3:], total[None, 3:, 3:]),
-        normalise(error[None], total[None]) if with_pose else None,
-        normalise(apart[:, None], np.diag(spread)[:, None, None]),
-        normalise(apart[None], spread[None]),
-        len(at) - len(kept),
+        landmarks=normalise(error[3:].reshape(-1, 2), landmark_blocks(total)),
+        map=normalise(error[None, 3:], total[None, 3:, 3:]),
+        whole=normalise(error[None], total[None]) if with_pose else None,
+        distance=normalise(apart[:, None], np.diag(spread)[:, None, None]),
+        distances=normalise(apart[None], spread[None]),
+        skipped=len(at) - len(kept),
     )
 
 

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class AlgebraDifference:
     """One block that one operation gets wrong.
 
@@ -113,12 +113,12 @@ class WatchedState:
             sorted(
                 (
                     AlgebraDifference(
-                        operation,
-                        block,
-                        len(sizes),
-                        self._total[operation],
-                        max(sizes),
-                        note if self._skew or operation == "the prediction" else "",
+                        operation=operation,
+                        block=block,
+                        count=len(sizes),
+                        total=self._total[operation],
+                        largest=max(sizes),
+                        note=note if self._skew or operation == "the prediction" else "",
                     )
                     for (operation, block), sizes in self._found.items()
                 ),

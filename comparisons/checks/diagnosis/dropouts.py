@@ -18,7 +18,7 @@ _TIMES_USUAL = 10.0
 _LEAST_S = 1.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Dropout:
     """One stretch, from the last observation used to the next one, or to the log's end.
 
@@ -99,13 +99,13 @@ def _stretch(run: EkfRun, smoothed: Estimate, first: int, last: int) -> Dropout:
     way = np.linalg.norm(run.trace.arrived[steps, :2] - run.trace.departed[steps, :2], axis=1).sum()
     epoch = run.timeline.sighting_epoch
     return Dropout(
-        float(run.estimate.time_s[first]),
-        float(run.estimate.time_s[last]),
-        float(way),
-        int(np.count_nonzero((epoch > first) & (epoch < last))),
-        (_root(before[0, 0] + before[1, 1]), _root(covariance[0, 0] + covariance[1, 1])),
-        (_root(before[2, 2]), _root(turn @ covariance @ turn)),
-        float(np.linalg.norm(run.arrived[last, :2] - smoothed.pose[last, :2])),
+        begin_s=float(run.estimate.time_s[first]),
+        end_s=float(run.estimate.time_s[last]),
+        way_m=float(way),
+        refused=int(np.count_nonzero((epoch > first) & (epoch < last))),
+        sigma_m=(_root(before[0, 0] + before[1, 1]), _root(covariance[0, 0] + covariance[1, 1])),
+        sigma_heading_rad=(_root(before[2, 2]), _root(turn @ covariance @ turn)),
+        error_m=float(np.linalg.norm(run.arrived[last, :2] - smoothed.pose[last, :2])),
     )
 
 

@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 _PLACES = ("position", "heading")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ModelDifference:
     """One quantity of one kind of relation.
 
@@ -106,13 +106,13 @@ def model_differences(
                     relation, off, absent = "beginnings of landmarks", off[uses:], absent[uses:]
                 found.append(
                     ModelDifference(
-                        relation,
-                        quantity,
-                        int(np.count_nonzero(off)),
-                        len(off),
-                        float(difference.max()),
-                        unit,
-                        bool(absent[off].all()),
+                        relation=relation,
+                        quantity=quantity,
+                        count=int(np.count_nonzero(off)),
+                        total=len(off),
+                        largest=float(difference.max()),
+                        unit=unit,
+                        absent=bool(absent[off].all()),
                     )
                 )
     return tuple(sorted(found, key=lambda d: (not d.absent, -d.largest)))
@@ -126,7 +126,15 @@ def _priors(said: LinearPrior, meant: LinearPrior, tolerance: float) -> list[Mod
     within = meant.a @ np.linalg.inv(said.a)
     spread = float(np.abs(np.linalg.eigvalsh(within @ within.T) - 1.0).max())
     return [
-        ModelDifference("priors", quantity, 1, 1, size, unit, absent=False)
+        ModelDifference(
+            relation="priors",
+            quantity=quantity,
+            count=1,
+            total=1,
+            largest=size,
+            unit=unit,
+            absent=False,
+        )
         for quantity, size, unit in (
             ("the pose", apart, "sigma"),
             ("the covariance", spread, "of its size"),
@@ -209,4 +217,4 @@ def _inverse(a: Array) -> Array:
 def _first(s: LinearSightings, count: int) -> LinearSightings:
     """Only what comes from a sighting: behind that are priors of landmarks."""
     rows = slice(0, count)
-    return LinearSightings(*(column[rows] for column in vars(s).values()))
+    return LinearSightings(**{name: column[rows] for name, column in vars(s).items()})

@@ -112,7 +112,7 @@ def neglected_change(
     """
     true_pose, true_landmark = truth_in_order(log)
     noise, looks = np.diag(np.square(sigma)), list[Look]()
-    regions, layer = LocalRegions(conditions or Conditions()), NeglectedCorrelation()
+    regions, layer = LocalRegions(conditions=conditions or Conditions()), NeglectedCorrelation()
     passive, axes_then, true_local = None, list[Array](), list[Array]()
     for time, ekf in watched_run(log):
         passive = passive or PassiveStates(ekf)

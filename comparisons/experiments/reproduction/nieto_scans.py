@@ -113,7 +113,9 @@ def _office(rng: np.random.Generator) -> Solids:
             size, turn = rng.uniform(0.5, 2.0, 2), float(rng.uniform(-20.0, 20.0))
             things.append((shape, *place, *size, turn))
     nowhere = np.zeros((0, 2))
-    return ScanWorld(nowhere, nowhere, *placed_shapes(tuple(things))).solids()
+    outline, height_m = placed_shapes(tuple(things))
+    world = ScanWorld(path=nowhere, landmark=nowhere, outline=outline, outline_height_m=height_m)
+    return world.solids()
 
 
 def _pair(rng: np.random.Generator) -> tuple[Array, Array, Array]:

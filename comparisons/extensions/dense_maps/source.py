@@ -124,10 +124,10 @@ class DenseOptions:
             known_apart_m=self.known_apart_m, longest_edge_m=self.longest_edge_m
         )
         return DenseMap(
-            {name: made[name] for name in dict.fromkeys((*self.layers, *also))},
-            LocalRegions(conditions),
-            WaitingRoom(self.capacity, self.patience),
-            self.reach_m,
+            layers={name: made[name] for name in dict.fromkeys((*self.layers, *also))},
+            regions=LocalRegions(conditions=conditions),
+            waiting=WaitingRoom(capacity=self.capacity, patience=self.patience),
+            reach_m=self.reach_m,
             dynamic=DynamicLayer(size) if self.dynamic else None,
             known_m=self.known_m,
         )

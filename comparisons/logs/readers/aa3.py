@@ -72,14 +72,14 @@ def read(path: Path) -> Log:
         except InputError as error:
             raise InputError(f"{path / _GPS}: {error}") from None
     return Log(
-        "victoria-park-scans",
-        "aa3",
-        Prior(
+        name="victoria-park-scans",
+        format="aa3",
+        prior=Prior(
             float(min(odometry.time_s[0], scans.time_s[0])), np.zeros(3), np.diag(_START_SIGMA**2)
         ),
-        odometry,
-        no_sightings(),
-        positions,
+        odometry=odometry,
+        sightings=no_sightings(),
+        positions=positions,
         scans=scans,
         provenance={
             "folder": path.name,
@@ -106,10 +106,10 @@ def _scans(time_s: Array, words: Array) -> Scans:
     whole = words.astype(np.uint16)
     range_m = (whole & (2**_RANGE_BITS - 1)) / 100.0
     return Scans(
-        time_s,
-        np.deg2rad(np.linspace(-90.0, 90.0, _BEAMS)),
-        np.where((range_m > 0) & (range_m < _NO_RETURN_M), range_m, np.nan),
-        (whole >> _RANGE_BITS).astype(float),
+        time_s=time_s,
+        angle_rad=np.deg2rad(np.linspace(-90.0, 90.0, _BEAMS)),
+        range_m=np.where((range_m > 0) & (range_m < _NO_RETURN_M), range_m, np.nan),
+        intensity=(whole >> _RANGE_BITS).astype(float),
     )
 
 

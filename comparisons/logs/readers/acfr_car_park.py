@@ -65,10 +65,10 @@ def read(path: Path) -> Log:
             time["Time_VS"] - start, data["Velocity"].ravel(), data["Steering"].ravel(), UTE, _NOISE
         )
         scans = Scans(
-            time["TimeLaser"] - start,
-            np.deg2rad(np.linspace(-90.0, 90.0, data["Laser"].shape[-1])),
-            np.where(data["Laser"] < _NO_RETURN_M, data["Laser"], np.nan),
-            data["Intensity"],
+            time_s=time["TimeLaser"] - start,
+            angle_rad=np.deg2rad(np.linspace(-90.0, 90.0, data["Laser"].shape[-1])),
+            range_m=np.where(data["Laser"] < _NO_RETURN_M, data["Laser"], np.nan),
+            intensity=data["Intensity"],
         )
         position = np.column_stack((data["GPSLon"].ravel(), data["GPSLat"].ravel()))
         covariance = np.broadcast_to(_SIGMA_GPS_M**2 * np.eye(2), (len(position), 2, 2))
@@ -78,12 +78,12 @@ def read(path: Path) -> Log:
     except InputError as error:
         raise InputError(f"{path / _FILES[0]}: {error}") from None
     return Log(
-        "acfr-car-park",
-        "acfr-car-park",
-        Prior(0.0, start_pose, np.diag(_START_SIGMA**2)),
-        odometry,
-        sightings,
-        positions,
+        name="acfr-car-park",
+        format="acfr-car-park",
+        prior=Prior(0.0, start_pose, np.diag(_START_SIGMA**2)),
+        odometry=odometry,
+        sightings=sightings,
+        positions=positions,
         scans=scans,
         truth=Truth(
             landmarks=Landmarks(np.arange(len(beacons)), beacons, np.zeros((len(beacons), 2, 2)))
@@ -113,12 +113,12 @@ def reflector_sightings(scans: Scans) -> Sightings:
     size = np.bincount(run)
     count = len(size)
     return Sightings(
-        scans.time_s[scan[fresh]],
-        np.bincount(run, distance) / size,
-        np.bincount(run, angle) / size,
-        np.full(count, _SIGMA_RANGE_M),
-        np.full(count, _SIGMA_BEARING_RAD),
-        np.full(count, NO_LANDMARK),
-        np.full(count, np.nan),
+        time_s=scans.time_s[scan[fresh]],
+        range_m=np.bincount(run, distance) / size,
+        bearing_rad=np.bincount(run, angle) / size,
+        sigma_range_m=np.full(count, _SIGMA_RANGE_M),
+        sigma_bearing_rad=np.full(count, _SIGMA_BEARING_RAD),
+        landmark=np.full(count, NO_LANDMARK),
+        diameter_m=np.full(count, np.nan),
         intensity=np.bincount(run, scans.intensity[scan, beam]) / size,
     )

@@ -68,11 +68,11 @@ def read(path: Path) -> Log:
     kept = np.flatnonzero(inside)
     with locate_rows(path, lambda row: sweeps.line[kept[row]]):
         scans = Scans(
-            time_s,
-            sweeps.angle,
-            np.array(sweeps.ranges)[inside],
-            np.array(sweeps.remissions)[inside],
-            mount,
+            time_s=time_s,
+            angle_rad=sweeps.angle,
+            range_m=np.array(sweeps.ranges)[inside],
+            intensity=np.array(sweeps.remissions)[inside],
+            mount=mount,
         )
     others = reader.skipped + Counter(
         {tag: len(other.line) for tag, other in reader.sweeps.items() if tag != kind}

@@ -24,7 +24,7 @@ _MAXIMUM_M = 80.0
 _MOST_BEAMS = 100_000
 
 
-@dataclass
+@dataclass(kw_only=True)
 class Sweeps:
     """Laser lines of one kind, N so far with B beams each.
 

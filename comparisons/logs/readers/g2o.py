@@ -48,20 +48,20 @@ def read(path: Path) -> Log:
     order = np.argsort(problem.sighting_pose, kind="stable")
     fixes = np.argsort(problem.position_pose, kind="stable")
     return Log(
-        path.stem,
-        "g2o",
-        Prior(0.0, problem.prior_pose, problem.prior_covariance),
-        RelativePoses(
+        name=path.stem,
+        format="g2o",
+        prior=Prior(0.0, problem.prior_pose, problem.prior_covariance),
+        odometry=RelativePoses(
             np.arange(1.0, problem.pose_count), problem.increment, problem.increment_covariance
         ),
-        Sightings(
-            problem.sighting_pose[order].astype(float),
-            problem.z[order, 0],
-            problem.z[order, 1],
-            problem.sigma[order, 0],
-            problem.sigma[order, 1],
-            problem.sighting_landmark[order].astype(np.int64),
-            np.full(len(order), np.nan),
+        sightings=Sightings(
+            time_s=problem.sighting_pose[order].astype(float),
+            range_m=problem.z[order, 0],
+            bearing_rad=problem.z[order, 1],
+            sigma_range_m=problem.sigma[order, 0],
+            sigma_bearing_rad=problem.sigma[order, 1],
+            landmark=problem.sighting_landmark[order].astype(np.int64),
+            diameter_m=np.full(len(order), np.nan),
         ),
         positions=Positions(
             problem.position_pose[fixes].astype(float),

@@ -82,11 +82,11 @@ def read(path: Path) -> Log:
     with locate_rows(path, lambda row: seen_line[order[row]]):
         sightings = _sightings(np.array(seen)[order])
     return Log(
-        path.stem.replace("_", "-"),
-        "gtsam-2d",
-        Prior(0.0, np.zeros(3), _PRIOR_SIGMA**2 * np.eye(3)),
-        odometry,
-        sightings,
+        name=path.stem.replace("_", "-"),
+        format="gtsam-2d",
+        prior=Prior(0.0, np.zeros(3), _PRIOR_SIGMA**2 * np.eye(3)),
+        odometry=odometry,
+        sightings=sightings,
         provenance={"file": path.name, "times": "pose numbers in place of seconds"},
     )
 
@@ -128,11 +128,11 @@ def _sightings(seen: Array) -> Sightings:
     distance, sigma = np.hypot(x, y), np.sqrt(variance)
     safe = np.where(distance > 0, distance, np.nan)  # a zero range is reported as such
     return Sightings(
-        pose,
-        distance,
-        np.arctan2(y, x),
-        sigma,
-        np.where(distance > 0, sigma / safe, 1.0),
-        landmark.astype(np.int64),
-        np.full(len(seen), np.nan),
+        time_s=pose,
+        range_m=distance,
+        bearing_rad=np.arctan2(y, x),
+        sigma_range_m=sigma,
+        sigma_bearing_rad=np.where(distance > 0, sigma / safe, 1.0),
+        landmark=landmark.astype(np.int64),
+        diameter_m=np.full(len(seen), np.nan),
     )

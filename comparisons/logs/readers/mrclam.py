@@ -71,14 +71,14 @@ def read(path: Path, robot: int) -> Log:
     bearing = everything.bearing_rad[kept]
     slant = everything.range_m[kept] / (_DEPTH_GAIN * np.cos(bearing))
     sightings = Sightings(
-        everything.time_s[kept],
-        slant,
-        bearing,
-        np.hypot(_SIGMA_RANGE_M, _SIGMA_RANGE_SHARE * slant),
-        everything.sigma_bearing_rad[kept],
-        everything.landmark[kept],
-        everything.diameter_m[kept],
-        _LABEL_GATE,
+        time_s=everything.time_s[kept],
+        range_m=slant,
+        bearing_rad=bearing,
+        sigma_range_m=np.hypot(_SIGMA_RANGE_M, _SIGMA_RANGE_SHARE * slant),
+        sigma_bearing_rad=everything.sigma_bearing_rad[kept],
+        landmark=everything.landmark[kept],
+        diameter_m=everything.diameter_m[kept],
+        label_gate=_LABEL_GATE,
     )
     variance = surveyed.data[:, 3:5] ** 2
     with surveyed.locating():
@@ -91,11 +91,11 @@ def read(path: Path, robot: int) -> Log:
         raise InputError(f"{captured.path}: does not cover the odometry's start, needed as prior")
     first = np.array([np.interp(0.0, truth.time_s, truth.pose[:, i]) for i in range(3)])
     return Log(
-        f"{path.name.lower()}-robot-{robot}",
-        "mrclam",
-        Prior(0.0, first, np.diag(_PRIOR_SIGMA**2)),
-        motion,
-        sightings,
+        name=f"{path.name.lower()}-robot-{robot}",
+        format="mrclam",
+        prior=Prior(0.0, first, np.diag(_PRIOR_SIGMA**2)),
+        odometry=motion,
+        sightings=sightings,
         truth=Truth(truth, landmarks),
         provenance={
             "folder": path.name,
@@ -113,13 +113,13 @@ def _sightings(measured: Table, start: float, landmark: Array) -> Sightings:
     count = len(measured)
     within("sightings", "bearing_rad", measured["bearing"], -1.5, 1.5)
     return Sightings(
-        measured["time"] - start,
-        measured["range"],
-        measured["bearing"],
-        np.ones(count),
-        np.full(count, _SIGMA_BEARING_RAD),
-        whole_numbers("sightings", "subject", landmark),
-        np.full(count, np.nan),
+        time_s=measured["time"] - start,
+        range_m=measured["range"],
+        bearing_rad=measured["bearing"],
+        sigma_range_m=np.ones(count),
+        sigma_bearing_rad=np.full(count, _SIGMA_BEARING_RAD),
+        landmark=whole_numbers("sightings", "subject", landmark),
+        diameter_m=np.full(count, np.nan),
     )
 
 

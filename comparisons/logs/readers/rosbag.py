@@ -214,12 +214,14 @@ def _scans(stream: _Stream, start: int, place: Array) -> Scans:
         )
     sweeps: list[Sweep] = stream.items
     return Scans(
-        (stream.time_ns - start) / 1e9,
-        np.sign(level) * sweeps[0].angle_rad,
-        np.array([s.range_m for s in sweeps]),
-        np.array([s.intensity for s in sweeps]),
-        Mount(float(place[0, 3]), float(place[1, 3]), float(np.arctan2(place[1, 0], place[0, 0]))),
-        float(np.median([s.beam_s for s in sweeps])),
+        time_s=(stream.time_ns - start) / 1e9,
+        angle_rad=np.sign(level) * sweeps[0].angle_rad,
+        range_m=np.array([s.range_m for s in sweeps]),
+        intensity=np.array([s.intensity for s in sweeps]),
+        mount=Mount(
+            float(place[0, 3]), float(place[1, 3]), float(np.arctan2(place[1, 0], place[0, 0]))
+        ),
+        beam_s=float(np.median([s.beam_s for s in sweeps])),
     )
 
 

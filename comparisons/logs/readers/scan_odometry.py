@@ -60,7 +60,15 @@ def poses_at(time_s: Array, sample_s: Array, pose: Array) -> Array:
 def no_sightings() -> Sightings:
     """What a log of scans alone brings."""
     none = np.zeros(0)
-    return Sightings(none, none, none, none, none, np.zeros(0, dtype=np.int64), none)
+    return Sightings(
+        time_s=none,
+        range_m=none,
+        bearing_rad=none,
+        sigma_range_m=none,
+        sigma_bearing_rad=none,
+        landmark=np.zeros(0, dtype=np.int64),
+        diameter_m=none,
+    )
 
 
 def scan_log(
@@ -84,11 +92,11 @@ def scan_log(
     else:
         odometry, noise = displacements(time_s, pose), NOISE_TEXT
     return Log(
-        name,
-        format_name,
-        Prior(float(time_s[0]), np.zeros(3), _PRIOR_SIGMA**2 * np.eye(3)),
-        odometry,
-        no_sightings(),
+        name=name,
+        format=format_name,
+        prior=Prior(float(time_s[0]), np.zeros(3), _PRIOR_SIGMA**2 * np.eye(3)),
+        odometry=odometry,
+        sightings=no_sightings(),
         scans=scans,
         clouds=clouds,
         provenance={**provenance, "odometry_noise": noise},

@@ -43,13 +43,13 @@ def read(path: Path) -> Log:
         odometry = SteeringOdometry(inputs["time"], inputs["speed"], inputs["steering"], UTE, NOISE)
     with seen.locating():
         sightings = Sightings(
-            seen["time"],
-            seen["range"],
-            seen["bearing"] - np.pi / 2,
-            np.full(count, _SIGMA_RANGE_M),
-            np.full(count, _SIGMA_BEARING_RAD),
-            np.full(count, NO_LANDMARK),
-            seen["diameter"],
+            time_s=seen["time"],
+            range_m=seen["range"],
+            bearing_rad=seen["bearing"] - np.pi / 2,
+            sigma_range_m=np.full(count, _SIGMA_RANGE_M),
+            sigma_bearing_rad=np.full(count, _SIGMA_BEARING_RAD),
+            landmark=np.full(count, NO_LANDMARK),
+            diameter_m=seen["diameter"],
             needs_confirmation=True,
         )
     positions = None
@@ -60,11 +60,11 @@ def read(path: Path) -> Log:
             positions = Positions(gps["time"], gps.data[:, 1:], covariance)
     start = float(min(odometry.time_s[0], sightings.time_s[0]))
     return Log(
-        "victoria-park-detections",
-        "victoria-park",
-        Prior(start, np.zeros(3), np.diag(_START_SIGMA**2)),
-        odometry,
-        sightings,
-        positions,
+        name="victoria-park-detections",
+        format="victoria-park",
+        prior=Prior(start, np.zeros(3), np.diag(_START_SIGMA**2)),
+        odometry=odometry,
+        sightings=sightings,
+        positions=positions,
         provenance={"folder": path.name, "vehicle": "UTE, Nieto 2005, Appendix A"},
     )

@@ -21,7 +21,7 @@ from comparisons.logs.simulate.worlds import World, nieto_loop
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Drive:
     """Vehicle and sensors; the defaults are Nieto 2005, Table 2.2 and Appendix A.
 
@@ -60,11 +60,11 @@ def simulate(
     scans = drive.scan_samples(len(control))
     sightings = point_sightings(rng, drive, world.landmark, time[scans], pose[scans])
     return Log(
-        "simulated-loop",
-        "simulated",
-        known_start(pose),
-        odometry,
-        sightings,
+        name="simulated-loop",
+        format="simulated",
+        prior=known_start(pose),
+        odometry=odometry,
+        sightings=sightings,
         truth=Truth(Poses(time, pose), exact_landmarks(world.landmark)),
         provenance={
             "source": "Nieto 2005, section 2.9, Table 2.2",
@@ -126,11 +126,11 @@ def point_sightings(
     count = len(scan)
     noise = drive.noise_scale * rng.standard_normal((count, 2))
     return Sightings(
-        time[scan],
-        distance[scan, which] + drive.sigma_range_m * noise[:, 0],
-        bearing[scan, which] + drive.sigma_bearing_rad * noise[:, 1],
-        np.full(count, drive.sigma_range_m),
-        np.full(count, drive.sigma_bearing_rad),
-        which,
-        np.full(count, np.nan),
+        time_s=time[scan],
+        range_m=distance[scan, which] + drive.sigma_range_m * noise[:, 0],
+        bearing_rad=bearing[scan, which] + drive.sigma_bearing_rad * noise[:, 1],
+        sigma_range_m=np.full(count, drive.sigma_range_m),
+        sigma_bearing_rad=np.full(count, drive.sigma_bearing_rad),
+        landmark=which,
+        diameter_m=np.full(count, np.nan),
     )

@@ -92,10 +92,12 @@ def lanes_world(*, carried: bool = False) -> ScanWorld:
         for vehicle in range(_VEHICLES)
         for part in range(_DISCS)
     )
+    outline, height_m = placed_shapes(objects)
     return ScanWorld(
-        path,
-        place,
-        *placed_shapes(objects),
+        path=path,
+        landmark=place,
+        outline=outline,
+        outline_height_m=height_m,
         pole=np.column_stack((place, np.full(len(place), _POLE_M))),
         pole_height_m=np.full(len(place), 4.0),
         movers=movers,
@@ -113,7 +115,14 @@ def _driving(north: float, towards: float, vehicle: int, part: float) -> Mover:
     y = north + np.sign(north) * _BREADTH_M * (part - 0.5)
     lead_m = vehicle * _LANE_M / _VEHICLES - towards * _LENGTH_M * part
     start, end = (-0.5 * towards * _LANE_M, y), (0.5 * towards * _LANE_M, y)
-    return Mover(start, end, _SPEED_MPS, _DISC_M, lead_s=lead_m / _SPEED_MPS, back=False)
+    return Mover(
+        start=start,
+        end=end,
+        speed_mps=_SPEED_MPS,
+        diameter_m=_DISC_M,
+        lead_s=lead_m / _SPEED_MPS,
+        back=False,
+    )
 
 
 def places_world(*, carried: bool = False) -> ScanWorld:

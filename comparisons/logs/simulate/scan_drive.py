@@ -72,11 +72,11 @@ def simulate(rng: np.random.Generator, experiment: ScanExperiment) -> Log:
     start = start[start + scanner.sweep_s <= time[-1]]
     record = scanner.record(rng, world, start, pose_at, drive.noise_scale)
     return Log(
-        experiment.name,
-        "simulated",
-        known_start(pose),
-        odometry,
-        sightings,
+        name=experiment.name,
+        format="simulated",
+        prior=known_start(pose),
+        odometry=odometry,
+        sightings=sightings,
         scans=record if isinstance(record, Scans) else None,
         clouds=record if isinstance(record, Clouds) else None,
         truth=Truth(
@@ -107,7 +107,9 @@ def dense_slam(loops: int = 1, noise_scale: float = 1.0) -> ScanExperiment:
         max_range_m=25.0,
     )
     source = "Nieto 2005, section 3.9, Fig. 3.17, Table 3.1; the places are ours"
-    scanner = Planar(drive.max_range_m, 0.02, math.radians(0.1))
+    scanner = Planar(
+        max_range_m=drive.max_range_m, sigma_range_m=0.02, sigma_beam_rad=math.radians(0.1)
+    )
     return ScanExperiment("scan-loop", source, world, drive, scanner)
 
 
@@ -224,7 +226,11 @@ def _drive(world: ScanWorld, loops: int, noise_scale: float) -> Drive:
 
 def _scanner(drive: Drive) -> Planar:
     """A laser with the tables' range and bearing sigmas, every beam for itself."""
-    return Planar(drive.max_range_m, drive.sigma_range_m, drive.sigma_bearing_rad)
+    return Planar(
+        max_range_m=drive.max_range_m,
+        sigma_range_m=drive.sigma_range_m,
+        sigma_beam_rad=drive.sigma_bearing_rad,
+    )
 
 
 def _hidden(world: ScanWorld, drive: Drive, pose: Array, landmark: Array) -> NDArray[np.bool_]:

@@ -41,7 +41,7 @@ class Moving(Protocol):
         ...
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Mover:
     """A disc that goes from start to end (2,) [m] and back, for ever, at constant speed.
 
@@ -68,7 +68,7 @@ class Mover:
         return place
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ScanWorld(World):
     """A closed path (P, 2) among things that a scanner sees, and landmarks (L, 2), maybe none.
 
@@ -206,7 +206,7 @@ def scan_slam_world() -> ScanWorld:
         (0, 0), (35, 1), (66, 8), (84, 30), (83, 60), (86, 90), (72, 118), (44, 127), (14, 133),
         (-16, 133), (-46, 128), (-65, 106), (-66, 80), (-53, 58), (-62, 38), (-58, 17), (-32, 2),
     )  # fmt: skip
-    return ScanWorld(_path(corners), np.zeros((0, 2)), *placed_shapes(objects))
+    return _without_landmarks(_path(corners), objects)
 
 
 _PATH_OF_100_BY_80 = (
@@ -254,6 +254,12 @@ def placed_shapes(objects: tuple[PlacedShape, ...]) -> tuple[tuple[Array, ...], 
     return tuple(outline), height
 
 
+def _without_landmarks(path: Array, objects: tuple[PlacedShape, ...]) -> ScanWorld:
+    outline, height_m = placed_shapes(objects)
+    nowhere = np.zeros((0, 2))
+    return ScanWorld(path=path, landmark=nowhere, outline=outline, outline_height_m=height_m)
+
+
 def _path(corners: tuple[tuple[float, float], ...]) -> Array:
     """(P, 2) evenly along the smooth closed curve through points."""
     closed = np.array((*corners, corners[0]), dtype=float)
@@ -270,7 +276,7 @@ def with_landmarks(
 ) -> ScanWorld:
     """Landmarks every few metres, now left, now right of the path, where no object is near."""
     path = _path(corners)
-    world = ScanWorld(path, np.zeros((0, 2)), *placed_shapes(objects))
+    world = _without_landmarks(path, objects)
     solids = world.solids()
     tangent = np.roll(path, -1, axis=0) - path
     left = np.column_stack((-tangent[:, 1], tangent[:, 0])) / _PATH_STEP_M

@@ -27,7 +27,7 @@ def _vlp_16() -> Array:
     return np.deg2rad(np.linspace(-15.0, 15.0, 16))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Planar:
     """A planar laser; the defaults are the angles of the Sick of Nieto 2005, Appendix A.
 
@@ -68,10 +68,17 @@ class Planar:
             aside = scale * self.sigma_beam_rad * rng.standard_normal(len(late))
             ranges[k] = cast(self.angle_rad + aside, pose, solids)
             ranges[k] = _measured(rng, self, ranges[k], scale)
-        return Scans(time, self.angle_rad, ranges, np.zeros_like(ranges), self.mount, self.beam_s)
+        return Scans(
+            time_s=time,
+            angle_rad=self.angle_rad,
+            range_m=ranges,
+            intensity=np.zeros_like(ranges),
+            mount=self.mount,
+            beam_s=self.beam_s,
+        )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Rings:
     """A spinning laser of R rings, level over a flat ground; as Planar, but for what follows.
 

@@ -72,7 +72,7 @@ def _waypoints() -> Array:
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class WaypointRun:
     """Course, vehicle and sensors. The course is ours; the paper shows its own in a figure only.
 
@@ -146,18 +146,18 @@ def simulate(
     time_s = run.sample_s * np.arange(float(len(poses)))
     stamp, z, sigma, landmark = (np.concatenate(column) for column in zip(*seen, strict=True))
     return Log(
-        "waypoint-run",
-        "simulated",
-        Prior(0.0, np.zeros(3), _PRIOR * np.eye(3)),
-        RelativePoses(time_s[1:], np.array(moves), np.array(spreads)),
-        Sightings(
-            stamp,
-            z[:, 0],
-            z[:, 1],
-            sigma[:, 0],
-            sigma[:, 1],
-            landmark,
-            np.full(len(z), np.nan),
+        name="waypoint-run",
+        format="simulated",
+        prior=Prior(0.0, np.zeros(3), _PRIOR * np.eye(3)),
+        odometry=RelativePoses(time_s[1:], np.array(moves), np.array(spreads)),
+        sightings=Sightings(
+            time_s=stamp,
+            range_m=z[:, 0],
+            bearing_rad=z[:, 1],
+            sigma_range_m=sigma[:, 0],
+            sigma_bearing_rad=sigma[:, 1],
+            landmark=landmark,
+            diameter_m=np.full(len(z), np.nan),
         ),
         positions=Positions(
             np.array([t for t, _ in fixes]),
@@ -165,10 +165,10 @@ def simulate(
             np.broadcast_to(gps, (len(fixes), 2, 2)),
         ),
         scans=Scans(
-            np.array([t for t, _ in scans]),
-            _BEAMS,
-            np.array([r for _, r in scans]),
-            np.zeros((len(scans), len(_BEAMS))),
+            time_s=np.array([t for t, _ in scans]),
+            angle_rad=_BEAMS,
+            range_m=np.array([r for _, r in scans]),
+            intensity=np.zeros((len(scans), len(_BEAMS))),
         ),
         truth=Truth(
             Poses(time_s, np.array(poses)),

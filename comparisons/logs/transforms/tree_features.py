@@ -58,13 +58,13 @@ def with_tree_sightings(log: Log, scans: Scans) -> Log:
         np.concatenate(column) for column in zip(*parts, strict=True)
     )
     sightings = Sightings(
-        time,
-        distance,
-        bearing,
-        sigma,
-        np.full(len(time), SIGMA_BEARING_RAD),
-        np.full(len(time), NO_LANDMARK),
-        diameter,
+        time_s=time,
+        range_m=distance,
+        bearing_rad=bearing,
+        sigma_range_m=sigma,
+        sigma_bearing_rad=np.full(len(time), SIGMA_BEARING_RAD),
+        landmark=np.full(len(time), NO_LANDMARK),
+        diameter_m=diameter,
         needs_confirmation=True,
     )
     provenance = {**log.provenance, "features": "tree trunks from the scans"}

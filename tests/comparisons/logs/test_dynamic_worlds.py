@@ -18,7 +18,7 @@ from comparisons.logs.simulate.scan_worlds import Mover
 
 
 def test_traffic_begins_anew_where_it_came_from() -> None:
-    mover = Mover((0.0, 0.0), (4.0, 0.0), speed_mps=2.0, back=False)
+    mover = Mover(start=(0.0, 0.0), end=(4.0, 0.0), speed_mps=2.0, back=False)
     place = mover.place(np.array((0.0, 1.0, 1.75, 2.25, 4.0)))
     assert np.allclose(place[:, 0], (0.0, 2.0, 3.5, 0.5, 0.0), atol=1e-12)
 
@@ -32,7 +32,7 @@ def test_what_is_brought_is_nowhere_before() -> None:
 def test_ground_is_moved_over_where_it_is_covered_at_times() -> None:
     point = np.array(((0.0, 0.0), (2.0, 0.3), (2.0, 0.6), (9.0, 0.0)))
     movers = (
-        Mover((0.0, 0.0), (4.0, 0.0), speed_mps=1.0, diameter_m=1.0),
+        Mover(start=(0.0, 0.0), end=(4.0, 0.0), speed_mps=1.0, diameter_m=1.0),
         Displaced((9.0, 0.0), (9.0, 0.0), 0.0),
     )
     moved = moved_over(movers, point, np.arange(0.0, 8.0, 0.05))

@@ -108,7 +108,12 @@ FAULTS: dict[str, tuple[Callable[[], object], str]] = {
     ),
     "stabilisation": (lambda: OdometryNoise(0.1, 0.1, 0.0), "variance_rate_position is 0.0"),
     "scan shape": (
-        lambda: Scans(np.zeros(1), np.zeros(3), np.zeros((1, 2)), np.zeros((1, 2))),
+        lambda: Scans(
+            time_s=np.zeros(1),
+            angle_rad=np.zeros(3),
+            range_m=np.zeros((1, 2)),
+            intensity=np.zeros((1, 2)),
+        ),
         "scans: range_m has shape",
     ),
 }

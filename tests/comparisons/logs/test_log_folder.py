@@ -33,12 +33,12 @@ def full_log() -> Log:
         ),
         known_sightings=log.sightings,
         scans=Scans(
-            np.arange(2.0),
-            np.arange(3.0) / 7,
-            np.array(((1, np.nan, 3), (4, 5, 6))) / 3,
-            np.ones((2, 3)),
-            Mount(0.3, -0.1, 0.2),
-            1e-5,
+            time_s=np.arange(2.0),
+            angle_rad=np.arange(3.0) / 7,
+            range_m=np.array(((1, np.nan, 3), (4, 5, 6))) / 3,
+            intensity=np.ones((2, 3)),
+            mount=Mount(0.3, -0.1, 0.2),
+            beam_s=1e-5,
         ),
         clouds=Clouds(
             np.arange(2.0),

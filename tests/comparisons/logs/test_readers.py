@@ -126,7 +126,9 @@ def test_reflector_runs_part_at_gaps_and_at_range_jumps() -> None:
     distance = np.full((1, 12), 8.0)
     lit[0, [0, 1, 4, 8, 9]] = 1.0  # a gap of two dark beams, then of three
     distance[0, 9] = 9.0
-    found = reflector_sightings(Scans(np.zeros(1), angle, distance, lit))
+    found = reflector_sightings(
+        Scans(time_s=np.zeros(1), angle_rad=angle, range_m=distance, intensity=lit)
+    )
     assert found.range_m.tolist() == [8.0, 8.0, 9.0]
     assert np.allclose(np.rad2deg(found.bearing_rad), (5 / 3, 8.0, 9.0))
 

@@ -111,7 +111,7 @@ def test_truth_surfaces_are_the_outlines_and_nearly_the_poles(experiment: ScanEx
 
 
 def test_a_mover_goes_there_and_back() -> None:
-    mover = Mover((0.0, 0.0), (4.0, 0.0), speed_mps=2.0, lead_s=0.5)
+    mover = Mover(start=(0.0, 0.0), end=(4.0, 0.0), speed_mps=2.0, lead_s=0.5)
     place = mover.place(np.array((-0.5, 0.0, 1.5, 2.5, 3.5, 4.0, 7.5)))
     assert np.allclose(place[:, 0], (0.0, 1.0, 4.0, 2.0, 0.0, 1.0, 0.0), atol=1e-12)
     assert not place[:, 1].any()

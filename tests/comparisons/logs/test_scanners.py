@@ -119,7 +119,10 @@ def test_each_beam_is_cast_from_where_the_scanner_is_by_then(beam_s: float) -> N
 
 
 def test_movers_are_seen_where_they_are() -> None:
-    movers = (Mover((6, 5), (14, 5), 1.5, 0.8), Mover((20, -4), (26, -3), 4.0, 1.0, lead_s=3.0))
+    movers = (
+        Mover(start=(6, 5), end=(14, 5), speed_mps=1.5, diameter_m=0.8),
+        Mover(start=(20, -4), end=(26, -3), speed_mps=4.0, diameter_m=1.0, lead_s=3.0),
+    )
     experiment = swept(beam_s=SWEEP_S / 360)
     experiment = replace(experiment, world=replace(experiment.world, movers=movers))
     log = log_of(experiment)
@@ -143,7 +146,9 @@ def test_movers_are_seen_where_they_are() -> None:
 def spun(noise_scale: float = 0.0, sweep_s: float = 0.0, **rings: float) -> ScanExperiment:
     experiment = short(dense_slam_in_space(noise_scale=noise_scale))
     scanner = Rings(sweep_s=sweep_s, mount=MOUNT, **rings)  # type: ignore[arg-type]
-    world = replace(experiment.world, movers=(Mover((6, 5), (14, 5), 1.5, 0.8),))
+    world = replace(
+        experiment.world, movers=(Mover(start=(6, 5), end=(14, 5), speed_mps=1.5, diameter_m=0.8),)
+    )
     return replace(experiment, scanner=scanner, world=world)
 
 
@@ -199,9 +204,16 @@ def residuals(kind: str) -> Array:
         return error[np.isfinite(error)]
     # One wall 10 m ahead, seen at a slant: the range tells where a beam truly looked.
     corner = np.array([(10.0, -200.0), (12.0, -200.0), (12.0, 200.0), (10.0, 200.0)])
-    world = ScanWorld(np.zeros((1, 2)), np.zeros((0, 2)), (corner,), np.array([50.0]))
+    world = ScanWorld(
+        path=np.zeros((1, 2)),
+        landmark=np.zeros((0, 2)),
+        outline=(corner,),
+        outline_height_m=np.array([50.0]),
+    )
     angle = np.deg2rad(np.linspace(30.0, 60.0, 61))
-    laser = Planar(100.0, 0.0, np.deg2rad(1.0), angle)
+    laser = Planar(
+        max_range_m=100.0, sigma_range_m=0.0, sigma_beam_rad=np.deg2rad(1.0), angle_rad=angle
+    )
     scans = laser.record(
         np.random.default_rng(1), world, np.arange(50.0), lambda t: np.zeros((len(t), 3)), 1.0
     )
@@ -243,6 +255,6 @@ def test_returns_are_lost_as_often_as_stated(dropout: float) -> None:
     "wrong", [{"max_range_m": 0.4}, {"dropout": 1.5}, {"sigma_range_m": -0.1}, {"min_range_m": -1}]
 )
 def test_impossible_scanners(wrong: dict[str, float]) -> None:
-    for scanner in (Planar(25.0, 0.1, 0.01), Rings()):
+    for scanner in (Planar(max_range_m=25.0, sigma_range_m=0.1, sigma_beam_rad=0.01), Rings()):
         with pytest.raises(InputError, match=next(iter(wrong))):
             replace(scanner, **wrong)  # type: ignore[arg-type]

@@ -49,7 +49,11 @@ def wall(pose: Array = POSE, range_m: float = 12.0) -> Scan:
 
 def dense_map(*names: str, waiting: WaitingRoom | None = None) -> DenseMap:
     """A map of some layers, those of the contract test."""
-    return DenseMap({n: layer(n) for n in names}, LocalRegions(TRUSTING), waiting)
+    return DenseMap(
+        layers={n: layer(n) for n in names},
+        regions=LocalRegions(conditions=TRUSTING),
+        waiting=waiting,
+    )
 
 
 def room(capacity: int = 5_000) -> WaitingRoom:

@@ -121,7 +121,7 @@ def test_an_incremental_delaunay_triangulation_changes_what_there_is() -> None:
 def test_no_gap_is_left_that_a_permitted_triple_fills() -> None:
     landmark = scattered(np.random.default_rng(7), 20, 50.0)
     conditions = Conditions(least_angle_rad=0.05, longest_edge_m=1e3)
-    regions = LocalRegions(conditions)
+    regions = LocalRegions(conditions=conditions)
     regions.extend(landmark, np.arange(20), shared(3.0, 1e-3, 20))
     inside = np.random.default_rng(8).dirichlet(np.ones(20), 5_000) @ landmark
     assert np.mean(regions.placed(landmark).locate(inside).region >= 0) > 0.999
@@ -139,7 +139,9 @@ THREE = np.array([(0.0, 0.0), (10.0, 0.0), (3.0, 8.0)])
 
 
 def added(conditions: Conditions, landmark: Array, covariance: Array) -> int:
-    return len(LocalRegions(conditions).extend(landmark, np.arange(len(landmark)), covariance))
+    return len(
+        LocalRegions(conditions=conditions).extend(landmark, np.arange(len(landmark)), covariance)
+    )
 
 
 def test_first_condition_refuses_landmarks_that_hang_together_too_little() -> None:

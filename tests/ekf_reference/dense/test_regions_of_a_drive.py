@@ -15,7 +15,7 @@ from tests.helpers import Array, simulated
 @cache
 def driven(conditions: Conditions | None) -> tuple[LocalRegions, list[int], Array, Array]:
     """Regions, their number after every scan, the filter's last mean and covariance."""
-    regions, count = LocalRegions(conditions or Conditions()), []
+    regions, count = LocalRegions(conditions=conditions or Conditions()), []
     for _, ekf in scans(simulated(0, max_range_m=25.0)):
         if conditions is not None:
             near = ekf.state.local_map(30.0)

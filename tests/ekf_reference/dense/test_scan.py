@@ -51,7 +51,9 @@ def test_beams_equal_brute_force(gap: tuple[float, float] | None) -> None:
         assert np.allclose(a[same], b[same])
     if gap is None:
         assert found.seen.all()
-        flipped = Scan(scan.pose, scan.bearing_rad, scan.range_m[::-1], SENSOR).beams(point)
+        flipped = Scan(
+            pose=scan.pose, bearing_rad=scan.bearing_rad, range_m=scan.range_m[::-1], sensor=SENSOR
+        ).beams(point)
         assert not np.allclose(flipped.ahead_m, expected.ahead_m, atol=1.0)
 
 

@@ -65,7 +65,9 @@ def test_neighbours_keep_apart_and_the_map_takes_them_along() -> None:
 @pytest.mark.parametrize("told", [True, False])
 def test_returns_that_wait_keep_their_values(told: bool) -> None:
     """A return's value follows it by its number; by its row it would get another's."""
-    dense = DenseMap({"values": Values()}, LocalRegions(TRUSTING), room())
+    dense = DenseMap(
+        layers={"values": Values()}, regions=LocalRegions(conditions=TRUSTING), waiting=room()
+    )
 
     def scan() -> Scan:
         seen = wall()

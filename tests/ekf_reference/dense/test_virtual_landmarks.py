@@ -58,7 +58,7 @@ def test_not_while_the_vehicle_is_poorly_correlated() -> None:
     assert pair[0, 1]
     given = (state.landmarks, BOTH, POSE)
     assert not len(LocalRegions().extend_virtual(*given, loose, BEHIND[None]))
-    lax = LocalRegions(Conditions(least_correlation=-1.0))  # the check left out
+    lax = LocalRegions(conditions=Conditions(least_correlation=-1.0))  # the check left out
     assert len(lax.extend_virtual(*given, loose, BEHIND[None])) == 1
 
 
@@ -80,7 +80,7 @@ def test_the_triangle_with_most_points_comes_first() -> None:
     rng = np.random.default_rng(0)
     left, right = rng.normal((4.0, 2.0), 0.3, (30, 2)), rng.normal((13.5, -3.0), 0.3, (30, 2))
     for many, few in ((left, right), (right, left)):
-        regions = LocalRegions(Conditions(longest_edge_m=12.0))
+        regions = LocalRegions(conditions=Conditions(longest_edge_m=12.0))
         point = np.vstack((many, few[:10]))
         number = regions.extend_virtual(landmark, np.arange(3), pose, covariance, point)
         region = regions.placed(landmark).locate(point).region
@@ -105,7 +105,7 @@ def test_it_lies_across_the_line_from_the_vehicle(seed: int) -> None:
             for p in (pose[:2], triangle[2])
         ]
         assert across[0] * across[1] < 0.0
-        regions = LocalRegions(ANYWHEN)
+        regions = LocalRegions(conditions=ANYWHEN)
         point = triangle.mean(axis=0)[None]
         assert len(regions.extend_virtual(corners, BOTH, pose, np.eye(7), point)) == 1
         assert np.allclose(regions.corners(corners)[2], triangle[2])
@@ -120,7 +120,7 @@ def test_no_far_side_no_landmark(landmark: list[tuple[float, float]]) -> None:
     corners = np.array(landmark)
     point = corners.mean(axis=0) + np.array([(0.1, 0.1), (-0.1, 0.1), (0.1, -0.1), (-0.1, -0.1)])
     assert len(behind(BOTH[None], corners, POSE[:2], 1.0).depth) == 0
-    regions = LocalRegions(ANYWHEN)
+    regions = LocalRegions(conditions=ANYWHEN)
     assert len(regions.extend_virtual(corners, BOTH, POSE, np.eye(7), point)) == 0
 
 

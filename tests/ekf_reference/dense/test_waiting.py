@@ -82,7 +82,7 @@ def test_what_is_known_already_is_not_corrected(sigma: float) -> None:
 
 def test_points_join_the_frame_of_the_region_they_may_belong_to() -> None:
     """Each where it lies; what lies in none, or is no number, is refused and counted."""
-    regions = LocalRegions(Conditions(flip_sigmas=0.0))
+    regions = LocalRegions(conditions=Conditions(flip_sigmas=0.0))
     view = view_at(START)
     potential = regions.potential(view.landmark, view.slot, view.pose, view.covariance)
     strange = np.array([(500.0, 0.0), (np.nan, 1.0), (3.0, 7.0)])
@@ -193,7 +193,7 @@ def test_what_has_waited_long_gets_a_virtual_region() -> None:
     landmark = np.array([(0.0, 0.0), (10.0, 0.0)])
     view = view_at(np.array((5.0, -6.0, 1.5)), landmark, 0.01)
     wall = np.column_stack((np.linspace(3, 7, 20), np.full(20, 1.5)))
-    regions = LocalRegions(Conditions(known_apart_m=0.1))
+    regions = LocalRegions(conditions=Conditions(known_apart_m=0.1))
     room = WaitingRoom(patience=10)
     given = (view.landmark, view.slot, view.pose, view.covariance)
     potential = regions.potential(*given)
@@ -236,7 +236,7 @@ def test_every_point_is_somewhere() -> None:
     """Whatever happens, the counts add up."""
     rng = np.random.default_rng(0)
     room, offered = WaitingRoom(capacity=60), 0
-    regions = LocalRegions(Conditions(known_apart_m=0.2, flip_sigmas=0.0))
+    regions = LocalRegions(conditions=Conditions(known_apart_m=0.2, flip_sigmas=0.0))
     landmark = rng.uniform(-15, 15, (12, 2))
     for scan in range(40):
         if scan == 20:

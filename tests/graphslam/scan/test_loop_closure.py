@@ -48,15 +48,15 @@ def chain(moves: Array, covariance: Array) -> SlamProblem:
     """Poses from the origin on by increments (K, 3), all with the same covariance."""
     nothing = np.zeros(0, dtype=np.intp)
     return SlamProblem(
-        np.zeros(3),
-        1e-6 * np.eye(3),
-        moves,
-        np.tile(covariance, (len(moves), 1, 1)),
-        nothing,
-        nothing,
-        np.zeros((0, 2)),
-        np.zeros((0, 2)),
-        0,
+        prior_pose=np.zeros(3),
+        prior_covariance=1e-6 * np.eye(3),
+        increment=moves,
+        increment_covariance=np.tile(covariance, (len(moves), 1, 1)),
+        sighting_pose=nothing,
+        sighting_landmark=nothing,
+        z=np.zeros((0, 2)),
+        sigma=np.zeros((0, 2)),
+        landmark_count=0,
     )
 
 
@@ -206,7 +206,12 @@ def test_places_that_look_alike_are_told_apart_by_the_graph(
 )
 def test_what_speaks_against_a_match(change: dict[str, object], reason: str) -> None:
     good = Registration(
-        np.array((9.5, 0.0, 0.0)), 1e-4 * np.eye(3), 300, 0.9, 0.02, np.array((50.0, 90.0, 90.0))
+        motion=np.array((9.5, 0.0, 0.0)),
+        covariance=1e-4 * np.eye(3),
+        inliers=300,
+        overlap=0.9,
+        residual_m=0.02,
+        stiffness=np.array((50.0, 90.0, 90.0)),
     )
 
     class Fixed:

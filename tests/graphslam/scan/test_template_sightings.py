@@ -52,15 +52,15 @@ def problem(seed: int = 1, scale: float = 1.0) -> SlamProblem:
     noise = np.random.default_rng(seed).multivariate_normal(np.zeros(3), SPREAD, STEPS)
     no = np.zeros(0, dtype=np.intp)
     return SlamProblem(
-        truth()[0],
-        np.diag((0.01, 0.01, 0.001)) ** 2,
-        MOTION + scale * noise,
-        np.tile(SPREAD, (STEPS, 1, 1)),
-        no,
-        no,
-        np.zeros((0, 2)),
-        np.zeros((0, 2)),
-        0,
+        prior_pose=truth()[0],
+        prior_covariance=np.diag((0.01, 0.01, 0.001)) ** 2,
+        increment=MOTION + scale * noise,
+        increment_covariance=np.tile(SPREAD, (STEPS, 1, 1)),
+        sighting_pose=no,
+        sighting_landmark=no,
+        z=np.zeros((0, 2)),
+        sigma=np.zeros((0, 2)),
+        landmark_count=0,
     )
 
 
