@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
@@ -27,6 +27,16 @@ STANDARD = {
     "typing",
 }
 HOUSE = {"comparisons", "ekf_reference", "graphslam"}
+KEYWORD_ONLY = (
+    "ekf_reference",
+    "graphslam",
+    "comparisons/logs",
+    "comparisons/checks",
+    "comparisons/estimates",
+)
+"""Folders whose large dataclasses are built by field names alone."""
+MOST_POSITIONAL = 5
+"""Fields of a dataclass that may be given by position."""
 
 
 def imported(source: str) -> set[str]:
@@ -115,6 +125,51 @@ def test_estimators_import_nothing_of_the_house(package: str) -> None:
 def test_the_check_itself_sees_a_hidden_import() -> None:
     hidden = "def f():\n    if True:\n        from graphslam.smoother import smooth\n"
     assert imported(hidden) == {"graphslam"}
+
+
+def positional_dataclasses(sources: Iterable[str]) -> list[str]:
+    """Names of the dataclasses with too many fields, those of their bases counted, by position."""
+    trees = [ast.walk(ast.parse(source)) for source in sources]
+    classes = [node for tree in trees for node in tree if isinstance(node, ast.ClassDef)]
+    named = {one.name: one for one in classes if "dataclass" in decorators(one)}
+
+    def fields(one: ast.ClassDef) -> int:
+        own = [node for node in one.body if isinstance(node, ast.AnnAssign)]
+        inherited = [ast.unparse(base).split(".")[-1] for base in one.bases]
+        return sum("ClassVar" not in ast.unparse(node.annotation) for node in own) + sum(
+            fields(named[base]) for base in inherited if base in named
+        )
+
+    return sorted(
+        one.name
+        for one in classes
+        if "dataclass" in decorators(one)
+        and "kw_only=True" not in decorators(one)
+        and fields(one) > MOST_POSITIONAL
+    )
+
+
+def decorators(one: ast.ClassDef) -> str:
+    """What stands above a class."""
+    return " ".join(ast.unparse(decorator) for decorator in one.decorator_list)
+
+
+@pytest.mark.parametrize("folder", KEYWORD_ONLY)
+def test_large_dataclasses_take_keywords_only(folder: str) -> None:
+    paths = sorted((ROOT / folder).rglob("*.py"))
+    assert len(paths) > 3
+    assert positional_dataclasses(path.read_text() for path in paths) == []
+
+
+SMALL = "@dataclass\nclass Small:\n" + "".join(f"    f{i}: int\n" for i in range(5))
+HEIR = "@dataclass(frozen=True)\nclass Heir(Small):\n    last: int = 0\n"
+
+
+def test_a_large_positional_dataclass_is_found() -> None:
+    assert positional_dataclasses([SMALL, HEIR]) == ["Heir"]
+    assert positional_dataclasses([SMALL + "    last: int = 0\n"]) == ["Small"]
+    assert positional_dataclasses([SMALL, HEIR.replace("True", "True, kw_only=True")]) == []
+    assert positional_dataclasses([SMALL + "    last: ClassVar[int] = 0\n"]) == []
 
 
 def test_nothing_stands_on_experiments() -> None:
