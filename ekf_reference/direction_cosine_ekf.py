@@ -94,11 +94,26 @@ class PairStabilisation:
         )
 
 
+@dataclass(frozen=True)
+class DirectionCosineOptions:
+    """What is added to the published filter; as it stands, nothing is.
+
+    full_jacobian: sightings are linearised by the pair, too (OwnAxesObservation). renormalise:
+    every update goes back to the circle (CircleState).
+    """
+
+    full_jacobian: bool = False
+    renormalise: bool = False
+
+
+AS_PUBLISHED = DirectionCosineOptions()
+
+
 class DirectionCosineEkf(FullEkf):
     """The full filter's steps on x, y, xi, eta; poses are read as x, y, heading.
 
-    As published: full_jacobian and renormalise false. The trace of a renormalised filter is
-    written in x, y, heading, for it has no error off the circle; otherwise it has all four.
+    The trace of a renormalised filter is written in x, y, heading, for it has no error off the
+    circle; otherwise it has all four.
     """
 
     def __init__(
@@ -110,10 +125,10 @@ class DirectionCosineEkf(FullEkf):
         stabilisation: StepNoise | None = None,
         trace: Trace | None = None,
         *,
-        full_jacobian: bool = False,
-        renormalise: bool = False,
+        options: DirectionCosineOptions = AS_PUBLISHED,
     ) -> None:
         """prior_pose: (3,) and prior_covariance: (3, 3) of x, y, heading, as in FullEkf."""
+        renormalise = options.renormalise
         pose, free = from_heading(prior_pose), 0.0 if renormalise else RADIAL_VARIANCE
         lift = along_circle(pose)
         covariance = lift @ prior_covariance @ lift.T + _off_circle(pose, free)
@@ -128,7 +143,7 @@ class DirectionCosineEkf(FullEkf):
             PairStabilisation(stabilisation or Stabilisation(), free),
             HeadingTrace(trace, self._heading_rad) if renormalise else trace,
         )
-        self.observation = OwnAxesObservation(full_jacobian)
+        self.observation = OwnAxesObservation(options.full_jacobian)
         self.fixes = PositionFixes(DirectionCosinePosition())
         self.state = (CircleState if renormalise else FreePairState)(pose, covariance)
 

@@ -16,7 +16,7 @@ from ekf_reference.kalman import Array, KalmanState, stack
 from ekf_reference.layout import ORIENTED, POINT
 from ekf_reference.local_map import LocalMap
 from ekf_reference.motion import MotionModel
-from ekf_reference.observation import Observation, RangeBearing
+from ekf_reference.observation import NewLandmarks, Observation, RangeBearing
 from ekf_reference.scan_landmarks.observation import OrientedObservation
 from ekf_reference.sightings import NOTHING_SIGHTED, SightedAttributes, Sightings
 from ekf_reference.trace import (
@@ -174,8 +174,9 @@ class FullEkf:
         if len(new):
             reading = self.read_pose()
             begun = self.oriented_observation.invert(reading.pose, z[new])
-            how = begun.jacobian_pose @ reading.jacobian, begun.jacobian_sighting, covariance[new]
-            use = begin(self.state, self._oriented_seen + new, slots[new], begun.point, *how)
+            begun = begun._replace(jacobian_pose=begun.jacobian_pose @ reading.jacobian)
+            seen = self._oriented_seen + new
+            use = begin(self.state, seen, slots[new], begun, covariance[new])
             self.trace.oriented_augmentation(use)
         self._oriented_seen += len(slots)
         return slots
@@ -243,9 +244,8 @@ class FullEkf:
         apart = np.zeros((count, 2, len(self.state.pose)))
         own = np.broadcast_to(np.eye(2), (count, 2, 2))
         nobody = np.full(count, -1)
-        self.trace.augmentation(
-            begin(self.state, nobody, slots, point, apart, own, covariance, weight=0.0)
-        )
+        new = NewLandmarks(point, apart, own)
+        self.trace.augmentation(begin(self.state, nobody, slots, new, covariance, weight=0.0))
 
     def fix_position(self, z: Array, covariance: Array) -> bool:
         """Fuse an absolute position (2,) with covariance (2, 2); False when the gate rejects it."""
@@ -295,13 +295,12 @@ class FullEkf:
         if not len(rows):
             return
         spread, new = noise[rows], self.observation.invert(self.state.pose, z[rows])
-        by_pose, by_sighting, weight = new.jacobian_pose, new.jacobian_sighting, 1.0
+        weight = 1.0
         if self.boundless_variance is not None:  # eq. 2.56: know nothing, then fuse the sighting
-            by_pose, weight = np.zeros_like(by_pose), 0.0
-            by_sighting = np.broadcast_to(np.eye(2), by_sighting.shape)
-            spread = self.boundless_variance * by_sighting
+            apart, own = np.zeros_like(new.jacobian_pose), np.broadcast_to(np.eye(2), spread.shape)
+            new, weight = NewLandmarks(new.point, apart, own), 0.0
+            spread = self.boundless_variance * own
         seen = self._sightings_seen + rows
-        how = by_pose, by_sighting, spread
-        self.trace.augmentation(begin(self.state, seen, slots[rows], new.point, *how, weight))
+        self.trace.augmentation(begin(self.state, seen, slots[rows], new, spread, weight))
         if self.boundless_variance is not None:
             self._update(chosen, slots, z, noise)

@@ -9,6 +9,7 @@ import numpy as np
 from ekf_reference.absolute_updates import Fused, Linearised, Steps
 from ekf_reference.filter_state import FilterState
 from ekf_reference.kalman import Array, Index, block_diagonal, diagonal_blocks, unstack
+from ekf_reference.observation import NewLandmarks
 from ekf_reference.trace import SightingUse
 
 
@@ -56,15 +57,24 @@ def begin(
     state: FilterState,
     sighting: Index,
     slot: Index,
-    point: Array,
-    by_pose: Array,
-    by_sighting: Array,
+    new: NewLandmarks,
     noise: Array,
     weight: float = 1.0,
 ) -> SightingUse:
-    """Append landmarks to the state; returns how. Shapes are as in KalmanState.augment."""
+    """Append landmarks to the state; returns how. noise: (m, w, w), R of each sighting."""
+    point = new.point
     pose, nothing = state.pose, np.zeros(point.shape)
     surprise = np.zeros((*point.shape, point.shape[1])), nothing
-    how = by_pose, by_sighting, noise
-    state.augment(point, *how)
-    return SightingUse(sighting, slot, pose, point, nothing, *how, *surprise, weight)
+    state.augment(*new, noise)
+    return SightingUse(
+        sighting,
+        slot,
+        pose,
+        point,
+        nothing,
+        new.jacobian_pose,
+        new.jacobian_sighting,
+        noise,
+        *surprise,
+        weight,
+    )

@@ -30,6 +30,14 @@ Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
+class RecordedPrior:
+    """Where the filter began. pose: (p,). covariance: (p, p)."""
+
+    pose: Array
+    covariance: Array
+
+
+@dataclass(frozen=True)
 class RecordedSteps:
     """N predictions x' = arrived + f (x - departed) + w, w ~ N(0, q), one after the other.
 
@@ -95,8 +103,7 @@ class RecordedTwins:
 
 
 def recorded_problem(
-    prior_pose: Array,
-    prior_covariance: Array,
+    prior: RecordedPrior,
     steps: RecordedSteps,
     until: Index,
     sightings: RecordedSightings,
@@ -106,15 +113,15 @@ def recorded_problem(
 ) -> LinearProblem:
     """F1: what the filter's own recorded matrices say.
 
-    prior_pose: (p,). prior_covariance: (p, p). until: (K,) steps made when each pose is reached,
-    ascending from 0. oriented, twins: of landmarks with a direction, None where there are none.
+    until: (K,) steps made when each pose is reached, ascending from 0. oriented, twins: of
+    landmarks with a direction, None where there are none.
     """
     chain = _compose(steps, until)
-    p = len(prior_pose)
+    p = len(prior.pose)
     identity = np.broadcast_to(np.eye(p), (len(chain.f) + 1, p, p))
     before, after = whiten(chain.q, -chain.f, identity[1:])
     return LinearProblem(
-        prior=LinearPrior(prior_pose, whiten(prior_covariance[None], identity[:1])[0][0]),
+        prior=LinearPrior(prior.pose, whiten(prior.covariance[None], identity[:1])[0][0]),
         motion=LinearMotion(
             chain.departed,
             chain.arrived,

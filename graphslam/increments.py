@@ -36,6 +36,20 @@ class Stabilisation:
     variance_rate_heading: float = 0.0
 
 
+@dataclass(frozen=True)
+class AckermannGeometry:
+    """Measures of a car (Nieto 2005, A.3 and A.4) [m].
+
+    wheelbase_m: L. encoder_offset_m: H, the encoder left of the axle's middle. sensor_forward_m,
+    sensor_left_m: (a, b), the laser from there.
+    """
+
+    wheelbase_m: float
+    encoder_offset_m: float = 0.0
+    sensor_forward_m: float = 0.0
+    sensor_left_m: float = 0.0
+
+
 def ackermann_samples(
     speed_mps: Array,
     steering_rad: Array,
@@ -43,24 +57,22 @@ def ackermann_samples(
     sigma_speed_mps: float,
     sigma_steering_rad: float,
     stabilisation: Stabilisation,
-    *,
-    wheelbase_m: float,
-    encoder_offset_m: float = 0.0,
-    sensor_forward_m: float = 0.0,
-    sensor_left_m: float = 0.0,
+    geometry: AckermannGeometry,
 ) -> Samples:
     """Car with encoder on the rear left wheel, pose at the laser (Nieto 2005, A.3 and A.4).
 
     In the body frame A.4 says: the axle's middle advances by ds, the laser at (a, b) also swings
     by -b and a times the turn ds tan(alpha) / L.
     """
+    wheelbase_m = geometry.wheelbase_m
+    forward_m, left_m = geometry.sensor_forward_m, geometry.sensor_left_m
     tan = np.tan(steering_rad)
-    slip = 1.0 - tan * (encoder_offset_m / wheelbase_m)
+    slip = 1.0 - tan * (geometry.encoder_offset_m / wheelbase_m)
     advance = duration_s * speed_mps / slip
     turn = advance * tan / wheelbase_m
     # turn = dt v tan / (L - H tan), whose derivative in tan is dt v L / (L - H tan)^2.
     turn_by_steering = duration_s * speed_mps / wheelbase_m * (1.0 + tan**2) / slip**2
-    advance_by_steering = turn_by_steering * encoder_offset_m
+    advance_by_steering = turn_by_steering * geometry.encoder_offset_m
     jacobian = np.empty((len(tan), 3, 2))
     for column, (forward, angle) in enumerate(
         (
@@ -68,10 +80,10 @@ def ackermann_samples(
             (advance_by_steering, turn_by_steering),
         )
     ):
-        jacobian[:, 0, column] = forward - sensor_left_m * angle
-        jacobian[:, 1, column] = sensor_forward_m * angle
+        jacobian[:, 0, column] = forward - left_m * angle
+        jacobian[:, 1, column] = forward_m * angle
         jacobian[:, 2, column] = angle
-    displacement = np.column_stack((advance - sensor_left_m * turn, sensor_forward_m * turn, turn))
+    displacement = np.column_stack((advance - left_m * turn, forward_m * turn, turn))
     variances = (sigma_speed_mps**2, sigma_steering_rad**2)
     return _with_noise(displacement, jacobian, variances, duration_s, stabilisation)
 

@@ -25,7 +25,7 @@ from ekf_reference.association import (
 from ekf_reference.attributes import NO_ATTRIBUTES, Attributes, LayerAttributes, LayerValues
 from ekf_reference.compressed_ekf import CompressedEkf, LocalAreas
 from ekf_reference.direction_cosine import DirectionCosinePosition
-from ekf_reference.direction_cosine_ekf import DirectionCosineEkf
+from ekf_reference.direction_cosine_ekf import DirectionCosineEkf, DirectionCosineOptions
 from ekf_reference.full_ekf import FullEkf, Stabilisation
 from ekf_reference.joint_compatibility import JointCompatibility
 from ekf_reference.motion import AckermannModel, MotionModel, RelativePoseModel, UnicycleModel
@@ -99,7 +99,8 @@ def build_ekf(
     antenna = log.positions.antenna_m if log.positions is not None else (0.0, 0.0)
     if choices.filter.startswith("misono"):
         complete = choices.filter == "misono-full"
-        ekf = DirectionCosineEkf(*common, full_jacobian=complete, renormalise=complete)
+        options = DirectionCosineOptions(full_jacobian=complete, renormalise=complete)
+        ekf = DirectionCosineEkf(*common, options=options)
         ekf.fixes = PositionFixes(DirectionCosinePosition(antenna))
         return ekf
     if choices.filter == "full":

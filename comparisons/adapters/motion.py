@@ -34,7 +34,8 @@ def motion_samples(log: Log, timeline: Timeline) -> increments.Samples:
     first, second = timeline.control.T
     common = (timeline.step_duration_s, noise.sigma_speed_mps, noise.sigma_turn, stabilisation)
     if isinstance(odometry, SteeringOdometry):
-        return increments.ackermann_samples(first, second, *common, **vars(odometry.vehicle))
+        geometry = increments.AckermannGeometry(**vars(odometry.vehicle))
+        return increments.ackermann_samples(first, second, *common, geometry)
     return increments.unicycle_samples(first, second, *common)
 
 

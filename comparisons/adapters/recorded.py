@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ekf_reference.trace import SightingRecords, TraceArrays
 from graphslam.frozen import (
     RecordedPositions,
+    RecordedPrior,
     RecordedSightings,
     RecordedSteps,
     RecordedTwins,
@@ -30,8 +31,7 @@ def recorded(trace: TraceArrays, until: Index) -> LinearProblem:
     """
     fixes, fusions = trace.positions, trace.fusions
     return recorded_problem(
-        trace.prior_pose,
-        trace.prior_covariance,
+        RecordedPrior(trace.prior_pose, trace.prior_covariance),
         RecordedSteps(trace.departed, trace.arrived, trace.f, trace.q),
         until,
         _sightings(trace.updates, trace.augmentations, until),

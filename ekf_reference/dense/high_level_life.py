@@ -29,6 +29,7 @@ from ekf_reference.scan_landmarks.templates import (
     Observation,
     ObservationOptions,
     Template,
+    TemplateMatching,
     View,
     observe,
 )
@@ -188,8 +189,8 @@ class HighLevelLandmarks:
         turn = there.jacobian_landmark[0]
         prior = turn @ expected.covariance @ turn.T
         view = replace(scan.view, share=self.options.share)
-        judged = self.options.observation
-        seen = observe(one.template, scan.shape, there.z[0], prior, view, judged, belief=one.belief)
+        matching = TemplateMatching(view, self.options.observation, belief=one.belief)
+        seen = observe(one.template, scan.shape, there.z[0], prior, matching)
         if not seen.usable or seen.alignment is None:
             return None, _kind(seen)
         if one.slot == NEW and seen.alignment.open_directions:

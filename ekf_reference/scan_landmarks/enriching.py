@@ -15,15 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ekf_reference.scan_landmarks.alignment import align
-from ekf_reference.scan_landmarks.alignment_covariance import CovarianceOptions
-from ekf_reference.scan_landmarks.problem import AlignmentOptions
 from ekf_reference.scan_landmarks.sog import SumOfGaussians
 from ekf_reference.scan_landmarks.templates import (
     AMBIGUOUS,
     Observation,
-    ObservationOptions,
     Template,
-    View,
+    TemplateMatching,
     observe,
     share_in_view,
 )
@@ -73,20 +70,18 @@ def observe_enriched(
     scan: SumOfGaussians,
     predicted: Array,
     covariance: Array,
-    view: View,
-    options: ObservationOptions,
-    alignment: AlignmentOptions,
-    belief: CovarianceOptions,
+    matching: TemplateMatching,
 ) -> Observation:
     """What a scan says of a landmark (see `observe`), sought where its surroundings fit.
 
     around: as `Around` answers. Two places that fit the surroundings are as ambiguous as two that
     fit a template.
     """
+    alignment = matching.alignment
     found = align(enriched(template, around), scan, predicted, covariance, alignment)
-    if found.runner_up > options.ambiguous:
-        share = share_in_view(template, scan, predicted, view)
+    if found.runner_up > matching.options.ambiguous:
+        share = share_in_view(template, scan, predicted, matching.view)
         told = f"another place fits what is around {found.runner_up:.0%} as well"
         return Observation(None, share, told, AMBIGUOUS)
-    once = replace(alignment, spacing_m=_ONE_START_M)
-    return observe(template, scan, found.pose, covariance, view, options, once, belief)
+    once = replace(matching, alignment=replace(alignment, spacing_m=_ONE_START_M))
+    return observe(template, scan, found.pose, covariance, once)

@@ -34,6 +34,7 @@ from ekf_reference.scan_landmarks.templates import (
     OUT_OF_VIEW,
     ObservationOptions,
     Template,
+    TemplateMatching,
     View,
     observe,
     share_in_view,
@@ -131,7 +132,12 @@ class ScanSlam:
         self.mount = np.asarray(mount, dtype=float)
         self.options = options or ScanSlamOptions()
         self.view = replace(view, share=self.options.pieces.share)
-        self._seeing = replace(self.options.observation, visible=self.options.pieces.visible)
+        self._matching = TemplateMatching(
+            self.view,
+            replace(self.options.observation, visible=self.options.pieces.visible),
+            self.options.alignment,
+            self.options.belief,
+        )
         self.found = ScanLandmarks()
         self.around: Around | None = None
         self._rng = np.random.default_rng(seed)
@@ -177,11 +183,10 @@ class ScanSlam:
             template, around = self.found.template[slot], None
             if self.around is not None and np.linalg.norm(wide[:2, :2], 2) > o.enrich_m**2:
                 around = self.around(template, ekf.state.oriented[slot])
-            how = self.view, self._seeing, o.alignment, o.belief
             if around is None:
-                what = observe(template, scan, z, wide, *how)
+                what = observe(template, scan, z, wide, self._matching)
             else:
-                what = observe_enriched(template, around, scan, z, wide, *how)
+                what = observe_enriched(template, around, scan, z, wide, self._matching)
                 self.found.enriched += 1
             kind = what.kind or USED
             if what.usable and what.alignment is not None:

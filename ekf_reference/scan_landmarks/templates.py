@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,6 +95,20 @@ class ObservationOptions:
 
 
 @dataclass(frozen=True)
+class TemplateMatching:
+    """How templates are sought in scans.
+
+    view: what the sensor sees. options: what counts as seeing a landmark. alignment and belief: of
+    the alignment, and of its covariance.
+    """
+
+    view: View
+    options: ObservationOptions = field(default_factory=ObservationOptions)
+    alignment: AlignmentOptions = field(default_factory=AlignmentOptions)
+    belief: CovarianceOptions = field(default_factory=CovarianceOptions)
+
+
+@dataclass(frozen=True)
 class Observation:
     """What a scan says of a landmark.
 
@@ -129,10 +143,7 @@ def observe(
     scan: SumOfGaussians,
     predicted: Array,
     covariance: Array,
-    view: View,
-    options: ObservationOptions | None = None,
-    alignment: AlignmentOptions | None = None,
-    belief: CovarianceOptions | None = None,
+    matching: TemplateMatching,
 ) -> Observation:
     """[z, R] = scan_align(G_L, G_o, z^) of Nieto 2005, section 5.2.1, against the whole scan.
 
@@ -140,7 +151,7 @@ def observe(
     frame, and covariance: (3, 3) of its error. A blank scan, a template out of view, one that
     does not meet the scan, and one that two places fit are told apart by the reason.
     """
-    o = options or ObservationOptions()
+    o, view = matching.options, matching.view
     if not len(scan):
         return Observation(None, 0.0, "the scan has no returns", BLANK)
     seen = _in_view(template, scan, predicted, view)
@@ -148,7 +159,7 @@ def observe(
     if share < view.share:
         return Observation(None, share, f"{share:.0%} of the template in view", OUT_OF_VIEW)
     shape = template.shape.take(seen) if o.visible else template.shape
-    found = scan_align(shape, scan, predicted, covariance, alignment, belief)
+    found = scan_align(shape, scan, predicted, covariance, matching.alignment, matching.belief)
     evidence, reason, kind = found.alignment, "", ""
     if evidence.overlap < o.overlap:
         reason, kind = f"{evidence.overlap:.0%} of the template finds a counterpart", APART

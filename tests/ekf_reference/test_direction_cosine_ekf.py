@@ -17,7 +17,7 @@ from ekf_reference.direction_cosine import (
     along_circle,
     from_heading,
 )
-from ekf_reference.direction_cosine_ekf import DirectionCosineEkf
+from ekf_reference.direction_cosine_ekf import DirectionCosineEkf, DirectionCosineOptions
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.kalman import Array, Correction, FilterDivergedError, Index, KalmanState
 from ekf_reference.motion import UnicycleModel
@@ -70,8 +70,7 @@ def on_circle(trace: RecordedTrace | None = None) -> DirectionCosineEkf:
         np.array([1.0, 2.0, 3.0]),
         np.diag((0.1, 0.2, 0.05)),
         trace=trace,
-        full_jacobian=True,
-        renormalise=True,
+        options=DirectionCosineOptions(full_jacobian=True, renormalise=True),
     )
 
 

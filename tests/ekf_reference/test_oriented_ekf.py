@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import chi2
 
 from ekf_reference.compressed_ekf import CompressedState
-from ekf_reference.direction_cosine_ekf import DirectionCosineEkf
+from ekf_reference.direction_cosine_ekf import DirectionCosineEkf, DirectionCosineOptions
 from ekf_reference.full_ekf import NEW, FullEkf
 from ekf_reference.kalman import (
     Array,
@@ -119,8 +119,8 @@ def test_the_filter_on_the_circle_equals_the_one_on_the_heading() -> None:
     traces = RecordedTrace(), RecordedTrace()
     script = Script(order="frames only", fuse_at=60, remove_at=75)
     heading = build(trace=traces[0])
-    pair = build(make=lambda *args: DirectionCosineEkf(*args, full_jacobian=True, renormalise=True),
-                 trace=traces[1])  # fmt: skip
+    complete = DirectionCosineOptions(full_jacobian=True, renormalise=True)
+    pair = build(make=lambda *a: DirectionCosineEkf(*a, options=complete), trace=traces[1])
     for ekf in (heading, pair):
         drive(ekf, 2, script)
     assert relative_error(pair.read_pose().pose, heading.state.pose) < 1e-9

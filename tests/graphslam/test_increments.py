@@ -6,6 +6,7 @@ import pytest
 from ekf_reference.motion import AckermannModel, MotionModel, UnicycleModel
 from graphslam.graph_builder import to_tangent
 from graphslam.increments import (
+    AckermannGeometry,
     Samples,
     Stabilisation,
     ackermann_samples,
@@ -26,11 +27,8 @@ def controls(n: int, seed: int) -> tuple[Array, Array, Array]:
 
 def samples(kind: str, u: Array, w: Array, dt: Array) -> Samples:
     if kind == "ackermann":
-        length, h, a, b = GEOMETRY
-        return ackermann_samples(
-            u, w, dt, 0.2, 0.05, STABILISATION, wheelbase_m=length, encoder_offset_m=h,
-            sensor_forward_m=a, sensor_left_m=b,
-        )  # fmt: skip
+        geometry = AckermannGeometry(*GEOMETRY)
+        return ackermann_samples(u, w, dt, 0.2, 0.05, STABILISATION, geometry)
     return unicycle_samples(u, w, dt, 0.2, 0.05, STABILISATION)
 
 

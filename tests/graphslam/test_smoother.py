@@ -10,7 +10,13 @@ from comparisons.adapters.ekf_factory import EkfChoices
 from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.smoother_input import build_problem
 from comparisons.adapters.timeline import build_timeline
-from graphslam.frozen import RecordedPositions, RecordedSightings, RecordedSteps, recorded_problem
+from graphslam.frozen import (
+    RecordedPositions,
+    RecordedPrior,
+    RecordedSightings,
+    RecordedSteps,
+    recorded_problem,
+)
 from graphslam.graph_builder import (
     LANDMARK_KEY,
     POSE_KEY,
@@ -166,7 +172,7 @@ def test_frozen_smoother_on_one_step_equals_the_kalman_filter() -> None:
         np.zeros((0, 2, 3)),
         np.zeros((0, 2, 2)),
     )
-    linear = recorded_problem(x0, p0, motion, np.array((0, 1)), sightings, nothing)
+    linear = recorded_problem(RecordedPrior(x0, p0), motion, np.array((0, 1)), sightings, nothing)
     frozen = solve(linear, np.array((x0, x1)), l0[None])
     assert relative_error(frozen.mean, mean) < 1e-10
     assert relative_error(frozen.covariance, covariance) < 1e-10

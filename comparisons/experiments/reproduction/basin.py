@@ -19,7 +19,13 @@ from ekf_reference.scan_landmarks.alignment import align
 from ekf_reference.scan_landmarks.enriching import enriched, observe_enriched
 from ekf_reference.scan_landmarks.scan_slam import ScanSlamOptions
 from ekf_reference.scan_landmarks.sog import SumOfGaussians
-from ekf_reference.scan_landmarks.templates import Observation, Template, View, observe
+from ekf_reference.scan_landmarks.templates import (
+    Observation,
+    Template,
+    TemplateMatching,
+    View,
+    observe,
+)
 
 _ONE_START = np.diag((1e-6, 1e-6, 1e-8))
 TURN = math.radians(10.0)
@@ -100,7 +106,8 @@ def _searched(case: Seen, off: Array, error_m: float) -> tuple[Observation, Obse
     """What Scan-SLAM makes of it, without and with the surroundings."""
     o = ScanSlamOptions()
     prior = np.diag((error_m, error_m, error_m * TURN)) ** 2
-    how = case.scan, case.true + off, prior, _ANYWHERE, o.observation, o.alignment, o.belief
+    matching = TemplateMatching(_ANYWHERE, o.observation, o.alignment, o.belief)
+    how = case.scan, case.true + off, prior, matching
     return observe(case.template, *how), observe_enriched(case.template, case.around, *how)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ekf_reference.association import KnownAssociation
-from ekf_reference.direction_cosine_ekf import DirectionCosineEkf
+from ekf_reference.direction_cosine_ekf import DirectionCosineEkf, DirectionCosineOptions
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.motion import RelativePoseModel
 
@@ -52,7 +52,6 @@ def direction_cosine_navigator(*, complete: bool, slam: bool) -> FilterNavigator
         KnownAssociation(),
         np.zeros(3),
         1e-10 * np.eye(3),
-        full_jacobian=complete,
-        renormalise=complete,
+        options=DirectionCosineOptions(full_jacobian=complete, renormalise=complete),
     )
     return FilterNavigator(ekf, use_sightings=slam, use_fixes=slam)

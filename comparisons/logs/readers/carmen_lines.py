@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,6 +23,22 @@ TAGS = frozenset(
 _RESOLUTION_RAD = {180: np.pi / 180, 181: np.pi / 180, 360: np.pi / 360, 361: np.pi / 360}
 _MAXIMUM_M = 80.0
 _MOST_BEAMS = 100_000
+
+
+class Sweep(NamedTuple):
+    """One laser line. line: its number from 1.
+
+    time_s: in the log's own seconds. angle_rad, range_m, remission: (B,). maximum_m: ranges from
+    there on are none. poses: (6,) x, y [m], heading [rad] of the laser, then of the robot.
+    """
+
+    line: int
+    time_s: float
+    angle_rad: Array
+    range_m: Array
+    maximum_m: float
+    remission: Array
+    poses: Array
 
 
 @dataclass(kw_only=True)
@@ -92,7 +109,8 @@ class LineReader:
             step = self.resolution_rad
             first = -step * (count - 1) / 2
         angle = first + step * np.arange(count, dtype=np.float64)
-        self._add("FLASER", number, time, angle, ranges, self.maximum_m, np.zeros(count), poses)
+        nothing = np.zeros(count)
+        self._add("FLASER", Sweep(number, time, angle, ranges, self.maximum_m, nothing, poses))
 
     def _robotlaser(self, number: int, words: list[str]) -> None:
         """Configuration, ranges, remissions, laser pose, robot pose, five more, time, host, ..."""
@@ -129,7 +147,7 @@ class LineReader:
         time = self._number(number, words[rest + 11], "time")
         angle = first + step * np.arange(count, dtype=np.float64)
         shown = remissions if more else np.zeros(count)
-        self._add("ROBOTLASER1", number, time, angle, ranges, maximum, shown, poses)
+        self._add("ROBOTLASER1", Sweep(number, time, angle, ranges, maximum, shown, poses))
 
     def _odom(self, number: int, words: list[str]) -> None:
         """Pose, tv, rv, accel, time, host, logger's time."""
@@ -143,18 +161,9 @@ class LineReader:
         if not self.odometry or time > self.odometry[-1][0]:
             self.odometry.append([time, *self._numbers(number, words[1:4], "pose")])
 
-    def _add(
-        self,
-        kind: str,
-        number: int,
-        time: float,
-        angle: Array,
-        ranges: Array,
-        maximum_m: float,
-        remissions: Array,
-        poses: Array,
-    ) -> None:
-        sweeps = self.sweeps[kind]
+    def _add(self, kind: str, sweep: Sweep) -> None:
+        sweeps, number = self.sweeps[kind], sweep.line
+        angle, ranges = sweep.angle_rad, sweep.range_m
         if (ranges < 0).any():
             raise InputError(
                 f"{self.path}:{number}: range is {ranges[ranges < 0][0]:g}, expected from 0 on"
@@ -167,15 +176,16 @@ class LineReader:
                 f"rad, expected {len(sweeps.angle)} from {sweeps.angle[0]:.4g} to "
                 f"{sweeps.angle[-1]:.4g} as in line {sweeps.line[0]}"
             )
-        if sweeps.time and time == sweeps.time[-1]:
+        if sweeps.time and sweep.time_s == sweeps.time[-1]:
             sweeps.repeated += 1
             return
         sweeps.line.append(number)
-        sweeps.time.append(time)
-        sweeps.ranges.append(np.where((ranges > 0) & (ranges < maximum_m), ranges, np.nan))
-        sweeps.remissions.append(remissions)
-        sweeps.laser.append(poses[:3])
-        sweeps.robot.append(poses[3:])
+        sweeps.time.append(sweep.time_s)
+        measured = (ranges > 0) & (ranges < sweep.maximum_m)
+        sweeps.ranges.append(np.where(measured, ranges, np.nan))
+        sweeps.remissions.append(sweep.remission)
+        sweeps.laser.append(sweep.poses[:3])
+        sweeps.robot.append(sweep.poses[3:])
 
     def _count(self, number: int, words: list[str], at: int, name: str, least: int) -> int:
         word = words[at] if at < len(words) else ""

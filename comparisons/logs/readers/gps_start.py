@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from comparisons.errors import InputError
 from comparisons.logs.log import Positions
 from comparisons.logs.odometry import SteeringOdometry
-from graphslam.increments import Stabilisation, ackermann_samples
+from graphslam.increments import AckermannGeometry, Stabilisation, ackermann_samples
 
 _LEAST_MOTION_M = 0.5
 
@@ -29,7 +29,7 @@ def start_from_gps(
         0.0,
         0.0,
         Stabilisation(),
-        **vars(odometry.vehicle),
+        AckermannGeometry(**vars(odometry.vehicle)),
     ).displacement.T
     heading = np.concatenate(([0.0], np.cumsum(turn[:-1])))
     step = (forward + 1j * left) * np.exp(1j * heading)

@@ -8,11 +8,16 @@ import numpy as np
 import pytest
 
 from ekf_reference.scan_landmarks.alignment import align
-from ekf_reference.scan_landmarks.alignment_covariance import CovarianceOptions, scan_align
+from ekf_reference.scan_landmarks.alignment_covariance import scan_align
 from ekf_reference.scan_landmarks.enriching import enriched, observe_enriched
-from ekf_reference.scan_landmarks.problem import AlignmentOptions
 from ekf_reference.scan_landmarks.sog import SumOfGaussians
-from ekf_reference.scan_landmarks.templates import AMBIGUOUS, ObservationOptions, Template, observe
+from ekf_reference.scan_landmarks.templates import (
+    AMBIGUOUS,
+    ObservationOptions,
+    Template,
+    TemplateMatching,
+    observe,
+)
 from tests.ekf_reference.both_kinds import relative
 from tests.ekf_reference.scan_landmarks.scenes import box, solids
 from tests.ekf_reference.scan_landmarks.test_templates import VIEW as WHOLE
@@ -25,9 +30,8 @@ ALIKE = solids(
 )  # fmt: skip
 """Two boxes alike, and what tells them apart."""
 HERE, THERE = np.zeros(3), np.array((0.5, 0.3, 0.05))
-VIEW = replace(WHOLE, share=0.5)
 WIDE = np.diag((2.0, 3.0, 0.1)) ** 2
-HOW = ObservationOptions(ambiguous=0.7), AlignmentOptions(), CovarianceOptions()
+HOW = TemplateMatching(replace(WHOLE, share=0.5), ObservationOptions(ambiguous=0.7))
 
 
 def landmark() -> tuple[Template, SumOfGaussians]:
@@ -53,9 +57,9 @@ def off(pose: Array) -> float:
 def test_what_is_around_tells_which_of_two_it_is() -> None:
     template, around = landmark()
     scan, (guess, _) = seen(ALIKE, THERE, 1), guess_and_truth()
-    bare = observe(template, scan, guess, WIDE, VIEW, *HOW)
+    bare = observe(template, scan, guess, WIDE, HOW)
     assert bare.kind == AMBIGUOUS or (bare.alignment is not None and off(bare.alignment.pose) > 5)
-    found = observe_enriched(template, around, scan, guess, WIDE, VIEW, *HOW)
+    found = observe_enriched(template, around, scan, guess, WIDE, HOW)
     assert found.usable
     assert found.alignment is not None
     assert off(found.alignment.pose) < 0.1
@@ -65,9 +69,9 @@ def test_r_is_that_of_the_template_alone() -> None:
     """What the map says is no independent information; with it, R would be much smaller."""
     template, around = landmark()
     scan, (guess, true) = seen(ALIKE, THERE, 1), guess_and_truth()
-    found = observe_enriched(template, around, scan, guess, WIDE, VIEW, *HOW).alignment
+    found = observe_enriched(template, around, scan, guess, WIDE, HOW).alignment
     assert found is not None
-    once = replace(HOW[1], spacing_m=100.0)
+    once = replace(HOW.alignment, spacing_m=100.0)
     alone = scan_align(template.shape, scan, true, WIDE, once)
     assert np.allclose(found.pose, alone.pose, rtol=0.0, atol=1e-4)
     assert np.allclose(found.covariance, alone.covariance, rtol=1e-2)
@@ -81,7 +85,7 @@ def test_two_places_that_fit_the_surroundings_are_ambiguous() -> None:
     near = around.take(np.abs(around.mean).max(axis=1) < 2.5)
     scan, (guess, _) = seen(ALIKE, THERE, 1), guess_and_truth()
     guess = guess - (0.0, 0.5, 0.0)
-    found = observe_enriched(template, near, scan, guess, WIDE, VIEW, *HOW)
+    found = observe_enriched(template, near, scan, guess, WIDE, HOW)
     assert found.kind == AMBIGUOUS
     assert not found.usable
     assert "around" in found.reason

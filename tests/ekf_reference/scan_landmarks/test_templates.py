@@ -13,7 +13,13 @@ from ekf_reference.scan_landmarks.segmentation import (
     segments,
 )
 from ekf_reference.scan_landmarks.sog import SumOfGaussians
-from ekf_reference.scan_landmarks.templates import Template, View, observe, share_in_view
+from ekf_reference.scan_landmarks.templates import (
+    Template,
+    TemplateMatching,
+    View,
+    observe,
+    share_in_view,
+)
 from tests.ekf_reference.scan_landmarks.scenes import (
     BEAMS,
     ELL,
@@ -30,6 +36,7 @@ from tests.ekf_reference.scan_landmarks.scenes import (
 STILL = np.zeros(3)
 NEAR = np.diag((0.3, 0.3, 0.05)) ** 2
 VIEW = View(40.0, float(BEAMS[0]), float(BEAMS[-1]))
+MATCHING = TemplateMatching(VIEW)
 STAR = solids(outline((6, -2), (9, -3), (8, -0.5), (11, 1), (8, 1.5), (8.5, 4), (6.5, 2), (5, 3)))
 """Has all directions fixed by itself."""
 
@@ -103,7 +110,7 @@ def test_an_observation_is_the_axis_pose_from_the_new_place() -> None:
     cos, sin = np.cos(moved[2]), np.sin(moved[2])
     apart = template.pose[:2] - moved[:2]
     true = np.array((cos * apart[0] + sin * apart[1], -sin * apart[0] + cos * apart[1], -moved[2]))
-    found = observe(template, seen(STAR, moved, 1), true + (0.2, -0.2, 0.05), NEAR, VIEW)
+    found = observe(template, seen(STAR, moved, 1), true + (0.2, -0.2, 0.05), NEAR, MATCHING)
     assert found.usable
     assert found.alignment is not None
     error = found.alignment.pose - true
@@ -118,7 +125,7 @@ def test_less_than_nine_tenths_in_view_is_no_observation() -> None:
     behind, aside = np.array((-8.0, 0.0, 0.0)), np.array((0.0, 30.0, 0.0))
     beyond = np.array((60.0, 0.0, 0.0))
     for pose in (behind, beyond):
-        found = observe(template, scan, pose, NEAR, VIEW)
+        found = observe(template, scan, pose, NEAR, MATCHING)
         assert found.alignment is None
         assert found.share_in_view == 0.0
         assert found.reason == "0% of the template in view"
@@ -128,7 +135,7 @@ def test_less_than_nine_tenths_in_view_is_no_observation() -> None:
 def test_what_something_nearer_hides_is_not_in_view() -> None:
     template = template_of(seen(STAR))
     screen = solids(box(3.0, 0.0, 0.2, 12.0, 0.0))
-    found = observe(template, seen(screen), template.pose, NEAR, VIEW)
+    found = observe(template, seen(screen), template.pose, NEAR, MATCHING)
     assert found.share_in_view < 0.1
     assert found.alignment is None
 
@@ -136,9 +143,11 @@ def test_what_something_nearer_hides_is_not_in_view() -> None:
 def test_blank_scans_and_other_shapes_are_refused_with_a_reason() -> None:
     template = template_of(seen(STAR))
     blank = of_scan(BEAMS, np.full(len(BEAMS), np.nan), LASER)
-    assert observe(template, blank, template.pose, NEAR, VIEW).reason == "the scan has no returns"
+    assert (
+        observe(template, blank, template.pose, NEAR, MATCHING).reason == "the scan has no returns"
+    )
     other = solids(box(20.0, 0.0, 1.0, 30.0, 0.0))
-    gone = observe(template, seen(other), template.pose, NEAR, VIEW)
+    gone = observe(template, seen(other), template.pose, NEAR, MATCHING)
     assert "finds a counterpart" in gone.reason
     assert not gone.usable
 
@@ -147,7 +156,8 @@ def test_identical_templates_see_the_same_and_twins_nothing() -> None:
     scan = seen(STAR)
     one, same = template_of(scan), template_of(scan)
     first, second = (
-        observe(t, seen(STAR, seed=2), t.pose + (0.1, 0.1, 0.02), NEAR, VIEW) for t in (one, same)
+        observe(t, seen(STAR, seed=2), t.pose + (0.1, 0.1, 0.02), NEAR, MATCHING)
+        for t in (one, same)
     )
     assert first.alignment is not None
     assert second.alignment is not None
@@ -156,4 +166,6 @@ def test_identical_templates_see_the_same_and_twins_nothing() -> None:
     lone = seen(solids(box(8, 1.2, 1.2, 0.8, 20)))
     template = Template.of_segment(lone, np.arange(len(lone)))
     wide = np.diag((1.5, 1.5, 0.2)) ** 2
-    assert "another place fits" in observe(template, seen(twins), template.pose, wide, VIEW).reason
+    assert (
+        "another place fits" in observe(template, seen(twins), template.pose, wide, MATCHING).reason
+    )
