@@ -14,6 +14,7 @@ import argparse
 import copy
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -193,6 +194,34 @@ class Course:
         )
 
 
+class Stretch(NamedTuple):
+    """A blind stretch, and what was made of the sightings (S,) after it.
+
+    attributes: `on` or `off`, for them. known: landmarks in the map before. rows: the sightings'
+    numbers. slots: the landmarks they were taken for, or -1.
+    """
+
+    length_s: float
+    attributes: str
+    known: int
+    rows: Slots
+    slots: Slots
+
+
+def blindly(course: Course, ekf: FullEkf, epoch: int, length_s: float) -> tuple[Slots, Slots]:
+    """Drive a filter on from an epoch without sightings, then look: their rows and slots."""
+    slots, rows = [], []
+    for j in range(epoch + 1, len(course.time_s)):
+        since = course.time_s[j] - course.time_s[epoch]
+        if since > length_s + AFTER_S:
+            break
+        course.move(ekf, j)
+        if since > length_s:
+            rows.append(course.rows(j))
+            slots.append(course.look(ekf, j))
+    return np.concatenate(rows), np.concatenate(slots)
+
+
 def lost(log: Log, association: str, blind_s: list[float], every_s: float) -> None:
     """Blind from here on for a while: is what is seen afterwards taken for what it is?
 
@@ -206,34 +235,34 @@ def lost(log: Log, association: str, blind_s: list[float], every_s: float) -> No
     assert isinstance(using, RememberedAttributes)
     by_position = build_association(log, replace(choices, attributes="off"))
     ekf.association = RememberedAttributes(by_position, using.memory)
-    epochs = len(course.time_s)
     true = np.full(len(log.sightings.time_s), -1, dtype=np.intp)
-    found: list[tuple[float, str, int, Slots, Slots]] = []
+    found: list[Stretch] = []
     begins = np.arange(
         log.prior.time_s + 2.0 * every_s, log.end_s - max(blind_s) - AFTER_S, every_s
     )
     starts = set(np.searchsorted(course.time_s, begins).tolist())
-    for k in range(epochs):
+    for k in range(len(course.time_s)):
         course.move(ekf, k)
         true[course.rows(k)] = course.look(ekf, k)
         if k not in starts:
             continue
         for length in blind_s:
             for attributes in ("off", "on"):
-                (copied, rule), slots, rows = copy.deepcopy((ekf, using)), [], []
+                copied, rule = copy.deepcopy((ekf, using))
                 if attributes == "on":
                     copied.association = rule
-                for j in range(k + 1, epochs):
-                    since = course.time_s[j] - course.time_s[k]
-                    if since > length + AFTER_S:
-                        break
-                    course.move(copied, j)
-                    if since > length:
-                        rows.append(course.rows(j))
-                        slots.append(course.look(copied, j))
-                before = ekf.state.landmark_count
-                seen, said = np.concatenate(rows), np.concatenate(slots)
-                found.append((length, attributes, before, seen, said))
+                seen = blindly(course, copied, k, length)
+                found.append(Stretch(length, attributes, ekf.state.landmark_count, *seen))
+    print_stretches(log, association, blind_s, found, true)
+
+
+def print_stretches(
+    log: Log, association: str, blind_s: list[float], found: list[Stretch], true: Slots
+) -> None:
+    """How the sightings after blind stretches were taken, by length and use of attributes.
+
+    true: (M,) what the filter that was never blind took every sighting for.
+    """
     print(
         f"{log.name}, blind for, {association}, attributes: sightings of known landmarks in the "
         f"{AFTER_S:g} s after, taken for the right one, a wrong one, unused; stretches mostly right"
@@ -242,11 +271,11 @@ def lost(log: Log, association: str, blind_s: list[float], every_s: float) -> No
         right: dict[str, list[float]] = {}
         for attributes in ("off", "on"):
             counts, right[attributes] = np.zeros(3), []
-            for at, how, before, rows_, slots_ in found:
-                known = (true[rows_] >= 0) & (true[rows_] < before)
-                if (at, how) != (length, attributes) or not known.any():
+            for one in found:
+                known = (true[one.rows] >= 0) & (true[one.rows] < one.known)
+                if one[:2] != (length, attributes) or not known.any():
                     continue
-                said, meant = slots_[known], true[rows_][known]
+                said, meant = one.slots[known], true[one.rows][known]
                 counts += [(said == meant).sum(), ((said >= 0) & (said != meant)).sum(),
                            (said < 0).sum()]  # fmt: skip
                 right[attributes].append(float((said == meant).mean()))

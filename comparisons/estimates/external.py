@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,13 +72,17 @@ def read_given(path: Path, times: Path | None = None) -> GivenEstimate:
     """
     if not path.exists():
         raise InputError(f"{path}: no such file or folder, expected a trajectory or a folder")
-    if not path.is_dir():
-        time_s, pose, covariance = read_trajectory_file(path, times)
-        if not len(pose):
-            raise InputError(f"{path}: holds no poses")
-        return GivenEstimate(time_s=time_s, pose=pose, pose_covariance=covariance)
-    if times is not None:
-        raise InputError(f"{path}: is a folder; --times is for KITTI files")
+    if path.is_dir():
+        if times is not None:
+            raise InputError(f"{path}: is a folder; --times is for KITTI files")
+        return _read_folder(path)
+    time_s, pose, covariance = read_trajectory_file(path, times)
+    if not len(pose):
+        raise InputError(f"{path}: holds no poses")
+    return GivenEstimate(time_s=time_s, pose=pose, pose_covariance=covariance)
+
+
+def _read_folder(path: Path) -> GivenEstimate:
     time_s, pose = read_trajectory(path / "trajectory.tum")
     if not len(pose):
         raise InputError(f"{path / 'trajectory.tum'}: holds no poses")
@@ -88,12 +92,40 @@ def read_given(path: Path, times: Path | None = None) -> GivenEstimate:
     ids = places = None
     if (path / "landmarks.csv").exists():
         ids, places = read_landmarks(path / "landmarks.csv")
-    count = 0 if places is None else len(places)
-    points = 3 + 2 * count
+    covariances = _read_covariances(path, len(pose), 0 if places is None else len(places))
+    trace = None
+    if (path / TRACE).exists():
+        if ids is None:
+            raise InputError(f"{path / TRACE}: needs landmarks.csv beside it")
+        trace = read_trace(path / TRACE, ids)
+    return GivenEstimate(
+        time_s=time_s,
+        pose=pose,
+        landmark_id=ids,
+        landmark=places,
+        pose_covariance=covariances.pose,
+        landmark_covariance=covariances.landmark,
+        joint_covariance=covariances.joint,
+        information=information,
+        trace=trace,
+    )
+
+
+class _Covariances(NamedTuple):
+    """Of poses (K, 3, 3), landmarks (L, 2, 2), and the last pose and them (3 + 2 L, 3 + 2 L)."""
+
+    pose: Array | None
+    landmark: Array | None
+    joint: Array | None
+
+
+def _read_covariances(path: Path, poses: int, landmarks: int) -> _Covariances:
+    """Whichever a folder's `covariances.npz` has; the landmarks' own from the joint one."""
+    points = 3 + 2 * landmarks
     size = points + 3 * len(read_scan_landmarks(path / SCAN_LANDMARKS)[0])
     shapes = {
-        "pose": (len(pose), 3, 3),
-        "landmarks": (count, 2, 2),
+        "pose": (poses, 3, 3),
+        "landmarks": (landmarks, 2, 2),
         "last_pose_and_landmarks": (size, size),
     }
     found: dict[str, Array] = {}
@@ -106,24 +138,9 @@ def read_given(path: Path, times: Path | None = None) -> GivenEstimate:
     if joint is not None:
         joint = joint[:points, :points]  # what is told of scan landmarks has nothing to be held by
     own = found.get("landmarks")
-    if own is None and joint is not None and count:
+    if own is None and joint is not None and landmarks:
         own = landmark_blocks(joint)
-    trace = None
-    if (path / TRACE).exists():
-        if ids is None:
-            raise InputError(f"{path / TRACE}: needs landmarks.csv beside it")
-        trace = read_trace(path / TRACE, ids)
-    return GivenEstimate(
-        time_s=time_s,
-        pose=pose,
-        landmark_id=ids,
-        landmark=places,
-        pose_covariance=found.get("pose"),
-        landmark_covariance=own,
-        joint_covariance=joint,
-        information=information,
-        trace=trace,
-    )
+    return _Covariances(found.get("pose"), own, joint)
 
 
 def _check_covariance(name: str, array: Array, shape: tuple[int, ...]) -> None:

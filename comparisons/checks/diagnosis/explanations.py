@@ -5,8 +5,8 @@ Each is tried on the records: it is named only when it explains all that deviate
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,8 @@ from ekf_reference.trace import SightingRecords
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
+Scale = float | tuple[float, float]
+"""What a control is multiplied by: all of it, or speed and turn."""
 
 _EQUAL = 1e-7
 _STEPS = 300
@@ -53,29 +55,18 @@ def _steps(log: Log, run: EkfRun) -> Iterator[str]:
     model = motion_model(log)
     rows = np.unique(np.linspace(0, len(trace.departed) - 1, _STEPS).astype(np.intp))
     rows = rows[1:] if len(rows) > 1 else rows  # the first has none before it
-    duration = timeline.step_duration_s
-
-    def steps(
-        model: MotionModel, control: Callable[[Array], Array], last: Array
-    ) -> tuple[Array, Array, Array]:
-        each: list[MotionStep] = [
-            model.step(trace.departed[i], control(timeline.control[i]), float(s))
-            for i, s in zip(rows.tolist(), last[rows], strict=True)
-        ]
-        return (
-            np.array([one.pose for one in each]),
-            np.array([one.jacobian_pose for one in each]),
-            np.array([one.jacobian_control for one in each]),
-        )
-
-    def same(control: Array) -> Array:
-        return control
-
-    arrived, f, b = steps(model, same, duration)
-    have = trace.arrived[rows]
-    move, moved = have - trace.departed[rows], arrived - trace.departed[rows]
-    if not _equal(move, moved):
-        yield from _displaced(log, model, steps, duration, rows, run, move, moved)
+    taken = _Predictions(
+        trace.departed[rows],
+        timeline.control,
+        timeline.step_duration_s,
+        rows,
+        trace.arrived[rows] - trace.departed[rows],
+    )
+    arrived, f, b = taken.by(model)
+    moved = arrived - taken.departed
+    if not _equal(taken.move, moved):
+        found = _displaced(taken, model, moved, isinstance(log.odometry, RelativePoses))
+        yield from () if found is None else (found,)
         return
     if not _equal(trace.f[rows], f):
         opposite = f.copy()
@@ -89,77 +80,114 @@ def _steps(log: Log, run: EkfRun) -> Iterator[str]:
     yield from _step_noise(log, run, rows, b)
 
 
+@dataclass(frozen=True)
+class _Predictions:
+    """R of a filter's N predictions, to be compared with those of a model.
+
+    departed: (R, 3) poses. control: (N, ...) and duration_s: (N,) of all. rows: (R,) which of
+    them. move: (R, 3) how far the filter went, arrived - departed.
+    """
+
+    departed: Array
+    control: Array
+    duration_s: Array
+    rows: Index
+    move: Array
+
+    def by(
+        self, model: MotionModel, factor: Scale = 1.0, duration_s: Array | None = None
+    ) -> tuple[Array, Array, Array]:
+        """A model's poses (R, 3), F and B; control times a factor, for durations (N,)."""
+        last = self.duration_s if duration_s is None else duration_s
+        each: list[MotionStep] = [
+            model.step(departed, self.control[i] * factor, float(s))
+            for departed, i, s in zip(
+                self.departed, self.rows.tolist(), last[self.rows], strict=True
+            )
+        ]
+        return (
+            np.array([one.pose for one in each]),
+            np.array([one.jacobian_pose for one in each]),
+            np.array([one.jacobian_control for one in each]),
+        )
+
+    def lead(
+        self, model: MotionModel, factor: Scale = 1.0, duration_s: Array | None = None
+    ) -> bool:
+        """Whether the filter went where that leads."""
+        return _equal(self.move, self.by(model, factor, duration_s)[0] - self.departed)
+
+
 def _displaced(
-    log: Log,
-    model: MotionModel,
-    steps: Callable[..., tuple[Array, Array, Array]],
-    duration: Array,
-    rows: Index,
-    run: EkfRun,
-    move: Array,
-    moved: Array,
-) -> Iterator[str]:
-    """Where a step leads elsewhere: sign, interval, control, wheelbase, bias."""
-    departed = run.trace.departed[rows]
+    taken: _Predictions, model: MotionModel, moved: Array, displacements: bool
+) -> str | None:
+    """Why steps lead elsewhere, where that is known.
 
-    def leads(*arguments: object) -> bool:
-        return _equal(move, steps(*arguments)[0] - departed)
+    moved: (R, 3) as the log's own model has it. displacements: the control is measured poses.
+    """
+    found = None if displacements else _mistaken_control(taken, model, moved)
+    if found is None and taken.lead(_Twice(model)):
+        found = "the control is applied twice"
+    if found is None:
+        found = _turn_bias(taken, moved)
+    if found is None and isinstance(model, AckermannModel):
+        found = _mistaken_vehicle(taken, model)
+    return found
 
-    def same(control: Array) -> Array:
-        return control
 
-    turn = "steering" if isinstance(model, AckermannModel) else "turn"
-    if not isinstance(log.odometry, RelativePoses):
-        if leads(model, lambda control: control * (1.0, -1.0), duration):
-            yield f"the {turn} has the opposite sign"
-            return
-        before = np.concatenate((duration[:1], duration[:-1]))
-        if leads(model, same, before):
-            yield "a step lasts the previous step's interval"
-            return
-        far, meant = (np.linalg.norm(m[:, :2], axis=1) for m in (move, moved))
-        driven = meant > 1e-6
-        if driven.any():
-            ratio = far[driven] / meant[driven]
-            factor, seconds = float(np.median(ratio)), ratio * duration[rows][driven]
-            always = float(np.median(seconds))
-            if leads(model, same, factor * duration):
-                yield f"every control acts for {factor:.4g} times its interval"
-                return
-            if leads(model, same, np.full(len(duration), always)):
-                yield f"the interval is always {always:.4g} s"
-                return
-            if leads(model, lambda control: control * (factor, 1.0), duration):
-                yield f"the speed is {factor:.4g} times the recorded"
-                return
-        if leads(_Twice(model), same, duration):
-            yield "the control is applied twice"
-            return
-    rate = (move - moved)[:, 2] / duration[rows]
-    if _equal(move[:, :2], moved[:, :2]) and np.ptp(rate) <= 1e-6:
-        yield f"the turn has a bias of {np.median(rate):.3g} rad/s"
-        return
-    if isinstance(model, AckermannModel):
-        for part in ("encoder_offset_m", "sensor_forward_m", "sensor_left_m"):
-            own = getattr(model, part)
-            for factor, how in ((0.0, "is left out"), (-1.0, "has the opposite sign")):
-                if own and leads(replace(model, **{part: factor * own}), same, duration):
-                    yield f"{part} of the vehicle {how}"
-                    return
-        if model.sensor_forward_m or model.sensor_left_m:
-            bare = replace(model, sensor_forward_m=0.0, sensor_left_m=0.0)
-            if leads(bare, same, duration):
-                yield "the sensor's place on the vehicle is left out"
-                return
+def _mistaken_control(taken: _Predictions, model: MotionModel, moved: Array) -> str | None:
+    """Signs, intervals and speeds of a wheeled vehicle."""
+    duration = taken.duration_s
+    if taken.lead(model, (1.0, -1.0)):
+        turn = "steering" if isinstance(model, AckermannModel) else "turn"
+        return f"the {turn} has the opposite sign"
+    if taken.lead(model, duration_s=np.concatenate((duration[:1], duration[:-1]))):
+        return "a step lasts the previous step's interval"
+    far, meant = (np.linalg.norm(m[:, :2], axis=1) for m in (taken.move, moved))
+    driven = meant > 1e-6
+    if not driven.any():
+        return None
+    ratio = far[driven] / meant[driven]
+    factor, seconds = float(np.median(ratio)), ratio * duration[taken.rows][driven]
+    always = float(np.median(seconds))
+    if taken.lead(model, duration_s=factor * duration):
+        return f"every control acts for {factor:.4g} times its interval"
+    if taken.lead(model, duration_s=np.full(len(duration), always)):
+        return f"the interval is always {always:.4g} s"
+    if taken.lead(model, (factor, 1.0)):
+        return f"the speed is {factor:.4g} times the recorded"
+    return None
 
-        def miss(wheelbase_m: float) -> float:
-            other = replace(model, wheelbase_m=wheelbase_m)
-            return float(np.sum((steps(other, same, duration)[0] - departed - move) ** 2))
 
-        own = model.wheelbase_m
-        best = minimize_scalar(miss, bounds=(0.3 * own, 3.0 * own), options={"xatol": 1e-9 * own})
-        if best.fun < 1e-6 * miss(own):
-            yield f"the wheelbase is {best.x:.3f} m, where the log says {own:.3f} m"
+def _turn_bias(taken: _Predictions, moved: Array) -> str | None:
+    """A constant rate that is added to every turn."""
+    rate = (taken.move - moved)[:, 2] / taken.duration_s[taken.rows]
+    if _equal(taken.move[:, :2], moved[:, :2]) and np.ptp(rate) <= 1e-6:
+        return f"the turn has a bias of {np.median(rate):.3g} rad/s"
+    return None
+
+
+def _mistaken_vehicle(taken: _Predictions, model: AckermannModel) -> str | None:
+    """Measures of a car that are left out, of opposite sign, or others."""
+    for part in ("encoder_offset_m", "sensor_forward_m", "sensor_left_m"):
+        own = getattr(model, part)
+        for factor, how in ((0.0, "is left out"), (-1.0, "has the opposite sign")):
+            if own and taken.lead(replace(model, **{part: factor * own})):
+                return f"{part} of the vehicle {how}"
+    if model.sensor_forward_m or model.sensor_left_m:
+        bare = replace(model, sensor_forward_m=0.0, sensor_left_m=0.0)
+        if taken.lead(bare):
+            return "the sensor's place on the vehicle is left out"
+
+    def miss(wheelbase_m: float) -> float:
+        other = replace(model, wheelbase_m=wheelbase_m)
+        return float(np.sum((taken.by(other)[0] - taken.departed - taken.move) ** 2))
+
+    own = model.wheelbase_m
+    best = minimize_scalar(miss, bounds=(0.3 * own, 3.0 * own), options={"xatol": 1e-9 * own})
+    if best.fun < 1e-6 * miss(own):
+        return f"the wheelbase is {best.x:.3f} m, where the log says {own:.3f} m"
+    return None
 
 
 class _Twice:
