@@ -13,9 +13,10 @@ from comparisons.archive import read_arrays
 from comparisons.errors import InputError
 from comparisons.logs.validation import LARGEST, LARGEST_ID
 from ekf_reference.layout import ORIENTED
-from ekf_reference.trace import SightingRecords, TraceArrays
-from ekf_reference.trace_records import (
+from ekf_reference.trace import (
     PositionRecords,
+    SightingRecords,
+    TraceArrays,
     fusion_records,
     removal_records,
     sighting_records,
