@@ -1,26 +1,33 @@
-# `make run` runs the main job, `make test` lint, types and tests. Both set everything up.
+# `make run` runs the main job, `make test` lint, types and the quick tests, `make test-all` every
+# test. All set everything up.
 VENV ?= .venv
 BIN := $(VENV)/bin
 CANDIDATES := $(PYTHON) python3 python3.13 python3.12 python3.11
 FITS := import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))
+PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile
 
-.PHONY: run test test-golden nightly clean
+.PHONY: run test test-all test-golden lint nightly clean
 
 # slamcheck exits with 0, 1 or 3 for its verdict; only 2 and crashes are failures of the job.
 run: $(VENV)/installed
 	@$(BIN)/slamcheck run; code=$$?; [ $$code -eq 0 ] || [ $$code -eq 1 ] || [ $$code -eq 3 ]
 
-test: $(VENV)/installed-dev
-	$(BIN)/ruff check .
-	$(BIN)/ruff format --check .
-	$(BIN)/mypy
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile -m "not golden"
+test: lint
+	$(PYTEST) -m "not golden and not slow and not browser"
+
+test-all: lint
+	$(PYTEST) -m "not golden"
 
 # Every golden run: results equal to those kept, to the bit on the machine that kept them.
 test-golden: $(VENV)/installed-dev
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest tests/golden
+	$(PYTEST) --dist load tests/golden
 
-# Ten times as many damaged and hostile files as `make test` tries, drawn anew each time.
+lint: $(VENV)/installed-dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+# Ten times as many damaged and hostile files as the tests try, drawn anew each time.
 nightly: $(VENV)/installed-dev
 	HYPOTHESIS_PROFILE=nightly OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest tests/fuzz
 

@@ -21,11 +21,12 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from comparisons.adapters.attributes import sighted_attributes
-from comparisons.adapters.ekf_factory import EkfChoices, build_association, build_ekf
+from comparisons.adapters.ekf_factory import build_association, build_ekf, settle
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.timeline import build_timeline
 from comparisons.checks.accuracy import assess
 from comparisons.checks.association import score_partition
+from comparisons.config import EkfConfig
 from comparisons.logs.log import Log
 from comparisons.logs.readers import acfr_car_park, victoria_park
 from comparisons.logs.simulate.drive import Drive, simulate
@@ -61,7 +62,9 @@ def paired_trees(seed: int, loops: float) -> Log:
 
 def run(log: Log, filter_name: str, association: str, attributes: str) -> EkfRun:
     """The filter over a log."""
-    choices = EkfChoices(filter_name, association, attributes=attributes).settle(log)
+    choices = settle(
+        EkfConfig(filter=filter_name, association=association, attributes=attributes), log
+    )
     return run_ekf(log, build_timeline(log), choices)
 
 
@@ -229,11 +232,11 @@ def lost(log: Log, association: str, blind_s: list[float], every_s: float) -> No
     both copies drive on without sightings, and only one of them uses diameters afterwards. The
     filter that was never blind says what is right.
     """
-    choices = EkfChoices("compressed", association, attributes="on").settle(log)
+    choices = settle(EkfConfig(filter="compressed", association=association, attributes="on"), log)
     course, ekf = Course(log), build_ekf(log, choices, NullTrace())
     using = ekf.association
     assert isinstance(using, RememberedAttributes)
-    by_position = build_association(log, replace(choices, attributes="off"))
+    by_position = build_association(log, choices.model_copy(update={"attributes": "off"}))
     ekf.association = RememberedAttributes(by_position, using.memory)
     true = np.full(len(log.sightings.time_s), -1, dtype=np.intp)
     found: list[Stretch] = []

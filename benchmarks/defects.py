@@ -23,7 +23,7 @@ from scipy.stats import beta
 
 from comparisons.experiments.defects.catalogue import CATALOGUE, named_first, run_defect
 from comparisons.logs.simulate.drive import Drive, simulate
-from comparisons.pipeline.compare import compare_estimators
+from comparisons.pipeline.compare import compare
 
 
 def interval(count: int, total: int) -> tuple[float, float]:
@@ -71,7 +71,7 @@ def false_alarms(seeds: int, noise_scale: float, loop_s: float) -> None:
     drive = Drive(noise_scale=noise_scale, loop_s=loop_s)
     outcomes, blamed = Counter[str](), Counter[str]()
     for seed in range(seeds):
-        verdict = compare_estimators(simulate(np.random.default_rng(seed), drive)).verdict
+        verdict = compare(simulate(np.random.default_rng(seed), drive)).verdict
         outcomes[verdict.outcome] += 1
         blamed.update(cause.gap for cause in verdict.causes)
     low, high = interval(outcomes["disagree"], seeds)

@@ -26,8 +26,11 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from comparisons.checks.accuracy import match_by_distance, rigid_motion
+from comparisons.config import MapConfig
+from comparisons.experiments.reproduction.nieto_dense import SURFACES
 from comparisons.extensions.dense_maps.accuracy import OCCUPIED, distance_to_segments
-from comparisons.extensions.dense_maps.source import SURFACES, DenseOptions
+from comparisons.extensions.dense_maps.config import DenseMapsConfig
+from comparisons.extensions.dense_maps.source import build_map
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.simulate.ray_casting import Solids, cast
 from comparisons.pipeline.dense_map import DenseMapping, map_log
@@ -39,6 +42,7 @@ from ekf_reference.dense.view import FilterView
 
 Array = NDArray[np.float64]
 
+CONFIG = DenseMapsConfig(layers=SURFACES)
 SENSOR = Sensor(0.05, math.radians(0.25), math.radians(1.0))
 BEARING = np.linspace(-math.pi, math.pi, 361, endpoint=False)
 MRPT = "MRPT's C++, one scan into a grid, no regions, on another machine: 0.041 (widened 0.113)"
@@ -134,15 +138,15 @@ def speed_of_layers(scans: int) -> None:
     landmark = grid_of_landmarks(6, 5, 8.0)
     view = view_of(np.zeros(3), landmark, np.arange(len(landmark)))
     taken = [seen(rng, wall, pose) for pose in circling(2 * scans, 2.0)]
-    dense = DenseOptions(SURFACES).build()
+    dense = build_map(CONFIG)
     dense.updated(view)
     placed = dense.place(view)
     told = [Told.of(placed, scan) for scan in taken]
     rows: dict[str, list[float]] = {}
     for name in SURFACES:
-        layer = DenseOptions(SURFACES).build().layers[name]
+        layer = build_map(CONFIG).layers[name]
         rows[name] = [one.fuse(layer) for one in told]
-    layers = list(DenseOptions(SURFACES).build().layers.values())
+    layers = list(build_map(CONFIG).layers.values())
     rows["all four"] = [one.fuse_all(layers) for one in told]
     rows["all four, with DenseMap.insert"] = [timed(dense, view, scan)[1] for scan in taken]
     in_view = np.median([len(one.near) for one in told])
@@ -151,9 +155,9 @@ def speed_of_layers(scans: int) -> None:
     )
     print(f"as many passed. {MRPT}")
     print(f"{'':32} median    95 %")
-    for name, spent in rows.items():
+    for title, spent in rows.items():
         last = spent[scans:]
-        print(f"{name:32} {np.median(last):6.2f}  {np.percentile(last, 95.0):6.2f}")
+        print(f"{title:32} {np.median(last):6.2f}  {np.percentile(last, 95.0):6.2f}")
 
 
 def timed(dense: DenseMap, view: FilterView, scan: Scan) -> tuple[float, float]:
@@ -191,7 +195,7 @@ class Patches:
         """All are visited, in rows, as a vehicle finds them."""
         rng = np.random.default_rng(0)
         one, side = grid_of_landmarks(6, 2, 10.0), math.ceil(math.sqrt(count))
-        made = cls(DenseOptions(SURFACES).build(), np.empty((0, 2)), np.arange(len(one)))
+        made = cls(build_map(CONFIG), np.empty((0, 2)), np.arange(len(one)))
         for number in range(count):
             corner = APART_M * np.array((number % side, number // side), dtype=float)
             made.landmark = np.vstack((made.landmark, corner + one))
@@ -237,7 +241,7 @@ def errors_of_drives(seeds: int, loops: int) -> None:
     mapped = []
     for seed in range(seeds):
         log = open_log("occupancy-loop", None, 1, SimulationChoices(seed, loops, 1.0))
-        mapped.append(map_log(log, options=DenseOptions(SURFACES)))
+        mapped.append(map_log(log, MapConfig(extensions={"dense_maps": CONFIG})))
     print(f"occupancy-loop, {seeds} drives of {loops} loops")
     print("distance to the surfaces [m]     as it is               after the landmarks' motion")
     columns = f"median   95 %  >{FAR} m"

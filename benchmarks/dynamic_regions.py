@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from comparisons.checks.accuracy import assess
+from comparisons.config import MapConfig
 from comparisons.experiments.reproduction.dynamic_accuracy import middles, score_dynamic
-from comparisons.extensions.dense_maps.source import DenseOptions
 from comparisons.logs.simulate.scan_drive import (
     ScanExperiment,
     dynamic_lanes,
@@ -30,7 +30,8 @@ def mapped(
 ) -> tuple[DenseMapping, DynamicLayer]:
     """A drive's map, and its dynamic layer; an empty one where it was not to look."""
     log = simulate(np.random.default_rng(seed), experiment)
-    mapping = map_log(log, options=DenseOptions(() if looking else ("points",), dynamic=looking))
+    asked = {"dynamic": {}} if looking else {"dense_maps": {"layers": ["points"]}}
+    mapping = map_log(log, MapConfig.of(extensions=asked))
     return mapping, mapping.dense.dense.dynamic or DynamicLayer()
 
 

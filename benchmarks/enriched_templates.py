@@ -26,7 +26,8 @@ from numpy.typing import NDArray
 
 from comparisons.adapters.planar_scans import PlanarScans
 from comparisons.experiments.reproduction.basin import converges, offsets
-from comparisons.extensions.dense_maps.source import DenseOptions
+from comparisons.extensions.dense_maps.config import DenseMapsConfig
+from comparisons.extensions.dense_maps.source import build_map
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.report.picture import blank, save
 from ekf_reference.dense.high_level import Around, search, to_world, within
@@ -64,7 +65,7 @@ def cases(seed: int) -> Iterator[Case]:
     assert truth.poses is not None
     assert truth.landmarks is not None
     landmark, pose = truth.landmarks.position_m, truth.poses.at(scans.time_s)
-    dense = DenseOptions(("occupancy", "sog")).build()
+    dense = build_map(DenseMapsConfig(layers=("occupancy", "sog")))
     shapes = []
     for number, at in enumerate(pose):
         view = view_of(at, landmark, np.arange(len(landmark)))

@@ -23,9 +23,11 @@ import numpy as np
 from dense_maps import Patches  # type: ignore[import-not-found]
 from numpy.typing import NDArray
 
-from comparisons.adapters.ekf_factory import EkfChoices
+from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
+from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import build_timeline
+from comparisons.config import EkfConfig
 from comparisons.extensions.high_level.source import HighLevelOptions, HighLevelSource
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
@@ -58,8 +60,9 @@ def errors(log: Log, run: EkfRun) -> Array:
 
 def driven(log: Log, source: HighLevelSource | None) -> Array:
     """The filter's errors with a source, or without."""
-    choices = EkfChoices().settle(log)
-    return errors(log, run_ekf(log, build_timeline(log), choices, source=source))
+    setup = FilterSetup() if source is None else FilterSetup(source=source)
+    config = settle(EkfConfig(), log)
+    return errors(log, run_ekf(log, build_timeline(log), config, setup=setup))
 
 
 def value_of_landmarks(seeds: int, loops: int, every_s: float) -> None:

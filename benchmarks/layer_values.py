@@ -17,12 +17,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.adapters.ekf_factory import EkfChoices
-from comparisons.adapters.ekf_run import EkfRun, run_ekf
-from comparisons.adapters.timeline import build_timeline
+from comparisons.adapters.ekf_run import EkfRun
 from comparisons.checks.accuracy import assess
 from comparisons.checks.association import score_partition
-from comparisons.extensions.dense_maps.source import DenseOptions, DenseWatcher
+from comparisons.extensions.dense_maps.source import DenseWatcher
 from comparisons.logs.log import Log
 from comparisons.logs.readers import acfr_car_park
 from comparisons.logs.simulate.drive import Drive
@@ -30,6 +28,9 @@ from comparisons.logs.simulate.scan_drive import ScanExperiment, simulate
 from comparisons.logs.simulate.scan_worlds import ScanWorld
 from comparisons.logs.simulate.scanners import Planar
 from comparisons.logs.simulate.worlds import nieto_loop
+from comparisons.pipeline.compare import run_filter
+from comparisons.pipeline.prepare import prepare
+from comparisons.settings import run_config
 
 Array = NDArray[np.float64]
 
@@ -81,9 +82,9 @@ def coloured_poles(seed: int, loops: float, *, mixed: bool = False) -> Log:
 
 def run(log: Log, association: str, attributes: str) -> tuple[EkfRun, DenseWatcher | None]:
     """The filter, beside it the layer where it is asked for."""
-    choices = EkfChoices("full", association, attributes=attributes).settle(log)
-    watcher = DenseWatcher(log, DenseOptions(("values",))) if attributes == "layer" else None
-    return run_ekf(log, build_timeline(log), choices, watcher=watcher, layer=watcher), watcher
+    config = run_config(association=association, attributes=attributes)
+    done, beside = run_filter(prepare(log, config))
+    return done, beside.find(DenseWatcher)
 
 
 def simulated(seeds: int, loops: float) -> None:

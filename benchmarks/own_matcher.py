@@ -17,8 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.estimates.estimate import Estimate
+from comparisons.extensions.own_matching.extension import OwnMatchingFinding
 from comparisons.logs.simulate.scan_drive import scan_slam, simulate
-from comparisons.pipeline.compare import Comparison, compare_estimators
+from comparisons.pipeline.compare import Comparison, compare
+from comparisons.settings import run_config
 from graphslam.graph_builder import to_tangent
 from graphslam.problem import OrientedSightings
 from graphslam.scan import planar
@@ -52,20 +54,20 @@ def main() -> None:
     print("seed ", *(f"{name:>11}" for name in Row.__dataclass_fields__), "  verdict")
     for seed in map(int, choices.seeds.split(",")):
         log = simulate(np.random.default_rng(seed), scan_slam())
-        c = compare_estimators(log, landmarks="scans", smoother_matcher="own")
+        c = compare(log, run_config(landmarks="scans", smoother_matcher="own"))
         shown = (f"{value:11.3g}" for value in vars(measured(c)).values())
         print(f"{seed:4} ", *shown, f"  {c.verdict.outcome}", flush=True)
 
 
 def measured(c: Comparison) -> Row:
     """The figures of one run."""
-    own, poses = c.own_matching, c.log.truth.poses
-    if own is None or poses is None:
-        raise ValueError("the run has no own matcher, or the log no true poses")
+    own, poses = c.find(OwnMatchingFinding).own, c.log.truth.poses
+    if poses is None:
+        raise ValueError("the log has no true poses")
     truth = poses.at(c.ekf.estimate.time_s)
     ekf, shared, alone = (
         float(a.ate_m or 0.0) if a else 0.0
-        for a in (c.accuracy_ekf, c.accuracy_smoother, own.accuracy)
+        for a in (c.assessment.ekf, c.assessment.smoother, own.accuracy)
     )
     return Row(
         ekf,

@@ -20,9 +20,9 @@ import time
 
 import numpy as np
 
+from comparisons.config import MapConfig
 from comparisons.extensions.dense_maps.accuracy import surface_error
-from comparisons.extensions.dense_maps.source import DenseOptions
-from comparisons.extensions.scan_landmarks.source import slam_options
+from comparisons.extensions.scan_landmarks.source import ScanSlamSource
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.pipeline.dense_map import map_log
 
@@ -33,11 +33,13 @@ def measured(name: str, seed: int, templates: str) -> str:
     """One drive, as a row."""
     log = open_log(name, choices=SimulationChoices(seed))
     start = time.process_time()
-    options = slam_options(None, templates, "scans")
-    m = map_log(log, options=DenseOptions(LAYERS), landmarks="scans", slam=options)
+    between = {"landmarks": "scans", "templates": templates}
+    extensions = {"scan_landmarks": between, "dense_maps": {"layers": LAYERS}}
+    m = map_log(log, MapConfig.of(extensions=extensions))
     cpu_s = time.process_time() - start
     truth, surfaces, before = log.truth.poses, log.truth.surfaces, m.dense.before
-    if truth is None or surfaces is None or m.scan_landmarks is None:
+    source = m.setup.find(ScanSlamSource)
+    if truth is None or surfaces is None or source is None:
         raise ValueError(f"{name}: no true poses, or no true surfaces")
     e = m.ekf.estimate
     off = np.hypot(*(e.pose - truth.at(e.time_s))[:, :2].T)
@@ -47,7 +49,7 @@ def measured(name: str, seed: int, templates: str) -> str:
         float(off[-1]),
         float(sigma),
         len(m.placed.triangle),
-        m.scan_landmarks.enriched,
+        source.found.enriched,
     ]
     for layer in LAYERS:
         first = float("nan")

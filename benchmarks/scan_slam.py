@@ -19,11 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.extensions.dense_maps.accuracy import error_of_points
-from comparisons.extensions.scan_landmarks.result import template_points
+from comparisons.extensions.scan_landmarks.extension import ScanLandmarksFinding
+from comparisons.extensions.scan_landmarks.figure import template_points
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import SteeringOdometry
 from comparisons.logs.simulate.scan_drive import scan_slam, simulate
-from comparisons.pipeline.compare import Comparison, compare_estimators
+from comparisons.pipeline.compare import Comparison, compare
+from comparisons.settings import run_config
 
 
 @dataclass(frozen=True)
@@ -70,9 +72,11 @@ def measured(seed: int, seconds: float, *, fuse: bool = False) -> tuple[Row, str
     """One drive, and the verdict."""
     log = simulate(np.random.default_rng(seed), scan_slam())
     start = time.process_time()
-    c = compare_estimators(_until(log, seconds), landmarks="scans", fuse_landmarks=fuse)
+    config = run_config(landmarks="scans", fuse_landmarks="on" if fuse else "off")
+    c = compare(_until(log, seconds), config)
     cpu_s = time.process_time() - start
-    ates = [a.ate_m for a in (c.accuracy_ekf, c.accuracy_smoother, c.accuracy_dead_reckoned) if a]
+    found = c.assessment
+    ates = [a.ate_m for a in (found.ekf, found.smoother, found.dead_reckoned) if a]
     error = _pose_error(c)
     spread = c.ekf.estimate.pose_covariance[1:]
     nees = np.einsum("ki,kij,kj->k", error[1:], np.linalg.inv(spread), error[1:]) / 3.0
@@ -103,9 +107,10 @@ def _pose_error(c: Comparison) -> NDArray[np.float64]:
 
 def _map_errors(c: Comparison) -> Iterator[float]:
     """Medians of the templates' distances before the closing and at the end."""
-    if c.scan_slam is None or c.scan_slam.closing is None or c.log.truth.surfaces is None:
-        raise ValueError("no scan landmarks, or no true surfaces")
-    closing, found = c.scan_slam.closing, c.scan_slam.found
+    source = c.find(ScanLandmarksFinding).source
+    closing, found = source.closing, source.found
+    if closing is None or c.log.truth.surfaces is None:
+        raise ValueError("no scan moved a landmark, or there are no true surfaces")
     # Templates of landmarks that were fused later are other landmarks' by now.
     kept = np.isin(closing.slot, c.ekf.estimate.oriented_id)
     slots = closing.slot[kept]

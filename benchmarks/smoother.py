@@ -21,7 +21,7 @@ import gtsam
 import numpy as np
 
 from comparisons.logs.bundled import open_log
-from comparisons.pipeline.solve import solve_log
+from comparisons.pipeline.solve import solve
 from graphslam.graph_builder import LANDMARK_KEY, POSE_KEY, build_graph
 from graphslam.incremental import run_isam2
 from graphslam.initialisation import extension, track
@@ -102,7 +102,7 @@ def main() -> None:
     choices = parser.parse_args()
     repeat = 1 if choices.quick else choices.repeat
     log = open_log("simulated-loop" if choices.quick else "victoria-park")
-    problem = solve_log(log).result.problem
+    problem = solve(log).result.problem
     build, graph = timed(lambda: build_graph(problem), repeat)
     bare_build, plain = timed(lambda: bare_graph(problem), repeat)
     start_s, (start, _) = timed(lambda: track(problem, graph), repeat)

@@ -7,16 +7,20 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from comparisons.atomic import write_whole
 from comparisons.checks.agreement import ROUNDING
+from comparisons.config import RunConfig, merge
 from comparisons.errors import InputError
 from comparisons.logs.log_meta import first_fault
 from comparisons.logs.table import read_text
 from comparisons.report.models import Result
+from comparisons.report.result import metrics
+from comparisons.settings import configure, run_options
 
 RELATIVE = 0.02
 """Share of a value that it may change by, unless the noise floor is wider."""
@@ -33,20 +37,6 @@ class _Model(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class Settings(_Model):
-    """Of a run, named as its options; an empty text for one that was not given."""
-
-    filter: str = "full"
-    association: str = ""
-    features: str = "log"
-    gps: str = "off"
-    format: str = ""
-    robot: int = 1
-    seed: int = 0
-    loops: int = 1
-    noise_scale: float = 1.0
-
-
 class Metric(_Model):
     """value: of the first run; None where there was none. tolerance: largest change allowed."""
 
@@ -55,16 +45,27 @@ class Metric(_Model):
 
 
 class Baseline(_Model):
-    """The file. settings: of the run, all of which a comparison uses again."""
+    """The file. config: of the run, all of which a comparison uses again.
 
-    version: int = 1
+    settings: in files of version 1, a few options by name, an empty text for one not given.
+    """
+
+    version: int = 2
     log: str
     sha256: str
-    settings: Settings
+    config: dict[str, Any] = Field(default_factory=dict)
+    settings: dict[str, str | int | float] = Field(default_factory=dict, exclude=True)
     runs: int
     verdict: str
     metrics: dict[str, Metric]
     versions: dict[str, str]
+
+    def config_at(self, source: str) -> RunConfig:
+        """The run's configuration with the log that a name or a path gives. Raises InputError."""
+        options = {name: value for name, value in self.settings.items() if value != ""}
+        over = merge(self.config, {"log": {"source": source}})
+        over.get("log", {}).pop("sha256", None)  # compared by compare_with, which names both logs
+        return configure(RunConfig, flags=run_options(options), over=over)
 
 
 @dataclass(frozen=True)
@@ -84,29 +85,7 @@ class Change:
         )
 
 
-def metrics(result: Result) -> dict[str, float | None]:
-    """The figures of a run that a baseline keeps, by name; None where a log has no such figure."""
-    found: dict[str, float | None] = {}
-    for part, model in (
-        ("agreement", result.agreement),
-        ("ekf", result.ekf),
-        ("smoother", result.smoother),
-    ):
-        for name, value in model.model_dump().items():
-            if isinstance(value, bool) or name in ("iterations", "rank", "distance_sigma"):
-                continue
-            if value is None or isinstance(value, int | float):
-                found[f"{part}.{name}"] = value
-    if result.accuracy is not None:
-        for name, figures in (
-            ("ekf", result.accuracy.ekf),
-            ("smoother", result.accuracy.smoother),
-        ):
-            found |= {f"accuracy.{name}.{key}": v for key, v in figures.model_dump().items()}
-    return found
-
-
-def build_baseline(results: Sequence[Result], settings: Settings) -> Baseline:
+def build_baseline(results: Sequence[Result], config: RunConfig) -> Baseline:
     """From repetitions of one run: the first one's values, the noise floor of all."""
     first = results[0]
     every = [metrics(result) for result in results]
@@ -118,7 +97,7 @@ def build_baseline(results: Sequence[Result], settings: Settings) -> Baseline:
     return Baseline(
         log=first.log.name,
         sha256=first.log.sha256,
-        settings=settings,
+        config=config.model_dump(mode="json", exclude_none=True),
         runs=len(results),
         verdict=first.verdict,
         metrics=kept,
@@ -153,8 +132,12 @@ def read_baseline(path: Path) -> Baseline:
         kept = Baseline.model_validate_json(read_text(path))
     except ValidationError as error:
         raise InputError(f"{path}: not a baseline: {first_fault(error)}") from None
-    if kept.version != 1:
-        raise InputError(f"{path}: version {kept.version}, expected 1")
+    if kept.version not in (1, 2):
+        raise InputError(f"{path}: version {kept.version}, expected 1 or 2")
+    try:
+        kept.config_at(kept.log)
+    except InputError as error:
+        raise InputError(f"{path}: not a baseline: {error}") from None
     return kept
 
 

@@ -44,21 +44,25 @@ def slam_log(request: pytest.FixtureRequest) -> Log:
 def slam_check() -> Callable[..., Any]:
     """Judge a log: the reference EKF's run, or the estimate of another system given as a path.
 
-    What it returns has `outcome`, `causes` and `remarks`. Settings are those of EkfChoices; for an
-    estimate `association` and `gps`.
+    What it returns has `outcome`, `causes` and `remarks`. Settings are named as the options of
+    `slamcheck run`, as `filter="compressed"`; for an estimate `association`, `gps` and `robust`.
     """
 
-    def check(log: Log, estimate: str | Path | None = None, **settings: str) -> Any:
+    def check(log: Log, estimate: str | Path | None = None, **settings: Any) -> Any:
         if estimate is None:
-            from comparisons.adapters.ekf_factory import EkfChoices
-            from comparisons.pipeline.compare import compare_estimators
+            from comparisons.pipeline.compare import compare
+            from comparisons.settings import run_config
 
-            return compare_estimators(log, EkfChoices(**settings)).verdict
+            return compare(log, run_config(**settings)).verdict
+        from comparisons.config import CheckConfig
         from comparisons.estimates.external import read_given
-        from comparisons.pipeline.check import check_given
+        from comparisons.options import GPS, ROBUST, SOLVER_ASSOCIATION, options
+        from comparisons.pipeline.check import check as check_estimate
+        from comparisons.settings import configure
 
         given = read_given(Path(estimate))
-        return check_given(log, given, settings.get("association"), settings.get("gps", "off"))
+        flags = options((SOLVER_ASSOCIATION, GPS, ROBUST), settings)
+        return check_estimate(log, given, configure(CheckConfig, flags=flags))
 
     return check
 

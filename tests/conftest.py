@@ -1,15 +1,15 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Generator
 from pathlib import Path
 from types import ModuleType
-from typing import NoReturn
 
 import pytest
 from hypothesis import Phase, settings
 
 from comparisons.logs.bundled import open_log
-from comparisons.pipeline.compare import Comparison, compare_estimators
+from comparisons.pipeline.compare import Comparison, compare
 from graphslam.scan.open3d_library import Open3dMissingError, open3d
 
 # What is drawn in continuous integration is always the same; at night it is new, and more.
@@ -23,11 +23,35 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
-def missing(what: str) -> NoReturn:
-    """Skip a test for want of something, or fail it where everything is expected to be there."""
-    if os.environ.get("SLAMCHECK_REQUIRE_ALL") == "1":
-        pytest.fail(f"SLAMCHECK_REQUIRE_ALL is set, but {what}")
-    pytest.skip(what)
+def _required(report: pytest.TestReport | pytest.CollectReport) -> None:
+    """Make a skip a failure where everything is expected to be there."""
+    if report.skipped and os.environ.get("SLAMCHECK_REQUIRE_ALL") == "1":
+        reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else report.longrepr
+        report.outcome = "failed"
+        report.longrepr = f"SLAMCHECK_REQUIRE_ALL is set, but: {reason}"
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Look at what became of a test."""
+    report = yield
+    _required(report)
+    return report
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report() -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
+    """Look at what became of a module."""
+    report = yield
+    _required(report)
+    return report
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark tests that read the real logs."""
+    for item in items:
+        if "shared_data" in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.data)
 
 
 @pytest.fixture(scope="session")
@@ -41,7 +65,7 @@ def shared_data() -> Path:
 @pytest.fixture(scope="session")
 def victoria_park() -> Comparison:
     """The main job, run once."""
-    return compare_estimators(open_log("victoria-park"))
+    return compare(open_log("victoria-park"))
 
 
 @pytest.fixture(scope="session")
@@ -50,4 +74,4 @@ def open3d_library() -> ModuleType:
     try:
         return open3d()
     except Open3dMissingError as error:
-        missing(str(error))
+        pytest.skip(str(error))

@@ -4,13 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from comparisons.adapters.filter_setup import FilterSetup
+from comparisons.adapters.oriented_sightings import OrientedSource
+from comparisons.config import EkfConfig
+from comparisons.extensions.contract import Extension
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import SteeringOdometry
 from comparisons.logs.simulate.drive import Drive, simulate
+from comparisons.pipeline.compare import NEEDS, Comparison, compare_prepared
+from comparisons.pipeline.prepare import Prepared, prepare
+from comparisons.settings import run_config
 
 Array = NDArray[np.float64]
 
@@ -51,6 +59,27 @@ def first_seconds(log: Log, seconds: float) -> Log:
         ),
         sightings=seen.chosen(np.arange(len(seen.time_s)) < m),
     )
+
+
+class Source(Extension):
+    """Puts a source of sightings of landmarks with a direction beside the filter."""
+
+    name = "source"
+
+    def __init__(self, make: Callable[[], OrientedSource]) -> None:
+        self._make = make
+
+    def attach(self, setup: FilterSetup, prepared: Prepared[Any]) -> None:
+        setup.source = self._make()
+
+
+def compared(
+    log: Log, *extensions: Extension, ekf: EkfConfig | None = None, **options: Any
+) -> Comparison:
+    """Run and compare, with extensions that no configuration names; options as of the command."""
+    given = {} if ekf is None else ekf.model_dump(exclude_none=True)
+    config = run_config(**given, **options)
+    return compare_prepared(prepare(log, config, needs=NEEDS, also=extensions))
 
 
 def random_covariance(rng: np.random.Generator, n: int) -> Array:

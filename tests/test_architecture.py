@@ -27,13 +27,7 @@ STANDARD = {
     "typing",
 }
 HOUSE = {"comparisons", "ekf_reference", "graphslam"}
-KEYWORD_ONLY = (
-    "ekf_reference",
-    "graphslam",
-    "comparisons/logs",
-    "comparisons/checks",
-    "comparisons/estimates",
-)
+KEYWORD_ONLY = ("ekf_reference", "graphslam", "comparisons")
 """Folders whose large dataclasses are built by field names alone."""
 MOST_POSITIONAL = 5
 """Fields of a dataclass that may be given by position."""
@@ -179,3 +173,71 @@ def test_nothing_stands_on_experiments() -> None:
         name = path.relative_to(ROOT / "comparisons").as_posix()
         if not name.startswith("experiments/") and name not in commands:
             assert "comparisons.experiments" not in path.read_text(), f"{name} names experiments"
+
+
+LAYERS = {
+    "errors": 0, "files": 0, "choices": 0, "atomic": 0, "archive": 0,
+    "logs": 1, "options": 1,
+    "config": 2, "estimates": 2,
+    "settings": 3, "adapters": 3, "logs.transforms": 3,
+    "checks": 4,
+    "pipeline": 5,
+    "extensions": 6, "report": 6,
+    "baseline": 8, "pytest_plugin": 8,
+    "cli": 9, "experiments": 9,
+    # Jobs that are made of an extension stand on it.
+    "pipeline.dense_map": 7, "report.dense_map": 7, "report.figures.dense_map": 7,
+    "pipeline.odometry": 7, "report.odometry": 7, "report.figures.odometry": 7,
+    # The contract and the names are what all know of extensions.
+    "extensions.contract": 0, "extensions.registry": 0,
+}  # fmt: skip
+"""Parts of comparisons from the ground up: each stands on its own level and those below."""
+
+
+def level(module: str) -> int:
+    """Of the longest part that a module is in; -1 outside comparisons."""
+    house, _, name = module.partition(".")
+    found = [part for part in LAYERS if f"{name}.".startswith(f"{part}.")]
+    return LAYERS[max(found, key=len)] if house == "comparisons" and found else -1
+
+
+def upward(edges: dict[str, set[str]]) -> list[str]:
+    """Return imports that lead from a part of comparisons to one above it."""
+    return sorted(
+        f"{name} imports {one}"
+        for name, to in edges.items()
+        for one in to
+        if level(one) > level(name)
+    )
+
+
+def test_data_flows_one_way() -> None:
+    edges = {
+        name: {one for one in to if not name.startswith(f"{one}.")}
+        for name, to in graph().items()
+        if name.startswith("comparisons.")
+    }
+    assert all(level(name) >= 0 for name in edges), "a part of comparisons without a level"
+    assert upward(edges) == []
+
+
+def test_an_import_upward_is_found() -> None:
+    edges = {"comparisons.checks.verdict": {"comparisons.report.rows", "comparisons.logs.log"}}
+    assert upward(edges) == ["comparisons.checks.verdict imports comparisons.report.rows"]
+
+
+def test_no_extension_imports_another_but_what_it_stands_on() -> None:
+    """A feature knows nobody's internals: only sources that another one offers."""
+    stands_on = {
+        "own_matching": {"scan_landmarks.source"},
+        "scan_landmarks": {"dense_maps.source", "dense_maps.config"},
+        "dynamic": {"dense_maps.source"},
+        "high_level": {"dense_maps.source", "dense_maps.config"},
+    }
+    prefix = "comparisons.extensions."
+    for name, to in graph().items():
+        if name.startswith(prefix) and name.count(".") > 2:
+            own = name.removeprefix(prefix).split(".")[0]
+            others = {one.removeprefix(prefix) for one in to if one.startswith(prefix)}
+            others = {one for one in others if "." in one and one.split(".")[0] != own}
+            assert others <= stands_on.get(own, set()), f"{name} imports {sorted(others)}"

@@ -164,3 +164,9 @@ def test_scan_slam_benchmark_runs() -> None:
     lines = run("benchmarks/scan_slam.py", "--seeds", "1", "--seconds", "6")
     assert [line.split()[0] for line in lines] == ["seed", "0", "median"]
     assert lines[1].split()[-1] == "agree"
+
+
+def test_pieces_benchmark_runs() -> None:
+    lines = run("benchmarks/pieces.py", "--repeat", "2")
+    assert len(lines) == 2
+    assert all("median" in line for line in lines)

@@ -5,22 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from comparisons.adapters.motion import CLOCK_S
-from comparisons.adapters.planar_scans import PlanarScans
 from comparisons.errors import InputError
 from comparisons.logs.log import Array, Log
 from ekf_reference.attributes import AttributeEstimates
 from ekf_reference.sightings import SightedAttributes
 
-ATTRIBUTES = ("off", "on", "layer")
-"""Of `layer` the intensity is what the scans show around a sighting, against the dense map's."""
 AROUND_M = 0.3
 """Returns so near to a landmark, or to a sighting, are taken to be of it."""
 BRIGHTNESS = 1
 """Column of the intensity."""
-TAKING = ("nn", "jcbb")
-"""The associations that take attributes: `known` needs none, `euclidean` knows no likelihood, and
-`agreed` sees discs that may hold several trees."""
-
 SIGMA_WIDTH_RAD = 0.006
 SIGMA_SHAPE_M = 0.05
 """Of a diameter (Guivant 2002, eq. 15). Set by hand, so that differences between sightings of one
@@ -40,7 +33,7 @@ diameters on Victoria Park, sighting by sighting."""
 def sighted_attributes(log: Log, choice: str = "on") -> SightedAttributes:
     """Diameter and intensity of each sighting (M, 2), NaN where the log has none.
 
-    choice: of ATTRIBUTES; with `layer` the log must have scans.
+    choice: `layer` for intensities that the scans show around a sighting; the log must have scans.
     """
     seen = log.sightings
     variance = np.empty((len(seen.time_s), 2))
@@ -57,6 +50,8 @@ def _around(log: Log) -> tuple[Array, float]:
 
     The mean over returns; their noise is what they differ by around one sighting, all in all.
     """
+    from comparisons.adapters.planar_scans import PlanarScans  # only for attributes of a layer
+
     seen, scans = log.sightings, PlanarScans(log)
     number = np.searchsorted(scans.time_s, seen.time_s - CLOCK_S)
     there = np.flatnonzero(number < len(scans.time_s))
@@ -86,17 +81,10 @@ def no_estimates() -> AttributeEstimates:
     return AttributeEstimates(np.full(2, REPEATS))
 
 
-def check_attributes(log: Log, choice: str, association: str) -> None:
-    """Raises InputError where they are asked for and cannot be had."""
-    if choice not in ATTRIBUTES:
-        raise InputError(f"attributes '{choice}' is unknown, expected off, on or layer")
+def check_attributes(log: Log, choice: str) -> None:
+    """Raises InputError where they are asked for and the log does not have them."""
     if choice == "off":
         return
-    if association not in TAKING:
-        raise InputError(
-            f"association '{association}' takes no attributes, expected {' or '.join(TAKING)}; "
-            "use --attributes off"
-        )
     if choice == "layer":
         if log.scans is None or not log.scans.measures_intensity:
             raise InputError(

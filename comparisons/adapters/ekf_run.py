@@ -9,19 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.adapters.attributes import sighted_attributes
-from comparisons.adapters.ekf_factory import EkfChoices, build_ekf
-from comparisons.adapters.filter_loop import Watcher, Watchers, drive
-from comparisons.adapters.oriented_sightings import GuardedSource, OrientedLedger, OrientedSource
+from comparisons.adapters.ekf_factory import build_ekf
+from comparisons.adapters.filter_loop import Beside, drive
+from comparisons.adapters.filter_setup import FilterSetup
+from comparisons.adapters.oriented_sightings import OrientedLedger
 from comparisons.adapters.timeline import Timeline
+from comparisons.config import EkfConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Array, Estimate
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.transforms.known_landmarks import surveyed
 from ekf_reference.association import AMBIGUOUS, CANDIDATE, DYNAMIC, REJECTED
-from ekf_reference.attributes import LayerValues
-from ekf_reference.compressed_ekf import CompressedState
 from ekf_reference.direction_cosine import OwnAxesObservation
-from ekf_reference.dynamic_guard import DynamicGuard, StaticSightings
 from ekf_reference.full_ekf import FullEkf, PoseReading
 from ekf_reference.layout import ORIENTED
 from ekf_reference.trace import RecordedTrace, TraceArrays
@@ -31,7 +30,7 @@ _FARTHEST_M = 1e6
 """A pose so far from the start has diverged; what follows is not worth comparing."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class EkfRun:
     """An estimate with what the other estimators need of it.
 
@@ -88,40 +87,29 @@ class EkfRun:
 def run_ekf(
     log: Log,
     timeline: Timeline,
-    choices: EkfChoices,
+    config: EkfConfig,
     positions: Positions | None = None,
+    setup: FilterSetup | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
-    modify: Callable[[FullEkf], None] = lambda ekf: None,
-    watcher: Watcher | None = None,
-    source: OrientedSource | None = None,
-    guard: DynamicGuard | None = None,
-    layer: LayerValues | None = None,
 ) -> EkfRun:
     """Drive the filter through all epochs, or as far as it comes.
 
-    positions: to be fused; the timeline is built with the same. progress: called with epochs done
-    and in all. modify: may replace parts of the filter before it starts, which is how defects are
-    planted. watcher: looks on. source: of sightings of landmarks with a direction; one that is a
-    Watcher, too, looks on. guard: knows where things move, so that the filter does not go by these.
-    layer: knows what is around landmarks, for attributes of that kind.
+    config: settled. positions: to be fused; the timeline is built with the same. setup: what
+    stands beside the filter. progress: called with epochs done and in all.
     """
+    beside = setup or FilterSetup()
     trace, ledger = RecordedTrace(), OrientedLedger()
-    ekf = build_ekf(log, choices, trace, layer)
-    modify(ekf)
-    retired: set[int] = set()
-    if guard is not None:
-        ekf.association = StaticSightings(ekf.association, guard, retired)
-        if isinstance(source, GuardedSource):
-            source.keep_from(guard)
-    watching = Watchers([one for one in (watcher, source) if isinstance(one, Watcher)])
+    ekf = build_ekf(log, config, trace, beside.layer)
+    retired = beside.apply(ekf)
+    watching = beside.watcher()
     ekf.insert_surveyed(*surveyed(log)[1:])
     epochs = len(timeline.epoch_time_s)
     departed, arrived = np.empty((epochs, 3)), np.empty((epochs, 3))
     covariance = np.empty((epochs, 3, 3))
     slot = np.full(len(log.sightings.time_s), REJECTED, dtype=np.intp)
     breakdown, rejected_fixes = None, 0
-    told = sighted_attributes(log, choices.attributes)
-    stops = drive(ekf, log, timeline, positions, watching, source, ledger, told)
+    told = sighted_attributes(log, config.attributes)
+    stops = drive(ekf, log, timeline, positions, Beside(watching, beside.source, ledger, told))
     for k, stop in enumerate(stops):
         slot[stop.rows], arrived[k] = stop.slots, stop.arrived
         rejected_fixes += stop.rejected_fixes
@@ -162,36 +150,36 @@ def run_ekf(
             log.sightings.landmark[: len(slot)],
             slot,
             ekf.state.landmark_count,
-            choices,
+            config,
             surveyed(log)[0],
         ),
         landmark=ekf.state.landmarks.copy(),
         joint_covariance=joint,
         information="filtered",
         provenance={
-            "estimator": f"ekf_reference, {choices.filter} EKF",
-            "association": str(choices.association),
+            "estimator": f"ekf_reference, {config.filter} EKF",
+            "association": str(config.association),
         },
         oriented_id=oriented_id,
         oriented=ekf.state.oriented[oriented_id],
     )
     fused = np.unique(arrays.positions.number)
     return EkfRun(
-        estimate,
-        timeline,
-        arrays,
-        slot,
-        departed[:epochs],
-        arrived[:epochs],
-        ekf.read_recorded_pose(),
-        isinstance(ekf.observation, OwnAxesObservation),
-        positions,
-        fused,
-        rejected_fixes,
-        _spared(ekf),
-        breakdown,
-        oriented,
-        np.array(sorted(retired), dtype=np.intp),
+        estimate=estimate,
+        timeline=timeline,
+        trace=arrays,
+        slot=slot,
+        departed=departed[:epochs],
+        arrived=arrived[:epochs],
+        final=ekf.read_recorded_pose(),
+        own_axes=isinstance(ekf.observation, OwnAxesObservation),
+        positions=positions,
+        fix_number=fused,
+        rejected_fixes=rejected_fixes,
+        spared=_spared(ekf),
+        breakdown=breakdown,
+        oriented=oriented,
+        retired=np.array(sorted(retired), dtype=np.intp),
     )
 
 
@@ -237,9 +225,8 @@ def _joint_covariance(ekf: FullEkf) -> Array:
 
 
 def _spared(ekf: FullEkf) -> tuple[int, float]:
-    if not isinstance(ekf.state, CompressedState):
-        return 0, 0.0
-    updates = [u for u in ekf.state.updates if u.passive]
+    # Only a compressed state counts its global updates.
+    updates = [u for u in getattr(ekf.state, "updates", ()) if u.passive]
     return len(updates), float(np.mean([u.saved for u in updates])) if updates else 0.0
 
 
@@ -256,13 +243,13 @@ def _landmark_ids(
     label: NDArray[np.int64],
     slot: NDArray[np.intp],
     count: int,
-    choices: EkfChoices,
+    config: EkfConfig,
     slot_of: dict[int, int],
 ) -> NDArray[np.int64]:
     """The log's labels where they were trusted, else the slots themselves."""
     ids = np.arange(count)
     ids[list(slot_of.values())] = list(slot_of)
-    if choices.association == "known":
+    if config.association == "known":
         used = slot >= 0
         ids[slot[used]] = label[used]
     return ids

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -84,7 +84,7 @@ class NoWatcher:
         """Nothing."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Stop:
     """The filter at an epoch, all that was seen there fused.
 
@@ -101,30 +101,39 @@ class Stop:
     fault: str | None
 
 
+@dataclass(frozen=True)
+class Beside:
+    """What goes along with a filter.
+
+    watching: observes. source: of sightings of landmarks with a direction, fused last and kept in
+    the ledger. told: what the sightings tell besides places, None for what the log says.
+    """
+
+    watching: Watcher = field(default_factory=NoWatcher)
+    source: OrientedSource = field(default_factory=NoOrientedSource)
+    ledger: OrientedLedger = field(default_factory=OrientedLedger)
+    told: SightedAttributes | None = None
+
+
 def drive(
     ekf: FullEkf,
     log: Log,
     timeline: Timeline,
     positions: Positions | None = None,
-    watching: Watcher | None = None,
-    source: OrientedSource | None = None,
-    ledger: OrientedLedger | None = None,
-    told: SightedAttributes | None = None,
+    beside: Beside | None = None,
 ) -> Iterator[Stop]:
     """Predict, fuse the sightings, fuse the positions, stop; and so on to the end.
 
-    positions: to be fused; the timeline is built with the same. source: of sightings of landmarks
-    with a direction, fused last and kept in the ledger. told: what the sightings tell besides
-    places, in place of what the log says.
+    positions: to be fused; the timeline is built with the same.
     """
-    watching, source = watching or NoWatcher(), source or NoOrientedSource()
-    ledger = ledger or OrientedLedger()
+    beside = beside or Beside()
+    watching, source, ledger = beside.watching, beside.source, beside.ledger
     steps, first = timeline.steps_until(), timeline.sightings_until()
     begins, first_fix = timeline.step_begin_s(), timeline.positions_until()
     seen, done = log.sightings, 0
     z = np.column_stack((seen.range_m, seen.bearing_rad))
     sigma = np.column_stack((seen.sigma_range_m, seen.sigma_bearing_rad))
-    told = told or sighted_attributes(log)
+    told = beside.told or sighted_attributes(log)
     for k, time_s in enumerate(timeline.epoch_time_s.tolist()):
         for i in range(done, int(steps[k])):
             control, duration = timeline.control[i], float(timeline.step_duration_s[i])
@@ -150,6 +159,13 @@ def drive(
         except FilterDivergedError as error:
             fault = str(error)
         watching.updated(ekf)
-        yield Stop(time_s, rows, slots, arrived, rejected, fault)
+        yield Stop(
+            time_s=time_s,
+            rows=rows,
+            slots=slots,
+            arrived=arrived,
+            rejected_fixes=rejected,
+            fault=fault,
+        )
         if fault is not None:
             return

@@ -6,16 +6,18 @@ makes them hands them to the filter by way of a ledger, from which the smoother 
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ekf_reference.dynamic_guard import DynamicGuard
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.local_map import LocalMap
 from graphslam.graph_builder import right_perturbation
 from graphslam.problem import OrientedSightings, Twins
+
+if TYPE_CHECKING:
+    from ekf_reference.dynamic_guard import DynamicGuard
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

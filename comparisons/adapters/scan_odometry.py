@@ -29,7 +29,7 @@ class ScanFailure:
     reason: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ScanMotion:
     """What scan odometry made of a log. N scans were usable, the rest are `failures`.
 
@@ -127,16 +127,16 @@ def run_scan_odometry(
                 "wheel odometry to bridge the gap"
             )
     return ScanMotion(
-        time_s[kept],
-        rows[kept],
-        dead_reckoned(np.zeros(3), displacement[1:]),
-        displacement,
-        covariance,
-        np.array([increment is None for increment in found]),
-        tuple(matches),
-        None if over is None else over.displacement,
-        tuple(failures),
-        source,
-        kept,
-        odometry.options,
+        time_s=time_s[kept],
+        row=rows[kept],
+        pose=dead_reckoned(np.zeros(3), displacement[1:]),
+        displacement=displacement,
+        covariance=covariance,
+        bridged=np.array([increment is None for increment in found]),
+        matches=tuple(matches),
+        wheels=None if over is None else over.displacement,
+        failures=tuple(failures),
+        source=source,
+        scan=kept,
+        options=odometry.options,
     )

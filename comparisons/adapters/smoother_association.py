@@ -46,10 +46,10 @@ def associate_own(
     open_rows = np.flatnonzero(free)
     nobody = np.full(len(label), -1, dtype=np.intp)
     nobody[open_rows] = 0
-    everything = assemble(log, timeline, nobody, 1, *rows)
+    everything = assemble(log, timeline, nobody, 1, rows)
     nothing = np.zeros((0, 2)), np.zeros((0, 2, 2))
     found = associate(replace(everything, surveyed=nothing[0], surveyed_covariance=nothing[1]))
     slot[open_rows] = np.where(found.slot >= 0, found.slot + len(slot_of), -1)
     count = len(slot_of) + found.landmark_count
-    problem = assemble(log, timeline, slot, count, *rows)
+    problem = assemble(log, timeline, slot, count, rows)
     return OwnAssociation(slot, problem, found.poses, np.vstack((places, found.landmarks)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,14 +27,22 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 
-PositionRows = tuple[Index, Array, Array, tuple[float, float]]
-"""Pose, position and covariance of each fix, and the antenna's lever arm."""
+class PositionRows(NamedTuple):
+    """Fixes of absolute positions: poses (G,), positions (G, 2) [m], covariances (G, 2, 2).
+
+    antenna_m: the antenna's place in the vehicle's frame.
+    """
+
+    epoch: Index
+    position: Array
+    covariance: Array
+    antenna_m: tuple[float, float]
 
 
 def build_problem(log: Log, run: EkfRun) -> SlamProblem:
     """The log as the smoother's arrays, with the EKF's association of sightings to landmarks."""
     count = len(run.estimate.landmark)
-    problem = assemble(log, run.timeline, run.slot, count, *_positions(run), own_axes=run.own_axes)
+    problem = assemble(log, run.timeline, run.slot, count, _positions(run), own_axes=run.own_axes)
     return replace(problem, oriented=run.oriented)
 
 
@@ -42,10 +51,7 @@ def assemble(
     timeline: Timeline,
     slot: Index,
     landmark_count: int,
-    position_epoch: Index,
-    position: Array,
-    position_covariance: Array,
-    antenna_m: tuple[float, float],
+    fixes: PositionRows,
     *,
     own_axes: bool = False,
 ) -> SlamProblem:
@@ -66,10 +72,10 @@ def assemble(
         z=np.column_stack((seen.range_m, seen.bearing_rad))[used],
         sigma=np.column_stack((seen.sigma_range_m, seen.sigma_bearing_rad))[used],
         landmark_count=landmark_count,
-        position_pose=position_epoch,
-        position=position,
-        position_covariance=position_covariance,
-        lever_m=antenna_m,
+        position_pose=fixes.epoch,
+        position=fixes.position,
+        position_covariance=fixes.covariance,
+        lever_m=fixes.antenna_m,
         surveyed=surveyed_place,
         surveyed_covariance=surveyed_covariance,
         own_axes=own_axes,
@@ -80,15 +86,18 @@ def _positions(run: EkfRun) -> PositionRows:
     """The fixes that the filter accepted: poses, positions, covariances, lever arm."""
     epoch, z, covariance, antenna_m = position_rows(run.timeline, run.positions)
     rows = run.fix_number
-    return epoch[rows], z[rows], covariance[rows], antenna_m
+    return PositionRows(epoch[rows], z[rows], covariance[rows], antenna_m)
 
 
 def position_rows(timeline: Timeline, positions: Positions | None) -> PositionRows:
     """Of the positions that the timeline has."""
     if positions is None:
-        return np.zeros(0, dtype=np.intp), np.zeros((0, 2)), np.zeros((0, 2, 2)), (0.0, 0.0)
+        none = np.zeros(0, dtype=np.intp)
+        return PositionRows(none, np.zeros((0, 2)), np.zeros((0, 2, 2)), (0.0, 0.0))
     p, count = positions, len(timeline.position_epoch)
-    return timeline.position_epoch, p.position_m[:count], p.covariance[:count], p.antenna_m
+    return PositionRows(
+        timeline.position_epoch, p.position_m[:count], p.covariance[:count], p.antenna_m
+    )
 
 
 def linear_recorded(run: EkfRun) -> LinearProblem:

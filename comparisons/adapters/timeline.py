@@ -19,7 +19,7 @@ Index = NDArray[np.intp]
 _LONGEST_S = 0.5
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Timeline:
     """Epochs are the instants at which a pose is estimated; steps fill the time between them.
 
@@ -51,13 +51,13 @@ class Timeline:
         """The same up to the first `epochs` epochs."""
         steps = int(self.steps_until()[epochs - 1])
         return Timeline(
-            self.epoch_time_s[:epochs],
-            self.step_epoch[:steps],
-            self.step_duration_s[:steps],
-            self.control[:steps],
-            self.control_covariance[:steps],
-            self.sighting_epoch[: int(self.sightings_until()[epochs])],
-            self.position_epoch[: int(self.positions_until()[epochs])],
+            epoch_time_s=self.epoch_time_s[:epochs],
+            step_epoch=self.step_epoch[:steps],
+            step_duration_s=self.step_duration_s[:steps],
+            control=self.control[:steps],
+            control_covariance=self.control_covariance[:steps],
+            sighting_epoch=self.sighting_epoch[: int(self.sightings_until()[epochs])],
+            position_epoch=self.position_epoch[: int(self.positions_until()[epochs])],
         )
 
     def sightings_until(self) -> Index:
@@ -108,13 +108,13 @@ def build_timeline(
     noise = odometry.noise
     covariance = np.diag((noise.sigma_speed_mps**2, noise.sigma_turn**2))
     return Timeline(
-        epochs,
-        np.searchsorted(epochs, begin, side="right"),
-        np.diff(cuts),
-        control,
-        np.broadcast_to(covariance, (len(control), 2, 2)),
-        np.searchsorted(epochs, seen),
-        np.searchsorted(epochs, fixes),
+        epoch_time_s=epochs,
+        step_epoch=np.searchsorted(epochs, begin, side="right"),
+        step_duration_s=np.diff(cuts),
+        control=control,
+        control_covariance=np.broadcast_to(covariance, (len(control), 2, 2)),
+        sighting_epoch=np.searchsorted(epochs, seen),
+        position_epoch=np.searchsorted(epochs, fixes),
     )
 
 
@@ -148,11 +148,13 @@ def _from_relative_poses(log: Log, odometry: RelativePoses, fixes: Array, looks:
                 f"time {times[stray[0]]} s is no pose's, expected one of the relative poses'",
             )
         places.append(where)
+    sightings, positions, _ = places
     return Timeline(
-        epochs,
-        np.arange(1, len(epochs)),
-        np.diff(epochs),
-        odometry.displacement,
-        odometry.covariance,
-        *places[:2],
+        epoch_time_s=epochs,
+        step_epoch=np.arange(1, len(epochs)),
+        step_duration_s=np.diff(epochs),
+        control=odometry.displacement,
+        control_covariance=odometry.covariance,
+        sighting_epoch=sightings,
+        position_epoch=positions,
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,14 +20,13 @@ from comparisons.checks.agreement import (
     block_agrees,
 )
 from comparisons.checks.consistency.innovations import SensorInnovations
-from comparisons.checks.diagnosis.algebra_differences import AlgebraDifference
-from comparisons.checks.diagnosis.dropouts import Dropouts
-from comparisons.checks.diagnosis.linearisation_growth import LinearisationGrowth
-from comparisons.checks.diagnosis.model_differences import ModelDifference
-from comparisons.extensions.dense_maps.check import AGREE_M, DenseAgreement
-from comparisons.extensions.own_association.check import OwnAssociationCheck
-from comparisons.extensions.scan_motion.three_way import ThreeWay
 from graphslam.optimum import DISTANCE_LIMIT, ChiSquareTest, Proof
+
+if TYPE_CHECKING:
+    from comparisons.checks.diagnosis.algebra_differences import AlgebraDifference
+    from comparisons.checks.diagnosis.dropouts import Dropouts
+    from comparisons.checks.diagnosis.linearisation_growth import LinearisationGrowth
+    from comparisons.checks.diagnosis.model_differences import ModelDifference
 
 Array = NDArray[np.float64]
 
@@ -88,70 +88,6 @@ def model(gap: Gap, differences: Sequence[ModelDifference], explanations: Sequen
         "the filter's and the smoother's equations, linearised at the same points, "
         f"{_apart(gap)}" + (f"; {named}" if named else ""),
         hint,
-    )
-
-
-def association(own: OwnAssociationCheck, run: EkfRun) -> Cause:
-    """S against S'."""
-    p = own.partition
-    return Cause(
-        "association",
-        f"with its own association the smoother's last pose is {own.pose.difference_m:.2f} m "
-        f"({own.pose.distance:.1f} sigma) elsewhere; of the pairs of sightings put together "
-        f"{100.0 * p.agreement:.0f} % are the same, {p.splits} of the filter's landmarks are split "
-        f"and {p.merges} of the smoother's" + _costliest(own, run),
-        "look at the sightings where the two differ: a wrong closure, or landmarks too near to "
-        "tell apart",
-    )
-
-
-def _costliest(own: OwnAssociationCheck, run: EkfRun) -> str:
-    """The sighting that fits the filter's landmark the least, of those that differ."""
-    with_both = np.flatnonzero(np.isfinite(own.cost).all(axis=1))
-    if not len(with_both):
-        return ""
-    worst = with_both[np.argmax(own.cost[with_both, 0])]
-    row = own.differing[worst]
-    t = run.estimate.time_s[run.timeline.sighting_epoch[row]]
-    theirs, ours = own.cost[worst]
-    return (
-        f"; sighting {row} at {t:.1f} s misses the filter's landmark "
-        f"{run.estimate.landmark_id[run.slot[row]]} by {theirs**0.5:.1f} sigma of its noise, the "
-        f"smoother's own by {ours**0.5:.1f}"
-    )
-
-
-def motion(three_way: ThreeWay) -> Cause:
-    """Wheels against scans."""
-    pair = three_way.ekf
-    hint = {
-        "wheels": "look at the odometry: its sigmas, the wheelbase, the scale of speed and turn",
-        "scans": "look at the scan odometry: increments' factor, open directions, failures",
-        "": "compare both with GPS or truth, or look at both motions' sigmas",
-    }[three_way.culprit]
-    return Cause(
-        "motion",
-        f"EKF on wheels and smoother on scans differ by {pair.rms_m:.3f} m RMS, {pair.outside} of "
-        f"{len(pair.distance_sigma)} landmarks beyond their 99 % region; {three_way.evidence}",
-        hint,
-    )
-
-
-def dense(maps: DenseAgreement) -> Cause:
-    """The dense maps of both."""
-    evidence = f"the dense maps are {maps.median_m:.2f} m apart (median of the worst layer)"
-    if maps.regions:
-        worst = maps.regions[0]
-        far = len({row.region for row in maps.regions if row.distance_m > AGREE_M})
-        evidence += (
-            f"; {far} regions are more than {AGREE_M:g} m off, region {worst.region} by "
-            f"{worst.distance_m:.2f} m ({worst.layer})"
-        )
-    return Cause(
-        "dense",
-        evidence,
-        "look at the corners of that region: landmarks that were not yet well known relative to "
-        "each other, or to the vehicle, when the scans were taken",
     )
 
 
@@ -222,15 +158,19 @@ def linearisation(
             f"it claims {agreement.whole.largest:.1f} times the justified variance in its most "
             "pessimistic direction"
         )
-    sigma = np.sqrt(run.estimate.pose_covariance[:, 2, 2])
-    k = int(np.argmax(sigma))
+    sigma, reached = np.sqrt(run.estimate.pose_covariance[:, 2, 2]), ""
+    if np.isfinite(sigma).any():
+        k = int(np.nanargmax(sigma))
+        reached = (
+            f"the heading's sigma reached {np.degrees(sigma[k]):.1f} degrees at "
+            f"{run.estimate.time_s[k]:.1f} s; "
+        )
     if growth is not None and growth.total > 0.0:
         parts.append(_grew(growth, run, sigma))
     return Cause(
         "linearisation",
         "; ".join(parts),
-        f"algebra and model are right, so the linearisation points are not: the heading's sigma "
-        f"reached {np.degrees(sigma[k]):.1f} degrees at {run.estimate.time_s[k]:.1f} s; smaller "
+        f"algebra and model are right, so the linearisation points are not: {reached}smaller "
         "heading uncertainty, local maps or relinearisation would help",
     )
 

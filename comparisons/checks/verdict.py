@@ -4,24 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.checks import causes as cause
 from comparisons.checks.agreement import ROUNDING, Agreement, Gap, block_agrees
 from comparisons.checks.causes import Cause
 from comparisons.checks.consistency.innovations import SensorInnovations
-from comparisons.checks.diagnosis.algebra_differences import AlgebraDifference
 from comparisons.checks.diagnosis.bookkeeping import Misuse
-from comparisons.checks.diagnosis.dropouts import Dropouts
-from comparisons.checks.diagnosis.linearisation_growth import LinearisationGrowth
-from comparisons.checks.diagnosis.model_differences import ModelDifference
-from comparisons.extensions.dense_maps.check import DenseAgreement
-from comparisons.extensions.own_association.check import OwnAssociationCheck
-from comparisons.extensions.own_matching.cause import matching as matching_cause
-from comparisons.extensions.own_matching.check import OwnMatchingCheck
-from comparisons.extensions.scan_motion.three_way import ThreeWay
 from graphslam.optimum import Proof
+from graphslam.smoother import SmootherResult
+
+if TYPE_CHECKING:
+    from comparisons.checks.diagnosis.algebra_differences import AlgebraDifference
+    from comparisons.checks.diagnosis.dropouts import Dropouts
+    from comparisons.checks.diagnosis.linearisation_growth import LinearisationGrowth
+    from comparisons.checks.diagnosis.model_differences import ModelDifference
 
 SPARED_SIGMA = 0.05
 """Largest difference of the means that sparing part of the covariance may cause, in sigma."""
@@ -38,120 +36,119 @@ class Verdict:
     remarks: tuple[str, ...]
 
 
+@dataclass(frozen=True, kw_only=True)
+class Diagnosis:
+    """What explains a gap; each is looked for only where there is one.
+
+    differences: where the models differ. operations: which operation of the filter is wrong.
+    explanations: known mistakes that reproduce the records. growth: where linearising cost
+    something. dropouts: stretches without observations. sensors: the filter's innovations. The
+    last two explain a disagreement, or an optimum that is not verified, and never make one.
+    """
+
+    differences: Callable[[], Sequence[ModelDifference]] = tuple
+    operations: Callable[[], Sequence[AlgebraDifference]] = tuple
+    explanations: Callable[[], Sequence[str]] = tuple
+    growth: Callable[[], LinearisationGrowth | None] = lambda: None
+    dropouts: Callable[[], Dropouts | None] = lambda: None
+    sensors: Sequence[SensorInnovations] = ()
+
+
 def judge(
     agreement: Agreement,
-    proof: Proof,
+    result: SmootherResult,
     run: EkfRun,
-    differences: Callable[[], Sequence[ModelDifference]] = tuple,
+    diagnosis: Diagnosis,
     *,
-    operations: Callable[[], Sequence[AlgebraDifference]] = tuple,
-    explanations: Callable[[], Sequence[str]] = tuple,
     misuses: Sequence[Misuse] = (),
+    causes: Sequence[Cause] = (),
     conservative: bool = False,
-    robust: str = "none",
-    own: OwnAssociationCheck | None = None,
-    matching: OwnMatchingCheck | None = None,
-    three_way: ThreeWay | None = None,
-    dense: DenseAgreement | None = None,
-    growth: Callable[[], LinearisationGrowth | None] = lambda: None,
-    dropouts: Callable[[], Dropouts | None] = lambda: None,
-    sensors: Sequence[SensorInnovations] = (),
 ) -> Verdict:
-    """The verdict on a run.
+    """Return the verdict on a run.
 
-    differences: finds out where the models differ, when they do; explanations: known mistakes that
-    lead there. operations: finds out which operation is wrong, when the algebra is. misuses: of the
-    data; they come first, for the gaps follow from them. conservative: the filter is meant
-    to leave some covariance too large, so its algebra is right when P_E - P_F1 is positive
-    semidefinite, to rounding, and the mean hardly moves. A red algebra or model gap is a
-    disagreement whatever the smoother found, for it compares the filter with linear algebra.
-    Otherwise an unproven optimum gives no verdict at all. robust: how the smoother meets wild
-    observations. own: the smoother with its own association; when its last pose is another, the
-    associations differ in what matters. matching: the smoother with its own matcher, heard when
-    its optimum is proven. three_way: the smoother on scans, when asked for; it is
-    heard when its own optimum is proven. dense: the dense maps of both, when asked for. growth:
-    finds out where linearising cost something, when it did. dropouts: finds stretches without
-    observations; these and the sensors' innovations explain a disagreement, or a missing proof,
-    and never make one.
+    misuses: of the data; they come first, for the gaps follow from them. conservative: the filter
+    is meant to leave some covariance too large. A red algebra or model gap is a disagreement
+    whatever the smoother found, for it compares the filter with linear algebra. Otherwise an
+    optimum that is not verified gives no verdict at all. causes: reasons of extensions to
+    disagree, which count like the linearisation gap.
     """
-    causes = [Cause("data", misuse.evidence, misuse.hint) for misuse in misuses]
+    found = _red(agreement, run, diagnosis, misuses, conservative=conservative)
+    outcome: Outcome = "disagree"
+    if not found:
+        outcome, found = _by_optimum(agreement, result.proof, run, diagnosis, causes)
+        if outcome != "agree":
+            found += cause.noise(result.proof.chi_square, diagnosis.sensors)
+            found += cause.dropout(diagnosis.dropouts())
+    remarks = _remarks(result.proof, run) + _on_robust(result.options.robust)
+    algebra = agreement.algebra
+    if conservative and not algebra.within(ROUNDING):
+        remarks.append(
+            f"the filter is conservative as meant: its covariance exceeds the exact one by up to "
+            f"{algebra.covariance:.2g}, its mean differs by {algebra.sigma:.2g} sigma"
+        )
+    if run.breakdown and found[0].gap != "breakdown":
+        remarks.insert(0, f"{run.breakdown}; everything is compared up to there")
+    return Verdict(outcome, tuple(found), tuple(remarks))
+
+
+def _red(
+    agreement: Agreement,
+    run: EkfRun,
+    diagnosis: Diagnosis,
+    misuses: Sequence[Misuse],
+    *,
+    conservative: bool,
+) -> list[Cause]:
+    """What is wrong with the filter whatever the smoother found."""
+    found = [Cause("data", misuse.evidence, misuse.hint) for misuse in misuses]
     algebra = agreement.algebra
     if not (_conservative(algebra) if conservative else algebra.within(ROUNDING)):
-        causes.append(cause.algebra(algebra, operations()))
+        found.append(cause.algebra(algebra, diagnosis.operations()))
     if not agreement.model.within(ROUNDING):
-        causes.append(cause.model(agreement.model, differences(), explanations()))
-    if run.breakdown and not causes:
-        causes.append(
+        known = diagnosis.differences()
+        found.append(cause.model(agreement.model, known, diagnosis.explanations()))
+    if run.breakdown and not found:
+        found.append(
             Cause(
                 "breakdown",
                 run.breakdown,
                 "gaps are compared up to there; look at the sightings and sigmas of that instant",
             )
         )
-    outcome: Outcome
-    red = bool(causes)
-    if red:
-        outcome = "disagree"
-    elif not proof.proven:
-        outcome = "unproven"
-        causes.append(cause.unproven(proof))
-    else:
-        blocks = (agreement.pose, *agreement.landmarks, *agreement.oriented, agreement.whole)
-        outcome = "agree" if all(map(block_agrees, blocks)) else "disagree"
-        if outcome == "disagree":
-            causes.append(cause.linearisation(agreement, run, growth()))
-        if own is not None and own.proof.proven and not block_agrees(own.pose):
-            outcome = "disagree"
-            causes.append(cause.association(own, run))
-        if matching is not None and matching.proof.proven and not matching.agrees:
-            outcome = "disagree"
-            causes.append(matching_cause(matching, run))
-        if three_way is not None and three_way.proof.proven and not three_way.ekf.agrees:
-            outcome = "disagree"
-            causes.append(cause.motion(three_way))
-        if dense is not None and not dense.agrees:
-            outcome = "disagree"
-            causes.append(cause.dense(dense))
-    if outcome != "agree" and not red:
-        causes += cause.noise(proof.chi_square, sensors) + cause.dropout(dropouts())
-    remarks = _remarks(proof, run)
-    if three_way is not None:
-        remarks += _remarks_on_scans(three_way)
-    if matching is not None and not matching.proof.proven:
-        remarks.append(
-            "the smoother with its own matcher is unproven: it has no say in the verdict"
-        )
+    return found
+
+
+def _by_optimum(
+    agreement: Agreement,
+    proof: Proof,
+    run: EkfRun,
+    diagnosis: Diagnosis,
+    causes: Sequence[Cause],
+) -> tuple[Outcome, list[Cause]]:
+    """The filter against the smoother's optimum."""
+    if not proof.proven:
+        return "unproven", [cause.unproven(proof)]
+    blocks = (agreement.pose, *agreement.landmarks, *agreement.oriented, agreement.whole)
+    found = []
+    if not all(map(block_agrees, blocks)):
+        found.append(cause.linearisation(agreement, run, diagnosis.growth()))
+    found += causes
+    return ("disagree" if found else "agree"), found
+
+
+def _on_robust(robust: str) -> list[str]:
     if robust in ("huber", "cauchy"):
-        remarks.append(
+        return [
             f"the smoother's {robust} kernel lowers the weight of what fits badly: its covariances "
             "are the weighted problem's, and chi-square is not tested"
-        )
-    elif robust == "gnc":
-        remarks.append("the smoother left out what it found wild; the filter did not")
-    if conservative and not algebra.within(ROUNDING):
-        remarks.append(
-            f"the filter is conservative as meant: its covariance exceeds the exact one by up to "
-            f"{algebra.covariance:.2g}, its mean differs by {algebra.sigma:.2g} sigma"
-        )
-    if run.breakdown and causes[0].gap != "breakdown":
-        remarks.insert(0, f"{run.breakdown}; everything is compared up to there")
-    return Verdict(outcome, tuple(causes), tuple(remarks))
+        ]
+    if robust == "gnc":
+        return ["the smoother left out what it found wild; the filter did not"]
+    return []
 
 
 def _conservative(gap: Gap) -> bool:
     return gap.least >= 1.0 - ROUNDING and gap.asymmetry <= ROUNDING and gap.sigma <= SPARED_SIGMA
-
-
-def _remarks_on_scans(three_way: ThreeWay) -> list[str]:
-    remarks, test = [], three_way.chi_square
-    if not three_way.proof.proven:
-        remarks.append("the smoother on scans is unproven, so its map has no say in the verdict")
-    if test.reading == "too high":
-        remarks.append(
-            f"on scans, chi-square {test.chi2:.0f} for {test.dof} degrees of freedom is too high: "
-            "the increments are surer than they may be, or scans and sightings contradict"
-        )
-    return remarks
 
 
 def _remarks(proof: Proof, run: EkfRun) -> list[str]:

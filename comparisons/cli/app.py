@@ -1,4 +1,4 @@
-"""The command line, `slamcheck`. Heavy imports stay inside the commands."""
+"""The command line, `slamcheck`. A command's module is imported when it is asked for."""
 
 from __future__ import annotations
 
@@ -7,97 +7,55 @@ import os
 import signal
 import sys
 import traceback
-from pathlib import Path
-from typing import Annotated
+from importlib import import_module
+from typing import Annotated, Any
 
 import typer
 
-from comparisons.cli.baseline import baseline, side_by_side
-from comparisons.cli.export import export
-from comparisons.cli.montecarlo import montecarlo
-from comparisons.cli.options import (
-    FormatOption,
-    LogArgument,
-    LoopsOption,
-    NoiseOption,
-    RobotOption,
-    SeedOption,
-)
-from comparisons.cli.reproduce import reproduce
-from comparisons.cli.run import check, run, solve
-from comparisons.cli.scans import map_command, odometry
-from comparisons.cli.support import (
-    BROKEN,
-    INTERRUPTED,
-    UNUSABLE,
-    fail,
-    guarded,
-    open_named,
-)
+from comparisons.cli.support import BROKEN, INTERRUPTED, UNUSABLE, fail
 
-app = typer.Typer(
-    name="slamcheck",
-    help="Is my EKF-SLAM right? Runs an EKF and a smoother on one log and judges the EKF.",
-    epilog="Exit codes: 0 agree, 1 disagree, 2 unusable input or usage, 3 unproven, "
-    "70 a fault of slamcheck itself, 130 interrupted.",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-)
+COMMANDS = {
+    "run": "run:run",
+    "solve": "solve:solve",
+    "check": "check:check",
+    "odometry": "odometry:odometry",
+    "map": "map:map_command",
+    "baseline": "baseline:baseline",
+    "compare": "baseline:side_by_side",
+    "config": "config:config",
+    "logs": "logs:logs",
+    "convert": "logs:convert",
+    "export": "export:export",
+    "montecarlo": "montecarlo:montecarlo",
+    "reproduce": "reproduce:reproduce",
+}
+"""Names, and where each command is found in this package."""
+_USAGE: type[Any] = typer.BadParameter.__bases__[0]
+"""What every misuse of the command line is raised as."""
 
 
-for job in (run, solve, check):
-    app.command()(job)
-app.add_typer(baseline, name="baseline")
-app.command("compare")(side_by_side)
-app.command()(odometry)
-app.command("map")(map_command)
-app.command()(montecarlo)
-app.command()(export)
-app.command()(reproduce)
+def build(names: list[str]) -> typer.Typer:
+    """Return the command line with some of the commands."""
+    app = typer.Typer(
+        name="slamcheck",
+        help="Is my EKF-SLAM right? Runs an EKF and a smoother on one log and judges the EKF.",
+        epilog="Exit codes: 0 agree, 1 disagree, 2 unusable input or usage, 3 unproven, "
+        "70 a fault of slamcheck itself, 130 interrupted.",
+        no_args_is_help=True,
+        rich_markup_mode=None,
+        pretty_exceptions_enable=False,
+    )
+    app.callback(invoke_without_command=True)(_main)
+    for name in names:
+        module, _, attribute = COMMANDS[name].partition(":")
+        command = getattr(import_module(f"comparisons.cli.{module}"), attribute)
+        if isinstance(command, typer.Typer):
+            app.add_typer(command, name=name)
+        else:
+            app.command(name)(command)
+    return app
 
 
-@app.command()
-def logs() -> None:
-    """List the logs that can be named, and the formats that can be read."""
-    from comparisons.logs.bundled import NAMED
-    from comparisons.logs.readers import READERS
-
-    typer.echo("Logs by name:")
-    for name, entry in NAMED.items():
-        typer.echo(f"  {name:16} {entry.kind}: {entry.what}")
-    typer.echo("Formats of logs by path (--format):")
-    for name, reader in READERS.items():
-        typer.echo(f"  {name:16} {reader.what}")
-
-
-@app.command()
-def convert(
-    log: LogArgument,
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="The log folder to write.")],
-    format_name: FormatOption = None,
-    robot: RobotOption = 1,
-    seed: SeedOption = 0,
-    loops: LoopsOption = 1,
-    noise_scale: NoiseOption = 1.0,
-) -> None:
-    """Write any readable log as a log folder.
-
-    \b
-    Example:
-      slamcheck convert path/to/acfr_car_park car-park
-    """
-    with guarded():
-        from comparisons.logs.log_folder import write_log_folder
-
-        source = open_named(log, format_name, robot, seed, loops, noise_scale)
-        write_log_folder(source, folder)
-        records = ", ".join(f"{n:,} {name}" for name, n in source.records.items())
-        typer.echo(f"{folder}: {records}")
-
-
-@app.callback(invoke_without_command=True)
 def _main(
     version: Annotated[bool, typer.Option("--version", help="Show the version and exit.")] = False,
 ) -> None:
@@ -119,15 +77,19 @@ def main() -> None:
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
+    asked = sys.argv[1] if len(sys.argv) > 1 else ""
     try:
-        code = app(standalone_mode=False)
+        code = build([asked] if asked in COMMANDS else list(COMMANDS))(standalone_mode=False)
         sys.exit(code if isinstance(code, int) else 0)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, typer.Abort):
         sys.exit(INTERRUPTED)
-    except Exception as error:
-        if hasattr(error, "format_message"):  # a usage error of the option parser
-            fail(f"{error.format_message()} (see slamcheck --help)", UNUSABLE)
-        if type(error).__name__ == "Abort":
-            sys.exit(INTERRUPTED)
+    except _USAGE as error:
+        # An Enum's parser puts its own class of error in front.
+        message = error.format_message().replace("Value error, ", "")
+        if message.startswith("Usage:"):  # no command was given
+            print(message)
+            sys.exit(UNUSABLE)
+        fail(f"{message} (see slamcheck --help)", UNUSABLE)
+    except Exception:
         traceback.print_exc()
         sys.exit(BROKEN)

@@ -1,4 +1,4 @@
-"""`slamcheck baseline`: keep what a run found, and hold later runs against it."""
+"""`slamcheck baseline`: keep what a run found, and compare later runs with it."""
 
 from __future__ import annotations
 
@@ -7,83 +7,59 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from comparisons.cli.options import (
-    AssociationOption,
-    FeaturesOption,
-    FilterOption,
-    FormatOption,
-    GpsOption,
-    LogArgument,
-    LoopsOption,
-    NoiseOption,
-    RobotOption,
-    SeedOption,
-)
-from comparisons.cli.support import AGREE, DISAGREE, guarded, progress_bar, read_named
+from comparisons.cli.flags import Given, from_flags
+from comparisons.cli.jobs import file_and_source
+from comparisons.cli.support import AGREE, DISAGREE, guarded, progress_bar
 from comparisons.errors import InputError
+from comparisons.options import RUN
 
 if TYPE_CHECKING:
-    from comparisons.baseline import Settings
+    from comparisons.config import RunConfig
     from comparisons.logs.log import Log
     from comparisons.report.models import Result
 
 baseline = typer.Typer(
-    help="Keep what a run found, and hold later runs against it.",
+    help="Keep what a run found, and compare later runs with it.",
     no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
 
 FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="The baseline, a JSON file.")]
+RunsOption = Annotated[int, typer.Option(help="Repetitions that measure the noise floor. [2]")]
 
 
 @baseline.command()
-def save(
-    log: LogArgument,
-    file: FileArgument,
-    runs: Annotated[int, typer.Option(help="Repetitions that tell the noise floor.")] = 2,
-    filter_name: FilterOption = "full",
-    association: AssociationOption = None,
-    features: FeaturesOption = "log",
-    gps: GpsOption = "off",
-    format_name: FormatOption = None,
-    robot: RobotOption = 1,
-    seed: SeedOption = 0,
-    loops: LoopsOption = 1,
-    noise_scale: NoiseOption = 1.0,
-) -> None:
+@from_flags(RUN, file=(FileArgument,), runs=(RunsOption, 2))
+def save(given: Given) -> None:
     """Run a log and write what was found, with a tolerance for each figure.
 
     \b
-    Example:
+    Examples:
       slamcheck baseline save my-log my-log.baseline.json
+      slamcheck baseline save my-run/config.toml my-log.baseline.json
     """
-    with guarded():
-        from comparisons.baseline import Settings, build_baseline, write_baseline
+    with guarded(verbose=given.verbose, log_file=given.log_file):
+        from comparisons.baseline import build_baseline, write_baseline
+        from comparisons.config import RunConfig
+        from comparisons.pipeline.read import read_for
+        from comparisons.settings import configure
 
+        runs, target = given.extra["runs"], given.extra["file"]
         if runs < 1:
             raise InputError(f"runs is {runs}, expected 1 or more")
-        settings = Settings(
-            filter=filter_name,
-            association=association or "",
-            features=features,
-            gps=gps,
-            format=format_name or "",
-            robot=robot,
-            seed=seed,
-            loops=loops,
-            noise_scale=noise_scale,
-        )
-        source = _read(log, settings)
-        results = [_run(source, settings) for _ in range(runs)]
-        kept = build_baseline(results, settings)
-        write_baseline(kept, file)
-        typer.echo(f"{file}: {len(kept.metrics)} figures of {kept.log}, verdict {kept.verdict}")
+        file, source = file_and_source(given)
+        over = {} if source is None else {"log": {"source": source}}
+        config = configure(RunConfig, file, given.flags, given.settings, over)
+        log, config, _ = read_for(config, allow_changed=given.allow_changed)
+        kept = build_baseline([_run(log, config) for _ in range(runs)], config)
+        write_baseline(kept, target)
+        typer.echo(f"{target}: {len(kept.metrics)} figures of {kept.log}, verdict {kept.verdict}")
 
 
 @baseline.command()
 def compare(
-    log: LogArgument,
+    log: Annotated[str, typer.Argument(metavar="LOG", help="The baseline's log, by name or path.")],
     file: FileArgument,
     junit: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write a JUnit report there.")
@@ -97,10 +73,12 @@ def compare(
     """
     with guarded():
         from comparisons.baseline import compare_with, read_baseline, write_junit
+        from comparisons.pipeline.read import read_for
 
         kept = read_baseline(file)
         try:
-            changes = compare_with(kept, _run(_read(log, kept.settings), kept.settings))
+            source, config, _ = read_for(kept.config_at(log), allow_changed=True)
+            changes = compare_with(kept, _run(source, config))
         except InputError as error:
             raise InputError(f"{error} (compared with {file})") from None
         if junit is not None:
@@ -132,24 +110,9 @@ def side_by_side(
         raise SystemExit(AGREE)
 
 
-def _read(log: str, settings: Settings) -> Log:
-    source, _ = read_named(
-        log,
-        settings.format or None,
-        settings.robot,
-        settings.seed,
-        settings.loops,
-        settings.noise_scale,
-        settings.features,
-    )
-    return source
-
-
-def _run(source: Log, settings: Settings) -> Result:
-    from comparisons.adapters.ekf_factory import EkfChoices
-    from comparisons.pipeline.compare import compare_estimators
+def _run(log: Log, config: RunConfig) -> Result:
+    from comparisons.pipeline.compare import compare as compare_estimators
     from comparisons.report.result import build_result
 
-    choices = EkfChoices(settings.filter, settings.association or None, settings.gps)
     with progress_bar() as progress:
-        return build_result(compare_estimators(source, choices, progress=progress), 0.0)
+        return build_result(compare_estimators(log, config, progress))

@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from comparisons.cli.options import TimesOption
 from comparisons.cli.support import guarded
 from comparisons.errors import InputError
 
@@ -20,7 +19,10 @@ def export(
     format_name: Annotated[
         str, typer.Option("--format", metavar="tum|kitti|csv", help="What to write.")
     ] = "csv",
-    times: TimesOption = None,
+    times: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Times of a KITTI file, else times.txt beside it."),
+    ] = None,
 ) -> None:
     """Write an estimate's trajectory in another format; KITTI also writes times.txt beside it.
 

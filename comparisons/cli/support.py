@@ -1,13 +1,12 @@
-"""What all commands share: exit codes, faults told in one line, a progress bar."""
+"""What all commands share: exit codes, known faults in one line, the log, a progress bar."""
 
 from __future__ import annotations
 
+import logging
 import os
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
@@ -16,10 +15,10 @@ from comparisons.errors import InputError, printable
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from comparisons.logs.log import Log
-    from comparisons.pipeline.compare import Comparison, Progress
+    from comparisons.pipeline.prepare import Progress
 
 AGREE, DISAGREE, UNUSABLE, UNPROVEN = 0, 1, 2, 3
+VERDICTS = {"agree": AGREE, "proven": AGREE, "disagree": DISAGREE, "unproven": UNPROVEN}
 BROKEN, INTERRUPTED = 70, 130
 
 
@@ -37,19 +36,23 @@ def print_result(summary: Callable[[Console], None], folder: Path) -> None:
 
 
 @contextmanager
-def guarded() -> Iterator[None]:
-    """Known faults become one line on standard error and an exit code; warnings stay silent.
+def guarded(*, verbose: bool = False, log_file: Path | None = None) -> Iterator[None]:
+    """Known faults become one line on standard error and an exit code.
 
-    What the numbers mean is checked where they are used, so numpy's and matplotlib's remarks
-    would only tell the same twice.
+    Warnings of libraries and numbers that overflow go to a log. What the numbers mean is checked
+    where they are used, so that nobody needs to read it. verbose: show the log on standard error;
+    log_file: keep it in a file.
     """
     import warnings
 
     import numpy as np
 
     try:
-        with np.errstate(all="ignore"), warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        shown = _start_log(verbose, log_file)
+        numbers = np.errstate(all="log" if shown else "ignore", call=_FloatingPoint())
+        with warnings.catch_warnings(), numbers:
+            warnings.simplefilter("default")
+            logging.captureWarnings(capture=True)
             yield
     except InputError as error:
         fail(str(error), UNUSABLE)
@@ -57,13 +60,46 @@ def guarded() -> Iterator[None]:
         fail(f"{error.filename or 'a file'}: {error.strerror or error}", UNUSABLE)
     except MemoryError:
         fail("not enough memory for this log", UNUSABLE)
-    except (ArithmeticError, ValueError, RuntimeError) as error:
-        # Known by name, so that their modules need not be loaded for every command.
-        if type(error).__name__ == "SingularProblemError":
+    except Exception as error:
+        if _is(error, "graphslam.marginals", "SingularProblemError"):
             fail(f"unproven: {error}", UNPROVEN)
-        if type(error).__name__ in ("Open3dMissingError", "CloudError"):
+        if _is(error, "graphslam.scan.open3d_library", "Open3dMissingError") or _is(
+            error, "graphslam.scan.clouds", "CloudError"
+        ):
             fail(str(error), UNUSABLE)
         raise
+    finally:
+        logging.captureWarnings(capture=False)
+
+
+class _FloatingPoint:
+    """Where numpy writes that a number overflowed or is not one."""
+
+    def write(self, message: str) -> None:
+        """Log it."""
+        logging.getLogger("numpy").info(message.strip())
+
+
+def _start_log(verbose: bool, file: Path | None) -> bool:
+    """Send the log to where it was asked for. Return whether anybody sees it."""
+    handlers: list[logging.Handler] = [logging.NullHandler()]
+    if verbose:
+        handlers.append(logging.StreamHandler(sys.stderr))
+    if file is not None:
+        handlers.append(logging.FileHandler(file, mode="w", encoding="utf-8"))
+    logging.basicConfig(
+        level=logging.INFO,
+        format="%(asctime)s %(name)s %(levelname)s: %(message)s",
+        handlers=handlers,
+        force=True,
+    )
+    return len(handlers) > 1
+
+
+def _is(error: Exception, module: str, name: str) -> bool:
+    """Whether an error is of a class of a module, which need not be loaded for every command."""
+    loaded = sys.modules.get(module)
+    return loaded is not None and isinstance(error, getattr(loaded, name))
 
 
 def fail(message: str, code: int) -> NoReturn:
@@ -92,72 +128,9 @@ def progress_bar() -> Iterator[Progress]:
         yield show
 
 
-def open_named(
-    name: str, format_name: str | None, robot: int, seed: int, loops: int, noise_scale: float
-) -> Log:
-    """The log of a name or a path. Raises InputError."""
-    from comparisons.logs.bundled import SimulationChoices, open_log
+def need_clouds(cloud: str | None) -> None:
+    """Where Open3D is missing, say so before the work."""
+    if cloud is not None:
+        from graphslam.scan.open3d_library import open3d
 
-    return open_log(name, format_name, robot, SimulationChoices(seed, loops, noise_scale))
-
-
-def read_named(
-    name: str,
-    format_name: str | None,
-    robot: int,
-    seed: int,
-    loops: int,
-    noise_scale: float,
-    features: str,
-) -> tuple[Log, float]:
-    """The log with the features asked for, and the seconds that took."""
-    from comparisons.logs.transforms.tree_features import choose_features
-
-    start = time.perf_counter()
-    log = open_named(name, format_name, robot, seed, loops, noise_scale)
-    return choose_features(log, features), time.perf_counter() - start
-
-
-def check_cloud(cloud: str | None) -> None:
-    """Where Open3D is missing, or the format unknown, say so before the work."""
-    if cloud is None:
-        return
-    if cloud not in ("pcd", "ply"):
-        raise InputError(f"cloud '{cloud}' is unknown, expected pcd or ply")
-    from graphslam.scan.open3d_library import open3d
-
-    open3d()
-
-
-def check_figures(formats: list[str]) -> None:
-    """Say before the work which format of pictures is unknown."""
-    for one in formats:
-        if one not in ("png", "pdf"):
-            raise InputError(f"figures '{one}' is unknown, expected png or pdf")
-
-
-@dataclass(frozen=True)
-class Extras:
-    """What a run leaves besides its folder's usual files, when asked to. See report.viewer.
-
-    trace: the filter's, see runs.trace_file.
-    """
-
-    figures: tuple[str, ...] = ()
-    live: bool = False
-    record: Path | None = None
-    trace: bool = False
-
-    def save(self, comparison: Comparison) -> None:
-        """Write the replay, if it is to be kept."""
-        if self.record is not None:
-            from comparisons.report.viewer import record_run
-
-            record_run(comparison, self.record)
-
-    def show(self, comparison: Comparison) -> None:
-        """Open the viewer, if it is wanted."""
-        if self.live:
-            from comparisons.report.viewer import show_run
-
-            show_run(comparison)
+        open3d()

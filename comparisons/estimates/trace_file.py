@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.adapters.ekf_run import EkfRun
 from comparisons.archive import read_arrays
 from comparisons.errors import InputError
 from comparisons.logs.validation import LARGEST, LARGEST_ID
@@ -21,6 +21,9 @@ from ekf_reference.trace import (
     removal_records,
     sighting_records,
 )
+
+if TYPE_CHECKING:
+    from comparisons.adapters.ekf_run import EkfRun
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

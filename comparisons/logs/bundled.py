@@ -11,7 +11,7 @@ import numpy as np
 
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
-from comparisons.logs.readers import gtsam_2d, read_log
+from comparisons.logs.readers import READERS, read_log
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ def _victoria_park(choices: SimulationChoices) -> Log:
     import gtsam
 
     path = gtsam.findExampleDataFile("victoria_park.txt")  # type: ignore[no-untyped-call]
-    return gtsam_2d.read(Path(path))
+    return READERS["gtsam-2d"].read(Path(path))
 
 
 def _simulated_loop(choices: SimulationChoices) -> Log:

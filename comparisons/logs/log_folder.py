@@ -72,6 +72,16 @@ _RELATIVE = (
 )
 
 
+def recognises(path: Path) -> bool:
+    """Whether a path is a log folder."""
+    return (path / MARK).is_file()
+
+
+def read(path: Path) -> Log:
+    """See read_log_folder."""
+    return read_log_folder(path)
+
+
 def read_log_folder(folder: Path) -> Log:
     """Read a log folder. Raises InputError naming file, line, value and expectation."""
     meta = read_meta(folder / MARK)

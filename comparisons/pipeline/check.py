@@ -2,29 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
 
-from comparisons.adapters.ekf_factory import EkfChoices, fused_positions
 from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.motion import poses_at
-from comparisons.adapters.timeline import build_timeline
 from comparisons.checks.accuracy import Accuracy, assess_trajectory
 from comparisons.checks.causes import Cause
 from comparisons.checks.given_agreement import GivenAgreement, compare_given
-from comparisons.checks.given_trace import TraceCheck, check_trace
+from comparisons.checks.verdict import Outcome
+from comparisons.config import CheckConfig
 from comparisons.estimates.estimate import Array
 from comparisons.estimates.external import GivenEstimate
 from comparisons.logs.log import Log
-from comparisons.pipeline.solve import Solution, solve_log
-from graphslam.smoother import SmootherOptions
+from comparisons.pipeline.given_trace import TraceCheck, check_trace
+from comparisons.pipeline.prepare import Progress, no_progress
+from comparisons.pipeline.solve import Solution, solve
 
 _OWN = ("data", "algebra", "model")
 """Causes that the filter's trace shows whatever the smoother found."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class GivenCheck:
     """What the check found.
 
@@ -38,58 +36,49 @@ class GivenCheck:
     agreement: GivenAgreement
     accuracy: Accuracy | None
     trace: TraceCheck | None
-    outcome: Literal["agree", "disagree", "unproven"]
+    outcome: Outcome
     causes: tuple[Cause, ...]
     remarks: tuple[str, ...]
 
 
-def check_given(
+def check(
     log: Log,
     given: GivenEstimate,
-    association: str | None = None,
-    gps: str = "off",
-    options: SmootherOptions | None = None,
-    progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
+    config: CheckConfig | None = None,
+    progress: Progress = no_progress,
 ) -> GivenCheck:
-    """Solve the log, compare, judge. Raises InputError, and as solve_log does."""
-    solution = solve_log(log, association, gps, options, progress)
+    """Solve the log, compare, judge. Raises InputError, and as `solve` does."""
+    config = config or CheckConfig()
+    solution = solve(log, config, progress)
     progress("check", 0, 0)
     reference = poses_at(solution.log, solution.estimate, given.time_s)
     found = compare_given(
         given,
         solution.estimate,
         reference,
-        labelled=solution.association_by == "known",
+        labelled=solution.prepared.labelled,
         peer=(lambda: _peer(given, solution)) if given.information == "filtered" else None,
     )
     proven = solution.result.proof.proven
     traced, causes = None, found.causes
     if given.trace is not None:
         progress("trace", 0, 0)
-        known = solution.association_by == "known"
-        choices = EkfChoices(association="known" if known else "nn", gps=gps).settle(log)
-        traced = check_trace(
-            solution.log,
-            given,
-            fused_positions(solution.log, choices),
-            options or SmootherOptions(),
-            labelled=known,
-        )
+        traced = check_trace(given, solution.prepared, solution.result.options)
         causes = _with_trace(causes, traced.verdict.causes)
-    outcome: Literal["agree", "disagree", "unproven"]
+    outcome: Outcome
     if any(cause.gap in _OWN for cause in causes):
         outcome = "disagree"
     else:
         outcome = "unproven" if not proven else "disagree" if causes else "agree"
     return GivenCheck(
-        given,
-        solution,
-        found,
-        assess_trajectory(given.time_s, given.pose, solution.log),
-        traced,
-        outcome,
-        causes,
-        tuple(_remarks(given, found)),
+        given=given,
+        solution=solution,
+        agreement=found,
+        accuracy=assess_trajectory(given.time_s, given.pose, solution.log),
+        trace=traced,
+        outcome=outcome,
+        causes=causes,
+        remarks=tuple(_remarks(given, found)),
     )
 
 
@@ -102,11 +91,9 @@ def _with_trace(found: tuple[Cause, ...], traced: tuple[Cause, ...]) -> tuple[Ca
 
 def _peer(given: GivenEstimate, solution: Solution) -> Array:
     """The reference EKF's poses (K, 3) at the given times."""
-    log, known = solution.log, solution.association_by == "known"
-    choices = EkfChoices(association="known" if known else "nn", gps=solution.gps).settle(log)
-    positions = fused_positions(log, choices)
-    run = run_ekf(log, build_timeline(log, positions), choices, positions)
-    return poses_at(log, run.estimate, given.time_s)
+    p = solution.prepared
+    run = run_ekf(p.log, p.timeline, p.ekf, p.positions)
+    return poses_at(p.log, run.estimate, given.time_s)
 
 
 def _remarks(given: GivenEstimate, found: GivenAgreement) -> list[str]:

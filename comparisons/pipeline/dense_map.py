@@ -2,114 +2,110 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from comparisons.adapters.ekf_factory import EkfChoices, fused_positions
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
-from comparisons.adapters.timeline import build_timeline
-from comparisons.errors import InputError
+from comparisons.adapters.filter_setup import FilterSetup
+from comparisons.config import MapConfig
 from comparisons.extensions.dense_maps.accuracy import SurfaceError, surface_error
-from comparisons.extensions.dense_maps.source import (
-    GRID_MODEL,
-    DenseOptions,
-    DenseRun,
-    DenseWatcher,
-)
-from comparisons.extensions.scan_landmarks.source import (
-    LANDMARKS,
-    ScanSlamSources,
-    check_landmarks,
-    usual_options,
-)
+from comparisons.extensions.dense_maps.source import GRID_MODEL, DenseRun, DenseWatcher
 from comparisons.logs.log import Log
-from comparisons.logs.transforms.known_landmarks import join_known_sightings
+from comparisons.pipeline.prepare import (
+    Needs,
+    Prepared,
+    Progress,
+    no_progress,
+    prepare,
+)
 from ekf_reference.dense.layers.classic_grid import ClassicGrid
 from ekf_reference.dense.layers.layer import Samples
 from ekf_reference.dense.placed_regions import PlacedRegions
-from ekf_reference.scan_landmarks.scan_slam import ScanLandmarks, ScanSlamOptions
 
-Progress = Callable[[str, int, int], None]
+NEEDS = Needs(
+    sightings="between which the map is kept: try --features trees or --landmarks scans",
+    odometry="the filter needs it",
+)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class DenseMapping:
     """What the map job found.
 
     placed: the regions as the landmarks lie in the end; layers: what each layer holds there.
     classic: the same scans in one grid in the world's frame, as is usual without DenseSLAM.
     errors: by layer, `classic` (where regions are) among them, against true surfaces where the
-    log has them. scan_landmarks: what the scans gave as landmarks, None where they were not asked.
+    log has them.
     """
 
-    log: Log
-    choices: EkfChoices
+    prepared: Prepared[MapConfig]
+    setup: FilterSetup
     ekf: EkfRun
     dense: DenseRun
     placed: PlacedRegions
     layers: Mapping[str, Samples]
     classic: Samples
     errors: Mapping[str, SurfaceError]
-    scan_landmarks: ScanLandmarks | None
-    seconds: dict[str, float]
+
+    @property
+    def log(self) -> Log:
+        """The log as the filter read it."""
+        return self.prepared.log
 
 
 def map_log(
-    log: Log,
-    choices: EkfChoices | None = None,
-    options: DenseOptions | None = None,
-    progress: Progress = lambda stage, done, total: None,
-    landmarks: str = "points",
-    slam: ScanSlamOptions | None = None,
+    log: Log, config: MapConfig | None = None, progress: Progress = no_progress
 ) -> DenseMapping:
     """Run the filter with a dense map beside it. Raises InputError.
 
-    Where the map looks for what moves, the filter does not go by that; else it does not notice
-    the map. landmarks: of LANDMARKS, which the map hangs on (Nieto 2005, section 6.2). slam: of
-    scan landmarks.
+    Where the map looks for what moves, the filter ignores that; else it does not notice the map.
+    The map is anchored to the filter's landmarks (Nieto 2005, section 6.2).
     """
-    check_landmarks(landmarks)
-    chosen = (choices or EkfChoices()).settle(log)
-    log = join_known_sightings(log)
-    if landmarks != "scans" and not len(log.sightings.time_s):
-        raise InputError(
-            f"{log.name}: holds no sightings of landmarks, between which the map is kept "
-            "(try --features trees or --landmarks scans)"
+    default = {"dense_maps": {"layers": ["points", "occupancy"]}}
+    config = config or MapConfig.of(extensions=default)
+    prepared = prepare(log, config, progress=progress, needs=NEEDS)
+    setup = FilterSetup()
+    for extension in prepared.extensions:
+        extension.attach(setup, prepared)
+    watcher = setup.find(DenseWatcher)
+    if watcher is None:
+        raise ValueError("no dense map among the extensions")
+    classic = ClassicGrid(watcher.options.resolution_m, GRID_MODEL)
+    watcher.feed(classic)
+    with prepared.clock.stage("filter and map"):
+        run = run_ekf(
+            prepared.log,
+            prepared.timeline,
+            prepared.ekf,
+            prepared.positions,
+            setup,
+            prepared.stage_progress("map"),
         )
-    if not len(log.odometry.time_s):
-        raise InputError(f"{log.name}: holds no odometry, which the filter needs")
-    options = options or DenseOptions()
-    sources = ScanSlamSources.of(log, landmarks, slam or usual_options(mapped=True))
-    log = log if sources is None else sources.log
-    classic = ClassicGrid(options.resolution_m, GRID_MODEL)
-    watcher = DenseWatcher(log, options, (classic,), kinds=LANDMARKS[landmarks])
-    positions = fused_positions(log, chosen)
-    source = None if sources is None else sources()
-    start = time.perf_counter()
-    run = run_ekf(
-        log,
-        build_timeline(log, positions, None if sources is None else sources.scans.time_s),
-        chosen,
-        positions,
-        lambda k, n: progress("map", k, n),
-        watcher=watcher,
-        source=source,
-        guard=watcher if options.dynamic else None,
-    )
-    seconds = {"filter and map": time.perf_counter() - start}
     dense = watcher.run()
     placed = dense.dense.regions.placed(dense.landmark)
     layers = {name: layer.samples(placed) for name, layer in dense.dense.layers.items()}
-    errors: dict[str, SurfaceError] = {}
     usual = classic.samples()
-    if log.truth.surfaces is not None:
-        region = placed.locate(usual.point).region
-        kept = np.flatnonzero(region >= 0)
-        there = Samples(usual.point[kept], usual.occupancy[kept], region[kept])
-        held = {**layers, "classic": there}
-        errors = {k: surface_error(s, log.truth.surfaces.segment) for k, s in held.items()}
-    found = None if source is None else source.found
-    return DenseMapping(log, chosen, run, dense, placed, layers, usual, errors, found, seconds)
+    return DenseMapping(
+        prepared=prepared,
+        setup=setup,
+        ekf=run,
+        dense=dense,
+        placed=placed,
+        layers=layers,
+        classic=usual,
+        errors=_errors(prepared.log, placed, layers, usual),
+    )
+
+
+def _errors(
+    log: Log, placed: PlacedRegions, layers: Mapping[str, Samples], usual: Samples
+) -> dict[str, SurfaceError]:
+    if log.truth.surfaces is None:
+        return {}
+    region = placed.locate(usual.point).region
+    kept = np.flatnonzero(region >= 0)
+    there = Samples(usual.point[kept], usual.occupancy[kept], region[kept])
+    held = {**layers, "classic": there}
+    return {k: surface_error(s, log.truth.surfaces.segment) for k, s in held.items()}

@@ -2,30 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from comparisons.adapters.ekf_factory import EkfChoices, fused_positions, judging_positions
 from comparisons.adapters.motion import motion_between
 from comparisons.adapters.scan_odometry import ScanMotion, run_scan_odometry
 from comparisons.adapters.scan_source import CloudsAt
 from comparisons.adapters.smoother_input import assemble, position_rows, smoothed_estimate
-from comparisons.adapters.timeline import build_timeline
 from comparisons.checks.accuracy import Accuracy, assess, assess_trajectory
-from comparisons.clock import Clock
-from comparisons.errors import InputError
+from comparisons.config import EkfConfig, OdometryConfig
 from comparisons.estimates.estimate import Array, Estimate
 from comparisons.extensions.scan_motion.increments import IncrementCheck, check_increments
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.transforms.known_landmarks import (
     SURVEYED,
-    join_known_sightings,
     slots_by_label,
 )
 from comparisons.logs.transforms.scan_motion import divide, sightings_kept, with_scan_motion
+from comparisons.pipeline.prepare import Prepared, Progress, no_progress, prepare
 from graphslam.increments import dead_reckoned
 from graphslam.scan.loop_closure import (
     Closed,
@@ -37,24 +33,8 @@ from graphslam.scan.matchers import MATCHERS
 from graphslam.scan.points import placed
 from graphslam.smoother import SmootherResult, smooth
 
-Progress = Callable[[str, int, int], None]
 
-
-@dataclass(frozen=True)
-class FrontEndChoices:
-    """How to go about it.
-
-    guess: begin alignments from the wheels' motion. loops: close loops. gps: `off`, `on` or
-    `half`, as of the other commands. matcher: of MATCHERS, for loops.
-    """
-
-    guess: bool = True
-    loops: bool = True
-    gps: str = "off"
-    matcher: str = "surface"
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FrontEnd:
     """What the scans of a log say.
 
@@ -64,8 +44,7 @@ class FrontEnd:
     surveyed.
     """
 
-    log: Log
-    choices: FrontEndChoices
+    prepared: Prepared[OdometryConfig]
     motion: ScanMotion
     time_s: Array
     odometry: Array
@@ -78,7 +57,11 @@ class FrontEnd:
     accuracy_wheels: Accuracy | None
     accuracy_odometry: Accuracy | None
     accuracy_graph: Accuracy | None
-    seconds: dict[str, float]
+
+    @property
+    def log(self) -> Log:
+        """The log as it was read, surveyed landmarks' sightings among the others."""
+        return self.prepared.log
 
     def map_points(self) -> Array:
         """(P, 3) what the scans saw, placed by the graph."""
@@ -86,39 +69,34 @@ class FrontEnd:
 
 
 def run_front_end(
-    log: Log,
-    choices: FrontEndChoices | None = None,
-    progress: Progress = lambda stage, done, total: None,
+    log: Log, config: OdometryConfig | None = None, progress: Progress = no_progress
 ) -> FrontEnd:
     """Odometry, loops, graph, and how good they are. Raises InputError."""
-    choices = choices or FrontEndChoices()
-    if choices.matcher not in MATCHERS:
-        raise InputError(
-            f"matcher '{choices.matcher}' is unknown, expected one of {', '.join(MATCHERS)}"
-        )
-    labelled = log.sightings.labelled
-    given = EkfChoices(association="known" if labelled else "nn", gps=choices.gps).settle(log)
-    log = join_known_sightings(log)
-    clock = Clock()
+    config = config or OdometryConfig()
+    how, labelled = config.front_end, log.sightings.labelled
+    ekf = EkfConfig(association="known" if labelled else "nn", gps=how.gps)
+    prepared = prepare(log, config, ekf, progress)
+    log, clock = prepared.log, prepared.clock
     with clock.stage("odometry"):
         motion = run_scan_odometry(
-            log, progress=lambda k, n: progress("scan odometry", k, n), guess=choices.guess
+            log,
+            progress=prepared.stage_progress("scan odometry"),
+            guess=how.guess == "wheels",
         )
     with clock.stage("loops"):
         named = _with_named_sightings(log, motion, labelled=labelled)
-        scanned = with_scan_motion(named, motion, positions=choices.gps != "off")
-        positions = fused_positions(scanned, given)
-        timeline = build_timeline(scanned, positions)
-        slot, ids = slots_by_label(scanned)
-        rows = position_rows(timeline, positions)
-        problem = assemble(scanned, timeline, slot, len(ids), *rows)
+        scanned = replace(prepared, log=with_scan_motion(named, motion, positions=how.gps != "off"))
+        slot, ids = slots_by_label(scanned.log)
+        timeline = scanned.timeline
+        rows = position_rows(timeline, scanned.positions)
+        problem = assemble(scanned.log, timeline, slot, len(ids), rows)
         clouds = motion.clouds(timeline.epoch_time_s)
         closer: LoopCloser = NoLoopClosure()
-        if choices.loops:
+        if how.loop_closure:
             closer = loop_closer(
                 motion.options,
-                None if choices.matcher == "surface" else MATCHERS[choices.matcher](),
-                lambda k, n: progress("loop closure", k, n),
+                None if how.matcher == "surface" else MATCHERS[how.matcher](),
+                prepared.stage_progress("loop closure"),
             )
         closed = closer.close(problem, clouds)
     with clock.stage("graph"):
@@ -130,23 +108,24 @@ def run_front_end(
     if len(log.odometry.time_s):
         wheels = dead_reckoned(problem.prior_pose, _driven(log, motion, timeline.epoch_time_s))
     # Fused ones are counted among those that the scans reach.
-    judged = replace(log, positions=judging_positions(scanned if positions else log, given))
+    reached = scanned.judged.positions if scanned.positions else prepared.judged.positions
+    judged = replace(log, positions=reached)
     return FrontEnd(
-        log,
-        choices,
-        motion,
-        timeline.epoch_time_s,
-        odometry,
-        wheels,
-        closed,
-        graph,
-        estimate,
-        clouds,
-        check_increments(motion, log),
-        None if wheels is None else assess_trajectory(timeline.epoch_time_s, wheels, judged),
-        assess_trajectory(timeline.epoch_time_s, odometry, judged),
-        assess(estimate, judged, labelled=labelled),
-        clock.seconds,
+        prepared=prepared,
+        motion=motion,
+        time_s=timeline.epoch_time_s,
+        odometry=odometry,
+        wheels=wheels,
+        closed=closed,
+        graph=graph,
+        estimate=estimate,
+        clouds=clouds,
+        increments=check_increments(motion, log),
+        accuracy_wheels=None
+        if wheels is None
+        else assess_trajectory(timeline.epoch_time_s, wheels, judged),
+        accuracy_odometry=assess_trajectory(timeline.epoch_time_s, odometry, judged),
+        accuracy_graph=assess(estimate, judged, labelled=labelled),
     )
 
 

@@ -2,30 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.adapters.ekf_factory import EkfChoices, fused_positions, judging_positions
 from comparisons.adapters.smoother_association import associate_own
 from comparisons.adapters.smoother_input import assemble, position_rows, smoothed_estimate
-from comparisons.adapters.timeline import build_timeline
 from comparisons.checks.accuracy import Accuracy, assess, assess_trajectory
 from comparisons.checks.association import AssociationScore, score_association
-from comparisons.clock import Clock
+from comparisons.config import EkfConfig, SolveConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Array, Estimate
 from comparisons.logs.log import Log
-from comparisons.logs.transforms.known_landmarks import join_known_sightings, slots_by_label
+from comparisons.logs.transforms.known_landmarks import slots_by_label
+from comparisons.pipeline.prepare import Needs, Prepared, Progress, no_progress, prepare
 from graphslam.increments import dead_reckoned
 from graphslam.smoother import SmootherOptions, SmootherResult, smooth
 
 Index = NDArray[np.intp]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Solution:
     """What the smoother found.
 
@@ -33,9 +31,7 @@ class Solution:
     compares with the log's labels, when it was made without them.
     """
 
-    log: Log
-    association_by: str
-    gps: str
+    prepared: Prepared[SolveConfig]
     slot: Index
     result: SmootherResult
     estimate: Estimate
@@ -43,64 +39,61 @@ class Solution:
     accuracy: Accuracy | None
     accuracy_dead_reckoned: Accuracy | None
     association: AssociationScore | None
-    seconds: dict[str, float]
+
+    @property
+    def log(self) -> Log:
+        """The log as the smoother read it."""
+        return self.prepared.log
+
+    @property
+    def association_by(self) -> str:
+        """`known` by the log's labels, or the smoother's `own`."""
+        return "known" if self.prepared.labelled else "own"
 
 
-def solve_log(
-    log: Log,
-    association: str | None = None,
-    gps: str = "off",
-    options: SmootherOptions | None = None,
-    progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
+def solve(
+    log: Log, config: SolveConfig | None = None, progress: Progress = no_progress
 ) -> Solution:
     """Associate, solve and assess.
 
-    association: `known` by the log's labels, `own` by the smoother's reasoning; None for whichever
-    the log allows. gps: `off`, `on` or `half`. Raises InputError for what the log cannot serve,
-    and graphslam.marginals.SingularProblemError when there is no solution.
+    Raises InputError for what the log cannot serve, and graphslam.marginals.SingularProblemError
+    when there is no solution.
     """
-    name = association or ("known" if log.sightings.labelled else "own")
-    if name not in ("known", "own"):
-        raise InputError(f"association '{name}' is unknown, expected known or own")
-    if not len(log.odometry.time_s):
-        raise InputError(f"{log.name}: holds no odometry; use slamcheck odometry for its scans")
-    given = EkfChoices(association="known" if name == "known" else "nn", gps=gps).settle(log)
-    log = join_known_sightings(log)
-    positions = fused_positions(log, given)
-    timeline = build_timeline(log, positions)
-    clock = Clock()
+    config = config or SolveConfig()
+    known = log.sightings.labelled if config.association is None else config.association == "known"
+    ekf = EkfConfig(association="known" if known else "nn", gps=config.gps)
+    needs = Needs(odometry="use slamcheck odometry for its scans")
+    prepared = prepare(log, config, ekf, progress, needs)
+    log, clock, timeline = prepared.log, prepared.clock, prepared.timeline
     guesses = {}
     with clock.stage("association"):
-        rows = position_rows(timeline, positions)
-        if name == "own":
+        rows = position_rows(timeline, prepared.positions)
+        if known:
+            slot, ids = slots_by_label(log)
+            problem = assemble(log, timeline, slot, len(ids), rows)
+        else:
             progress("association", 0, 0)
             own = associate_own(log, timeline, rows)
             slot, problem = own.slot, own.problem
             ids = np.arange(problem.landmark_count)
             guesses["association"] = (own.poses, own.landmarks)
-        else:
-            slot, ids = slots_by_label(log)
-            problem = assemble(log, timeline, slot, len(ids), *rows)
     if not len(ids):
         raise InputError(f"{log.name}: no sighting could be used, so there is no map to solve for")
     with clock.stage("smoother"):
+        options = SmootherOptions(**config.smoother.model_dump())
         result = smooth(problem, guesses, lambda stage: progress(stage, 0, 0), options)
     with clock.stage("marginals"):
         progress("marginals", 0, 0)
+        name = "known" if known else "own"
         estimate = smoothed_estimate(result, timeline.epoch_time_s, ids, name)
     reckoned = dead_reckoned(problem.prior_pose, problem.increment)
-    judged = replace(log, positions=judging_positions(log, given))
-    labelled = name == "known"
     return Solution(
-        log,
-        name,
-        gps,
-        slot,
-        result,
-        estimate,
-        reckoned,
-        assess(estimate, judged, labelled=labelled),
-        assess_trajectory(timeline.epoch_time_s, reckoned, judged),
-        None if labelled else score_association(slot, result.landmarks, log),
-        clock.seconds,
+        prepared=prepared,
+        slot=slot,
+        result=result,
+        estimate=estimate,
+        dead_reckoned=reckoned,
+        accuracy=assess(estimate, prepared.judged, labelled=known),
+        accuracy_dead_reckoned=assess_trajectory(timeline.epoch_time_s, reckoned, prepared.judged),
+        association=None if known else score_association(slot, result.landmarks, log),
     )

@@ -6,9 +6,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from comparisons.pipeline.compare import Comparison
+from comparisons.report.figures.style import TRUTH_COLOUR
 from comparisons.report.panels import ConsistencyPanels, Panel
 from comparisons.report.picture import blank
-from comparisons.report.plots import TRUTH_COLOUR
 
 _MARKERS = ("o-", "o--", "s-", "s--", "^-", "v-")
 _MARGINS = {

@@ -9,7 +9,7 @@ from comparisons.checks.consistency.filter_smoother import FilterAgainstSmoother
 from comparisons.checks.consistency.innovations import SensorInnovations
 from comparisons.checks.consistency.nees import TruthConsistency
 from comparisons.checks.consistency.normalised import Normalised
-from comparisons.report.consistency_models import (
+from comparisons.report.models import (
     ConsistencyResult,
     FilterAgainstSmootherResult,
     InnovationResult,

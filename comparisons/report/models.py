@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
-from comparisons.extensions.dense_maps.models import DenseResult, HighLevelResult
-from comparisons.extensions.own_matching.models import LandmarkMatchingResult
-from comparisons.report.consistency_models import ConsistencyResult
+from pydantic import ConfigDict, Field
+
 from comparisons.report.model import Model
 
 
@@ -155,28 +154,6 @@ class AssociationResult(Model):
     clusters: PartitionResult | None
 
 
-class OwnAssociationResult(Model):
-    """The smoother with its own association. See comparisons.extensions.own_association.check.
-
-    agreement: share of the pairs of sightings put together by either that both put together.
-    pose_distance_sigma: between the last poses with the one and the other association.
-    """
-
-    landmarks: int
-    agreement: float
-    pairs_both: int
-    pairs_filter: int
-    pairs_smoother: int
-    splits: int
-    merges: int
-    pose_difference_m: float
-    pose_distance_sigma: float
-    landmark_rms_m: float | None
-    proven: bool
-    accuracy: AccuracyResult | None
-    association: AssociationResult | None
-
-
 class MapPairResult(Model):
     """Two maps of the same landmarks. See comparisons.extensions.scan_motion.three_way.Pair."""
 
@@ -188,109 +165,99 @@ class MapPairResult(Model):
     agrees: bool
 
 
-class ThreeWayResult(Model):
-    """EKF and smoother on wheels, each against the smoother on scans.
+class NeesResult(Model):
+    """Normalised errors squared, each with `dof`. See checks.consistency.normalised.
 
-    chi2: with closures under their robust kernel, which only lowers it.
+    mean: `dof` is right. Over time, and over landmarks of one run, the values are correlated: no
+    band holds for their average. single_band: 95 % of single values lie in it; inside: the share
+    that do. last: the last value. unusable: errors without one, by reason.
     """
 
-    ekf: MapPairResult
-    smoother: MapPairResult
-    loops: int
-    proven: bool
-    chi2: float
     dof: int
-    accuracy: AccuracyResult | None
-    culprit: str
-    evidence: str
+    count: int
+    mean: float | None
+    last: float | None
+    single_band: tuple[float, float]
+    inside: float | None
+    unusable: dict[str, int]
 
 
-class ScanOdometryResult(Model):
-    """Scan odometry. failures: scans without an increment, by reason; breaks: new beginnings.
+class TruthConsistencyResult(Model):
+    """NEES against truth, of errors in the log's frame, additive in x, y and wrapped heading.
 
-    weak: increments that leave a direction open. overlap, residual_m: medians over the matches.
+    pose, position, heading: over the epochs. landmarks: each alone; map: jointly; whole: with the
+    last pose. distance, distances: lengths of a spanning tree over landmarks and last pose, which
+    no frame touches, each alone and jointly; too_short: those left out.
     """
 
-    guess: str
-    scans: int
-    used: int
-    failures: dict[str, int]
-    breaks: int
-    weak: int
-    overlap: float | None
-    residual_m: float | None
-    scans_per_second: float
+    pose: NeesResult | None
+    position: NeesResult | None
+    heading: NeesResult | None
+    landmarks: NeesResult | None
+    map: NeesResult | None
+    whole: NeesResult | None
+    distance: NeesResult | None
+    distances: NeesResult | None
+    too_short: int
 
 
-class IncrementResult(Model):
-    """Errors of the increments. See extensions.scan_motion.increments."""
+class NisResult(Model):
+    """An average of normalised innovations squared, with its own 95 % band."""
 
-    against: str
-    nees: float
+    name: str
     dof: int
+    count: int
+    mean: float
     band: tuple[float, float]
-    factor: float
-    reference_factor: float | None
-    median: float | None
+    reading: str
 
 
-class ScanLandmarkResult(LandmarkResult):
-    """The same of a scan landmark. sightings: used of it. points: of its template."""
+class WhitenessResult(Model):
+    """See comparisons.checks.consistency.innovations.Whiteness. band: half widths, lag by lag."""
 
-    ekf_heading_rad: float
-    smoother_heading_rad: float
-    sightings: int
-    points: int
+    component: str
+    order: str
+    autocorrelation: list[float]
+    band: list[float]
+    p_value: float
+    mean: float
+    mean_band: float
 
 
-class ScanSlamResult(Model):
-    """Scan-SLAM. scans: looked at. rejected: segments that failed their trial.
+class InnovationResult(Model):
+    """One sensor's innovations. See comparisons.checks.consistency.innovations."""
 
-    dynamic: returns left out since something moves there.
-    pieces: whether all segments of a scan are one landmark, or each its own. fused: landmarks
-    found to be others. enriched: alignments that began where what stands around fits. sightings:
-    how often a landmark near the scanner was used, or why not.
+    sensor: str
+    nis: list[NisResult]
+    whiteness: list[WhitenessResult]
+    unusable: int
+
+
+class FilterAgainstSmootherResult(Model):
+    """Filtered poses against smoothed ones. See comparisons.checks.consistency.filter_smoother.
+
+    squared_per_dof: 1 is right; inside: share of the epochs in their single 95 % band. least_ratio:
+    smallest variance of the filter over the smoother's, at least_ratio_s; surer_epochs: how many
+    have one clearly below 1, from surer_since_s on.
     """
 
-    scans: int
-    landmarks: list[ScanLandmarkResult]
-    rejected: int
-    dynamic: int = 0
-    fused: int = 0
-    enriched: int = 0
-    pieces: str = "single"
-    sightings: dict[str, int]
+    epochs: int
+    squared_per_dof: float | None
+    inside: float | None
+    least_ratio: float | None
+    least_ratio_s: float | None
+    surer_epochs: int
+    surer_since_s: float | None
+    unusable: dict[str, int]
 
 
-class OwnMatchingResult(Model):
-    """The smoother with its own matcher. See comparisons.extensions.own_matching.check.
+class ConsistencyResult(Model):
+    """By truth for both estimators, by the filter's innovations, by the smoother."""
 
-    filter, own, common: alignments, begun landmarks left out. shift_sigma: of what all differences
-    have in common, None for too few. ekf, smoother: scan landmarks of each against those of this
-    smoother. pose_distance_sigma: by the sum of both covariances.
-    """
-
-    matcher: str
-    filter: int
-    own: int
-    common: int
-    distance_sigma: float | None
-    shift_m: tuple[float, float]
-    shift_rad: float
-    shift_sigma: float | None
-    landmarks: list[LandmarkMatchingResult]
-    ekf: MapPairResult
-    smoother: MapPairResult
-    pose_difference_m: float
-    pose_distance_sigma: float | None
-    path_ekf_m: float
-    path_smoother_m: float
-    agrees: bool
-    proven: bool
-    chi2: float
-    dof: int
-    reasons: dict[str, int]
-    accuracy: AccuracyResult | None
+    ekf: TruthConsistencyResult | None
+    smoother: TruthConsistencyResult | None
+    innovations: list[InnovationResult]
+    filter_against_smoother: FilterAgainstSmootherResult | None
 
 
 class CauseResult(Model):
@@ -301,9 +268,17 @@ class CauseResult(Model):
     hint: str
 
 
-class Result(Model):
-    """The whole file."""
+SCHEMA = 2
+"""Raised when a field of `result.json` changes its meaning. 1 had no `schema` and no `config`."""
 
+
+class Result(Model):
+    """The whole file, and one entry for each extension that ran. config: of the run."""
+
+    model_config = ConfigDict(extra="allow", serialize_by_alias=True, populate_by_name=True)
+
+    schema_version: int = Field(alias="schema", default=1)
+    config: dict[str, Any] = Field(default_factory=dict)
     log: LogResult
     ekf: EkfResult
     smoother: SmootherResult
@@ -311,24 +286,18 @@ class Result(Model):
     consistency: ConsistencyResult
     accuracy: Accuracies | None
     association: AssociationResult | None
-    own_association: OwnAssociationResult | None
-    own_matching: OwnMatchingResult | None = None
-    three_way: ThreeWayResult | None
-    scan_odometry: ScanOdometryResult | None
-    increments: IncrementResult | None
-    dense: DenseResult | None
-    scan_slam: ScanSlamResult | None = None
-    high_level: HighLevelResult | None = None
     verdict: Literal["agree", "disagree", "unproven"]
     causes: list[CauseResult]
     remarks: list[str]
     seconds: dict[str, float]
     versions: dict[str, str]
+    files: tuple[str, ...] = ()
 
 
 class SolutionResult(Model):
     """`solution.json`: the smoother alone. sightings_used: of the log's."""
 
+    config: dict[str, Any]
     log: LogResult
     association_by: str
     landmarks: int
@@ -342,30 +311,4 @@ class SolutionResult(Model):
     remarks: list[str]
     seconds: dict[str, float]
     versions: dict[str, str]
-
-
-class LoopResult(Model):
-    """Loop closure: pairs of poses tried, closed, and the reasons against the others."""
-
-    tried: int
-    closed: int
-    reasons: dict[str, int]
-
-
-class FrontEndResult(Model):
-    """`odometry.json`: the scan front end alone."""
-
-    log: LogResult
-    odometry: ScanOdometryResult
-    loops: LoopResult
-    graph: SmootherResult
-    landmarks: int
-    gps: str
-    increments: IncrementResult | None
-    wheels: AccuracyResult | None
-    scan_odometry: AccuracyResult | None
-    scan_graph: AccuracyResult | None
-    verdict: Literal["proven", "unproven"]
-    remarks: list[str]
-    seconds: dict[str, float]
-    versions: dict[str, str]
+    files: tuple[str, ...] = ()

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from comparisons.checks.consistency.innovations import SensorInnovations
 from comparisons.checks.consistency.normalised import mean_band
 from comparisons.pipeline.compare import Comparison
-from comparisons.report.plots import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR
+from comparisons.report.figures.style import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR
 
 Array = NDArray[np.float64]
 
@@ -42,7 +42,7 @@ class Band:
     high: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Panel:
     """Curves over one axis. logarithmic: of the values. level: what is right, if one value is."""
 
@@ -84,7 +84,13 @@ def _poses(comparison: Comparison) -> tuple[str, tuple[Panel, ...], Panel | None
             at_q = q.time_s[q.pose.row]
             curves.append(Curve("smoother", SMOOTHER_COLOUR, at_q, q.pose.squared))
         band = Band("95 % band", "#999999", at, low, high)
-        squared = Panel("NEES of the pose (3 dof)", "time [s]", tuple(curves), (band,), True)
+        squared = Panel(
+            title="NEES of the pose (3 dof)",
+            x_label="time [s]",
+            curves=tuple(curves),
+            bands=(band,),
+            logarithmic=True,
+        )
         told = "the EKF's pose against truth"
         return told, _errors(p.time_s, p.error, p.sigma, "EKF - truth"), squared
     if f is None:
@@ -96,7 +102,13 @@ def _poses(comparison: Comparison) -> tuple[str, tuple[Panel, ...], Panel | None
         at = f.time_s[clear]
         curve = Curve("EKF - smoother", EKF_COLOUR, at, f.squared[clear])
         band = Band("95 % band", "#999999", at, low, high)
-        panel = Panel("pose's difference, squared", "time [s]", (curve,), (band,), True)
+        panel = Panel(
+            title="pose's difference, squared",
+            x_label="time [s]",
+            curves=(curve,),
+            bands=(band,),
+            logarithmic=True,
+        )
     return told, _errors(f.time_s, f.error, f.sigma, "EKF - smoother"), panel
 
 
@@ -107,19 +119,21 @@ def _errors(time_s: Array, error: Array, sigma: Array, name: str) -> tuple[Panel
         spread = 3.0 * unit * sigma[:, i]
         curve = Curve(name, EKF_COLOUR, time_s, unit * error[:, i])
         band = Band("3 sigma", EKF_COLOUR, time_s, -spread, spread)
-        panels.append(Panel(label, "time [s]", (curve,), (band,), level=0.0))
+        panels.append(
+            Panel(title=label, x_label="time [s]", curves=(curve,), bands=(band,), level=0.0)
+        )
     return tuple(panels)
 
 
 def _nis(sensor: SensorInnovations, colour: str) -> Panel:
     w, name = sensor.windows, f"{sensor.sensor}, averaged"
     return Panel(
-        f"NIS of {sensor.sensor} (2 dof)",
-        "time [s]",
-        (Curve(name, colour, w.time_s, w.mean),),
-        (Band("95 % band", "#999999", w.time_s, w.low, w.high),),
-        True,
-        2.0,
+        title=f"NIS of {sensor.sensor} (2 dof)",
+        x_label="time [s]",
+        curves=(Curve(name, colour, w.time_s, w.mean),),
+        bands=(Band("95 % band", "#999999", w.time_s, w.low, w.high),),
+        logarithmic=True,
+        level=2.0,
     )
 
 
@@ -136,4 +150,10 @@ def _whiteness(sensors: tuple[SensorInnovations, ...]) -> Panel | None:
     lags = np.array((1.0, max(curve.x[-1] for curve in curves)))
     widest = np.full(2, max(float(one.band.max()) for one in series))
     band = Band("95 % band", "#999999", lags, -widest, widest)
-    return Panel("autocorrelation of innovations, by lag", "lag", tuple(curves), (band,), level=0.0)
+    return Panel(
+        title="autocorrelation of innovations, by lag",
+        x_label="lag",
+        curves=tuple(curves),
+        bands=(band,),
+        level=0.0,
+    )

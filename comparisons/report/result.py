@@ -1,167 +1,124 @@
-"""From findings to the models of `result.json`."""
+"""From a comparison to the model of `result.json`, and to the rows of its table."""
 
 from __future__ import annotations
 
-import hashlib
-import platform
-from importlib.metadata import PackageNotFoundError, version
+from rich.console import Console
 
-import numpy as np
-
-from comparisons.adapters.ekf_factory import EkfChoices
-from comparisons.adapters.ekf_run import EkfRun
-from comparisons.checks.accuracy import Accuracy
-from comparisons.checks.association import AssociationScore
-from comparisons.extensions.dense_maps.result import dense_result, high_level_result
-from comparisons.extensions.own_association.check import OwnAssociationCheck
-from comparisons.extensions.own_matching.result import map_pair_result, own_matching_result
-from comparisons.extensions.scan_landmarks.result import block_fields, scan_slam_result
-from comparisons.extensions.scan_motion.result import (
-    increment_remarks,
-    increment_result,
-    scan_odometry_result,
-)
-from comparisons.extensions.scan_motion.three_way import ThreeWay
-from comparisons.logs.log import Log, Sightings
+from comparisons.extensions.contract import Row
 from comparisons.pipeline.compare import Comparison
-from comparisons.report.consistency_result import consistency_result
-from comparisons.report.finite import finite
+from comparisons.report.consistency_result import consistency_result, consistency_rows
+from comparisons.report.model import finite
 from comparisons.report.models import (
+    SCHEMA,
     Accuracies,
     AccuracyResult,
     AgreementResult,
-    AssociationResult,
     BlockResult,
     CauseResult,
-    EkfResult,
     LandmarkResult,
-    LogResult,
-    OwnAssociationResult,
-    PartitionResult,
     Result,
-    SmootherResult,
-    StartResult,
-    ThreeWayResult,
 )
-from graphslam import smoother
+from comparisons.report.rows import (
+    accuracy_rows,
+    association_rows,
+    ekf_rows,
+    log_rows,
+    print_rows,
+    print_verdict,
+    seconds_rows,
+    shown,
+    smoother_rows,
+)
+from comparisons.report.sections import (
+    accuracy_result,
+    association_result,
+    block_fields,
+    ekf_result,
+    log_result,
+    package_versions,
+    smoother_result,
+)
 
 
-def build_result(comparison: Comparison, read_s: float) -> Result:
-    """The findings of a run, read_s being the seconds that reading the log took."""
+def build_result(comparison: Comparison, read_s: float = 0.0) -> Result:
+    """Return the findings of a run, read_s being the seconds that reading the log took."""
     c = comparison
+    entries = {key: entry for found in c.findings.values() for key, entry in found.entries.items()}
     return Result(
+        schema_version=SCHEMA,
+        config=c.prepared.config.model_dump(mode="json"),
         log=log_result(c.log),
-        ekf=ekf_result(c.ekf, c.choices),
+        ekf=ekf_result(c.ekf, c.prepared.ekf),
         smoother=smoother_result(c.smoother),
         agreement=_agreement(c),
         consistency=consistency_result(c.consistency),
         accuracy=_accuracies(c),
-        association=association_result(c.association),
-        own_association=_own_association(c.own_association),
-        own_matching=own_matching_result(c),
-        three_way=_three_way(c.three_way),
-        scan_odometry=None
-        if c.scan_motion is None
-        else scan_odometry_result(c.scan_motion, guess=True, seconds=c.seconds["scan odometry"]),
-        increments=increment_result(c.increments),
-        dense=dense_result(c.dense_check),
-        scan_slam=scan_slam_result(c),
-        high_level=high_level_result(c.high_level),
+        association=association_result(c.assessment.association),
         verdict=c.verdict.outcome,
         causes=[CauseResult(**vars(cause)) for cause in c.verdict.causes],
-        remarks=[*c.verdict.remarks, *increment_remarks(c.increments)],
+        remarks=list(c.verdict.remarks),
         seconds={"read": read_s, **c.seconds},
         versions=package_versions(),
+        **entries,
     )
 
 
-def ekf_result(run: EkfRun, choices: EkfChoices) -> EkfResult:
-    """The filter and what it used."""
-    return EkfResult(
-        filter=choices.filter,
-        association=str(choices.association),
-        attributes=choices.attributes,
-        landmarks=len(run.estimate.landmark),
-        **run.unused,
-        retired=len(run.retired),
-        gps=choices.gps,
-        fixes_fused=len(run.fix_number),
-        fixes_rejected=run.rejected_fixes,
-        global_updates=run.spared[0],
-        global_update_spared=run.spared[1],
-    )
+def run_rows(comparison: Comparison, result: Result) -> list[Row]:
+    """Return log, evidence, gaps and accuracy, then what the extensions found."""
+    extensions = [row for found in comparison.findings.values() for row in found.rows()]
+    accuracy = result.accuracy
+    figures: list[Row] = []
+    if accuracy is not None:
+        figures += accuracy_rows("EKF accuracy", accuracy.ekf)
+        figures += accuracy_rows("smoother accuracy", accuracy.smoother)
+        figures += accuracy_rows("dead reckoning", accuracy.dead_reckoning)
+    return [
+        *log_rows(result.log),
+        *ekf_rows(result.ekf),
+        *smoother_rows(result.smoother),
+        *gap_rows(result.agreement),
+        *(Row(*row) for row in consistency_rows(result.consistency)),
+        *figures,
+        *association_rows(result.association),
+        *extensions,
+    ]
 
 
-def log_result(log: Log) -> LogResult:
-    """What was read."""
-    return LogResult(
-        name=log.name,
-        format=log.format,
-        records=log.records,
-        duration_s=log.duration_s,
-        sha256=log_hash(log),
-        provenance=log.provenance,
-    )
+def gap_rows(gaps: AgreementResult) -> list[Row]:
+    """Return the gaps, and how many landmarks agree."""
+    rows = [
+        Row(name, f"{shown(sigma, '.2g')} sigma, {shown(covariance, '.2g')} in covariance")
+        for name, sigma, covariance in (
+            ("algebra gap", gaps.algebra_gap_sigma, gaps.algebra_gap_covariance),
+            ("model gap", gaps.model_gap_sigma, gaps.model_gap_covariance),
+            ("linearisation gap", gaps.linearisation_gap_sigma, gaps.linearisation_gap_covariance),
+        )
+    ]
+    agreeing = sum(row.agrees for row in gaps.landmarks)
+    return [
+        *rows,
+        Row(
+            "optimism",
+            f"{shown(gaps.optimism, '.3g')} (EKF's variance over the smoother's, worst direction; "
+            f"largest {shown(gaps.pessimism, '.3g')})",
+        ),
+        Row(
+            "landmarks",
+            f"{agreeing} of {len(gaps.landmarks)} agree; EKF and smoother "
+            f"{gaps.landmark_difference_rms_m:.3f} m apart (rms)",
+        ),
+        Row(
+            "last pose",
+            f"{'agrees' if gaps.pose.agrees else 'disagrees'}: {gaps.pose.difference_m:.3f} m "
+            f"apart, {gaps.pose.distance_sigma:.2g} sigma",
+        ),
+    ]
 
 
-def smoother_result(result: smoother.SmootherResult) -> SmootherResult:
-    """The smoother and its evidence."""
-    options, proof = result.options, result.proof
-    return SmootherResult(
-        method=options.method,
-        optimiser=options.optimiser,
-        robust=options.robust,
-        rejected_sightings=len(result.rejected.sightings),
-        rejected_positions=len(result.rejected.positions),
-        distance_sigma=finite(proof.distance_sigma),
-        rank=result.rank,
-        poses=len(result.poses),
-        error=result.error,
-        chi2=proof.chi_square.chi2,
-        dof=proof.chi_square.dof,
-        chi2_band=(proof.chi_square.lower, proof.chi_square.upper),
-        newton_decrement=proof.stationarity.decrement,
-        iterations=result.iterations,
-        converged=result.converged,
-        proven=proof.proven,
-        agreeing_starts=list(proof.agreeing),
-        starts=[
-            StartResult(
-                name=s.name,
-                error=finite(s.error),
-                iterations=s.iterations,
-                converged=s.converged,
-            )
-            for s in result.starts
-        ],
-    )
-
-
-def log_hash(log: Log) -> str:
-    """SHA-256 of everything that an estimator may be given: all streams but truth."""
-    digest = hashlib.sha256()
-    records: tuple[object, ...] = (
-        log.prior,
-        log.odometry,
-        log.sightings,
-        log.positions,
-        log.known_landmarks,
-        log.known_sightings,
-    )
-    for record in records + tuple(s for s in (log.scans, log.clouds) if s is not None):
-        if record is None:
-            digest.update(b"absent")
-            continue
-        for name, value in sorted(vars(record).items()):
-            if name == "intensity" and isinstance(record, Sightings) and np.isnan(value).all():
-                continue  # as if there were no such column, so that logs without keep their hash
-            digest.update(name.encode())
-            digest.update(
-                np.ascontiguousarray(value).tobytes()
-                if isinstance(value, np.ndarray | float)
-                else repr(value).encode()  # records of plain numbers
-            )
-    return digest.hexdigest()
+def print_run(comparison: Comparison, result: Result, console: Console) -> None:
+    """Print the table, the verdict and its causes."""
+    print_rows([*run_rows(comparison, result), *seconds_rows(result.seconds)], console)
+    print_verdict(result.verdict, console, result.causes, result.remarks)
 
 
 def _agreement(c: Comparison) -> AgreementResult:
@@ -176,14 +133,14 @@ def _agreement(c: Comparison) -> AgreementResult:
         optimism=finite(a.whole.least),
         pessimism=finite(a.whole.largest),
         landmark_difference_rms_m=a.landmark_difference_rms_m,
-        pose=BlockResult(**block_fields(a.pose)),  # type: ignore[arg-type]
-        map=BlockResult(**block_fields(a.whole)),  # type: ignore[arg-type]
+        pose=BlockResult(**block_fields(a.pose)),
+        map=BlockResult(**block_fields(a.whole)),
         landmarks=[
             LandmarkResult(
                 id=int(ekf.landmark_id[i]),
                 ekf_m=tuple(ekf.landmark[i].tolist()),
                 smoother_m=tuple(c.smoothed.landmark[i].tolist()),
-                **block_fields(b),  # type: ignore[arg-type]
+                **block_fields(b),
             )
             for i, b in enumerate(a.landmarks)
         ],
@@ -191,72 +148,33 @@ def _agreement(c: Comparison) -> AgreementResult:
 
 
 def _accuracies(c: Comparison) -> Accuracies | None:
-    if c.accuracy_ekf is None or c.accuracy_smoother is None:
+    a = c.assessment
+    if a.ekf is None or a.smoother is None:
         return None
     return Accuracies(
-        ekf=AccuracyResult(**vars(c.accuracy_ekf)),
-        smoother=AccuracyResult(**vars(c.accuracy_smoother)),
-        dead_reckoning=accuracy_result(c.accuracy_dead_reckoned),
+        ekf=AccuracyResult(**vars(a.ekf)),
+        smoother=AccuracyResult(**vars(a.smoother)),
+        dead_reckoning=accuracy_result(a.dead_reckoned),
     )
 
 
-def _own_association(own: OwnAssociationCheck | None) -> OwnAssociationResult | None:
-    if own is None:
-        return None
-    p = own.partition
-    return OwnAssociationResult(
-        landmarks=len(own.estimate.landmark),
-        agreement=p.agreement,
-        pairs_both=p.pairs_both,
-        pairs_filter=p.pairs_first,
-        pairs_smoother=p.pairs_second,
-        splits=p.splits,
-        merges=p.merges,
-        pose_difference_m=own.pose.difference_m,
-        pose_distance_sigma=own.pose.distance,
-        landmark_rms_m=own.landmark_rms_m,
-        proven=own.proof.proven,
-        accuracy=accuracy_result(own.accuracy),
-        association=association_result(own.score),
-    )
-
-
-def _three_way(three: ThreeWay | None) -> ThreeWayResult | None:
-    if three is None:
-        return None
-
-    return ThreeWayResult(
-        ekf=map_pair_result(three.ekf),
-        smoother=map_pair_result(three.smoother),
-        loops=three.loops,
-        proven=three.proof.proven,
-        chi2=three.chi_square.chi2,
-        dof=three.chi_square.dof,
-        accuracy=accuracy_result(three.accuracy),
-        culprit=three.culprit,
-        evidence=three.evidence,
-    )
-
-
-def association_result(score: AssociationScore | None) -> AssociationResult | None:
-    """Precision and recall, of landmarks and of clusters."""
-    if score is None:
-        return None
-    clusters = None if score.clusters is None else PartitionResult(**vars(score.clusters))
-    return AssociationResult(landmarks=PartitionResult(**vars(score.landmarks)), clusters=clusters)
-
-
-def accuracy_result(accuracy: Accuracy | None) -> AccuracyResult | None:
-    """The figures, where there are any."""
-    return None if accuracy is None else AccuracyResult(**vars(accuracy))
-
-
-def package_versions() -> dict[str, str]:
-    """Of Python and of what the results depend on."""
-    versions = {"python": platform.python_version()}
-    for package in ("slamcheck", "gtsam", "numpy", "scipy"):
-        try:
-            versions[package] = version(package)
-        except PackageNotFoundError:
-            versions[package] = "not installed"
-    return versions
+def metrics(result: Result) -> dict[str, float | None]:
+    """The figures of a run that a baseline keeps, by name; None where a log has no such figure."""
+    found: dict[str, float | None] = {}
+    for part, model in (
+        ("agreement", result.agreement),
+        ("ekf", result.ekf),
+        ("smoother", result.smoother),
+    ):
+        for name, value in model.model_dump().items():
+            if isinstance(value, bool) or name in ("iterations", "rank", "distance_sigma"):
+                continue
+            if value is None or isinstance(value, int | float):
+                found[f"{part}.{name}"] = value
+    if result.accuracy is not None:
+        for name, figures in (
+            ("ekf", result.accuracy.ekf),
+            ("smoother", result.accuracy.smoother),
+        ):
+            found |= {f"accuracy.{name}.{key}": v for key, v in figures.model_dump().items()}
+    return found

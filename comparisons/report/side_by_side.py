@@ -10,11 +10,11 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from comparisons.baseline import metrics
 from comparisons.errors import InputError
 from comparisons.logs.log_meta import first_fault
 from comparisons.logs.table import read_text
 from comparisons.report.models import Result
+from comparisons.report.result import metrics
 
 _SAME = 1e-9
 """Figures closer than this, relative, are one."""

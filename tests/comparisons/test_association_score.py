@@ -6,7 +6,6 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from comparisons.adapters.ekf_factory import EkfChoices
 from comparisons.checks.association import (
     compare_partitions,
     counterparts,
@@ -14,8 +13,7 @@ from comparisons.checks.association import (
     score_partition,
 )
 from comparisons.logs.log import NO_LANDMARK, Landmarks, Truth
-from comparisons.pipeline.compare import compare_estimators
-from tests.helpers import simulated
+from tests.helpers import compared, simulated
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -60,20 +58,20 @@ def test_landmarks_too_near_to_tell_apart_count_as_one_cluster() -> None:
 
 @pytest.mark.parametrize("rule", ["nn", "jcbb"])
 def test_association_by_position_finds_the_labels_in_simulation(rule: str) -> None:
-    c = compare_estimators(simulated(seed=1), EkfChoices(association=rule))
-    assert c.association is not None
-    assert c.association.landmarks.precision > 0.99
-    assert c.association.landmarks.recall > 0.97
+    c = compared(simulated(seed=1), association=rule)
+    assert c.assessment.association is not None
+    assert c.assessment.association.landmarks.precision > 0.99
+    assert c.assessment.association.landmarks.recall > 0.97
 
 
 def test_no_score_with_labels_or_without_any() -> None:
     log = simulated(seed=1, loop_s=5.0)
-    assert compare_estimators(log).association is None
+    assert compared(log).assessment.association is None
     seen = log.sightings
     blank = replace(seen, landmark=np.full(len(seen.time_s), NO_LANDMARK))
-    c = compare_estimators(replace(log, sightings=blank))
-    assert c.choices.association == "nn"
-    assert c.association is None
+    c = compared(replace(log, sightings=blank))
+    assert c.prepared.ekf.association == "nn"
+    assert c.assessment.association is None
 
 
 def test_codes_of_unused_sightings_index_nothing() -> None:

@@ -6,18 +6,20 @@ import numpy as np
 import pytest
 
 from comparisons.adapters.attributes import sighted_attributes
-from comparisons.adapters.ekf_factory import EkfChoices
+from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.ekf_run import run_ekf
+from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import build_timeline
+from comparisons.config import EkfConfig
 from comparisons.errors import InputError
 from comparisons.logs.log import NO_LANDMARK, Log
-from comparisons.pipeline.compare import compare_estimators
 from comparisons.report.result import build_result
+from comparisons.settings import run_config
 from ekf_reference.association import RememberedAttributes
 from ekf_reference.full_ekf import FullEkf
-from tests.helpers import first_seconds, simulated
+from tests.helpers import compared, first_seconds, simulated
 
-ON = EkfChoices(association="nn", attributes="on")
+ON = EkfConfig(association="nn", attributes="on")
 
 
 def with_diameters(seed: int = 0, loop_s: float = 20.0) -> tuple[Log, np.ndarray]:
@@ -36,7 +38,7 @@ def test_landmarks_remember_what_their_sightings_told() -> None:
     log, diameter = with_diameters()
     label = simulated(0, loop_s=20.0).sightings.landmark
     kept: list[FullEkf] = []
-    run = run_ekf(log, build_timeline(log), ON, modify=kept.append)
+    run = run_ekf(log, build_timeline(log), ON, setup=FilterSetup(modify=[kept.append]))
     rule = kept[0].association
     assert isinstance(rule, RememberedAttributes)
     memory = rule.memory
@@ -50,12 +52,12 @@ def test_landmarks_remember_what_their_sightings_told() -> None:
 
 def test_both_estimators_follow_an_association_by_attributes() -> None:
     log, _ = with_diameters(loop_s=10.0)
-    comparison = compare_estimators(log, ON)
+    comparison = compared(log, ekf=ON)
     result = build_result(comparison, 0.0)
     assert result.ekf.attributes == "on"
     gaps = result.agreement.algebra_gap_sigma, result.agreement.model_gap_sigma
     assert all(gap is not None and gap < 1e-6 for gap in gaps)
-    off = build_result(compare_estimators(log, EkfChoices(association="nn")), 0.0)
+    off = build_result(compared(log, association="nn"), 0.0)
     assert off.ekf.attributes == "off"
 
 
@@ -63,7 +65,7 @@ def test_diameters_that_say_nothing_change_nothing_when_off() -> None:
     log, _ = with_diameters(loop_s=10.0)
     bare = replace(log.sightings, diameter_m=np.full(len(log.sightings.time_s), np.nan))
     runs = [
-        run_ekf(one, build_timeline(one), EkfChoices(association="nn")).estimate
+        run_ekf(one, build_timeline(one), EkfConfig(association="nn")).estimate
         for one in (log, replace(log, sightings=bare))
     ]
     assert np.array_equal(runs[0].joint_mean, runs[1].joint_mean)
@@ -71,17 +73,17 @@ def test_diameters_that_say_nothing_change_nothing_when_off() -> None:
 
 
 @pytest.mark.parametrize(
-    ("choices", "message"),
+    ("options", "message"),
     [
-        (EkfChoices(association="known", attributes="on"), "'known' takes no attributes"),
-        (EkfChoices(association="agreed", attributes="on"), "'agreed' takes no attributes"),
-        (EkfChoices(attributes="on"), "hold no diameter and no intensity"),
-        (EkfChoices(attributes="yes"), "attributes 'yes' is unknown, expected off, on or layer"),
+        ({"association": "known", "attributes": "on"}, "'known' takes no attributes"),
+        ({"association": "agreed", "attributes": "on"}, "'agreed' takes no attributes"),
+        ({"attributes": "on"}, "hold no diameter and no intensity"),
+        ({"attributes": "yes"}, "ekf.attributes is 'yes': .* 'off', 'on' or 'layer'"),
     ],
 )
-def test_what_cannot_be_had_is_said(choices: EkfChoices, message: str) -> None:
+def test_what_cannot_be_had_is_said(options: dict[str, str], message: str) -> None:
     with pytest.raises(InputError, match=message):
-        choices.settle(simulated(loop_s=5.0))
+        settle(run_config(**options).ekf, simulated(loop_s=5.0))
 
 
 def test_the_unit_of_an_intensity_is_its_own() -> None:

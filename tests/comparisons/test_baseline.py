@@ -12,34 +12,32 @@ import pytest
 
 from comparisons.baseline import (
     Baseline,
-    Settings,
     build_baseline,
     compare_with,
-    metrics,
     read_baseline,
     write_baseline,
     write_junit,
 )
 from comparisons.errors import InputError
 from comparisons.logs.log_folder import write_log_folder
-from comparisons.pipeline.compare import compare_estimators
 from comparisons.report.models import Result
-from comparisons.report.result import build_result
+from comparisons.report.result import build_result, metrics
 from comparisons.report.side_by_side import read_results, side_by_side
+from comparisons.settings import run_config
 from tests.comparisons.test_cli import slamcheck
-from tests.helpers import simulated
+from tests.helpers import compared, simulated
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="module")
 def result() -> Result:
-    return build_result(compare_estimators(simulated(loop_s=20.0)), 0.0)
+    return build_result(compared(simulated(loop_s=20.0)), 0.0)
 
 
 @pytest.fixture
 def kept(result: Result) -> Baseline:
-    return build_baseline([result, result], Settings())
+    return build_baseline([result, result], run_config())
 
 
 def changed(result: Result, **agreement: float | None) -> Result:
@@ -90,14 +88,16 @@ def test_results_of_older_runs_are_read(result: Result) -> None:
     data = result.model_dump()
     for name in ("dynamic", "retired", "attributes"):
         del data["ekf"][name]
-    del data["scan_slam"], data["high_level"]
-    assert Result.model_validate(data) == result
+    del data["schema"], data["config"]
+    older = Result.model_validate(data | {"scan_slam": None, "dense": None})
+    assert older.schema_version == 1
+    assert older.ekf == result.ekf
 
 
 def test_repetitions_tell_the_noise_floor(result: Result) -> None:
     assert result.agreement.optimism is not None
     other = changed(result, optimism=1.2 * result.agreement.optimism)
-    noisy = build_baseline([result, other], Settings())
+    noisy = build_baseline([result, other], run_config())
     assert noisy.metrics["agreement.optimism"].tolerance == pytest.approx(
         0.6 * result.agreement.optimism
     )
@@ -105,7 +105,7 @@ def test_repetitions_tell_the_noise_floor(result: Result) -> None:
 
 
 def test_another_log_is_not_compared(kept: Baseline) -> None:
-    other = build_result(compare_estimators(simulated(seed=1, loop_s=20.0)), 0.0)
+    other = build_result(compared(simulated(seed=1, loop_s=20.0)), 0.0)
     with pytest.raises(InputError, match="save a new baseline"):
         compare_with(kept, other)
 
@@ -119,9 +119,20 @@ def test_files_round_trip_and_damage_is_named(tmp_path: Path, kept: Baseline) ->
         path.write_text(damage)
         with pytest.raises(InputError, match="not a baseline"):
             read_baseline(path)
-    path.write_text(json.dumps({**data, "version": 2}))
-    with pytest.raises(InputError, match="version 2"):
+    path.write_text(json.dumps({**data, "version": 3}))
+    with pytest.raises(InputError, match="version 3"):
         read_baseline(path)
+
+
+def test_a_file_of_version_1_is_read_with_its_settings(tmp_path: Path, kept: Baseline) -> None:
+    data = kept.model_dump()
+    del data["config"]
+    settings = {"filter": "compressed", "association": "", "gps": "off", "seed": 3, "format": ""}
+    path = tmp_path / "b.json"
+    path.write_text(json.dumps({**data, "version": 1, "settings": settings}))
+    config = read_baseline(path).config_at("simulated-loop")
+    assert (config.ekf.filter, config.ekf.association, config.log.seed) == ("compressed", None, 3)
+    assert config.log.source == "simulated-loop"
 
 
 def test_a_junit_report_says_what_broke(tmp_path: Path, result: Result, kept: Baseline) -> None:
@@ -161,6 +172,18 @@ def test_the_commands(tmp_path: Path) -> None:
     missing = slamcheck("baseline", "compare", "log", "no.json", cwd=tmp_path)
     assert missing.returncode == 2
     assert len(missing.stderr.strip().splitlines()) == 1
+
+
+def test_a_gate_of_a_run_with_extensions(tmp_path: Path) -> None:
+    """Any option of `run` may be a baseline's; the comparison runs with all of them again."""
+    options = ("--filter", "compressed", "--smoother-association", "own", "--robust", "huber")
+    log = ("simulated-loop", "--seed", "2")
+    saved = slamcheck("baseline", "save", *log, "b.json", *options, "--runs", "1", cwd=tmp_path)
+    assert saved.returncode == 0, saved.stderr
+    config = json.loads((tmp_path / "b.json").read_text())["config"]
+    assert config["extensions"] == {"own_association": {}}
+    same = slamcheck("baseline", "compare", "simulated-loop", "b.json", cwd=tmp_path)
+    assert same.returncode == 0, same.stdout + same.stderr
 
 
 def test_runs_stand_side_by_side(tmp_path: Path, result: Result) -> None:

@@ -6,27 +6,30 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
 
-from comparisons.adapters.ekf_factory import FILTERS, LEAST_GAIN, EkfChoices
-from comparisons.adapters.ekf_run import EkfRun, run_ekf
-from comparisons.adapters.timeline import build_timeline
+from comparisons.adapters.ekf_factory import LEAST_GAIN
+from comparisons.adapters.ekf_run import EkfRun
+from comparisons.choices import Filter
+from comparisons.config import EkfConfig
 from comparisons.errors import InputError
-from comparisons.extensions.dense_maps.source import DenseOptions
-from comparisons.extensions.high_level.source import HighLevelOptions
-from comparisons.extensions.scan_landmarks.source import ScanSlamSources
+from comparisons.extensions.scan_landmarks.source import ScanSlamSource
 from comparisons.logs.log import Log
-from comparisons.logs.simulate.scan_drive import dense_slam, simulate
-from comparisons.pipeline.compare import Comparison, compare_estimators
+from comparisons.pipeline.compare import Comparison, Modified, run_filter
+from comparisons.pipeline.prepare import prepare
+from comparisons.report.folder import write_job_folder
 from comparisons.report.result import build_result
-from comparisons.report.run_folder import write_run_folder
+from comparisons.report.run import run_folder
+from comparisons.settings import run_config
 from ekf_reference.compressed_ekf import CompressedState, LocalAreas
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.kalman import Array, FilterDivergedError, Index
 from ekf_reference.layout import ORIENTED, POINT
-from tests.helpers import first_seconds, simulated
+from tests.helpers import compared, simulated
+from tests.scenarios import scenario
 
 AREAS = 4.0, 10.0
 """Small, so that areas are left and landmarks are passive. Sightings of points go no farther."""
@@ -37,7 +40,7 @@ REACH_M = 18.0
 @cache
 def log() -> Log:
     """Twenty seconds of a loop, by sensors that do not see far."""
-    made = first_seconds(simulate(np.random.default_rng(3), dense_slam()), 20.0)
+    made = scenario("scan-loop", seed=3, seconds=20.0)
     assert made.scans is not None
     near = np.where(made.scans.range_m < REACH_M, made.scans.range_m, np.nan)
     seen = made.sightings.chosen(made.sightings.range_m < AREAS[1])
@@ -59,20 +62,21 @@ def nothing(ekf: FullEkf) -> None:
 
 
 @cache
-def compared(name: str) -> Comparison:
-    choices, modify = EkfChoices(name), nothing
+def by_filter(name: str) -> Comparison:
+    ekf = EkfConfig.model_validate({"filter": name})
+    modify: Callable[[FullEkf], None] = nothing
     if name.startswith("compressed"):
-        modify = Areas(gain=LEAST_GAIN if choices.conservative else 0.0)
-    return compare_estimators(log(), choices, modify=modify, landmarks="both")
+        modify = Areas(gain=LEAST_GAIN if ekf.conservative else 0.0)
+    return compared(log(), Modified(modify), ekf=ekf, landmarks="both")
 
 
-@pytest.mark.parametrize("name", FILTERS)
+@pytest.mark.parametrize("name", get_args(Filter))
 def test_every_filter_agrees_with_both_kinds_of_landmarks(name: str) -> None:
-    c = compared(name)
+    c = by_filter(name)
     assert len(c.agreement.landmarks) == len(c.ekf.estimate.landmark) > 5
     assert len(c.agreement.oriented) == len(c.ekf.estimate.oriented) >= 3
     a = c.agreement.algebra
-    if c.choices.conservative:  # not exact, and never too sure
+    if c.prepared.ekf.conservative:  # not exact, and never too sure
         assert a.sigma < 1e-6 < a.covariance < 0.01
         assert a.least > 1.0 - 1e-6
         assert c.ekf.spared[1] > 0.05
@@ -90,12 +94,10 @@ def test_every_filter_agrees_with_both_kinds_of_landmarks(name: str) -> None:
 
 def ran(modify: Callable[[FullEkf], None]) -> tuple[EkfRun, int]:
     """A run of the filter alone, and how many scans there were."""
-    sources = ScanSlamSources.of(log(), "both")
-    assert sources is not None
-    timeline = build_timeline(sources.log, None, sources.scans.time_s)
-    chosen = EkfChoices().settle(sources.log)
-    run = run_ekf(sources.log, timeline, chosen, modify=modify, source=sources())
-    return run, sources.first.found.scans
+    run, setup = run_filter(prepare(log(), run_config(landmarks="both"), also=[Modified(modify)]))
+    source = setup.find(ScanSlamSource)
+    assert source is not None
+    return run, source.found.scans
 
 
 def apart(one: EkfRun, other: EkfRun) -> float:
@@ -155,8 +157,8 @@ def test_scans_cost_no_global_update() -> None:
 
 
 def test_the_run_is_written_with_both_kinds(tmp_path: Path) -> None:
-    c = compared("compressed")
-    write_run_folder(c, build_result(c, 0.0), tmp_path / "out")
+    c = by_filter("compressed")
+    write_job_folder(run_folder(c, build_result(c)), tmp_path / "out")
     for name in ("landmarks.csv", "scan_landmarks.csv"):
         assert (tmp_path / "out" / "ekf" / name).exists()
     page = (tmp_path / "out" / "report.html").read_text()
@@ -164,13 +166,20 @@ def test_the_run_is_written_with_both_kinds(tmp_path: Path) -> None:
 
 
 def test_what_goes_beside_both_and_what_does_not() -> None:
-    mapped = compare_estimators(
-        log(), EkfChoices("compressed", "nn"), modify=Areas(), landmarks="both",
-        dense=DenseOptions(("points",)), dynamic=True, smoother_association="own", motion="both",
-    )  # fmt: skip
+    mapped = compared(
+        log(),
+        Modified(Areas()),
+        filter="compressed",
+        association="nn",
+        landmarks="both",
+        dense=["points"],
+        dynamic="on",
+        smoother_association="own",
+        motion="both",
+    )
     assert mapped.verdict.outcome == "agree"
     assert mapped.agreement.model.within(1e-6)
     with pytest.raises(InputError, match="--high-level on goes with --landmarks points only"):
-        compare_estimators(log(), landmarks="both", high_level=HighLevelOptions())
+        compared(log(), landmarks="both", high_level="on")
     with pytest.raises(InputError, match="holds no planar scans"):
-        compare_estimators(simulated(), landmarks="both")
+        compared(simulated(), landmarks="both")

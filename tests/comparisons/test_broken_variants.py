@@ -7,8 +7,8 @@ import pytest
 from comparisons.checks.agreement import ROUNDING
 from comparisons.experiments.defects.catalogue import CATALOGUE
 from comparisons.logs.log import Log
-from comparisons.pipeline.compare import compare_estimators
-from tests.helpers import simulated
+from comparisons.pipeline.compare import Modified
+from tests.helpers import compared, simulated
 
 GAPS = {
     "cross-covariance dropped at augmentation": "algebra",
@@ -37,7 +37,7 @@ def log() -> Log:
 
 
 def test_the_sound_filter_is_green(log: Log) -> None:
-    comparison = compare_estimators(log)
+    comparison = compared(log)
     assert comparison.verdict.outcome == "agree"
     assert comparison.agreement.algebra.within(1e-8)
     assert comparison.agreement.model.within(1e-8)
@@ -46,7 +46,7 @@ def test_the_sound_filter_is_green(log: Log) -> None:
 @pytest.mark.parametrize("name", GAPS)
 def test_a_defect_turns_its_gap_red_and_only_that(name: str, log: Log) -> None:
     gap = GAPS[name]
-    comparison = compare_estimators(log, modify=PLANTS[name])
+    comparison = compared(log, Modified(PLANTS[name]))
     agreement = comparison.agreement
     red, green = (
         (agreement.algebra, agreement.model)

@@ -7,7 +7,6 @@ from functools import cache
 
 import numpy as np
 
-from comparisons.adapters.ekf_factory import EkfChoices
 from comparisons.adapters.smoother_input import build_problem, linear_optimum, linear_own
 from comparisons.checks import causes
 from comparisons.checks.causes import GAPS
@@ -15,17 +14,17 @@ from comparisons.checks.diagnosis.dropouts import find_dropouts
 from comparisons.checks.diagnosis.linearisation_growth import linearisation_growth
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
-from comparisons.pipeline.compare import Comparison, compare_estimators
+from comparisons.pipeline.compare import Comparison
 from graphslam.frozen_own import FrozenPoints, own_problem
 from graphslam.problem import SlamProblem
-from tests.helpers import Array, simulated
+from tests.helpers import Array, compared, simulated
 
 NONE = np.zeros(0, dtype=np.intp)
 
 
 @cache
 def sound() -> Comparison:
-    return compare_estimators(simulated(seed=3, loop_s=30.0))
+    return compared(simulated(seed=3, loop_s=30.0))
 
 
 def silent(log: Log, begin_s: float, end_s: float) -> Log:
@@ -119,7 +118,7 @@ def test_at_the_optimum_nothing_is_missed() -> None:
 
 def test_a_dropout_is_found_with_what_it_did() -> None:
     log = silent(simulated(seed=3, loop_s=30.0), 10.0, 22.0)
-    c = compare_estimators(log)
+    c = compared(log)
     found = find_dropouts(c.ekf, c.smoothed)
     worst = found.worst
     assert worst is not None
@@ -140,7 +139,7 @@ def test_a_dropout_is_found_with_what_it_did() -> None:
 
 
 def test_a_stretch_with_scan_landmarks_seen_is_no_dropout() -> None:
-    c = compare_estimators(silent(simulated(seed=3, loop_s=30.0), 10.0, 22.0))
+    c = compared(silent(simulated(seed=3, loop_s=30.0), 10.0, 22.0))
     assert find_dropouts(c.ekf, c.smoothed).stretches
     steps = np.arange(len(c.ekf.trace.departed))
     for kind in ("oriented_updates", "oriented_augmentations"):
@@ -151,7 +150,7 @@ def test_a_stretch_with_scan_landmarks_seen_is_no_dropout() -> None:
 
 def test_the_sigma_at_a_dropouts_end_is_the_prediction() -> None:
     log = silent(simulated(seed=3, loop_s=30.0), 22.0, 1e9)
-    c = compare_estimators(log)
+    c = compared(log)
     worst = find_dropouts(c.ekf, c.smoothed).worst
     assert worst is not None
     last = c.ekf.estimate.pose_covariance[-1]
@@ -163,7 +162,7 @@ def test_direction_cosines_predict_the_same_sigma() -> None:
     log = silent(simulated(seed=3, loop_s=30.0), 10.0, 14.0)
     full, other = (
         find_dropouts(c.ekf, c.smoothed).worst
-        for c in (compare_estimators(log, EkfChoices(filter=f)) for f in ("full", "misono-full"))
+        for c in (compared(log, filter=f) for f in ("full", "misono-full"))
     )
     assert full is not None
     assert other is not None
@@ -183,7 +182,7 @@ def test_sound_logs_have_neither_dropouts_nor_too_much_noise() -> None:
 def test_an_understated_sigma_is_named() -> None:
     log = simulated(seed=3, loop_s=30.0)
     stated = replace(log.sightings, sigma_range_m=log.sightings.sigma_range_m / 3.0)
-    c = compare_estimators(replace(log, sightings=stated))
+    c = compared(replace(log, sightings=stated))
     (named,) = causes.noise(c.smoother.proof.chi_square, c.consistency.sensors)
     assert named.gap == "noise"
     assert named.gap not in GAPS

@@ -11,17 +11,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from comparisons.adapters.ekf_factory import EkfChoices
+from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.timeline import build_timeline
+from comparisons.config import EkfConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import GivenEstimate, read_given
 from comparisons.estimates.folder import tum_text, write_estimate
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
-from comparisons.pipeline.check import check_given
-from comparisons.report.check_models import CheckResult
+from comparisons.pipeline.check import check
+from comparisons.report.check import CheckResult
 from tests.comparisons.test_cli import slamcheck
 
 
@@ -33,7 +34,7 @@ def log() -> Log:
 @pytest.fixture(scope="module")
 def right(log: Log) -> Estimate:
     """The reference EKF's, standing in for somebody's filter."""
-    return run_ekf(log, build_timeline(log), EkfChoices().settle(log)).estimate
+    return run_ekf(log, build_timeline(log), settle(EkfConfig(), log)).estimate
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +64,7 @@ def turned(given: GivenEstimate, angle: float, shift: tuple[float, float]) -> Gi
 
 
 def test_a_right_estimate_agrees(log: Log, whole: GivenEstimate) -> None:
-    found = check_given(log, whole)
+    found = check(log, whole)
     assert found.outcome == "agree"
     assert not found.causes
     assert not found.remarks
@@ -71,7 +72,7 @@ def test_a_right_estimate_agrees(log: Log, whole: GivenEstimate) -> None:
 
 
 def test_what_is_absent_narrows_the_verdict_and_is_told(log: Log, whole: GivenEstimate) -> None:
-    found = check_given(log, bare(whole))
+    found = check(log, bare(whole))
     assert found.outcome == "agree"
     assert "not handed in: landmarks, pose covariances" in found.remarks[0]
     assert "judged: the last pose" in found.remarks[0]
@@ -132,14 +133,14 @@ DEFECTS = {
 
 @pytest.mark.parametrize("name", DEFECTS)
 def test_a_wrong_estimate_is_told_why(log: Log, whole: GivenEstimate, name: str) -> None:
-    found = check_given(log, DEFECTS[name](whole))
+    found = check(log, DEFECTS[name](whole))
     assert found.outcome == "disagree"
     assert found.causes[0].gap == name, [vars(cause) for cause in found.causes]
 
 
 @pytest.mark.parametrize("name", ["frame", "mirrored", "time", "scale", "heading"])
 def test_a_bare_trajectory_is_enough(log: Log, whole: GivenEstimate, name: str) -> None:
-    found = check_given(log, bare(DEFECTS[name](whole)))
+    found = check(log, bare(DEFECTS[name](whole)))
     assert found.outcome == "disagree"
     assert found.causes[0].gap == name, [vars(cause) for cause in found.causes]
 
@@ -147,7 +148,7 @@ def test_a_bare_trajectory_is_enough(log: Log, whole: GivenEstimate, name: str) 
 def test_a_lost_filter_has_no_simple_cause(log: Log, whole: GivenEstimate) -> None:
     rng = np.random.default_rng(0)
     wander = np.cumsum(rng.normal(0.0, 0.15, whole.pose.shape), axis=0) * (1.0, 1.0, 0.01)
-    found = check_given(log, replace(bare(whole), pose=whole.pose + wander))
+    found = check(log, replace(bare(whole), pose=whole.pose + wander))
     assert found.outcome == "disagree"
     assert found.causes[-1].gap == "estimate"
     assert "RMS" in found.causes[-1].evidence
@@ -157,7 +158,7 @@ def test_a_covariance_that_is_none_is_found(log: Log, whole: GivenEstimate) -> N
     """Not positive definite: no pose lies within such a region."""
     assert whole.pose_covariance is not None
     negative = -whole.pose_covariance
-    found = check_given(log, replace(whole, pose_covariance=negative))
+    found = check(log, replace(whole, pose_covariance=negative))
     assert found.outcome == "disagree"
     assert found.agreement.outside == 1.0
 
@@ -201,7 +202,7 @@ def test_damaged_estimates_are_named(
 
 def test_another_clock_is_told(log: Log, whole: GivenEstimate) -> None:
     with pytest.raises(InputError, match="expected the log's own clock"):
-        check_given(log, replace(whole, time_s=whole.time_s + 1.6e9))
+        check(log, replace(whole, time_s=whole.time_s + 1.6e9))
 
 
 def test_the_command(tmp_path: Path, right: Estimate) -> None:

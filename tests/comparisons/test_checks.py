@@ -7,15 +7,15 @@ import pytest
 
 from comparisons.checks.accuracy import aligned, assess, match_by_distance
 from comparisons.checks.agreement import BlockAgreement, Gaussian, block_agrees, compare, gap
-from comparisons.checks.verdict import judge
-from comparisons.pipeline.compare import Comparison, compare_estimators
+from comparisons.checks.verdict import Diagnosis, judge
+from comparisons.pipeline.compare import Comparison
 from graphslam.optimum import Proof, Stationarity, chi_square_test
-from tests.helpers import random_covariance, simulated
+from tests.helpers import compared, random_covariance, simulated
 
 
 @pytest.fixture(scope="module")
 def comparison() -> Comparison:
-    return compare_estimators(simulated(seed=2, loop_s=30.0))
+    return compared(simulated(seed=2, loop_s=30.0))
 
 
 def gaussian(seed: int) -> Gaussian:
@@ -77,7 +77,8 @@ def test_block_limits(distance: float, least: float, largest: float, agrees: boo
 def test_without_proof_there_is_no_agreement(comparison: Comparison) -> None:
     assert comparison.verdict.outcome == "agree"
     unproven = Proof(Stationarity(0.0, definite=True), chi_square_test(9e9, 100), ("ekf",))
-    verdict = judge(comparison.agreement, unproven, comparison.ekf)
+    result = replace(comparison.smoother, proof=unproven)
+    verdict = judge(comparison.agreement, result, comparison.ekf, Diagnosis())
     assert verdict.outcome == "unproven"
     assert [cause.gap for cause in verdict.causes] == ["oracle"]
     assert "only ekf reached the lowest error" in verdict.causes[0].evidence
@@ -87,7 +88,8 @@ def test_a_red_algebra_gap_needs_no_oracle(comparison: Comparison) -> None:
     unproven = Proof(Stationarity(1.0, definite=False), chi_square_test(9e9, 100), ())
     a = comparison.agreement
     red = replace(a, algebra=replace(a.algebra, covariance=float("inf")))
-    assert judge(red, unproven, comparison.ekf).outcome == "disagree"
+    result = replace(comparison.smoother, proof=unproven)
+    assert judge(red, result, comparison.ekf, Diagnosis()).outcome == "disagree"
 
 
 def test_alignment_is_rigid_and_without_scale() -> None:

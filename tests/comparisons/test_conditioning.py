@@ -9,10 +9,10 @@ import pytest
 
 from comparisons.logs.log import Log, Prior, Sightings
 from comparisons.logs.odometry import RelativePoses
-from comparisons.pipeline.compare import compare_estimators
+from comparisons.pipeline.compare import Modified
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.kalman import Array, Correction, Index, KalmanState
-from tests.helpers import simulated
+from tests.helpers import compared, simulated
 
 
 @pytest.mark.parametrize("jitter_s", [0.02, 1e-3, 1e-4, 1e-6])
@@ -21,7 +21,7 @@ def test_sightings_that_come_one_by_one(jitter_s: float) -> None:
     log = simulated(loop_s=20.0)
     shift = np.random.default_rng(0).uniform(0.0, jitter_s, len(log.sightings.time_s))
     time = np.sort(log.sightings.time_s + shift)
-    c = compare_estimators(replace(log, sightings=replace(log.sightings, time_s=time)))
+    c = compared(replace(log, sightings=replace(log.sightings, time_s=time)))
     assert c.agreement.algebra.within(1e-8)
     assert c.agreement.model.within(1e-8)
     assert c.smoother.proof.proven
@@ -67,7 +67,7 @@ def precise_log() -> Log:
 
 def test_small_correlations_are_kept() -> None:
     """gtsam's default takes covariances below 1e-9 for zero; ours must not."""
-    c = compare_estimators(precise_log())
+    c = compared(precise_log())
     assert c.agreement.algebra.within(1e-8)
     assert c.agreement.model.within(1e-8)
     assert c.verdict.outcome == "agree"
@@ -113,7 +113,7 @@ def test_a_filter_that_breaks_down_disagrees(state: type[KalmanState]) -> None:
     def plant(ekf: FullEkf) -> None:
         ekf.state = state(ekf.state.pose, np.array(ekf.state.covariance))
 
-    c = compare_estimators(log, modify=plant)
+    c = compared(log, Modified(plant))
     assert c.verdict.outcome == "disagree"
     assert c.ekf.breakdown is not None
     assert "broke down at 1." in c.ekf.breakdown

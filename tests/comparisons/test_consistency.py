@@ -12,15 +12,15 @@ from scipy.stats import chi2
 from comparisons.checks.consistency.nees import TruthConsistency
 from comparisons.checks.consistency.normalised import mean_band
 from comparisons.estimates.estimate import Estimate
-from comparisons.pipeline.compare import Comparison, compare_estimators
-from tests.helpers import Array, simulated
+from comparisons.pipeline.compare import Comparison
+from tests.helpers import Array, compared, simulated
 
 SEEDS = 20
 
 
 @cache
 def run(seed: int) -> Comparison:
-    return compare_estimators(simulated(seed=seed))
+    return compared(simulated(seed=seed))
 
 
 def true_state(c: Comparison) -> Array:
@@ -38,7 +38,7 @@ def nees(estimate: Estimate, truth: Array, part: slice) -> float:
 
 
 def test_without_noise_both_are_exact() -> None:
-    c = compare_estimators(simulated(noise_scale=0.0))
+    c = compared(simulated(noise_scale=0.0))
     truth = c.log.truth.poses
     assert truth is not None
     at = truth.pose[np.searchsorted(truth.time_s, c.ekf.estimate.time_s - 1e-9)]
@@ -131,7 +131,7 @@ def test_wrong_sigmas_of_a_sensor_are_named_with_their_direction(
     log = simulated(seed=0, loop_s=20.0)
     honest = simulated(seed=0, loop_s=20.0, sigma_range_m=0.15 * scale)
     seen = replace(honest.sightings, sigma_range_m=log.sightings.sigma_range_m)
-    c = compare_estimators(replace(log, sightings=seen))
+    c = compared(replace(log, sightings=seen))
     both, by_range, bearing = c.consistency.sensors[0].nis
     assert (both.reading, by_range.reading, bearing.reading) == (reading, reading, "plausible")
     told = [remark for remark in c.verdict.remarks if remark.startswith("NIS of sightings, range")]

@@ -10,22 +10,22 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from comparisons.adapters.ekf_factory import EkfChoices, fused_positions
+from comparisons.adapters.ekf_factory import fused_positions, settle
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
+from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import build_timeline
 from comparisons.checks.consistency.innovations import check_innovations
+from comparisons.config import EkfConfig
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log, Positions
-from comparisons.pipeline.compare import Comparison, compare_estimators
+from comparisons.pipeline.compare import Comparison, Modified
 from comparisons.report.consistency_figure import consistency_figure
 from comparisons.report.panels import consistency_panels
 from comparisons.report.picture import save
-from comparisons.report.result import build_result
-from comparisons.report.summary import print_summary
+from comparisons.report.result import build_result, print_run
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.kalman import Array, Correction, Index, KalmanState
-from graphslam.smoother import SmootherOptions
-from tests.helpers import first_seconds, simulated
+from tests.helpers import compared, first_seconds, simulated
 
 
 def with_positions(log: Log, sigma_m: float = 0.2) -> Log:
@@ -44,14 +44,16 @@ def short() -> Log:
 
 
 def filtered(log: Log, name: str, state: type[KalmanState] | None = None) -> EkfRun:
-    choices = EkfChoices(name, gps="on").settle(log)
+    choices = settle(EkfConfig(filter=name, gps="on"), log)
     positions = fused_positions(log, choices)
 
     def modify(ekf: FullEkf) -> None:
         if state is not None:
             ekf.state = state(ekf.state.pose, np.array(ekf.state.covariance))
 
-    return run_ekf(log, build_timeline(log, positions), choices, positions, modify=modify)
+    return run_ekf(
+        log, build_timeline(log, positions), choices, positions, setup=FilterSetup(modify=[modify])
+    )
 
 
 class Written(KalmanState):
@@ -109,7 +111,7 @@ def test_fixes_fused_in_parts_count_once_with_the_whole_s(short: Log) -> None:
 @pytest.fixture(scope="module")
 def comparison() -> Comparison:
     log = open_log("simulated-loop", None, 1, SimulationChoices(3, 1, 1.0))
-    return compare_estimators(with_positions(log), EkfChoices(gps="on"))
+    return compared(with_positions(log), gps="on")
 
 
 def never(name: str) -> float:
@@ -124,7 +126,7 @@ def test_result_and_rows(comparison: Comparison) -> None:
     assert [one["sensor"] for one in found["innovations"]] == ["sightings", "positions"]
     assert found["filter_against_smoother"]["epochs"] == len(comparison.ekf.timeline.epoch_time_s)
     console = Console(width=400, record=True)
-    print_summary(result, console)
+    print_run(comparison, result, console)
     printed = console.export_text()
     assert "EKF NEES" in printed
     assert "NIS" in printed
@@ -140,7 +142,7 @@ def test_a_broken_covariance_gives_no_nan() -> None:
             super().predict(pose, jacobian_pose, noise)
             self._covariance[0, 1] += 1e-3
 
-    c = compare_estimators(first_seconds(simulated(seed=2), 10.0), modify=ruin)
+    c = compared(first_seconds(simulated(seed=2), 10.0), Modified(ruin))
     text = build_result(c, 0.0).model_dump_json()
     found = json.loads(text, parse_constant=never)["consistency"]
     for part in (found["ekf"]["pose"], found["filter_against_smoother"]):
@@ -158,10 +160,10 @@ def test_the_picture_is_drawn(comparison: Comparison, tmp_path: Path) -> None:
 
 def test_without_truth_the_smoother_is_the_measure(short: Log, tmp_path: Path) -> None:
     blind = replace(short, truth=type(short.truth)())
-    c = compare_estimators(blind)
+    c = compared(blind)
     assert c.consistency.ekf is None
     assert c.consistency.smoothed is not None
     save(consistency_figure(c, consistency_panels(c)), tmp_path / "smoother.png")
-    robust = compare_estimators(blind, options=SmootherOptions(robust="huber"))
+    robust = compared(blind, robust="huber")
     assert robust.consistency.smoothed is None
     save(consistency_figure(robust, consistency_panels(robust)), tmp_path / "robust.png")

@@ -12,12 +12,12 @@ from comparisons.errors import InputError
 from comparisons.experiments.defects.catalogue import CATALOGUE, named_first, run_defect
 from comparisons.experiments.defects.defect import Defect, Plant, with_observation, with_steps
 from comparisons.experiments.defects.logs import LOGS, open_case
-from comparisons.pipeline.compare import compare_estimators
+from comparisons.pipeline.compare import Modified
 from ekf_reference.absolute_updates import PositionModel
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.kalman import KalmanState
 from ekf_reference.observation import PredictedSightings, RangeBearing
-from tests.helpers import Array, simulated
+from tests.helpers import Array, compared, simulated
 
 SEEDS = 12
 
@@ -37,14 +37,15 @@ def test_a_defect_is_caught_and_named_first(defect: Defect) -> None:
 
 @pytest.mark.parametrize("name", LOGS)
 def test_a_sound_filter_passes_the_logs_that_show_defects(name: str) -> None:
-    verdict = compare_estimators(*open_case(name, seed=4)).verdict
+    log, ekf = open_case(name, seed=4)
+    verdict = compared(log, ekf=ekf).verdict
     assert verdict.outcome == "agree", f"{verdict.causes}"
     assert not verdict.causes
 
 
 @pytest.mark.parametrize("seed", range(SEEDS))
 def test_a_sound_filter_is_not_flagged(seed: int) -> None:
-    verdict = compare_estimators(simulated(seed=seed, loop_s=30.0, noise_scale=0.3)).verdict
+    verdict = compared(simulated(seed=seed, loop_s=30.0, noise_scale=0.3)).verdict
     assert verdict.outcome == "agree", f"{verdict.causes}"
 
 
@@ -68,8 +69,9 @@ class FixesTwice(FullEkf):
     ],
 )
 def test_a_filter_that_miscounts_its_data_is_refused(kind: type[FullEkf], told: str) -> None:
+    log, ekf = open_case("positions", seed=4)
     with pytest.raises(InputError, match=told):
-        compare_estimators(*open_case("positions", seed=4), modify=with_steps(kind))
+        compared(log, Modified(with_steps(kind)), ekf=ekf)
 
 
 def start_elsewhere(ekf: FullEkf) -> None:
@@ -98,7 +100,8 @@ class SlantedRange(RangeBearing):
     ],
 )
 def test_what_is_not_in_the_catalogue_is_told_as_far_as_it_goes(plant: Plant, told: str) -> None:
-    verdict = compare_estimators(*open_case("positions", seed=4), modify=plant).verdict
+    log, ekf = open_case("positions", seed=4)
+    verdict = compared(log, Modified(plant), ekf=ekf).verdict
     assert verdict.outcome == "disagree"
     assert re.search(told, verdict.causes[0].hint)
 

@@ -16,19 +16,19 @@ from comparisons.extensions.dense_maps.accuracy import (
     surface_error,
 )
 from comparisons.extensions.dense_maps.check import AGREE_M, compare_dense
-from comparisons.extensions.dense_maps.result import dense_result
-from comparisons.extensions.dense_maps.source import DenseOptions
+from comparisons.extensions.dense_maps.extension import DenseMapsFinding
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.odometry import RelativePoses
-from comparisons.pipeline.compare import Comparison, compare_estimators
+from comparisons.pipeline.compare import Comparison
 from ekf_reference.dense.layers.layer import Samples
 from graphslam.scan import planar
+from tests.helpers import compared
 
 
 @pytest.fixture(scope="module")
-def compared() -> Comparison:
+def comparison() -> Comparison:
     log = open_log("occupancy-loop", choices=SimulationChoices(seed=2))
-    return compare_estimators(log, dense=DenseOptions())
+    return compared(log, dense=["points", "occupancy"])
 
 
 def test_distances_to_segments_by_hand() -> None:
@@ -61,10 +61,10 @@ def test_only_what_is_occupied_counts() -> None:
     assert np.isnan(nothing.median_m)
 
 
-def test_both_maps_agree_where_the_filter_is_right(compared: Comparison) -> None:
-    check = compared.dense_check
+def test_both_maps_agree_where_the_filter_is_right(comparison: Comparison) -> None:
+    check = comparison.find(DenseMapsFinding).agreement
     assert check is not None
-    assert compared.verdict.outcome == "agree"
+    assert comparison.verdict.outcome == "agree"
     assert check.agrees
     assert check.median_m < 0.1
     assert len(check.regions) > 10
@@ -74,15 +74,14 @@ def test_both_maps_agree_where_the_filter_is_right(compared: Comparison) -> None
     assert set(check.errors) == {"points", "occupancy", "smoother"}
 
 
-def test_a_map_that_hangs_on_wrong_landmarks_is_found(compared: Comparison) -> None:
+def test_a_map_that_hangs_on_wrong_landmarks_is_found(comparison: Comparison) -> None:
     """One corner moved by two metres after the drive: its regions are off, and told first."""
-    dense = compared.dense
-    assert dense is not None
+    dense = comparison.find(DenseMapsFinding).dense
     base = dense.dense.regions.base
     corner = int(base[base >= 0][0])
     moved = dense.landmark.copy()
     moved[corner] += (2.0, 0.0)
-    check = compare_dense(compared.log, replace(dense, landmark=moved), compared.smoothed)
+    check = compare_dense(comparison.log, replace(dense, landmark=moved), comparison.smoothed)
     assert check is not None
     assert not check.agrees
     worst = check.regions[0]
@@ -93,24 +92,23 @@ def test_a_map_that_hangs_on_wrong_landmarks_is_found(compared: Comparison) -> N
 
 
 def test_a_dense_disagreement_is_a_cause(
-    monkeypatch: pytest.MonkeyPatch, compared: Comparison
+    monkeypatch: pytest.MonkeyPatch, comparison: Comparison
 ) -> None:
     monkeypatch.setattr("comparisons.extensions.dense_maps.check.AGREE_M", 1e-4)
     log = open_log("occupancy-loop", choices=SimulationChoices(seed=2))
-    found = compare_estimators(log, dense=DenseOptions(("points",)))
-    assert compared.verdict.outcome == "agree"
+    found = compared(log, dense=["points"])
+    assert comparison.verdict.outcome == "agree"
     assert found.verdict.outcome == "disagree"
     assert [cause.gap for cause in found.verdict.causes] == ["dense"]
     assert "region" in found.verdict.causes[0].evidence
-    result = dense_result(found.dense_check)
-    assert result is not None
+    result = found.find(DenseMapsFinding).result
     assert not result.agrees
     assert len(result.regions) <= 20
 
 
-def test_poses_at_are_led_on_by_the_wheels(compared: Comparison) -> None:
+def test_poses_at_are_led_on_by_the_wheels(comparison: Comparison) -> None:
     """At epochs the estimate's, in between composed from the one before."""
-    estimate, log = compared.smoothed, compared.log
+    estimate, log = comparison.smoothed, comparison.log
     time = estimate.time_s
     assert np.array_equal(poses_at(log, estimate, time[3:6]), estimate.pose[3:6])
     between = poses_at(log, estimate, time[3:5] + (0.0, -0.1))
@@ -121,9 +119,9 @@ def test_poses_at_are_led_on_by_the_wheels(compared: Comparison) -> None:
     assert np.array_equal(beyond, estimate.pose[-1:])
 
 
-def test_scans_between_relative_poses_are_led_on_evenly(compared: Comparison) -> None:
+def test_scans_between_relative_poses_are_led_on_evenly(comparison: Comparison) -> None:
     """As slamcheck run --motion scan has them, whose poses are some scans only."""
-    estimate, log = compared.smoothed, compared.log
+    estimate, log = comparison.smoothed, comparison.log
     moved = [planar.between(a, b) for a, b in pairwise(estimate.pose)]
     spread = np.tile(1e-6 * np.eye(3), (len(moved), 1, 1))
     relative = replace(
@@ -137,9 +135,9 @@ def test_scans_between_relative_poses_are_led_on_evenly(compared: Comparison) ->
     assert np.allclose(found, expected, atol=1e-3)
 
 
-def test_cloud_distances_are_open3ds(compared: Comparison, open3d_library: ModuleType) -> None:
+def test_cloud_distances_are_open3ds(comparison: Comparison, open3d_library: ModuleType) -> None:
     """The k-d tree's figures against a library made for clouds."""
-    check, o3d = compared.dense_check, open3d_library
+    check, o3d = comparison.find(DenseMapsFinding).agreement, open3d_library
     assert check is not None
 
     def cloud(points: np.ndarray) -> object:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from comparisons.config import MapConfig
 from comparisons.extensions.dense_maps.accuracy import surface_error
-from comparisons.extensions.dense_maps.source import DenseOptions
+from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.pipeline.dense_map import DenseMapping, map_log
 
@@ -16,8 +17,9 @@ SEEDS = (1, 2, 5)
 @pytest.fixture(scope="module")
 def maps() -> list[DenseMapping]:
     """Drives of one loop through the environment of Table 3.1."""
+    config = MapConfig(extensions={"dense_maps": DenseMapsConfig(layers=("occupancy",))})
     logs = [open_log("scan-loop", choices=SimulationChoices(seed=seed)) for seed in SEEDS]
-    return [map_log(log, options=DenseOptions(("occupancy",))) for log in logs]
+    return [map_log(log, config) for log in logs]
 
 
 def test_closing_the_loop_brings_the_map_to_where_the_objects_are(

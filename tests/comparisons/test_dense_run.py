@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
 
-from comparisons.adapters.ekf_factory import FILTERS, EkfChoices
+from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
+from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.planar_scans import PlanarScans
 from comparisons.adapters.timeline import build_timeline
+from comparisons.choices import Filter
+from comparisons.config import EkfConfig, RunConfig
 from comparisons.errors import InputError
-from comparisons.extensions.dense_maps.source import DenseOptions, DenseRun, DenseWatcher
+from comparisons.extensions.dense_maps.config import DenseMapsConfig
+from comparisons.extensions.dense_maps.source import DenseRun, DenseWatcher
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log, Sightings
 from comparisons.logs.scans import Clouds, Scans
@@ -26,9 +31,10 @@ def log() -> Log:
 
 
 def driven(log: Log, filter_name: str = "full", *, dense: bool = True) -> tuple[EkfRun, DenseRun]:
-    watcher = DenseWatcher(log, DenseOptions())
-    choices = EkfChoices(filter_name).settle(log)
-    run = run_ekf(log, build_timeline(log), choices, watcher=watcher if dense else None)
+    watcher = DenseWatcher(log, DenseMapsConfig(layers=("points", "occupancy")))
+    config = settle(EkfConfig.model_validate({"filter": filter_name}), log)
+    setup = FilterSetup(observers=[watcher] if dense else [])
+    run = run_ekf(log, build_timeline(log), config, setup=setup)
     return run, watcher.run()
 
 
@@ -37,7 +43,7 @@ def bits(run: EkfRun) -> list[Array]:
     return [run.departed, run.arrived, e.pose_covariance, e.landmark, e.joint_covariance]
 
 
-@pytest.mark.parametrize("name", FILTERS)
+@pytest.mark.parametrize("name", get_args(Filter))
 def test_the_filter_is_the_same_to_the_bit(log: Log, name: str) -> None:
     """Information flows one way (Nieto 2005, section 3.7)."""
     with_map, dense = driven(log, name)
@@ -56,8 +62,9 @@ def test_a_watcher_that_writes_would_be_noticed(log: Log) -> None:
             ekf.state.covariance.sum()
             super().updated(ekf)
 
-    choices = EkfChoices("compressed").settle(log)
-    run = run_ekf(log, build_timeline(log), choices, watcher=Meddler(log, DenseOptions()))
+    config = settle(EkfConfig(filter="compressed"), log)
+    meddler = Meddler(log, DenseMapsConfig(layers=("points", "occupancy")))
+    run = run_ekf(log, build_timeline(log), config, setup=FilterSetup(observers=[meddler]))
     without, _ = driven(log, "compressed", dense=False)
     assert not all(np.array_equal(a, b) for a, b in zip(bits(run), bits(without), strict=True))
 
@@ -133,7 +140,7 @@ def test_landmarks_in_a_row_have_regions_with_virtual_corners_alone(log: Log) ->
     base = run.dense.regions.base
     assert ((base < 0).sum(axis=1) == 1).all()
     assert len(base) > 0
-    watcher = DenseWatcher(log, DenseOptions())
+    watcher = DenseWatcher(log, DenseMapsConfig(layers=("points", "occupancy")))
     virtual = VirtualLandmarks(np.repeat([[0, 1]], 5, axis=0), np.arange(1.0, 6.0))
     watcher._dense.regions.virtual = virtual
     watcher._dense.regions.base = np.array([(0, 1, -1 - k) for k in range(5)])
@@ -196,23 +203,24 @@ def test_a_cloud_of_next_to_nothing_is_a_scan_too() -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "fault"),
+    ("settings", "fault"),
     [
-        ({"layers": ("points", "walls")}, "layers points, walls: expected some of"),
-        ({"layers": ()}, "layers none"),
-        ({"resolution_m": 0.0}, "expected 0.01 to 10 m"),
-        ({"resolution_m": float("nan")}, "expected 0.01 to 10 m"),
+        ({"layers": ["points", "walls"]}, r"layers\.1 is 'walls': .*'points', 'occupancy'"),
+        ({"layers": []}, r"layers: empty, expected some of points, occupancy"),
+        ({"layers": ["points"], "resolution_m": 0.0}, r"resolution_m is 0\.0: .* 0\.01"),
+        ({"layers": ["points"], "resolution_m": 11.0}, r"resolution_m is 11\.0: .* 10"),
+        ({"layers": ["points"], "resolution_m": float("nan")}, r"resolution_m is nan: "),
     ],
 )
-def test_options_are_checked(options: dict[str, object], fault: str) -> None:
+def test_settings_are_checked(settings: dict[str, object], fault: str) -> None:
     with pytest.raises(InputError, match=fault):
-        DenseOptions(**options)  # type: ignore[arg-type]
+        RunConfig.of(extensions={"dense_maps": settings})
 
 
 def test_a_log_without_scans_is_refused() -> None:
     log = open_log("simulated-loop")
     with pytest.raises(InputError, match="holds no scans"):
-        DenseWatcher(log, DenseOptions())
+        DenseWatcher(log, DenseMapsConfig(layers=("points", "occupancy")))
 
 
 def test_blank_scans_leave_an_empty_map(log: Log) -> None:

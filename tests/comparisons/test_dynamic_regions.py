@@ -9,13 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from comparisons.adapters.ekf_factory import EkfChoices
+from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
+from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import build_timeline
 from comparisons.checks.accuracy import assess
+from comparisons.config import EkfConfig, MapConfig
 from comparisons.errors import InputError
 from comparisons.experiments.reproduction.dynamic_accuracy import middles, score_dynamic
-from comparisons.extensions.dense_maps.source import DenseOptions, DenseWatcher
+from comparisons.extensions.dense_maps.config import DenseMapsConfig
+from comparisons.extensions.dense_maps.source import DenseWatcher
+from comparisons.extensions.scan_landmarks.extension import ScanLandmarksFinding
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.dynamic_worlds import LANES_M, changed_places
 from comparisons.logs.simulate.scan_drive import (
@@ -25,13 +29,14 @@ from comparisons.logs.simulate.scan_drive import (
     simulate,
 )
 from comparisons.logs.simulate.scan_worlds import Mover
-from comparisons.pipeline.compare import Comparison, compare_estimators
+from comparisons.pipeline.compare import Comparison
 from comparisons.pipeline.dense_map import DenseMapping, map_log
-from comparisons.report.map_models import MapResult
+from comparisons.report.dense_map import MapResult
 from ekf_reference.dense.dynamic import DynamicLayer
 from tests.comparisons.test_cli import slamcheck
+from tests.helpers import compared
 
-LOOKING = DenseOptions((), dynamic=True)
+LOOKING = DenseMapsConfig(layers=(), detect_motion=True)
 
 
 def shortened(experiment: ScanExperiment, seconds: float) -> ScanExperiment:
@@ -40,7 +45,7 @@ def shortened(experiment: ScanExperiment, seconds: float) -> ScanExperiment:
 
 def mapped(experiment: ScanExperiment, seed: int = 0) -> tuple[DenseMapping, DynamicLayer]:
     log = simulate(np.random.default_rng(seed), experiment)
-    mapping = map_log(log, options=LOOKING)
+    mapping = map_log(log, MapConfig.of(extensions={"dynamic": {}}))
     assert mapping.dense.dense.dynamic is not None
     return mapping, mapping.dense.dense.dynamic
 
@@ -78,9 +83,12 @@ def test_where_nothing_moves_nothing_is_found(experiment: ScanExperiment) -> Non
 
 
 def run(log: Log, filter_name: str = "full", *, guarded: bool) -> EkfRun:
-    watcher = DenseWatcher(log, LOOKING) if guarded else None
-    choices = EkfChoices(filter_name).settle(log)
-    return run_ekf(log, build_timeline(log), choices, watcher=watcher, guard=watcher)
+    setup = FilterSetup()
+    if guarded:
+        setup.guard = watcher = DenseWatcher(log, LOOKING)
+        setup.observers.append(watcher)
+    config = settle(EkfConfig.model_validate({"filter": filter_name}), log)
+    return run_ekf(log, build_timeline(log), config, setup=setup)
 
 
 @pytest.fixture(scope="module")
@@ -123,16 +131,16 @@ def test_full_and_compressed_retire_the_same(carried: list[Log]) -> None:
 
 
 @pytest.fixture(scope="module")
-def compared(carried: list[Log]) -> Comparison:
-    return compare_estimators(carried[1], dynamic=True)
+def comparison(carried: list[Log]) -> Comparison:
+    return compared(carried[1], dynamic="on")
 
 
-def test_the_frozen_smoothers_stay_exact(compared: Comparison) -> None:
-    gaps = compared.agreement.algebra, compared.agreement.model
+def test_the_frozen_smoothers_stay_exact(comparison: Comparison) -> None:
+    gaps = comparison.agreement.algebra, comparison.agreement.model
     assert max(g.sigma for g in gaps) < 1e-8
     assert max(g.covariance for g in gaps) < 1e-8
-    assert compared.verdict.outcome == "agree"
-    told = " ".join(compared.verdict.remarks)
+    assert comparison.verdict.outcome == "agree"
+    told = " ".join(comparison.verdict.remarks)
     assert " dynamic" in told
     assert "something moves in" in told
     assert "stand where something moves" in told
@@ -165,7 +173,7 @@ def all_moving() -> ScanExperiment:
 def test_a_scene_that_is_all_moving_is_said_to_be_beyond_it() -> None:
     """As dense.dynamic documents: it takes landmarks that stand still."""
     log = simulate(np.random.default_rng(0), all_moving())
-    comparison = compare_estimators(log, dynamic=True)
+    comparison = compared(log, dynamic="on")
     assert comparison.ekf.breakdown is None
     assert comparison.verdict.outcome != "agree"
     assert any("hardly known" in remark for remark in comparison.verdict.remarks)
@@ -177,14 +185,14 @@ def test_scan_landmarks_of_a_scene_that_is_all_moving_are_hardly_ever_used() -> 
     movers = tuple(replace(m, speed_mps=0.0) for m in moving.world.movers)  # type: ignore[type-var]
     still = replace(moving, world=replace(moving.world, movers=movers))
     found = [
-        compare_estimators(simulate(np.random.default_rng(0), e), landmarks="scans")
-        for e in (moving, still)
+        compared(simulate(np.random.default_rng(0), e), landmarks="scans") for e in (moving, still)
     ]
     assert [c.ekf.breakdown for c in found] == [None, None]
     assert found[1].verdict.outcome == "agree"
-    ours, wheels = (a.ate_m for a in (found[0].accuracy_ekf, found[0].accuracy_dead_reckoned) if a)
+    assessed = found[0].assessment
+    ours, wheels = (a.ate_m for a in (assessed.ekf, assessed.dead_reckoned) if a)
     assert ours == pytest.approx(wheels, abs=0.05)
-    reasons = [c.scan_slam.found.reasons for c in found if c.scan_slam is not None]
+    reasons = [c.find(ScanLandmarksFinding).source.found.reasons for c in found]
     share = [r["used"] / sum(r.values()) for r in reasons]
     assert share[0] < 0.2
     assert share[1] > 0.9
@@ -209,11 +217,11 @@ def test_the_commands_write_and_tell(tmp_path: Path) -> None:
     assert ekf["retired"] >= 1
     wrong = slamcheck("run", "dynamic-lanes", "--dynamic", "maybe", cwd=tmp_path)
     assert wrong.returncode == 2
-    assert "dynamic 'maybe' is unknown, expected off or on" in wrong.stderr
+    assert "Invalid value for '--dynamic': 'maybe' is not one of 'off', 'on'" in wrong.stderr
 
 
 def test_a_log_without_scans_cannot_be_looked_at() -> None:
     from comparisons.logs.bundled import open_log
 
     with pytest.raises(InputError, match="holds no scans"):
-        compare_estimators(open_log("simulated-loop"), dynamic=True)
+        compared(open_log("simulated-loop"), dynamic="on")

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from comparisons.adapters.ekf_factory import EkfChoices, build_ekf
+from comparisons.adapters.ekf_factory import build_ekf, settle
 from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.filter_loop import NoWatcher, drive
+from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import build_timeline
+from comparisons.config import EkfConfig
 from comparisons.experiments.reproduction.watched_run import watched_run
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.trace import NullTrace
@@ -25,16 +27,17 @@ class Meddler(NoWatcher):
 def test_driving_a_compressed_filter_asks_for_no_global_updates() -> None:
     """There are as many as areas are left, not as many as epochs; a careless reader is told."""
     log = simulated(loop_s=60.0)
-    timeline, choices = build_timeline(log), EkfChoices("compressed").settle(log)
+    timeline, choices = build_timeline(log), settle(EkfConfig(filter="compressed"), log)
     updates, _ = run_ekf(log, timeline, choices).spared
-    meddled, _ = run_ekf(log, timeline, choices, watcher=Meddler()).spared
+    beside = FilterSetup(observers=[Meddler()])
+    meddled, _ = run_ekf(log, timeline, choices, setup=beside).spared
     assert 0 < updates < 0.1 * len(timeline.epoch_time_s)
     assert meddled > 0.5 * len(timeline.epoch_time_s)
 
 
 def test_stops_tell_what_was_seen_and_a_fault_is_the_last() -> None:
     log = simulated(loop_s=20.0)
-    timeline, choices = build_timeline(log), EkfChoices().settle(log)
+    timeline, choices = build_timeline(log), settle(EkfConfig(), log)
     run = run_ekf(log, timeline, choices)
     stops = list(drive(build_ekf(log, choices, NullTrace()), log, timeline))
     assert np.array_equal(np.concatenate([stop.slots for stop in stops]), run.slot)
@@ -51,6 +54,6 @@ def test_stops_tell_what_was_seen_and_a_fault_is_the_last() -> None:
 
 def test_looking_on_is_the_same_drive() -> None:
     log = simulated(loop_s=20.0)
-    run = run_ekf(log, build_timeline(log), EkfChoices().settle(log))
+    run = run_ekf(log, build_timeline(log), settle(EkfConfig(), log))
     last = list(watched_run(log))[-1][1]
     assert np.array_equal(last.state.landmarks, run.estimate.landmark)

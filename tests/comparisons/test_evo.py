@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from comparisons.adapters.ekf_factory import EkfChoices
+from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.timeline import build_timeline
 from comparisons.checks.accuracy import assess_trajectory
+from comparisons.config import EkfConfig
 from comparisons.estimates.trajectory_files import Trajectory, write_trajectory
 from comparisons.logs.log import Poses
 from tests.helpers import simulated
@@ -33,7 +34,7 @@ def test_evo_finds_the_same_errors(tmp_path: Path, evo: Any) -> None:
     """Absolute trajectory errors, as they are and after a rigid alignment, to 1e-9 m."""
     metrics, file_interface = evo
     log = simulated(loop_s=40.0)
-    estimate = run_ekf(log, build_timeline(log), EkfChoices().settle(log)).estimate
+    estimate = run_ekf(log, build_timeline(log), settle(EkfConfig(), log)).estimate
     assert log.truth.poses is not None
     true = log.truth.poses.at(estimate.time_s)
     judged = replace(log, truth=replace(log.truth, poses=Poses(estimate.time_s, true)))

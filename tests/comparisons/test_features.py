@@ -8,16 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from comparisons.adapters.ekf_factory import EkfChoices
+from comparisons.config import RunConfig
 from comparisons.errors import InputError
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
 from comparisons.logs.scans import Mount, Scans
-from comparisons.logs.transforms.tree_features import choose_features
-from comparisons.pipeline.compare import compare_estimators
+from comparisons.logs.transforms.tree_features import with_tree_features
 from graphslam.scan import planar
 from tests.ekf_reference.test_tree_detection import ANGLES, scan_of
-from tests.helpers import simulated
+from tests.helpers import compared, simulated
 
 
 def with_scans(log: Log, mount: Mount = Mount()) -> Log:  # noqa: B008 - frozen
@@ -43,45 +42,45 @@ def with_scans(log: Log, mount: Mount = Mount()) -> Log:  # noqa: B008 - frozen
 
 
 def test_trunks_become_landmarks_with_their_diameters() -> None:
-    log = choose_features(with_scans(simulated(seed=1)), "trees")
+    log = with_tree_features(with_scans(simulated(seed=1)))
     near = log.sightings.range_m < 15.0
     assert abs(np.median(log.sightings.diameter_m[near]) - 0.4) < 0.03
-    c = compare_estimators(log, EkfChoices(association="nn"))
+    c = compared(log, association="nn")
     assert c.agreement.algebra.within(1e-8)
     assert c.agreement.model.within(1e-8)
     assert len(c.ekf.estimate.landmark) == 60  # every trunk once, and nothing else
-    assert c.accuracy_smoother is not None
-    assert c.accuracy_smoother.landmarks_found == 60
-    assert c.accuracy_smoother.landmark_rmse_aligned_m is not None
-    assert c.accuracy_smoother.landmark_rmse_aligned_m < 0.05
+    assert c.assessment.smoother is not None
+    assert c.assessment.smoother.landmarks_found == 60
+    assert c.assessment.smoother.landmark_rmse_aligned_m is not None
+    assert c.assessment.smoother.landmark_rmse_aligned_m < 0.05
 
 
 def test_trunks_are_told_from_the_vehicle_wherever_its_scanner_sits() -> None:
-    log = choose_features(with_scans(simulated(seed=1), Mount(1.5, -0.4, 0.3)), "trees")
-    c = compare_estimators(log, EkfChoices(association="nn"))
-    assert c.accuracy_smoother is not None
-    assert c.accuracy_smoother.ate_aligned_m is not None
-    assert c.accuracy_smoother.ate_aligned_m < 0.05
+    log = with_tree_features(with_scans(simulated(seed=1), Mount(1.5, -0.4, 0.3)))
+    c = compared(log, association="nn")
+    assert c.assessment.smoother is not None
+    assert c.assessment.smoother.ate_aligned_m is not None
+    assert c.assessment.smoother.ate_aligned_m < 0.05
 
 
 def test_car_park_by_tree_features(shared_data: Path) -> None:
     """Raw scans alone carry the vehicle through; the trajectory is judged by RTK GPS."""
-    log = choose_features(open_log(str(shared_data / "acfr_car_park")), "trees")
-    c = compare_estimators(log)
+    log = with_tree_features(open_log(str(shared_data / "acfr_car_park")))
+    c = compared(log)
     assert c.agreement.algebra.within(1e-6)
     assert c.agreement.model.within(1e-6)
     assert c.smoother.proof.proven
-    assert c.accuracy_smoother is not None
-    assert c.accuracy_smoother.gps_median_aligned_m is not None
-    assert c.accuracy_smoother.gps_median_aligned_m < 0.15
+    assert c.assessment.smoother is not None
+    assert c.assessment.smoother.gps_median_aligned_m is not None
+    assert c.assessment.smoother.gps_median_aligned_m < 0.15
 
 
 def test_features_that_cannot_be_had() -> None:
     log = simulated(loop_s=5.0)
     with pytest.raises(InputError, match="holds no scans to find trees in"):
-        choose_features(log, "trees")
-    with pytest.raises(InputError, match="features 'corners' is unknown, expected log or trees"):
-        choose_features(log, "corners")
+        with_tree_features(log)
+    with pytest.raises(InputError, match=r"log\.features is 'corners': .* 'log' or 'trees'"):
+        RunConfig.of(log={"features": "corners"})
     blank = Scans(
         time_s=np.array([1.0, 2.0]),
         angle_rad=ANGLES,
@@ -89,4 +88,4 @@ def test_features_that_cannot_be_had() -> None:
         intensity=np.zeros((2, 361)),
     )
     with pytest.raises(InputError, match="no trunks in its scans"):
-        choose_features(replace(log, scans=blank), "trees")
+        with_tree_features(replace(log, scans=blank))

@@ -10,20 +10,30 @@ import numpy as np
 import pytest
 
 from comparisons.adapters.scan_odometry import ScanMotion, run_scan_odometry
+from comparisons.checks.map_agreement import compare_maps
+from comparisons.config import FrontEndConfig, OdometryConfig
 from comparisons.errors import InputError
 from comparisons.estimates.folder import read_estimate
-from comparisons.extensions.scan_motion.three_way import compare_maps, find_culprit
+from comparisons.extensions.scan_motion.extension import ScanMotionFinding
+from comparisons.extensions.scan_motion.result import (
+    IncrementResult,
+    ScanOdometryResult,
+    ThreeWayResult,
+)
+from comparisons.extensions.scan_motion.three_way import ThreeWay, find_culprit
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry
 from comparisons.logs.readers import read_log
-from comparisons.pipeline.compare import Comparison, compare_estimators
-from comparisons.pipeline.odometry import FrontEndChoices, run_front_end
-from comparisons.report.models import FrontEndResult, Result
+from comparisons.pipeline.compare import Comparison
+from comparisons.pipeline.odometry import run_front_end
+from comparisons.report.models import Result
+from comparisons.report.odometry import FrontEndResult
 from comparisons.report.result import build_result
 from graphslam.g2o import read_g2o
 from tests.comparisons.test_cli import slamcheck
+from tests.helpers import compared
 
 
 @pytest.fixture(scope="module")
@@ -40,6 +50,13 @@ def with_speed_scaled(log: Log, factor: float) -> Log:
     return replace(log, odometry=scaled)
 
 
+def three_of(c: Comparison) -> ThreeWay:
+    """The smoother on scans beside both."""
+    three = c.find(ScanMotionFinding).three
+    assert three is not None
+    return three
+
+
 def test_the_front_end_leaves_a_whole_folder(tmp_path: Path) -> None:
     done = slamcheck("odometry", "scan-loop", "--out", "scans", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -49,6 +66,7 @@ def test_the_front_end_leaves_a_whole_folder(tmp_path: Path) -> None:
     names = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
     estimate = ("covariances.npz", "estimate.toml", "landmarks.csv", "trajectory.tum")
     assert names == {
+        "config.toml",
         "odometry.json",
         "map.png",
         "graph.g2o",
@@ -59,6 +77,7 @@ def test_the_front_end_leaves_a_whole_folder(tmp_path: Path) -> None:
     text = (folder / "odometry.json").read_text()
     assert "NaN" not in text
     result = FrontEndResult.model_validate_json(text)
+    assert set(result.files) == names
     assert result.loops.closed > 10
     assert result.loops.tried == result.loops.closed + sum(result.loops.reasons.values())
     assert result.scan_graph is not None
@@ -90,11 +109,14 @@ def test_the_map_as_a_cloud(suffix: str, tmp_path: Path) -> None:
     ("arguments", "message"),
     [
         (("odometry", "simulated-loop"), "simulated-loop: holds no scans"),
-        (("odometry", "scan-loop", "--guess", "gps"), "guess 'gps' is unknown"),
-        (("odometry", "scan-loop", "--matcher", "x"), "matcher 'x' is unknown, expected one of"),
-        (("odometry", "scan-loop", "--cloud", "las"), "cloud 'las' is unknown"),
+        (("odometry", "scan-loop", "--guess", "gps"), "'--guess': 'gps' is not one of"),
+        (
+            ("odometry", "scan-loop", "--matcher", "x"),
+            "'--matcher': 'x' is not one of 'surface', 'kiss'",
+        ),
+        (("odometry", "scan-loop", "--cloud", "las"), "'--cloud': 'las' is not one of"),
         (("run", "scan-slam"), "holds no sightings of landmarks"),
-        (("run", "scan-loop", "--motion", "x"), "motion 'x' is unknown, expected one of wheel"),
+        (("run", "scan-loop", "--motion", "x"), "'--motion': 'x' is not one of 'wheel'"),
         (("run", "simulated-loop", "--motion", "scan"), "simulated-loop: holds no scans"),
     ],
 )
@@ -107,10 +129,10 @@ def test_faults_are_one_line(arguments: tuple[str, ...], message: str, tmp_path:
 
 
 def test_loops_are_closed_without_wheels_and_without_loops_nothing_is(scan_loop: Log) -> None:
-    none = run_front_end(scan_loop, FrontEndChoices(loops=False))
+    none = run_front_end(scan_loop, OdometryConfig(front_end=FrontEndConfig(loop_closure=False)))
     assert not none.closed.attempts
     assert not len(none.graph.problem.closures.first)
-    blind = run_front_end(scan_loop, FrontEndChoices(guess=False))
+    blind = run_front_end(scan_loop, OdometryConfig(front_end=FrontEndConfig(guess="none")))
     assert blind.accuracy_graph is not None
     assert blind.accuracy_wheels is not None
     assert blind.accuracy_graph.ate_aligned_m is not None
@@ -128,25 +150,23 @@ def test_three_estimates_leave_three_folders(tmp_path: Path) -> None:
 
 
 def test_three_estimates_agree_when_nothing_is_wrong(scan_loop: Log) -> None:
-    three = compare_estimators(scan_loop, motion="both")
-    assert three.verdict.outcome == "agree"
-    assert three.three_way is not None
-    assert three.three_way.ekf.agrees
-    assert three.three_way.smoother.agrees
-    assert three.three_way.loops > 10
-    result = Result.model_validate_json(build_result(three, 0.0).model_dump_json())
-    assert result.three_way is not None
-    assert result.three_way.ekf.landmarks == 34
-    assert result.scan_odometry is not None
-    assert result.scan_odometry.used == 248
-    assert result.increments is not None
-    assert result.increments.against == "truth"
+    c = compared(scan_loop, motion="both")
+    assert c.verdict.outcome == "agree"
+    three = three_of(c)
+    assert three.ekf.agrees
+    assert three.smoother.agrees
+    assert three.loops > 10
+    extra = Result.model_validate_json(build_result(c).model_dump_json()).model_extra
+    assert extra is not None
+    assert ThreeWayResult.model_validate(extra["three_way"]).ekf.landmarks == 34
+    assert ScanOdometryResult.model_validate(extra["scan_odometry"]).used == 248
+    assert IncrementResult.model_validate(extra["increments"]).against == "truth"
 
 
 @pytest.fixture(scope="module")
 def wrong_wheels(scan_loop: Log) -> Comparison:
     """Both estimators on wheels believe in a wrong scale; sightings are few enough to let them."""
-    return compare_estimators(with_speed_scaled(scan_loop, 1.1), motion="both")
+    return compared(with_speed_scaled(scan_loop, 1.1), motion="both")
 
 
 def test_scans_surer_than_they_may_be_are_remarked_upon(
@@ -156,8 +176,8 @@ def test_scans_surer_than_they_may_be_are_remarked_upon(
         motion = run_scan_odometry(*arguments, **options)
         return replace(motion, covariance=0.1 * motion.covariance)
 
-    monkeypatch.setattr("comparisons.pipeline.compare.run_scan_odometry", boasting)
-    result = build_result(compare_estimators(scan_loop, motion="scan"), 0.0)
+    monkeypatch.setattr("comparisons.extensions.scan_motion.extension.run_scan_odometry", boasting)
+    result = build_result(compared(scan_loop, motion="scan"), 0.0)
     assert any("surer than they may be" in remark for remark in result.remarks)
 
 
@@ -166,9 +186,8 @@ def test_wrong_wheels_are_found_out(wrong_wheels: Comparison) -> None:
     c = wrong_wheels
     assert c.agreement.algebra.sigma < 1e-6
     assert c.agreement.model.sigma < 1e-6
-    assert c.three_way is not None
-    assert not c.three_way.ekf.agrees
-    assert c.three_way.culprit == "wheels"
+    assert not three_of(c).ekf.agrees
+    assert three_of(c).culprit == "wheels"
     assert c.verdict.outcome == "disagree"
     assert "motion" in {cause.gap for cause in c.verdict.causes}
 
@@ -201,9 +220,8 @@ def test_the_car_park(shared_data: Path) -> None:
 
 def test_the_car_park_on_wheels_and_on_scans(shared_data: Path) -> None:
     """At full lock the steering reading saturates, and the last seconds are wrong on wheels."""
-    c = compare_estimators(read_log(shared_data / "acfr_car_park"), motion="both")
-    assert c.three_way is not None
-    assert c.three_way.culprit == "wheels"
+    c = compared(read_log(shared_data / "acfr_car_park"), motion="both")
+    assert three_of(c).culprit == "wheels"
     assert c.verdict.outcome == "disagree"
     cause = next(cause for cause in c.verdict.causes if cause.gap == "motion")
     assert "gps_rms_aligned_m" in cause.evidence
@@ -228,7 +246,7 @@ def test_scans_alone_make_a_log(tmp_path: Path, scan_loop: Log) -> None:
         assert failed.returncode == 2
         assert "holds no" in failed.stderr
     with pytest.raises(InputError, match="holds no"):
-        compare_estimators(bare)
+        compared(bare)
 
 
 def test_a_culprit_needs_evidence(wrong_wheels: Comparison) -> None:

@@ -10,25 +10,31 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from comparisons.adapters.ekf_factory import EkfChoices
+from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.motion import motion_between
 from comparisons.adapters.scan_odometry import ScanMotion, run_scan_odometry
-from comparisons.checks.verdict import judge
+from comparisons.checks.map_agreement import compare_maps
+from comparisons.checks.verdict import Diagnosis, judge
+from comparisons.choices import Gps
+from comparisons.config import FrontEndConfig, OdometryConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
+from comparisons.extensions.scan_motion.extension import ScanMotionFinding
 from comparisons.extensions.scan_motion.increments import check_increments
-from comparisons.extensions.scan_motion.three_way import compare_maps
+from comparisons.extensions.scan_motion.three_way import ThreeWay
 from comparisons.logs.bundled import open_log
+from comparisons.logs.hashing import log_hash
 from comparisons.logs.log import NO_LANDMARK, Landmarks, Log, Positions, Sightings, Truth
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry
-from comparisons.pipeline.compare import Comparison, compare_estimators
-from comparisons.pipeline.odometry import FrontEndChoices, run_front_end
-from comparisons.pipeline.solve import solve_log
-from comparisons.report.front_end_result import build_front_end_result
-from comparisons.report.result import log_hash
+from comparisons.pipeline.compare import Comparison, Modified
+from comparisons.pipeline.gaps import Compared
+from comparisons.pipeline.odometry import run_front_end
+from comparisons.pipeline.solve import solve
+from comparisons.report.odometry import build_front_end_result
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.kalman import FilterDivergedError
 from graphslam.optimum import Stationarity
+from tests.helpers import compared
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -109,16 +115,20 @@ def with_surveyed(log: Log) -> Log:
     )
 
 
-def three_estimates(log: Log, choices: EkfChoices | None = None) -> Comparison:
-    c = compare_estimators(log, choices, motion="both")
-    assert c.three_way is not None
-    return c
+def three_of(c: Comparison) -> ThreeWay:
+    """The smoother on scans beside both."""
+    three = c.find(ScanMotionFinding).three
+    assert three is not None
+    return three
+
+
+def with_gps(gps: Gps) -> OdometryConfig:
+    return OdometryConfig(front_end=FrontEndConfig(gps=gps))
 
 
 def test_surveyed_landmarks_keep_their_places_on_scans() -> None:
     """Those that nobody saw, too, or the others would be held to their places."""
-    three = three_estimates(with_surveyed(short())).three_way
-    assert three is not None
+    three = three_of(compared(with_surveyed(short()), motion="both"))
     assert three.ekf.agrees
     assert three.accuracy is not None
     assert three.accuracy.ate_m is not None
@@ -127,10 +137,9 @@ def test_surveyed_landmarks_keep_their_places_on_scans() -> None:
 
 def test_positions_held_back_are_held_back_from_the_smoother_on_scans_too() -> None:
     log = with_positions(short())
-    half = three_estimates(log, EkfChoices(gps="half"))
+    half = compared(log, gps="half", motion="both")
     assert log.positions is not None
-    assert half.three_way is not None
-    times = half.three_way.estimate.time_s
+    times = three_of(half).estimate.time_s
     fused = log.positions.time_s[::2][half.ekf.fix_number]
     assert np.isin(fused[fused <= times[-1]], times).all()
     assert not np.isin(log.positions.time_s[1::2], times).any()
@@ -147,10 +156,9 @@ def test_smoother_on_scans_meets_a_filter_that_broke_down() -> None:
 
         ekf.observe = observe  # type: ignore[assignment]
 
-    c = compare_estimators(short(), motion="both", modify=damage)
+    c = compared(short(), Modified(damage), motion="both")
     assert c.ekf.breakdown is not None
-    assert c.three_way is not None
-    assert c.three_way.estimate.time_s[-1] > c.ekf.estimate.time_s[-1]
+    assert three_of(c).estimate.time_s[-1] > c.ekf.estimate.time_s[-1]
 
 
 def test_sightings_of_surveyed_landmarks_between_scans_count() -> None:
@@ -159,18 +167,17 @@ def test_sightings_of_surveyed_landmarks_between_scans_count() -> None:
     assert log.known_sightings is not None
     nothing = np.zeros(len(log.sightings.time_s), dtype=bool)
     for given in (log, replace(log, sightings=picked(log.sightings, nothing))):
-        c = compare_estimators(given, motion="scan")
+        c = compared(given, motion="scan")
         within = log.known_sightings.time_s <= c.ekf.timeline.epoch_time_s[-1]
         instants = np.unique(log.known_sightings.time_s[within])
         assert np.isin(instants, c.ekf.timeline.epoch_time_s).all()
-        assert c.accuracy_smoother is not None
-        assert c.accuracy_smoother.ate_m is not None
-        assert c.accuracy_smoother.ate_m < 0.1
+        assert c.assessment.smoother is not None
+        assert c.assessment.smoother.ate_m is not None
+        assert c.assessment.smoother.ate_m < 0.1
 
 
 def test_nobody_is_to_blame_while_maps_agree() -> None:
-    three = three_estimates(short()).three_way
-    assert three is not None
+    three = three_of(compared(short(), motion="both"))
     assert three.ekf.agrees
     assert three.smoother.agrees
     assert three.culprit == ""
@@ -184,26 +191,26 @@ def test_scans_too_sure_of_themselves_are_told_of(monkeypatch: pytest.MonkeyPatc
         wrong = np.random.default_rng(0).normal(0.0, (0.1, 0.1, 0.02), motion.displacement.shape)
         return replace(motion, displacement=motion.displacement + wrong)
 
-    monkeypatch.setattr("comparisons.pipeline.compare.run_scan_odometry", boasting)
-    c = three_estimates(open_log("scan-loop"))
-    assert c.three_way is not None
-    assert c.three_way.chi_square.reading == "too high"
+    monkeypatch.setattr("comparisons.extensions.scan_motion.extension.run_scan_odometry", boasting)
+    c = compared(open_log("scan-loop"), motion="both")
+    assert three_of(c).chi_square.reading == "too high"
     assert any(remark.startswith("on scans, chi-square") for remark in c.verdict.remarks)
 
 
 def test_an_unproven_smoother_on_scans_has_no_say() -> None:
-    c = three_estimates(short())
-    three = c.three_way
-    assert three is not None
+    c = compared(short(), motion="both")
+    three, motion = three_of(c), c.find(ScanMotionFinding).motion
     apart = replace(three, ekf=replace(three.ekf, outside=len(three.ekf.distance_sigma)))
     lost = replace(apart, proof=replace(three.proof, agreeing=(), stationarity=_SADDLE))
-    said = [judge(c.agreement, c.smoother.proof, c.ekf, three_way=t) for t in (apart, lost)]
+    both = Compared(prepared=c.prepared, setup=FilterSetup(), ekf=c.ekf, gaps=c.gaps)
+    found = [ScanMotionFinding(both, motion, third) for third in (apart, lost)]
+    said = [judge(c.agreement, c.smoother, c.ekf, Diagnosis(), causes=f.causes) for f in found]
     assert [v.outcome for v in said] == ["disagree", "agree"]
-    assert any("unproven" in remark for remark in said[1].remarks)
+    assert any("unproven" in remark for remark in found[1].remarks)
 
 
 def test_a_landmark_without_numbers_lies_outside() -> None:
-    one = three_estimates(short()).smoothed
+    one = compared(short(), motion="both").smoothed
     lost = replace(one, landmark=np.where(np.arange(len(one.landmark))[:, None] < 3, np.nan,
                                           one.landmark))  # fmt: skip
     pair = compare_maps(lost, one)
@@ -251,7 +258,7 @@ def test_positions_held_back_stay_so_where_scans_begin_late(
     monkeypatch.setattr("comparisons.pipeline.odometry.assess", noted)
     late = without_odometry(with_scans(short(), slice(2, None)))
     for first_s in (0.0, 0.4):
-        front_end = run_front_end(with_positions(late, first_s), FrontEndChoices(gps="half"))
+        front_end = run_front_end(with_positions(late, first_s), with_gps("half"))
         fused = front_end.time_s[front_end.graph.problem.position_pose]
         held = judging.pop()
         assert held is not None
@@ -268,7 +275,7 @@ def test_positions_between_relative_poses_can_be_fused_with_scans() -> None:
     moved = motion_between(log, times)
     spread = moved.covariance + 1e-10 * np.eye(3)
     relative = replace(log, odometry=RelativePoses(times, moved.displacement, spread))
-    choices = FrontEndChoices(gps="on")
+    choices = with_gps("on")
     paths = [run_front_end(given, choices).wheels for given in (log, relative)]
     assert paths[0] is not None
     assert paths[1] is not None
@@ -309,7 +316,7 @@ def test_logs_that_differ_in_their_scans_have_different_hashes() -> None:
 
 def test_the_smoother_alone_says_that_it_wants_odometry() -> None:
     with pytest.raises(InputError, match="holds no odometry"):
-        solve_log(without_odometry(short()))
+        solve(without_odometry(short()))
 
 
 def test_a_vehicle_that_stands_still_tells_nothing_of_increments() -> None:
@@ -338,7 +345,7 @@ def test_increments_of_the_wheels_are_not_judged_as_those_of_scans() -> None:
 def test_a_stream_of_no_positions_cannot_be_fused() -> None:
     nothing = Positions(np.zeros(0), np.zeros((0, 2)), np.zeros((0, 2, 2)))
     with pytest.raises(InputError, match="holds no positions"):
-        run_front_end(replace(short(), positions=nothing), FrontEndChoices(gps="on"))
+        run_front_end(replace(short(), positions=nothing), with_gps("on"))
 
 
 def test_scans_between_relative_poses_are_named_by_their_time() -> None:
@@ -380,9 +387,9 @@ def test_a_run_on_scans_tells_of_failed_scans_gaps_and_sightings_left_out() -> N
     blind[20:30] = np.nan
     log = replace(log, scans=replace(log.scans, range_m=blind))
     for motion, count in (("scan", 3), ("both", 2)):
-        told = compare_estimators(log, motion=motion).verdict.remarks[-count:]
+        told = compared(log, motion=motion).verdict.remarks[-count:]
         assert told[0].startswith("10 scans gave no increment; the first, row 20")
         assert told[1] == "1 gaps are bridged by the wheels' motion"
-    told = compare_estimators(log, motion="scan").verdict.remarks
+    told = compared(log, motion="scan").verdict.remarks
     seen = np.count_nonzero(log.sightings.time_s > last_s)
     assert told[-1].startswith(f"{seen} sightings lie outside")

@@ -3,28 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from types import ModuleType
 
 import numpy as np
 import pytest
 
-from comparisons.adapters.ekf_factory import EkfChoices
 from comparisons.adapters.oriented_sightings import OrientedLedger
 from comparisons.errors import InputError
-from comparisons.extensions.dense_maps.source import DenseOptions
+from comparisons.extensions.own_matching.extension import OwnMatchingFinding
+from comparisons.extensions.scan_landmarks.extension import (
+    ScanLandmarksExtension,
+    ScanLandmarksFinding,
+)
 from comparisons.extensions.scan_landmarks.source import LogScans, ScanSlamSource
-from comparisons.logs.log import Log
-from comparisons.logs.simulate.scan_drive import dense_slam, simulate
-from comparisons.pipeline.compare import Comparison, compare_estimators
-from comparisons.report.result import build_result
+from comparisons.pipeline.compare import NEEDS, Comparison, Modified, compare_prepared
+from comparisons.pipeline.prepare import prepare
+from comparisons.settings import run_config
 from ekf_reference.compressed_ekf import CompressedState, LocalAreas
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.local_map import LocalMap
 from ekf_reference.scan_landmarks.pieces import SingleSegments
 from ekf_reference.scan_landmarks.scan_slam import ScanSlamOptions
 from ekf_reference.scan_landmarks.twins import FusingOptions
-from tests.helpers import Array, first_seconds
+from tests.helpers import Array, Source, compared
+from tests.scenarios import scenario
 
 CARELESS = ScanSlamOptions(
     pieces=SingleSegments(every=1, tried=6, ahead_m=0.0, apart_m=-100.0, explained=2.0)
@@ -32,9 +35,7 @@ CARELESS = ScanSlamOptions(
 """Begins landmarks where there are some: twins, and many of them."""
 
 
-@cache
-def log() -> Log:
-    return first_seconds(simulate(np.random.default_rng(3), dense_slam()), 9.0)
+log = partial(scenario, "scan-loop", seed=3, seconds=9.0)
 
 
 def source() -> ScanSlamSource:
@@ -46,14 +47,14 @@ def small(ekf: FullEkf) -> None:
 
 
 @cache
-def compared(name: str = "full") -> Comparison:
+def by_filter(name: str) -> Comparison:
     modify: Callable[[FullEkf], None] = small if name == "compressed" else lambda ekf: None
-    return compare_estimators(log(), EkfChoices(name), modify=modify, source=source)
+    return compared(log(), Modified(modify), Source(source), filter=name)
 
 
 @pytest.mark.parametrize("name", ["full", "compressed", "misono-full"])
 def test_the_smoother_is_told_of_the_fused(name: str) -> None:
-    c = compared(name)
+    c = by_filter(name)
     twins = c.ekf.oriented.twins
     assert len(twins.first) > 3
     assert len(c.agreement.oriented) == c.ekf.oriented.count - len(twins.first)
@@ -63,7 +64,7 @@ def test_the_smoother_is_told_of_the_fused(name: str) -> None:
 
 
 def test_the_compressed_filter_fuses_as_the_full_one_does() -> None:
-    full, compressed = (compared(name).ekf.estimate for name in ("full", "compressed"))
+    full, compressed = (by_filter(name).ekf.estimate for name in ("full", "compressed"))
     sigma = np.sqrt(np.diag(full.joint_covariance))
     assert np.array_equal(full.oriented_id, compressed.oriented_id)
     assert np.abs((full.joint_mean - compressed.joint_mean) / sigma).max() < 1e-9
@@ -86,7 +87,7 @@ def test_what_the_smoother_is_not_told_is_found(monkeypatch: pytest.MonkeyPatch)
         return known
 
     monkeypatch.setattr(OrientedLedger, "fuse", halved)
-    broken = compare_estimators(log(), EkfChoices("full"), source=source)
+    broken = compared(log(), Source(source), filter="full")
     assert [cause.gap for cause in broken.verdict.causes] == ["model"]
 
 
@@ -95,25 +96,23 @@ def test_it_is_an_option_and_counted(open3d_library: ModuleType) -> None:
 
     That one has templates of one scan each: fused ones are of two, and leave gaps in the numbers.
     """
-    found = compare_estimators(
-        log(), landmarks="both", slam_options=CARELESS, fuse_landmarks=True, smoother_matcher="own"
-    )
-    result = build_result(found, 0.0)
-    slam, own = result.scan_slam, result.own_matching
-    assert slam is not None
-    assert own is not None
+    config = run_config(landmarks="both", fuse_landmarks="on", smoother_matcher="own")
+    prepared = prepare(log(), config, needs=NEEDS)
+    for one in prepared.extensions:
+        if isinstance(one, ScanLandmarksExtension):
+            one.options = CARELESS
+    found = compare_prepared(prepared)
+    slam, own = found.find(ScanLandmarksFinding).result, found.find(OwnMatchingFinding).result
     assert slam.fused == len(found.ekf.oriented.twins.first) >= 2
     begun = len(slam.landmarks) + slam.fused
     assert sum(row.sightings for row in slam.landmarks) == slam.sightings["used"] + begun
     assert own.reasons["begun"] == begun
     assert own.ekf.landmarks == len(slam.landmarks)
     with pytest.raises(InputError, match="--fuse-landmarks on goes with --landmarks scans or both"):
-        compare_estimators(log(), fuse_landmarks=True)
+        compared(log(), fuse_landmarks="on")
     with pytest.raises(InputError, match="regions of a map hang on scan landmarks for good"):
-        compare_estimators(log(), landmarks="scans", fuse_landmarks=True, dynamic=True)
-    richer = ScanSlamOptions(enrich_m=1.0)
+        compared(log(), landmarks="scans", fuse_landmarks="on", dynamic="on")
     with pytest.raises(InputError, match="and --templates enriched"):
-        compare_estimators(log(), landmarks="scans", fuse_landmarks=True, slam_options=richer)
-    points = DenseOptions(("points",))
+        compared(log(), landmarks="scans", fuse_landmarks="on", templates="enriched")
     with pytest.raises(InputError, match="goes without --dense"):
-        compare_estimators(log(), landmarks="scans", fuse_landmarks=True, dense=points)
+        compared(log(), landmarks="scans", fuse_landmarks="on", dense=["points"])

@@ -8,10 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from comparisons.adapters.ekf_factory import EkfChoices, fused_positions
+from comparisons.adapters.ekf_factory import fused_positions, settle
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
+from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import build_timeline
 from comparisons.checks.agreement import Gap
+from comparisons.config import CheckConfig, EkfConfig
 from comparisons.errors import InputError
 from comparisons.estimates.external import read_given
 from comparisons.estimates.folder import write_estimate
@@ -20,11 +22,11 @@ from comparisons.experiments.defects.catalogue import CATALOGUE
 from comparisons.experiments.defects.defect import Defect
 from comparisons.experiments.defects.logs import open_case
 from comparisons.logs.log import Log
-from comparisons.pipeline.check import GivenCheck, check_given
-from comparisons.pipeline.compare import Comparison, compare_estimators
+from comparisons.pipeline.check import GivenCheck, check
+from comparisons.pipeline.compare import Comparison
 from ekf_reference.full_ekf import FullEkf
 from tests.comparisons.test_cli import slamcheck
-from tests.helpers import Array
+from tests.helpers import Array, compared
 
 Arrays = dict[str, Array]
 NEW_EVERY = 4
@@ -34,11 +36,13 @@ UNSAID = ("landmark begun anew",)
 
 
 def filtered(
-    log: Log, choices: EkfChoices, modify: Callable[[FullEkf], None] = lambda ekf: None
+    log: Log, choices: EkfConfig, modify: Callable[[FullEkf], None] = lambda ekf: None
 ) -> EkfRun:
-    chosen = choices.settle(log)
+    chosen = settle(choices, log)
     positions = fused_positions(log, chosen)
-    return run_ekf(log, build_timeline(log, positions), chosen, positions, modify=modify)
+    return run_ekf(
+        log, build_timeline(log, positions), chosen, positions, FilterSetup(modify=[modify])
+    )
 
 
 def hand_in(run: EkfRun, folder: Path) -> None:
@@ -53,14 +57,14 @@ def change(folder: Path, edit: Callable[[Arrays], object]) -> None:
     np.savez(folder / TRACE, **arrays)
 
 
-def checked(folder: Path, log: Log, choices: EkfChoices) -> GivenCheck:
-    return check_given(log, read_given(folder), gps=choices.gps)
+def checked(folder: Path, log: Log, choices: EkfConfig) -> GivenCheck:
+    return check(log, read_given(folder), CheckConfig(gps=choices.gps))
 
 
 @pytest.fixture(scope="module", params=["loop", "positions"])
-def case(request: pytest.FixtureRequest) -> tuple[Log, EkfChoices, Comparison]:
+def case(request: pytest.FixtureRequest) -> tuple[Log, EkfConfig, Comparison]:
     log, choices = open_case(request.param, seed=4)
-    return log, choices, compare_estimators(log, choices)
+    return log, choices, compared(log, ekf=choices)
 
 
 def assert_same(found: Gap | None, expected: Gap, rel: float = 1e-6) -> None:
@@ -79,7 +83,7 @@ def assert_as_from_within(check: GivenCheck, comparison: Comparison) -> None:
 
 
 def test_gaps_are_those_from_within(
-    tmp_path: Path, case: tuple[Log, EkfChoices, Comparison]
+    tmp_path: Path, case: tuple[Log, EkfConfig, Comparison]
 ) -> None:
     log, choices, comparison = case
     hand_in(comparison.ekf, tmp_path)
@@ -132,7 +136,7 @@ def bare(arrays: Arrays) -> None:
 
 @pytest.mark.parametrize("edit", [wrapped, coarse, bare])
 def test_other_habits_make_no_difference(
-    tmp_path: Path, case: tuple[Log, EkfChoices, Comparison], edit: Callable[[Arrays], None]
+    tmp_path: Path, case: tuple[Log, EkfConfig, Comparison], edit: Callable[[Arrays], None]
 ) -> None:
     log, choices, comparison = case
     hand_in(comparison.ekf, tmp_path)
@@ -159,7 +163,7 @@ def test_a_planted_defect_has_its_cause(tmp_path: Path, defect: Defect) -> None:
 
 
 def test_a_coarse_filter_that_fuses_late_is_told(
-    tmp_path: Path, case: tuple[Log, EkfChoices, Comparison]
+    tmp_path: Path, case: tuple[Log, EkfConfig, Comparison]
 ) -> None:
     """No step ends when the sightings are taken: each is fused 25 ms later."""
     log, choices, comparison = case
@@ -175,7 +179,7 @@ def test_a_coarse_filter_that_fuses_late_is_told(
 
 
 def test_without_the_joint_covariance_the_model_is_still_judged(
-    tmp_path: Path, case: tuple[Log, EkfChoices, Comparison]
+    tmp_path: Path, case: tuple[Log, EkfConfig, Comparison]
 ) -> None:
     log, choices, comparison = case
     hand_in(comparison.ekf, tmp_path)
@@ -217,14 +221,14 @@ BAD: dict[str, tuple[Callable[[Arrays], object], str]] = {
 
 
 @pytest.fixture(scope="module")
-def plain() -> tuple[Log, EkfChoices, EkfRun]:
+def plain() -> tuple[Log, EkfConfig, EkfRun]:
     log, choices = open_case("loop", seed=4)
     return log, choices, filtered(log, choices)
 
 
 @pytest.mark.parametrize("name", BAD)
 def test_damage_is_one_line(
-    tmp_path: Path, plain: tuple[Log, EkfChoices, EkfRun], name: str
+    tmp_path: Path, plain: tuple[Log, EkfConfig, EkfRun], name: str
 ) -> None:
     log, choices, run = plain
     hand_in(run, tmp_path)
@@ -235,7 +239,7 @@ def test_damage_is_one_line(
     assert str(tmp_path / TRACE) in str(caught.value)
 
 
-def test_a_trace_needs_landmarks(tmp_path: Path, plain: tuple[Log, EkfChoices, EkfRun]) -> None:
+def test_a_trace_needs_landmarks(tmp_path: Path, plain: tuple[Log, EkfConfig, EkfRun]) -> None:
     hand_in(plain[2], tmp_path)
     (tmp_path / "landmarks.csv").unlink()
     (tmp_path / "covariances.npz").unlink()

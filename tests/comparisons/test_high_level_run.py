@@ -10,20 +10,26 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from comparisons.adapters.ekf_factory import EkfChoices
+from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
+from comparisons.adapters.filter_setup import FilterSetup
+from comparisons.adapters.oriented_sightings import NoOrientedSource, OrientedSource
 from comparisons.adapters.timeline import build_timeline
-from comparisons.cli.app import app
+from comparisons.config import EkfConfig, RunConfig
 from comparisons.errors import InputError
-from comparisons.extensions.dense_maps.models import HighLevelResult
-from comparisons.extensions.dense_maps.source import DenseOptions
+from comparisons.extensions.dense_maps.extension import DenseMapsFinding
+from comparisons.extensions.high_level.config import HighLevelConfig
+from comparisons.extensions.high_level.extension import HighLevelFinding
+from comparisons.extensions.high_level.result import HighLevelResult
 from comparisons.extensions.high_level.source import SEARCHED, HighLevelOptions, HighLevelSource
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
-from comparisons.pipeline.compare import Comparison, compare_estimators
+from comparisons.pipeline.compare import Comparison
 from comparisons.report.result import build_result
+from comparisons.settings import run_config
 from ekf_reference.dense.high_level import SearchOptions
-from tests.helpers import Array, first_seconds
+from tests.comparisons.test_cli import slamcheck
+from tests.helpers import Array, compared, first_seconds
 
 SEEDS = (1, 3)
 
@@ -35,13 +41,14 @@ def log(seed: int) -> Log:
 
 
 def driven(seed: int, source: HighLevelSource | None = None) -> EkfRun:
-    choices = EkfChoices().settle(log(seed))
-    return run_ekf(log(seed), build_timeline(log(seed)), choices, source=source)
+    choices = settle(EkfConfig(), log(seed))
+    setup = FilterSetup(source=source or NoOrientedSource())
+    return run_ekf(log(seed), build_timeline(log(seed)), choices, setup=setup)
 
 
 @cache
 def with_them(seed: int) -> Comparison:
-    return compare_estimators(log(seed), high_level=HighLevelOptions())
+    return compared(log(seed), high_level="on")
 
 
 def error_m(run: EkfRun, seed: int) -> float:
@@ -60,15 +67,14 @@ def bits(run: EkfRun) -> list[Array]:
 @pytest.mark.parametrize("seed", SEEDS)
 def test_at_least_four_are_found_and_kept_and_the_estimates_agree(seed: int) -> None:
     found = with_them(seed)
-    made = found.high_level
-    assert made is not None
+    made = found.find(HighLevelFinding).made
     assert np.count_nonzero(made.slot >= 0) >= 4
     assert len(found.ekf.estimate.oriented) == np.count_nonzero(made.slot >= 0)
     assert made.looks["seen"] > 30
     assert found.agreement.algebra.within(1e-6)
     assert found.agreement.model.within(1e-6)
-    result = build_result(found, 0.0).high_level
-    assert result is not None
+    result = found.find(HighLevelFinding).result
+    assert (build_result(found).model_extra or {})["high_level"] == result
     assert result.kept <= result.found == len(made.slot)
 
 
@@ -81,8 +87,7 @@ def test_the_vehicle_is_nearer_to_the_truth_with_them() -> None:
 
 def test_they_stand_where_something_stands() -> None:
     """Every kept landmark's rectangle holds a part of a true object, moved with the map or not."""
-    made, truth = with_them(1).high_level, log(1).truth.surfaces
-    assert made is not None
+    made, truth = with_them(1).find(HighLevelFinding).made, log(1).truth.surfaces
     assert truth is not None
     middle = 0.5 * (truth.segment[:, :2] + truth.segment[:, 2:])
     near = [np.linalg.norm(middle - place[:2], axis=1).min() for place in made.place]
@@ -105,9 +110,11 @@ def test_blank_scans_show_no_landmark_and_leave_the_filter_alone() -> None:
     short = first_seconds(log(1), 45.0)
     assert short.scans is not None
     blank = replace(short.scans, range_m=np.full_like(short.scans.range_m, np.nan))
-    choices, timeline = EkfChoices().settle(short), build_timeline(short)
+    choices, timeline = settle(EkfConfig(), short), build_timeline(short)
     sources = [HighLevelSource(replace(short, scans=s)) for s in (blank, short.scans)]
-    runs = [run_ekf(short, timeline, choices, source=source) for source in (*sources, None)]
+    seeing: list[OrientedSource] = [*sources, NoOrientedSource()]
+    setups = [FilterSetup(source=source) for source in seeing]
+    runs = [run_ekf(short, timeline, choices, setup=setup) for setup in setups]
     found = [len(source.run().slot) for source in sources]
     assert found[0] == 0 < found[1]
     assert sources[0].run().searches == sources[1].run().searches > 1
@@ -117,66 +124,60 @@ def test_blank_scans_show_no_landmark_and_leave_the_filter_alone() -> None:
 
 def test_one_dense_map_serves_the_search_and_the_report_and_changes_no_bit() -> None:
     """And one with other cells does not serve it: then there are two, and again no bit changes."""
-    beside = DenseOptions(("points",))
     short = first_seconds(log(1), 32.0)
-    alone = compare_estimators(short, high_level=HighLevelOptions())
-    both = compare_estimators(short, dense=beside, high_level=HighLevelOptions())
-    other = replace(beside, resolution_m=0.4)
-    two = compare_estimators(short, dense=other, high_level=HighLevelOptions())
+    alone = compared(short, high_level="on")
+    both = compared(short, dense=["points"], high_level="on")
+    two = compared(short, dense=["points"], resolution=0.4, high_level="on")
     for one in (both, two):
-        assert one.dense is not None
-        assert list(one.dense.layers) == ["points"]
+        assert list(one.find(DenseMapsFinding).dense.layers) == ["points"]
         for ours, theirs in zip(bits(one.ekf), bits(alone.ekf), strict=True):
             assert np.array_equal(ours, theirs)
-        assert one.high_level is not None
-        assert alone.high_level is not None
-        assert dict(one.high_level.looks) == dict(alone.high_level.looks)
-    assert both.dense is not None
-    assert set(both.dense.dense.layers) == {"points", *SEARCHED}
-    assert two.dense is not None
-    assert set(two.dense.dense.layers) == {"points"}
+        looks = [dict(c.find(HighLevelFinding).made.looks) for c in (one, alone)]
+        assert looks[0] == looks[1]
+    kept = [set(c.find(DenseMapsFinding).dense.dense.layers) for c in (both, two)]
+    assert kept == [{"points", *SEARCHED}, {"points"}]
 
 
 @pytest.mark.parametrize(
-    ("given", "name"),
-    [
-        ((0.0, 7.0, 9, 20.0), "cell"),
-        ((0.5, np.nan, 9, 20.0), "pair"),
-        ((0.5, 7.0, 0, 20.0), "least"),
-        ((0.5, 7.0, 9, -1.0), "every"),
-    ],
+    ("key", "value"),
+    [("cell_m", 0.0), ("pair_m", np.nan), ("least", 0), ("every_s", -1.0)],
 )
-def test_settings_that_cannot_be_are_refused(
-    given: tuple[float, float, int, float], name: str
-) -> None:
-    with pytest.raises(InputError, match=f"--high-level-{name} is .*, expected"):
-        HighLevelOptions.of(*given)
+def test_settings_that_cannot_be_are_refused(key: str, value: float) -> None:
+    with pytest.raises(InputError, match=rf"extensions\.high_level\.{key} is {value}: input"):
+        RunConfig.of(extensions={"high_level": {key: value}})
 
 
 def test_usual_settings_are_those_of_the_options_and_others_arrive() -> None:
-    assert HighLevelOptions.of(0.2, 12.0, 200, 20.0) == HighLevelOptions()
-    nieto = HighLevelOptions.of(0.5, 7.0, 50, 60.0)  # section 6.5
+    usual = HighLevelConfig(cell_m=0.2, pair_m=12.0, least=200, every_s=20.0)
+    assert usual == HighLevelConfig()
+    assert HighLevelOptions.of(usual) == HighLevelOptions()
+    config = run_config(
+        high_level="on",
+        high_level_cell=0.5,
+        high_level_pair=7.0,
+        high_level_least=50,
+        high_level_every=60.0,
+    ).extensions["high_level"]  # section 6.5
+    assert isinstance(config, HighLevelConfig)
+    nieto = HighLevelOptions.of(config)
     assert (nieto.kept.resolution_m, nieto.kept.d_min_m, nieto.search.cell_m) == (0.5, 0.5, 0.5)
     assert (nieto.search.pair_m, nieto.search.least, nieto.every_s) == (7.0, 50, 60.0)
 
 
-def test_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_line(tmp_path: Path) -> None:
     from comparisons.logs.log_folder import write_log_folder
 
     write_log_folder(first_seconds(log(1), 45.0), tmp_path / "log")
-    run = ["run", str(tmp_path / "log"), "--out", str(tmp_path / "out"), "--high-level"]
-    with pytest.raises(SystemExit) as wrong:
-        app([*run, "yes"], standalone_mode=False)
-    assert wrong.value.code == 2
-    assert "expected off or on" in capsys.readouterr().err
-    with pytest.raises(SystemExit) as wrong:
-        app([*run, "on", "--high-level-pair", "0"], standalone_mode=False)
-    assert wrong.value.code == 2
-    assert "--high-level-pair is 0.0, expected 1 to 100" in capsys.readouterr().err
-    with pytest.raises(SystemExit) as done:
-        app([*run, "on", "--high-level-least", "190"], standalone_mode=False)
-    assert done.value.code == 0
-    assert "high level" in capsys.readouterr().out
+    run = ("run", "log", "--out", "out", "--high-level")
+    wrong = slamcheck(*run, "yes", cwd=tmp_path)
+    assert wrong.returncode == 2
+    assert "'--high-level': 'yes' is not one of 'off', 'on'" in wrong.stderr
+    wrong = slamcheck(*run, "on", "--high-level-pair", "0", cwd=tmp_path)
+    assert wrong.returncode == 2
+    assert "high_level.pair_m is 0.0: input should be greater than or equal to 1" in wrong.stderr
+    done = slamcheck(*run, "on", "--high-level-least", "190", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "high level" in done.stdout
     result = json.loads((tmp_path / "out" / "result.json").read_text())
     assert result["high_level"]["searches"] == 2
     page = (tmp_path / "out" / "report.html").read_text()

@@ -10,13 +10,14 @@ import matplotlib.image
 import numpy as np
 import pytest
 
-from comparisons.pipeline.compare import Comparison, compare_estimators
+from comparisons.pipeline.compare import Comparison
+from comparisons.report.folder import write_job_folder
 from comparisons.report.html.look import script
 from comparisons.report.result import build_result
-from comparisons.report.run_folder import write_run_folder
+from comparisons.report.run import run_folder
 from tests.comparisons.browser import came_up, look
 from tests.comparisons.test_html_report import HOSTILE
-from tests.helpers import simulated
+from tests.helpers import compared, simulated
 
 POLICY = re.compile(r'<meta http-equiv="Content-Security-Policy"[^>]*>')
 
@@ -25,13 +26,13 @@ POLICY = re.compile(r'<meta http-equiv="Content-Security-Policy"[^>]*>')
 def comparison() -> Comparison:
     """A log with a hostile name, and the smoother's own association beside the filter's."""
     log = replace(simulated(seed=2, loop_s=20.0), name=HOSTILE)
-    return compare_estimators(log, smoother_association="own")
+    return compared(log, smoother_association="own")
 
 
 @pytest.fixture(scope="module")
 def report(comparison: Comparison, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("run") / "report"
-    write_run_folder(comparison, build_result(comparison, 0.0), folder)
+    write_job_folder(run_folder(comparison, build_result(comparison)), folder)
     return folder / "report.html"
 
 
@@ -73,7 +74,7 @@ def test_a_mistake_in_the_script_is_seen(
     """The broken variant: a name that does not exist, in a page that is otherwise in order."""
     mistaken = script().replace("hear('time'", "heer('time'")
     monkeypatch.setattr("comparisons.report.html.page.script", lambda: mistaken)
-    write_run_folder(comparison, build_result(comparison, 0.0), tmp_path / "report")
+    write_job_folder(run_folder(comparison, build_result(comparison)), tmp_path / "report")
     dom = look((tmp_path / "report" / "report.html").as_uri(), tmp_path / "profile")
     assert "<svg" in dom
     assert not came_up(dom)

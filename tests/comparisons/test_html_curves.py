@@ -73,8 +73,8 @@ def test_a_panel_counts_time_from_the_start_and_survives_nan() -> None:
     time_s = 1.6e9 + np.arange(5.0)
     bad = np.array((1.0, np.nan, -np.inf, 2.0, 3.0))
     panel = Panel(
-        "</script>", "time [s]", (Curve("'\"", "#000", time_s, bad),),
-        (Band("b", "#000", time_s, -bad, bad),), True,
+        title="</script>", x_label="time [s]", curves=(Curve("'\"", "#000", time_s, bad),),
+        bands=(Band("b", "#000", time_s, -bad, bad),), logarithmic=True,
     )  # fmt: skip
     said = panel_data(panel, 1.6e9)
     assert said["curves"][0]["x"] == [0, 1, 2, 3, 4]

@@ -5,22 +5,24 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import replace
+from html import escape
 from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from comparisons.pipeline.compare import Comparison, compare_estimators
+from comparisons.pipeline.compare import Comparison
+from comparisons.report.folder import write_job_folder
 from comparisons.report.html.curves import data_block
 from comparisons.report.html.drawing import Drawing
 from comparisons.report.html.look import policy, script, style
 from comparisons.report.html.page import page
 from comparisons.report.models import CauseResult
 from comparisons.report.panels import consistency_panels
-from comparisons.report.result import build_result
-from comparisons.report.run_folder import write_run_folder
-from tests.helpers import simulated
+from comparisons.report.result import build_result, run_rows
+from comparisons.report.run import run_folder
+from tests.helpers import compared, simulated
 
 HOSTILE = """x"><script>document.title='owned'</script><img src=http://evil/ onerror=alert(1)>'&"""
 
@@ -29,13 +31,13 @@ HOSTILE = """x"><script>document.title='owned'</script><img src=http://evil/ one
 def comparison() -> Comparison:
     log = simulated(loop_s=20.0)
     provenance = {**log.provenance, HOSTILE: HOSTILE}
-    return compare_estimators(replace(log, name=HOSTILE, provenance=provenance))
+    return compared(replace(log, name=HOSTILE, provenance=provenance))
 
 
 @pytest.fixture(scope="module")
 def report(comparison: Comparison, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("run") / "report"
-    write_run_folder(comparison, build_result(comparison, 0.0), folder)
+    write_job_folder(run_folder(comparison, build_result(comparison)), folder)
     return folder / "report.html"
 
 
@@ -85,14 +87,22 @@ def test_what_a_log_says_is_text(report: Path) -> None:
 
 
 def test_verdict_and_causes_come_first(comparison: Comparison) -> None:
-    result = build_result(comparison, 0.0)
+    result = build_result(comparison)
     cause = CauseResult(gap="<b>x</b>", evidence=HOSTILE, hint=HOSTILE)
     told = result.model_copy(update={"causes": [cause], "remarks": [HOSTILE]})
-    text = page(comparison, consistency_panels(comparison), told, Path("nowhere"))
+    text = page(comparison, consistency_panels(comparison), told, [])
     order = [text.index(part) for part in ('class="verdict', 'class="cause"', 'id="map"', "<table")]
     assert order == sorted(order)
     assert "<b>x</b>" not in text
     assert text.count("<script") == 2
+
+
+def test_figures_are_those_of_the_terminal(comparison: Comparison, report: Path) -> None:
+    text = report.read_text(encoding="utf-8")
+    rows = run_rows(comparison, build_result(comparison))
+    assert {"log", "EKF", "smoother", "algebra gap"} < {name for name, _ in rows}
+    cells = (f"<tr><td>{escape(row.name)}</td><td>{escape(row.text)}</td></tr>" for row in rows)
+    assert "".join(cells) in text
 
 
 def test_every_landmark_is_in_the_table_and_on_the_map(
@@ -138,7 +148,7 @@ def test_what_broke_down_leaves_a_page(comparison: Comparison) -> None:
     broken = replace(
         c,
         ekf=replace(c.ekf, estimate=replace(ekf, pose=gone * ekf.pose, landmark=landmark)),
-        agreement=replace(c.agreement, landmarks=blocks),
+        gaps=replace(c.gaps, agreement=replace(c.agreement, landmarks=blocks)),
         consistency=replace(
             c.consistency,
             ekf=replace(
@@ -147,7 +157,7 @@ def test_what_broke_down_leaves_a_page(comparison: Comparison) -> None:
             ),
         ),
     )
-    text = page(broken, consistency_panels(broken), build_result(c, 0.0), Path("nowhere"))
+    text = page(broken, consistency_panels(broken), build_result(c), [])
     places = re.findall(r' (?:points|d|cx|cy|x1)="([^"]*)"', text)
     assert len(places) > 100
     assert not [place for place in places if re.search("nan|inf", place)]

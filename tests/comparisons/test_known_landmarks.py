@@ -8,12 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from comparisons.adapters.ekf_factory import EkfChoices
 from comparisons.logs.log import Landmarks, Log, Sightings
 from comparisons.logs.log_folder import read_log_folder, write_log_folder
 from comparisons.logs.transforms.known_landmarks import SURVEYED, join_known_sightings
-from comparisons.pipeline.compare import compare_estimators
-from tests.helpers import simulated
+from tests.helpers import compared, simulated
 
 SIGMA = 0.05
 
@@ -51,7 +49,7 @@ def with_survey(log: Log, every: int = 6) -> Log:
 @pytest.mark.parametrize("name", ["full", "compressed"])
 @pytest.mark.parametrize("association", ["known", "nn"])
 def test_gaps_stay_at_rounding(name: str, association: str) -> None:
-    c = compare_estimators(with_survey(simulated(seed=2)), EkfChoices(name, association))
+    c = compared(with_survey(simulated(seed=2)), filter=name, association=association)
     assert c.agreement.algebra.within(1e-8)
     assert c.agreement.model.within(1e-8)
     assert c.smoother.proof.proven
@@ -61,8 +59,8 @@ def test_gaps_stay_at_rounding(name: str, association: str) -> None:
 
 def test_the_survey_bounds_the_error() -> None:
     log = simulated(seed=2)
-    plain = compare_estimators(log).ekf.estimate
-    fixed = compare_estimators(with_survey(log)).ekf.estimate
+    plain = compared(log).ekf.estimate
+    fixed = compared(with_survey(log)).ekf.estimate
     assert fixed.landmark_id[:3].tolist() == [SURVEYED, SURVEYED + 6, SURVEYED + 12]
     sigma = np.sqrt(np.trace(plain.pose_covariance[:, :2, :2], axis1=1, axis2=2))
     bounded = np.sqrt(np.trace(fixed.pose_covariance[:, :2, :2], axis1=1, axis2=2))
@@ -71,7 +69,7 @@ def test_the_survey_bounds_the_error() -> None:
 
 def test_a_surveyed_landmark_never_seen_keeps_its_prior() -> None:
     log = with_survey(simulated(seed=2, loop_s=10.0))
-    c = compare_estimators(log)
+    c = compared(log)
     assert log.known_sightings is not None
     assert log.known_landmarks is not None
     unseen = np.flatnonzero(~np.isin(log.known_landmarks.id, log.known_sightings.landmark))
@@ -89,7 +87,7 @@ def test_a_wrong_sighting_of_a_surveyed_landmark_is_rejected() -> None:
     assert known is not None
     distance = known.range_m.copy()
     distance[40] += 8.0
-    c = compare_estimators(replace(log, known_sightings=replace(known, range_m=distance)))
+    c = compared(replace(log, known_sightings=replace(known, range_m=distance)))
     assert c.ekf.unused["rejected"] == 1
 
 
@@ -99,7 +97,5 @@ def test_streams_join_in_order_of_time_and_survive_the_disk(tmp_path: Path) -> N
     assert np.all(np.diff(joined.time_s) >= 0)
     assert len(joined.time_s) == len(simulated(seed=2, loop_s=20.0).sightings.time_s)
     write_log_folder(log, tmp_path / "log")
-    again = compare_estimators(read_log_folder(tmp_path / "log"))
-    assert np.array_equal(
-        again.ekf.estimate.joint_mean, compare_estimators(log).ekf.estimate.joint_mean
-    )
+    again = compared(read_log_folder(tmp_path / "log"))
+    assert np.array_equal(again.ekf.estimate.joint_mean, compared(log).ekf.estimate.joint_mean)

@@ -11,13 +11,16 @@ from scipy.stats import chi2
 
 from benchmarks.layer_values import COLOURS, SIGMA_COLOUR, coloured_poles
 from comparisons.adapters.attributes import AROUND_M, BRIGHTNESS, sighted_attributes
-from comparisons.adapters.ekf_factory import EkfChoices, build_association
+from comparisons.adapters.ekf_factory import build_association, settle
 from comparisons.adapters.ekf_run import run_ekf
+from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import build_timeline
+from comparisons.config import EkfConfig
 from comparisons.errors import InputError
-from comparisons.extensions.dense_maps.source import DenseOptions, DenseWatcher
+from comparisons.extensions.dense_maps.config import DenseMapsConfig
+from comparisons.extensions.dense_maps.source import DenseWatcher
 from comparisons.logs.log import Log
-from comparisons.pipeline.compare import compare_estimators
+from comparisons.pipeline.compare import Modified
 from comparisons.report.result import build_result
 from ekf_reference.association import NearestNeighbour
 from ekf_reference.attributes import AttributeEstimates, LayerAttributes
@@ -27,9 +30,9 @@ from ekf_reference.kalman import KalmanState
 from ekf_reference.layout import ORIENTED, POINT
 from ekf_reference.observation import RangeBearing
 from ekf_reference.sightings import SightedAttributes, Sightings
-from tests.helpers import Array, simulated
+from tests.helpers import Array, compared, simulated
 
-LAYER = EkfChoices(association="nn", attributes="layer")
+LAYER = EkfConfig(association="nn", attributes="layer")
 RULES = (NearestNeighbour, JointCompatibility)
 
 
@@ -129,15 +132,17 @@ def test_sightings_are_told_what_their_scan_shows_around_them() -> None:
 
 def test_the_layer_holds_the_poles_colours_while_the_filter_drives() -> None:
     log = drive()
-    watcher = DenseWatcher(log, DenseOptions(("values",)))
-    run = run_ekf(log, build_timeline(log), LAYER.settle(log), watcher=watcher, layer=watcher)
+    watcher = DenseWatcher(log, DenseMapsConfig(layers=("values",)))
+    setup = FilterSetup(observers=[watcher], layer=watcher)
+    run = run_ekf(log, build_timeline(log), settle(LAYER, log), setup=setup)
     held = watcher.values_at(np.arange(len(run.estimate.landmark)))
     seen = held.returns >= 10
     assert seen.sum() >= 5
     off = np.abs(held.mean[seen, None] - COLOURS).min(axis=1)
     assert np.median(off) < 0.5 * SIGMA_COLOUR
-    blind = DenseWatcher(log, DenseOptions(("values",)))
-    off_run = run_ekf(log, build_timeline(log), EkfChoices(association="nn"), watcher=blind)
+    blind = DenseWatcher(log, DenseMapsConfig(layers=("values",)))
+    unled = FilterSetup(observers=[blind])
+    off_run = run_ekf(log, build_timeline(log), EkfConfig(association="nn"), setup=unled)
     label = log.sightings.landmark
     wrong = [_wrong(one.slot, label[: len(one.slot)]) for one in (run, off_run)]
     assert wrong[0] <= wrong[1]
@@ -156,8 +161,9 @@ def test_a_map_on_both_kinds_of_landmarks_tells_the_same_of_points() -> None:
     """Its landmarks have other numbers there than among points alone."""
     log, found = drive(), []
     for kinds in ((POINT,), (POINT, ORIENTED)):
-        watcher = DenseWatcher(log, DenseOptions(("values",)), kinds=kinds)
-        run = run_ekf(log, build_timeline(log), LAYER.settle(log), watcher=watcher, layer=watcher)
+        watcher = DenseWatcher(log, DenseMapsConfig(layers=("values",)), kinds=kinds)
+        setup = FilterSetup(observers=[watcher], layer=watcher)
+        run = run_ekf(log, build_timeline(log), settle(LAYER, log), setup=setup)
         slot = np.arange(len(run.estimate.landmark))
         found.append((run.slot, *watcher.values_at(slot)))
     assert np.isfinite(found[0][1]).sum() >= 5
@@ -167,26 +173,26 @@ def test_a_map_on_both_kinds_of_landmarks_tells_the_same_of_points() -> None:
 
 def test_points_alone_have_attributes() -> None:
     with pytest.raises(InputError, match="--attributes layer tells points apart"):
-        compare_estimators(drive(), LAYER, landmarks="scans")
+        compared(drive(), ekf=LAYER, landmarks="scans")
 
 
 def test_both_estimators_follow_an_association_by_a_layer() -> None:
-    result = build_result(compare_estimators(drive(), LAYER), 0.0)
+    result = build_result(compared(drive(), ekf=LAYER))
     assert result.ekf.attributes == "layer"
     gaps = result.agreement.algebra_gap_sigma, result.agreement.model_gap_sigma
     assert all(gap is not None and gap < 1e-6 for gap in gaps)
-    assert result.dense is None
+    assert "dense" not in (result.model_extra or {})
 
 
 def test_what_cannot_be_had_is_said() -> None:
     bare = simulated(loop_s=5.0)
     with pytest.raises(InputError, match="holds no scans with intensities"):
-        LAYER.settle(bare)
+        settle(LAYER, bare)
     log = drive()
     assert log.scans is not None
     dark = replace(log.scans, intensity=np.zeros_like(log.scans.intensity))
     with pytest.raises(InputError, match="its scans hold no intensities"):
-        DenseWatcher(replace(log, scans=dark), DenseOptions(("values",)))
+        DenseWatcher(replace(log, scans=dark), DenseMapsConfig(layers=("values",)))
     with pytest.raises(ValueError, match="the map that keeps it"):
         build_association(log, LAYER)
 
@@ -205,7 +211,7 @@ def test_an_algebra_gap_is_traced_with_the_layer_as_well() -> None:
     def wrong(ekf: FullEkf) -> None:
         ekf.state = Doubled(ekf.state.pose, ekf.state.pose_covariance)
 
-    compared = compare_estimators(drive(), LAYER, modify=wrong)
-    causes = " ".join(cause.evidence for cause in compared.verdict.causes)
-    assert compared.verdict.outcome == "disagree"
+    found = compared(drive(), Modified(wrong), ekf=LAYER)
+    causes = " ".join(cause.evidence for cause in found.verdict.causes)
+    assert found.verdict.outcome == "disagree"
     assert "the prediction gets the vehicle's covariance wrong" in causes

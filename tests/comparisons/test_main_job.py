@@ -7,10 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from comparisons.adapters.ekf_factory import EkfChoices
 from comparisons.logs.bundled import open_log
-from comparisons.pipeline.compare import Comparison, compare_estimators
-from tests.helpers import first_seconds
+from comparisons.pipeline.compare import Comparison
+from tests.helpers import compared, first_seconds
 
 
 def test_victoria_park_disagrees_through_linearisation(victoria_park: Comparison) -> None:
@@ -30,19 +29,19 @@ def test_victoria_park_disagrees_through_linearisation(victoria_park: Comparison
 
 
 def test_two_runs_are_identical(victoria_park: Comparison) -> None:
-    again = compare_estimators(open_log("victoria-park"))
+    again = compared(open_log("victoria-park"))
     assert np.array_equal(again.ekf.estimate.joint_mean, victoria_park.ekf.estimate.joint_mean)
     assert again.smoother.error == victoria_park.smoother.error
     assert np.array_equal(again.smoothed.joint_covariance, victoria_park.smoothed.joint_covariance)
 
 
 def test_car_park(shared_data: Path) -> None:
-    c = compare_estimators(open_log(str(shared_data / "acfr_car_park")))
-    assert c.choices.association == "nn"
+    c = compared(open_log(str(shared_data / "acfr_car_park")))
+    assert c.prepared.ekf.association == "nn"
     assert c.agreement.algebra.within(1e-6)
     assert c.agreement.model.within(1e-6)
     assert c.smoother.proof.proven
-    for accuracy in (c.accuracy_ekf, c.accuracy_smoother):
+    for accuracy in (c.assessment.ekf, c.assessment.smoother):
         assert accuracy is not None
         assert accuracy.landmarks_found == accuracy.landmarks_true == 15
         assert accuracy.landmark_rmse_m is not None
@@ -54,12 +53,12 @@ def test_car_park(shared_data: Path) -> None:
 @pytest.mark.parametrize("robot", [1, 2, 3])
 def test_mrclam(shared_data: Path, robot: int) -> None:
     log = open_log(str(shared_data / "mrclam" / "MRCLAM_Dataset6"), robot=robot)
-    c = compare_estimators(log, EkfChoices(association="known"))
+    c = compared(log, association="known")
     assert c.agreement.algebra.within(1e-6)
     assert c.agreement.model.within(1e-6)
     assert c.smoother.proof.proven
     assert c.ekf.unused["rejected"] == (4 if robot == 3 else 0)  # one misread label, four times
-    for accuracy in (c.accuracy_ekf, c.accuracy_smoother):
+    for accuracy in (c.assessment.ekf, c.assessment.smoother):
         assert accuracy is not None
         assert accuracy.landmarks_found == 15
         assert accuracy.landmark_rmse_aligned_m is not None
@@ -69,7 +68,7 @@ def test_mrclam(shared_data: Path, robot: int) -> None:
 @pytest.mark.parametrize(("robot", "recall"), [(1, 0.93), (2, 0.97), (3, 0.97)])
 def test_mrclam_with_its_labels_hidden(shared_data: Path, robot: int, recall: float) -> None:
     log = open_log(str(shared_data / "mrclam" / "MRCLAM_Dataset6"), robot=robot)
-    score = compare_estimators(log, EkfChoices(association="agreed")).association
+    score = compared(log, association="agreed").assessment.association
     assert score is not None
     assert score.clusters is not None
     assert score.clusters.precision > 0.99
@@ -86,6 +85,6 @@ def test_victoria_park_detections_read_whole(shared_data: Path) -> None:
 def test_victoria_park_detections_run(shared_data: Path) -> None:
     """The first minutes, by nearest neighbour: both gaps at rounding."""
     log = first_seconds(open_log(str(shared_data / "victoria_park")), 120.0)
-    c = compare_estimators(log)
+    c = compared(log)
     assert c.agreement.algebra.within(1e-6)
     assert c.agreement.model.within(1e-6)

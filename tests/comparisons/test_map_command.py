@@ -10,6 +10,7 @@ import pytest
 from matplotlib.image import imread
 
 from comparisons.errors import InputError
+from comparisons.report.dense_map import MapResult
 from comparisons.report.map_export import (
     Raster,
     rasterise,
@@ -17,7 +18,6 @@ from comparisons.report.map_export import (
     write_image,
     write_ros_map,
 )
-from comparisons.report.map_models import MapResult
 from ekf_reference.dense.box_tree import BoxTree, boxes
 from ekf_reference.dense.layers.layer import Hits
 from ekf_reference.dense.layers.points import Points
@@ -35,6 +35,7 @@ def test_the_map_leaves_a_whole_folder(tmp_path: Path) -> None:
     each = {f"{n}.{s}" for n in ("points", "occupancy") for s in ("png", "pgw", "pgm", "yaml")}
     assert each | {"map.json", "map.png", "ekf/trajectory.tum"} <= names
     result = MapResult.model_validate_json((folder / "map.json").read_text())
+    assert set(result.files) == names
     assert result.resolution_m == 0.4
     assert result.returns.fused + result.returns.late > 10_000
     assert set(result.surface_errors) == {"points", "occupancy", "classic"}
@@ -56,8 +57,14 @@ def test_a_run_takes_the_dense_maps_into_its_verdict(tmp_path: Path) -> None:
     ("arguments", "fault"),
     [
         (("map", "simulated-loop"), "holds no scans"),
-        (("map", "occupancy-loop", "--cloud", "las"), "expected pcd or ply"),
-        (("run", "occupancy-loop", "--dense", "walls"), "layers walls: expected some of"),
+        (
+            ("map", "occupancy-loop", "--cloud", "las"),
+            "'--cloud': 'las' is not one of 'pcd', 'ply'",
+        ),
+        (
+            ("run", "occupancy-loop", "--dense", "walls"),
+            "'--dense': 'walls' is not one of 'points', 'occupancy'",
+        ),
     ],
 )
 def test_faults_take_one_line(tmp_path: Path, arguments: tuple[str, ...], fault: str) -> None:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
+from functools import partial
 
 import numpy as np
 import pytest
 
-from comparisons.adapters.ekf_factory import EkfChoices
+from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
+from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.oriented_sightings import OrientedLedger
 from comparisons.adapters.smoother_input import (
     build_problem,
@@ -25,9 +26,10 @@ from comparisons.adapters.smoother_input import (
 from comparisons.adapters.timeline import build_timeline
 from comparisons.checks.agreement import Agreement, Gaussian, compare
 from comparisons.checks.diagnosis.linearisation_growth import linearisation_growth
+from comparisons.config import EkfConfig
 from comparisons.errors import InputError
-from comparisons.logs.log import Log
-from comparisons.pipeline.compare import compare_estimators
+from comparisons.extensions.own_association.extension import OwnAssociationFinding
+from comparisons.pipeline.compare import Modified
 from ekf_reference.compressed_ekf import CompressedState, LocalAreas
 from ekf_reference.full_ekf import NEW, FullEkf
 from ekf_reference.kalman import Correction, Index, KalmanState
@@ -35,15 +37,14 @@ from ekf_reference.observation import PredictedSightings
 from ekf_reference.scan_landmarks.observation import OrientedObservation
 from graphslam.smoother import SmootherOptions
 from tests.ekf_reference.both_kinds import relative
-from tests.helpers import Array, first_seconds, simulated
+from tests.helpers import Array, Source, compared
+from tests.scenarios import scenario
 
 R = np.diag((0.05, 0.05, 0.01)) ** 2
 FUSE_AT = 60
 
 
-@cache
-def log() -> Log:
-    return first_seconds(simulated(seed=4), 40.0)
+log = partial(scenario, "simulated-loop", seed=4, seconds=40.0)
 
 
 class Frames:
@@ -80,9 +81,10 @@ class Frames:
             self.gone.add(1)
 
 
-def chain(choices: EkfChoices, modify: Callable[[FullEkf], None]) -> tuple[EkfRun, Agreement]:
-    chosen = choices.settle(log())
-    run = run_ekf(log(), build_timeline(log()), chosen, modify=modify, source=Frames())
+def chain(choices: EkfConfig, modify: Callable[[FullEkf], None]) -> tuple[EkfRun, Agreement]:
+    chosen = settle(choices, log())
+    setup = FilterSetup(modify=[modify], source=Frames())
+    run = run_ekf(log(), build_timeline(log()), chosen, setup=setup)
     problem = build_problem(log(), run)
     recorded = solve_recorded(linear_recorded(run), run)
     own = solve_own(linear_own(problem, run), run)
@@ -104,13 +106,13 @@ def _compress(ekf: FullEkf) -> None:
 @pytest.mark.parametrize(
     ("choices", "modify"),
     [
-        (EkfChoices("full", "known"), lambda ekf: None),
-        (EkfChoices("full", "known"), _compress),
-        (EkfChoices("misono-full", "known"), lambda ekf: None),
+        (EkfConfig(filter="full", association="known"), lambda ekf: None),
+        (EkfConfig(filter="full", association="known"), _compress),
+        (EkfConfig(filter="misono-full", association="known"), lambda ekf: None),
     ],
 )
 def test_the_estimates_agree_along_the_chain(
-    choices: EkfChoices, modify: Callable[[FullEkf], None]
+    choices: EkfConfig, modify: Callable[[FullEkf], None]
 ) -> None:
     run, found = chain(choices, modify)
     assert len(found.oriented) == run.oriented.count - 1 > 4
@@ -129,7 +131,7 @@ def test_a_flipped_jacobian_is_a_model_gap_and_named() -> None:
     def plant(ekf: FullEkf) -> None:
         ekf.oriented_observation = Flipped()
 
-    broken = compare_estimators(log(), EkfChoices("full", "known"), modify=plant, source=Frames)
+    broken = compared(log(), Modified(plant), Source(Frames), filter="full", association="known")
     causes = broken.verdict.causes
     assert [cause.gap for cause in causes] == ["model"]
     assert "the Jacobian by heading differs" in causes[0].evidence
@@ -138,14 +140,14 @@ def test_a_flipped_jacobian_is_a_model_gap_and_named() -> None:
 
 def test_the_whole_job_agrees() -> None:
     """Compared, written and read: scan landmarks are in both estimates."""
-    found = compare_estimators(log(), EkfChoices("full", "known"), source=Frames)
+    found = compared(log(), Source(Frames), filter="full", association="known")
     assert found.verdict.outcome == "agree"
     assert len(found.agreement.oriented) == len(found.smoothed.oriented) > 4
 
 
 def test_where_linearising_cost_something_is_found_with_fused_landmarks() -> None:
-    chosen = EkfChoices("full", "known").settle(log())
-    run = run_ekf(log(), build_timeline(log()), chosen, source=Frames())
+    chosen = settle(EkfConfig(filter="full", association="known"), log())
+    run = run_ekf(log(), build_timeline(log()), chosen, setup=FilterSetup(source=Frames()))
     problem = build_problem(log(), run)
     result = run_smoother(problem, run, SmootherOptions())
     ids = run.estimate.landmark_id
@@ -164,11 +166,10 @@ def test_where_linearising_cost_something_is_found_with_fused_landmarks() -> Non
 
 
 def test_the_smoothers_own_association_is_told_of_frames_too() -> None:
-    choices = EkfChoices("full", "nn")
-    found = compare_estimators(log(), choices, source=Frames, smoother_association="own")
+    choices = EkfConfig(filter="full", association="nn")
+    found = compared(log(), Source(Frames), ekf=choices, smoother_association="own")
     assert found.verdict.outcome == "agree"
-    own = found.own_association
-    assert own is not None
+    own = found.find(OwnAssociationFinding).own
     assert own.pose.least > 0.9
 
 
@@ -186,12 +187,13 @@ def test_broken_algebra_is_named() -> None:
     def plant(ekf: FullEkf) -> None:
         ekf.state = Half(log().prior.pose, np.array(log().prior.covariance))
 
-    broken = compare_estimators(log(), EkfChoices("full", "known"), modify=plant, source=Frames)
+    broken = compared(log(), Modified(plant), Source(Frames), filter="full", association="known")
     assert "algebra" in [cause.gap for cause in broken.verdict.causes]
     assert "the update gets the mean wrong" in broken.verdict.causes[0].evidence
 
 
 def test_what_goes_by_the_ledger_is_told() -> None:
-    chosen = EkfChoices("full", "known").settle(log())
+    chosen = settle(EkfConfig(filter="full", association="known"), log())
+    setup = FilterSetup(source=Frames(by_ledger=False))
     with pytest.raises(InputError, match=r"sightings of landmarks with a direction, expected 0"):
-        run_ekf(log(), build_timeline(log()), chosen, source=Frames(by_ledger=False))
+        run_ekf(log(), build_timeline(log()), chosen, setup=setup)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -22,36 +21,33 @@ from comparisons.extensions.own_matching.check import (
     common_shift,
     compare_frames,
 )
-from comparisons.logs.log import Log
-from comparisons.logs.simulate.scan_drive import scan_slam, simulate
-from comparisons.pipeline.compare import Comparison, compare_estimators
-from comparisons.report.html.tables import matching_differences
+from comparisons.extensions.own_matching.extension import OwnMatchingFinding
+from comparisons.extensions.own_matching.page import matching_differences
+from comparisons.extensions.scan_landmarks.extension import ScanLandmarksFinding
+from comparisons.pipeline.compare import Comparison
+from comparisons.report.folder import write_job_folder
 from comparisons.report.result import build_result
-from comparisons.report.run_folder import write_run_folder
+from comparisons.report.run import run_folder
 from ekf_reference.scan_landmarks.alignment_covariance import ScanAlignment, scan_align
-from ekf_reference.scan_landmarks.pieces import SingleSegments
-from ekf_reference.scan_landmarks.scan_slam import ScanSlamOptions
 from ekf_reference.scan_landmarks.sog import SumOfGaussians
 from graphslam.graph_builder import to_tangent
 from graphslam.optimum import ChiSquareTest, Proof, Stationarity
 from graphslam.problem import OrientedSightings
-from tests.helpers import Array, first_seconds, simulated
+from tests.helpers import Array, compared, first_seconds, simulated
+from tests.scenarios import scenario
 
 Index = NDArray[np.intp]
 
-SINGLE = ScanSlamOptions(pieces=SingleSegments())
 TURNED = (0.0, 0.0, np.deg2rad(2.0))
 MOVED_M = 0.5
 
 
-@cache
-def log() -> Log:
-    return first_seconds(simulate(np.random.default_rng(3), scan_slam()), 14.0)
+log = partial(scenario, "scan-slam", seed=3, seconds=14.0)
 
 
 @cache
-def compared() -> Comparison:
-    return compare_estimators(log(), landmarks="scans", slam_options=SINGLE, smoother_matcher="own")
+def matched() -> Comparison:
+    return compared(log(), landmarks="scans", pieces="single", smoother_matcher="own")
 
 
 def planted(
@@ -66,13 +62,12 @@ def planted(
         return replace(found, pose=found.pose + shift) if chosen(first) else found
 
     monkeypatch.setattr("ekf_reference.scan_landmarks.templates.scan_align", wrong)
-    return compare_estimators(log(), landmarks="scans", slam_options=SINGLE, smoother_matcher="own")
+    return compared(log(), landmarks="scans", pieces="single", smoother_matcher="own")
 
 
 def best_seen() -> tuple[int, Array]:
     """The landmark that both saw the most, and which way (2,) its alignments are the surest."""
-    own = compared().own_matching
-    assert own is not None
+    own = matched().find(OwnMatchingFinding).own
     slot = max(own.landmarks, key=lambda one: one.common).slot
     rows = np.flatnonzero(own.alignments.landmark == slot)[1:]
     turn = to_tangent(own.alignments.measured[rows, 2])
@@ -81,9 +76,8 @@ def best_seen() -> tuple[int, Array]:
 
 
 def test_a_sound_matcher_is_confirmed(open3d_library: ModuleType) -> None:
-    c = compared()
-    own = c.own_matching
-    assert own is not None
+    c = matched()
+    own = c.find(OwnMatchingFinding).own
     assert c.verdict.outcome == "agree"
     assert own.agrees
     assert own.proof.proven
@@ -97,9 +91,8 @@ def test_a_sound_matcher_is_confirmed(open3d_library: ModuleType) -> None:
 
 def test_joined_segments_are_seen_by_both(open3d_library: ModuleType) -> None:
     """Of which half may be out of view."""
-    c = compare_estimators(log(), landmarks="scans", smoother_matcher="own")
-    own = c.own_matching
-    assert own is not None
+    c = compared(log(), landmarks="scans", smoother_matcher="own")
+    own = c.find(OwnMatchingFinding).own
     assert c.verdict.outcome == "agree"
     assert own.agrees
     assert own.sightings[2] > 0.7 * own.sightings[0]
@@ -111,8 +104,7 @@ def test_no_alignment_of_the_filter_is_used(
 ) -> None:
     """A heading that is 2 degrees off: S follows it, S'' does not, and it is named."""
     c = planted(monkeypatch, TURNED, lambda shape: True)
-    own = c.own_matching
-    assert own is not None
+    own = c.find(OwnMatchingFinding).own
     assert all(cause.gap == "matching" for cause in c.verdict.causes)  # S sees nothing
     assert c.verdict.outcome == "disagree"
     assert own.shifted
@@ -127,31 +119,28 @@ def test_an_offset_of_one_landmark_is_named(
 ) -> None:
     which, way = best_seen()
     shift = (*(MOVED_M * way).tolist(), 0.0)
-    assert compared().scan_slam is not None
-    its = compared().scan_slam.found.template[which].shape.mean  # type: ignore[union-attr]
+    its = matched().find(ScanLandmarksFinding).source.found.template[which].shape.mean
     c = planted(monkeypatch, shift, lambda shape: np.array_equal(shape.mean, its))
-    own = c.own_matching
-    assert own is not None
+    own = c.find(OwnMatchingFinding).own
     assert [cause.gap for cause in c.verdict.causes] == ["matching"]
     assert not own.shifted
     (worst,) = own.contradicting
     assert worst.slot == which
     assert worst.shift[:2] @ way == pytest.approx(MOVED_M, rel=0.3)
     assert f"scan landmark {worst.slot} are 0." in c.verdict.causes[0].evidence
-    table = matching_differences(build_result(c, 0.0))
+    table = matching_differences(c.find(OwnMatchingFinding).result)
     assert table.count("contradicts") == 1
 
 
 def test_it_is_reported(tmp_path: Path, open3d_library: ModuleType) -> None:
-    c = compared()
-    result = build_result(c, 0.0)
-    own = result.own_matching
-    assert own is not None
+    c = matched()
+    result, own = build_result(c), c.find(OwnMatchingFinding).result
+    assert (result.model_extra or {})["own_matching"] == own
     assert own.agrees
     assert own.reasons["begun"] == len(c.ekf.estimate.oriented)
     assert own.reasons["used"] == own.own
     assert sum(row.common for row in own.landmarks) == own.common
-    write_run_folder(c, result, tmp_path / "out")
+    write_job_folder(run_folder(c, result), tmp_path / "out")
     page = (tmp_path / "out" / "report.html").read_text()
     assert "Alignments of two matchers" in page
     assert 'id="matching"' in page
@@ -166,18 +155,18 @@ def test_a_blank_scan_is_no_alignment(open3d_library: ModuleType) -> None:
     blank[7] = np.nan  # no return
     blank[12, 3:] = np.nan  # too few
     blanked = replace(short, scans=replace(short.scans, range_m=blank))
-    c = compare_estimators(blanked, landmarks="scans", smoother_matcher="own")
-    assert c.own_matching is not None
-    seen = c.ekf.timeline.epoch_time_s[c.own_matching.alignments.pose]
+    c = compared(blanked, landmarks="scans", smoother_matcher="own")
+    own = c.find(OwnMatchingFinding).own
+    seen = c.ekf.timeline.epoch_time_s[own.alignments.pose]
     assert len(np.unique(seen)) > 10
     assert not np.isin(seen, short.scans.time_s[[7, 12]]).any()
 
 
 def test_what_cannot_be_used_is_said_in_a_line() -> None:
     with pytest.raises(InputError, match="--smoother-matcher own goes with --landmarks scans"):
-        compare_estimators(simulated(), smoother_matcher="own")
-    with pytest.raises(InputError, match="smoother matcher 'kiss' is unknown, expected ekf or own"):
-        compare_estimators(log(), landmarks="scans", smoother_matcher="kiss")
+        compared(simulated(), smoother_matcher="own")
+    with pytest.raises(InputError, match="--smoother-matcher is 'kiss', expected ekf or own"):
+        compared(log(), landmarks="scans", smoother_matcher="kiss")
 
 
 def differences(
@@ -252,7 +241,7 @@ def test_alignments_are_compared_where_both_have_one_and_none_has_begun() -> Non
     test = ChiSquareTest(1.0, 1, 0.0, 2.0)
     proof = Proof(Stationarity(0.0, definite=True), test, ("a", "b"))
     some = frames(np.zeros((2, 3)), 1.0)
-    found = check_own_matching(filters_, own, some, some, some, proof, None, Counter())
+    found = check_own_matching((filters_, own), some, some, some, proof)
     assert found.sightings == (3, 3, 2)
     (one,) = found.landmarks
     assert one.common == 2

@@ -10,16 +10,17 @@ import gtsam
 import numpy as np
 import pytest
 
-from comparisons.adapters.ekf_factory import EkfChoices, fused_positions, judging_positions
+from comparisons.adapters.ekf_factory import fused_positions, judging_positions, settle
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.timeline import build_timeline
+from comparisons.config import EkfConfig
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log, Positions
-from comparisons.pipeline.compare import compare_estimators
+from comparisons.pipeline.compare import Modified
 from ekf_reference.absolute_updates import Steps
 from ekf_reference.full_ekf import FullEkf
 from graphslam.graph_builder import position_factor
-from tests.helpers import Array, central_difference, relative_error, simulated
+from tests.helpers import Array, central_difference, compared, relative_error, simulated
 
 
 def with_fixes(log: Log, antenna: tuple[float, float], outlier: int | None = None) -> Log:
@@ -43,7 +44,7 @@ def with_fixes(log: Log, antenna: tuple[float, float], outlier: int | None = Non
 @pytest.mark.parametrize("name", ["full", "compressed"])
 def test_gaps_stay_at_rounding_with_positions(antenna: tuple[float, float], name: str) -> None:
     log = with_fixes(simulated(seed=3, loop_s=30.0), antenna, outlier=10)
-    c = compare_estimators(log, EkfChoices(name, "known", "on"))
+    c = compared(log, filter=name, association="known", gps="on")
     assert c.agreement.algebra.within(1e-8)
     assert c.agreement.model.within(1e-8)
     assert c.ekf.rejected_fixes == 1
@@ -54,8 +55,8 @@ def test_gaps_stay_at_rounding_with_positions(antenna: tuple[float, float], name
 def test_positions_reduce_the_covariance_of_vehicle_and_map() -> None:
     """Guivant 2002, Fig. 8: the deviations drop when absolute information arrives."""
     log = with_fixes(simulated(seed=3), (0.0, 0.0))
-    without = compare_estimators(log, EkfChoices(association="known"))
-    fused = compare_estimators(log, EkfChoices(association="known", gps="on"))
+    without = compared(log, association="known")
+    fused = compared(log, association="known", gps="on")
     before, after = (np.diag(c.ekf.estimate.joint_covariance) for c in (without, fused))
     assert np.all(after < before)
     assert np.median(after[3:] / before[3:]) < 0.2
@@ -69,7 +70,7 @@ def test_split_updates_are_replayed_part_by_part() -> None:
         ekf.steps = Steps(largest_turn_rad=np.deg2rad(0.2), largest_move_m=0.05)
         ekf.fixes = replace(ekf.fixes, steps=ekf.steps)
 
-    c = compare_estimators(log, EkfChoices(association="known", gps="on"), modify=gradual)
+    c = compared(log, Modified(gradual), association="known", gps="on")
     assert (c.ekf.trace.updates.weight < 1.0).any()
     assert (c.ekf.trace.positions.weight < 1.0).any()
     assert c.agreement.algebra.within(1e-8)
@@ -92,7 +93,9 @@ def closing_by_positions(log: Log, first_s: float, until_s: float) -> EkfRun:
     )
     timeline = build_timeline(log, log.positions)
     timeline = timeline.prefix(int(np.searchsorted(timeline.epoch_time_s, until_s)))
-    return run_ekf(log, timeline, EkfChoices("compressed", gps="on").settle(log), log.positions)
+    return run_ekf(
+        log, timeline, settle(EkfConfig(filter="compressed", gps="on"), log), log.positions
+    )
 
 
 def parts_of_first_fix(run: EkfRun) -> tuple[Array, Array]:
@@ -131,8 +134,8 @@ def test_victoria_park_loop_closed_by_gps(shared_data: Path) -> None:
 def test_held_back_positions_judge(antenna: tuple[float, float]) -> None:
     """The antenna's place is compared with the fixes, wherever it sits."""
     log = with_fixes(simulated(seed=3, loop_s=30.0), antenna)
-    c = compare_estimators(log, EkfChoices(association="known", gps="half"))
-    for accuracy in (c.accuracy_ekf, c.accuracy_smoother):
+    c = compared(log, association="known", gps="half")
+    for accuracy in (c.assessment.ekf, c.assessment.smoother):
         assert accuracy is not None
         assert accuracy.gps_median_m is not None
         assert accuracy.gps_median_m < 0.6
@@ -143,15 +146,15 @@ def test_no_position_judges_what_it_was_given_to() -> None:
     assert log.positions is not None
     every = log.positions.time_s.tolist()
     for gps, fused_count in (("off", 0), ("half", (len(every) + 1) // 2), ("on", len(every))):
-        choices = EkfChoices(association="known", gps=gps)
+        choices = EkfConfig(association="known", gps=gps)
         fused, judging = fused_positions(log, choices), judging_positions(log, choices)
         given = [] if fused is None else fused.time_s.tolist()
         judges = [] if judging is None else judging.time_s.tolist()
         assert len(given) == fused_count
         assert sorted(given + judges) == every
-    c = compare_estimators(log, EkfChoices(association="known", gps="on"))
-    assert c.accuracy_ekf is not None
-    assert c.accuracy_ekf.gps_median_m is None
+    c = compared(log, association="known", gps="on")
+    assert c.assessment.ekf is not None
+    assert c.assessment.ekf.gps_median_m is None
 
 
 def test_our_position_factor_equals_central_differences() -> None:
@@ -179,10 +182,10 @@ def test_our_position_factor_equals_central_differences() -> None:
 def test_car_park_with_gps(shared_data: Path) -> None:
     """Landmark RMSE against the 15 beacons without alignment."""
     log = open_log(str(shared_data / "acfr_car_park"))
-    c = compare_estimators(log, EkfChoices(gps="on"))
+    c = compared(log, gps="on")
     assert c.agreement.algebra.within(1e-6)
     assert c.agreement.model.within(1e-6)
-    for accuracy, limit in ((c.accuracy_ekf, 0.08), (c.accuracy_smoother, 0.05)):
+    for accuracy, limit in ((c.assessment.ekf, 0.08), (c.assessment.smoother, 0.05)):
         assert accuracy is not None
         assert accuracy.landmarks_found == 15
         assert accuracy.landmark_rmse_m is not None
@@ -192,10 +195,10 @@ def test_car_park_with_gps(shared_data: Path) -> None:
 def test_victoria_park_with_gps(shared_data: Path) -> None:
     """Every second fix fused, the others held back to judge by; outliers are gated."""
     log = open_log(str(shared_data / "victoria_park"))
-    c = compare_estimators(log, EkfChoices("compressed", gps="half"))
+    c = compared(log, filter="compressed", gps="half")
     assert c.agreement.algebra.within(1e-6)
     assert c.agreement.model.within(1e-6)
     assert c.ekf.rejected_fixes > 0
-    assert c.accuracy_ekf is not None
-    assert c.accuracy_ekf.gps_median_m is not None
-    assert c.accuracy_ekf.gps_median_m < 0.8
+    assert c.assessment.ekf is not None
+    assert c.assessment.ekf.gps_median_m is not None
+    assert c.assessment.ekf.gps_median_m < 0.8

@@ -11,17 +11,19 @@ from comparisons.atomic import check_replaceable, folder_name, fresh_folder
 from comparisons.errors import InputError
 from comparisons.estimates.folder import read_estimate, write_estimate
 from comparisons.logs.bundled import open_log
+from comparisons.logs.hashing import log_hash
 from comparisons.logs.log import Positions
 from comparisons.logs.log_folder import read_log_folder, write_log_folder
-from comparisons.pipeline.compare import Comparison, compare_estimators
-from comparisons.report.plots import ellipses, map_figure
-from comparisons.report.result import build_result, log_hash
-from tests.helpers import random_covariance, simulated
+from comparisons.pipeline.compare import Comparison
+from comparisons.report.figures.run import map_figure
+from comparisons.report.figures.style import ellipses
+from comparisons.report.result import build_result
+from tests.helpers import compared, random_covariance, simulated
 
 
 @pytest.fixture(scope="module")
 def comparison() -> Comparison:
-    return compare_estimators(simulated(seed=2, loop_s=20.0))
+    return compared(simulated(seed=2, loop_s=20.0))
 
 
 def test_ellipses_lie_at_their_sigmas() -> None:
@@ -70,12 +72,10 @@ def test_a_converted_log_keeps_its_hash(name: str, shared_data: Path, tmp_path: 
 
 
 def test_figures_that_do_not_exist_are_null(comparison: Comparison) -> None:
+    gaps = comparison.gaps
+    algebra = replace(gaps.agreement.algebra, covariance=float("inf"))
     broken = replace(
-        comparison,
-        agreement=replace(
-            comparison.agreement,
-            algebra=replace(comparison.agreement.algebra, covariance=float("inf")),
-        ),
+        comparison, gaps=replace(gaps, agreement=replace(gaps.agreement, algebra=algebra))
     )
     text = build_result(broken, 0.1).model_dump_json()
     assert '"algebra_gap_covariance":null' in text

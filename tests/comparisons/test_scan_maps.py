@@ -2,54 +2,57 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
 
-from comparisons.adapters.ekf_factory import EkfChoices
-from comparisons.adapters.ekf_run import run_ekf
-from comparisons.adapters.timeline import build_timeline
+from comparisons.adapters.filter_setup import FilterSetup
+from comparisons.config import MapConfig
 from comparisons.errors import InputError
-from comparisons.extensions.dense_maps.source import DenseOptions
-from comparisons.extensions.scan_landmarks.source import (
-    ScanSlamSources,
-    slam_options,
-    usual_options,
-)
-from comparisons.logs.bundled import open_log
-from comparisons.logs.log import Log
-from comparisons.pipeline.compare import Comparison, compare_estimators
+from comparisons.extensions.dense_maps.extension import DenseMapsFinding
+from comparisons.extensions.scan_landmarks.source import ScanSlamSource
+from comparisons.pipeline.compare import Comparison, run_filter
 from comparisons.pipeline.dense_map import DenseMapping, map_log
-from comparisons.report.map_folder import regions_csv
-from comparisons.report.map_result import build_map_result
+from comparisons.pipeline.prepare import prepare
+from comparisons.report.dense_map import build_map_result, regions_csv
+from comparisons.settings import run_config
 from ekf_reference.layout import ORIENTED, POINT
-from ekf_reference.scan_landmarks.scan_slam import ScanSlamOptions
-from tests.helpers import first_seconds
+from tests.helpers import compared
+from tests.scenarios import scenario
 
-OPTIONS = DenseOptions(("occupancy",))
-
-
-@cache
-def log() -> Log:
-    return first_seconds(open_log("scan-slam-maps"), 8.0)
+log = partial(scenario, "scan-slam-maps", seconds=8.0)
 
 
 @cache
 def with_map() -> Comparison:
-    return compare_estimators(log(), landmarks="scans", dense=OPTIONS)
+    return compared(log(), landmarks="scans", dense=["occupancy"])
 
 
 @cache
 def mapped() -> DenseMapping:
-    return map_log(log(), options=OPTIONS, landmarks="scans")
+    return map_log(log(), asked("scans"))
+
+
+def asked(landmarks: str) -> MapConfig:
+    dense = {"layers": ["occupancy"]}
+    return MapConfig.of(
+        extensions={"dense_maps": dense, "scan_landmarks": {"landmarks": landmarks}}
+    )
+
+
+def source(**options: str) -> ScanSlamSource:
+    """As it stands beside the filter before the start."""
+    prepared, setup = prepare(log(), run_config(**options)), FilterSetup()
+    for extension in prepared.extensions:
+        extension.attach(setup, prepared)
+    found = setup.find(ScanSlamSource)
+    assert found is not None
+    return found
 
 
 def test_the_filter_does_not_feel_the_map() -> None:
-    sources = ScanSlamSources.of(log(), "scans", usual_options(mapped=True))
-    assert sources is not None
-    timeline = build_timeline(sources.log, None, sources.scans.time_s)
-    alone = run_ekf(sources.log, timeline, EkfChoices().settle(sources.log), source=sources())
+    alone, _ = run_filter(prepare(log(), run_config(landmarks="scans", pieces="single")))
     ours = with_map().ekf
     for a, b in (
         (alone.departed, ours.departed),
@@ -61,25 +64,25 @@ def test_the_filter_does_not_feel_the_map() -> None:
 
 def test_regions_hang_on_scan_landmarks_and_agree_with_the_smoother() -> None:
     c = with_map()
-    assert c.dense is not None
-    assert c.dense_check is not None
-    assert c.dense.kinds == (ORIENTED,)
-    assert len(c.dense.dense.regions.base) > 0
-    assert np.array_equal(c.dense.landmark, c.ekf.estimate.oriented[:, :2])
-    assert np.array_equal(c.dense.landmarks_of(c.smoothed), c.smoothed.oriented[:, :2])
-    assert c.dense_check.median_m < 0.3
+    found = c.find(DenseMapsFinding)
+    dense, agreement = found.dense, found.agreement
+    assert agreement is not None
+    assert dense.kinds == (ORIENTED,)
+    assert len(dense.dense.regions.base) > 0
+    assert np.array_equal(dense.landmark, c.ekf.estimate.oriented[:, :2])
+    assert np.array_equal(dense.landmarks_of(c.smoothed), c.smoothed.oriented[:, :2])
+    assert agreement.median_m < 0.3
     assert c.verdict.outcome == "agree"
 
 
 def test_map_and_run_keep_the_same_map() -> None:
-    dense, same = with_map().dense, mapped().dense
-    assert dense is not None
+    dense, same = with_map().find(DenseMapsFinding).dense, mapped().dense
     assert np.array_equal(dense.dense.regions.base, same.dense.regions.base)
     assert dense.dense.tally == same.dense.tally
 
 
 def test_it_is_told_by_the_scan_landmarks_names() -> None:
-    result = build_map_result(mapped(), 0.0)
+    result = build_map_result(mapped())
     assert result.scan_landmarks == len(mapped().ekf.estimate.oriented)
     median_m = result.surface_errors["occupancy"].median_m
     assert median_m is not None
@@ -92,26 +95,26 @@ def test_it_is_told_by_the_scan_landmarks_names() -> None:
 
 
 def test_a_map_to_enrich_templates_from_hangs_on_the_same_landmarks() -> None:
-    enriched = ScanSlamSources.of(log(), "both", ScanSlamOptions(enrich_m=1.0))
-    bare = ScanSlamSources.of(log(), "scans")
-    assert enriched is not None
-    assert bare is not None
-    kept = enriched().map_of
+    kept = source(landmarks="both", templates="enriched").map_of
     assert kept is not None
     assert kept.run().kinds == (POINT, ORIENTED)
-    assert bare().map_of is None
+    assert source(landmarks="scans").map_of is None
 
 
 def test_what_cannot_be_asked_for_is_said_in_a_line() -> None:
-    with pytest.raises(InputError, match="--templates is 'rich', expected bare or enriched"):
-        slam_options(None, "rich", "scans")
-    with pytest.raises(InputError, match="--pieces is 'all', expected joined or single"):
-        slam_options("all", "bare", "scans")
+    with pytest.raises(InputError, match=r"scan_landmarks\.templates is 'rich': .*'bare' or 'enr"):
+        run_config(landmarks="scans", templates="rich")
+    with pytest.raises(
+        InputError, match=r"scan_landmarks\.pieces is 'all': .*'joined' or 'single'"
+    ):
+        run_config(landmarks="scans", pieces="all")
     with pytest.raises(InputError, match="--pieces single goes with --landmarks scans or both"):
-        slam_options("single", "bare", "points")
+        run_config(pieces="single")
     with pytest.raises(InputError, match="goes with --landmarks scans or both"):
-        slam_options(None, "enriched", "points")
-    with pytest.raises(InputError, match="landmarks 'walls' are unknown"):
-        map_log(log(), landmarks="walls")
+        run_config(templates="enriched")
+    with pytest.raises(
+        InputError, match=r"scan_landmarks\.landmarks is 'walls': .*'scans' or 'both'"
+    ):
+        asked("walls")
     with pytest.raises(InputError, match="holds no sightings of landmarks"):
-        map_log(log(), landmarks="both")
+        map_log(log(), asked("both"))

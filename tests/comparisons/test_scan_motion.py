@@ -26,10 +26,9 @@ from comparisons.logs.simulate.scan_drive import (
     simulate,
 )
 from comparisons.logs.transforms.scan_motion import divide, with_scan_motion
-from comparisons.pipeline.compare import compare_estimators
 from graphslam.increments import Samples, compose
 from graphslam.scan import planar
-from tests.helpers import random_covariance, relative_error
+from tests.helpers import compared, random_covariance, relative_error
 
 Array = NDArray[np.float64]
 SEEDS = 50
@@ -165,16 +164,16 @@ def test_both_estimators_move_by_scans() -> None:
     moved = with_scan_motion(log, motion)
     assert isinstance(moved.odometry, RelativePoses)
     assert np.isin(moved.sightings.time_s, moved.odometry.time_s).all()
-    by_wheels, by_scans = compare_estimators(log), compare_estimators(log, motion="scan")
+    by_wheels, by_scans = compared(log), compared(log, motion="scan")
     assert by_scans.verdict.outcome == "agree"
     assert by_scans.agreement.algebra.sigma < 1e-9
     assert by_scans.agreement.model.sigma < 1e-9
     assert by_scans.smoother.proof.chi_square.reading == "plausible"
-    assert by_scans.accuracy_ekf is not None
-    assert by_wheels.accuracy_ekf is not None
-    assert by_scans.accuracy_ekf.ate_aligned_m is not None
-    assert by_wheels.accuracy_ekf.ate_aligned_m is not None
-    assert by_scans.accuracy_ekf.ate_aligned_m < 0.5 * by_wheels.accuracy_ekf.ate_aligned_m
+    assert by_scans.assessment.ekf is not None
+    assert by_wheels.assessment.ekf is not None
+    assert by_scans.assessment.ekf.ate_aligned_m is not None
+    assert by_wheels.assessment.ekf.ate_aligned_m is not None
+    assert by_scans.assessment.ekf.ate_aligned_m < 0.5 * by_wheels.assessment.ekf.ate_aligned_m
 
 
 def with_fixes(log: Log, sigma_m: float, seed: int = 0) -> Log:

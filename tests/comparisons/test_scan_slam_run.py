@@ -3,41 +3,54 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from comparisons.adapters.beam_noise import sensor_of
-from comparisons.adapters.ekf_factory import EkfChoices
-from comparisons.adapters.ekf_run import run_ekf
+from comparisons.adapters.ekf_run import EkfRun
+from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import build_timeline
 from comparisons.errors import InputError
 from comparisons.estimates.trace_file import write_trace
-from comparisons.extensions.scan_landmarks.result import template_points
-from comparisons.extensions.scan_landmarks.source import LogScans, ScanSlamSources
+from comparisons.extensions.contract import Extension
+from comparisons.extensions.scan_landmarks.extension import ScanLandmarksFinding
+from comparisons.extensions.scan_landmarks.figure import template_points
+from comparisons.extensions.scan_landmarks.source import LogScans, ScanSlamSource
 from comparisons.logs.log import Log
-from comparisons.logs.simulate.scan_drive import scan_slam, simulate
-from comparisons.pipeline.compare import Comparison, compare_estimators
+from comparisons.pipeline.compare import Comparison, Modified, run_filter
+from comparisons.pipeline.prepare import Prepared, prepare
+from comparisons.report.folder import write_job_folder
 from comparisons.report.result import build_result
-from comparisons.report.run_folder import write_run_folder
+from comparisons.report.run import run_folder
+from comparisons.settings import run_config
+from ekf_reference.dynamic_guard import DynamicGuard
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.motion import MotionModel, MotionStep
-from ekf_reference.scan_landmarks.scan_slam import USED
+from ekf_reference.scan_landmarks.scan_slam import USED, ScanLandmarks
 from ekf_reference.scan_landmarks.templates import BLANK
-from tests.helpers import Array, first_seconds, simulated
+from tests.helpers import Array, compared, first_seconds, simulated
+from tests.scenarios import scenario
+
+log = partial(scenario, "scan-slam", seed=3, seconds=15.0)
 
 
 @cache
-def log() -> Log:
-    return first_seconds(simulate(np.random.default_rng(3), scan_slam()), 15.0)
+def drawn() -> Comparison:
+    return compared(log(), landmarks="scans")
 
 
-@cache
-def compared() -> Comparison:
-    return compare_estimators(log(), landmarks="scans")
+def driven(log: Log, *extensions: Extension) -> tuple[EkfRun, ScanLandmarks]:
+    """The filter's run on scan landmarks, and what it saw of them."""
+    config = run_config(landmarks="scans")
+    run, setup = run_filter(prepare(log, config, also=extensions))
+    source = setup.find(ScanSlamSource)
+    assert source is not None
+    return run, source.found
 
 
 def nees(c: Comparison, factor: float = 1.0) -> float:
@@ -50,14 +63,14 @@ def nees(c: Comparison, factor: float = 1.0) -> float:
 
 
 def test_the_short_drive_agrees_to_rounding_and_is_honest() -> None:
-    c = compared()
+    c = drawn()
     assert c.verdict.outcome == "agree"
     assert c.agreement.algebra.within(1e-6)
     assert c.agreement.model.within(1e-6)
     assert len(c.ekf.estimate.oriented) > 3
-    assert c.accuracy_ekf is not None
-    assert c.accuracy_dead_reckoned is not None
-    ours, wheels = c.accuracy_ekf.ate_m, c.accuracy_dead_reckoned.ate_m
+    assert c.assessment.ekf is not None
+    assert c.assessment.dead_reckoned is not None
+    ours, wheels = c.assessment.ekf.ate_m, c.assessment.dead_reckoned.ate_m
     assert ours is not None
     assert wheels is not None
     assert ours < 0.7 * wheels
@@ -66,15 +79,14 @@ def test_the_short_drive_agrees_to_rounding_and_is_honest() -> None:
 
 
 def test_it_is_reported_and_drawn(tmp_path: Path) -> None:
-    c = compared()
-    result = build_result(c, 0.0)
-    slam = result.scan_slam
-    assert slam is not None
+    c = drawn()
+    result, slam = build_result(c), c.find(ScanLandmarksFinding).result
+    assert (result.model_extra or {})["scan_slam"] == slam
     assert slam.scans == len(LogScans(log()))
     assert len(slam.landmarks) == len(c.ekf.estimate.oriented)
     begun = len(slam.landmarks)
     assert sum(row.sightings for row in slam.landmarks) == slam.sightings["used"] + begun
-    write_run_folder(c, result, tmp_path / "out")
+    write_job_folder(run_folder(c, result), tmp_path / "out")
     page = (tmp_path / "out" / "report.html").read_text()
     assert "EKF scan landmarks, 3 sigma" in page
     assert 'data-key="s0"' in page
@@ -83,7 +95,7 @@ def test_it_is_reported_and_drawn(tmp_path: Path) -> None:
 
 def test_a_trace_that_cannot_hold_scan_landmarks_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="--trace is for landmarks that are points"):
-        write_trace(compared().ekf, tmp_path / "trace.npz")
+        write_trace(drawn().ekf, tmp_path / "trace.npz")
     assert not list(tmp_path.iterdir())
 
 
@@ -103,11 +115,7 @@ def test_a_covariance_that_is_not_finite_breaks_the_filter_down() -> None:
     def plant(ekf: FullEkf) -> None:
         ekf.motion = Broken(ekf.motion)
 
-    sources = ScanSlamSources.of(log(), "scans")
-    assert sources is not None
-    timeline = build_timeline(sources.log, None, sources.scans.time_s)
-    choices = EkfChoices().settle(sources.log)
-    run = run_ekf(sources.log, timeline, choices, modify=plant, source=sources())
+    run, _ = driven(log(), Modified(plant))
     assert run.breakdown is not None
     assert "the pose's covariance is not finite" in run.breakdown
 
@@ -135,16 +143,24 @@ def test_scans_that_hold_nothing_or_one_return_begin_nothing_and_the_run_goes_on
     poor = replace(short, scans=replace(short.scans, range_m=held))
     found = {}
     for one in (poor, short):
-        sources = ScanSlamSources.of(one, "scans")
-        assert sources is not None
-        timeline = build_timeline(sources.log, None, sources.scans.time_s)
-        choices = EkfChoices().settle(sources.log)
-        assert run_ekf(sources.log, timeline, choices, source=sources()).breakdown is None
-        found[one is poor] = sources.first.found
+        run, found[one is poor] = driven(one)
+        assert run.breakdown is None
     assert found[True].scans == found[False].scans
     assert found[True].reasons[BLANK] > 0 == found[False].reasons[BLANK]
     assert 0 < found[True].reasons[USED] < found[False].reasons[USED]
     assert min(len(t.shape) for t in found[True].template.values()) >= 15
+
+
+class Guarded(Extension):
+    """Puts a guard beside the filter."""
+
+    name = "guarded"
+
+    def __init__(self, guard: DynamicGuard) -> None:
+        self._guard = guard
+
+    def attach(self, setup: FilterSetup, prepared: Prepared[Any]) -> None:
+        setup.guard = self._guard
 
 
 class NorthMoves:
@@ -158,12 +174,7 @@ def test_returns_from_where_something_moves_are_left_out_and_counted() -> None:
     short = first_seconds(log(), 5.0)
     held = {}
     for guard in (NorthMoves(), None):
-        sources = ScanSlamSources.of(short, "scans")
-        assert sources is not None
-        timeline = build_timeline(sources.log, None, sources.scans.time_s)
-        choices = EkfChoices().settle(sources.log)
-        run = run_ekf(sources.log, timeline, choices, source=sources(), guard=guard)
-        found = sources.first.found
+        run, found = driven(short, *(() if guard is None else (Guarded(guard),)))
         held[guard is None] = template_points(
             found, run.estimate.oriented_id, run.estimate.oriented
         )
@@ -186,13 +197,8 @@ def test_the_guard_is_asked_about_the_world_whatever_the_scanners_mount() -> Non
     short = first_seconds(log(), 1.0)
     assert short.scans is not None
     mounted = replace(short.scans, mount=replace(short.scans.mount, forward_m=0.7, heading_rad=0.3))
-    sources = ScanSlamSources.of(replace(short, scans=mounted), "scans")
-    assert sources is not None
-    source, guard = sources(), Listener()
-    source.keep_from(guard)
-    timeline = build_timeline(sources.log, None, sources.scans.time_s)
-    choices = EkfChoices().settle(sources.log)
-    run_ekf(sources.log, timeline, choices, source=source)
+    guard = Listener()
+    driven(replace(short, scans=mounted), Guarded(guard))
     assert short.truth.poses is not None
     pose, scan = short.truth.poses.at(mounted.time_s[:1])[0], mounted.range_m[0]
     way, heading = scan[np.isfinite(scan)], pose[2] + 0.3
@@ -205,14 +211,16 @@ def test_the_guard_is_asked_about_the_world_whatever_the_scanners_mount() -> Non
 
 def test_what_cannot_be_used_is_said_in_a_line() -> None:
     with pytest.raises(InputError, match="holds no planar scans"):
-        compare_estimators(simulated(), landmarks="scans")
-    with pytest.raises(InputError, match="landmarks 'walls' are unknown"):
-        compare_estimators(log(), landmarks="walls")
+        compared(simulated(), landmarks="scans")
+    with pytest.raises(
+        InputError, match="--landmarks is 'walls', expected points or scans or both"
+    ):
+        compared(log(), landmarks="walls")
     with pytest.raises(InputError, match="holds no sightings of landmarks"):
-        compare_estimators(log())
+        compared(log())
     with pytest.raises(InputError, match="use --landmarks both"):
-        compare_estimators(log(), landmarks="scans", smoother_association="own")
+        compared(log(), landmarks="scans", smoother_association="own")
     assert log().scans is not None
     blank = replace(log().scans, range_m=np.full_like(log().scans.range_m, np.nan))  # type: ignore
-    with pytest.raises(InputError, match="no scan could be used"):
-        compare_estimators(replace(log(), scans=blank), landmarks="scans")
+    with pytest.raises(InputError, match="nothing that was observed could be used"):
+        compared(replace(log(), scans=blank), landmarks="scans")

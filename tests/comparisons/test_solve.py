@@ -8,27 +8,34 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from comparisons.adapters.ekf_factory import EkfChoices
 from comparisons.adapters.smoother_association import associate_own
 from comparisons.adapters.smoother_input import position_rows
 from comparisons.adapters.timeline import build_timeline
-from comparisons.checks import causes
 from comparisons.checks.association import counterparts
+from comparisons.config import SmootherConfig, SolveConfig
 from comparisons.errors import InputError
 from comparisons.estimates.folder import read_estimate
-from comparisons.extensions.own_association.check import check_own_association, differing_sightings
+from comparisons.extensions.own_association.check import (
+    association_cause,
+    check_own_association,
+    differing_sightings,
+)
+from comparisons.extensions.own_association.extension import (
+    OwnAssociationFinding,
+    OwnAssociationResult,
+)
+from comparisons.extensions.own_association.page import association_differences
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import NO_LANDMARK, Log
-from comparisons.pipeline.compare import compare_estimators
-from comparisons.pipeline.solve import solve_log
-from comparisons.report.html.tables import association_differences
+from comparisons.pipeline.solve import solve
+from comparisons.report.folder import write_job_folder
 from comparisons.report.models import Result, SolutionResult
 from comparisons.report.result import build_result
+from comparisons.report.solution import build_solution_result, solution_folder
 from graphslam.g2o import read_g2o
-from graphslam.smoother import SmootherOptions
 from tests.comparisons.test_cli import slamcheck
 from tests.comparisons.test_known_landmarks import with_survey
-from tests.helpers import first_seconds, simulated
+from tests.helpers import compared, first_seconds, simulated
 
 
 def without_labels(log: Log) -> Log:
@@ -44,12 +51,14 @@ def test_solving_leaves_a_whole_folder(tmp_path: Path) -> None:
     names = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
     estimate = ("covariances.npz", "estimate.toml", "landmarks.csv", "trajectory.tum")
     assert names == {
+        "config.toml",
         "solution.json",
         "map.png",
         "graph.g2o",
         *(f"smoother/{name}" for name in estimate),
     }
     result = SolutionResult.model_validate_json((folder / "solution.json").read_text())
+    assert set(result.files) == names
     assert result.smoother.proven
     assert result.smoother.starts[0].name == "tracked"
     assert result.accuracy is not None
@@ -71,11 +80,11 @@ def test_what_is_not_proven_has_its_exit_code(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        (("--association", "mine"), "association 'mine' is unknown, expected known or own"),
-        (("--smoother", "magic"), "method is 'magic', expected one of batch, isam2, fixed-lag"),
-        (("--lag", "0"), "lag is 0, expected at least 1"),
-        (("--optimiser", "adam"), "optimiser is 'adam'"),
-        (("--robust", "tukey"), "robust is 'tukey'"),
+        (("--association", "mine"), "'--association': 'mine' is not one of 'known', 'own'"),
+        (("--smoother", "magic"), "'magic' is not one of 'batch', 'isam2', 'fixed-lag'"),
+        (("--lag", "0"), "smoother.lag is 0: input should be greater than or equal to 1"),
+        (("--optimiser", "adam"), "'--optimiser': 'adam' is not one of"),
+        (("--robust", "tukey"), "'--robust': 'tukey' is not one of"),
         (("--gps", "on"), "holds no positions to fuse"),
     ],
 )
@@ -90,25 +99,22 @@ def test_unknown_choices_are_one_line(
 
 
 def test_a_small_graph_is_drawn(tmp_path: Path) -> None:
-    from comparisons.report.solution_folder import write_solution_folder
-    from comparisons.report.solution_result import build_solution_result
-
-    solution = solve_log(simulated(0, loop_s=2.0))
+    solution = solve(simulated(0, loop_s=2.0))
     assert solution.result.values.size() < 50
-    write_solution_folder(solution, build_solution_result(solution, 0.0), tmp_path / "small")
+    write_job_folder(solution_folder(solution, build_solution_result(solution)), tmp_path / "small")
     assert "graph {" in (tmp_path / "small" / "graph.dot").read_text()
 
 
 def test_labels_are_refused_where_there_are_none() -> None:
     with pytest.raises(InputError, match="do not all name their landmark"):
-        solve_log(without_labels(simulated(0, loop_s=5.0)), "known")
+        solve(without_labels(simulated(0, loop_s=5.0)), SolveConfig(association="known"))
 
 
 def test_own_association_needs_no_labels() -> None:
     log = simulated(0)
-    blind = solve_log(without_labels(log))
+    blind = solve(without_labels(log))
     assert blind.association_by == "own"
-    seen = solve_log(log, "own")
+    seen = solve(log, SolveConfig(association="own"))
     assert np.array_equal(blind.slot, seen.slot)
     assert seen.association is not None
     assert seen.association.landmarks.precision > 0.99
@@ -118,13 +124,13 @@ def test_own_association_needs_no_labels() -> None:
 
 def test_too_little_to_make_a_map_of_is_said() -> None:
     with pytest.raises(InputError, match="no sighting could be used"):
-        solve_log(without_labels(first_seconds(simulated(1), 1.0)))
+        solve(without_labels(first_seconds(simulated(1), 1.0)))
 
 
 def test_surveyed_landmarks_keep_their_places() -> None:
     """Those known beforehand go by id, the others by the smoother's own reasoning."""
     log = with_survey(simulated(1))
-    solution = solve_log(log, "own")
+    solution = solve(log, SolveConfig(association="own"))
     assert log.known_landmarks is not None
     known = log.known_landmarks.position_m
     assert np.abs(solution.estimate.landmark[: len(known)] - known).max() < 0.1
@@ -135,7 +141,7 @@ def test_surveyed_landmarks_keep_their_places() -> None:
 def test_misread_labels_are_left_out(shared_data: Path) -> None:
     """MR.CLAM's robot 3 has four sightings under a wrong barcode."""
     log = open_log(str(shared_data / "mrclam" / "MRCLAM_Dataset6"), robot=3)
-    solution = solve_log(log, "known", options=SmootherOptions(robust="gnc"))
+    solution = solve(log, SolveConfig(association="known", smoother=SmootherConfig(robust="gnc")))
     assert 4 <= len(solution.result.rejected.sightings) < 20
     assert solution.accuracy is not None
     assert solution.accuracy.landmark_rmse_aligned_m is not None
@@ -143,22 +149,19 @@ def test_misread_labels_are_left_out(shared_data: Path) -> None:
 
 
 def test_both_associations_are_compared() -> None:
-    comparison = compare_estimators(
-        simulated(1), EkfChoices(association="nn"), smoother_association="own"
-    )
-    own = comparison.own_association
-    assert own is not None
+    comparison = compared(simulated(1), association="nn", smoother_association="own")
+    own = comparison.find(OwnAssociationFinding).own
     assert own.partition.agreement > 0.9
     assert own.pose.distance < 1.0
     assert comparison.verdict.outcome == "agree"
-    result = build_result(comparison, 0.0)
+    result = build_result(comparison)
     again = Result.model_validate_json(result.model_dump_json())
-    assert again.own_association is not None
-    assert again.own_association.landmarks == 60
+    told = OwnAssociationResult.model_validate((again.model_extra or {})["own_association"])
+    assert told.landmarks == 60
 
 
 def test_what_a_wrong_association_costs() -> None:
-    comparison = compare_estimators(simulated(1))
+    comparison = compared(simulated(1))
     run, smoothed = comparison.ekf, comparison.smoothed
     wrong = run.slot.copy()
     row = int(np.flatnonzero(wrong >= 0)[50])
@@ -166,17 +169,14 @@ def test_what_a_wrong_association_costs() -> None:
     found = check_own_association(
         comparison.log.sightings,
         run.timeline.sighting_epoch,
-        wrong,
-        run.slot,
+        (wrong, run.slot),
         smoothed,
         smoothed,
         comparison.smoother.proof,
-        None,
-        None,
     )
     assert found.differing.tolist() == [row]
     assert found.cost[0, 0] > 1e3 > 20.0 > found.cost[0, 1]
-    told = causes.association(found, replace(run, slot=wrong)).evidence
+    told = association_cause(found, replace(run, slot=wrong)).evidence
     assert f"sighting {row} at " in told
     assert f"by {found.cost[0, 0] ** 0.5:.1f} sigma" in told
 
@@ -189,16 +189,13 @@ def test_a_wrong_association_of_the_filter_is_named() -> None:
     late = seen.time_s > 70.0
     wrong[late] = (wrong[late] + 1) % 60
     spoilt = replace(log, sightings=replace(seen, landmark=wrong))
-    comparison = compare_estimators(
-        spoilt, EkfChoices(association="known"), smoother_association="own"
-    )
+    comparison = compared(spoilt, association="known", smoother_association="own")
     assert comparison.verdict.outcome == "disagree"
     causes = {cause.gap: cause for cause in comparison.verdict.causes}
     assert "association" in causes
     assert "the same" in causes["association"].evidence
-    own = comparison.own_association
-    assert own is not None
-    table = association_differences(comparison)
+    own = comparison.find(OwnAssociationFinding).own
+    table = association_differences(own, comparison.ekf)
     assert table.count("<tr data-key") == 200
     more = len(own.differing) - 200
     assert f"{len(own.differing):,} of {len(seen.time_s):,} sightings differ" in table

@@ -11,11 +11,12 @@ import pytest
 
 from comparisons.atomic import write_whole
 from comparisons.errors import InputError
-from comparisons.pipeline.compare import Comparison, compare_estimators
+from comparisons.pipeline.compare import Comparison
 from comparisons.report import viewer
+from comparisons.report.folder import known_files, write_job_folder
 from comparisons.report.result import build_result
-from comparisons.report.run_folder import CONTENTS, write_run_folder
-from tests.helpers import first_seconds, simulated
+from comparisons.report.run import run_folder
+from tests.helpers import compared, first_seconds, simulated
 
 CODE = "from comparisons.cli.app import main; main()"
 PACKAGE = "rerun"
@@ -23,7 +24,7 @@ PACKAGE = "rerun"
 
 @pytest.fixture(scope="module")
 def comparison() -> Comparison:
-    return compare_estimators(first_seconds(simulated(seed=2), 10.0))
+    return compared(first_seconds(simulated(seed=2), 10.0))
 
 
 def command(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -93,7 +94,11 @@ def test_without_rerun_one_line_says_what_to_install(
     ("arguments", "message"),
     [
         (("--record", "run.txt"), "run.txt: expected a file name that ends with .rrd"),
-        (("--figures", "svg"), "figures 'svg' is unknown, expected png or pdf"),
+        (
+            ("--figures", "svg"),
+            "Invalid value for '--figures': 'svg' is not one of 'png', 'pdf'. "
+            "(see slamcheck --help)",
+        ),
     ],
 )
 def test_what_cannot_be_written_is_told_before_the_work(
@@ -108,16 +113,17 @@ def test_what_cannot_be_written_is_told_before_the_work(
 def test_pictures_exist_as_pdf_and_the_folder_may_be_replaced(
     comparison: Comparison, tmp_path: Path
 ) -> None:
-    folder, result = tmp_path / "run", build_result(comparison, 0.0)
-    write_run_folder(comparison, result, folder, ("pdf",))
+    folder, result = tmp_path / "run", build_result(comparison)
+    write_job_folder(run_folder(comparison, result), folder, ("pdf",))
     pictures = {p.stem for p in folder.glob("*.png")}
     assert (
         pictures == {p.stem for p in folder.glob("*.pdf")} == {"map", "correlation", "consistency"}
     )
     said = {p.name: p.read_bytes() for p in folder.glob("*.pdf")}
     assert all(text.startswith(b"%PDF-") and b"/Type3" not in text for text in said.values())
-    assert {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()} <= CONTENTS
-    write_run_folder(comparison, result, folder, ("pdf",))
+    files = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
+    assert files == known_files(folder)
+    write_job_folder(run_folder(comparison, result), folder, ("pdf",))
     assert said == {p.name: p.read_bytes() for p in folder.glob("*.pdf")}
-    write_run_folder(comparison, result, folder)
+    write_job_folder(run_folder(comparison, result), folder)
     assert not list(folder.glob("*.pdf"))

@@ -7,33 +7,35 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from comparisons.adapters.ekf_factory import EkfChoices, build_ekf
+from comparisons.adapters.ekf_factory import build_ekf, settle
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
+from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.smoother_input import linear_recorded, solve_recorded
 from comparisons.adapters.timeline import build_timeline
 from comparisons.checks.agreement import eigenvalue_range
+from comparisons.config import EkfConfig
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
-from comparisons.pipeline.compare import compare_estimators
+from comparisons.pipeline.compare import Modified
 from ekf_reference.compressed_ekf import CompressedEkf, CompressedState, LocalAreas
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.kalman import Array, Correction, Index, KalmanState
 from ekf_reference.trace import NullTrace
-from tests.helpers import relative_error, simulated
+from tests.helpers import compared, relative_error, simulated
 
 SMALL = LocalAreas(half_m=8.0, reach_m=12.0)
 
 
 def run(log: Log, areas: LocalAreas | None, association: str | None = None) -> EkfRun:
     """The full filter for None, else the compressed one with these areas."""
-    choices = EkfChoices("full", association).settle(log)
+    choices = settle(EkfConfig(filter="full", association=association), log)
     if areas is None:
         return run_ekf(log, build_timeline(log), choices)
 
     def compress(ekf: FullEkf) -> None:
         ekf.state = CompressedState(log.prior.pose, log.prior.covariance, areas)
 
-    return run_ekf(log, build_timeline(log), choices, modify=compress)
+    return run_ekf(log, build_timeline(log), choices, setup=FilterSetup(modify=[compress]))
 
 
 def assert_equal(first: EkfRun, second: EkfRun) -> None:
@@ -66,7 +68,7 @@ def test_equals_the_full_filter_on_victoria_park() -> None:
 
 def test_areas_are_left_and_landmarks_added_inside() -> None:
     log = simulated(seed=1)
-    ekf = build_ekf(log, EkfChoices("compressed", "known"), NullTrace())
+    ekf = build_ekf(log, EkfConfig(filter="compressed", association="known"), NullTrace())
     assert isinstance(ekf, CompressedEkf)
     assert isinstance(ekf.state, CompressedState)
     states: list[CompressedState] = []
@@ -75,7 +77,12 @@ def test_areas_are_left_and_landmarks_added_inside() -> None:
         states.append(CompressedState(log.prior.pose, log.prior.covariance, SMALL))
         filter_.state = states[0]
 
-    run_ekf(log, build_timeline(log), EkfChoices("full", "known"), modify=compress)
+    run_ekf(
+        log,
+        build_timeline(log),
+        EkfConfig(filter="full", association="known"),
+        setup=FilterSetup(modify=[compress]),
+    )
     updates = states[0].updates
     assert len(updates) > 10
     assert max(u.passive for u in updates) > 80
@@ -98,7 +105,12 @@ def test_reading_the_state_midway_changes_nothing() -> None:
 
         ekf.state = Watched(log.prior.pose, log.prior.covariance, SMALL)
 
-    read = run_ekf(log, build_timeline(log), EkfChoices("full", "known"), modify=watched)
+    read = run_ekf(
+        log,
+        build_timeline(log),
+        EkfConfig(filter="full", association="known"),
+        setup=FilterSetup(modify=[watched]),
+    )
     assert_equal(read, quiet)
 
 
@@ -124,7 +136,12 @@ def test_the_equality_rejects_a_broken_recursion(defect: str) -> None:
     def plant(ekf: FullEkf) -> None:
         ekf.state = Broken(log.prior.pose, log.prior.covariance, SMALL)
 
-    broken = run_ekf(log, build_timeline(log), EkfChoices("full", "known"), modify=plant)
+    broken = run_ekf(
+        log,
+        build_timeline(log),
+        EkfConfig(filter="full", association="known"),
+        setup=FilterSetup(modify=[plant]),
+    )
     with pytest.raises(AssertionError):
         assert_equal(broken, run(log, None, "known"))
 
@@ -143,7 +160,12 @@ def test_suboptimal_update_is_conservative_and_nearly_free(c1: float) -> None:
         states.append(CompressedState(log.prior.pose, log.prior.covariance, areas))
         ekf.state = states[0]
 
-    spared = run_ekf(log, build_timeline(log), EkfChoices("full", "known"), modify=plant)
+    spared = run_ekf(
+        log,
+        build_timeline(log),
+        EkfConfig(filter="full", association="known"),
+        setup=FilterSetup(modify=[plant]),
+    )
     exact = solve_recorded(linear_recorded(spared), spared)
     low, high = eigenvalue_range(spared.estimate.joint_covariance, exact.covariance)
     assert sum(u.spared for u in states[0].updates) > 0
@@ -186,7 +208,12 @@ def test_sparing_the_cross_covariance_too_is_not_conservative() -> None:
         state._whole = CrossSpared(log.prior.pose, np.array(log.prior.covariance))
         ekf.state = state
 
-    run_ = run_ekf(log, build_timeline(log), EkfChoices("full", "known"), modify=plant)
+    run_ = run_ekf(
+        log,
+        build_timeline(log),
+        EkfConfig(filter="full", association="known"),
+        setup=FilterSetup(modify=[plant]),
+    )
     exact = solve_recorded(linear_recorded(run_), run_)
     assert eigenvalue_range(run_.estimate.joint_covariance, exact.covariance)[0] < 1.0 - 1e-4
 
@@ -207,7 +234,7 @@ def test_a_mean_that_is_forgotten_is_no_conservatism() -> None:
     def plant(ekf: FullEkf) -> None:
         ekf.state = NoTheta(log.prior.pose, log.prior.covariance, LocalAreas(8.0, 12.0, 1e-4))
 
-    choices = EkfChoices("compressed-suboptimal", "known")
-    assert compare_estimators(log, choices).verdict.outcome == "agree"
-    broken = compare_estimators(log, choices, modify=plant)
+    choices = EkfConfig(filter="compressed-suboptimal", association="known")
+    assert compared(log, ekf=choices).verdict.outcome == "agree"
+    broken = compared(log, Modified(plant), ekf=choices)
     assert [cause.gap for cause in broken.verdict.causes] == ["algebra"]

@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from comparisons.adapters.ekf_factory import EkfChoices
 from comparisons.checks.agreement import ROUNDING
 from comparisons.experiments.defects.defect import with_state
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.waypoints import WaypointRun, simulate
-from comparisons.pipeline.compare import Comparison, compare_estimators
+from comparisons.pipeline.compare import Comparison, Modified
 from ekf_reference.association import KnownAssociation
 from ekf_reference.direction_cosine import (
     OwnAxesObservation,
@@ -23,7 +22,7 @@ from ekf_reference.kalman import Array, Correction, FilterDivergedError, Index, 
 from ekf_reference.motion import UnicycleModel
 from ekf_reference.observation import NewLandmarks, PredictedSightings
 from ekf_reference.trace import RecordedTrace
-from tests.helpers import relative_error, simulated
+from tests.helpers import compared, relative_error, simulated
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +32,7 @@ def log() -> Log:
 
 @pytest.fixture(scope="module")
 def published(log: Log) -> Comparison:
-    return compare_estimators(log, EkfChoices("misono"))
+    return compared(log, filter="misono")
 
 
 class OwnAxesOfHeading(OwnAxesObservation):
@@ -117,7 +116,7 @@ def test_the_published_pair_leaves_the_circle(published: Comparison) -> None:
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_the_full_jacobian_has_no_gap(seed: int) -> None:
-    comparison = compare_estimators(simulated(seed, loop_s=40.0), EkfChoices("misono-full"))
+    comparison = compared(simulated(seed, loop_s=40.0), filter="misono-full")
     assert comparison.agreement.algebra.within(1e-8)
     assert comparison.agreement.model.within(1e-8)
     assert comparison.verdict.outcome == "agree"
@@ -137,7 +136,7 @@ def test_the_report_names_the_missing_columns(published: Comparison) -> None:
 def test_a_waypoint_run_with_positions_has_no_gap() -> None:
     log = simulate(np.random.default_rng(2), WaypointRun(most_s=60.0))
     for name in ("misono-full", "misono"):
-        comparison = compare_estimators(log, EkfChoices(name, gps="on"))
+        comparison = compared(log, filter=name, gps="on")
         assert len(comparison.ekf.fix_number) > 3
         assert comparison.agreement.algebra.within(ROUNDING)
         assert comparison.agreement.model.within(ROUNDING) is (name == "misono-full")
@@ -172,7 +171,7 @@ class CovarianceLeftBehind(KalmanState):
 
 @pytest.mark.parametrize("state", [DividedByLength, CovarianceLeftBehind])
 def test_other_ways_back_to_the_circle_are_rejected(log: Log, state: type[KalmanState]) -> None:
-    comparison = compare_estimators(log, EkfChoices("misono-full"), modify=with_state(state))
+    comparison = compared(log, Modified(with_state(state)), filter="misono-full")
     assert not comparison.agreement.algebra.within(ROUNDING)
 
 

@@ -7,26 +7,26 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from comparisons.adapters.ekf_factory import EkfChoices
 from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.timeline import build_timeline
+from comparisons.config import EkfConfig
 from comparisons.logs.log import Positions
-from comparisons.pipeline.compare import Comparison, compare_estimators
+from comparisons.pipeline.compare import Comparison, Modified
 from ekf_reference.correlation import correlation_coefficients
 from ekf_reference.full_ekf import FullEkf
-from tests.helpers import Array, first_seconds, random_covariance, simulated
+from tests.helpers import Array, compared, first_seconds, random_covariance, simulated
 
 
 def begun_boundless(variance: float) -> Comparison:
     def plant(ekf: FullEkf) -> None:
         ekf.boundless_variance = variance
 
-    return compare_estimators(simulated(seed=1, loop_s=30.0), modify=plant)
+    return compared(simulated(seed=1, loop_s=30.0), Modified(plant))
 
 
 def test_both_ways_agree_and_both_are_replayed() -> None:
     """Nieto 2005: eq. 2.56 with a large P_LL* gives what eq. 2.53 gives, nearly."""
-    exact, boundless = compare_estimators(simulated(seed=1, loop_s=30.0)), begun_boundless(1e6)
+    exact, boundless = compared(simulated(seed=1, loop_s=30.0)), begun_boundless(1e6)
     p, q = (c.ekf.estimate.joint_covariance for c in (exact, boundless))
     sigma = np.sqrt(np.diag(p))
     assert np.max(np.abs(p - q) / np.outer(sigma, sigma)) < 1e-4
@@ -42,7 +42,7 @@ def test_the_thesis_warning_about_the_large_prior_holds() -> None:
     gaps = [begun_boundless(variance).agreement.algebra.covariance for variance in (1e4, 1e10)]
     assert gaps[1] > 100 * gaps[0]
     assert begun_boundless(1e10).agreement.algebra.covariance > 100 * (
-        compare_estimators(simulated(seed=1, loop_s=30.0)).agreement.algebra.covariance
+        compared(simulated(seed=1, loop_s=30.0)).agreement.algebra.covariance
     )
 
 
@@ -76,7 +76,7 @@ def test_closing_the_loop_correlates_the_map(seed: int) -> None:
     found = []
     for end in (75.0, 95.0, 340.0):
         part = first_seconds(log, end)
-        run = run_ekf(part, build_timeline(part), EkfChoices(association="known"))
+        run = run_ekf(part, build_timeline(part), EkfConfig(association="known"))
         found.append(map_correlation(run.estimate.joint_covariance))
     before, after, several = found
     assert before < after < several
@@ -95,11 +95,7 @@ def test_absolute_observations_decorrelate_the_map() -> None:
     positions = Positions(truth.time_s[rows], truth.pose[rows, :2] + noise, covariance)
     log = replace(log, positions=positions)
     plain, fixed = (
-        map_correlation(
-            compare_estimators(
-                log, EkfChoices(association="known", gps=gps)
-            ).ekf.estimate.joint_covariance
-        )
+        map_correlation(compared(log, association="known", gps=gps).ekf.estimate.joint_covariance)
         for gps in ("off", "on")
     )
     assert fixed < 0.8 * plain

@@ -11,10 +11,11 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from comparisons.adapters.ekf_factory import EkfChoices
+from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.timeline import build_timeline
-from comparisons.baseline import Settings, build_baseline, read_baseline, write_baseline
+from comparisons.baseline import build_baseline, read_baseline, write_baseline
+from comparisons.config import EkfConfig, RunConfig
 from comparisons.estimates.external import GivenEstimate, read_given
 from comparisons.estimates.folder import write_estimate
 from comparisons.estimates.trace_file import TRACE, write_trace
@@ -24,16 +25,16 @@ from comparisons.experiments.scenarios.world import World, build_world
 from comparisons.logs.log import Log
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.logs.readers import read_log
-from comparisons.pipeline.compare import compare_estimators
-from comparisons.pipeline.solve import solve_log
+from comparisons.pipeline.solve import solve
 from comparisons.report import side_by_side
 from comparisons.report.models import Result
 from comparisons.report.result import build_result
+from comparisons.settings import configure, run_config, run_options
 from graphslam.g2o import G2oContents, write_g2o
 from tests.comparisons.logs.test_log_folder import full_log, velocity_log
 from tests.comparisons.logs.test_readers import car_park, graph, mrclam, victoria
 from tests.comparisons.logs.test_scan_readers import carmen, trio
-from tests.helpers import simulated
+from tests.helpers import compared, simulated
 
 SCENARIO = """description = "small"
 from_paper = []
@@ -95,7 +96,7 @@ class Subject:
 def small_solution() -> tuple[Log, G2oContents]:
     """Of a log of ten seconds."""
     log = simulated(2, loop_s=10.0)
-    result = solve_log(log).result
+    result = solve(log).result
     return log, G2oContents(result.problem, result.poses, result.landmarks)
 
 
@@ -134,7 +135,7 @@ def check_given(given: GivenEstimate) -> None:
 def estimate_files(folder: Path) -> None:
     """A filter's, with its trace."""
     log, _ = small_solution()
-    run = run_ekf(log, build_timeline(log), EkfChoices().settle(log))
+    run = run_ekf(log, build_timeline(log), settle(EkfConfig(), log))
     write_estimate(run.estimate, folder)
     write_trace(run, folder / TRACE)
 
@@ -143,7 +144,7 @@ def trajectory_file(format_name: str) -> Subject:
     """A trajectory on its own, also with a file of times."""
 
     def make(folder: Path) -> None:
-        found = solve_log(small_solution()[0]).estimate
+        found = solve(small_solution()[0]).estimate
         trajectory = Trajectory(found.time_s, found.pose, found.pose_covariance)
         write_trajectory(trajectory, folder / "poses", format_name)
 
@@ -152,7 +153,7 @@ def trajectory_file(format_name: str) -> Subject:
 
 @functools.cache
 def small_result() -> str:
-    return build_result(compare_estimators(simulated(loop_s=10.0)), 0.0).model_dump_json(indent=1)
+    return build_result(compared(simulated(loop_s=10.0)), 0.0).model_dump_json(indent=1)
 
 
 def result_file(folder: Path) -> None:
@@ -169,7 +170,19 @@ def read_result(folder: Path) -> None:
 
 def baseline_file(folder: Path) -> None:
     result = Result.model_validate_json(small_result())
-    write_baseline(build_baseline([result], Settings()), folder / "kept.json")
+    write_baseline(build_baseline([result], RunConfig()), folder / "kept.json")
+
+
+def config_file(folder: Path) -> None:
+    """With a section of everything that a run may hold."""
+    options = {"motion": "both", "landmarks": "both", "dense": ["points"], "dynamic": "on"}
+    (folder / "run.toml").write_text(run_config(**options).toml(), encoding="utf-8")
+
+
+def read_config(folder: Path) -> None:
+    """As --config does, with an option that goes over the file."""
+    flags = run_options({"filter": "full", "resolution": 0.1})
+    configure(RunConfig, folder / "run.toml", flags, over={"log": {"source": "simulated-loop"}})
 
 
 def build_scenario(folder: Path) -> World:
@@ -220,6 +233,7 @@ SUBJECTS: dict[str, Subject] = {
     "CSV trajectory": trajectory_file("csv"),
     "estimate folder": Subject(estimate_files, lambda folder: check_given(read_given(folder))),
     "baseline": Subject(baseline_file, lambda folder: read_baseline(folder / "kept.json")),
+    "configuration": Subject(config_file, read_config),
     "scenario": Subject(
         lambda folder: (folder / "small.toml").write_text(SCENARIO), build_scenario
     ),

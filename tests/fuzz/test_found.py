@@ -66,7 +66,31 @@ REPLACED = {
     ),
     "baseline's number": (
         *("baseline", "kept.json", '"robot": 1', '"robot": "abc"'),
-        "settings.robot",
+        "log.robot",
+    ),
+    "number in a baseline of version 1": (
+        *("baseline", "kept.json", '"version": 2', '"version": 1, "settings": {"robot": "abc"}'),
+        "log.robot",
+    ),
+    "baseline's section": (
+        *("baseline", "kept.json", '"extensions": {}', '"extensions": {"dense_maps": 5}'),
+        "extensions.dense_maps",
+    ),
+    "configuration's section": (
+        *("configuration", "run.toml", "[extensions.dynamic]", "[extensions]\ndynamic = 5"),
+        "extensions.dynamic is 5",
+    ),
+    "configuration's long key": (
+        *("configuration", "run.toml", "[ekf]", f'["{ENDLESS}"]'),
+        "is unknown",
+    ),
+    "configuration's long extension": (
+        *("configuration", "run.toml", ".dynamic]", f'."{ENDLESS}"]'),
+        "is unknown",
+    ),
+    "configuration's key of two lines": (
+        *("configuration", "run.toml", "[ekf]", '["one\\ntwo"]'),
+        "is unknown",
     ),
     "baseline's infinite tolerance": (
         *("baseline", "kept.json", '"tolerance": 0.0', '"tolerance": Infinity'),

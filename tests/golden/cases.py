@@ -6,11 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from comparisons.logs.log_folder import write_log_folder
-from comparisons.logs.simulate.scan_drive import scan_slam, simulate
-from tests.helpers import first_seconds
+from tests.scenarios import scenario
 
 FILTERS = ("full", "compressed", "compressed-suboptimal", "misono", "misono-full")
 ASSOCIATIONS = ("known", "nn", "jcbb", "euclidean", "agreed")
@@ -107,8 +104,7 @@ CASES = {
 
 
 def _short(folder: Path) -> None:
-    log = first_seconds(simulate(np.random.default_rng(1), scan_slam()), 14.0)
-    write_log_folder(log, folder)
+    write_log_folder(scenario("scan-slam", seed=1, seconds=14.0), folder)
 
 
 MADE: dict[str, Callable[[Path], None]] = {"{work}/short": _short}

@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from comparisons.adapters.ekf_factory import EkfChoices
+from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.smoother_association import associate_own
 from comparisons.adapters.smoother_input import assemble, position_rows
 from comparisons.adapters.timeline import build_timeline
 from comparisons.checks.association import compare_partitions, score_association, score_partition
+from comparisons.config import EkfConfig
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
 from graphslam.association import AssociationResult, associate
@@ -29,7 +30,7 @@ def problem_of(log: Log) -> SlamProblem:
     """Every sighting, nothing decided."""
     timeline = build_timeline(log)
     nobody = np.zeros(len(log.sightings.time_s), dtype=np.intp)
-    return assemble(log, timeline, nobody, 1, *position_rows(timeline, None))
+    return assemble(log, timeline, nobody, 1, position_rows(timeline, None))
 
 
 def belief(heading_sigma: float, posts: Array = POSTS) -> Belief:
@@ -189,7 +190,7 @@ def test_raw_detections_as_the_filter_sees_them(shared_data: Path) -> None:
     log = open_log(str(shared_data / "victoria_park"))
     whole = build_timeline(log)
     timeline = whole.prefix(int(np.searchsorted(whole.epoch_time_s, 300.0)))
-    run = run_ekf(log, timeline, EkfChoices("compressed").settle(log))
+    run = run_ekf(log, timeline, settle(EkfConfig(filter="compressed"), log))
     found = associate_own(log, timeline, position_rows(timeline, None))
     agreement = compare_partitions(run.slot, found.slot)
     assert agreement.agreement > 0.9

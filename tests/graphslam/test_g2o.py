@@ -11,17 +11,16 @@ import pytest
 
 from comparisons.errors import InputError
 from comparisons.logs.bundled import open_log
-from comparisons.pipeline.compare import compare_estimators
-from comparisons.pipeline.solve import solve_log
+from comparisons.pipeline.solve import solve
 from graphslam.g2o import G2oContents, read_g2o, write_g2o
 from graphslam.problem import SlamProblem
-from tests.helpers import relative_error, simulated
+from tests.helpers import compared, relative_error, simulated
 
 
 @pytest.fixture(scope="module")
 def contents() -> G2oContents:
     """With positions and surveyed landmarks, which the log has none of."""
-    result = solve_log(simulated(2, loop_s=30.0)).result
+    result = solve(simulated(2, loop_s=30.0)).result
     rng = np.random.default_rng(0)
     a = rng.standard_normal((4, 2, 2))
     spread = a @ a.transpose(0, 2, 1) + np.eye(2)
@@ -83,7 +82,7 @@ def test_gtsam_reads_our_poses(contents: G2oContents, tmp_path: Path) -> None:
 
 
 def test_as_a_log_it_gives_the_same_optimum(tmp_path: Path) -> None:
-    solution = solve_log(simulated(3, loop_s=30.0))
+    solution = solve(simulated(3, loop_s=30.0))
     result = solution.result
     path = tmp_path / "loop.g2o"
     write_g2o(path, G2oContents(result.problem, result.poses, result.landmarks))
@@ -91,7 +90,7 @@ def test_as_a_log_it_gives_the_same_optimum(tmp_path: Path) -> None:
     assert log.format == "g2o"
     assert log.records["odometry"] == len(result.problem.increment)
     assert log.records["sightings"] == len(solution.slot)
-    comparison = compare_estimators(log)
+    comparison = compared(log)
     assert abs(comparison.smoother.error - result.error) < 1e-6 * result.error
     assert comparison.verdict.outcome == "agree"
 

@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from comparisons.adapters.ekf_factory import EkfChoices
+from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.smoother_input import build_problem
 from comparisons.adapters.timeline import build_timeline
+from comparisons.config import EkfConfig
 from comparisons.logs.bundled import open_log
-from comparisons.pipeline.solve import solve_log
+from comparisons.pipeline.solve import solve
 from graphslam.graph_builder import (
     build_graph,
     last_poses,
@@ -32,7 +33,7 @@ from tests.helpers import relative_error, simulated
 
 
 def problem_of(seed: int, **drive: float) -> SlamProblem:
-    return solve_log(simulated(seed, **drive)).result.problem
+    return solve(simulated(seed, **drive)).result.problem
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +64,7 @@ def test_last_poses_follow_the_order_of_the_graph(problem: SlamProblem) -> None:
 def test_tracking_ends_where_the_truth_would(seed: int) -> None:
     """Two loops at twice the noise: the optimum is the one that a start at the truth reaches."""
     log = simulated(seed, loops=2, noise_scale=2.0)
-    tracked = solve_log(log).result
+    tracked = solve(log).result
     truth, landmarks = log.truth.poses, log.truth.landmarks
     assert truth is not None
     assert landmarks is not None
@@ -77,7 +78,7 @@ def test_tracking_ends_where_the_truth_would(seed: int) -> None:
 def test_tracking_solves_the_raw_detections(shared_data: Path) -> None:
     """Growing prefixes ended at twice the error here."""
     log = open_log(str(shared_data / "victoria_park"))
-    run = run_ekf(log, build_timeline(log), EkfChoices("compressed").settle(log))
+    run = run_ekf(log, build_timeline(log), settle(EkfConfig(filter="compressed"), log))
     given = build_problem(log, run)
     graph = build_graph(given)
     seen = np.unique(given.sighting_landmark)
@@ -177,7 +178,7 @@ def test_checkpoints_are_as_sure_as_they_should_be() -> None:
         truth, landmarks = log.truth.poses, log.truth.landmarks
         assert truth is not None
         assert landmarks is not None
-        problem = solve_log(log).result.problem
+        problem = solve(log).result.problem
         stops = [int(f * (problem.pose_count - 1)) for f in fractions]
         end = run_isam2(problem, build_graph(problem), stops)
         ids = list(dict.fromkeys(log.sightings.landmark.tolist()))
@@ -306,11 +307,11 @@ def test_the_filter_at_k_agrees_with_the_smoother_up_to_k(seed: int) -> None:
     """Like with like: neither has seen the future; both are given the same prefix."""
     log = simulated(seed, loop_s=40.0)
     timeline = build_timeline(log)
-    problem = solve_log(log).result.problem
+    problem = solve(log).result.problem
     stops = [problem.pose_count // 4, problem.pose_count // 2, problem.pose_count - 1]
     end = run_isam2(problem, build_graph(problem), stops)
     for checkpoint in end.checkpoints:
-        run = run_ekf(log, timeline.prefix(checkpoint.pose + 1), EkfChoices().settle(log))
+        run = run_ekf(log, timeline.prefix(checkpoint.pose + 1), settle(EkfConfig(), log))
         mean, covariance = checkpoint.marginal
         assert len(run.estimate.landmark) == len(checkpoint.slot)
         apart = run.estimate.joint_mean - mean

@@ -6,10 +6,10 @@ import gtsam
 import numpy as np
 import pytest
 
-from comparisons.adapters.ekf_factory import EkfChoices
 from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.smoother_input import build_problem
 from comparisons.adapters.timeline import build_timeline
+from comparisons.config import EkfConfig
 from graphslam.frozen import (
     RecordedPositions,
     RecordedPrior,
@@ -35,7 +35,7 @@ from tests.helpers import Array, relative_error, simulated
 @pytest.fixture(scope="module")
 def problem() -> SlamProblem:
     log = simulated(seed=1, loop_s=20.0)
-    return build_problem(log, run_ekf(log, build_timeline(log), EkfChoices(association="known")))
+    return build_problem(log, run_ekf(log, build_timeline(log), EkfConfig(association="known")))
 
 
 def residuals(problem: SlamProblem, poses: Array, landmarks: Array) -> Array:

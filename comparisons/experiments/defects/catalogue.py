@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from comparisons.checks.verdict import Verdict
+from comparisons.config import RunConfig
 from comparisons.experiments.defects import algebra, data, models, noise
 from comparisons.experiments.defects.defect import Defect
 from comparisons.experiments.defects.logs import open_case
-from comparisons.pipeline.compare import Comparison, compare_estimators
+from comparisons.pipeline.compare import NEEDS, Comparison, Modified, compare_prepared
+from comparisons.pipeline.prepare import prepare
 
 CATALOGUE: tuple[Defect, ...] = (
     *algebra.DEFECTS,
@@ -18,8 +20,9 @@ CATALOGUE: tuple[Defect, ...] = (
 
 def run_defect(defect: Defect, seed: int = 4) -> Comparison:
     """A filter with the defect, on a log that shows it."""
-    log, choices = open_case(defect.log, seed)
-    return compare_estimators(log, choices, modify=defect.plant)
+    log, ekf = open_case(defect.log, seed)
+    planted = [Modified(defect.plant)]
+    return compare_prepared(prepare(log, RunConfig(ekf=ekf), needs=NEEDS, also=planted))
 
 
 def named_first(defect: Defect, verdict: Verdict) -> bool:

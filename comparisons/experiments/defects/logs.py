@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from comparisons.adapters.ekf_factory import EkfChoices
+from comparisons.config import EkfConfig
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.odometry import SteeringOdometry
 from comparisons.logs.simulate.drive import Drive, simulate
@@ -19,7 +19,7 @@ _KEPT = 0.8
 _CLOSING_S = 35.0
 
 
-def open_case(name: str, seed: int, loop_s: float = 60.0) -> tuple[Log, EkfChoices]:
+def open_case(name: str, seed: int, loop_s: float = 60.0) -> tuple[Log, EkfConfig]:
     """A log of LOGS, and what a filter is to do with it.
 
     loop: long enough for the heading to pass pi. closing: until its beginning is in view again.
@@ -34,8 +34,8 @@ def open_case(name: str, seed: int, loop_s: float = 60.0) -> tuple[Log, EkfChoic
     if name == "uneven":
         log = _thinned(log, rng)
     if name == "positions":
-        return _with_positions(log, rng), EkfChoices(association="known", gps="on")
-    return log, EkfChoices(association="known")
+        return _with_positions(log, rng), EkfConfig(association="known", gps="on")
+    return log, EkfConfig(association="known")
 
 
 def _thinned(log: Log, rng: np.random.Generator) -> Log:

@@ -17,7 +17,8 @@ CHUNK = 25
 """Runs of a chunk. It is computed whole even where fewer are asked for, so that a run's figures do
 not depend on how many there are, nor on who computes them."""
 
-_REPORTS = frozenset({"montecarlo.json", "curves.png"})
+CONFIG = "config.toml"
+_REPORTS = frozenset({CONFIG, "montecarlo.json", "curves.png"})
 _NAME = re.compile(r"[a-z]+-\d{6}\.npz")
 
 

@@ -1,4 +1,4 @@
-"""What a Monte Carlo study leaves beside its chunks: montecarlo.json, curves.png, a short table."""
+"""What a Monte Carlo study leaves beside its chunks: settings, figures, curves, a short table."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 from rich.console import Console
 
 from comparisons.atomic import write_whole
+from comparisons.experiments.montecarlo.chunk_files import CONFIG
 from comparisons.experiments.montecarlo.models import (
     ConsistencyResult,
     MonteCarloFilterResult,
@@ -22,7 +23,7 @@ from comparisons.experiments.montecarlo.statistics import (
     Pair,
 )
 from comparisons.experiments.montecarlo.study import Outcome
-from comparisons.report.finite import finite
+from comparisons.report.model import finite
 from comparisons.report.picture import save
 
 
@@ -30,10 +31,11 @@ def build_montecarlo_result(outcome: Outcome) -> MonteCarloResult:
     """The figures, without what depends on the machine."""
     study = outcome.study
     return MonteCarloResult(
+        config=study.config.model_dump(mode="json"),
         scenario=study.name,
         description=study.scenario.description,
         sha256=study.sha256,
-        runs=study.runs,
+        runs=study.config.runs,
         steps=study.scenario.steps,
         recorded_steps=len(outcome.time_s),
         duration_s=study.scenario.steps * study.scenario.step_s,
@@ -45,7 +47,9 @@ def build_montecarlo_result(outcome: Outcome) -> MonteCarloResult:
 
 
 def write_montecarlo(outcome: Outcome, result: MonteCarloResult, folder: Path) -> None:
-    """Write both files, each whole or not at all."""
+    """Write config.toml, montecarlo.json and curves.png, each whole or not at all."""
+    config = outcome.study.config.toml()
+    write_whole(folder / CONFIG, lambda part: part.write_text(config, encoding="utf-8"))
     text = result.model_dump_json(indent=2) + "\n"
     write_whole(folder / "montecarlo.json", lambda part: part.write_text(text, encoding="utf-8"))
     write_whole(folder / "curves.png", lambda part: save(curves_figure(outcome), part))
@@ -56,7 +60,7 @@ def print_montecarlo(outcome: Outcome, console: Console) -> None:
     study = outcome.study
     bands = next(iter(outcome.figures.values())).consistency
     lines = [
-        f"{study.name}: {study.runs} runs of {study.scenario.steps:,} steps, "
+        f"{study.name}: {study.config.runs} runs of {study.scenario.steps:,} steps, "
         f"{outcome.landmarks} landmarks",
         f"{'ANEES':10}" + "".join(f"{name:>14}" for name in DOF),
         f"{'95 % band':10}" + "".join(f"{_interval(bands[name].band):>14}" for name in DOF),

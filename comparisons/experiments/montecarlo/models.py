@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict
-
-
-class _Model(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+from comparisons.report.model import Model
 
 
-class ConsistencyResult(_Model):
+class ConsistencyResult(Model):
     """See comparisons.experiments.montecarlo.statistics.Consistency."""
 
     anees: float | None
@@ -20,7 +16,7 @@ class ConsistencyResult(_Model):
     share_above: float | None
 
 
-class MonteCarloFilterResult(_Model):
+class MonteCarloFilterResult(Model):
     """One filter. consistency: by pose, position, heading, landmarks."""
 
     lost: int
@@ -30,7 +26,7 @@ class MonteCarloFilterResult(_Model):
     rmse_landmark_m: float | None
 
 
-class PairResult(_Model):
+class PairResult(Model):
     """First minus second, per run. See comparisons.experiments.montecarlo.statistics.Pair."""
 
     first: str
@@ -41,9 +37,13 @@ class PairResult(_Model):
     runs: int
 
 
-class MonteCarloResult(_Model):
-    """The whole file; the same bytes however the work was spread. level: of bands, intervals."""
+class MonteCarloResult(Model):
+    """The whole file; the same bytes however the work was spread.
 
+    config: repeats the study. level: of bands, intervals.
+    """
+
+    config: dict[str, Any]
     scenario: str
     description: str
     sha256: str

@@ -55,5 +55,5 @@ def curves_figure(outcome: Outcome) -> Figure:
     for axis in above:
         axis.tick_params(labelbottom=True)
     study = outcome.study
-    figure.suptitle(f"{study.name}: {study.runs} runs", fontsize=11)
+    figure.suptitle(f"{study.name}: {study.config.runs} runs", fontsize=11)
     return figure

@@ -54,7 +54,7 @@ class FilterFigures:
     rmse_curve: dict[str, Array]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Pair:
     """First filter minus second, per run, over the runs that neither lost.
 
@@ -124,7 +124,17 @@ def compare_pairs(kept: dict[str, Tally]) -> list[Pair]:
         for what in a:
             difference = a[what] - b[what]
             difference = difference[np.isfinite(difference)]
-            found.append(Pair(first, second, what, *_interval(difference), len(difference)))
+            mean, interval = _interval(difference)
+            found.append(
+                Pair(
+                    first=first,
+                    second=second,
+                    what=what,
+                    mean=mean,
+                    interval=interval,
+                    runs=len(difference),
+                )
+            )
     return found
 
 

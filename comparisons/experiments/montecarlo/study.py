@@ -9,9 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
+from comparisons.config import check_unchanged, full_path
 from comparisons.errors import InputError
 from comparisons.experiments.montecarlo.chunk_files import CHUNK, ChunkFiles
-from comparisons.experiments.montecarlo.runs import FILTERS, Records, recorded_steps, run_filter
+from comparisons.experiments.montecarlo.config import MonteCarloConfig
+from comparisons.experiments.montecarlo.runs import Records, recorded_steps, run_filter
 from comparisons.experiments.montecarlo.statistics import (
     FilterFigures,
     Pair,
@@ -20,7 +22,7 @@ from comparisons.experiments.montecarlo.statistics import (
     tally,
 )
 from comparisons.experiments.montecarlo.workers import spread
-from comparisons.experiments.scenarios.scenario import Scenario
+from comparisons.experiments.scenarios.scenario import Scenario, read_scenario
 from comparisons.experiments.scenarios.world import World, build_world, measure
 
 _EDITION = 1
@@ -29,36 +31,39 @@ _EDITION = 1
 
 @dataclass(frozen=True)
 class Study:
-    """What is asked for. filters: names of FILTERS. Run number = seed, from 0.
+    """What is asked for, and the scenario that it names. Run number = seed, from 0."""
 
-    place: where the scenario was read, for errors.
-    """
-
-    name: str
+    config: MonteCarloConfig
     scenario: Scenario
-    runs: int = 50
-    filters: tuple[str, ...] = tuple(FILTERS)
-    place: str = "scenario"
 
-    def __post_init__(self) -> None:
-        """Check the choices."""
-        if not 1 <= self.runs <= 1_000_000:
-            raise InputError(f"--runs is {self.runs}, expected 1 to 1000000")
-        unknown = [name for name in self.filters if name not in FILTERS]
-        if unknown or not self.filters:
-            told = f"filter '{unknown[0]}' is unknown" if unknown else "--filters names none"
-            raise InputError(f"{told}, expected some of {','.join(FILTERS)}")
-        if len(set(self.filters)) < len(self.filters):
-            raise InputError("--filters names a filter twice")
+    @property
+    def name(self) -> str:
+        """The scenario's."""
+        path = Path(self.config.scenario)
+        return path.stem if path.suffix == ".toml" else path.name
 
     @property
     def sha256(self) -> str:
-        """Of the scenario's figures, not its words."""
-        figures = self.scenario.model_dump_json(exclude={"description", "from_paper", "ours"})
-        return hashlib.sha256(f"{_EDITION} {figures}".encode()).hexdigest()
+        """Of the scenario's figures, and of the edition of what computes with them."""
+        return hashlib.sha256(f"{_EDITION} {self.scenario.figures}".encode()).hexdigest()
 
 
-@dataclass(frozen=True)
+def read_study(config: MonteCarloConfig, *, allow_changed: bool = False) -> Study:
+    """Return a study of the scenario that is named, recorded with its hash and its full path.
+
+    Raises InputError where the configuration has another scenario's hash, unless that is allowed.
+    """
+    scenario = read_scenario(config.scenario)
+    if not allow_changed:
+        option = "--allow-changed-scenario"
+        check_unchanged(config.scenario, scenario.sha256, config.sha256, option)
+    path = Path(config.scenario)
+    full = full_path(path) if path.is_file() else config.scenario
+    named = {"scenario": full, "sha256": scenario.sha256}
+    return Study(config.model_copy(update=named), scenario)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Outcome:
     """figures: by filter. computed: chunks that were not yet there. damaged: files replaced."""
 
@@ -81,17 +86,18 @@ def run_study(
     """Compute what the folder does not hold yet; figures over all runs. Raises InputError."""
     if workers < 1:
         raise InputError(f"--workers is {workers}, expected 1 or more")
-    world = build_world(study.scenario, study.place)
+    config, names = study.config, tuple[str, ...](study.config.filters)
+    world = build_world(study.scenario, config.scenario)
     steps = recorded_steps(study.scenario.steps)
     files = ChunkFiles(folder, study.sha256, len(steps))
-    chunks = range(-(-study.runs // CHUNK))
+    chunks = range(-(-config.runs // CHUNK))
     wanted, damaged = [], 0
     for chunk in chunks:
-        for name in study.filters:
+        for name in names:
             if files.read(name, chunk) is None:
                 damaged += files.path(name, chunk).exists()
                 wanted.append((name, chunk))
-    total = len(chunks) * len(study.filters)
+    total = len(chunks) * len(names)
     done = total - len(wanted)
     progress("runs", done, total)
     tasks = [(name, world, chunk) for name, chunk in wanted]
@@ -99,15 +105,15 @@ def run_study(
         files.write(*wanted[place], records)
         done += 1
         progress("runs", done, total)
-    kept = {name: tally(_finished(files, name, study.runs)) for name in study.filters}
+    kept = {name: tally(_finished(files, name, config.runs)) for name in names}
     return Outcome(
-        study,
-        study.scenario.step_s * np.array(steps, dtype=float),
-        len(world.landmark),
-        {name: figures_of(of_filter) for name, of_filter in kept.items()},
-        compare_pairs(kept),
-        len(wanted),
-        damaged,
+        study=study,
+        time_s=study.scenario.step_s * np.array(steps, dtype=float),
+        landmarks=len(world.landmark),
+        figures={name: figures_of(of_filter) for name, of_filter in kept.items()},
+        pairs=compare_pairs(kept),
+        computed=len(wanted),
+        damaged=damaged,
     )
 
 

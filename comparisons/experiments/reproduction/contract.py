@@ -48,7 +48,7 @@ class Sources:
         return found if found is not None and found.is_dir() else None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Claim:
     """One thing that a document says, as a number with a limit.
 
@@ -75,12 +75,16 @@ class Claim:
 
 def at_most(text: str, measured: float, limit: float, unit: str = "", why: str = "") -> Claim:
     """A claim whose number must not be larger than the limit."""
-    return Claim(text, float(measured), AT_MOST, limit, unit, why)
+    return Claim(
+        text=text, measured=float(measured), relation=AT_MOST, limit=limit, unit=unit, why=why
+    )
 
 
 def at_least(text: str, measured: float, limit: float, unit: str = "", why: str = "") -> Claim:
     """A claim whose number must not be smaller than the limit."""
-    return Claim(text, float(measured), AT_LEAST, limit, unit, why)
+    return Claim(
+        text=text, measured=float(measured), relation=AT_LEAST, limit=limit, unit=unit, why=why
+    )
 
 
 class Data(Protocol):
@@ -108,7 +112,7 @@ class Experiment(Generic[D]):
     needs: str | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Figure(Generic[D]):
     """One row of the catalogue.
 
@@ -136,7 +140,7 @@ class Figure(Generic[D]):
 AnyFigure = Figure[Any]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Reproduced:
     """A figure that was drawn. seconds: of the experiment, which `shared` figures have in common.
 

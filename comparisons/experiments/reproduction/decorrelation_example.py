@@ -47,7 +47,7 @@ class Snapshot:
         return self.covariance[np.ix_(columns, columns)]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class DecorrelationExample:
     """The figures' data after each of T scans, from when the point is fused.
 
@@ -86,15 +86,15 @@ def decorrelation_example(log: Log, cast: Cast | None = None) -> DecorrelationEx
         with_base.append([rho[[2 * i, 2 * i + 1], [8, 9]] for i in (1, 2, 3)])
     true = log.truth.landmarks
     return DecorrelationExample(
-        np.array([now.time_s for now in seen]),
-        triangle,
-        point,
-        np.stack([now.landmark[cast.distant] for now in seen]),
-        np.array(with_base),
-        Correlations(*(np.stack(column) for column in zip(*found, strict=True))),
-        displacements(triangle[0], point[0], triangle, point),
-        seen[0].landmark,
-        None if true is None else true.position_m[true.id == order[cast.point]][0],
+        time_s=np.array([now.time_s for now in seen]),
+        triangle=triangle,
+        point=point,
+        distant=np.stack([now.landmark[cast.distant] for now in seen]),
+        with_base=np.array(with_base),
+        correlations=Correlations(*(np.stack(column) for column in zip(*found, strict=True))),
+        moved=displacements(triangle[0], point[0], triangle, point),
+        landmark=seen[0].landmark,
+        true_point=None if true is None else true.position_m[true.id == order[cast.point]][0],
     )
 
 

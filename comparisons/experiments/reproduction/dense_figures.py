@@ -8,8 +8,7 @@ from matplotlib.figure import Figure
 
 from comparisons.experiments.reproduction.decorrelation_example import DecorrelationExample
 from comparisons.experiments.reproduction.neglected_change import NeglectedChange
-from comparisons.report.picture import blank
-from comparisons.report.plots import (
+from comparisons.report.figures.style import (
     EKF_COLOUR,
     SCANS_COLOUR,
     SMOOTHER_COLOUR,
@@ -17,6 +16,7 @@ from comparisons.report.plots import (
     Array,
     draw_reference,
 )
+from comparisons.report.picture import blank
 
 WORLD_COLOUR, LOCAL_COLOUR = EKF_COLOUR, SMOOTHER_COLOUR
 _CORNER_COLOURS = (SMOOTHER_COLOUR, SCANS_COLOUR, TRUTH_COLOUR)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from matplotlib.axes import Axes
 
-from comparisons.report.plots import (
+from comparisons.report.figures.style import (
     EKF_COLOUR,
     SMOOTHER_COLOUR,
     TRUTH_COLOUR,

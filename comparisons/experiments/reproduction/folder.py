@@ -17,8 +17,8 @@ from comparisons.experiments.reproduction.models import (
     ReproductionResult,
     SkippedResult,
 )
-from comparisons.report.finite import finite
-from comparisons.report.result import package_versions
+from comparisons.report.model import finite
+from comparisons.report.sections import package_versions
 
 CONTENTS = frozenset(
     {"gallery.html", "claims.json"}

@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from comparisons.adapters.ekf_factory import EkfChoices, build_ekf, fused_positions
+from comparisons.adapters.ekf_factory import build_ekf, fused_positions, settle
 from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.filter_loop import drive
 from comparisons.adapters.timeline import build_timeline
+from comparisons.config import EkfConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Array
 from comparisons.experiments.reproduction.contract import Experiment, Sources
@@ -37,7 +38,7 @@ _GAP_S, _CLOCK_S = 2.0, 1e-6
 WATCHED = 3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Aided:
     """SLAM alone, then with positions; one row per epoch.
 
@@ -110,7 +111,7 @@ def aid(log: Log, filter_name: str = "full") -> Aided:
     start = log.prior.time_s + ALONE_S
     due = (given.time_s >= start - _CLOCK_S) & (given.time_s <= min(log.end_s, start + AFTER_S))
     positions = given.chosen(due)
-    choices = EkfChoices(filter_name, None, "on").settle(log)
+    choices = settle(EkfConfig(filter=filter_name, association=None, gps="on"), log)
     time, pose, sigma, maps, parts, first = [], [], [], [], np.empty((0, 2)), -1
     trace = RecordedTrace()
     for time_s, ekf, fused in _epochs(log, choices, positions, trace):
@@ -139,23 +140,23 @@ def aid(log: Log, filter_name: str = "full") -> Aided:
         there = chosen < len(sigmas)
         whole[row, there] = sigmas[chosen[there]]
     return Aided(
-        f"{log.name}, positions withheld for {ALONE_S:.0f} s",
-        at,
-        np.array(pose),
-        np.array(sigma),
-        np.interp(at, alone_s, alone),
-        whole,
-        first,
-        positions.time_s,
-        positions.position_m,
-        float(np.sqrt(positions.covariance[0, 0, 0])),
-        parts,
-        None if log.truth.poses is None else log.truth.poses.at(at)[:, :2],
+        log=f"{log.name}, positions withheld for {ALONE_S:.0f} s",
+        time_s=at,
+        pose=np.array(pose),
+        sigma_m=np.array(sigma),
+        alone_sigma_m=np.interp(at, alone_s, alone),
+        landmark_sigma_m=whole,
+        first=first,
+        fix_s=positions.time_s,
+        fix_m=positions.position_m,
+        sigma_fix_m=float(np.sqrt(positions.covariance[0, 0, 0])),
+        parts=parts,
+        true=None if log.truth.poses is None else log.truth.poses.at(at)[:, :2],
     )
 
 
 def _epochs(
-    log: Log, choices: EkfChoices, positions: Positions, trace: Trace
+    log: Log, choices: EkfConfig, positions: Positions, trace: Trace
 ) -> Iterator[tuple[float, FullEkf, bool]]:
     """Time, the filter, and whether it has used a position; until AFTER_S have passed with them."""
     ekf, until = build_ekf(log, choices, trace), log.prior.time_s + ALONE_S + AFTER_S
@@ -176,7 +177,7 @@ def covered(sources: Sources) -> Covered:
     if folder is None:
         raise InputError("victoria_park/ is needed")
     log = open_log(str(folder))
-    choices = EkfChoices("compressed", None, "on").settle(log)
+    choices = settle(EkfConfig(filter="compressed", association=None, gps="on"), log)
     positions = fused_positions(log, choices)
     if positions is None:
         raise InputError(f"{log.name}: holds no positions")

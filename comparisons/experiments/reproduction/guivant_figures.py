@@ -14,7 +14,7 @@ from comparisons.experiments.reproduction.contract import (
 )
 from comparisons.experiments.reproduction.drawing import TRUE_PATH_COLOUR, chart, mark, plan
 from comparisons.experiments.reproduction.guivant import AIDED, COVERED, NEAR_M, Aided, Covered
-from comparisons.report.plots import (
+from comparisons.report.figures.style import (
     EKF_COLOUR,
     SCANS_COLOUR,
     SMOOTHER_COLOUR,
@@ -161,36 +161,39 @@ def draw_9(canvas: Canvas, found: Aided) -> None:
 
 FIGURES: tuple[AnyFigure, ...] = (
     Figure(
-        "G7",
-        "The path, the trees, and where GPS reports",
-        "Guivant et al. 2002, Fig. 7",
-        "GPS is unavailable where trees are dense and reliable in the open; dense trees are where "
+        name="G7",
+        title="The path, the trees, and where GPS reports",
+        source="Guivant et al. 2002, Fig. 7",
+        says="GPS is unavailable where trees are dense and reliable in the open; dense trees are "
+        "where "
         "SLAM has its landmarks.",
-        COVERED,
-        draw_7,
-        claims_7,
-        (8.0, 6.5),
+        experiment=COVERED,
+        draw=draw_7,
+        claims=claims_7,
+        size=(8.0, 6.5),
     ),
     Figure(
-        "G8",
-        "Deviations of vehicle and landmarks",
-        "Guivant et al. 2002, Fig. 8",
-        "The vehicle's deviation grows while it explores, falls when it revisits a known place, "
+        name="G8",
+        title="Deviations of vehicle and landmarks",
+        source="Guivant et al. 2002, Fig. 8",
+        says="The vehicle's deviation grows while it explores, falls when it revisits a known "
+        "place, "
         "and falls significantly, as do the landmarks', when GPS is incorporated.",
-        AIDED,
-        draw_8,
-        claims_8,
-        (11.0, 4.4),
+        experiment=AIDED,
+        draw=draw_8,
+        claims=claims_8,
+        size=(11.0, 4.4),
     ),
     Figure(
-        "G9",
-        "GPS arrives after 200 s of SLAM alone",
-        "Guivant et al. 2002, Fig. 9",
-        "After 200 s of pure SLAM the first GPS positions differ significantly from the estimate; "
+        name="G9",
+        title="GPS arrives after 200 s of SLAM alone",
+        source="Guivant et al. 2002, Fig. 9",
+        says="After 200 s of pure SLAM the first GPS positions differ significantly from the "
+        "estimate; "
         "they are incorporated as a sequence of updates, and the filter stays sound.",
-        AIDED,
-        draw_9,
-        claims_9,
-        (11.0, 4.8),
+        experiment=AIDED,
+        draw=draw_9,
+        claims=claims_9,
+        size=(11.0, 4.8),
     ),
 )

@@ -11,9 +11,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
-from comparisons.adapters.ekf_factory import EkfChoices, fused_positions
+from comparisons.adapters.ekf_factory import fused_positions
 from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.timeline import build_timeline
+from comparisons.config import EkfConfig
 from comparisons.experiments.reproduction.contract import (
     AnyFigure,
     Claim,
@@ -28,7 +29,7 @@ from comparisons.experiments.reproduction.navigator import Array, direction_cosi
 from comparisons.experiments.reproduction.watched_run import truth_in_order
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.waypoints import WaypointRun, simulate
-from comparisons.report.plots import EKF_COLOUR, SMOOTHER_COLOUR, draw_trajectory
+from comparisons.report.figures.style import EKF_COLOUR, SMOOTHER_COLOUR, draw_trajectory
 from ekf_reference.kalman import FilterDivergedError
 from graphslam.increments import dead_reckoned
 
@@ -89,7 +90,7 @@ def estimated(seed: int) -> Estimated:
 
 
 def _estimate(log: Log, filter_name: str) -> Array:
-    choices = EkfChoices(filter_name or "full", "known", "on")
+    choices = EkfConfig(filter=filter_name or "full", association="known", gps="on")
     positions = fused_positions(log, choices)
     timeline = build_timeline(log, positions)
     if filter_name:
@@ -213,25 +214,26 @@ def _course(axis: Axes, title: str) -> None:
 
 FIGURES: tuple[AnyFigure, ...] = (
     Figure(
-        "M5",
-        "Waypoints: estimated by SLAM and by dead reckoning",
-        "Misono et al. 2007, Fig. 5",
-        "Dead reckoning accumulates errors along the waypoints; SLAM cancels them and tells "
+        name="M5",
+        title="Waypoints: estimated by SLAM and by dead reckoning",
+        source="Misono et al. 2007, Fig. 5",
+        says="Dead reckoning accumulates errors along the waypoints; SLAM cancels them and tells "
         "exactly where the robot is.",
-        Experiment("Misono's Fig. 5", drives),
-        draw_5,
-        claims_5,
-        (10.0, 4.8),
+        experiment=Experiment("Misono's Fig. 5", drives),
+        draw=draw_5,
+        claims=claims_5,
+        size=(10.0, 4.8),
     ),
     Figure(
-        "M6",
-        "Waypoints: where the robot goes by its estimate",
-        "Misono et al. 2007, Fig. 6 (there a real robot, here the simulated one)",
-        "Steered by SLAM the robot returns to its starting point; dead reckoning would not bring "
+        name="M6",
+        title="Waypoints: where the robot goes by its estimate",
+        source="Misono et al. 2007, Fig. 6 (there a real robot, here the simulated one)",
+        says="Steered by SLAM the robot returns to its starting point; dead reckoning would not "
+        "bring "
         "it there.",
-        Experiment("Misono's Fig. 6", journeys),
-        draw_6,
-        claims_6,
-        (6.5, 6.0),
+        experiment=Experiment("Misono's Fig. 6", journeys),
+        draw=draw_6,
+        claims=claims_6,
+        size=(6.5, 6.0),
     ),
 )

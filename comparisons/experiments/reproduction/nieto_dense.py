@@ -7,19 +7,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.adapters.ekf_factory import EkfChoices, build_ekf
-from comparisons.adapters.filter_loop import drive
+from comparisons.adapters.ekf_factory import build_ekf, settle
+from comparisons.adapters.filter_loop import Beside, drive
 from comparisons.adapters.timeline import build_timeline
+from comparisons.choices import Layer
+from comparisons.config import EkfConfig, MapConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Array
 from comparisons.experiments.reproduction.contract import Experiment, Sources
 from comparisons.experiments.reproduction.watched_run import truth_in_order
 from comparisons.extensions.dense_maps.accuracy import SurfaceError, surface_error
+from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.source import (
     GRID_MODEL,
-    SURFACES,
     BeforeClosing,
-    DenseOptions,
     DenseWatcher,
 )
 from comparisons.logs.bundled import SimulationChoices, open_log
@@ -33,6 +34,8 @@ from ekf_reference.dense.layers.occupancy import Coarsening, OccupancyGrid
 from ekf_reference.dense.sensor_model import log_odds
 from ekf_reference.trace import NullTrace
 
+SURFACES: tuple[Layer, ...] = ("points", "occupancy", "particles", "sog")
+"""Layers of where surfaces are."""
 ROUNDS = (1, 2, 3, 4, 5, 10)
 """Of Fig. 4.5."""
 _COARSE_ROUNDS = 2
@@ -83,7 +86,7 @@ class Maps:
     all_drives: tuple[DenseMapping, ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Round:
     """The map after some rounds. classic: one grid in the world. dense: the occupancy layer.
 
@@ -108,7 +111,7 @@ class Rounds:
     segment: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Coarsened:
     """Occupancy grids with larger cells in almost empty regions, and with one size of cells.
 
@@ -128,19 +131,23 @@ class Coarsened:
     segment: Array
 
 
-def _maps(name: str, layers: tuple[str, ...], sources: Sources) -> Maps:
+def _maps(name: str, layers: tuple[Layer, ...], sources: Sources) -> Maps:
     drives, closed = list[DenseMapping](), list[ClosedMap]()
     while len(drives) < sources.drives or not closed:
         if len(drives) == sources.drives + _MORE:
             raise InputError(f"{name}: no drive's loop is closed by a shift of {_CLOSING_M} m")
         log = open_log(name, choices=SimulationChoices(len(drives)))
-        mapping = map_log(log, options=DenseOptions(layers))
+        mapping = _mapped(log, DenseMapsConfig(layers=layers))
         drives.append(mapping)
         before = mapping.dense.before
         if before is not None and before.shift_m > _CLOSING_M:
             closed.append(ClosedMap(mapping, before, truth_in_order(log)[1]))
     told = f"{name}, {len(drives)} drives from seed 0"
     return Maps(f"{told}, {len(closed)} of them corrected at once", tuple(closed), tuple(drives))
+
+
+def _mapped(log: Log, config: DenseMapsConfig) -> DenseMapping:
+    return map_log(log, MapConfig(extensions={"dense_maps": config}))
 
 
 def raw_maps(sources: Sources) -> Maps:
@@ -157,11 +164,13 @@ def rounds(sources: Sources) -> Rounds:
     """Section 4.1.3: ten rounds, one grid beside the dense map."""
     log = open_log("occupancy-loop", choices=SimulationChoices(0, ROUNDS[-1]))
     segment, true = _segment(log), truth_in_order(log)[1]
-    classic = ClassicGrid(DenseOptions().resolution_m, GRID_MODEL)
-    watcher = DenseWatcher(log, DenseOptions(("occupancy",)), (classic,))
-    ekf = build_ekf(log, EkfChoices().settle(log), NullTrace())
+    config = DenseMapsConfig(layers=("occupancy",))
+    classic = ClassicGrid(config.resolution_m, GRID_MODEL)
+    watcher = DenseWatcher(log, config)
+    watcher.feed(classic)
+    ekf = build_ekf(log, settle(EkfConfig(), log), NullTrace())
     loop_s, due, each = occupancy().drive.loop_s, list(ROUNDS), list[Round]()
-    for stop in drive(ekf, log, build_timeline(log), watching=watcher):
+    for stop in drive(ekf, log, build_timeline(log), beside=Beside(watching=watcher)):
         if due and stop.time_s >= due[0] * loop_s:
             each.append(_round(due.pop(0), watcher, classic, segment, true))
     return Rounds(f"occupancy-loop --loops {ROUNDS[-1]}, seed 0", tuple(each), segment)
@@ -175,8 +184,15 @@ def _round(
     dense, usual = run.dense.layers["occupancy"].samples(placed), classic.samples()
     inside = np.flatnonzero(placed.locate(usual.point).region >= 0)
     there = Samples(usual.point[inside], usual.occupancy[inside], usual.region[inside])
-    errors = surface_error(there, segment), surface_error(dense, segment)
-    return Round(number, there, dense, run.landmark, true[: len(run.landmark)], *errors)
+    return Round(
+        number=number,
+        classic=there,
+        dense=dense,
+        landmark=run.landmark,
+        true=true[: len(run.landmark)],
+        classic_error=surface_error(there, segment),
+        dense_error=surface_error(dense, segment),
+    )
 
 
 def coarsened(sources: Sources) -> Coarsened:
@@ -184,7 +200,7 @@ def coarsened(sources: Sources) -> Coarsened:
     log = open_log("occupancy-loop", choices=SimulationChoices(0, _COARSE_ROUNDS))
     segment = _segment(log)
     maps = [
-        map_log(log, options=DenseOptions(("occupancy",), coarsening=rule))
+        _mapped(log, DenseMapsConfig(layers=("occupancy",), coarsening=rule))
         for rule in (Coarsening(), None)
     ]
     coarse, even = (_grid(m) for m in maps)
@@ -196,16 +212,18 @@ def coarsened(sources: Sources) -> Coarsened:
         cell_m[region] = float(np.max(edge[region] / grid.cells))
     samples = [m.layers["occupancy"] for m in maps]
     return Coarsened(
-        f"occupancy-loop --loops {_COARSE_ROUNDS}, seed 0",
-        triangle,
-        cell_m,
-        samples[0],
-        cells,
-        cells_even,
-        max(float(np.mean(g.odds < log_odds(Coarsening().least))) for g in even.grids.values()),
-        surface_error(samples[0], segment),
-        surface_error(samples[1], segment),
-        segment,
+        log=f"occupancy-loop --loops {_COARSE_ROUNDS}, seed 0",
+        triangle=triangle,
+        cell_m=cell_m,
+        coarse=samples[0],
+        cells=cells,
+        cells_even=cells_even,
+        emptiest=max(
+            float(np.mean(g.odds < log_odds(Coarsening().least))) for g in even.grids.values()
+        ),
+        error=surface_error(samples[0], segment),
+        error_even=surface_error(samples[1], segment),
+        segment=segment,
     )
 
 

@@ -31,7 +31,7 @@ from comparisons.extensions.dense_maps.figure import (
     draw_regions,
     draw_surfaces,
 )
-from comparisons.report.plots import SMOOTHER_COLOUR, TRUTH_COLOUR, ellipses
+from comparisons.report.figures.style import SMOOTHER_COLOUR, TRUTH_COLOUR, ellipses
 from ekf_reference.dense.layers.layer import Samples
 
 
@@ -164,7 +164,16 @@ def _row(
     claims: Callable[..., list[Claim]], size: tuple[float, float] = (12.0, 6.0),
 ) -> AnyFigure:  # fmt: skip
     source = f"Nieto 2005, Fig. {number}"
-    return Figure(f"N{number}", title, source, says, experiment, draw, claims, size)
+    return Figure(
+        name=f"N{number}",
+        title=title,
+        source=source,
+        says=says,
+        experiment=experiment,
+        draw=draw,
+        claims=claims,
+        size=size,
+    )
 
 
 FIGURES: tuple[AnyFigure, ...] = (

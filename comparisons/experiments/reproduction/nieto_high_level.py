@@ -8,10 +8,12 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.adapters.ekf_factory import EkfChoices
+from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
+from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import build_timeline
 from comparisons.checks.accuracy import rigid_motion
+from comparisons.config import EkfConfig, MapConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Array
 from comparisons.experiments.reproduction.contract import (
@@ -23,9 +25,14 @@ from comparisons.experiments.reproduction.contract import (
 )
 from comparisons.experiments.reproduction.watched_run import truth_in_order
 from comparisons.extensions.dense_maps.accuracy import distance_to_segments
-from comparisons.extensions.dense_maps.source import DenseOptions
-from comparisons.extensions.high_level.source import HighLevelOptions, HighLevelRun, HighLevelSource
-from comparisons.extensions.scan_landmarks.result import place_covariances
+from comparisons.extensions.dense_maps.config import DenseMapsConfig
+from comparisons.extensions.high_level.source import (
+    SEARCHED,
+    HighLevelOptions,
+    HighLevelRun,
+    HighLevelSource,
+)
+from comparisons.extensions.scan_landmarks.figure import place_covariances
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.scan_drive import ScanExperiment, occupancy, simulate
@@ -43,6 +50,7 @@ CANDIDATES = 3
 LEAST = SearchOptions().least
 _PATH = ((0, 0), (14, -3), (28, 2), (33, 14), (26, 26), (11, 29), (-3, 24), (-8, 11))
 _OBJECTS = (("box", 13.0, 12.0, 10.0, 7.0, 20.0), ("box", 41.0, 14.0, 0.8, 3.0, 0.0))
+_SEARCHED = DenseMapsConfig(layers=SEARCHED)
 _BEHIND = np.array(((48.0, 8.0), (48.0, 20.0)))
 """Landmarks beyond the small object, so that it is within a region."""
 _PART = 0.45
@@ -86,7 +94,7 @@ class Pairs:
     segment: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class HighLevelDrive:
     """A drive with high level landmarks.
 
@@ -144,7 +152,7 @@ def corner_pairs(sources: Sources) -> Pairs:
     each = []
     for seed in range(sources.drives):
         log = simulate(np.random.default_rng(seed), _by_a_building())
-        mapping = map_log(log, options=DenseOptions(("occupancy", "sog")))
+        mapping = map_log(log, MapConfig(extensions={"dense_maps": _SEARCHED}))
         layers, gaussians = mapping.dense.dense.layers, mapping.dense.dense.layers["sog"]
         if not isinstance(gaussians, Gaussians):
             raise TypeError(f"{type(gaussians).__name__} is no sum of Gaussians")
@@ -174,9 +182,9 @@ def of_log(log: Log, every_s: float) -> HighLevelDrive:
         searches.append(Searched.of(time_s, around, found))
 
     source = HighLevelSource(log, HighLevelOptions(every_s), searched=searched)
-    choices, timeline = EkfChoices().settle(log), build_timeline(log)
+    choices, timeline = settle(EkfConfig(), log), build_timeline(log)
     without = run_ekf(log, timeline, choices)
-    run = run_ekf(log, timeline, choices, source=source)
+    run = run_ekf(log, timeline, choices, setup=FilterSetup(source=source))
 
     def error_m(one: EkfRun) -> float:
         later = one.estimate.time_s > loop_s
@@ -184,17 +192,17 @@ def of_log(log: Log, every_s: float) -> HighLevelDrive:
         return float(np.sqrt(np.square(one.departed[later, :2] - true[:, :2]).sum(axis=1).mean()))
 
     return HighLevelDrive(
-        tuple(searches),
-        source.run(),
-        tuple(one.template.shape.mean for one in source.landmarks.landmark),
-        place_covariances(run.estimate),
-        run.estimate.pose[:, :2],
-        poses.pose[:, :2],
-        run.estimate.landmark,
-        truth_in_order(log)[1],
-        surfaces.segment,
-        error_m(run),
-        error_m(without),
+        searches=tuple(searches),
+        run=source.run(),
+        templates=tuple(one.template.shape.mean for one in source.landmarks.landmark),
+        sigma=place_covariances(run.estimate),
+        path=run.estimate.pose[:, :2],
+        true_path=poses.pose[:, :2],
+        landmark=run.estimate.landmark,
+        true=truth_in_order(log)[1],
+        segment=surfaces.segment,
+        error_m=error_m(run),
+        without_m=error_m(without),
     )
 
 

@@ -20,11 +20,10 @@ from comparisons.experiments.reproduction.nieto_high_level import (
     Searched,
 )
 from comparisons.extensions.dense_maps.figure import DENSE_COLOUR, draw_surfaces
-from comparisons.report.plots import (
+from comparisons.extensions.high_level.figure import HIGH_LEVEL_COLOUR, draw_high_level
+from comparisons.report.figures.style import (
     EKF_COLOUR,
-    HIGH_LEVEL_COLOUR,
     TRUTH_COLOUR,
-    draw_high_level,
     draw_trajectory,
     ellipses,
 )
@@ -113,36 +112,38 @@ def _closed(area: Array) -> Array:
 
 FIGURES: tuple[AnyFigure, ...] = (
     Figure(
-        "N6.4",
-        "Two pairs of corners, one with too few Gaussians",
-        "Nieto 2005, Fig. 6.4",
-        "Four corners make two candidates; the first has enough Gaussians under its rectangle, the "
+        name="N6.4",
+        title="Two pairs of corners, one with too few Gaussians",
+        source="Nieto 2005, Fig. 6.4",
+        says="Four corners make two candidates; the first has enough Gaussians under its "
+        "rectangle, the "
         "second has not and is no landmark.",
-        CORNER_PAIRS,
-        draw_6_4,
-        claim.claims_6_4,
-        (9.0, 6.0),
+        experiment=CORNER_PAIRS,
+        draw=draw_6_4,
+        claims=claim.claims_6_4,
+        size=(9.0, 6.0),
     ),
     Figure(
-        "N6.5",
-        "The first search for high level landmarks, and the map after the loop",
-        "Nieto 2005, Fig. 6.5",
-        "Of three candidates that the first search finds one is accepted; once the loop is closed "
+        name="N6.5",
+        title="The first search for high level landmarks, and the map after the loop",
+        source="Nieto 2005, Fig. 6.5",
+        says="Of three candidates that the first search finds one is accepted; once the loop is "
+        "closed "
         "four more have been found and are in the state.",
-        HIGH_LEVEL,
-        draw_6_5,
-        claim.claims_6_5,
-        (13.0, 6.2),
+        experiment=HIGH_LEVEL,
+        draw=draw_6_5,
+        claims=claim.claims_6_5,
+        size=(13.0, 6.2),
     ),
     Figure(
-        "N6.6",
-        "The final map of high level landmarks",
-        "Nieto 2005, Fig. 6.6",
-        "The templates' dense information is used for navigation beside the point landmarks, "
+        name="N6.6",
+        title="The final map of high level landmarks",
+        source="Nieto 2005, Fig. 6.6",
+        says="The templates' dense information is used for navigation beside the point landmarks, "
         "which makes localisation much more robust.",
-        HIGH_LEVEL,
-        draw_6_6,
-        claim.claims_6_6,
-        (8.0, 7.0),
+        experiment=HIGH_LEVEL,
+        draw=draw_6_6,
+        claims=claim.claims_6_6,
+        size=(8.0, 7.0),
     ),
 )

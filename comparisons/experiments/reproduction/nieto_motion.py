@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
+from comparisons.config import MapConfig
 from comparisons.estimates.estimate import Array
 from comparisons.experiments.reproduction.contract import (
     AnyFigure,
@@ -20,8 +21,9 @@ from comparisons.experiments.reproduction.contract import (
 )
 from comparisons.experiments.reproduction.drawing import plan
 from comparisons.experiments.reproduction.dynamic_accuracy import DynamicScore, score_dynamic
+from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.figure import draw_occupied, draw_regions, draw_surfaces
-from comparisons.extensions.dense_maps.source import DenseOptions
+from comparisons.extensions.dynamic.config import DynamicConfig
 from comparisons.logs.simulate import dynamic_worlds
 from comparisons.logs.simulate.scan_drive import (
     ScanExperiment,
@@ -29,8 +31,8 @@ from comparisons.logs.simulate.scan_drive import (
     dynamic_places,
     simulate,
 )
-from comparisons.pipeline.dense_map import DenseMapping, map_log
-from comparisons.report.plots import TRUTH_COLOUR
+from comparisons.pipeline.dense_map import map_log
+from comparisons.report.figures.style import TRUTH_COLOUR
 from ekf_reference.dense.layers.layer import Samples
 
 _DYNAMIC_COLOUR = "#e08a1e"
@@ -38,7 +40,7 @@ _MOST_DRIVES = 3
 """So many drives per claim: the places are the same in all, only the noise is another."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Motion:
     """What one drive found. dynamic: (N, 2) cells [m]. landmark: (L, 2). occupied: in the end.
 
@@ -64,18 +66,19 @@ class Motions:
 
 def _motion(experiment: ScanExperiment, seed: int) -> Motion:
     log = simulate(np.random.default_rng(seed), experiment)
-    mapping: DenseMapping = map_log(log, options=DenseOptions(("occupancy",), dynamic=True))
+    extensions = {"dense_maps": DenseMapsConfig(layers=("occupancy",)), "dynamic": DynamicConfig()}
+    mapping = map_log(log, MapConfig(extensions=extensions))
     layer = mapping.dense.dense.dynamic
     if layer is None:
         raise TypeError("the map kept no dynamic layer")
     surfaces = log.truth.surfaces
     return Motion(
-        score_dynamic(layer, mapping.placed, experiment.world.movers, log.duration_s),
-        layer.points(mapping.placed),
-        mapping.layers["occupancy"],
-        mapping.dense.landmark,
-        np.empty((0, 4)) if surfaces is None else surfaces.segment,
-        mapping.placed.triangle,
+        score=score_dynamic(layer, mapping.placed, experiment.world.movers, log.duration_s),
+        dynamic=layer.points(mapping.placed),
+        occupied=mapping.layers["occupancy"],
+        landmark=mapping.dense.landmark,
+        segment=np.empty((0, 4)) if surfaces is None else surfaces.segment,
+        triangle=mapping.placed.triangle,
     )
 
 
@@ -182,25 +185,27 @@ def draw_6_10(canvas: Canvas, found: Motions) -> None:
 
 FIGURES: tuple[AnyFigure, ...] = (
     Figure(
-        "N6.9",
-        "Fast motion found by differencing occupancy",
-        "Nieto 2005, Fig. 6.9",
-        "Maps a second apart, differenced, low-passed and thresholded, leave two areas, where the "
+        name="N6.9",
+        title="Fast motion found by differencing occupancy",
+        source="Nieto 2005, Fig. 6.9",
+        says="Maps a second apart, differenced, low-passed and thresholded, leave two areas, "
+        "where the "
         "two objects move; the contours of what stands are filtered away.",
-        Experiment("section 6.3.3, fast motion", lanes),
-        draw_6_9,
-        claims_6_9,
-        (8.0, 7.0),
+        experiment=Experiment("section 6.3.3, fast motion", lanes),
+        draw=draw_6_9,
+        claims=claims_6_9,
+        size=(8.0, 7.0),
     ),
     Figure(
-        "N6.10",
-        "Slow motion found between two visits",
-        "Nieto 2005, Fig. 6.10",
-        "Between two visits one object is taken away and two are brought; three areas are found, "
+        name="N6.10",
+        title="Slow motion found between two visits",
+        source="Nieto 2005, Fig. 6.10",
+        says="Between two visits one object is taken away and two are brought; three areas are "
+        "found, "
         "and these are the places.",
-        Experiment("section 6.3.3, slow motion", changed_places),
-        draw_6_10,
-        claims_6_10,
-        (8.0, 7.0),
+        experiment=Experiment("section 6.3.3, slow motion", changed_places),
+        draw=draw_6_10,
+        claims=claims_6_10,
+        size=(8.0, 7.0),
     ),
 )

@@ -131,25 +131,27 @@ EXPERIMENT = Experiment("Examples 3.1 and 3.2", examples)
 
 FIGURES: tuple[AnyFigure, ...] = (
     Figure(
-        "N3.5",
-        "Decorrelation of a point within its region",
-        "Nieto 2005, Fig. 3.5",
-        "A point close to three landmarks is highly correlated with them; told in their frame it "
+        name="N3.5",
+        title="Decorrelation of a point within its region",
+        source="Nieto 2005, Fig. 3.5",
+        says="A point close to three landmarks is highly correlated with them; told in their "
+        "frame it "
         "is almost uncorrelated with the rest of the map, and far better known.",
-        EXPERIMENT,
-        draw_3_5,
-        claims_3_5,
-        (9.0, 7.5),
+        experiment=EXPERIMENT,
+        draw=draw_3_5,
+        claims=claims_3_5,
+        size=(9.0, 7.5),
     ),
     Figure(
-        "N3.12",
-        "Change of the same point's place, in the world and in its region",
-        "Nieto 2005, Fig. 3.12",
-        "Where the point would move by more than half a metre in the world, it moves by about a "
+        name="N3.12",
+        title="Change of the same point's place, in the world and in its region",
+        source="Nieto 2005, Fig. 3.12",
+        says="Where the point would move by more than half a metre in the world, it moves by "
+        "about a "
         "tenth of a metre in its region, and soon not at all: that is what a dense map neglects.",
-        EXPERIMENT,
-        draw_3_12,
-        claims_3_12,
-        (9.0, 4.2),
+        experiment=EXPERIMENT,
+        draw=draw_3_12,
+        claims=claims_3_12,
+        size=(9.0, 4.2),
     ),
 )

@@ -6,14 +6,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from comparisons.choices import Layer
+from comparisons.config import MapConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Array
 from comparisons.experiments.reproduction.basin import Basin, Seen, basin
 from comparisons.experiments.reproduction.contract import Experiment, Sources
 from comparisons.extensions.dense_maps.accuracy import SurfaceError, near_share, surface_error
-from comparisons.extensions.dense_maps.source import BeforeClosing, DenseOptions
-from comparisons.extensions.scan_landmarks.result import template_points
-from comparisons.extensions.scan_landmarks.source import LogScans
+from comparisons.extensions.dense_maps.config import DenseMapsConfig
+from comparisons.extensions.dense_maps.source import BeforeClosing
+from comparisons.extensions.scan_landmarks.config import ScanLandmarksConfig
+from comparisons.extensions.scan_landmarks.figure import template_points
+from comparisons.extensions.scan_landmarks.source import LogScans, ScanSlamSource
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
 from comparisons.pipeline.dense_map import DenseMapping, map_log
@@ -23,7 +27,7 @@ from ekf_reference.scan_landmarks.scan_slam import ScanLandmarks
 from ekf_reference.scan_landmarks.sog import SumOfGaussians
 from ekf_reference.scan_landmarks.templates import share_in_view
 
-LAYERS = ("occupancy", "sog")
+LAYERS: tuple[Layer, ...] = ("occupancy", "sog")
 _MOST_DRIVES = 2
 """So many drives: each takes the better part of a minute."""
 ERRORS_M = (0.25, 1.0, 2.0, 3.0, 4.0)
@@ -96,11 +100,17 @@ def of_logs(logs: list[Log], told: str) -> ScanMaps:
 
 
 def _mapped(log: Log) -> ScanMap:
-    mapping = map_log(log, options=DenseOptions(LAYERS), landmarks="scans")
-    found, before, surfaces = mapping.scan_landmarks, mapping.dense.before, log.truth.surfaces
-    if found is None or before is None or surfaces is None:
+    between = ScanLandmarksConfig(landmarks="scans")
+    extensions = {"scan_landmarks": between, "dense_maps": DenseMapsConfig(layers=LAYERS)}
+    mapping = map_log(log, MapConfig(extensions=extensions))
+    source, before, surfaces = (
+        mapping.setup.find(ScanSlamSource),
+        mapping.dense.before,
+        log.truth.surfaces,
+    )
+    if source is None or before is None or surfaces is None:
         raise InputError(f"{log.name}: no loop was closed, or there are no true surfaces")
-    return ScanMap(mapping, found, before, surfaces.segment)
+    return ScanMap(mapping, source.found, before, surfaces.segment)
 
 
 def cases_of(one: ScanMap) -> list[Seen]:

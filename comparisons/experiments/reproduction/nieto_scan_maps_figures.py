@@ -30,8 +30,8 @@ from comparisons.extensions.dense_maps.figure import (
     draw_regions,
     draw_surfaces,
 )
-from comparisons.extensions.scan_landmarks.result import axes_of, place_covariances
-from comparisons.report.plots import EKF_COLOUR, SMOOTHER_COLOUR, ellipses
+from comparisons.extensions.scan_landmarks.figure import axes_of, place_covariances
+from comparisons.report.figures.style import EKF_COLOUR, SMOOTHER_COLOUR, ellipses
 from ekf_reference.dense.layers.layer import Samples
 
 _AXIS_COLOUR = "#17a2b8"
@@ -173,25 +173,27 @@ def _held(samples: Samples) -> Array:
 
 FIGURES: tuple[AnyFigure, ...] = (
     Figure(
-        "N6.7",
-        "DenseSLAM between the landmarks of Scan-SLAM",
-        "Nieto 2005, Fig. 6.7",
-        "Without a point landmark the local regions hang on scan landmarks, and the dense maps "
+        name="N6.7",
+        title="DenseSLAM between the landmarks of Scan-SLAM",
+        source="Nieto 2005, Fig. 6.7",
+        says="Without a point landmark the local regions hang on scan landmarks, and the dense "
+        "maps "
         "between them hold much more than the templates by themselves.",
-        SCAN_MAPS,
-        draw_6_7,
-        claims_6_7,
-        (11.0, 9.6),
+        experiment=SCAN_MAPS,
+        draw=draw_6_7,
+        claims=claims_6_7,
+        size=(11.0, 9.6),
     ),
     Figure(
-        "N6.8",
-        "A scan landmark with the dense map around it",
-        "Nieto 2005, Fig. 6.8",
-        "A template augmented with the dense map around it makes convergence to a local maximum "
+        name="N6.8",
+        title="A scan landmark with the dense map around it",
+        source="Nieto 2005, Fig. 6.8",
+        says="A template augmented with the dense map around it makes convergence to a local "
+        "maximum "
         "less probable.",
-        SCAN_MAPS,
-        draw_6_8,
-        claims_6_8,
-        (14.0, 4.8),
+        experiment=SCAN_MAPS,
+        draw=draw_6_8,
+        claims=claims_6_8,
+        size=(14.0, 4.8),
     ),
 )

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.adapters.ekf_factory import EkfChoices
-from comparisons.adapters.ekf_run import EkfRun, run_ekf
+from comparisons.adapters.ekf_run import EkfRun
+from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.oriented_sightings import OrientedLedger
 from comparisons.adapters.smoother_input import build_problem
-from comparisons.adapters.timeline import build_timeline
 from comparisons.checks.accuracy import assess, assess_trajectory
+from comparisons.config import RunConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Array
 from comparisons.experiments.reproduction.contract import (
@@ -22,11 +23,15 @@ from comparisons.experiments.reproduction.contract import (
     at_least,
     at_most,
 )
+from comparisons.extensions.contract import Extension
 from comparisons.extensions.dense_maps.accuracy import distance_to_segments
-from comparisons.extensions.scan_landmarks.result import place_covariances
-from comparisons.extensions.scan_landmarks.source import ScanSlamSource, ScanSlamSources
+from comparisons.extensions.scan_landmarks.config import ScanLandmarksConfig
+from comparisons.extensions.scan_landmarks.figure import place_covariances
+from comparisons.extensions.scan_landmarks.source import ScanSlamSource
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.scan_drive import scan_slam, simulate
+from comparisons.pipeline.compare import run_filter
+from comparisons.pipeline.prepare import Prepared, prepare
 from ekf_reference.full_ekf import FullEkf
 from ekf_reference.layout import ORIENTED
 from ekf_reference.scan_landmarks.scan_slam import ScanLandmarks
@@ -97,7 +102,7 @@ class ScanMap:
         return self.at((self.true[:, 0] < CORNER_M[0]) & (self.true[:, 1] > CORNER_M[1]))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ScanDrive:
     """One drive.
 
@@ -156,6 +161,20 @@ class _Remembering:
             self.covariance = before
 
 
+class _Remember(Extension):
+    """Lets the source of scan landmarks, which comes before it, remember."""
+
+    name = "remember"
+
+    def attach(self, setup: FilterSetup, prepared: Prepared[Any]) -> None:
+        """Take the source's place."""
+        slam = setup.find(ScanSlamSource)
+        if slam is None:
+            raise TypeError("there is no source of scan landmarks")
+        setup.source = _Remembering(slam)
+        setup.offers.append(setup.source)
+
+
 def drives(sources: Sources) -> ScanDrives:
     """Table 5.1, seeds from 0."""
     count = min(sources.drives, MOST_DRIVES)
@@ -170,17 +189,17 @@ def _drive(seed: int) -> ScanDrive:
 
 def of_log(log: Log, seed: int = 0) -> ScanDrive:
     """A log with scans and truth, driven. Raises InputError where no landmark is ever moved."""
-    sources = ScanSlamSources.of(log, "scans")
-    if sources is None or log.truth.poses is None or log.truth.surfaces is None:
+    if log.truth.poses is None or log.truth.surfaces is None:
         raise InputError(f"{log.name}: true poses and surfaces are needed")
-    source = _Remembering(sources())
-    timeline = build_timeline(sources.log, None, sources.scans.time_s)
-    choices = EkfChoices().settle(sources.log)
-    run = run_ekf(sources.log, timeline, choices, source=source)
-    closing, found = sources.first.closing, sources.first.found
-    if closing is None or run.breakdown is not None:
+    config = RunConfig(extensions={"scan_landmarks": ScanLandmarksConfig(landmarks="scans")})
+    prepared = prepare(log, config)
+    watched = replace(prepared, extensions=(*prepared.extensions, _Remember()))
+    run, setup = run_filter(watched)
+    source = setup.find(_Remembering)
+    if source is None or source.slam.closing is None or run.breakdown is not None:
         raise InputError(f"{log.name}: {run.breakdown or 'no scan moved a landmark'}")
-    estimate, problem = run.estimate, build_problem(sources.log, run)
+    closing, found = source.slam.closing, source.slam.found
+    estimate, problem = run.estimate, build_problem(prepared.log, run)
     wheels = dead_reckoned(problem.prior_pose, problem.increment)
     errors = (
         assess(estimate, log, labelled=False),
@@ -192,16 +211,16 @@ def of_log(log: Log, seed: int = 0) -> ScanDrive:
     old = slots[slots < len(closing.before)]
     then = estimate.time_s < closing.time_s
     return ScanDrive(
-        seed,
-        estimate.pose[:, :2],
-        log.truth.poses.pose[:, :2],
-        closing.time_s,
-        _map(found, run, true, old, closing.before[old], source.covariance[old, :2, :2]),
-        estimate.pose[then, :2],
-        _map(found, run, true, slots, estimate.oriented, place_covariances(estimate)),
-        ate_m,
-        wheels_m,
-        log.truth.surfaces.segment,
+        seed=seed,
+        path=estimate.pose[:, :2],
+        true_path=log.truth.poses.pose[:, :2],
+        closing_s=closing.time_s,
+        before=_map(found, run, true, old, closing.before[old], source.covariance[old, :2, :2]),
+        path_before=estimate.pose[then, :2],
+        after=_map(found, run, true, slots, estimate.oriented, place_covariances(estimate)),
+        ate_m=ate_m,
+        wheels_m=wheels_m,
+        segment=log.truth.surfaces.segment,
     )
 
 

@@ -18,7 +18,7 @@ from comparisons.experiments.reproduction.nieto_scan_slam import (
     ScanDrives,
     ScanMap,
 )
-from comparisons.report.plots import EKF_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR, ellipses
+from comparisons.report.figures.style import EKF_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR, ellipses
 from ekf_reference.scan_landmarks.sog import rotation
 
 _OBJECT_COLOUR = "#aaaaaa"
@@ -76,24 +76,25 @@ def _axes(place: Array, length_m: float) -> Array:
 
 FIGURES: tuple[AnyFigure, ...] = (
     Figure(
-        "N5.8",
-        "Scan-SLAM among objects, before and after the loop closes",
-        "Nieto 2005, Fig. 5.8",
-        "Pieces of scans serve as landmarks of an EKF; the estimated path follows the true one, "
+        name="N5.8",
+        title="Scan-SLAM among objects, before and after the loop closes",
+        source="Nieto 2005, Fig. 5.8",
+        says="Pieces of scans serve as landmarks of an EKF; the estimated path follows the true "
+        "one, "
         "and once the loop is closed the error between true and estimated objects is smaller.",
-        EXPERIMENT,
-        draw_5_8,
-        claim.claims_5_8,
-        (15.0, 7.6),
+        experiment=EXPERIMENT,
+        draw=draw_5_8,
+        claims=claim.claims_5_8,
+        size=(15.0, 7.6),
     ),
     Figure(
-        "N5.9",
-        "Zoom of the left top: objects, templates and their axes",
-        "Nieto 2005, Fig. 5.9",
-        "The templates add the sensor's information in detail; the ellipses bound their axes.",
-        EXPERIMENT,
-        draw_5_9,
-        claim.claims_5_9,
-        (8.0, 7.0),
+        name="N5.9",
+        title="Zoom of the left top: objects, templates and their axes",
+        source="Nieto 2005, Fig. 5.9",
+        says="The templates add the sensor's information in detail; the ellipses bound their axes.",
+        experiment=EXPERIMENT,
+        draw=draw_5_9,
+        claims=claim.claims_5_9,
+        size=(8.0, 7.0),
     ),
 )

@@ -22,7 +22,7 @@ from comparisons.experiments.reproduction.contract import (
 )
 from comparisons.logs.simulate.ray_casting import Solids, cast
 from comparisons.logs.simulate.scan_worlds import PlacedShape, ScanWorld, placed_shapes
-from comparisons.report.plots import EKF_COLOUR, TRUTH_COLOUR
+from comparisons.report.figures.style import EKF_COLOUR, TRUTH_COLOUR
 from ekf_reference.dense.scan import Sensor
 from ekf_reference.scan_landmarks.alignment_covariance import scan_align
 from ekf_reference.scan_landmarks.scan_shape import of_scan
@@ -226,24 +226,25 @@ EXPERIMENT = Experiment("section 5.3.1, two scans", scans)
 
 FIGURES: tuple[AnyFigure, ...] = (
     Figure(
-        "N5.5",
-        "Two scans aligned as sums of Gaussians",
-        "Nieto 2005, Fig. 5.5",
-        "Two scans of an office, displaced, are laid onto each other by the maximum of their "
+        name="N5.5",
+        title="Two scans aligned as sums of Gaussians",
+        source="Nieto 2005, Fig. 5.5",
+        says="Two scans of an office, displaced, are laid onto each other by the maximum of their "
         "correlation; under certain conditions the estimate is consistent.",
-        EXPERIMENT,
-        draw_5_5,
-        claims_5_5,
-        (12.0, 5.6),
+        experiment=EXPERIMENT,
+        draw=draw_5_5,
+        claims=claims_5_5,
+        size=(12.0, 5.6),
     ),
     Figure(
-        "N5.6",
-        "The same by iterated closest points",
-        "Nieto 2005, Fig. 5.6",
-        f"ICP of {ROUNDS} iterations appears to align the same scans as well as the correlation.",
-        EXPERIMENT,
-        draw_5_6,
-        claims_5_6,
-        (7.0, 5.6),
+        name="N5.6",
+        title="The same by iterated closest points",
+        source="Nieto 2005, Fig. 5.6",
+        says=f"ICP of {ROUNDS} iterations appears to align the same scans as well as the "
+        f"correlation.",
+        experiment=EXPERIMENT,
+        draw=draw_5_6,
+        claims=claims_5_6,
+        size=(7.0, 5.6),
     ),
 )

@@ -85,7 +85,7 @@ class Moment:
         return chosen
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LoopDrive:
     """One drive. poses: at the scans. pose: (T, 3). first_landmark_m: (T, 2) sigmas of the first.
 
@@ -117,7 +117,7 @@ class Loops:
     drives: tuple[LoopDrive, ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Fixed:
     """A map while a few absolute positions arrive.
 
@@ -164,7 +164,9 @@ def loop_drive(log: Log) -> LoopDrive:
                 kept[name] = Moment.of(time_s, ekf, true)
     at = np.array(time)
     errors = pose_errors(at, np.array(pose), np.array(spread), poses.at(at))
-    return LoopDrive(log, np.array(pose), errors, np.array(first), **kept)
+    return LoopDrive(
+        source=log, pose=np.array(pose), poses=errors, first_landmark_m=np.array(first), **kept
+    )
 
 
 def fixed(sources: Sources) -> Fixed:
@@ -182,12 +184,12 @@ def fixed(sources: Sources) -> Fixed:
         if time_s > time[0] - 1.0:
             seen.append(Moment.of(time_s, ekf, true))
     return Fixed(
-        "simulated-loop, seed 0, with positions of our own",
-        time,
-        next(m for m in reversed(seen) if m.time_s < time[0] - _CLOCK_S),
-        seen[-1],
-        np.array([m.time_s for m in seen]),
-        np.array([m.mean_correlation for m in seen]),
+        log="simulated-loop, seed 0, with positions of our own",
+        fix_s=time,
+        before=next(m for m in reversed(seen) if m.time_s < time[0] - _CLOCK_S),
+        after=seen[-1],
+        time_s=np.array([m.time_s for m in seen]),
+        mean_correlation=np.array([m.mean_correlation for m in seen]),
     )
 
 

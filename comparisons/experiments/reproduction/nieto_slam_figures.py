@@ -19,7 +19,7 @@ from comparisons.experiments.reproduction.nieto_slam import (
     Loops,
     Moment,
 )
-from comparisons.report.plots import SMOOTHER_COLOUR, draw_correlation
+from comparisons.report.figures.style import SMOOTHER_COLOUR, draw_correlation
 
 _LONGER = 10.0
 
@@ -102,7 +102,16 @@ def _row(
     claims: Callable[[Loops], list[Claim]], size: tuple[float, float] = (11.0, 5.0),
 ) -> AnyFigure:  # fmt: skip
     source = f"Nieto 2005, Fig. {number}"
-    return Figure(f"N{number}", title, source, says, LOOP_EXPERIMENT, draw, claims, size)
+    return Figure(
+        name=f"N{number}",
+        title=title,
+        source=source,
+        says=says,
+        experiment=LOOP_EXPERIMENT,
+        draw=draw,
+        claims=claims,
+        size=size,
+    )
 
 
 FIGURES: tuple[AnyFigure, ...] = (
@@ -140,14 +149,15 @@ FIGURES: tuple[AnyFigure, ...] = (
         (8.0, 8.0),
     ),
     Figure(
-        "N2.12",
-        "Correlation after a few absolute observations",
-        "Nieto 2005, Fig. 2.12",
-        "A few absolute observations of the vehicle take the correlation out of the map rapidly.",
-        FIXED_EXPERIMENT,
-        draw_2_12,
-        claim.claims_2_12,
-        (12.0, 4.2),
+        name="N2.12",
+        title="Correlation after a few absolute observations",
+        source="Nieto 2005, Fig. 2.12",
+        says="A few absolute observations of the vehicle take the correlation out of the map "
+        "rapidly.",
+        experiment=FIXED_EXPERIMENT,
+        draw=draw_2_12,
+        claims=claim.claims_2_12,
+        size=(12.0, 4.2),
     ),
     _row(
         "3.4",

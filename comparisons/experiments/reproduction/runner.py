@@ -65,4 +65,12 @@ def _drawn(figure: AnyFigure, data: Any, seconds: float, group: Sequence[str]) -
     figure.draw(canvas, data)
     png, pdf = encoded(canvas)
     others = tuple(name for name in group if name != figure.name)
-    return Reproduced(figure, figure.judged(data), data.log, seconds, others, png, pdf)
+    return Reproduced(
+        figure=figure,
+        claims=figure.judged(data),
+        log=data.log,
+        seconds=seconds,
+        shared=others,
+        png=png,
+        pdf=pdf,
+    )

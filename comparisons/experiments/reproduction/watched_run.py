@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from comparisons.adapters.ekf_factory import EkfChoices, build_ekf
-from comparisons.adapters.filter_loop import NoWatcher, drive
+from comparisons.adapters.ekf_factory import build_ekf, settle
+from comparisons.adapters.filter_loop import Beside, NoWatcher, drive
 from comparisons.adapters.timeline import build_timeline
+from comparisons.config import EkfConfig
 from comparisons.errors import InputError
 from comparisons.logs.log import Array, Log, Poses, Positions
 from ekf_reference.full_ekf import FullEkf
@@ -16,7 +17,7 @@ from ekf_reference.trace import NullTrace, Trace
 
 def watched_run(
     log: Log,
-    choices: EkfChoices | None = None,
+    choices: EkfConfig | None = None,
     trace: Trace | None = None,
     predicted: Callable[[FullEkf], None] = lambda ekf: None,
     positions: Positions | None = None,
@@ -26,8 +27,9 @@ def watched_run(
     choices: the full filter by default. predicted: shown the filter before it fuses. positions:
     to be fused. Surveyed landmarks are not used. Raises FilterDivergedError.
     """
-    ekf = build_ekf(log, (choices or EkfChoices()).settle(log), trace or NullTrace())
-    for stop in drive(ekf, log, build_timeline(log, positions), positions, _Shown(predicted)):
+    ekf = build_ekf(log, settle(choices or EkfConfig(), log), trace or NullTrace())
+    beside = Beside(watching=_Shown(predicted))
+    for stop in drive(ekf, log, build_timeline(log, positions), positions, beside):
         if stop.fault is not None:
             raise FilterDivergedError(stop.fault)
         if len(stop.slots):

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import tomllib
+import hashlib
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, model_validator
 
+from comparisons.config import Section, read_config
 from comparisons.errors import InputError
 
 _FOLDER = Path(__file__).parent
@@ -18,11 +19,7 @@ _Every = Annotated[int, Field(ge=1, le=1_000_000)]
 _Point = tuple[_Finite, _Finite]
 
 
-class _Model(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Circle(_Model):
+class Circle(Section):
     """Constant speed and yaw rate, from the origin eastwards."""
 
     kind: Literal["circle"]
@@ -30,7 +27,7 @@ class Circle(_Model):
     yaw_rate_radps: _Finite
 
 
-class Waypoints(_Model):
+class Waypoints(Section):
     """Round a closed polygon by pure pursuit, from its first point."""
 
     kind: Literal["waypoints"]
@@ -39,7 +36,7 @@ class Waypoints(_Model):
     points: Annotated[list[_Point], Field(min_length=3)]
 
 
-class EnvironmentCourse(_Model):
+class EnvironmentCourse(Section):
     """The path of an environment of comparisons.logs.simulate.worlds, by pure pursuit."""
 
     kind: Literal["nieto-loop"]
@@ -47,7 +44,7 @@ class EnvironmentCourse(_Model):
     lookahead_m: _Positive
 
 
-class Ring(_Model):
+class Ring(Section):
     """Landmarks on circles about a centre, evenly spaced, going through the radii in turn."""
 
     kind: Literal["ring"]
@@ -56,27 +53,27 @@ class Ring(_Model):
     count: Annotated[int, Field(ge=1, le=1000)]
 
 
-class Points(_Model):
+class Points(Section):
     """Landmarks one by one."""
 
     kind: Literal["points"]
     points: Annotated[list[_Point], Field(min_length=1)]
 
 
-class EnvironmentLandmarks(_Model):
+class EnvironmentLandmarks(Section):
     """The landmarks of an environment."""
 
     kind: Literal["nieto-loop"]
 
 
-class Odometry(_Model):
+class Odometry(Section):
     """White noise of every step's speed and yaw rate."""
 
     sigma_speed_mps: _Positive
     sigma_yaw_rate_radps: _Positive
 
 
-class RelativePositionSensor(_Model):
+class RelativePositionSensor(Section):
     """Position in the robot's frame; each axis has sigma_m + sigma_share * distance."""
 
     kind: Literal["relative-position"]
@@ -86,8 +83,14 @@ class RelativePositionSensor(_Model):
     field_of_view_rad: _Positive = 6.284
     every: _Every = 1
 
+    @model_validator(mode="after")
+    def _noisy(self) -> Self:
+        if self.sigma_m + self.sigma_share <= 0:
+            raise ValueError("sensor: sigma_m and sigma_share are both 0, expected noise")
+        return self
 
-class RangeBearingSensor(_Model):
+
+class RangeBearingSensor(Section):
     """Range and bearing; the range has sigma_range_m + sigma_range_share * distance."""
 
     kind: Literal["range-bearing"]
@@ -98,8 +101,16 @@ class RangeBearingSensor(_Model):
     field_of_view_rad: _Positive = 6.284
     every: _Every = 1
 
+    @model_validator(mode="after")
+    def _noisy(self) -> Self:
+        if self.sigma_range_m + self.sigma_range_share <= 0:
+            raise ValueError(
+                "sensor: sigma_range_m and sigma_range_share are both 0, expected noise"
+            )
+        return self
 
-class Scenario(_Model):
+
+class Scenario(Section):
     """One scenario. from_paper, ours: which of the figures are taken from where, in words."""
 
     description: str
@@ -113,6 +124,16 @@ class Scenario(_Model):
     landmarks: Annotated[Ring | Points | EnvironmentLandmarks, Field(discriminator="kind")]
     odometry: Odometry
     sensor: Annotated[RelativePositionSensor | RangeBearingSensor, Field(discriminator="kind")]
+
+    @property
+    def figures(self) -> str:
+        """All that decides a study, which the words do not."""
+        return self.model_dump_json(exclude={"description", "from_paper", "ours"})
+
+    @property
+    def sha256(self) -> str:
+        """Of the figures."""
+        return hashlib.sha256(self.figures.encode()).hexdigest()
 
 
 def bundled_scenarios() -> list[str]:
@@ -132,26 +153,8 @@ def read_scenario(name: str) -> Scenario:
                 f"scenario '{name}' is neither a file nor one of {', '.join(bundled_scenarios())}"
             )
         path = _FOLDER / f"{name}.toml"
+    found = read_config(path)
     try:
-        scenario = Scenario.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
-    except OSError as error:
-        raise InputError(f"{name}: cannot be read ({error.strerror or error})") from None
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise InputError(f"{name}: {where[:100]}: {first['msg'][:200]}") from None
-    except (ValueError, RecursionError) as error:  # TOMLDecodeError is a ValueError
-        raise InputError(f"{name}: is not TOML ({error})") from None
-    _check_sensor(name, scenario)
-    return scenario
-
-
-def _check_sensor(name: str, scenario: Scenario) -> None:
-    sensor = scenario.sensor
-    if isinstance(sensor, RelativePositionSensor):
-        spread, keys = sensor.sigma_m + sensor.sigma_share, "sigma_m and sigma_share"
-    else:
-        spread = sensor.sigma_range_m + sensor.sigma_range_share
-        keys = "sigma_range_m and sigma_range_share"
-    if spread <= 0:
-        raise InputError(f"{name}: sensor: {keys} are both 0, expected noise")
+        return Scenario.of(**found)
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from None

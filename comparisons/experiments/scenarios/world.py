@@ -36,7 +36,7 @@ _MOST_LOOKAHEADS = 100_000
 _FULL_TURN = 2.0 * math.pi
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class World:
     """Truth. pose: (K + 1, 3). control: (K, 2). landmark: (L, 2), of those that are ever seen.
 
@@ -95,12 +95,12 @@ def _world(scenario: Scenario) -> World:
         np.array((odometry.sigma_speed_mps, odometry.sigma_yaw_rate_radps)),
     )
     return World(
-        robot,
-        pose,
-        control,
-        landmark[used],
-        tuple(seen),
-        tuple(row[which] for row, which in zip(sigma, seen, strict=True)),
+        robot=robot,
+        pose=pose,
+        control=control,
+        landmark=landmark[used],
+        seen=tuple(seen),
+        sigma=tuple(row[which] for row, which in zip(sigma, seen, strict=True)),
     )
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from comparisons.adapters.motion import poses_at
+from comparisons.checks.causes import Cause
 from comparisons.estimates.estimate import Array, Estimate
 from comparisons.extensions.dense_maps.accuracy import (
     OCCUPIED,
@@ -164,3 +165,21 @@ def _decided_alike(first: Array, second: Array) -> float | None:
     both = (decided[0][0] | decided[0][1]) & (decided[1][0] | decided[1][1])
     alike = (decided[0][0] & decided[1][0]) | (decided[0][1] & decided[1][1])
     return float(alike[both].mean()) if both.any() else None
+
+
+def dense_cause(maps: DenseAgreement) -> Cause:
+    """The dense maps of both."""
+    evidence = f"the dense maps are {maps.median_m:.2f} m apart (median of the worst layer)"
+    if maps.regions:
+        worst = maps.regions[0]
+        far = len({row.region for row in maps.regions if row.distance_m > AGREE_M})
+        evidence += (
+            f"; {far} regions are more than {AGREE_M:g} m off, region {worst.region} by "
+            f"{worst.distance_m:.2f} m ({worst.layer})"
+        )
+    return Cause(
+        "dense",
+        evidence,
+        "look at the corners of that region: landmarks that were not yet well known relative to "
+        "each other, or to the vehicle, when the scans were taken",
+    )

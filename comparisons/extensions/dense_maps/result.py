@@ -4,28 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import numpy as np
-from rich.table import Table
-
+from comparisons.extensions.contract import Row
 from comparisons.extensions.dense_maps.accuracy import SurfaceError
 from comparisons.extensions.dense_maps.check import DenseAgreement
-from comparisons.extensions.dense_maps.models import (
-    DenseLayerResult,
-    DenseRegionResult,
-    DenseResult,
-    HighLevelResult,
-    SurfaceErrorResult,
-)
-from comparisons.extensions.high_level.source import HighLevelRun
-from comparisons.report.finite import finite
+from comparisons.report.model import Model, finite
 
 _LISTED = 20
 
 
-def dense_result(check: DenseAgreement | None) -> DenseResult | None:
-    """The check's figures."""
-    if check is None:
-        return None
+def dense_result(check: DenseAgreement) -> DenseResult:
+    """Return the check's figures."""
     return DenseResult(
         agrees=check.agrees,
         layers={
@@ -53,52 +41,71 @@ def surface_error_results(errors: Mapping[str, SurfaceError]) -> dict[str, Surfa
     }
 
 
-def high_level_result(run: HighLevelRun | None) -> HighLevelResult | None:
-    """What became of them."""
-    if run is None:
-        return None
-    return HighLevelResult(
-        searches=run.searches,
-        corners=run.corners,
-        pairs=run.pairs,
-        candidates=run.candidates,
-        poor=run.poor,
-        found=len(run.slot),
-        kept=int(np.count_nonzero(run.slot >= 0)),
-        looks=dict(sorted(run.looks.items())),
-    )
-
-
-def high_level_text(made: HighLevelResult) -> str:
-    """Found, kept, seen, in a line."""
-    rest = ", ".join(f"{n} {name}" for name, n in made.looks.items() if name != "seen")
-    return (
-        f"{made.found} landmarks found in {made.searches} searches ({made.corners} corners, "
-        f"{made.pairs} pairs, {made.poor} with too few Gaussians), {made.kept} kept; "
-        f"{made.looks.get('seen', 0)} sightings" + (f" ({rest})" if rest else "")
-    )
-
-
-def add_dense(table: Table, dense: DenseResult) -> None:
-    """How far the maps are apart."""
-    for name, layer in dense.layers.items():
-        table.add_row(
+def dense_rows(dense: DenseResult) -> list[Row]:
+    """Return how far the maps are apart."""
+    rows = [
+        Row(
             f"dense {name}",
             f"{layer.samples:,} occupied, {layer.median_m:.3f} m from the smoother's returns "
             f"(median; 95 % {layer.p95_m:.3f}, back {layer.missed_m:.3f})",
         )
+        for name, layer in dense.layers.items()
+    ]
     if dense.occupancy_share is not None:
-        table.add_row(
-            "dense cells", f"{100.0 * dense.occupancy_share:.1f} % of the decided cells are alike"
+        share = f"{100.0 * dense.occupancy_share:.1f} % of the decided cells are alike"
+        rows.append(Row("dense cells", share))
+    return rows + surface_error_rows(dense.surface_errors)
+
+
+def surface_error_rows(errors: Mapping[str, SurfaceErrorResult]) -> list[Row]:
+    """Return how far what is occupied is from true surfaces."""
+    return [
+        Row(
+            f"{name} error",
+            f"median {error.median_m:.3f} m, 95 % {error.p95_m:.3f} m from true surfaces",
         )
-    add_surface_errors(table, dense.surface_errors)
+        for name, error in errors.items()
+        if error.median_m is not None and error.p95_m is not None
+    ]
 
 
-def add_surface_errors(table: Table, errors: Mapping[str, SurfaceErrorResult]) -> None:
-    """How far what is occupied is from true surfaces."""
-    for name, error in errors.items():
-        if error.median_m is not None and error.p95_m is not None:
-            table.add_row(
-                f"{name} error",
-                f"median {error.median_m:.3f} m, 95 % {error.p95_m:.3f} m from true surfaces",
-            )
+class SurfaceErrorResult(Model):
+    """What is occupied against true surfaces; None where nothing is. occupied: how much."""
+
+    median_m: float | None
+    p95_m: float | None
+    occupied: int
+
+
+class DenseLayerResult(Model):
+    """A layer of the filter's dense map against the smoother's returns.
+
+    See comparisons.extensions.dense_maps.check.LayerAgreement.
+    """
+
+    samples: int
+    median_m: float
+    p95_m: float
+    missed_m: float
+
+
+class DenseRegionResult(Model):
+    """One region of one layer."""
+
+    layer: str
+    region: int
+    samples: int
+    distance_m: float
+
+
+class DenseResult(Model):
+    """Dense maps of filter and smoother. regions: the worst first, at most twenty.
+
+    occupancy_share: of the cells decided in both maps, those decided alike.
+    """
+
+    agrees: bool
+    layers: dict[str, DenseLayerResult]
+    occupancy_share: float | None
+    regions: list[DenseRegionResult]
+    surface_errors: dict[str, SurfaceErrorResult]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -17,6 +16,7 @@ from comparisons.adapters.motion import CLOCK_S
 from comparisons.adapters.planar_scans import PlanarScans
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Array, Estimate
+from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
 from ekf_reference.dense.conditions import Conditions
@@ -24,7 +24,7 @@ from ekf_reference.dense.dense_map import DenseMap
 from ekf_reference.dense.dynamic import Counters, DynamicLayer
 from ekf_reference.dense.layers.gaussians import Gaussians
 from ekf_reference.dense.layers.layer import Layer, Samples
-from ekf_reference.dense.layers.occupancy import Coarsening, OccupancyGrid
+from ekf_reference.dense.layers.occupancy import OccupancyGrid
 from ekf_reference.dense.layers.particles import Particles
 from ekf_reference.dense.layers.points import Points
 from ekf_reference.dense.layers.values import PlaceValues, Values
@@ -37,14 +37,9 @@ from ekf_reference.full_ekf import FullEkf
 from ekf_reference.layout import ORIENTED, POINT
 from ekf_reference.local_map import by_number
 
-SURFACES = ("points", "occupancy", "particles", "sog")
-"""Layers of where surfaces are."""
-LAYERS = (*SURFACES, "values")
 GRID_MODEL = InverseSensorModel(p_occupied=0.65, p_free=0.45)
 """Of grids: several looks, not one noisy return, make a cell occupied, and what stands is often
 looked past."""
-PATIENCE = 16
-"""Scans that returns wait for a third landmark before a virtual one takes its place."""
 _TELLING_M = 0.05
 """Least shift of the regions by one update that is worth a picture (root mean square)."""
 _MARGIN_M = 0.5
@@ -61,76 +56,27 @@ class GlobalMap(Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class DenseOptions:
-    """What is kept, and how.
-
-    layers: of LAYERS; none where only the dynamic layer is wanted. resolution_m: of cells.
-    d_min_m: of the Gaussians, see dense.layers.gaussians.
-    known_apart_m, longest_edge_m: see dense.conditions.Conditions. dynamic: look for what moves.
-    coarsening: of the occupancy layer's almost empty regions. known_m, reach_m: see DenseMap.
-    patience, capacity: of what waits for a region.
-    """
-
-    layers: tuple[str, ...] = ("points", "occupancy")
-    resolution_m: float = 0.2
-    d_min_m: float = 0.2
-    known_apart_m: float = 0.5
-    longest_edge_m: float = 35.0
-    coarsening: Coarsening | None = None
-    dynamic: bool = False
-    known_m: float = math.inf
-    reach_m: float = 35.0
-    patience: int = PATIENCE
-    capacity: int = 5_000
-
-    def __post_init__(self) -> None:
-        """Raises InputError."""
-        if not (self.layers or self.dynamic) or set(self.layers) - set(LAYERS):
-            given = ", ".join(self.layers) or "none"
-            raise InputError(f"layers {given}: expected some of {', '.join(LAYERS)}")
-        for name, size in (("resolution", self.resolution_m), ("d_min", self.d_min_m)):
-            if not 0.01 <= size <= 10.0:
-                raise InputError(f"{name} {size} m: expected 0.01 to 10 m")
-
-    def among(self, kinds: tuple[int, ...]) -> DenseOptions:
-        """Suited to regions that hang on landmarks of some kinds.
-
-        Scan landmarks stand 20 m apart and more, where points stand 5 m apart. Among them alone
-        regions are larger, and it takes longer until there are three.
-        """
-        if POINT in kinds:
-            return self
-        return replace(
-            self,
-            known_apart_m=3.0 * self.known_apart_m,
-            longest_edge_m=max(self.longest_edge_m, 60.0),
-            reach_m=max(self.reach_m, 50.0),
-            patience=4 * self.patience,
-            capacity=4 * self.capacity,
-        )
-
-    def build(self, also: tuple[str, ...] = ()) -> DenseMap:
-        """An empty map. also: more layers."""
-        size = self.resolution_m
-        made: Mapping[str, Layer] = {
-            "points": Points(size),
-            "occupancy": OccupancyGrid(size, GRID_MODEL, coarsening=self.coarsening),
-            "particles": Particles(np.random.default_rng(0)),
-            "sog": Gaussians(self.d_min_m),
-            "values": Values(),
-        }
-        conditions = Conditions(
-            known_apart_m=self.known_apart_m, longest_edge_m=self.longest_edge_m
-        )
-        return DenseMap(
-            layers={name: made[name] for name in dict.fromkeys((*self.layers, *also))},
-            regions=LocalRegions(conditions=conditions),
-            waiting=WaitingRoom(capacity=self.capacity, patience=self.patience),
-            reach_m=self.reach_m,
-            dynamic=DynamicLayer(size) if self.dynamic else None,
-            known_m=self.known_m,
-        )
+def build_map(config: DenseMapsConfig, also: Sequence[str] = ()) -> DenseMap:
+    """Return an empty map. also: more layers."""
+    size = config.resolution_m
+    made: Mapping[str, Layer] = {
+        "points": Points(size),
+        "occupancy": OccupancyGrid(size, GRID_MODEL, coarsening=config.coarsening),
+        "particles": Particles(np.random.default_rng(0)),
+        "sog": Gaussians(config.d_min_m),
+        "values": Values(),
+    }
+    conditions = Conditions(
+        known_apart_m=config.known_apart_m, longest_edge_m=config.longest_edge_m
+    )
+    return DenseMap(
+        layers={name: made[name] for name in dict.fromkeys((*config.kept_layers, *also))},
+        regions=LocalRegions(conditions=conditions),
+        waiting=WaitingRoom(capacity=config.capacity, patience=config.patience),
+        reach_m=config.reach_m,
+        dynamic=DynamicLayer(size) if config.detect_motion else None,
+        known_m=config.known_m,
+    )
 
 
 @dataclass(frozen=True)
@@ -148,7 +94,7 @@ class BeforeClosing:
     layers: Mapping[str, Samples]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class DenseRun:
     """A dense map and how it came about.
 
@@ -159,7 +105,7 @@ class DenseRun:
     """
 
     kinds: tuple[int, ...]
-    options: DenseOptions
+    options: DenseMapsConfig
     dense: DenseMap
     scans: PlanarScans
     scan_time_s: Array
@@ -204,24 +150,21 @@ class DenseWatcher:
     def __init__(
         self,
         log: Log,
-        options: DenseOptions,
-        beside: Sequence[GlobalMap] = (),
-        also: tuple[str, ...] = (),
+        options: DenseMapsConfig,
         kinds: tuple[int, ...] = (POINT,),
     ) -> None:
-        """beside: maps that are given the same scans from the same poses. also: more layers.
+        """kinds: of landmarks that regions are anchored to, by width (Nieto 2005, section 6.2).
 
-        kinds: of landmarks that regions hang on, by width (Nieto 2005, section 6.2). Raises
-        InputError.
+        Raises InputError.
         """
         self._scans = PlanarScans(log)
-        if "values" in (*options.layers, *also) and not self._scans.valued:
+        if "values" in options.kept_layers and not self._scans.valued:
             raise InputError(
                 f"{log.name}: its scans hold no intensities, which the layer of values is made of"
             )
-        self.options, self._kinds = options.among(kinds), kinds
-        self._dense = self.options.build(also)
-        self._beside = beside
+        self.options, self._kinds = options if POINT in kinds else options.spread_out(), kinds
+        self._dense = build_map(self.options)
+        self._beside: list[GlobalMap] = []
         self._motion, self._relative = motion_model(log), isinstance(log.odometry, RelativePoses)
         self._next = 0
         self._pose: list[Array] = []
@@ -229,6 +172,16 @@ class DenseWatcher:
         self._moved_most = 0.0
         self._seconds = {"regions": 0.0, "scans": 0.0}
         self._epoch_s = log.prior.time_s
+
+    def keep_also(self, layers: Sequence[str]) -> None:
+        """Keep more layers, for whoever needs them. Raises ValueError once the map is not empty."""
+        if self._next:
+            raise ValueError("the map has taken in scans")
+        self._dense = build_map(self.options, layers)
+
+    def feed(self, other: GlobalMap) -> None:
+        """Give the same scans from the same poses to another map as well."""
+        self._beside.append(other)
 
     @property
     def dense(self) -> DenseMap:
@@ -295,15 +248,15 @@ class DenseWatcher:
         """The map, once the filter has finished."""
         done = len(self._pose)
         return DenseRun(
-            self._kinds,
-            self.options,
-            self._dense,
-            self._scans,
-            self._scans.time_s[:done],
-            np.array(self._pose).reshape(-1, 3),
-            self._dense.landmark,
-            self._before,
-            self._seconds,
+            kinds=self._kinds,
+            options=self.options,
+            dense=self._dense,
+            scans=self._scans,
+            scan_time_s=self._scans.time_s[:done],
+            scan_pose=np.array(self._pose).reshape(-1, 3),
+            landmark=self._dense.landmark,
+            before=self._before,
+            seconds=self._seconds,
         )
 
     def _due(self, until_s: float) -> bool:

@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 from comparisons.adapters.filter_loop import NoWatcher, Watcher
 from comparisons.adapters.oriented_sightings import OrientedLedger
 from comparisons.adapters.planar_scans import PlanarScans, view_to
-from comparisons.errors import InputError
+from comparisons.choices import Layer
 from comparisons.estimates.estimate import Array
-from comparisons.extensions.dense_maps.source import DenseOptions, DenseWatcher
+from comparisons.extensions.dense_maps.config import DenseMapsConfig
+from comparisons.extensions.dense_maps.source import DenseWatcher
+from comparisons.extensions.high_level.config import HighLevelConfig
 from comparisons.logs.log import Log
 from ekf_reference.dense.high_level import Around, Search, SearchOptions, search, to_world
 from ekf_reference.dense.high_level_life import Glimpse, HighLevelLandmarks, LifeOptions
@@ -24,7 +26,7 @@ from ekf_reference.full_ekf import FullEkf
 from ekf_reference.scan_landmarks.scan_shape import of_scan
 from ekf_reference.scan_landmarks.templates import View
 
-SEARCHED = ("occupancy", "sog")
+SEARCHED: tuple[Layer, ...] = ("occupancy", "sog")
 """Layers that are searched."""
 _AXIS_M = 3.0
 """Length at which axes are drawn."""
@@ -47,35 +49,28 @@ class HighLevelOptions:
     d_min_m: float = 0.2
 
     @classmethod
-    def of(cls, cell_m: float, pair_m: float, least: int, every_s: float) -> HighLevelOptions:
-        """What a user may choose: cells, which d_min follows, as in Nieto 2005, section 6.5.
-
-        pair_m, least: see SearchOptions. Raises InputError.
-        """
-        for name, value, low, high in (
-            ("cell", cell_m, 0.05, 2.0),
-            ("pair", pair_m, 1.0, 100.0),
-            ("least", least, 3, 10**6),
-            ("every", every_s, 0.1, 1e6),
-        ):
-            if not low <= value <= high:
-                raise InputError(f"--high-level-{name} is {value}, expected {low:g} to {high:g}")
-        usual = SearchOptions()
-        looked = replace(usual, cell_m=max(usual.cell_m, cell_m), pair_m=pair_m, least=least)
-        return cls(every_s, looked, resolution_m=cell_m, d_min_m=cell_m)
+    def of(cls, config: HighLevelConfig) -> HighLevelOptions:
+        """Return what was chosen; d_min follows the cells, as in Nieto 2005, section 6.5."""
+        usual, cell_m = SearchOptions(), config.cell_m
+        looked = replace(
+            usual, cell_m=max(usual.cell_m, cell_m), pair_m=config.pair_m, least=config.least
+        )
+        return cls(config.every_s, looked, resolution_m=cell_m, d_min_m=cell_m)
 
     @property
-    def kept(self) -> DenseOptions:
+    def kept(self) -> DenseMapsConfig:
         """The dense map that is searched."""
-        return DenseOptions(SEARCHED, self.resolution_m, self.d_min_m)
+        return DenseMapsConfig(
+            layers=SEARCHED, resolution_m=self.resolution_m, d_min_m=self.d_min_m
+        )
 
-    def layers_in(self, options: DenseOptions) -> tuple[str, ...]:
-        """What a map with these options should keep, too; nothing where it has other cells."""
-        alike = replace(options, layers=SEARCHED, dynamic=False) == self.kept
-        return SEARCHED if alike else ()
+    def served_by(self, options: DenseMapsConfig) -> bool:
+        """Whether a map with these options has the cells that are searched."""
+        layers = {"layers": SEARCHED, "detect_motion": False, "attribute_values": False}
+        return options.model_copy(update=layers) == self.kept
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class HighLevelRun:
     """What became of the search in a drive.
 
@@ -170,15 +165,15 @@ class HighLevelSource:
     def run(self) -> HighLevelRun:
         """What came of it, once the filter has finished."""
         return HighLevelRun(
-            len(self._searches),
-            sum(len(one.corner) for one in self._searches),
-            sum(len(one.candidate) + one.known for one in self._searches),
-            sum(len(one.candidate) for one in self._searches),
-            sum(one.poor for one in self._searches),
-            dict(self.landmarks.counts),
-            np.array([one.slot for one in self.landmarks.landmark], dtype=np.intp),
-            self._place,
-            self._rectangle,
+            searches=len(self._searches),
+            corners=sum(len(one.corner) for one in self._searches),
+            pairs=sum(len(one.candidate) + one.known for one in self._searches),
+            candidates=sum(len(one.candidate) for one in self._searches),
+            poor=sum(one.poor for one in self._searches),
+            looks=dict(self.landmarks.counts),
+            slot=np.array([one.slot for one in self.landmarks.landmark], dtype=np.intp),
+            place=self._place,
+            rectangle=self._rectangle,
         )
 
     def _search(self, ekf: FullEkf, time_s: float) -> None:

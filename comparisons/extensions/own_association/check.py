@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from comparisons.adapters.ekf_run import EkfRun
 from comparisons.checks.accuracy import Accuracy
 from comparisons.checks.agreement import BlockAgreement, Gaussian, block_agreement
 from comparisons.checks.association import (
@@ -15,6 +16,7 @@ from comparisons.checks.association import (
     compare_partitions,
     counterparts,
 )
+from comparisons.checks.causes import Cause
 from comparisons.checks.misfit import squared_misfit
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Sightings
@@ -24,7 +26,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class OwnAssociationCheck:
     """The association gap, S - S'.
 
@@ -46,25 +48,24 @@ class OwnAssociationCheck:
     landmark_rms_m: float | None
     estimate: Estimate
     proof: Proof
-    accuracy: Accuracy | None
-    score: AssociationScore | None
+    accuracy: Accuracy | None = None
+    score: AssociationScore | None = None
 
 
 def check_own_association(
     seen: Sightings,
     epoch: Index,
-    filters: Index,
-    own: Index,
+    slots: tuple[Index, Index],
     smoothed: Estimate,
     estimate: Estimate,
     proof: Proof,
-    accuracy: Accuracy | None,
-    score: AssociationScore | None,
 ) -> OwnAssociationCheck:
     """Compare. seen, epoch: the sightings, of which the first M are told, and their epochs.
 
-    filters, own: (M,) slots. smoothed: S. estimate, proof, accuracy, score: of S'.
+    slots: (M,) landmarks of each by the filter, and by the smoother. smoothed: S. estimate, proof:
+    of S'.
     """
+    filters, own = slots
     first, second = counterparts(filters, own)
     apart = smoothed.landmark[first] - estimate.landmark[second]
     poses = [Gaussian(e.pose[-1], e.joint_covariance[:3, :3]) for e in (smoothed, estimate)]
@@ -77,17 +78,15 @@ def check_own_association(
         rows = differing[used]
         cost[used, column] = squared_misfit(seen, rows, e.pose[epoch[rows]], e.landmark[slot[rows]])
     return OwnAssociationCheck(
-        own,
-        matched,
-        differing,
-        cost,
-        compare_partitions(filters, own),
-        block_agreement(*poses),
-        float(np.sqrt(np.mean(np.sum(apart**2, axis=1)))) if len(apart) else None,
-        estimate,
-        proof,
-        accuracy,
-        score,
+        slot=own,
+        matched=matched,
+        differing=differing,
+        cost=cost,
+        partition=compare_partitions(filters, own),
+        pose=block_agreement(*poses),
+        landmark_rms_m=float(np.sqrt(np.mean(np.sum(apart**2, axis=1)))) if len(apart) else None,
+        estimate=estimate,
+        proof=proof,
     )
 
 
@@ -102,3 +101,33 @@ def differing_sightings(filters: Index, own: Index, matched: Index) -> Index:
     meant[used] = matched[own[used]]
     same = (filters >= 0) & used & (filters == meant)
     return np.flatnonzero(~same & ((filters >= 0) | used))
+
+
+def association_cause(own: OwnAssociationCheck, run: EkfRun) -> Cause:
+    """S against S'."""
+    p = own.partition
+    return Cause(
+        "association",
+        f"with its own association the smoother's last pose is {own.pose.difference_m:.2f} m "
+        f"({own.pose.distance:.1f} sigma) elsewhere; of the pairs of sightings put together "
+        f"{100.0 * p.agreement:.0f} % are the same, {p.splits} of the filter's landmarks are split "
+        f"and {p.merges} of the smoother's" + _costliest(own, run),
+        "look at the sightings where the two differ: a wrong closure, or landmarks too near to "
+        "tell apart",
+    )
+
+
+def _costliest(own: OwnAssociationCheck, run: EkfRun) -> str:
+    """The sighting that fits the filter's landmark the least, of those that differ."""
+    with_both = np.flatnonzero(np.isfinite(own.cost).all(axis=1))
+    if not len(with_both):
+        return ""
+    worst = with_both[np.argmax(own.cost[with_both, 0])]
+    row = own.differing[worst]
+    t = run.estimate.time_s[run.timeline.sighting_epoch[row]]
+    theirs, ours = own.cost[worst]
+    return (
+        f"; sighting {row} at {t:.1f} s misses the filter's landmark "
+        f"{run.estimate.landmark_id[run.slot[row]]} by {theirs**0.5:.1f} sigma of its noise, the "
+        f"smoother's own by {ours**0.5:.1f}"
+    )

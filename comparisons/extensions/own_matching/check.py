@@ -8,16 +8,18 @@ against that sum. A shift that all have in common is held against how much they 
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2, f
 
+from comparisons.adapters.ekf_run import EkfRun
 from comparisons.checks.accuracy import Accuracy, aligned
 from comparisons.checks.agreement import BlockAgreement, Gaussian, block_agreement
+from comparisons.checks.causes import Cause
+from comparisons.checks.map_agreement import Pair
 from comparisons.estimates.estimate import Estimate
-from comparisons.extensions.scan_motion.three_way import Pair
 from graphslam.graph_builder import to_tangent
 from graphslam.optimum import Proof
 from graphslam.problem import OrientedSightings
@@ -37,7 +39,7 @@ _SHIFTED = 0.999
 """Certainty at which all alignments are shifted."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LandmarkMatching:
     """How the alignments of one template differ, the filter's minus the smoother's own.
 
@@ -62,7 +64,7 @@ class LandmarkMatching:
         return self.common >= LEAST_SEEN and self.squared > GATE
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class OwnMatchingCheck:
     """The matching gap, S - S''.
 
@@ -89,9 +91,9 @@ class OwnMatchingCheck:
     path_rms_m: tuple[float, float]
     estimate: Estimate
     proof: Proof
-    accuracy: Accuracy | None
     alignments: OrientedSightings
-    reasons: Counter[str]
+    accuracy: Accuracy | None = None
+    reasons: Counter[str] = field(default_factory=Counter)
 
     @property
     def contradicting(self) -> tuple[LandmarkMatching, ...]:
@@ -116,16 +118,14 @@ class OwnMatchingCheck:
 
 
 def check_own_matching(
-    filters: OrientedSightings,
-    own: OrientedSightings,
+    sightings: tuple[OrientedSightings, OrientedSightings],
     ekf: Estimate,
     smoothed: Estimate,
     estimate: Estimate,
     proof: Proof,
-    accuracy: Accuracy | None,
-    reasons: Counter[str],
 ) -> OwnMatchingCheck:
-    """Compare. filters, own: the sightings that S and S'' were told. estimate: S''."""
+    """Compare. sightings: what S and what S'' were given. estimate, proof: of S''."""
+    filters, own = sightings
     used = (_later(filters), _later(own))
     common = sorted(used[0].keys() & used[1].keys())
     rows = [np.array([one[pair] for pair in common], dtype=np.intp) for one in used]
@@ -145,20 +145,26 @@ def check_own_matching(
     begun = tuple(ones.count for ones in (filters, own))
     path = [e.pose[:, :2] - estimate.pose[:, :2] for e in (ekf, smoothed)]
     last = [Gaussian(e.pose[-1], e.joint_covariance[:3, :3]) for e in (smoothed, estimate)]
+    both = Gaussian(last[1].mean, last[0].covariance + last[1].covariance)
+    shift, squared_shift, freedom = common_shift(slot[sound], difference[sound], information[sound])
     return OwnMatchingCheck(
-        (len(filters.measured) - begun[0], len(own.measured) - begun[1], len(common)),
-        squared,
-        tuple(sorted(landmarks, key=lambda one: -one.squared)),
-        *common_shift(slot[sound], difference[sound], information[sound]),
-        compare_frames(ekf, estimate),
-        compare_frames(smoothed, estimate),
-        block_agreement(last[0], Gaussian(last[1].mean, last[0].covariance + last[1].covariance)),
-        (_rms(path[0]), _rms(path[1])),
-        estimate,
-        proof,
-        accuracy,
-        own,
-        reasons,
+        sightings=(
+            len(filters.measured) - begun[0],
+            len(own.measured) - begun[1],
+            len(common),
+        ),
+        squared=squared,
+        landmarks=tuple(sorted(landmarks, key=lambda one: -one.squared)),
+        shift=shift,
+        shift_squared=squared_shift,
+        shift_freedom=freedom,
+        ekf=compare_frames(ekf, estimate),
+        smoother=compare_frames(smoothed, estimate),
+        pose=block_agreement(last[0], both),
+        path_rms_m=(_rms(path[0]), _rms(path[1])),
+        estimate=estimate,
+        proof=proof,
+        alignments=own,
     )
 
 
@@ -209,13 +215,13 @@ def _of_landmark(
     shift = np.linalg.solve(weight.mean(axis=0) + _NOTHING, mean)
     there = information[worst]
     return LandmarkMatching(
-        slot,
-        len(rows),
-        float(squared[rows].mean()),
-        shift,
-        int(epoch[worst]),
-        np.linalg.solve(there + _NOTHING, there @ difference[worst]),
-        float(squared[worst]),
+        slot=slot,
+        common=len(rows),
+        squared=float(squared[rows].mean()),
+        shift=shift,
+        worst_epoch=int(epoch[worst]),
+        worst=np.linalg.solve(there + _NOTHING, there @ difference[worst]),
+        worst_squared=float(squared[worst]),
     )
 
 
@@ -241,3 +247,53 @@ def _in_poses_frame(seen: OrientedSightings, rows: Index) -> Array:
 def _rms(apart: Array) -> float:
     """Root mean square length of rows (N, 2); 0 without any."""
     return float(np.sqrt(np.mean(np.sum(apart**2, axis=1)))) if len(apart) else 0.0
+
+
+_NAMED = 3
+"""So many landmarks are named."""
+
+
+def matching_cause(own: OwnMatchingCheck, run: EkfRun) -> Cause:
+    """S against S''."""
+    parts, hint = [], "look at sightings that only one of both made: loops, places that look alike"
+    if own.shifted:
+        x, y, turn = own.shift
+        parts.append(
+            f"all alignments of the filter are shifted by {x:.3f} m ahead, {y:.3f} m to the left "
+            f"and {np.degrees(turn):.2f} degrees from the smoother's own "
+            f"({np.sqrt(own.shift_squared / 3.0):.1f} sigma)"
+        )
+        hint = "look at the alignment: its heading's sign and zero, the scanner's mount"
+    if own.contradicting:
+        parts += [_apart_for(one, run) for one in own.contradicting[:_NAMED]]
+        if len(own.contradicting) > _NAMED:
+            parts.append(f"{len(own.contradicting) - _NAMED} more such landmarks")
+        if not own.shifted:
+            hint = (
+                "look at the alignments of these landmarks: the template's axis, R, or another "
+                "place that looks alike"
+            )
+    if not own.estimates_agree:
+        pair, (theirs, ours, both) = own.smoother, own.sightings
+        if own.landmarks and not (own.contradicting or own.shifted):
+            parts.append(f"the farthest apart: {_apart_for(own.landmarks[0], run)}")
+        parts.append(
+            f"with its own matcher the smoother's last pose is {own.pose.difference_m:.2f} m "
+            f"({own.pose.distance:.1f} sigma) elsewhere, its path {own.path_rms_m[1]:.2f} m (RMS), "
+            f"{pair.outside} of {len(pair.distance_sigma)} scan landmarks lie beyond their 99 % "
+            f"region; of {theirs:,} alignments of the filter and {ours:,} of the smoother {both:,} "
+            "are of the same landmark and scan"
+        )
+    return Cause("matching", "; ".join(parts), hint)
+
+
+def _apart_for(one: LandmarkMatching, run: EkfRun) -> str:
+    """How two matchers differ on a landmark, and in which scan the most."""
+    place, worst = np.hypot(*one.shift[:2]), np.hypot(*one.worst[:2])
+    return (
+        f"the filter's alignments of scan landmark {one.slot} are {place:.2f} m and "
+        f"{np.degrees(one.shift[2]):.1f} degrees from the smoother's own "
+        f"({np.sqrt(one.squared / 3.0):.1f} sigma over {one.common} scans; in the scan at "
+        f"{run.estimate.time_s[one.worst_epoch]:.1f} s {worst:.2f} m and "
+        f"{np.degrees(one.worst[2]):.1f} degrees, {np.sqrt(one.worst_squared / 3.0):.1f} sigma)"
+    )

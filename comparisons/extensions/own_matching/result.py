@@ -5,21 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from comparisons.estimates.estimate import Array
-from comparisons.extensions.own_matching.check import LandmarkMatching
-from comparisons.extensions.own_matching.models import LandmarkMatchingResult
-from comparisons.extensions.scan_motion.three_way import Pair
-from comparisons.pipeline.compare import Comparison
-from comparisons.report.finite import finite
-from comparisons.report.models import AccuracyResult, MapPairResult, OwnMatchingResult
+from comparisons.extensions.contract import Row
+from comparisons.extensions.own_matching.check import LandmarkMatching, OwnMatchingCheck
+from comparisons.report.model import Model, finite
+from comparisons.report.models import AccuracyResult, MapPairResult
+from comparisons.report.rows import accuracy_rows
+from comparisons.report.sections import accuracy_result, map_pair_result
 
 MATCHER = "Open3D, generalised ICP"
 
 
-def own_matching_result(c: Comparison) -> OwnMatchingResult | None:
-    """How it compares with the filter's alignments; None when it was not asked for."""
-    own = c.own_matching
-    if own is None:
-        return None
+def own_matching_result(own: OwnMatchingCheck, time_s: Array) -> OwnMatchingResult:
+    """Return how it compares with the filter's alignments. time_s: (K,) of the epochs."""
     test, several = own.proof.chi_square, own.shift_squared > 0.0
     return OwnMatchingResult(
         matcher=MATCHER,
@@ -30,7 +27,7 @@ def own_matching_result(c: Comparison) -> OwnMatchingResult | None:
         shift_m=_place(own.shift),
         shift_rad=float(own.shift[2]),
         shift_sigma=_sigma(own.shift_squared) if several else None,
-        landmarks=[_landmark(one, c.ekf.estimate.time_s) for one in own.landmarks],
+        landmarks=[_landmark(one, time_s) for one in own.landmarks],
         ekf=map_pair_result(own.ekf),
         smoother=map_pair_result(own.smoother),
         pose_difference_m=own.pose.difference_m,
@@ -42,37 +39,25 @@ def own_matching_result(c: Comparison) -> OwnMatchingResult | None:
         chi2=test.chi2,
         dof=test.dof,
         reasons=dict(own.reasons),
-        accuracy=None if own.accuracy is None else AccuracyResult(**vars(own.accuracy)),
+        accuracy=accuracy_result(own.accuracy),
     )
 
 
-def map_pair_result(p: Pair) -> MapPairResult:
-    """Two maps of the same landmarks."""
-    return MapPairResult(
-        rms_m=p.rms_m,
-        rms_aligned_m=p.rms_aligned_m,
-        distance_sigma_median=_median(p.distance_sigma),
-        outside=p.outside,
-        landmarks=len(p.distance_sigma),
-        agrees=p.agrees,
-    )
-
-
-def own_matching_rows(result: OwnMatchingResult) -> list[tuple[str, str]]:
-    """Rows of a run's summary."""
+def own_matching_rows(result: OwnMatchingResult) -> list[Row]:
+    """Return how the alignments compare, how the estimates do, and the accuracy."""
     shift = np.hypot(*result.shift_m)
     told = (f"{count:,} {reason}" for reason, count in result.reasons.items() if count)
     return [
-        (
+        Row(
             "own matcher",
             f"{result.matcher}: {result.own:,} alignments, {result.common:,} of them where the "
             f"filter has one of {result.filter:,}; these are {_shown(result.distance_sigma)} sigma "
             f"apart (rms), together {shift:.3f} m and {np.degrees(result.shift_rad):.2f} degrees "
             f"({_shown(result.shift_sigma)} sigma)",
         ),
-        ("its matches", ", ".join(told) or "none"),
+        Row("its matches", ", ".join(told) or "none"),
         *(
-            (
+            Row(
                 "with it",
                 f"{name} {'agrees' if pair.agrees else 'disagrees'}: {pair.outside} of "
                 f"{pair.landmarks} scan landmarks beyond 99 %, paths {path:.3f} m apart (rms)",
@@ -82,6 +67,7 @@ def own_matching_rows(result: OwnMatchingResult) -> list[tuple[str, str]]:
                 ("smoother", result.smoother, result.path_smoother_m),
             )
         ),
+        *accuracy_rows("with it", result.accuracy),
     ]
 
 
@@ -104,10 +90,6 @@ def _place(difference: Array) -> tuple[float, float]:
     return float(difference[0]), float(difference[1])
 
 
-def _median(values: Array) -> float | None:
-    return finite(float(np.median(values))) if len(values) else None
-
-
 def _sigma(squared: float) -> float | None:
     """Root of a squared distance over its three degrees of freedom."""
     return finite(float(np.sqrt(squared / 3.0)))
@@ -115,3 +97,54 @@ def _sigma(squared: float) -> float | None:
 
 def _shown(value: float | None) -> str:
     return "none" if value is None else f"{value:.2g}"
+
+
+class LandmarkMatchingResult(Model):
+    """How the filter's alignments of a scan landmark differ from the smoother's own.
+
+    common: scans that both aligned it with. distance_sigma: root of the mean squared distance over
+    3, by the sum of both covariances. shift: x, y, heading, weighted mean, in the vehicle's frame.
+    worst: the same of the one farthest apart.
+    """
+
+    id: int
+    common: int
+    distance_sigma: float | None
+    shift_m: tuple[float, float]
+    shift_rad: float
+    worst_time_s: float
+    worst_m: tuple[float, float]
+    worst_rad: float
+    worst_sigma: float | None
+    contradicts: bool
+
+
+class OwnMatchingResult(Model):
+    """The smoother with its own matcher. See comparisons.extensions.own_matching.check.
+
+    filter, own, common: alignments, begun landmarks left out. shift_sigma: of what all differences
+    have in common, None for too few. ekf, smoother: scan landmarks of each against those of this
+    smoother. pose_distance_sigma: by the sum of both covariances.
+    """
+
+    matcher: str
+    filter: int
+    own: int
+    common: int
+    distance_sigma: float | None
+    shift_m: tuple[float, float]
+    shift_rad: float
+    shift_sigma: float | None
+    landmarks: list[LandmarkMatchingResult]
+    ekf: MapPairResult
+    smoother: MapPairResult
+    pose_difference_m: float
+    pose_distance_sigma: float | None
+    path_ekf_m: float
+    path_smoother_m: float
+    agrees: bool
+    proven: bool
+    chi2: float
+    dof: int
+    reasons: dict[str, int]
+    accuracy: AccuracyResult | None

@@ -2,37 +2,18 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
-from comparisons.checks.agreement import BlockAgreement, block_agrees
 from comparisons.estimates.estimate import Estimate
-from comparisons.pipeline.compare import Comparison
-from comparisons.report.finite import finite
-from comparisons.report.models import ScanLandmarkResult, ScanSlamResult
-from ekf_reference.scan_landmarks.scan_slam import ScanLandmarks
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
-
-
-def block_fields(b: BlockAgreement) -> dict[str, float | bool | None]:
-    """How a block of two estimates agrees, by the names of BlockResult."""
-    return {
-        "difference_m": b.difference_m,
-        "distance_sigma": b.distance,
-        "variance_ratio_least": finite(b.least),
-        "variance_ratio_largest": finite(b.largest),
-        "agrees": block_agrees(b),
-    }
+from comparisons.extensions.contract import Row
+from comparisons.extensions.scan_landmarks.source import ScanSlamSource
+from comparisons.pipeline.gaps import Gaps
+from comparisons.report.model import Model
+from comparisons.report.models import LandmarkResult
+from comparisons.report.sections import block_fields
 
 
-def scan_slam_result(c: Comparison) -> ScanSlamResult | None:
-    """What the scans gave as landmarks; None when they were not asked."""
-    if c.scan_slam is None:
-        return None
-    found = c.scan_slam.found
-    ekf, smoothed = c.ekf.estimate, c.smoothed
+def scan_slam_result(source: ScanSlamSource, ekf: Estimate, gaps: Gaps) -> ScanSlamResult:
+    """Return what the scans gave as landmarks."""
+    found, smoothed = source.found, gaps.smoothed
     return ScanSlamResult(
         scans=found.scans,
         landmarks=[
@@ -44,25 +25,25 @@ def scan_slam_result(c: Comparison) -> ScanSlamResult | None:
                 smoother_heading_rad=float(smoothed.oriented[i, 2]),
                 sightings=found.sightings[slot],
                 points=len(found.template[slot].shape),
-                **block_fields(b),  # type: ignore[arg-type]
+                **block_fields(b),
             )
-            for i, b in enumerate(c.agreement.oriented)
+            for i, b in enumerate(gaps.agreement.oriented)
         ],
         rejected=found.rejected,
         dynamic=found.dynamic,
         fused=found.fused,
         enriched=found.enriched,
-        pieces=c.scan_slam.pieces,
+        pieces=source.pieces,
         sightings=dict(found.reasons),
     )
 
 
-def scan_slam_rows(result: ScanSlamResult) -> list[tuple[str, str]]:
-    """Rows of a run's summary."""
+def scan_slam_rows(result: ScanSlamResult) -> list[Row]:
+    """Return how many agree, and what became of the sightings."""
     agreeing = sum(row.agrees for row in result.landmarks)
     told = (f"{count:,} {reason}" for reason, count in result.sightings.items() if count)
     return [
-        (
+        Row(
             "scan landmarks",
             f"{agreeing} of {len(result.landmarks)} agree; {result.scans:,} scans, "
             f"{result.pieces} segments, {result.rejected} rejected"
@@ -70,27 +51,33 @@ def scan_slam_rows(result: ScanSlamResult) -> list[tuple[str, str]]:
             + (f", {result.dynamic:,} returns left out that move" if result.dynamic else "")
             + (f", {result.enriched:,} alignments enriched" if result.enriched else ""),
         ),
-        ("their sightings", ", ".join(told) or "none"),
+        Row("their sightings", ", ".join(told) or "none"),
     ]
 
 
-def template_points(found: ScanLandmarks, slot: Index, place: Array) -> Array:
-    """(P, 2) the points of templates with their axes at places (Q, 3) [m]."""
-    placed = [
-        found.template[s].shape.transformed(pose).mean
-        for s, pose in zip(slot.tolist(), place, strict=True)
-    ]
-    return np.vstack([np.zeros((0, 2)), *placed])
+class ScanLandmarkResult(LandmarkResult):
+    """The same of a scan landmark. sightings: used of it. points: of its template."""
+
+    ekf_heading_rad: float
+    smoother_heading_rad: float
+    sightings: int
+    points: int
 
 
-def axes_of(estimate: Estimate, length_m: float = 2.0) -> Array:
-    """(Q, 3, 2) the ends of each landmark's two axes, left's, origin, ahead's."""
-    place, heading = estimate.oriented[:, :2], estimate.oriented[:, 2]
-    ahead = np.stack((np.cos(heading), np.sin(heading)), axis=1)
-    left = np.stack((-ahead[:, 1], ahead[:, 0]), axis=1)
-    return np.stack((place + length_m * left, place, place + length_m * ahead), axis=1)
+class ScanSlamResult(Model):
+    """Scan-SLAM. scans: looked at. rejected: segments that failed their trial.
 
+    dynamic: returns left out since something moves there.
+    pieces: whether all segments of a scan are one landmark, or each its own. fused: landmarks
+    found to be others. enriched: alignments that began where what stands around fits. sightings:
+    how often a landmark near the scanner was used, or why not.
+    """
 
-def place_covariances(estimate: Estimate) -> Array:
-    """(Q, 2, 2) of the places of scan landmarks."""
-    return estimate.oriented_covariances()[:, :2, :2]
+    scans: int
+    landmarks: list[ScanLandmarkResult]
+    rejected: int
+    dynamic: int = 0
+    fused: int = 0
+    enriched: int = 0
+    pieces: str = "single"
+    sightings: dict[str, int]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,9 @@ from comparisons.adapters.oriented_sightings import OrientedLedger
 from comparisons.adapters.planar_scans import PlanarScans, view_to
 from comparisons.adapters.timeline import resolved
 from comparisons.errors import InputError
-from comparisons.extensions.dense_maps.source import DenseOptions, DenseWatcher
+from comparisons.extensions.dense_maps.config import DenseMapsConfig
+from comparisons.extensions.dense_maps.source import DenseWatcher
+from comparisons.extensions.scan_landmarks.config import ScanLandmarksConfig
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
 from ekf_reference.dense.scan import Scan
@@ -33,14 +35,13 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 
-LANDMARKS = {"points": (POINT,), "scans": (ORIENTED,), "both": (POINT, ORIENTED)}
-"""What the landmarks are: the log's sightings of points, pieces of its scans, or both; and the
-kinds that regions of a dense map hang on, by width."""
+LANDMARKS = {"scans": (ORIENTED,), "both": (POINT, ORIENTED)}
+"""Kinds of landmarks that regions of a dense map are anchored to, by width."""
 PIECES: dict[str, Pieces] = {one.name: one for one in (JoinedSegments(), SingleSegments())}
 """Which returns of a scan become one landmark."""
 ENRICH_M = 1.0
 """Sigma of where a landmark should be seen, from which on its template alone may be fragile."""
-_ENRICHING = DenseOptions(("occupancy", "sog"), known_m=0.5)
+ENRICHING = DenseMapsConfig(layers=("occupancy", "sog"), known_m=0.5)
 """What templates are enriched from: a scan from a vehicle that does not know where it is among a
 region's landmarks would draw there what it is to be compared with."""
 _MARGIN_M = 0.01
@@ -64,40 +65,12 @@ class _Telling:
         return self.ledger.fuse(self.ekf, self.epoch, first, second, z, covariance)
 
 
-def check_landmarks(landmarks: str) -> None:
-    """Raises InputError for what is not of LANDMARKS."""
-    if landmarks not in LANDMARKS:
-        raise InputError(
-            f"landmarks '{landmarks}' are unknown, expected one of {', '.join(LANDMARKS)}"
-        )
-
-
-def usual_options(*, mapped: bool) -> ScanSlamOptions:
-    """mapped: a dense map hangs on the scan landmarks, which then have to stand among objects."""
-    return ScanSlamOptions(pieces=SingleSegments()) if mapped else ScanSlamOptions()
-
-
-def slam_options(pieces: str | None, templates: str, landmarks: str) -> ScanSlamOptions | None:
-    """As asked for; None where that is what is usual. Raises InputError.
-
-    pieces: of PIECES, None for the usual ones. templates: `bare` or `enriched`.
-    """
-    if templates not in ("bare", "enriched"):
-        raise InputError(f"--templates is '{templates}', expected bare or enriched")
-    if pieces is not None and pieces not in PIECES:
-        raise InputError(f"--pieces is '{pieces}', expected {' or '.join(PIECES)}")
-    richer = templates == "enriched"
-    if not richer and pieces is None:
-        return None
-    if landmarks == "points":
-        asked = "--templates enriched" if richer else f"--pieces {pieces}"
-        raise InputError(f"{asked} goes with --landmarks scans or both")
-    options = usual_options(mapped=richer)
-    return replace(
-        options,
-        pieces=options.pieces if pieces is None else PIECES[pieces],
-        enrich_m=ENRICH_M if richer else math.inf,
-    )
+def scan_slam_options(config: ScanLandmarksConfig, *, mapped: bool) -> ScanSlamOptions:
+    """Return what is asked for. mapped: a dense map is anchored to the landmarks."""
+    richer = config.templates == "enriched"
+    # A map's regions need landmarks that stand among objects.
+    pieces = config.pieces or ("single" if richer or mapped else "joined")
+    return ScanSlamOptions(pieces=PIECES[pieces], enrich_m=ENRICH_M if richer else math.inf)
 
 
 class LogScans:
@@ -252,54 +225,3 @@ class ScanSlamSource:
         if known is None or squared.sum() > known.shift_m**2 * len(known.before):
             shift = float(np.sqrt(squared.mean())) if len(squared) else 0.0
             self.closing = Closing(time_s, shift, there, before, after)
-
-
-class ScanSlamSources:
-    """Scan-SLAM as often as a filter is run over one log. log: as the filter is to read it."""
-
-    def __init__(
-        self,
-        log: Log,
-        scans: LogScans,
-        kinds: tuple[int, ...],
-        options: ScanSlamOptions | None = None,
-        fusing: FusingOptions | None = None,
-    ) -> None:
-        """scans: the log's. kinds: of landmarks that a map to enrich templates from hangs on.
-
-        fusing: see ScanSlamSource.
-        """
-        self.log, self.scans = log, scans
-        self._kinds, self._options, self._fusing = kinds, options or ScanSlamOptions(), fusing
-        self._made: list[ScanSlamSource] = []
-
-    @classmethod
-    def of(
-        cls,
-        log: Log,
-        landmarks: str,
-        options: ScanSlamOptions | None = None,
-        fusing: FusingOptions | None = None,
-    ) -> ScanSlamSources | None:
-        """What `landmarks` of LANDMARKS asks for; None for points alone. Raises InputError."""
-        if landmarks == "points":
-            return None
-        scans = LogScans(log)
-        if landmarks == "scans":
-            log = replace(
-                log, sightings=log.sightings.chosen(np.zeros(len(log.sightings.time_s), dtype=bool))
-            )
-        return cls(log, scans, LANDMARKS[landmarks], options, fusing)
-
-    def __call__(self) -> ScanSlamSource:
-        """Another one, without landmarks."""
-        kept = None
-        if math.isfinite(self._options.enrich_m):
-            kept = DenseWatcher(self.log, _ENRICHING, kinds=self._kinds)
-        self._made.append(ScanSlamSource(self.scans, self._options, kept, self._fusing))
-        return self._made[-1]
-
-    @property
-    def first(self) -> ScanSlamSource:
-        """What the first run left."""
-        return self._made[0]

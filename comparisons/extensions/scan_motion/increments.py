@@ -27,7 +27,7 @@ _WIDEST = 5.0
 """Largest factor looked for, as a logarithm."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class IncrementCheck:
     """How the errors of increments compare with their covariances.
 
@@ -79,11 +79,11 @@ def _by_truth(motion: ScanMotion, poses: Poses) -> IncrementCheck | None:
         return None
     nees = float(squared.mean()) / 3.0
     return IncrementCheck(
-        "truth",
-        nees,
-        3 * len(squared),
-        _band(3 * len(squared)),
-        float(np.sqrt(nees)),
+        against="truth",
+        nees=nees,
+        dof=3 * len(squared),
+        band=_band(3 * len(squared)),
+        factor=float(np.sqrt(nees)),
         median=float(np.median(squared) / chi2.median(3)),
     )
 
@@ -118,7 +118,12 @@ def _by_positions(motion: ScanMotion, fixes: Positions) -> IncrementCheck | None
     found = minimize(surprise, np.zeros(2), method="Nelder-Mead").x
     best = np.exp(np.clip(found, -_WIDEST, _WIDEST))
     return IncrementCheck(
-        "positions", plain, dof, _band(dof), float(best[0]), reference_factor=float(best[1])
+        against="positions",
+        nees=plain,
+        dof=dof,
+        band=_band(dof),
+        factor=float(best[0]),
+        reference_factor=float(best[1]),
     )
 
 

@@ -7,12 +7,15 @@ from collections import Counter
 from collections.abc import Iterable
 
 import numpy as np
-from rich.markup import escape
-from rich.table import Table
 
 from comparisons.adapters.scan_odometry import ScanMotion
+from comparisons.extensions.contract import Row
 from comparisons.extensions.scan_motion.increments import IncrementCheck
-from comparisons.report.models import IncrementResult, ScanOdometryResult
+from comparisons.extensions.scan_motion.three_way import ThreeWay
+from comparisons.report.model import Model
+from comparisons.report.models import AccuracyResult, MapPairResult
+from comparisons.report.rows import accuracy_rows
+from comparisons.report.sections import accuracy_result, map_pair_result
 
 _SURE = 2.0
 """Sigmas too small by more than this factor are remarked upon."""
@@ -49,23 +52,51 @@ def increment_remarks(check: IncrementCheck | None) -> list[str]:
     ]
 
 
-def add_scan_odometry(
-    table: Table, o: ScanOdometryResult, increments: IncrementResult | None
-) -> None:
-    """Scans used and failed, matches, and the increments' honesty."""
-    table.add_row(
-        "scan odometry",
-        f"{o.used:,} of {o.scans:,} scans used, {o.breaks} new beginnings, {o.weak} with a "
-        f"direction open; guess: {o.guess}; {o.scans_per_second:.0f} scans/s",
-    )
-    for reason, count in o.failures.items():
-        table.add_row("", escape(f"{count} failed: {reason}"))
-    if o.overlap is not None and o.residual_m is not None:
-        table.add_row(
-            "matches", f"overlap {o.overlap:.2f}, residual {o.residual_m:.3f} m (medians)"
+def scan_odometry_rows(o: ScanOdometryResult, increments: IncrementResult | None) -> list[Row]:
+    """Return scans used and failed, matches, and how honest the increments are."""
+    rows = [
+        Row(
+            "scan odometry",
+            f"{o.used:,} of {o.scans:,} scans used, {o.breaks} new beginnings, {o.weak} with a "
+            f"direction open; guess: {o.guess}; {o.scans_per_second:.0f} scans/s",
         )
+    ]
+    rows += [Row("", f"{count} failed: {reason}") for reason, count in o.failures.items()]
+    if o.overlap is not None and o.residual_m is not None:
+        medians = f"overlap {o.overlap:.2f}, residual {o.residual_m:.3f} m (medians)"
+        rows.append(Row("matches", medians))
     if increments is not None:
-        table.add_row("increments", _increments(increments))
+        rows.append(Row("increments", _increments(increments)))
+    return rows
+
+
+def three_way_result(three: ThreeWay) -> ThreeWayResult:
+    """Return how EKF and smoother on wheels compare with the smoother on scans."""
+    return ThreeWayResult(
+        ekf=map_pair_result(three.ekf),
+        smoother=map_pair_result(three.smoother),
+        loops=three.loops,
+        proven=three.proof.proven,
+        chi2=three.chi_square.chi2,
+        dof=three.chi_square.dof,
+        accuracy=accuracy_result(three.accuracy),
+        culprit=three.culprit,
+        evidence=three.evidence,
+    )
+
+
+def three_way_rows(three: ThreeWayResult) -> list[Row]:
+    """Return a row for each of the two on wheels, and the third estimate's accuracy."""
+    rows = [
+        Row(
+            "on scans",
+            f"{name} {'agrees' if pair.agrees else 'disagrees'} with the smoother on scans: "
+            f"{pair.rms_m:.3f} m apart (aligned {pair.rms_aligned_m:.3f}), {pair.outside} of "
+            f"{pair.landmarks} landmarks beyond 99 %",
+        )
+        for name, pair in (("EKF on wheels", three.ekf), ("smoother on wheels", three.smoother))
+    ]
+    return [*rows, *accuracy_rows("smoother on scans", three.accuracy)]
 
 
 def by_reason(reasons: Iterable[str]) -> dict[str, int]:
@@ -83,3 +114,49 @@ def _increments(i: IncrementResult) -> str:
         f"by truth: NEES {3.0 * i.nees:.2f} of 3 (band {3.0 * i.band[0]:.2f} to "
         f"{3.0 * i.band[1]:.2f}); sigmas {i.factor:.2f} times as large would fit"
     )
+
+
+class ThreeWayResult(Model):
+    """EKF and smoother on wheels, each against the smoother on scans.
+
+    chi2: with closures under their robust kernel, which only lowers it.
+    """
+
+    ekf: MapPairResult
+    smoother: MapPairResult
+    loops: int
+    proven: bool
+    chi2: float
+    dof: int
+    accuracy: AccuracyResult | None
+    culprit: str
+    evidence: str
+
+
+class ScanOdometryResult(Model):
+    """Scan odometry. failures: scans without an increment, by reason; breaks: new beginnings.
+
+    weak: increments that leave a direction open. overlap, residual_m: medians over the matches.
+    """
+
+    guess: str
+    scans: int
+    used: int
+    failures: dict[str, int]
+    breaks: int
+    weak: int
+    overlap: float | None
+    residual_m: float | None
+    scans_per_second: float
+
+
+class IncrementResult(Model):
+    """Errors of the increments. See extensions.scan_motion.increments."""
+
+    against: str
+    nees: float
+    dof: int
+    band: tuple[float, float]
+    factor: float
+    reference_factor: float | None
+    median: float | None

@@ -53,7 +53,7 @@ def smooth_on_scans(
     compact[used] = np.arange(len(used))
     slot = np.where(slot >= 0, compact[slot], -1)
     rows = position_rows(timeline, positions)
-    problem = assemble(scanned, timeline, slot, len(used), *rows)
+    problem = assemble(scanned, timeline, slot, len(used), rows)
     closed = closer.close(problem, motion.clouds(timeline.epoch_time_s))
     result = smooth(replace(problem, closures=closed.closures), {}, options=options)
     ids = run.estimate.landmark_id[used]

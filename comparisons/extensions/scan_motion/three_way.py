@@ -9,45 +9,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
-from scipy.stats import chi2
-
-from comparisons.checks.accuracy import Accuracy, aligned
+from comparisons.checks.accuracy import Accuracy
+from comparisons.checks.causes import Cause
+from comparisons.checks.map_agreement import Pair
 from comparisons.estimates.estimate import Estimate
 from graphslam.optimum import ChiSquareTest, Proof, chi_square_test
 from graphslam.smoother import SmootherResult
 
-Array = NDArray[np.float64]
-
-_CHI2_2_99 = float(chi2.ppf(0.99, 2))
 _CLEARLY = 1.5
 """Of two errors, one so many times the other tells the worse motion."""
-MOST_OUTSIDE = 0.05
-"""Share of landmarks that may lie beyond their 99 % region before the maps disagree."""
 
 
-@dataclass(frozen=True)
-class Pair:
-    """Two maps of the same landmarks.
-
-    rms_m: of the differences, and after the rigid motion that fits best. distance_sigma: (L,) root
-    of half the squared Mahalanobis distance of each, by the sum of both covariances, which is more
-    than that of the difference where sightings are shared. outside: beyond the 99 % region.
-    """
-
-    rms_m: float
-    rms_aligned_m: float
-    distance_sigma: Array
-    outside: int
-
-    @property
-    def agrees(self) -> bool:
-        """As many landmarks lie inside as chance allows."""
-        return self.outside <= max(1.0, MOST_OUTSIDE * len(self.distance_sigma))
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ThreeWay:
     """The smoother on scans beside the two estimates on wheels.
 
@@ -66,23 +39,20 @@ class ThreeWay:
     culprit: str
     evidence: str
 
-
-def compare_maps(first: Estimate, second: Estimate) -> Pair:
-    """Landmarks that both have, by id. Raises ValueError when they share none."""
-    _, i, j = np.intersect1d(
-        first.landmark_id, second.landmark_id, assume_unique=True, return_indices=True
-    )
-    if not len(i):
-        raise ValueError("the maps share no landmark")
-    a, b = first.landmark[i], second.landmark[j]
-    total = first.landmark_covariances()[i] + second.landmark_covariances()[j]
-    squared = np.einsum("ni,ni->n", a - b, np.linalg.solve(total, (a - b)[:, :, None])[:, :, 0])
-    return Pair(
-        float(np.sqrt(np.mean(np.sum((a - b) ** 2, axis=1)))),
-        float(np.sqrt(np.mean(np.sum((aligned(a, b) - b) ** 2, axis=1)))),
-        np.sqrt(squared / 2.0),
-        int(np.count_nonzero(~(squared <= _CHI2_2_99))),  # what is no number lies nowhere
-    )
+    @property
+    def remarks(self) -> list[str]:
+        """How far this estimate can be trusted."""
+        remarks, test = [], self.chi_square
+        if not self.proof.proven:
+            remarks.append(
+                "the smoother on scans is unproven, so its map has no say in the verdict"
+            )
+        if test.reading == "too high":
+            remarks.append(
+                f"on scans, chi-square {test.chi2:.0f} for {test.dof} degrees of freedom is too "
+                "high: the increments are surer than they may be, or scans and sightings contradict"
+            )
+        return remarks
 
 
 def readable(result: SmootherResult) -> Proof:
@@ -120,3 +90,19 @@ def find_culprit(
             name = "wheels" if w > s else "scans"
             return name, f"{figure} is {w:.3f} on wheels and {s:.3f} on scans"
     return "", "neither chi-square nor a reference tells which"
+
+
+def motion_cause(three_way: ThreeWay) -> Cause:
+    """Wheels against scans."""
+    pair = three_way.ekf
+    hint = {
+        "wheels": "look at the odometry: its sigmas, the wheelbase, the scale of speed and turn",
+        "scans": "look at the scan odometry: increments' factor, open directions, failures",
+        "": "compare both with GPS or truth, or look at both motions' sigmas",
+    }[three_way.culprit]
+    return Cause(
+        "motion",
+        f"EKF on wheels and smoother on scans differ by {pair.rms_m:.3f} m RMS, {pair.outside} of "
+        f"{len(pair.distance_sigma)} landmarks beyond their 99 % region; {three_way.evidence}",
+        hint,
+    )

@@ -2,80 +2,58 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from typing import NamedTuple
 
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
-from comparisons.logs.log_folder import read_log_folder
-from comparisons.logs.log_meta import MARK
-from comparisons.logs.readers import (
-    aa3,
-    acfr_car_park,
-    carmen,
-    g2o,
-    gtsam_2d,
-    mrclam,
-    rosbag,
-    victoria_park,
-)
-from comparisons.logs.table import shorten
 
 
 class Reader(NamedTuple):
-    """How a format is known and read. read takes the path and a robot's number."""
+    """A format: the module that knows and reads it, and what it is.
 
-    recognises: Callable[[Path], bool]
-    read: Callable[[Path, int], Log]
+    The module is imported when it is asked. robots: the format holds several.
+    """
+
+    module: str
     what: str
+    robots: bool = False
+
+    def recognises(self, path: Path) -> bool:
+        """Whether a path looks like this format."""
+        return bool(import_module(self.module).recognises(path))
+
+    def read(self, path: Path, robot: int = 1) -> Log:
+        """Read a path. robot: number of the robot, where there are several. Raises InputError."""
+        read = import_module(self.module).read
+        found: Log = read(path, robot) if self.robots else read(path)
+        return found
 
 
-def _alone(recognises: Callable[[Path], bool], read: Callable[[Path], Log], what: str) -> Reader:
-    """Of a format that holds one robot only."""
-    return Reader(recognises, lambda path, robot: read(path), what)
-
-
+_HERE = "comparisons.logs.readers"
 READERS: dict[str, Reader] = {
-    "log-folder": _alone(
-        lambda path: (path / MARK).is_file(),
-        read_log_folder,
-        "this project's own format, a folder with log.toml",
+    "log-folder": Reader(
+        "comparisons.logs.log_folder", "this project's own format, a folder with log.toml"
     ),
-    "gtsam-2d": _alone(
-        gtsam_2d.recognises,
-        gtsam_2d.read,
-        "text with ODOMETRY and LANDMARK lines, as gtsam's victoria_park.txt",
+    "gtsam-2d": Reader(
+        f"{_HERE}.gtsam_2d", "text with ODOMETRY and LANDMARK lines, as gtsam's victoria_park.txt"
     ),
-    "g2o": _alone(
-        g2o.recognises,
-        g2o.read,
-        "g2o text: one chain of poses, landmarks as points",
+    "g2o": Reader(f"{_HERE}.g2o", "g2o text: one chain of poses, landmarks as points"),
+    "mrclam": Reader(f"{_HERE}.mrclam", "a UTIAS MR.CLAM folder; see --robot", robots=True),
+    "acfr-car-park": Reader(
+        f"{_HERE}.acfr_car_park", "the ACFR car park folder: data_set.mat and beac_juan3.mat"
     ),
-    "mrclam": Reader(mrclam.recognises, mrclam.read, "a UTIAS MR.CLAM folder; see --robot"),
-    "acfr-car-park": _alone(
-        acfr_car_park.recognises,
-        acfr_car_park.read,
-        "the ACFR car park folder: data_set.mat and beac_juan3.mat",
+    "victoria-park": Reader(
+        f"{_HERE}.victoria_park", "Victoria Park detections: measurements.dat, inputs.dat, gps.dat"
     ),
-    "victoria-park": _alone(
-        victoria_park.recognises,
-        victoria_park.read,
-        "Victoria Park detections: measurements.dat, inputs.dat, gps.dat",
-    ),
-    "aa3": _alone(
-        aa3.recognises,
-        aa3.read,
+    "aa3": Reader(
+        f"{_HERE}.aa3",
         "Victoria Park's raw scans: aa3_dr.mat, aa3_lsr2.mat, aa3_gpsx.mat; see --features trees",
     ),
-    "carmen": _alone(
-        carmen.recognises,
-        carmen.read,
-        "CARMEN text: FLASER or ROBOTLASER1 lines with raw scans",
-    ),
-    "rosbag": _alone(
-        rosbag.recognises,
-        rosbag.read,
+    "carmen": Reader(f"{_HERE}.carmen", "CARMEN text: FLASER or ROBOTLASER1 lines with raw scans"),
+    "rosbag": Reader(
+        f"{_HERE}.rosbag",
         "ROS bags with LaserScan or PointCloud2: .mcap, .bag, rosbag2 folders (extra ros)",
     ),
 }
@@ -88,6 +66,8 @@ def read_log(path: Path, format_name: str | None = None, robot: int = 1) -> Log:
     except (OSError, ValueError):  # a name too long, or with a null character
         found = False
     if not found:
+        from comparisons.logs.table import shorten
+
         shown = shorten(str(path), 200)
         raise InputError(f"{shown}: no such file or folder (slamcheck logs lists bundled names)")
     if format_name is None:

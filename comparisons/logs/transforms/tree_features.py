@@ -14,16 +14,14 @@ from ekf_reference.tree_detection import ROUNDNESS, TreeTracker
 from graphslam.scan import planar
 from graphslam.scan.points import planar_points
 
-FEATURES = ("log", "trees")
 SIGMA_BEARING_RAD = np.deg2rad(1.0)
 
 
-def choose_features(log: Log, name: str) -> Log:
-    """The log with the sightings asked for: its own, or trunks found in its scans."""
-    if name not in FEATURES:
-        raise InputError(f"features '{name}' is unknown, expected {' or '.join(FEATURES)}")
-    if name == "log":
-        return log
+def with_tree_features(log: Log) -> Log:
+    """Return the log with trunks found in its scans in place of its sightings.
+
+    Raises InputError for a log without scans, or without trunks in them.
+    """
     if log.scans is None:
         raise InputError(f"{log.name}: holds no scans to find trees in; use --features log")
     return with_tree_sightings(log, log.scans)

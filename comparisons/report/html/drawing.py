@@ -9,9 +9,13 @@ from html import escape
 import numpy as np
 from numpy.typing import NDArray
 
+from comparisons.estimates.estimate import Estimate
+
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 
 MOST_POINTS = 4000
+MOST_LINES = 3000
 _SIDE = 1000.0
 
 
@@ -137,3 +141,11 @@ def kept(count: int) -> NDArray[np.intp]:
     """Which of `count` points of a path are drawn, the first and the last among them."""
     most = np.linspace(0, count - 1, min(count, MOST_POINTS))
     return np.asarray(np.round(most), dtype=np.intp)
+
+
+def association_lines(
+    drawing: Drawing, look: tuple[str, str], estimate: Estimate, epoch: Index, slot: Index
+) -> None:
+    """Add a line from the pose to the landmark of each sighting. look: name and colour."""
+    start, end = estimate.pose[epoch, :2], estimate.landmark[slot]
+    drawing.links(*look, start, end, shown=False, faint=True)

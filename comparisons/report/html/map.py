@@ -8,20 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.estimates.estimate import Estimate
-from comparisons.extensions.scan_landmarks.result import axes_of, place_covariances, template_points
 from comparisons.pipeline.compare import Comparison
-from comparisons.report.html.drawing import Drawing, kept
-from comparisons.report.plots import EKF_COLOUR, HIGH_LEVEL_COLOUR, SMOOTHER_COLOUR, ellipses
+from comparisons.report.figures.style import EKF_COLOUR, SMOOTHER_COLOUR, ellipses
+from comparisons.report.html.drawing import MOST_LINES, Drawing, association_lines, kept
 
 Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 RATIO_LAYER = "variance ratio, least"
 _SIGMAS = 3.0
-_SEEN = {True: "seen again", False: "never seen again"}
-_MOST_LINES = 3000
 _NO_RATIO = "#888888"
-_OWN_MATCHER_COLOUR = "#6a3d9a"
 _RATIO_COLOURS = ("#7f3b08", "#e08214", "#fee0b6", "#f7f7f7", "#d8daeb", "#8073ac", "#2d004b")
 """From too sure to too careful; ColorBrewer's PuOr, which the colour-blind can read."""
 _LEAST_DECADES, _MOST_DECADES = 0.5, 3.0
@@ -61,17 +56,6 @@ def run_map(c: Comparison) -> RunMap:
         drawing.path("truth", "#9a9a9a", truth.poses.pose[:, :2])
     if positions is not None:
         drawing.dots("GPS", "#b08d57", positions.position_m)
-    if c.dense_check is not None:
-        for name, layer in c.dense_check.layers.items():
-            drawing.dots(f"dense {name}", "#5b7c8d", layer.point)
-    if c.high_level is not None:
-        made, colour = c.high_level, HIGH_LEVEL_COLOUR
-        told = [f"high level landmark, {_SEEN[s >= 0]}" for s in made.slot.tolist()]
-        drawing.outlines("high level landmarks", colour, made.rectangle, told)
-        drawing.links("their axes", colour, *made.axes)
-    if c.own_matching is not None:
-        path = c.own_matching.estimate.pose[:, :2]
-        drawing.path("smoother trajectory, own matcher", _OWN_MATCHER_COLOUR, path, "2 2")
     _associations(drawing, c)
     finite = np.isfinite(ekf.pose).all(axis=1) & np.isfinite(smoothed.pose).all(axis=1)
     row = np.flatnonzero(finite)
@@ -89,7 +73,8 @@ def run_map(c: Comparison) -> RunMap:
         outline = ellipses(estimate.landmark, estimate.landmark_covariances(), _SIGMAS, 32)
         drawing.outlines(f"{name} landmarks, 3 sigma", colour, outline, told)
         drawing.marks(f"{name} landmarks", colour, estimate.landmark, told, _keys(estimate))
-    _scan_landmarks(drawing, c)
+    for found in c.findings.values():
+        found.layers(drawing)
     drawing.links("differences", "#7b4fa3", ekf.landmark, smoothed.landmark)
     ratio = np.array([b.least for b in c.agreement.landmarks])
     decades = _decades(ratio)
@@ -99,31 +84,6 @@ def run_map(c: Comparison) -> RunMap:
         RATIO_LAYER, "#666666", ekf.landmark, told, _keys(ekf), colours, shown=False
     )  # fmt: skip
     return RunMap(drawing, np.round(ekf.time_s[row], 3).tolist(), decades)
-
-
-def _scan_landmarks(drawing: Drawing, c: Comparison) -> None:
-    """Templates, ellipses and axes; their keys tell them from points."""
-    if c.scan_slam is None:
-        return
-    ekf = c.ekf.estimate
-    drawing.dots(
-        "templates", "#333333", template_points(c.scan_slam.found, ekf.oriented_id, ekf.oriented)
-    )
-    keys = [f"s{i}" for i in ekf.oriented_id.tolist()]
-    for name, colour, estimate in (
-        ("smoother", SMOOTHER_COLOUR, c.smoothed),
-        ("EKF", EKF_COLOUR, ekf),
-    ):
-        told = [
-            f"{name}, scan landmark {i}: {b.difference_m:.3f} m apart, {b.distance:.2g} sigma"
-            for i, b in zip(ekf.oriented_id.tolist(), c.agreement.oriented, strict=True)
-        ]
-        place, ends = estimate.oriented[:, :2], axes_of(estimate)
-        outline = ellipses(place, place_covariances(estimate), _SIGMAS, 32)
-        drawing.outlines(f"{name} scan landmarks, 3 sigma", colour, outline, told)
-        start, end = np.repeat(place, 2, axis=0), ends[:, ::2].reshape(-1, 2)
-        drawing.links(f"{name} scan landmarks' axes", colour, start, end)
-        drawing.marks(f"{name} scan landmarks", colour, place, told, keys)
 
 
 def ratio_colours(ratio: Array, decades: float) -> list[str]:
@@ -169,25 +129,9 @@ def _associations(drawing: Drawing, c: Comparison) -> None:
     """A line from the pose to the landmark for each sighting that is used."""
     slot, epoch = c.ekf.slot, c.ekf.timeline.sighting_epoch
     used = np.flatnonzero(slot >= 0)
-    thinned = used[np.round(np.linspace(0, len(used) - 1, min(len(used), _MOST_LINES))).astype(int)]
-    _lines(drawing, "associations", "#8a8a8a", c.ekf.estimate, epoch, slot, thinned)
-    own = c.own_association
-    if own is None:
-        return
-    row = own.differing[:_MOST_LINES]
-    for name, colour, estimate, slots in (
-        ("associations that differ: EKF", EKF_COLOUR, c.ekf.estimate, slot),
-        ("associations that differ: smoother", SMOOTHER_COLOUR, own.estimate, own.slot),
-    ):
-        _lines(drawing, name, colour, estimate, epoch, slots, row[slots[row] >= 0])
-
-
-def _lines(
-    drawing: Drawing, name: str, colour: str, estimate: Estimate, epoch: Index, slot: Index,
-    row: Index,
-) -> None:  # fmt: skip
-    start, end = estimate.pose[epoch[row], :2], estimate.landmark[slot[row]]
-    drawing.links(name, colour, start, end, shown=False, faint=True)
+    row = used[np.round(np.linspace(0, len(used) - 1, min(len(used), MOST_LINES))).astype(int)]
+    look = ("associations", "#8a8a8a")
+    association_lines(drawing, look, c.ekf.estimate, epoch[row], slot[row])
 
 
 def _keys(estimate: Estimate) -> list[int]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 
@@ -10,17 +11,11 @@ from comparisons.report.html.curves import curve_data, data_block
 from comparisons.report.html.look import script
 from comparisons.report.html.map import RATIO_LAYER, ratio_legend, run_map
 from comparisons.report.html.shell import document, picture, table
-from comparisons.report.html.tables import (
-    association_differences,
-    figures,
-    landmarks,
-    matching_differences,
-    timing,
-)
+from comparisons.report.html.tables import landmarks, timing
 from comparisons.report.models import Result
 from comparisons.report.panels import ConsistencyPanels
+from comparisons.report.result import run_rows
 
-_PICTURES = {"correlation.png": "Correlation", "dense.png": "Dense maps"}
 _HINT = {
     "map": "Wheel to zoom, drag to move, double click for all; click a landmark to find its row.",
     "curves": "Point at a time to see it on all curves and on the map; wheel or drag to zoom, "
@@ -28,8 +23,10 @@ _HINT = {
 }
 
 
-def page(comparison: Comparison, panels: ConsistencyPanels, result: Result, pictures: Path) -> str:
-    """The whole page. pictures: the folder with those that have been drawn."""
+def page(
+    comparison: Comparison, panels: ConsistencyPanels, result: Result, pictures: Sequence[Path]
+) -> str:
+    """The whole page. pictures: files of those that have been drawn, to be shown."""
     name, drawn = escape(result.log.name), run_map(comparison)
     start_s = float(comparison.ekf.estimate.time_s[0])
     data = {
@@ -52,11 +49,10 @@ def page(comparison: Comparison, panels: ConsistencyPanels, result: Result, pict
         f'<p class="note">{escape(panels.told)}</p>',
         f'<div id="curves"></div><p class="note">{_HINT["curves"]}</p></section></main>',
         "<h2>Figures</h2>",
-        table(("", ""), figures(result)),
+        table(("", ""), run_rows(comparison, result)),
         *_embedded(pictures),
-        association_differences(comparison),
-        matching_differences(result),
-        landmarks(result),
+        *(section for one in comparison.findings.values() for section in one.sections()),
+        landmarks(comparison, result),
         f"<h2>Time</h2>{timing(result.seconds)}",
         f"<h2>Versions</h2>{table(('package', 'version'), list(result.versions.items()))}",
         data_block(data),
@@ -74,9 +70,9 @@ def _causes(result: Result) -> str:
     return "".join(shown) + (f'<ul class="note">{remarks}</ul>' if remarks else "")
 
 
-def _embedded(folder: Path) -> list[str]:
+def _embedded(pictures: Sequence[Path]) -> list[str]:
     shown = []
-    for file, title in _PICTURES.items():
-        if (folder / file).exists():
-            shown.append(f"<h2>{title}</h2>{picture(title, (folder / file).read_bytes())}")
+    for file in pictures:
+        title = file.stem.replace("-", " ").capitalize()
+        shown.append(f"<h2>{title}</h2>{picture(title, file.read_bytes())}")
     return shown

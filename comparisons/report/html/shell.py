@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import math
 from collections.abc import Iterable, Sequence
 from html import escape
 
@@ -31,6 +32,26 @@ def table(head: Sequence[str], rows: Iterable[Sequence[object]], bad: Iterable[i
         cells = "".join(f"<td>{escape(str(cell))}</td>" for cell in row)
         body.append(f'<tr class="bad">{cells}</tr>' if number in marked else f"<tr>{cells}</tr>")
     return f"<table>{top}<tbody>{''.join(body)}</tbody></table>"
+
+
+def sortable(name: str, head: Sequence[str], rows: Sequence[tuple[str, Sequence[str]]]) -> str:
+    """A table to sort. Rows of an attribute text, ours, and cells, anybody's."""
+    heads = "".join(f"<th><button>{escape(title)}</button></th>" for title in head)
+    body = "".join(
+        f"<tr {attributes}>{''.join(f'<td>{escape(cell)}</td>' for cell in cells)}</tr>"
+        for attributes, cells in rows
+    )
+    return (
+        f'<div class="scroll"><table id="{name}" class="sortable"><thead><tr>{heads}</tr></thead>'
+        f"<tbody>{body}</tbody></table></div>"
+    )
+
+
+def number(value: float | None) -> str:
+    """Three digits; `none` for what is no number."""
+    if value is None or not isinstance(value, int | float) or not math.isfinite(value):
+        return "none"
+    return f"{value:.3g}"
 
 
 def picture(title: str, png: bytes) -> str:

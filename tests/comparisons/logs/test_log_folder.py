@@ -9,11 +9,11 @@ import pytest
 
 from comparisons.errors import InputError
 from comparisons.logs.bundled import open_log
+from comparisons.logs.hashing import log_hash
 from comparisons.logs.log import Landmarks, Log, Positions, Surfaces
 from comparisons.logs.log_folder import read_log_folder, write_log_folder
 from comparisons.logs.odometry import OdometryNoise, VelocityOdometry
 from comparisons.logs.scans import Clouds, Mount, Scans
-from comparisons.report.result import log_hash
 from tests.helpers import simulated
 
 

@@ -13,7 +13,7 @@ from comparisons.adapters.scan_odometry import run_scan_odometry
 from comparisons.errors import InputError
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.readers import read_log
-from comparisons.logs.transforms.tree_features import choose_features
+from comparisons.logs.transforms.tree_features import with_tree_features
 from tests.comparisons.logs.test_scan_readers import assert_survives_a_folder, damaged
 
 pytest.importorskip("rosbags")
@@ -62,7 +62,7 @@ def test_the_topic_with_the_most_messages_is_read(tmp_path: Path) -> None:
     assert not len(log.odometry.time_s)
     assert log.provenance["scans_mount"].startswith("unknown (laser from the base)")
     with pytest.raises(InputError, match="bag: holds no odometry, which following trunks needs"):
-        choose_features(log, "trees")
+        with_tree_features(log)
     assert_survives_a_folder(log, tmp_path / "again")
 
 

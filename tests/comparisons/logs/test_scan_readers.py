@@ -21,7 +21,7 @@ from comparisons.logs.readers.scan_odometry import (
     displacements,
     poses_at,
 )
-from comparisons.logs.transforms.tree_features import choose_features
+from comparisons.logs.transforms.tree_features import with_tree_features
 from tests.comparisons.logs.test_log_folder import assert_same
 
 
@@ -93,7 +93,7 @@ def test_trunks_are_found_in_the_trio(tmp_path: Path) -> None:
     words[:, 178:183] = 1000
     times = (22000 + 214 * np.arange(30)).astype(np.int32)
     log = read_log(trio(tmp_path, speed=np.zeros(800), TLsr=times, LASER=words, **NO_GPS))
-    found = choose_features(log, "trees").sightings
+    found = with_tree_features(log).sightings
     assert len(found.time_s) > 10
     assert np.allclose(found.range_m, 10.2, atol=0.2)
     assert np.allclose(found.bearing_rad, 0.0, atol=0.01)

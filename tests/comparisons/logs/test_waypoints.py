@@ -7,15 +7,16 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from comparisons.adapters.ekf_factory import EkfChoices
+from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.timeline import build_timeline
 from comparisons.checks.accuracy import assess, assess_trajectory
+from comparisons.config import EkfConfig
 from comparisons.experiments.reproduction.navigator import direction_cosine_navigator
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.simulate.waypoints import WaypointRun, simulate
-from comparisons.logs.transforms.tree_features import choose_features
+from comparisons.logs.transforms.tree_features import with_tree_features
 from ekf_reference.observation import RangeBearing
 from graphslam.increments import dead_reckoned
 
@@ -82,7 +83,7 @@ def test_odometry_is_as_uncertain_as_it_says() -> None:
 
 def test_obstacles_of_the_range_profile() -> None:
     """Runs of returns become obstacles within centimetres of the true ones."""
-    log = choose_features(run_of(3), "trees")
+    log = with_tree_features(run_of(3))
     assert log.truth.poses is not None
     assert log.truth.landmarks is not None
     pose = log.truth.poses.pose[np.rint(log.sightings.time_s / RUN.sample_s).astype(int)]
@@ -106,7 +107,9 @@ def test_slam_cancels_what_dead_reckoning_accumulates(filter_name: str) -> None:
     alone = dead_reckoned(log.prior.pose, log.odometry.displacement)
     reckoned = assess_trajectory(timeline.epoch_time_s, alone, log)
     slam = assess(
-        run_ekf(log, timeline, EkfChoices(filter_name).settle(log)).estimate, log, labelled=True
+        run_ekf(log, timeline, settle(EkfConfig(filter=filter_name), log)).estimate,
+        log,
+        labelled=True,
     )
     assert reckoned is not None
     assert slam is not None

@@ -46,8 +46,15 @@ def samples(*height: float) -> Samples:
 
 
 def round_of(number: int, classic: Samples, dense: Samples) -> nieto_dense.Round:
-    errors = surface_error(classic, WALL), surface_error(dense, WALL)
-    return nieto_dense.Round(number, classic, dense, CORNERS, CORNERS, *errors)
+    return nieto_dense.Round(
+        number=number,
+        classic=classic,
+        dense=dense,
+        landmark=CORNERS,
+        true=CORNERS,
+        classic_error=surface_error(classic, WALL),
+        dense_error=surface_error(dense, WALL),
+    )
 
 
 def rounds() -> nieto_dense.Rounds:
@@ -61,9 +68,17 @@ def coarsened() -> nieto_dense.Coarsened:
     held = samples(0.0)
     triangle, error = CORNERS[None], surface_error(held, WALL)
     return nieto_dense.Coarsened(
-        "made up", np.repeat(triangle, 2, axis=0), np.array((0.5, 0.2)), held, 80, 100, 0.995,
-        error, error, WALL,
-    )  # fmt: skip
+        log="made up",
+        triangle=np.repeat(triangle, 2, axis=0),
+        cell_m=np.array((0.5, 0.2)),
+        coarse=held,
+        cells=80,
+        cells_even=100,
+        emptiest=0.995,
+        error=error,
+        error_even=error,
+        segment=WALL,
+    )
 
 
 def covered() -> guivant.Covered:
@@ -78,7 +93,14 @@ def motions(true: Array) -> nieto_motion.Motions:
     """Places that are found where they are, but for a little."""
     held, found = samples(0.0), np.where(np.isfinite(true), true, 0.0) + 0.1
     score = DynamicScore(0.95, 0.93, found)
-    one = nieto_motion.Motion(score, found, held, CORNERS, WALL, CORNERS[None])
+    one = nieto_motion.Motion(
+        score=score,
+        dynamic=found,
+        occupied=held,
+        landmark=CORNERS,
+        segment=WALL,
+        triangle=CORNERS[None],
+    )
     return nieto_motion.Motions("made up", (one,), true)
 
 
@@ -96,8 +118,17 @@ def scan_drives() -> nieto_scan_slam.ScanDrives:
     )
     path = true[:, :2] + (0.0, -8.0)
     one = nieto_scan_slam.ScanDrive(
-        0, path, path, 5.0, before, path[:3], after, 0.5, 5.0, wall
-    )  # fmt: skip
+        seed=0,
+        path=path,
+        true_path=path,
+        closing_s=5.0,
+        before=before,
+        path_before=path[:3],
+        after=after,
+        ate_m=0.5,
+        wheels_m=5.0,
+        segment=wall,
+    )
     return nieto_scan_slam.ScanDrives("made up", (one,))
 
 

@@ -60,7 +60,15 @@ def claims(number: Number) -> list[Claim]:
 
 
 def figure(name: str, run: Any = one, needs: str | None = None) -> AnyFigure:
-    return Figure(name, HOSTILE, HOSTILE, HOSTILE, Experiment(name, run, needs), draw, claims)
+    return Figure(
+        name=name,
+        title=HOSTILE,
+        source=HOSTILE,
+        says=HOSTILE,
+        experiment=Experiment(name, run, needs),
+        draw=draw,
+        claims=claims,
+    )
 
 
 @pytest.fixture

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -11,14 +11,9 @@ import pytest
 from comparisons.errors import InputError
 from comparisons.experiments.reproduction.nieto_scan_slam import ScanDrive, of_log
 from comparisons.extensions.dense_maps.accuracy import distance_to_segments
-from comparisons.logs.log import Log
-from comparisons.logs.simulate.scan_drive import scan_slam, simulate
-from tests.helpers import first_seconds
+from tests.scenarios import scenario
 
-
-@cache
-def log() -> Log:
-    return first_seconds(simulate(np.random.default_rng(3), scan_slam()), 6.0)
+log = partial(scenario, "scan-slam", seed=3, seconds=6.0)
 
 
 @cache

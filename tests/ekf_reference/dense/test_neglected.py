@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import replace
 from functools import cache
 from itertools import islice
@@ -127,15 +126,3 @@ def test_corners_may_be_linear_functions_of_landmarks() -> None:
     moved = Carriers(np.column_stack((slot, other)), half)
     layer = NeglectedCorrelation(lambda view, base, point: moved)
     assert layer.note(view, base, np.arange(len(base)), point).max() > 0.0
-
-
-def test_forty_regions_take_less_than_a_third_of_a_millisecond() -> None:
-    view, base, point = centres()
-    many = np.resize(np.arange(len(base)), 40)
-    layer, base, point = NeglectedCorrelation(), base[many], point[many]
-    region, spent = np.arange(40), []
-    for _ in range(200):
-        start = time.perf_counter()
-        layer.note(view, base, region, point)
-        spent.append(time.perf_counter() - start)
-    assert min(spent) < 3e-4

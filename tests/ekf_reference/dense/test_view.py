@@ -3,9 +3,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from comparisons.adapters.ekf_factory import EkfChoices
+from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.ekf_run import run_ekf
+from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import build_timeline
+from comparisons.config import EkfConfig
 from ekf_reference.dense.view import FilterView
 from ekf_reference.full_ekf import FullEkf
 from tests.ekf_reference.dense.drives import scans
@@ -30,7 +32,12 @@ def test_every_filter_is_read_as_pose_and_landmarks(name: str) -> None:
     """The last view of a run is what the run's estimate says, pose as x, y, heading."""
     log = simulated(loop_s=40.0)
     kept: list[FullEkf] = []
-    run = run_ekf(log, build_timeline(log), EkfChoices(name).settle(log), modify=kept.append)
+    run = run_ekf(
+        log,
+        build_timeline(log),
+        settle(EkfConfig(filter=name), log),
+        setup=FilterSetup(modify=[kept.append]),
+    )
     view = FilterView.of(kept[0])
     assert np.allclose(view.pose, run.estimate.pose[-1], atol=1e-12)
     assert np.allclose(view.landmark, run.estimate.landmark, atol=1e-12)
@@ -43,7 +50,7 @@ def test_every_filter_is_read_as_pose_and_landmarks(name: str) -> None:
 def test_glancing_leaves_a_compressed_filter_as_it_is() -> None:
     """Passive landmarks stay as the last global update left them, and no bit changes."""
     log = simulated(loop_s=40.0)
-    timeline, choices = build_timeline(log), EkfChoices("compressed").settle(log)
+    timeline, choices = build_timeline(log), settle(EkfConfig(filter="compressed"), log)
 
     def final(*, watched: bool) -> np.ndarray:
         def watch(ekf: FullEkf) -> None:
@@ -57,7 +64,7 @@ def test_glancing_leaves_a_compressed_filter_as_it_is() -> None:
 
             ekf.predict = glanced  # type: ignore[method-assign, assignment]
 
-        estimate = run_ekf(log, timeline, choices, modify=watch).estimate
+        estimate = run_ekf(log, timeline, choices, setup=FilterSetup(modify=[watch])).estimate
         return np.concatenate((estimate.landmark.ravel(), estimate.joint_covariance.ravel()))
 
     assert np.array_equal(final(watched=True), final(watched=False))

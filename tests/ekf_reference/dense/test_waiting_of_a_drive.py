@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from comparisons.adapters.ekf_factory import EkfChoices
+from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.ekf_run import run_ekf
+from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import build_timeline
+from comparisons.config import EkfConfig
 from ekf_reference.dense.local_pose import Frames
 from ekf_reference.dense.regions import Index, LocalRegions
 from ekf_reference.dense.triangles import axes, solve
@@ -242,7 +244,12 @@ def waiting_points(name: str) -> tuple[WaitingRoom, Array]:
 
         ekf.observe = watched  # type: ignore[method-assign, assignment]
 
-    run = run_ekf(log, build_timeline(log), EkfChoices(name).settle(log), modify=watch)
+    run = run_ekf(
+        log,
+        build_timeline(log),
+        settle(EkfConfig(filter=name), log),
+        setup=FilterSetup(modify=[watch]),
+    )
     return room, run.estimate.landmark.ravel()
 
 

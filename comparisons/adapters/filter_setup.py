@@ -1,0 +1,61 @@
+"""What stands beside a filter while it runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, TypeVar
+
+from comparisons.adapters.filter_loop import Watcher, Watchers
+from comparisons.adapters.oriented_sightings import GuardedSource, NoOrientedSource, OrientedSource
+from ekf_reference.full_ekf import FullEkf
+from ekf_reference.layout import POINT
+
+if TYPE_CHECKING:
+    from ekf_reference.attributes import LayerValues
+    from ekf_reference.dynamic_guard import DynamicGuard
+
+T = TypeVar("T")
+
+
+@dataclass(kw_only=True)
+class FilterSetup:
+    """Filled before a run of the filter, anew for each.
+
+    modify: may replace parts of the filter before it starts. observers: read the filter, in their
+    order. source: of sightings of landmarks with a direction; one that is a Watcher observes, too,
+    after the others. guard: knows where things move, so that the filter ignores these. layer:
+    knows what is around landmarks, for attributes of that kind. kinds: of landmarks that maps are
+    anchored to, by width. offers: what extensions offer to
+    those after them, and to their own checks.
+    """
+
+    modify: list[Callable[[FullEkf], None]] = field(default_factory=list)
+    observers: list[Watcher] = field(default_factory=list)
+    source: OrientedSource = field(default_factory=NoOrientedSource)
+    guard: DynamicGuard | None = None
+    layer: LayerValues | None = None
+    kinds: tuple[int, ...] = (POINT,)
+    offers: list[object] = field(default_factory=list)
+
+    def find(self, kind: type[T]) -> T | None:
+        """Return the first offer of a class; None where there is none."""
+        return next((one for one in self.offers if isinstance(one, kind)), None)
+
+    def apply(self, ekf: FullEkf) -> set[int]:
+        """Change the filter as asked. Return the set that will hold retired landmarks."""
+        for modify in self.modify:
+            modify(ekf)
+        retired: set[int] = set()
+        if self.guard is not None:
+            from ekf_reference.dynamic_guard import StaticSightings
+
+            ekf.association = StaticSightings(ekf.association, self.guard, retired)
+            if isinstance(self.source, GuardedSource):
+                self.source.keep_from(self.guard)
+        return retired
+
+    def watcher(self) -> Watchers:
+        """All that observe, as one."""
+        both: Sequence[object] = (*self.observers, self.source)
+        return Watchers([one for one in both if isinstance(one, Watcher)])

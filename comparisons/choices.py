@@ -1,0 +1,26 @@
+"""The values that settings may take. Imports nothing heavy: the command line's help reads it."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+Filter = Literal["full", "compressed", "compressed-suboptimal", "misono", "misono-full"]
+Association = Literal["known", "nn", "jcbb", "euclidean", "agreed"]
+SolverAssociation = Literal["known", "own"]
+Attributes = Literal["off", "on", "layer"]
+Gps = Literal["off", "on", "half"]
+Features = Literal["log", "trees"]
+Method = Literal["batch", "isam2", "fixed-lag"]
+Optimiser = Literal["levenberg-marquardt", "gauss-newton", "dogleg"]
+Robust = Literal["none", "huber", "cauchy", "gnc"]
+Guess = Literal["wheels", "none"]
+LoopMatcher = Literal["surface", "kiss", "point-to-point", "point-to-plane", "generalised"]
+CloudFormat = Literal["pcd", "ply"]
+PictureFormat = Literal["png", "pdf"]
+Motion = Literal["wheel", "scan", "both"]
+Landmarks = Literal["points", "scans", "both"]
+Pieces = Literal["joined", "single"]
+Templates = Literal["bare", "enriched"]
+Layer = Literal["points", "occupancy", "particles", "sog", "values"]
+Switch = Literal["off", "on"]
+Peer = Literal["ekf", "own"]

@@ -1,0 +1,48 @@
+"""`slamcheck check`: an external estimate against the smoother's."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from comparisons.cli.flags import Given, from_flags
+from comparisons.cli.jobs import start_job
+from comparisons.cli.support import VERDICTS, guarded, print_result, progress_bar
+from comparisons.errors import InputError
+from comparisons.options import ESTIMATE, FEATURES, GPS, LOG, ROBUST, SOLVER_ASSOCIATION
+
+
+@from_flags((*ESTIMATE, SOLVER_ASSOCIATION, FEATURES, GPS, ROBUST, *LOG))
+def check(given: Given) -> None:
+    """Check another system's estimate of a log against the smoother's. Exits as run does.
+
+    \b
+    Examples:
+      slamcheck check simulated-loop --estimate my-filter-output
+      slamcheck check my-log --estimate trajectory.tum
+    """
+    with guarded(verbose=given.verbose, log_file=given.log_file):
+        from comparisons.config import CheckConfig
+        from comparisons.estimates.external import read_given
+        from comparisons.report.check import build_check_result, check_folder, print_check
+        from comparisons.report.folder import write_job_folder
+
+        def readable(config: CheckConfig) -> None:
+            if not config.estimate:
+                raise InputError("--estimate is missing: give a trajectory or an estimate's folder")
+            read_given(Path(config.estimate), _path(config.times))
+
+        job = start_job(given, CheckConfig, check=readable)
+        from comparisons.pipeline.check import check as check_estimate
+
+        estimate = read_given(Path(job.config.estimate), _path(job.config.times))
+        with progress_bar() as progress:
+            checked = check_estimate(job.log, estimate, job.config, progress)
+            result = build_check_result(checked, job.read_s)
+            progress("report", 0, 0)
+            write_job_folder(check_folder(checked, result), job.folder)
+        print_result(lambda console: print_check(result, console), job.folder)
+        raise SystemExit(VERDICTS[checked.outcome])
+
+
+def _path(name: str | None) -> Path | None:
+    return None if name is None else Path(name)

@@ -1,0 +1,172 @@
+"""From the table of options to parameters that typer reads, and to what was given."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from enum import Enum
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+import typer
+
+from comparisons.options import Flag
+
+
+class Given(NamedTuple):
+    """What a command was given. log: a name or a path. extra: the command's own options."""
+
+    log: str | None
+    flags: Sequence[tuple[Flag, Any]]
+    config: Path | None
+    settings: Sequence[str]
+    allow_changed: bool
+    out: Path | None
+    verbose: bool
+    log_file: Path | None
+    extra: Mapping[str, Any]
+
+
+def from_flags(
+    flags: Iterable[Flag], **extra: Any
+) -> Callable[[Callable[[Given], None]], Callable[..., None]]:
+    """Make a function of what was given into one whose parameters typer reads.
+
+    extra: annotation and default, if any, of further parameters, which set nothing in the
+    configuration.
+    """
+    table = tuple(flags)
+
+    def decorate(job: Callable[[Given], None]) -> Callable[..., None]:
+        def command(**values: Any) -> None:
+            given = [
+                (flag, _plain(value))
+                for flag in table
+                if (value := values[flag.name]) is not None and value != []
+            ]
+            job(
+                Given(
+                    values["log"],
+                    given,
+                    values["config"],
+                    values["settings"],
+                    values["allow_changed_log"],
+                    values["out"],
+                    values["verbose"],
+                    values["log_file"],
+                    {name: values[name] for name in extra},
+                )
+            )
+
+        parameters = [_LOG, *(_of_flag(flag) for flag in table)]
+        parameters += [
+            _parameter(name, annotation, *default) for name, (annotation, *default) in extra.items()
+        ]
+        parameters += _COMMON
+        command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        command.__annotations__ = {one.name: one.annotation for one in parameters}
+        command.__doc__, command.__name__ = job.__doc__, job.__name__
+        return command
+
+    return decorate
+
+
+def _of_flag(flag: Flag) -> inspect.Parameter:
+    kind: Any = _words(flag) if flag.words else flag.kind
+    option = typer.Option(
+        flag.option,
+        help=flag.help,
+        metavar=flag.metavar,
+        show_default=False,
+        hidden=flag.hidden,
+    )
+    if flag.many:
+        return _parameter(flag.name, Annotated[list[kind], option], [])
+    return _parameter(flag.name, Annotated[kind | None, option], None)
+
+
+def _words(flag: Flag) -> Any:
+    return Enum(flag.option, {one: one for one in flag.words}, type=str)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, list):
+        return [_plain(one) for one in value]
+    return value.value if isinstance(value, Enum) else value
+
+
+def _parameter(
+    name: str, annotation: Any, default: Any = inspect.Parameter.empty
+) -> inspect.Parameter:
+    keyword = inspect.Parameter.KEYWORD_ONLY
+    return inspect.Parameter(name, keyword, default=default, annotation=annotation)
+
+
+_LOG = _parameter(
+    "log",
+    Annotated[
+        str | None,
+        typer.Argument(
+            metavar="LOG",
+            help="A bundled name (see `slamcheck logs`), a path, or the config.toml of an earlier "
+            "run.",
+            show_default=False,
+        ),
+    ],
+    None,
+)
+_COMMON = (
+    _parameter(
+        "config",
+        Annotated[
+            Path | None,
+            typer.Option("--config", metavar="FILE", help="Settings; flags go over them."),
+        ],
+        None,
+    ),
+    _parameter(
+        "settings",
+        Annotated[
+            list[str],
+            typer.Option(
+                "--set",
+                metavar="SECTION.KEY=VALUE",
+                help="Any setting, see `slamcheck config`; may be repeated.",
+            ),
+        ],
+        [],
+    ),
+    _parameter(
+        "allow_changed_log",
+        Annotated[
+            bool,
+            typer.Option("--allow-changed-log", help="Use a log that is not the configuration's."),
+        ],
+        False,
+    ),
+    _parameter(
+        "out",
+        Annotated[
+            Path | None,
+            typer.Option(
+                "--out",
+                metavar="DIR",
+                help="Folder to write [slamcheck-LOG, or slamcheck-COMMAND-LOG].",
+            ),
+        ],
+        None,
+    ),
+    _parameter(
+        "verbose",
+        Annotated[bool, typer.Option("--verbose", "-v", help="Show warnings of libraries.")],
+        False,
+    ),
+    _parameter(
+        "log_file",
+        Annotated[
+            Path | None,
+            typer.Option("--log", metavar="FILE", help="Keep these warnings in a file."),
+        ],
+        None,
+    ),
+)

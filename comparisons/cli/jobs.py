@@ -1,0 +1,66 @@
+"""What the jobs' commands share: from what was given to a configuration, a log and a folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+
+from comparisons.cli.flags import Given
+from comparisons.errors import InputError
+
+if TYPE_CHECKING:
+    from comparisons.config import JobConfig
+    from comparisons.logs.log import Log
+
+C = TypeVar("C", bound="JobConfig")
+
+
+@dataclass(frozen=True)
+class Job(Generic[C]):
+    """A job about to be done. read_s: seconds that reading the log took."""
+
+    log: Log
+    config: C
+    folder: Path
+    read_s: float
+
+
+def start_job(
+    given: Given,
+    kind: type[C],
+    base: Mapping[str, Any] | None = None,
+    check: Callable[[C], None] = lambda config: None,
+) -> Job[C]:
+    """Settle the configuration, read the log, and see that the folder is free.
+
+    base: settings where there is no file. check: what must hold before the log is read. Raises
+    InputError.
+    """
+    from comparisons.atomic import folder_name
+    from comparisons.pipeline.read import read_for
+    from comparisons.report.folder import check_free
+    from comparisons.settings import configure
+
+    file, source = file_and_source(given)
+    over = {} if source is None else {"log": {"source": source}}
+    if file is None:
+        over = {**(base or {}), **over}
+    config = configure(kind, file, given.flags, given.settings, over)
+    check(config)
+    log, config, read_s = read_for(config, allow_changed=given.allow_changed)
+    command = "" if config.job == "run" else f"{config.job}-"
+    folder = given.out or Path(f"slamcheck-{command}{folder_name(log.name)}")
+    check_free(folder)
+    return Job(log, config, folder, read_s)
+
+
+def file_and_source(given: Given) -> tuple[Path | None, str | None]:
+    """The configuration's file and the log's name, either of which the argument may be."""
+    file, source = given.config, given.log
+    if source is not None and Path(source).suffix == ".toml" and Path(source).is_file():
+        if file is not None:
+            raise InputError(f"{source}: a second configuration; give one of it and --config")
+        return Path(source), None
+    return file, source

@@ -1,0 +1,40 @@
+"""`slamcheck map`: a dense map beside the filter."""
+
+from __future__ import annotations
+
+from comparisons.cli.flags import Given, from_flags
+from comparisons.cli.jobs import start_job
+from comparisons.cli.support import AGREE, guarded, need_clouds, print_result, progress_bar
+from comparisons.options import EKF, LOG, MAP
+
+_DEFAULT = {"extensions": {"dense_maps": {"layers": ["occupancy"]}}}
+
+
+@from_flags((*MAP, *EKF, *LOG))
+def map_command(given: Given) -> None:
+    """Map what the scanner saw, between the filter's landmarks (DenseSLAM). Exits with 0.
+
+    \b
+    Examples:
+      slamcheck map occupancy-loop                    simulated scans, with true surfaces
+      slamcheck map path/to/acfr_car_park --layer points --layer occupancy --resolution 0.4
+      slamcheck map dynamic-places --dynamic          and where something has changed
+      slamcheck map scan-slam --landmarks scans --layer occupancy --layer sog
+    """
+    with guarded(verbose=given.verbose, log_file=given.log_file):
+        from comparisons.config import MapConfig
+        from comparisons.report.dense_map import build_map_result, map_folder, print_map
+        from comparisons.report.folder import write_job_folder
+
+        job = start_job(
+            given, MapConfig, base=_DEFAULT, check=lambda config: need_clouds(config.cloud)
+        )
+        from comparisons.pipeline.dense_map import map_log
+
+        with progress_bar() as progress:
+            mapping = map_log(job.log, job.config, progress)
+            result = build_map_result(mapping, job.read_s)
+            progress("report", 0, 0)
+            write_job_folder(map_folder(mapping, result), job.folder)
+        print_result(lambda console: print_map(result, console), job.folder)
+        raise SystemExit(AGREE)

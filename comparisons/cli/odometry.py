@@ -1,0 +1,38 @@
+"""`slamcheck odometry`: the scan front end alone."""
+
+from __future__ import annotations
+
+from comparisons.cli.flags import Given, from_flags
+from comparisons.cli.jobs import start_job
+from comparisons.cli.support import VERDICTS, guarded, need_clouds, print_result, progress_bar
+from comparisons.options import FRONT_END, LOG
+
+
+@from_flags((*FRONT_END, *LOG))
+def odometry(given: Given) -> None:
+    """Run the scan front end alone: odometry, loop closure, scan pose graph. Exits as solve does.
+
+    \b
+    Examples:
+      slamcheck odometry scan-loop                    simulated scans, with truth
+      slamcheck odometry path/to/acfr_car_park --cloud pcd
+    """
+    with guarded(verbose=given.verbose, log_file=given.log_file):
+        from comparisons.config import OdometryConfig
+        from comparisons.report.folder import write_job_folder
+        from comparisons.report.odometry import (
+            build_front_end_result,
+            front_end_folder,
+            print_front_end,
+        )
+
+        job = start_job(given, OdometryConfig, check=lambda config: need_clouds(config.cloud))
+        from comparisons.pipeline.odometry import run_front_end
+
+        with progress_bar() as progress:
+            front_end = run_front_end(job.log, job.config, progress)
+            result = build_front_end_result(front_end, job.read_s)
+            progress("report", 0, 0)
+            write_job_folder(front_end_folder(front_end, result), job.folder)
+        print_result(lambda console: print_front_end(result, console), job.folder)
+        raise SystemExit(VERDICTS[result.verdict])

@@ -1,0 +1,38 @@
+"""`slamcheck solve`: the smoother alone."""
+
+from __future__ import annotations
+
+from comparisons.cli.flags import Given, from_flags
+from comparisons.cli.jobs import start_job
+from comparisons.cli.support import VERDICTS, guarded, print_result, progress_bar
+from comparisons.options import FEATURES, GPS, LOG, SMOOTHER, SOLVER_ASSOCIATION
+
+
+@from_flags((SOLVER_ASSOCIATION, FEATURES, GPS, *SMOOTHER, *LOG))
+def solve(given: Given) -> None:
+    """Run the smoother alone; write its estimate and its graph. Exits with 0 when proven, else 3.
+
+    \b
+    Examples:
+      slamcheck solve                                 Victoria Park from dead reckoning
+      slamcheck solve path/to/MRCLAM_Dataset6 --robot 3 --robust gnc
+    """
+    with guarded(verbose=given.verbose, log_file=given.log_file):
+        from comparisons.config import SolveConfig
+        from comparisons.report.folder import write_job_folder
+        from comparisons.report.solution import (
+            build_solution_result,
+            print_solution,
+            solution_folder,
+        )
+
+        job = start_job(given, SolveConfig)
+        from comparisons.pipeline.solve import solve as solve_log
+
+        with progress_bar() as progress:
+            solution = solve_log(job.log, job.config, progress)
+            result = build_solution_result(solution, job.read_s)
+            progress("report", 0, 0)
+            write_job_folder(solution_folder(solution, result), job.folder)
+        print_result(lambda console: print_solution(result, console), job.folder)
+        raise SystemExit(VERDICTS[result.verdict])

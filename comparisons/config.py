@@ -1,0 +1,395 @@
+"""Everything that decides a job, as data: validated, written to TOML, read back, run again.
+
+A job's configuration has sections (`log`, `ekf`, `smoother`, ...) and, under `extensions`, one
+section for each extension that takes part. An extension that is not named is not imported.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal, Self, get_args, get_origin
+
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    SerializeAsAny,
+    ValidationError,
+    model_validator,
+)
+
+from comparisons.choices import (
+    Association,
+    Attributes,
+    CloudFormat,
+    Features,
+    Filter,
+    Gps,
+    Guess,
+    LoopMatcher,
+    Method,
+    Optimiser,
+    PictureFormat,
+    Robust,
+    SolverAssociation,
+)
+from comparisons.errors import InputError
+from comparisons.extensions.registry import EXTENSIONS, config_class
+
+Needs = Mapping[str, Mapping[str, Any]]
+"""Extensions that must take part, with the fields that they must have."""
+
+
+class Section(BaseModel):
+    """A group of settings. Unknown keys are errors."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, ser_json_inf_nan="strings")
+
+    def needs(self) -> Needs:
+        """Extensions that this section cannot do without."""
+        return {}
+
+    @classmethod
+    def of(cls, /, **fields: Any) -> Self:
+        """Validate fields, sections given as mappings.
+
+        Raises InputError that names key and choices.
+        """
+        try:
+            return cls.model_validate(fields)
+        except ValidationError as error:
+            raise InputError(first_fault(error, cls)) from None
+
+    def toml(self) -> str:
+        """The whole configuration, defaults written out."""
+        import tomli_w
+
+        return tomli_w.dumps(_without_none(self.model_dump(mode="python")))
+
+
+class LogSection(Section):
+    """Which log is read, and how."""
+
+    source: str = Field("victoria-park", description="a bundled name, or a path")
+    format: str | None = Field(None, description="the log's format; recognised if absent")
+    robot: int = Field(1, description="robot number, for MR.CLAM folders")
+    seed: int = Field(0, ge=0, lt=2**64, description="seed of a simulated log")
+    loops: int = Field(1, ge=1, le=1000, description="loops of a simulated log")
+    noise_scale: float = Field(
+        1.0, ge=0.0, allow_inf_nan=False, description="factor on the noise of a simulated log"
+    )
+    features: Features = Field("log", description="the log's own, or trunks found in its scans")
+    sha256: str | None = Field(None, description="hash of the log; a run refuses another log")
+
+
+class EkfConfig(Section):
+    """The filter. association: None for whichever the log allows."""
+
+    filter: Filter = Field("full", description="which EKF")
+    association: Association | None = Field(
+        None, description="how sightings find their landmarks; by the log if absent"
+    )
+    attributes: Attributes = Field("off", description="diameters and intensities in association")
+    gps: Gps = Field("off", description="absolute positions to fuse; half holds every second back")
+
+    @model_validator(mode="after")
+    def _take_attributes(self) -> Self:
+        """`known` needs none, `euclidean` knows no likelihood, `agreed` sees discs of several."""
+        if self.attributes != "off" and self.association not in (None, "nn", "jcbb"):
+            raise ValueError(
+                f"association '{self.association}' takes no attributes, expected nn or jcbb; "
+                "use --attributes off"
+            )
+        return self
+
+    @property
+    def conservative(self) -> bool:
+        """The filter does not claim to be exact, only never to be too certain."""
+        return self.filter == "compressed-suboptimal"
+
+    def needs(self) -> Needs:
+        """Attributes of a layer come from the dense map that keeps it."""
+        return {"dense_maps": {"attribute_values": True}} if self.attributes == "layer" else {}
+
+
+class SmootherConfig(Section):
+    """The smoother."""
+
+    method: Method = Field("batch", description="how the smoother works")
+    lag: int = Field(100, ge=1, description="poses that a fixed lag holds")
+    optimiser: Optimiser = Field("levenberg-marquardt", description="of the batch smoother")
+    robust: Robust = Field("none", description="kernel against outliers; changes the marginals")
+
+
+class ReportConfig(Section):
+    """What a run's folder holds besides the usual files."""
+
+    figures: tuple[PictureFormat, ...] = Field((), description="formats of the pictures")
+    trace: bool = Field(False, description="write ekf/trace.npz")
+
+
+class FrontEndConfig(Section):
+    """The scan front end."""
+
+    guess: Guess = Field("wheels", description="where the alignment of a scan starts")
+    loop_closure: bool = Field(True, description="look for places seen before")
+    matcher: LoopMatcher = Field("surface", description="what aligns scans for loop closure")
+    gps: Gps = Field("off", description="absolute positions to fuse")
+
+
+class ExtensionConfig(Section):
+    """An extension's settings. title: how messages name the extension."""
+
+    title: ClassVar[str]
+
+    def check_with(self, config: Configured) -> None:
+        """Raise ValueError where this does not go with the other settings."""
+
+    def build(self, config: Configured) -> Any:
+        """Return the extension (see extensions.contract). Heavy imports belong here."""
+        raise NotImplementedError
+
+
+def _with_classes(value: Any) -> Any:
+    """Validate each extension's section by the class that the registry names."""
+    if not isinstance(value, Mapping):
+        return value
+    return {name: _validated(str(name), given) for name, given in value.items()}
+
+
+def _validated(name: str, given: Any) -> ExtensionConfig:
+    if isinstance(given, ExtensionConfig):
+        return given
+    kind = config_class(name)
+    try:
+        return kind.model_validate(given)
+    except ValidationError as error:
+        raise ValueError(first_fault(error, kind, f"extensions.{name}")) from None
+
+
+Extensions = Annotated[dict[str, SerializeAsAny[ExtensionConfig]], BeforeValidator(_with_classes)]
+
+
+class JobConfig(Section):
+    """A job's configuration, whichever the job."""
+
+    job: str
+    log: LogSection = LogSection()
+
+    def at_log(self, sha256: str, source: str | None = None) -> Self:
+        """The same with the log's hash, and its full path where it is a path."""
+        named = {"sha256": sha256} | ({} if source is None else {"source": source})
+        return self.model_copy(update={"log": self.log.model_copy(update=named)})
+
+
+class Configured(JobConfig):
+    """A job with a filter, to which extensions may be added."""
+
+    ekf: EkfConfig = EkfConfig()
+    extensions: Extensions = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        """Add what is needed; then let every extension look at the whole."""
+        found = dict(self.extensions)
+        for section in (self.ekf, *self.extensions.values()):
+            for name, fields in section.needs().items():
+                kept = found.get(name) or config_class(name)()
+                found[name] = kept.model_copy(update=dict(fields))
+        object.__setattr__(self, "extensions", found)
+        for extension in found.values():
+            extension.check_with(self)
+        return self
+
+
+class RunConfig(Configured):
+    """`slamcheck run`: both estimators on one log, compared."""
+
+    job: Literal["run"] = "run"
+    smoother: SmootherConfig = SmootherConfig()
+    report: ReportConfig = ReportConfig()
+
+    @model_validator(mode="after")
+    def _traceable(self) -> Self:
+        own_state = self.ekf.filter.startswith("misono")
+        if self.report.trace and (own_state or "scan_landmarks" in self.extensions):
+            raise ValueError(
+                "--trace is for filters of x, y and heading, and for landmarks that are points"
+            )
+        return self
+
+
+class MapConfig(Configured):
+    """`slamcheck map`: a dense map beside the filter."""
+
+    job: Literal["map"] = "map"
+    cloud: CloudFormat | None = Field(None, description="write the map as a cloud, too")
+
+
+class SolveConfig(JobConfig):
+    """`slamcheck solve`: the smoother alone."""
+
+    job: Literal["solve"] = "solve"
+    association: SolverAssociation | None = Field(
+        None, description="the log's labels, or the smoother's own; by the log if absent"
+    )
+    gps: Gps = Field("off", description="absolute positions to fuse")
+    smoother: SmootherConfig = SmootherConfig()
+
+
+class CheckConfig(SolveConfig):
+    """`slamcheck check`: an external estimate against the smoother's."""
+
+    job: Literal["check"] = "check"  # type: ignore[assignment]
+    estimate: str = Field("", description="a trajectory file, or an estimate folder")
+    times: str | None = Field(None, description="times of a KITTI file")
+
+
+class OdometryConfig(JobConfig):
+    """`slamcheck odometry`: the scan front end alone."""
+
+    job: Literal["odometry"] = "odometry"
+    front_end: FrontEndConfig = FrontEndConfig()
+    cloud: CloudFormat | None = Field(None, description="write the map as a cloud, too")
+
+
+JOBS: dict[str, type[JobConfig]] = {
+    one.model_fields["job"].default: one
+    for one in (RunConfig, SolveConfig, CheckConfig, MapConfig, OdometryConfig)
+}
+
+
+def read_config(path: Path) -> dict[str, Any]:
+    """Read a file of settings as nested mappings, not validated yet. Raises InputError."""
+    from comparisons.logs.table import read_text
+
+    text = read_text(path)
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # TOMLDecodeError is a ValueError
+        raise InputError(f"{path}: is not TOML ({error})") from None
+
+
+def full_path(path: Path) -> str:
+    """Return a path as a configuration records it. Raises InputError for a name that is not text.
+
+    A file system may hold such names; TOML and JSON cannot.
+    """
+    found = str(path.resolve())
+    if any("\ud800" <= one <= "\udfff" for one in found):
+        raise InputError(f"{found}: its full name is not UTF-8, which no file of settings can hold")
+    return found
+
+
+def check_unchanged(source: str, found: str, recorded: str | None, option: str) -> None:
+    """Raise InputError where an input's hash is not the one that a configuration recorded.
+
+    option: what allows that.
+    """
+    if recorded not in (None, found):
+        raise InputError(
+            f"{source}: has changed since the configuration was written: its hash is "
+            f"{found[:12]}..., expected {str(recorded)[:12]}...; give {option} to "
+            "use it all the same"
+        )
+
+
+def first_fault(error: ValidationError, kind: type[BaseModel], within: str = "") -> str:
+    """One line on the first thing wrong: key, value and what was expected.
+
+    kind: of what was validated. within: where that stands.
+    """
+    faults = error.errors()
+    # What is misspelt may also be missing under its own name; the former says more.
+    fault = next((one for one in faults if one["type"] == "extra_forbidden"), faults[0])
+    path, message, context = fault["loc"], fault["msg"], fault.get("ctx", {})
+    keys, _ = _follow(kind, path)
+    where = ".".join(filter(None, [within, *keys]))[:100]
+    tag_key = str(context.get("discriminator", "")).strip("'")
+    match fault["type"]:
+        case "extra_forbidden":
+            _, section = _follow(kind, path[:-1])
+            known = f"one of {', '.join(section.model_fields)}" if section else "nothing there"
+            return f"{where}: is unknown, expected {known}"
+        case "value_error":  # ours; it names what it is about
+            return message.removeprefix("Value error, ")
+        case "missing":
+            return f"{where}: is missing"
+        case "union_tag_not_found":
+            return f"{where}.{tag_key}: is missing"
+        case "union_tag_invalid":
+            known = context["expected_tags"].replace("'", "")
+            return f"{where}.{tag_key} is {shown(context['tag'])}: expected one of {known}"
+    return f"{where} is {shown(fault.get('input'))}: {message[:1].lower()}{message[1:]}"
+
+
+def shown(value: Any) -> str:
+    """A value as it may stand in a one-line error; Python spells no number of 5000 digits."""
+    try:
+        return repr(value)[:80]
+    except ValueError:
+        return "a number of thousands of digits"
+
+
+def _follow(
+    kind: type[BaseModel], path: Sequence[str | int]
+) -> tuple[list[str], type[BaseModel] | None]:
+    """Keys on the way to a fault, as the file has them, and the section it leads to, if any.
+
+    Pydantic's path also holds the tag of each section that may be of several kinds.
+    """
+    keys: list[str] = []
+    section: type[BaseModel] | None = kind
+    parts = iter(path)
+    for part in parts:
+        keys.append(str(part))
+        field = section.model_fields.get(str(part)) if section else None
+        found = () if field is None else get_args(field.annotation) or (field.annotation,)
+        models = [one for one in found if isinstance(one, type) and issubclass(one, BaseModel)]
+        if field is not None and isinstance(field.discriminator, str):
+            tag, key = str(next(parts, "")), field.discriminator
+            models = [one for one in models if tag in choices_of(one.model_fields[key].annotation)]
+        section = models[0] if len(models) == 1 else None
+    return keys, section
+
+
+def choices_of(annotation: Any) -> tuple[str, ...]:
+    """The words that a field may be, in whatever they are wrapped."""
+    if get_origin(annotation) is Literal:
+        return tuple(str(one) for one in get_args(annotation))
+    return next((found for one in get_args(annotation) if (found := choices_of(one))), ())
+
+
+def json_schema(kind: type[Section]) -> dict[str, Any]:
+    """The JSON schema of a job's configuration, all extensions included."""
+    schema = kind.model_json_schema()
+    if issubclass(kind, Configured):
+        found = {name: config_class(name).model_json_schema() for name in EXTENSIONS}
+        schema["properties"]["extensions"] = {
+            "type": "object", "properties": found, "additionalProperties": False
+        }  # fmt: skip
+    return schema
+
+
+def merge(base: dict[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """Put nested mappings over others; lists and values replace what they lie on."""
+    found = dict(base)
+    for key, value in over.items():
+        below = found.get(key)
+        if isinstance(value, Mapping) and isinstance(below, Mapping):
+            found[key] = merge(dict(below), value)
+        else:
+            found[key] = dict(value) if isinstance(value, Mapping) else value
+    return found
+
+
+def _without_none(value: Any) -> Any:
+    """TOML has no null: an absent key stands for it."""
+    if isinstance(value, Mapping):
+        return {k: _without_none(v) for k, v in value.items() if v is not None}
+    if isinstance(value, Iterable) and not isinstance(value, str):
+        return [_without_none(one) for one in value]
+    return value

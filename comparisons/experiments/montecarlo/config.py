@@ -1,0 +1,46 @@
+"""Everything that decides a Monte Carlo study, as data."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal, get_args
+
+from pydantic import Field, field_validator
+
+from comparisons.config import Section, read_config
+
+FilterName = Literal["ekf", "fej", "oc", "riekf", "ideal"]
+
+
+class MonteCarloConfig(Section):
+    """`slamcheck montecarlo`: variants of the EKF, many times in simulation.
+
+    Neither the workers nor a scheduler are here, for they change no result.
+    """
+
+    job: Literal["montecarlo"] = "montecarlo"
+    scenario: str = Field("circle", description="a bundled name, or a path")
+    runs: int = Field(50, ge=1, le=1_000_000, description="a run's number is its seed")
+    filters: tuple[FilterName, ...] = Field(get_args(FilterName), description="what runs")
+    sha256: str | None = Field(
+        None, description="hash of the scenario; a study refuses another scenario"
+    )
+
+    @field_validator("filters")
+    @classmethod
+    def _each_once(cls, filters: tuple[FilterName, ...]) -> tuple[FilterName, ...]:
+        if not filters:
+            raise ValueError(f"filters: empty, expected some of {', '.join(get_args(FilterName))}")
+        for name in filters:
+            if filters.count(name) > 1:
+                raise ValueError(f"filters: {name} is named twice, expected each once")
+        return filters
+
+
+def is_config(name: str) -> bool:
+    """Whether this is the file of a job's configuration, and not a scenario, by its keys.
+
+    Raises InputError for a file that is not TOML.
+    """
+    path = Path(name)
+    return path.is_file() and not {"job", "scenario"}.isdisjoint(read_config(path))

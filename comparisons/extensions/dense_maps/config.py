@@ -1,0 +1,88 @@
+"""Settings of dense maps."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Annotated, ClassVar
+
+from pydantic import Field, field_validator
+
+from comparisons.choices import Layer
+from comparisons.config import Configured, ExtensionConfig
+from ekf_reference.dense.layers.occupancy import Coarsening
+
+if TYPE_CHECKING:
+    from comparisons.extensions.dense_maps.extension import DenseMaps
+
+_Cell = Annotated[float, Field(ge=0.01, le=10.0)]
+
+
+class DenseMapsConfig(ExtensionConfig):
+    """Keep what the scanner saw between the filter's landmarks (DenseSLAM, Nieto 2005, chapter 3).
+
+    Lengths in metres. The map is compared with the smoother's where layers are asked for; it may
+    also serve others: detect_motion looks for what moves, attribute_values keeps the values that
+    association goes by.
+    """
+
+    option: ClassVar[str] = "--dense"
+
+    layers: tuple[Layer, ...] = Field((), description="kept, and compared with the smoother's")
+    resolution_m: _Cell = Field(0.2, description="size of cells")
+    d_min_m: _Cell = Field(0.2, description="least distance of two Gaussians")
+    known_apart_m: float = Field(
+        0.5, description="relative sigma up to which two landmarks make a region"
+    )
+    longest_edge_m: float = Field(35.0, description="of a region")
+    coarsening: Coarsening | None = Field(
+        None, description="of the occupancy layer's almost empty regions"
+    )
+    known_m: float = Field(
+        math.inf, description="the vehicle's relative sigma up to which its scans are taken in"
+    )
+    reach_m: float = Field(35.0, description="how far from the vehicle returns are taken in")
+    patience: int = Field(16, description="scans that returns wait for a third landmark")
+    capacity: int = Field(5_000, description="returns that may wait")
+    detect_motion: bool = Field(False, description="look for what moves")
+    attribute_values: bool = Field(False, description="keep values for association")
+
+    @field_validator("layers")
+    @classmethod
+    def _once(cls, layers: tuple[Layer, ...]) -> tuple[Layer, ...]:
+        return tuple(dict.fromkeys(layers))
+
+    @property
+    def kept_layers(self) -> tuple[str, ...]:
+        """All that the map holds, for whomever."""
+        values = ("values",) if self.attribute_values else ()
+        return tuple(dict.fromkeys((*self.layers, *values)))
+
+    def check_with(self, config: Configured) -> None:
+        """A map that keeps nothing is a mistake."""
+        if not (self.layers or self.detect_motion or self.attribute_values):
+            raise ValueError(
+                "dense_maps.layers: empty, expected some of points, occupancy, particles, sog, "
+                "values (--dense)"
+            )
+
+    def spread_out(self) -> DenseMapsConfig:
+        """Suited to regions that are anchored to scan landmarks alone.
+
+        These stand 20 m apart and more, where points stand 5 m apart: regions are larger, and it
+        takes longer until there are three landmarks.
+        """
+        return self.model_copy(
+            update={
+                "known_apart_m": 3.0 * self.known_apart_m,
+                "longest_edge_m": max(self.longest_edge_m, 60.0),
+                "reach_m": max(self.reach_m, 50.0),
+                "patience": 4 * self.patience,
+                "capacity": 4 * self.capacity,
+            }
+        )
+
+    def build(self, config: Configured) -> DenseMaps:
+        """Return the extension."""
+        from comparisons.extensions.dense_maps.extension import DenseMaps
+
+        return DenseMaps(self)

@@ -1,0 +1,85 @@
+"""A dense map beside the filter, compared with the same scans placed by the smoother."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from comparisons.adapters.filter_setup import FilterSetup
+from comparisons.extensions.contract import Extension, Finding, Row
+from comparisons.extensions.dense_maps.check import DenseAgreement, compare_dense, dense_cause
+from comparisons.extensions.dense_maps.config import DenseMapsConfig
+from comparisons.extensions.dense_maps.result import dense_result, dense_rows
+from comparisons.extensions.dense_maps.source import DenseRun, DenseWatcher
+from comparisons.logs.log import Log
+from comparisons.pipeline.gaps import Compared
+from comparisons.pipeline.prepare import Prepared
+from comparisons.report.html.drawing import Drawing
+
+
+class DenseMaps(Extension):
+    """Puts a watcher beside the filter, which others may use."""
+
+    name = "dense_maps"
+
+    def __init__(self, config: DenseMapsConfig) -> None:
+        """config: what is kept."""
+        self._config = config
+
+    def attach(self, setup: FilterSetup, prepared: Prepared[Any]) -> None:
+        """Start an empty map, anchored to the landmarks that the filter will have."""
+        watcher = DenseWatcher(prepared.log, self._config, setup.kinds)
+        setup.observers.append(watcher)
+        setup.offers.append(watcher)
+        if self._config.attribute_values:
+            setup.layer = watcher
+
+    def check(self, compared: Compared) -> DenseMapsFinding | None:
+        """Compare the layers that were asked for with the smoother's."""
+        watcher = compared.setup.find(DenseWatcher)
+        if watcher is None or not self._config.layers:
+            return None
+        prepared = compared.prepared
+        with prepared.clock.stage("dense check"):
+            prepared.progress("dense check", 0, 0)
+            dense = watcher.run()
+            found = compare_dense(prepared.log, dense, compared.gaps.smoothed)
+        return DenseMapsFinding(prepared.log, dense, found)
+
+
+class DenseMapsFinding(Finding):
+    """dense: the filter's map. agreement: with the smoother's, None with nothing in a region."""
+
+    def __init__(self, log: Log, dense: DenseRun, agreement: DenseAgreement | None) -> None:
+        """Maps that are apart are a reason to disagree."""
+        self.dense, self.agreement, self._log = dense, agreement, log
+        if agreement is None:
+            count = len(dense.dense.regions.base)
+            self.remarks = [
+                f"no return fell into one of {count} regions, so no dense maps could be compared"
+            ]
+            return
+        self.result = dense_result(agreement)
+        self.entries = {"dense": self.result}
+        if not agreement.agrees:
+            self.causes = [dense_cause(agreement)]
+
+    def rows(self) -> Sequence[Row]:
+        """Return how far the maps are apart."""
+        return [] if self.agreement is None else dense_rows(self.result)
+
+    def figures(self) -> Mapping[str, Figure]:
+        """Return every layer over the smoother's returns."""
+        from comparisons.extensions.dense_maps.figure import dense_check_figure
+
+        if self.agreement is None:
+            return {}
+        return {"dense": dense_check_figure(self.dense, self.agreement, self._log)}
+
+    def layers(self, drawing: Drawing) -> None:
+        """Add what every layer holds occupied."""
+        if self.agreement is not None:
+            for name, layer in self.agreement.layers.items():
+                drawing.dots(f"dense {name}", "#5b7c8d", layer.point)

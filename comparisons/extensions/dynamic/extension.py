@@ -1,0 +1,48 @@
+"""What the dense map finds to be moving is ignored by the filter."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from comparisons.adapters.filter_setup import FilterSetup
+from comparisons.extensions.contract import Extension, Finding
+from comparisons.extensions.dense_maps.source import DenseWatcher
+from comparisons.pipeline.gaps import Compared
+from comparisons.pipeline.prepare import Prepared
+from ekf_reference.dense.dynamic import places
+
+
+class Dynamic(Extension):
+    """Makes the dense map the filter's guard."""
+
+    name = "dynamic"
+
+    def attach(self, setup: FilterSetup, prepared: Prepared[Any]) -> None:
+        """The map, which comes before, knows where things move."""
+        setup.guard = setup.find(DenseWatcher)
+
+    def check(self, compared: Compared) -> DynamicFinding | None:
+        """Report what was found, and whether most of it could be looked at."""
+        watcher = compared.setup.find(DenseWatcher)
+        return None if watcher is None else DynamicFinding(watcher)
+
+
+class DynamicFinding(Finding):
+    """Where something moves. What the filter left out is counted with the filter's figures."""
+
+    def __init__(self, watcher: DenseWatcher) -> None:
+        """watcher: with the layer of what moves."""
+        layer = watcher.dense.dynamic
+        if layer is None:
+            return
+        placed = watcher.dense.regions.placed(watcher.dense.landmark)
+        count = int(places(layer.points(placed)).max(initial=-1)) + 1
+        found = f"something moves in {count} places, {layer.area_m2(placed):.1f} m2 in all"
+        self.remarks = [found if count else "nothing was seen to move"]
+        moves = watcher.moves
+        if moves.compared <= moves.deformed:
+            self.remarks.append(
+                f"whether anything moves is hardly known: of {moves.compared + moves.deformed} "
+                f"pairs of maps {moves.deformed} could not be compared, since their region had "
+                "changed its shape; it takes three landmarks that stand still"
+            )

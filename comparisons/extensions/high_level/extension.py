@@ -1,0 +1,73 @@
+"""High level landmarks beside the filter: found in a dense map, seen in the scans."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from matplotlib.axes import Axes
+
+from comparisons.adapters.filter_setup import FilterSetup
+from comparisons.extensions.contract import Extension, Finding, Row
+from comparisons.extensions.dense_maps.source import DenseWatcher
+from comparisons.extensions.high_level.config import HighLevelConfig
+from comparisons.extensions.high_level.result import high_level_result, high_level_text
+from comparisons.extensions.high_level.source import (
+    SEARCHED,
+    HighLevelOptions,
+    HighLevelRun,
+    HighLevelSource,
+)
+from comparisons.pipeline.gaps import Compared
+from comparisons.pipeline.prepare import Prepared
+from comparisons.report.html.drawing import Drawing
+
+
+class HighLevel(Extension):
+    """Puts a source beside the filter; a dense map of the same cells serves both."""
+
+    name = "high_level"
+
+    def __init__(self, config: HighLevelConfig) -> None:
+        """config: how landmarks are searched."""
+        self._options = HighLevelOptions.of(config)
+
+    def attach(self, setup: FilterSetup, prepared: Prepared[Any]) -> None:
+        """Search the map that is there, if it is alike, else one of its own."""
+        shared = setup.find(DenseWatcher)
+        if shared is not None and self._options.served_by(shared.options):
+            shared.keep_also(SEARCHED)
+        else:
+            shared = None
+        setup.source = HighLevelSource(prepared.log, self._options, shared)
+        setup.offers.append(setup.source)
+
+    def check(self, compared: Compared) -> HighLevelFinding | None:
+        """Report what became of the search."""
+        source = compared.setup.find(HighLevelSource)
+        return None if source is None else HighLevelFinding(source.run())
+
+
+class HighLevelFinding(Finding):
+    """made: what became of the search."""
+
+    def __init__(self, made: HighLevelRun) -> None:
+        """No causes: whether the landmarks agree is part of the agreement."""
+        self.made, self.result = made, high_level_result(made)
+        self.entries = {"high_level": self.result}
+
+    def rows(self) -> Sequence[Row]:
+        """Return found, kept, seen."""
+        return [Row("high level", high_level_text(self.result))]
+
+    def draw(self, axis: Axes) -> None:
+        """Draw rectangles and axes."""
+        from comparisons.extensions.high_level.figure import draw_high_level
+
+        draw_high_level(axis, self.made)
+
+    def layers(self, drawing: Drawing) -> None:
+        """Add rectangles and axes."""
+        from comparisons.extensions.high_level.figure import high_level_layers
+
+        high_level_layers(drawing, self.made)

@@ -1,0 +1,22 @@
+"""Settings of the smoother's own association."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar
+
+from comparisons.config import Configured, ExtensionConfig
+
+if TYPE_CHECKING:
+    from comparisons.extensions.own_association.extension import OwnAssociation
+
+
+class OwnAssociationConfig(ExtensionConfig):
+    """Solve for a second time, with the smoother's own association."""
+
+    option: ClassVar[str] = "--smoother-association own"
+
+    def build(self, config: Configured) -> OwnAssociation:
+        """Return the extension."""
+        from comparisons.extensions.own_association.extension import OwnAssociation
+
+        return OwnAssociation()

@@ -1,0 +1,151 @@
+"""The smoother a second time, with its own association."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from comparisons.adapters.smoother_association import associate_own
+from comparisons.adapters.smoother_input import position_rows, smoothed_estimate
+from comparisons.checks.accuracy import assess
+from comparisons.checks.agreement import block_agrees
+from comparisons.checks.association import score_association
+from comparisons.errors import InputError
+from comparisons.extensions.contract import Extension, Finding, Row
+from comparisons.extensions.own_association.check import (
+    OwnAssociationCheck,
+    association_cause,
+    check_own_association,
+)
+from comparisons.pipeline.gaps import Compared
+from comparisons.report.html.drawing import Drawing
+from comparisons.report.model import Model
+from comparisons.report.models import AccuracyResult, AssociationResult
+from comparisons.report.rows import accuracy_rows, association_rows
+from comparisons.report.sections import accuracy_result, association_result
+from ekf_reference.association import DYNAMIC
+from graphslam.smoother import smooth
+
+
+class OwnAssociation(Extension):
+    """Sees how much the verdict owes to the filter's association, which S shares."""
+
+    name = "own_association"
+
+    def check(self, compared: Compared) -> OwnAssociationFinding:
+        """Associate without the filter, solve, assess, and compare. Raises InputError."""
+        prepared = compared.prepared
+        with prepared.clock.stage("own association"):
+            prepared.progress("own association", 0, 0)
+            return OwnAssociationFinding(compared, solve_with_own_association(compared))
+
+
+class OwnAssociationFinding(Finding):
+    """S against S'. own: the check."""
+
+    def __init__(self, compared: Compared, own: OwnAssociationCheck) -> None:
+        """Heard in the verdict when its optimum is verified."""
+        self.own, self._compared = own, compared
+        self.result = _result(own)
+        self.entries = {"own_association": self.result}
+        if own.proof.proven and not block_agrees(own.pose):
+            self.causes = [association_cause(own, compared.ekf)]
+
+    def rows(self) -> Sequence[Row]:
+        """Return how the associations compare, and how good the smoother is with its own."""
+        own = self.result
+        return [
+            Row(
+                "own association",
+                f"{own.landmarks} landmarks; {100.0 * own.agreement:.1f} % of pairs as the "
+                f"filter's, {own.splits} splits, {own.merges} merges; last pose "
+                f"{own.pose_difference_m:.3f} m apart, {own.pose_distance_sigma:.2g} sigma",
+            ),
+            *accuracy_rows("with it", own.accuracy),
+            *association_rows(own.association),
+        ]
+
+    def layers(self, drawing: Drawing) -> None:
+        """Add a line from the pose to the landmark for each sighting that differs."""
+        from comparisons.extensions.own_association.page import differing_lines
+
+        differing_lines(drawing, self.own, self._compared.ekf)
+
+    def sections(self) -> Sequence[str]:
+        """Return the table of sightings that differ."""
+        from comparisons.extensions.own_association.page import association_differences
+
+        return [association_differences(self.own, self._compared.ekf)]
+
+
+def solve_with_own_association(compared: Compared) -> OwnAssociationCheck:
+    """Return S' and how it compares with S.
+
+    Only points are associated anew: sightings of landmarks with a direction stay as they are.
+    """
+    log, run, gaps = compared.prepared.log, compared.ekf, compared.gaps
+    rows = position_rows(run.timeline, run.positions)
+    found = associate_own(log, run.timeline, rows, np.flatnonzero(run.slot == DYNAMIC))
+    if not found.problem.landmark_count:
+        raise InputError(f"{log.name}: the smoother's own association found no landmark")
+    problem = replace(found.problem, oriented=run.oriented)
+    guesses = {"association": (found.poses, found.landmarks)}
+    result = smooth(problem, guesses, options=gaps.result.options)
+    ids = np.arange(found.problem.landmark_count)
+    estimate = smoothed_estimate(result, run.timeline.epoch_time_s, ids, "its own")
+    own = check_own_association(
+        log.sightings,
+        run.timeline.sighting_epoch,
+        (run.slot, found.slot),
+        gaps.smoothed,
+        estimate,
+        result.proof,
+    )
+    return replace(
+        own,
+        accuracy=assess(estimate, compared.prepared.judged, labelled=False),
+        score=score_association(found.slot, result.landmarks, log),
+    )
+
+
+def _result(own: OwnAssociationCheck) -> OwnAssociationResult:
+    p = own.partition
+    return OwnAssociationResult(
+        landmarks=len(own.estimate.landmark),
+        agreement=p.agreement,
+        pairs_both=p.pairs_both,
+        pairs_filter=p.pairs_first,
+        pairs_smoother=p.pairs_second,
+        splits=p.splits,
+        merges=p.merges,
+        pose_difference_m=own.pose.difference_m,
+        pose_distance_sigma=own.pose.distance,
+        landmark_rms_m=own.landmark_rms_m,
+        proven=own.proof.proven,
+        accuracy=accuracy_result(own.accuracy),
+        association=association_result(own.score),
+    )
+
+
+class OwnAssociationResult(Model):
+    """The smoother with its own association. See comparisons.extensions.own_association.check.
+
+    agreement: share of the pairs of sightings put together by either that both put together.
+    pose_distance_sigma: between the last poses with the one and the other association.
+    """
+
+    landmarks: int
+    agreement: float
+    pairs_both: int
+    pairs_filter: int
+    pairs_smoother: int
+    splits: int
+    merges: int
+    pose_difference_m: float
+    pose_distance_sigma: float
+    landmark_rms_m: float | None
+    proven: bool
+    accuracy: AccuracyResult | None
+    association: AssociationResult | None

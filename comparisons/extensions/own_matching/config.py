@@ -1,0 +1,27 @@
+"""Settings of the smoother's own matcher."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar
+
+from comparisons.config import Configured, ExtensionConfig
+
+if TYPE_CHECKING:
+    from comparisons.extensions.own_matching.extension import OwnMatching
+
+
+class OwnMatchingConfig(ExtensionConfig):
+    """Solve for a second time, scan landmarks seen by Open3D's generalised ICP."""
+
+    option: ClassVar[str] = "--smoother-matcher own"
+
+    def check_with(self, config: Configured) -> None:
+        """There must be scan landmarks to match."""
+        if "scan_landmarks" not in config.extensions:
+            raise ValueError("--smoother-matcher own goes with --landmarks scans or both")
+
+    def build(self, config: Configured) -> OwnMatching:
+        """Return the extension."""
+        from comparisons.extensions.own_matching.extension import OwnMatching
+
+        return OwnMatching()

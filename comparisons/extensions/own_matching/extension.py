@@ -1,0 +1,87 @@
+"""The smoother a second time, with its own matcher of scan landmarks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from comparisons.adapters.smoother_input import smoothed_estimate
+from comparisons.checks.accuracy import assess
+from comparisons.extensions.contract import Extension, Finding, Row
+from comparisons.extensions.own_matching.check import (
+    OwnMatchingCheck,
+    check_own_matching,
+    matching_cause,
+)
+from comparisons.extensions.own_matching.result import own_matching_result, own_matching_rows
+from comparisons.extensions.own_matching.source import own_sightings
+from comparisons.extensions.scan_landmarks.source import ScanSlamSource
+from comparisons.pipeline.gaps import Compared
+from comparisons.report.html.drawing import Drawing
+from graphslam.smoother import smooth
+
+_COLOUR = "#6a3d9a"
+
+
+class OwnMatching(Extension):
+    """Sees how much the verdict owes to the filter's matcher, whose alignments S shares."""
+
+    name = "own_matching"
+
+    def check(self, compared: Compared) -> OwnMatchingFinding | None:
+        """See the scan landmarks anew, solve, assess, and compare the alignments."""
+        slam = compared.setup.find(ScanSlamSource)
+        if slam is None:
+            return None
+        with compared.prepared.clock.stage("own matcher"):
+            return OwnMatchingFinding(compared, solve_with_own_matching(compared, slam))
+
+
+class OwnMatchingFinding(Finding):
+    """S against S''. own: the check."""
+
+    def __init__(self, compared: Compared, own: OwnMatchingCheck) -> None:
+        """Heard in the verdict when its optimum is verified."""
+        self.own = own
+        self.result = own_matching_result(own, compared.ekf.estimate.time_s)
+        self.entries = {"own_matching": self.result}
+        self.estimates = {"own-matcher": own.estimate}
+        if not own.proof.proven:
+            self.remarks = [
+                "the smoother with its own matcher is unproven: it has no say in the verdict"
+            ]
+        elif not own.agrees:
+            self.causes = [matching_cause(own, compared.ekf)]
+
+    def rows(self) -> Sequence[Row]:
+        """Return how the alignments compare, and how good the smoother is with its own."""
+        return own_matching_rows(self.result)
+
+    def layers(self, drawing: Drawing) -> None:
+        """Add the trajectory of S''."""
+        path = self.own.estimate.pose[:, :2]
+        drawing.path("smoother trajectory, own matcher", _COLOUR, path, "2 2")
+
+    def sections(self) -> Sequence[str]:
+        """Return the table of alignments by landmark."""
+        from comparisons.extensions.own_matching.page import matching_differences
+
+        return [matching_differences(self.result)]
+
+
+def solve_with_own_matching(compared: Compared, slam: ScanSlamSource) -> OwnMatchingCheck:
+    """Return S'' and how it compares with S.
+
+    Its sightings take the place of the filter's, so that no scan counts twice.
+    """
+    prepared, run, gaps = compared.prepared, compared.ekf, compared.gaps
+    progress = prepared.stage_progress("own matcher")
+    problem, found = own_sightings(prepared.log, run, slam.found.begun, progress)
+    result = smooth(problem, {}, options=gaps.result.options)
+    ids = run.estimate.landmark_id
+    estimate = smoothed_estimate(result, run.timeline.epoch_time_s, ids, "the EKF's")
+    own = check_own_matching(
+        (run.oriented, found.alignments), run.estimate, gaps.smoothed, estimate, result.proof
+    )
+    accuracy = assess(estimate, prepared.judged, labelled=False)
+    return replace(own, accuracy=accuracy, reasons=found.reasons)

@@ -1,0 +1,33 @@
+"""The extensions by name. A name's module is imported only where a configuration names it."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from comparisons.errors import InputError
+
+if TYPE_CHECKING:
+    from comparisons.config import ExtensionConfig
+
+EXTENSIONS = {
+    "own_association": "comparisons.extensions.own_association.config:OwnAssociationConfig",
+    "own_matching": "comparisons.extensions.own_matching.config:OwnMatchingConfig",
+    "scan_motion": "comparisons.extensions.scan_motion.config:ScanMotionConfig",
+    "scan_landmarks": "comparisons.extensions.scan_landmarks.config:ScanLandmarksConfig",
+    "dense_maps": "comparisons.extensions.dense_maps.config:DenseMapsConfig",
+    "dynamic": "comparisons.extensions.dynamic.config:DynamicConfig",
+    "high_level": "comparisons.extensions.high_level.config:HighLevelConfig",
+}
+"""Name to the class of its settings. The order is that in which extensions prepare, attach, check
+and report; one that uses what another offers comes after it."""
+
+
+def config_class(name: str) -> type[ExtensionConfig]:
+    """Return the class of an extension's settings. Raises InputError for an unknown name."""
+    if name not in EXTENSIONS:
+        known = ", ".join(EXTENSIONS)
+        raise InputError(f"extensions.{name[:80]}: is unknown, expected one of {known}")
+    module, _, attribute = EXTENSIONS[name].partition(":")
+    found: type[ExtensionConfig] = getattr(import_module(module), attribute)
+    return found

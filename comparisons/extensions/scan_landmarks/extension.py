@@ -1,0 +1,101 @@
+"""Scan-SLAM: the log's scans, one by one, as sightings of landmarks made of scans."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from comparisons.adapters.filter_setup import FilterSetup
+from comparisons.errors import InputError
+from comparisons.extensions.contract import Extension, Finding, Row
+from comparisons.extensions.dense_maps.source import DenseWatcher
+from comparisons.extensions.scan_landmarks.config import ScanLandmarksConfig
+from comparisons.extensions.scan_landmarks.result import (
+    ScanLandmarkResult,
+    scan_slam_result,
+    scan_slam_rows,
+)
+from comparisons.extensions.scan_landmarks.source import (
+    ENRICHING,
+    LANDMARKS,
+    LogScans,
+    ScanSlamSource,
+    scan_slam_options,
+)
+from comparisons.pipeline.gaps import Compared
+from comparisons.pipeline.prepare import Prepared
+from comparisons.report.html.drawing import Drawing
+from ekf_reference.scan_landmarks.twins import FusingOptions
+
+
+class ScanLandmarksExtension(Extension):
+    """options: of scan landmarks, which may be replaced before the first run."""
+
+    name = "scan_landmarks"
+
+    def __init__(self, config: ScanLandmarksConfig, *, mapped: bool) -> None:
+        """mapped: a dense map is anchored to the landmarks."""
+        self._config, self.options = config, scan_slam_options(config, mapped=mapped)
+        self.brings_landmarks = config.landmarks == "scans"
+        self._scans: LogScans | None = None
+
+    def prepare(self, prepared: Prepared[Any]) -> Prepared[Any]:
+        """Let the filter stop at the scans; leave out what they take the place of."""
+        log = prepared.log
+        self._scans = LogScans(log)
+        if self.brings_landmarks:
+            none = log.sightings.chosen(np.zeros(len(log.sightings.time_s), dtype=bool))
+            log = replace(log, sightings=none)
+        return replace(prepared, log=log, epochs=self._scans.time_s)
+
+    def attach(self, setup: FilterSetup, prepared: Prepared[Any]) -> None:
+        """Put a source beside the filter that has seen no landmark yet."""
+        if self._scans is None:
+            raise InputError("scan landmarks: the log was not prepared")
+        setup.kinds = LANDMARKS[self._config.landmarks]
+        enriching = None
+        if math.isfinite(self.options.enrich_m):
+            enriching = DenseWatcher(prepared.log, ENRICHING, kinds=setup.kinds)
+        fusing = FusingOptions() if self._config.fuse else None
+        setup.source = ScanSlamSource(self._scans, self.options, enriching, fusing)
+        setup.offers.append(setup.source)
+
+    def check(self, compared: Compared) -> ScanLandmarksFinding | None:
+        """Report what the scans gave."""
+        source = compared.setup.find(ScanSlamSource)
+        return None if source is None else ScanLandmarksFinding(compared, source)
+
+
+class ScanLandmarksFinding(Finding):
+    """source: with the templates, and what became of their sightings."""
+
+    def __init__(self, compared: Compared, source: ScanSlamSource) -> None:
+        """No causes: whether the landmarks agree is part of the agreement."""
+        self.source, self._compared = source, compared
+        self.result = scan_slam_result(source, compared.ekf.estimate, compared.gaps)
+        self.entries = {"scan_slam": self.result}
+
+    def rows(self) -> Sequence[Row]:
+        """Return how many agree, and what became of the sightings."""
+        return scan_slam_rows(self.result)
+
+    def landmarks(self) -> Sequence[ScanLandmarkResult]:
+        """Return each with how it agrees."""
+        return self.result.landmarks
+
+    def draw(self, axis: Axes) -> None:
+        """Draw templates, and both estimates' axes and ellipses."""
+        from comparisons.extensions.scan_landmarks.figure import draw_scan_landmarks
+
+        draw_scan_landmarks(axis, self._compared, self.source.found)
+
+    def layers(self, drawing: Drawing) -> None:
+        """Add templates, ellipses and axes."""
+        from comparisons.extensions.scan_landmarks.figure import scan_landmark_layers
+
+        scan_landmark_layers(drawing, self._compared, self.source.found)

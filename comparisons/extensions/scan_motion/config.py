@@ -1,0 +1,29 @@
+"""Settings of motion from scans."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+from pydantic import Field
+
+from comparisons.config import Configured, ExtensionConfig
+
+if TYPE_CHECKING:
+    from comparisons.extensions.scan_motion.extension import ScanMotionExtension
+
+
+class ScanMotionConfig(ExtensionConfig):
+    """Let the log's scans move the estimators, or a third one beside them."""
+
+    option: ClassVar[str] = "--motion"
+
+    motion: Literal["scan", "both"] = Field(
+        "both",
+        description="scan: in place of the odometry; both: a third estimate, the smoother on scans",
+    )
+
+    def build(self, config: Configured) -> ScanMotionExtension:
+        """Return the extension."""
+        from comparisons.extensions.scan_motion.extension import ScanMotionExtension
+
+        return ScanMotionExtension(self.motion)

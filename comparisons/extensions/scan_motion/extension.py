@@ -1,0 +1,138 @@
+"""Motion from scans: in place of the odometry, or for a third estimate beside the two on wheels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+from matplotlib.axes import Axes
+from pydantic import BaseModel
+
+from comparisons.adapters.scan_odometry import ScanMotion, run_scan_odometry
+from comparisons.checks.accuracy import assess
+from comparisons.checks.map_agreement import compare_maps
+from comparisons.extensions.contract import Extension, Finding, Row
+from comparisons.extensions.scan_motion.increments import check_increments
+from comparisons.extensions.scan_motion.result import (
+    increment_remarks,
+    increment_result,
+    scan_odometry_result,
+    scan_odometry_rows,
+    three_way_result,
+    three_way_rows,
+)
+from comparisons.extensions.scan_motion.smoother import smooth_on_scans
+from comparisons.extensions.scan_motion.three_way import (
+    ThreeWay,
+    find_culprit,
+    motion_cause,
+    readable,
+)
+from comparisons.logs.transforms.scan_motion import BEYOND, with_scan_motion
+from comparisons.pipeline.gaps import Compared
+from comparisons.pipeline.prepare import Prepared
+from graphslam.scan.loop_closure import loop_closer
+from graphslam.smoother import SmootherOptions
+
+
+class ScanMotionExtension(Extension):
+    """Runs scan odometry first, for whatever is moved by it."""
+
+    name = "scan_motion"
+
+    def __init__(self, motion: str) -> None:
+        """motion: `scan` or `both`."""
+        self.brings_motion = motion == "scan"
+        self._motion: ScanMotion | None = None
+
+    def prepare(self, prepared: Prepared[Any]) -> Prepared[Any]:
+        """Run scan odometry; where it brings the motion, put it in place of the odometry."""
+        with prepared.clock.stage("scan odometry"):
+            progress = prepared.stage_progress("scan odometry")
+            self._motion = run_scan_odometry(prepared.log, progress=progress)
+        if not self.brings_motion:
+            return prepared
+        fused = prepared.ekf.gps != "off"
+        return replace(prepared, log=with_scan_motion(prepared.log, self._motion, positions=fused))
+
+    def check(self, compared: Compared) -> ScanMotionFinding | None:
+        """Solve with the scans' motion beside the wheels', where both are asked for."""
+        if self._motion is None:
+            return None
+        three = None
+        prepared = compared.prepared
+        if not self.brings_motion:
+            with prepared.clock.stage("smoother on scans"):
+                prepared.progress("smoother on scans", 0, 0)
+                three = solve_on_scans(compared, self._motion)
+        return ScanMotionFinding(compared, self._motion, three)
+
+
+class ScanMotionFinding(Finding):
+    """What the scans gave, how honest that is, and the third estimate, where there is one."""
+
+    def __init__(self, compared: Compared, motion: ScanMotion, three: ThreeWay | None) -> None:
+        """The third estimate is heard in the verdict when its optimum is verified."""
+        log, seconds = compared.prepared.log, compared.prepared.clock.seconds
+        self.motion, self.three = motion, three
+        increments = check_increments(motion, log)
+        self._odometry = scan_odometry_result(motion, guess=True, seconds=seconds["scan odometry"])
+        self._increments = increment_result(increments)
+        entries: dict[str, BaseModel] = {"scan_odometry": self._odometry}
+        if self._increments is not None:
+            entries["increments"] = self._increments
+        remarks = list(motion.remarks)
+        if beyond := log.provenance.get(BEYOND):
+            remarks.append(
+                f"{beyond} sightings lie outside the time of the scans and were left out"
+            )
+        if three is not None:
+            self._three = entries["three_way"] = three_way_result(three)
+            self.estimates = {"scans": three.estimate}
+            remarks += three.remarks
+            if three.proof.proven and not three.ekf.agrees:
+                self.causes = [motion_cause(three)]
+        self.entries = entries
+        self.remarks = [*remarks, *increment_remarks(increments)]
+
+    def rows(self) -> Sequence[Row]:
+        """Return what became of the scans, and how the third estimate compares."""
+        rows = scan_odometry_rows(self._odometry, self._increments)
+        return rows if self.three is None else [*rows, *three_way_rows(self._three)]
+
+    def draw(self, axis: Axes) -> None:
+        """Draw the smoother on scans."""
+        from comparisons.report.figures.style import draw_estimate
+
+        if self.three is not None:
+            draw_estimate(axis, "smoother on scans", self.three.estimate)
+
+
+def solve_on_scans(compared: Compared, motion: ScanMotion) -> ThreeWay:
+    """Solve with the scans' motion, and compare both estimates on wheels with that."""
+    prepared, run, gaps = compared.prepared, compared.ekf, compared.gaps
+    closer = loop_closer(motion.options)
+    scans = smooth_on_scans(prepared.log, motion, run, closer, SmootherOptions())
+    accuracy = assess(scans.estimate, prepared.judged, labelled=False)
+    ekf, smoother = (compare_maps(own, scans.estimate) for own in (run.estimate, gaps.smoothed))
+    proof = readable(scans.result)
+    culprit, evidence = "", "the maps agree"
+    if not (ekf.agrees and smoother.agrees):
+        culprit, evidence = find_culprit(
+            readable(gaps.result),
+            proof,
+            assess(gaps.smoothed, prepared.judged, labelled=False),
+            accuracy,
+        )
+    return ThreeWay(
+        estimate=scans.estimate,
+        proof=scans.result.proof,
+        chi_square=proof.chi_square,
+        accuracy=accuracy,
+        ekf=ekf,
+        smoother=smoother,
+        loops=scans.loops,
+        culprit=culprit,
+        evidence=evidence,
+    )

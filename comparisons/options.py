@@ -1,0 +1,363 @@
+"""The command line's options as data: each names the field of the configuration that it sets.
+
+Nothing heavy is imported here, for help must be quick. What is given on the command line lies over
+a configuration file, and that over the defaults. Only flags that are given count, so that a flag
+can also take a file's value back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, get_args
+
+from comparisons import choices
+from comparisons.errors import InputError
+
+ABSENT = None
+"""A setting that takes its section away."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flag:
+    """One option.
+
+    field: dotted path in the configuration. choices: a Literal, in place of a kind. many: may be
+    repeated. settings: what each choice stands for, ABSENT to take the field away; without it
+    the value itself. within: what must be asked for as well, for a field of a section that the
+    flag alone does not add; neutral: the choice that is the default there, and needs nothing.
+    """
+
+    option: str
+    field: str
+    help: str
+    kind: type = str
+    metavar: str | None = None
+    choices: Any = None
+    many: bool = False
+    settings: Mapping[str, Any] | None = None
+    within: str = ""
+    neutral: str = ""
+    hidden: bool = False
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """Its choices."""
+        return get_args(self.choices)
+
+    @property
+    def name(self) -> str:
+        """As a parameter of the command's function."""
+        return self.option.lstrip("-").replace("-", "_") + "_"
+
+    def lay_over(self, config: dict[str, Any], value: Any) -> None:
+        """Put a value that was given into nested mappings. Raises InputError."""
+        if self.settings is not None and value not in self.settings:
+            known = " or ".join(map(str, self.settings))
+            raise InputError(f"{self.option} is {value!r}, expected {known}")
+        section, _, key = self.field.rpartition(".")
+        if self.within and _below(config, section) is None:
+            if value == self.neutral:
+                return
+            raise InputError(f"{self.option} {value} goes with {self.within}")
+        into = config
+        for part in section.split(".") if section else ():
+            into = into.setdefault(part, {})
+        found = value if self.settings is None else self.settings[value]
+        if self.settings is not None and found is ABSENT:
+            into.pop(key, None)
+        elif isinstance(found, Mapping) and isinstance(into.get(key), dict):
+            into[key].update(found)
+        else:
+            into[key] = dict(found) if isinstance(found, Mapping) else found
+
+
+LOG = (
+    Flag(
+        option="--format",
+        field="log.format",
+        metavar="F",
+        help="The log's format; recognised if left out.",
+    ),
+    Flag(
+        option="--robot", field="log.robot", kind=int, help="Robot number, for MR.CLAM folders. [1]"
+    ),
+    Flag(option="--seed", field="log.seed", kind=int, help="Seed of a simulated log. [0]"),
+    Flag(option="--loops", field="log.loops", kind=int, help="Loops of a simulated log. [1]"),
+    Flag(
+        option="--noise-scale",
+        field="log.noise_scale",
+        kind=float,
+        help="Factor on the noise of a simulated log. [1]",
+    ),
+)
+FEATURES = Flag(
+    option="--features",
+    field="log.features",
+    choices=choices.Features,
+    help="Sightings: the log's, or trunks found in its scans. [log]",
+)
+_GPS_HELP = "Fuse absolute positions; half holds every second one back. [off]"
+GPS = Flag(option="--gps", field="gps", choices=choices.Gps, help=_GPS_HELP)
+FRONT_END_GPS = Flag(option="--gps", field="front_end.gps", choices=choices.Gps, help=_GPS_HELP)
+EKF = (
+    Flag(option="--filter", field="ekf.filter", choices=choices.Filter, help="Which EKF. [full]"),
+    Flag(
+        option="--association",
+        field="ekf.association",
+        choices=choices.Association,
+        help="The log's labels, nearest neighbour, joint compatibility, distance in metres, or "
+        "only what all likely hypotheses agree on. [known where the log has labels, else nn]",
+    ),
+    Flag(option="--gps", field="ekf.gps", choices=choices.Gps, help=_GPS_HELP),
+    FEATURES,
+)
+ATTRIBUTES = Flag(
+    option="--attributes",
+    field="ekf.attributes",
+    choices=choices.Attributes,
+    help="Let diameters and intensities tell landmarks apart, too (nn and jcbb); layer: "
+    "intensities of the scans around them, from a dense map. [off]",
+)
+SOLVER_ASSOCIATION = Flag(
+    option="--association",
+    field="association",
+    choices=choices.SolverAssociation,
+    help="The log's labels, or the smoother's own association.",
+)
+ROBUST = Flag(
+    option="--robust",
+    field="smoother.robust",
+    choices=choices.Robust,
+    help="Kernel against outliers in the smoother; changes its marginals. [none]",
+)
+SMOOTHER = (
+    Flag(
+        option="--smoother",
+        field="smoother.method",
+        choices=choices.Method,
+        help="How the smoother works. [batch]",
+    ),
+    Flag(
+        option="--lag", field="smoother.lag", kind=int, help="Poses that a fixed lag holds. [100]"
+    ),
+    Flag(
+        option="--optimiser",
+        field="smoother.optimiser",
+        choices=choices.Optimiser,
+        help="Of the batch smoother. [levenberg-marquardt]",
+    ),
+    ROBUST,
+)
+_LANDMARKS = "--landmarks scans or both"
+SCAN_LANDMARKS = (
+    Flag(
+        option="--landmarks",
+        field="extensions.scan_landmarks",
+        choices=choices.Landmarks,
+        settings={"points": ABSENT, "scans": {"landmarks": "scans"}, "both": {"landmarks": "both"}},
+        help="Landmarks: the log's sightings, templates of its raw scans (Scan-SLAM), or both. "
+        "[points]",
+    ),
+    Flag(
+        option="--pieces",
+        field="extensions.scan_landmarks.pieces",
+        choices=choices.Pieces,
+        within=_LANDMARKS,
+        help="All segments of a scan make one scan landmark, or each its own. [joined, but single "
+        "where a dense map is anchored to them]",
+    ),
+    Flag(
+        option="--templates",
+        field="extensions.scan_landmarks.templates",
+        choices=choices.Templates,
+        within=_LANDMARKS,
+        neutral="bare",
+        help="Enriched: align scan landmarks with what the dense map holds around, too. [bare]",
+    ),
+)
+RESOLUTION = Flag(
+    option="--resolution",
+    field="extensions.dense_maps.resolution_m",
+    kind=float,
+    metavar="M",
+    help="Size of the dense map's cells in metres. [0.2]",
+)
+_DENSE_HELP = "Keep this layer of a dense map and compare it with the smoother's; may be repeated."
+RUN_EXTENSIONS = (
+    *SCAN_LANDMARKS,
+    Flag(
+        option="--fuse-landmarks",
+        field="extensions.scan_landmarks.fuse",
+        choices=choices.Switch,
+        settings={"off": False, "on": True},
+        within=_LANDMARKS,
+        neutral="off",
+        help="Fuse scan landmarks that turn out to be one. [off]",
+    ),
+    Flag(
+        option="--motion",
+        field="extensions.scan_motion",
+        choices=choices.Motion,
+        settings={"wheel": ABSENT, "scan": {"motion": "scan"}, "both": {"motion": "both"}},
+        help="What moves both estimators: the odometry or the scans; both adds a third estimate, "
+        "the smoother on scans. [wheel]",
+    ),
+    Flag(
+        option="--smoother-association",
+        field="extensions.own_association",
+        choices=choices.Peer,
+        settings={"ekf": ABSENT, "own": {}},
+        help="Own: solve for a second time, with the smoother's own association. [ekf]",
+    ),
+    Flag(
+        option="--smoother-matcher",
+        field="extensions.own_matching",
+        choices=choices.Peer,
+        settings={"ekf": ABSENT, "own": {}},
+        help="Own: solve for a second time, scan landmarks aligned by Open3D's generalised ICP. "
+        "[ekf]",
+    ),
+    Flag(
+        option="--dense",
+        field="extensions.dense_maps.layers",
+        choices=choices.Layer,
+        many=True,
+        help=_DENSE_HELP,
+    ),
+    RESOLUTION,
+    Flag(
+        option="--dynamic",
+        field="extensions.dynamic",
+        choices=choices.Switch,
+        settings={"off": ABSENT, "on": {}},
+        help="Find where things move in the scans, and let the filter ignore these places. [off]",
+    ),
+    Flag(
+        option="--high-level",
+        field="extensions.high_level",
+        choices=choices.Switch,
+        settings={"off": ABSENT, "on": {}},
+        help="Landmarks made of what stands in the filter's dense map. [off]",
+    ),
+    *(
+        Flag(
+            option=f"--high-level-{name}",
+            field=f"extensions.high_level.{field}",
+            kind=kind,
+            within="--high-level on",
+            hidden=True,
+            help=f"Kept for one release; use --set high_level.{field}=VALUE.",
+        )
+        for name, field, kind in (
+            ("cell", "cell_m", float),
+            ("pair", "pair_m", float),
+            ("least", "least", int),
+            ("every", "every_s", float),
+        )
+    ),
+)
+REPORT = (
+    Flag(
+        option="--figures",
+        field="report.figures",
+        choices=choices.PictureFormat,
+        many=True,
+        help="Write the pictures as PDF as well, with pdf; PNG is always written.",
+    ),
+    Flag(
+        option="--trace",
+        field="report.trace",
+        kind=bool,
+        help="Write ekf/trace.npz: what the EKF linearised where.",
+    ),
+)
+ESTIMATE = (
+    Flag(
+        option="--estimate",
+        field="estimate",
+        metavar="FOLDER|FILE",
+        help="A trajectory (TUM, KITTI, CSV), or a folder with trajectory.tum and, if there are "
+        "any, landmarks.csv, covariances.npz, estimate.toml, trace.npz.",
+    ),
+    Flag(
+        option="--times",
+        field="times",
+        metavar="FILE",
+        help="Times of a KITTI file, else times.txt beside it.",
+    ),
+)
+CLOUD = Flag(
+    option="--cloud",
+    field="cloud",
+    choices=choices.CloudFormat,
+    help="Write the map as a cloud as well; needs Open3D.",
+)
+FRONT_END = (
+    Flag(
+        option="--guess",
+        field="front_end.guess",
+        choices=choices.Guess,
+        help="Where the alignment of a scan starts. [wheels]",
+    ),
+    Flag(
+        option="--loop-closure",
+        field="front_end.loop_closure",
+        choices=choices.Switch,
+        settings={"off": False, "on": True},
+        help="Look for places seen before. [on]",
+    ),
+    Flag(
+        option="--matcher",
+        field="front_end.matcher",
+        choices=choices.LoopMatcher,
+        help="What aligns scans for loop closure; the last three are Open3D's. [surface]",
+    ),
+    FRONT_END_GPS,
+    CLOUD,
+)
+MAP = (
+    Flag(
+        option="--layer",
+        field="extensions.dense_maps.layers",
+        choices=choices.Layer,
+        many=True,
+        help="Layer to keep; may be repeated. [occupancy]",
+    ),
+    RESOLUTION,
+    Flag(
+        option="--dynamic",
+        field="extensions.dynamic",
+        kind=bool,
+        settings={True: {}, False: ABSENT},  # type: ignore[dict-item]
+        help="Find where things move, let the filter ignore these places, and write that layer.",
+    ),
+    *SCAN_LANDMARKS,
+    CLOUD,
+)
+RUN = (*EKF, ATTRIBUTES, *RUN_EXTENSIONS, *SMOOTHER, *REPORT, *LOG)
+
+
+def lay_over(config: dict[str, Any], flags: Sequence[tuple[Flag, Any]]) -> None:
+    """Put flags that were given over nested mappings, sections before what lies within them."""
+    for flag, value in sorted(flags, key=lambda one: bool(one[0].within)):
+        flag.lay_over(config, value)
+
+
+def options(table: Iterable[Flag], values: Mapping[str, Any]) -> list[tuple[Flag, Any]]:
+    """Return flags with values by their options' names, as `filter` or `smoother_association`.
+
+    Raises InputError for a name that no flag of the table has.
+    """
+    known = {flag.name.rstrip("_"): flag for flag in table}
+    for name in values:
+        if name not in known:
+            raise InputError(f"option {name}: is unknown, expected some of {', '.join(known)}")
+    return [(known[name], value) for name, value in values.items()]
+
+
+def _below(config: Mapping[str, Any], path: str) -> Any:
+    found: Any = config
+    for part in path.split("."):
+        found = found.get(part) if isinstance(found, Mapping) else None
+    return found

@@ -1,0 +1,133 @@
+"""E, F1, F2 and S of one filter's run, whoever's filter it is, and the gaps between them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from comparisons.adapters.ekf_run import EkfRun
+from comparisons.adapters.filter_setup import FilterSetup
+from comparisons.adapters.smoother_input import (
+    build_problem,
+    linear_optimum,
+    linear_own,
+    linear_recorded,
+    run_smoother,
+    smoothed_estimate,
+    solve_own,
+    solve_recorded,
+)
+from comparisons.adapters.timeline import Timeline
+from comparisons.checks.agreement import ROUNDING, Agreement, Gaussian, compare
+from comparisons.estimates.estimate import Estimate
+from comparisons.logs.log import Log
+from comparisons.pipeline.prepare import Clock, Prepared
+from graphslam.linear_problem import LinearProblem
+from graphslam.problem import SlamProblem
+from graphslam.smoother import SmootherOptions, SmootherResult
+
+if TYPE_CHECKING:
+    from comparisons.checks.diagnosis.linearisation_growth import LinearisationGrowth
+    from comparisons.checks.diagnosis.model_differences import ModelDifference
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gaps:
+    """The chain of estimates and its gaps.
+
+    recorded: the linear system of F1, from the filter's own matrices. model: that of F2, from the
+    smoother's factors linearised where the filter was. result, smoothed: S.
+    """
+
+    run: EkfRun
+    problem: SlamProblem
+    recorded: LinearProblem
+    model: LinearProblem
+    result: SmootherResult
+    smoothed: Estimate
+    agreement: Agreement
+
+    def model_differences(self) -> tuple[ModelDifference, ...]:
+        """Return where F1's and F2's equations differ."""
+        from comparisons.checks.diagnosis.model_differences import model_differences
+
+        weight = self.run.trace.augmentations.weight
+        initialised = int(np.count_nonzero(weight > 0.0))
+        return tuple(model_differences(self.recorded, self.model, ROUNDING, initialised))
+
+    def linearisation_growth(self) -> LinearisationGrowth:
+        """Return where linearising cost something."""
+        from comparisons.checks.diagnosis.linearisation_growth import linearisation_growth
+
+        # All landmarks with a direction by slot, merged ones among them.
+        whole = replace(self.smoothed, oriented=self.result.oriented())
+        return linearisation_growth(
+            self.model, linear_optimum(self.problem, self.run, whole), whole
+        )
+
+
+def compute_gaps(
+    log: Log,
+    run: EkfRun,
+    options: SmootherOptions,
+    clock: Clock,
+    progress: Callable[[str, int, int], None],
+    timeline: Timeline | None = None,
+    *,
+    covariance_known: bool = True,
+) -> Gaps:
+    """Solve F1, F2 and S, and compare.
+
+    timeline: of the log's own steps, where the run's are others. covariance_known: without E's
+    joint covariance F1 takes E's place, and the algebra gap is no evidence. Raises
+    numpy.linalg.LinAlgError where a recorded covariance is singular, and SingularProblemError
+    where there is no solution.
+    """
+    own = run.timeline if timeline is None else timeline
+    problem = build_problem(log, replace(run, timeline=own))
+    with clock.stage("frozen"):
+        progress("frozen smoothers", 0, 0)
+        recorded, model = linear_recorded(run), linear_own(problem, run)
+        first, second = solve_recorded(recorded, run), solve_own(model, run)
+    with clock.stage("smoother"):
+        result = run_smoother(problem, run, options, lambda stage: progress(stage, 0, 0))
+    with clock.stage("marginals"):
+        progress("marginals", 0, 0)
+        ids = run.estimate.landmark_id
+        smoothed = smoothed_estimate(result, own.epoch_time_s, ids, "the EKF's")
+    frames = len(run.estimate.oriented)
+    f1 = Gaussian(*first, frames)
+    return Gaps(
+        run=run,
+        problem=problem,
+        recorded=recorded,
+        model=model,
+        result=result,
+        smoothed=smoothed,
+        agreement=compare(
+            _gaussian(run.estimate) if covariance_known else f1,
+            f1,
+            Gaussian(*second, frames),
+            _gaussian(smoothed),
+        ),
+    )
+
+
+def _gaussian(estimate: Estimate) -> Gaussian:
+    return Gaussian(estimate.joint_mean, estimate.joint_covariance, len(estimate.oriented))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Compared:
+    """What an extension's check is given: both estimators have run.
+
+    setup: what stood beside the filter, with what extensions offered.
+    """
+
+    prepared: Prepared[Any]
+    setup: FilterSetup
+    ekf: EkfRun
+    gaps: Gaps

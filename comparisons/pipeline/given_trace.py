@@ -1,0 +1,241 @@
+"""The gaps of someone else's filter, from the trace that it left: as for the reference EKF."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.adapters.ekf_run import EkfRun
+from comparisons.adapters.timeline import Timeline
+from comparisons.checks.agreement import Agreement, Gap
+from comparisons.checks.diagnosis.bookkeeping import Misuse, misuses
+from comparisons.checks.diagnosis.explanations import explain
+from comparisons.checks.verdict import Diagnosis, Verdict, judge
+from comparisons.config import SolveConfig
+from comparisons.errors import InputError
+from comparisons.estimates.estimate import Array, Estimate
+from comparisons.estimates.external import GivenEstimate
+from comparisons.estimates.trace_file import TraceFile
+from comparisons.logs.log import Log, Positions
+from comparisons.pipeline.gaps import compute_gaps
+from comparisons.pipeline.prepare import Clock, Prepared, no_progress
+from ekf_reference.association import REJECTED
+from ekf_reference.full_ekf import PoseReading
+from graphslam.smoother import SmootherOptions
+
+Index = NDArray[np.intp]
+
+_CLOCK_S = 0.5e-4
+"""Half of what times are resolved to."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TraceCheck:
+    """Gaps and causes. algebra: None where the estimate lacks the joint covariance.
+
+    steps, updates, begun, fixes: how many of each the trace holds.
+    """
+
+    agreement: Agreement
+    algebra: Gap | None
+    verdict: Verdict
+    steps: int
+    updates: int
+    begun: int
+    fixes: int
+
+
+def check_trace(
+    given: GivenEstimate, prepared: Prepared[SolveConfig], options: SmootherOptions
+) -> TraceCheck:
+    """Compute the gaps as for the reference EKF, and judge them.
+
+    Raises InputError for a trace that does not fit the log.
+    """
+    file, log, positions = given.trace, prepared.log, prepared.positions
+    if file is None:
+        raise ValueError("an estimate without a trace")
+    if log.known_landmarks is not None:
+        raise InputError(f"{log.name}: traces are not checked on logs with known landmarks")
+    own, theirs = _timelines(file, float(given.time_s[-1]), prepared.timeline)
+    run = _as_run(given, file, theirs, positions)
+    known = given.joint_covariance is not None
+    try:
+        gaps = compute_gaps(
+            log, run, options, Clock(), no_progress, timeline=own, covariance_known=known
+        )
+    except np.linalg.LinAlgError:
+        raise InputError(
+            f"{file.path}: its noise, composed between sightings, is singular; "
+            "add a little to step_q"
+        ) from None
+    labelled = prepared.labelled
+    misused = (*_untimely(log, file, run, positions),
+               *misuses(log, run, gaps.smoothed, labelled=labelled))  # fmt: skip
+    verdict = judge(
+        gaps.agreement,
+        gaps.result,
+        run,
+        Diagnosis(
+            differences=gaps.model_differences,
+            explanations=(lambda: explain(log, run)) if theirs is own else tuple,
+        ),
+        misuses=misused,
+    )
+    trace = run.trace
+    return TraceCheck(
+        agreement=gaps.agreement,
+        algebra=gaps.agreement.algebra if known else None,
+        verdict=verdict,
+        steps=len(trace.departed),
+        updates=len(trace.updates.step),
+        begun=len(trace.augmentations.step),
+        fixes=len(trace.positions.step),
+    )
+
+
+def _last(given: GivenEstimate) -> Estimate:
+    """What was handed in of the end; a covariance that was not is NaN, and used nowhere."""
+    if given.landmark is None or given.landmark_id is None:
+        raise ValueError("an estimate without landmarks")
+    size, joint = 3 + 2 * len(given.landmark), given.joint_covariance
+    return Estimate(
+        time_s=given.time_s[-1:],
+        pose=given.pose[-1:],
+        pose_covariance=_covariances(given, given.time_s[-1:]),
+        landmark_id=given.landmark_id,
+        landmark=given.landmark,
+        joint_covariance=np.full((size, size), np.nan) if joint is None else joint,
+        information="filtered",
+    )
+
+
+def _timelines(file: TraceFile, last_s: float, timeline: Timeline) -> tuple[Timeline, Timeline]:
+    """The log's, with the epochs that the filter stopped at, and the same with its own steps."""
+    step_s, epoch_s = file.step_time_s, timeline.epoch_time_s
+    if step_s[0] < epoch_s[0] - _CLOCK_S:
+        raise InputError(
+            f"{file.path}: the first step ends at {step_s[0]:.4f} s, expected none before the log "
+            f"begins at {epoch_s[0]:.4f} s"
+        )
+    reached = np.searchsorted(step_s, epoch_s + _CLOCK_S, side="right")
+    stops = np.concatenate(([epoch_s[0]], step_s))[reached] >= epoch_s - _CLOCK_S
+    kept = np.flatnonzero(stops)
+    end_s = epoch_s[kept[-1]]
+    if reached[kept[-1]] != len(step_s) or len(kept) < 2:
+        raise InputError(
+            f"{file.path}: the last step ends at {step_s[-1]:.4f} s, expected an instant of "
+            f"a sighting, or the log's end at {epoch_s[-1]:.4f} s"
+        )
+    if abs(last_s - end_s) > 2 * _CLOCK_S:
+        raise InputError(
+            f"{file.path}: the last step ends at {end_s:.4f} s, the trajectory at "
+            f"{last_s:.4f} s; expected the same"
+        )
+    cut = timeline.prefix(int(kept[-1]) + 1)
+    own = replace(
+        cut,
+        epoch_time_s=epoch_s[kept],
+        step_epoch=np.searchsorted(kept, cut.step_epoch),
+        sighting_epoch=np.searchsorted(kept, cut.sighting_epoch),
+        position_epoch=np.searchsorted(kept, cut.position_epoch),
+    )
+    own_s = own.step_begin_s() + own.step_duration_s
+    if len(own_s) == len(step_s) and np.abs(own_s - step_s).max() <= 2 * _CLOCK_S:
+        return own, own
+    theirs = replace(
+        own,
+        step_epoch=np.searchsorted(own.epoch_time_s, step_s - _CLOCK_S),
+        step_duration_s=np.diff(step_s, prepend=own.epoch_time_s[0]),
+        control=np.zeros((len(step_s), 0)),
+        control_covariance=np.zeros((len(step_s), 0, 0)),
+    )
+    return own, theirs
+
+
+def _as_run(
+    given: GivenEstimate, file: TraceFile, timeline: Timeline, positions: Positions | None
+) -> EkfRun:
+    """What was handed in, as a run of the reference EKF would be."""
+    last = _last(given)
+    trace = file.trace
+    for what, numbers, count in (
+        ("sighting", trace.updates.sighting, len(timeline.sighting_epoch)),
+        ("sighting", trace.augmentations.sighting, len(timeline.sighting_epoch)),
+        ("position", trace.positions.number, len(timeline.position_epoch)),
+    ):
+        if int(numbers.max(initial=-1)) >= count:
+            raise InputError(
+                f"{file.path}: uses {what} {numbers.max()}, where {count} were to be used "
+                "by the end of the trace" + (" (--gps)" if what == "position" else "")
+            )
+    until = timeline.steps_until()
+    pose = last.pose[-1].copy()
+    pose[2] += 2.0 * np.pi * np.round((trace.arrived[-1, 2] - pose[2]) / (2.0 * np.pi))
+    departed = np.vstack((trace.departed, pose))[until]
+    arrived = np.vstack((trace.prior_pose, trace.arrived))[until]
+    slot = np.full(len(timeline.sighting_epoch), REJECTED, dtype=np.intp)
+    for records in (trace.augmentations, trace.updates):
+        slot[records.sighting] = records.slot
+    return EkfRun(
+        estimate=replace(
+            last,
+            time_s=timeline.epoch_time_s,
+            pose=departed,
+            pose_covariance=_covariances(given, timeline.epoch_time_s),
+        ),
+        timeline=timeline,
+        trace=trace,
+        slot=slot,
+        departed=departed,
+        arrived=arrived,
+        final=PoseReading(pose, pose, np.eye(3)),
+        own_axes=False,
+        positions=positions,
+        fix_number=np.unique(trace.positions.number),
+        rejected_fixes=0,
+    )
+
+
+def _covariances(given: GivenEstimate, time_s: Array) -> Array:
+    """(K, 3, 3) the covariances handed in of poses at times (K,), NaN where there is none."""
+    found = np.full((len(time_s), 3, 3), np.nan)
+    if given.pose_covariance is not None:
+        near = np.minimum(np.searchsorted(given.time_s, time_s - _CLOCK_S), len(given.time_s) - 1)
+        there = np.abs(given.time_s[near] - time_s) <= 2 * _CLOCK_S
+        found[there] = given.pose_covariance[near[there]]
+    return found
+
+
+def _untimely(log: Log, file: TraceFile, run: EkfRun, positions: Positions | None) -> list[Misuse]:
+    """Observations fused at another instant than their own, where no step ends there."""
+    stands_s = np.concatenate(([run.timeline.epoch_time_s[0]], file.step_time_s))
+    trace, found = run.trace, []
+    kinds = [
+        (
+            "sightings",
+            np.concatenate((trace.updates.step, trace.augmentations.step)),
+            log.sightings.time_s[
+                np.concatenate((trace.updates.sighting, trace.augmentations.sighting))
+            ],
+        )
+    ]
+    if positions is not None:
+        fixes = trace.positions
+        kinds.append(("positions", fixes.step, positions.time_s[fixes.number]))
+    for kind, step, due_s in kinds:
+        late_s = stands_s[step] - due_s
+        off = np.abs(late_s) > 2 * _CLOCK_S
+        if off.any():
+            middle = float(np.median(late_s[off]))
+            found.append(
+                Misuse(
+                    f"{np.count_nonzero(off)} of {len(off)} uses of {kind} come "
+                    f"{'late' if middle > 0 else 'early'}, by {abs(middle):.4g} s (median)",
+                    "look at the order of events: predict up to an observation's own time, then "
+                    "fuse it",
+                )
+            )
+    return found

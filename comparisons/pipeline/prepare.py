@@ -1,0 +1,144 @@
+"""One preparation for every job: settle the settings, transform the log, line up its instants."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Generic, NamedTuple, TypeVar
+
+from comparisons.adapters.ekf_factory import fused_positions, judging_positions, settle
+from comparisons.adapters.timeline import Timeline, build_timeline
+from comparisons.config import Configured, EkfConfig, JobConfig
+from comparisons.errors import InputError
+from comparisons.estimates.estimate import Array
+from comparisons.extensions.contract import Extension
+from comparisons.extensions.registry import EXTENSIONS
+from comparisons.logs.hashing import log_hash
+from comparisons.logs.log import Log, Positions
+from comparisons.logs.transforms.known_landmarks import join_known_sightings
+
+C = TypeVar("C", bound=JobConfig)
+Progress = Callable[[str, int, int], None]
+"""Called with the stage, what is done and what there is to do (0 when not known)."""
+
+
+class Clock:
+    """seconds: by stage, in their order."""
+
+    def __init__(self) -> None:
+        """Nothing has been measured."""
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Measure what is done within."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[name] = time.perf_counter() - start
+
+
+def no_progress(stage: str, done: int, total: int) -> None:
+    """Show nothing."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prepared(Generic[C]):
+    """What a job starts from.
+
+    log: as the estimators read it. config: the job's. ekf: the filter's settings, nothing left
+    open. epochs: (N,) instants [s] at which the filter stops besides those of the log's
+    observations.
+    """
+
+    log: Log
+    config: C
+    ekf: EkfConfig
+    extensions: tuple[Extension, ...] = ()
+    epochs: Array | None = None
+    progress: Progress = no_progress
+    clock: Clock = field(default_factory=Clock)
+
+    @property
+    def labelled(self) -> bool:
+        """The log's labels say which landmark a sighting is of."""
+        return self.ekf.association == "known"
+
+    @cached_property
+    def positions(self) -> Positions | None:
+        """The absolute positions that both estimators fuse."""
+        return fused_positions(self.log, self.ekf)
+
+    @cached_property
+    def timeline(self) -> Timeline:
+        """The instants at which something is fused, and the odometry in between."""
+        return build_timeline(self.log, self.positions, self.epochs)
+
+    @cached_property
+    def judged(self) -> Log:
+        """The log with those positions only that no estimator was given."""
+        return replace(self.log, positions=judging_positions(self.log, self.ekf))
+
+    def stage_progress(self, stage: str) -> Callable[[int, int], None]:
+        """Return a progress function for one stage."""
+        return lambda done, total: self.progress(stage, done, total)
+
+
+class Needs(NamedTuple):
+    """What a job cannot do without, with a hint where the log lacks it; None to do without."""
+
+    sightings: str | None = None
+    odometry: str | None = None
+
+
+def prepare(
+    log: Log,
+    config: C,
+    ekf: EkfConfig | None = None,
+    progress: Progress = no_progress,
+    needs: Needs | None = None,
+    also: Sequence[Extension] = (),
+) -> Prepared[C]:
+    """Settle what is left open and let every extension change what the estimators are given.
+
+    ekf: the filter's settings, where the job's configuration has none. also: extensions that no
+    configuration names; they come first. Raises InputError for what the log cannot serve.
+    """
+    if config.log.sha256 is None:
+        config = config.at_log(log_hash(log), log.name)
+    configured = config if isinstance(config, Configured) else None
+    if ekf is None:
+        ekf = EkfConfig() if configured is None else configured.ekf
+    prepared = Prepared(
+        log=join_known_sightings(log),
+        config=config,
+        ekf=settle(ekf, log),
+        extensions=(*also, *_extensions(configured)),
+        progress=progress,
+    )
+    _check_streams(prepared, needs or Needs())
+    for extension in prepared.extensions:
+        prepared = extension.prepare(prepared)
+    return prepared
+
+
+def _check_streams(prepared: Prepared[Any], needs: Needs) -> None:
+    log, extensions = prepared.log, prepared.extensions
+    landmarks = any(one.brings_landmarks for one in extensions)
+    if needs.sightings is not None and not landmarks and not len(log.sightings.time_s):
+        raise InputError(f"{log.name}: holds no sightings of landmarks ({needs.sightings})")
+    motion = any(one.brings_motion for one in extensions)
+    if needs.odometry is not None and not motion and not len(log.odometry.time_s):
+        raise InputError(f"{log.name}: holds no odometry; {needs.odometry}")
+
+
+def _extensions(config: Configured | None) -> list[Extension]:
+    if config is None:
+        return []
+    order = list(EXTENSIONS)
+    named = sorted(config.extensions.items(), key=lambda one: order.index(one[0]))
+    return [settings.build(config) for _, settings in named]

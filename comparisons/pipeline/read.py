@@ -1,0 +1,42 @@
+"""From a configuration to the log that it names."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TypeVar
+
+from comparisons.config import JobConfig, LogSection, check_unchanged, full_path
+from comparisons.logs.bundled import NAMED, SimulationChoices, open_log
+from comparisons.logs.hashing import log_hash
+from comparisons.logs.log import Log
+
+C = TypeVar("C", bound=JobConfig)
+
+
+def load_log(section: LogSection) -> Log:
+    """Return the log that a configuration names, with the features asked for. Raises InputError."""
+    choices = SimulationChoices(section.seed, section.loops, section.noise_scale)
+    log = open_log(section.source, section.format, section.robot, choices)
+    if section.features == "log":
+        return log
+    from comparisons.logs.transforms.tree_features import with_tree_features
+
+    return with_tree_features(log)
+
+
+def read_for(config: C, *, allow_changed: bool = False) -> tuple[Log, C, float]:
+    """Return the log, the configuration with its hash and full path, and the seconds that took.
+
+    Raises InputError where the configuration has the hash of another log, unless that is allowed.
+    """
+    start = time.perf_counter()
+    section = config.log
+    log = load_log(section)
+    found = log_hash(log)
+    if not allow_changed:
+        check_unchanged(section.source, found, section.sha256, "--allow-changed-log")
+    path = Path(section.source)
+    named = section.source in NAMED and section.format is None and not path.exists()
+    full = section.source if named else full_path(path)
+    return log, config.at_log(found, full), time.perf_counter() - start

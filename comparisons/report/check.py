@@ -1,0 +1,220 @@
+"""What `slamcheck check` reports: check.json, rows for a terminal, and its folder."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from rich.console import Console
+
+from comparisons.checks.given_agreement import Block
+from comparisons.extensions.contract import Row
+from comparisons.pipeline.check import GivenCheck
+from comparisons.pipeline.given_trace import TraceCheck
+from comparisons.report.figures.check import check_figure
+from comparisons.report.folder import JobFolder
+from comparisons.report.model import Model, finite
+from comparisons.report.models import (
+    AccuracyResult,
+    CauseResult,
+    LogResult,
+    SmootherResult,
+)
+from comparisons.report.rows import (
+    accuracy_rows,
+    log_rows,
+    print_rows,
+    print_verdict,
+    seconds_rows,
+    smoother_rows,
+)
+from comparisons.report.sections import (
+    accuracy_result,
+    log_result,
+    package_versions,
+    smoother_result,
+)
+
+
+def build_check_result(check: GivenCheck, read_s: float = 0.0) -> CheckResult:
+    """The findings, read_s being the seconds that reading log and estimate took."""
+    found, solution = check.agreement, check.solution
+    return CheckResult(
+        config=solution.prepared.config.model_dump(mode="json"),
+        log=log_result(solution.log),
+        smoother=smoother_result(solution.result),
+        association_by=solution.association_by,
+        information=check.given.information,
+        absent=check.given.absent,
+        poses=len(found.time_s),
+        rms_m=found.rms_m,
+        rms_heading_rad=found.rms_heading_rad,
+        outside=found.outside,
+        last_pose=None
+        if found.last is None
+        else GivenBlockResult.model_validate(_block(found.last)),
+        landmarks=[
+            GivenLandmarkResult.model_validate({"id": int(number), **_block(block)})
+            for number, block in zip(found.landmark_id, found.landmarks, strict=True)
+        ],
+        accuracy=accuracy_result(check.accuracy),
+        smoother_accuracy=accuracy_result(solution.accuracy),
+        trace=_trace(check.trace),
+        verdict=check.outcome,
+        causes=[CauseResult(**vars(cause)) for cause in check.causes],
+        remarks=list(check.remarks),
+        seconds={"read": read_s, **solution.prepared.clock.seconds},
+        versions=package_versions(),
+    )
+
+
+def print_check(result: CheckResult, console: Console) -> None:
+    """Print what was compared, and the verdict."""
+    rows = [
+        *log_rows(result.log),
+        *smoother_rows(result.smoother),
+        *_agreement_rows(result),
+        *([] if result.trace is None else _gap_rows(result.trace)),
+        *accuracy_rows("accuracy", result.accuracy),
+        *accuracy_rows("smoother's", result.smoother_accuracy),
+        *seconds_rows(result.seconds),
+    ]
+    print_rows(rows, console)
+    print_verdict(result.verdict, console, result.causes, result.remarks)
+
+
+def check_folder(check: GivenCheck, result: CheckResult) -> JobFolder:
+    """Return what is to be written."""
+    return JobFolder(
+        name="check",
+        result=result,
+        config=check.solution.prepared.config,
+        estimates={"smoother": check.solution.estimate},
+        figures={"map": check_figure(check)},
+    )
+
+
+def _agreement_rows(result: CheckResult) -> list[Row]:
+    own = ""
+    if result.outside is not None:
+        own = f"; {100.0 * result.outside:.1f} % beyond their own 99.9 % region"
+    rows = [
+        Row(
+            "poses",
+            f"{result.poses:,} {result.information}, {result.rms_m:.3f} m and "
+            f"{result.rms_heading_rad:.4f} rad from the smoother's (rms){own}",
+        )
+    ]
+    if result.last_pose is not None:
+        rows.append(
+            Row(
+                "last pose",
+                f"{'agrees' if result.last_pose.agrees else 'disagrees'}: "
+                f"{result.last_pose.difference_m:.3f} m apart, "
+                f"{result.last_pose.distance_sigma:.2g} sigma",
+            )
+        )
+    if result.landmarks:
+        agreeing = sum(row.agrees for row in result.landmarks)
+        rows.append(Row("landmarks", f"{agreeing} of {len(result.landmarks)} agree"))
+    return rows
+
+
+def _gap_rows(trace: TraceResult) -> list[Row]:
+    rows = []
+    for name in ("algebra", "model", "linearisation"):
+        if name == "algebra" and trace.algebra_gap_sigma is None:
+            rows.append(Row("algebra gap", "not judged, there is no joint covariance"))
+            continue
+        sigma, spread = (getattr(trace, f"{name}_gap_{part}") for part in ("sigma", "covariance"))
+        shown = [f"{value:.2g}" if value is not None else "none" for value in (sigma, spread)]
+        rows.append(Row(f"{name} gap", f"{shown[0]} sigma, {shown[1]} in covariance"))
+    return rows
+
+
+def _trace(check: TraceCheck | None) -> TraceResult | None:
+    if check is None:
+        return None
+    algebra, model, rest = check.algebra, check.agreement.model, check.agreement.linearisation
+    return TraceResult(
+        steps=check.steps,
+        updates=check.updates,
+        begun=check.begun,
+        positions=check.fixes,
+        algebra_gap_sigma=None if algebra is None else finite(algebra.sigma),
+        algebra_gap_covariance=None if algebra is None else finite(algebra.covariance),
+        model_gap_sigma=finite(model.sigma),
+        model_gap_covariance=finite(model.covariance),
+        linearisation_gap_sigma=finite(rest.sigma),
+        linearisation_gap_covariance=finite(rest.covariance),
+    )
+
+
+def _block(block: Block) -> dict[str, float | bool | None]:
+    return {
+        "difference_m": block.difference_m,
+        "distance_sigma": block.distance,
+        "variance_ratio_least": None if block.least is None else finite(block.least),
+        "variance_ratio_largest": None if block.largest is None else finite(block.largest),
+        "agrees": block.near and block.sure_enough,
+    }
+
+
+class GivenBlockResult(Model):
+    """See comparisons.checks.given_agreement.Block."""
+
+    difference_m: float
+    distance_sigma: float
+    variance_ratio_least: float | None
+    variance_ratio_largest: float | None
+    agrees: bool
+
+
+class GivenLandmarkResult(GivenBlockResult):
+    """One landmark of both."""
+
+    id: int
+
+
+class TraceResult(Model):
+    """See comparisons.checks.given_trace.TraceCheck; gaps as in `result.json`."""
+
+    steps: int
+    updates: int
+    begun: int
+    positions: int
+    algebra_gap_sigma: float | None
+    algebra_gap_covariance: float | None
+    model_gap_sigma: float | None
+    model_gap_covariance: float | None
+    linearisation_gap_sigma: float | None
+    linearisation_gap_covariance: float | None
+
+
+class CheckResult(Model):
+    """`check.json`: an estimate from elsewhere against the smoother's.
+
+    absent: what was not handed in. outside: share of the poses beyond the 99.9 % region of their
+    own covariance, None without covariances. trace: None without one.
+    """
+
+    config: dict[str, Any]
+    log: LogResult
+    smoother: SmootherResult
+    association_by: str
+    information: str
+    absent: list[str]
+    poses: int
+    rms_m: float
+    rms_heading_rad: float
+    outside: float | None
+    last_pose: GivenBlockResult | None
+    landmarks: list[GivenLandmarkResult]
+    accuracy: AccuracyResult | None
+    smoother_accuracy: AccuracyResult | None
+    trace: TraceResult | None
+    verdict: Literal["agree", "disagree", "unproven"]
+    causes: list[CauseResult]
+    remarks: list[str]
+    seconds: dict[str, float]
+    versions: dict[str, str]
+    files: tuple[str, ...] = ()

@@ -1,0 +1,290 @@
+"""What `slamcheck map` reports: map.json, rows for a terminal, and its folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from comparisons.checks.accuracy import assess
+from comparisons.extensions.contract import Row
+from comparisons.extensions.dense_maps.accuracy import OCCUPIED
+from comparisons.extensions.dense_maps.result import (
+    SurfaceErrorResult,
+    surface_error_results,
+    surface_error_rows,
+)
+from comparisons.pipeline.dense_map import DenseMapping
+from comparisons.report.figures.dense_map import dense_map_figure, dynamic_figure
+from comparisons.report.folder import JobFolder
+from comparisons.report.map_export import rasterise, write_image, write_ros_map
+from comparisons.report.model import Model
+from comparisons.report.models import AccuracyResult, EkfResult, LogResult
+from comparisons.report.rows import (
+    accuracy_rows,
+    ekf_rows,
+    log_rows,
+    print_remarks,
+    print_rows,
+    seconds_rows,
+)
+from comparisons.report.sections import (
+    accuracy_result,
+    ekf_result,
+    log_result,
+    package_versions,
+)
+from ekf_reference.dense.dense_map import DenseMap
+from ekf_reference.dense.dynamic import places
+from graphslam.scan.clouds import write_cloud
+
+_LIKELY = 0.5
+
+
+class LayerResult(Model):
+    """A layer. samples: cells, points or Gaussians held; occupied: those above 0.8."""
+
+    samples: int
+    occupied: int
+
+
+class ReturnsResult(Model):
+    """What became of the scanner's returns.
+
+    late: fused after a wait. outside: where no region can be. waiting: still, at the end. lost:
+    from the waiting room, which was full, or with a landmark.
+    """
+
+    scans: int
+    returns: int
+    fused: int
+    late: int
+    outside: int
+    waiting: int
+    lost: int
+
+
+class ClosingResult(Model):
+    """The update that moved the regions the most."""
+
+    time_s: float
+    shift_m: float
+
+
+class DynamicResult(Model):
+    """Where something moves.
+
+    places: connected ones. cells, area_m2: flagged. fast, slow: of these, by what showed them
+    first. compared: pairs of maps; deformed: pairs that could not be, since the region's landmarks
+    had moved against each other. landmarks: ids of those in the map that stand in such a place.
+    """
+
+    places: int
+    cells: int
+    area_m2: float
+    fast: int
+    slow: int
+    compared: int
+    deformed: int
+    landmarks: list[int]
+
+
+class MapResult(Model):
+    """`map.json`: a dense map between the filter's landmarks, points and pieces of scans."""
+
+    config: dict[str, Any]
+    log: LogResult
+    ekf: EkfResult
+    accuracy: AccuracyResult | None
+    scan_landmarks: int
+    regions: int
+    resolution_m: float
+    returns: ReturnsResult
+    layers: dict[str, LayerResult]
+    surface_errors: dict[str, SurfaceErrorResult]
+    closing: ClosingResult | None
+    dynamic: DynamicResult | None
+    remarks: list[str]
+    seconds: dict[str, float]
+    versions: dict[str, str]
+    files: tuple[str, ...] = ()
+
+
+def build_map_result(mapping: DenseMapping, read_s: float = 0.0) -> MapResult:
+    """The findings, read_s being the seconds that reading the log took."""
+    m = mapping
+    before = m.dense.before
+    return MapResult(
+        config=m.prepared.config.model_dump(mode="json"),
+        log=log_result(m.log),
+        ekf=ekf_result(m.ekf, m.prepared.ekf),
+        accuracy=accuracy_result(assess(m.ekf.estimate, m.log, labelled=m.prepared.labelled)),
+        scan_landmarks=len(m.ekf.estimate.oriented),
+        regions=len(m.placed.triangle),
+        resolution_m=m.dense.options.resolution_m,
+        returns=_returns(m.dense.dense),
+        layers={
+            name: LayerResult(
+                samples=len(s.point), occupied=int(np.count_nonzero(s.occupancy > OCCUPIED))
+            )
+            for name, s in m.layers.items()
+        },
+        surface_errors=surface_error_results(m.errors),
+        closing=None
+        if before is None
+        else ClosingResult(time_s=before.time_s, shift_m=before.shift_m),
+        dynamic=_dynamic(m),
+        remarks=_remarks(m),
+        seconds={
+            "read": read_s,
+            **m.prepared.clock.seconds,
+            **{k: float(v) for k, v in m.dense.seconds.items()},
+        },
+        versions=package_versions(),
+    )
+
+
+def print_map(result: MapResult, console: Console) -> None:
+    """Print what the map holds and how good it is."""
+    returns = result.returns
+    rows = [
+        *log_rows(result.log),
+        *ekf_rows(result.ekf),
+        *accuracy_rows("accuracy", result.accuracy),
+    ]
+    if result.scan_landmarks:
+        rows.append(Row("scan landmarks", f"{result.scan_landmarks:,}"))
+    rows.append(
+        Row(
+            "returns",
+            f"{returns.fused + returns.late:,} of {returns.returns:,} in {result.regions} regions "
+            f"({returns.late:,} after a wait), {returns.outside:,} outside all; "
+            f"{returns.scans} scans",
+        )
+    )
+    for name, layer in result.layers.items():
+        rows.append(Row(name, f"{layer.samples:,} held, {layer.occupied:,} occupied"))
+    rows += surface_error_rows(result.surface_errors)
+    if result.dynamic is not None:
+        rows.append(
+            Row(
+                "dynamic",
+                f"{result.dynamic.places} places, {result.dynamic.area_m2:.1f} m2, "
+                f"{len(result.dynamic.landmarks)} landmarks in them",
+            )
+        )
+    print_rows([*rows, *seconds_rows(result.seconds)], console)
+    print_remarks(result.remarks, console)
+
+
+def map_folder(mapping: DenseMapping, result: MapResult) -> JobFolder:
+    """Return what is to be written: the map, and each layer in several formats.
+
+    Layers as clouds need Open3D: raises Open3dMissingError. Without regions there are none.
+    """
+    figures = {"map": dense_map_figure(mapping)}
+    dynamic = mapping.dense.dense.dynamic
+    if dynamic is not None:
+        figures["dynamic-map"] = dynamic_figure(mapping, dynamic)
+    files: dict[str, Callable[[Path], object]] = {}
+    if len(mapping.placed.triangle):
+        files["regions.csv"] = lambda path: path.write_text(regions_csv(mapping), encoding="utf-8")
+        files |= _layer_files(mapping)
+    return JobFolder(
+        name="map",
+        result=result,
+        config=mapping.prepared.config,
+        estimates={"ekf": mapping.ekf.estimate},
+        figures=figures,
+        files=files,
+    )
+
+
+def _layer_files(mapping: DenseMapping) -> dict[str, Callable[[Path], object]]:
+    cloud = mapping.prepared.config.cloud
+    files: dict[str, Callable[[Path], object]] = {}
+    cell_m = mapping.dense.options.resolution_m
+    for name, layer in mapping.dense.dense.layers.items():
+        raster = rasterise(layer, mapping.placed, cell_m)
+        files[f"{name}.png"] = partial(write_image, raster)
+        files[f"{name}.pgm"] = partial(write_ros_map, raster)
+        samples = mapping.layers[name]
+        point = samples.point[samples.occupancy > _LIKELY]
+        if cloud is not None and len(point):
+            flat = np.column_stack((point, np.zeros(len(point))))
+            files[f"{name}.{cloud}"] = partial(_write_cloud, flat)
+    if mapping.dense.dense.dynamic is not None:
+        raster = rasterise(mapping.dense.dense.dynamic, mapping.placed, cell_m)
+        files["dynamic.png"] = partial(write_image, raster)
+    return files
+
+
+def _write_cloud(point: np.ndarray, path: Path) -> None:
+    write_cloud(path, point)
+
+
+def regions_csv(mapping: DenseMapping) -> str:
+    """One row per region: corners, where they are, returns noted, and the error layer.
+
+    A corner is a landmark's id, s and the number of a scan landmark, or `a+b` for a virtual one
+    behind landmarks a and b.
+    """
+    dense, ids = mapping.dense.dense, mapping.ekf.estimate.landmark_id
+    pair = dense.regions.virtual.pair
+    neglected = dense.neglected
+    numbers = np.arange(len(dense.regions.base))
+    mean_m = neglected.sigma_m(numbers)
+    lines = [
+        "region,corner1,corner2,corner3,x1,y1,x2,y2,x3,y3,fused_at_once,sigma_m,sigma_largest_m"
+    ]
+    for region, base in enumerate(dense.regions.base.tolist()):
+        names = [
+            "+".join(mapping.dense.name_of(n, ids) for n in ([c] if c >= 0 else pair[-1 - c]))
+            for c in base
+        ]
+        places = [f"{v:.4f}" for v in mapping.placed.triangle[region].ravel()]
+        sigma = [f"{v:.4f}" for v in (mean_m[region], neglected.largest_m[region])]
+        count = f"{neglected.count[region]:.0f}"
+        lines.append(",".join([str(region), *names, *places, count, *sigma]))
+    return "\n".join(lines) + "\n"
+
+
+def _returns(dense: DenseMap) -> ReturnsResult:
+    waiting = lost = 0
+    if dense.waiting is not None:
+        waiting = len(dense.waiting.points.scan)
+        lost = dense.waiting.counts.dropped + dense.waiting.counts.vanished
+    return ReturnsResult(**vars(dense.tally), waiting=waiting, lost=lost)
+
+
+def _dynamic(m: DenseMapping) -> DynamicResult | None:
+    layer = m.dense.dense.dynamic
+    if layer is None:
+        return None
+    number = places(layer.points(m.placed))
+    under = m.dense.is_dynamic(m.ekf.estimate.landmark)
+    return DynamicResult(
+        places=int(number.max(initial=-1)) + 1,
+        cells=len(number),
+        area_m2=layer.area_m2(m.placed),
+        **vars(layer.counters),
+        landmarks=m.ekf.estimate.landmark_id[under].tolist(),
+    )
+
+
+def _remarks(m: DenseMapping) -> list[str]:
+    remarks = []
+    if m.ekf.breakdown:
+        remarks.append(m.ekf.breakdown)
+    if not len(m.placed.triangle):
+        remarks.append("no three landmarks meet the conditions of a region, so the map is empty")
+    if m.dense.before is not None:
+        remarks.append(
+            f"the update at {m.dense.before.time_s:.1f} s moved the regions by "
+            f"{m.dense.before.shift_m:.2f} m (rms), and the map with them"
+        )
+    return remarks

@@ -1,0 +1,1 @@
+"""Pictures. Functions draw on a given axis and compute nothing."""

@@ -1,0 +1,33 @@
+"""The map of an external estimate and the smoother's."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from comparisons.pipeline.check import GivenCheck
+from comparisons.report.figures.style import (
+    EKF_COLOUR,
+    draw_landmarks,
+    draw_trajectory,
+    ellipses,
+    estimates_figure,
+)
+
+
+def check_figure(check: GivenCheck) -> Figure:
+    """An estimate from elsewhere on top of the smoother's."""
+    solution, given = check.solution, check.given
+    title = f"{solution.log.name}: {check.outcome}"
+    estimates = {"smoother": solution.estimate}
+    figure = estimates_figure(solution.log, solution.dead_reckoned, estimates, title)
+    axis = figure.axes[0]
+    draw_trajectory(axis, given.pose[:, :2], EKF_COLOUR, "given trajectory", "--")
+    if given.landmark is not None:
+        spread = given.landmark_covariance
+        if spread is None:
+            spread = np.zeros((len(given.landmark), 2, 2))
+        outline = ellipses(given.landmark, spread, 3.0)
+        draw_landmarks(axis, given.landmark, outline, EKF_COLOUR, "o", "given landmarks")
+    axis.legend(loc="best", fontsize=8)
+    return figure

@@ -1,0 +1,45 @@
+"""The map that the scans make."""
+
+from __future__ import annotations
+
+from matplotlib.figure import Figure
+
+from comparisons.estimates.estimate import Array
+from comparisons.pipeline.odometry import FrontEnd
+from comparisons.report.figures.style import (
+    EKF_COLOUR,
+    SCANS_COLOUR,
+    SMOOTHER_COLOUR,
+    draw_aside,
+    draw_cloud,
+    draw_reference,
+    draw_trajectory,
+    entitle,
+    plan,
+)
+
+
+def front_end_figure(front_end: FrontEnd, points: Array) -> Figure:
+    """The map that the scans make, with the trajectories of wheels, scan odometry and graph."""
+    f = front_end
+    figure, axis = plan()
+    draw_cloud(axis, points)
+    if f.log.truth.poses is not None:
+        draw_reference(axis, f.log.truth.poses.pose, ".", "truth")
+    elif f.log.positions is not None:
+        draw_reference(axis, f.log.positions.position_m, ".", "GPS")
+    draw_trajectory(axis, f.odometry, EKF_COLOUR, "scan odometry", "--")
+    draw_trajectory(axis, f.estimate.pose, SMOOTHER_COLOUR, "scan graph")
+    for first, second in zip(f.graph.problem.closures.first, f.graph.problem.closures.second,
+                             strict=True):  # fmt: skip
+        ends = f.estimate.pose[[first, second]]
+        axis.plot(ends[:, 0], ends[:, 1], color=SCANS_COLOUR, linewidth=0.7, zorder=3)
+    axis.set_aspect("equal", adjustable="datalim")
+    if f.wheels is not None:
+        draw_aside(axis, f.wheels, "wheels")
+    title = (
+        f"{f.log.name}: {len(f.motion.row)} scans, {len(f.graph.problem.closures.first)} loops "
+        "closed (yellow)"
+    )
+    entitle(axis, title)
+    return figure

@@ -1,0 +1,157 @@
+"""What `slamcheck odometry` reports: odometry.json, rows for a terminal, and its folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from rich.console import Console
+
+from comparisons.estimates.folder import tum_text
+from comparisons.extensions.contract import Row
+from comparisons.extensions.scan_motion.result import (
+    IncrementResult,
+    ScanOdometryResult,
+    by_reason,
+    increment_remarks,
+    increment_result,
+    scan_odometry_result,
+    scan_odometry_rows,
+)
+from comparisons.logs.transforms.scan_motion import sightings_kept
+from comparisons.pipeline.odometry import FrontEnd
+from comparisons.report.figures.odometry import front_end_figure
+from comparisons.report.folder import JobFolder
+from comparisons.report.model import Model
+from comparisons.report.models import AccuracyResult, LogResult, SmootherResult
+from comparisons.report.rows import (
+    accuracy_rows,
+    log_rows,
+    print_rows,
+    print_verdict,
+    seconds_rows,
+    smoother_rows,
+)
+from comparisons.report.sections import (
+    accuracy_result,
+    log_result,
+    package_versions,
+    smoother_result,
+)
+from graphslam.g2o import G2oContents, holds, write_g2o
+from graphslam.scan.clouds import write_cloud
+
+
+class LoopResult(Model):
+    """Loop closure: pairs of poses tried, closed, and the reasons against the others."""
+
+    tried: int
+    closed: int
+    reasons: dict[str, int]
+
+
+class FrontEndResult(Model):
+    """`odometry.json`: the scan front end alone."""
+
+    config: dict[str, Any]
+    log: LogResult
+    odometry: ScanOdometryResult
+    loops: LoopResult
+    graph: SmootherResult
+    landmarks: int
+    gps: str
+    increments: IncrementResult | None
+    wheels: AccuracyResult | None
+    scan_odometry: AccuracyResult | None
+    scan_graph: AccuracyResult | None
+    verdict: Literal["proven", "unproven"]
+    remarks: list[str]
+    seconds: dict[str, float]
+    versions: dict[str, str]
+    files: tuple[str, ...] = ()
+
+
+def build_front_end_result(front_end: FrontEnd, read_s: float = 0.0) -> FrontEndResult:
+    """The findings, read_s being the seconds that reading the log took."""
+    f, how = front_end, front_end.prepared.config.front_end
+    return FrontEndResult(
+        config=f.prepared.config.model_dump(mode="json"),
+        log=log_result(f.log),
+        odometry=scan_odometry_result(
+            f.motion, guess=how.guess == "wheels", seconds=f.prepared.clock.seconds["odometry"]
+        ),
+        loops=LoopResult(
+            tried=len(f.closed.attempts),
+            closed=len(f.closed.closures.first),
+            reasons=by_reason(a.outcome for a in f.closed.attempts if a.outcome != "accepted"),
+        ),
+        graph=smoother_result(f.graph),
+        landmarks=len(f.estimate.landmark),
+        gps=how.gps,
+        increments=increment_result(f.increments),
+        wheels=accuracy_result(f.accuracy_wheels),
+        scan_odometry=accuracy_result(f.accuracy_odometry),
+        scan_graph=accuracy_result(f.accuracy_graph),
+        verdict="proven" if f.graph.proof.proven else "unproven",
+        remarks=_remarks(f),
+        seconds={"read": read_s, **f.prepared.clock.seconds},
+        versions=package_versions(),
+    )
+
+
+def print_front_end(result: FrontEndResult, console: Console) -> None:
+    """Print log, evidence, accuracy and verdict."""
+    rows = [
+        *log_rows(result.log),
+        *scan_odometry_rows(result.odometry, result.increments),
+        Row("loops", f"{result.loops.closed} closed of {result.loops.tried} tried"),
+        *smoother_rows(result.graph),
+        *accuracy_rows("wheels", result.wheels),
+        *accuracy_rows("scan odometry", result.scan_odometry),
+        *accuracy_rows("scan graph", result.scan_graph),
+        *seconds_rows(result.seconds),
+    ]
+    print_rows(rows, console)
+    print_verdict(result.verdict, console, remarks=result.remarks)
+
+
+def front_end_folder(front_end: FrontEnd, result: FrontEndResult) -> JobFolder:
+    """Return what is to be written. A map as a cloud needs Open3D: raises Open3dMissingError."""
+    f, cloud = front_end, front_end.prepared.config.cloud
+    points, problem = f.map_points(), f.graph.problem
+    files: dict[str, Callable[[Path], object]] = {"odometry.tum": _tum(f.time_s, f.odometry)}
+    if f.wheels is not None:
+        files["wheels.tum"] = _tum(f.time_s, f.wheels)
+    if holds(problem):
+        contents = G2oContents(problem, f.estimate.pose, f.estimate.landmark)
+        files["graph.g2o"] = lambda path: write_g2o(path, contents)
+    if cloud is not None:
+        files[f"map.{cloud}"] = lambda path: write_cloud(path, points)
+    return JobFolder(
+        name="odometry",
+        result=result,
+        config=f.prepared.config,
+        estimates={"graph": f.estimate},
+        figures={"map": front_end_figure(f, points)},
+        files=files,
+    )
+
+
+def _tum(time_s: np.ndarray, pose: np.ndarray) -> Callable[[Path], object]:
+    return lambda path: path.write_text(tum_text(time_s, pose), encoding="utf-8")
+
+
+def _remarks(f: FrontEnd) -> list[str]:
+    remarks = []
+    stream = f.log.clouds if f.log.scans is None else f.log.scans
+    beyond = 0 if stream is None else len(stream.time_s) - len(f.motion.source.row)
+    if beyond:
+        remarks.append(f"{beyond} scans lie outside the time of the odometry and were left out")
+    seen = f.log.sightings
+    beyond = int(np.count_nonzero(~sightings_kept(f.log, f.motion))) if seen.labelled else 0
+    if beyond:
+        remarks.append(f"{beyond} sightings lie outside the time of the scans and were left out")
+    remarks += f.motion.remarks
+    return remarks + increment_remarks(f.increments)

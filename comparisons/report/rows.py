@@ -1,0 +1,160 @@
+"""Rows of figures that several jobs print, and the table that they make on a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from comparisons.checks.causes import GAPS
+from comparisons.extensions.contract import Row
+from comparisons.report.models import (
+    AccuracyResult,
+    AssociationResult,
+    CauseResult,
+    EkfResult,
+    LogResult,
+    SmootherResult,
+)
+
+_STYLE = {
+    "agree": "bold green",
+    "proven": "bold green",
+    "disagree": "bold red",
+    "unproven": "bold yellow",
+}
+
+
+def print_rows(rows: Iterable[Row], console: Console) -> None:
+    """Print a table of names and texts."""
+    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
+    table.add_column(style="bold", no_wrap=True)
+    table.add_column(overflow="fold")
+    for name, text in rows:
+        table.add_row(escape(name), escape(text))
+    console.print(table)
+
+
+def print_verdict(
+    verdict: str, console: Console, causes: Sequence[CauseResult] = (), remarks: Sequence[str] = ()
+) -> None:
+    """Print the outcome, why, and what else there is to know."""
+    console.print(f"verdict: [{_STYLE[verdict]}]{verdict}[/]", highlight=False)
+    for cause in causes:
+        name = f"{cause.gap} gap" if cause.gap in GAPS else cause.gap
+        console.print(f"  {name}: {escape(cause.evidence)}", highlight=False)
+        console.print(f"    {escape(cause.hint)}", style="dim", highlight=False)
+    print_remarks(remarks, console)
+
+
+def print_remarks(remarks: Sequence[str], console: Console) -> None:
+    """Print sentences that change no verdict."""
+    for remark in remarks:
+        console.print(f"  note: {escape(remark)}", highlight=False)
+
+
+def log_rows(log: LogResult) -> list[Row]:
+    """What was read."""
+    times = log.provenance.get("times")
+    note = f", {times}" if times else ""
+    return [
+        Row("log", f"{log.name} ({log.format}), {log.duration_s:.0f} s{note}"),
+        Row("records", ", ".join(f"{n:,} {name}" for name, n in log.records.items())),
+    ]
+
+
+def ekf_rows(ekf: EkfResult) -> list[Row]:
+    """The filter and what it used."""
+    attributes = {"on": ", attributes", "layer": ", attributes of a layer"}
+    rows = [
+        Row(
+            "EKF",
+            f"{ekf.filter}, {ekf.landmarks} landmarks; sightings {ekf.rejected} rejected, "
+            f"{ekf.ambiguous} ambiguous, {ekf.candidate} of candidates ({ekf.association}"
+            + attributes.get(ekf.attributes, "")
+            + ")",
+        )
+    ]
+    if ekf.dynamic or ekf.retired:
+        found = f"{ekf.dynamic} sightings discarded, {ekf.retired} landmarks retired"
+        rows.append(Row("dynamic", found))
+    if ekf.global_updates:
+        spared = f"sparing {100 * ekf.global_update_spared:.0f} % of the passive covariance"
+        rows.append(Row("global updates", f"{ekf.global_updates}, {spared}"))
+    if ekf.gps != "off":
+        rows.append(Row("positions", f"{ekf.fixes_fused} fused, {ekf.fixes_rejected} rejected"))
+    return rows
+
+
+def smoother_rows(smoother: SmootherResult) -> list[Row]:
+    """The smoother's evidence."""
+    # A robust kernel changes chi-square.
+    tested = f"for {smoother.dof} dof" if smoother.dof else "under a robust kernel, not tested"
+    rows = [
+        Row(
+            "smoother",
+            f"{smoother.poses:,} poses, error {smoother.error:.2f}, "
+            f"{'optimum proven' if smoother.proven else 'optimum NOT proven'} "
+            f"(chi2 {smoother.chi2:.0f} {tested}; starts: "
+            + ", ".join(f"{s.name} {shown(s.error, '.2f')}" for s in smoother.starts)
+            + ")",
+        )
+    ]
+    if smoother.method != "batch":
+        far = f"{shown(smoother.distance_sigma, '.2g')} sigma from the optimum at most"
+        rows.append(Row(smoother.method, far))
+    if smoother.robust != "none":
+        rows.append(
+            Row(
+                "robust",
+                f"{smoother.robust}: {smoother.rejected_sightings} sightings and "
+                f"{smoother.rejected_positions} positions left out",
+            )
+        )
+    return rows
+
+
+def association_rows(association: AssociationResult | None) -> list[Row]:
+    """How an association made without labels scores."""
+    if association is None:
+        return []
+    parts = [("landmarks", association.landmarks)]
+    if association.clusters is not None:
+        parts.append(("clusters", association.clusters))
+    scores = (f"{n}: precision {p.precision:.3f}, recall {p.recall:.3f}" for n, p in parts)
+    return [Row("association", "; ".join(scores) + " (pairs of sightings)")]
+
+
+def accuracy_rows(name: str, accuracy: AccuracyResult | None) -> list[Row]:
+    """Errors against truth or GPS."""
+    return [] if accuracy is None else [Row(name, _accuracy(accuracy))]
+
+
+def seconds_rows(seconds: Mapping[str, float]) -> list[Row]:
+    """The time of each stage."""
+    return [Row("seconds", ", ".join(f"{stage} {s:.2f}" for stage, s in seconds.items()))]
+
+
+def shown(value: float | None, form: str) -> str:
+    """A number in a format; `none` where there is none."""
+    return "none" if value is None else format(value, form)
+
+
+def _accuracy(a: AccuracyResult) -> str:
+    parts = []
+    for name, plain, aligned in (
+        ("ATE", a.ate_m, a.ate_aligned_m),
+        ("landmarks", a.landmark_rmse_m, a.landmark_rmse_aligned_m),
+        ("GPS median", a.gps_median_m, a.gps_median_aligned_m),
+    ):
+        if plain is not None:
+            parts.append(f"{name} {plain:.3f} m (aligned {shown(aligned, '.3f')})")
+    if a.gps_rms_aligned_m is not None:
+        parts.append(f"GPS RMS aligned {a.gps_rms_aligned_m:.3f} m")
+    if a.landmarks_true is not None:
+        parts.append(f"{a.landmarks_found} of {a.landmarks_true} true landmarks found")
+    if a.coverage is not None:
+        parts.append(f"coverage {100 * a.coverage:.1f} %")
+    return ", ".join(parts)

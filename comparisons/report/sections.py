@@ -1,0 +1,150 @@
+"""Parts of result files that several jobs and extensions share, from findings to models."""
+
+from __future__ import annotations
+
+import platform
+from contextlib import suppress
+from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.adapters.ekf_run import EkfRun
+from comparisons.checks.accuracy import Accuracy
+from comparisons.checks.agreement import BlockAgreement, block_agrees
+from comparisons.checks.association import AssociationScore
+from comparisons.config import EkfConfig
+from comparisons.logs.hashing import log_hash
+from comparisons.logs.log import Log
+from comparisons.report.model import finite
+from comparisons.report.models import (
+    AccuracyResult,
+    AssociationResult,
+    EkfResult,
+    LogResult,
+    MapPairResult,
+    PartitionResult,
+    SmootherResult,
+    StartResult,
+)
+from graphslam import smoother
+
+if TYPE_CHECKING:
+    from comparisons.checks.map_agreement import Pair
+
+Array = NDArray[np.float64]
+
+_PACKAGES = ("slamcheck", "gtsam", "numpy", "scipy", "kiss-icp", "open3d-cpu", "open3d")
+"""Those that the results depend on."""
+
+
+def log_result(log: Log) -> LogResult:
+    """What was read."""
+    return LogResult(
+        name=log.name,
+        format=log.format,
+        records=log.records,
+        duration_s=log.duration_s,
+        sha256=log_hash(log),
+        provenance=log.provenance,
+    )
+
+
+def ekf_result(run: EkfRun, config: EkfConfig) -> EkfResult:
+    """The filter and what it used."""
+    return EkfResult(
+        filter=config.filter,
+        association=str(config.association),
+        attributes=config.attributes,
+        landmarks=len(run.estimate.landmark),
+        **run.unused,
+        retired=len(run.retired),
+        gps=config.gps,
+        fixes_fused=len(run.fix_number),
+        fixes_rejected=run.rejected_fixes,
+        global_updates=run.spared[0],
+        global_update_spared=run.spared[1],
+    )
+
+
+def smoother_result(result: smoother.SmootherResult) -> SmootherResult:
+    """The smoother and its evidence."""
+    options, proof = result.options, result.proof
+    return SmootherResult(
+        method=options.method,
+        optimiser=options.optimiser,
+        robust=options.robust,
+        rejected_sightings=len(result.rejected.sightings),
+        rejected_positions=len(result.rejected.positions),
+        distance_sigma=finite(proof.distance_sigma),
+        rank=result.rank,
+        poses=len(result.poses),
+        error=result.error,
+        chi2=proof.chi_square.chi2,
+        dof=proof.chi_square.dof,
+        chi2_band=(proof.chi_square.lower, proof.chi_square.upper),
+        newton_decrement=proof.stationarity.decrement,
+        iterations=result.iterations,
+        converged=result.converged,
+        proven=proof.proven,
+        agreeing_starts=list(proof.agreeing),
+        starts=[
+            StartResult(
+                name=s.name,
+                error=finite(s.error),
+                iterations=s.iterations,
+                converged=s.converged,
+            )
+            for s in result.starts
+        ],
+    )
+
+
+def accuracy_result(accuracy: Accuracy | None) -> AccuracyResult | None:
+    """The figures, where there are any."""
+    return None if accuracy is None else AccuracyResult(**vars(accuracy))
+
+
+def association_result(score: AssociationScore | None) -> AssociationResult | None:
+    """Precision and recall, of landmarks and of clusters."""
+    if score is None:
+        return None
+    clusters = None if score.clusters is None else PartitionResult(**vars(score.clusters))
+    return AssociationResult(landmarks=PartitionResult(**vars(score.landmarks)), clusters=clusters)
+
+
+def block_fields(b: BlockAgreement) -> dict[str, float | bool | None]:
+    """How a block of two estimates agrees, by the names of BlockResult."""
+    return {
+        "difference_m": b.difference_m,
+        "distance_sigma": b.distance,
+        "variance_ratio_least": finite(b.least),
+        "variance_ratio_largest": finite(b.largest),
+        "agrees": block_agrees(b),
+    }
+
+
+def map_pair_result(p: Pair) -> MapPairResult:
+    """Two maps of the same landmarks."""
+    return MapPairResult(
+        rms_m=p.rms_m,
+        rms_aligned_m=p.rms_aligned_m,
+        distance_sigma_median=_median(p.distance_sigma),
+        outside=p.outside,
+        landmarks=len(p.distance_sigma),
+        agrees=p.agrees,
+    )
+
+
+def package_versions() -> dict[str, str]:
+    """Of Python and of what the results depend on."""
+    versions = {"python": platform.python_version()}
+    for package in _PACKAGES:
+        with suppress(PackageNotFoundError):
+            versions[package] = version(package)
+    return versions
+
+
+def _median(values: Array) -> float | None:
+    return finite(float(np.median(values))) if len(values) else None

@@ -1,0 +1,101 @@
+"""What `slamcheck solve` reports: solution.json, rows for a terminal, and its folder."""
+
+from __future__ import annotations
+
+import numpy as np
+from rich.console import Console
+
+from comparisons.extensions.contract import Row
+from comparisons.pipeline.solve import Solution
+from comparisons.report.figures.solution import solution_figure
+from comparisons.report.folder import JobFolder
+from comparisons.report.models import SolutionResult
+from comparisons.report.rows import (
+    accuracy_rows,
+    association_rows,
+    log_rows,
+    print_rows,
+    print_verdict,
+    seconds_rows,
+    smoother_rows,
+)
+from comparisons.report.sections import (
+    accuracy_result,
+    association_result,
+    log_result,
+    package_versions,
+    smoother_result,
+)
+from graphslam.g2o import G2oContents, holds, write_g2o
+
+LARGEST_DRAWN = 150
+"""Variables of the largest graph that is drawn as dot."""
+
+
+def build_solution_result(solution: Solution, read_s: float = 0.0) -> SolutionResult:
+    """Return the findings, read_s being the seconds that reading the log took."""
+    s, proof = solution, solution.result.proof
+    test = proof.chi_square
+    remarks = []
+    if test.reading != "plausible":
+        remarks.append(
+            f"chi-square {test.chi2:.0f} for {test.dof} degrees of freedom is {test.reading} "
+            f"(band {test.lower:.0f} to {test.upper:.0f})"
+        )
+    if not proof.stationarity.holds:
+        remarks.append("the best result is not a strict local minimum")
+    return SolutionResult(
+        config=s.prepared.config.model_dump(mode="json"),
+        log=log_result(s.log),
+        association_by=s.association_by,
+        landmarks=len(s.estimate.landmark),
+        sightings_used=int(np.count_nonzero(s.slot >= 0)),
+        gps=s.prepared.ekf.gps,
+        smoother=smoother_result(s.result),
+        accuracy=accuracy_result(s.accuracy),
+        dead_reckoning=accuracy_result(s.accuracy_dead_reckoned),
+        association=association_result(s.association),
+        verdict="proven" if proof.proven else "unproven",
+        remarks=remarks,
+        seconds={"read": read_s, **s.prepared.clock.seconds},
+        versions=package_versions(),
+    )
+
+
+def print_solution(result: SolutionResult, console: Console) -> None:
+    """Print log, evidence, accuracy and verdict."""
+    total = result.log.records["sightings"]
+    rows = [
+        *log_rows(result.log),
+        Row(
+            "map",
+            f"{result.landmarks} landmarks from {result.sightings_used:,} of {total:,} sightings "
+            f"({result.association_by})",
+        ),
+        *smoother_rows(result.smoother),
+        *accuracy_rows("accuracy", result.accuracy),
+        *accuracy_rows("dead reckoning", result.dead_reckoning),
+        *association_rows(result.association),
+        *seconds_rows(result.seconds),
+    ]
+    print_rows(rows, console)
+    print_verdict(result.verdict, console, remarks=result.remarks)
+
+
+def solution_folder(solution: Solution, result: SolutionResult) -> JobFolder:
+    """Return what is to be written."""
+    estimate, smoothed = solution.estimate, solution.result
+    contents = G2oContents(smoothed.problem, estimate.pose, estimate.landmark)
+    files = {}
+    if holds(smoothed.problem):
+        files["graph.g2o"] = lambda path: write_g2o(path, contents)
+    if smoothed.values.size() <= LARGEST_DRAWN:
+        files["graph.dot"] = lambda path: smoothed.graph.saveGraph(str(path), smoothed.values)
+    return JobFolder(
+        name="solution",
+        result=result,
+        config=solution.prepared.config,
+        estimates={"smoother": estimate},
+        figures={"map": solution_figure(solution)},
+        files=files,
+    )

@@ -1,0 +1,104 @@
+"""From a file, flags and single settings to a job's configuration."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+from comparisons.config import RunConfig, Section, merge, read_config, shown
+from comparisons.errors import InputError
+from comparisons.extensions.registry import EXTENSIONS
+from comparisons.options import RUN, Flag, lay_over, options
+
+C = TypeVar("C", bound=Section)
+
+
+def configure(
+    job: type[C],
+    file: Path | None = None,
+    flags: Sequence[tuple[Flag, Any]] = (),
+    settings: Sequence[str] = (),
+    over: Mapping[str, Any] | None = None,
+) -> C:
+    """Return a configuration: defaults, then a file, then `over`, then flags, then settings.
+
+    job: the class of a whole job's configuration, which has a field `job`. Raises InputError
+    that names key, value and choices.
+    """
+    found = {} if file is None else read_config(file)
+    name = job.model_fields["job"].default
+    if (other := found.get("job", name)) != name:
+        words = other[:40] if isinstance(other, str) else shown(other)
+        raise InputError(f"{file}: is a configuration of slamcheck {words}, not of {name}")
+    for given, source in ((found, f"{file}: "), (over or {}, "")):
+        _check_sections(job, given, source)
+    found = merge(found, over or {})
+    lay_over(found, flags)
+    for setting in settings:
+        found = merge(found, _nested(job, setting))
+    if file is not None and "log" in job.model_fields and _other_log(found, read_config(file)):
+        found["log"].pop("sha256", None)
+    try:
+        return job.of(**found)
+    except InputError as error:
+        raise InputError(f"{file}: {error}" if file is not None else str(error)) from None
+
+
+def run_config(**values: Any) -> RunConfig:
+    """Return a run's configuration from options named as the command line's: `filter`, `motion`.
+
+    Raises InputError.
+    """
+    return configure(RunConfig, flags=run_options(values))
+
+
+def run_options(values: Mapping[str, Any]) -> list[tuple[Flag, Any]]:
+    """Return options of a run by name, for `configure`. Raises InputError for an unknown name."""
+    return options(RUN, values)
+
+
+def _check_sections(job: type[Section], given: Mapping[str, Any], source: str) -> None:
+    """Raise InputError for a value in a section's place, which nothing can be laid over."""
+    kinds = {name: field.annotation for name, field in job.model_fields.items()}
+    sections = {
+        name: value
+        for name, value in given.items()
+        if name == "extensions"
+        or (isinstance(kind := kinds.get(name), type) and issubclass(kind, Section))
+    }
+    extensions = sections.get("extensions")
+    if isinstance(extensions, Mapping):
+        sections |= {f"extensions.{name}": value for name, value in extensions.items()}
+    for name, value in sections.items():
+        if not isinstance(value, Mapping):
+            raise InputError(f"{source}{name} is {shown(value)}: expected a section of keys")
+
+
+def _nested(job: type[Section], setting: str) -> dict[str, Any]:
+    """A setting `section.key=value` as nested mappings."""
+    path, equals, text = setting.partition("=")
+    parts = path.strip().split(".")
+    if not equals or not all(parts):
+        raise InputError(f"--set {setting}: expected SECTION.KEY=VALUE")
+    if parts[0] in EXTENSIONS:
+        parts.insert(0, "extensions")
+    elif parts[0] not in job.model_fields:
+        known = [*(n for n in job.model_fields if n not in ("job", "extensions")), *EXTENSIONS]
+        raise InputError(f"--set {path}: {parts[0]} is unknown, expected one of {', '.join(known)}")
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except (ValueError, RecursionError):  # TOMLDecodeError is a ValueError
+        value = text.strip()
+    for part in reversed(parts):
+        value = {part: value}
+    return dict(value)
+
+
+def _other_log(found: Mapping[str, Any], before: Mapping[str, Any]) -> bool:
+    """Whether anything but the hash says that another log is asked for."""
+    now, then = (dict(one.get("log", {})) for one in (found, before))
+    now.pop("sha256", None)
+    then.pop("sha256", None)
+    return now != then

@@ -1,0 +1,241 @@
+"""Configurations: from flags, files and single settings, to TOML and back, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+from typing import get_args
+
+import pytest
+
+from comparisons import choices
+from comparisons.config import (
+    JOBS,
+    CheckConfig,
+    Configured,
+    EkfConfig,
+    JobConfig,
+    MapConfig,
+    RunConfig,
+    SolveConfig,
+    choices_of,
+    json_schema,
+)
+from comparisons.errors import InputError
+from comparisons.extensions.registry import EXTENSIONS, config_class
+from comparisons.options import (
+    ESTIMATE,
+    FEATURES,
+    FRONT_END,
+    GPS,
+    LOG,
+    MAP,
+    RUN,
+    SMOOTHER,
+    SOLVER_ASSOCIATION,
+    Flag,
+)
+from comparisons.settings import configure, run_config
+from tests.comparisons.test_cli import slamcheck
+
+
+def fields(job: type[JobConfig]) -> dict[str, object]:
+    """Every field of a configuration by its path, extensions' included, with its annotation."""
+    found: dict[str, object] = {}
+
+    def walk(kind: type, path: str) -> None:
+        for name, field in kind.model_fields.items():  # type: ignore[attr-defined]
+            if name == "extensions":
+                for one in EXTENSIONS:
+                    found[f"extensions.{one}"] = config_class(one)
+                    walk(config_class(one), f"extensions.{one}.")
+            elif hasattr(field.annotation, "model_fields"):
+                walk(field.annotation, f"{path}{name}.")
+            else:
+                found[path + name] = field.annotation
+
+    walk(job, "")
+    return found
+
+
+TABLES: dict[str, tuple[Flag, ...]] = {
+    "run": RUN,
+    "map": (*MAP, *LOG),
+    "solve": (SOLVER_ASSOCIATION, FEATURES, GPS, *SMOOTHER),
+    "check": ESTIMATE,
+    "odometry": FRONT_END,
+}
+
+
+@pytest.mark.parametrize("job", sorted(TABLES))
+def test_every_flag_sets_a_field_that_is_there(job: str) -> None:
+    """And offers the words that the field takes."""
+    known = fields(JOBS[job])
+    for flag in TABLES[job]:
+        assert flag.field in known, flag.option
+        if flag.words and flag.settings is None:
+            assert flag.words == choices_of(known[flag.field]), flag.option
+
+
+def test_the_switches_of_extensions_offer_what_their_settings_take() -> None:
+    motion = config_class("scan_motion").model_fields["motion"].annotation
+    assert set(choices_of(motion)) < set(get_args(choices.Motion))
+    landmarks = config_class("scan_landmarks").model_fields["landmarks"].annotation
+    assert set(choices_of(landmarks)) < set(get_args(choices.Landmarks))
+
+
+def everything() -> list[JobConfig]:
+    """Configurations that reach every extension and every job."""
+    return [
+        run_config(),
+        run_config(filter="compressed", association="jcbb", gps="half", seed=7, robust="gnc"),
+        run_config(motion="both", smoother_association="own", dense=["points"], dynamic="on"),
+        run_config(landmarks="both", pieces="single", smoother_matcher="own", attributes="layer",
+                   association="nn"),
+        run_config(high_level="on", high_level_cell=0.4, figures=["pdf"], trace=True),
+        MapConfig.of(extensions={"dense_maps": {"layers": ["values"], "known_m": 0.5}}),
+        SolveConfig.of(association="own", smoother={"method": "isam2"}),
+        CheckConfig.of(estimate="mine"),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("config", everything(), ids=lambda c: c.job)
+def test_a_configuration_survives_its_file(config: JobConfig, tmp_path: Path) -> None:
+    path = tmp_path / "config.toml"
+    path.write_text(config.toml())
+    assert configure(type(config), path) == config
+    assert type(config).model_validate_json(config.model_dump_json()) == config
+
+
+def test_defaults_are_written_out() -> None:
+    written = tomllib.loads(run_config().toml())
+    assert written["smoother"]["lag"] == 100
+    assert set(written) == {"job", "log", "ekf", "smoother", "report", "extensions"}
+
+
+def test_flags_lie_over_a_file_and_settings_over_flags(tmp_path: Path) -> None:
+    path = tmp_path / "config.toml"
+    path.write_text(run_config(filter="compressed", gps="on", dense=["points"]).toml())
+    flags = [(flag, "misono") for flag in RUN if flag.option == "--filter"]
+    found = configure(RunConfig, path, flags, ["ekf.gps=half", "dense_maps.resolution_m=0.5"])
+    assert (found.ekf.filter, found.ekf.gps) == ("misono", "half")
+    assert found.model_dump()["extensions"]["dense_maps"]["resolution_m"] == 0.5
+    assert found.model_dump()["extensions"]["dense_maps"]["layers"] == ("points",)
+
+
+def test_a_flag_takes_an_extension_of_the_file_away(tmp_path: Path) -> None:
+    path = tmp_path / "config.toml"
+    path.write_text(run_config(motion="both", smoother_association="own").toml())
+    flags = [(flag, "wheel") for flag in RUN if flag.option == "--motion"]
+    assert set(configure(RunConfig, path, flags).extensions) == {"own_association"}
+
+
+def test_another_log_than_the_files_drops_its_hash(tmp_path: Path) -> None:
+    path = tmp_path / "config.toml"
+    path.write_text(run_config(seed=1).at_log("0" * 64).toml())
+    assert configure(RunConfig, path).log.sha256 == "0" * 64
+    other = [(flag, 2) for flag in RUN if flag.option == "--seed"]
+    assert configure(RunConfig, path, other).log.sha256 is None
+
+
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [
+        ("ekf.filter=ukf", "ekf.filter is 'ukf': input should be 'full', 'compressed'"),
+        ("ekf.filtre=full", "ekf.filtre: is unknown, expected one of filter, association"),
+        ("kalman.filter=full", "kalman is unknown, expected one of log, ekf, smoother"),
+        ("dense_maps.layers=[]", "dense_maps.layers: empty, expected some of points"),
+        ("dense_maps.size=1", "extensions.dense_maps.size: is unknown, expected one of layers"),
+        ("dense_maps.resolution_m=0", "extensions.dense_maps.resolution_m is 0: input should be"),
+        ("scan_motion.motion=wheels", "extensions.scan_motion.motion is 'wheels': input should"),
+        ("own_association=5", "extensions.own_association is 5: input should be"),
+        ("smoother.lag", "--set smoother.lag: expected SECTION.KEY=VALUE"),
+        ("log.seed=-1", "log.seed is -1: input should be greater than or equal to 0"),
+        ("log=1", "log is 1: input should be"),
+    ],
+)
+def test_what_is_wrong_is_named_in_one_line(setting: str, words: str) -> None:
+    with pytest.raises(InputError) as error:
+        configure(RunConfig, settings=[setting])
+    assert words in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"smoother_matcher": "own"}, "--smoother-matcher own goes with --landmarks scans or both"),
+        ({"pieces": "single"}, "--pieces single goes with --landmarks scans or both"),
+        ({"templates": "enriched"}, "--templates enriched goes with --landmarks"),
+        ({"fuse_landmarks": "on"}, "--fuse-landmarks on goes with --landmarks"),
+        ({"landmarks": "scans", "motion": "both"}, "--motion both compares landmarks that are"),
+        (
+            {"landmarks": "scans", "smoother_association": "own"},
+            "--smoother-association own compares landmarks that are points",
+        ),
+        ({"landmarks": "scans", "attributes": "on"}, "--attributes on tells points apart"),
+        ({"landmarks": "both", "high_level": "on"}, "--high-level on goes with --landmarks points"),
+        ({"landmarks": "both", "fuse_landmarks": "on", "dense": ["sog"]}, "hang on scan landmarks"),
+        ({"landmarks": "both", "fuse_landmarks": "on", "dynamic": "on"}, "hang on scan landmarks"),
+        ({"landmarks": "both", "trace": True}, "--trace is for"),
+        ({"filter": "misono", "trace": True}, "--trace is for"),
+        ({"attributes": "on", "association": "euclidean"}, "takes no attributes"),
+        ({"resolution": 0.4}, "dense_maps.layers: empty"),
+        ({"kalman": "on"}, "option kalman: is unknown"),
+    ],
+)
+def test_what_does_not_go_together_is_refused(options: dict[str, object], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        run_config(**options)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"landmarks": "scans", "motion": "scan"},
+        {"landmarks": "both", "motion": "both", "smoother_association": "own"},
+        {"templates": "bare", "fuse_landmarks": "off"},
+        {"dynamic": "on", "resolution": 0.4},
+    ],
+)
+def test_what_goes_together_is_not(options: dict[str, object]) -> None:
+    run_config(**options)
+
+
+def test_an_extension_brings_what_it_needs() -> None:
+    """What looks for motion needs a dense map, and a map that is there serves it."""
+    alone = run_config(dynamic="on").model_dump()["extensions"]["dense_maps"]
+    assert (alone["layers"], alone["detect_motion"]) == ((), True)
+    beside = run_config(dynamic="on", dense=["sog"]).model_dump()["extensions"]["dense_maps"]
+    assert (beside["layers"], beside["detect_motion"]) == (("sog",), True)
+    assert run_config(attributes="layer").extensions["dense_maps"] == config_class("dense_maps")(
+        attribute_values=True
+    )  # type: ignore[call-arg]
+
+
+def test_a_settled_filter_keeps_its_settings() -> None:
+    assert EkfConfig(filter="compressed-suboptimal").conservative
+    assert not EkfConfig(filter="compressed").conservative
+
+
+def test_the_schema_names_every_field() -> None:
+    for name, kind in JOBS.items():
+        schema = json_schema(kind)
+        assert schema["properties"]["job"]["const"] == name
+        if issubclass(kind, Configured):
+            found = schema["properties"]["extensions"]["properties"]
+            assert set(found) == set(EXTENSIONS)
+            assert "resolution_m" in found["dense_maps"]["properties"]
+
+
+def test_the_command_prints_settings_that_can_be_used(tmp_path: Path) -> None:
+    for name in JOBS:
+        printed = slamcheck("config", name, cwd=tmp_path)
+        assert printed.returncode == 0, printed.stderr
+        assert JOBS[name].of(**tomllib.loads(printed.stdout)) == JOBS[name].of()
+    printed = slamcheck("config", cwd=tmp_path)
+    assert 'filter = "full"    # which EKF (full | compressed' in printed.stdout
+    assert "# resolution_m = 0.2" in printed.stdout
+    schema = slamcheck("config", "--schema", cwd=tmp_path)
+    assert json.loads(schema.stdout)["title"] == "RunConfig"

@@ -1,0 +1,113 @@
+"""Extensions: one that is asked for takes part, one that is not costs nothing."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from comparisons.config import RunConfig
+from comparisons.errors import InputError
+from comparisons.extensions.registry import EXTENSIONS
+from comparisons.pipeline.compare import compare
+from comparisons.report.folder import write_job_folder
+from comparisons.report.result import build_result, run_rows
+from comparisons.report.run import run_folder
+from comparisons.settings import configure, run_config
+from tests.comparisons.toy_extension.extension import DockingFinding
+from tests.helpers import simulated
+
+ROOT = Path(__file__).resolve().parents[2]
+MOST_MODULES = 130
+
+
+@pytest.fixture
+def registered(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The one line that an extension needs outside its folder."""
+    monkeypatch.setitem(
+        EXTENSIONS, "docking", "tests.comparisons.toy_extension.config:DockingConfig"
+    )
+
+
+@pytest.mark.usefixtures("registered")
+def test_a_toy_adds_a_source_a_finding_a_row_and_a_figure(tmp_path: Path) -> None:
+    log = simulated(seed=1, loop_s=20.0)
+    config = configure(RunConfig, settings=["docking.x_m=30", "docking.y_m=20"])
+    found = compare(log, config)
+    station = found.find(DockingFinding)
+    assert found.verdict.outcome == "agree"
+    assert station.result.sightings > 10
+    assert station.result.ekf_m == pytest.approx((30.0, 20.0), abs=0.5)
+    result = build_result(found)
+    assert ("docking", f"{station.result.sightings} sightings") in run_rows(found, result)
+    folder = tmp_path / "run"
+    write_job_folder(run_folder(found, result), folder)
+    written = json.loads((folder / "result.json").read_text())
+    assert written["docking"]["ekf_m"] == list(station.result.ekf_m)
+    assert "docking.png" in written["files"]
+    assert (folder / "docking.png").read_bytes().startswith(b"\x89PNG")
+    assert "<h2>Docking</h2>" in (folder / "report.html").read_text()
+    again = configure(RunConfig, folder / "config.toml")
+    assert again.extensions == found.prepared.config.extensions
+
+
+@pytest.mark.usefixtures("registered")
+def test_a_toy_that_lies_is_found_out() -> None:
+    """What a source measures reaches the smoother, whose chi-square then contradicts."""
+    log = simulated(seed=1, loop_s=20.0)
+    right, wrong = (
+        compare(
+            log,
+            configure(
+                RunConfig, settings=["docking.x_m=30", "docking.y_m=20", f"docking.bias_m={bias}"]
+            ),
+        )
+        for bias in (0.0, 1.0)
+    )
+    assert wrong.smoother.proof.chi_square.chi2 > 2.0 * right.smoother.proof.chi_square.chi2
+
+
+@pytest.mark.usefixtures("registered")
+def test_a_toys_settings_are_checked_like_any() -> None:
+    with pytest.raises(InputError, match=r"extensions\.docking\.reach_m is -1: input should be"):
+        configure(RunConfig, settings=["docking.reach_m=-1"])
+
+
+def test_without_its_line_it_is_unknown() -> None:
+    with pytest.raises(InputError, match="docking is unknown, expected one of log, ekf"):
+        configure(RunConfig, settings=["docking.x_m=1"])
+
+
+@pytest.mark.parametrize("log", ["simulated-loop", "victoria-park"])
+def test_a_run_on_points_loads_no_extension(log: str, tmp_path: Path) -> None:
+    """And little else that it does not need."""
+    code = (
+        "import sys\n"
+        f"sys.argv[1:] = ['run', {log!r}, '--out', 'report']\n"
+        "from comparisons.cli.app import main\n"
+        "try:\n    main()\nexcept SystemExit as stop:\n    assert stop.code in (0, 1), stop.code\n"
+        "house = ('comparisons', 'ekf_reference', 'graphslam')\n"
+        "loaded = sorted(m for m in sys.modules if m.split('.')[0] in house)\n"
+        "kept = {'comparisons.extensions', 'comparisons.extensions.contract',\n"
+        "        'comparisons.extensions.registry'}\n"
+        "extra = {m for m in loaded if m.startswith('comparisons.extensions')} - kept\n"
+        "assert not extra, extra\n"
+        f"assert len(loaded) < {MOST_MODULES}, (len(loaded), loaded)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+        env={"PYTHONPATH": str(ROOT), "PATH": "", "COLUMNS": "100"},
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_an_option_loads_its_extension_only() -> None:
+    config = run_config(smoother_association="own")
+    assert set(config.extensions) == {"own_association"}

@@ -1,0 +1,99 @@
+"""The docking station beside the filter, and what became of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from pydantic import BaseModel
+
+from comparisons.adapters.filter_setup import FilterSetup
+from comparisons.adapters.oriented_sightings import OrientedLedger
+from comparisons.errors import InputError
+from comparisons.extensions.contract import Extension, Finding, Row
+from comparisons.logs.log import Poses
+from comparisons.pipeline.gaps import Compared
+from comparisons.pipeline.prepare import Prepared
+from comparisons.report.picture import blank
+from ekf_reference.full_ekf import NEW, FullEkf
+from tests.comparisons.toy_extension.config import DockingConfig
+
+NOISE = np.diag((0.05, 0.05, 0.01)) ** 2
+
+
+class DockingResult(BaseModel):
+    """The entry of `result.json`."""
+
+    sightings: int
+    ekf_m: tuple[float, float]
+    smoother_m: tuple[float, float]
+
+
+class DockingSource:
+    """Sees the station from where the vehicle truly is."""
+
+    def __init__(self, config: DockingConfig, truth: Poses) -> None:
+        self._config, self._truth = config, truth
+        self._slot = NEW
+        self.sightings = 0
+
+    def look(self, ekf: FullEkf, epoch: int, time_s: float, ledger: OrientedLedger) -> None:
+        pose = self._truth.at(np.array([time_s]))[0]
+        away = np.array((self._config.x_m, self._config.y_m)) - pose[:2]
+        if np.hypot(*away) > self._config.reach_m:
+            return
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        z = np.array((c * away[0] + s * away[1], c * away[1] - s * away[0], -pose[2]))
+        z[0] += self._config.bias_m * (self.sightings % 2)
+        found = ledger.observe(ekf, epoch, z[None], NOISE[None], np.array([self._slot]))
+        self._slot, self.sightings = int(found[0]), self.sightings + 1
+
+
+class Docking(Extension):
+    """Puts the source beside the filter."""
+
+    name = "docking"
+
+    def __init__(self, config: DockingConfig) -> None:
+        self._config = config
+
+    def attach(self, setup: FilterSetup, prepared: Prepared[Any]) -> None:
+        if prepared.log.truth.poses is None:
+            raise InputError(f"{prepared.log.name}: holds no true poses, which docking needs")
+        setup.source = DockingSource(self._config, prepared.log.truth.poses)
+        setup.offers.append(setup.source)
+
+    def check(self, compared: Compared) -> DockingFinding | None:
+        source = compared.setup.find(DockingSource)
+        return None if source is None or not source.sightings else DockingFinding(compared, source)
+
+
+class DockingFinding(Finding):
+    """Where both estimators have the station."""
+
+    def __init__(self, compared: Compared, source: DockingSource) -> None:
+        ekf, smoother = (e.oriented[0, :2] for e in (compared.ekf.estimate, compared.gaps.smoothed))
+        self.result = DockingResult(
+            sightings=source.sightings, ekf_m=_pair(ekf), smoother_m=_pair(smoother)
+        )
+        self.entries = {"docking": self.result}
+        self.remarks = [f"the station was seen {source.sightings} times"]
+
+    def rows(self) -> Sequence[Row]:
+        return [Row("docking", f"{self.result.sightings} sightings")]
+
+    def draw(self, axis: Axes) -> None:
+        axis.plot(*self.result.ekf_m, "P", color="purple", label="docking station")
+
+    def figures(self) -> Mapping[str, Figure]:
+        figure = blank(3.0, 3.0)
+        self.draw(figure.subplots())
+        return {"docking": figure}
+
+
+def _pair(place: NDArray[np.float64]) -> tuple[float, float]:
+    return float(place[0]), float(place[1])
