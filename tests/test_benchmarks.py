@@ -34,6 +34,7 @@ def test_map_size_benchmark_runs(tmp_path: Path) -> None:
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_main_job_benchmark_runs() -> None:
     lines = run("benchmarks/main_job.py", "--repeat", "1", "simulated-loop")
     names = [line.split("  ")[0].strip() for line in lines]
@@ -41,6 +42,7 @@ def test_main_job_benchmark_runs() -> None:
     assert "frozen" in names
 
 
+@pytest.mark.slow
 def test_waypoint_run_benchmark_runs(tmp_path: Path) -> None:
     picture = tmp_path / "run.png"
     lines = run("benchmarks/waypoint_run.py", "--seeds", "1", "--plot", str(picture))
@@ -48,6 +50,7 @@ def test_waypoint_run_benchmark_runs(tmp_path: Path) -> None:
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_layer_values_benchmark_runs() -> None:
     lines = run("benchmarks/layer_values.py", "--seeds", "1", "--loops", "0.08")
     assert [line.split()[:2] for line in lines[3:6]] == [
@@ -73,12 +76,14 @@ def test_smoother_benchmark_runs() -> None:
     assert lines[-1].startswith("errors: ours ")
 
 
+@pytest.mark.slow
 def test_scan_front_end_benchmark_runs() -> None:
     lines = run("benchmarks/scan_front_end.py", "--seeds", "2", "--seeds-3d", "0")
     assert lines[0].startswith("scan-loop: ")
     assert any(line.startswith("scan-loop, 2 seeds: NEES ") for line in lines)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("open3d_library")
 def test_matchers_benchmark_runs(tmp_path: Path) -> None:
     picture = tmp_path / "basins.png"
@@ -90,6 +95,7 @@ def test_matchers_benchmark_runs(tmp_path: Path) -> None:
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_neglected_change_benchmark_runs(tmp_path: Path) -> None:
     lines = run("benchmarks/neglected_change.py", "--seeds", "1", "--figures", str(tmp_path))
     assert [line.split()[0] for line in lines[1:]] == [
@@ -101,6 +107,7 @@ def test_neglected_change_benchmark_runs(tmp_path: Path) -> None:
     assert len(list(tmp_path.glob("*.png"))) == 3
 
 
+@pytest.mark.slow
 def test_dense_maps_benchmark_runs() -> None:
     lines = run(
         "benchmarks/dense_maps.py",
@@ -119,6 +126,7 @@ def test_dense_maps_benchmark_runs() -> None:
     assert [line.split()[1] for line in lines[12:]] == ["12", "24"]
 
 
+@pytest.mark.slow
 def test_dense_maps_benchmark_drives() -> None:
     lines = run("benchmarks/dense_maps.py", "--only", "drives", "--seeds", "1", "--loops", "1")
     names = [line.split()[0] for line in lines[3:8]]
@@ -126,12 +134,14 @@ def test_dense_maps_benchmark_drives() -> None:
     assert lines[-1].startswith("returns: ")
 
 
+@pytest.mark.slow
 def test_high_level_benchmark_runs() -> None:
     few = ("--searches", "1", "--sizes", "11", "20", "--only", "size")
     lines = run("benchmarks/high_level.py", *few)
     assert [line.split()[0] for line in lines[2:]] == ["11", "20"]
 
 
+@pytest.mark.slow
 def test_enriched_templates_benchmark_runs(tmp_path: Path) -> None:
     picture = tmp_path / "basin.png"
     few = ("--seeds", "1", "--draws", "1", "--errors", "0.25", "--figure", str(picture))
@@ -142,6 +152,7 @@ def test_enriched_templates_benchmark_runs(tmp_path: Path) -> None:
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_defects_benchmark_runs() -> None:
     lines = run("benchmarks/defects.py", "--only", "steering", "--seeds", "2", "--loop-s", "20")
     assert lines[1].startswith("steering sign ")
@@ -149,6 +160,7 @@ def test_defects_benchmark_runs() -> None:
     assert "0 of 2 flagged, 0.0 to 84.2 %" in lines[3]
 
 
+@pytest.mark.slow
 def test_dynamic_regions_benchmark_runs() -> None:
     lines = run("benchmarks/dynamic_regions.py", "--seeds", "1", "--seconds", "6")
     assert [line.split(":")[0] for line in lines] == [
@@ -160,6 +172,7 @@ def test_dynamic_regions_benchmark_runs() -> None:
     ]
 
 
+@pytest.mark.slow
 def test_scan_slam_benchmark_runs() -> None:
     lines = run("benchmarks/scan_slam.py", "--seeds", "1", "--seconds", "6")
     assert [line.split()[0] for line in lines] == ["seed", "0", "median"]

@@ -20,6 +20,7 @@ from comparisons.estimates.estimate import Array, Estimate
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.transforms.known_landmarks import surveyed
 from ekf_reference.association import AMBIGUOUS, CANDIDATE, DYNAMIC, REJECTED
+from ekf_reference.compressed_ekf import CompressedState
 from ekf_reference.direction_cosine import OwnAxesObservation
 from ekf_reference.full_ekf import FullEkf, PoseReading
 from ekf_reference.layout import ORIENTED
@@ -225,8 +226,9 @@ def _joint_covariance(ekf: FullEkf) -> Array:
 
 
 def _spared(ekf: FullEkf) -> tuple[int, float]:
-    # Only a compressed state counts its global updates.
-    updates = [u for u in getattr(ekf.state, "updates", ()) if u.passive]
+    if not isinstance(ekf.state, CompressedState):
+        return 0, 0.0
+    updates = [u for u in ekf.state.updates if u.passive]
     return len(updates), float(np.mean([u.saved for u in updates])) if updates else 0.0
 
 

@@ -156,6 +156,7 @@ def test_names_of_figures_are_those_of_the_result(result: Result) -> None:
         assert place == value
 
 
+@pytest.mark.slow
 def test_the_commands(tmp_path: Path) -> None:
     write_log_folder(simulated(loop_s=20.0), tmp_path / "log")
     saved = slamcheck("baseline", "save", "log", "b.json", cwd=tmp_path)
@@ -174,6 +175,7 @@ def test_the_commands(tmp_path: Path) -> None:
     assert len(missing.stderr.strip().splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_a_gate_of_a_run_with_extensions(tmp_path: Path) -> None:
     """Any option of `run` may be a baseline's; the comparison runs with all of them again."""
     options = ("--filter", "compressed", "--smoother-association", "own", "--robust", "huber")
@@ -186,6 +188,7 @@ def test_a_gate_of_a_run_with_extensions(tmp_path: Path) -> None:
     assert same.returncode == 0, same.stdout + same.stderr
 
 
+@pytest.mark.slow
 def test_runs_stand_side_by_side(tmp_path: Path, result: Result) -> None:
     """Only what differs is shown; a folder that is none is named."""
     other = changed(result, optimism=0.123)
@@ -204,6 +207,7 @@ def test_runs_stand_side_by_side(tmp_path: Path, result: Result) -> None:
     assert "nowhere" in missing.stderr
 
 
+@pytest.mark.slow
 def test_the_plugin_judges_every_log_of_a_folder(tmp_path: Path) -> None:
     write_log_folder(simulated(loop_s=20.0), tmp_path / "logs" / "short")
     write_log_folder(simulated(seed=1, loop_s=20.0), tmp_path / "logs" / "other")

@@ -70,6 +70,7 @@ def by_filter(name: str) -> Comparison:
     return compared(log(), Modified(modify), ekf=ekf, landmarks="both")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", get_args(Filter))
 def test_every_filter_agrees_with_both_kinds_of_landmarks(name: str) -> None:
     c = by_filter(name)
@@ -122,6 +123,7 @@ class NoRows(CompressedState):
             self._phi[-point.size :] = 0.0
 
 
+@pytest.mark.slow
 def test_the_compressed_filter_equals_the_full_one() -> None:
     full, _ = ran(nothing)
     areas = Areas()

@@ -205,6 +205,7 @@ def test_another_clock_is_told(log: Log, whole: GivenEstimate) -> None:
         check(log, replace(whole, time_s=whole.time_s + 1.6e9))
 
 
+@pytest.mark.slow
 def test_the_command(tmp_path: Path, right: Estimate) -> None:
     (tmp_path / "mine.tum").write_text(tum_text(right.time_s, right.pose))
     wrong = right.pose * (1.0, 1.0, 1.0) + (3.0, 0.0, 0.0)
@@ -224,6 +225,7 @@ def test_the_command(tmp_path: Path, right: Estimate) -> None:
     assert len(missing.stderr.strip().splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_the_example_is_found_out(tmp_path: Path, right: Estimate) -> None:
     """The script of the README, run as its docstring says."""
     (tmp_path / "ekf").mkdir()

@@ -62,6 +62,7 @@ def test_a_run_leaves_a_whole_folder(tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["report"]
 
 
+@pytest.mark.slow
 def test_disagreement_exits_with_1_and_says_why(tmp_path: Path) -> None:
     done = slamcheck("run", cwd=tmp_path)
     assert done.returncode == 1, done.stderr
@@ -72,6 +73,7 @@ def test_disagreement_exits_with_1_and_says_why(tmp_path: Path) -> None:
     assert abs(result["smoother"]["error"] - 3173.49) < 0.01
 
 
+@pytest.mark.slow
 def test_bad_input_is_one_line_and_exit_2(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     (tmp_path / "full").mkdir()
@@ -121,6 +123,7 @@ def test_bad_input_is_one_line_and_exit_2(tmp_path: Path) -> None:
     assert [p.name for p in (tmp_path / "full").iterdir()] == ["mine.txt"]
 
 
+@pytest.mark.slow
 def test_a_crash_is_no_verdict(tmp_path: Path) -> None:
     """An unforeseen failure shows its traceback and exits with 70."""
     code = (
@@ -136,6 +139,7 @@ def test_a_crash_is_no_verdict(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_an_interrupt_leaves_nothing(tmp_path: Path) -> None:
     code = (
         "import sys, comparisons.pipeline.compare as c\n"
@@ -149,6 +153,7 @@ def test_an_interrupt_leaves_nothing(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_closed_pipe_keeps_the_verdict(tmp_path: Path) -> None:
     code = (
         "import os, sys\nos.close(1)\n"
@@ -159,6 +164,7 @@ def test_a_closed_pipe_keeps_the_verdict(tmp_path: Path) -> None:
     assert (tmp_path / "report" / "result.json").exists()
 
 
+@pytest.mark.slow
 def test_a_log_called_like_a_path_stays_here(tmp_path: Path) -> None:
     write_log_folder(replace(simulated(loop_s=5.0), name="$x/../../up$"), tmp_path / "log")
     done = slamcheck("run", "log", cwd=tmp_path)
@@ -166,6 +172,7 @@ def test_a_log_called_like_a_path_stays_here(tmp_path: Path) -> None:
     assert sorted(p.name for p in tmp_path.iterdir()) == ["log", "slamcheck-x-..-..-up"]
 
 
+@pytest.mark.slow
 def test_a_damaged_log_leaves_no_report(tmp_path: Path) -> None:
     write_log_folder(simulated(loop_s=5.0), tmp_path / "log")
     path = tmp_path / "log" / "sightings.csv"
@@ -180,6 +187,7 @@ def test_a_damaged_log_leaves_no_report(tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["log"]
 
 
+@pytest.mark.slow
 def test_known_association_needs_labels(tmp_path: Path) -> None:
     log = simulated(loop_s=5.0)
     write_log_folder(log, tmp_path / "log")
@@ -192,6 +200,7 @@ def test_known_association_needs_labels(tmp_path: Path) -> None:
     assert "do not all name their landmark; use --association nn" in done.stderr
 
 
+@pytest.mark.slow
 def test_convert_then_run(tmp_path: Path) -> None:
     done = slamcheck("convert", "simulated-loop", "log", "--seed", "5", cwd=tmp_path)
     assert done.returncode == 0

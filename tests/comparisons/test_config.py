@@ -229,6 +229,7 @@ def test_the_schema_names_every_field() -> None:
             assert "resolution_m" in found["dense_maps"]["properties"]
 
 
+@pytest.mark.slow
 def test_the_command_prints_settings_that_can_be_used(tmp_path: Path) -> None:
     for name in JOBS:
         printed = slamcheck("config", name, cwd=tmp_path)

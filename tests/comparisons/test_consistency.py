@@ -49,6 +49,7 @@ def test_without_noise_both_are_exact() -> None:
     assert c.verdict.outcome == "agree"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(SEEDS))
 def test_gaps_are_rounding_at_the_documents_noise(seed: int) -> None:
     c = run(seed)

@@ -28,6 +28,7 @@ def test_the_catalogue_is_broad_and_without_copies() -> None:
     assert {defect.log for defect in CATALOGUE} == set(LOGS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("defect", CATALOGUE, ids=lambda defect: defect.name)
 def test_a_defect_is_caught_and_named_first(defect: Defect) -> None:
     verdict = run_defect(defect).verdict

@@ -43,6 +43,7 @@ def bits(run: EkfRun) -> list[Array]:
     return [run.departed, run.arrived, e.pose_covariance, e.landmark, e.joint_covariance]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", get_args(Filter))
 def test_the_filter_is_the_same_to_the_bit(log: Log, name: str) -> None:
     """Information flows one way (Nieto 2005, section 3.7)."""
@@ -54,6 +55,7 @@ def test_the_filter_is_the_same_to_the_bit(log: Log, name: str) -> None:
         assert np.array_equal(ours, theirs)
 
 
+@pytest.mark.slow
 def test_a_watcher_that_writes_would_be_noticed(log: Log) -> None:
     """What the test above rejects: a view that brings a compressed filter up to date."""
 
@@ -88,6 +90,7 @@ def test_every_return_is_accounted_for(log: Log) -> None:
     assert tally.fused + tally.late > 0.5 * tally.returns
 
 
+@pytest.mark.slow
 def test_scans_at_any_time_are_seen_from_where_the_vehicle_then_is(log: Log) -> None:
     """The same scans with clocks of their own, between odometry samples and epochs."""
     assert log.scans is not None

@@ -50,6 +50,7 @@ def mapped(experiment: ScanExperiment, seed: int = 0) -> tuple[DenseMapping, Dyn
     return mapping, mapping.dense.dense.dynamic
 
 
+@pytest.mark.slow
 def test_both_lanes_are_found() -> None:
     """Against the ground that the vehicles' bodies covered, of all that was ever seen."""
     experiment = dynamic_lanes()
@@ -179,6 +180,7 @@ def test_a_scene_that_is_all_moving_is_said_to_be_beyond_it() -> None:
     assert any("hardly known" in remark for remark in comparison.verdict.remarks)
 
 
+@pytest.mark.slow
 def test_scan_landmarks_of_a_scene_that_is_all_moving_are_hardly_ever_used() -> None:
     """As the README says: the pose stays the odometry's. Were all that stands still, they are."""
     moving = all_moving()
@@ -198,6 +200,7 @@ def test_scan_landmarks_of_a_scene_that_is_all_moving_are_hardly_ever_used() -> 
     assert share[1] > 0.9
 
 
+@pytest.mark.slow
 def test_the_commands_write_and_tell(tmp_path: Path) -> None:
     done = slamcheck("map", "dynamic-places", "--dynamic", "--out", "map", cwd=tmp_path)
     assert done.returncode == 0, done.stderr

@@ -81,6 +81,7 @@ def test_without_its_line_it_is_unknown() -> None:
         configure(RunConfig, settings=["docking.x_m=1"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("log", ["simulated-loop", "victoria-park"])
 def test_a_run_on_points_loads_no_extension(log: str, tmp_path: Path) -> None:
     """And little else that it does not need."""

@@ -57,6 +57,7 @@ def three_of(c: Comparison) -> ThreeWay:
     return three
 
 
+@pytest.mark.slow
 def test_the_front_end_leaves_a_whole_folder(tmp_path: Path) -> None:
     done = slamcheck("odometry", "scan-loop", "--out", "scans", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -92,6 +93,7 @@ def test_the_front_end_leaves_a_whole_folder(tmp_path: Path) -> None:
     assert np.allclose(read_estimate(folder / "graph").pose[:, :2], graph.poses[:, :2])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["pcd", "ply"])
 @pytest.mark.usefixtures("open3d_library")
 def test_the_map_as_a_cloud(suffix: str, tmp_path: Path) -> None:
@@ -105,6 +107,7 @@ def test_the_map_as_a_cloud(suffix: str, tmp_path: Path) -> None:
     assert np.isfinite(points).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -128,6 +131,7 @@ def test_faults_are_one_line(arguments: tuple[str, ...], message: str, tmp_path:
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_loops_are_closed_without_wheels_and_without_loops_nothing_is(scan_loop: Log) -> None:
     none = run_front_end(scan_loop, OdometryConfig(front_end=FrontEndConfig(loop_closure=False)))
     assert not none.closed.attempts
@@ -138,6 +142,7 @@ def test_loops_are_closed_without_wheels_and_without_loops_nothing_is(scan_loop:
     assert blind.accuracy_graph.ate_aligned_m is not None
 
 
+@pytest.mark.slow
 def test_three_estimates_leave_three_folders(tmp_path: Path) -> None:
     done = slamcheck("run", "scan-loop", "--motion", "both", "--out", "three", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -202,6 +207,7 @@ def test_maps_that_share_nothing_cannot_be_compared(wrong_wheels: Comparison) ->
     assert same.rms_m == 0.0
 
 
+@pytest.mark.slow
 def test_the_car_park(shared_data: Path) -> None:
     """The issue's figures: scan odometry 1.0 m, with closed loops 0.35 m, wheels about 2 m."""
     f = run_front_end(read_log(shared_data / "acfr_car_park"))
@@ -218,6 +224,7 @@ def test_the_car_park(shared_data: Path) -> None:
     assert f.graph.proof.proven
 
 
+@pytest.mark.slow
 def test_the_car_park_on_wheels_and_on_scans(shared_data: Path) -> None:
     """At full lock the steering reading saturates, and the last seconds are wrong on wheels."""
     c = compared(read_log(shared_data / "acfr_car_park"), motion="both")
@@ -227,6 +234,7 @@ def test_the_car_park_on_wheels_and_on_scans(shared_data: Path) -> None:
     assert "gps_rms_aligned_m" in cause.evidence
 
 
+@pytest.mark.slow
 def test_scans_alone_make_a_log(tmp_path: Path, scan_loop: Log) -> None:
     """No wheels, no sightings: the front end works, and the others say what is missing."""
     seen = scan_loop.sightings

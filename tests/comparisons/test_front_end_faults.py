@@ -183,6 +183,7 @@ def test_nobody_is_to_blame_while_maps_agree() -> None:
     assert three.culprit == ""
 
 
+@pytest.mark.slow
 def test_scans_too_sure_of_themselves_are_told_of(monkeypatch: pytest.MonkeyPatch) -> None:
     """The maps may agree all the same, and a kernel over closures hides nothing."""
 

@@ -52,6 +52,7 @@ def by_filter(name: str) -> Comparison:
     return compared(log(), Modified(modify), Source(source), filter=name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["full", "compressed", "misono-full"])
 def test_the_smoother_is_told_of_the_fused(name: str) -> None:
     c = by_filter(name)
@@ -72,6 +73,7 @@ def test_the_compressed_filter_fuses_as_the_full_one_does() -> None:
     assert np.abs(apart / np.outer(sigma, sigma)).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_what_the_smoother_is_not_told_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     def halved(
         self: OrientedLedger,
@@ -91,6 +93,7 @@ def test_what_the_smoother_is_not_told_is_found(monkeypatch: pytest.MonkeyPatch)
     assert [cause.gap for cause in broken.verdict.causes] == ["model"]
 
 
+@pytest.mark.slow
 def test_it_is_an_option_and_counted(open3d_library: ModuleType) -> None:
     """The whole job, what it does not go with, and the smoother's own matcher beside it.
 

@@ -144,6 +144,7 @@ def test_other_habits_make_no_difference(
     assert_as_from_within(checked(tmp_path, log, choices), comparison)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "defect",
     [d for d in CATALOGUE if d.name not in UNSAID][::NEW_EVERY],
@@ -247,6 +248,7 @@ def test_a_trace_needs_landmarks(tmp_path: Path, plain: tuple[Log, EkfConfig, Ek
         read_given(tmp_path)
 
 
+@pytest.mark.slow
 def test_the_commands(tmp_path: Path) -> None:
     done = slamcheck("run", "simulated-loop", "--trace", "--out", "report", cwd=tmp_path)
     assert done.returncode == 0, done.stderr

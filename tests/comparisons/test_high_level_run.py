@@ -64,6 +64,7 @@ def bits(run: EkfRun) -> list[Array]:
     return [run.departed, e.pose_covariance, e.landmark, e.joint_covariance]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 def test_at_least_four_are_found_and_kept_and_the_estimates_agree(seed: int) -> None:
     found = with_them(seed)
@@ -122,6 +123,7 @@ def test_blank_scans_show_no_landmark_and_leave_the_filter_alone() -> None:
         assert np.array_equal(ours, theirs)
 
 
+@pytest.mark.slow
 def test_one_dense_map_serves_the_search_and_the_report_and_changes_no_bit() -> None:
     """And one with other cells does not serve it: then there are two, and again no bit changes."""
     short = first_seconds(log(1), 32.0)
@@ -164,6 +166,7 @@ def test_usual_settings_are_those_of_the_options_and_others_arrive() -> None:
     assert (nieto.search.pair_m, nieto.search.least, nieto.every_s) == (7.0, 50, 60.0)
 
 
+@pytest.mark.slow
 def test_the_command_line(tmp_path: Path) -> None:
     from comparisons.logs.log_folder import write_log_folder
 

@@ -19,6 +19,7 @@ from tests.comparisons.browser import came_up, look
 from tests.comparisons.test_html_report import HOSTILE
 from tests.helpers import compared, simulated
 
+pytestmark = pytest.mark.browser
 POLICY = re.compile(r'<meta http-equiv="Content-Security-Policy"[^>]*>')
 
 

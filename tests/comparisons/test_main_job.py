@@ -28,6 +28,7 @@ def test_victoria_park_disagrees_through_linearisation(victoria_park: Comparison
     assert any("too low" in remark for remark in c.verdict.remarks)
 
 
+@pytest.mark.slow
 def test_two_runs_are_identical(victoria_park: Comparison) -> None:
     again = compared(open_log("victoria-park"))
     assert np.array_equal(again.ekf.estimate.joint_mean, victoria_park.ekf.estimate.joint_mean)
@@ -50,6 +51,7 @@ def test_car_park(shared_data: Path) -> None:
         assert accuracy.coverage > 0.99
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", [1, 2, 3])
 def test_mrclam(shared_data: Path, robot: int) -> None:
     log = open_log(str(shared_data / "mrclam" / "MRCLAM_Dataset6"), robot=robot)
@@ -65,6 +67,7 @@ def test_mrclam(shared_data: Path, robot: int) -> None:
         assert accuracy.landmark_rmse_aligned_m < 0.12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("robot", "recall"), [(1, 0.93), (2, 0.97), (3, 0.97)])
 def test_mrclam_with_its_labels_hidden(shared_data: Path, robot: int, recall: float) -> None:
     log = open_log(str(shared_data / "mrclam" / "MRCLAM_Dataset6"), robot=robot)

@@ -25,6 +25,7 @@ from ekf_reference.dense.placed_regions import PlacedRegions
 from tests.comparisons.test_cli import slamcheck
 
 
+@pytest.mark.slow
 def test_the_map_leaves_a_whole_folder(tmp_path: Path) -> None:
     arguments = ("--layer", "points", "--layer", "occupancy", "--resolution", "0.4")
     done = slamcheck("map", "occupancy-loop", *arguments, "--out", "map", cwd=tmp_path)
@@ -44,6 +45,7 @@ def test_the_map_leaves_a_whole_folder(tmp_path: Path) -> None:
     assert not (folder / "points.png").exists()
 
 
+@pytest.mark.slow
 def test_a_run_takes_the_dense_maps_into_its_verdict(tmp_path: Path) -> None:
     done = slamcheck("run", "occupancy-loop", "--dense", "points", "--out", "run", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -53,6 +55,7 @@ def test_a_run_takes_the_dense_maps_into_its_verdict(tmp_path: Path) -> None:
     assert (tmp_path / "run" / "dense.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "fault"),
     [

@@ -44,6 +44,7 @@ def pooled(name: str, sigma: tuple[float, float] = SICK) -> NeglectedChange:
     return NeglectedChange(*(np.concatenate(column) for column in zip(*each, strict=True)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", DRIVES)
 def test_equation_3_16_predicts_what_a_filter_with_the_points_observes(name: str) -> None:
     for seed in SEEDS:
@@ -55,6 +56,7 @@ def test_equation_3_16_predicts_what_a_filter_with_the_points_observes(name: str
         assert size[1].max() > 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", DRIVES)
 def test_against_the_truth_it_explains_what_later_scans_can_know(name: str) -> None:
     """Some 0.7 with exact beams, unbiased: the rest of the error no later scan tells."""
@@ -66,6 +68,7 @@ def test_against_the_truth_it_explains_what_later_scans_can_know(name: str) -> N
     assert np.square(left).sum() < 0.75 * np.square(found.error).sum()
 
 
+@pytest.mark.slow
 def test_the_noise_of_a_single_beam_hides_it() -> None:
     """With Table 4.1's sigmas; a dense map averages over many beams."""
     assert pooled("occupancy-loop", (0.10, math.radians(1.0))).explained < 0.5

@@ -75,6 +75,7 @@ def best_seen() -> tuple[int, Array]:
     return slot, np.linalg.eigh(seen.mean(axis=0)[:2, :2])[1][:, -1]
 
 
+@pytest.mark.slow
 def test_a_sound_matcher_is_confirmed(open3d_library: ModuleType) -> None:
     c = matched()
     own = c.find(OwnMatchingFinding).own
@@ -89,6 +90,7 @@ def test_a_sound_matcher_is_confirmed(open3d_library: ModuleType) -> None:
     assert own.accuracy.ate_m < 0.5
 
 
+@pytest.mark.slow
 def test_joined_segments_are_seen_by_both(open3d_library: ModuleType) -> None:
     """Of which half may be out of view."""
     c = compared(log(), landmarks="scans", smoother_matcher="own")
@@ -99,6 +101,7 @@ def test_joined_segments_are_seen_by_both(open3d_library: ModuleType) -> None:
     assert np.mean(own.squared) / 3.0 < 1.0
 
 
+@pytest.mark.slow
 def test_no_alignment_of_the_filter_is_used(
     monkeypatch: pytest.MonkeyPatch, open3d_library: ModuleType
 ) -> None:
@@ -114,6 +117,7 @@ def test_no_alignment_of_the_filter_is_used(
     assert "heading" in c.verdict.causes[0].hint
 
 
+@pytest.mark.slow
 def test_an_offset_of_one_landmark_is_named(
     monkeypatch: pytest.MonkeyPatch, open3d_library: ModuleType
 ) -> None:
@@ -148,6 +152,7 @@ def test_it_is_reported(tmp_path: Path, open3d_library: ModuleType) -> None:
     assert (tmp_path / "out" / "own-matcher" / "scan_landmarks.csv").exists()
 
 
+@pytest.mark.slow
 def test_a_blank_scan_is_no_alignment(open3d_library: ModuleType) -> None:
     short = first_seconds(log(), 5.0)
     assert short.scans is not None

@@ -192,6 +192,7 @@ def test_car_park_with_gps(shared_data: Path) -> None:
         assert accuracy.landmark_rmse_m < limit
 
 
+@pytest.mark.slow
 def test_victoria_park_with_gps(shared_data: Path) -> None:
     """Every second fix fused, the others held back to judge by; outliers are gated."""
     log = open_log(str(shared_data / "victoria_park"))

@@ -77,6 +77,7 @@ def test_a_folder_is_run_again(name: str, tmp_path: Path) -> None:
     assert_equal(tmp_path / "a", tmp_path / "b")
 
 
+@pytest.mark.slow
 def test_a_check_is_run_again(tmp_path: Path) -> None:
     assert slamcheck("run", "simulated-loop", "--out", "own", cwd=tmp_path).returncode == 0
     first = slamcheck(
@@ -88,6 +89,7 @@ def test_a_check_is_run_again(tmp_path: Path) -> None:
     assert_equal(tmp_path / "a", tmp_path / "b")
 
 
+@pytest.mark.slow
 def test_another_seed_leaves_other_files(tmp_path: Path) -> None:
     """The comparison itself sees a difference."""
     for seed, out in (("1", "a"), ("2", "b")):
@@ -97,6 +99,7 @@ def test_another_seed_leaves_other_files(tmp_path: Path) -> None:
         assert_equal(tmp_path / "a", tmp_path / "b")
 
 
+@pytest.mark.slow
 def test_a_log_that_has_changed_is_refused(tmp_path: Path) -> None:
     write_log_folder(simulated(loop_s=10.0), tmp_path / "log")
     assert slamcheck("run", "log", "--out", "a", cwd=tmp_path).returncode == 0
@@ -113,6 +116,7 @@ def test_a_log_that_has_changed_is_refused(tmp_path: Path) -> None:
     assert allowed.returncode in (0, 1), allowed.stderr
 
 
+@pytest.mark.slow
 def test_a_configuration_of_another_job_is_refused(tmp_path: Path) -> None:
     assert slamcheck("solve", "simulated-loop", "--out", "a", cwd=tmp_path).returncode == 0
     done = slamcheck("run", "a/config.toml", cwd=tmp_path)
@@ -120,6 +124,7 @@ def test_a_configuration_of_another_job_is_refused(tmp_path: Path) -> None:
     assert "is a configuration of slamcheck solve, not of run" in done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "text", ["", "job =", "[log]\nseed = 'x'", "job = 'run'\n[log]\nseed = -1"]
 )

@@ -51,6 +51,7 @@ def source(**options: str) -> ScanSlamSource:
     return found
 
 
+@pytest.mark.slow
 def test_the_filter_does_not_feel_the_map() -> None:
     alone, _ = run_filter(prepare(log(), run_config(landmarks="scans", pieces="single")))
     ours = with_map().ekf
@@ -75,6 +76,7 @@ def test_regions_hang_on_scan_landmarks_and_agree_with_the_smoother() -> None:
     assert c.verdict.outcome == "agree"
 
 
+@pytest.mark.slow
 def test_map_and_run_keep_the_same_map() -> None:
     dense, same = with_map().find(DenseMapsFinding).dense, mapped().dense
     assert np.array_equal(dense.dense.regions.base, same.dense.regions.base)

@@ -65,6 +65,7 @@ def beginning(experiment: ScanExperiment, seed: int, seconds: float) -> Log:
     return simulate(np.random.default_rng(seed), replace(experiment, drive=drive))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("make", "seconds"), [(dense_slam, 14.0), (dense_slam_in_space, 7.0)])
 def test_increments_are_as_exact_as_they_say(
     make: Callable[[], ScanExperiment], seconds: float
@@ -80,6 +81,7 @@ def test_increments_are_as_exact_as_they_say(
     assert not low < np.mean(runs) / 1.4**2 < high, "sigmas 40 % too large would pass"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["scan-loop", "scan-loop-3d"])
 def test_drift_stays_below_one_percent(name: str) -> None:
     log = scan_loop(name=name)

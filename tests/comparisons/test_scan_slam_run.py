@@ -62,6 +62,7 @@ def nees(c: Comparison, factor: float = 1.0) -> float:
     return float(np.einsum("ki,kij,kj->k", error[5:], inverse, error[5:]).mean() / 3.0)
 
 
+@pytest.mark.slow
 def test_the_short_drive_agrees_to_rounding_and_is_honest() -> None:
     c = drawn()
     assert c.verdict.outcome == "agree"
@@ -133,6 +134,7 @@ def test_the_scanners_noise_is_told_by_its_scans() -> None:
     assert np.rad2deg(sensor.sigma_bearing_rad) == pytest.approx(1.0, rel=0.25)
 
 
+@pytest.mark.slow
 def test_scans_that_hold_nothing_or_one_return_begin_nothing_and_the_run_goes_on() -> None:
     short = first_seconds(log(), 6.0)
     assert short.scans is not None
@@ -170,6 +172,7 @@ class NorthMoves:
         return np.asarray(point[:, 1] > 2.0)
 
 
+@pytest.mark.slow
 def test_returns_from_where_something_moves_are_left_out_and_counted() -> None:
     short = first_seconds(log(), 5.0)
     held = {}

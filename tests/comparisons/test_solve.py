@@ -43,6 +43,7 @@ def without_labels(log: Log) -> Log:
     return replace(log, sightings=replace(log.sightings, landmark=blank))
 
 
+@pytest.mark.slow
 def test_solving_leaves_a_whole_folder(tmp_path: Path) -> None:
     done = slamcheck("solve", "simulated-loop", "--out", "solved", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -69,6 +70,7 @@ def test_solving_leaves_a_whole_folder(tmp_path: Path) -> None:
     assert same.returncode == 0, same.stderr
 
 
+@pytest.mark.slow
 def test_what_is_not_proven_has_its_exit_code(tmp_path: Path) -> None:
     arguments = ("simulated-loop", "--smoother", "fixed-lag", "--lag", "5", "--out", "lagged")
     done = slamcheck("solve", *arguments, cwd=tmp_path)
@@ -77,6 +79,7 @@ def test_what_is_not_proven_has_its_exit_code(tmp_path: Path) -> None:
     assert read_estimate(tmp_path / "lagged" / "smoother").information == "fixed-lag"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
@@ -110,6 +113,7 @@ def test_labels_are_refused_where_there_are_none() -> None:
         solve(without_labels(simulated(0, loop_s=5.0)), SolveConfig(association="known"))
 
 
+@pytest.mark.slow
 def test_own_association_needs_no_labels() -> None:
     log = simulated(0)
     blind = solve(without_labels(log))
@@ -138,6 +142,7 @@ def test_surveyed_landmarks_keep_their_places() -> None:
     assert solution.association.landmarks.precision > 0.99
 
 
+@pytest.mark.slow
 def test_misread_labels_are_left_out(shared_data: Path) -> None:
     """MR.CLAM's robot 3 has four sightings under a wrong barcode."""
     log = open_log(str(shared_data / "mrclam" / "MRCLAM_Dataset6"), robot=3)

@@ -97,6 +97,7 @@ def test_nothing_is_replaced(tmp_path: Path, trajectory: Trajectory) -> None:
         write_trajectory(trajectory, tmp_path / "new" / "times.txt", "kitti")
 
 
+@pytest.mark.slow
 def test_the_commands(tmp_path: Path) -> None:
     """Every format says the same of an estimate; covariances of CSV are judged, too."""
     done = slamcheck("solve", "simulated-loop", "--out", "solved", cwd=tmp_path)

@@ -110,6 +110,7 @@ def test_what_cannot_be_written_is_told_before_the_work(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_pictures_exist_as_pdf_and_the_folder_may_be_replaced(
     comparison: Comparison, tmp_path: Path
 ) -> None:

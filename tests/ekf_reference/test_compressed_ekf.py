@@ -55,6 +55,7 @@ def test_equals_the_full_filter_in_simulation(association: str) -> None:
     assert_equal(compressed, run(log, None, association))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["acfr_car_park", "mrclam/MRCLAM_Dataset6"])
 def test_equals_the_full_filter_on_real_logs(name: str, shared_data: Path) -> None:
     log = open_log(str(shared_data / name))

@@ -25,6 +25,7 @@ def scan_of(trunks: Array, pose: Array, sigma: float, rng: np.random.Generator) 
     return np.where(np.isfinite(ranges), ranges, np.nan)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("distance", [5.0, 10.0, 15.0, 20.0])
 @pytest.mark.parametrize("diameter", [0.3, 0.6])
 def test_bias_of_range_and_diameter(distance: float, diameter: float) -> None:

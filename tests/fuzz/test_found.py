@@ -58,7 +58,7 @@ REPLACED = {
     ),
     "every": (
         *("scenario", "small.toml", "max_range_m", f"every = {10**30}\nmax_range_m"),
-        "sensor.range-bearing.every",
+        "sensor.every",
     ),
     "landmark far away": (
         *("estimate folder", "landmarks.csv", "x_m,y_m\n", "x_m,y_m\n1234,1e200,0\n"),

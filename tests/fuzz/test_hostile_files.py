@@ -78,6 +78,7 @@ def test_a_sound_one_is_read(name: str) -> None:
         SUBJECTS[name].read(Path(folder))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SUBJECTS)
 @settings(suppress_health_check=QUIET)
 @given(data=st.data())

@@ -169,6 +169,7 @@ def test_landmarks_are_numbered_by_first_sighting() -> None:
     assert np.isfinite(found.landmarks).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("robot", "precision", "recall"), [(1, 0.95, 0.93), (2, 0.99, 0.98), (3, 0.98, 0.95)]
 )
@@ -185,6 +186,7 @@ def test_mrclam_with_its_labels_hidden(
     assert clusters.clusters.recall > recall
 
 
+@pytest.mark.slow
 def test_raw_detections_as_the_filter_sees_them(shared_data: Path) -> None:
     """The first five minutes of Victoria Park: most pairs as in the filter's association."""
     log = open_log(str(shared_data / "victoria_park"))

@@ -60,6 +60,7 @@ def test_last_poses_follow_the_order_of_the_graph(problem: SlamProblem) -> None:
         assert max(poses, default=0) == last[row]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_tracking_ends_where_the_truth_would(seed: int) -> None:
     """Two loops at twice the noise: the optimum is the one that a start at the truth reaches."""
@@ -75,6 +76,7 @@ def test_tracking_ends_where_the_truth_would(seed: int) -> None:
     assert abs(tracked.error - best.error) < 1e-6 * best.error
 
 
+@pytest.mark.slow
 def test_tracking_solves_the_raw_detections(shared_data: Path) -> None:
     """Growing prefixes ended at twice the error here."""
     log = open_log(str(shared_data / "victoria_park"))
@@ -134,6 +136,7 @@ def test_fixed_lag_keeps_every_pose(problem: SlamProblem) -> None:
     assert np.abs(end.poses - batch.poses)[:, 2].max() < 0.2
 
 
+@pytest.mark.slow
 def test_wild_sightings_are_found_and_left_out(problem: SlamProblem) -> None:
     """30 % of them; what is left is the problem without them."""
     spoilt, rows = wild(problem, 0.3)
@@ -150,6 +153,7 @@ def test_wild_sightings_are_found_and_left_out(problem: SlamProblem) -> None:
     assert len(result.problem.z) == len(problem.z) - len(result.rejected.sightings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kernel", ["huber", "cauchy"])
 def test_kernels_resist_a_few_wild_sightings(problem: SlamProblem, kernel: str) -> None:
     spoilt, _ = wild(problem, 0.05)
@@ -169,6 +173,7 @@ def test_unknown_choices_are_named(wrong: dict[str, str]) -> None:
         SmootherOptions(**wrong)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_checkpoints_are_as_sure_as_they_should_be() -> None:
     """NEES of pose and landmarks at five prefixes, 50 seeds, inside two-sided 99.8 % bands."""
     fractions, seeds = np.array((0.2, 0.4, 0.6, 0.8, 1.0)), 50

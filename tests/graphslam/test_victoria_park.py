@@ -29,6 +29,7 @@ def test_tracking_reaches_the_optimum_from_nothing(problem: SlamProblem) -> None
     assert result.proof.proven
 
 
+@pytest.mark.slow
 def test_where_dead_reckoning_leads_is_not_believed(problem: SlamProblem) -> None:
     """The trap that gtsam's users fall into: a start by dead reckoning ends in a false minimum."""
     graph = build_graph(problem)

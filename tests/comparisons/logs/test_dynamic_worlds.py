@@ -51,6 +51,7 @@ def test_the_lanes_are_driven_on_in_both_directions() -> None:
     assert way == {LANES_M[0]: {1.0}, LANES_M[1]: {-1.0}}
 
 
+@pytest.mark.slow
 def test_a_carried_landmark_is_seen_where_its_vehicle_is() -> None:
     """And is not among the truth's, which has one place for each."""
     experiment = dynamic_lanes(noise_scale=0.0, carried=True)

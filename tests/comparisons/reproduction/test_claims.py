@@ -38,6 +38,7 @@ def test_names_are_unique_and_say_where_they_come_from() -> None:
     assert all(f.experiment is experiments[f.experiment.name] for f in FIGURES)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("figure", FIGURES, ids=lambda f: f.name)
 def test_every_figure_is_drawn_and_claims_something(figure: AnyFigure) -> None:
     found = data(figure.experiment.name)

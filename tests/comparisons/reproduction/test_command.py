@@ -169,6 +169,7 @@ def test_faults_are_told_with_the_figure(tmp_path: Path) -> None:
     assert [type(r) for r in reproduce(("A2",), Sources(tmp_path))] == [Reproduced]
 
 
+@pytest.mark.slow
 def test_processes_find_the_same() -> None:
     names, sources = ("N2.12", "N3.5", "N3.12"), Sources(drives=1)
     alone, together = (reproduce(names, sources, workers) for workers in (1, 2))
@@ -189,6 +190,7 @@ def test_each_experiment_runs_once(monkeypatch: pytest.MonkeyPatch) -> None:
     assert [step[1:] for step in told] == [(0, 2), (1, 2), (2, 2)]
 
 
+@pytest.mark.slow
 def test_the_command_lists_runs_and_refuses(tmp_path: Path) -> None:
     listed = slamcheck("reproduce", cwd=tmp_path)
     assert listed.returncode == 0

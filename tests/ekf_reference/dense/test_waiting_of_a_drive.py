@@ -121,6 +121,7 @@ def closer(name: str) -> bool:
     return bool((later < at_once).all() and later.mean() < 0.25 * at_once.mean())
 
 
+@pytest.mark.slow
 def test_waiting_brings_points_closer_to_where_they_are() -> None:
     """And their variance is honest, at once and afterwards."""
     assert honest("at once")

@@ -165,6 +165,7 @@ def test_where_landmarks_are_learnt_it_does_most_of_what_the_joint_filter_does()
     assert 0.98 < learnt / learnt_by_joint < 1.0
 
 
+@pytest.mark.slow
 def test_after_a_long_drive_away_its_variance_is_a_tenth_too_small_and_no_worse() -> None:
     """Everything linear, so this is the price of neglected correlations alone.
 
