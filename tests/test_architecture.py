@@ -95,6 +95,7 @@ def cycle(edges: dict[str, set[str]]) -> list[str]:
     return next((found for name in sorted(edges) if (found := search(name, []))), [])
 
 
+@pytest.mark.slow
 def test_no_module_imports_itself_by_way_of_others() -> None:
     # A package's own __init__ names its modules; that is no dependency of the modules on it.
     edges = {
@@ -107,6 +108,7 @@ def test_a_cycle_is_found() -> None:
     assert cycle({"a": {"b"}, "b": {"c"}, "c": {"b"}}) == ["b", "c", "b"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("package", sorted(ALLOWED))
 def test_estimators_import_nothing_of_the_house(package: str) -> None:
     own = list((ROOT / package).rglob("*.py"))
@@ -148,6 +150,7 @@ def decorators(one: ast.ClassDef) -> str:
     return " ".join(ast.unparse(decorator) for decorator in one.decorator_list)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("folder", KEYWORD_ONLY)
 def test_large_dataclasses_take_keywords_only(folder: str) -> None:
     paths = sorted((ROOT / folder).rglob("*.py"))
@@ -211,6 +214,7 @@ def upward(edges: dict[str, set[str]]) -> list[str]:
     )
 
 
+@pytest.mark.slow
 def test_data_flows_one_way() -> None:
     edges = {
         name: {one for one in to if not name.startswith(f"{one}.")}

@@ -25,6 +25,7 @@ def run(*arguments: str) -> list[str]:
     return done.stdout.splitlines()
 
 
+@pytest.mark.slow
 def test_map_size_benchmark_runs(tmp_path: Path) -> None:
     picture = tmp_path / "cost.png"
     lines = run(
@@ -58,6 +59,7 @@ def test_layer_values_benchmark_runs() -> None:
     ]
 
 
+@pytest.mark.slow
 def test_attributes_benchmark_runs() -> None:
     few = ("--seeds", "1", "--loops", "0.3", "--lost", "2", "--every", "5")
     lines = run("benchmarks/attributes.py", *few)
@@ -70,6 +72,7 @@ def test_attributes_benchmark_runs() -> None:
     ]
 
 
+@pytest.mark.slow
 def test_smoother_benchmark_runs() -> None:
     lines = run("benchmarks/smoother.py", "--quick")
     assert lines[1].startswith("graph ")

@@ -146,6 +146,7 @@ class AtEveryScan(CompressedState):
         return super().within(reach_m, width)
 
 
+@pytest.mark.slow
 def test_scans_cost_no_global_update() -> None:
     """Only to leave an area does, which takes the vehicle so many metres at least."""
     areas, broken = Areas(), Areas(AtEveryScan)
@@ -167,6 +168,7 @@ def test_the_run_is_written_with_both_kinds(tmp_path: Path) -> None:
     assert "EKF scan landmarks, 3 sigma" in page
 
 
+@pytest.mark.slow
 def test_what_goes_beside_both_and_what_does_not() -> None:
     mapped = compared(
         log(),

@@ -43,6 +43,7 @@ def test_the_sound_filter_is_green(log: Log) -> None:
     assert comparison.agreement.model.within(1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", GAPS)
 def test_a_defect_turns_its_gap_red_and_only_that(name: str, log: Log) -> None:
     gap = GAPS[name]

@@ -131,6 +131,7 @@ DEFECTS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", DEFECTS)
 def test_a_wrong_estimate_is_told_why(log: Log, whole: GivenEstimate, name: str) -> None:
     found = check(log, DEFECTS[name](whole))
@@ -138,6 +139,7 @@ def test_a_wrong_estimate_is_told_why(log: Log, whole: GivenEstimate, name: str)
     assert found.causes[0].gap == name, [vars(cause) for cause in found.causes]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["frame", "mirrored", "time", "scale", "heading"])
 def test_a_bare_trajectory_is_enough(log: Log, whole: GivenEstimate, name: str) -> None:
     found = check(log, bare(DEFECTS[name](whole)))

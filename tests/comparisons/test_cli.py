@@ -31,6 +31,7 @@ def slamcheck(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     return python("from comparisons.cli import app; app.main()", cwd, *arguments)
 
 
+@pytest.mark.slow
 def test_a_run_leaves_a_whole_folder(tmp_path: Path) -> None:
     done = slamcheck("run", "simulated-loop", "--seed", "3", "--out", "report", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -238,6 +239,7 @@ def test_help_imports_nothing_heavy(arguments: list[str], tmp_path: Path) -> Non
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.slow
 def test_a_cloud_that_cannot_be_written_is_told_of_before_the_work(tmp_path: Path) -> None:
     without = (
         "import sys; sys.modules['open3d'] = None; from comparisons.cli import app; app.main()"

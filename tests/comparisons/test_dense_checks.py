@@ -74,6 +74,7 @@ def test_both_maps_agree_where_the_filter_is_right(comparison: Comparison) -> No
     assert set(check.errors) == {"points", "occupancy", "smoother"}
 
 
+@pytest.mark.slow
 def test_a_map_that_hangs_on_wrong_landmarks_is_found(comparison: Comparison) -> None:
     """One corner moved by two metres after the drive: its regions are off, and told first."""
     dense = comparison.find(DenseMapsFinding).dense
@@ -91,6 +92,7 @@ def test_a_map_that_hangs_on_wrong_landmarks_is_found(comparison: Comparison) ->
     assert np.isin(base[worst.region], [corner, *of_pair]).any()
 
 
+@pytest.mark.slow
 def test_a_dense_disagreement_is_a_cause(
     monkeypatch: pytest.MonkeyPatch, comparison: Comparison
 ) -> None:

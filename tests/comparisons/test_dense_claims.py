@@ -22,6 +22,7 @@ def maps() -> list[DenseMapping]:
     return [map_log(log, config) for log in logs]
 
 
+@pytest.mark.slow
 def test_closing_the_loop_brings_the_map_to_where_the_objects_are(
     maps: list[DenseMapping],
 ) -> None:

@@ -71,6 +71,7 @@ def test_a_watcher_that_writes_would_be_noticed(log: Log) -> None:
     assert not all(np.array_equal(a, b) for a, b in zip(bits(run), bits(without), strict=True))
 
 
+@pytest.mark.slow
 def test_every_return_is_accounted_for(log: Log) -> None:
     _, run = driven(log)
     dense = run.dense
@@ -178,6 +179,7 @@ def test_two_beams_tell_no_noise_and_get_the_least() -> None:
     assert sensor.sigma_range_m == 0.02
 
 
+@pytest.mark.slow
 def test_clouds_are_seen_as_scans() -> None:
     """Of a simulated 3D log, near the surfaces that truth has."""
     log = open_log("scan-loop-3d")
@@ -226,6 +228,7 @@ def test_a_log_without_scans_is_refused() -> None:
         DenseWatcher(log, DenseMapsConfig(layers=("points", "occupancy")))
 
 
+@pytest.mark.slow
 def test_blank_scans_leave_an_empty_map(log: Log) -> None:
     assert isinstance(log.scans, Scans)
     blank = replace(log.scans, range_m=np.full_like(log.scans.range_m, np.nan))

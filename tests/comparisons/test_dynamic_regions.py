@@ -62,6 +62,7 @@ def test_both_lanes_are_found() -> None:
     assert sorted(score.middle[:, 1]) == pytest.approx(sorted(LANES_M), abs=0.3)
 
 
+@pytest.mark.slow
 def test_exactly_the_three_changed_places_are_found() -> None:
     experiment = dynamic_places()
     mapping, layer = mapped(experiment)
@@ -74,6 +75,7 @@ def test_exactly_the_three_changed_places_are_found() -> None:
     assert layer.counters.slow > 50
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("experiment", [shortened(dynamic_lanes(), 10.0), dynamic_places()])
 def test_where_nothing_moves_nothing_is_found(experiment: ScanExperiment) -> None:
     still = replace(experiment, world=replace(experiment.world, movers=()))
@@ -98,6 +100,7 @@ def carried() -> list[Log]:
     return [simulate(np.random.default_rng(seed), experiment) for seed in range(3)]
 
 
+@pytest.mark.slow
 def test_a_landmark_on_a_vehicle_is_removed_and_the_error_is_smaller(carried: list[Log]) -> None:
     for log in carried:
         moving = int(log.sightings.landmark.max())
@@ -113,6 +116,7 @@ def test_a_landmark_on_a_vehicle_is_removed_and_the_error_is_smaller(carried: li
         assert (good.landmark_rmse_m or 9.0) < 0.5 * (bad.landmark_rmse_m or 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("filter_name", ["full", "compressed"])
 def test_a_landmark_that_was_taken_away_leaves_the_map(filter_name: str) -> None:
     """Nieto 2005, Fig. 6.20, where it stood on a car that has left."""
@@ -121,6 +125,7 @@ def test_a_landmark_that_was_taken_away_leaves_the_map(filter_name: str) -> None
     assert done.estimate.landmark_id[done.retired].tolist() == [log.sightings.landmark.max()]
 
 
+@pytest.mark.slow
 def test_full_and_compressed_retire_the_same(carried: list[Log]) -> None:
     full, compressed = (run(carried[0], f, guarded=True) for f in ("full", "compressed"))
     assert np.array_equal(full.retired, compressed.retired)

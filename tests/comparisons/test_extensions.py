@@ -32,6 +32,7 @@ def registered(monkeypatch: pytest.MonkeyPatch) -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("registered")
 def test_a_toy_adds_a_source_a_finding_a_row_and_a_figure(tmp_path: Path) -> None:
     log = simulated(seed=1, loop_s=20.0)

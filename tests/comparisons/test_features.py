@@ -63,6 +63,7 @@ def test_trunks_are_told_from_the_vehicle_wherever_its_scanner_sits() -> None:
     assert c.assessment.smoother.ate_aligned_m < 0.05
 
 
+@pytest.mark.slow
 def test_car_park_by_tree_features(shared_data: Path) -> None:
     """Raw scans alone carry the vehicle through; the trajectory is judged by RTK GPS."""
     log = with_tree_features(open_log(str(shared_data / "acfr_car_park")))

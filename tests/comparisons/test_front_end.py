@@ -154,6 +154,7 @@ def test_three_estimates_leave_three_folders(tmp_path: Path) -> None:
     assert ids[0] == ids[1] == ids[2]
 
 
+@pytest.mark.slow
 def test_three_estimates_agree_when_nothing_is_wrong(scan_loop: Log) -> None:
     c = compared(scan_loop, motion="both")
     assert c.verdict.outcome == "agree"
@@ -174,6 +175,7 @@ def wrong_wheels(scan_loop: Log) -> Comparison:
     return compared(with_speed_scaled(scan_loop, 1.1), motion="both")
 
 
+@pytest.mark.slow
 def test_scans_surer_than_they_may_be_are_remarked_upon(
     scan_loop: Log, monkeypatch: pytest.MonkeyPatch
 ) -> None:

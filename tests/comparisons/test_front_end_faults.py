@@ -247,6 +247,7 @@ def test_no_scans_at_all_are_told_of() -> None:
         without_odometry(with_scans(short(), slice(0)))
 
 
+@pytest.mark.slow
 def test_positions_held_back_stay_so_where_scans_begin_late(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -267,6 +268,7 @@ def test_positions_held_back_stay_so_where_scans_begin_late(
         assert abs(len(held.time_s) - len(fused)) <= 1
 
 
+@pytest.mark.slow
 def test_positions_between_relative_poses_can_be_fused_with_scans() -> None:
     """The wheels' path is then drawn as if the vehicle had moved evenly in between."""
     log = with_positions(short())
@@ -380,6 +382,7 @@ def test_what_was_left_out_is_told() -> None:
     assert f"{seen} sightings lie outside" in remarks[1]
 
 
+@pytest.mark.slow
 def test_a_run_on_scans_tells_of_failed_scans_gaps_and_sightings_left_out() -> None:
     log = with_scans(short(), slice(0, 60))
     assert log.scans is not None

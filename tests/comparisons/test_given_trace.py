@@ -82,6 +82,7 @@ def assert_as_from_within(check: GivenCheck, comparison: Comparison) -> None:
     assert check.outcome == "agree", check.causes
 
 
+@pytest.mark.slow
 def test_gaps_are_those_from_within(
     tmp_path: Path, case: tuple[Log, EkfConfig, Comparison]
 ) -> None:
@@ -134,6 +135,7 @@ def bare(arrays: Arrays) -> None:
             del arrays[name]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("edit", [wrapped, coarse, bare])
 def test_other_habits_make_no_difference(
     tmp_path: Path, case: tuple[Log, EkfConfig, Comparison], edit: Callable[[Arrays], None]
@@ -179,6 +181,7 @@ def test_a_coarse_filter_that_fuses_late_is_told(
     assert "uses of sightings come late, by 0.025 s" in found.causes[0].evidence
 
 
+@pytest.mark.slow
 def test_without_the_joint_covariance_the_model_is_still_judged(
     tmp_path: Path, case: tuple[Log, EkfConfig, Comparison]
 ) -> None:

@@ -95,6 +95,7 @@ def test_they_stand_where_something_stands() -> None:
     assert max(near) < 9.0
 
 
+@pytest.mark.slow
 def test_where_none_are_accepted_the_filter_is_the_same_to_the_bit() -> None:
     """Looking for them changes nothing; taking them does."""
     nothing = HighLevelSource(log(1), HighLevelOptions(search=SearchOptions(least=10**6)))

@@ -57,6 +57,7 @@ def shown(dom: str, name: str) -> str:
     return found[1]
 
 
+@pytest.mark.slow
 def test_a_browser_builds_layers_and_curves(report: Path, tmp_path: Path) -> None:
     dom = look(report.as_uri(), tmp_path)
     assert came_up(dom)
@@ -69,6 +70,7 @@ def test_a_browser_builds_layers_and_curves(report: Path, tmp_path: Path) -> Non
     assert "<title>owned</title>" not in dom
 
 
+@pytest.mark.slow
 def test_a_mistake_in_the_script_is_seen(
     comparison: Comparison, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -140,6 +142,7 @@ noted.chosen = document.querySelector('#landmarks tr.chosen').dataset.key !== ro
 """
 
 
+@pytest.mark.slow
 def test_pointing_zooming_and_choosing(report: Path, tmp_path: Path) -> None:
     dom = tried(report, tmp_path, STEPS)
     assert came_up(dom)
@@ -150,6 +153,7 @@ def test_pointing_zooming_and_choosing(report: Path, tmp_path: Path) -> None:
     assert shown(dom, "zoomed") == shown(dom, "told") == shown(dom, "chosen") == "true"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", ["1200,900", "400,800"])
 def test_a_screenshot_is_not_blank(report: Path, tmp_path: Path, size: str) -> None:
     picture = tmp_path / "shot.png"

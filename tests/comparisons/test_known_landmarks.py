@@ -57,6 +57,7 @@ def test_gaps_stay_at_rounding(name: str, association: str) -> None:
     assert c.ekf.unused["rejected"] == 0
 
 
+@pytest.mark.slow
 def test_the_survey_bounds_the_error() -> None:
     log = simulated(seed=2)
     plain = compared(log).ekf.estimate

@@ -157,6 +157,7 @@ def _wrong(slot: np.ndarray, label: np.ndarray) -> int:
     return wrong
 
 
+@pytest.mark.slow
 def test_a_map_on_both_kinds_of_landmarks_tells_the_same_of_points() -> None:
     """Its landmarks have other numbers there than among points alone."""
     log, found = drive(), []
@@ -205,6 +206,7 @@ class Doubled(KalmanState):
         super().predict(pose, jacobian, 2.0 * noise)
 
 
+@pytest.mark.slow
 def test_an_algebra_gap_is_traced_with_the_layer_as_well() -> None:
     """The second run, operation by operation, goes by a map of its own."""
 

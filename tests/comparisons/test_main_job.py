@@ -85,6 +85,7 @@ def test_victoria_park_detections_read_whole(shared_data: Path) -> None:
     assert straight_ahead.all()
 
 
+@pytest.mark.slow
 def test_victoria_park_detections_run(shared_data: Path) -> None:
     """The first minutes, by nearest neighbour: both gaps at rounding."""
     log = first_seconds(open_log(str(shared_data / "victoria_park")), 120.0)

@@ -88,12 +88,14 @@ class Stale(PassiveStates):
         self.cross = kept
 
 
+@pytest.mark.slow
 def test_the_agreement_rejects_a_stale_covariance(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(check, "PassiveStates", Stale)
     broken = neglected_change(drive("landmarks", 0), SICK, np.random.default_rng(100))
     assert broken.agreement < 0.8
 
 
+@pytest.mark.slow
 def test_nothing_changes_in_a_drive_without_noise() -> None:
     log = simulated(0, max_range_m=25.0, extra_s=10.0, noise_scale=0.0)
     found = neglected_change(log, SICK, np.random.default_rng(0))

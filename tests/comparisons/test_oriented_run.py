@@ -183,6 +183,7 @@ class Half(KalmanState):
         return super().update(columns, jacobian, share * innovation, noise)
 
 
+@pytest.mark.slow
 def test_broken_algebra_is_named() -> None:
     def plant(ekf: FullEkf) -> None:
         ekf.state = Half(log().prior.pose, np.array(log().prior.covariance))

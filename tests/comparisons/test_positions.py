@@ -121,6 +121,7 @@ def test_a_loop_is_closed_by_a_position_in_parts() -> None:
     assert np.all(-np.diff(innovation) < 1.0 + 1e-9)  # no part moves the vehicle by more
 
 
+@pytest.mark.slow
 def test_victoria_park_loop_closed_by_gps(shared_data: Path) -> None:
     """The same on real data: 300 s of SLAM alone, then GPS, 2.4 m away and fused in parts."""
     log = open_log(str(shared_data / "victoria_park"))
@@ -179,6 +180,7 @@ def test_our_position_factor_equals_central_differences() -> None:
     assert np.allclose(b.ravel(), -whitened(np.zeros(3)))
 
 
+@pytest.mark.slow
 def test_car_park_with_gps(shared_data: Path) -> None:
     """Landmark RMSE against the 15 beacons without alignment."""
     log = open_log(str(shared_data / "acfr_car_park"))

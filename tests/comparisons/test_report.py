@@ -64,6 +64,7 @@ def test_the_hash_sees_every_stream(stream: str) -> None:
     assert log_hash(changed) != log_hash(log)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["acfr_car_park", "victoria_park"])
 def test_a_converted_log_keeps_its_hash(name: str, shared_data: Path, tmp_path: Path) -> None:
     log = open_log(str(shared_data / name))

@@ -160,6 +160,7 @@ def test_divided_increments_compose_to_the_whole() -> None:
     assert np.array_equal(straight.displacement, half)
 
 
+@pytest.mark.slow
 def test_both_estimators_move_by_scans() -> None:
     log = scan_loop()
     motion = run_scan_odometry(log)
@@ -190,6 +191,7 @@ def with_fixes(log: Log, sigma_m: float, seed: int = 0) -> Log:
     return replace(log, positions=positions, truth=replace(log.truth, poses=None))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scale", [1.0, 0.3, 3.0])
 def test_positions_tell_by_how_much_sigmas_are_wrong(scale: float) -> None:
     """Increments drawn from covariances that are then stated wrongly by a known factor."""

@@ -131,6 +131,7 @@ def test_too_little_to_make_a_map_of_is_said() -> None:
         solve(without_labels(first_seconds(simulated(1), 1.0)))
 
 
+@pytest.mark.slow
 def test_surveyed_landmarks_keep_their_places() -> None:
     """Those known beforehand go by id, the others by the smoother's own reasoning."""
     log = with_survey(simulated(1))
@@ -153,6 +154,7 @@ def test_misread_labels_are_left_out(shared_data: Path) -> None:
     assert solution.accuracy.landmark_rmse_aligned_m < 0.06
 
 
+@pytest.mark.slow
 def test_both_associations_are_compared() -> None:
     comparison = compared(simulated(1), association="nn", smoother_association="own")
     own = comparison.find(OwnAssociationFinding).own
@@ -186,6 +188,7 @@ def test_what_a_wrong_association_costs() -> None:
     assert f"by {found.cost[0, 0] ** 0.5:.1f} sigma" in told
 
 
+@pytest.mark.slow
 def test_a_wrong_association_of_the_filter_is_named() -> None:
     """Labels that send a tenth of the sightings to the wrong landmarks, all of one loop's end."""
     log = simulated(2)

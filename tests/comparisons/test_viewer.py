@@ -90,6 +90,7 @@ def test_without_rerun_one_line_says_what_to_install(
     viewer.check_viewer(False, None)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -167,6 +167,7 @@ def two_trees(
     return right
 
 
+@pytest.mark.slow
 def test_two_trees_are_told_apart_as_often_as_theory_says() -> None:
     """Two Gaussians of one covariance are told apart in Phi(d / 2) of all cases.
 
@@ -222,6 +223,7 @@ def test_a_vague_landmark_is_not_preferred() -> None:
     assert shares[1] < shares[0]
 
 
+@pytest.mark.slow
 def test_the_gate_holds_what_it_says() -> None:
     """With a third degree of freedom as many right pairings pass as with two."""
     state = mapped([(10.0, 0.0)], np.diag((0.3**2, 0.3**2, 1e-8)))

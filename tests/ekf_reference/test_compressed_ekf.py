@@ -48,6 +48,7 @@ def assert_equal(first: EkfRun, second: EkfRun) -> None:
     assert relative_error(first.estimate.pose, second.estimate.pose) < 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("association", ["known", "nn"])
 def test_equals_the_full_filter_in_simulation(association: str) -> None:
     log = simulated(seed=1, loops=2)
@@ -62,6 +63,7 @@ def test_equals_the_full_filter_on_real_logs(name: str, shared_data: Path) -> No
     assert_equal(run(log, LocalAreas(2.0, 4.0)), run(log, None))
 
 
+@pytest.mark.slow
 def test_equals_the_full_filter_on_victoria_park() -> None:
     log = open_log("victoria-park")
     assert_equal(run(log, SMALL), run(log, None))
@@ -219,6 +221,7 @@ def test_sparing_the_cross_covariance_too_is_not_conservative() -> None:
     assert eigenvalue_range(run_.estimate.joint_covariance, exact.covariance)[0] < 1.0 - 1e-4
 
 
+@pytest.mark.slow
 def test_a_mean_that_is_forgotten_is_no_conservatism() -> None:
     """The suboptimal filter may spare covariance, not the correction of the mean (theta)."""
 

@@ -37,6 +37,7 @@ def test_both_ways_agree_and_both_are_replayed() -> None:
     )
 
 
+@pytest.mark.slow
 def test_the_thesis_warning_about_the_large_prior_holds() -> None:
     """The difference in magnitude costs digits: the larger P_LL*, the larger the algebra gap."""
     gaps = [begun_boundless(variance).agreement.algebra.covariance for variance in (1e4, 1e10)]
@@ -69,6 +70,7 @@ def map_correlation(covariance: Array) -> float:
     return float(east[np.triu_indices(len(east), 1)].mean())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 def test_closing_the_loop_correlates_the_map(seed: int) -> None:
     """Nieto 2005, Fig. 2.11: (b) before, (c) after the first closing, (d) after several loops."""
@@ -82,6 +84,7 @@ def test_closing_the_loop_correlates_the_map(seed: int) -> None:
     assert before < after < several
 
 
+@pytest.mark.slow
 def test_absolute_observations_decorrelate_the_map() -> None:
     """Nieto 2005, Fig. 2.12: a few absolute positions of the vehicle, and the map falls apart."""
     log = simulated(seed=0, loops=2)

@@ -180,6 +180,7 @@ def nees(seeds: int, modify: Callable[[FullEkf], None] = lambda ekf: None) -> tu
     return total, dof
 
 
+@pytest.mark.slow
 def test_errors_are_as_large_as_the_covariance_says() -> None:
     total, dof = nees(30)
     low, high = chi2.ppf([1e-3, 1.0 - 1e-3], dof)

@@ -117,6 +117,7 @@ COMMANDS = {
 """Capitals: paths, in the folder at hand."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", COMMANDS)
 @settings(max_examples=FEW, suppress_health_check=QUIET)
 @given(data=st.data())

@@ -116,6 +116,7 @@ def test_a_prefix_keeps_what_its_poses_close(poses: int, left: list[int]) -> Non
     assert build_graph(part).size() == poses + len(left)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("optimiser", OPTIMISERS)
 def test_the_optimum_is_that_of_dense_least_squares(optimiser: str) -> None:
     problem = circle(closures())

@@ -110,6 +110,7 @@ def test_isam2_reaches_the_optimum(problem: SlamProblem) -> None:
     assert result.starts[0].name == "isam2"
 
 
+@pytest.mark.slow
 def test_fixed_lag_says_how_far_it_drifts(problem: SlamProblem) -> None:
     """A lag as long as the log is the batch; a short one drifts, and is not taken for proven."""
     batch = smooth(problem, {})

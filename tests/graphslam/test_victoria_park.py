@@ -22,6 +22,7 @@ def problem(victoria_park: Comparison) -> SlamProblem:
     return build_problem(victoria_park.log, victoria_park.ekf)
 
 
+@pytest.mark.slow
 def test_tracking_reaches_the_optimum_from_nothing(problem: SlamProblem) -> None:
     result = smooth(problem, {})
     assert [start.name for start in result.starts] == ["tracked"]

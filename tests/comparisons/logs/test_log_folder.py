@@ -158,6 +158,7 @@ def test_scans_are_never_unpickled(tmp_path: Path) -> None:
         read_log_folder(tmp_path / "log")
 
 
+@pytest.mark.slow
 def test_a_damaged_archive_is_one_line(tmp_path: Path) -> None:
     """Whatever zip, zlib or numpy make of it."""
     write_log_folder(full_log(), tmp_path / "log")

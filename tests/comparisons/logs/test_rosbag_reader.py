@@ -261,6 +261,7 @@ def test_unusable_bags(name: str, tmp_path: Path) -> None:
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["mcap", "db3", "bag", "metadata.yaml"])
 def test_any_damage_is_one_line(kind: str, tmp_path: Path) -> None:
     types = Types(Stores.ROS1_NOETIC) if kind == "bag" else T

@@ -306,6 +306,7 @@ def damaged(whole: bytes, count: int) -> list[bytes]:
     return variants
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("make", "name"), [(carmen, "drive.clf"), (trio, "aa3_lsr2.mat")])
 def test_any_damage_is_one_line(make: Callable[[Path], Path], name: str, tmp_path: Path) -> None:
     log = make(tmp_path)

@@ -152,6 +152,7 @@ def spun(noise_scale: float = 0.0, sweep_s: float = 0.0, **rings: float) -> Scan
     return replace(experiment, scanner=scanner, world=world)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sweep_s", [0.0, 0.1])
 def test_without_noise_every_point_lies_on_something(sweep_s: float) -> None:
     """A wall, a pole or the mover at most as high as they are; a top; or the ground."""

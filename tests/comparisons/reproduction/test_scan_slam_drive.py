@@ -21,6 +21,7 @@ def driven() -> ScanDrive:
     return of_log(log())
 
 
+@pytest.mark.slow
 def test_templates_lie_on_the_objects_once_their_axes_are_put_where_they_are() -> None:
     d = driven()
     assert len(d.after.slot) >= len(d.before.slot) > 0

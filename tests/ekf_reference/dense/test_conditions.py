@@ -109,6 +109,7 @@ def test_angles() -> None:
     assert np.allclose(smallest_angle(triangle), (np.pi / 4, np.arctan(0.02)))
 
 
+@pytest.mark.slow
 def test_overlap_equals_area_in_common() -> None:
     """Against random points: triangles overlap when some point lies in both."""
     rng = np.random.default_rng(1)

@@ -321,6 +321,7 @@ def random_drive(seed: int, dense: DenseMap) -> FilterView:
     return seen
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(12))
 def test_returns_add_up_whatever_happens(seed: int) -> None:
     dense = dense_map(*LAYERS, waiting=room(capacity=300))

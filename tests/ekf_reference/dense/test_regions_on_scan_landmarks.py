@@ -85,6 +85,7 @@ def by_filter(ekf: FullEkf) -> FilterView:
     return FilterView.of(ekf, (ORIENTED,))
 
 
+@pytest.mark.slow
 def test_the_map_is_that_between_points_of_the_same_mean_and_covariance() -> None:
     dense, view = mapped(by_filter)
     points, same = mapped(as_points)

@@ -204,6 +204,7 @@ def driven(*, dense: bool) -> Driven:
     )
 
 
+@pytest.mark.slow
 def test_the_filter_does_not_notice() -> None:
     """Unidirectional information flow (section 3.7), virtual landmarks included: to the bit."""
     with_maps, alone = driven(dense=True), driven(dense=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from scipy.stats import chi2
 
 from graphslam.scan import planar
@@ -37,6 +38,7 @@ def within_band(value: float, pairs: int) -> bool:
     return bool(low < value < high)
 
 
+@pytest.mark.slow
 def test_covariances_are_as_wide_as_the_errors(matcher: Matcher) -> None:
     error, covariance = trials(matcher, [ELL, COURT, YARD], 2, PAIRS)
     assert within_band(average_nees(error, covariance), PAIRS)
@@ -44,6 +46,7 @@ def test_covariances_are_as_wide_as_the_errors(matcher: Matcher) -> None:
     assert not within_band(average_nees(error, 2.0 * covariance), PAIRS)
 
 
+@pytest.mark.slow
 def test_covariances_lie_the_right_way(matcher: Matcher) -> None:
     """In a long hall: turned as the target's frame is, they no longer fit the errors."""
     error, covariance = trials(matcher, [LONG], 2, 60)

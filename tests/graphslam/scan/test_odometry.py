@@ -57,6 +57,7 @@ def test_increments_without_noise_are_those_driven() -> None:
     assert np.abs(chained - end).max() < 1e-12
 
 
+@pytest.mark.slow
 def test_errors_are_as_large_as_the_covariances_say() -> None:
     """On seeds that no calibration was found on."""
     squared = []
@@ -84,6 +85,7 @@ def fingerprint() -> str:
     return total.hexdigest()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("hash_seed", "threads"), [("1", "1"), ("77", "4")])
 def test_another_process_finds_the_same_bits(hash_seed: str, threads: str) -> None:
     code = "from tests.graphslam.scan.test_odometry import fingerprint; print(fingerprint())"
