@@ -6,10 +6,9 @@ section for each extension that takes part. An extension that is not named is no
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self, get_args, get_origin
+from typing import Annotated, Any, Literal, Self, get_args, get_origin
 
 from pydantic import (
     BaseModel,
@@ -141,9 +140,7 @@ class FrontEndConfig(Section):
 
 
 class ExtensionConfig(Section):
-    """An extension's settings. title: how messages name the extension."""
-
-    title: ClassVar[str]
+    """An extension's settings."""
 
     def check_with(self, config: Configured) -> None:
         """Raise ValueError where this does not go with the other settings."""
@@ -260,17 +257,6 @@ JOBS: dict[str, type[JobConfig]] = {
     one.model_fields["job"].default: one
     for one in (RunConfig, SolveConfig, CheckConfig, MapConfig, OdometryConfig)
 }
-
-
-def read_config(path: Path) -> dict[str, Any]:
-    """Read a file of settings as nested mappings, not validated yet. Raises InputError."""
-    from comparisons.logs.table import read_text
-
-    text = read_text(path)
-    try:
-        return tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # TOMLDecodeError is a ValueError
-        raise InputError(f"{path}: is not TOML ({error})") from None
 
 
 def full_path(path: Path) -> str:

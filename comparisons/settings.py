@@ -7,9 +7,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
-from comparisons.config import RunConfig, Section, merge, read_config, shown
+from comparisons.config import RunConfig, Section, merge, shown
 from comparisons.errors import InputError
 from comparisons.extensions.registry import EXTENSIONS
+from comparisons.logs.table import read_toml
 from comparisons.options import RUN, Flag, lay_over, options
 
 C = TypeVar("C", bound=Section)
@@ -27,7 +28,7 @@ def configure(
     job: the class of a whole job's configuration, which has a field `job`. Raises InputError
     that names key, value and choices.
     """
-    found = {} if file is None else read_config(file)
+    found = {} if file is None else read_toml(file)
     name = job.model_fields["job"].default
     if (other := found.get("job", name)) != name:
         words = other[:40] if isinstance(other, str) else shown(other)
@@ -38,7 +39,7 @@ def configure(
     lay_over(found, flags)
     for setting in settings:
         found = merge(found, _nested(job, setting))
-    if file is not None and "log" in job.model_fields and _other_log(found, read_config(file)):
+    if file is not None and "log" in job.model_fields and _other_log(found, read_toml(file)):
         found["log"].pop("sha256", None)
     try:
         return job.of(**found)

@@ -16,7 +16,7 @@ from comparisons.extensions.contract import Extension
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import SteeringOdometry
 from comparisons.logs.simulate.drive import Drive, simulate
-from comparisons.pipeline.compare import NEEDS, Comparison, compare_prepared
+from comparisons.pipeline.compare import REQUIRED, Comparison, compare_prepared
 from comparisons.pipeline.prepare import Prepared, prepare
 from comparisons.settings import run_config
 
@@ -79,7 +79,7 @@ def compared(
     """Run and compare, with extensions that no configuration names; options as of the command."""
     given = {} if ekf is None else ekf.model_dump(exclude_none=True)
     config = run_config(**given, **options)
-    return compare_prepared(prepare(log, config, needs=NEEDS, also=extensions))
+    return compare_prepared(prepare(log, config, required=REQUIRED, also=extensions))
 
 
 def random_covariance(rng: np.random.Generator, n: int) -> Array:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tomllib
 from pathlib import Path
 from typing import Literal
 
@@ -15,7 +14,7 @@ from comparisons.archive import read_archive
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Array, Estimate
 from comparisons.logs.log_meta import first_fault
-from comparisons.logs.table import Table, read_text
+from comparisons.logs.table import Table, read_toml
 from comparisons.logs.validation import LARGEST, distinct, increasing, whole_numbers, within
 
 SCAN_LANDMARKS = "scan_landmarks.csv"
@@ -104,13 +103,9 @@ def read_estimate(folder: Path) -> Estimate:
 def read_meta(path: Path) -> Meta:
     """`estimate.toml`. Raises InputError."""
     try:
-        return Meta.model_validate(tomllib.loads(read_text(path)))
+        return Meta.model_validate(read_toml(path))
     except ValidationError as error:
         raise InputError(f"{path}: {first_fault(error)}") from None
-    except (ValueError, RecursionError) as error:  # TOMLDecodeError is a ValueError
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"{path}: not valid TOML: {error}") from None
 
 
 def read_trajectory(path: Path) -> tuple[Array, Array]:

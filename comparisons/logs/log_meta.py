@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tomllib
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -13,7 +12,7 @@ from comparisons.errors import InputError
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import Ackermann, OdometryNoise, RelativePoses, SteeringOdometry
 from comparisons.logs.scans import Mount
-from comparisons.logs.table import read_text, shorten
+from comparisons.logs.table import read_toml, shorten
 
 MARK = "log.toml"
 
@@ -106,13 +105,9 @@ class LogModel(_Model):
 def read_meta(path: Path) -> LogModel:
     """Read and check `log.toml`. Raises InputError naming the key at fault."""
     try:
-        return LogModel.model_validate(tomllib.loads(read_text(path)))
+        return LogModel.model_validate(read_toml(path))
     except ValidationError as error:
         raise InputError(f"{path}: {first_fault(error)}") from None
-    except (ValueError, RecursionError) as error:  # TOMLDecodeError is a ValueError
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"{path}: not valid TOML: {error}") from None
 
 
 def first_fault(error: ValidationError) -> str:

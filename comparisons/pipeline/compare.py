@@ -21,9 +21,9 @@ from comparisons.extensions.contract import Extension, Finding
 from comparisons.logs.log import Log
 from comparisons.pipeline.gaps import Compared, Gaps, compute_gaps
 from comparisons.pipeline.prepare import (
-    Needs,
     Prepared,
     Progress,
+    Required,
     no_progress,
     prepare,
 )
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 F = TypeVar("F", bound=Finding)
 
-NEEDS = Needs(
+REQUIRED = Required(
     sightings="try --features trees, --landmarks scans, or slamcheck odometry for its scans",
     odometry="use --motion scan",
 )
@@ -115,7 +115,9 @@ def compare(
     Raises InputError when the log cannot be used as configured, and
     graphslam.marginals.SingularProblemError when the smoother has no solution.
     """
-    return compare_prepared(prepare(log, config or RunConfig(), progress=progress, needs=NEEDS))
+    return compare_prepared(
+        prepare(log, config or RunConfig(), progress=progress, required=REQUIRED)
+    )
 
 
 def compare_prepared(prepared: Prepared[RunConfig]) -> Comparison:

@@ -14,9 +14,9 @@ from comparisons.extensions.dense_maps.accuracy import SurfaceError, surface_err
 from comparisons.extensions.dense_maps.source import GRID_MODEL, DenseRun, DenseWatcher
 from comparisons.logs.log import Log
 from comparisons.pipeline.prepare import (
-    Needs,
     Prepared,
     Progress,
+    Required,
     no_progress,
     prepare,
 )
@@ -24,7 +24,7 @@ from ekf_reference.dense.layers.classic_grid import ClassicGrid
 from ekf_reference.dense.layers.layer import Samples
 from ekf_reference.dense.placed_regions import PlacedRegions
 
-NEEDS = Needs(
+REQUIRED = Required(
     sightings="between which the map is kept: try --features trees or --landmarks scans",
     odometry="the filter needs it",
 )
@@ -65,7 +65,7 @@ def map_log(
     """
     default = {"dense_maps": {"layers": ["points", "occupancy"]}}
     config = config or MapConfig.of(extensions=default)
-    prepared = prepare(log, config, progress=progress, needs=NEEDS)
+    prepared = prepare(log, config, progress=progress, required=REQUIRED)
     setup = FilterSetup()
     for extension in prepared.extensions:
         extension.attach(setup, prepared)

@@ -88,7 +88,7 @@ class Prepared(Generic[C]):
         return lambda done, total: self.progress(stage, done, total)
 
 
-class Needs(NamedTuple):
+class Required(NamedTuple):
     """What a job cannot do without, with a hint where the log lacks it; None to do without."""
 
     sightings: str | None = None
@@ -100,7 +100,7 @@ def prepare(
     config: C,
     ekf: EkfConfig | None = None,
     progress: Progress = no_progress,
-    needs: Needs | None = None,
+    required: Required | None = None,
     also: Sequence[Extension] = (),
 ) -> Prepared[C]:
     """Settle what is left open and let every extension change what the estimators are given.
@@ -120,20 +120,20 @@ def prepare(
         extensions=(*also, *_extensions(configured)),
         progress=progress,
     )
-    _check_streams(prepared, needs or Needs())
+    _check_streams(prepared, required or Required())
     for extension in prepared.extensions:
         prepared = extension.prepare(prepared)
     return prepared
 
 
-def _check_streams(prepared: Prepared[Any], needs: Needs) -> None:
+def _check_streams(prepared: Prepared[Any], required: Required) -> None:
     log, extensions = prepared.log, prepared.extensions
     landmarks = any(one.brings_landmarks for one in extensions)
-    if needs.sightings is not None and not landmarks and not len(log.sightings.time_s):
-        raise InputError(f"{log.name}: holds no sightings of landmarks ({needs.sightings})")
+    if required.sightings is not None and not landmarks and not len(log.sightings.time_s):
+        raise InputError(f"{log.name}: holds no sightings of landmarks ({required.sightings})")
     motion = any(one.brings_motion for one in extensions)
-    if needs.odometry is not None and not motion and not len(log.odometry.time_s):
-        raise InputError(f"{log.name}: holds no odometry; {needs.odometry}")
+    if required.odometry is not None and not motion and not len(log.odometry.time_s):
+        raise InputError(f"{log.name}: holds no odometry; {required.odometry}")
 
 
 def _extensions(config: Configured | None) -> list[Extension]:

@@ -16,7 +16,7 @@ from comparisons.errors import InputError
 from comparisons.estimates.estimate import Array, Estimate
 from comparisons.logs.log import Log
 from comparisons.logs.transforms.known_landmarks import slots_by_label
-from comparisons.pipeline.prepare import Needs, Prepared, Progress, no_progress, prepare
+from comparisons.pipeline.prepare import Prepared, Progress, Required, no_progress, prepare
 from graphslam.increments import dead_reckoned
 from graphslam.smoother import SmootherOptions, SmootherResult, smooth
 
@@ -62,8 +62,8 @@ def solve(
     config = config or SolveConfig()
     known = log.sightings.labelled if config.association is None else config.association == "known"
     ekf = EkfConfig(association="known" if known else "nn", gps=config.gps)
-    needs = Needs(odometry="use slamcheck odometry for its scans")
-    prepared = prepare(log, config, ekf, progress, needs)
+    required = Required(odometry="use slamcheck odometry for its scans")
+    prepared = prepare(log, config, ekf, progress, required)
     log, clock, timeline = prepared.log, prepared.clock, prepared.timeline
     guesses = {}
     with clock.stage("association"):

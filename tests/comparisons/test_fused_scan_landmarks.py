@@ -17,7 +17,7 @@ from comparisons.extensions.scan_landmarks.extension import (
     ScanLandmarksFinding,
 )
 from comparisons.extensions.scan_landmarks.source import LogScans, ScanSlamSource
-from comparisons.pipeline.compare import NEEDS, Comparison, Modified, compare_prepared
+from comparisons.pipeline.compare import REQUIRED, Comparison, Modified, compare_prepared
 from comparisons.pipeline.prepare import prepare
 from comparisons.settings import run_config
 from ekf_reference.compressed_ekf import CompressedState, LocalAreas
@@ -100,7 +100,7 @@ def test_it_is_an_option_and_counted(open3d_library: ModuleType) -> None:
     That one has templates of one scan each: fused ones are of two, and leave gaps in the numbers.
     """
     config = run_config(landmarks="both", fuse_landmarks="on", smoother_matcher="own")
-    prepared = prepare(log(), config, needs=NEEDS)
+    prepared = prepare(log(), config, required=REQUIRED)
     for one in prepared.extensions:
         if isinstance(one, ScanLandmarksExtension):
             one.options = CARELESS

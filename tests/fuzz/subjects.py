@@ -179,7 +179,7 @@ def config_file(folder: Path) -> None:
     (folder / "run.toml").write_text(run_config(**options).toml(), encoding="utf-8")
 
 
-def read_config(folder: Path) -> None:
+def read_toml(folder: Path) -> None:
     """As --config does, with an option that goes over the file."""
     flags = run_options({"filter": "full", "resolution": 0.1})
     configure(RunConfig, folder / "run.toml", flags, over={"log": {"source": "simulated-loop"}})
@@ -233,7 +233,7 @@ SUBJECTS: dict[str, Subject] = {
     "CSV trajectory": trajectory_file("csv"),
     "estimate folder": Subject(estimate_files, lambda folder: check_given(read_given(folder))),
     "baseline": Subject(baseline_file, lambda folder: read_baseline(folder / "kept.json")),
-    "configuration": Subject(config_file, read_config),
+    "configuration": Subject(config_file, read_toml),
     "scenario": Subject(
         lambda folder: (folder / "small.toml").write_text(SCENARIO), build_scenario
     ),

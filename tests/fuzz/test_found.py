@@ -45,9 +45,15 @@ REPLACED = {
     ),
     "endless number in a scenario": (
         *("scenario", "small.toml", "steps = 20", f"steps = {ENDLESS}"),
-        "is not TOML",
+        "not valid TOML",
     ),
-    "deep scenario": ("scenario", "small.toml", "ours = [", "ours = [" + "[" * 3000, "is not TOML"),
+    "deep scenario": (
+        "scenario",
+        "small.toml",
+        "ours = [",
+        "ours = [" + "[" * 3000,
+        "not valid TOML",
+    ),
     "lookahead": (
         *("scenario", "small.toml", "lookahead_m = 1.0", "lookahead_m = 1e-8"),
         "m long with a lookahead_m of 1e-08",

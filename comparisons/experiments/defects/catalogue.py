@@ -7,7 +7,7 @@ from comparisons.config import RunConfig
 from comparisons.experiments.defects import algebra, data, models, noise
 from comparisons.experiments.defects.defect import Defect
 from comparisons.experiments.defects.logs import open_case
-from comparisons.pipeline.compare import NEEDS, Comparison, Modified, compare_prepared
+from comparisons.pipeline.compare import REQUIRED, Comparison, Modified, compare_prepared
 from comparisons.pipeline.prepare import prepare
 
 CATALOGUE: tuple[Defect, ...] = (
@@ -22,7 +22,7 @@ def run_defect(defect: Defect, seed: int = 4) -> Comparison:
     """A filter with the defect, on a log that shows it."""
     log, ekf = open_case(defect.log, seed)
     planted = [Modified(defect.plant)]
-    return compare_prepared(prepare(log, RunConfig(ekf=ekf), needs=NEEDS, also=planted))
+    return compare_prepared(prepare(log, RunConfig(ekf=ekf), required=REQUIRED, also=planted))
 
 
 def named_first(defect: Defect, verdict: Verdict) -> bool:

@@ -7,7 +7,8 @@ from typing import Literal, get_args
 
 from pydantic import Field, field_validator
 
-from comparisons.config import Section, read_config
+from comparisons.config import Section
+from comparisons.logs.table import read_toml
 
 FilterName = Literal["ekf", "fej", "oc", "riekf", "ideal"]
 
@@ -40,7 +41,7 @@ class MonteCarloConfig(Section):
 def is_config(name: str) -> bool:
     """Whether this is the file of a job's configuration, and not a scenario, by its keys.
 
-    Raises InputError for a file that is not TOML.
+    Raises InputError for a file that not valid TOML.
     """
     path = Path(name)
-    return path.is_file() and not {"job", "scenario"}.isdisjoint(read_config(path))
+    return path.is_file() and not {"job", "scenario"}.isdisjoint(read_toml(path))

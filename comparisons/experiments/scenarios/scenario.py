@@ -8,8 +8,9 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from comparisons.config import Section, read_config
+from comparisons.config import Section
 from comparisons.errors import InputError
+from comparisons.logs.table import read_toml
 
 _FOLDER = Path(__file__).parent
 _Positive = Annotated[float, Field(ge=1e-9, le=1e9)]
@@ -153,7 +154,7 @@ def read_scenario(name: str) -> Scenario:
                 f"scenario '{name}' is neither a file nor one of {', '.join(bundled_scenarios())}"
             )
         path = _FOLDER / f"{name}.toml"
-    found = read_config(path)
+    found = read_toml(path)
     try:
         return Scenario.of(**found)
     except InputError as error:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field, field_validator
 
@@ -24,8 +24,6 @@ class DenseMapsConfig(ExtensionConfig):
     also serve others: detect_motion looks for what moves, attribute_values keeps the values that
     association goes by.
     """
-
-    option: ClassVar[str] = "--dense"
 
     layers: tuple[Layer, ...] = Field((), description="kept, and compared with the smoother's")
     resolution_m: _Cell = Field(0.2, description="size of cells")

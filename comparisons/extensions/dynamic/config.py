@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 from comparisons.config import Configured, ExtensionConfig, Needs
 
@@ -12,8 +12,6 @@ if TYPE_CHECKING:
 
 class DynamicConfig(ExtensionConfig):
     """Find where things move, and let the filter ignore these places (Nieto 2005, section 6.3)."""
-
-    option: ClassVar[str] = "--dynamic on"
 
     def needs(self) -> Needs:
         """A dense map that looks for motion."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 from pydantic import Field
 
@@ -18,8 +18,6 @@ class HighLevelConfig(ExtensionConfig):
     Section 6.1.3 searches every minute; in the worlds here a loop takes 77 s, and an object stays
     within reach for less than half of a minute.
     """
-
-    option: ClassVar[str] = "--high-level on"
 
     cell_m: float = Field(
         0.2, ge=0.05, le=2.0, description="cells of the map, and least distance of its Gaussians"

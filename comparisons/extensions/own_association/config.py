@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 from comparisons.config import Configured, ExtensionConfig
 
@@ -12,8 +12,6 @@ if TYPE_CHECKING:
 
 class OwnAssociationConfig(ExtensionConfig):
     """Solve for a second time, with the smoother's own association."""
-
-    option: ClassVar[str] = "--smoother-association own"
 
     def build(self, config: Configured) -> OwnAssociation:
         """Return the extension."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 from comparisons.config import Configured, ExtensionConfig
 
@@ -12,8 +12,6 @@ if TYPE_CHECKING:
 
 class OwnMatchingConfig(ExtensionConfig):
     """Solve for a second time, scan landmarks seen by Open3D's generalised ICP."""
-
-    option: ClassVar[str] = "--smoother-matcher own"
 
     def check_with(self, config: Configured) -> None:
         """There must be scan landmarks to match."""

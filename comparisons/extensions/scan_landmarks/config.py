@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
 
@@ -17,8 +17,6 @@ _MAPPED = "dense_maps"
 
 class ScanLandmarksConfig(ExtensionConfig):
     """Landmarks made of raw scans (Scan-SLAM, Nieto 2005, chapter 5)."""
-
-    option: ClassVar[str] = "--landmarks"
 
     landmarks: Literal["scans", "both"] = Field(
         "scans", description="in place of the log's sightings, or beside them"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
 
@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
 class ScanMotionConfig(ExtensionConfig):
     """Let the log's scans move the estimators, or a third one beside them."""
-
-    option: ClassVar[str] = "--motion"
 
     motion: Literal["scan", "both"] = Field(
         "both",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 from pydantic import Field
 
@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
 class DockingConfig(ExtensionConfig):
     """A docking station that the vehicle sees with a direction, by an exact simulated sensor."""
-
-    option: ClassVar[str] = "--set docking={}"
 
     x_m: float = Field(0.0, description="of the station, east")
     y_m: float = Field(0.0, description="of the station, north")
