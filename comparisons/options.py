@@ -72,29 +72,25 @@ class Flag:
             into[key] = dict(found) if isinstance(found, Mapping) else found
 
 
+# fmt: off
 LOG = (
     Flag(
-        option="--format",
-        field="log.format",
-        metavar="F",
+        option="--format", field="log.format", metavar="F",
         help="The log's format; recognised if left out.",
     ),
     Flag(
-        option="--robot", field="log.robot", kind=int, help="Robot number, for MR.CLAM folders. [1]"
+        option="--robot", field="log.robot", kind=int,
+        help="Robot number, for MR.CLAM folders. [1]",
     ),
     Flag(option="--seed", field="log.seed", kind=int, help="Seed of a simulated log. [0]"),
     Flag(option="--loops", field="log.loops", kind=int, help="Loops of a simulated log. [1]"),
     Flag(
-        option="--noise-scale",
-        field="log.noise_scale",
-        kind=float,
+        option="--noise-scale", field="log.noise_scale", kind=float,
         help="Factor on the noise of a simulated log. [1]",
     ),
 )
 FEATURES = Flag(
-    option="--features",
-    field="log.features",
-    choices=choices.Features,
+    option="--features", field="log.features", choices=choices.Features,
     help="Sightings: the log's, or trunks found in its scans. [log]",
 )
 _GPS_HELP = "Fuse absolute positions; half holds every second one back. [off]"
@@ -103,9 +99,7 @@ FRONT_END_GPS = Flag(option="--gps", field="front_end.gps", choices=choices.Gps,
 EKF = (
     Flag(option="--filter", field="ekf.filter", choices=choices.Filter, help="Which EKF. [full]"),
     Flag(
-        option="--association",
-        field="ekf.association",
-        choices=choices.Association,
+        option="--association", field="ekf.association", choices=choices.Association,
         help="The log's labels, nearest neighbour, joint compatibility, distance in metres, or "
         "only what all likely hypotheses agree on. [known where the log has labels, else nn]",
     ),
@@ -113,38 +107,28 @@ EKF = (
     FEATURES,
 )
 ATTRIBUTES = Flag(
-    option="--attributes",
-    field="ekf.attributes",
-    choices=choices.Attributes,
+    option="--attributes", field="ekf.attributes", choices=choices.Attributes,
     help="Let diameters and intensities tell landmarks apart, too (nn and jcbb); layer: "
     "intensities of the scans around them, from a dense map. [off]",
 )
 SOLVER_ASSOCIATION = Flag(
-    option="--association",
-    field="association",
-    choices=choices.SolverAssociation,
+    option="--association", field="association", choices=choices.SolverAssociation,
     help="The log's labels, or the smoother's own association.",
 )
 ROBUST = Flag(
-    option="--robust",
-    field="smoother.robust",
-    choices=choices.Robust,
+    option="--robust", field="smoother.robust", choices=choices.Robust,
     help="Kernel against outliers in the smoother; changes its marginals. [none]",
 )
 SMOOTHER = (
     Flag(
-        option="--smoother",
-        field="smoother.method",
-        choices=choices.Method,
+        option="--smoother", field="smoother.method", choices=choices.Method,
         help="How the smoother works. [batch]",
     ),
     Flag(
-        option="--lag", field="smoother.lag", kind=int, help="Poses that a fixed lag holds. [100]"
+        option="--lag", field="smoother.lag", kind=int, help="Poses that a fixed lag holds. [100]",
     ),
     Flag(
-        option="--optimiser",
-        field="smoother.optimiser",
-        choices=choices.Optimiser,
+        option="--optimiser", field="smoother.optimiser", choices=choices.Optimiser,
         help="Of the batch smoother. [levenberg-marquardt]",
     ),
     ROBUST,
@@ -152,91 +136,64 @@ SMOOTHER = (
 _LANDMARKS = "--landmarks scans or both"
 SCAN_LANDMARKS = (
     Flag(
-        option="--landmarks",
-        field="extensions.scan_landmarks",
-        choices=choices.Landmarks,
+        option="--landmarks", field="extensions.scan_landmarks", choices=choices.Landmarks,
         settings={"points": ABSENT, "scans": {"landmarks": "scans"}, "both": {"landmarks": "both"}},
         help="Landmarks: the log's sightings, templates of its raw scans (Scan-SLAM), or both. "
         "[points]",
     ),
     Flag(
-        option="--pieces",
-        field="extensions.scan_landmarks.pieces",
-        choices=choices.Pieces,
+        option="--pieces", field="extensions.scan_landmarks.pieces", choices=choices.Pieces,
         within=_LANDMARKS,
         help="All segments of a scan make one scan landmark, or each its own. [joined, but single "
         "where a dense map is anchored to them]",
     ),
     Flag(
-        option="--templates",
-        field="extensions.scan_landmarks.templates",
-        choices=choices.Templates,
-        within=_LANDMARKS,
-        neutral="bare",
+        option="--templates", field="extensions.scan_landmarks.templates",
+        choices=choices.Templates, within=_LANDMARKS, neutral="bare",
         help="Enriched: align scan landmarks with what the dense map holds around, too. [bare]",
     ),
 )
 RESOLUTION = Flag(
-    option="--resolution",
-    field="extensions.dense_maps.resolution_m",
-    kind=float,
-    metavar="M",
+    option="--resolution", field="extensions.dense_maps.resolution_m", kind=float, metavar="M",
     help="Size of the dense map's cells in metres. [0.2]",
 )
 _DENSE_HELP = "Keep this layer of a dense map and compare it with the smoother's; may be repeated."
 RUN_EXTENSIONS = (
     *SCAN_LANDMARKS,
     Flag(
-        option="--fuse-landmarks",
-        field="extensions.scan_landmarks.fuse",
-        choices=choices.Switch,
-        settings={"off": False, "on": True},
-        within=_LANDMARKS,
-        neutral="off",
+        option="--fuse-landmarks", field="extensions.scan_landmarks.fuse", choices=choices.Switch,
+        settings={"off": False, "on": True}, within=_LANDMARKS, neutral="off",
         help="Fuse scan landmarks that turn out to be one. [off]",
     ),
     Flag(
-        option="--motion",
-        field="extensions.scan_motion",
-        choices=choices.Motion,
+        option="--motion", field="extensions.scan_motion", choices=choices.Motion,
         settings={"wheel": ABSENT, "scan": {"motion": "scan"}, "both": {"motion": "both"}},
         help="What moves both estimators: the odometry or the scans; both adds a third estimate, "
         "the smoother on scans. [wheel]",
     ),
     Flag(
-        option="--smoother-association",
-        field="extensions.own_association",
-        choices=choices.Peer,
+        option="--smoother-association", field="extensions.own_association", choices=choices.Peer,
         settings={"ekf": ABSENT, "own": {}},
         help="Own: solve for a second time, with the smoother's own association. [ekf]",
     ),
     Flag(
-        option="--smoother-matcher",
-        field="extensions.own_matching",
-        choices=choices.Peer,
+        option="--smoother-matcher", field="extensions.own_matching", choices=choices.Peer,
         settings={"ekf": ABSENT, "own": {}},
         help="Own: solve for a second time, scan landmarks aligned by Open3D's generalised ICP. "
         "[ekf]",
     ),
     Flag(
-        option="--dense",
-        field="extensions.dense_maps.layers",
-        choices=choices.Layer,
-        many=True,
+        option="--dense", field="extensions.dense_maps.layers", choices=choices.Layer, many=True,
         help=_DENSE_HELP,
     ),
     RESOLUTION,
     Flag(
-        option="--dynamic",
-        field="extensions.dynamic",
-        choices=choices.Switch,
+        option="--dynamic", field="extensions.dynamic", choices=choices.Switch,
         settings={"off": ABSENT, "on": {}},
         help="Find where things move in the scans, and let the filter ignore these places. [off]",
     ),
     Flag(
-        option="--high-level",
-        field="extensions.high_level",
-        choices=choices.Switch,
+        option="--high-level", field="extensions.high_level", choices=choices.Switch,
         settings={"off": ABSENT, "on": {}},
         help="Landmarks made of what stands in the filter's dense map. [off]",
     ),
@@ -259,58 +216,40 @@ RUN_EXTENSIONS = (
 )
 REPORT = (
     Flag(
-        option="--figures",
-        field="report.figures",
-        choices=choices.PictureFormat,
-        many=True,
+        option="--figures", field="report.figures", choices=choices.PictureFormat, many=True,
         help="Write the pictures as PDF as well, with pdf; PNG is always written.",
     ),
     Flag(
-        option="--trace",
-        field="report.trace",
-        kind=bool,
+        option="--trace", field="report.trace", kind=bool,
         help="Write ekf/trace.npz: what the EKF linearised where.",
     ),
 )
 ESTIMATE = (
     Flag(
-        option="--estimate",
-        field="estimate",
-        metavar="FOLDER|FILE",
+        option="--estimate", field="estimate", metavar="FOLDER|FILE",
         help="A trajectory (TUM, KITTI, CSV), or a folder with trajectory.tum and, if there are "
         "any, landmarks.csv, covariances.npz, estimate.toml, trace.npz.",
     ),
     Flag(
-        option="--times",
-        field="times",
-        metavar="FILE",
+        option="--times", field="times", metavar="FILE",
         help="Times of a KITTI file, else times.txt beside it.",
     ),
 )
 CLOUD = Flag(
-    option="--cloud",
-    field="cloud",
-    choices=choices.CloudFormat,
+    option="--cloud", field="cloud", choices=choices.CloudFormat,
     help="Write the map as a cloud as well; needs Open3D.",
 )
 FRONT_END = (
     Flag(
-        option="--guess",
-        field="front_end.guess",
-        choices=choices.Guess,
+        option="--guess", field="front_end.guess", choices=choices.Guess,
         help="Where the alignment of a scan starts. [wheels]",
     ),
     Flag(
-        option="--loop-closure",
-        field="front_end.loop_closure",
-        choices=choices.Switch,
-        settings={"off": False, "on": True},
-        help="Look for places seen before. [on]",
+        option="--loop-closure", field="front_end.loop_closure", choices=choices.Switch,
+        settings={"off": False, "on": True}, help="Look for places seen before. [on]",
     ),
     Flag(
-        option="--matcher",
-        field="front_end.matcher",
-        choices=choices.LoopMatcher,
+        option="--matcher", field="front_end.matcher", choices=choices.LoopMatcher,
         help="What aligns scans for loop closure; the last three are Open3D's. [surface]",
     ),
     FRONT_END_GPS,
@@ -318,23 +257,19 @@ FRONT_END = (
 )
 MAP = (
     Flag(
-        option="--layer",
-        field="extensions.dense_maps.layers",
-        choices=choices.Layer,
-        many=True,
+        option="--layer", field="extensions.dense_maps.layers", choices=choices.Layer, many=True,
         help="Layer to keep; may be repeated. [occupancy]",
     ),
     RESOLUTION,
     Flag(
-        option="--dynamic",
-        field="extensions.dynamic",
-        kind=bool,
-        settings={True: {}, False: ABSENT},  # type: ignore[dict-item]
+        option="--dynamic", field="extensions.dynamic", kind=bool,
+        settings={True: {}, False: ABSENT},
         help="Find where things move, let the filter ignore these places, and write that layer.",
     ),
     *SCAN_LANDMARKS,
     CLOUD,
 )
+# fmt: on
 RUN = (*EKF, ATTRIBUTES, *RUN_EXTENSIONS, *SMOOTHER, *REPORT, *LOG)
 
 
