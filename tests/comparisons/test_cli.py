@@ -16,14 +16,21 @@ from comparisons.report.models import Result
 from tests.helpers import simulated
 
 
-def python(code: str, cwd: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+def python(
+    code: str, cwd: Path, *arguments: str, **environment: str
+) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-c", code, *arguments],
         cwd=cwd,
         capture_output=True,
         text=True,
         check=False,
-        env={"PYTHONPATH": str(Path(__file__).resolve().parents[2]), "PATH": "", "COLUMNS": "100"},
+        env={
+            "PYTHONPATH": str(Path(__file__).resolve().parents[2]),
+            "PATH": "",
+            "COLUMNS": "100",
+            **environment,
+        },
     )
 
 
@@ -240,6 +247,13 @@ def test_help_imports_nothing_heavy(arguments: list[str], tmp_path: Path) -> Non
 
 
 @pytest.mark.slow
+def test_the_shell_completes_choices(tmp_path: Path) -> None:
+    code = "import sys; sys.argv[0] = 'slamcheck'; from comparisons.cli import app; app.main()"
+    words = {"COMP_WORDS": "slamcheck run --robust ", "COMP_CWORD": "3"}
+    done = python(code, tmp_path, _SLAMCHECK_COMPLETE="complete_bash", **words)
+    assert done.stdout.split() == ["none", "huber", "cauchy", "gnc"]
+
+
 def test_a_cloud_that_cannot_be_written_is_told_of_before_the_work(tmp_path: Path) -> None:
     without = (
         "import sys; sys.modules['open3d'] = None; from comparisons.cli import app; app.main()"
