@@ -247,6 +247,28 @@ def test_help_imports_nothing_heavy(arguments: list[str], tmp_path: Path) -> Non
 
 
 @pytest.mark.slow
+def test_warnings_go_to_a_log_that_is_asked_for(tmp_path: Path) -> None:
+    code = (
+        "import sys, warnings, numpy as np, comparisons.pipeline.solve as s\n"
+        "whole = s.solve\n"
+        "def warned(*a):\n"
+        "    warnings.warn('planted')\n"
+        "    np.float64(1.0) / np.float64(0.0)\n"
+        "    return whole(*a)\n"
+        "s.solve = warned\n"
+        "from comparisons.cli import app; app.main()\n"
+    )
+    quiet = python(code, tmp_path, "solve", "simulated-loop", "--out", "a")
+    assert (quiet.returncode, quiet.stderr) == (0, "")
+    kept = python(code, tmp_path, "solve", "simulated-loop", "--out", "b", "--log", "log.txt")
+    assert (kept.returncode, kept.stderr) == (0, "")
+    lines = (tmp_path / "log.txt").read_text()
+    assert "planted" in lines
+    assert "divide by zero" in lines
+    shown = python(code, tmp_path, "solve", "simulated-loop", "--out", "c", "-v")
+    assert "planted" in shown.stderr
+
+
 def test_the_shell_completes_choices(tmp_path: Path) -> None:
     code = "import sys; sys.argv[0] = 'slamcheck'; from comparisons.cli import app; app.main()"
     words = {"COMP_WORDS": "slamcheck run --robust ", "COMP_CWORD": "3"}
