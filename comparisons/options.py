@@ -35,7 +35,7 @@ class Flag:
     metavar: str | None = None
     choices: Any = None
     many: bool = False
-    settings: Mapping[str, Any] | None = None
+    settings: Mapping[Any, Any] | None = None
     within: str = ""
     neutral: str = ""
     hidden: bool = False
