@@ -276,6 +276,7 @@ def test_the_shell_completes_choices(tmp_path: Path) -> None:
     assert done.stdout.split() == ["none", "huber", "cauchy", "gnc"]
 
 
+@pytest.mark.slow
 def test_a_cloud_that_cannot_be_written_is_told_of_before_the_work(tmp_path: Path) -> None:
     without = (
         "import sys; sys.modules['open3d'] = None; from comparisons.cli import app; app.main()"

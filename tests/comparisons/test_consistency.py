@@ -58,6 +58,7 @@ def test_gaps_are_rounding_at_the_documents_noise(seed: int) -> None:
     assert c.verdict.outcome == "agree"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("part", "dimension"), [(slice(0, 3), 3), (slice(0, None), 123)])
 def test_smoother_is_consistent(part: slice, dimension: int) -> None:
     """Average NEES over the seeds lies in its two-sided 95 % band, pose alone and with the map."""

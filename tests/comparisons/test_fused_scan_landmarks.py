@@ -64,6 +64,7 @@ def test_the_smoother_is_told_of_the_fused(name: str) -> None:
     assert c.verdict.outcome == "agree"
 
 
+@pytest.mark.slow
 def test_the_compressed_filter_fuses_as_the_full_one_does() -> None:
     full, compressed = (by_filter(name).ekf.estimate for name in ("full", "compressed"))
     sigma = np.sqrt(np.diag(full.joint_covariance))

@@ -79,6 +79,7 @@ def test_at_least_four_are_found_and_kept_and_the_estimates_agree(seed: int) -> 
     assert result.kept <= result.found == len(made.slot)
 
 
+@pytest.mark.slow
 def test_the_vehicle_is_nearer_to_the_truth_with_them() -> None:
     """Paired; ten seeds in benchmarks/high_level.py."""
     pairs = [(error_m(driven(s), s), error_m(with_them(s).ekf, s)) for s in SEEDS]

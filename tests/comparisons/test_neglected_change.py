@@ -74,6 +74,7 @@ def test_the_noise_of_a_single_beam_hides_it() -> None:
     assert pooled("occupancy-loop", (0.10, math.radians(1.0))).explained < 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", DRIVES)
 def test_the_error_layer_bounds_the_change_beforehand(name: str) -> None:
     found = pooled(name)

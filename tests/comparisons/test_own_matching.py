@@ -136,6 +136,7 @@ def test_an_offset_of_one_landmark_is_named(
     assert table.count("contradicts") == 1
 
 
+@pytest.mark.slow
 def test_it_is_reported(tmp_path: Path, open3d_library: ModuleType) -> None:
     c = matched()
     result, own = build_result(c), c.find(OwnMatchingFinding).result

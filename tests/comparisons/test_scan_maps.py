@@ -63,6 +63,7 @@ def test_the_filter_does_not_feel_the_map() -> None:
         assert np.array_equal(a, b)
 
 
+@pytest.mark.slow
 def test_regions_hang_on_scan_landmarks_and_agree_with_the_smoother() -> None:
     c = with_map()
     found = c.find(DenseMapsFinding)
@@ -83,6 +84,7 @@ def test_map_and_run_keep_the_same_map() -> None:
     assert dense.dense.tally == same.dense.tally
 
 
+@pytest.mark.slow
 def test_it_is_told_by_the_scan_landmarks_names() -> None:
     result = build_map_result(mapped())
     assert result.scan_landmarks == len(mapped().ekf.estimate.oriented)

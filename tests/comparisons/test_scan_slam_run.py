@@ -95,6 +95,7 @@ def test_it_is_reported_and_drawn(tmp_path: Path) -> None:
     assert (tmp_path / "out" / "ekf" / "scan_landmarks.csv").exists()
 
 
+@pytest.mark.slow
 def test_a_trace_that_cannot_hold_scan_landmarks_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="--trace is for landmarks that are points"):
         write_trace(drawn().ekf, tmp_path / "trace.npz")

@@ -79,7 +79,7 @@ CASES = {
         Case("scan-loop-dense", "run scan-loop --dense points --dense sog --resolution 0.4"),
         Case("high-level", "run occupancy-loop --high-level on"),
         Case("high-level-dense", "run occupancy-loop --high-level on --dense occupancy"),
-        Case("dynamic-lanes", "run dynamic-lanes --dynamic on", quick=True),
+        Case("dynamic-lanes", "run dynamic-lanes --dynamic on"),
         Case("solve", f"solve {MRCLAM} --robot 3 --robust gnc"),
         Case("solve-loop", "solve simulated-loop --association own", quick=True),
         Case("odometry", "odometry scan-loop"),

@@ -68,6 +68,7 @@ def again(scenario: Path, out: Path, *more: str) -> subprocess.CompletedProcess[
     )
 
 
+@pytest.mark.slow
 def test_two_workers_give_the_same_bytes(scenario: Path, finished: Path, tmp_path: Path) -> None:
     done = again(scenario, tmp_path / "two", "--workers", "2")
     assert done.returncode == 0, done.stderr
@@ -75,6 +76,7 @@ def test_two_workers_give_the_same_bytes(scenario: Path, finished: Path, tmp_pat
     assert set(contents(finished)) == {"config.toml", "montecarlo.json", "curves.png", *CHUNKS}
 
 
+@pytest.mark.slow
 def test_a_killed_run_goes_on(scenario: Path, finished: Path, tmp_path: Path) -> None:
     out = tmp_path / "killed"
     arguments = (str(scenario), "--runs", "40", "--filters", "ekf,fej", "--out", str(out))
@@ -95,6 +97,7 @@ def test_a_killed_run_goes_on(scenario: Path, finished: Path, tmp_path: Path) ->
     assert contents(out) == contents(finished)
 
 
+@pytest.mark.slow
 def test_damaged_chunks_are_computed_again(scenario: Path, finished: Path, tmp_path: Path) -> None:
     out = tmp_path / "damaged"
     good = contents(finished)
@@ -240,6 +243,7 @@ def test_bundled_scenarios(name: str) -> None:
     assert np.median(revisited) > 0.4 * scenario.steps, "the path closes loops"
 
 
+@pytest.mark.slow
 def test_the_circle_shows_what_the_paper_does(tmp_path: Path) -> None:
     """50 runs: the standard EKF is above its band, those with the right null space are not."""
     outcome = run_study(study_of(short("circle", 1000), 50), tmp_path)

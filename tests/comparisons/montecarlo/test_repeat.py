@@ -46,6 +46,7 @@ def assert_refused(*arguments: str, told: tuple[str, ...], out: Path) -> None:
     assert not out.exists()
 
 
+@pytest.mark.slow
 def test_a_study_is_repeated_from_its_folder(
     finished: Path, scenario: Path, tmp_path: Path
 ) -> None:
@@ -69,6 +70,7 @@ def test_a_study_is_repeated_from_its_folder(
     assert (result["config"]["runs"], result["config"]["filters"]) == (5, ["oc"])
 
 
+@pytest.mark.slow
 def test_a_scenario_that_has_changed_is_refused(
     finished: Path, scenario: Path, tmp_path: Path
 ) -> None:
@@ -90,6 +92,7 @@ def test_words_do_not_change_a_scenario(scenario: Path) -> None:
     assert read_study(study.config).config == study.config
 
 
+@pytest.mark.slow
 def test_what_is_wrong_is_named_in_one_line(finished: Path, tmp_path: Path) -> None:
     text, mine, out = (finished / "config.toml").read_text(), tmp_path / "my.toml", tmp_path / "b"
     for change, told in (

@@ -335,6 +335,7 @@ BROKEN: list[tuple[str, Callable[[Any], Any], set[int]]] = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "breaking", "caught"), BROKEN)
 def test_data_that_break_a_claim_are_not_let_through(
     name: str, breaking: Callable[[Any], Any], caught: set[int]

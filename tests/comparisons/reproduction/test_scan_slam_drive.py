@@ -31,6 +31,7 @@ def test_templates_lie_on_the_objects_once_their_axes_are_put_where_they_are() -
     assert np.median(distance_to_segments(turned.truly_placed, d.segment)) > 0.3
 
 
+@pytest.mark.slow
 def test_before_is_the_map_that_the_filter_had_at_that_instant() -> None:
     d = driven()
     assert np.isfinite(d.before.covariance).all()

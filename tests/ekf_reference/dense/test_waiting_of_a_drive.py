@@ -129,6 +129,7 @@ def test_waiting_brings_points_closer_to_where_they_are() -> None:
     assert honest("WaitingRoom")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS[1:])
 def test_broken_variants_are_not_closer_or_not_honest(kind: type[WaitingRoom]) -> None:
     assert not (closer(kind.__name__) and honest(kind.__name__))
