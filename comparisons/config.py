@@ -365,10 +365,9 @@ def merge(base: dict[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
     found = dict(base)
     for key, value in over.items():
         below = found.get(key)
-        if isinstance(value, Mapping) and isinstance(below, Mapping):
-            found[key] = merge(dict(below), value)
-        else:
-            found[key] = dict(value) if isinstance(value, Mapping) else value
+        if isinstance(value, Mapping):  # a copy all the way down, for flags are laid over it
+            value = merge(dict(below) if isinstance(below, Mapping) else {}, value)
+        found[key] = value
     return found
 
 

@@ -124,6 +124,15 @@ def test_flags_lie_over_a_file_and_settings_over_flags(tmp_path: Path) -> None:
     assert found.model_dump()["extensions"]["dense_maps"]["layers"] == ("points",)
 
 
+def test_flags_leave_what_they_lie_over_as_it_is() -> None:
+    """Settings under them may be a constant of a command."""
+    base = {"extensions": {"dense_maps": {"layers": ["occupancy"]}}}
+    flags = [(flag, ["sog"]) for flag in MAP if flag.option == "--layer"]
+    found = configure(MapConfig, flags=flags, over=base)
+    assert found.model_dump()["extensions"]["dense_maps"]["layers"] == ("sog",)
+    assert base == {"extensions": {"dense_maps": {"layers": ["occupancy"]}}}
+
+
 def test_a_flag_takes_an_extension_of_the_file_away(tmp_path: Path) -> None:
     path = tmp_path / "config.toml"
     path.write_text(run_config(motion="both", smoother_association="own").toml())
