@@ -35,11 +35,12 @@ def configure(
         raise InputError(f"{file}: is a configuration of slamcheck {words}, not of {name}")
     for given, source in ((found, f"{file}: "), (over or {}, "")):
         _check_sections(job, given, source)
+    recorded = dict(found.get("log", {})) if "log" in job.model_fields else {}
     found = merge(found, over or {})
     lay_over(found, flags)
     for setting in settings:
         found = merge(found, _nested(job, setting))
-    if file is not None and "log" in job.model_fields and _other_log(found, read_toml(file)):
+    if "sha256" in recorded and _other_log(found["log"], recorded):
         found["log"].pop("sha256", None)
     try:
         return job.of(**found)
@@ -97,9 +98,7 @@ def _nested(job: type[Section], setting: str) -> dict[str, Any]:
     return dict(value)
 
 
-def _other_log(found: Mapping[str, Any], before: Mapping[str, Any]) -> bool:
+def _other_log(asked: Mapping[str, Any], recorded: Mapping[str, Any]) -> bool:
     """Whether anything but the hash says that another log is asked for."""
-    now, then = (dict(one.get("log", {})) for one in (found, before))
-    now.pop("sha256", None)
-    then.pop("sha256", None)
+    now, then = ({**one, "sha256": None} for one in (asked, recorded))
     return now != then

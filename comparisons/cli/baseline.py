@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from comparisons.cli.flags import Given, from_flags
-from comparisons.cli.jobs import file_and_source
+from comparisons.cli.jobs import read_job
 from comparisons.cli.support import AGREE, DISAGREE, guarded, progress_bar
 from comparisons.errors import InputError
 from comparisons.options import RUN
@@ -42,16 +42,11 @@ def save(given: Given) -> None:
     with guarded(verbose=given.verbose, log_file=given.log_file):
         from comparisons.baseline import build_baseline, write_baseline
         from comparisons.config import RunConfig
-        from comparisons.pipeline.read import read_for
-        from comparisons.settings import configure
 
         runs, target = given.extra["runs"], given.extra["file"]
         if runs < 1:
             raise InputError(f"runs is {runs}, expected 1 or more")
-        file, source = file_and_source(given)
-        over = {} if source is None else {"log": {"source": source}}
-        config = configure(RunConfig, file, given.flags, given.settings, over)
-        log, config, _ = read_for(config, allow_changed=given.allow_changed)
+        log, config, _ = read_job(given, RunConfig)
         kept = build_baseline([_run(log, config) for _ in range(runs)], config)
         write_baseline(kept, target)
         typer.echo(f"{target}: {len(kept.metrics)} figures of {kept.log}, verdict {kept.verdict}")

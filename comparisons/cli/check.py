@@ -22,19 +22,21 @@ def check(given: Given) -> None:
     """
     with guarded(verbose=given.verbose, log_file=given.log_file):
         from comparisons.config import CheckConfig
-        from comparisons.estimates.external import read_given
+        from comparisons.estimates.external import GivenEstimate, read_given
         from comparisons.report.check import build_check_result, check_folder, print_check
         from comparisons.report.folder import write_job_folder
 
-        def readable(config: CheckConfig) -> None:
+        handed_in: list[GivenEstimate] = []
+
+        def read_first(config: CheckConfig) -> None:
             if not config.estimate:
                 raise InputError("--estimate is missing: give a trajectory or an estimate's folder")
-            read_given(Path(config.estimate), _path(config.times))
+            handed_in.append(read_given(Path(config.estimate), _path(config.times)))
 
-        job = start_job(given, CheckConfig, check=readable)
+        job = start_job(given, CheckConfig, check=read_first)
         from comparisons.pipeline.check import check as check_estimate
 
-        estimate = read_given(Path(job.config.estimate), _path(job.config.times))
+        estimate = handed_in[0]
         with progress_bar() as progress:
             checked = check_estimate(job.log, estimate, job.config, progress)
             result = build_check_result(checked, job.read_s)

@@ -35,28 +35,42 @@ def start_job(
 ) -> Job[C]:
     """Settle the configuration, read the log, and see that the folder is free.
 
-    base: settings where there is no file. check: what must hold before the log is read. Raises
-    InputError.
+    base, check: see read_job. Raises InputError.
     """
     from comparisons.atomic import folder_name
-    from comparisons.pipeline.read import read_for
     from comparisons.report.folder import check_free
-    from comparisons.settings import configure
 
-    file, source = file_and_source(given)
-    over = {} if source is None else {"log": {"source": source}}
-    if file is None:
-        over = {**(base or {}), **over}
-    config = configure(kind, file, given.flags, given.settings, over)
-    check(config)
-    log, config, read_s = read_for(config, allow_changed=given.allow_changed)
+    log, config, read_s = read_job(given, kind, base, check)
     command = "" if config.job == "run" else f"{config.job}-"
     folder = given.out or Path(f"slamcheck-{command}{folder_name(log.name)}")
     check_free(folder)
     return Job(log, config, folder, read_s)
 
 
-def file_and_source(given: Given) -> tuple[Path | None, str | None]:
+def read_job(
+    given: Given,
+    kind: type[C],
+    base: Mapping[str, Any] | None = None,
+    check: Callable[[C], None] = lambda config: None,
+) -> tuple[Log, C, float]:
+    """Settle the configuration and read the log; the last is the seconds that took.
+
+    base: settings where there is no file. check: what must hold before the log is read. Raises
+    InputError.
+    """
+    from comparisons.pipeline.read import read_for
+    from comparisons.settings import configure
+
+    file, source = _file_and_source(given)
+    over = {} if source is None else {"log": {"source": source}}
+    if file is None:
+        over = {**(base or {}), **over}
+    config = configure(kind, file, given.flags, given.settings, over)
+    check(config)
+    return read_for(config, allow_changed=given.allow_changed)
+
+
+def _file_and_source(given: Given) -> tuple[Path | None, str | None]:
     """The configuration's file and the log's name, either of which the argument may be."""
     file, source = given.config, given.log
     if source is not None and Path(source).suffix == ".toml" and Path(source).is_file():

@@ -176,9 +176,7 @@ class Modified(Extension):
 
 def run_filter(prepared: Prepared[Any]) -> tuple[EkfRun, FilterSetup]:
     """Run the filter once, with everything that extensions put beside it. Raises InputError."""
-    beside = FilterSetup()
-    for extension in prepared.extensions:
-        extension.attach(beside, prepared)
+    beside = prepared.beside_filter()
     run = run_ekf(
         prepared.log,
         prepared.timeline,

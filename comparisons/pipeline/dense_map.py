@@ -66,9 +66,7 @@ def map_log(
     default = {"dense_maps": {"layers": ["points", "occupancy"]}}
     config = config or MapConfig.of(extensions=default)
     prepared = prepare(log, config, progress=progress, required=REQUIRED)
-    setup = FilterSetup()
-    for extension in prepared.extensions:
-        extension.attach(setup, prepared)
+    setup = prepared.beside_filter()
     watcher = setup.find(DenseWatcher)
     if watcher is None:
         raise ValueError("no dense map among the extensions")

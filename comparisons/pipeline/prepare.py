@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import Any, Generic, NamedTuple, TypeVar
 
 from comparisons.adapters.ekf_factory import fused_positions, judging_positions, settle
+from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import Timeline, build_timeline
 from comparisons.config import Configured, EkfConfig, JobConfig
 from comparisons.errors import InputError
@@ -82,6 +83,13 @@ class Prepared(Generic[C]):
     def judged(self) -> Log:
         """The log with those positions only that no estimator was given."""
         return replace(self.log, positions=judging_positions(self.log, self.ekf))
+
+    def beside_filter(self) -> FilterSetup:
+        """What the extensions put beside a filter that is about to run, made anew."""
+        setup = FilterSetup()
+        for extension in self.extensions:
+            extension.attach(setup, self)
+        return setup
 
     def stage_progress(self, stage: str) -> Callable[[int, int], None]:
         """Return a progress function for one stage."""
