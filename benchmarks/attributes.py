@@ -31,9 +31,9 @@ from comparisons.logs.log import Log
 from comparisons.logs.readers import acfr_car_park, victoria_park
 from comparisons.logs.simulate.drive import Drive, simulate
 from comparisons.logs.simulate.worlds import World, nieto_loop
-from ekf_reference.association import RememberedAttributes
-from ekf_reference.full_ekf import FullEkf
-from ekf_reference.trace import NullTrace
+from ekf_reference.association.nearest_neighbour import RememberedAttributes
+from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.trace import NullTrace
 
 Slots = NDArray[np.intp]
 APART_M = 0.6
@@ -176,14 +176,14 @@ class Course:
         """The sightings of an epoch."""
         return np.arange(self._until[1][epoch], self._until[1][epoch + 1])
 
-    def move(self, ekf: FullEkf, epoch: int) -> None:
+    def move(self, ekf: Ekf, epoch: int) -> None:
         """Predict up to an epoch from the one before."""
         steps, line = self._until[0], self.timeline
         for i in range(int(steps[epoch - 1]) if epoch else 0, int(steps[epoch])):
             duration = float(line.step_duration_s[i])
             ekf.predict(line.control[i], line.control_covariance[i], duration)
 
-    def look(self, ekf: FullEkf, epoch: int) -> Slots:
+    def look(self, ekf: Ekf, epoch: int) -> Slots:
         """Fuse what is seen there."""
         rows = self.rows(epoch)
         if not len(rows):
@@ -211,7 +211,7 @@ class Stretch(NamedTuple):
     slots: Slots
 
 
-def blindly(course: Course, ekf: FullEkf, epoch: int, length_s: float) -> tuple[Slots, Slots]:
+def blindly(course: Course, ekf: Ekf, epoch: int, length_s: float) -> tuple[Slots, Slots]:
     """Drive a filter on from an epoch without sightings, then look: their rows and slots."""
     slots, rows = [], []
     for j in range(epoch + 1, len(course.time_s)):

@@ -32,14 +32,14 @@ from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.report.picture import blank, save
 from ekf_reference.dense.high_level import Around, search, to_world, within
 from ekf_reference.dense.layers.gaussians import Gaussians
-from ekf_reference.scan_landmarks.observation import OrientedObservation
-from ekf_reference.scan_landmarks.scan_shape import of_scan
-from ekf_reference.scan_landmarks.sog import SumOfGaussians
+from ekf_reference.models.relative_pose import RelativePose
 from ekf_reference.scan_landmarks.templates import Template
+from ekf_reference.scan_matching.scan_shape import of_scan
+from ekf_reference.scan_matching.sog import SumOfGaussians
 
 Array = NDArray[np.float64]
 
-SIGHTED = OrientedObservation()
+SIGHTED = RelativePose()
 EVERY = 30
 """Scans between two searches."""
 LEAST_RETURNS = 25

@@ -20,10 +20,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ekf_reference.association import NearestNeighbour
-from ekf_reference.compressed_ekf import CompressedEkf, CompressedState, LocalAreas
-from ekf_reference.full_ekf import FullEkf, Stabilisation
-from ekf_reference.motion import UnicycleModel
+from ekf_reference.association.nearest_neighbour import NearestNeighbour
+from ekf_reference.core.ekf import Ekf, Stabilisation
+from ekf_reference.filters.compressed import CompressedEkf, CompressedState, LocalAreas
+from ekf_reference.models.motion import UnicycleModel
 
 Array = NDArray[np.float64]
 
@@ -40,7 +40,7 @@ def world(count: int) -> Array:
     return places
 
 
-def build(kind: str, landmarks: Array) -> FullEkf:
+def build(kind: str, landmarks: Array) -> Ekf:
     """A filter whose map is known to 0.3 m and correlated through the vehicle."""
     common = (
         UnicycleModel(),
@@ -51,7 +51,7 @@ def build(kind: str, landmarks: Array) -> FullEkf:
     )
     gain = 1e-4 if kind == "suboptimal" else 0.0
     areas = LocalAreas(half_m=25.0, reach_m=RANGE_M + 10.0, least_gain=gain)
-    ekf = FullEkf(*common) if kind == "full" else CompressedEkf(*common, areas=areas)
+    ekf = Ekf(*common) if kind == "full" else CompressedEkf(*common, areas=areas)
     m = len(landmarks)
     through = np.zeros((m, 2, 3))
     through[:, 0, 0] = through[:, 1, 1] = 1.0

@@ -35,10 +35,10 @@ from comparisons.logs.readers import read_log
 from comparisons.logs.simulate.ray_casting import cast
 from comparisons.logs.simulate.scan_worlds import dense_slam_world, occupancy_world, scan_slam_world
 from ekf_reference.dense.scan import Scan, Sensor
-from ekf_reference.scan_landmarks.alignment import align
-from ekf_reference.scan_landmarks.alignment_covariance import scan_align
-from ekf_reference.scan_landmarks.grid_correlation import correlate
-from ekf_reference.scan_landmarks.scan_shape import of_scan
+from ekf_reference.scan_matching.alignment import align
+from ekf_reference.scan_matching.alignment_covariance import scan_align
+from ekf_reference.scan_matching.grid_correlation import correlate
+from ekf_reference.scan_matching.scan_shape import of_scan
 from graphslam.scan import planar
 from graphslam.scan.matchers import MATCHERS, MatchOptions, SurfaceMatcher
 from graphslam.scan.points import planar_points

@@ -19,11 +19,11 @@ from collections.abc import Callable
 import numpy as np
 
 from comparisons.logs.simulate.ray_casting import Solids, cast
-from ekf_reference.association import KnownAssociation
+from ekf_reference.association.nearest_neighbour import KnownAssociation
+from ekf_reference.core.ekf import Ekf
 from ekf_reference.dense.neglected import NeglectedCorrelation
 from ekf_reference.dense.view import FilterView
-from ekf_reference.full_ekf import FullEkf
-from ekf_reference.motion import UnicycleModel
+from ekf_reference.models.motion import UnicycleModel
 
 
 def cast_a_scan() -> Callable[[], object]:
@@ -39,7 +39,7 @@ def cast_a_scan() -> Callable[[], object]:
 def note_neglected() -> Callable[[], object]:
     """The correlations that 40 regions neglect, of one scan."""
     rng = np.random.default_rng(0)
-    ekf = FullEkf(UnicycleModel(), KnownAssociation(), np.zeros(3), 0.01 * np.eye(3))
+    ekf = Ekf(UnicycleModel(), KnownAssociation(), np.zeros(3), 0.01 * np.eye(3))
     place = rng.uniform(-20, 20, (30, 2))
     through = np.zeros((30, 2, 3))
     through[:, 0, 0] = through[:, 1, 1] = 1.0

@@ -7,8 +7,8 @@ import numpy as np
 from comparisons.adapters.motion import CLOCK_S
 from comparisons.errors import InputError
 from comparisons.logs.log import Array, Log
-from ekf_reference.attributes import AttributeEstimates
-from ekf_reference.sightings import SightedAttributes
+from ekf_reference.association.attributes import AttributeEstimates
+from ekf_reference.core.measurements import MeasuredAttributes
 
 AROUND_M = 0.3
 """Returns so near to a landmark, or to a sighting, are taken to be of it."""
@@ -30,7 +30,7 @@ REPEATS = 12.0
 diameters on Victoria Park, sighting by sighting."""
 
 
-def sighted_attributes(log: Log, choice: str = "on") -> SightedAttributes:
+def sighted_attributes(log: Log, choice: str = "on") -> MeasuredAttributes:
     """Diameter and intensity of each sighting (M, 2), NaN where the log has none.
 
     choice: `layer` for intensities that the scans show around a sighting; the log must have scans.
@@ -42,7 +42,7 @@ def sighted_attributes(log: Log, choice: str = "on") -> SightedAttributes:
     variance[:, BRIGHTNESS] = (SIGMA_INTENSITY * _unit(intensity)) ** 2
     if choice == "layer":
         intensity, variance[:, BRIGHTNESS] = _around(log)
-    return SightedAttributes(np.column_stack((seen.diameter_m, intensity)), variance)
+    return MeasuredAttributes(np.column_stack((seen.diameter_m, intensity)), variance)
 
 
 def _around(log: Log) -> tuple[Array, float]:

@@ -11,8 +11,13 @@ from comparisons.errors import InputError
 from comparisons.logs.log import Array, Log, Positions
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry
 from comparisons.logs.transforms.known_landmarks import surveyed
-from ekf_reference.absolute_updates import PositionFixes, PositionModel
-from ekf_reference.association import (
+from ekf_reference.association.attributes import (
+    NO_ATTRIBUTES,
+    Attributes,
+    LayerAttributes,
+    LayerValues,
+)
+from ekf_reference.association.nearest_neighbour import (
     Association,
     EuclideanNeighbour,
     KnownAssociation,
@@ -20,10 +25,15 @@ from ekf_reference.association import (
     RememberedAttributes,
     SurveyedLandmarks,
 )
-from ekf_reference.attributes import NO_ATTRIBUTES, Attributes, LayerAttributes, LayerValues
-from ekf_reference.full_ekf import FullEkf, Stabilisation
-from ekf_reference.motion import AckermannModel, MotionModel, RelativePoseModel, UnicycleModel
-from ekf_reference.trace import Trace
+from ekf_reference.core.ekf import Ekf, Stabilisation
+from ekf_reference.core.measurement_update import PositionFixes, PositionModel
+from ekf_reference.core.trace import Trace
+from ekf_reference.models.motion import (
+    AckermannModel,
+    MotionModel,
+    RelativePoseModel,
+    UnicycleModel,
+)
 
 Common = tuple[MotionModel, Association, Array, Array, Stabilisation, Trace]
 """What every filter is made of: motion, association, prior, its covariance, noise, trace."""
@@ -49,9 +59,7 @@ def settle(config: EkfConfig, log: Log) -> EkfConfig:
     return config
 
 
-def build_ekf(
-    log: Log, choices: EkfConfig, trace: Trace, layer: LayerValues | None = None
-) -> FullEkf:
+def build_ekf(log: Log, choices: EkfConfig, trace: Trace, layer: LayerValues | None = None) -> Ekf:
     """The filter that a log and settled choices call for, standing at its prior.
 
     layer: see build_association.
@@ -68,13 +76,13 @@ def build_ekf(
     return make(choices, common, antenna)
 
 
-def _of_headings(choices: EkfConfig, common: Common, antenna: tuple[float, float]) -> FullEkf:
+def _of_headings(choices: EkfConfig, common: Common, antenna: tuple[float, float]) -> Ekf:
     """A filter of x, y and heading, with all its covariance or with what is near."""
-    ekf: FullEkf
+    ekf: Ekf
     if choices.filter == "full":
-        ekf = FullEkf(*common)
+        ekf = Ekf(*common)
     else:
-        from ekf_reference.compressed_ekf import CompressedEkf, LocalAreas
+        from ekf_reference.filters.compressed import CompressedEkf, LocalAreas
 
         gain = LEAST_GAIN if choices.conservative else 0.0
         ekf = CompressedEkf(*common, LocalAreas(least_gain=gain))
@@ -82,10 +90,10 @@ def _of_headings(choices: EkfConfig, common: Common, antenna: tuple[float, float
     return ekf
 
 
-def _misono(choices: EkfConfig, common: Common, antenna: tuple[float, float]) -> FullEkf:
+def _misono(choices: EkfConfig, common: Common, antenna: tuple[float, float]) -> Ekf:
     """A filter of direction cosines, as published or with all of its Jacobian."""
-    from ekf_reference.direction_cosine import DirectionCosinePosition
-    from ekf_reference.direction_cosine_ekf import DirectionCosineEkf, DirectionCosineOptions
+    from ekf_reference.filters.direction_cosine import DirectionCosinePosition
+    from ekf_reference.filters.misono import DirectionCosineEkf, DirectionCosineOptions
 
     complete = choices.filter == "misono-full"
     options = DirectionCosineOptions(full_jacobian=complete, renormalise=complete)
@@ -149,9 +157,9 @@ def build_association(
     else:
         rule = _rule(choices.association, told)
         if log.sightings.needs_confirmation:
-            from ekf_reference.track_management import TrackManagement
+            from ekf_reference.association.landmark_initiation import LandmarkInitiation
 
-            rule = TrackManagement(rule=rule)
+            rule = LandmarkInitiation(rule=rule)
     rule = SurveyedLandmarks(rule, slot_of) if slot_of else rule
     return rule if memory is None else RememberedAttributes(rule, memory)
 
@@ -159,13 +167,13 @@ def build_association(
 def _rule(name: str | None, attributes: Attributes) -> Association:
     """A rule that needs no labels, by name."""
     if name == "jcbb":
-        from ekf_reference.joint_compatibility import JointCompatibility
+        from ekf_reference.association.joint_compatibility import JointCompatibility
 
         return JointCompatibility(attributes=attributes)
     if name == "agreed":
-        from ekf_reference.agreed_association import AgreedAssociation
+        from ekf_reference.association.consensus import ConsensusAssociation
 
-        return AgreedAssociation()
+        return ConsensusAssociation()
     if name == "euclidean":
         return EuclideanNeighbour()
     return NearestNeighbour(attributes=attributes)

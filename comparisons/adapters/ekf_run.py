@@ -19,12 +19,12 @@ from comparisons.errors import InputError
 from comparisons.estimates.estimate import Array, Estimate
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.transforms.known_landmarks import surveyed
-from ekf_reference.association import AMBIGUOUS, CANDIDATE, DYNAMIC, REJECTED
-from ekf_reference.compressed_ekf import CompressedState
-from ekf_reference.direction_cosine import OwnAxesObservation
-from ekf_reference.full_ekf import FullEkf, PoseReading
-from ekf_reference.layout import ORIENTED
-from ekf_reference.trace import RecordedTrace, TraceArrays
+from ekf_reference.association.nearest_neighbour import AMBIGUOUS, CANDIDATE, DYNAMIC, REJECTED
+from ekf_reference.core.ekf import Ekf, PoseReading
+from ekf_reference.core.layout import POSE
+from ekf_reference.core.trace import RecordedTrace, TraceArrays
+from ekf_reference.filters.compressed import CompressedState
+from ekf_reference.filters.direction_cosine import OwnAxesObservation
 from graphslam.problem import OrientedSightings
 
 _FARTHEST_M = 1e6
@@ -40,7 +40,7 @@ class EkfRun:
     how many the gate rejected. retired: (R,) landmarks that were found to stand where things move;
     they stay in the state, and nothing is matched with them any more.
     slot: (M,) landmark of each of the timeline's sightings, a negative code where unused (see
-    ekf_reference.association).
+    ekf_reference.association.nearest_neighbour).
     departed: (K, 3) the pose when each epoch was done. arrived: (K, 3) as predicted there.
     final: the last pose, against the trace's. own_axes: the filter fuses sightings as points in
     the vehicle's axes, not as range and bearing.
@@ -142,7 +142,7 @@ def run_ekf(
     slot = _as_used(slot[: len(timeline.sighting_epoch)], arrays)
     if np.isnan(ekf.state.landmarks).any():
         raise InputError(f"{log.name}: the EKF removed point landmarks, which must stay")
-    oriented_id = ekf.state.layout.present(ORIENTED)
+    oriented_id = ekf.state.layout.present(POSE)
     estimate = Estimate(
         time_s=timeline.epoch_time_s,
         pose=departed[:epochs],
@@ -211,7 +211,7 @@ def _check_counts(
             )
 
 
-def _joint_covariance(ekf: FullEkf) -> Array:
+def _joint_covariance(ekf: Ekf) -> Array:
     """Of the last pose as x, y, heading, and all landmarks, points first."""
     read, own, packed = ekf.read_pose().jacobian, ekf.state.covariance, ekf.state.layout.packed()
     if not ekf.state.layout.plain:
@@ -225,7 +225,7 @@ def _joint_covariance(ekf: FullEkf) -> Array:
     return joint
 
 
-def _spared(ekf: FullEkf) -> tuple[int, float]:
+def _spared(ekf: Ekf) -> tuple[int, float]:
     if not isinstance(ekf.state, CompressedState):
         return 0, 0.0
     updates = [u for u in ekf.state.updates if u.passive]

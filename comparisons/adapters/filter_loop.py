@@ -13,29 +13,29 @@ from comparisons.adapters.attributes import sighted_attributes
 from comparisons.adapters.oriented_sightings import NoOrientedSource, OrientedLedger, OrientedSource
 from comparisons.adapters.timeline import Timeline
 from comparisons.logs.log import Array, Log, Positions
-from ekf_reference.association import REJECTED
-from ekf_reference.full_ekf import FullEkf
-from ekf_reference.kalman import FilterDivergedError
-from ekf_reference.sightings import SightedAttributes
+from ekf_reference.association.nearest_neighbour import REJECTED
+from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.measurements import MeasuredAttributes
+from ekf_reference.core.state import FilterDivergedError
 
 
 @runtime_checkable
 class Watcher(Protocol):
     """Someone who looks on while the filter runs, and reads only."""
 
-    def stepping(self, ekf: FullEkf, time_s: float, control: Array, duration_s: float) -> None:
+    def stepping(self, ekf: Ekf, time_s: float, control: Array, duration_s: float) -> None:
         """The filter, all that was seen until now fused, is about to predict from this time."""
         ...
 
-    def arrived(self, ekf: FullEkf) -> None:
+    def arrived(self, ekf: Ekf) -> None:
         """It has predicted up to an epoch, and fused nothing there yet."""
         ...
 
-    def updated(self, ekf: FullEkf) -> None:
+    def updated(self, ekf: Ekf) -> None:
         """It has fused what was seen at the epoch."""
         ...
 
-    def finished(self, ekf: FullEkf, time_s: float) -> None:
+    def finished(self, ekf: Ekf, time_s: float) -> None:
         """It has come to its end, or as far as it could."""
         ...
 
@@ -47,22 +47,22 @@ class Watchers:
         """In the order in which they are told."""
         self._watching = watching
 
-    def stepping(self, ekf: FullEkf, time_s: float, control: Array, duration_s: float) -> None:
+    def stepping(self, ekf: Ekf, time_s: float, control: Array, duration_s: float) -> None:
         """Tell all."""
         for one in self._watching:
             one.stepping(ekf, time_s, control, duration_s)
 
-    def arrived(self, ekf: FullEkf) -> None:
+    def arrived(self, ekf: Ekf) -> None:
         """Tell all."""
         for one in self._watching:
             one.arrived(ekf)
 
-    def updated(self, ekf: FullEkf) -> None:
+    def updated(self, ekf: Ekf) -> None:
         """Tell all."""
         for one in self._watching:
             one.updated(ekf)
 
-    def finished(self, ekf: FullEkf, time_s: float) -> None:
+    def finished(self, ekf: Ekf, time_s: float) -> None:
         """Tell all."""
         for one in self._watching:
             one.finished(ekf, time_s)
@@ -71,16 +71,16 @@ class Watchers:
 class NoWatcher:
     """Looks away."""
 
-    def stepping(self, ekf: FullEkf, time_s: float, control: Array, duration_s: float) -> None:
+    def stepping(self, ekf: Ekf, time_s: float, control: Array, duration_s: float) -> None:
         """Nothing."""
 
-    def arrived(self, ekf: FullEkf) -> None:
+    def arrived(self, ekf: Ekf) -> None:
         """Nothing."""
 
-    def updated(self, ekf: FullEkf) -> None:
+    def updated(self, ekf: Ekf) -> None:
         """Nothing."""
 
-    def finished(self, ekf: FullEkf, time_s: float) -> None:
+    def finished(self, ekf: Ekf, time_s: float) -> None:
         """Nothing."""
 
 
@@ -112,11 +112,11 @@ class Beside:
     watching: Watcher = field(default_factory=NoWatcher)
     source: OrientedSource = field(default_factory=NoOrientedSource)
     ledger: OrientedLedger = field(default_factory=OrientedLedger)
-    told: SightedAttributes | None = None
+    told: MeasuredAttributes | None = None
 
 
 def drive(
-    ekf: FullEkf,
+    ekf: Ekf,
     log: Log,
     timeline: Timeline,
     positions: Positions | None = None,

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, TypeVar
 
 from comparisons.adapters.filter_loop import Watcher, Watchers
 from comparisons.adapters.oriented_sightings import GuardedSource, NoOrientedSource, OrientedSource
-from ekf_reference.full_ekf import FullEkf
-from ekf_reference.layout import POINT
+from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.layout import POINT
 
 if TYPE_CHECKING:
-    from ekf_reference.attributes import LayerValues
-    from ekf_reference.dynamic_guard import DynamicGuard
+    from ekf_reference.association.attributes import LayerValues
+    from ekf_reference.association.dynamic_rejection import DynamicGuard
 
 T = TypeVar("T")
 
@@ -30,7 +30,7 @@ class FilterSetup:
     those after them, and to their own checks.
     """
 
-    modify: list[Callable[[FullEkf], None]] = field(default_factory=list)
+    modify: list[Callable[[Ekf], None]] = field(default_factory=list)
     observers: list[Watcher] = field(default_factory=list)
     source: OrientedSource = field(default_factory=NoOrientedSource)
     guard: DynamicGuard | None = None
@@ -42,15 +42,15 @@ class FilterSetup:
         """Return the first offer of a class; None where there is none."""
         return next((one for one in self.offers if isinstance(one, kind)), None)
 
-    def apply(self, ekf: FullEkf) -> set[int]:
+    def apply(self, ekf: Ekf) -> set[int]:
         """Change the filter as asked. Return the set that will hold retired landmarks."""
         for modify in self.modify:
             modify(ekf)
         retired: set[int] = set()
         if self.guard is not None:
-            from ekf_reference.dynamic_guard import StaticSightings
+            from ekf_reference.association.dynamic_rejection import DynamicRejection
 
-            ekf.association = StaticSightings(ekf.association, self.guard, retired)
+            ekf.association = DynamicRejection(ekf.association, self.guard, retired)
             if isinstance(self.source, GuardedSource):
                 self.source.keep_from(self.guard)
         return retired

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from ekf_reference.full_ekf import FullEkf
-from ekf_reference.local_map import LocalMap
+from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.local_map import LocalMap
 from graphslam.graph_builder import right_perturbation
 from graphslam.problem import OrientedSightings, Twins
 
 if TYPE_CHECKING:
-    from ekf_reference.dynamic_guard import DynamicGuard
+    from ekf_reference.association.dynamic_rejection import DynamicGuard
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -31,8 +31,8 @@ class OrientedLedger:
         self._seen: list[tuple[int, int, Array, Array]] = []
         self._twins: list[tuple[int, int, int, Array, Array]] = []
 
-    def observe(self, ekf: FullEkf, epoch: int, z: Array, covariance: Array, slot: Index) -> Index:
-        """Fuse sightings (m, 3) with covariances (m, 3, 3); see FullEkf.observe_oriented."""
+    def observe(self, ekf: Ekf, epoch: int, z: Array, covariance: Array, slot: Index) -> Index:
+        """Fuse sightings (m, 3) with covariances (m, 3, 3); see Ekf.observe_oriented."""
         found = ekf.observe_oriented(z, covariance, slot)
         self._seen += [
             (epoch, int(s), at, r) for s, at, r in zip(found, z, covariance, strict=True)
@@ -40,9 +40,9 @@ class OrientedLedger:
         return found
 
     def fuse(
-        self, ekf: FullEkf, epoch: int, first: int, second: int, z: Array, covariance: Array
+        self, ekf: Ekf, epoch: int, first: int, second: int, z: Array, covariance: Array
     ) -> LocalMap:
-        """Fuse two that are one; see FullEkf.fuse_oriented."""
+        """Fuse two that are one; see Ekf.fuse_oriented."""
         known = ekf.fuse_oriented(first, second, z, covariance)
         self._twins.append((epoch, first, second, z, covariance))
         return known
@@ -65,7 +65,7 @@ class OrientedLedger:
 class OrientedSource(Protocol):
     """Someone who sees landmarks with a direction, such as a matcher of scans."""
 
-    def look(self, ekf: FullEkf, epoch: int, time_s: float, ledger: OrientedLedger) -> None:
+    def look(self, ekf: Ekf, epoch: int, time_s: float, ledger: OrientedLedger) -> None:
         """What is seen at an epoch, all else that was seen there being fused."""
         ...
 
@@ -82,7 +82,7 @@ class GuardedSource(Protocol):
 class NoOrientedSource:
     """Sees none."""
 
-    def look(self, ekf: FullEkf, epoch: int, time_s: float, ledger: OrientedLedger) -> None:
+    def look(self, ekf: Ekf, epoch: int, time_s: float, ledger: OrientedLedger) -> None:
         """Nothing."""
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from ekf_reference.trace import SightingRecords, TraceArrays
+from ekf_reference.core.trace import SightingRecords, TraceArrays
 from graphslam.frozen import (
     RecordedPositions,
     RecordedPrior,

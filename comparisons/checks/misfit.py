@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.logs.log import Sightings
-from ekf_reference.observation import RangeBearing
+from ekf_reference.models.range_bearing import RangeBearing
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from comparisons.archive import read_arrays
 from comparisons.errors import InputError
 from comparisons.logs.validation import LARGEST, LARGEST_ID
-from ekf_reference.layout import ORIENTED
-from ekf_reference.trace import (
+from ekf_reference.core.layout import POSE
+from ekf_reference.core.trace import (
     PositionRecords,
     SightingRecords,
     TraceArrays,
@@ -171,8 +171,8 @@ def read_trace(path: Path, landmark_id: NDArray[np.int64]) -> TraceFile:
                 spread=np.zeros_like(found["position_noise"]),
                 weight=found["position_weight"],
             ),
-            oriented_updates=sighting_records([], 3, ORIENTED),
-            oriented_augmentations=sighting_records([], 3, ORIENTED),
+            oriented_updates=sighting_records([], 3, POSE),
+            oriented_augmentations=sighting_records([], 3, POSE),
             fusions=fusion_records([]),
             removals=removal_records([]),
         ),

@@ -27,7 +27,7 @@ from comparisons.pipeline.prepare import (
     no_progress,
     prepare,
 )
-from ekf_reference.full_ekf import FullEkf
+from ekf_reference.core.ekf import Ekf
 from graphslam.increments import dead_reckoned
 from graphslam.smoother import SmootherOptions, SmootherResult
 
@@ -165,7 +165,7 @@ class Modified(Extension):
 
     name = "modified"
 
-    def __init__(self, modify: Callable[[FullEkf], None]) -> None:
+    def __init__(self, modify: Callable[[Ekf], None]) -> None:
         """modify: given the filter at its prior."""
         self._modify = modify
 
@@ -223,7 +223,7 @@ def _repeated(prepared: Prepared[Any], run: EkfRun) -> tuple[AlgebraDifference, 
 
     watched: list[WatchedState] = []
 
-    def observe(ekf: FullEkf) -> None:
+    def observe(ekf: Ekf) -> None:
         state = watch(ekf, ROUNDING, run.trace.prior_pose, run.trace.prior_covariance)
         if state is not None:
             watched.append(state)

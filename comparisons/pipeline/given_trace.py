@@ -21,8 +21,8 @@ from comparisons.estimates.trace_file import TraceFile
 from comparisons.logs.log import Log, Positions
 from comparisons.pipeline.gaps import compute_gaps
 from comparisons.pipeline.prepare import Clock, Prepared, no_progress
-from ekf_reference.association import REJECTED
-from ekf_reference.full_ekf import PoseReading
+from ekf_reference.association.nearest_neighbour import REJECTED
+from ekf_reference.core.ekf import PoseReading
 from graphslam.smoother import SmootherOptions
 
 Index = NDArray[np.intp]

@@ -19,9 +19,9 @@ from ekf_reference.dense.layers.gaussians import Ellipses, Gaussians
 from ekf_reference.dense.layers.layer import Layer
 from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.triangles import Array, turned
-from ekf_reference.scan_landmarks.observation import OrientedObservation
-from ekf_reference.scan_landmarks.sog import SumOfGaussians, rotation
+from ekf_reference.models.relative_pose import RelativePose
 from ekf_reference.scan_landmarks.templates import Template
+from ekf_reference.scan_matching.sog import SumOfGaussians, rotation
 
 Index = NDArray[np.intp]
 Flags = NDArray[np.bool_]
@@ -213,9 +213,9 @@ def _landmark(
     shape = SumOfGaussians.of_equal_height(standing.mean, standing.covariance)
     if o.thin_m > 0.0:
         shape = shape.thinned(o.thin_m)
-    back = OrientedObservation().predict(around.pose, np.zeros((1, 3))).z[0]
+    back = RelativePose().predict(around.pose, np.zeros((1, 3))).z[0]
     template = Template.of_segment(shape.transformed(back), np.arange(len(shape)))
-    place = OrientedObservation().invert(around.pose, template.pose[None]).point[0]
+    place = RelativePose().invert(around.pose, template.pose[None]).point[0]
     region, count = int(np.bincount(standing.region).argmax()), len(standing.mean)
     return Found(template, place, to_frame(place, area), to_frame(place, pair), region, count)
 

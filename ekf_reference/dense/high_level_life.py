@@ -16,15 +16,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ekf_reference.core.ekf import NEW, Ekf
+from ekf_reference.core.layout import POSE
 from ekf_reference.dense.high_level import Found, to_world
 from ekf_reference.dense.local_pose import Frames, local_pose, read_local_poses
 from ekf_reference.dense.triangles import Array
 from ekf_reference.dense.view import FilterView
-from ekf_reference.full_ekf import NEW, FullEkf
-from ekf_reference.layout import ORIENTED
-from ekf_reference.scan_landmarks.alignment_covariance import CovarianceOptions
-from ekf_reference.scan_landmarks.observation import OrientedObservation
-from ekf_reference.scan_landmarks.sog import SumOfGaussians
+from ekf_reference.models.relative_pose import RelativePose
 from ekf_reference.scan_landmarks.templates import (
     Observation,
     ObservationOptions,
@@ -33,6 +31,8 @@ from ekf_reference.scan_landmarks.templates import (
     View,
     observe,
 )
+from ekf_reference.scan_matching.alignment_covariance import CovarianceOptions
+from ekf_reference.scan_matching.sog import SumOfGaussians
 
 Index = NDArray[np.intp]
 
@@ -45,7 +45,7 @@ _REASONS = {
     "converge": "not converged",
     "returns": "no returns",
 }
-_OBSERVATION = OrientedObservation()
+_OBSERVATION = RelativePose()
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ class HighLevelLandmarks:
         )
         self.landmark.append(kept)
 
-    def places(self, ekf: FullEkf) -> Array:
+    def places(self, ekf: Ekf) -> Array:
         """(K, 3) of all axes in the world now; NaN where what they hang on has left the map."""
         point, oriented = FilterView.of(ekf).landmark, ekf.state.oriented
         rows = [
@@ -142,12 +142,12 @@ class HighLevelLandmarks:
         ]
         return np.reshape(rows, (-1, 3))
 
-    def rectangles(self, ekf: FullEkf) -> Array:
+    def rectangles(self, ekf: Ekf) -> Array:
         """(K, 4, 2) in the world now, NaN as of `places`."""
         there = zip(self.landmark, self.places(ekf), strict=True)
         return np.reshape([to_world(at, one.rectangle) for one, at in there], (-1, 4, 2))
 
-    def look(self, ekf: FullEkf, scan: Glimpse) -> list[Sighting]:
+    def look(self, ekf: Ekf, scan: Glimpse) -> list[Sighting]:
         """Sightings of what should be in view, those within the gate."""
         view = FilterView.of(ekf)
         near = np.linalg.norm(self.places(ekf)[:, :2] - view.pose[:2], axis=1) <= scan.view.reach_m
@@ -164,7 +164,7 @@ class HighLevelLandmarks:
                 sightings.append(Sighting(number, *made))
         return sightings
 
-    def expected(self, ekf: FullEkf, view: FilterView, one: HighLevelLandmark) -> Expected | None:
+    def expected(self, ekf: Ekf, view: FilterView, one: HighLevelLandmark) -> Expected | None:
         """Its pose in the vehicle's frame; None where the covariance of what it hangs on is old."""
         return self._passive(view, one) if one.slot == NEW else _active(ekf, one.slot)
 
@@ -219,8 +219,8 @@ def _in_the_world(one: HighLevelLandmark, point: Array) -> Array:
     return np.append(place, one.held[2] + np.arctan2(ahead[1], ahead[0]))
 
 
-def _active(ekf: FullEkf, slot: int) -> Expected:
-    local, reading = ekf.state.map_of(np.array([slot]), ORIENTED), ekf.read_pose()
+def _active(ekf: Ekf, slot: int) -> Expected:
+    local, reading = ekf.state.map_of(np.array([slot]), POSE), ekf.read_pose()
     at = _OBSERVATION.predict(reading.pose, local.landmark)
     jacobian = np.hstack((at.jacobian_pose[0] @ reading.jacobian, at.jacobian_landmark[0]))
     return Expected(at.z[0], jacobian @ local.covariance @ jacobian.T)

@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ekf_reference.core.state import Index
 from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.triangles import Array, global_jacobians, to_local, turned
 from ekf_reference.dense.view import FilterView
-from ekf_reference.kalman import Index
 
 
 class Carriers(NamedTuple):

@@ -12,12 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ekf_reference.dense.triangles import Array, local_jacobians, to_local
-from ekf_reference.full_ekf import FullEkf
-from ekf_reference.kalman import Index, KalmanState, block_diagonal, stack
-from ekf_reference.layout import ORIENTED, POINT
-from ekf_reference.observation import Observation
-from ekf_reference.trace import (
+from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.layout import POINT, POSE
+from ekf_reference.core.state import Index, KalmanState, block_diagonal, stack
+from ekf_reference.core.trace import (
     Beginning,
     FusionUse,
     PositionUse,
@@ -25,6 +23,8 @@ from ekf_reference.trace import (
     Removal,
     SightingUse,
 )
+from ekf_reference.dense.triangles import Array, local_jacobians, to_local
+from ekf_reference.models.range_bearing import Observation
 
 
 class Watched(NamedTuple):
@@ -47,7 +47,7 @@ class PassiveStates:
     the filter's state. own: (q, 2, 2).
     """
 
-    def __init__(self, ekf: FullEkf) -> None:
+    def __init__(self, ekf: Ekf) -> None:
         """Take the place of the filter's trace, which goes on receiving everything.
 
         Raises TypeError for a filter whose updates do more than its trace says, or whose
@@ -99,7 +99,7 @@ class PassiveStates:
 
     def oriented_update(self, use: SightingUse) -> None:
         """Sightings of mapped landmarks with a direction."""
-        self._receive_sightings(use, ORIENTED)
+        self._receive_sightings(use, POSE)
         self._next.oriented_update(use)
 
     def augmentation(self, use: SightingUse) -> None:
@@ -115,7 +115,7 @@ class PassiveStates:
     def fusion(self, use: FusionUse) -> None:
         """Two landmarks with a direction that are one."""
         both = np.array((use.first, use.second), dtype=np.intp)
-        columns = self._ekf.state.layout.columns(both, ORIENTED)[3:]
+        columns = self._ekf.state.layout.columns(both, POSE)[3:]
         jacobian = np.hstack((use.jacobian_first, use.jacobian_second))
         self._receive(columns, jacobian, use.innovation, use.noise)
         self._next.fusion(use)

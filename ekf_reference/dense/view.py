@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.layout import POINT
 from ekf_reference.dense.triangles import Array
-from ekf_reference.full_ekf import FullEkf
-from ekf_reference.layout import POINT
 
 Index = NDArray[np.intp]
 
@@ -35,9 +35,9 @@ class FilterView:
     covariance: Array
 
     @classmethod
-    def of(cls, ekf: FullEkf, kinds: tuple[int, ...] = (POINT,)) -> FilterView:
+    def of(cls, ekf: Ekf, kinds: tuple[int, ...] = (POINT,)) -> FilterView:
         """The filter as it is now, whatever it keeps its pose as. kinds: of landmarks, by width."""
-        reading, seen = ekf.read_pose(), ekf.state.glance(kinds)
+        reading, seen = ekf.read_pose(), ekf.state.snapshot(kinds)
         covariance = seen.covariance
         p = len(reading.own)
         if p != 3:

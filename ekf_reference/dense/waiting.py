@@ -25,7 +25,7 @@ from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.regions import Potential
 from ekf_reference.dense.triangles import Array, turned
 from ekf_reference.dense.view import FilterView
-from ekf_reference.observation import wrap_angle
+from ekf_reference.models.range_bearing import wrap_angle
 
 Index = NDArray[np.intp]
 Mask = NDArray[np.bool_]

@@ -14,8 +14,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ekf_reference.scan_landmarks.alignment import align
-from ekf_reference.scan_landmarks.sog import SumOfGaussians
 from ekf_reference.scan_landmarks.templates import (
     AMBIGUOUS,
     Observation,
@@ -24,6 +22,8 @@ from ekf_reference.scan_landmarks.templates import (
     observe,
     share_in_view,
 )
+from ekf_reference.scan_matching.alignment import align
+from ekf_reference.scan_matching.sog import SumOfGaussians
 
 Array = NDArray[np.float64]
 

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ekf_reference.scan_landmarks.segmentation import SegmentationOptions, segments
-from ekf_reference.scan_landmarks.sog import Index, SumOfGaussians
 from ekf_reference.scan_landmarks.templates import Template, View, share_in_view
+from ekf_reference.scan_matching.sog import Index, SumOfGaussians
 
 Array = NDArray[np.float64]
 

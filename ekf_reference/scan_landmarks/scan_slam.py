@@ -20,15 +20,12 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ekf_reference.core.ekf import NEW, Ekf
+from ekf_reference.core.layout import POSE
 from ekf_reference.dense.scan import Sensor
-from ekf_reference.full_ekf import NEW, FullEkf
-from ekf_reference.layout import ORIENTED
-from ekf_reference.scan_landmarks.alignment_covariance import CovarianceOptions
 from ekf_reference.scan_landmarks.enriching import Around, observe_enriched
 from ekf_reference.scan_landmarks.pieces import JoinedSegments, Known, Pieces
-from ekf_reference.scan_landmarks.problem import AlignmentOptions
 from ekf_reference.scan_landmarks.segmentation import quality
-from ekf_reference.scan_landmarks.sog import SumOfGaussians, rotation
 from ekf_reference.scan_landmarks.templates import (
     BLANK,
     OUT_OF_VIEW,
@@ -39,6 +36,9 @@ from ekf_reference.scan_landmarks.templates import (
     observe,
     share_in_view,
 )
+from ekf_reference.scan_matching.alignment_covariance import CovarianceOptions
+from ekf_reference.scan_matching.problem import AlignmentOptions
+from ekf_reference.scan_matching.sog import SumOfGaussians, rotation
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -58,7 +58,7 @@ class Teller(Protocol):
     """By whom a filter is told of landmarks with a direction."""
 
     def observe(self, z: Array, covariance: Array, slot: Index) -> Index:
-        """See FullEkf.observe_oriented."""
+        """See Ekf.observe_oriented."""
         ...
 
 
@@ -144,23 +144,23 @@ class ScanSlam:
         self._last_seen: dict[int, int] = {}
         self._begun = 0
 
-    def step(self, ekf: FullEkf, scan: SumOfGaussians, tell: Teller) -> None:
+    def step(self, ekf: Ekf, scan: SumOfGaussians, tell: Teller) -> None:
         """One scan, in the scanner's frame: predict, align, gate, update, augment."""
         self.found.scans += 1
         used = self._update(ekf, self._predict(ekf), scan, tell)
         if self.options.pieces.due(self.found.scans, self._begun, used):
             self._augment(ekf, scan, tell)
 
-    def _predict(self, ekf: FullEkf) -> Predicted:
+    def _predict(self, ekf: Ekf) -> Predicted:
         """Z^ and H P H^T of all landmarks that may be within reach (Nieto 2005, eq. 5.15)."""
         reading, reach_m = ekf.read_pose(), self.view.reach_m + float(np.hypot(*self.mount[:2]))
-        near = ekf.state.within(reach_m, ORIENTED)
-        local = ekf.state.map_of(near, ORIENTED)
+        near = ekf.state.within(reach_m, POSE)
+        local = ekf.state.map_of(near, POSE)
         at = ekf.oriented_observation.predict(reading.pose, local.landmark)
         by_pose = at.jacobian_pose @ reading.jacobian
         h = np.concatenate((by_pose, at.jacobian_landmark), axis=2)
         p = len(reading.own)
-        joint = np.empty((len(near), p + ORIENTED, p + ORIENTED))
+        joint = np.empty((len(near), p + POSE, p + POSE))
         joint[:, :p, :p], joint[:, p:, p:] = local.vehicle, local.own
         joint[:, :p, p:], joint[:, p:, :p] = local.cross, local.cross.transpose(0, 2, 1)
         spread, out = h @ joint @ h.transpose(0, 2, 1), self._out()
@@ -168,9 +168,7 @@ class ScanSlam:
         z[:, :2] = z[:, :2] @ out[:2, :2]
         return Predicted(near, z, out.T @ spread @ out)
 
-    def _update(
-        self, ekf: FullEkf, predicted: Predicted, scan: SumOfGaussians, tell: Teller
-    ) -> int:
+    def _update(self, ekf: Ekf, predicted: Predicted, scan: SumOfGaussians, tell: Teller) -> int:
         """[z, R] = scan_align(G_L, G_o, z^) of those in view; those within the gate are fused.
 
         Returns how many.
@@ -218,7 +216,7 @@ class ScanSlam:
         """Of a landmark's template that should be seen; of a blank scan nothing is."""
         return share_in_view(self.found.template[slot], scan, z, self.view) if len(scan) else 0.0
 
-    def _augment(self, ekf: FullEkf, scan: SumOfGaussians, tell: Teller) -> None:
+    def _augment(self, ekf: Ekf, scan: SumOfGaussians, tell: Teller) -> None:
         """Pieces begin a landmark if they lay themselves onto themselves."""
         o = self.options
 

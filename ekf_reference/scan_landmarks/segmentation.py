@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ekf_reference.dense.scan import Sensor
-from ekf_reference.scan_landmarks.alignment_covariance import CovarianceOptions, scan_align
-from ekf_reference.scan_landmarks.problem import AlignmentOptions
-from ekf_reference.scan_landmarks.sog import SumOfGaussians
+from ekf_reference.scan_matching.alignment_covariance import CovarianceOptions, scan_align
+from ekf_reference.scan_matching.problem import AlignmentOptions
+from ekf_reference.scan_matching.sog import SumOfGaussians
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

@@ -7,13 +7,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ekf_reference.scan_landmarks.alignment_covariance import (
+from ekf_reference.scan_matching.alignment_covariance import (
     CovarianceOptions,
     ScanAlignment,
     scan_align,
 )
-from ekf_reference.scan_landmarks.problem import AlignmentOptions
-from ekf_reference.scan_landmarks.sog import Index, SumOfGaussians
+from ekf_reference.scan_matching.problem import AlignmentOptions
+from ekf_reference.scan_matching.sog import Index, SumOfGaussians
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

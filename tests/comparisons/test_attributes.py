@@ -15,8 +15,8 @@ from comparisons.errors import InputError
 from comparisons.logs.log import NO_LANDMARK, Log
 from comparisons.report.result import build_result
 from comparisons.settings import run_config
-from ekf_reference.association import RememberedAttributes
-from ekf_reference.full_ekf import FullEkf
+from ekf_reference.association.nearest_neighbour import RememberedAttributes
+from ekf_reference.core.ekf import Ekf
 from tests.helpers import compared, first_seconds, simulated
 
 ON = EkfConfig(association="nn", attributes="on")
@@ -37,7 +37,7 @@ def with_diameters(seed: int = 0, loop_s: float = 20.0) -> tuple[Log, np.ndarray
 def test_landmarks_remember_what_their_sightings_told() -> None:
     log, diameter = with_diameters()
     label = simulated(0, loop_s=20.0).sightings.landmark
-    kept: list[FullEkf] = []
+    kept: list[Ekf] = []
     run = run_ekf(log, build_timeline(log), ON, setup=FilterSetup(modify=[kept.append]))
     rule = kept[0].association
     assert isinstance(rule, RememberedAttributes)

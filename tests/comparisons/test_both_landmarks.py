@@ -24,10 +24,10 @@ from comparisons.report.folder import write_job_folder
 from comparisons.report.result import build_result
 from comparisons.report.run import run_folder
 from comparisons.settings import run_config
-from ekf_reference.compressed_ekf import CompressedState, LocalAreas
-from ekf_reference.full_ekf import FullEkf
-from ekf_reference.kalman import Array, FilterDivergedError, Index
-from ekf_reference.layout import ORIENTED, POINT
+from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.layout import POINT, POSE
+from ekf_reference.core.state import Array, FilterDivergedError, Index
+from ekf_reference.filters.compressed import CompressedState, LocalAreas
 from tests.helpers import compared, simulated
 from tests.scenarios import scenario
 
@@ -53,18 +53,18 @@ class Areas:
     def __init__(self, made: type[CompressedState] = CompressedState, gain: float = 0.0) -> None:
         self.made, self.areas = made, LocalAreas(*AREAS, gain)
 
-    def __call__(self, ekf: FullEkf) -> None:
+    def __call__(self, ekf: Ekf) -> None:
         ekf.state = self.state = self.made(log().prior.pose, log().prior.covariance, self.areas)
 
 
-def nothing(ekf: FullEkf) -> None:
+def nothing(ekf: Ekf) -> None:
     """As it is."""
 
 
 @cache
 def by_filter(name: str) -> Comparison:
     ekf = EkfConfig.model_validate({"filter": name})
-    modify: Callable[[FullEkf], None] = nothing
+    modify: Callable[[Ekf], None] = nothing
     if name.startswith("compressed"):
         modify = Areas(gain=LEAST_GAIN if ekf.conservative else 0.0)
     return compared(log(), Modified(modify), ekf=ekf, landmarks="both")
@@ -93,7 +93,7 @@ def test_every_filter_agrees_with_both_kinds_of_landmarks(name: str) -> None:
         assert c.ekf.spared[0] > 0
 
 
-def ran(modify: Callable[[FullEkf], None]) -> tuple[EkfRun, int]:
+def ran(modify: Callable[[Ekf], None]) -> tuple[EkfRun, int]:
     """A run of the filter alone, and how many scans there were."""
     run, setup = run_filter(prepare(log(), run_config(landmarks="both"), also=[Modified(modify)]))
     source = setup.find(ScanSlamSource)
@@ -119,7 +119,7 @@ class NoRows(CompressedState):
         self, point: Array, jacobian_pose: Array, jacobian_sighting: Array, noise: Array
     ) -> None:
         super().augment(point, jacobian_pose, jacobian_sighting, noise)
-        if point.shape[1] == ORIENTED:
+        if point.shape[1] == POSE:
             self._phi[-point.size :] = 0.0
 
 

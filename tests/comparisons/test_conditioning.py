@@ -10,8 +10,8 @@ import pytest
 from comparisons.logs.log import Log, Prior, Sightings
 from comparisons.logs.odometry import RelativePoses
 from comparisons.pipeline.compare import Modified
-from ekf_reference.full_ekf import FullEkf
-from ekf_reference.kalman import Array, Correction, Index, KalmanState
+from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.state import Array, Correction, Index, KalmanState
 from tests.helpers import compared, simulated
 
 
@@ -110,7 +110,7 @@ def test_a_filter_that_breaks_down_disagrees(state: type[KalmanState]) -> None:
     """It is the filter's fault, not the log's; everything is compared up to there."""
     log = simulated(loop_s=20.0)
 
-    def plant(ekf: FullEkf) -> None:
+    def plant(ekf: Ekf) -> None:
         ekf.state = state(ekf.state.pose, np.array(ekf.state.covariance))
 
     c = compared(log, Modified(plant))

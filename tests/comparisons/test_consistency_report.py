@@ -23,8 +23,8 @@ from comparisons.report.consistency_figure import consistency_figure
 from comparisons.report.panels import consistency_panels
 from comparisons.report.picture import save
 from comparisons.report.result import build_result, print_run
-from ekf_reference.full_ekf import FullEkf
-from ekf_reference.kalman import Array, Correction, Index, KalmanState
+from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.state import Array, Correction, Index, KalmanState
 from tests.helpers import compared, first_seconds, simulated
 
 
@@ -47,7 +47,7 @@ def filtered(log: Log, name: str, state: type[KalmanState] | None = None) -> Ekf
     choices = settle(EkfConfig(filter=name, gps="on"), log)
     positions = fused_positions(log, choices)
 
-    def modify(ekf: FullEkf) -> None:
+    def modify(ekf: Ekf) -> None:
         if state is not None:
             ekf.state = state(ekf.state.pose, np.array(ekf.state.covariance))
 
@@ -134,7 +134,7 @@ def test_result_and_rows(comparison: Comparison) -> None:
 
 
 def test_a_broken_covariance_gives_no_nan() -> None:
-    def ruin(ekf: FullEkf) -> None:
+    def ruin(ekf: Ekf) -> None:
         ekf.state = Ruined(ekf.state.pose, np.array(ekf.state.covariance))
 
     class Ruined(KalmanState):

@@ -13,10 +13,10 @@ from comparisons.experiments.defects.catalogue import CATALOGUE, named_first, ru
 from comparisons.experiments.defects.defect import Defect, Plant, with_observation, with_steps
 from comparisons.experiments.defects.logs import LOGS, open_case
 from comparisons.pipeline.compare import Modified
-from ekf_reference.absolute_updates import PositionModel
-from ekf_reference.full_ekf import FullEkf
-from ekf_reference.kalman import KalmanState
-from ekf_reference.observation import PredictedSightings, RangeBearing
+from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.measurement_update import PositionModel
+from ekf_reference.core.state import KalmanState
+from ekf_reference.models.range_bearing import PredictedMeasurements, RangeBearing
 from tests.helpers import Array, compared, simulated
 
 SEEDS = 12
@@ -50,13 +50,13 @@ def test_a_sound_filter_is_not_flagged(seed: int) -> None:
     assert verdict.outcome == "agree", f"{verdict.causes}"
 
 
-class PredictsTwice(FullEkf):
+class PredictsTwice(Ekf):
     def predict(self, control: Array, covariance: Array, duration_s: float) -> None:
         super().predict(control, covariance, duration_s)
         super().predict(control, covariance, duration_s)
 
 
-class FixesTwice(FullEkf):
+class FixesTwice(Ekf):
     def fix_position(self, z: Array, covariance: Array) -> bool:
         super().fix_position(z, covariance)
         return super().fix_position(z, covariance)
@@ -69,27 +69,27 @@ class FixesTwice(FullEkf):
         (FixesTwice, "120 positions, expected 60"),
     ],
 )
-def test_a_filter_that_miscounts_its_data_is_refused(kind: type[FullEkf], told: str) -> None:
+def test_a_filter_that_miscounts_its_data_is_refused(kind: type[Ekf], told: str) -> None:
     log, ekf = open_case("positions", seed=4)
     with pytest.raises(InputError, match=told):
         compared(log, Modified(with_steps(kind)), ekf=ekf)
 
 
-def start_elsewhere(ekf: FullEkf) -> None:
+def start_elsewhere(ekf: Ekf) -> None:
     ekf.state = KalmanState(ekf.state.pose + (0.0, 0.0, 0.1), np.array(ekf.state.covariance))
 
 
-def other_lever(ekf: FullEkf) -> None:
+def other_lever(ekf: Ekf) -> None:
     ekf.fixes = replace(ekf.fixes, model=PositionModel((-0.6, 0.3)))
 
 
 class SlantedRange(RangeBearing):
     """A mistake that the explanations do not know."""
 
-    def predict(self, pose: Array, landmarks: Array) -> PredictedSightings:
+    def predict(self, pose: Array, landmarks: Array) -> PredictedMeasurements:
         z, by_pose, by_landmark = super().predict(pose, landmarks)
         by_landmark[:, 0] *= 1.1
-        return PredictedSightings(z, by_pose, by_landmark)
+        return PredictedMeasurements(z, by_pose, by_landmark)
 
 
 @pytest.mark.parametrize(

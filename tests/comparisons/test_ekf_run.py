@@ -11,15 +11,15 @@ from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import build_timeline
 from comparisons.config import EkfConfig
 from comparisons.experiments.reproduction.watched_run import watched_run
-from ekf_reference.full_ekf import FullEkf
-from ekf_reference.trace import NullTrace
+from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.trace import NullTrace
 from tests.helpers import simulated
 
 
 class Meddler(NoWatcher):
     """Reads the whole mean at every epoch, which brings passive landmarks up to date."""
 
-    def updated(self, ekf: FullEkf) -> None:
+    def updated(self, ekf: Ekf) -> None:
         """Read."""
         ekf.state.mean.sum()
 

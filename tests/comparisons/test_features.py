@@ -15,7 +15,7 @@ from comparisons.logs.log import Log
 from comparisons.logs.scans import Mount, Scans
 from comparisons.logs.transforms.tree_features import with_tree_features
 from graphslam.scan import planar
-from tests.ekf_reference.test_tree_detection import ANGLES, scan_of
+from tests.ekf_reference.features.test_tree_detection import ANGLES, scan_of
 from tests.helpers import compared, simulated
 
 

@@ -31,8 +31,8 @@ from comparisons.pipeline.gaps import Compared
 from comparisons.pipeline.odometry import run_front_end
 from comparisons.pipeline.solve import solve
 from comparisons.report.odometry import build_front_end_result
-from ekf_reference.full_ekf import FullEkf
-from ekf_reference.kalman import FilterDivergedError
+from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.state import FilterDivergedError
 from graphslam.optimum import Stationarity
 from tests.helpers import compared
 
@@ -146,7 +146,7 @@ def test_positions_held_back_are_held_back_from_the_smoother_on_scans_too() -> N
 
 
 def test_smoother_on_scans_meets_a_filter_that_broke_down() -> None:
-    def damage(ekf: FullEkf) -> None:
+    def damage(ekf: Ekf) -> None:
         update, count = ekf.observe, iter(range(10**6))
 
         def observe(*arguments: Any) -> Any:

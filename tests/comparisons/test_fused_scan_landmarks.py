@@ -20,12 +20,12 @@ from comparisons.extensions.scan_landmarks.source import LogScans, ScanSlamSourc
 from comparisons.pipeline.compare import REQUIRED, Comparison, Modified, compare_prepared
 from comparisons.pipeline.prepare import prepare
 from comparisons.settings import run_config
-from ekf_reference.compressed_ekf import CompressedState, LocalAreas
-from ekf_reference.full_ekf import FullEkf
-from ekf_reference.local_map import LocalMap
+from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.local_map import LocalMap
+from ekf_reference.filters.compressed import CompressedState, LocalAreas
+from ekf_reference.scan_landmarks.merging import FusingOptions
 from ekf_reference.scan_landmarks.pieces import SingleSegments
 from ekf_reference.scan_landmarks.scan_slam import ScanSlamOptions
-from ekf_reference.scan_landmarks.twins import FusingOptions
 from tests.helpers import Array, Source, compared
 from tests.scenarios import scenario
 
@@ -42,13 +42,13 @@ def source() -> ScanSlamSource:
     return ScanSlamSource(LogScans(log()), CARELESS, fusing=FusingOptions())
 
 
-def small(ekf: FullEkf) -> None:
+def small(ekf: Ekf) -> None:
     ekf.state = CompressedState(log().prior.pose, log().prior.covariance, LocalAreas(4.0, 10.0))
 
 
 @cache
 def by_filter(name: str) -> Comparison:
-    modify: Callable[[FullEkf], None] = small if name == "compressed" else lambda ekf: None
+    modify: Callable[[Ekf], None] = small if name == "compressed" else lambda ekf: None
     return compared(log(), Modified(modify), Source(source), filter=name)
 
 
@@ -78,7 +78,7 @@ def test_the_compressed_filter_fuses_as_the_full_one_does() -> None:
 def test_what_the_smoother_is_not_told_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     def halved(
         self: OrientedLedger,
-        ekf: FullEkf,
+        ekf: Ekf,
         epoch: int,
         first: int,
         second: int,

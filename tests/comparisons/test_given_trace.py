@@ -24,7 +24,7 @@ from comparisons.experiments.defects.logs import open_case
 from comparisons.logs.log import Log
 from comparisons.pipeline.check import GivenCheck, check
 from comparisons.pipeline.compare import Comparison
-from ekf_reference.full_ekf import FullEkf
+from ekf_reference.core.ekf import Ekf
 from tests.comparisons.test_cli import slamcheck
 from tests.helpers import Array, compared
 
@@ -36,7 +36,7 @@ UNSAID = ("landmark begun anew",)
 
 
 def filtered(
-    log: Log, choices: EkfConfig, modify: Callable[[FullEkf], None] = lambda ekf: None
+    log: Log, choices: EkfConfig, modify: Callable[[Ekf], None] = lambda ekf: None
 ) -> EkfRun:
     chosen = settle(choices, log)
     positions = fused_positions(log, chosen)

@@ -22,14 +22,14 @@ from comparisons.extensions.dense_maps.source import DenseWatcher
 from comparisons.logs.log import Log
 from comparisons.pipeline.compare import Modified
 from comparisons.report.result import build_result
-from ekf_reference.association import NearestNeighbour
-from ekf_reference.attributes import AttributeEstimates, LayerAttributes
-from ekf_reference.full_ekf import FullEkf
-from ekf_reference.joint_compatibility import JointCompatibility
-from ekf_reference.kalman import KalmanState
-from ekf_reference.layout import ORIENTED, POINT
-from ekf_reference.observation import RangeBearing
-from ekf_reference.sightings import SightedAttributes, Sightings
+from ekf_reference.association.attributes import AttributeEstimates, LayerAttributes
+from ekf_reference.association.joint_compatibility import JointCompatibility
+from ekf_reference.association.nearest_neighbour import NearestNeighbour
+from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.layout import POINT, POSE
+from ekf_reference.core.measurements import MeasuredAttributes, Sightings
+from ekf_reference.core.state import KalmanState
+from ekf_reference.models.range_bearing import RangeBearing
 from tests.helpers import Array, compared, simulated
 
 LAYER = EkfConfig(association="nn", attributes="layer")
@@ -73,7 +73,7 @@ def two_poles_in_one_gate(value: float, nearer: int) -> tuple[KalmanState, Sight
         by_pose, by_point = np.zeros((1, 2, 3)), np.eye(2)[None]
         state.augment(point, by_pose, by_point, 1e-6 * np.eye(2)[None])
     z = np.array(((10.0, 0.01 * (nearer - 0.5)),))
-    seen = SightedAttributes(np.array(((np.nan, value),)), np.full((1, 2), SIGMA_COLOUR**2))
+    seen = MeasuredAttributes(np.array(((np.nan, value),)), np.full((1, 2), SIGMA_COLOUR**2))
     return state, Sightings(z, np.diag((0.05**2, 0.005**2))[None], np.array((-1,)), attributes=seen)
 
 
@@ -108,7 +108,7 @@ def test_what_a_sighting_shows_scatters_as_it_is_said_to(kind: type[Painted], ho
     told = told_by(kind(np.zeros(1), np.full(1, side**2)))
     value = np.column_stack((np.full(trials, np.nan), rng.normal(0.0, side, trials)))
     value[:, 1] += rng.normal(0.0, SIGMA_COLOUR, trials)
-    seen = SightedAttributes(value, np.full((trials, 2), SIGMA_COLOUR**2))
+    seen = MeasuredAttributes(value, np.full((trials, 2), SIGMA_COLOUR**2))
     z, noise = np.zeros((trials, 2)), np.tile(np.eye(2), (trials, 1, 1))
     many = Sightings(z, noise, np.full(trials, -1), attributes=seen)
     total = float(told.distances(np.zeros(1, dtype=np.intp), many).nis.sum())
@@ -161,7 +161,7 @@ def _wrong(slot: np.ndarray, label: np.ndarray) -> int:
 def test_a_map_on_both_kinds_of_landmarks_tells_the_same_of_points() -> None:
     """Its landmarks have other numbers there than among points alone."""
     log, found = drive(), []
-    for kinds in ((POINT,), (POINT, ORIENTED)):
+    for kinds in ((POINT,), (POINT, POSE)):
         watcher = DenseWatcher(log, DenseMapsConfig(layers=("values",)), kinds=kinds)
         setup = FilterSetup(observers=[watcher], layer=watcher)
         run = run_ekf(log, build_timeline(log), settle(LAYER, log), setup=setup)
@@ -210,7 +210,7 @@ class Doubled(KalmanState):
 def test_an_algebra_gap_is_traced_with_the_layer_as_well() -> None:
     """The second run, operation by operation, goes by a map of its own."""
 
-    def wrong(ekf: FullEkf) -> None:
+    def wrong(ekf: Ekf) -> None:
         ekf.state = Doubled(ekf.state.pose, ekf.state.pose_covariance)
 
     found = compared(drive(), Modified(wrong), ekf=LAYER)

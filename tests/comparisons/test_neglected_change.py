@@ -18,8 +18,8 @@ from comparisons.experiments.reproduction.neglected_change import (
 )
 from comparisons.logs.log import Log, Truth
 from comparisons.logs.simulate.scan_drive import dense_slam, occupancy, simulate
+from ekf_reference.core.state import Index
 from ekf_reference.dense.passive_states import PassiveStates
-from ekf_reference.kalman import Index
 from tests.helpers import Array, simulated
 
 SEEDS = range(4)

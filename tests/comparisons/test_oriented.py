@@ -14,7 +14,7 @@ from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import read_given
 from comparisons.estimates.folder import read_estimate, write_estimate
-from ekf_reference.kalman import KalmanState
+from ekf_reference.core.state import KalmanState
 from tests.ekf_reference.both_kinds import PRIOR, Script, build, drive
 from tests.graphslam.test_oriented import Conditioned, NoCross
 from tests.helpers import random_covariance

@@ -30,11 +30,11 @@ from comparisons.config import EkfConfig
 from comparisons.errors import InputError
 from comparisons.extensions.own_association.extension import OwnAssociationFinding
 from comparisons.pipeline.compare import Modified
-from ekf_reference.compressed_ekf import CompressedState, LocalAreas
-from ekf_reference.full_ekf import NEW, FullEkf
-from ekf_reference.kalman import Correction, Index, KalmanState
-from ekf_reference.observation import PredictedSightings
-from ekf_reference.scan_landmarks.observation import OrientedObservation
+from ekf_reference.core.ekf import NEW, Ekf
+from ekf_reference.core.state import Correction, Index, KalmanState
+from ekf_reference.filters.compressed import CompressedState, LocalAreas
+from ekf_reference.models.range_bearing import PredictedMeasurements
+from ekf_reference.models.relative_pose import RelativePose
 from graphslam.smoother import SmootherOptions
 from tests.ekf_reference.both_kinds import relative
 from tests.helpers import Array, Source, compared
@@ -62,7 +62,7 @@ class Frames:
     def measured(self, base: Array, frame: Array) -> Array:
         return relative(base, frame) + np.linalg.cholesky(R) @ self.rng.standard_normal(3)
 
-    def look(self, ekf: FullEkf, epoch: int, time_s: float, ledger: OrientedLedger) -> None:
+    def look(self, ekf: Ekf, epoch: int, time_s: float, ledger: OrientedLedger) -> None:
         truth = self.poses.at(np.array([time_s]))[0]
         away = np.hypot(*(self.frames[:, :2] - truth[:2]).T)
         which = [i for i in np.flatnonzero(away < 15.0).tolist() if i not in self.gone]
@@ -81,7 +81,7 @@ class Frames:
             self.gone.add(1)
 
 
-def chain(choices: EkfConfig, modify: Callable[[FullEkf], None]) -> tuple[EkfRun, Agreement]:
+def chain(choices: EkfConfig, modify: Callable[[Ekf], None]) -> tuple[EkfRun, Agreement]:
     chosen = settle(choices, log())
     setup = FilterSetup(modify=[modify], source=Frames())
     run = run_ekf(log(), build_timeline(log()), chosen, setup=setup)
@@ -99,7 +99,7 @@ def chain(choices: EkfConfig, modify: Callable[[FullEkf], None]) -> tuple[EkfRun
     return run, compare(ends[0], Gaussian(*recorded, count), Gaussian(*own, count), ends[1])
 
 
-def _compress(ekf: FullEkf) -> None:
+def _compress(ekf: Ekf) -> None:
     ekf.state = CompressedState(log().prior.pose, log().prior.covariance, LocalAreas(8.0, 20.0))
 
 
@@ -112,7 +112,7 @@ def _compress(ekf: FullEkf) -> None:
     ],
 )
 def test_the_estimates_agree_along_the_chain(
-    choices: EkfConfig, modify: Callable[[FullEkf], None]
+    choices: EkfConfig, modify: Callable[[Ekf], None]
 ) -> None:
     run, found = chain(choices, modify)
     assert len(found.oriented) == run.oriented.count - 1 > 4
@@ -121,14 +121,14 @@ def test_the_estimates_agree_along_the_chain(
     assert max(block.distance for block in found.oriented) < 1.0
 
 
-class Flipped(OrientedObservation):
-    def predict(self, pose: Array, landmarks: Array) -> PredictedSightings:
+class Flipped(RelativePose):
+    def predict(self, pose: Array, landmarks: Array) -> PredictedMeasurements:
         at = super().predict(pose, landmarks)
         return at._replace(jacobian_pose=at.jacobian_pose * (1.0, 1.0, -1.0))
 
 
 def test_a_flipped_jacobian_is_a_model_gap_and_named() -> None:
-    def plant(ekf: FullEkf) -> None:
+    def plant(ekf: Ekf) -> None:
         ekf.oriented_observation = Flipped()
 
     broken = compared(log(), Modified(plant), Source(Frames), filter="full", association="known")
@@ -185,7 +185,7 @@ class Half(KalmanState):
 
 @pytest.mark.slow
 def test_broken_algebra_is_named() -> None:
-    def plant(ekf: FullEkf) -> None:
+    def plant(ekf: Ekf) -> None:
         ekf.state = Half(log().prior.pose, np.array(log().prior.covariance))
 
     broken = compared(log(), Modified(plant), Source(Frames), filter="full", association="known")

@@ -28,8 +28,8 @@ from comparisons.pipeline.compare import Comparison
 from comparisons.report.folder import write_job_folder
 from comparisons.report.result import build_result
 from comparisons.report.run import run_folder
-from ekf_reference.scan_landmarks.alignment_covariance import ScanAlignment, scan_align
-from ekf_reference.scan_landmarks.sog import SumOfGaussians
+from ekf_reference.scan_matching.alignment_covariance import ScanAlignment, scan_align
+from ekf_reference.scan_matching.sog import SumOfGaussians
 from graphslam.graph_builder import to_tangent
 from graphslam.optimum import ChiSquareTest, Proof, Stationarity
 from graphslam.problem import OrientedSightings

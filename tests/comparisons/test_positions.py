@@ -17,8 +17,8 @@ from comparisons.config import EkfConfig
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log, Positions
 from comparisons.pipeline.compare import Modified
-from ekf_reference.absolute_updates import Steps
-from ekf_reference.full_ekf import FullEkf
+from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.measurement_update import Steps
 from graphslam.graph_builder import position_factor
 from tests.helpers import Array, central_difference, compared, relative_error, simulated
 
@@ -66,7 +66,7 @@ def test_split_updates_are_replayed_part_by_part() -> None:
     """Bounds on every step, sightings included: the frozen smoothers follow the weights."""
     log = with_fixes(simulated(seed=3, loop_s=30.0), (0.0, 0.0))
 
-    def gradual(ekf: FullEkf) -> None:
+    def gradual(ekf: Ekf) -> None:
         ekf.steps = Steps(largest_turn_rad=np.deg2rad(0.2), largest_move_m=0.05)
         ekf.fixes = replace(ekf.fixes, steps=ekf.steps)
 

@@ -17,7 +17,7 @@ from comparisons.pipeline.dense_map import DenseMapping, map_log
 from comparisons.pipeline.prepare import prepare
 from comparisons.report.dense_map import build_map_result, regions_csv
 from comparisons.settings import run_config
-from ekf_reference.layout import ORIENTED, POINT
+from ekf_reference.core.layout import POINT, POSE
 from tests.helpers import compared
 from tests.scenarios import scenario
 
@@ -69,7 +69,7 @@ def test_regions_hang_on_scan_landmarks_and_agree_with_the_smoother() -> None:
     found = c.find(DenseMapsFinding)
     dense, agreement = found.dense, found.agreement
     assert agreement is not None
-    assert dense.kinds == (ORIENTED,)
+    assert dense.kinds == (POSE,)
     assert len(dense.dense.regions.base) > 0
     assert np.array_equal(dense.landmark, c.ekf.estimate.oriented[:, :2])
     assert np.array_equal(dense.landmarks_of(c.smoothed), c.smoothed.oriented[:, :2])
@@ -101,7 +101,7 @@ def test_it_is_told_by_the_scan_landmarks_names() -> None:
 def test_a_map_to_enrich_templates_from_hangs_on_the_same_landmarks() -> None:
     kept = source(landmarks="both", templates="enriched").map_of
     assert kept is not None
-    assert kept.run().kinds == (POINT, ORIENTED)
+    assert kept.run().kinds == (POINT, POSE)
     assert source(landmarks="scans").map_of is None
 
 

@@ -28,9 +28,9 @@ from comparisons.report.folder import write_job_folder
 from comparisons.report.result import build_result
 from comparisons.report.run import run_folder
 from comparisons.settings import run_config
-from ekf_reference.dynamic_guard import DynamicGuard
-from ekf_reference.full_ekf import FullEkf
-from ekf_reference.motion import MotionModel, MotionStep
+from ekf_reference.association.dynamic_rejection import DynamicGuard
+from ekf_reference.core.ekf import Ekf
+from ekf_reference.models.motion import MotionModel, MotionStep
 from ekf_reference.scan_landmarks.scan_slam import USED, ScanLandmarks
 from ekf_reference.scan_landmarks.templates import BLANK
 from tests.helpers import Array, compared, first_seconds, simulated
@@ -115,7 +115,7 @@ class Broken:
 
 
 def test_a_covariance_that_is_not_finite_breaks_the_filter_down() -> None:
-    def plant(ekf: FullEkf) -> None:
+    def plant(ekf: Ekf) -> None:
         ekf.motion = Broken(ekf.motion)
 
     run, _ = driven(log(), Modified(plant))

@@ -7,14 +7,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ekf_reference.association import KnownAssociation
-from ekf_reference.compressed_ekf import CompressedEkf, LocalAreas
-from ekf_reference.full_ekf import NEW, FullEkf, Stabilisation
-from ekf_reference.layout import ORIENTED
-from ekf_reference.motion import UnicycleModel
-from ekf_reference.observation import PredictedSightings
-from ekf_reference.scan_landmarks.observation import OrientedObservation
-from ekf_reference.trace import Trace
+from ekf_reference.association.nearest_neighbour import KnownAssociation
+from ekf_reference.core.ekf import NEW, Ekf, Stabilisation
+from ekf_reference.core.layout import POSE
+from ekf_reference.core.trace import Trace
+from ekf_reference.filters.compressed import CompressedEkf, LocalAreas
+from ekf_reference.models.motion import UnicycleModel
+from ekf_reference.models.range_bearing import PredictedMeasurements
+from ekf_reference.models.relative_pose import RelativePose
 from tests.helpers import Array
 
 RADIUS_M, RANGE_M, STEP_S = 15.0, 11.0, 0.5
@@ -72,9 +72,7 @@ def covariance_of(rng: np.random.Generator) -> Array:
     return spread
 
 
-def build(
-    kind: str = "full", trace: Trace | None = None, make: Callable[..., FullEkf] = FullEkf
-) -> FullEkf:
+def build(kind: str = "full", trace: Trace | None = None, make: Callable[..., Ekf] = Ekf) -> Ekf:
     """A filter at the start of the circle."""
     common = (
         UnicycleModel(),
@@ -89,7 +87,7 @@ def build(
     return make(*common)
 
 
-def drive(ekf: FullEkf, seed: int, script: Script | None = None) -> Made:
+def drive(ekf: Ekf, seed: int, script: Script | None = None) -> Made:
     """Drive a filter; the draws are the same for all filters."""
     return _Tour(ekf, seed, script or Script()).drive()
 
@@ -97,7 +95,7 @@ def drive(ekf: FullEkf, seed: int, script: Script | None = None) -> Made:
 class _Tour:
     """One drive."""
 
-    def __init__(self, ekf: FullEkf, seed: int, script: Script) -> None:
+    def __init__(self, ekf: Ekf, seed: int, script: Script) -> None:
         self.ekf, self.script, self.rng = ekf, script, np.random.default_rng(seed)
         self.made = Made(ekf.read_pose().pose + self.draw(PRIOR), script.steps)
         self.gone: set[int] = set()
@@ -163,14 +161,14 @@ class _Tour:
 
     def remove(self) -> None:
         self.gone.add(0)
-        self.ekf.remove(np.array([self.made.known[0]]), ORIENTED)
+        self.ekf.remove(np.array([self.made.known[0]]), POSE)
         if self.script.order != "frames only":
             slot = sorted(self.made.label_of)[1]
             self.gone_points.add(self.made.label_of[slot])
             self.ekf.remove(np.array([slot]))
 
 
-def error(ekf: FullEkf, made: Made) -> Array:
+def error(ekf: Ekf, made: Made) -> Array:
     """Of the whole state, in its own order; headings wrapped."""
     layout, mean = ekf.state.layout, ekf.state.mean
     off = np.empty(len(mean))
@@ -180,7 +178,7 @@ def error(ekf: FullEkf, made: Made) -> Array:
         off[at : at + 2] = mean[at : at + 2] - POINTS[made.label_of[int(slot)]]
     angles = [2]
     frame_of = {slot: frame for frame, slot in made.known.items()}
-    for slot in layout.present(ORIENTED):
+    for slot in layout.present(POSE):
         at = layout.oriented[slot]
         off[at : at + 3] = mean[at : at + 3] - FRAMES[frame_of[int(slot)]]
         angles.append(int(at) + 2)
@@ -188,17 +186,17 @@ def error(ekf: FullEkf, made: Made) -> Array:
     return off
 
 
-class Unwrapped(OrientedObservation):
+class Unwrapped(RelativePose):
     """Headings are not wrapped."""
 
     def innovation(self, z: Array, predicted: Array) -> Array:
         return z - predicted
 
 
-class Flipped(OrientedObservation):
+class Flipped(RelativePose):
     """The heading's column of the Jacobian, as by the pose, with its sign flipped."""
 
-    def predict(self, pose: Array, landmarks: Array) -> PredictedSightings:
+    def predict(self, pose: Array, landmarks: Array) -> PredictedMeasurements:
         at = super().predict(pose, landmarks)
         by_pose = at.jacobian_pose.copy()
         by_pose[:, :2, 2] *= -1.0

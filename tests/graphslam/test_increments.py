@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ekf_reference.motion import AckermannModel, MotionModel, UnicycleModel
+from ekf_reference.models.motion import AckermannModel, MotionModel, UnicycleModel
 from graphslam.graph_builder import to_tangent
 from graphslam.increments import (
     AckermannGeometry,

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from comparisons.adapters.recorded import oriented_points, recorded
-from ekf_reference.full_ekf import FullEkf
-from ekf_reference.kalman import KalmanState
-from ekf_reference.layout import ORIENTED
-from ekf_reference.motion import UnicycleModel
-from ekf_reference.scan_landmarks.observation import OrientedObservation
-from ekf_reference.trace import RecordedTrace, TraceArrays
+from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.layout import POSE
+from ekf_reference.core.state import KalmanState
+from ekf_reference.core.trace import RecordedTrace, TraceArrays
+from ekf_reference.models.motion import UnicycleModel
+from ekf_reference.models.relative_pose import RelativePose
 from graphslam.frozen_own import FrozenPairs, FrozenPoints, own_problem
 from graphslam.graph_builder import right_perturbation
 from graphslam.linear_problem import LinearProblem, solve
@@ -45,7 +45,7 @@ SCRIPT = Script(steps=120, order="in turn", fuse_at=60, remove_at=75)
 class Chain:
     """A drive, and what is made of it."""
 
-    ekf: FullEkf
+    ekf: Ekf
     made: Made
     trace: TraceArrays
 
@@ -72,7 +72,7 @@ class Chain:
 def run(
     kind: str = "full",
     script: Script = SCRIPT,
-    modify: Callable[[FullEkf], None] = lambda ekf: None,
+    modify: Callable[[Ekf], None] = lambda ekf: None,
     seed: int = 0,
 ) -> Chain:
     trace = RecordedTrace()
@@ -118,7 +118,7 @@ def problem_of(made: Made) -> SlamProblem:
     )
 
 
-def points_of(trace: TraceArrays, ekf: FullEkf) -> FrozenPoints:
+def points_of(trace: TraceArrays, ekf: Ekf) -> FrozenPoints:
     uses = trace.updates, trace.augmentations
     nobody, nothing = np.zeros(0, dtype=np.intp), np.zeros((0, 3))
     oriented, twins = oriented_points(trace, lambda pose, step: pose)
@@ -159,7 +159,7 @@ def test_the_filter_equals_both_frozen_smoothers(kind: str, order: str) -> None:
 
 
 def test_parts_of_an_update_are_replayed() -> None:
-    def split(ekf: FullEkf) -> None:
+    def split(ekf: Ekf) -> None:
         ekf.steps = replace(ekf.steps, largest_move_m=0.01, most=8)
 
     chain = run(modify=split)
@@ -177,7 +177,7 @@ class NoCross(KalmanState):
     ) -> None:
         n = self._size
         super().augment(point, jacobian_pose, jacobian_sighting, noise)
-        if point.shape[1] == ORIENTED:
+        if point.shape[1] == POSE:
             self._covariance[3:n, n : self._size] = 0.0
             self._covariance[n : self._size, 3:n] = 0.0
 
@@ -194,8 +194,8 @@ class Conditioned(KalmanState):
 
 
 @pytest.mark.parametrize("model", [Flipped, Unwrapped])
-def test_a_wrong_model_shows_as_a_model_gap_alone(model: type[OrientedObservation]) -> None:
-    def plant(ekf: FullEkf) -> None:
+def test_a_wrong_model_shows_as_a_model_gap_alone(model: type[RelativePose]) -> None:
+    def plant(ekf: Ekf) -> None:
         ekf.oriented_observation = model()
 
     chain = run(modify=plant, script=Script(steps=110, order="in turn"))
@@ -208,7 +208,7 @@ def test_a_wrong_model_shows_as_a_model_gap_alone(model: type[OrientedObservatio
 def test_wrong_algebra_shows_as_an_algebra_gap_alone(
     state: type[KalmanState], script: Script
 ) -> None:
-    def plant(ekf: FullEkf) -> None:
+    def plant(ekf: Ekf) -> None:
         ekf.state = state(ekf.state.pose, PRIOR)
 
     chain = run(modify=plant, script=script)

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ekf_reference.full_ekf import FullEkf
-from ekf_reference.kalman import Correction, KalmanState
-from ekf_reference.layout import POINT
+from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.layout import POINT
+from ekf_reference.core.state import Correction, KalmanState
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -161,7 +161,7 @@ class WatchedState:
         return off
 
 
-def watch(ekf: FullEkf, tolerance: float, pose: Array, covariance: Array) -> WatchedState | None:
+def watch(ekf: Ekf, tolerance: float, pose: Array, covariance: Array) -> WatchedState | None:
     """Put a watched state into a filter that has not started.
 
     pose: (p,). covariance: (p, p), the recorded prior, that it should start from. None for states

@@ -15,7 +15,7 @@ from comparisons.adapters.ekf_run import EkfRun
 from comparisons.checks.misfit import squared_misfit
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
-from ekf_reference.association import REJECTED
+from ekf_reference.association.nearest_neighbour import REJECTED
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

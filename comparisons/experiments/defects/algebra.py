@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from comparisons.experiments.defects.defect import Array, Defect, with_state
-from ekf_reference.kalman import Correction, Index, KalmanState
+from ekf_reference.core.state import Correction, Index, KalmanState
 
 
 class NoCrossAtAugmentation(KalmanState):

@@ -14,11 +14,16 @@ from comparisons.experiments.defects.defect import (
     with_motion,
     with_steps,
 )
-from ekf_reference.association import REJECTED, KnownAssociation, MappedState, Slots
-from ekf_reference.full_ekf import FullEkf
-from ekf_reference.motion import MotionStep
-from ekf_reference.observation import Observation
-from ekf_reference.sightings import NOTHING_SIGHTED, SightedAttributes, Sightings
+from ekf_reference.association.nearest_neighbour import (
+    REJECTED,
+    KnownAssociation,
+    MappedState,
+    Slots,
+)
+from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.measurements import NOT_MEASURED, MeasuredAttributes, Sightings
+from ekf_reference.models.motion import MotionStep
+from ekf_reference.models.range_bearing import Observation
 
 _GATE_SIGMA = 2.0
 
@@ -62,10 +67,10 @@ class AppliedHalf(OtherMotion):
         return super().step(pose, control, 0.5 * duration_s)
 
 
-class OneScanLate(FullEkf):
+class OneScanLate(Ekf):
     """Sightings wait for the next scan's time."""
 
-    _waiting: tuple[Array, Array, NDArray[np.int64], float, SightedAttributes] | None = None
+    _waiting: tuple[Array, Array, NDArray[np.int64], float, MeasuredAttributes] | None = None
 
     def observe(
         self,
@@ -73,7 +78,7 @@ class OneScanLate(FullEkf):
         sigma: Array,
         identity: NDArray[np.int64],
         time_s: float = 0.0,
-        attributes: SightedAttributes = NOTHING_SIGHTED,
+        attributes: MeasuredAttributes = NOT_MEASURED,
     ) -> Slots:
         """Fuse the ones before."""
         due, self._waiting = self._waiting, (z, sigma, identity, time_s, attributes)
@@ -82,10 +87,10 @@ class OneScanLate(FullEkf):
         return np.full(len(z), REJECTED)
 
 
-class OneStepLate(FullEkf):
+class OneStepLate(Ekf):
     """Sightings are fused after the next prediction."""
 
-    _waiting: tuple[Array, Array, NDArray[np.int64], float, SightedAttributes] | None = None
+    _waiting: tuple[Array, Array, NDArray[np.int64], float, MeasuredAttributes] | None = None
 
     def observe(
         self,
@@ -93,7 +98,7 @@ class OneStepLate(FullEkf):
         sigma: Array,
         identity: NDArray[np.int64],
         time_s: float = 0.0,
-        attributes: SightedAttributes = NOTHING_SIGHTED,
+        attributes: MeasuredAttributes = NOT_MEASURED,
     ) -> Slots:
         """Wait."""
         self._waiting = (z, sigma, identity, time_s, attributes)
@@ -107,7 +112,7 @@ class OneStepLate(FullEkf):
             super().observe(*due)
 
 
-class FixedTwice(FullEkf):
+class FixedTwice(Ekf):
     """Every position is fused twice."""
 
     def fix_position(self, z: Array, covariance: Array) -> bool:
@@ -117,7 +122,7 @@ class FixedTwice(FullEkf):
         return super().fix_position(z, covariance) and used
 
 
-class SeenTwice(FullEkf):
+class SeenTwice(Ekf):
     """Every sighting is fused twice."""
 
     def observe(
@@ -126,7 +131,7 @@ class SeenTwice(FullEkf):
         sigma: Array,
         identity: NDArray[np.int64],
         time_s: float = 0.0,
-        attributes: SightedAttributes = NOTHING_SIGHTED,
+        attributes: MeasuredAttributes = NOT_MEASURED,
     ) -> Slots:
         """Once, and again."""
         slots = super().observe(z, sigma, identity, time_s, attributes)
@@ -172,15 +177,15 @@ class SwappedLabels(KnownAssociation):
         return slots
 
 
-def _begin_anew(ekf: FullEkf) -> None:
+def _begin_anew(ekf: Ekf) -> None:
     ekf.association = BegunAnew()
 
 
-def _swap_labels(ekf: FullEkf) -> None:
+def _swap_labels(ekf: Ekf) -> None:
     ekf.association = SwappedLabels()
 
 
-def _gate_by_sigma(ekf: FullEkf) -> None:
+def _gate_by_sigma(ekf: Ekf) -> None:
     ekf.association = KnownAssociation(gate=_GATE_SIGMA)
 
 

@@ -8,13 +8,18 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ekf_reference.full_ekf import FullEkf
-from ekf_reference.kalman import KalmanState
-from ekf_reference.motion import MotionModel, MotionStep
-from ekf_reference.observation import NewLandmarks, Observation, PredictedSightings, RangeBearing
+from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.state import KalmanState
+from ekf_reference.models.motion import MotionModel, MotionStep
+from ekf_reference.models.range_bearing import (
+    NewLandmarks,
+    Observation,
+    PredictedMeasurements,
+    RangeBearing,
+)
 
 Array = NDArray[np.float64]
-Plant = Callable[[FullEkf], None]
+Plant = Callable[[Ekf], None]
 
 
 @dataclass(frozen=True)
@@ -47,7 +52,7 @@ class OtherObservation:
         """(m,) the range."""
         return self.sound.range_m(z)
 
-    def predict(self, pose: Array, landmarks: Array) -> PredictedSightings:
+    def predict(self, pose: Array, landmarks: Array) -> PredictedMeasurements:
         """Expected sightings."""
         return self.sound.predict(pose, landmarks)
 
@@ -74,7 +79,7 @@ class OtherMotion:
 def with_state(state: type[KalmanState]) -> Plant:
     """Another keeper of mean and covariance."""
 
-    def plant(ekf: FullEkf) -> None:
+    def plant(ekf: Ekf) -> None:
         ekf.state = state(ekf.state.pose, np.array(ekf.state.covariance))
 
     return plant
@@ -83,7 +88,7 @@ def with_state(state: type[KalmanState]) -> Plant:
 def with_observation(observation: Callable[[], Observation]) -> Plant:
     """Another observation model, new for every filter."""
 
-    def plant(ekf: FullEkf) -> None:
+    def plant(ekf: Ekf) -> None:
         ekf.observation = observation()
 
     return plant
@@ -92,16 +97,16 @@ def with_observation(observation: Callable[[], Observation]) -> Plant:
 def with_motion(motion: Callable[[MotionModel], MotionModel]) -> Plant:
     """Another motion model, made of the filter's own."""
 
-    def plant(ekf: FullEkf) -> None:
+    def plant(ekf: Ekf) -> None:
         ekf.motion = motion(ekf.motion)
 
     return plant
 
 
-def with_steps(kind: type[FullEkf]) -> Plant:
+def with_steps(kind: type[Ekf]) -> Plant:
     """Other steps of the filter itself."""
 
-    def plant(ekf: FullEkf) -> None:
+    def plant(ekf: Ekf) -> None:
         ekf.__class__ = kind
 
     return plant

@@ -14,10 +14,10 @@ from comparisons.experiments.defects.defect import (
     with_motion,
     with_observation,
 )
-from ekf_reference.absolute_updates import PositionModel
-from ekf_reference.full_ekf import FullEkf
-from ekf_reference.motion import AckermannModel, MotionModel, MotionStep
-from ekf_reference.observation import NewLandmarks, PredictedSightings, RangeBearing
+from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.measurement_update import PositionModel
+from ekf_reference.models.motion import AckermannModel, MotionModel, MotionStep
+from ekf_reference.models.range_bearing import NewLandmarks, PredictedMeasurements, RangeBearing
 
 _DRIFT_RADPS = 0.01
 
@@ -25,12 +25,12 @@ _DRIFT_RADPS = 0.01
 class PrintedBearingRow(RangeBearing):
     """N 2.42 as printed."""
 
-    def predict(self, pose: Array, landmarks: Array) -> PredictedSightings:
+    def predict(self, pose: Array, landmarks: Array) -> PredictedMeasurements:
         """Position terms of the bearing with signs exchanged."""
         z, jacobian_pose, jacobian_landmark = super().predict(pose, landmarks)
         jacobian_pose[:, 1, :2] *= -1.0
         jacobian_landmark[:, 1] *= -1.0
-        return PredictedSightings(z, jacobian_pose, jacobian_landmark)
+        return PredictedMeasurements(z, jacobian_pose, jacobian_landmark)
 
 
 class UnwrappedInnovation(RangeBearing):
@@ -53,22 +53,22 @@ class Clockwise(RangeBearing):
 class NoHeadingColumn(RangeBearing):
     """The bearing's Jacobian forgets that the vehicle turns."""
 
-    def predict(self, pose: Array, landmarks: Array) -> PredictedSightings:
+    def predict(self, pose: Array, landmarks: Array) -> PredictedMeasurements:
         """Without the column."""
         z, jacobian_pose, jacobian_landmark = super().predict(pose, landmarks)
         jacobian_pose[:, :, 2] = 0.0
-        return PredictedSightings(z, jacobian_pose, jacobian_landmark)
+        return PredictedMeasurements(z, jacobian_pose, jacobian_landmark)
 
 
 class RangeOnly(RangeBearing):
     """The bearing's row is empty, so that only ranges inform."""
 
-    def predict(self, pose: Array, landmarks: Array) -> PredictedSightings:
+    def predict(self, pose: Array, landmarks: Array) -> PredictedMeasurements:
         """Without the row."""
         z, jacobian_pose, jacobian_landmark = super().predict(pose, landmarks)
         jacobian_pose[:, 1] = 0.0
         jacobian_landmark[:, 1] = 0.0
-        return PredictedSightings(z, jacobian_pose, jacobian_landmark)
+        return PredictedMeasurements(z, jacobian_pose, jacobian_landmark)
 
 
 class NoiseNotTurned(RangeBearing):
@@ -106,12 +106,12 @@ class StaleJacobian(OtherObservation):
 
     pose: Array | None = None
 
-    def predict(self, pose: Array, landmarks: Array) -> PredictedSightings:
+    def predict(self, pose: Array, landmarks: Array) -> PredictedMeasurements:
         """Z of now, the rest of then."""
         now = super().predict(pose, landmarks)
         then = super().predict(pose if self.pose is None else self.pose, landmarks)
         self.pose = np.array(pose)
-        return PredictedSightings(now.z, then.jacobian_pose, then.jacobian_landmark)
+        return PredictedMeasurements(now.z, then.jacobian_pose, then.jacobian_landmark)
 
 
 @dataclass
@@ -120,7 +120,7 @@ class FromOldPose(OtherObservation):
 
     pose: Array | None = None
 
-    def predict(self, pose: Array, landmarks: Array) -> PredictedSightings:
+    def predict(self, pose: Array, landmarks: Array) -> PredictedMeasurements:
         """Remember the pose."""
         self.pose = np.array(pose)
         return super().predict(pose, landmarks)
@@ -189,7 +189,7 @@ def _sensor_at_axle(motion: MotionModel) -> MotionModel:
     return replace(motion, sensor_forward_m=0.0, sensor_left_m=0.0)
 
 
-def _no_lever(ekf: FullEkf) -> None:
+def _no_lever(ekf: Ekf) -> None:
     ekf.fixes = replace(ekf.fixes, model=PositionModel())
 
 

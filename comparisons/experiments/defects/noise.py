@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from comparisons.experiments.defects.defect import Array, Defect, with_observation, with_steps
-from ekf_reference.full_ekf import FullEkf
-from ekf_reference.observation import RangeBearing
+from ekf_reference.core.ekf import Ekf
+from ekf_reference.models.range_bearing import RangeBearing
 
 
 class SigmaSquaredTwice(RangeBearing):
@@ -41,7 +41,7 @@ class DegreesForRadians(RangeBearing):
         return super().noise(sigma * (1.0, np.degrees(1.0)))
 
 
-class ControlSigmaForVariance(FullEkf):
+class ControlSigmaForVariance(Ekf):
     """Q from sigmas that were not squared."""
 
     def predict(self, control: Array, covariance: Array, duration_s: float) -> None:
@@ -49,7 +49,7 @@ class ControlSigmaForVariance(FullEkf):
         super().predict(control, np.sqrt(covariance), duration_s)
 
 
-class TwiceTheControlVariance(FullEkf):
+class TwiceTheControlVariance(Ekf):
     """Q counted twice."""
 
     def predict(self, control: Array, covariance: Array, duration_s: float) -> None:

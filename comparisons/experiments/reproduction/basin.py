@@ -14,11 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from comparisons.estimates.estimate import Array
-from ekf_reference.observation import wrap_angle
-from ekf_reference.scan_landmarks.alignment import align
+from ekf_reference.models.range_bearing import wrap_angle
 from ekf_reference.scan_landmarks.enriching import enriched, observe_enriched
 from ekf_reference.scan_landmarks.scan_slam import ScanSlamOptions
-from ekf_reference.scan_landmarks.sog import SumOfGaussians
 from ekf_reference.scan_landmarks.templates import (
     Observation,
     Template,
@@ -26,6 +24,8 @@ from ekf_reference.scan_landmarks.templates import (
     View,
     observe,
 )
+from ekf_reference.scan_matching.alignment import align
+from ekf_reference.scan_matching.sog import SumOfGaussians
 
 _ONE_START = np.diag((1e-6, 1e-6, 1e-8))
 TURN = math.radians(10.0)

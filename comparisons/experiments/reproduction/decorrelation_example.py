@@ -11,13 +11,13 @@ import numpy as np
 from comparisons.errors import InputError
 from comparisons.experiments.reproduction.watched_run import watched_run
 from comparisons.logs.log import Log
+from ekf_reference.core.state import Array, state_columns
 from ekf_reference.dense.decorrelation import (
     Correlations,
     Displacements,
     correlations,
     displacements,
 )
-from ekf_reference.kalman import Array, state_columns
 
 
 class Cast(NamedTuple):
@@ -105,5 +105,5 @@ def fused_until(log: Log, cast: Cast) -> Iterator[Snapshot]:
     keep = (sightings.landmark != label) | (sightings.time_s <= cast.fused_s)
     for time, ekf in watched_run(replace(log, sightings=sightings.chosen(keep))):
         if time >= cast.fused_s:
-            everything = ekf.state.glance()
+            everything = ekf.state.snapshot()
             yield Snapshot(time, everything.landmark.copy(), everything.covariance.copy())

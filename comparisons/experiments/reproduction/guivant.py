@@ -25,8 +25,8 @@ from comparisons.experiments.reproduction.watched_run import truth_in_order
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.simulate.drive import Drive, simulate
-from ekf_reference.full_ekf import FullEkf
-from ekf_reference.trace import NullTrace, RecordedTrace, Trace
+from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.trace import NullTrace, RecordedTrace, Trace
 
 ALONE_S, AFTER_S = 200.0, 30.0
 """How long the filter goes without positions (Fig. 9), and how long it is watched with them."""
@@ -157,7 +157,7 @@ def aid(log: Log, filter_name: str = "full") -> Aided:
 
 def _epochs(
     log: Log, choices: EkfConfig, positions: Positions, trace: Trace
-) -> Iterator[tuple[float, FullEkf, bool]]:
+) -> Iterator[tuple[float, Ekf, bool]]:
     """Time, the filter, and whether it has used a position; until AFTER_S have passed with them."""
     ekf, until = build_ekf(log, choices, trace), log.prior.time_s + ALONE_S + AFTER_S
     begun, given, rejected = False, positions.time_s, 0

@@ -22,7 +22,7 @@ from comparisons.report.figures.style import (
     draw_reference,
     draw_trajectory,
 )
-from ekf_reference.absolute_updates import PositionFixes
+from ekf_reference.core.measurement_update import PositionFixes
 
 _EARLY_S = 20.0
 _COLOURS = (SMOOTHER_COLOUR, SCANS_COLOUR, TRUTH_COLOUR)

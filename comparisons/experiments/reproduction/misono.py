@@ -30,7 +30,7 @@ from comparisons.experiments.reproduction.watched_run import truth_in_order
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.waypoints import WaypointRun, simulate
 from comparisons.report.figures.style import EKF_COLOUR, SMOOTHER_COLOUR, draw_trajectory
-from ekf_reference.kalman import FilterDivergedError
+from ekf_reference.core.state import FilterDivergedError
 from graphslam.increments import dead_reckoned
 
 ESTIMATORS = {"dead reckoning": "", "misono": "misono", "misono-full": "misono-full"}

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ekf_reference.association import KnownAssociation
-from ekf_reference.direction_cosine_ekf import DirectionCosineEkf, DirectionCosineOptions
-from ekf_reference.full_ekf import FullEkf
-from ekf_reference.motion import RelativePoseModel
+from ekf_reference.association.nearest_neighbour import KnownAssociation
+from ekf_reference.core.ekf import Ekf
+from ekf_reference.filters.misono import DirectionCosineEkf, DirectionCosineOptions
+from ekf_reference.models.motion import RelativePoseModel
 
 Array = NDArray[np.float64]
 
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 class FilterNavigator:
     """A filter with a relative-pose motion model, as Navigator of the waypoint run."""
 
-    def __init__(self, ekf: FullEkf, *, use_sightings: bool = True, use_fixes: bool = True) -> None:
+    def __init__(self, ekf: Ekf, *, use_sightings: bool = True, use_fixes: bool = True) -> None:
         """ekf: at its prior. Without sightings and fixes it is dead reckoning."""
         self.ekf = ekf
         self.use_sightings = use_sightings

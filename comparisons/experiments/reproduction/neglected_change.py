@@ -23,7 +23,7 @@ from ekf_reference.dense.passive_states import PassiveStates, local_coordinates,
 from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.triangles import axes, to_local
 from ekf_reference.dense.view import FilterView
-from ekf_reference.observation import RangeBearing, wrap_angle
+from ekf_reference.models.range_bearing import RangeBearing, wrap_angle
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

@@ -27,12 +27,12 @@ from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.scan_drive import occupancy
 from comparisons.pipeline.dense_map import DenseMapping, map_log
+from ekf_reference.core.trace import NullTrace
 from ekf_reference.dense.layers.classic_grid import ClassicGrid
 from ekf_reference.dense.layers.gaussians import Ellipses, Gaussians
 from ekf_reference.dense.layers.layer import Samples
 from ekf_reference.dense.layers.occupancy import Coarsening, OccupancyGrid
 from ekf_reference.dense.sensor_model import log_odds
-from ekf_reference.trace import NullTrace
 
 SURFACES: tuple[Layer, ...] = ("points", "occupancy", "particles", "sog")
 """Layers of where surfaces are."""

@@ -22,10 +22,10 @@ from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
 from comparisons.pipeline.dense_map import DenseMapping, map_log
 from ekf_reference.dense.surroundings import Surroundings
-from ekf_reference.scan_landmarks.observation import OrientedObservation
+from ekf_reference.models.relative_pose import RelativePose
 from ekf_reference.scan_landmarks.scan_slam import ScanLandmarks
-from ekf_reference.scan_landmarks.sog import SumOfGaussians
 from ekf_reference.scan_landmarks.templates import share_in_view
+from ekf_reference.scan_matching.sog import SumOfGaussians
 
 LAYERS: tuple[Layer, ...] = ("occupancy", "sog")
 _MOST_DRIVES = 2
@@ -35,7 +35,7 @@ _DRAWS = 2
 _SCANS = 2
 _APART_M = 6.0
 """Least way between the scan of a template and one that it is aligned with."""
-_SIGHTED = OrientedObservation()
+_SIGHTED = RelativePose()
 _NEAR_M = 0.5
 _MARK_M = 0.5
 

@@ -32,8 +32,8 @@ from comparisons.logs.log import Log
 from comparisons.logs.simulate.scan_drive import scan_slam, simulate
 from comparisons.pipeline.compare import run_filter
 from comparisons.pipeline.prepare import Prepared, prepare
-from ekf_reference.full_ekf import FullEkf
-from ekf_reference.layout import ORIENTED
+from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.layout import POSE
 from ekf_reference.scan_landmarks.scan_slam import ScanLandmarks
 from graphslam.increments import dead_reckoned
 from graphslam.scan import planar
@@ -150,12 +150,12 @@ class _Remembering:
         self.slam = slam
         self.covariance = np.zeros((0, 3, 3))
 
-    def look(self, ekf: FullEkf, epoch: int, time_s: float, ledger: OrientedLedger) -> None:
+    def look(self, ekf: Ekf, epoch: int, time_s: float, ledger: OrientedLedger) -> None:
         """See ScanSlamSource.look."""
-        slots = ekf.state.layout.present(ORIENTED)
+        slots = ekf.state.layout.present(POSE)
         before, known = np.full((len(ekf.state.oriented), 3, 3), np.nan), self.slam.closing
         if len(slots):
-            before[slots] = ekf.state.map_of(slots, ORIENTED).own
+            before[slots] = ekf.state.map_of(slots, POSE).own
         self.slam.look(ekf, epoch, time_s, ledger)
         if self.slam.closing is not known:
             self.covariance = before

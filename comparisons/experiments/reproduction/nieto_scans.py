@@ -24,9 +24,9 @@ from comparisons.logs.simulate.ray_casting import Solids, cast
 from comparisons.logs.simulate.scan_worlds import PlacedShape, ScanWorld, placed_shapes
 from comparisons.report.figures.style import EKF_COLOUR, TRUTH_COLOUR
 from ekf_reference.dense.scan import Sensor
-from ekf_reference.scan_landmarks.alignment_covariance import scan_align
-from ekf_reference.scan_landmarks.scan_shape import of_scan
 from ekf_reference.scan_landmarks.templates import ObservationOptions
+from ekf_reference.scan_matching.alignment_covariance import scan_align
+from ekf_reference.scan_matching.scan_shape import of_scan
 from graphslam.scan import planar
 from graphslam.scan.matchers import MatchOptions
 from graphslam.scan.open3d_matchers import PointToPointMatcher

@@ -17,8 +17,8 @@ from comparisons.experiments.reproduction.watched_run import truth_in_order, wat
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.simulate.drive import Drive
-from ekf_reference.correlation import correlation_coefficients
-from ekf_reference.full_ekf import FullEkf
+from ekf_reference.core.correlation import correlation_coefficients
+from ekf_reference.core.ekf import Ekf
 
 LOOPS = 3
 """The thesis goes round "several times"."""
@@ -38,7 +38,7 @@ class Moment:
     covariance: Array
 
     @classmethod
-    def of(cls, time_s: float, ekf: FullEkf, true: Array) -> Moment:
+    def of(cls, time_s: float, ekf: Ekf, true: Array) -> Moment:
         """true: (K, 2) of all landmarks, in the filter's order, K at least its number."""
         place = ekf.state.landmarks.copy()
         return cls(time_s, place, true[: len(place)], ekf.state.covariance.copy())

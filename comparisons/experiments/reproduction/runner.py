@@ -11,7 +11,7 @@ from comparisons.experiments.montecarlo.workers import spread
 from comparisons.experiments.reproduction.catalogue import chosen
 from comparisons.experiments.reproduction.contract import AnyFigure, Reproduced, Skipped, Sources
 from comparisons.report.picture import blank, encoded
-from ekf_reference.kalman import FilterDivergedError
+from ekf_reference.core.state import FilterDivergedError
 
 Progress = Callable[[str, int, int], None]
 

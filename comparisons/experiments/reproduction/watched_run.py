@@ -10,18 +10,18 @@ from comparisons.adapters.timeline import build_timeline
 from comparisons.config import EkfConfig
 from comparisons.errors import InputError
 from comparisons.logs.log import Array, Log, Poses, Positions
-from ekf_reference.full_ekf import FullEkf
-from ekf_reference.kalman import FilterDivergedError
-from ekf_reference.trace import NullTrace, Trace
+from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.state import FilterDivergedError
+from ekf_reference.core.trace import NullTrace, Trace
 
 
 def watched_run(
     log: Log,
     choices: EkfConfig | None = None,
     trace: Trace | None = None,
-    predicted: Callable[[FullEkf], None] = lambda ekf: None,
+    predicted: Callable[[Ekf], None] = lambda ekf: None,
     positions: Positions | None = None,
-) -> Iterator[tuple[float, FullEkf]]:
+) -> Iterator[tuple[float, Ekf]]:
     """The filter after every scan with sightings, and the scan's time [s]; one filter throughout.
 
     choices: the full filter by default. predicted: shown the filter before it fuses. positions:
@@ -50,9 +50,9 @@ def truth_in_order(log: Log) -> tuple[Poses, Array]:
 class _Shown(NoWatcher):
     """Shows the filter to someone before it fuses."""
 
-    def __init__(self, predicted: Callable[[FullEkf], None]) -> None:
+    def __init__(self, predicted: Callable[[Ekf], None]) -> None:
         self._predicted = predicted
 
-    def arrived(self, ekf: FullEkf) -> None:
+    def arrived(self, ekf: Ekf) -> None:
         """Show it."""
         self._predicted(ekf)

@@ -79,7 +79,7 @@ class BatchState:
         """Fuse the sightings of one instant; H as of `sighted`.
 
         innovation: (B, m, 2). noise: (m, 2) variances. With S = L L^T the term W S W^T is U^T U,
-        U = L^-1 H P, as in ekf_reference.kalman.
+        U = L^-1 H P, as in ekf_reference.core.state.
         """
         p = self.covariance
         hp = sighted(matrix, lever, slot, p)

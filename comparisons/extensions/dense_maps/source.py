@@ -19,6 +19,9 @@ from comparisons.estimates.estimate import Array, Estimate
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
+from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.layout import POINT, POSE
+from ekf_reference.core.local_map import by_number
 from ekf_reference.dense.conditions import Conditions
 from ekf_reference.dense.dense_map import DenseMap
 from ekf_reference.dense.dynamic import Counters, DynamicLayer
@@ -33,9 +36,6 @@ from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.sensor_model import InverseSensorModel
 from ekf_reference.dense.view import FilterView
 from ekf_reference.dense.waiting import WaitingRoom
-from ekf_reference.full_ekf import FullEkf
-from ekf_reference.layout import ORIENTED, POINT
-from ekf_reference.local_map import by_number
 
 GRID_MODEL = InverseSensorModel(p_occupied=0.65, p_free=0.45)
 """Of grids: several looks, not one noisy return, make a cell occupied, and what stands is often
@@ -125,9 +125,9 @@ class DenseRun:
 
     def landmarks_of(self, estimate: Estimate) -> Array:
         """(L, 2) [m] the map's landmarks as an estimate has them, NaN where it has them not."""
-        oriented = np.full((int(estimate.oriented_id.max(initial=-1)) + 1, ORIENTED), np.nan)
+        oriented = np.full((int(estimate.oriented_id.max(initial=-1)) + 1, POSE), np.nan)
         oriented[estimate.oriented_id] = estimate.oriented
-        each = {POINT: estimate.landmark, ORIENTED: oriented}
+        each = {POINT: estimate.landmark, POSE: oriented}
         known = by_number([each[width] for width in self.kinds])
         place = np.full_like(self.landmark, np.nan)
         place[: len(known)] = known[: len(place)]
@@ -188,7 +188,7 @@ class DenseWatcher:
         """The map as it is now."""
         return self._dense
 
-    def stepping(self, ekf: FullEkf, time_s: float, control: Array, duration_s: float) -> None:
+    def stepping(self, ekf: Ekf, time_s: float, control: Array, duration_s: float) -> None:
         """Take in the scans of the interval that is about to be predicted."""
         while self._due(time_s + duration_s - CLOCK_S):
             view = FilterView.of(ekf, self._kinds)
@@ -200,13 +200,13 @@ class DenseWatcher:
             self._insert(view)
         self._epoch_s = time_s + duration_s
 
-    def arrived(self, ekf: FullEkf) -> None:
+    def arrived(self, ekf: Ekf) -> None:
         """What waits follows the vehicle."""
         start = time.perf_counter()
         self._dense.predicted(FilterView.of(ekf, self._kinds))
         self._seconds["regions"] += time.perf_counter() - start
 
-    def updated(self, ekf: FullEkf) -> None:
+    def updated(self, ekf: Ekf) -> None:
         """Make the regions that are now possible; keep the map as it was if it moved a lot."""
         start = time.perf_counter()
         view = FilterView.of(ekf, self._kinds)
@@ -217,11 +217,11 @@ class DenseWatcher:
         self._dense.updated(view)
         self._seconds["regions"] += time.perf_counter() - start
 
-    def finished(self, ekf: FullEkf, time_s: float) -> None:
+    def finished(self, ekf: Ekf, time_s: float) -> None:
         """Take in what was scanned at the very end."""
         while self._due(time_s + CLOCK_S):
             self._insert(FilterView.of(ekf, self._kinds))
-        whole = {POINT: ekf.state.landmarks, ORIENTED: ekf.state.oriented}
+        whole = {POINT: ekf.state.landmarks, POSE: ekf.state.oriented}
         landmark = by_number([whole[width] for width in self._kinds])
         self._dense.place(replace(FilterView.of(ekf, self._kinds), landmark=landmark))
 

@@ -19,12 +19,12 @@ from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.source import DenseWatcher
 from comparisons.extensions.high_level.config import HighLevelConfig
 from comparisons.logs.log import Log
+from ekf_reference.core.ekf import Ekf
 from ekf_reference.dense.high_level import Around, Search, SearchOptions, search, to_world
 from ekf_reference.dense.high_level_life import Glimpse, HighLevelLandmarks, LifeOptions
 from ekf_reference.dense.layers.gaussians import Gaussians
-from ekf_reference.full_ekf import FullEkf
-from ekf_reference.scan_landmarks.scan_shape import of_scan
 from ekf_reference.scan_landmarks.templates import View
+from ekf_reference.scan_matching.scan_shape import of_scan
 
 SEARCHED: tuple[Layer, ...] = ("occupancy", "sog")
 """Layers that are searched."""
@@ -126,24 +126,24 @@ class HighLevelSource:
         self._next_s = log.prior.time_s + self.options.every_s
         self._place, self._rectangle = np.empty((0, 3)), np.empty((0, 4, 2))
 
-    def stepping(self, ekf: FullEkf, time_s: float, control: Array, duration_s: float) -> None:
+    def stepping(self, ekf: Ekf, time_s: float, control: Array, duration_s: float) -> None:
         """Take in the scans of the interval."""
         self._watcher.stepping(ekf, time_s, control, duration_s)
 
-    def arrived(self, ekf: FullEkf) -> None:
+    def arrived(self, ekf: Ekf) -> None:
         """What waits for a region follows the vehicle."""
         self._watcher.arrived(ekf)
 
-    def updated(self, ekf: FullEkf) -> None:
+    def updated(self, ekf: Ekf) -> None:
         """The map follows its landmarks."""
         self._watcher.updated(ekf)
 
-    def finished(self, ekf: FullEkf, time_s: float) -> None:
+    def finished(self, ekf: Ekf, time_s: float) -> None:
         """Note where all are in the end."""
         self._watcher.finished(ekf, time_s)
         self._place, self._rectangle = self.landmarks.places(ekf), self.landmarks.rectangles(ekf)
 
-    def look(self, ekf: FullEkf, epoch: int, time_s: float, ledger: OrientedLedger) -> None:
+    def look(self, ekf: Ekf, epoch: int, time_s: float, ledger: OrientedLedger) -> None:
         """Match the scan of the epoch, if there is one; search before that when it is time to."""
         if time_s >= self._next_s:
             self._next_s = time_s + self.options.every_s
@@ -176,7 +176,7 @@ class HighLevelSource:
             rectangle=self._rectangle,
         )
 
-    def _search(self, ekf: FullEkf, time_s: float) -> None:
+    def _search(self, ekf: Ekf, time_s: float) -> None:
         dense = self._map.dense
         around = Around(
             dense.layers["occupancy"],

@@ -30,7 +30,7 @@ from comparisons.extensions.scan_landmarks.source import (
 from comparisons.pipeline.gaps import Compared
 from comparisons.pipeline.prepare import Prepared
 from comparisons.report.html.drawing import Drawing
-from ekf_reference.scan_landmarks.twins import FusingOptions
+from ekf_reference.scan_landmarks.merging import FusingOptions
 
 
 class ScanLandmarksExtension(Extension):

@@ -18,24 +18,24 @@ from comparisons.extensions.dense_maps.source import DenseWatcher
 from comparisons.extensions.scan_landmarks.config import ScanLandmarksConfig
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
+from ekf_reference.association.dynamic_rejection import DynamicGuard
+from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.layout import POINT, POSE
+from ekf_reference.core.local_map import LocalMap
+from ekf_reference.core.state import FilterDivergedError
 from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.surroundings import Surroundings
-from ekf_reference.dynamic_guard import DynamicGuard
-from ekf_reference.full_ekf import FullEkf
-from ekf_reference.kalman import FilterDivergedError
-from ekf_reference.layout import ORIENTED, POINT
-from ekf_reference.local_map import LocalMap
+from ekf_reference.scan_landmarks.merging import FusingOptions, Twins
 from ekf_reference.scan_landmarks.pieces import JoinedSegments, Pieces, SingleSegments
-from ekf_reference.scan_landmarks.scan_shape import of_scan
 from ekf_reference.scan_landmarks.scan_slam import ScanLandmarks, ScanSlam, ScanSlamOptions
-from ekf_reference.scan_landmarks.sog import SumOfGaussians
-from ekf_reference.scan_landmarks.twins import FusingOptions, Twins
+from ekf_reference.scan_matching.scan_shape import of_scan
+from ekf_reference.scan_matching.sog import SumOfGaussians
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 
-LANDMARKS = {"scans": (ORIENTED,), "both": (POINT, ORIENTED)}
+LANDMARKS = {"scans": (POSE,), "both": (POINT, POSE)}
 """Kinds of landmarks that regions of a dense map are anchored to, by width."""
 PIECES: dict[str, Pieces] = {one.name: one for one in (JoinedSegments(), SingleSegments())}
 """Which returns of a scan become one landmark."""
@@ -53,7 +53,7 @@ class _Telling:
     """The ledger, at one epoch."""
 
     ledger: OrientedLedger
-    ekf: FullEkf
+    ekf: Ekf
     epoch: int
 
     def observe(self, z: Array, covariance: Array, slot: Index) -> Index:
@@ -174,7 +174,7 @@ class ScanSlamSource:
         """Returns that lie where something moves are left out, and counted."""
         self._guard = guard
 
-    def _scan(self, ekf: FullEkf) -> SumOfGaussians:
+    def _scan(self, ekf: Ekf) -> SumOfGaussians:
         """This epoch's, without what moves."""
         if self._guard is None:
             return self._scans.shape(self._next)
@@ -183,25 +183,25 @@ class ScanSlamSource:
         self.found.dynamic += int(np.count_nonzero(moves))
         return self._scans.shape_of(seen, moves)
 
-    def stepping(self, ekf: FullEkf, time_s: float, control: Array, duration_s: float) -> None:
+    def stepping(self, ekf: Ekf, time_s: float, control: Array, duration_s: float) -> None:
         """The map, if there is one, takes in the scans of the interval."""
         if self.map_of is not None:
             self.map_of.stepping(ekf, time_s, control, duration_s)
 
-    def arrived(self, ekf: FullEkf) -> None:
+    def arrived(self, ekf: Ekf) -> None:
         """What waits there follows the vehicle."""
         if self.map_of is not None:
             self.map_of.arrived(ekf)
 
-    def updated(self, ekf: FullEkf) -> None:
+    def updated(self, ekf: Ekf) -> None:
         """It follows its landmarks."""
         if self.map_of is not None:
             self.map_of.updated(ekf)
 
-    def finished(self, ekf: FullEkf, time_s: float) -> None:
+    def finished(self, ekf: Ekf, time_s: float) -> None:
         """No template is enriched any more."""
 
-    def look(self, ekf: FullEkf, epoch: int, time_s: float, ledger: OrientedLedger) -> None:
+    def look(self, ekf: Ekf, epoch: int, time_s: float, ledger: OrientedLedger) -> None:
         """The scan of this epoch, if there is one. Raises FilterDivergedError."""
         times = self._scans.time_s
         while self._next < len(times) and times[self._next] < time_s:

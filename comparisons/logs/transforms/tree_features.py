@@ -10,7 +10,7 @@ from comparisons.adapters.motion import motion_between
 from comparisons.errors import InputError
 from comparisons.logs.log import NO_LANDMARK, Log, Sightings
 from comparisons.logs.scans import Scans
-from ekf_reference.tree_detection import ROUNDNESS, TreeTracker
+from ekf_reference.features.tree_detection import ROUNDNESS, TreeTracker
 from graphslam.scan import planar
 from graphslam.scan.points import planar_points
 

@@ -23,7 +23,7 @@ from comparisons.logs.simulate.scan_drive import (
     scan_slam,
 )
 from comparisons.logs.simulate.scanners import Rings
-from ekf_reference.motion import AckermannModel
+from ekf_reference.models.motion import AckermannModel
 from tests.comparisons.logs.test_log_folder import assert_same
 from tests.comparisons.logs.test_scanners import in_bounds, log_of, short
 

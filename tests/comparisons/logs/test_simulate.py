@@ -5,8 +5,8 @@ import numpy as np
 from comparisons.logs.odometry import SteeringOdometry
 from comparisons.logs.simulate.drive import Drive, simulate
 from comparisons.logs.simulate.worlds import nieto_loop
-from ekf_reference.motion import AckermannModel
-from ekf_reference.observation import RangeBearing
+from ekf_reference.models.motion import AckermannModel
+from ekf_reference.models.range_bearing import RangeBearing
 from tests.helpers import simulated
 
 

@@ -17,7 +17,7 @@ from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.simulate.waypoints import WaypointRun, simulate
 from comparisons.logs.transforms.tree_features import with_tree_features
-from ekf_reference.observation import RangeBearing
+from ekf_reference.models.range_bearing import RangeBearing
 from graphslam.increments import dead_reckoned
 
 RUN = WaypointRun()

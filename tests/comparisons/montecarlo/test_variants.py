@@ -21,10 +21,10 @@ from comparisons.experiments.variants.linearisation import (
     SightPoints,
     StepPoints,
 )
-from ekf_reference.association import KnownAssociation
-from ekf_reference.full_ekf import FullEkf
-from ekf_reference.motion import UnicycleModel
-from ekf_reference.observation import NewLandmarks, PredictedSightings, RangeBearing
+from ekf_reference.association.nearest_neighbour import KnownAssociation
+from ekf_reference.core.ekf import Ekf
+from ekf_reference.models.motion import UnicycleModel
+from ekf_reference.models.range_bearing import NewLandmarks, PredictedMeasurements, RangeBearing
 from tests.comparisons.montecarlo.worlds import short_world
 from tests.helpers import Array, central_difference, random_covariance
 
@@ -34,7 +34,7 @@ SENSORS = ("circle", "circle-range-bearing")
 class RelativeObservation(RangeBearing):
     """Relative positions for the reference filter, written out by hand."""
 
-    def predict(self, pose: Array, landmarks: Array) -> PredictedSightings:
+    def predict(self, pose: Array, landmarks: Array) -> PredictedMeasurements:
         cos, sin = np.cos(pose[2]), np.sin(pose[2])
         back = np.array([[cos, sin], [-sin, cos]])
         offset = landmarks - pose[:2]
@@ -42,7 +42,7 @@ class RelativeObservation(RangeBearing):
         by_pose[:, :, :2] = -back
         by_pose[:, 0, 2] = -sin * offset[:, 0] + cos * offset[:, 1]
         by_pose[:, 1, 2] = -cos * offset[:, 0] - sin * offset[:, 1]
-        return PredictedSightings(
+        return PredictedMeasurements(
             offset @ back.T, by_pose, np.broadcast_to(back, (len(offset), 2, 2))
         )
 
@@ -73,7 +73,7 @@ def test_the_standard_filter_is_the_reference_run_by_run(scenario: str) -> None:
     batch = FILTERS["ekf"](world, 3)
     drive(batch, world, data, 400)
     for run in range(3):
-        reference = FullEkf(
+        reference = Ekf(
             UnicycleModel(), KnownAssociation(), world.robot.pose, world.robot.covariance
         )
         if isinstance(world.robot.sensor, RelativePosition):

@@ -19,7 +19,7 @@ from comparisons.logs.log import Poses
 from comparisons.pipeline.gaps import Compared
 from comparisons.pipeline.prepare import Prepared
 from comparisons.report.picture import blank
-from ekf_reference.full_ekf import NEW, FullEkf
+from ekf_reference.core.ekf import NEW, Ekf
 from tests.comparisons.toy_extension.config import DockingConfig
 
 NOISE = np.diag((0.05, 0.05, 0.01)) ** 2
@@ -41,7 +41,7 @@ class DockingSource:
         self._slot = NEW
         self.sightings = 0
 
-    def look(self, ekf: FullEkf, epoch: int, time_s: float, ledger: OrientedLedger) -> None:
+    def look(self, ekf: Ekf, epoch: int, time_s: float, ledger: OrientedLedger) -> None:
         pose = self._truth.at(np.array([time_s]))[0]
         away = np.array((self._config.x_m, self._config.y_m)) - pose[:2]
         if np.hypot(*away) > self._config.reach_m:

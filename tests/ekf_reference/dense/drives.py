@@ -8,15 +8,15 @@ import numpy as np
 
 from comparisons.experiments.reproduction.watched_run import watched_run
 from comparisons.logs.log import Log
-from ekf_reference.full_ekf import FullEkf
-from ekf_reference.observation import RangeBearing
-from ekf_reference.trace import Trace
+from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.trace import Trace
+from ekf_reference.models.range_bearing import RangeBearing
 from tests.helpers import Array
 
 
 def scans(
-    log: Log, trace: Trace | None = None, predicted: Callable[[FullEkf], None] | None = None
-) -> Iterator[tuple[float, FullEkf]]:
+    log: Log, trace: Trace | None = None, predicted: Callable[[Ekf], None] | None = None
+) -> Iterator[tuple[float, Ekf]]:
     """The filter after every scan with sightings, and the scan's time [s].
 
     predicted: shown the filter between prediction and update.

@@ -17,6 +17,7 @@ from comparisons.experiments.reproduction.decorrelation_example import (
     fused_until,
 )
 from comparisons.logs.log import Log
+from ekf_reference.core.state import KalmanState, state_columns
 from ekf_reference.dense.conditions import Conditions, coordinate_correlation
 from ekf_reference.dense.decorrelation import (
     correlations,
@@ -25,8 +26,7 @@ from ekf_reference.dense.decorrelation import (
     passive_change,
 )
 from ekf_reference.dense.triangles import contains, is_degenerate, local_covariance, to_local
-from ekf_reference.kalman import KalmanState, state_columns
-from ekf_reference.observation import RangeBearing
+from ekf_reference.models.range_bearing import RangeBearing
 from tests.ekf_reference.dense.test_triangles import random_triangles
 from tests.helpers import Array, random_covariance, relative_error, simulated
 

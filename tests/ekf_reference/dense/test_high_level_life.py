@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from comparisons.logs.simulate.ray_casting import cast
-from ekf_reference.association import KnownAssociation
+from ekf_reference.association.nearest_neighbour import KnownAssociation
+from ekf_reference.core.ekf import NEW, Ekf, Stabilisation
 from ekf_reference.dense.high_level import Found, search, to_world
 from ekf_reference.dense.high_level_life import (
     Glimpse,
@@ -19,11 +20,10 @@ from ekf_reference.dense.high_level_life import (
 from ekf_reference.dense.local_pose import local_pose
 from ekf_reference.dense.triangles import Array
 from ekf_reference.dense.view import FilterView
-from ekf_reference.full_ekf import NEW, FullEkf, Stabilisation
-from ekf_reference.motion import UnicycleModel
-from ekf_reference.scan_landmarks.observation import OrientedObservation
-from ekf_reference.scan_landmarks.scan_shape import of_scan
+from ekf_reference.models.motion import UnicycleModel
+from ekf_reference.models.relative_pose import RelativePose
 from ekf_reference.scan_landmarks.templates import View
+from ekf_reference.scan_matching.scan_shape import of_scan
 from tests.ekf_reference.dense.test_high_level import BEAMS, FEW, NONE, SENSOR, around, yard
 from tests.helpers import central_difference, relative_error
 
@@ -33,9 +33,9 @@ SIGMA = np.array((0.05, 0.005))
 ALL_ROUND = View(60.0, -math.pi, math.pi)
 
 
-def filter_at(pose: Array, points: Array = POINTS) -> FullEkf:
+def filter_at(pose: Array, points: Array = POINTS) -> Ekf:
     """It has seen three landmarks, exactly where they are."""
-    ekf = FullEkf(
+    ekf = Ekf(
         UnicycleModel(), KnownAssociation(), pose, np.diag((0.05, 0.04, 0.01)) ** 2, Stabilisation()
     )
     apart = points - pose[:2]
@@ -47,7 +47,7 @@ def filter_at(pose: Array, points: Array = POINTS) -> FullEkf:
 
 def glimpse(pose: Array, mount: Array, seed: int = 0) -> Glimpse:
     """The yard from a pose (3,) of the vehicle."""
-    scanner = OrientedObservation().invert(pose, mount[None]).point[0]
+    scanner = RelativePose().invert(pose, mount[None]).point[0]
     noise = 0.05 * np.random.default_rng(seed).standard_normal(len(BEAMS))
     seen = cast(BEAMS, scanner, yard()) + noise
     return Glimpse(of_scan(BEAMS, seen, SENSOR), mount, ALL_ROUND)
@@ -110,7 +110,7 @@ def test_the_prior_of_a_match_is_the_covariance_carried_through() -> None:
     one, view = landmarks.landmark[0], FilterView.of(ekf)
     expected = landmarks.expected(ekf, view, one)
     assert expected is not None
-    sighted = OrientedObservation()
+    sighted = RelativePose()
 
     def way(x: Array) -> Array:
         vehicle = local_pose(x[:3], x[3:5], x[5:7])

@@ -10,7 +10,7 @@ from ekf_reference.dense.local_pose import (
     read_local_poses,
 )
 from ekf_reference.dense.view import FilterView
-from ekf_reference.observation import RangeBearing, wrap_angle
+from ekf_reference.models.range_bearing import RangeBearing, wrap_angle
 from tests.helpers import Array, central_difference, random_covariance
 
 SEEDS = range(8)

@@ -9,16 +9,16 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from ekf_reference.absolute_updates import Steps
-from ekf_reference.association import KnownAssociation
-from ekf_reference.compressed_ekf import CompressedEkf
+from ekf_reference.association.nearest_neighbour import KnownAssociation
+from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.measurement_update import Steps
+from ekf_reference.core.state import Index, state_columns
+from ekf_reference.core.trace import Prediction, RecordedTrace
 from ekf_reference.dense.passive_states import PassiveStates, local_coordinates, points
 from ekf_reference.dense.triangles import local_jacobians, to_local
-from ekf_reference.direction_cosine_ekf import DirectionCosineEkf
-from ekf_reference.full_ekf import FullEkf
-from ekf_reference.kalman import Index, state_columns
-from ekf_reference.motion import UnicycleModel
-from ekf_reference.trace import Prediction, RecordedTrace
+from ekf_reference.filters.compressed import CompressedEkf
+from ekf_reference.filters.misono import DirectionCosineEkf
+from ekf_reference.models.motion import UnicycleModel
 from tests.ekf_reference.dense.drives import scans
 from tests.helpers import Array, relative_error, simulated
 
@@ -38,7 +38,7 @@ class Outcome(NamedTuple):
     covariance: Array
 
 
-def drive(look: Callable[[FullEkf, int, Array], None], start: Callable[[FullEkf], None]) -> FullEkf:
+def drive(look: Callable[[Ekf, int, Array], None], start: Callable[[Ekf], None]) -> Ekf:
     """A loop with position fixes and split updates; `look` gets z (3, 2) of new dense points."""
     rng = np.random.default_rng(0)
     for k, (_, ekf) in enumerate(scans(simulated(0, extra_s=10.0))):
@@ -61,7 +61,7 @@ def drive(look: Callable[[FullEkf, int, Array], None], start: Callable[[FullEkf]
 def carried() -> Outcome:
     """Points in the filter's state, sighted once and never again."""
 
-    def look(ekf: FullEkf, k: int, z: Array) -> None:
+    def look(ekf: Ekf, k: int, z: Array) -> None:
         ekf.observe(z, np.tile(SIGMA, (3, 1)), FIRST_LABEL + 3 * k + np.arange(3))
 
     ekf = drive(look, lambda ekf: None)
@@ -81,11 +81,11 @@ def carried() -> Outcome:
     )
 
 
-def watched(make: type[PassiveStates]) -> tuple[PassiveStates, FullEkf]:
+def watched(make: type[PassiveStates]) -> tuple[PassiveStates, Ekf]:
     kept: list[PassiveStates] = []
     noise = np.broadcast_to(np.diag(SIGMA**2), (3, 2, 2))
 
-    def look(ekf: FullEkf, k: int, z: Array) -> None:
+    def look(ekf: Ekf, k: int, z: Array) -> None:
         kept[0].watch(points(ekf.observation, ekf.state.pose, z, noise))
 
     ekf = drive(look, lambda ekf: kept.append(make(ekf)))
@@ -186,7 +186,7 @@ def test_another_trace_goes_on_receiving_everything() -> None:
 
 
 @pytest.mark.parametrize("kind", [CompressedEkf, DirectionCosineEkf])
-def test_filters_it_would_be_wrong_for_are_refused(kind: type[FullEkf]) -> None:
+def test_filters_it_would_be_wrong_for_are_refused(kind: type[Ekf]) -> None:
     ekf = kind(UnicycleModel(), KnownAssociation(), np.zeros(3), np.eye(3))
     with pytest.raises(TypeError, match="expected a KalmanState of 3"):
         PassiveStates(ekf)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from ekf_reference.core.trace import Removal, SightingUse
 from ekf_reference.dense.passive_states import PassiveStates, points
 from ekf_reference.dense.view import FilterView
-from ekf_reference.trace import Removal, SightingUse
 from tests.ekf_reference.both_kinds import Script, build, drive
 from tests.helpers import Array, relative_error
 

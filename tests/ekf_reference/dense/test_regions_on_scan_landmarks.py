@@ -8,22 +8,22 @@ from functools import cache
 import numpy as np
 import pytest
 
+from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.layout import POINT, POSE, Layout
+from ekf_reference.core.local_map import by_number
 from ekf_reference.dense.dense_map import DenseMap
 from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.view import FilterView
-from ekf_reference.full_ekf import FullEkf
-from ekf_reference.layout import ORIENTED, POINT, Layout
-from ekf_reference.local_map import by_number
 from tests.ekf_reference.both_kinds import Script, build, drive
 from tests.ekf_reference.dense.scenes import LAYERS, SENSOR
 from tests.ekf_reference.dense.test_dense_map import content, dense_map, room
 from tests.helpers import Array
 
-BOTH = (POINT, ORIENTED)
+BOTH = (POINT, POSE)
 BEARING = np.linspace(-1.2, 1.2, 31)
 
 
-def driven(kind: str, script: Script, look: Callable[[FullEkf], None]) -> FullEkf:
+def driven(kind: str, script: Script, look: Callable[[Ekf], None]) -> Ekf:
     """A drive, its filter looked at before every prediction."""
     ekf = build(kind)
     predict = ekf.predict
@@ -37,7 +37,7 @@ def driven(kind: str, script: Script, look: Callable[[FullEkf], None]) -> FullEk
     return ekf
 
 
-def as_points(ekf: FullEkf) -> FilterView:
+def as_points(ekf: Ekf) -> FilterView:
     """The definition, by whole state: landmarks with a direction, their x and y alone."""
     first = ekf.state.layout.oriented
     entries = (first[:, None] + (0, 1)).ravel()
@@ -50,7 +50,7 @@ def as_points(ekf: FullEkf) -> FilterView:
     )
 
 
-def without_cross(ekf: FullEkf) -> FilterView:
+def without_cross(ekf: Ekf) -> FilterView:
     """Broken: what vehicle and landmarks share is left out."""
     view = as_points(ekf)
     covariance = view.covariance.copy()
@@ -58,7 +58,7 @@ def without_cross(ekf: FullEkf) -> FilterView:
     return FilterView(view.pose, view.landmark, view.slot, covariance)
 
 
-def shifted(ekf: FullEkf) -> FilterView:
+def shifted(ekf: Ekf) -> FilterView:
     """Broken: y and heading are taken for x and y in the covariance."""
     first = ekf.state.layout.oriented
     kept = np.concatenate((np.arange(3), (first[:, None] + (1, 2)).ravel()))
@@ -67,11 +67,11 @@ def shifted(ekf: FullEkf) -> FilterView:
 
 
 @cache
-def mapped(read: Callable[[FullEkf], FilterView]) -> tuple[DenseMap, FilterView]:
+def mapped(read: Callable[[Ekf], FilterView]) -> tuple[DenseMap, FilterView]:
     """A dense map kept beside a drive among landmarks with a direction."""
     dense, rng = dense_map(*LAYERS, waiting=room()), np.random.default_rng(2)
 
-    def look(ekf: FullEkf) -> None:
+    def look(ekf: Ekf) -> None:
         view = read(ekf)
         dense.predicted(view)
         dense.updated(view)
@@ -81,8 +81,8 @@ def mapped(read: Callable[[FullEkf], FilterView]) -> tuple[DenseMap, FilterView]
     return dense, read(driven("full", Script(order="frames only"), look))
 
 
-def by_filter(ekf: FullEkf) -> FilterView:
-    return FilterView.of(ekf, (ORIENTED,))
+def by_filter(ekf: Ekf) -> FilterView:
+    return FilterView.of(ekf, (POSE,))
 
 
 @pytest.mark.slow
@@ -95,7 +95,7 @@ def test_the_map_is_that_between_points_of_the_same_mean_and_covariance() -> Non
 
 
 @pytest.mark.parametrize("broken", [without_cross, shifted])
-def test_another_covariance_makes_another_map(broken: Callable[[FullEkf], FilterView]) -> None:
+def test_another_covariance_makes_another_map(broken: Callable[[Ekf], FilterView]) -> None:
     dense, view = mapped(by_filter)
     other, same = mapped(broken)
     assert content(dense, view) != content(other, same)
@@ -122,7 +122,7 @@ def test_numbers_are_for_good() -> None:
     """Through arrivals of either kind, a fusion and removals, a landmark keeps its own."""
     first: dict[int, Array] = {}
 
-    def look(ekf: FullEkf) -> None:
+    def look(ekf: Ekf) -> None:
         view = FilterView.of(ekf, BOTH)
         for number in view.slot.tolist():
             known = first.setdefault(number, view.landmark[number].copy())
@@ -150,7 +150,7 @@ def test_the_compressed_filter_shows_what_the_full_one_does() -> None:
 
 
 def test_with_points_alone_numbers_are_slots() -> None:
-    layout = Layout.of_pose(3).appended(2, POINT).appended(1, ORIENTED).appended(1, POINT)
+    layout = Layout.of_pose(3).appended(2, POINT).appended(1, POSE).appended(1, POINT)
     number, first = layout.numbered((POINT,))
     assert number.tolist() == [0, 1, 2]
     assert first.tolist() == [3, 5, 10]

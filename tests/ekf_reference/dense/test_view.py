@@ -8,8 +8,8 @@ from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import build_timeline
 from comparisons.config import EkfConfig
+from ekf_reference.core.ekf import Ekf
 from ekf_reference.dense.view import FilterView
-from ekf_reference.full_ekf import FullEkf
 from tests.ekf_reference.dense.drives import scans
 from tests.helpers import simulated
 
@@ -31,7 +31,7 @@ def test_it_shows_pose_landmarks_and_their_joint_covariance() -> None:
 def test_every_filter_is_read_as_pose_and_landmarks(name: str) -> None:
     """The last view of a run is what the run's estimate says, pose as x, y, heading."""
     log = simulated(loop_s=40.0)
-    kept: list[FullEkf] = []
+    kept: list[Ekf] = []
     run = run_ekf(
         log,
         build_timeline(log),
@@ -53,7 +53,7 @@ def test_glancing_leaves_a_compressed_filter_as_it_is() -> None:
     timeline, choices = build_timeline(log), settle(EkfConfig(filter="compressed"), log)
 
     def final(*, watched: bool) -> np.ndarray:
-        def watch(ekf: FullEkf) -> None:
+        def watch(ekf: Ekf) -> None:
             if not watched:
                 return
             predict = ekf.predict

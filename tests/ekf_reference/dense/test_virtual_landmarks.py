@@ -3,11 +3,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ekf_reference.core.state import KalmanState
 from ekf_reference.dense.conditions import Conditions, overlap
 from ekf_reference.dense.regions import Index, LocalRegions
 from ekf_reference.dense.virtual_landmarks import VirtualLandmarks, behind
-from ekf_reference.kalman import KalmanState
-from ekf_reference.observation import RangeBearing
+from ekf_reference.models.range_bearing import RangeBearing
 from tests.ekf_reference.dense.test_conditions import shared
 from tests.helpers import Array, central_difference, random_covariance
 

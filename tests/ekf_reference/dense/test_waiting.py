@@ -3,14 +3,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ekf_reference.core.state import state_columns
 from ekf_reference.dense.conditions import Conditions
 from ekf_reference.dense.local_pose import Frames, local_pose
 from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.triangles import to_global
 from ekf_reference.dense.view import FilterView
 from ekf_reference.dense.waiting import WaitingRoom
-from ekf_reference.kalman import state_columns
-from ekf_reference.motion import AckermannModel, MotionModel, RelativePoseModel, UnicycleModel
+from ekf_reference.models.motion import (
+    AckermannModel,
+    MotionModel,
+    RelativePoseModel,
+    UnicycleModel,
+)
 from tests.ekf_reference.dense.waiting_rooms import DENSE, LANDMARK, START, anywhere, noise, view_at
 from tests.helpers import Array, central_difference
 

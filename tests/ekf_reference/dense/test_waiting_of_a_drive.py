@@ -14,12 +14,12 @@ from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import build_timeline
 from comparisons.config import EkfConfig
+from ekf_reference.core.ekf import Ekf
 from ekf_reference.dense.local_pose import Frames
 from ekf_reference.dense.regions import Index, LocalRegions
 from ekf_reference.dense.triangles import axes, solve
 from ekf_reference.dense.view import FilterView
 from ekf_reference.dense.waiting import Counts, WaitingRoom
-from ekf_reference.full_ekf import FullEkf
 from tests.ekf_reference.dense.drives import dense_sightings, scans, true_landmarks
 from tests.ekf_reference.dense.waiting_rooms import NoCross, NoMotion, WrongSign, anywhere
 from tests.helpers import Array, simulated
@@ -61,7 +61,7 @@ def waited(seed: int) -> dict[str, Errors]:
     landmark, rng = true_landmarks(log), np.random.default_rng(1000 + seed)
     rooms = [kind(capacity=10**6) for kind in KINDS]
 
-    def predicted(ekf: FullEkf) -> None:
+    def predicted(ekf: Ekf) -> None:
         for room in rooms:
             room.predicted(FilterView.of(ekf))
 
@@ -230,7 +230,7 @@ def waiting_points(name: str) -> tuple[WaitingRoom, Array]:
     assert log.truth.poses is not None
     poses, rng, room = log.truth.poses, np.random.default_rng(3), WaitingRoom()
 
-    def watch(ekf: FullEkf) -> None:
+    def watch(ekf: Ekf) -> None:
         observe = ekf.observe
 
         def watched(z: Array, sigma: Array, identity: Index, time_s: float, *told: Any) -> Any:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ekf_reference.core.state import KalmanState, state_columns
 from ekf_reference.dense.local_pose import Frames
 from ekf_reference.dense.view import FilterView
 from ekf_reference.dense.waiting import WaitingRoom
-from ekf_reference.kalman import KalmanState, state_columns
-from ekf_reference.motion import UnicycleModel
-from ekf_reference.observation import RangeBearing
+from ekf_reference.models.motion import UnicycleModel
+from ekf_reference.models.range_bearing import RangeBearing
 from tests.ekf_reference.dense.waiting_rooms import BROKEN, DENSE, LANDMARK, START, anywhere
 from tests.helpers import Array, central_difference
 

@@ -7,10 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ekf_reference.scan_landmarks.alignment import align
-from ekf_reference.scan_landmarks.alignment_covariance import scan_align
 from ekf_reference.scan_landmarks.enriching import enriched, observe_enriched
-from ekf_reference.scan_landmarks.sog import SumOfGaussians
 from ekf_reference.scan_landmarks.templates import (
     AMBIGUOUS,
     ObservationOptions,
@@ -18,10 +15,13 @@ from ekf_reference.scan_landmarks.templates import (
     TemplateMatching,
     observe,
 )
+from ekf_reference.scan_matching.alignment import align
+from ekf_reference.scan_matching.alignment_covariance import scan_align
+from ekf_reference.scan_matching.sog import SumOfGaussians
 from tests.ekf_reference.both_kinds import relative
-from tests.ekf_reference.scan_landmarks.scenes import box, solids
 from tests.ekf_reference.scan_landmarks.test_templates import VIEW as WHOLE
 from tests.ekf_reference.scan_landmarks.test_templates import seen
+from tests.ekf_reference.scan_matching.scenes import box, solids
 from tests.helpers import Array
 
 ALIKE = solids(

@@ -7,19 +7,19 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
-from ekf_reference.association import KnownAssociation
-from ekf_reference.full_ekf import NEW, FullEkf
-from ekf_reference.layout import ORIENTED
-from ekf_reference.motion import RelativePoseModel
+from ekf_reference.association.nearest_neighbour import KnownAssociation
+from ekf_reference.core.ekf import NEW, Ekf
+from ekf_reference.core.layout import POSE
+from ekf_reference.models.motion import RelativePoseModel
 from ekf_reference.scan_landmarks.pieces import SingleSegments
-from ekf_reference.scan_landmarks.scan_shape import of_scan
 from ekf_reference.scan_landmarks.scan_slam import GATED, USED, ScanSlam, ScanSlamOptions
 from ekf_reference.scan_landmarks.segmentation import SegmentationOptions
-from ekf_reference.scan_landmarks.sog import Index, SumOfGaussians
 from ekf_reference.scan_landmarks.templates import BLANK, OUT_OF_VIEW, Template, View
+from ekf_reference.scan_matching.scan_shape import of_scan
+from ekf_reference.scan_matching.sog import Index, SumOfGaussians
 from tests.ekf_reference.both_kinds import relative
-from tests.ekf_reference.scan_landmarks.scenes import BEAMS, LASER, ranges
 from tests.ekf_reference.scan_landmarks.test_templates import STAR
+from tests.ekf_reference.scan_matching.scenes import BEAMS, LASER, ranges
 from tests.helpers import Array, central_difference, relative_error
 
 VIEW = View(40.0, float(BEAMS[0]), float(BEAMS[-1]))
@@ -33,7 +33,7 @@ EVERY = ScanSlamOptions(pieces=SINGLE)
 class Told:
     """Remembers what it is told, and tells the filter."""
 
-    ekf: FullEkf
+    ekf: Ekf
     slot: list[int] = field(default_factory=list)
     z: list[Array] = field(default_factory=list)
 
@@ -43,8 +43,8 @@ class Told:
         return self.ekf.observe_oriented(z, covariance, slot)
 
 
-def filter_at(pose: Array) -> FullEkf:
-    return FullEkf(RelativePoseModel(), KnownAssociation(), pose, PRIOR)
+def filter_at(pose: Array) -> Ekf:
+    return Ekf(RelativePoseModel(), KnownAssociation(), pose, PRIOR)
 
 
 def scan_from(vehicle: Array, seed: int = 0) -> SumOfGaussians:
@@ -55,7 +55,7 @@ def scan_from(vehicle: Array, seed: int = 0) -> SumOfGaussians:
     return of_scan(BEAMS, way, LASER)
 
 
-def begun(options: ScanSlamOptions = EVERY) -> tuple[ScanSlam, FullEkf, Told]:
+def begun(options: ScanSlamOptions = EVERY) -> tuple[ScanSlam, Ekf, Told]:
     """One landmark, begun by the first scan."""
     slam, ekf = ScanSlam(LASER, VIEW, MOUNT, options), filter_at(np.zeros(3))
     told = Told(ekf)
@@ -81,7 +81,7 @@ def test_a_landmark_is_begun_once_and_then_seen_where_it_is() -> None:
 def test_the_prediction_is_h_p_ht_in_the_scanners_frame() -> None:
     slam, ekf, _ = begun()
     predicted = slam._predict(ekf)
-    local = ekf.state.map_of(np.array([0]), ORIENTED)
+    local = ekf.state.map_of(np.array([0]), POSE)
 
     def seen(both: Array) -> Array:
         scanner = relative_inverse(both[:3], MOUNT)

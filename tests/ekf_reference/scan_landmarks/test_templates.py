@@ -5,14 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ekf_reference.scan_landmarks.scan_shape import of_scan
 from ekf_reference.scan_landmarks.segmentation import (
     Quality,
     SegmentationOptions,
     quality,
     segments,
 )
-from ekf_reference.scan_landmarks.sog import SumOfGaussians
 from ekf_reference.scan_landmarks.templates import (
     Template,
     TemplateMatching,
@@ -20,7 +18,9 @@ from ekf_reference.scan_landmarks.templates import (
     observe,
     share_in_view,
 )
-from tests.ekf_reference.scan_landmarks.scenes import (
+from ekf_reference.scan_matching.scan_shape import of_scan
+from ekf_reference.scan_matching.sog import SumOfGaussians
+from tests.ekf_reference.scan_matching.scenes import (
     BEAMS,
     ELL,
     LASER,

@@ -1,0 +1,202 @@
+"""What tells landmarks apart besides where they are (Nieto 2005, section 6.4).
+
+A trunk's diameter or a reflector's brightness is constant (Guivant 2002, eq. 16): every landmark
+keeps an estimate of each, and the density of a pairing is the product of the position's Gaussian
+and the attributes', so that their normalised innovations squared and ln |S| add up (Nieto 2005,
+eqs. 2.58 and 2.60), and their degrees of freedom. The filter's state knows nothing of this.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammainccinv
+
+from ekf_reference.core.measurements import MeasuredAttributes, Sightings
+
+Array = NDArray[np.float64]
+Counts = NDArray[np.intp]
+
+
+class AttributeDistances(NamedTuple):
+    """What attributes add to the distances from m sightings to L landmarks.
+
+    nis: (m, L). n: (m, L) nis + ln of the variances. dof: (m, L) attributes that were compared.
+    """
+
+    nis: Array
+    n: Array
+    dof: Counts
+
+
+class Attributes(Protocol):
+    """Contract of what an association rule asks about attributes."""
+
+    def distances(self, slot: Counts, sightings: Sightings) -> AttributeDistances:
+        """From all sightings (m) to landmarks by slot (L,)."""
+        ...
+
+
+class NoAttributes:
+    """Landmarks are told apart by position alone."""
+
+    def distances(self, slot: Counts, sightings: Sightings) -> AttributeDistances:
+        """Nothing is added."""
+        nothing = np.zeros((len(sightings), len(slot)))
+        return AttributeDistances(nothing, nothing, nothing.astype(np.intp))
+
+
+NO_ATTRIBUTES = NoAttributes()
+
+
+@dataclass
+class AttributeEstimates:
+    """Mean, variance and count of every landmark's attributes, from the sightings it was given.
+
+    repeats: (A,) sightings that are worth one independent one, for what puts one wrong (the side
+    that a trunk shows, an occlusion) puts the next wrong, too; 1 makes this the Kalman filter of a
+    constant. The variance is never taken for larger than that of the best single sighting.
+    """
+
+    repeats: Array
+    count: Counts = field(init=False)
+    _information: Array = field(init=False)
+    _weighted: Array = field(init=False)
+    _least: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Begin without landmarks."""
+        shape = (0, len(self.repeats))
+        self.count = np.zeros(shape, dtype=np.intp)
+        self._information, self._weighted = np.zeros(shape), np.zeros(shape)
+        self._least = np.zeros(shape)
+
+    @property
+    def mean(self) -> Array:
+        """(L, A), NaN where nothing is known; L counts up to the last landmark seen."""
+        known = self.count > 0
+        return np.where(known, self._weighted / np.where(known, self._information, 1.0), np.nan)
+
+    @property
+    def variance(self) -> Array:
+        """(L, A), NaN where nothing is known."""
+        known = self.count > 0
+        pooled = self.repeats / np.where(known, self._information, 1.0)
+        return np.where(known, np.minimum(pooled, self._least), np.nan)
+
+    def distances(self, slot: Counts, sightings: Sightings) -> AttributeDistances:
+        """Of what both the sighting and the landmark have; nis and dof of nothing else.
+
+        A landmark that lacks what the sighting has is no likelier for it: in n it stands with the
+        mean and spread of all landmarks that have it. Leaving the term out would weigh a density
+        per unit of the attribute against one without, and the unit would decide.
+        """
+        self._reach(int(slot.max(initial=-1)) + 1)
+        seen = sightings.attributes
+        if not seen.value.shape[1]:
+            return NO_ATTRIBUTES.distances(slot, sightings)
+        anyone = population(self.mean, self.variance)
+        return compared(seen, self.mean[slot], self.variance[slot], anyone)
+
+    def note(self, slots: Counts, sightings: Sightings) -> None:
+        """Average in the attributes of sightings that were given to landmarks."""
+        seen = sightings.attributes
+        row, column = np.nonzero(np.isfinite(seen.value) & (slots >= 0)[:, None])
+        if not len(row):
+            return
+        slot, variance = slots[row], seen.variance[row, column]
+        self._reach(int(slot.max()) + 1)
+        np.add.at(self.count, (slot, column), 1)
+        np.add.at(self._information, (slot, column), 1.0 / variance)
+        np.add.at(self._weighted, (slot, column), seen.value[row, column] / variance)
+        np.minimum.at(self._least, (slot, column), variance)
+
+    def _reach(self, landmarks: int) -> None:
+        more = landmarks - len(self.count)
+        if more > 0:
+            below = ((0, more), (0, 0))
+            self.count = np.pad(self.count, below)
+            self._information = np.pad(self._information, below)
+            self._weighted = np.pad(self._weighted, below)
+            self._least = np.pad(self._least, below, constant_values=np.inf)
+
+
+class LayerValues(Protocol):
+    """Whoever keeps a layer of the dense map, which the landmarks lie in."""
+
+    def values_at(self, slot: Counts) -> tuple[Array, Array, Array]:
+        """Of returns from around landmarks by slot (L,): mean, variance (NaN: none), and count."""
+        ...
+
+
+@dataclass(frozen=True)
+class LayerAttributes:
+    """One attribute is told by a layer of the dense map, the others are remembered.
+
+    The landmark's is what all scans have shown around its place, whatever its sightings were
+    taken for; the sighting's, in `column`, is what its own scan shows around it.
+    """
+
+    memory: AttributeEstimates
+    layer: LayerValues
+    column: int
+
+    def distances(self, slot: Counts, sightings: Sightings) -> AttributeDistances:
+        """As AttributeEstimates does. A return scatters as the layer's do, beside its noise."""
+        seen, column = sightings.attributes, self.column
+        others = seen.value.copy()
+        others[:, column] = np.nan
+        remembered = MeasuredAttributes(others, seen.variance)
+        first = self.memory.distances(slot, replace(sightings, attributes=remembered))
+        mean, scatter, count = self.layer.values_at(slot)
+        noise = seen.variance[:, column].mean()  # of one return, in the layer as here
+        variance = scatter + noise / np.maximum(count, 1.0)
+        own = MeasuredAttributes(seen.value[:, [column]], seen.variance[:, [column]])
+        known = mean[:, None], variance[:, None]
+        second = compared(own, *known, population(*known))
+        return AttributeDistances(
+            first.nis + second.nis, first.n + second.n, first.dof + second.dof
+        )
+
+
+def compared(
+    seen: MeasuredAttributes, mean: Array, variance: Array, anyone: tuple[Array, Array]
+) -> AttributeDistances:
+    """From sightings to landmarks with attributes (L, A), NaN where unknown.
+
+    anyone: (A,) mean and variance of what a landmark that lacks one stands with.
+    """
+    known = np.isfinite(mean)
+    spread = np.where(known, variance, anyone[1]) + seen.variance[:, None]
+    nis = (seen.value[:, None] - np.where(known, mean, anyone[0])) ** 2 / spread  # (m, L, A)
+    both = np.isfinite(seen.value)[:, None] & known
+    n = np.nansum(nis + np.log(spread), axis=2)
+    return AttributeDistances(
+        np.where(both, nis, 0.0).sum(axis=2), n, np.count_nonzero(both, axis=2)
+    )
+
+
+def population(mean: Array, variance: Array) -> tuple[Array, Array]:
+    """Mean and variance (A,) over landmarks (L, A), NaN while none has the attribute."""
+    known = np.isfinite(mean)
+    landmarks = known.sum(axis=0)
+    share = known / np.where(landmarks, landmarks, np.nan)
+    mean = np.where(known, mean, 0.0)
+    centre = (share * mean).sum(axis=0)
+    own = np.where(known, variance, 0.0)
+    return centre, (share * ((mean - centre) ** 2 + own)).sum(axis=0)
+
+
+def same_tail(gate: float, dof: Counts) -> Array:
+    """Bounds of chi-square variables that are exceeded as often as `gate` is with 2 dof.
+
+    dof: any shape, 2 or more each.
+    """
+    more = np.arange(3, int(dof.max(initial=2)) + 1)
+    wider = 2.0 * gammainccinv(0.5 * more, math.exp(-0.5 * gate))
+    bounds: Array = np.concatenate((np.full(3, gate), wider))[dof]
+    return bounds

@@ -1,0 +1,134 @@
+"""Joint association that passes while it is in doubt, for landmarks that stand in clumps.
+
+After a blind turn the first sighting may fit several landmarks, and a wrong choice is fused for
+good. Here all hypotheses of a scan are weighed against each other (Nieto 2005, section 2.4.1; the
+joint form of eqs. 2.58 and 2.60), and a sighting is used only when every hypothesis that is not
+far less likely than the best says the same of it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ekf_reference.association.joint_compatibility import pair_covariance
+from ekf_reference.association.nearest_neighbour import (
+    AMBIGUOUS,
+    MappedState,
+    Slots,
+    normalised_distances,
+    surroundings,
+)
+from ekf_reference.core.local_map import LocalMap
+from ekf_reference.core.measurements import Sightings
+from ekf_reference.models.range_bearing import Observation
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+Choice = tuple[int, ...]
+"""Per place the landmark of the local map, or _NEW."""
+
+_NEW = -1
+
+
+@dataclass(frozen=True)
+class ConsensusAssociation:
+    """Sightings are AMBIGUOUS unless the likely hypotheses agree on them.
+
+    resolution_m: sightings nearer to each other than this are of one landmark, which stands for
+    all that is seen within a disc of this diameter. odds: a hypothesis counts until the best is so
+    many times likelier. new_density: new landmarks expected in the view, per m and rad. gate:
+    bound of the nis of a single pairing. most_hypotheses: that are followed at a time.
+    """
+
+    resolution_m: float = 0.75
+    odds: float = 30.0
+    new_density: float = 1e-3
+    gate: float = 25.0
+    most_hypotheses: int = 200
+
+    def assign(self, state: MappedState, observation: Observation, sightings: Sightings) -> Slots:
+        """Assign the sightings on which all likely hypotheses agree."""
+        point = observation.invert(state.pose, sightings.z).point
+        group = _groups(point, self.resolution_m)
+        merged = self._merged(state, observation, point, group, sightings)
+        local = surroundings(state, observation, merged)
+        likely = self._likely(local, observation, merged)
+        slots = np.full(len(sightings), AMBIGUOUS, dtype=np.intp)
+        added = state.landmark_count
+        for place in range(len(merged)):
+            choices = {choice[place] for choice in likely}
+            if len(choices) > 1:
+                continue
+            (landmark,) = choices
+            slots[group == place] = added if landmark == _NEW else local.slot[landmark]
+            added += landmark == _NEW
+        return slots
+
+    def _merged(
+        self,
+        state: MappedState,
+        observation: Observation,
+        point: Array,
+        group: Index,
+        sightings: Sightings,
+    ) -> Sightings:
+        """One sighting per group, of the mean of its places (m, 2).
+
+        It has the noise of one, since what puts one sighting wrong puts the next, too; and that of
+        a place in a disc, whose variance is its diameter^2 / 16.
+        """
+        share = np.equal.outer(np.arange(group.max() + 1), group).astype(float)
+        share /= share.sum(axis=1, keepdims=True)
+        predicted = observation.predict(state.pose, share @ point)
+        h = predicted.jacobian_landmark
+        noise = np.einsum("gm,mij->gij", share, sightings.noise)
+        noise += self.resolution_m**2 / 16.0 * h @ h.transpose(0, 2, 1)
+        return Sightings(predicted.z, noise, np.full(len(share), -1), sightings.time_s)
+
+    def _likely(self, local: LocalMap, observation: Observation, merged: Sightings) -> list[Choice]:
+        """The hypotheses within the odds of the best, which may give no landmark to two places.
+
+        A hypothesis costs -2 ln of its density up to a constant: joint nis + ln |S| of its pairs,
+        and -2 ln (2 pi density) for each new landmark.
+        """
+        nis = normalised_distances(local, observation, merged)
+        place, landmark = np.nonzero(nis.nis <= self.gate)
+        if not len(place):
+            return [(_NEW,) * len(merged)]
+        nu = nis.innovation[place, landmark]
+        spread = pair_covariance(local, observation, merged, place, landmark)
+        cost_of_new = -2.0 * math.log(2.0 * math.pi * self.new_density)
+        beam: list[tuple[float, Choice, list[int]]] = [(0.0, (), [])]
+        for k in range(len(merged)):
+            grown = [(cost + cost_of_new, (*c, _NEW), pairs) for cost, c, pairs in beam]
+            for _, choice, pairs in beam:
+                fresh = cost_of_new * choice.count(_NEW)
+                for pair in np.flatnonzero(place == k).tolist():
+                    if int(landmark[pair]) not in choice:
+                        chosen = [*pairs, pair]
+                        cost = fresh + _cost(nu, spread, chosen)
+                        grown.append((cost, (*choice, int(landmark[pair])), chosen))
+            beam = sorted(grown)[: self.most_hypotheses]
+        return [c for cost, c, _ in beam if cost <= beam[0][0] + 2.0 * math.log(self.odds)]
+
+
+def _groups(point: Array, within_m: float) -> Index:
+    """Group (m,) of each point (m, 2): that with the nearest first point within reach, or new."""
+    group, first = np.empty(len(point), dtype=np.intp), point[:0]
+    for k, p in enumerate(point):
+        distance = np.linalg.norm(first - p, axis=1)
+        near = distance.min(initial=np.inf) <= within_m
+        group[k] = distance.argmin() if near else len(first)
+        first = first if near else np.vstack((first, p))
+    return group
+
+
+def _cost(nu: Array, spread: Array, pairs: list[int]) -> float:
+    """Joint nis + ln |S| of some pairs; nu: (p, 2). spread: (2 p, 2 p)."""
+    entries = (2 * np.array(pairs)[:, None] + (0, 1)).ravel()
+    s, innovation = spread[np.ix_(entries, entries)], nu[pairs].ravel()
+    return float(innovation @ np.linalg.solve(s, innovation) + np.linalg.slogdet(s)[1])

@@ -1,0 +1,1 @@
+"""The filter: state, landmark types, measurement update, the step, and its trace."""

@@ -1,0 +1,1 @@
+"""Features that become landmarks (Guivant 2002, section 3)."""

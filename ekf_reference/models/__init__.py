@@ -1,0 +1,1 @@
+"""Models of motion and of measurements, with their Jacobians."""

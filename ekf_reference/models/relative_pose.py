@@ -1,0 +1,53 @@
+"""Sightings of landmarks that have a place and a direction: their pose in the vehicle's frame.
+
+Matching a scan with a landmark's template gives such a sighting, whatever the method.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ekf_reference.models.range_bearing import NewLandmarks, PredictedMeasurements, wrap_angle
+
+Array = NDArray[np.float64]
+
+
+class RelativePose:
+    """The pose of a landmark's frame as seen from another frame, such as the vehicle's.
+
+    Source: Nieto 2005, eq. 5.15. Sightings are z = (x, y, heading) with noise that is added to
+    these three: forward and left of the frame that they are seen from, [m] and [rad].
+    """
+
+    def predict(self, pose: Array, landmarks: Array) -> PredictedMeasurements:
+        """Expected sightings of landmarks (m, 3) from pose (3,), and their Jacobians."""
+        cos, sin = np.cos(pose[2]), np.sin(pose[2])
+        dx, dy = landmarks[:, 0] - pose[0], landmarks[:, 1] - pose[1]
+        forward, left = dx * cos + dy * sin, -dx * sin + dy * cos
+        z = np.column_stack((forward, left, landmarks[:, 2] - pose[2]))
+        into = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        by_landmark = np.repeat(into[None], len(landmarks), axis=0)
+        by_pose = -by_landmark
+        by_pose[:, 0, 2] += left
+        by_pose[:, 1, 2] -= forward
+        return PredictedMeasurements(z, by_pose, by_landmark)
+
+    def innovation(self, z: Array, predicted: Array) -> Array:
+        """Z - predicted (..., 3), the heading wrapped."""
+        difference: Array = z - predicted
+        difference[..., 2] = wrap_angle(difference[..., 2])
+        return difference
+
+    def invert(self, pose: Array, z: Array) -> NewLandmarks:
+        """Where landmarks seen at z (m, 3) from pose (3,) are: the pose and z composed.
+
+        To eq. 5.15 what eqs. 2.50, 2.54 and 2.55 are to range and bearing.
+        """
+        cos, sin = np.cos(pose[2]), np.sin(pose[2])
+        east, north = cos * z[:, 0] - sin * z[:, 1], sin * z[:, 0] + cos * z[:, 1]
+        place = np.column_stack((pose[0] + east, pose[1] + north, pose[2] + z[:, 2]))
+        out = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        by_pose = np.repeat(np.eye(3)[None], len(z), axis=0)
+        by_pose[:, 0, 2], by_pose[:, 1, 2] = -north, east
+        return NewLandmarks(place, by_pose, np.repeat(out[None], len(z), axis=0))

@@ -1,0 +1,342 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+import pytest
+from scipy.stats import binomtest, chi2, norm
+
+from ekf_reference.association.attributes import (
+    AttributeDistances,
+    AttributeEstimates,
+    Attributes,
+    same_tail,
+)
+from ekf_reference.association.joint_compatibility import JointCompatibility, pair_covariance
+from ekf_reference.association.nearest_neighbour import (
+    AMBIGUOUS,
+    NearestNeighbour,
+    RememberedAttributes,
+)
+from ekf_reference.core.measurements import NOT_MEASURED, MeasuredAttributes, Sightings
+from ekf_reference.core.state import KalmanState
+from ekf_reference.models.range_bearing import RangeBearing
+
+MODEL = RangeBearing()
+SIGMA = (0.05, 0.005)
+ANYTHING = 1e9
+TRIALS = 2000
+
+
+def mapped(points: list[tuple[float, float]], pose_covariance: np.ndarray) -> KalmanState:
+    state = KalmanState(np.zeros(3), pose_covariance)
+    for point in points:
+        state.augment(
+            np.array([point]), np.zeros((1, 2, 3)), np.eye(2)[None], 1e-6 * np.eye(2)[None]
+        )
+    return state
+
+
+def seen(z: np.ndarray, value: np.ndarray, sigma: float | np.ndarray) -> Sightings:
+    """Sightings (m, 2) with attributes (m, A)."""
+    noise = MODEL.noise(np.tile(SIGMA, (len(z), 1)))
+    told = MeasuredAttributes(value, np.broadcast_to(np.square(sigma), value.shape))
+    return Sightings(z, noise, np.full(len(z), -1), attributes=told)
+
+
+def remembered(mean: np.ndarray, sigma: np.ndarray, repeats: float = 1.0) -> AttributeEstimates:
+    """Landmarks (L, A) whose attributes are known to a sigma (L, A), NaN for unknown."""
+    memory = AttributeEstimates(np.full(mean.shape[1], repeats))
+    told = seen(np.ones((len(mean), 2)), mean, sigma)
+    memory.note(np.arange(len(mean)), told)
+    return memory
+
+
+def expected_share(share: float, right: int, trials: int = TRIALS) -> bool:
+    """A two-sided test at 1 in 1000."""
+    return bool(binomtest(right, trials, share).pvalue > 1e-3)
+
+
+def test_a_constant_is_filtered() -> None:
+    """Without repeats the estimate is that of a Kalman filter begun by the first observation."""
+    rng = np.random.default_rng(0)
+    memory = AttributeEstimates(np.ones(1))
+    mean, variance = np.nan, np.inf
+    for k in range(20):
+        z, sigma = rng.normal(0.4, 0.1), rng.uniform(0.05, 0.2)
+        gain = 1.0 if k == 0 else variance / (variance + sigma**2)
+        mean = z if k == 0 else mean + gain * (z - mean)
+        variance = sigma**2 if k == 0 else (1.0 - gain) * variance
+        memory.note(np.array([2]), seen(np.ones((1, 2)), np.array([[z]]), sigma))
+        assert np.allclose((memory.mean[2, 0], memory.variance[2, 0]), (mean, variance), rtol=1e-12)
+    assert memory.count.tolist() == [[0], [0], [20]]
+    assert np.isnan(memory.mean[:2]).all()
+
+
+def test_repeated_sightings_are_worth_less_but_never_less_than_one() -> None:
+    memory = AttributeEstimates(np.array([10.0]))
+    sigmas = []
+    for _ in range(40):
+        memory.note(np.array([0]), seen(np.ones((1, 2)), np.array([[0.4]]), 0.1))
+        sigmas.append(float(np.sqrt(memory.variance[0, 0])))
+    assert np.allclose(sigmas[:10], 0.1, rtol=1e-12)
+    assert np.isclose(sigmas[39], 0.1 * np.sqrt(10.0 / 40.0), rtol=1e-12)
+
+
+def test_the_density_is_the_product_of_the_gaussians() -> None:
+    rng = np.random.default_rng(1)
+    mean, sigma = rng.normal(size=(3, 2)), rng.uniform(0.1, 2.0, (3, 2))
+    memory = remembered(mean, sigma)
+    told = seen(np.ones((4, 2)), rng.normal(size=(4, 2)), 0.3)
+    found = memory.distances(np.array([2, 0]), told)
+    for i, j in product(range(4), range(2)):
+        own = norm(mean[(2, 0)[j]], np.hypot(sigma[(2, 0)[j]], 0.3))
+        log_density = float(own.logpdf(told.attributes.value[i]).sum()) + np.log(2.0 * np.pi)
+        assert np.isclose(found.n[i, j], -2.0 * log_density, rtol=1e-10)
+        innovation = told.attributes.value[i] - mean[(2, 0)[j]]
+        assert np.isclose(found.nis[i, j], np.sum((innovation / own.std()) ** 2), rtol=1e-10)
+    assert (found.dof == 2).all()
+
+
+def test_what_is_missing_is_not_compared() -> None:
+    memory = remembered(np.array([[0.4, 7.0], [0.6, np.nan]]), np.full((2, 2), 0.1))
+    nothing, half = (np.nan, np.nan), (0.5, np.nan)
+    found = memory.distances(np.arange(3), seen(np.ones((2, 2)), np.array([nothing, half]), 0.1))
+    assert found.dof.tolist() == [[0, 0, 0], [1, 1, 0]]
+    assert (found.nis[0] == 0.0).all()
+    assert (found.n[0] == 0.0).all()
+    assert found.nis[1, 2] == 0.0
+
+
+def tree_drive(
+    rule: Callable[[Attributes], NearestNeighbour | JointCompatibility],
+    memory: AttributeEstimates,
+    unit: float,
+) -> list[list[int]]:
+    """Slots of some scans by a rule; every other landmark tells nothing of itself."""
+    rng = np.random.default_rng(5)
+    points = [(10.0, 0.5 * k) for k in range(-3, 4)]
+    state = mapped(points, np.diag((0.2**2, 0.2**2, 0.01**2)))
+    slots = []
+    for _ in range(40):
+        which = rng.choice(7, 3, replace=False)
+        pose = rng.multivariate_normal(np.zeros(3), state.pose_covariance)
+        z = MODEL.predict(pose, np.array(points)[which]).z + rng.normal(0, SIGMA, (3, 2))
+        value = unit * rng.normal(0.3 + 0.05 * which, 0.05)[:, None]
+        slots.append(rule(memory).assign(state, MODEL, seen(z, value, 0.05 * unit)).tolist())
+    return slots
+
+
+@dataclass
+class LeftOut:
+    """Broken: a landmark without the attribute goes without the term."""
+
+    memory: AttributeEstimates
+
+    def distances(self, slot: np.ndarray, sightings: Sightings) -> AttributeDistances:
+        found = self.memory.distances(slot, sightings)
+        return found._replace(n=np.where(found.dof > 0, found.n, 0.0))
+
+
+@pytest.mark.parametrize("kind", [NearestNeighbour, JointCompatibility])
+def test_the_unit_does_not_matter(kind: type) -> None:
+    """Even where some landmarks lack the attribute; leaving their term out would let it matter."""
+    diameter = np.array([np.nan if k % 2 else 0.3 + 0.05 * k for k in range(7)])[:, None]
+    for rule, same in (
+        (lambda memory: kind(attributes=memory), True),
+        (lambda memory: kind(attributes=LeftOut(memory)), False),
+    ):
+        metres, millimetres = (
+            tree_drive(rule, remembered(u * diameter, np.full((7, 1), 0.02 * u)), u)
+            for u in (1.0, 1000.0)
+        )
+        assert (metres == millimetres) is same
+
+
+def two_trees(
+    rule: NearestNeighbour, diameter: tuple[float, float], sigma: float, offset_m: float = 0.6
+) -> int:
+    """How often the right one of two trees is taken, by a vehicle that hardly knows where it is."""
+    rng = np.random.default_rng(11)
+    points = np.array([(10.0, 0.0), (10.0, offset_m)])
+    state = mapped([tuple(p) for p in points], np.diag((0.5**2, 0.5**2, 1e-8)))
+    right = 0
+    for k in range(TRIALS):
+        pose = rng.multivariate_normal(np.zeros(3), state.pose_covariance)
+        z = MODEL.predict(pose, points[[k % 2]]).z + rng.normal(0.0, SIGMA)
+        value = np.array([[rng.normal(diameter[k % 2], sigma)]])
+        right += rule.assign(state, MODEL, seen(z, value, sigma)).tolist() == [k % 2]
+    return right
+
+
+@pytest.mark.slow
+def test_two_trees_are_told_apart_as_often_as_theory_says() -> None:
+    """Two Gaussians of one covariance are told apart in Phi(d / 2) of all cases.
+
+    d: their Mahalanobis distance, the squares of position and attribute added.
+    """
+    spread = np.hypot(0.5, 10.0 * SIGMA[1])
+    apart = 0.6 / spread
+    memory = remembered(np.array([[0.3], [0.6]]), np.full((2, 1), 0.02))
+    beside = 0.3 / np.hypot(0.02, 0.1)
+    without, with_it = (
+        two_trees(NearestNeighbour(ANYTHING, ANYTHING, attributes), (0.3, 0.6), 0.1)
+        for attributes in (NearestNeighbour().attributes, memory)
+    )
+    alone, both = norm.cdf(0.5 * apart), norm.cdf(0.5 * np.hypot(apart, beside))
+    assert expected_share(alone, without)
+    assert expected_share(both, with_it)
+    assert not expected_share(both, without)
+    assert both - alone > 0.2
+
+
+@dataclass
+class Unnormalised:
+    """Broken: the exponent alone, which is least for a landmark of which little is known."""
+
+    memory: AttributeEstimates
+
+    def distances(self, slot: np.ndarray, sightings: Sightings) -> AttributeDistances:
+        found = self.memory.distances(slot, sightings)
+        return found._replace(n=found.nis)
+
+
+def test_a_vague_landmark_is_not_preferred() -> None:
+    """Trees at one place, one of them hardly known: right in half the integral of the larger."""
+    memory = remembered(np.array([[0.3], [0.5]]), np.array([[0.01], [0.4]]))
+    grid = np.linspace(-4.0, 5.0, 20001)
+    densities = [
+        norm.pdf(grid, mean, np.hypot(spread, 0.05)) for mean, spread in ((0.3, 0.01), (0.5, 0.4))
+    ]
+    best = 0.5 * float(np.maximum(*densities).sum() * (grid[1] - grid[0]))
+    shares = []
+    for attributes in (memory, Unnormalised(memory)):
+        rng, right = np.random.default_rng(3), 0
+        state = mapped([(10.0, 0.0), (10.0, 0.0)], 1e-4 * np.eye(3))
+        rule = NearestNeighbour(ANYTHING, ANYTHING, attributes)
+        z = np.array([[10.0, 0.0]])
+        for k in range(TRIALS):
+            true = (0.3, rng.normal(0.5, 0.4))[k % 2] if k % 2 else rng.normal(0.3, 0.01)
+            value = np.array([[rng.normal(true, 0.05)]])
+            right += rule.assign(state, MODEL, seen(z, value, 0.05)).tolist() == [k % 2]
+        shares.append(right)
+    assert expected_share(best, shares[0])
+    assert not expected_share(best, shares[1])
+    assert shares[1] < shares[0]
+
+
+@pytest.mark.slow
+def test_the_gate_holds_what_it_says() -> None:
+    """With a third degree of freedom as many right pairings pass as with two."""
+    state = mapped([(10.0, 0.0)], np.diag((0.3**2, 0.3**2, 1e-8)))
+    memory = remembered(np.array([[0.4]]), np.array([[0.1]]))
+    gate = float(chi2.ppf(0.9, 2))
+    rng, passed, misgated = np.random.default_rng(8), 0, 0
+    rule = NearestNeighbour(gate, ANYTHING, memory)
+    for _ in range(TRIALS):
+        pose = rng.multivariate_normal(np.zeros(3), state.pose_covariance)
+        z = MODEL.predict(pose, np.array([(10.0, 0.0)])).z + rng.normal(0.0, SIGMA)
+        sighting = seen(z, np.array([[rng.normal(0.4, np.hypot(0.1, 0.1))]]), 0.1)
+        passed += rule.assign(state, MODEL, sighting).tolist() == [0]
+        nis = memory.distances(np.zeros(1, dtype=np.intp), sighting).nis[0, 0]
+        misgated += nis + position_nis(state, sighting) <= gate
+    assert expected_share(0.9, passed)
+    assert not expected_share(0.9, misgated)
+
+
+def position_nis(state: KalmanState, sighting: Sightings) -> float:
+    local = state.local_map(1e3)
+    zero = np.zeros(1, dtype=np.intp)
+    spread = pair_covariance(local, MODEL, sighting, zero, zero)
+    nu = MODEL.innovation(sighting.z, MODEL.predict(local.pose, local.landmark).z)[0]
+    return float(nu @ np.linalg.solve(spread, nu))
+
+
+def test_bounds_of_one_probability() -> None:
+    assert same_tail(13.82, np.array([2])).tolist() == [13.82]
+    dof = np.array([[2, 3], [4, 2]])
+    assert np.allclose(chi2.sf(same_tail(25.0, dof), dof), np.exp(-12.5), rtol=1e-9)
+    assert np.isinf(same_tail(1e9, np.array([3]))).all()
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_joint_compatibility_equals_exhaustive_search(seed: int) -> None:
+    """The largest set that passes the gate of its own dof, the least in cost: found by trying all.
+
+    Some sightings and landmarks lack the attribute.
+    """
+    rng = np.random.default_rng(seed)
+    points = np.array([(10.0, 0.5 * k) for k in range(5)])
+    state = mapped([tuple(p) for p in points], np.diag((0.3**2, 0.3**2, 0.02**2)))
+    diameter = rng.uniform(0.2, 0.8, (5, 1))
+    memory = remembered(np.where(rng.random((5, 1)) < 0.2, np.nan, diameter), np.full((5, 1), 0.05))
+    which = rng.choice(5, 4, replace=False)
+    pose = rng.multivariate_normal(np.zeros(3), state.pose_covariance)
+    z = MODEL.predict(pose, points[which]).z + rng.normal(0.0, SIGMA, (4, 2))
+    value = np.where(rng.random((4, 1)) < 0.2, np.nan, rng.normal(diameter[which], 0.1))
+    sightings = seen(z, value, 0.1)
+    local = state.local_map(1e3)
+    beside = memory.distances(local.slot, sightings)
+    single = {
+        (i, j): pair(local, sightings, [(i, j)]) + beside.nis[i, j]
+        for i, j in product(range(4), range(5))
+    }
+    allowed = {k: v <= chi2.ppf(0.999, 2 + beside.dof[k]) for k, v in single.items()}
+    least = [
+        min((beside.n[i, j] for j in range(5) if allowed[i, j]), default=0.0) for i in range(4)
+    ]
+    best: tuple[int, float, tuple[int, ...]] = (0, 0.0, (-1,) * 4)
+    for slots in product(range(-1, 5), repeat=4):
+        pairs = [(i, j) for i, j in enumerate(slots) if j >= 0]
+        if not pairs or len({j for _, j in pairs}) < len(pairs):
+            continue
+        if not all(allowed[p] for p in pairs):
+            continue
+        position = pair(local, sightings, pairs)
+        dof = 2 * len(pairs) + sum(int(beside.dof[p]) for p in pairs)
+        if position + sum(beside.nis[p] for p in pairs) > chi2.ppf(0.999, dof):
+            continue
+        cost = position + sum(beside.n[i, j] - least[i] for i, j in pairs)
+        best = max(best, (len(pairs), -cost, slots))
+    rule = JointCompatibility(new_gate=ANYTHING, attributes=memory)
+    found = rule.assign(state, MODEL, sightings)
+    assert np.where(found == AMBIGUOUS, -1, found).tolist() == list(best[2])
+
+
+def pair(local: object, sightings: Sightings, pairs: list[tuple[int, int]]) -> float:
+    """Joint nis of the positions of some pairs."""
+    i, j = np.array(pairs).T
+    spread = pair_covariance(local, MODEL, sightings, i, j)  # type: ignore[arg-type]
+    predicted = MODEL.predict(local.pose, local.landmark)  # type: ignore[attr-defined]
+    nu = MODEL.innovation(sightings.z[i], predicted.z[j]).ravel()
+    return float(nu @ np.linalg.solve(spread, nu))
+
+
+@pytest.mark.parametrize("kind", [NearestNeighbour, JointCompatibility])
+def test_nothing_told_changes_nothing(kind: type) -> None:
+    """Without columns, or with nothing in them, the assignment is that by position."""
+    rng = np.random.default_rng(2)
+    points = [(10.0, 0.4 * k) for k in range(6)]
+    state = mapped(points, np.diag((0.2**2, 0.2**2, 0.01**2)))
+    memory = remembered(np.full((6, 2), 0.4), np.full((6, 2), 0.1))
+    for _ in range(20):
+        z = MODEL.predict(rng.normal(0.0, 0.1, 3), np.array(points)[:3]).z
+        unknown = seen(z, np.full((3, 2), np.nan), 0.1)
+        bare = Sightings(z, unknown.noise, unknown.identity)
+        assert bare.take(np.array([1, 0])).attributes is NOT_MEASURED
+        plain = kind().assign(state, MODEL, bare)
+        for sightings in (bare, unknown):
+            found = kind(attributes=memory).assign(state, MODEL, sightings)
+            assert np.array_equal(found, plain)
+
+
+def test_only_used_sightings_are_remembered() -> None:
+    memory = AttributeEstimates(np.ones(1))
+    state = mapped([(10.0, 0.0)], 1e-6 * np.eye(3))
+    rule = RememberedAttributes(NearestNeighbour(attributes=memory), memory)
+    z = MODEL.predict(np.zeros(3), np.array([(10.0, 0.0), (10.0, 0.25), (10.0, 5.0)])).z
+    slots = rule.assign(state, MODEL, seen(z, np.array([[0.3], [0.4], [0.5]]), 0.1))
+    assert slots.tolist() == [0, AMBIGUOUS, 1]
+    assert memory.mean[:, 0].tolist() == pytest.approx([0.3, 0.5], rel=1e-12)

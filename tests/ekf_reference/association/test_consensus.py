@@ -1,0 +1,79 @@
+from __future__ import annotations
+
+import numpy as np
+
+from ekf_reference.association.consensus import ConsensusAssociation
+from ekf_reference.association.nearest_neighbour import AMBIGUOUS, NearestNeighbour
+from ekf_reference.core.measurements import Sightings
+from ekf_reference.core.state import KalmanState
+from ekf_reference.models.range_bearing import RangeBearing
+
+MODEL = RangeBearing()
+POSTS = np.array(((5.0, 0.0), (5.0, 2.0), (5.0, 5.0)))
+
+
+def mapped(points: np.ndarray = POSTS, heading_sigma: float = 0.01) -> KalmanState:
+    state = KalmanState(np.zeros(3), np.diag((1e-4, 1e-4, heading_sigma**2)))
+    for point in points:
+        state.augment(point[None], np.zeros((1, 2, 3)), np.eye(2)[None], 1e-4 * np.eye(2)[None])
+    return state
+
+
+def seen(*points: tuple[float, float], heading: float = 0.0, sigma: float = 0.02) -> Sightings:
+    z = MODEL.predict(np.array((0.0, 0.0, heading)), np.array(points)).z
+    noise = MODEL.noise(np.tile((0.05, sigma), (len(z), 1)))
+    return Sightings(z, noise, np.full(len(z), -1))
+
+
+def test_known_landmarks_and_new_ones() -> None:
+    rule = ConsensusAssociation()
+    assert rule.assign(mapped(POSTS[:0]), MODEL, seen((5.0, 0.0), (5.0, 2.0))).tolist() == [0, 1]
+    assert rule.assign(mapped(), MODEL, seen((5.0, 2.0), (5.0, -3.0), (5.0, 0.0))).tolist() == [
+        1,
+        3,
+        0,
+    ]
+
+
+def test_a_clump_is_one_landmark() -> None:
+    """Sightings 0.3 m apart share a landmark, mapped or new; the nearest neighbour splits them."""
+    scan = seen((5.0, 0.1), (5.2, -0.2), (5.0, -3.0), (5.2, -3.2))
+    assert ConsensusAssociation().assign(mapped(), MODEL, scan).tolist() == [0, 0, 3, 3]
+    assert len(set(NearestNeighbour().assign(mapped(), MODEL, scan).tolist())) == 4
+
+
+def test_a_sighting_that_fits_two_landmarks_is_ambiguous() -> None:
+    """Turned by half the spacing with a heading that allows for it: either post could be meant."""
+    lost, one = mapped(heading_sigma=0.2), seen((5.0, 1.0))
+    assert ConsensusAssociation().assign(lost, MODEL, one).tolist() == [AMBIGUOUS]
+    assert NearestNeighbour().assign(lost, MODEL, one).tolist() != [AMBIGUOUS]
+    sure = mapped(heading_sigma=0.01)
+    assert ConsensusAssociation().assign(sure, MODEL, seen((5.0, 0.4))).tolist() == [0]
+
+
+def test_two_together_decide_what_one_cannot() -> None:
+    """Posts equally far, 0.4 and 0.8 rad apart: one could be any, the gap between two tells."""
+    ring = [(6.0 * float(np.cos(b)), 6.0 * float(np.sin(b))) for b in (-0.6, -0.2, 0.6)]
+    lost = mapped(np.array(ring), heading_sigma=0.4)
+    rule = ConsensusAssociation()
+    for post in ring[:2]:
+        assert rule.assign(lost, MODEL, seen(post, heading=-0.25)).tolist() == [AMBIGUOUS]
+    both = seen(ring[0], ring[1], heading=-0.25)
+    assert rule.assign(lost, MODEL, both).tolist() == [0, 1]
+
+
+def test_higher_odds_decide_less() -> None:
+    lost = mapped(heading_sigma=0.2)
+    scan = seen((5.0, 0.5))
+    assert ConsensusAssociation(odds=1.0).assign(lost, MODEL, scan).tolist() == [0]
+    assert ConsensusAssociation(odds=1e6).assign(lost, MODEL, scan).tolist() == [AMBIGUOUS]
+
+
+def test_a_crowded_scan_ends_within_its_bound() -> None:
+    """Twelve places that fit twelve posts in many ways: the hypotheses followed stay few."""
+    points = np.array([(8.0, 1.2 * k) for k in range(-6, 6)])
+    state = mapped(points, heading_sigma=0.3)
+    scan = seen(*[(8.0, y) for _, y in points.tolist()])
+    slots = ConsensusAssociation(most_hypotheses=20).assign(state, MODEL, scan)
+    used = slots[slots >= 0]
+    assert len(used) == len(set(used.tolist()))

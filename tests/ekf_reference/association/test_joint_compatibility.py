@@ -1,0 +1,120 @@
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from ekf_reference.association.joint_compatibility import JointCompatibility
+from ekf_reference.association.nearest_neighbour import (
+    AMBIGUOUS,
+    NearestNeighbour,
+    normalised_distances,
+)
+from ekf_reference.core.measurements import Sightings
+from ekf_reference.core.state import KalmanState, stack, state_columns
+from ekf_reference.models.range_bearing import RangeBearing
+
+MODEL = RangeBearing()
+
+
+def row_of_posts(heading_sigma: float) -> KalmanState:
+    """Posts 0.6 m apart, 10 m ahead; the vehicle is unsure of its heading only."""
+    state = KalmanState(np.zeros(3), np.diag((1e-6, 1e-6, heading_sigma**2)))
+    points = np.array([(10.0, 0.6 * k) for k in range(-3, 4)])
+    for point in points:
+        state.augment(point[None], np.zeros((1, 2, 3)), np.eye(2)[None], 1e-4 * np.eye(2)[None])
+    return state
+
+
+def seen_from(heading: float, points: list[tuple[float, float]]) -> Sightings:
+    z = MODEL.predict(np.array((0.0, 0.0, heading)), np.array(points)).z
+    return Sightings(z, MODEL.noise(np.tile((0.05, 0.005), (len(z), 1))), np.full(len(z), -1))
+
+
+def test_a_row_seen_with_a_turned_heading() -> None:
+    """Turned by most of the spacing, each post alone fits its neighbour; together they do not."""
+    state = row_of_posts(0.05)
+    truth = [0, 1, 2, 3, 4, 5, 6]
+    seen = seen_from(0.045, [(10.0, 0.6 * (k - 3)) for k in truth])
+    joint = JointCompatibility().assign(state, MODEL, seen)
+    single = NearestNeighbour().assign(state, MODEL, seen)
+    assert joint.tolist() == truth
+    assert single.tolist() != truth
+
+
+def joint_nis(state: KalmanState, seen: Sightings, slots: list[int]) -> float:
+    rows = [i for i, s in enumerate(slots) if s >= 0]
+    chosen = np.array([slots[i] for i in rows])
+    predicted = MODEL.predict(state.pose, state.landmarks[chosen])
+    columns = state_columns(chosen)
+    h = stack(predicted.jacobian_pose, predicted.jacobian_landmark)
+    s = h @ state.covariance[np.ix_(columns, columns)] @ h.T
+    for k, i in enumerate(rows):
+        s[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += seen.noise[i]
+    nu = MODEL.innovation(seen.z[rows], predicted.z).ravel()
+    return float(nu @ np.linalg.solve(s, nu))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_equals_exhaustive_search(seed: int) -> None:
+    """The largest jointly compatible set, with the least joint distance, found by trying all."""
+    rng = np.random.default_rng(seed)
+    state = row_of_posts(0.04)
+    points = [(10.0, 0.6 * k) for k in rng.choice(np.arange(-3, 4), 4, replace=False)]
+    seen = seen_from(float(rng.normal(0, 0.04)), [*points[:3], (10.0 + rng.normal(0, 0.3), 0.3)])
+    nis = normalised_distances(state.local_map(1e3), MODEL, seen).nis
+    options = [[-1, *np.flatnonzero(row <= chi2.ppf(0.999, 2)).tolist()] for row in nis]
+    best: tuple[int, float, list[int]] = (0, 0.0, [-1] * 4)
+    for slots in product(*options):
+        used = [s for s in slots if s >= 0]
+        if len(used) > len(set(used)) or not used:
+            continue
+        distance = joint_nis(state, seen, list(slots))
+        key = (len(used), -distance)
+        if distance <= chi2.ppf(0.999, 2 * len(used)) and key > (best[0], -best[1]):
+            best = (len(used), distance, list(slots))
+    found = JointCompatibility(new_gate=1e9).assign(state, MODEL, seen)
+    assert np.where(found == AMBIGUOUS, -1, found).tolist() == best[2]
+
+
+def test_new_and_ambiguous_as_with_the_nearest_neighbour() -> None:
+    state = row_of_posts(0.001)
+    seen = seen_from(0.0, [(10.0, 0.6), (20.0, 5.0), (10.0, 0.86)])
+    assert JointCompatibility().assign(state, MODEL, seen).tolist() == [4, 7, AMBIGUOUS]
+    empty = KalmanState(np.zeros(3), np.eye(3))
+    assert JointCompatibility().assign(empty, MODEL, seen).tolist() == [0, 1, 2]
+
+
+def test_a_crowded_scan_ends_within_its_bound() -> None:
+    """Thirty sightings that fit every post: the search gives its best set, not an eternity."""
+    state = row_of_posts(0.3)
+    seen = seen_from(0.0, [(10.0, 0.02 * k) for k in range(30)])
+    slots = JointCompatibility(most_nodes=500).assign(state, MODEL, seen)
+    used = slots[(slots >= 0) & (slots < 7)]
+    assert len(used) == len(set(used.tolist())) > 0
+
+
+def test_the_order_of_sightings_does_not_matter() -> None:
+    """A set that passes its own gate counts, even where a part of it would not pass a smaller one.
+
+    Three posts far apart and a certain pose: nis 10, 10 and 0 are each within 13.8, and 20
+    together within 22.5 for three pairs, though not within 18.5 for two.
+    """
+    state = KalmanState(np.zeros(3), 1e-12 * np.eye(3))
+    points = np.array(((10.0, 0.0), (0.0, 12.0), (-9.0, -9.0)))
+    for point in points:
+        state.augment(point[None], np.zeros((1, 2, 3)), np.eye(2)[None], 1e-12 * np.eye(2)[None])
+    z = MODEL.predict(np.zeros(3), points).z
+    z[:2, 0] += np.sqrt(10.0) * 0.05
+    for order in ([0, 1, 2], [2, 0, 1], [1, 2, 0]):
+        seen = Sightings(z[order], MODEL.noise(np.tile((0.05, 0.005), (3, 1))), np.full(3, -1))
+        assert JointCompatibility().assign(state, MODEL, seen).tolist() == order
+
+
+def test_a_scan_of_a_thousand_falls_back_to_the_nearest_neighbour() -> None:
+    state = row_of_posts(0.3)
+    seen = seen_from(0.0, [(10.0, 0.002 * k) for k in range(1100)])
+    slots = JointCompatibility().assign(state, MODEL, seen)
+    assert np.array_equal(slots, NearestNeighbour().assign(state, MODEL, seen))

@@ -1,0 +1,136 @@
+from __future__ import annotations
+
+import numpy as np
+
+from ekf_reference.association.nearest_neighbour import (
+    AMBIGUOUS,
+    REJECTED,
+    Distances,
+    EuclideanNeighbour,
+    KnownAssociation,
+    NearestNeighbour,
+    normalised_distances,
+)
+from ekf_reference.core.measurements import Sightings
+from ekf_reference.core.state import KalmanState, stack, state_columns
+from ekf_reference.models.range_bearing import RangeBearing
+
+MODEL = RangeBearing()
+
+
+def state_with(points: list[tuple[float, float]], sigmas: list[float]) -> KalmanState:
+    state = KalmanState(np.zeros(3), np.diag((1e-4, 1e-4, 1e-6)))
+    for point, sigma in zip(points, sigmas, strict=True):
+        state.augment(
+            np.array([point]), np.zeros((1, 2, 3)), np.eye(2)[None], sigma**2 * np.eye(2)[None]
+        )
+    return state
+
+
+def sightings(points: list[tuple[float, float]], labels: tuple[int, ...] = ()) -> Sightings:
+    z = MODEL.predict(np.zeros(3), np.array(points)).z
+    identity = np.array(labels or [-1] * len(z))
+    return Sightings(z, MODEL.noise(np.tile((0.1, 0.01), (len(z), 1))), identity)
+
+
+def distances(state: KalmanState, seen: Sightings) -> Distances:
+    return normalised_distances(state.local_map(1e3), MODEL, seen)
+
+
+def test_distances_equal_the_textbook_for_every_pair() -> None:
+    rng = np.random.default_rng(0)
+    state = state_with([(10, 3), (5, -8), (-4, 9)], [0.5, 1.0, 0.2])
+    state.predict(np.zeros(3), np.eye(3) + 0.1 * rng.standard_normal((3, 3)), 0.01 * np.eye(3))
+    state.augment(
+        np.array([[7.0, 7.0]]), rng.standard_normal((1, 2, 3)), np.eye(2)[None], np.eye(2)[None]
+    )
+    seen = sightings([(10.2, 3.1), (-4.1, 9.3)])
+    nis, distance, _ = distances(state, seen)
+    predicted = MODEL.predict(state.pose, state.landmarks)
+    for i in range(len(seen)):
+        for j in range(state.landmark_count):
+            columns = state_columns(np.array([j]))
+            h = stack(predicted.jacobian_pose[[j]], predicted.jacobian_landmark[[j]])
+            s = h @ state.covariance[np.ix_(columns, columns)] @ h.T + seen.noise[i]
+            nu = MODEL.innovation(seen.z[i], predicted.z[j])
+            expected = nu @ np.linalg.solve(s, nu)
+            assert np.isclose(nis[i, j], expected, rtol=1e-10)
+            assert np.isclose(distance[i, j], expected + np.log(np.linalg.det(s)), rtol=1e-10)
+
+
+def test_nearest_by_n_not_by_nis() -> None:
+    """Between a vague and a sharp landmark, N of eq. 2.60 prefers the sharp one."""
+    state = state_with([(10.0, 0.0), (10.45, 0.0)], [3.0, 0.12])
+    seen = sightings([(10.15, 0.0)])
+    nis, distance, _ = distances(state, seen)
+    assert nis[0, 0] < nis[0, 1] < 9.0
+    assert distance[0, 1] < distance[0, 0]
+    assert NearestNeighbour().assign(state, MODEL, seen).tolist() == [1]
+
+
+def test_gate_ambiguity_and_new_landmarks() -> None:
+    state = state_with([(10.0, 0.0), (0.0, 12.0)], [0.1, 0.1])
+    rule = NearestNeighbour()
+    inside, between, far = (10.2, 0.0), (10.62, 0.0), (10.0, 8.0)
+    seen = sightings([inside, between, far])
+    nis = distances(state, seen).nis
+    assert rule.gate < nis[1].min() < rule.new_gate < nis[2].min()
+    assert rule.assign(state, MODEL, seen).tolist() == [0, AMBIGUOUS, 2]
+
+
+def test_each_landmark_is_taken_once_in_a_scan() -> None:
+    state = state_with([(10.0, 0.0)], [0.2])
+    slots = NearestNeighbour().assign(state, MODEL, sightings([(10.25, 0.0), (10.05, 0.0)]))
+    assert slots.tolist() == [AMBIGUOUS, 0]
+
+
+def test_empty_map_makes_everything_new() -> None:
+    state = KalmanState(np.zeros(3), np.eye(3))
+    seen = sightings([(1, 1), (2, 2)])
+    assert NearestNeighbour().assign(state, MODEL, seen).tolist() == [0, 1]
+
+
+def test_labels_map_to_slots_in_order_of_arrival() -> None:
+    state = KalmanState(np.zeros(3), np.eye(3))
+    seen = sightings([(1, 1), (2, 2), (3, 3), (1, 1)], (40, 7, -1, 40))
+    slots = KnownAssociation().assign(state, MODEL, seen)
+    assert slots.tolist() == [0, 1, REJECTED, 0]
+
+
+def test_a_misread_label_is_rejected_by_the_gate_only() -> None:
+    state = state_with([(10.0, 0.0)], [0.1])
+    seen = sightings([(-10.0, 1.0)], (5,))
+    for gate, expected in ((60.0, REJECTED), (float("inf"), 0)):
+        rule = KnownAssociation(gate, {5: 0})
+        assert rule.assign(state, MODEL, seen).tolist() == [expected]
+
+
+def test_euclidean_distance_decides() -> None:
+    """Misono 2007, eq. 17: within d_min or new, whatever the covariances say."""
+    state = state_with([(10.0, 0.0), (10.0, 3.0)], [5.0, 0.01])
+    seen = sightings([(10.6, 0.0), (10.0, 3.9), (10.0, -1.2), (10.3, 0.3)])
+    slots = EuclideanNeighbour(d_min_m=1.0).assign(state, MODEL, seen)
+    assert slots.tolist() == [AMBIGUOUS, 1, 2, 0]  # the fourth is nearer to the first landmark
+    assert NearestNeighbour().assign(state, MODEL, seen).tolist()[1] != 1
+
+
+def test_the_printed_transformation_of_misono_is_no_rotation() -> None:
+    """Eq. 16 as printed maps right and forward to the same half plane; corrected, it rotates."""
+    xi, eta = np.cos(0.7), np.sin(0.7)
+    printed, corrected = np.array(((eta, -xi), (-xi, eta))), np.array(((eta, xi), (-xi, eta)))
+    right_forward = np.array((-np.sin(0.4), np.cos(0.4))) * 5.0  # bearing 0.4, range 5
+    point = MODEL.invert(np.array((0.0, 0.0, 0.7)), np.array([[5.0, 0.4]])).point[0]
+    assert np.allclose(corrected @ right_forward, point)
+    assert not np.allclose(printed @ right_forward, point, atol=0.5)
+    assert np.allclose(corrected.T @ corrected, np.eye(2))
+    assert not np.allclose(printed.T @ printed, np.eye(2), atol=0.1)
+
+
+def test_a_lost_vehicle_searches_farther() -> None:
+    """At loop closing the pose may be off by more than any fixed margin; the gate still decides."""
+    state = KalmanState(np.zeros(3), np.diag((225.0, 1e-4, 1e-8)))
+    state.augment(
+        np.array([[28.0, 0.0]]), np.zeros((1, 2, 3)), np.eye(2)[None], 1e-4 * np.eye(2)[None]
+    )
+    seen = sightings([(10.0, 0.0)])  # 18 m short: 1.2 sigma
+    assert NearestNeighbour().assign(state, MODEL, seen).tolist() == [0]

@@ -1,0 +1,138 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ekf_reference.association.nearest_neighbour import KnownAssociation
+from ekf_reference.core.ekf import Ekf, Stabilisation
+from ekf_reference.core.measurement_update import (
+    NO_LANDMARKS,
+    Linearised,
+    PositionFixes,
+    PositionModel,
+    Steps,
+    normalised_innovation_squared,
+)
+from ekf_reference.core.state import KalmanState
+from ekf_reference.core.trace import RecordedTrace
+from ekf_reference.models.motion import UnicycleModel
+from tests.helpers import Array, central_difference, random_covariance, relative_error
+
+LEVER = (2.0, -0.7)
+
+
+def ekf_at(pose: Array, covariance: Array, fixes: PositionFixes) -> Ekf:
+    ekf = Ekf(
+        UnicycleModel(), KnownAssociation(), pose, covariance, Stabilisation(), RecordedTrace()
+    )
+    ekf.fixes = fixes
+    return ekf
+
+
+@pytest.mark.parametrize("lever", [(0.0, 0.0), LEVER])
+def test_position_jacobian_equals_central_differences(lever: tuple[float, float]) -> None:
+    model, pose = PositionModel(lever), np.array((3.0, -4.0, 2.2))
+    exact = central_difference(lambda p: model.predict(p)[0], pose)
+    assert relative_error(model.predict(pose)[1], exact) < 1e-9
+
+
+def test_parts_equal_the_single_update_when_linear() -> None:
+    """Guivant 2002, section 4.2: sum 1 / K_i = 1 makes L updates one, to rounding."""
+    rng = np.random.default_rng(0)
+    covariance, noise = 25.0 * random_covariance(rng, 3), random_covariance(rng, 2)
+    z = np.array((9.0, -7.0))
+    steps = Steps(largest_turn_rad=0.02, largest_move_m=0.3)
+    single = ekf_at(np.zeros(3), covariance, PositionFixes(gate=1e9, steps=Steps()))
+    parts = ekf_at(np.zeros(3), covariance, PositionFixes(gate=1e9, steps=steps))
+    for ekf in (single, parts):
+        assert ekf.fix_position(z, noise)
+    trace = parts.trace
+    assert isinstance(trace, RecordedTrace)
+    weights = trace.arrays().positions.weight
+    assert len(weights) > 10
+    assert np.isclose(weights.sum(), 1.0, rtol=0, atol=1e-15)
+    assert relative_error(parts.state.mean, single.state.mean) < 1e-12
+    assert relative_error(parts.state.covariance, single.state.covariance) < 1e-12
+
+
+def test_weights_that_do_not_add_up_would_be_seen() -> None:
+    """The broken variant: every part fused with R itself, not R / weight."""
+    covariance, noise = np.diag((9.0, 9.0, 0.1)), np.eye(2)
+    sound, broken = KalmanState(np.zeros(3), covariance), KalmanState(np.zeros(3), covariance)
+    fixes, z = PositionFixes(steps=Steps(largest_move_m=0.2)), np.array((4.0, 4.0))
+    for state, scaled in ((sound, True), (broken, False)):
+
+        def linearise(state: KalmanState = state) -> Linearised:
+            return fixes.linearise(state.map_of(NO_LANDMARKS), z)
+
+        for weight, at in fixes.steps.split(linearise, noise):
+            r = noise / weight if scaled else noise
+            state.update(np.arange(3), at.jacobian, at.innovation, r)
+    exact = np.linalg.inv(np.linalg.inv(covariance) + np.diag((1.0, 1.0, 0.0)))
+    assert relative_error(sound.covariance, exact) < 1e-12
+    assert relative_error(broken.covariance, exact) > 0.1
+
+
+def true_minimum(z: Array, r: Array, covariance: Array, model: PositionModel) -> Array:
+    """The maximum a posteriori pose, by Gauss-Newton to convergence."""
+    pose = np.zeros(3)
+    for _ in range(200):
+        expected, h = model.predict(pose)
+        information = np.linalg.inv(covariance) + h.T @ np.linalg.inv(r) @ h
+        gradient = h.T @ np.linalg.inv(r) @ (z - expected) - np.linalg.solve(covariance, pose)
+        pose = pose + 0.5 * np.linalg.solve(information, gradient)
+    return pose
+
+
+def test_parts_come_nearer_to_the_optimum_when_nonlinear() -> None:
+    """A long lever and an unknown heading: the fix says where the nose is, 50 degrees off."""
+    model = PositionModel((20.0, 0.0))
+    covariance, noise = np.diag((0.01, 0.01, 1.0)), 0.04 * np.eye(2)
+    z = model.predict(np.array((0.0, 0.0, np.deg2rad(50.0))))[0]
+    best = true_minimum(z, noise, covariance, model)
+    error = {}
+    for name, steps in (("single", Steps()), ("parts", Steps(largest_turn_rad=0.05))):
+        ekf = ekf_at(np.zeros(3), covariance, PositionFixes(model, 1e9, steps))
+        ekf.fix_position(z, noise)
+        error[name] = abs(ekf.state.pose[2] - best[2])
+    assert error["parts"] < 0.25 * error["single"]
+
+
+def test_a_wild_fix_is_rejected_and_changes_nothing() -> None:
+    ekf = ekf_at(np.zeros(3), np.diag((0.04, 0.04, 0.001)), PositionFixes())
+    before = ekf.state.mean.copy()
+    assert not ekf.fix_position(np.array((50.0, 0.0)), 0.25 * np.eye(2))
+    assert np.array_equal(ekf.state.mean, before)
+    assert ekf.fix_position(np.array((0.5, 0.0)), 0.25 * np.eye(2))
+    trace = ekf.trace
+    assert isinstance(trace, RecordedTrace)
+    assert set(trace.arrays().positions.number.tolist()) == {1}
+
+
+def test_the_gate_decides_just_inside_and_just_outside() -> None:
+    for nis, accepted in ((13.5, True), (14.1, False)):
+        ekf = ekf_at(np.zeros(3), np.diag((3.0, 3.0, 1e-6)), PositionFixes())
+        z = np.array((np.sqrt(4.0 * nis), 0.0))
+        assert ekf.fix_position(z, np.eye(2)) is accepted
+
+
+def test_the_gate_is_the_normalised_innovation() -> None:
+    state = KalmanState(np.zeros(3), np.diag((3.0, 3.0, 0.1)))
+    at = PositionFixes().linearise(state.map_of(NO_LANDMARKS), np.array((4.0, 0.0)))
+    assert np.isclose(normalised_innovation_squared(at, np.eye(2)), 4.0)
+
+
+def test_a_large_update_at_loop_closing_is_split_too() -> None:
+    """Sightings with bounds on the step: parts in the trace, weights adding up per sighting."""
+    ekf = ekf_at(np.zeros(3), np.diag((0.01, 0.01, 1e-4)), PositionFixes())
+    ekf.observe(np.array(((10.0, 0.3),)), np.array(((0.1, 0.01),)), np.array([7]))
+    ekf.predict(np.array((1.0, 0.0)), np.diag((4.0, 0.5)), 1.0)
+    ekf.steps = Steps(largest_turn_rad=0.01)
+    ekf.observe(np.array(((8.0, 0.9),)), np.array(((0.1, 0.01),)), np.array([7]))
+    trace = ekf.trace
+    assert isinstance(trace, RecordedTrace)
+    updates = trace.arrays().updates
+    assert len(updates.weight) > 3
+    assert set(updates.sighting.tolist()) == {1}
+    assert np.isclose(updates.weight.sum(), 1.0)
+    assert np.all(np.abs(np.diff(updates.pose[:, 2])) < 0.015)

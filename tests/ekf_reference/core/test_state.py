@@ -1,0 +1,124 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from ekf_reference.core.state import (
+    FilterDivergedError,
+    KalmanState,
+    block_diagonal,
+    stack,
+    state_columns,
+)
+from tests.helpers import Array, random_covariance, relative_error
+
+
+def mapped_state(rng: np.random.Generator, landmarks: int) -> KalmanState:
+    """A state with correlated landmarks."""
+    state = KalmanState(rng.standard_normal(3), random_covariance(rng, 3))
+    gx = rng.standard_normal((landmarks, 2, 3))
+    gz = rng.standard_normal((landmarks, 2, 2)) + 2 * np.eye(2)
+    noise = np.array([random_covariance(rng, 2) for _ in range(landmarks)])
+    state.augment(rng.standard_normal((landmarks, 2)), gx, gz, noise)
+    return state
+
+
+def dense(columns: NDArray[np.intp], jacobian: Array, n: int) -> Array:
+    full = np.zeros((len(jacobian), n))
+    for i, column in enumerate(columns):
+        full[:, column] += jacobian[:, i]
+    return full
+
+
+def test_prediction_equals_the_full_product() -> None:
+    rng = np.random.default_rng(0)
+    state = mapped_state(rng, 4)
+    f = np.eye(11)
+    f[:3, :3] += rng.standard_normal((3, 3))
+    q = np.zeros((11, 11))
+    q[:3, :3] = random_covariance(rng, 3)
+    expected = f @ state.covariance @ f.T + q  # eq. 2.33
+    state.predict(np.arange(3.0), f[:3, :3], q[:3, :3])
+    assert relative_error(state.covariance, expected) < 1e-14
+    assert np.array_equal(state.covariance, state.covariance.T)
+    assert np.array_equal(state.pose, np.arange(3.0))
+
+
+@pytest.mark.parametrize("slots", [[2], [0, 3, 1], [1, 1]])
+def test_update_equals_joseph_form(slots: list[int]) -> None:
+    rng = np.random.default_rng(len(slots))
+    state, m = mapped_state(rng, 4), len(slots)
+    columns = state_columns(np.array(slots))
+    jacobian = stack(rng.standard_normal((m, 2, 3)), rng.standard_normal((m, 2, 2)))
+    nu = rng.standard_normal(2 * m)
+    r = block_diagonal(np.array([random_covariance(rng, 2) for _ in slots]))
+    x, p = state.mean.copy(), state.covariance.copy()
+    h = dense(columns, jacobian, 11)
+    w = p @ h.T @ np.linalg.inv(h @ p @ h.T + r)
+    joseph = (np.eye(11) - w @ h) @ p @ (np.eye(11) - w @ h).T + w @ r @ w.T
+    state.update(columns, jacobian, nu, r)
+    assert relative_error(state.covariance, joseph) < 1e-13
+    assert relative_error(state.mean, x + w @ nu) < 1e-13
+    assert np.array_equal(state.covariance, state.covariance.T)
+
+
+def test_printed_gain_without_transpose_fails() -> None:
+    """W = P H S^-1 as printed in eq. 2.47 has no meaning but for a square H, and is wrong there."""
+    rng = np.random.default_rng(3)
+    p, h, r = random_covariance(rng, 3), rng.standard_normal((3, 3)), random_covariance(rng, 3)
+    state = KalmanState(np.zeros(3), p)
+    state.update(np.arange(3), h, np.ones(3), r)
+    printed: Array = p @ h @ np.linalg.inv(h @ p @ h + r) @ np.ones(3)
+    exact = np.linalg.solve(
+        np.linalg.inv(p) + h.T @ np.linalg.inv(r) @ h, h.T @ np.linalg.inv(r) @ np.ones(3)
+    )
+    assert relative_error(state.mean, exact) < 1e-12
+    assert relative_error(printed, exact) > 1e-2
+
+
+def test_augmentation_is_the_limit_of_a_boundless_prior() -> None:
+    """Eq. 2.53 equals 2.56 with P_LL* growing: one sighting of a landmark nothing is known of."""
+    rng = np.random.default_rng(4)
+    state = mapped_state(rng, 2)
+    gx, gz = rng.standard_normal((1, 2, 3)), np.eye(2)[None] + 0.1 * rng.standard_normal((1, 2, 2))
+    noise = random_covariance(rng, 2)[None]
+    n, huge = 7, 1e9
+    wide = np.zeros((n + 2, n + 2))
+    wide[:n, :n] = state.covariance
+    wide[n:, n:] = huge * np.eye(2)
+    h = np.zeros((2, n + 2))
+    h[:, n:] = np.linalg.inv(gz[0])
+    h[:, :3] = -h[:, n:] @ gx[0]
+    s = h @ wide @ h.T + noise[0]
+    limit = wide - wide @ h.T @ np.linalg.solve(s, h @ wide)
+    state.augment(np.zeros((1, 2)), gx, gz, noise)
+    assert relative_error(state.covariance, limit) < 1e-5
+
+
+def test_growth_keeps_what_was_there() -> None:
+    rng = np.random.default_rng(5)
+    state = mapped_state(rng, 3)
+    before_mean, before = state.mean.copy(), state.covariance.copy()
+    many = 60
+    state.augment(
+        np.zeros((many, 2)), np.zeros((many, 2, 3)), np.tile(np.eye(2), (many, 1, 1)),
+        np.tile(np.eye(2), (many, 1, 1)),
+    )  # fmt: skip
+    assert np.array_equal(state.mean[:9], before_mean)
+    assert np.array_equal(state.covariance[:9, :9], before)
+    assert np.array_equal(state.covariance[9:, 9:], np.eye(2 * many))
+
+
+def test_views_cannot_be_written() -> None:
+    state = KalmanState(np.zeros(3), np.eye(3))
+    with pytest.raises(ValueError, match="read-only"):
+        state.mean[0] = 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        state.covariance[0, 0] = 1.0
+
+
+def test_indefinite_innovation_covariance_is_reported() -> None:
+    state = KalmanState(np.zeros(3), -np.eye(3))
+    with pytest.raises(FilterDivergedError, match="not positive definite"):
+        state.update(np.arange(3), np.eye(3), np.zeros(3), 0.5 * np.eye(3))

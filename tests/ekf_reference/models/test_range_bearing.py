@@ -1,0 +1,76 @@
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+import pytest
+
+from ekf_reference.models.range_bearing import RangeBearing, wrap_angle
+from tests.helpers import central_difference, relative_error
+
+MODEL = RangeBearing()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_jacobians_equal_central_differences(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    pose, points = rng.uniform(-9, 9, 3), rng.uniform(-30, 30, (4, 2))
+    predicted = MODEL.predict(pose, points)
+    for i, point in enumerate(points):
+
+        def at(p: np.ndarray, q: np.ndarray, i: int = i) -> np.ndarray:
+            return MODEL.innovation(MODEL.predict(p, q[None]).z[0], predicted.z[i])
+
+        by_pose = central_difference(partial(at, q=point), pose)
+        by_point = central_difference(lambda q: at(pose, q), point)
+        assert relative_error(predicted.jacobian_pose[i], by_pose) < 1e-8
+        assert relative_error(predicted.jacobian_landmark[i], by_point) < 1e-8
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_printed_bearing_row_fails(seed: int) -> None:
+    """Equation 2.42 as printed has the signs of the position terms exchanged (errata)."""
+    rng = np.random.default_rng(seed)
+    pose, point = rng.uniform(-9, 9, 3), rng.uniform(10, 30, 2)
+    dx, dy = point - pose[:2]
+    q = dx * dx + dy * dy
+    printed = np.array((-dy / q, dx / q, -1.0))
+    exact = central_difference(lambda p: MODEL.predict(p, point[None]).z[0], pose)[1]
+    assert relative_error(printed, exact) > 1e-2
+    assert relative_error(MODEL.predict(pose, point[None]).jacobian_pose[0, 1], exact) < 1e-8
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_inverse_undoes_prediction_and_its_jacobians_hold(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    pose, z = rng.uniform(-9, 9, 3), np.array([[rng.uniform(1, 30), rng.uniform(-3, 3)]])
+    new = MODEL.invert(pose, z)
+    back = MODEL.predict(pose, new.point)
+    assert np.allclose(MODEL.innovation(z, back.z), 0.0, atol=1e-12)
+    by_pose = central_difference(lambda p: MODEL.invert(p, z).point[0], pose)
+    by_z = central_difference(lambda s: MODEL.invert(pose, s[None]).point[0], z[0])
+    assert relative_error(new.jacobian_pose[0], by_pose) < 1e-8
+    assert relative_error(new.jacobian_sighting[0], by_z) < 1e-8
+    # The two models describe one constraint: H_l G_x = -H_v and H_l G_z = I.
+    h = back.jacobian_landmark[0]
+    assert np.allclose(h @ new.jacobian_pose[0], -back.jacobian_pose[0], atol=1e-12)
+    assert np.allclose(h @ new.jacobian_sighting[0], np.eye(2), atol=1e-12)
+
+
+def test_printed_arctangent_fails_behind_the_vehicle() -> None:
+    """Equation 2.8 prints atan(dy / dx), which loses the quadrant (errata)."""
+    for dx, dy, same in ((3.0, 4.0, True), (-3.0, 4.0, False), (-3.0, -4.0, False)):
+        printed = np.arctan(dy / dx)
+        bearing = MODEL.predict(np.zeros(3), np.array([[dx, dy]])).z[0, 1]
+        assert np.isclose(bearing, printed) is np.bool_(same)
+        assert np.allclose((np.cos(bearing), np.sin(bearing)), (dx / 5, dy / 5))
+
+
+def test_quadrants_and_wrap() -> None:
+    behind = MODEL.predict(np.zeros(3), np.array([[-1.0, 1e-3], [-1.0, -1e-3]])).z[:, 1]
+    assert behind[0] > 3.1
+    assert behind[1] < -3.1
+    innovation = MODEL.innovation(np.array([[1.0, 3.1]]), np.array([[1.0, -3.1]]))
+    assert np.isclose(innovation[0, 1], 6.2 - 2 * np.pi)
+    angles = np.array((np.pi, -np.pi, 3 * np.pi, 0.1 + 40 * np.pi))
+    assert np.allclose(wrap_angle(angles), (np.pi, np.pi, np.pi, 0.1))

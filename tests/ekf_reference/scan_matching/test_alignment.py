@@ -1,0 +1,156 @@
+"""Alignments: exact where they can be, found from far, honest where there is nothing to find."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from ekf_reference.dense.scan import Scan
+from ekf_reference.scan_matching.alignment import align
+from ekf_reference.scan_matching.grid_correlation import correlate
+from ekf_reference.scan_matching.problem import AlignmentOptions
+from ekf_reference.scan_matching.scan_shape import of_scan
+from ekf_reference.scan_matching.sog import SumOfGaussians
+from tests.ekf_reference.scan_matching.scenes import (
+    BEAMS,
+    COURT,
+    ELL,
+    LASER,
+    YARD,
+    Array,
+    box,
+    guess_of,
+    pair,
+    ranges,
+    solids,
+)
+
+NEAR = np.diag((0.2, 0.2, 0.05)) ** 2
+WIDE = np.diag((1.5, 1.5, 0.35)) ** 2
+
+
+def plain(one: SumOfGaussians) -> SumOfGaussians:
+    """Without seams."""
+    return SumOfGaussians(one.mean, one.covariance, one.weight, np.zeros(len(one), dtype=bool))
+
+
+def inverse(pose: Array) -> Array:
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    x, y = pose[:2]
+    return np.array((-cos * x - sin * y, sin * x - cos * y, -pose[2]))
+
+
+@pytest.mark.parametrize("scene", [ELL, COURT, YARD])
+def test_a_sum_finds_its_own_copy_exactly(scene: object) -> None:
+    one = plain(pair(np.random.default_rng(0), scene).first)  # type: ignore[arg-type]
+    true = np.array((0.4, -0.3, 0.2))
+    found = align(one, one.transformed(true), true + (0.2, 0.2, -0.05), NEAR)
+    assert np.abs(found.pose - true).max() < 1e-6
+    assert found.correlation > 1.0 - 1e-3
+    assert found.overlap == pytest.approx(1.0)
+    assert found.converged
+
+
+def test_identical_sums_lie_on_each_other() -> None:
+    one = plain(pair(np.random.default_rng(0), COURT).first)
+    found = align(one, one, np.zeros(3), NEAR)
+    assert np.abs(found.pose).max() < 1e-6
+    assert found.runner_up < 0.5
+
+
+@pytest.mark.parametrize("scene", [ELL, COURT, YARD])
+def test_scans_align_from_far(scene: object) -> None:
+    """Guesses as wrong as the prior says, 1.5 m and 20 degrees; all within 5 cm and half a degree.
+
+    One stage and one start alone fall into other maxima.
+    """
+    rng = np.random.default_rng(1)
+    error: list[Array] = []
+    alone: list[Array] = []
+    lone = AlignmentOptions(inflation_m=(0.0,), starts=1, finished=1, spacing_m=100.0)
+    for _ in range(8):
+        two = pair(rng, scene)  # type: ignore[arg-type]
+        guess = guess_of(rng, two.motion, 0.6 * WIDE)
+        for options, to in ((None, error), (lone, alone)):
+            found = align(two.first, two.second, guess, WIDE, options)
+            to.append(np.abs(found.pose - two.motion) / (0.05, 0.05, np.deg2rad(0.5)))
+    assert np.max(error) < 1.0
+    assert np.median(np.max(alone, axis=1)) > 1.0
+
+
+def test_exchanged_sums_give_the_inverse() -> None:
+    two = pair(np.random.default_rng(2), COURT)
+    back = inverse(two.motion)
+    one = align(plain(two.first), plain(two.second), two.motion, NEAR)
+    other = align(plain(two.second), plain(two.first), back, NEAR)
+    np.testing.assert_allclose(other.pose, inverse(one.pose), atol=2e-3)
+    assert other.log_likelihood == pytest.approx(one.log_likelihood, abs=1e-2)
+
+
+def test_the_heading_is_the_nearest_to_the_guess() -> None:
+    two = pair(np.random.default_rng(3), ELL)
+    turn = np.array((0.0, 0.0, 2.0 * np.pi))
+    found = align(two.first, two.second, two.motion + turn, NEAR)
+    assert np.abs(found.pose - two.motion - turn).max() < 0.05
+
+
+def test_two_places_that_fit_are_told() -> None:
+    """Two boxes alike, 2 m apart: within a wide prior the second fits as well."""
+    twins = solids(box(8, 1.5, 1.2, 0.8, 20), box(8, -1.5, 1.2, 0.8, 20))
+    lone = solids(box(8, 1.5, 1.2, 0.8, 20))
+    rng = np.random.default_rng(4)
+    scan, template = (
+        plain(of_scan(BEAMS, ranges(rng, scene, np.zeros(3), LASER), LASER))
+        for scene in (twins, lone)
+    )
+    assert align(template, scan, np.zeros(3), WIDE).runner_up > 0.6
+    assert align(template, scan, np.zeros(3), np.diag((0.2, 0.2, 0.05)) ** 2).runner_up < 0.1
+
+
+def test_what_does_not_meet_says_so() -> None:
+    one = pair(np.random.default_rng(5), COURT).first
+    blank = of_scan(BEAMS, np.full(len(BEAMS), np.nan), LASER)
+    far = one.transformed(np.array((500.0, 0.0, 0.0)))
+    guess = np.array((1.0, 2.0, 0.5))
+    for first, second in ((one, blank), (blank, one), (blank, blank), (one, far)):
+        found = align(first, second, guess, NEAR)
+        np.testing.assert_allclose(found.pose, guess, atol=1e-12)
+        assert found.log_likelihood == -math.inf
+        assert found.overlap == found.correlation == 0.0
+        assert not found.converged
+
+
+@pytest.mark.parametrize(
+    ("guess", "covariance", "message"),
+    [
+        (np.zeros(2), NEAR, "three finite numbers"),
+        (np.array((0.0, np.nan, 0.0)), NEAR, "three finite numbers"),
+        (np.zeros(3), np.eye(2), "three by three"),
+        (np.zeros(3), -NEAR, "negative eigenvalue"),
+    ],
+)
+def test_guesses_that_cannot_be_used(guess: Array, covariance: Array, message: str) -> None:
+    one = pair(np.random.default_rng(6), ELL).first
+    with pytest.raises(ValueError, match=message):
+        align(one, one, guess, covariance)
+
+
+def test_the_last_stage_is_the_correlation_itself() -> None:
+    with pytest.raises(ValueError, match="the last to be 0"):
+        AlignmentOptions(inflation_m=(0.5, 0.1))
+
+
+def test_grid_correlation_comes_within_a_cell() -> None:
+    rng = np.random.default_rng(7)
+    two = pair(rng, COURT)
+    way = ranges(rng, COURT, np.zeros(3), LASER)
+    scan = Scan.of_ranges(np.zeros(3), BEAMS, way, LASER)
+    true = np.array((0.3, -0.2, 0.1))
+    seen = of_scan(BEAMS, ranges(rng, COURT, true, LASER), LASER)
+    found = correlate(seen.mean, scan, true + (0.3, -0.4, 0.05), np.diag((0.4, 0.4, 0.1)) ** 2)
+    assert np.abs(found.pose - true).max() < 0.2
+    assert found.score > 0.3
+    with pytest.raises(ValueError, match="no returns"):
+        correlate(np.zeros((0, 2)), scan, two.motion, NEAR)
