@@ -31,8 +31,8 @@ from comparisons.config import EkfConfig
 from comparisons.extensions.high_level.source import HighLevelOptions, HighLevelSource
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
+from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.dense.high_level import Around, search
-from ekf_reference.models.range_bearing import wrap_angle
 
 Array = NDArray[np.float64]
 

@@ -21,7 +21,7 @@ from comparisons.checks.diagnosis.diagnosis import Paths, diagnose, rms
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Array, Estimate
 from comparisons.estimates.external import GivenEstimate
-from ekf_reference.models.range_bearing import wrap_angle
+from ekf_reference.core.geometry import wrap_angle
 
 Index = NDArray[np.intp]
 

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ekf_reference.core.geometry import rotation
 from ekf_reference.dense.corners import HarrisOptions, harris
 from ekf_reference.dense.layers.gaussians import Ellipses, Gaussians
 from ekf_reference.dense.layers.layer import Layer
@@ -21,7 +22,7 @@ from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.triangles import Array, turned
 from ekf_reference.models.relative_pose import RelativePose
 from ekf_reference.scan_landmarks.templates import Template
-from ekf_reference.scan_matching.sog import SumOfGaussians, rotation
+from ekf_reference.scan_matching.sog import SumOfGaussians
 
 Index = NDArray[np.intp]
 Flags = NDArray[np.bool_]

@@ -20,12 +20,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.dense.local_pose import Frames, read_local_poses
 from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.regions import Potential
 from ekf_reference.dense.triangles import Array, turned
 from ekf_reference.dense.view import FilterView
-from ekf_reference.models.range_bearing import wrap_angle
 
 Index = NDArray[np.intp]
 Mask = NDArray[np.bool_]

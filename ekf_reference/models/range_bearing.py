@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from ekf_reference.core.geometry import Array, wrap_angle
 
 
 class PredictedMeasurements(NamedTuple):
@@ -58,11 +56,6 @@ class Observation(Protocol):
     def invert(self, pose: Array, z: Array) -> NewLandmarks:
         """Where landmarks seen at z (m, 2) from pose (p,) are."""
         ...
-
-
-def wrap_angle(angle_rad: Array) -> Array:
-    """Wrap angles of any shape to (-pi, pi]."""
-    return math.pi - np.mod(math.pi - angle_rad, 2.0 * math.pi)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ekf_reference.models.range_bearing import NewLandmarks, PredictedMeasurements, wrap_angle
+from ekf_reference.core.geometry import wrap_angle
+from ekf_reference.models.range_bearing import NewLandmarks, PredictedMeasurements
 
 Array = NDArray[np.float64]
 

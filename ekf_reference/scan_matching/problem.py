@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ekf_reference.core.geometry import rotation
 from ekf_reference.scan_matching.correlation import Look, Pairs
-from ekf_reference.scan_matching.sog import SumOfGaussians, rotation
+from ekf_reference.scan_matching.sog import SumOfGaussians
 
 Array = NDArray[np.float64]
 

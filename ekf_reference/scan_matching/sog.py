@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -134,9 +133,3 @@ class SumOfGaussians:
         flat = np.stack([average(column) for column in spread.reshape(-1, 4).T], axis=1)
         none = np.zeros(len(total), dtype=bool)
         return SumOfGaussians(mean, flat.reshape(-1, 2, 2), total, none)
-
-
-def rotation(heading_rad: float) -> Array:
-    """(2, 2) from the axes of a frame with that heading to those it is seen in."""
-    cos, sin = math.cos(heading_rad), math.sin(heading_rad)
-    return np.array(((cos, -sin), (sin, cos)))

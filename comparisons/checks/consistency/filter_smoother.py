@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from comparisons.checks.consistency.normalised import counted, faults
-from ekf_reference.models.range_bearing import wrap_angle
+from ekf_reference.core.geometry import wrap_angle
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

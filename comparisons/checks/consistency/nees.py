@@ -17,7 +17,7 @@ from comparisons.checks.accuracy import match_landmarks
 from comparisons.checks.consistency.normalised import Normalised, normalise
 from comparisons.estimates.estimate import Estimate, landmark_blocks
 from comparisons.logs.log import Log
-from ekf_reference.models.range_bearing import wrap_angle
+from ekf_reference.core.geometry import wrap_angle
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

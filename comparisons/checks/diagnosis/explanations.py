@@ -16,9 +16,9 @@ from comparisons.adapters.ekf_factory import motion_model
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
+from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.core.trace import SightingRecords
 from ekf_reference.models.motion import AckermannModel, MotionModel, MotionStep
-from ekf_reference.models.range_bearing import wrap_angle
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

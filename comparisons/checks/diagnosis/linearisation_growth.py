@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.estimates.estimate import Estimate
-from ekf_reference.models.range_bearing import wrap_angle
+from ekf_reference.core.geometry import wrap_angle
 from graphslam.linear_problem import LinearProblem, LinearSightings, times
 
 Array = NDArray[np.float64]

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from comparisons.estimates.estimate import Array
-from ekf_reference.models.range_bearing import wrap_angle
+from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.scan_landmarks.enriching import enriched, observe_enriched
 from ekf_reference.scan_landmarks.scan_slam import ScanSlamOptions
 from ekf_reference.scan_landmarks.templates import (

@@ -17,13 +17,14 @@ from numpy.typing import NDArray
 from comparisons.errors import InputError
 from comparisons.experiments.reproduction.watched_run import truth_in_order, watched_run
 from comparisons.logs.log import Log
+from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.dense.conditions import Conditions
 from ekf_reference.dense.neglected import NeglectedCorrelation
 from ekf_reference.dense.passive_states import PassiveStates, local_coordinates, points
 from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.triangles import axes, to_local
 from ekf_reference.dense.view import FilterView
-from ekf_reference.models.range_bearing import RangeBearing, wrap_angle
+from ekf_reference.models.range_bearing import RangeBearing
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

@@ -19,7 +19,7 @@ from comparisons.experiments.reproduction.nieto_scan_slam import (
     ScanMap,
 )
 from comparisons.report.figures.style import EKF_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR, ellipses
-from ekf_reference.scan_matching.sog import rotation
+from ekf_reference.core.geometry import rotation
 
 _OBJECT_COLOUR = "#aaaaaa"
 _BESIDE_M = 4.0

@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.dense.local_pose import (
     Frames,
     local_pose,
@@ -10,7 +11,7 @@ from ekf_reference.dense.local_pose import (
     read_local_poses,
 )
 from ekf_reference.dense.view import FilterView
-from ekf_reference.models.range_bearing import RangeBearing, wrap_angle
+from ekf_reference.models.range_bearing import RangeBearing
 from tests.helpers import Array, central_difference, random_covariance
 
 SEEDS = range(8)

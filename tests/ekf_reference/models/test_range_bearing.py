@@ -5,7 +5,8 @@ from functools import partial
 import numpy as np
 import pytest
 
-from ekf_reference.models.range_bearing import RangeBearing, wrap_angle
+from ekf_reference.core.geometry import wrap_angle
+from ekf_reference.models.range_bearing import RangeBearing
 from tests.helpers import central_difference, relative_error
 
 MODEL = RangeBearing()
