@@ -13,13 +13,10 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammainccinv
 
+from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.measurements import MeasuredAttributes, Sightings
-
-Array = NDArray[np.float64]
-Counts = NDArray[np.intp]
 
 
 class AttributeDistances(NamedTuple):
@@ -30,13 +27,13 @@ class AttributeDistances(NamedTuple):
 
     nis: Array
     n: Array
-    dof: Counts
+    dof: Index
 
 
 class Attributes(Protocol):
     """Contract of what an association rule asks about attributes."""
 
-    def distances(self, slot: Counts, sightings: Sightings) -> AttributeDistances:
+    def distances(self, slot: Index, sightings: Sightings) -> AttributeDistances:
         """From all sightings (m) to landmarks by slot (L,)."""
         ...
 
@@ -44,7 +41,7 @@ class Attributes(Protocol):
 class NoAttributes:
     """Landmarks are told apart by position alone."""
 
-    def distances(self, slot: Counts, sightings: Sightings) -> AttributeDistances:
+    def distances(self, slot: Index, sightings: Sightings) -> AttributeDistances:
         """Nothing is added."""
         nothing = np.zeros((len(sightings), len(slot)))
         return AttributeDistances(nothing, nothing, nothing.astype(np.intp))
@@ -63,7 +60,7 @@ class AttributeEstimates:
     """
 
     repeats: Array
-    count: Counts = field(init=False)
+    count: Index = field(init=False)
     _information: Array = field(init=False)
     _weighted: Array = field(init=False)
     _least: Array = field(init=False)
@@ -88,7 +85,7 @@ class AttributeEstimates:
         pooled = self.repeats / np.where(known, self._information, 1.0)
         return np.where(known, np.minimum(pooled, self._least), np.nan)
 
-    def distances(self, slot: Counts, sightings: Sightings) -> AttributeDistances:
+    def distances(self, slot: Index, sightings: Sightings) -> AttributeDistances:
         """Of what both the sighting and the landmark have; nis and dof of nothing else.
 
         A landmark that lacks what the sighting has is no likelier for it: in n it stands with the
@@ -102,7 +99,7 @@ class AttributeEstimates:
         anyone = population(self.mean, self.variance)
         return compared(seen, self.mean[slot], self.variance[slot], anyone)
 
-    def note(self, slots: Counts, sightings: Sightings) -> None:
+    def note(self, slots: Index, sightings: Sightings) -> None:
         """Average in the attributes of sightings that were given to landmarks."""
         seen = sightings.attributes
         row, column = np.nonzero(np.isfinite(seen.value) & (slots >= 0)[:, None])
@@ -128,7 +125,7 @@ class AttributeEstimates:
 class LayerValues(Protocol):
     """Whoever keeps a layer of the dense map, which the landmarks lie in."""
 
-    def values_at(self, slot: Counts) -> tuple[Array, Array, Array]:
+    def values_at(self, slot: Index) -> tuple[Array, Array, Array]:
         """Of returns from around landmarks by slot (L,): mean, variance (NaN: none), and count."""
         ...
 
@@ -145,7 +142,7 @@ class LayerAttributes:
     layer: LayerValues
     column: int
 
-    def distances(self, slot: Counts, sightings: Sightings) -> AttributeDistances:
+    def distances(self, slot: Index, sightings: Sightings) -> AttributeDistances:
         """As AttributeEstimates does. A return scatters as the layer's do, beside its noise."""
         seen, column = sightings.attributes, self.column
         others = seen.value.copy()
@@ -191,7 +188,7 @@ def population(mean: Array, variance: Array) -> tuple[Array, Array]:
     return centre, (share * ((mean - centre) ** 2 + own)).sum(axis=0)
 
 
-def same_tail(gate: float, dof: Counts) -> Array:
+def same_tail(gate: float, dof: Index) -> Array:
     """Bounds of chi-square variables that are exceeded as often as `gate` is with 2 dof.
 
     dof: any shape, 2 or more each.

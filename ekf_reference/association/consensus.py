@@ -12,22 +12,19 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ekf_reference.association.joint_compatibility import pair_covariance
 from ekf_reference.association.nearest_neighbour import (
     AMBIGUOUS,
     MappedState,
-    Slots,
     normalised_distances,
     surroundings,
 )
+from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.local_map import LocalMap
 from ekf_reference.core.measurements import Sightings
 from ekf_reference.models.range_bearing import Observation
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 Choice = tuple[int, ...]
 """Per place the landmark of the local map, or _NEW."""
 
@@ -50,7 +47,7 @@ class ConsensusAssociation:
     gate: float = 25.0
     most_hypotheses: int = 200
 
-    def assign(self, state: MappedState, observation: Observation, sightings: Sightings) -> Slots:
+    def assign(self, state: MappedState, observation: Observation, sightings: Sightings) -> Index:
         """Assign the sightings on which all likely hypotheses agree."""
         point = observation.invert(state.pose, sightings.z).point
         group = _groups(point, self.resolution_m)

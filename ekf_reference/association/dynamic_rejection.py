@@ -13,27 +13,24 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ekf_reference.association.nearest_neighbour import (
     DYNAMIC,
     Association,
     MappedState,
-    Slots,
     surroundings,
 )
+from ekf_reference.core.geometry import Array, Index, Mask
 from ekf_reference.core.layout import Layout
 from ekf_reference.core.local_map import LocalMap
 from ekf_reference.core.measurements import Sightings
 from ekf_reference.models.range_bearing import Observation
 
-Array = NDArray[np.float64]
-
 
 class DynamicGuard(Protocol):
     """Whoever knows where things move."""
 
-    def is_dynamic(self, point: Array) -> NDArray[np.bool_]:
+    def is_dynamic(self, point: Array) -> Mask:
         """(N,) which points (N, 2) of the world [m] lie in a dynamic region."""
         ...
 
@@ -52,7 +49,7 @@ class DynamicRejection:
     guard: DynamicGuard
     retired: set[int] = field(default_factory=set)
 
-    def assign(self, state: MappedState, observation: Observation, sightings: Sightings) -> Slots:
+    def assign(self, state: MappedState, observation: Observation, sightings: Sightings) -> Index:
         """As the rule says, but DYNAMIC for what is seen in a dynamic region or is retired."""
         slots = np.full(len(sightings), DYNAMIC, dtype=np.intp)
         if not len(sightings):
@@ -74,7 +71,7 @@ class _WithoutRetired:
     """A state in whose surroundings the retired landmarks (R,) are not to be found."""
 
     state: MappedState
-    closed: Slots
+    closed: Index
 
     @property
     def landmark_count(self) -> int:
@@ -108,5 +105,5 @@ class _WithoutRetired:
             found.columns[rows],
         )
 
-    def map_of(self, slot: Slots) -> LocalMap:
+    def map_of(self, slot: Index) -> LocalMap:
         return self.state.map_of(slot)

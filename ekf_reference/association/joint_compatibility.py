@@ -11,25 +11,21 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
 from ekf_reference.association.attributes import NO_ATTRIBUTES, Attributes, same_tail
 from ekf_reference.association.nearest_neighbour import (
     MappedState,
-    Slots,
     match_in_order,
     normalised_distances,
     slots_of,
     surroundings,
 )
+from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.local_map import LocalMap
 from ekf_reference.core.measurements import Sightings
 from ekf_reference.core.state import block_diagonal, stack, state_columns
 from ekf_reference.models.range_bearing import Observation
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -49,7 +45,7 @@ class JointCompatibility:
     most_sightings: int = 100
     attributes: Attributes = NO_ATTRIBUTES
 
-    def assign(self, state: MappedState, observation: Observation, sightings: Sightings) -> Slots:
+    def assign(self, state: MappedState, observation: Observation, sightings: Sightings) -> Index:
         """Assign by position and attributes, all sightings of the scan together."""
         local = surroundings(state, observation, sightings)
         distances = normalised_distances(local, observation, sightings)

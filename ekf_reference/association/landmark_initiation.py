@@ -10,13 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ekf_reference.association.nearest_neighbour import CANDIDATE, Association, MappedState, Slots
+from ekf_reference.association.nearest_neighbour import CANDIDATE, Association, MappedState
+from ekf_reference.core.geometry import Array, Index, Mask
 from ekf_reference.core.measurements import Sightings
 from ekf_reference.models.range_bearing import Observation
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -52,7 +50,7 @@ class LandmarkInitiation:
     _first_s: Array = field(default_factory=lambda: np.zeros(0))
     _last_s: Array = field(default_factory=lambda: np.zeros(0))
 
-    def assign(self, state: MappedState, observation: Observation, sightings: Sightings) -> Slots:
+    def assign(self, state: MappedState, observation: Observation, sightings: Sightings) -> Index:
         """As the rule says, but new landmarks are CANDIDATE until they are reliable."""
         slots = self.rule.assign(state, observation, sightings)
         self._forget(sightings.time_s)
@@ -65,7 +63,7 @@ class LandmarkInitiation:
         slots[new[ready]] = state.landmark_count + np.arange(np.count_nonzero(ready))
         return slots
 
-    def _note(self, place: Array, time_s: float) -> NDArray[np.bool_]:
+    def _note(self, place: Array, time_s: float) -> Mask:
         """Add sightings at places (m, 2) to candidates; (m,) whether one is thereby complete."""
         r = self.reliability
         joined = np.full(len(place), -1)
@@ -89,7 +87,7 @@ class LandmarkInitiation:
             & (time_s - self._first_s >= r.age_s)
             & (variance <= r.spread_m**2)
         )
-        ready: NDArray[np.bool_] = complete[joined]
+        ready: Mask = complete[joined]
         # Of two sightings of one candidate in a scan, the first makes the landmark.
         first = np.zeros(len(place), dtype=bool)
         first[np.unique(joined, return_index=True)[1]] = True
@@ -111,7 +109,7 @@ class LandmarkInitiation:
         self._first_s = np.concatenate((self._first_s, np.full(count, time_s)))
         self._last_s = np.concatenate((self._last_s, np.full(count, time_s)))
 
-    def _keep(self, kept: NDArray[np.bool_]) -> None:
+    def _keep(self, kept: Mask) -> None:
         self._sum, self._squares = self._sum[kept], self._squares[kept]
         self._count = self._count[kept]
         self._first_s, self._last_s = self._first_s[kept], self._last_s[kept]

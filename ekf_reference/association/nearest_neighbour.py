@@ -1,7 +1,7 @@
 """Which landmark a sighting belongs to.
 
 An assignment is a slot per sighting, (m,) integers: the landmark's place in the state's map, or
-one of the negative codes below. Slots from the current landmark count upward name landmarks to
+one of the negative codes below. Index from the current landmark count upward name landmarks to
 be added, in order.
 """
 
@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ekf_reference.association.attributes import (
     NO_ATTRIBUTES,
@@ -20,13 +19,11 @@ from ekf_reference.association.attributes import (
     Attributes,
     same_tail,
 )
+from ekf_reference.core.geometry import Array, Index, Mask
 from ekf_reference.core.layout import Layout
 from ekf_reference.core.local_map import LocalMap
 from ekf_reference.core.measurements import Sightings
 from ekf_reference.models.range_bearing import Observation
-
-Array = NDArray[np.float64]
-Slots = NDArray[np.intp]
 
 REJECTED = -1
 """Not used: without a label, or a label that the gate contradicts."""
@@ -70,7 +67,7 @@ class MappedState(Protocol):
         """The landmarks within reach."""
         ...
 
-    def map_of(self, slot: Slots) -> LocalMap:
+    def map_of(self, slot: Index) -> LocalMap:
         """Some landmarks by slot."""
         ...
 
@@ -78,8 +75,8 @@ class MappedState(Protocol):
 class Association(Protocol):
     """Contract of all association rules."""
 
-    def assign(self, state: MappedState, observation: Observation, sightings: Sightings) -> Slots:
-        """Slots (m,) of the sightings of one instant."""
+    def assign(self, state: MappedState, observation: Observation, sightings: Sightings) -> Index:
+        """Index (m,) of the sightings of one instant."""
         ...
 
 
@@ -138,7 +135,7 @@ class KnownAssociation:
     slot_of: dict[int, int] = field(default_factory=dict)
     first_slot: int = 0
 
-    def assign(self, state: MappedState, observation: Observation, sightings: Sightings) -> Slots:
+    def assign(self, state: MappedState, observation: Observation, sightings: Sightings) -> Index:
         """Look the labels up, giving unseen ones the next slots. Unlabelled are rejected."""
         slots = np.array(
             [
@@ -164,7 +161,7 @@ class SurveyedLandmarks:
     slot_of: dict[int, int]
     gate: float = 30.0
 
-    def assign(self, state: MappedState, observation: Observation, sightings: Sightings) -> Slots:
+    def assign(self, state: MappedState, observation: Observation, sightings: Sightings) -> Index:
         """Surveyed landmarks first, then the rule for the rest."""
         labels = sightings.identity.tolist()
         slots = np.array([self.slot_of.get(label, REJECTED) for label in labels], dtype=np.intp)
@@ -176,8 +173,8 @@ class SurveyedLandmarks:
 
 
 def reject_beyond(
-    gate: float, slots: Slots, state: MappedState, observation: Observation, sightings: Sightings
-) -> Slots:
+    gate: float, slots: Index, state: MappedState, observation: Observation, sightings: Sightings
+) -> Index:
     """The slots, REJECTED where a landmark was removed or its nis exceeds the gate."""
     mapped = np.flatnonzero((slots >= 0) & (slots < state.landmark_count))
     gone = state.layout.point[slots[mapped]] < 0
@@ -209,7 +206,7 @@ class NearestNeighbour:
     new_gate: float = 25.0
     attributes: Attributes = NO_ATTRIBUTES
 
-    def assign(self, state: MappedState, observation: Observation, sightings: Sightings) -> Slots:
+    def assign(self, state: MappedState, observation: Observation, sightings: Sightings) -> Index:
         """Assign by position and attributes; labels are not used."""
         local = surroundings(state, observation, sightings)
         distances = normalised_distances(local, observation, sightings)
@@ -230,7 +227,7 @@ class RememberedAttributes:
     rule: Association
     memory: AttributeEstimates
 
-    def assign(self, state: MappedState, observation: Observation, sightings: Sightings) -> Slots:
+    def assign(self, state: MappedState, observation: Observation, sightings: Sightings) -> Index:
         """As the rule says."""
         slots = self.rule.assign(state, observation, sightings)
         self.memory.note(slots, sightings)
@@ -247,7 +244,7 @@ class EuclideanNeighbour:
 
     d_min_m: float = 1.0
 
-    def assign(self, state: MappedState, observation: Observation, sightings: Sightings) -> Slots:
+    def assign(self, state: MappedState, observation: Observation, sightings: Sightings) -> Index:
         """Assign by distance in metres."""
         local = surroundings(state, observation, sightings)
         place = observation.invert(local.pose, sightings.z).point
@@ -257,7 +254,7 @@ class EuclideanNeighbour:
         return slots_of(column, unseen, local.slot, state.landmark_count)
 
 
-def match_in_order(cost: Array, allowed: NDArray[np.bool_]) -> NDArray[np.intp]:
+def match_in_order(cost: Array, allowed: Mask) -> Index:
     """Column of each row (m,), -1 for none: the cheapest allowed pairs first, none used twice."""
     column = np.full(len(cost), -1, dtype=np.intp)
     rows, columns = np.nonzero(allowed)
@@ -270,10 +267,8 @@ def match_in_order(cost: Array, allowed: NDArray[np.bool_]) -> NDArray[np.intp]:
     return column
 
 
-def slots_of(
-    column: NDArray[np.intp], unseen: NDArray[np.bool_], local_slot: Slots, count: int
-) -> Slots:
-    """Slots from columns of a local map; unseen sightings get new slots, the rest is ambiguous."""
+def slots_of(column: Index, unseen: Mask, local_slot: Index, count: int) -> Index:
+    """Index from columns of a local map; unseen sightings get new slots, the rest is ambiguous."""
     slots = np.full(len(column), AMBIGUOUS, dtype=np.intp)
     matched = column >= 0
     slots[matched] = local_slot[column[matched]]

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from ekf_reference.core.geometry import Array
 
 
 def correlation_coefficients(covariance: Array) -> Array:

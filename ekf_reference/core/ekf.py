@@ -8,14 +8,15 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ekf_reference.association.nearest_neighbour import Association, Slots
+from ekf_reference.association.nearest_neighbour import Association
 from ekf_reference.core.filter_state import FilterState
 from ekf_reference.core.fusing import begin, fuse, fuse_sightings
+from ekf_reference.core.geometry import Array, Index, Mask
 from ekf_reference.core.layout import POINT, POSE
 from ekf_reference.core.local_map import LocalMap
 from ekf_reference.core.measurement_update import NO_LANDMARKS, Linearised, PositionFixes, Steps
 from ekf_reference.core.measurements import NOT_MEASURED, MeasuredAttributes, Sightings
-from ekf_reference.core.state import Array, KalmanState, stack
+from ekf_reference.core.state import KalmanState, stack
 from ekf_reference.core.trace import (
     Beginning,
     FusionUse,
@@ -128,7 +129,7 @@ class Ekf:
         identity: NDArray[np.int64],
         time_s: float = 0.0,
         attributes: MeasuredAttributes = NOT_MEASURED,
-    ) -> Slots:
+    ) -> Index:
         """Fuse the sightings of one instant; returns their slots, negative where unused.
 
         z: (m, 2) range and bearing. sigma: (m, 2). identity: (m,) labels, negative for none.
@@ -150,7 +151,7 @@ class Ekf:
         self._sightings_seen += len(slots)
         return slots
 
-    def observe_oriented(self, z: Array, covariance: Array, slot: Slots) -> Slots:
+    def observe_oriented(self, z: Array, covariance: Array, slot: Index) -> Index:
         """Fuse the sightings of landmarks with a direction at one instant; returns their slots.
 
         z: (m, 3) x, y, heading in the vehicle's frame. covariance: (m, 3, 3) of what is added to
@@ -222,7 +223,7 @@ class Ekf:
         self.remove(both[1:], POSE)
         return known
 
-    def remove(self, slot: Slots, width: int = POINT) -> None:
+    def remove(self, slot: Index, width: int = POINT) -> None:
         """Marginalise landmarks (m,) of a kind out of the state, such as ones that may move.
 
         Raises ValueError for landmarks that were removed before.
@@ -263,7 +264,7 @@ class Ekf:
             )
         return True
 
-    def _update(self, chosen: NDArray[np.bool_], slots: Slots, z: Array, noise: Array) -> None:
+    def _update(self, chosen: Mask, slots: Index, z: Array, noise: Array) -> None:
         rows = np.flatnonzero(chosen)
         if not len(rows):
             return
@@ -276,21 +277,21 @@ class Ekf:
         for use in fuse_sightings(self.state, self.steps, linearise, *what):
             self.trace.update(use)
 
-    def _linearise(self, slot: Slots, z: Array) -> Linearised:
+    def _linearise(self, slot: Index, z: Array) -> Linearised:
         local = self.state.map_of(slot)
         predicted = self.observation.predict(local.pose, local.landmark)
         innovation = self.observation.innovation(z, predicted.z)
         jacobian = stack(predicted.jacobian_pose, predicted.jacobian_landmark)
         return Linearised(local, jacobian, innovation.ravel())
 
-    def _linearise_oriented(self, slot: Slots, z: Array) -> Linearised:
+    def _linearise_oriented(self, slot: Index, z: Array) -> Linearised:
         local, reading = self.state.map_of(slot, POSE), self.read_pose()
         predicted = self.oriented_observation.predict(reading.pose, local.landmark)
         innovation = self.oriented_observation.innovation(z, predicted.z)
         by_pose = predicted.jacobian_pose @ reading.jacobian
         return Linearised(local, stack(by_pose, predicted.jacobian_landmark), innovation.ravel())
 
-    def _augment(self, chosen: NDArray[np.bool_], slots: Slots, z: Array, noise: Array) -> None:
+    def _augment(self, chosen: Mask, slots: Index, z: Array, noise: Array) -> None:
         rows = np.flatnonzero(chosen)
         if not len(rows):
             return

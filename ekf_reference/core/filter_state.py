@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Protocol
 
 from ekf_reference.association.nearest_neighbour import MappedState
+from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.layout import POINT, Layout
 from ekf_reference.core.local_map import LocalMap, MapSnapshot
-from ekf_reference.core.state import Array, Correction, Index
+from ekf_reference.core.state import Correction
 
 
 class FilterState(MappedState, Protocol):
@@ -53,7 +54,7 @@ class FilterState(MappedState, Protocol):
         ...
 
     def within(self, reach_m: float, width: int = POINT) -> Index:
-        """Slots of the landmarks of a kind at most `reach_m` from the vehicle."""
+        """Index of the landmarks of a kind at most `reach_m` from the vehicle."""
         ...
 
     def snapshot(self, kinds: tuple[int, ...] = (POINT,)) -> MapSnapshot:

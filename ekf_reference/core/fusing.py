@@ -7,8 +7,9 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from ekf_reference.core.filter_state import FilterState
+from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.measurement_update import Fused, Linearised, Steps
-from ekf_reference.core.state import Array, Index, block_diagonal, diagonal_blocks, unstack
+from ekf_reference.core.state import block_diagonal, diagonal_blocks, unstack
 from ekf_reference.core.trace import SightingUse
 from ekf_reference.models.range_bearing import NewLandmarks
 

@@ -10,9 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-Index = NDArray[np.intp]
+from ekf_reference.core.geometry import Index
 
 POINT = 2
 """Entries of a landmark that is a point: x, y. The width of a landmark tells its kind."""
@@ -53,7 +52,7 @@ class Layout:
         return self.point if width == POINT else self.oriented
 
     def present(self, width: int = POINT) -> Index:
-        """Slots of a kind that have not been removed, ascending."""
+        """Index of a kind that have not been removed, ascending."""
         return np.flatnonzero(self.first(width) != ABSENT)
 
     def columns(self, slot: Index, width: int = POINT) -> Index:
@@ -97,7 +96,7 @@ class Layout:
         return [slice(at, at + width) for at, width in spans if at != ABSENT]
 
     def slots_in(self, columns: Index, width: int) -> Index:
-        """Slots of a kind, ascending, whose entries are among some (c,)."""
+        """Index of a kind, ascending, whose entries are among some (c,)."""
         first = self.first(width)
         return np.flatnonzero((first != ABSENT) & np.isin(first, columns))
 

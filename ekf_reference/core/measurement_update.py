@@ -14,8 +14,9 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.local_map import LocalMap
-from ekf_reference.core.state import Array, Correction, Index
+from ekf_reference.core.state import Correction
 
 _WEAKEST = 2.0**-40
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from ekf_reference.core.geometry import Array, Index
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class MeasuredAttributes:
     value: Array
     variance: Array
 
-    def take(self, rows: NDArray[np.intp]) -> MeasuredAttributes:
+    def take(self, rows: Index) -> MeasuredAttributes:
         """Some of them."""
         if not self.value.shape[1]:
             return self
@@ -49,7 +49,7 @@ class Sightings:
         """M."""
         return len(self.z)
 
-    def take(self, rows: NDArray[np.intp]) -> Sightings:
+    def take(self, rows: Index) -> Sightings:
         """Some of them."""
         columns = self.z[rows], self.noise[rows], self.identity[rows]
         return Sightings(*columns, self.time_s, self.attributes.take(rows))

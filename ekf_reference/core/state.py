@@ -5,13 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.layout import POINT, POSE, Layout
 from ekf_reference.core.local_map import LocalMap, MapSnapshot, by_number
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 
 class Correction(NamedTuple):
@@ -125,7 +122,7 @@ class KalmanState:
         return self.map_of(np.flatnonzero(near))
 
     def within(self, reach_m: float, width: int = POINT) -> Index:
-        """Slots (m,) of the landmarks of a kind that are at most `reach_m` from the vehicle."""
+        """Index (m,) of the landmarks of a kind that are at most `reach_m` from the vehicle."""
         return within(self._places(width), self._mean, reach_m)
 
     def map_of(self, slot: Index, width: int = POINT) -> LocalMap:

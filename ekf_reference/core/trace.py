@@ -11,12 +11,9 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.layout import POINT, POSE
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 
 class Beginning(NamedTuple):

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ekf_reference.dense.triangles import Array, axes, determinant, turned
+from ekf_reference.core.geometry import Array, Mask
+from ekf_reference.dense.triangles import axes, determinant, turned
 
 TOUCHING = 1e-9
 """Overlap, as a share of the longest edge, that is rounding of a shared edge or corner."""
@@ -129,34 +129,34 @@ class Conditions:
     least_angle_rad: float = math.radians(15.0)
     longest_edge_m: float = 25.0
 
-    def pairs(self, landmark: Array, covariance: Array) -> NDArray[np.bool_]:
+    def pairs(self, landmark: Array, covariance: Array) -> Mask:
         """Which landmarks may share a region; (m, m), False on the diagonal.
 
         landmark: (m, 2) [m]. covariance: (2 m, 2 m) [m^2].
         """
         return self.within_reach(landmark) & self.correlated(covariance)
 
-    def within_reach(self, landmark: Array) -> NDArray[np.bool_]:
+    def within_reach(self, landmark: Array) -> Mask:
         """Which landmarks (m, 2) [m] are close enough to share a region; (m, m)."""
         reach = np.linalg.norm(landmark[:, None] - landmark, axis=-1) <= self.longest_edge_m
-        close: NDArray[np.bool_] = reach & ~np.eye(len(landmark), dtype=bool)
+        close: Mask = reach & ~np.eye(len(landmark), dtype=bool)
         return close
 
-    def correlated(self, covariance: Array) -> NDArray[np.bool_]:
+    def correlated(self, covariance: Array) -> Mask:
         """Which points (2 m, 2 m) [m^2] hang together enough, by the first condition; (m, m)."""
         alike = self.correlation(covariance) >= self.least_correlation
         if self.known_apart_m > 0.0:
             alike |= relative_sigma(covariance) <= self.known_apart_m
         return alike
 
-    def well_conditioned(self, triangle: Array, covariance: Array) -> NDArray[np.bool_]:
+    def well_conditioned(self, triangle: Array, covariance: Array) -> Mask:
         """Which triangles (C, 3, 2) with covariances (C, 6, 6) keep their shape; (C,)."""
         wide = smallest_angle(triangle) >= self.least_angle_rad
-        safe: NDArray[np.bool_] = wide & (self.margin(triangle, covariance) >= self.flip_sigmas)
+        safe: Mask = wide & (self.margin(triangle, covariance) >= self.flip_sigmas)
         return safe
 
 
-def overlap(first: Array, second: Array) -> NDArray[np.bool_]:
+def overlap(first: Array, second: Array) -> Mask:
     """Whether triangles (..., 3, 2) and (..., 3, 2) have area in common; (...,), broadcast.
 
     Two triangles are apart when the normal of one of their six edges separates them. A shared
@@ -175,11 +175,11 @@ def overlap(first: Array, second: Array) -> NDArray[np.bool_]:
     depth = np.minimum(along_first.max(axis=-1), along_second.max(axis=-1)) - np.maximum(
         along_first.min(axis=-1), along_second.min(axis=-1)
     )
-    common: NDArray[np.bool_] = (depth > TOUCHING * length.max(axis=-2)).all(axis=-1)
+    common: Mask = (depth > TOUCHING * length.max(axis=-2)).all(axis=-1)
     return common
 
 
-def crosses(segment: Array, triangle: Array) -> NDArray[np.bool_]:
+def crosses(segment: Array, triangle: Array) -> Mask:
     """Whether segments (k, 2, 2) run through the inside of triangles (k, 3, 2); (k,).
 
     Then every triangle with such an edge, unless it is a line, overlaps the other. A segment along
@@ -188,7 +188,7 @@ def crosses(segment: Array, triangle: Array) -> NDArray[np.bool_]:
     """
     start, way = segment[:, 0], segment[:, 1] - segment[:, 0]
     side = np.stack([_cross(way, triangle[:, i] - start) for i in range(3)])
-    through: NDArray[np.bool_] = (side.min(axis=0) < 0.0) & (side.max(axis=0) > 0.0)
+    through: Mask = (side.min(axis=0) < 0.0) & (side.max(axis=0) > 0.0)
     among = np.flatnonzero(through)  # few, as a rule
     (start, end), corner = np.moveaxis(segment[among], 1, 0), np.moveaxis(triangle[among], 1, 0)
     edge = [corner[i] - corner[i - 1] for i in range(3)]

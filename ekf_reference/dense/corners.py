@@ -12,10 +12,9 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, maximum_filter
 
-Array = NDArray[np.float64]
+from ekf_reference.core.geometry import Array, Index
 
 _BLOCK = 12
 """Size in window sigmas of the block whose corner sets the scale."""
@@ -92,7 +91,7 @@ def _of_a_block(cell_m: float, o: HarrisOptions) -> float:
     return float(_response(block, cell_m, o).max())
 
 
-def _apart(point: Array, least_m: float) -> NDArray[np.intp]:
+def _apart(point: Array, least_m: float) -> Index:
     """Of points (C, 2), the first first, those not near to one chosen before; (k,)."""
     chosen: list[int] = []
     for i, place in enumerate(point):
@@ -101,7 +100,7 @@ def _apart(point: Array, least_m: float) -> NDArray[np.intp]:
     return np.array(chosen, dtype=np.intp)
 
 
-def _offset(height: Array, row: NDArray[np.intp]) -> Array:
+def _offset(height: Array, row: Index) -> Array:
     """(C, 2) how far in cells the peaks lie from the middles of their cells."""
     here = height[tuple(row.T)]
     offset = np.zeros((len(row), 2))

@@ -9,13 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ekf_reference.dense.triangles import (
-    Array,
-    axes,
-    local_covariance,
-    local_jacobians,
-    to_local,
-)
+from ekf_reference.core.geometry import Array
+from ekf_reference.dense.triangles import axes, local_covariance, local_jacobians, to_local
 
 
 class Correlations(NamedTuple):

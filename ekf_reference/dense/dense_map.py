@@ -7,19 +7,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ekf_reference.core.geometry import Array, Index
 from ekf_reference.dense.dynamic import DynamicLayer
 from ekf_reference.dense.layers.layer import Hits, Layer
 from ekf_reference.dense.neglected import NeglectedCorrelation, corners_of
 from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.regions import LocalRegions, Potential
 from ekf_reference.dense.scan import Scan
-from ekf_reference.dense.triangles import Array
 from ekf_reference.dense.view import FilterView
 from ekf_reference.dense.waiting import WaitingRoom
-
-Index = NDArray[np.intp]
 
 
 @dataclass

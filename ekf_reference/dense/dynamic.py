@@ -19,22 +19,18 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import label
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from ekf_reference.core.geometry import Array, Index, Mask
 from ekf_reference.dense.layers.layer import Hits
 from ekf_reference.dense.layers.occupancy import OccupancyGrid, RegionGrid
 from ekf_reference.dense.low_pass import LowPass
 from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.scan import Scan, Single
 from ekf_reference.dense.sensor_model import InverseSensorModel, probability
-from ekf_reference.dense.triangles import Array
-
-Index = NDArray[np.intp]
-Mask = NDArray[np.bool_]
 
 _UNKNOWN = 0.5
 _NO_PAIRS = np.zeros((0, 2), dtype=np.intp)
@@ -132,7 +128,7 @@ class Counters:
 
 @dataclass
 class DynamicLayer:
-    """Flags per cell of every region, on occupancy grids of their own.
+    """Mask per cell of every region, on occupancy grids of their own.
 
     The grids answer faster than those of a map that is kept: with p_occupied 0.9, p_free 0.3 and
     a confidence of 0.95 two returns make free ground occupied, and four looks past it free again.

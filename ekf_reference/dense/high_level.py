@@ -12,20 +12,16 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ekf_reference.core.geometry import rotation
+from ekf_reference.core.geometry import Array, Index, Mask, rotation
 from ekf_reference.dense.corners import HarrisOptions, harris
 from ekf_reference.dense.layers.gaussians import Ellipses, Gaussians
 from ekf_reference.dense.layers.layer import Layer
 from ekf_reference.dense.placed_regions import PlacedRegions
-from ekf_reference.dense.triangles import Array, turned
+from ekf_reference.dense.triangles import turned
 from ekf_reference.models.relative_pose import RelativePose
 from ekf_reference.scan_landmarks.templates import Template
 from ekf_reference.scan_matching.sog import SumOfGaussians
-
-Index = NDArray[np.intp]
-Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,11 +149,11 @@ def rectangle(pair: Array, margin_m: float) -> Array:
     )
 
 
-def within(area: Array, point: Array) -> Flags:
+def within(area: Array, point: Array) -> Mask:
     """(N,) which points (N, 2) lie in a convex area (K, 2), counter-clockwise."""
     side = np.roll(area, -1, axis=0) - area
     inwards = np.einsum("kj,nkj->nk", turned(side), point[:, None] - area)
-    inside: Flags = (inwards >= 0.0).all(axis=1)
+    inside: Mask = (inwards >= 0.0).all(axis=1)
     return inside
 
 
@@ -221,8 +217,8 @@ def _landmark(
     return Found(template, place, to_frame(place, area), to_frame(place, pair), region, count)
 
 
-def _clear(point: Array, landmark: Array, least_m: float) -> Flags:
+def _clear(point: Array, landmark: Array, least_m: float) -> Mask:
     """(N,) which points (N, 2) are no nearer than that to any landmark (L, 2)."""
     apart = np.linalg.norm(point[:, None] - landmark[np.isfinite(landmark[:, 0])], axis=2)
-    clear: Flags = apart.min(axis=1, initial=np.inf) >= least_m
+    clear: Mask = apart.min(axis=1, initial=np.inf) >= least_m
     return clear

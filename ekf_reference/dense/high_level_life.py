@@ -14,13 +14,12 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ekf_reference.core.ekf import NEW, Ekf
+from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.layout import POSE
 from ekf_reference.dense.high_level import Found, to_world
 from ekf_reference.dense.local_pose import Frames, local_pose, read_local_poses
-from ekf_reference.dense.triangles import Array
 from ekf_reference.dense.view import FilterView
 from ekf_reference.models.relative_pose import RelativePose
 from ekf_reference.scan_landmarks.templates import (
@@ -33,8 +32,6 @@ from ekf_reference.scan_landmarks.templates import (
 )
 from ekf_reference.scan_matching.alignment_covariance import CovarianceOptions
 from ekf_reference.scan_matching.sog import SumOfGaussians
-
-Index = NDArray[np.intp]
 
 GATE = 11.345
 """Squared Mahalanobis distance, 99 % of three degrees of freedom."""

@@ -11,12 +11,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ekf_reference.dense.triangles import Array, turned
+from ekf_reference.core.geometry import Array, Index
+from ekf_reference.dense.triangles import turned
 from ekf_reference.dense.view import FilterView
-
-Index = NDArray[np.intp]
 
 
 class Frames(NamedTuple):

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ekf_reference.core.geometry import Array
 from ekf_reference.dense.layers.occupancy import RegionGrid
-from ekf_reference.dense.triangles import Array
 
 _SIGMAS = 3.0
 _LEAST_INSIDE = 0.5

@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ekf_reference.core.state import Index
+from ekf_reference.core.geometry import Array, Index
 from ekf_reference.dense.regions import LocalRegions
-from ekf_reference.dense.triangles import Array, global_jacobians, to_local, turned
+from ekf_reference.dense.triangles import global_jacobians, to_local, turned
 from ekf_reference.dense.view import FilterView
 
 

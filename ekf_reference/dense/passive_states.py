@@ -13,8 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.layout import POINT, POSE
-from ekf_reference.core.state import Index, KalmanState, block_diagonal, stack
+from ekf_reference.core.state import KalmanState, block_diagonal, stack
 from ekf_reference.core.trace import (
     Beginning,
     FusionUse,
@@ -23,7 +24,7 @@ from ekf_reference.core.trace import (
     Removal,
     SightingUse,
 )
-from ekf_reference.dense.triangles import Array, local_jacobians, to_local
+from ekf_reference.dense.triangles import local_jacobians, to_local
 from ekf_reference.models.range_bearing import Observation
 
 

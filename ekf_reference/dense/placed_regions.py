@@ -7,13 +7,11 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ekf_reference.core.geometry import Array, Index, Mask
 from ekf_reference.dense.box_tree import BoxTree, boxes
 from ekf_reference.dense.conditions import crosses, overlap
-from ekf_reference.dense.triangles import Array, axes, contains, is_degenerate, solve
-
-Index = NDArray[np.intp]
+from ekf_reference.dense.triangles import axes, contains, is_degenerate, solve
 
 ON_AN_EDGE = 1e-12
 """Rounding of local coordinates: without it points on a shared edge fall between the regions."""
@@ -76,7 +74,7 @@ class PlacedRegions:
         common = overlap(triangle[near.query], self.triangle[near.item])
         return near.query[common], near.item[common]
 
-    def crossed(self, segment: Array) -> NDArray[np.bool_]:
+    def crossed(self, segment: Array) -> Mask:
         """Which of segments (k, 2, 2) run through the inside of a region; (k,)."""
         near = self.tree.meeting(boxes(segment[:, [0, 1, 1]]))
         through = crosses(segment[near.query], self.triangle[near.item])

@@ -7,11 +7,8 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ekf_reference.dense.triangles import Array
-
-Index = NDArray[np.intp]
+from ekf_reference.core.geometry import Array, Index, Mask
 
 
 class Rows(NamedTuple):
@@ -66,7 +63,7 @@ class RegionStore:
         for number, first, last in _runs(rows.region):
             self._table[number][: last - first] = rows.value[first:last]
 
-    def keep(self, rows: Rows, kept: NDArray[np.bool_]) -> None:
+    def keep(self, rows: Rows, kept: Mask) -> None:
         """Drop those of the rows that `gather` gave, and `put` wrote, that are not kept (n,)."""
         if kept.all():
             return

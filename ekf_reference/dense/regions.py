@@ -21,22 +21,13 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ekf_reference.core.geometry import Array, Index, Mask
 from ekf_reference.dense.box_tree import BoxTree, boxes, tiled
 from ekf_reference.dense.conditions import Conditions, overlap
 from ekf_reference.dense.placed_regions import PlacedRegions
-from ekf_reference.dense.triangles import (
-    Array,
-    circumradius,
-    contains,
-    determinant,
-    is_degenerate,
-    solve,
-)
+from ekf_reference.dense.triangles import circumradius, contains, determinant, is_degenerate, solve
 from ekf_reference.dense.virtual_landmarks import VirtualLandmarks, behind
-
-Index = NDArray[np.intp]
 
 
 class Potential(NamedTuple):
@@ -169,9 +160,7 @@ class LocalRegions:
         tree = BoxTree.pack(boxes(triangle), tiled(triangle.mean(axis=1)))
         return Potential(axis, PlacedRegions(triangle, tree))
 
-    def _triples(
-        self, landmark: Array, slot: Index, covariance: Array, pair: NDArray[np.bool_]
-    ) -> Index:
+    def _triples(self, landmark: Array, slot: Index, covariance: Array, pair: Mask) -> Index:
         """Triples (C, 3) of `_open` pairs that meet the last two conditions, roundest first."""
         local = landmark[slot]
         first, second = np.nonzero(pair)
@@ -190,7 +179,7 @@ class LocalRegions:
         slot: Index,
         pose: Array,
         covariance: Array,
-        pair: NDArray[np.bool_],
+        pair: Mask,
     ) -> tuple[VirtualLandmarks, Array]:
         """Virtual landmarks behind `_open` pairs, and triangles (C, 3, 2) that fit."""
         local = landmark[slot]
@@ -205,7 +194,7 @@ class LocalRegions:
         fit = self._fit(landmark, triangle, lift @ joint @ np.swapaxes(lift, 1, 2))
         return VirtualLandmarks(slot[new.pair[fit]], new.depth[fit]), triangle[fit]
 
-    def _open(self, landmark: Array, slot: Index, pair: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def _open(self, landmark: Array, slot: Index, pair: Mask) -> Mask:
         """The pairs (m, m), each once, that no region lies between: what may be a new one's edge.
 
         Where regions are dense that leaves few, and of all pairs there are triples without number.
@@ -216,11 +205,11 @@ class LocalRegions:
         pair[first[between], second[between]] = False
         return pair
 
-    def _fit(self, landmark: Array, triangle: Array, covariance: Array) -> NDArray[np.bool_]:
+    def _fit(self, landmark: Array, triangle: Array, covariance: Array) -> Mask:
         """Which triangles (C, 3, 2), with covariances (C, 6, 6), meet the last two conditions."""
         edge = np.linalg.norm(triangle - np.roll(triangle, 1, axis=1), axis=2)
         small = edge.max(axis=1, initial=0.0) <= self.conditions.longest_edge_m
-        fit: NDArray[np.bool_] = small & self.conditions.well_conditioned(triangle, covariance)
+        fit: Mask = small & self.conditions.well_conditioned(triangle, covariance)
         placed = self.placed(landmark)
         kept = np.flatnonzero(fit)
         taken = placed.locate(triangle[kept].mean(axis=1)).region >= 0  # settles most, cheaply

@@ -8,9 +8,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ekf_reference.dense.triangles import Array
+from ekf_reference.core.geometry import Array, Index, Mask
 
-Index = NDArray[np.intp]
 Single = NDArray[np.float32]
 """For many cells near the scanner, where single precision is some micrometres."""
 
@@ -59,7 +58,7 @@ class Beams:
     beam: Index
     ahead_m: Array
     off_rad: Array
-    seen: NDArray[np.bool_]
+    seen: Mask
     range_m: Array
 
 
@@ -176,7 +175,7 @@ class Scan:
         _, reach, speaks = self._towards(_directions(), self._nearest)
         return np.where(speaks, reach, -np.inf).astype(np.float32)
 
-    def _towards(self, bearing: Array, beam: Index) -> tuple[Array, Array, NDArray[np.bool_]]:
+    def _towards(self, bearing: Array, beam: Index) -> tuple[Array, Array, Mask]:
         """Bearings (N,) with their nearest returns: off those, range there, and whether known."""
         off = bearing - self.bearing_rad[beam]
         off -= _TURN * np.round(off / _TURN)
@@ -192,7 +191,7 @@ class Scan:
         return off, reach, joined | (off <= self.sensor.reach_rad)
 
     @cached_property
-    def _gaps(self) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+    def _gaps(self) -> tuple[Array, Array, Array, Mask]:
         """From each return to the next: both ranges, the angle, and whether on one surface."""
         first, second = self.range_m, np.roll(self.range_m, -1)
         turn = np.mod(np.roll(self.bearing_rad, -1) - self.bearing_rad, _TURN)

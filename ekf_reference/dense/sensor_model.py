@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ekf_reference.dense.triangles import Array
+from ekf_reference.core.geometry import Array
 
 
 @dataclass(frozen=True)

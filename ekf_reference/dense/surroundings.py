@@ -5,16 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ekf_reference.core.geometry import rotation
+from ekf_reference.core.geometry import Array, rotation
 from ekf_reference.dense.dense_map import DenseMap
 from ekf_reference.dense.high_level import to_frame, to_world
 from ekf_reference.dense.layers.gaussians import Gaussians
 from ekf_reference.scan_landmarks.templates import Template
 from ekf_reference.scan_matching.sog import SumOfGaussians
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from ekf_reference.core.geometry import Array, Mask
 
 FLATTEST = 1e-9
 """Doubled area over the longest edge squared below which a triangle is a line."""
@@ -47,13 +46,13 @@ def determinant(triangle: Array) -> Array:
     return delta
 
 
-def is_degenerate(triangle: Array) -> NDArray[np.bool_]:
+def is_degenerate(triangle: Array) -> Mask:
     """Which triangles (..., 3, 2) span no area to speak of, or are not finite; (...,)."""
     longest = np.zeros(triangle.shape[:-2])
     for corner in range(3):
         edge = triangle[..., corner, :] - triangle[..., corner - 1, :]
         longest = np.maximum(longest, edge[..., 0] * edge[..., 0] + edge[..., 1] * edge[..., 1])
-    flat: NDArray[np.bool_] = ~(np.abs(determinant(triangle)) > FLATTEST * longest)
+    flat: Mask = ~(np.abs(determinant(triangle)) > FLATTEST * longest)
     return flat
 
 
@@ -90,7 +89,7 @@ def to_global(triangle: Array, local: Array) -> Array:
     return point
 
 
-def contains(local: Array, tolerance: float = 0.0) -> NDArray[np.bool_]:
+def contains(local: Array, tolerance: float = 0.0) -> Mask:
     """Whether local coordinates (..., 2) lie in their triangle; (...,).
 
     Nieto 2005, eq. 3.7 prints alpha > 0, beta > 0, alpha + beta <= 1, which leaves out two of
@@ -98,9 +97,7 @@ def contains(local: Array, tolerance: float = 0.0) -> NDArray[np.bool_]:
     would be in one, both or none of them, by the order of their landmarks. Here all
     edges belong, and who locates points breaks the tie.
     """
-    inside: NDArray[np.bool_] = (local.min(axis=-1) >= -tolerance) & (
-        local.sum(axis=-1) <= 1.0 + tolerance
-    )
+    inside: Mask = (local.min(axis=-1) >= -tolerance) & (local.sum(axis=-1) <= 1.0 + tolerance)
     return inside
 
 

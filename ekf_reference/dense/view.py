@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.layout import POINT
-from ekf_reference.dense.triangles import Array
-
-Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True)

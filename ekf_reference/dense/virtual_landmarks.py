@@ -11,11 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ekf_reference.dense.triangles import Array, turned
-
-Index = NDArray[np.intp]
+from ekf_reference.core.geometry import Array, Index, Mask
+from ekf_reference.dense.triangles import turned
 
 QUARTER_TURN = np.array([(0.0, -1.0), (1.0, 0.0)])
 
@@ -69,7 +67,7 @@ class VirtualLandmarks:
             np.concatenate((self.pair, other.pair)), np.concatenate((self.depth, other.depth))
         )
 
-    def __getitem__(self, chosen: Index | NDArray[np.bool_]) -> VirtualLandmarks:
+    def __getitem__(self, chosen: Index | Mask) -> VirtualLandmarks:
         """Some of them (k,)."""
         return VirtualLandmarks(self.pair[chosen], self.depth[chosen])
 

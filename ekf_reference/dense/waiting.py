@@ -18,24 +18,20 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ekf_reference.core.geometry import wrap_angle
+from ekf_reference.core.geometry import Array, Index, Mask, wrap_angle
 from ekf_reference.dense.local_pose import Frames, read_local_poses
 from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.regions import Potential
-from ekf_reference.dense.triangles import Array, turned
+from ekf_reference.dense.triangles import turned
 from ekf_reference.dense.view import FilterView
-
-Index = NDArray[np.intp]
-Mask = NDArray[np.bool_]
 
 SINGULAR = 1e-9
 """Share of a correlation matrix' largest eigenvalue below which the local pose is known."""
 
 
 @dataclass
-class Counts:
+class WaitingCounts:
     """What became of points. Every point offered is waiting, or in one of the first four.
 
     released: handed out. refused: not taken in, since no potential region has them. dropped: the
@@ -102,7 +98,7 @@ class WaitingRoom:
 
     capacity: int = 5_000
     patience: int = 50
-    counts: Counts = field(default_factory=Counts)
+    counts: WaitingCounts = field(default_factory=WaitingCounts)
     points: Points = field(default_factory=Points.none)
     axis: Index = field(default_factory=lambda: np.empty((0, 2), dtype=np.intp))
     mean: Array = field(default_factory=lambda: np.empty((0, 3)))

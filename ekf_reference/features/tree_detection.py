@@ -12,10 +12,8 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
+from ekf_reference.core.geometry import Array, Index, Mask
 
 ROUNDNESS = math.pi / 8.0
 """The mean range over a circle's visible half lies this many diameters before its centre.
@@ -219,7 +217,7 @@ class TreeTracker:
         offset = self._place - motion[:2]
         self._place = offset @ np.array([[cos, -sin], [sin, cos]])
 
-    def _keep(self, kept: NDArray[np.bool_]) -> None:
+    def _keep(self, kept: Mask) -> None:
         self._track, self._place = self._track[kept], self._place[kept]
         self._diameter, self._variance = self._diameter[kept], self._variance[kept]
         self._scans, self._unseen = self._scans[kept], self._unseen[kept]

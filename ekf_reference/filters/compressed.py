@@ -18,9 +18,10 @@ import numpy as np
 
 from ekf_reference.association.nearest_neighbour import Association
 from ekf_reference.core.ekf import Ekf, Stabilisation
+from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.layout import ABSENT, POINT, POSE, Layout
 from ekf_reference.core.local_map import LocalMap, MapSnapshot, by_number
-from ekf_reference.core.state import Array, Correction, Index, KalmanState, within
+from ekf_reference.core.state import Correction, KalmanState, within
 from ekf_reference.core.trace import Trace
 from ekf_reference.models.motion import MotionModel
 
@@ -156,7 +157,7 @@ class CompressedState:
         return LocalMap(found.pose, slot, found.landmark, found.covariance, columns)
 
     def within(self, reach_m: float, width: int = POINT) -> Index:
-        """Slots of a kind at most `reach_m` from the vehicle; exact, and without a global update.
+        """Index of a kind at most `reach_m` from the vehicle; exact, and without a global update.
 
         Areas that begin from now on reach so far, so that those found are active, as a rule.
         """

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ekf_reference.core.state import Array
+from ekf_reference.core.geometry import Array
 from ekf_reference.models.motion import MotionModel, MotionStep
 from ekf_reference.models.range_bearing import NewLandmarks, PredictedMeasurements
 

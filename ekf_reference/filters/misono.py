@@ -9,8 +9,9 @@ import numpy as np
 
 from ekf_reference.association.nearest_neighbour import Association
 from ekf_reference.core.ekf import Ekf, PoseReading, Stabilisation, StepNoise
+from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.measurement_update import PositionFixes
-from ekf_reference.core.state import Array, Correction, FilterDivergedError, Index, KalmanState
+from ekf_reference.core.state import Correction, FilterDivergedError, KalmanState
 from ekf_reference.core.trace import (
     Beginning,
     FusionUse,

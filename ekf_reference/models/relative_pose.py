@@ -6,12 +6,9 @@ Matching a scan with a landmark's template gives such a sighting, whatever the m
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ekf_reference.core.geometry import wrap_angle
+from ekf_reference.core.geometry import Array, wrap_angle
 from ekf_reference.models.range_bearing import NewLandmarks, PredictedMeasurements
-
-Array = NDArray[np.float64]
 
 
 class RelativePose:

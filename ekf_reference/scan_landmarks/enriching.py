@@ -12,8 +12,8 @@ from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ekf_reference.core.geometry import Array
 from ekf_reference.scan_landmarks.templates import (
     AMBIGUOUS,
     Observation,
@@ -24,8 +24,6 @@ from ekf_reference.scan_landmarks.templates import (
 )
 from ekf_reference.scan_matching.alignment import align
 from ekf_reference.scan_matching.sog import SumOfGaussians
-
-Array = NDArray[np.float64]
 
 _THIN_M = 0.3
 """Cells in which Gaussians become one: what an alignment costs grows with their number."""

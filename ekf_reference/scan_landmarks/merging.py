@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.geometry import Array
 from ekf_reference.core.layout import POSE
 from ekf_reference.core.local_map import LocalMap
 from ekf_reference.models.relative_pose import RelativePose
@@ -23,8 +23,6 @@ from ekf_reference.scan_landmarks.templates import Template
 from ekf_reference.scan_matching.alignment_covariance import scan_align
 from ekf_reference.scan_matching.frames import moved_gaussians
 from ekf_reference.scan_matching.sog import SumOfGaussians
-
-Array = NDArray[np.float64]
 
 _MODEL = RelativePose()
 

@@ -15,14 +15,12 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from ekf_reference.core.geometry import Array, Index
 from ekf_reference.scan_landmarks.segmentation import SegmentationOptions, segments
 from ekf_reference.scan_landmarks.templates import Template, View, share_in_view
-from ekf_reference.scan_matching.sog import Index, SumOfGaussians
-
-Array = NDArray[np.float64]
+from ekf_reference.scan_matching.sog import SumOfGaussians
 
 
 class Known(NamedTuple):

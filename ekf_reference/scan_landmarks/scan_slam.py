@@ -18,10 +18,9 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ekf_reference.core.ekf import NEW, Ekf
-from ekf_reference.core.geometry import rotation
+from ekf_reference.core.geometry import Array, Index, rotation
 from ekf_reference.core.layout import POSE
 from ekf_reference.dense.scan import Sensor
 from ekf_reference.scan_landmarks.enriching import Around, observe_enriched
@@ -40,9 +39,6 @@ from ekf_reference.scan_landmarks.templates import (
 from ekf_reference.scan_matching.alignment_covariance import CovarianceOptions
 from ekf_reference.scan_matching.problem import AlignmentOptions
 from ekf_reference.scan_matching.sog import SumOfGaussians
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 USED = "used"
 GATED = "gated"

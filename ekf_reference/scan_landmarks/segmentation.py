@@ -6,15 +6,12 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ekf_reference.core.geometry import Array, Index
 from ekf_reference.dense.scan import Sensor
 from ekf_reference.scan_matching.alignment_covariance import CovarianceOptions, scan_align
 from ekf_reference.scan_matching.problem import AlignmentOptions
 from ekf_reference.scan_matching.sog import SumOfGaussians
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,18 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ekf_reference.core.geometry import Array, Index, Mask
 from ekf_reference.scan_matching.alignment_covariance import (
     CovarianceOptions,
     ScanAlignment,
     scan_align,
 )
 from ekf_reference.scan_matching.problem import AlignmentOptions
-from ekf_reference.scan_matching.sog import Index, SumOfGaussians
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
+from ekf_reference.scan_matching.sog import SumOfGaussians
 
 _LEAST_POINTS = 3
 _LEAST_LEVER_M = 0.01
@@ -70,12 +67,12 @@ class View:
     share: float = 0.9
     shadow_m: float = 1.0
 
-    def sees(self, point: Array) -> Flags:
+    def sees(self, point: Array) -> Mask:
         """(N,) which points (N, 2) of the scanner's frame lie in the field of view."""
         bearing = np.arctan2(point[:, 1], point[:, 0])
         # Turned by whole circles into the one that begins at the first bearing.
         after = np.mod(bearing - self.first_rad, 2.0 * np.pi)
-        inside: Flags = (np.hypot(*point.T) <= self.reach_m) & (
+        inside: Mask = (np.hypot(*point.T) <= self.reach_m) & (
             after <= self.last_rad - self.first_rad
         )
         return inside
@@ -170,14 +167,14 @@ def observe(
     return Observation(found, share, reason, kind)
 
 
-def _in_view(template: Template, scan: SumOfGaussians, pose: Array, view: View) -> Flags:
+def _in_view(template: Template, scan: SumOfGaussians, pose: Array, view: View) -> Mask:
     """(N,) which of a template's points the sensor should see; see share_in_view."""
     point = template.shape.transformed(pose).mean
     seen = view.sees(point)
     return seen & ~_hidden(point, scan, view.shadow_m) if len(scan) > 1 else seen
 
 
-def _hidden(point: Array, scan: SumOfGaussians, shadow_m: float) -> Flags:
+def _hidden(point: Array, scan: SumOfGaussians, shadow_m: float) -> Mask:
     """(N,) points (N, 2) behind the returns on both sides."""
     bearing, way = np.arctan2(scan.mean[:, 1], scan.mean[:, 0]), np.hypot(*scan.mean.T)
     spacing = np.diff(bearing)
@@ -187,5 +184,5 @@ def _hidden(point: Array, scan: SumOfGaussians, shadow_m: float) -> Flags:
     beside = (at >= bearing[0] - width) & (at <= bearing[-1] + width)
     close = beside & (spacing[after - 1] <= width)
     nearer = np.maximum(way[after - 1], way[after]) + shadow_m < np.hypot(*point.T)
-    hidden: Flags = close & nearer
+    hidden: Mask = close & nearer
     return hidden

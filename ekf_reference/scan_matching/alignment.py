@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ekf_reference.core.geometry import Array
 from ekf_reference.scan_matching.correlation import Look, Pairs
 from ekf_reference.scan_matching.problem import (
     SLACK,
@@ -18,8 +18,6 @@ from ekf_reference.scan_matching.problem import (
 )
 from ekf_reference.scan_matching.search import Lattice, starts
 from ekf_reference.scan_matching.sog import SumOfGaussians
-
-Array = NDArray[np.float64]
 
 _COUNTERPART = 9.21
 """Squared Mahalanobis distance, 99 % of two degrees of freedom, of a Gaussian's counterpart."""

@@ -17,8 +17,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ekf_reference.core.geometry import Array, Mask
 from ekf_reference.scan_matching.alignment import Alignment, aligned, climb
 from ekf_reference.scan_matching.correlation import Pairs
 from ekf_reference.scan_matching.problem import (
@@ -30,8 +30,6 @@ from ekf_reference.scan_matching.problem import (
     within_seams,
 )
 from ekf_reference.scan_matching.sog import SumOfGaussians
-
-Array = NDArray[np.float64]
 
 _GOLDEN = 0.5 * (1.0 + math.sqrt(5.0))
 _DIRECTIONS = np.array(
@@ -197,7 +195,7 @@ def _falls(
     peak: Array,
     edge: Array,
     belief: CovarianceOptions,
-    off_seams: NDArray[np.bool_],
+    off_seams: Mask,
 ) -> bool:
     """Lambda falls for certain from its maximum to an edge (3,).
 

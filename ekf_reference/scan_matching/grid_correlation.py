@@ -8,13 +8,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ekf_reference.core.geometry import Array
 from ekf_reference.dense.layers.classic_grid import ClassicGrid
 from ekf_reference.dense.scan import Scan
 from ekf_reference.scan_matching.search import Lattice, Picture
-
-Array = NDArray[np.float64]
 
 _OCCUPIED = 0.5
 """Cells less likely occupied than that, or unknown, count for nothing."""

@@ -6,13 +6,10 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ekf_reference.core.geometry import rotation
+from ekf_reference.core.geometry import Array, Mask, rotation
 from ekf_reference.scan_matching.correlation import Look, Pairs
 from ekf_reference.scan_matching.sog import SumOfGaussians
-
-Array = NDArray[np.float64]
 
 _SHORTEST_M = 0.1
 """Least lever of a sum that is all in one place."""
@@ -93,7 +90,7 @@ class Problem:
             options=options or AlignmentOptions(),
         )
 
-    def taking(self, rows: NDArray[np.bool_]) -> Problem:
+    def taking(self, rows: Mask) -> Problem:
         """With those of the first sum (N,) alone; the same where these are all."""
         return self if rows.all() else replace(self, first=self.first.take(rows))
 
@@ -149,7 +146,7 @@ def within_seams(problem: Problem, pose: Array) -> Problem:
     return problem.taking(on_no_seam(problem, pose))
 
 
-def on_no_seam(problem: Problem, pose: Array, across_sigmas: float = math.inf) -> NDArray[np.bool_]:
+def on_no_seam(problem: Problem, pose: Array, across_sigmas: float = math.inf) -> Mask:
     """(N,) which of the first sum lie nearest to something of the second that is on no seam.
 
     Or are farther off the surface at the seam than so many sigmas: they have left it by
@@ -160,7 +157,7 @@ def on_no_seam(problem: Problem, pose: Array, across_sigmas: float = math.inf) -
         return np.ones(len(problem.first), dtype=bool)
     place = problem.first.mean @ rotation(float(pose[2])).T + pose[:2]
     near = second.tree.query(place)[1]
-    inside: NDArray[np.bool_] = ~second.seam[near]
+    inside: Mask = ~second.seam[near]
     lost = np.flatnonzero(~inside)
     if math.isfinite(across_sigmas) and len(lost):
         size, axes = np.linalg.eigh(second.covariance[near[lost]])

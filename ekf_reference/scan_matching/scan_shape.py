@@ -5,13 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ekf_reference.core.geometry import Array, Mask
 from ekf_reference.dense.scan import Scan, Sensor
 from ekf_reference.scan_matching.sog import SumOfGaussians
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 _NEXT = 1.5
 """Two returns are neighbours when so many beams or fewer apart."""
@@ -55,7 +52,7 @@ def of_scan(
     )
 
 
-def joined(bearing_rad: Array, range_m: Array, sensor: Sensor) -> Flags:
+def joined(bearing_rad: Array, range_m: Array, sensor: Sensor) -> Mask:
     """(B - 1,) whether a return (B,), in order of bearing, and the next lie on one surface.
 
     They do when they are next to each other and the surface between them is met at no less than
@@ -67,29 +64,29 @@ def joined(bearing_rad: Array, range_m: Array, sensor: Sensor) -> Flags:
     nearer = np.minimum(range_m[1:], range_m[:-1])
     steepest = nearer * turn / math.tan(sensor.grazing_rad)
     noise = _NOISY * math.sqrt(2.0) * sensor.sigma_range_m
-    one: Flags = (turn <= _NEXT * sensor.beam_rad) & (np.abs(np.diff(range_m)) <= steepest + noise)
+    one: Mask = (turn <= _NEXT * sensor.beam_rad) & (np.abs(np.diff(range_m)) <= steepest + noise)
     return one
 
 
-def _seams(scan: Scan, one: Flags, first_rad: float, last_rad: float) -> Flags:
+def _seams(scan: Scan, one: Mask, first_rad: float, last_rad: float) -> Mask:
     """(B,) returns near where a surface goes on unseen: each side of the scan in turn.
 
     It does at the rims of the view, behind something nearer, out of reach, and round a limb.
     Anything else that ends before something farther is an edge.
     """
-    seam: Flags = _one_sided(scan.bearing_rad, scan.range_m, scan.point, one, last_rad, scan.sensor)
+    seam: Mask = _one_sided(scan.bearing_rad, scan.range_m, scan.point, one, last_rad, scan.sensor)
     back = slice(None, None, -1)
     mirrored = _one_sided(
         -scan.bearing_rad[back], scan.range_m[back], scan.point[back], one[back], -first_rad,
         scan.sensor,
     )  # fmt: skip
-    both: Flags = seam | mirrored[back]
+    both: Mask = seam | mirrored[back]
     return both
 
 
 def _one_sided(
-    bearing_rad: Array, range_m: Array, point: Array, one: Flags, rim_rad: float, sensor: Sensor
-) -> Flags:
+    bearing_rad: Array, range_m: Array, point: Array, one: Mask, rim_rad: float, sensor: Sensor
+) -> Mask:
     """The same where surfaces end towards greater bearings."""
     count = len(range_m)
     row = np.arange(count)

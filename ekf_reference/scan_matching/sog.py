@@ -6,12 +6,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
-Flags = NDArray[np.bool_]
+from ekf_reference.core.geometry import Array, Index, Mask, rotation
 
 
 @dataclass(frozen=True)
@@ -26,11 +23,11 @@ class SumOfGaussians:
     mean: Array
     covariance: Array
     weight: Array
-    seam: Flags
+    seam: Mask
 
     @classmethod
     def of_equal_height(
-        cls, mean: Array, covariance: Array, seam: Flags | None = None
+        cls, mean: Array, covariance: Array, seam: Mask | None = None
     ) -> SumOfGaussians:
         """Alpha_i in proportion to sqrt((2 pi)^2 |P_i|), as in Nieto 2005, Fig. 4.11.
 
@@ -95,7 +92,7 @@ class SumOfGaussians:
         mean = self.mean @ turn.T + pose[:2]
         return SumOfGaussians(mean, turn @ self.covariance @ turn.T, self.weight, self.seam)
 
-    def take(self, rows: Index | Flags) -> SumOfGaussians:
+    def take(self, rows: Index | Mask) -> SumOfGaussians:
         """Some of them, their weights adding up to one again."""
         weight = self.weight[rows]
         total = weight.sum() if len(weight) else 1.0

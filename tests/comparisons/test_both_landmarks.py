@@ -25,8 +25,9 @@ from comparisons.report.result import build_result
 from comparisons.report.run import run_folder
 from comparisons.settings import run_config
 from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.layout import POINT, POSE
-from ekf_reference.core.state import Array, FilterDivergedError, Index
+from ekf_reference.core.state import FilterDivergedError
 from ekf_reference.filters.compressed import CompressedState, LocalAreas
 from tests.helpers import compared, simulated
 from tests.scenarios import scenario

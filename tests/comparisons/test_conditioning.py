@@ -11,7 +11,8 @@ from comparisons.logs.log import Log, Prior, Sightings
 from comparisons.logs.odometry import RelativePoses
 from comparisons.pipeline.compare import Modified
 from ekf_reference.core.ekf import Ekf
-from ekf_reference.core.state import Array, Correction, Index, KalmanState
+from ekf_reference.core.geometry import Array, Index
+from ekf_reference.core.state import Correction, KalmanState
 from tests.helpers import compared, simulated
 
 

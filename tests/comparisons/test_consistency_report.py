@@ -24,7 +24,8 @@ from comparisons.report.panels import consistency_panels
 from comparisons.report.picture import save
 from comparisons.report.result import build_result, print_run
 from ekf_reference.core.ekf import Ekf
-from ekf_reference.core.state import Array, Correction, Index, KalmanState
+from ekf_reference.core.geometry import Array, Index
+from ekf_reference.core.state import Correction, KalmanState
 from tests.helpers import compared, first_seconds, simulated
 
 

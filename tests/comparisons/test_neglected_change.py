@@ -18,7 +18,7 @@ from comparisons.experiments.reproduction.neglected_change import (
 )
 from comparisons.logs.log import Log, Truth
 from comparisons.logs.simulate.scan_drive import dense_slam, occupancy, simulate
-from ekf_reference.core.state import Index
+from ekf_reference.core.geometry import Index
 from ekf_reference.dense.passive_states import PassiveStates
 from tests.helpers import Array, simulated
 

@@ -31,7 +31,8 @@ from comparisons.errors import InputError
 from comparisons.extensions.own_association.extension import OwnAssociationFinding
 from comparisons.pipeline.compare import Modified
 from ekf_reference.core.ekf import NEW, Ekf
-from ekf_reference.core.state import Correction, Index, KalmanState
+from ekf_reference.core.geometry import Index
+from ekf_reference.core.state import Correction, KalmanState
 from ekf_reference.filters.compressed import CompressedState, LocalAreas
 from ekf_reference.models.range_bearing import PredictedMeasurements
 from ekf_reference.models.relative_pose import RelativePose

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from comparisons.experiments.defects.defect import Array, Defect, with_state
-from ekf_reference.core.state import Correction, Index, KalmanState
+from ekf_reference.core.geometry import Index
+from ekf_reference.core.state import Correction, KalmanState
 
 
 class NoCrossAtAugmentation(KalmanState):

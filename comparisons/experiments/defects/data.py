@@ -14,13 +14,9 @@ from comparisons.experiments.defects.defect import (
     with_motion,
     with_steps,
 )
-from ekf_reference.association.nearest_neighbour import (
-    REJECTED,
-    KnownAssociation,
-    MappedState,
-    Slots,
-)
+from ekf_reference.association.nearest_neighbour import REJECTED, KnownAssociation, MappedState
 from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.geometry import Index
 from ekf_reference.core.measurements import NOT_MEASURED, MeasuredAttributes, Sightings
 from ekf_reference.models.motion import MotionStep
 from ekf_reference.models.range_bearing import Observation
@@ -79,7 +75,7 @@ class OneScanLate(Ekf):
         identity: NDArray[np.int64],
         time_s: float = 0.0,
         attributes: MeasuredAttributes = NOT_MEASURED,
-    ) -> Slots:
+    ) -> Index:
         """Fuse the ones before."""
         due, self._waiting = self._waiting, (z, sigma, identity, time_s, attributes)
         if due is not None:
@@ -99,7 +95,7 @@ class OneStepLate(Ekf):
         identity: NDArray[np.int64],
         time_s: float = 0.0,
         attributes: MeasuredAttributes = NOT_MEASURED,
-    ) -> Slots:
+    ) -> Index:
         """Wait."""
         self._waiting = (z, sigma, identity, time_s, attributes)
         return np.full(len(z), REJECTED)
@@ -132,7 +128,7 @@ class SeenTwice(Ekf):
         identity: NDArray[np.int64],
         time_s: float = 0.0,
         attributes: MeasuredAttributes = NOT_MEASURED,
-    ) -> Slots:
+    ) -> Index:
         """Once, and again."""
         slots = super().observe(z, sigma, identity, time_s, attributes)
         self._sightings_seen -= len(slots)
@@ -146,7 +142,7 @@ class BegunAnew(KnownAssociation):
 
     last_seen_s: dict[int, float] = field(default_factory=dict)
 
-    def assign(self, state: MappedState, observation: Observation, sightings: Sightings) -> Slots:
+    def assign(self, state: MappedState, observation: Observation, sightings: Sightings) -> Index:
         """New slots for labels unseen for 5 s."""
         for label in sightings.identity.tolist():
             if sightings.time_s - self.last_seen_s.get(label, sightings.time_s) > 5.0:
@@ -168,7 +164,7 @@ class SwappedLabels(KnownAssociation):
 
     scans: int = 0
 
-    def assign(self, state: MappedState, observation: Observation, sightings: Sightings) -> Slots:
+    def assign(self, state: MappedState, observation: Observation, sightings: Sightings) -> Index:
         """Exchange, where both landmarks are known."""
         slots = super().assign(state, observation, sightings)
         self.scans += 1

@@ -11,7 +11,8 @@ import numpy as np
 from comparisons.errors import InputError
 from comparisons.experiments.reproduction.watched_run import watched_run
 from comparisons.logs.log import Log
-from ekf_reference.core.state import Array, state_columns
+from ekf_reference.core.geometry import Array
+from ekf_reference.core.state import state_columns
 from ekf_reference.dense.decorrelation import (
     Correlations,
     Displacements,

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ekf_reference.dense.layers.layer import Index
+from ekf_reference.core.geometry import Array, Index, Mask
 from ekf_reference.dense.placed_regions import PlacedRegions
-from ekf_reference.dense.triangles import Array, is_degenerate
+from ekf_reference.dense.triangles import is_degenerate
 
 _SIDE = 512
 """Cells along a side of the hash; farther points share cells, which costs time, not exactness."""
@@ -29,7 +29,7 @@ class Associated(NamedTuple):
     old: Index
     new: Index
     apart_m: Array
-    met: NDArray[np.bool_]
+    met: Mask
 
 
 def associate(old: Array, new: Array, d_min_m: float) -> Associated:

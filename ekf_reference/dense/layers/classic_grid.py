@@ -10,11 +10,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ekf_reference.core.geometry import Array
 from ekf_reference.dense.layers.grid_update import GridUpdate, known, unknown
 from ekf_reference.dense.layers.layer import Samples
 from ekf_reference.dense.scan import Scan, Single
 from ekf_reference.dense.sensor_model import InverseSensorModel, probability
-from ekf_reference.dense.triangles import Array
 
 _SIDE = 64
 """Cells along a side of a tile."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ekf_reference.core.geometry import Index
 from ekf_reference.dense.scan import Scan, Single
 from ekf_reference.dense.sensor_model import InverseSensorModel, log_odds
 
@@ -71,6 +71,6 @@ def unknown(count: int) -> Single:
     return np.zeros(count, dtype=np.float32)
 
 
-def known(odds: Single) -> NDArray[np.intp]:
+def known(odds: Single) -> Index:
     """Cells that anything is known of: log-odds are zero only where no scan spoke."""
     return np.flatnonzero(odds)

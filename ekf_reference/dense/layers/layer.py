@@ -5,14 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from ekf_reference.core.geometry import Array, Index
 from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.scan import Scan
-from ekf_reference.dense.triangles import Array
-
-Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True)

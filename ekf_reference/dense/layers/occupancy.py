@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ekf_reference.core.geometry import Array, Index, Mask
 from ekf_reference.dense.layers.grid_update import GridUpdate, known, unknown
-from ekf_reference.dense.layers.layer import Hits, Index, Samples
+from ekf_reference.dense.layers.layer import Hits, Samples
 from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.scan import Scan, Single
 from ekf_reference.dense.sensor_model import InverseSensorModel, log_odds, probability
-from ekf_reference.dense.triangles import Array
 
 _WITHIN = 1e-9
 """Sum of local coordinates, short of one, that still lies in the last cell."""
@@ -153,7 +152,7 @@ class OccupancyGrid:
     def _coarsen(self, region: int, placed: PlacedRegions, rule: Coarsening) -> None:
         """Larger cells, each as occupied as the most occupied of those whose centres it holds."""
         fine = self.grids[region]
-        free: NDArray[np.bool_] = fine.odds < log_odds(rule.least)
+        free: Mask = fine.odds < log_odds(rule.least)
         coarse = RegionGrid.over(placed.triangle[region], rule.resolution_m)
         if free.mean() <= rule.share or len(coarse.odds) >= len(fine.odds):
             return

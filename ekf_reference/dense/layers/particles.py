@@ -5,16 +5,16 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ekf_reference.core.geometry import Array, Index, Mask
 from ekf_reference.dense.layers.association import associate, doubled, usable
-from ekf_reference.dense.layers.layer import Hits, Index, Samples, in_world
+from ekf_reference.dense.layers.layer import Hits, Samples, in_world
 from ekf_reference.dense.layers.points import from_nearest
 from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.region_store import RegionStore
 from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.sensor_model import InverseSensorModel, log_odds, probability
-from ekf_reference.dense.triangles import Array, solve
+from ekf_reference.dense.triangles import solve
 
 
 class Particles:
@@ -127,7 +127,7 @@ class Particles:
         placed: PlacedRegions,
         point: Array,
         odds: Array,
-        which: NDArray[np.bool_],
+        which: Mask,
     ) -> None:
         row = np.flatnonzero(which)
         region = np.repeat(hits.region, self.per_return)[row]

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ekf_reference.dense.layers.layer import Hits, Index, Layer, Samples, in_world
+from ekf_reference.core.geometry import Array, Index
+from ekf_reference.dense.layers.layer import Hits, Layer, Samples, in_world
 from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.region_store import RegionStore
 from ekf_reference.dense.scan import Scan
-from ekf_reference.dense.triangles import Array
 
 
 class Points:

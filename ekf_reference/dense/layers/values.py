@@ -11,13 +11,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ekf_reference.core.geometry import Array, Index
 from ekf_reference.dense.layers.association import usable
-from ekf_reference.dense.layers.layer import Hits, Index, Samples, in_world
+from ekf_reference.dense.layers.layer import Hits, Samples, in_world
 from ekf_reference.dense.layers.points import from_nearest
 from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.region_store import RegionStore
 from ekf_reference.dense.scan import Scan
-from ekf_reference.dense.triangles import Array
 
 
 class PlaceValues(NamedTuple):

@@ -10,15 +10,9 @@ import pytest
 from scipy.stats import chi2
 
 from ekf_reference.core.ekf import NEW, Ekf
+from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.layout import POSE
-from ekf_reference.core.state import (
-    Array,
-    FilterDivergedError,
-    Index,
-    KalmanState,
-    block_diagonal,
-    stack,
-)
+from ekf_reference.core.state import FilterDivergedError, KalmanState, block_diagonal, stack
 from ekf_reference.core.trace import RecordedTrace
 from ekf_reference.filters.compressed import CompressedState
 from ekf_reference.filters.misono import DirectionCosineEkf, DirectionCosineOptions

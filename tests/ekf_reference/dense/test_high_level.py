@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from comparisons.logs.simulate.ray_casting import Solids, cast
+from ekf_reference.core.geometry import Array
 from ekf_reference.dense.high_level import (
     Around,
     SearchOptions,
@@ -24,7 +25,7 @@ from ekf_reference.dense.high_level import (
 from ekf_reference.dense.layers.gaussians import Gaussians
 from ekf_reference.dense.layers.occupancy import OccupancyGrid
 from ekf_reference.dense.scan import Scan, Sensor
-from ekf_reference.dense.triangles import Array, turned
+from ekf_reference.dense.triangles import turned
 from tests.ekf_reference.dense.scenes import lattice, told
 
 SENSOR = Sensor(0.05, math.radians(0.5), math.radians(0.5), math.radians(8.0))

@@ -11,6 +11,7 @@ import pytest
 from comparisons.logs.simulate.ray_casting import cast
 from ekf_reference.association.nearest_neighbour import KnownAssociation
 from ekf_reference.core.ekf import NEW, Ekf, Stabilisation
+from ekf_reference.core.geometry import Array
 from ekf_reference.dense.high_level import Found, search, to_world
 from ekf_reference.dense.high_level_life import (
     Glimpse,
@@ -18,7 +19,6 @@ from ekf_reference.dense.high_level_life import (
     LifeOptions,
 )
 from ekf_reference.dense.local_pose import local_pose
-from ekf_reference.dense.triangles import Array
 from ekf_reference.dense.view import FilterView
 from ekf_reference.models.motion import UnicycleModel
 from ekf_reference.models.relative_pose import RelativePose

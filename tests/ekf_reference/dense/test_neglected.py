@@ -8,7 +8,7 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from ekf_reference.core.state import Index
+from ekf_reference.core.geometry import Array, Index
 from ekf_reference.dense.neglected import (
     Carriers,
     NeglectedCorrelation,
@@ -16,7 +16,7 @@ from ekf_reference.dense.neglected import (
     neglected_covariance,
 )
 from ekf_reference.dense.regions import LocalRegions
-from ekf_reference.dense.triangles import Array, axes, local_jacobians
+from ekf_reference.dense.triangles import axes, local_jacobians
 from ekf_reference.dense.view import FilterView
 from ekf_reference.models.range_bearing import RangeBearing
 from tests.ekf_reference.dense.drives import scans

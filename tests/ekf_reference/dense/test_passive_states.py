@@ -11,8 +11,9 @@ import pytest
 
 from ekf_reference.association.nearest_neighbour import KnownAssociation
 from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.geometry import Index
 from ekf_reference.core.measurement_update import Steps
-from ekf_reference.core.state import Index, state_columns
+from ekf_reference.core.state import state_columns
 from ekf_reference.core.trace import Prediction, RecordedTrace
 from ekf_reference.dense.passive_states import PassiveStates, local_coordinates, points
 from ekf_reference.dense.triangles import local_jacobians, to_local

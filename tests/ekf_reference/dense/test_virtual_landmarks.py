@@ -3,9 +3,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ekf_reference.core.geometry import Index
 from ekf_reference.core.state import KalmanState
 from ekf_reference.dense.conditions import Conditions, overlap
-from ekf_reference.dense.regions import Index, LocalRegions
+from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.virtual_landmarks import VirtualLandmarks, behind
 from ekf_reference.models.range_bearing import RangeBearing
 from tests.ekf_reference.dense.test_conditions import shared

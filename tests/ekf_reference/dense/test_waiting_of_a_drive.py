@@ -15,11 +15,12 @@ from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import build_timeline
 from comparisons.config import EkfConfig
 from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.geometry import Index
 from ekf_reference.dense.local_pose import Frames
-from ekf_reference.dense.regions import Index, LocalRegions
+from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.triangles import axes, solve
 from ekf_reference.dense.view import FilterView
-from ekf_reference.dense.waiting import Counts, WaitingRoom
+from ekf_reference.dense.waiting import WaitingCounts, WaitingRoom
 from tests.ekf_reference.dense.drives import dense_sightings, scans, true_landmarks
 from tests.ekf_reference.dense.waiting_rooms import NoCross, NoMotion, WrongSign, anywhere
 from tests.helpers import Array, simulated
@@ -145,7 +146,7 @@ class Driven(NamedTuple):
     mean: Array
     covariance: Array
     regions: LocalRegions
-    counts: Counts
+    counts: WaitingCounts
     error: Array
 
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from ekf_reference.core.geometry import Index
 from ekf_reference.dense.box_tree import BoxTree, boxes
 from ekf_reference.dense.placed_regions import PlacedRegions
-from ekf_reference.dense.regions import Index, Potential
+from ekf_reference.dense.regions import Potential
 from ekf_reference.dense.view import FilterView
 from ekf_reference.dense.waiting import WaitingRoom
 from tests.helpers import Array

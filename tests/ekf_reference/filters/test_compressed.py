@@ -18,7 +18,8 @@ from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
 from comparisons.pipeline.compare import Modified
 from ekf_reference.core.ekf import Ekf
-from ekf_reference.core.state import Array, Correction, Index, KalmanState
+from ekf_reference.core.geometry import Array, Index
+from ekf_reference.core.state import Correction, KalmanState
 from ekf_reference.core.trace import NullTrace
 from ekf_reference.filters.compressed import CompressedEkf, CompressedState, LocalAreas
 from tests.helpers import compared, relative_error, simulated

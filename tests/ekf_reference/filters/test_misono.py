@@ -12,7 +12,8 @@ from comparisons.logs.simulate.waypoints import WaypointRun, simulate
 from comparisons.pipeline.compare import Comparison, Modified
 from ekf_reference.association.nearest_neighbour import KnownAssociation
 from ekf_reference.core.ekf import Ekf
-from ekf_reference.core.state import Array, Correction, FilterDivergedError, Index, KalmanState
+from ekf_reference.core.geometry import Array, Index
+from ekf_reference.core.state import Correction, FilterDivergedError, KalmanState
 from ekf_reference.core.trace import RecordedTrace
 from ekf_reference.filters.direction_cosine import (
     OwnAxesObservation,

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.geometry import Index
 from ekf_reference.core.layout import POINT, POSE
-from ekf_reference.core.state import Index
 from ekf_reference.filters.compressed import CompressedState, LocalAreas
 from ekf_reference.models.range_bearing import PredictedMeasurements
 from ekf_reference.models.relative_pose import RelativePose

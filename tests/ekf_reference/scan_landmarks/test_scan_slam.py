@@ -9,6 +9,7 @@ import pytest
 
 from ekf_reference.association.nearest_neighbour import KnownAssociation
 from ekf_reference.core.ekf import NEW, Ekf
+from ekf_reference.core.geometry import Index
 from ekf_reference.core.layout import POSE
 from ekf_reference.models.motion import RelativePoseModel
 from ekf_reference.scan_landmarks.pieces import SingleSegments
@@ -16,7 +17,7 @@ from ekf_reference.scan_landmarks.scan_slam import GATED, USED, ScanSlam, ScanSl
 from ekf_reference.scan_landmarks.segmentation import SegmentationOptions
 from ekf_reference.scan_landmarks.templates import BLANK, OUT_OF_VIEW, Template, View
 from ekf_reference.scan_matching.scan_shape import of_scan
-from ekf_reference.scan_matching.sog import Index, SumOfGaussians
+from ekf_reference.scan_matching.sog import SumOfGaussians
 from tests.ekf_reference.both_kinds import relative
 from tests.ekf_reference.scan_landmarks.test_templates import STAR
 from tests.ekf_reference.scan_matching.scenes import BEAMS, LASER, ranges
