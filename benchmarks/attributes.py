@@ -31,9 +31,9 @@ from comparisons.logs.log import Log
 from comparisons.logs.readers import acfr_car_park, victoria_park
 from comparisons.logs.simulate.drive import Drive, simulate
 from comparisons.logs.simulate.worlds import World, nieto_loop
-from ekf_reference.association.nearest_neighbour import RememberedAttributes
+from ekf_reference.association.attributes import RememberedAttributes
 from ekf_reference.core.ekf import Ekf
-from ekf_reference.core.trace import NullTrace
+from ekf_reference.core.trace import Trace
 
 Slots = NDArray[np.intp]
 APART_M = 0.6
@@ -233,7 +233,7 @@ def lost(log: Log, association: str, blind_s: list[float], every_s: float) -> No
     filter that was never blind says what is right.
     """
     choices = settle(EkfConfig(filter="compressed", association=association, attributes="on"), log)
-    course, ekf = Course(log), build_ekf(log, choices, NullTrace())
+    course, ekf = Course(log), build_ekf(log, choices, Trace())
     using = ekf.association
     assert isinstance(using, RememberedAttributes)
     by_position = build_association(log, choices.model_copy(update={"attributes": "off"}))

@@ -86,7 +86,7 @@ def cases(seed: int) -> Iterator[Case]:
             count = np.array([np.count_nonzero(rows) for rows in inside])
             best = int(count.argmax())
             bare = Template.of_segment(shapes[best], np.flatnonzero(inside[best]))
-            place = SIGHTED.invert(pose[best], bare.pose[None]).point[0]
+            place = SIGHTED.invert(pose[best], bare.pose[None]).landmark[0]
             away = np.linalg.norm(pose[:, :2] - pose[best, :2], axis=1) > APART_M
             other = np.flatnonzero(away & (count >= LEAST_RETURNS))
             for row in other[:: max(1, len(other) // SCANS)][:SCANS].tolist():

@@ -19,7 +19,7 @@ from collections.abc import Callable
 import numpy as np
 
 from comparisons.logs.simulate.ray_casting import Solids, cast
-from ekf_reference.association.nearest_neighbour import KnownAssociation
+from ekf_reference.association.known import KnownAssociation
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.dense.neglected import NeglectedCorrelation
 from ekf_reference.dense.view import FilterView

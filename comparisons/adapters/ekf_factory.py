@@ -11,29 +11,21 @@ from comparisons.errors import InputError
 from comparisons.logs.log import Array, Log, Positions
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry
 from comparisons.logs.transforms.known_landmarks import surveyed
-from ekf_reference.association.attributes import (
-    NO_ATTRIBUTES,
-    Attributes,
-    LayerAttributes,
-    LayerValues,
-)
-from ekf_reference.association.nearest_neighbour import (
-    Association,
-    EuclideanNeighbour,
-    KnownAssociation,
-    NearestNeighbour,
-    RememberedAttributes,
-    SurveyedLandmarks,
-)
+from ekf_reference.association.attributes import NO_ATTRIBUTES, Attributes, RememberedAttributes
+from ekf_reference.association.euclidean import EuclideanNeighbour
+from ekf_reference.association.known import KnownAssociation, SurveyedLandmarks
+from ekf_reference.association.nearest_neighbour import NearestNeighbour
 from ekf_reference.core.ekf import Ekf, Stabilisation
-from ekf_reference.core.measurement_update import PositionFixes, PositionModel
+from ekf_reference.core.measurements import Association
 from ekf_reference.core.trace import Trace
+from ekf_reference.dense.layer_attributes import LayerAttributes, LayerValues
 from ekf_reference.models.motion import (
     AckermannModel,
     MotionModel,
     RelativePoseModel,
     UnicycleModel,
 )
+from ekf_reference.models.position import PositionFixes, PositionModel
 
 Common = tuple[MotionModel, Association, Array, Array, Stabilisation, Trace]
 """What every filter is made of: motion, association, prior, its covariance, noise, trace."""
@@ -92,8 +84,11 @@ def _of_headings(choices: EkfConfig, common: Common, antenna: tuple[float, float
 
 def _misono(choices: EkfConfig, common: Common, antenna: tuple[float, float]) -> Ekf:
     """A filter of direction cosines, as published or with all of its Jacobian."""
-    from ekf_reference.filters.direction_cosine import DirectionCosinePosition
-    from ekf_reference.filters.misono import DirectionCosineEkf, DirectionCosineOptions
+    from ekf_reference.filters.misono import (
+        DirectionCosineEkf,
+        DirectionCosineOptions,
+        DirectionCosinePosition,
+    )
 
     complete = choices.filter == "misono-full"
     options = DirectionCosineOptions(full_jacobian=complete, renormalise=complete)

@@ -19,12 +19,12 @@ from comparisons.errors import InputError
 from comparisons.estimates.estimate import Array, Estimate
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.transforms.known_landmarks import surveyed
-from ekf_reference.association.nearest_neighbour import AMBIGUOUS, CANDIDATE, DYNAMIC, REJECTED
 from ekf_reference.core.ekf import Ekf, PoseReading
-from ekf_reference.core.layout import POSE
+from ekf_reference.core.landmark_types import POINT, POSE
+from ekf_reference.core.measurements import AMBIGUOUS, CANDIDATE, DYNAMIC, REJECTED
 from ekf_reference.core.trace import RecordedTrace, TraceArrays
 from ekf_reference.filters.compressed import CompressedState
-from ekf_reference.filters.direction_cosine import OwnAxesObservation
+from ekf_reference.filters.misono import OwnAxesObservation
 from graphslam.problem import OrientedSightings
 
 _FARTHEST_M = 1e6
@@ -162,7 +162,7 @@ def run_ekf(
             "association": str(config.association),
         },
         oriented_id=oriented_id,
-        oriented=ekf.state.oriented[oriented_id],
+        oriented=ekf.state.places(POSE)[oriented_id],
     )
     fused = np.unique(arrays.positions.number)
     return EkfRun(
@@ -173,7 +173,7 @@ def run_ekf(
         departed=departed[:epochs],
         arrived=arrived[:epochs],
         final=ekf.read_recorded_pose(),
-        own_axes=isinstance(ekf.observation, OwnAxesObservation),
+        own_axes=isinstance(ekf.models[POINT], OwnAxesObservation),
         positions=positions,
         fix_number=fused,
         rejected_fixes=rejected_fixes,
@@ -188,8 +188,10 @@ def _check_counts(
     log: Log, timeline: Timeline, trace: TraceArrays, oriented: OrientedSightings
 ) -> None:
     """Raise InputError for a filter that made something of data that it was not given."""
-    sightings = np.concatenate((trace.updates.sighting, trace.augmentations.sighting))
-    frames = (trace.oriented_updates.sighting, trace.oriented_augmentations.sighting)
+    sightings, frames = (
+        np.concatenate((trace.measurements[w].number, trace.initialisations[w].number))
+        for w in (POINT, POSE)
+    )
     for what, made, given in (
         ("predictions", len(trace.departed), len(timeline.control)),
         ("sightings", int(sightings.max(initial=-1)) + 1, len(timeline.sighting_epoch)),
@@ -200,7 +202,7 @@ def _check_counts(
         ),
         (
             "sightings of landmarks with a direction",
-            int(np.concatenate(frames).max(initial=-1)) + 1,
+            int(frames.max(initial=-1)) + 1,
             len(oriented.measured),
         ),
     ):
@@ -213,8 +215,8 @@ def _check_counts(
 
 def _joint_covariance(ekf: Ekf) -> Array:
     """Of the last pose as x, y, heading, and all landmarks, points first."""
-    read, own, packed = ekf.read_pose().jacobian, ekf.state.covariance, ekf.state.layout.packed()
-    if not ekf.state.layout.plain:
+    read, own, packed = ekf.read_pose().jacobian, ekf.state.covariance, ekf.state.layout.by_kind()
+    if not ekf.state.layout.points_only:
         own = own[np.ix_(packed, packed)]
     p = read.shape[1]
     joint = np.empty((len(own) - p + 3, len(own) - p + 3))
@@ -235,9 +237,9 @@ def _spared(ekf: Ekf) -> tuple[int, float]:
 def _as_used(slot: NDArray[np.intp], trace: TraceArrays) -> NDArray[np.intp]:
     """Slots as recorded: a breakdown in the midst of a scan leaves part of it used."""
     used = np.where(slot >= 0, REJECTED, slot)
-    for records in (trace.updates, trace.augmentations):
-        seen = records.sighting >= 0
-        used[records.sighting[seen]] = records.slot[seen]
+    for records in (trace.measurements[POINT], trace.initialisations[POINT]):
+        seen = records.number >= 0
+        used[records.number[seen]] = records.slot[seen]
     return used
 
 

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, TypeVar
 from comparisons.adapters.filter_loop import Watcher, Watchers
 from comparisons.adapters.oriented_sightings import GuardedSource, NoOrientedSource, OrientedSource
 from ekf_reference.core.ekf import Ekf
-from ekf_reference.core.layout import POINT
+from ekf_reference.core.landmark_types import POINT
 
 if TYPE_CHECKING:
-    from ekf_reference.association.attributes import LayerValues
     from ekf_reference.association.dynamic_rejection import DynamicGuard
+    from ekf_reference.dense.layer_attributes import LayerValues
 
 T = TypeVar("T")
 

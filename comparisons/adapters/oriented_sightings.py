@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ekf_reference.core.ekf import Ekf
-from ekf_reference.core.local_map import LocalMap
+from ekf_reference.core.state import LocalMap
 from graphslam.graph_builder import right_perturbation
 from graphslam.problem import OrientedSightings, Twins
 
@@ -32,8 +32,8 @@ class OrientedLedger:
         self._twins: list[tuple[int, int, int, Array, Array]] = []
 
     def observe(self, ekf: Ekf, epoch: int, z: Array, covariance: Array, slot: Index) -> Index:
-        """Fuse sightings (m, 3) with covariances (m, 3, 3); see Ekf.observe_oriented."""
-        found = ekf.observe_oriented(z, covariance, slot)
+        """Fuse sightings (m, 3) with covariances (m, 3, 3); see Ekf.observe_known."""
+        found = ekf.observe_known(z, covariance, slot)
         self._seen += [
             (epoch, int(s), at, r) for s, at, r in zip(found, z, covariance, strict=True)
         ]
@@ -42,8 +42,10 @@ class OrientedLedger:
     def fuse(
         self, ekf: Ekf, epoch: int, first: int, second: int, z: Array, covariance: Array
     ) -> LocalMap:
-        """Fuse two that are one; see Ekf.fuse_oriented."""
-        known = ekf.fuse_oriented(first, second, z, covariance)
+        """Fuse two that are one; see merge_landmarks."""
+        from ekf_reference.scan_landmarks.merge_update import merge_landmarks
+
+        known = merge_landmarks(ekf, first, second, z, covariance)
         self._twins.append((epoch, first, second, z, covariance))
         return known
 

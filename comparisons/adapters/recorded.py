@@ -7,7 +7,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from ekf_reference.core.trace import SightingRecords, TraceArrays
+from ekf_reference.core.landmark_types import POINT, POSE
+from ekf_reference.core.trace import MeasurementRecords, TraceArrays
 from graphslam.frozen import (
     RecordedPositions,
     RecordedPrior,
@@ -29,12 +30,12 @@ def recorded(trace: TraceArrays, until: Index) -> LinearProblem:
     until: (K,) steps made when each pose is reached. Landmarks that were put into the map without
     a sighting come last.
     """
-    fixes, fusions = trace.positions, trace.fusions
+    fixes, merges = trace.positions, trace.merges
     return recorded_problem(
         RecordedPrior(trace.prior_pose, trace.prior_covariance),
         RecordedSteps(trace.departed, trace.arrived, trace.f, trace.q),
         until,
-        _sightings(trace.updates, trace.augmentations, until),
+        _sightings(trace.measurements[POINT], trace.initialisations[POINT], until),
         RecordedPositions(
             np.searchsorted(until, fixes.step),
             fixes.pose,
@@ -42,16 +43,16 @@ def recorded(trace: TraceArrays, until: Index) -> LinearProblem:
             fixes.jacobian_pose,
             fixes.noise,
         ),
-        _sightings(trace.oriented_updates, trace.oriented_augmentations, until),
+        _sightings(trace.measurements[POSE], trace.initialisations[POSE], until),
         RecordedTwins(
-            first=fusions.first,
-            second=fusions.second,
-            first_place=fusions.first_place,
-            second_place=fusions.second_place,
-            residual=fusions.innovation,
-            jacobian_first=fusions.jacobian_first,
-            jacobian_second=fusions.jacobian_second,
-            covariance=fusions.noise,
+            first=merges.origin,
+            second=merges.slot,
+            first_place=merges.pose,
+            second_place=merges.landmark,
+            residual=merges.innovation,
+            jacobian_first=merges.jacobian_pose,
+            jacobian_second=merges.jacobian_other,
+            covariance=merges.noise,
         ),
     )
 
@@ -63,19 +64,21 @@ def oriented_points(
 
     as_headings: recorded poses (M, p) at steps (M,) as x, y, heading.
     """
-    uses, fusions = (trace.oriented_updates, trace.oriented_augmentations), trace.fusions
+    uses, merges = (trace.measurements[POSE], trace.initialisations[POSE]), trace.merges
     return (
         FrozenPairs(
-            np.concatenate([r.sighting for r in uses]),
+            np.concatenate([r.number for r in uses]),
             np.concatenate([r.weight for r in uses]),
             np.concatenate([as_headings(r.pose, r.step) for r in uses]),
             np.concatenate([r.landmark for r in uses]),
         ),
-        FrozenPairs(fusions.number, fusions.weight, fusions.first_place, fusions.second_place),
+        FrozenPairs(merges.number, merges.weight, merges.pose, merges.landmark),
     )
 
 
-def _sightings(updates: SightingRecords, begun: SightingRecords, until: Index) -> RecordedSightings:
+def _sightings(
+    updates: MeasurementRecords, begun: MeasurementRecords, until: Index
+) -> RecordedSightings:
     begun = begun.rows(np.argsort(begun.weight <= 0.0, kind="stable"))
     used, augmented = _from_updates(updates, until), _from_augmentations(begun, until)
     return RecordedSightings(
@@ -86,7 +89,7 @@ def _sightings(updates: SightingRecords, begun: SightingRecords, until: Index) -
     )
 
 
-def _from_updates(r: SightingRecords, until: Index) -> RecordedSightings:
+def _from_updates(r: MeasurementRecords, until: Index) -> RecordedSightings:
     return RecordedSightings(
         node=np.searchsorted(until, r.step),
         slot=r.slot,
@@ -99,7 +102,7 @@ def _from_updates(r: SightingRecords, until: Index) -> RecordedSightings:
     )
 
 
-def _from_augmentations(r: SightingRecords, until: Index) -> RecordedSightings:
+def _from_augmentations(r: MeasurementRecords, until: Index) -> RecordedSightings:
     """Landmark = point + G_x (x - pose) + G_z v, as a relation with residual zero."""
     return RecordedSightings(
         node=np.searchsorted(until, r.step),

@@ -16,6 +16,7 @@ from comparisons.adapters.timeline import Timeline
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.transforms.known_landmarks import surveyed
+from ekf_reference.core.landmark_types import POINT
 from graphslam import increments
 from graphslam.frozen_own import FrozenPoints, own_problem
 from graphslam.linear_problem import LinearProblem, solve
@@ -143,13 +144,13 @@ def _points(problem: SlamProblem, run: EkfRun) -> FrozenPoints:
     fix_row = np.zeros(int(run.fix_number.max(initial=-1)) + 1, dtype=np.intp)
     fix_row[run.fix_number] = np.arange(len(run.fix_number))
     # A landmark begun with a boundless prior is augmented without its sighting's information.
-    begun = trace.augmentations
-    both = (trace.updates, begun.rows(np.flatnonzero(begun.weight > 0.0)))
+    begun = trace.initialisations[POINT]
+    both = (trace.measurements[POINT], begun.rows(np.flatnonzero(begun.weight > 0.0)))
     oriented, twins = oriented_points(trace, lambda pose, step: _as_headings(run, pose, step))
     return FrozenPoints(
         departed=run.departed,
         arrived=run.arrived,
-        sighting=sighting_row[np.concatenate([r.sighting for r in both])],
+        sighting=sighting_row[np.concatenate([r.number for r in both])],
         sighting_weight=np.concatenate([r.weight for r in both]),
         sighting_pose=_as_headings(
             run,

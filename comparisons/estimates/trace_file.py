@@ -12,14 +12,13 @@ from numpy.typing import NDArray
 from comparisons.archive import read_arrays
 from comparisons.errors import InputError
 from comparisons.logs.validation import LARGEST, LARGEST_ID
-from ekf_reference.core.layout import POSE
+from ekf_reference.core.landmark_types import POINT, POSE
 from ekf_reference.core.trace import (
-    PositionRecords,
-    SightingRecords,
+    VEHICLE,
+    MeasurementRecords,
     TraceArrays,
-    fusion_records,
     removal_records,
-    sighting_records,
+    stack_records,
 )
 
 if TYPE_CHECKING:
@@ -99,12 +98,12 @@ def write_trace(run: EkfRun, path: Path) -> None:
         "step_q": trace.q,
     }
     for part, records, other in (
-        ("update", trace.updates, "landmark"),
-        ("begin", trace.augmentations, "sighting"),
+        ("update", trace.measurements[POINT], "landmark"),
+        ("begin", trace.initialisations[POINT], "sighting"),
     ):
         arrays |= {
             f"{part}_step": records.step,
-            f"{part}_sighting": records.sighting,
+            f"{part}_sighting": records.number,
             f"{part}_landmark": ids[records.slot],
             f"{part}_pose": records.pose,
             f"{part}_point": records.landmark,
@@ -113,7 +112,7 @@ def write_trace(run: EkfRun, path: Path) -> None:
             f"{part}_noise": records.noise,
             f"{part}_weight": records.weight,
         }
-    arrays["update_innovation"] = trace.updates.innovation
+    arrays["update_innovation"] = trace.measurements[POINT].innovation
     for name in ("step", "number", "pose", "innovation", "jacobian_pose", "noise", "weight"):
         arrays[f"position_{name}"] = getattr(trace.positions, name)
     np.savez_compressed(path, **arrays)  # type: ignore[arg-type]
@@ -144,7 +143,8 @@ def read_trace(path: Path, landmark_id: NDArray[np.int64]) -> TraceFile:
             _check(path, name, found[name], (count, *shape))
     _check_contents(path, found)
     _unwrap(found)
-    slot = _slots(path, found, landmark_id)
+    slot, count = _slots(path, found, landmark_id), len(found["position_step"])
+    none_of_poses = stack_records([], POSE, POSE)
     return TraceFile(
         path,
         found["step_time_s"],
@@ -155,47 +155,43 @@ def read_trace(path: Path, landmark_id: NDArray[np.int64]) -> TraceFile:
             arrived=found["step_arrived"],
             f=found["step_f"],
             q=found["step_q"],
-            updates=_sightings(
-                found, "update", slot["update"], found["update_innovation"], "landmark"
-            ),
-            augmentations=_sightings(
-                found, "begin", slot["begin"], np.zeros_like(found["begin_point"]), "sighting"
-            ),
-            positions=PositionRecords(
-                step=found["position_step"].astype(np.intp),
-                number=found["position_number"].astype(np.intp),
-                pose=found["position_pose"],
-                innovation=found["position_innovation"],
-                jacobian_pose=found["position_jacobian_pose"],
-                noise=found["position_noise"],
-                spread=np.zeros_like(found["position_noise"]),
-                weight=found["position_weight"],
-            ),
-            oriented_updates=sighting_records([], 3, POSE),
-            oriented_augmentations=sighting_records([], 3, POSE),
-            fusions=fusion_records([]),
+            measurements={
+                POINT: _records(found, "update", slot["update"], "jacobian_landmark"),
+                POSE: none_of_poses,
+            },
+            initialisations={
+                POINT: _records(found, "begin", slot["begin"], "jacobian_sighting"),
+                POSE: none_of_poses,
+            },
+            positions=_records(found, "position", np.full(count, -1), None),
+            merges=none_of_poses,
             removals=removal_records([]),
         ),
     )
 
 
-def _sightings(
-    found: dict[str, Array], part: str, slot: Index, innovation: Array, other: str
-) -> SightingRecords:
+def _records(
+    found: dict[str, Array], part: str, slot: Index, jacobian_other: str | None
+) -> MeasurementRecords:
+    """Return the records of one part of the file; without landmarks where it names none."""
     noise = found[f"{part}_noise"]
-    return SightingRecords(
+    nothing, none = np.zeros(noise.shape[:2]), noise[:, :, :0]
+    return MeasurementRecords(
         step=found[f"{part}_step"].astype(np.intp),
-        sighting=found[f"{part}_sighting"].astype(np.intp),
+        number=found[f"{part}_{'number' if jacobian_other is None else 'sighting'}"].astype(
+            np.intp
+        ),
         slot=slot,
         pose=found[f"{part}_pose"],
-        landmark=found[f"{part}_point"],
-        innovation=innovation,
+        landmark=found.get(f"{part}_point", nothing[:, :0]),
+        innovation=found.get(f"{part}_innovation", nothing),
         jacobian_pose=found[f"{part}_jacobian_pose"],
-        jacobian_other=found[f"{part}_jacobian_{other}"],
+        jacobian_other=none if jacobian_other is None else found[f"{part}_{jacobian_other}"],
         noise=noise,
         spread=np.zeros_like(noise),
-        whitened=np.zeros((len(noise), 2)),
+        whitened=nothing,
         weight=found[f"{part}_weight"],
+        origin=np.full(len(noise), VEHICLE),
     )
 
 

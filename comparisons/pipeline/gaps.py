@@ -25,6 +25,7 @@ from comparisons.checks.agreement import ROUNDING, Agreement, Gaussian, compare
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
 from comparisons.pipeline.prepare import Clock, Prepared
+from ekf_reference.core.landmark_types import POINT
 from graphslam.linear_problem import LinearProblem
 from graphslam.problem import SlamProblem
 from graphslam.smoother import SmootherOptions, SmootherResult
@@ -54,7 +55,7 @@ class Gaps:
         """Return where F1's and F2's equations differ."""
         from comparisons.checks.diagnosis.model_differences import model_differences
 
-        weight = self.run.trace.augmentations.weight
+        weight = self.run.trace.initialisations[POINT].weight
         initialised = int(np.count_nonzero(weight > 0.0))
         return tuple(model_differences(self.recorded, self.model, ROUNDING, initialised))
 

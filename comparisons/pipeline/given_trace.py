@@ -21,8 +21,9 @@ from comparisons.estimates.trace_file import TraceFile
 from comparisons.logs.log import Log, Positions
 from comparisons.pipeline.gaps import compute_gaps
 from comparisons.pipeline.prepare import Clock, Prepared, no_progress
-from ekf_reference.association.nearest_neighbour import REJECTED
 from ekf_reference.core.ekf import PoseReading
+from ekf_reference.core.landmark_types import POINT
+from ekf_reference.core.measurements import REJECTED
 from graphslam.smoother import SmootherOptions
 
 Index = NDArray[np.intp]
@@ -90,8 +91,8 @@ def check_trace(
         algebra=gaps.agreement.algebra if known else None,
         verdict=verdict,
         steps=len(trace.departed),
-        updates=len(trace.updates.step),
-        begun=len(trace.augmentations.step),
+        updates=len(trace.measurements[POINT].step),
+        begun=len(trace.initialisations[POINT].step),
         fixes=len(trace.positions.step),
     )
 
@@ -162,8 +163,8 @@ def _as_run(
     last = _last(given)
     trace = file.trace
     for what, numbers, count in (
-        ("sighting", trace.updates.sighting, len(timeline.sighting_epoch)),
-        ("sighting", trace.augmentations.sighting, len(timeline.sighting_epoch)),
+        ("sighting", trace.measurements[POINT].number, len(timeline.sighting_epoch)),
+        ("sighting", trace.initialisations[POINT].number, len(timeline.sighting_epoch)),
         ("position", trace.positions.number, len(timeline.position_epoch)),
     ):
         if int(numbers.max(initial=-1)) >= count:
@@ -177,8 +178,8 @@ def _as_run(
     departed = np.vstack((trace.departed, pose))[until]
     arrived = np.vstack((trace.prior_pose, trace.arrived))[until]
     slot = np.full(len(timeline.sighting_epoch), REJECTED, dtype=np.intp)
-    for records in (trace.augmentations, trace.updates):
-        slot[records.sighting] = records.slot
+    for records in (trace.initialisations[POINT], trace.measurements[POINT]):
+        slot[records.number] = records.slot
     return EkfRun(
         estimate=replace(
             last,
@@ -216,9 +217,11 @@ def _untimely(log: Log, file: TraceFile, run: EkfRun, positions: Positions | Non
     kinds = [
         (
             "sightings",
-            np.concatenate((trace.updates.step, trace.augmentations.step)),
+            np.concatenate((trace.measurements[POINT].step, trace.initialisations[POINT].step)),
             log.sightings.time_s[
-                np.concatenate((trace.updates.sighting, trace.augmentations.sighting))
+                np.concatenate(
+                    (trace.measurements[POINT].number, trace.initialisations[POINT].number)
+                )
             ],
         )
     ]

@@ -9,18 +9,20 @@ eqs. 2.58 and 2.60), and their degrees of freedom. The filter's state knows noth
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
 import numpy as np
 from scipy.special import gammainccinv
 
 from ekf_reference.core.geometry import Array, Index
-from ekf_reference.core.measurements import MeasuredAttributes, Sightings
+from ekf_reference.core.landmark_types import MeasurementModel
+from ekf_reference.core.measurements import Association, MeasuredAttributes, Measurements
+from ekf_reference.core.state import KalmanState
 
 
 class AttributeDistances(NamedTuple):
-    """What attributes add to the distances from m sightings to L landmarks.
+    """What attributes add to the distances from m measurements to L landmarks.
 
     nis: (m, L). n: (m, L) nis + ln of the variances. dof: (m, L) attributes that were compared.
     """
@@ -33,17 +35,16 @@ class AttributeDistances(NamedTuple):
 class Attributes(Protocol):
     """Contract of what an association rule asks about attributes."""
 
-    def distances(self, slot: Index, sightings: Sightings) -> AttributeDistances:
-        """From all sightings (m) to landmarks by slot (L,)."""
-        ...
+    def distances(self, slot: Index, seen: Measurements) -> AttributeDistances:
+        """Return the distances from all measurements (m) to landmarks by slot (L,)."""
 
 
 class NoAttributes:
     """Landmarks are told apart by position alone."""
 
-    def distances(self, slot: Index, sightings: Sightings) -> AttributeDistances:
-        """Nothing is added."""
-        nothing = np.zeros((len(sightings), len(slot)))
+    def distances(self, slot: Index, seen: Measurements) -> AttributeDistances:
+        """Add nothing."""
+        nothing = np.zeros((len(seen), len(slot)))
         return AttributeDistances(nothing, nothing, nothing.astype(np.intp))
 
 
@@ -52,7 +53,7 @@ NO_ATTRIBUTES = NoAttributes()
 
 @dataclass
 class AttributeEstimates:
-    """Mean, variance and count of every landmark's attributes, from the sightings it was given.
+    """Mean, variance and count of every landmark's attributes, from the seen it was given.
 
     repeats: (A,) sightings that are worth one independent one, for what puts one wrong (the side
     that a trunk shows, an occlusion) puts the next wrong, too; 1 makes this the Kalman filter of a
@@ -66,7 +67,7 @@ class AttributeEstimates:
     _least: Array = field(init=False)
 
     def __post_init__(self) -> None:
-        """Begin without landmarks."""
+        """Start without landmarks."""
         shape = (0, len(self.repeats))
         self.count = np.zeros(shape, dtype=np.intp)
         self._information, self._weighted = np.zeros(shape), np.zeros(shape)
@@ -85,31 +86,29 @@ class AttributeEstimates:
         pooled = self.repeats / np.where(known, self._information, 1.0)
         return np.where(known, np.minimum(pooled, self._least), np.nan)
 
-    def distances(self, slot: Index, sightings: Sightings) -> AttributeDistances:
-        """Of what both the sighting and the landmark have; nis and dof of nothing else.
+    def distances(self, slot: Index, seen: Measurements) -> AttributeDistances:
+        """Return the distances by what both have; nis and dof of nothing else.
 
-        A landmark that lacks what the sighting has is no likelier for it: in n it stands with the
+        A landmark that lacks what was measured is no likelier for it: in n it stands with the
         mean and spread of all landmarks that have it. Leaving the term out would weigh a density
         per unit of the attribute against one without, and the unit would decide.
         """
         self._reach(int(slot.max(initial=-1)) + 1)
-        seen = sightings.attributes
-        if not seen.value.shape[1]:
-            return NO_ATTRIBUTES.distances(slot, sightings)
+        if not seen.attributes.value.shape[1]:
+            return NO_ATTRIBUTES.distances(slot, seen)
         anyone = population(self.mean, self.variance)
-        return compared(seen, self.mean[slot], self.variance[slot], anyone)
+        return compared(seen.attributes, self.mean[slot], self.variance[slot], anyone)
 
-    def note(self, slots: Index, sightings: Sightings) -> None:
-        """Average in the attributes of sightings that were given to landmarks."""
-        seen = sightings.attributes
-        row, column = np.nonzero(np.isfinite(seen.value) & (slots >= 0)[:, None])
+    def note(self, slots: Index, measured: MeasuredAttributes) -> None:
+        """Average in the attributes of measurements that were given to landmarks (m,)."""
+        row, column = np.nonzero(np.isfinite(measured.value) & (slots >= 0)[:, None])
         if not len(row):
             return
-        slot, variance = slots[row], seen.variance[row, column]
+        slot, variance = slots[row], measured.variance[row, column]
         self._reach(int(slot.max()) + 1)
         np.add.at(self.count, (slot, column), 1)
         np.add.at(self._information, (slot, column), 1.0 / variance)
-        np.add.at(self._weighted, (slot, column), seen.value[row, column] / variance)
+        np.add.at(self._weighted, (slot, column), measured.value[row, column] / variance)
         np.minimum.at(self._least, (slot, column), variance)
 
     def _reach(self, landmarks: int) -> None:
@@ -122,48 +121,27 @@ class AttributeEstimates:
             self._least = np.pad(self._least, below, constant_values=np.inf)
 
 
-class LayerValues(Protocol):
-    """Whoever keeps a layer of the dense map, which the landmarks lie in."""
-
-    def values_at(self, slot: Index) -> tuple[Array, Array, Array]:
-        """Of returns from around landmarks by slot (L,): mean, variance (NaN: none), and count."""
-        ...
-
-
 @dataclass(frozen=True)
-class LayerAttributes:
-    """One attribute is told by a layer of the dense map, the others are remembered.
+class RememberedAttributes:
+    """Wraps all other rules: what was measured is noted for the landmark it was given to.
 
-    The landmark's is what all scans have shown around its place, whatever its sightings were
-    taken for; the sighting's, in `column`, is what its own scan shows around it.
+    memory: the one that the rule within asks.
     """
 
+    rule: Association
     memory: AttributeEstimates
-    layer: LayerValues
-    column: int
 
-    def distances(self, slot: Index, sightings: Sightings) -> AttributeDistances:
-        """As AttributeEstimates does. A return scatters as the layer's do, beside its noise."""
-        seen, column = sightings.attributes, self.column
-        others = seen.value.copy()
-        others[:, column] = np.nan
-        remembered = MeasuredAttributes(others, seen.variance)
-        first = self.memory.distances(slot, replace(sightings, attributes=remembered))
-        mean, scatter, count = self.layer.values_at(slot)
-        noise = seen.variance[:, column].mean()  # of one return, in the layer as here
-        variance = scatter + noise / np.maximum(count, 1.0)
-        own = MeasuredAttributes(seen.value[:, [column]], seen.variance[:, [column]])
-        known = mean[:, None], variance[:, None]
-        second = compared(own, *known, population(*known))
-        return AttributeDistances(
-            first.nis + second.nis, first.n + second.n, first.dof + second.dof
-        )
+    def assign(self, state: KalmanState, model: MeasurementModel, seen: Measurements) -> Index:
+        """Assign by the rule."""
+        slots = self.rule.assign(state, model, seen)
+        self.memory.note(slots, seen.attributes)
+        return slots
 
 
 def compared(
     seen: MeasuredAttributes, mean: Array, variance: Array, anyone: tuple[Array, Array]
 ) -> AttributeDistances:
-    """From sightings to landmarks with attributes (L, A), NaN where unknown.
+    """From seen to landmarks with attributes (L, A), NaN where unknown.
 
     anyone: (A,) mean and variance of what a landmark that lacks one stands with.
     """
@@ -178,7 +156,7 @@ def compared(
 
 
 def population(mean: Array, variance: Array) -> tuple[Array, Array]:
-    """Mean and variance (A,) over landmarks (L, A), NaN while none has the attribute."""
+    """Return mean and variance (A,) over landmarks (L, A), NaN while none has the attribute."""
     known = np.isfinite(mean)
     landmarks = known.sum(axis=0)
     share = known / np.where(landmarks, landmarks, np.nan)
@@ -189,7 +167,7 @@ def population(mean: Array, variance: Array) -> tuple[Array, Array]:
 
 
 def same_tail(gate: float, dof: Index) -> Array:
-    """Bounds of chi-square variables that are exceeded as often as `gate` is with 2 dof.
+    """Return the chi-square bounds that are exceeded as often as `gate` is with 2 dof.
 
     dof: any shape, 2 or more each.
     """

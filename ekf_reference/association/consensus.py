@@ -1,8 +1,8 @@
 """Joint association that passes while it is in doubt, for landmarks that stand in clumps.
 
-After a blind turn the first sighting may fit several landmarks, and a wrong choice is fused for
+After a blind turn the first measurement may fit several landmarks, and a wrong choice is fused for
 good. Here all hypotheses of a scan are weighed against each other (Nieto 2005, section 2.4.1; the
-joint form of eqs. 2.58 and 2.60), and a sighting is used only when every hypothesis that is not
+joint form of eqs. 2.58 and 2.60), and a measurement is used only when every hypothesis that is not
 far less likely than the best says the same of it.
 """
 
@@ -13,17 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ekf_reference.association.distances import landmarks_around, normalised_distances
 from ekf_reference.association.joint_compatibility import pair_covariance
-from ekf_reference.association.nearest_neighbour import (
-    AMBIGUOUS,
-    MappedState,
-    normalised_distances,
-    surroundings,
-)
 from ekf_reference.core.geometry import Array, Index
-from ekf_reference.core.local_map import LocalMap
-from ekf_reference.core.measurements import Sightings
-from ekf_reference.models.range_bearing import Observation
+from ekf_reference.core.landmark_types import MeasurementModel
+from ekf_reference.core.measurements import AMBIGUOUS, Measurements
+from ekf_reference.core.state import KalmanState, LocalMap
 
 Choice = tuple[int, ...]
 """Per place the landmark of the local map, or _NEW."""
@@ -33,9 +28,9 @@ _NEW = -1
 
 @dataclass(frozen=True)
 class ConsensusAssociation:
-    """Sightings are AMBIGUOUS unless the likely hypotheses agree on them.
+    """Measurements are AMBIGUOUS unless the likely hypotheses agree on them.
 
-    resolution_m: sightings nearer to each other than this are of one landmark, which stands for
+    resolution_m: seen nearer to each other than this are of one landmark, which stands for
     all that is seen within a disc of this diameter. odds: a hypothesis counts until the best is so
     many times likelier. new_density: new landmarks expected in the view, per m and rad. gate:
     bound of the nis of a single pairing. most_hypotheses: that are followed at a time.
@@ -47,14 +42,14 @@ class ConsensusAssociation:
     gate: float = 25.0
     most_hypotheses: int = 200
 
-    def assign(self, state: MappedState, observation: Observation, sightings: Sightings) -> Index:
-        """Assign the sightings on which all likely hypotheses agree."""
-        point = observation.invert(state.pose, sightings.z).point
+    def assign(self, state: KalmanState, model: MeasurementModel, seen: Measurements) -> Index:
+        """Assign the measurements on which all likely hypotheses agree."""
+        point = model.invert(state.pose, seen.z).landmark
         group = _groups(point, self.resolution_m)
-        merged = self._merged(state, observation, point, group, sightings)
-        local = surroundings(state, observation, merged)
-        likely = self._likely(local, observation, merged)
-        slots = np.full(len(sightings), AMBIGUOUS, dtype=np.intp)
+        merged = self._merged(model, state.pose, point, group, seen)
+        local = landmarks_around(state, model, merged)
+        likely = self._likely(local, model, merged)
+        slots = np.full(len(seen), AMBIGUOUS, dtype=np.intp)
         added = state.landmark_count
         for place in range(len(merged)):
             choices = {choice[place] for choice in likely}
@@ -66,38 +61,35 @@ class ConsensusAssociation:
         return slots
 
     def _merged(
-        self,
-        state: MappedState,
-        observation: Observation,
-        point: Array,
-        group: Index,
-        sightings: Sightings,
-    ) -> Sightings:
-        """One sighting per group, of the mean of its places (m, 2).
+        self, model: MeasurementModel, pose: Array, point: Array, group: Index, seen: Measurements
+    ) -> Measurements:
+        """One measurement per group, of the mean of its places (m, 2).
 
-        It has the noise of one, since what puts one sighting wrong puts the next, too; and that of
+        It has the noise of one, since what puts one measurement wrong puts the next, too; and that of
         a place in a disc, whose variance is its diameter^2 / 16.
         """
         share = np.equal.outer(np.arange(group.max() + 1), group).astype(float)
         share /= share.sum(axis=1, keepdims=True)
-        predicted = observation.predict(state.pose, share @ point)
+        predicted = model.predict(pose, share @ point)
         h = predicted.jacobian_landmark
-        noise = np.einsum("gm,mij->gij", share, sightings.noise)
+        noise = np.einsum("gm,mij->gij", share, seen.noise)
         noise += self.resolution_m**2 / 16.0 * h @ h.transpose(0, 2, 1)
-        return Sightings(predicted.z, noise, np.full(len(share), -1), sightings.time_s)
+        return Measurements(predicted.z, noise, np.full(len(share), -1), closed=seen.closed)
 
-    def _likely(self, local: LocalMap, observation: Observation, merged: Sightings) -> list[Choice]:
+    def _likely(
+        self, local: LocalMap, model: MeasurementModel, merged: Measurements
+    ) -> list[Choice]:
         """The hypotheses within the odds of the best, which may give no landmark to two places.
 
         A hypothesis costs -2 ln of its density up to a constant: joint nis + ln |S| of its pairs,
         and -2 ln (2 pi density) for each new landmark.
         """
-        nis = normalised_distances(local, observation, merged)
+        nis = normalised_distances(local, model, merged)
         place, landmark = np.nonzero(nis.nis <= self.gate)
         if not len(place):
             return [(_NEW,) * len(merged)]
         nu = nis.innovation[place, landmark]
-        spread = pair_covariance(local, observation, merged, place, landmark)
+        spread = pair_covariance(local, model, merged, place, landmark)
         cost_of_new = -2.0 * math.log(2.0 * math.pi * self.new_density)
         beam: list[tuple[float, Choice, list[int]]] = [(0.0, (), [])]
         for k in range(len(merged)):

@@ -1,6 +1,6 @@
 """Joint compatibility branch and bound (Nieto 2005, section 2.4.1, "batch data association").
 
-Sightings of one scan share the error of the pose, so a set of pairings that are each likely can
+Measurements of one scan share the error of the pose, so a set of pairings that are each likely can
 be unlikely together. The largest set that passes one joint gate wins, the one with the least
 joint distance among equals.
 """
@@ -14,18 +14,17 @@ import numpy as np
 from scipy.special import gammaincinv
 
 from ekf_reference.association.attributes import NO_ATTRIBUTES, Attributes, same_tail
-from ekf_reference.association.nearest_neighbour import (
-    MappedState,
+from ekf_reference.association.distances import (
+    landmarks_around,
     match_in_order,
     normalised_distances,
     slots_of,
-    surroundings,
 )
+from ekf_reference.core.blocks import block_diagonal, stack
 from ekf_reference.core.geometry import Array, Index
-from ekf_reference.core.local_map import LocalMap
-from ekf_reference.core.measurements import Sightings
-from ekf_reference.core.state import block_diagonal, stack, state_columns
-from ekf_reference.models.range_bearing import Observation
+from ekf_reference.core.landmark_types import MeasurementModel
+from ekf_reference.core.measurements import Measurements
+from ekf_reference.core.state import KalmanState, LocalMap
 
 
 @dataclass(frozen=True)
@@ -34,49 +33,46 @@ class JointCompatibility:
 
     probability: of the chi-square gates. new_gate: as in NearestNeighbour. most_nodes: branches
     visited at the most in one scan; beyond that the best set so far is taken. Of a scan with more
-    than `most_sightings` to match, the nearest neighbour decides. attributes: enter every gate with
+    than `most_matched` to match, the nearest neighbour decides. attributes: enter every gate with
     their degrees of freedom, and the joint distance by how much less likely they make a pairing
-    than the likeliest of the same sighting.
+    than the likeliest of the same measurement.
     """
 
     probability: float = 0.999
     new_gate: float = 25.0
     most_nodes: int = 4000
-    most_sightings: int = 100
+    most_matched: int = 100
     attributes: Attributes = NO_ATTRIBUTES
 
-    def assign(self, state: MappedState, observation: Observation, sightings: Sightings) -> Index:
-        """Assign by position and attributes, all sightings of the scan together."""
-        local = surroundings(state, observation, sightings)
-        distances = normalised_distances(local, observation, sightings)
-        added = self.attributes.distances(local.slot, sightings)
+    def assign(self, state: KalmanState, model: MeasurementModel, seen: Measurements) -> Index:
+        """Assign by position and attributes, all measurements of the scan together."""
+        local = landmarks_around(state, model, seen)
+        distances = normalised_distances(local, model, seen)
+        added = self.attributes.distances(local.slot, seen)
         nis, n, dof = distances.nis + added.nis, distances.n + added.n, 2 + added.dof
         gates = self._gates(int(dof.max(initial=2)) * len(dof))
         compatible = nis <= gates[dof]
-        sighting, landmark = np.nonzero(compatible)
-        column = np.full(len(sightings), -1, dtype=np.intp)
-        if len(np.unique(sighting)) > self.most_sightings:
+        row, landmark = np.nonzero(compatible)
+        column = np.full(len(seen), -1, dtype=np.intp)
+        if len(np.unique(row)) > self.most_matched:
             column = match_in_order(n, compatible)
-        elif len(sighting):
-            nu = distances.innovation[sighting, landmark]
-            spread = pair_covariance(local, observation, sightings, sighting, landmark)
-            order = np.lexsort((n[sighting, landmark], sighting))
+        elif len(row):
+            order = np.lexsort((n[row, landmark], row))
+            row, landmark = row[order], landmark[order]
             least = np.where(compatible, added.n, np.inf).min(axis=1, keepdims=True, initial=np.inf)
-            row, which = sighting[order], landmark[order]
-            beside = _Beside(added.nis[row, which], (added.n - least)[row, which], dof[row, which])
-            search = _Search(
+            pairs = _Pairs(
                 row,
-                which,
-                nu[order],
-                _reorder(spread, order),
-                beside,
-                gates,
-                self.most_nodes,
+                landmark,
+                distances.innovation[row, landmark],
+                pair_covariance(local, model, seen, row, landmark),
+                added.nis[row, landmark],
+                (added.n - least)[row, landmark],
+                dof[row, landmark],
             )
-            for pair in search.best():
-                column[search.sighting[pair]] = search.landmark[pair]
-        unseen = np.logical_and.reduce(nis > same_tail(self.new_gate, dof), axis=1)
-        return slots_of(column, unseen, local.slot, state.landmark_count)
+            chosen = _Search(pairs, gates, self.most_nodes).best()
+            column[row[chosen]] = landmark[chosen]
+        new = np.logical_and.reduce(nis > same_tail(self.new_gate, dof), axis=1)
+        return slots_of(column, new, local.slot, state.landmark_count)
 
     def _gates(self, most: int) -> Array:
         """Bounds of chi-square variables with 0 to `most` degrees of freedom, 2 at the least."""
@@ -86,34 +82,29 @@ class JointCompatibility:
 
 
 def pair_covariance(
-    local: LocalMap,
-    observation: Observation,
-    sightings: Sightings,
-    sighting: Index,
-    landmark: Index,
+    local: LocalMap, model: MeasurementModel, seen: Measurements, row: Index, landmark: Index
 ) -> Array:
-    """Covariance (2 p, 2 p) of the innovations of p pairs, all correlations included."""
+    """Return the covariance (2 p, 2 p) of the innovations of p pairs, correlations included."""
     chosen, where = np.unique(landmark, return_inverse=True)
-    predicted = observation.predict(local.pose, local.landmark[chosen])
-    columns = state_columns(chosen, len(local.pose))
+    part = local.take(chosen)
+    predicted = model.predict(part.pose, part.landmark)
     h = stack(predicted.jacobian_pose, predicted.jacobian_landmark).reshape(len(chosen), 2, -1)
     stacked = h[where].reshape(2 * len(landmark), -1)
-    spread = stacked @ local.covariance[columns[:, None], columns] @ stacked.T
-    return spread + block_diagonal(sightings.noise[sighting])
+    spread = stacked @ part.covariance @ stacked.T
+    return spread + block_diagonal(seen.noise[row])
 
 
-def _reorder(spread: Array, order: Index) -> Array:
-    entries = (2 * order[:, None] + (0, 1)).ravel()
-    reordered: Array = spread[entries[:, None], entries]
-    return reordered
+class _Pairs(NamedTuple):
+    """Pairings (p,) of measurements, by row, with landmarks of the local map.
 
-
-class _Beside(NamedTuple):
-    """What the attributes say of p pairs, apart from each other.
-
-    nis: (p,). cost: (p,) -2 ln of their density, none below 0. dof: (p,) the position's included.
+    innovation: (p, 2). spread: (2 p, 2 p). Of the attributes, nis: (p,) and cost: (p,) -2 ln of
+    their density, none below 0. dof: (p,) position and attributes.
     """
 
+    row: Index
+    landmark: Index
+    innovation: Array
+    spread: Array
     nis: Array
     cost: Array
     dof: Index
@@ -126,41 +117,21 @@ class _Sum(NamedTuple):
     cost: float
     dof: int
 
-    def plus(self, nis: float, beside: _Beside, pair: int) -> _Sum:
-        """One more pair, whose position adds to the joint nis."""
-        return _Sum(
-            self.nis + nis + float(beside.nis[pair]),
-            self.cost + nis + float(beside.cost[pair]),
-            self.dof + int(beside.dof[pair]),
-        )
-
 
 class _Search:
-    """Depth first over the sightings; every node extends one Cholesky factor by two rows."""
+    """Depth first over the measurements; every node extends one Cholesky factor by two rows."""
 
-    def __init__(
-        self,
-        sighting: Index,
-        landmark: Index,
-        nu: Array,
-        spread: Array,
-        beside: _Beside,
-        gates: Array,
-        most_nodes: int,
-    ) -> None:
-        self.sighting, self.landmark = sighting, landmark
-        self._nu, self._spread, self._beside, self._gates = nu, spread, beside, gates
-        rows = np.unique(sighting)
-        self._pairs = [np.flatnonzero(sighting == row).tolist() for row in rows]
-        most = [int(beside.dof[pairs].max()) for pairs in self._pairs]
+    def __init__(self, pairs: _Pairs, gates: Array, most_nodes: int) -> None:
+        self._pairs, self._gates, self._left = pairs, gates, most_nodes
+        self._of_row = [np.flatnonzero(pairs.row == row).tolist() for row in np.unique(pairs.row)]
+        most = [int(pairs.dof[own].max()) for own in self._of_row]
         self._dof_left = [sum(most[level:]) for level in range(len(most) + 1)]
-        self._left = most_nodes
         self._best: list[int] = []
         self._best_cost = np.inf
 
     def best(self) -> list[int]:
-        """The pairs of the best set."""
-        size = 2 * len(self._pairs)
+        """Return the pairs of the best set."""
+        size = 2 * len(self._of_row)
         self._descend(0, [], _Sum(0.0, 0.0, 0), np.zeros((size, size)), np.zeros(size))
         return self._best
 
@@ -171,41 +142,45 @@ class _Search:
 
         root: lower Cholesky factor of the chosen pairs' covariance.
         """
-        possible = len(chosen) + len(self._pairs) - level
+        possible = len(chosen) + len(self._of_row) - level
         if possible < len(self._best) or (
             possible == len(self._best) and so_far.cost >= self._best_cost
         ):
             return
-        if level == len(self._pairs):
+        if level == len(self._of_row):
             if so_far.nis <= self._gates[so_far.dof]:
                 self._best, self._best_cost = list(chosen), so_far.cost
             return
-        k = 2 * len(chosen)
-        taken = {int(self.landmark[pair]) for pair in chosen}
-        entries = (2 * np.array(chosen, dtype=np.intp)[:, None] + (0, 1)).ravel()
-        for pair in self._pairs[level]:
+        widest = self._gates[so_far.dof + self._dof_left[level]]  # that this branch may still meet
+        taken = {int(self._pairs.landmark[pair]) for pair in chosen}
+        for pair in self._of_row[level]:
             if self._left <= 0:
                 break
-            if int(self.landmark[pair]) in taken:
+            if int(self._pairs.landmark[pair]) in taken:
                 continue
             self._left -= 1
-            own = slice(2 * pair, 2 * pair + 2)
-            below = (
-                np.linalg.solve(root[:k, :k], self._spread[entries, own]).T
-                if k
-                else np.zeros((2, 0))
-            )
-            rest = self._spread[own, own] - below @ below.T
-            try:
-                corner = np.linalg.cholesky(rest)
-            except np.linalg.LinAlgError:
-                continue  # two copies of one pairing: nothing new to test
-            tail = np.linalg.solve(corner, self._nu[pair] - below @ whitened[:k])
-            total = so_far.plus(float(tail @ tail), self._beside, pair)
-            widest = so_far.dof + self._dof_left[level]
-            if total.nis > self._gates[widest]:  # the widest that this branch may still meet
-                continue
-            root[k : k + 2, :k], root[k : k + 2, k : k + 2] = below, corner
-            whitened[k : k + 2] = tail
-            self._descend(level + 1, [*chosen, pair], total, root, whitened)
+            total = self._extend(chosen, pair, so_far, root, whitened)
+            if total is not None and total.nis <= widest:
+                self._descend(level + 1, [*chosen, pair], total, root, whitened)
         self._descend(level + 1, chosen, so_far, root, whitened)
+
+    def _extend(
+        self, chosen: list[int], pair: int, so_far: _Sum, root: Array, whitened: Array
+    ) -> _Sum | None:
+        """Add a pair to the factor; None for a copy of one that is there: nothing new to test."""
+        p, k, own = self._pairs, 2 * len(chosen), slice(2 * pair, 2 * pair + 2)
+        entries = (2 * np.array(chosen, dtype=np.intp)[:, None] + (0, 1)).ravel()
+        below = np.linalg.solve(root[:k, :k], p.spread[entries, own]).T if k else np.zeros((2, 0))
+        try:
+            corner = np.linalg.cholesky(p.spread[own, own] - below @ below.T)
+        except np.linalg.LinAlgError:
+            return None
+        tail = np.linalg.solve(corner, p.innovation[pair] - below @ whitened[:k])
+        root[k : k + 2, :k], root[k : k + 2, k : k + 2] = below, corner
+        whitened[k : k + 2] = tail
+        nis = float(tail @ tail)
+        return _Sum(
+            so_far.nis + nis + float(p.nis[pair]),
+            so_far.cost + nis + float(p.cost[pair]),
+            so_far.dof + int(p.dof[pair]),
+        )

@@ -1,66 +1,58 @@
 """Where in a filter's state the pose and the landmarks lie.
 
-Landmarks are numbered by kind, each number being a slot: points apart from those that have a
-direction, too. In the state they follow the pose in the order of their arrival. A slot is for
-good; a landmark that is removed leaves it empty.
+A landmark has a slot among those of its kind, by order of incorporation. A slot is for good: one
+whose landmark was removed, or is not in this part of the state, is ABSENT.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
 from ekf_reference.core.geometry import Index
+from ekf_reference.core.landmark_types import POINT, WIDTHS
 
-POINT = 2
-"""Entries of a landmark that is a point: x, y. The width of a landmark tells its kind."""
-POSE = 3
-"""Entries of a landmark with a direction: x, y, heading."""
 ABSENT = -1
-"""First entry of a landmark that was removed."""
+"""First entry of a landmark that is not in the state."""
 
 
 @dataclass(frozen=True)
 class Layout:
-    """The entries of a state.
+    """The entries of a state: the pose, then the landmarks in order of incorporation.
 
-    pose_size: of the pose, which comes first. size: of all. point: (L,) and oriented: (Q,) first
-    entry of each landmark by slot, ABSENT where it was removed.
+    pose_size: entries of the pose. size: of all. first: (L,) first entry of each landmark by its
+    slot, for each kind by its width; ABSENT where there is none.
     """
 
     pose_size: int
     size: int
-    point: Index
-    oriented: Index
+    first: Mapping[int, Index]
 
     @classmethod
     def of_pose(cls, pose_size: int) -> Layout:
-        """A pose alone."""
+        """Return the layout of a pose alone."""
         nothing = np.zeros(0, dtype=np.intp)
-        return cls(pose_size, pose_size, nothing, nothing)
+        return cls(pose_size, pose_size, dict.fromkeys(WIDTHS, nothing))
 
     @property
-    def plain(self) -> bool:
-        """Only points, none of which was removed: place 2 slot behind the pose."""
-        return not len(self.oriented) and self.size == self.pose_size + POINT * len(self.point)
-
-    def first(self, width: int) -> Index:
-        """(L,) or (Q,) first entries of all landmarks of a kind. Raises ValueError."""
-        if width not in (POINT, POSE):
-            raise ValueError(f"landmarks of {width} entries, expected {POINT} or {POSE}")
-        return self.point if width == POINT else self.oriented
+    def points_only(self) -> bool:
+        """All landmarks are points and none is absent: number i is at pose_size + 2 i."""
+        return self.size == self.pose_size + POINT * len(self.first[POINT]) and not any(
+            len(first) for width, first in self.first.items() if width != POINT
+        )
 
     def present(self, width: int = POINT) -> Index:
-        """Index of a kind that have not been removed, ascending."""
-        return np.flatnonzero(self.first(width) != ABSENT)
+        """Return the slots of a kind that are in the state, ascending."""
+        return np.flatnonzero(self.first[width] != ABSENT)
 
     def columns(self, slot: Index, width: int = POINT) -> Index:
-        """State entries (p + w m,) of the pose and some landmarks (m,) of a kind.
+        """Return the entries (p + w m,) of the pose and some landmarks (m,) of a kind.
 
-        Raises ValueError for a landmark that was removed.
+        Raises ValueError for a landmark that is absent.
         """
-        p, first = self.pose_size, self.first(width)[slot]
+        p, first = self.pose_size, self.first[width][slot]
         if first.min(initial=0) < 0:
             gone = np.asarray(slot)[first == ABSENT].tolist()
             raise ValueError(f"landmarks {gone} of {width} entries were removed from the state")
@@ -70,73 +62,29 @@ class Layout:
             columns[p + i :: width] = first + i
         return columns
 
-    def packed(self) -> Index:
-        """The entries of the pose, the points, then the landmarks with a direction, by slot."""
-        p, oriented = self.pose_size, self.present(POSE)
-        points = self.columns(self.present(POINT), POINT)
-        return np.concatenate((points, self.columns(oriented, POSE)[p:]))
-
-    def numbered(self, kinds: tuple[int, ...]) -> tuple[Index, Index]:
-        """Numbers (m,), ascending, and first entries (m,) of the landmarks there are of some kinds.
-
-        Landmark `slot` of the k-th of n kinds has the number n slot + k, for good: with one kind
-        numbers are slots.
-        """
-        slots = [self.present(width) for width in kinds]
-        number = np.concatenate([len(kinds) * s + k for k, s in enumerate(slots)])
-        each = zip(kinds, slots, strict=True)
-        first = np.concatenate([self.first(width)[s] for width, s in each])
-        order = np.argsort(number)
-        return number[order], first[order]
-
-    def blocks(self) -> list[slice]:
-        """The entries of every landmark, in their order in the state."""
-        kinds = ((self.point, POINT), (self.oriented, POSE))
-        spans = sorted((at, width) for first, width in kinds for at in first.tolist())
-        return [slice(at, at + width) for at, width in spans if at != ABSENT]
-
-    def slots_in(self, columns: Index, width: int) -> Index:
-        """Index of a kind, ascending, whose entries are among some (c,)."""
-        first = self.first(width)
-        return np.flatnonzero((first != ABSENT) & np.isin(first, columns))
+    def by_kind(self) -> Index:
+        """Return all entries: the pose's, then those of each kind by slot."""
+        p = self.pose_size
+        entries = [self.columns(self.present(width), width)[p:] for width in WIDTHS]
+        return np.concatenate((np.arange(p), *entries))
 
     def appended(self, count: int, width: int) -> Layout:
-        """With `count` more landmarks of a kind."""
-        new = self.size + width * np.arange(count)
-        grown = np.concatenate((self.first(width), new))
-        size = self.size + width * count
-        if width == POINT:
-            return Layout(self.pose_size, size, grown, self.oriented)
-        return Layout(self.pose_size, size, self.point, grown)
+        """Return the layout with `count` more landmarks of a kind."""
+        new = np.concatenate((self.first[width], self.size + width * np.arange(count)))
+        return Layout(self.pose_size, self.size + width * count, {**self.first, width: new})
 
-    def continued(self, other: Layout, start: int) -> Layout:
-        """With those landmarks of another layout that lie at its entry `start` and beyond."""
+    def continued(self, part: Layout, start: int) -> Layout:
+        """Return the layout with the landmarks that a part of it got since, behind its `start`."""
         shift = self.size - start
-        kinds = (
-            np.concatenate((own, first[first >= start] + shift))
-            for own, first in ((self.point, other.point), (self.oriented, other.oriented))
-        )
-        return Layout(self.pose_size, other.size + shift, *kinds)
-
-    def without(self, slot: Index, width: int) -> Layout:
-        """With the slots (m,) of a kind empty and what lies behind them moved up."""
-        gone = np.zeros(self.size + 1, dtype=np.intp)
-        gone[self.columns(slot, width)[self.pose_size :]] = 1
-        before = np.cumsum(gone) - gone  # removed entries in front of each
-        marked = replace(self, size=self.size - int(gone.sum()))
-        kinds = []
-        for kind in (POINT, POSE):
-            first = self.first(kind).copy()
-            there = first != ABSENT
-            first[there] -= before[first[there]]
-            if kind == width:
-                first[slot] = ABSENT
-            kinds.append(first)
-        return replace(marked, point=kinds[0], oriented=kinds[1])
+        first = {
+            width: np.concatenate((own, part.first[width][len(own) :] + shift))
+            for width, own in self.first.items()
+        }
+        return Layout(self.pose_size, part.size + shift, first)
 
     def part(self, columns: Index) -> Layout:
-        """Of a state that has only some entries (c,), the pose's first; slots count anew."""
-        place = np.full(self.size, ABSENT)
+        """Return the layout of a state that has only some entries (c,), the pose's first."""
+        place = np.full(self.size + 1, ABSENT)  # one more: what is ABSENT stays so
         place[columns] = np.arange(len(columns))
-        kinds = (place[first[first != ABSENT]] for first in (self.point, self.oriented))
-        return Layout(self.pose_size, len(columns), *(at[at != ABSENT] for at in kinds))
+        first = {width: place[entry] for width, entry in self.first.items()}
+        return Layout(self.pose_size, len(columns), first)

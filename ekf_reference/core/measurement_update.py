@@ -1,30 +1,29 @@
-"""Absolute information, fused as a sequence of weaker updates (Guivant 2002, section 4.2).
+"""The measurement update, and its split into a sequence of weaker ones (Guivant 2002, section 4.2).
 
-One observation of covariance R counts as L observations of K_i R with sum 1 / K_i = 1. For a
-linear observation that is the same update; for a nonlinear one every part is linearised where
-the last one led, so that a strong correction does not rest on Jacobians taken far away. The same
-serves a large correction at loop closing.
+One measurement of covariance R counts as L measurements of K_i R with sum 1 / K_i = 1. For a
+linear measurement that is the same update; for a nonlinear one every part is linearised where
+the last one led, so that a strong correction does not rest on Jacobians taken far away. It serves
+absolute positions and the large correction at a loop closure.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
-from ekf_reference.core.geometry import Array, Index
-from ekf_reference.core.local_map import LocalMap
-from ekf_reference.core.state import Correction
+from ekf_reference.core.geometry import Array
+from ekf_reference.core.state import Correction, KalmanState, LocalMap
 
 _WEAKEST = 2.0**-40
 
 
 class Linearised(NamedTuple):
-    """An observation at the present state.
+    """A measurement at the present state.
 
-    local: the pose and landmarks it depends on. jacobian: (m, p + 2 l) with respect to them.
+    local: the pose and landmarks it depends on. jacobian: (m, p + w l) with respect to them.
     innovation: (m,), wrapped.
     """
 
@@ -34,14 +33,7 @@ class Linearised(NamedTuple):
 
 
 class Part(NamedTuple):
-    """One of the L updates: weight 1 / K_i, and the observation linearised anew."""
-
-    weight: float
-    at: Linearised
-
-
-class Fused(NamedTuple):
-    """A part, and what the filter did with it."""
+    """One of the L updates: its weight 1 / K_i, where it was linearised, and what it did."""
 
     weight: float
     at: Linearised
@@ -49,7 +41,7 @@ class Fused(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Steps:
+class UpdateSplitter:
     """How far one update may move the vehicle before it is split.
 
     largest_turn_rad, largest_move_m: bounds on heading and position. most: L at the most.
@@ -59,12 +51,15 @@ class Steps:
     largest_move_m: float = float("inf")
     most: int = 64
 
-    def split(self, linearise: Callable[[], Linearised], noise: Array) -> Iterator[Part]:
-        """Yield parts until their weights add up to one; the caller fuses each with noise / weight.
+    def split(
+        self, linearise: Callable[[], Linearised], noise: Array
+    ) -> Iterator[tuple[float, Linearised]]:
+        """Yield weights, of sum one, and the measurement linearised anew for each.
 
-        noise: (m, m), R. A weight is halved until the predicted correction of the pose is within
-        the bounds; the first parts of a strong correction are therefore very weak. When only one
-        part may follow, it takes what is left.
+        The caller fuses each part with noise / weight before it takes the next. noise: (m, m), R.
+        A weight is halved until the predicted correction of the pose is within the bounds; the
+        first parts of a strong correction are therefore very weak. When only one part may follow,
+        it takes what is left.
         """
         left = 1.0
         for remaining in range(self.most, 0, -1):
@@ -73,76 +68,33 @@ class Steps:
             while remaining > 1 and weight > _WEAKEST and not self._within(at, noise / weight):
                 weight *= 0.5
             left -= weight
-            yield Part(weight, at)
+            yield weight, at
             if left == 0.0:
                 return
 
     def _within(self, at: Linearised, noise: Array) -> bool:
         if self.largest_turn_rad == self.largest_move_m == float("inf"):
             return True
-        step = _pose_step(at, noise)
+        gain_left = at.local.covariance @ at.jacobian.T
+        s = at.jacobian @ gain_left + noise
+        step = gain_left[: len(at.local.pose)] @ np.linalg.solve(s, at.innovation)
         turn, move = float(np.linalg.norm(step[2:])), float(np.hypot(step[0], step[1]))
         return turn <= self.largest_turn_rad and move <= self.largest_move_m
 
 
-class AbsolutePosition(Protocol):
-    """Contract of all models of an absolute position."""
-
-    def predict(self, pose: Array) -> tuple[Array, Array]:
-        """Expected position (2,) and its Jacobian (2, p) with respect to the pose (p,)."""
-        ...
-
-
-@dataclass(frozen=True)
-class PositionModel:
-    """An antenna at `lever_m` (forward, left) of the vehicle's reference point."""
-
-    lever_m: tuple[float, float] = (0.0, 0.0)
-
-    def predict(self, pose: Array) -> tuple[Array, Array]:
-        """Expected position (2,) and its Jacobian (2, 3) with respect to the pose."""
-        forward, left = self.lever_m
-        cos, sin = np.cos(pose[2]), np.sin(pose[2])
-        east, north = cos * forward - sin * left, sin * forward + cos * left
-        jacobian = np.array([[1.0, 0.0, -north], [0.0, 1.0, east]])
-        return pose[:2] + (east, north), jacobian
-
-
-@dataclass(frozen=True)
-class PositionFixes:
-    """How absolute positions are fused.
-
-    gate: normalised innovation squared (2 degrees of freedom) beyond which a fix is rejected; a
-    wrong fix fused in silence is worse than none. steps: how far one part may move the vehicle.
-    """
-
-    model: AbsolutePosition = PositionModel()
-    gate: float = 13.82  # 99.9 %
-    steps: Steps = Steps(largest_turn_rad=np.deg2rad(1.0), largest_move_m=1.0)
-
-    def linearise(self, pose_only: LocalMap, z: Array) -> Linearised:
-        """The observation of position z (2,) at the present pose."""
-        expected, jacobian = self.model.predict(pose_only.pose)
-        return Linearised(pose_only, jacobian, z - expected)
-
-    def accepts(self, at: Linearised, covariance: Array) -> bool:
-        """Whether the fix passes the gate."""
-        return normalised_innovation_squared(at, covariance) <= self.gate
+def fuse(
+    state: KalmanState,
+    splitter: UpdateSplitter,
+    linearise: Callable[[], Linearised],
+    noise: Array,
+) -> Iterator[Part]:
+    """Fuse a measurement with R (m, m) in as many parts as it takes; yield each once it is."""
+    for weight, at in splitter.split(linearise, noise):
+        done = state.update(at.local.columns, at.jacobian, at.innovation, noise / weight)
+        yield Part(weight, at, done)
 
 
 def normalised_innovation_squared(at: Linearised, noise: Array) -> float:
-    """nu^T S^-1 nu (Nieto 2005, eq. 2.58) of a stacked observation."""
+    """Return nu^T S^-1 nu of a stacked measurement with R (m, m) (Nieto 2005, eq. 2.58)."""
     s = at.jacobian @ at.local.covariance @ at.jacobian.T + noise
     return float(at.innovation @ np.linalg.solve(s, at.innovation))
-
-
-def _pose_step(at: Linearised, noise: Array) -> Array:
-    """(p,) what an update would add to the pose."""
-    gain_left = at.local.covariance @ at.jacobian.T
-    s = at.jacobian @ gain_left + noise
-    step: Array = gain_left[: len(at.local.pose)] @ np.linalg.solve(s, at.innovation)
-    return step
-
-
-NO_LANDMARKS: Index = np.zeros(0, dtype=np.intp)
-"""The slots of an observation of the pose alone."""

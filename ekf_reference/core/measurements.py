@@ -1,28 +1,40 @@
-"""The sightings of one instant, as every filter and association rule takes them."""
+"""The measurements of one instant, and the interface of the rules that associate them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ekf_reference.core.geometry import Array, Index
+from ekf_reference.core.landmark_types import MeasurementModel
+from ekf_reference.core.state import KalmanState
+
+REJECTED = -1
+"""Not used: without a label, or a label that the gate contradicts."""
+AMBIGUOUS = -2
+"""Not used: too far from every landmark to join it, too near to start another, or beaten to it."""
+CANDIDATE = -3
+"""Not used yet: it may become a landmark (see association.landmark_initiation)."""
+DYNAMIC = -4
+"""Not used: of something that moves (see association.dynamic_rejection)."""
 
 
 @dataclass(frozen=True)
 class MeasuredAttributes:
-    """What m sightings tell of their landmarks besides where they are: A attributes, in any units.
+    """A attributes of m measurements, in any units, that tell landmarks apart.
 
     value: (m, A), NaN where not measured. variance: (m, A). Without columns, of any number of
-    sightings.
+    measurements.
     """
 
     value: Array
     variance: Array
 
     def take(self, rows: Index) -> MeasuredAttributes:
-        """Some of them."""
+        """Return some of them."""
         if not self.value.shape[1]:
             return self
         return MeasuredAttributes(self.value[rows], self.variance[rows])
@@ -32,11 +44,12 @@ NOT_MEASURED = MeasuredAttributes(np.zeros((1, 0)), np.zeros((1, 0)))
 
 
 @dataclass(frozen=True)
-class Sightings:
-    """m detections of landmarks.
+class Measurements:
+    """m measurements of landmarks of one kind.
 
-    z: (m, 2) range [m] and bearing [rad]. noise: (m, 2, 2), R. identity: (m,) labels, negative
-    where the sensor gave none. time_s: when. attributes: what else was measured.
+    z: (m, w), of points range [m] and bearing [rad], of poses x, y [m] and heading [rad] in the
+    vehicle's frame. noise: (m, w, w), R. identity: (m,) labels, negative where the sensor gave
+    none. time_s: when. attributes: what else was measured. closed: slots they cannot be of.
     """
 
     z: Array
@@ -44,12 +57,30 @@ class Sightings:
     identity: NDArray[np.int64]
     time_s: float = 0.0
     attributes: MeasuredAttributes = NOT_MEASURED
+    closed: tuple[int, ...] = ()
 
     def __len__(self) -> int:
         """M."""
         return len(self.z)
 
-    def take(self, rows: Index) -> Sightings:
-        """Some of them."""
-        columns = self.z[rows], self.noise[rows], self.identity[rows]
-        return Sightings(*columns, self.time_s, self.attributes.take(rows))
+    @property
+    def width(self) -> int:
+        """Entries of a measurement, which are those of the landmarks."""
+        return int(self.z.shape[1])
+
+    def take(self, rows: Index) -> Measurements:
+        """Return some of them."""
+        own = self.z[rows], self.noise[rows], self.identity[rows]
+        return Measurements(*own, self.time_s, self.attributes.take(rows), self.closed)
+
+
+class Association(Protocol):
+    """Contract of all association rules.
+
+    An assignment is a slot per measurement, (m,) integers: that of a landmark in the state, or a
+    negative code. Slots from the present landmark count upward name new landmarks, in order.
+    """
+
+    def assign(self, state: KalmanState, model: MeasurementModel, seen: Measurements) -> Index:
+        """Return the slots (m,) of the measurements of one instant."""
+        ...

@@ -6,24 +6,27 @@ same linear equations must reach the same estimate, or the filter's algebra is w
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ekf_reference.core.geometry import Array, Index
-from ekf_reference.core.layout import POINT, POSE
+from ekf_reference.core.landmark_types import POINT, POSE, WIDTHS
+
+VEHICLE = -1
+"""The origin of what is measured from the vehicle."""
 
 
-class Beginning(NamedTuple):
-    """The prior. pose: (p,). covariance: (p, p)."""
+class PriorRecord(NamedTuple):
+    """Where the filter starts. pose: (p,). covariance: (p, p)."""
 
     pose: Array
     covariance: Array
 
 
-class Prediction(NamedTuple):
+class StepRecord(NamedTuple):
     """One step: x' = arrived + f (x - departed) + w, w ~ N(0, q).
 
     departed, arrived: (p,). f, q: (p, p).
@@ -35,15 +38,28 @@ class Prediction(NamedTuple):
     q: Array
 
 
-class SightingUse(NamedTuple):
-    """m sightings fused together, or m landmarks begun together, at one pose (p,).
+class MeasurementRecord(NamedTuple):
+    """m measurements fused together, or m landmarks initialised together, from one pose (p,).
 
-    An update says innovation = H_v (x - pose) + H_l (l - landmark) + v, an augmentation
+    A measurement says innovation = H_v (x - pose) + H_l (l - landmark) + v, an initialisation
     l = landmark + G_x (x - pose) + G_z v, v ~ N(0, noise). jacobian_pose is H_v or G_x,
-    jacobian_other H_l or G_z. The other shapes and `weight` are as in SightingRecords.
+    jacobian_other H_l or G_z.
+
+    The width w of the landmarks tells what was measured: 2 points, 3 poses, and 0 none, as by an
+    absolute position. origin: VEHICLE, or the slot of the pose landmark that another was measured
+    from, whose place is then `pose`: two landmarks that were found to be one.
+
+    number: (m,) in the order of arrival of the measurements of this kind, from 0; parts of an
+    update share it. -1 for a landmark put into the map without one. slot: (m,). landmark: (m, w).
+    innovation: (m, r), zero for initialisations. jacobian_pose: (m, r, p). jacobian_other:
+    (m, r, w). noise: (m, r, r), R / weight. spread: (m, r, r), the measurement's own block of
+    S = H P H^T + R / weight, and whitened: (m, r), its part of L^-1 innovation, S = L L^T of all
+    that were fused together, in their order; both zero for initialisations. weight: the share of
+    the measurement's information: one, less for parts of an update, zero for a landmark that is
+    surveyed or initialised with a boundless prior, whose noise is that prior's covariance.
     """
 
-    sighting: Index
+    number: Index
     slot: Index
     pose: Array
     landmark: Array
@@ -54,47 +70,13 @@ class SightingUse(NamedTuple):
     spread: Array
     whitened: Array
     weight: float = 1.0
+    origin: int = VEHICLE
 
 
-class PositionUse(NamedTuple):
-    """A position fix or a part of it: innovation = H (x - pose) + v, v ~ N(0, noise).
-
-    Shapes are as in PositionRecords, of one.
-    """
-
-    number: int
-    pose: Array
-    innovation: Array
-    jacobian_pose: Array
-    noise: Array
-    spread: Array
-    weight: float
-
-
-class FusionUse(NamedTuple):
-    """Two landmarks with a direction that are one, or a part of that relation.
-
-    innovation = H_1 (l_1 - first_place) + H_2 (l_2 - second_place) + v, v ~ N(0, noise), says
-    where the second is in the frame of the first. Shapes are as in FusionRecords, of one.
-    """
-
-    number: int
-    first: int
-    second: int
-    first_place: Array
-    second_place: Array
-    innovation: Array
-    jacobian_first: Array
-    jacobian_second: Array
-    noise: Array
-    weight: float
-
-
-class Removal(NamedTuple):
+class RemovalRecord(NamedTuple):
     """Landmarks of a kind that were marginalised out.
 
-    slot: (m,) and width: which, 2 for points and 3 for those with a direction. entries: (w m,) of
-    the state as it was before.
+    slot: (m,) and width: which. entries: (w m,) of the state as it was before.
     """
 
     slot: Index
@@ -102,98 +84,37 @@ class Removal(NamedTuple):
     entries: Index
 
 
-class Trace(Protocol):
-    """Receives every linearisation of a filter, in order.
+class Trace:
+    """Receives every linearisation of a filter, in order; this one keeps nothing.
 
     Poses have p entries: three (x, y, heading), or more where a filter's state has more.
     """
 
-    def prior(self, start: Beginning) -> None:
-        """Where the filter starts."""
-        ...
+    def prior(self, start: PriorRecord) -> None:
+        """Record where the filter starts."""
 
-    def prediction(self, step: Prediction) -> None:
-        """One step of the vehicle."""
-        ...
+    def step(self, step: StepRecord) -> None:
+        """Record one step of the vehicle."""
 
-    def update(self, use: SightingUse) -> None:
-        """Sightings of mapped landmarks."""
-        ...
+    def measurement(self, used: MeasurementRecord) -> None:
+        """Record measurements that were fused."""
 
-    def augmentation(self, use: SightingUse) -> None:
-        """New landmarks."""
-        ...
+    def initialisation(self, new: MeasurementRecord) -> None:
+        """Record new landmarks."""
 
-    def position(self, use: PositionUse) -> None:
-        """An absolute position."""
-        ...
-
-    def oriented_update(self, use: SightingUse) -> None:
-        """Sightings of mapped landmarks with a direction."""
-        ...
-
-    def oriented_augmentation(self, use: SightingUse) -> None:
-        """New landmarks with a direction."""
-        ...
-
-    def fusion(self, use: FusionUse) -> None:
-        """Two landmarks with a direction that are one."""
-        ...
-
-    def removal(self, gone: Removal) -> None:
-        """Landmarks that are in the state no longer."""
-        ...
-
-
-class NullTrace:
-    """Keeps nothing."""
-
-    def prior(self, start: Beginning) -> None:
-        """Discard."""
-
-    def prediction(self, step: Prediction) -> None:
-        """Discard."""
-
-    def update(self, use: SightingUse) -> None:
-        """Discard."""
-
-    def augmentation(self, use: SightingUse) -> None:
-        """Discard."""
-
-    def position(self, use: PositionUse) -> None:
-        """Discard."""
-
-    def oriented_update(self, use: SightingUse) -> None:
-        """Discard."""
-
-    def oriented_augmentation(self, use: SightingUse) -> None:
-        """Discard."""
-
-    def fusion(self, use: FusionUse) -> None:
-        """Discard."""
-
-    def removal(self, gone: Removal) -> None:
-        """Discard."""
+    def removal(self, gone: RemovalRecord) -> None:
+        """Record landmarks that are in the state no longer."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class SightingRecords:
-    """M sightings of one kind of landmarks, in the order in which the filter used them.
+class MeasurementRecords:
+    """M measurements of one kind, or parts of them, in the order in which the filter used them.
 
-    step: (M,) predictions made before. sighting: (M,) number in the order of arrival, from 0, or
-    -1 for a surveyed landmark put into the map without one.
-    slot: (M,) landmark's place in the map. pose: (M, p) and landmark: (M, w), the points of
-    linearisation, w being 2 for points and 3 for landmarks with a direction. innovation: (M, w),
-    zero for augmentations. jacobian_pose: (M, w, p), H_v or G_x. jacobian_other: (M, w, w), H_l
-    or G_z. noise: (M, w, w), R / weight. spread: (M, w, w), the sighting's own block of
-    S = H P H^T + R / weight, and whitened: (M, w), its part of L^-1 innovation, S = L L^T of all
-    that were fused together, in their order; both zero for augmentations. weight: (M,), the share
-    of the sighting's information: one, less for parts of an update, zero for a landmark that is
-    surveyed or begun with a boundless prior, whose noise is that prior's covariance.
+    step: (M,) steps made before. The rest is as in MeasurementRecord, a row each.
     """
 
     step: Index
-    sighting: Index
+    number: Index
     slot: Index
     pose: Array
     landmark: Array
@@ -204,61 +125,16 @@ class SightingRecords:
     spread: Array
     whitened: Array
     weight: Array
+    origin: Index
 
-    def rows(self, rows: Index) -> SightingRecords:
-        """Some of them."""
-        return SightingRecords(**{name: column[rows] for name, column in vars(self).items()})
-
-
-@dataclass(frozen=True, kw_only=True)
-class PositionRecords:
-    """G position fixes, or parts of them.
-
-    step: (G,) predictions made before. number: (G,) in the order of arrival, from 0. pose:
-    (G, p), the point of linearisation. innovation: (G, 2). jacobian_pose: (G, 2, p). noise:
-    (G, 2, 2), R / weight. spread: (G, 2, 2), S = H P H^T + R / weight. weight: (G,).
-    """
-
-    step: Index
-    number: Index
-    pose: Array
-    innovation: Array
-    jacobian_pose: Array
-    noise: Array
-    spread: Array
-    weight: Array
-
-
-@dataclass(frozen=True, kw_only=True)
-class FusionRecords:
-    """T relations between two landmarks with a direction, or parts of them.
-
-    step: (T,) predictions made before. number: (T,) in their order, from 0; parts share it.
-    first, second: (T,) slots. first_place, second_place: (T, 3), the points of linearisation.
-    innovation: (T, 3). jacobian_first, jacobian_second: (T, 3, 3). noise: (T, 3, 3), R / weight.
-    weight: (T,).
-    """
-
-    step: Index
-    number: Index
-    first: Index
-    second: Index
-    first_place: Array
-    second_place: Array
-    innovation: Array
-    jacobian_first: Array
-    jacobian_second: Array
-    noise: Array
-    weight: Array
+    def rows(self, rows: Index) -> MeasurementRecords:
+        """Return some of them."""
+        return MeasurementRecords(**{name: column[rows] for name, column in vars(self).items()})
 
 
 @dataclass(frozen=True)
 class RemovalRecords:
-    """D landmarks that were marginalised out.
-
-    step: (D,) predictions made before. width: (D,) 2 for points, 3 for landmarks with a direction.
-    slot: (D,).
-    """
+    """D landmarks that were marginalised out. step: (D,) steps made before. width, slot: (D,)."""
 
     step: Index
     width: Index
@@ -270,9 +146,8 @@ class TraceArrays:
     """A finished trace.
 
     prior_pose: (p,). prior_covariance: (p, p). departed, arrived: (N, p) poses. f, q: (N, p, p).
-    updates, augmentations: sightings of points. positions: absolute fixes. oriented_updates,
-    oriented_augmentations: sightings of landmarks with a direction. fusions: of these, two that
-    are one. removals: of either kind.
+    measurements, initialisations: of landmarks, by their width. positions: absolute ones. merges:
+    of pose landmarks from others that they are one with. removals: of all kinds.
     """
 
     prior_pose: Array
@@ -281,168 +156,103 @@ class TraceArrays:
     arrived: Array
     f: Array
     q: Array
-    updates: SightingRecords
-    augmentations: SightingRecords
-    positions: PositionRecords
-    oriented_updates: SightingRecords
-    oriented_augmentations: SightingRecords
-    fusions: FusionRecords
+    measurements: Mapping[int, MeasurementRecords]
+    initialisations: Mapping[int, MeasurementRecords]
+    positions: MeasurementRecords
+    merges: MeasurementRecords
     removals: RemovalRecords
 
 
-class RecordedTrace:
+class RecordedTrace(Trace):
     """Keeps everything, in memory."""
 
     def __init__(self) -> None:
         """Start empty."""
-        self._prior = Beginning(np.zeros(3), np.eye(3))
-        self._steps: list[Prediction] = []
-        self._updates: list[tuple[int, SightingUse]] = []
-        self._augmentations: list[tuple[int, SightingUse]] = []
-        self._positions: list[tuple[int, PositionUse]] = []
-        self._oriented_updates: list[tuple[int, SightingUse]] = []
-        self._oriented_augmentations: list[tuple[int, SightingUse]] = []
-        self._fusions: list[tuple[int, FusionUse]] = []
-        self._removals: list[tuple[int, Removal]] = []
+        self._prior = PriorRecord(np.zeros(3), np.eye(3))
+        self._steps: list[StepRecord] = []
+        self._measurements: list[tuple[int, MeasurementRecord]] = []
+        self._initialisations: list[tuple[int, MeasurementRecord]] = []
+        self._removals: list[tuple[int, RemovalRecord]] = []
 
-    def prior(self, start: Beginning) -> None:
+    def prior(self, start: PriorRecord) -> None:
         """Keep the prior."""
         self._prior = start
 
-    def prediction(self, step: Prediction) -> None:
+    def step(self, step: StepRecord) -> None:
         """Keep one step."""
         self._steps.append(step)
 
-    def update(self, use: SightingUse) -> None:
-        """Keep one stacked update."""
-        self._updates.append((len(self._steps), use))
+    def measurement(self, used: MeasurementRecord) -> None:
+        """Keep measurements, or a part of them."""
+        self._measurements.append((len(self._steps), used))
 
-    def augmentation(self, use: SightingUse) -> None:
-        """Keep one augmentation."""
-        self._augmentations.append((len(self._steps), use))
+    def initialisation(self, new: MeasurementRecord) -> None:
+        """Keep new landmarks."""
+        self._initialisations.append((len(self._steps), new))
 
-    def position(self, use: PositionUse) -> None:
-        """Keep one fix or a part of it."""
-        self._positions.append((len(self._steps), use))
-
-    def oriented_update(self, use: SightingUse) -> None:
-        """Keep one stacked update."""
-        self._oriented_updates.append((len(self._steps), use))
-
-    def oriented_augmentation(self, use: SightingUse) -> None:
-        """Keep one augmentation."""
-        self._oriented_augmentations.append((len(self._steps), use))
-
-    def fusion(self, use: FusionUse) -> None:
-        """Keep one fusion or a part of it."""
-        self._fusions.append((len(self._steps), use))
-
-    def removal(self, gone: Removal) -> None:
+    def removal(self, gone: RemovalRecord) -> None:
         """Keep which landmarks went."""
         self._removals.append((len(self._steps), gone))
 
     def arrays(self) -> TraceArrays:
-        """Everything so far, stacked."""
-        p = len(self._prior.pose)
-        departed, arrived, f, q = stacked(self._steps, ((p,), (p,), (p, p), (p, p)))
+        """Return everything so far, stacked."""
+        p, steps = len(self._prior.pose), self._steps
+        used = [(one.origin != VEHICLE, one.landmark.shape[1]) for _, one in self._measurements]
+        new = [one.landmark.shape[1] for _, one in self._initialisations]
+
+        def chosen(of: list[Any], kinds: list[Any], kind: Any) -> list[Any]:
+            return [one for one, its in zip(of, kinds, strict=True) if its == kind]
+
+        seen = {w: chosen(self._measurements, used, (False, w)) for w in (0, *WIDTHS)}
+        merges = chosen(self._measurements, used, (True, POSE))
         return TraceArrays(
             prior_pose=self._prior.pose,
             prior_covariance=self._prior.covariance,
-            departed=departed,
-            arrived=arrived,
-            f=f,
-            q=q,
-            updates=sighting_records(self._updates, p),
-            augmentations=sighting_records(self._augmentations, p),
-            positions=position_records(self._positions, p),
-            oriented_updates=sighting_records(self._oriented_updates, p, POSE),
-            oriented_augmentations=sighting_records(self._oriented_augmentations, p, POSE),
-            fusions=fusion_records(self._fusions),
+            departed=_stacked([one.departed for one in steps], (p,)),
+            arrived=_stacked([one.arrived for one in steps], (p,)),
+            f=_stacked([one.f for one in steps], (p, p)),
+            q=_stacked([one.q for one in steps], (p, p)),
+            measurements={w: stack_records(seen[w], p, w) for w in WIDTHS},
+            initialisations={
+                w: stack_records(chosen(self._initialisations, new, w), p, w) for w in WIDTHS
+            },
+            positions=stack_records(seen[0], p, 0, POINT),
+            merges=stack_records(merges, POSE, POSE),
             removals=removal_records(self._removals),
         )
 
 
-def sighting_records(
-    uses: list[tuple[int, SightingUse]], p: int, width: int = POINT
-) -> SightingRecords:
-    """One row per sighting; what a use says once holds for all of its rows."""
-    each = [use for _, use in uses]
-    count = [len(use.slot) for use in each]
+def stack_records(
+    records: Sequence[tuple[int, MeasurementRecord]], p: int, width: int, size: int = 0
+) -> MeasurementRecords:
+    """Return one row per measurement; what a record says once holds for all of its rows.
 
-    def repeated(values: Sequence[Any], shape: tuple[int, ...]) -> Array:
-        once = np.array(values, dtype=float).reshape(len(each), *shape)
-        return np.repeat(once, count, axis=0)
-
-    def joined(parts: Sequence[Any], shape: tuple[int, ...]) -> Array:
-        return np.concatenate((np.zeros((0, *shape)), *parts))
-
-    return SightingRecords(
-        step=repeated([step for step, _ in uses], ()).astype(np.intp),
-        sighting=joined([use.sighting for use in each], ()).astype(np.intp),
-        slot=joined([use.slot for use in each], ()).astype(np.intp),
-        pose=repeated([use.pose for use in each], (p,)),
-        landmark=joined([use.landmark for use in each], (width,)),
-        innovation=joined([use.innovation for use in each], (width,)),
-        jacobian_pose=joined([use.jacobian_pose for use in each], (width, p)),
-        jacobian_other=joined([use.jacobian_other for use in each], (width, width)),
-        noise=joined([use.noise for use in each], (width, width)),
-        spread=joined([use.spread for use in each], (width, width)),
-        whitened=joined([use.whitened for use in each], (width,)),
-        weight=repeated([use.weight for use in each], ()),
-    )
+    records: with the steps made before each. p: entries of the pose, width: of the landmark, and
+    size: of the measurement, those of the landmark unless told.
+    """
+    each, r = [record for _, record in records], size or width
+    rows = {"number": (), "slot": (), "landmark": (width,), "innovation": (r,), "whitened": (r,)}
+    rows |= {"jacobian_pose": (r, p), "jacobian_other": (r, width), "noise": (r, r)}
+    rows |= {"spread": (r, r)}
+    joined = {
+        name: np.concatenate((np.zeros((0, *shape)), *(getattr(one, name) for one in each)))
+        for name, shape in rows.items()
+    }
+    once = {"pose": (p,), "weight": (), "origin": ()}
+    joined |= {name: _stacked([getattr(one, name) for one in each], once[name]) for name in once}
+    count = [len(record.slot) for record in each]
+    joined |= {name: np.repeat(joined[name], count, axis=0) for name in once}
+    step = np.repeat(np.array([step for step, _ in records], dtype=np.intp), count)
+    joined |= {name: joined[name].astype(np.intp) for name in ("number", "slot", "origin")}
+    return MeasurementRecords(step=step, **joined)
 
 
-def position_records(uses: list[tuple[int, PositionUse]], p: int) -> PositionRecords:
-    """One row per fix or part of it."""
-    step = np.array([step for step, _ in uses], dtype=np.intp)
-    shapes = ((), (p,), (2,), (2, p), (2, 2), (2, 2), ())
-    number, pose, innovation, jacobian_pose, noise, spread, weight = stacked(
-        [use for _, use in uses], shapes
-    )
-    return PositionRecords(
-        step=step,
-        number=number.astype(np.intp),
-        pose=pose,
-        innovation=innovation,
-        jacobian_pose=jacobian_pose,
-        noise=noise,
-        spread=spread,
-        weight=weight,
-    )
-
-
-def fusion_records(uses: list[tuple[int, FusionUse]]) -> FusionRecords:
-    """One row per fusion or part of it."""
-    step = np.array([step for step, _ in uses], dtype=np.intp)
-    square = (3, 3)
-    shapes = ((), (), (), (3,), (3,), (3,), square, square, square, ())
-    number, first, second, *columns = stacked([use for _, use in uses], shapes)
-    first_place, second_place, innovation, by_first, by_second, noise, weight = columns
-    return FusionRecords(
-        step=step,
-        number=number.astype(np.intp),
-        first=first.astype(np.intp),
-        second=second.astype(np.intp),
-        first_place=first_place,
-        second_place=second_place,
-        innovation=innovation,
-        jacobian_first=by_first,
-        jacobian_second=by_second,
-        noise=noise,
-        weight=weight,
-    )
-
-
-def removal_records(removals: list[tuple[int, Removal]]) -> RemovalRecords:
-    """One row per landmark."""
+def removal_records(removals: Sequence[tuple[int, RemovalRecord]]) -> RemovalRecords:
+    """Return one row per landmark. removals: with the steps made before each."""
     rows = [(step, gone.width, slot) for step, gone in removals for slot in gone.slot.tolist()]
     return RemovalRecords(*np.array(rows, dtype=np.intp).reshape(-1, 3).T)
 
 
-def stacked(rows: Sequence[tuple[Any, ...]], shapes: tuple[tuple[int, ...], ...]) -> list[Array]:
-    """Columns of equal tuples as arrays (N, *shape), also of none."""
-    columns = zip(*rows, strict=True) if rows else ((),) * len(shapes)
-    return [
-        np.array(column, dtype=float).reshape(len(rows), *shape)
-        for column, shape in zip(columns, shapes, strict=True)
-    ]
+def _stacked(values: Sequence[Any], shape: tuple[int, ...]) -> Array:
+    """Return equal arrays as one (N, *shape), also none of them."""
+    return np.array(values, dtype=float).reshape(len(values), *shape)

@@ -212,7 +212,7 @@ def _landmark(
         shape = shape.thinned(o.thin_m)
     back = RelativePose().predict(around.pose, np.zeros((1, 3))).z[0]
     template = Template.of_segment(shape.transformed(back), np.arange(len(shape)))
-    place = RelativePose().invert(around.pose, template.pose[None]).point[0]
+    place = RelativePose().invert(around.pose, template.pose[None]).landmark[0]
     region, count = int(np.bincount(standing.region).argmax()), len(standing.mean)
     return Found(template, place, to_frame(place, area), to_frame(place, pair), region, count)
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from ekf_reference.core.ekf import NEW, Ekf
 from ekf_reference.core.geometry import Array, Index
-from ekf_reference.core.layout import POSE
+from ekf_reference.core.landmark_types import POSE
 from ekf_reference.dense.high_level import Found, to_world
 from ekf_reference.dense.local_pose import Frames, local_pose, read_local_poses
 from ekf_reference.dense.view import FilterView
@@ -132,7 +132,7 @@ class HighLevelLandmarks:
 
     def places(self, ekf: Ekf) -> Array:
         """(K, 3) of all axes in the world now; NaN where what they hang on has left the map."""
-        point, oriented = FilterView.of(ekf).landmark, ekf.state.oriented
+        point, oriented = FilterView.of(ekf).landmark, ekf.state.places(POSE)
         rows = [
             oriented[one.slot] if one.slot != NEW else _in_the_world(one, point)
             for one in self.landmark
@@ -193,13 +193,13 @@ class HighLevelLandmarks:
         if one.slot == NEW and seen.alignment.open_directions:
             return None, "a direction is open"
         back = _OBSERVATION.invert(scan.mount, seen.alignment.pose[None])
-        turn = back.jacobian_sighting[0]
+        turn = back.jacobian_z[0]
         noise = turn @ seen.alignment.covariance @ turn.T
-        innovation = _OBSERVATION.innovation(back.point[0], expected.z)
+        innovation = _OBSERVATION.innovation(back.landmark[0], expected.z)
         distance = innovation @ np.linalg.solve(expected.covariance + noise, innovation)
         if distance > GATE:
             return None, "outside the gate"
-        return Expected(back.point[0], noise), "seen"
+        return Expected(back.landmark[0], noise), "seen"
 
 
 def _belief(found: Found) -> CovarianceOptions:

@@ -12,20 +12,20 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ekf_reference.core.blocks import block_diagonal, stack
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import Array, Index
-from ekf_reference.core.layout import POINT, POSE
-from ekf_reference.core.state import KalmanState, block_diagonal, stack
+from ekf_reference.core.landmark_types import MeasurementModel
+from ekf_reference.core.state import KalmanState
 from ekf_reference.core.trace import (
-    Beginning,
-    FusionUse,
-    PositionUse,
-    Prediction,
-    Removal,
-    SightingUse,
+    VEHICLE,
+    MeasurementRecord,
+    PriorRecord,
+    RemovalRecord,
+    StepRecord,
+    Trace,
 )
 from ekf_reference.dense.triangles import local_jacobians, to_local
-from ekf_reference.models.range_bearing import Observation
 
 
 class Watched(NamedTuple):
@@ -41,7 +41,7 @@ class Watched(NamedTuple):
     noise: Array
 
 
-class PassiveStates:
+class PassiveStates(Trace):
     """q pairs of passive states beside a running filter, exactly as if they were in its state.
 
     value: (q, 2) now. begun: (q, 2) when they were first watched. cross: (2 q, n) covariance with
@@ -84,62 +84,36 @@ class PassiveStates:
         self.own = np.concatenate((self.own, np.reshape(own, (-1, 2, 2)) + new.noise))
         return np.arange(first, len(self.value))
 
-    def prior(self, start: Beginning) -> None:
+    def prior(self, start: PriorRecord) -> None:
         """Pass on."""
         self._next.prior(start)
 
-    def prediction(self, step: Prediction) -> None:
+    def step(self, step: StepRecord) -> None:
         """C_v <- C_v F^T: the vehicle moves, passive states do not."""
         self.cross[:, :3] = self.cross[:, :3] @ step.f.T
-        self._next.prediction(step)
+        self._next.step(step)
 
-    def update(self, use: SightingUse) -> None:
-        """Sightings of mapped landmarks."""
-        self._receive_sightings(use, POINT)
-        self._next.update(use)
+    def measurement(self, used: MeasurementRecord) -> None:
+        """Fused measurements, whatever they are of."""
+        layout, width = self._ekf.state.layout, used.landmark.shape[1]
+        columns = layout.columns(used.slot, width) if width else np.arange(3)
+        if used.origin != VEHICLE:
+            both = np.append(used.origin, used.slot)
+            columns = layout.columns(both, width)[3:]
+        jacobian = stack(used.jacobian_pose, used.jacobian_other)
+        self._receive(columns, jacobian, used.innovation.ravel(), block_diagonal(used.noise))
+        self._next.measurement(used)
 
-    def oriented_update(self, use: SightingUse) -> None:
-        """Sightings of mapped landmarks with a direction."""
-        self._receive_sightings(use, POSE)
-        self._next.oriented_update(use)
+    def initialisation(self, new: MeasurementRecord) -> None:
+        """Columns C_v G_x^T of the new landmarks; what they add of their own is independent."""
+        stacked = new.jacobian_pose.reshape(-1, 3)
+        self.cross = np.hstack((self.cross, self.cross[:, :3] @ stacked.T))
+        self._next.initialisation(new)
 
-    def augmentation(self, use: SightingUse) -> None:
-        """New landmarks."""
-        self._append(use)
-        self._next.augmentation(use)
-
-    def oriented_augmentation(self, use: SightingUse) -> None:
-        """New landmarks with a direction."""
-        self._append(use)
-        self._next.oriented_augmentation(use)
-
-    def fusion(self, use: FusionUse) -> None:
-        """Two landmarks with a direction that are one."""
-        both = np.array((use.first, use.second), dtype=np.intp)
-        columns = self._ekf.state.layout.columns(both, POSE)[3:]
-        jacobian = np.hstack((use.jacobian_first, use.jacobian_second))
-        self._receive(columns, jacobian, use.innovation, use.noise)
-        self._next.fusion(use)
-
-    def removal(self, gone: Removal) -> None:
+    def removal(self, gone: RemovalRecord) -> None:
         """Columns of landmarks that went."""
         self.cross = np.delete(self.cross, gone.entries, axis=1)
         self._next.removal(gone)
-
-    def position(self, use: PositionUse) -> None:
-        """An absolute position."""
-        self._receive(np.arange(3), use.jacobian_pose, use.innovation, use.noise)
-        self._next.position(use)
-
-    def _receive_sightings(self, use: SightingUse, width: int) -> None:
-        columns = self._ekf.state.layout.columns(use.slot, width)
-        jacobian = stack(use.jacobian_pose, use.jacobian_other)
-        self._receive(columns, jacobian, use.innovation.ravel(), block_diagonal(use.noise))
-
-    def _append(self, use: SightingUse) -> None:
-        """Columns C_v G_x^T of the new landmarks; what they add of their own is independent."""
-        stacked = use.jacobian_pose.reshape(-1, 3)
-        self.cross = np.hstack((self.cross, self.cross[:, :3] @ stacked.T))
 
     def _receive(self, columns: Index, jacobian: Array, innovation: Array, noise: Array) -> None:
         """What an update of the filter does to states it did not see (Nieto 2005, eq. 3.16).
@@ -162,12 +136,12 @@ class PassiveStates:
         self.cross -= seen @ gain.T
 
 
-def points(observation: Observation, pose: Array, z: Array, noise: Array) -> Watched:
+def points(observation: MeasurementModel, pose: Array, z: Array, noise: Array) -> Watched:
     """Where what is seen at z (k, 2) with noise (k, 2, 2) from pose (3,) is, as passive states."""
     new = observation.invert(pose, z)
-    spread = new.jacobian_sighting @ noise @ new.jacobian_sighting.transpose(0, 2, 1)
+    spread = new.jacobian_z @ noise @ new.jacobian_z.transpose(0, 2, 1)
     nothing = np.empty((len(z), 0), dtype=np.intp)
-    return Watched(new.point, nothing, new.jacobian_pose, spread)
+    return Watched(new.landmark, nothing, new.jacobian_pose, spread)
 
 
 def local_coordinates(seen: Watched, base: Index, landmark: Array) -> Watched:

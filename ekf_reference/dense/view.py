@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import Array, Index
-from ekf_reference.core.layout import POINT
+from ekf_reference.core.landmark_types import POINT
+from ekf_reference.core.layout import Layout
 
 
 @dataclass(frozen=True)
@@ -23,7 +25,7 @@ class FilterView:
 
     Of landmarks with a direction these are the places: x and y of the state, with what of its
     covariance belongs to them (Nieto 2005, section 6.2). With several kinds a place in the map is
-    a number as of Layout.numbered.
+    a number as of `numbered`.
     """
 
     pose: Array
@@ -34,15 +36,18 @@ class FilterView:
     @classmethod
     def of(cls, ekf: Ekf, kinds: tuple[int, ...] = (POINT,)) -> FilterView:
         """The filter as it is now, whatever it keeps its pose as. kinds: of landmarks, by width."""
-        reading, seen = ekf.read_pose(), ekf.state.snapshot(kinds)
-        covariance = seen.covariance
+        reading = ekf.read_pose()
+        seen = [ekf.state.snapshot(width) for width in kinds]
+        number, first = numbered(ekf.state.layout, kinds, [each.slot for each in seen])
         p = len(reading.own)
+        entry = np.concatenate((np.arange(p), (first[:, None] + np.arange(2)).ravel()))
+        covariance = ekf.state.covariance_of(entry)
         if p != 3:
-            turn = np.eye(3 + 2 * len(seen.slot), len(covariance), k=p - 3)
+            turn = np.eye(3 + 2 * len(number), len(covariance), k=p - 3)
             turn[:3, :] = 0.0
             turn[:3, :p] = reading.jacobian
             covariance = turn @ covariance @ turn.T
-        return cls(reading.pose, seen.landmark, seen.slot, covariance)
+        return cls(reading.pose, by_number([each.place for each in seen]), number, covariance)
 
     def near(self, reach_m: float) -> Index:
         """(k,) landmarks with a current covariance, at most so far east-west and north-south."""
@@ -63,3 +68,28 @@ class FilterView:
         columns = (place[:, None] + np.arange(2)).ravel()
         part: Array = self.covariance[columns[:, None], columns]
         return part
+
+
+def numbered(layout: Layout, kinds: Sequence[int], slots: Sequence[Index]) -> tuple[Index, Index]:
+    """Return numbers (m,), ascending, and first state entries (m,) of landmarks of some kinds.
+
+    slots: of each kind. Landmark `slot` of the k-th of n kinds has the number n slot + k, for
+    good: with one kind numbers are slots.
+    """
+    number = np.concatenate([len(kinds) * slot + k for k, slot in enumerate(slots)])
+    each = zip(kinds, slots, strict=True)
+    first = np.concatenate([layout.first[width][slot] for width, slot in each])
+    order = np.argsort(number)
+    return number[order], first[order]
+
+
+def by_number(kinds: Sequence[Array]) -> Array:
+    """Return places (L, 2) by number (see `numbered`) of landmarks (L_k, 2 or 3) of each kind.
+
+    NaN where no landmark has the number.
+    """
+    count = max((len(kinds) * len(each) for each in kinds), default=0)
+    place = np.full((count, 2), np.nan)
+    for k, each in enumerate(kinds):
+        place[k :: len(kinds)][: len(each)] = each[:, :2]
+    return place

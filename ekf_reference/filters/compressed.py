@@ -16,12 +16,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ekf_reference.association.nearest_neighbour import Association
-from ekf_reference.core.ekf import Ekf, Stabilisation
+from ekf_reference.core.ekf import Ekf, StepNoise
 from ekf_reference.core.geometry import Array, Index
-from ekf_reference.core.layout import ABSENT, POINT, POSE, Layout
-from ekf_reference.core.local_map import LocalMap, MapSnapshot, by_number
-from ekf_reference.core.state import Correction, KalmanState, within
+from ekf_reference.core.landmark_types import POINT
+from ekf_reference.core.layout import ABSENT, Layout
+from ekf_reference.core.measurements import Association
+from ekf_reference.core.state import Correction, KalmanState, LocalMap, MapSnapshot
 from ekf_reference.core.trace import Trace
 from ekf_reference.models.motion import MotionModel
 
@@ -55,27 +55,30 @@ class GlobalUpdate:
         return (self.spared / self.passive) ** 2 if self.passive else 0.0
 
 
-class CompressedState:
-    """The same face as KalmanState; reading all of mean or covariance makes a global update.
+class CompressedState(KalmanState):
+    """A state whose passive part lags behind until somebody reads all of mean or covariance.
 
-    phi: (a', a), psi: (a, a), theta: (a,) as in section 4; a states at the area's start, a' now.
+    What KalmanState keeps is all of it as of the last global update. phi: (a', a), psi: (a, a),
+    theta: (a,) as in section 4; a states at the area's start, a' now.
     """
 
     def __init__(self, pose: Array, covariance: Array, areas: LocalAreas) -> None:
         """Start with one area around the vehicle."""
+        super().__init__(pose, covariance)
         self.areas = areas
-        self._reach_m = areas.reach_m
         self.updates: list[GlobalUpdate] = []
-        self._whole = KalmanState(pose, covariance)
-        self._layout = self._whole.layout  # with the landmarks that are only in the local state
-        self._local: KalmanState
-        self._slots: dict[int, Index]  # active landmarks of each kind, ascending
-        self._place: dict[int, Index]  # of every landmark among those, ABSENT if passive
+        self._reach_m = areas.reach_m
+        self._present: Layout  # of all, also of landmarks that only the local state has so far
+        self._local: KalmanState  # the marginal of the active states
+        self._columns: Index  # (a,) state entries that the local state started from
         self._entry: Index  # of every state entry in the local state, ABSENT if passive
         self._phi: Array
-        nothing = np.zeros(0, dtype=np.intp)
-        extent = areas.half_m + areas.reach_m
-        self._activate({POINT: nothing, POSE: nothing}, pose[:2], extent)
+        self._activate(np.arange(len(pose)), pose[:2], areas.half_m + areas.reach_m)
+
+    @property
+    def layout(self) -> Layout:
+        """Where pose and landmarks lie, active and passive."""
+        return self._present
 
     @property
     def pose(self) -> Array:
@@ -84,92 +87,68 @@ class CompressedState:
 
     @property
     def pose_covariance(self) -> Array:
-        """(3, 3)."""
+        """(3, 3); a copy."""
         return self._local.pose_covariance
 
     @property
-    def layout(self) -> Layout:
-        """Where pose and landmarks lie, active and passive."""
-        return self._layout
-
-    @property
-    def landmark_count(self) -> int:
-        """Number of points that were ever in the state, active and passive."""
-        return len(self._layout.point)
-
-    @property
     def mean(self) -> Array:
-        """(n,) state, passive part included."""
-        self._bring_up_to_date()
-        return self._whole.mean
+        """(n,) state, after a global update."""
+        self._global_update()
+        return super().mean
 
     @property
     def covariance(self) -> Array:
-        """(n, n) covariance, passive part included."""
-        self._bring_up_to_date()
-        return self._whole.covariance
+        """(n, n) covariance, after a global update."""
+        self._global_update()
+        return super().covariance
 
-    @property
-    def landmarks(self) -> Array:
-        """(L, 2) positions of points, passive ones included."""
-        return self._places(POINT)
+    def places(self, width: int) -> Array:
+        """Return all landmarks (L, w) of a kind, passive ones as a global update would have them.
 
-    @property
-    def oriented(self) -> Array:
-        """(Q, 3) landmarks with a direction, passive ones included."""
-        return self._places(POSE)
+        Guivant 2002, section 4: x_b = x_b(0) + P_ba(0) theta.
+        """
+        place, active = self.snapshot(width)
+        before = self._layout
+        passive = np.setdiff1d(before.present(width), active, assume_unique=True)
+        if len(passive) and not self._fresh:
+            rows = before.columns(passive, width)[before.pose_size :]
+            shift = super().covariance[np.ix_(rows, self._columns)] @ self._theta
+            place[passive] += shift.reshape(-1, width)
+        return place
 
-    def snapshot(self, kinds: tuple[int, ...] = (POINT,)) -> MapSnapshot:
-        """The active part as it is, passive landmarks as the last global update left them.
+    def snapshot(self, width: int = POINT) -> MapSnapshot:
+        """Return all landmarks of a kind, passive ones as the last global update left them.
 
         `landmarks` would bring the passive part up to date, which changes later rounding.
         """
-        local, places = self._local.snapshot(kinds), []
-        number = np.empty_like(local.slot)
-        for k, width in enumerate(kinds):
-            active, (whole, part) = self._slots[width], self._both(width)
-            place = np.full((len(self._layout.first(width)), POINT), np.nan)
-            place[: len(whole)] = whole[:, :POINT]
-            place[active] = part[:, :POINT]
-            places.append(place)
-            of_kind = local.slot % len(kinds) == k
-            number[of_kind] = len(kinds) * active[local.slot[of_kind] // len(kinds)] + k
-        covariance, order = local.covariance, np.argsort(number)
-        if (np.diff(order) < 0).any():
-            entries = len(self.pose) + (POINT * order[:, None] + np.arange(POINT)).ravel()
-            columns = np.concatenate((np.arange(len(self.pose)), entries))
-            covariance = covariance[columns[:, None], columns]
-        return MapSnapshot(by_number(places), number[order], covariance)
+        known, active = super().places(width), self._local.layout.present(width)
+        place = np.full((len(self._present.first[width]), width), np.nan)
+        place[: len(known)] = known
+        place[active] = self._local.places(width)[active]
+        return MapSnapshot(place, active)
 
-    def _both(self, width: int) -> tuple[Array, Array]:
-        """Landmarks of a kind as of the last global update, and the active ones as they are."""
-        if width == POINT:
-            return self._whole.landmarks, self._local.landmarks
-        return self._whole.oriented, self._local.oriented
+    def covariance_of(self, columns: Index) -> Array:
+        """Return the covariance (c, c) of some active states, a copy."""
+        return self._local.covariance_of(self._entry[columns])
 
     def local_map(self, reach_m: float) -> LocalMap:
-        """The landmarks within reach of the vehicle; enters a new area when they lie beyond it."""
+        """Return the points within reach of the vehicle; enter a new area when they lie beyond."""
         if self._offset() + reach_m > self._extent:
             self._enter(reach_m)
-        found = self._local.local_map(reach_m)
-        slot = self._slots[POINT][found.slot]
-        columns = self._layout.columns(slot)
-        return LocalMap(found.pose, slot, found.landmark, found.covariance, columns)
+        return self._as_whole(self._local.local_map(reach_m))
+
+    def map_of(self, slot: Index, width: int = POINT) -> LocalMap:
+        """Return some landmarks of a kind, made active if they are not."""
+        self._local_entries(self._present.columns(slot, width))  # may replace the local state
+        return self._as_whole(self._local.map_of(slot, width), width)
 
     def within(self, reach_m: float, width: int = POINT) -> Index:
-        """Index of a kind at most `reach_m` from the vehicle; exact, and without a global update.
+        """Return the slots of a kind at most `reach_m` away; exact, and without a global update.
 
         Areas that begin from now on reach so far, so that those found are active, as a rule.
         """
         self._reach_m = max(self._reach_m, reach_m)
-        return within(self._places(width), self._local.mean, reach_m)
-
-    def map_of(self, slot: Index, width: int = POINT) -> LocalMap:
-        """Some landmarks of a kind, made active if they are not. Raises ValueError if removed."""
-        columns = self._layout.columns(slot, width)
-        self._local_entries(columns)  # may replace the local state
-        found = self._local.map_of(self._place[width][slot], width)
-        return LocalMap(found.pose, slot, found.landmark, found.covariance, columns)
+        return super().within(reach_m, width)
 
     def predict(self, pose: Array, jacobian_pose: Array, noise: Array) -> None:
         """Move the vehicle: phi <- F phi. Beyond the area's edge the next area begins."""
@@ -186,25 +165,21 @@ class CompressedState:
         local = self._local_entries(columns)
         done = self._local.update(local, jacobian, innovation, noise)
         seen = done.inverse_root @ (jacobian @ self._phi[local])  # L^-1 H phi
-        self._psi += seen.T @ seen
-        self._theta += seen.T @ done.whitened
+        self._psi += seen.T @ seen  # psi + phi^T H^T S^-1 H phi
+        self._theta += seen.T @ done.whitened  # theta + phi^T H^T S^-1 nu
         self._phi -= done.gain_root.T @ seen  # (I - W H) phi
         self._fresh = False
         return done
 
     def augment(
-        self, point: Array, jacobian_pose: Array, jacobian_sighting: Array, noise: Array
+        self, landmark: Array, jacobian_pose: Array, jacobian_z: Array, noise: Array
     ) -> None:
         """Add landmarks inside the area: rows G_x phi_v."""
-        count, width = point.shape
-        slots, place = self._slots[width], self._place[width]
-        entries = self._local.layout.size + np.arange(point.size)
-        self._local.augment(point, jacobian_pose, jacobian_sighting, noise)
+        entries = self._local.layout.size + np.arange(landmark.size)
+        self._local.augment(landmark, jacobian_pose, jacobian_z, noise)
         self._phi = np.vstack((self._phi, jacobian_pose.reshape(-1, 3) @ self._phi[:3]))
-        self._layout = self._layout.appended(count, width)
+        self._present = self._present.appended(*landmark.shape)
         self._entry = np.concatenate((self._entry, entries))
-        self._place[width] = np.concatenate((place, len(slots) + np.arange(count)))
-        self._slots[width] = np.concatenate((slots, len(place) + np.arange(count)))
         self._fresh = False
 
     def remove(self, slot: Index, width: int = POINT) -> None:
@@ -212,34 +187,27 @@ class CompressedState:
 
         Raises ValueError for landmarks that were removed before.
         """
-        self._bring_up_to_date()
-        self._whole.remove(slot, width)
-        self._slots[width] = np.setdiff1d(self._slots[width], slot)
-        self._activate(self._slots, self._centre, self._extent)
+        self._global_update()
+        gone = self._layout.columns(slot, width)[self._layout.pose_size :]
+        kept = np.setdiff1d(np.arange(self._layout.size), gone)
+        super().remove(slot, width)
+        active = np.searchsorted(kept, np.setdiff1d(self._columns, gone))
+        self._activate(active, self._centre, self._extent)
 
     def leave(self) -> None:
         """Leave the area now: a global update, and a new area around the vehicle."""
         self._enter(self.areas.reach_m)
+
+    def _as_whole(self, found: LocalMap, width: int = POINT) -> LocalMap:
+        """The same with the entries of the whole state."""
+        columns = self._present.columns(found.slot, width)
+        return LocalMap(found.pose, found.slot, found.landmark, found.covariance, columns)
 
     def _local_entries(self, columns: Index) -> Index:
         """Entries in the local state; passive landmarks are made active first."""
         if self._entry[columns].min(initial=0) < 0:
             self._enter(self._extent - self.areas.half_m, columns)
         return self._entry[columns]
-
-    def _places(self, width: int) -> Array:
-        """(L, w) of all landmarks of a kind, passive ones as a global update would leave them."""
-        active, before = self._slots[width], self._whole.layout
-        known = _by_width(self._whole, width)
-        place = np.full((len(self._layout.first(width)), width), np.nan)
-        place[: len(known)] = known
-        place[active] = _by_width(self._local, width)
-        passive = np.setdiff1d(before.present(width), active, assume_unique=True)
-        if len(passive) and not self._fresh:
-            rows = before.columns(passive, width)[before.pose_size :]
-            shift = self._whole.covariance[np.ix_(rows, self._columns)] @ self._theta
-            place[passive] += shift.reshape(-1, width)
-        return place
 
     def _offset(self) -> float:
         """Distance from the area's centre, east-west or north-south, whichever is more."""
@@ -248,62 +216,50 @@ class CompressedState:
     def _enter(self, reach_m: float, wanted: Index | None = None) -> None:
         """Leave the area and centre the next one on the vehicle.
 
-        wanted: (c,) state entries whose landmarks become active wherever they are.
+        wanted: (c,) state entries that become active wherever their landmarks are.
         """
-        self._bring_up_to_date()
+        self._global_update()
         extent = self.areas.half_m + max(reach_m, self._reach_m)
-        centre, active = self._whole.pose[:2], {}
-        for width, place in ((POINT, self._whole.landmarks), (POSE, self._whole.oriented)):
-            near = np.abs(place[:, :2] - centre).max(axis=1, initial=0.0) <= extent
-            if wanted is not None:
-                near[self._layout.slots_in(wanted, width)] = True
-            active[width] = np.flatnonzero(near)
-        self._activate(active, centre, extent)
+        columns = self.columns_near(extent)
+        if wanted is not None:
+            columns = np.union1d(columns, wanted)
+        self._activate(columns, self._mean[:2].copy(), extent)
 
-    def _activate(self, slots: dict[int, Index], centre: Array, extent: float) -> None:
-        self._slots, self._centre, self._extent = slots, centre, extent
-        self._layout, self._place = self._whole.layout, {}
-        for width, active in slots.items():
-            self._place[width] = np.full(len(self._layout.first(width)), ABSENT)
-            self._place[width][active] = np.arange(len(active))
-        self._columns = self._layout.columns(slots[POINT])
-        if len(slots[POSE]):
-            oriented = self._layout.columns(slots[POSE], POSE)
-            self._columns = np.union1d(self._columns, oriented)
-        self._local = self._whole.part(self._columns)
-        size = len(self._columns)
+    def _activate(self, columns: Index, centre: Array, extent: float) -> None:
+        """Begin an area with some active states, their entries (a,) ascending, the pose's first."""
+        self._columns, self._centre, self._extent = columns, centre, extent
+        self._present, self._local = self._layout, self.part(columns)
+        size = len(columns)
         self._entry = np.full(self._layout.size, ABSENT)
-        self._entry[self._columns] = np.arange(size)
+        self._entry[columns] = np.arange(size)
         self._phi, self._psi, self._theta = np.eye(size), np.zeros((size, size)), np.zeros(size)
         self._fresh = True
 
-    def _bring_up_to_date(self) -> None:
-        """The global update: P_ab = phi P_ab(0), P_bb -= P_ba(0) psi P_ab(0), x_b += P_ba(0) theta.
+    def _global_update(self) -> None:
+        """Set P_ab = phi P_ab(0), P_bb -= P_ba(0) psi P_ab(0), x_b += P_ba(0) theta.
 
-        Guivant 2002, eqs. 18 to 23 when least_gain is above zero: passive states that gain less
-        keep their covariance with each other, which leaves P* - P positive semidefinite.
+        Guivant 2002, eqs. 17 and 18, and 19 to 23 when least_gain is above zero: passive states
+        that gain less keep their covariance with each other, which leaves P* - P positive
+        semidefinite.
         """
         if self._fresh:
             return
-        whole = self._whole
         values, vectors = np.linalg.eigh(self._psi)
-        before = whole.covariance[:, self._columns]  # P_ba(0), and P_aa(0) which is overwritten
-        root = before @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+        whole = super().covariance
+        before = whole[:, self._columns]  # P_ba(0), and P_aa(0) which is overwritten
+        root = before @ (vectors * np.sqrt(np.maximum(values, 0.0)))  # Delta P = root root^T, 18
         spared = np.zeros(0, dtype=np.intp)
         if self.areas.least_gain > 0.0:
             gain = np.einsum("ij,ij->i", root, root)  # diagonal of Delta P
-            little = gain < self.areas.least_gain * whole.covariance.diagonal()
+            little = gain < self.areas.least_gain * whole.diagonal()  # 22
             little[self._columns] = False
             spared = np.flatnonzero(little)
-        active = len(self._columns)
-        passive = len(before) - active
-        whole.merge(self._columns, self._local, self._phi, root, before @ self._theta, spared)
-        self.updates.append(GlobalUpdate(passive, active, len(spared)))
-        self._activate(self._slots, self._centre, self._extent)
-
-
-def _by_width(state: KalmanState, width: int) -> Array:
-    return state.landmarks if width == POINT else state.oriented
+        active, size = len(self._columns), self._layout.size
+        shift = before @ self._theta
+        self.merge(self._columns, self._local, self._phi, root, shift, spared)
+        self.updates.append(GlobalUpdate(size - active, active, len(spared)))
+        added = np.arange(size, self._layout.size)
+        self._activate(np.concatenate((self._columns, added)), self._centre, self._extent)
 
 
 class CompressedEkf(Ekf):
@@ -315,7 +271,7 @@ class CompressedEkf(Ekf):
         association: Association,
         prior_pose: Array,
         prior_covariance: Array,
-        stabilisation: Stabilisation | None = None,
+        stabilisation: StepNoise | None = None,
         trace: Trace | None = None,
         areas: LocalAreas | None = None,
     ) -> None:

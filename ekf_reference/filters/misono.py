@@ -1,36 +1,40 @@
-"""Misono's EKF-SLAM, as published and with what it leaves out (Misono et al. 2007, section 3)."""
+"""Misono's EKF-SLAM, as published and with what it leaves out (Misono et al. 2007, section 3).
+
+The pose is x, y, xi, eta with xi = cos(heading) and eta = sin(heading) (eq. 3). Motion is linear
+in it and measurements in the vehicle's own axes are bilinear, so nothing needs a trigonometric
+function of the state. The price is a fourth number where three are free: the pair belongs on the
+unit circle, and nothing in the published filter keeps it there.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from ekf_reference.association.nearest_neighbour import Association
 from ekf_reference.core.ekf import Ekf, PoseReading, Stabilisation, StepNoise
 from ekf_reference.core.geometry import Array, Index
-from ekf_reference.core.measurement_update import PositionFixes
+from ekf_reference.core.landmark_types import (
+    POINT,
+    POSE,
+    NewLandmarks,
+    PredictedMeasurements,
+)
+from ekf_reference.core.measurements import Association
 from ekf_reference.core.state import Correction, FilterDivergedError, KalmanState
 from ekf_reference.core.trace import (
-    Beginning,
-    FusionUse,
-    NullTrace,
-    PositionUse,
-    Prediction,
-    Removal,
-    SightingUse,
+    VEHICLE,
+    MeasurementRecord,
+    PriorRecord,
+    RemovalRecord,
+    StepRecord,
     Trace,
 )
-from ekf_reference.filters.direction_cosine import (
-    DirectionCosineMotion,
-    DirectionCosinePosition,
-    OwnAxesObservation,
-    along_circle,
-    from_heading,
-    to_heading,
-)
-from ekf_reference.models.motion import MotionModel
+from ekf_reference.models.motion import MotionModel, MotionStep
+from ekf_reference.models.position import PositionFixes
+from ekf_reference.models.relative_pose import RelativePose
 
 RADIAL_VARIANCE = 1e-12
 """Of the pair's length, in the prior and added by every step where it is free. Without it the
@@ -39,6 +43,145 @@ covariance of four numbers that are known as three would be singular (Nieto 2005
 
 LEAST_LENGTH = 0.1
 """A pair shorter than this, or longer than its inverse, no longer says where the vehicle points."""
+
+
+def from_heading(pose: Array) -> Array:
+    """(4,) x, y, xi, eta of (3,) x, y, heading."""
+    return np.array([pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])])
+
+
+def along_circle(pose: Array) -> Array:
+    """(4, 3) d(x, y, xi, eta) / d(x, y, heading) where the pair (4,) is."""
+    jacobian = np.zeros((4, 3))
+    jacobian[0, 0] = jacobian[1, 1] = 1.0
+    jacobian[2, 2], jacobian[3, 2] = -pose[3], pose[2]
+    return jacobian
+
+
+def to_heading(pose: Array) -> Array:
+    """(3, 4) d(x, y, heading) / d(x, y, xi, eta), of atan2(eta, xi), on the circle or off it."""
+    square = pose[2] ** 2 + pose[3] ** 2
+    jacobian = np.zeros((3, 4))
+    jacobian[0, 0] = jacobian[1, 1] = 1.0
+    jacobian[2, 2], jacobian[2, 3] = -pose[3] / square, pose[2] / square
+    return jacobian
+
+
+@dataclass(frozen=True)
+class DirectionCosineMotion:
+    """Any vehicle model on this pose: x' = F x + B n (Misono 2007, eqs. 2 to 6).
+
+    `motion` says how far the vehicle goes in its own frame: dx, dy and a turn. Eq. 4 is the case
+    of a turn first and the way afterwards, dx = d cos(turn), dy = d sin(turn), where dx and dy
+    stand beside xi and eta. Erratum: eq. 5 prints xi(k), eta(k) in B where the direction of
+    arrival, k + 1, holds; the two differ by the turn.
+    """
+
+    motion: MotionModel
+
+    def step(self, pose: Array, control: Array, duration_s: float) -> MotionStep:
+        """The pose (4,) after a control; jacobian_pose is F, jacobian_control is B."""
+        own = self.motion.step(np.zeros(3), control, duration_s)
+        dx, dy, turn = own.pose.tolist()
+        cos, sin = math.cos(turn), math.sin(turn)
+        f = np.array(
+            [[1.0, 0.0, dx, -dy], [0.0, 1.0, dy, dx], [0.0, 0.0, cos, -sin], [0.0, 0.0, sin, cos]]
+        )  # 4
+        arrived = f @ pose
+        b = along_circle(arrived) @ own.jacobian_control  # 5, the turn's part
+        xi, eta = pose[2], pose[3]
+        b[:2] = np.array([[xi, -eta], [eta, xi]]) @ own.jacobian_control[:2]  # 5, the way's part
+        return MotionStep(arrived, f, b)
+
+
+@dataclass(frozen=True)
+class OwnAxesObservation:
+    """A landmark in the vehicle's own axes, x to the right, y ahead (Misono 2007, eqs. 8, 9, 12).
+
+    full_jacobian: eq. 9 has zeros for xi and eta, which makes the published filter a pseudo-linear
+    one; true gives the columns that the bilinear measurement has.
+    """
+
+    full_jacobian: bool = True
+
+    def measured(self, z: Array, sigma: Array) -> tuple[Array, Array]:
+        """Return ranges and bearings in the vehicle's axes: (m, 2) [m], R (m, 2, 2) [m^2]."""
+        r, sin, cos = z[:, 0], np.sin(z[:, 1]), np.cos(z[:, 1])
+        polar = np.empty((len(r), 2, 2))
+        polar[:, 0, 0], polar[:, 0, 1] = -sin, -r * cos
+        polar[:, 1, 0], polar[:, 1, 1] = cos, -r * sin
+        noise = np.einsum("mij,mj,mkj->mik", polar, sigma**2, polar)
+        return np.column_stack((-r * sin, r * cos)), noise
+
+    def range_m(self, z: Array) -> Array:
+        """(m,) distance from the vehicle."""
+        distance: Array = np.hypot(z[:, 0], z[:, 1])
+        return distance
+
+    def predict(self, pose: Array, landmarks: Array) -> PredictedMeasurements:
+        """H x and H for landmarks (m, 2) from pose (4,) (eqs. 9 and 12)."""
+        x, y, xi, eta = pose.tolist()
+        dx, dy = landmarks[:, 0] - x, landmarks[:, 1] - y
+        z = np.column_stack((eta * dx - xi * dy, xi * dx + eta * dy))
+        turn = np.array([[eta, -xi], [xi, eta]])
+        jacobian_pose = np.zeros((len(z), 2, 4))
+        jacobian_pose[:, :, :2] = -turn
+        if self.full_jacobian:
+            jacobian_pose[:, 0, 2], jacobian_pose[:, 0, 3] = -dy, dx
+            jacobian_pose[:, 1, 2], jacobian_pose[:, 1, 3] = dx, dy
+        return PredictedMeasurements(z, jacobian_pose, np.broadcast_to(turn, (len(z), 2, 2)))
+
+    def innovation(self, z: Array, predicted: Array) -> Array:
+        """Innovation of eq. 14; no angle, nothing to wrap."""
+        return z - predicted
+
+    def invert(self, pose: Array, z: Array) -> NewLandmarks:
+        """Places in the map of what is seen at z (m, 2) (eq. 16, its first row corrected).
+
+        Erratum: the first row is printed (eta, -xi, ...), which is no inverse of eq. 9. The
+        Jacobians, which the paper leaves out, are those of Nieto 2005, eq. 2.53.
+        """
+        x, y, xi, eta = pose.tolist()
+        right, ahead = z[:, 0], z[:, 1]
+        point = np.column_stack((x + eta * right + xi * ahead, y - xi * right + eta * ahead))
+        jacobian_pose = np.zeros((len(z), 2, 4))
+        jacobian_pose[:, 0, 0] = jacobian_pose[:, 1, 1] = 1.0
+        jacobian_pose[:, 0, 2], jacobian_pose[:, 0, 3] = ahead, right
+        jacobian_pose[:, 1, 2], jacobian_pose[:, 1, 3] = -right, ahead
+        jacobian_z = np.broadcast_to(np.array([[eta, xi], [-xi, eta]]), (len(z), 2, 2))
+        return NewLandmarks(point, jacobian_pose, jacobian_z)
+
+
+@dataclass(frozen=True)
+class DirectionCosinePosition:
+    """An antenna at `lever_m` (forward, left): on this pose an absolute position is linear."""
+
+    lever_m: tuple[float, float] = (0.0, 0.0)
+
+    def predict(self, pose: Array) -> tuple[Array, Array]:
+        """Expected position (2,) and its Jacobian (2, 4)."""
+        forward, left = self.lever_m
+        jacobian = np.array([[1.0, 0.0, forward, -left], [0.0, 1.0, left, forward]])
+        return jacobian @ pose, jacobian
+
+
+class PairRelativePose(RelativePose):
+    """RelativePose on the pose x, y, xi, eta; `read` gives the filter's as x, y, heading."""
+
+    def __init__(self, read: Callable[[], PoseReading]) -> None:
+        self._read = read
+
+    def predict(self, pose: Array, landmarks: Array) -> PredictedMeasurements:
+        """Predict from the filter's pose (4,)."""
+        at = self._read()
+        predicted = super().predict(at.pose, landmarks)
+        return predicted._replace(jacobian_pose=predicted.jacobian_pose @ at.jacobian)
+
+    def invert(self, pose: Array, z: Array) -> NewLandmarks:
+        """Return the landmarks that are measured from the filter's pose (4,)."""
+        at = self._read()
+        new = super().invert(at.pose, z)
+        return new._replace(jacobian_pose=new.jacobian_pose @ at.jacobian)
 
 
 class FreePairState(KalmanState):
@@ -133,7 +276,7 @@ class DirectionCosineEkf(Ekf):
         pose, free = from_heading(prior_pose), 0.0 if renormalise else RADIAL_VARIANCE
         lift = along_circle(pose)
         covariance = lift @ prior_covariance @ lift.T + _off_circle(pose, free)
-        trace = trace or NullTrace()
+        trace = trace or Trace()
         self.renormalise = renormalise
         self._heading_rad = float(prior_pose[2])
         super().__init__(
@@ -144,77 +287,65 @@ class DirectionCosineEkf(Ekf):
             PairStabilisation(stabilisation or Stabilisation(), free),
             HeadingTrace(trace, self._heading_rad) if renormalise else trace,
         )
-        self.observation = OwnAxesObservation(options.full_jacobian)
+        self.models = {
+            POINT: OwnAxesObservation(options.full_jacobian),
+            POSE: PairRelativePose(self.read_pose),
+        }
         self.fixes = PositionFixes(DirectionCosinePosition())
         self.state = (CircleState if renormalise else FreePairState)(pose, covariance)
 
     def read_pose(self) -> PoseReading:
-        """The pose now; its heading goes on from where it was read last, unwrapped."""
+        """Return the pose now; its heading goes on from where it was read last, unwrapped."""
         own = self.state.pose
         self._heading_rad = _nearest(self._heading_rad, own)
         return PoseReading(np.array([own[0], own[1], self._heading_rad]), own, to_heading(own))
 
     def read_recorded_pose(self) -> PoseReading:
-        """The pose now, against the trace's."""
+        """Return the pose now, against the trace's."""
         reading = self.read_pose()
         if self.renormalise:
             return PoseReading(reading.pose, reading.pose, np.eye(3))
         return reading
 
 
-class HeadingTrace:
-    """Writes down a filter on the circle as one of x, y, heading."""
+class HeadingTrace(Trace):
+    """Records a filter on the circle as one of x, y, heading."""
 
     def __init__(self, trace: Trace, heading_rad: float) -> None:
         """Trace: who keeps it. heading_rad: the prior's, from which headings go on unwrapped."""
         self._trace = trace
         self._heading_rad = heading_rad
 
-    def prior(self, start: Beginning) -> None:
-        """The covariance along the circle."""
+    def prior(self, start: PriorRecord) -> None:
+        """Record the covariance along the circle."""
         back = along_circle(start.pose).T
-        self._trace.prior(Beginning(self._pose(start.pose), back @ start.covariance @ back.T))
+        self._trace.prior(PriorRecord(self._pose(start.pose), back @ start.covariance @ back.T))
 
-    def prediction(self, step: Prediction) -> None:
-        """F and Q along the circle."""
+    def step(self, step: StepRecord) -> None:
+        """Record F and Q along the circle."""
         back = along_circle(step.arrived).T
         f = back @ step.f @ along_circle(step.departed)
         q = back @ step.q @ back.T
         departed = self._pose(step.departed)
-        self._trace.prediction(Prediction(departed, self._pose(step.arrived), f, q))
+        self._trace.step(StepRecord(departed, self._pose(step.arrived), f, q))
 
-    def update(self, use: SightingUse) -> None:
-        """H along the circle."""
-        self._trace.update(self._sightings(use))
+    def measurement(self, used: MeasurementRecord) -> None:
+        """Record H along the circle."""
+        self._trace.measurement(self._along(used))
 
-    def augmentation(self, use: SightingUse) -> None:
-        """G_x along the circle."""
-        self._trace.augmentation(self._sightings(use))
+    def initialisation(self, new: MeasurementRecord) -> None:
+        """Record G_x along the circle."""
+        self._trace.initialisation(self._along(new))
 
-    def position(self, use: PositionUse) -> None:
-        """H along the circle."""
-        jacobian = use.jacobian_pose @ along_circle(use.pose)
-        self._trace.position(use._replace(pose=self._pose(use.pose), jacobian_pose=jacobian))
-
-    def oriented_update(self, use: SightingUse) -> None:
-        """H along the circle."""
-        self._trace.oriented_update(self._sightings(use))
-
-    def oriented_augmentation(self, use: SightingUse) -> None:
-        """G_x along the circle."""
-        self._trace.oriented_augmentation(self._sightings(use))
-
-    def fusion(self, use: FusionUse) -> None:
-        """Pass on: the pose has no part in it."""
-        self._trace.fusion(use)
-
-    def removal(self, gone: Removal) -> None:
+    def removal(self, gone: RemovalRecord) -> None:
         """Pass on, the pose having one entry less."""
         self._trace.removal(gone._replace(entries=gone.entries - 1))
 
-    def _sightings(self, use: SightingUse) -> SightingUse:
-        jacobian = use.jacobian_pose @ along_circle(use.pose)
-        return use._replace(pose=self._pose(use.pose), jacobian_pose=jacobian)
+    def _along(self, record: MeasurementRecord) -> MeasurementRecord:
+        if record.origin != VEHICLE:
+            return record
+        jacobian = record.jacobian_pose @ along_circle(record.pose)
+        return record._replace(pose=self._pose(record.pose), jacobian_pose=jacobian)
 
     def _pose(self, own: Array) -> Array:
         self._heading_rad = _nearest(self._heading_rad, own)

@@ -1,6 +1,6 @@
-"""Sightings of landmarks that have a place and a direction: their pose in the vehicle's frame.
+"""Poses in the frame of another pose, and the inverse.
 
-Matching a scan with a landmark's template gives such a sighting, whatever the method.
+Matching a scan with a landmark's template measures such a pose, whatever the method.
 """
 
 from __future__ import annotations
@@ -8,18 +8,31 @@ from __future__ import annotations
 import numpy as np
 
 from ekf_reference.core.geometry import Array, wrap_angle
-from ekf_reference.models.range_bearing import NewLandmarks, PredictedMeasurements
+from ekf_reference.core.landmark_types import (
+    NewLandmarks,
+    PredictedMeasurements,
+    diagonal_noise,
+)
 
 
 class RelativePose:
     """The pose of a landmark's frame as seen from another frame, such as the vehicle's.
 
-    Source: Nieto 2005, eq. 5.15. Sightings are z = (x, y, heading) with noise that is added to
-    these three: forward and left of the frame that they are seen from, [m] and [rad].
+    Source: Nieto 2005, eq. 5.15. Measurements are z = (x, y, heading) with noise that is added to
+    these three: forward and left of the frame that they are measured from, [m] and [rad].
     """
 
+    def measured(self, z: Array, sigma: Array) -> tuple[Array, Array]:
+        """Return poses (m, 3) as they come, and R (m, 3, 3)."""
+        return z, diagonal_noise(sigma)
+
+    def range_m(self, z: Array) -> Array:
+        """Return the distances (m,)."""
+        distance: Array = np.hypot(z[:, 0], z[:, 1])
+        return distance
+
     def predict(self, pose: Array, landmarks: Array) -> PredictedMeasurements:
-        """Expected sightings of landmarks (m, 3) from pose (3,), and their Jacobians."""
+        """Predict the measurements of poses (m, 3) from a pose (3,)."""
         cos, sin = np.cos(pose[2]), np.sin(pose[2])
         dx, dy = landmarks[:, 0] - pose[0], landmarks[:, 1] - pose[1]
         forward, left = dx * cos + dy * sin, -dx * sin + dy * cos
@@ -32,13 +45,13 @@ class RelativePose:
         return PredictedMeasurements(z, by_pose, by_landmark)
 
     def innovation(self, z: Array, predicted: Array) -> Array:
-        """Z - predicted (..., 3), the heading wrapped."""
+        """Return z - predicted (..., 3), the heading wrapped."""
         difference: Array = z - predicted
         difference[..., 2] = wrap_angle(difference[..., 2])
         return difference
 
     def invert(self, pose: Array, z: Array) -> NewLandmarks:
-        """Where landmarks seen at z (m, 3) from pose (3,) are: the pose and z composed.
+        """Return the poses measured as z (m, 3) from a pose (3,): both composed.
 
         To eq. 5.15 what eqs. 2.50, 2.54 and 2.55 are to range and bearing.
         """

@@ -15,8 +15,8 @@ import numpy as np
 
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import Array
-from ekf_reference.core.layout import POSE
-from ekf_reference.core.local_map import LocalMap
+from ekf_reference.core.landmark_types import POSE
+from ekf_reference.core.state import LocalMap
 from ekf_reference.models.relative_pose import RelativePose
 from ekf_reference.scan_landmarks.scan_slam import ScanSlam
 from ekf_reference.scan_landmarks.templates import Template

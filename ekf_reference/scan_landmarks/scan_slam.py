@@ -21,7 +21,7 @@ import numpy as np
 
 from ekf_reference.core.ekf import NEW, Ekf
 from ekf_reference.core.geometry import Array, Index, rotation
-from ekf_reference.core.layout import POSE
+from ekf_reference.core.landmark_types import POSE
 from ekf_reference.dense.scan import Sensor
 from ekf_reference.scan_landmarks.enriching import Around, observe_enriched
 from ekf_reference.scan_landmarks.pieces import JoinedSegments, Known, Pieces
@@ -55,7 +55,7 @@ class Teller(Protocol):
     """By whom a filter is told of landmarks with a direction."""
 
     def observe(self, z: Array, covariance: Array, slot: Index) -> Index:
-        """See Ekf.observe_oriented."""
+        """See Ekf.observe_known."""
         ...
 
 
@@ -153,7 +153,7 @@ class ScanSlam:
         reading, reach_m = ekf.read_pose(), self.view.reach_m + float(np.hypot(*self.mount[:2]))
         near = ekf.state.within(reach_m, POSE)
         local = ekf.state.map_of(near, POSE)
-        at = ekf.oriented_observation.predict(reading.pose, local.landmark)
+        at = ekf.models[POSE].predict(reading.pose, local.landmark)
         by_pose = at.jacobian_pose @ reading.jacobian
         h = np.concatenate((by_pose, at.jacobian_landmark), axis=2)
         p = len(reading.own)
@@ -177,7 +177,7 @@ class ScanSlam:
             wide = spread + np.diag((o.floor_m, o.floor_m, o.floor_rad)) ** 2
             template, around = self.found.template[slot], None
             if self.around is not None and np.linalg.norm(wide[:2, :2], 2) > o.enrich_m**2:
-                around = self.around(template, ekf.state.oriented[slot])
+                around = self.around(template, ekf.state.places(POSE)[slot])
             if around is None:
                 what = observe(template, scan, z, wide, self._matching)
             else:

@@ -15,7 +15,7 @@ from comparisons.errors import InputError
 from comparisons.logs.log import NO_LANDMARK, Log
 from comparisons.report.result import build_result
 from comparisons.settings import run_config
-from ekf_reference.association.nearest_neighbour import RememberedAttributes
+from ekf_reference.association.attributes import RememberedAttributes
 from ekf_reference.core.ekf import Ekf
 from tests.helpers import compared, first_seconds, simulated
 

@@ -26,7 +26,7 @@ from comparisons.report.run import run_folder
 from comparisons.settings import run_config
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import Array, Index
-from ekf_reference.core.layout import POINT, POSE
+from ekf_reference.core.landmark_types import POINT, POSE
 from ekf_reference.core.state import FilterDivergedError
 from ekf_reference.filters.compressed import CompressedState, LocalAreas
 from tests.helpers import compared, simulated
@@ -116,10 +116,8 @@ def apart(one: EkfRun, other: EkfRun) -> float:
 class NoRows(CompressedState):
     """Broken: new landmarks with a direction know nothing of passive ones."""
 
-    def augment(
-        self, point: Array, jacobian_pose: Array, jacobian_sighting: Array, noise: Array
-    ) -> None:
-        super().augment(point, jacobian_pose, jacobian_sighting, noise)
+    def augment(self, point: Array, jacobian_pose: Array, jacobian_z: Array, noise: Array) -> None:
+        super().augment(point, jacobian_pose, jacobian_z, noise)
         if point.shape[1] == POSE:
             self._phi[-point.size :] = 0.0
 

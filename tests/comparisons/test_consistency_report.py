@@ -25,6 +25,7 @@ from comparisons.report.picture import save
 from comparisons.report.result import build_result, print_run
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import Array, Index
+from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.state import Correction, KalmanState
 from tests.helpers import compared, first_seconds, simulated
 
@@ -80,14 +81,16 @@ def test_the_trace_holds_s_as_it_was_before_the_update(short: Log) -> None:
     trace = filtered(short, "full", Telling).trace
     blocks = [s[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] for s, _ in kept for i in range(len(s) // 2)]
     joint = sum(float(nu @ np.linalg.solve(s, nu)) for s, nu in kept)
-    told = np.concatenate((trace.updates.spread, trace.positions.spread))
+    told = np.concatenate((trace.measurements[POINT].spread, trace.positions.spread))
     assert sorted(np.trace(told, axis1=1, axis2=2)) == pytest.approx(
         sorted(np.trace(np.array(blocks), axis1=1, axis2=2)), rel=1e-12
     )
     fixes = trace.positions
     weighed = np.linalg.solve(fixes.spread, fixes.innovation[:, :, None])[:, :, 0]
     alone = np.einsum("ni,ni->n", fixes.innovation, weighed)
-    assert np.sum(trace.updates.whitened**2) + alone.sum() == pytest.approx(joint, rel=1e-10)
+    assert np.sum(trace.measurements[POINT].whitened ** 2) + alone.sum() == pytest.approx(
+        joint, rel=1e-10
+    )
 
 
 @pytest.mark.parametrize("name", ["compressed", "misono-full"])

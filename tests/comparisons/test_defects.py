@@ -14,9 +14,10 @@ from comparisons.experiments.defects.defect import Defect, Plant, with_observati
 from comparisons.experiments.defects.logs import LOGS, open_case
 from comparisons.pipeline.compare import Modified
 from ekf_reference.core.ekf import Ekf
-from ekf_reference.core.measurement_update import PositionModel
+from ekf_reference.core.landmark_types import PredictedMeasurements
 from ekf_reference.core.state import KalmanState
-from ekf_reference.models.range_bearing import PredictedMeasurements, RangeBearing
+from ekf_reference.models.position import PositionModel
+from ekf_reference.models.range_bearing import RangeBearing
 from tests.helpers import Array, compared, simulated
 
 SEEDS = 12

@@ -12,7 +12,7 @@ from comparisons.adapters.timeline import build_timeline
 from comparisons.config import EkfConfig
 from comparisons.experiments.reproduction.watched_run import watched_run
 from ekf_reference.core.ekf import Ekf
-from ekf_reference.core.trace import NullTrace
+from ekf_reference.core.trace import Trace
 from tests.helpers import simulated
 
 
@@ -39,10 +39,10 @@ def test_stops_tell_what_was_seen_and_a_fault_is_the_last() -> None:
     log = simulated(loop_s=20.0)
     timeline, choices = build_timeline(log), settle(EkfConfig(), log)
     run = run_ekf(log, timeline, choices)
-    stops = list(drive(build_ekf(log, choices, NullTrace()), log, timeline))
+    stops = list(drive(build_ekf(log, choices, Trace()), log, timeline))
     assert np.array_equal(np.concatenate([stop.slots for stop in stops]), run.slot)
     assert np.array_equal([stop.arrived for stop in stops], run.arrived)
-    broken = build_ekf(log, choices, NullTrace())
+    broken = build_ekf(log, choices, Trace())
     stops = []
     for stop in drive(broken, log, timeline):
         stops.append(stop)

@@ -21,7 +21,7 @@ from comparisons.pipeline.compare import REQUIRED, Comparison, Modified, compare
 from comparisons.pipeline.prepare import prepare
 from comparisons.settings import run_config
 from ekf_reference.core.ekf import Ekf
-from ekf_reference.core.local_map import LocalMap
+from ekf_reference.core.state import LocalMap
 from ekf_reference.filters.compressed import CompressedState, LocalAreas
 from ekf_reference.scan_landmarks.merging import FusingOptions
 from ekf_reference.scan_landmarks.pieces import SingleSegments

@@ -22,13 +22,14 @@ from comparisons.extensions.dense_maps.source import DenseWatcher
 from comparisons.logs.log import Log
 from comparisons.pipeline.compare import Modified
 from comparisons.report.result import build_result
-from ekf_reference.association.attributes import AttributeEstimates, LayerAttributes
+from ekf_reference.association.attributes import AttributeEstimates
 from ekf_reference.association.joint_compatibility import JointCompatibility
 from ekf_reference.association.nearest_neighbour import NearestNeighbour
 from ekf_reference.core.ekf import Ekf
-from ekf_reference.core.layout import POINT, POSE
-from ekf_reference.core.measurements import MeasuredAttributes, Sightings
+from ekf_reference.core.landmark_types import POINT, POSE
+from ekf_reference.core.measurements import MeasuredAttributes, Measurements
 from ekf_reference.core.state import KalmanState
+from ekf_reference.dense.layer_attributes import LayerAttributes
 from ekf_reference.models.range_bearing import RangeBearing
 from tests.helpers import Array, compared, simulated
 
@@ -65,7 +66,7 @@ def told_by(layer: Painted) -> LayerAttributes:
     return LayerAttributes(AttributeEstimates(np.ones(2)), layer, BRIGHTNESS)
 
 
-def two_poles_in_one_gate(value: float, nearer: int) -> tuple[KalmanState, Sightings]:
+def two_poles_in_one_gate(value: float, nearer: int) -> tuple[KalmanState, Measurements]:
     """Nieto 2005, section 6.4: a sighting between two poles, a little nearer to one of them."""
     state = KalmanState(np.zeros(3), np.diag((0.3**2, 0.3**2, 0.02**2)))
     for y in (-0.3, 0.3):
@@ -74,7 +75,9 @@ def two_poles_in_one_gate(value: float, nearer: int) -> tuple[KalmanState, Sight
         state.augment(point, by_pose, by_point, 1e-6 * np.eye(2)[None])
     z = np.array(((10.0, 0.01 * (nearer - 0.5)),))
     seen = MeasuredAttributes(np.array(((np.nan, value),)), np.full((1, 2), SIGMA_COLOUR**2))
-    return state, Sightings(z, np.diag((0.05**2, 0.005**2))[None], np.array((-1,)), attributes=seen)
+    return state, Measurements(
+        z, np.diag((0.05**2, 0.005**2))[None], np.array((-1,)), attributes=seen
+    )
 
 
 @pytest.mark.parametrize("rule", RULES)
@@ -110,7 +113,7 @@ def test_what_a_sighting_shows_scatters_as_it_is_said_to(kind: type[Painted], ho
     value[:, 1] += rng.normal(0.0, SIGMA_COLOUR, trials)
     seen = MeasuredAttributes(value, np.full((trials, 2), SIGMA_COLOUR**2))
     z, noise = np.zeros((trials, 2)), np.tile(np.eye(2), (trials, 1, 1))
-    many = Sightings(z, noise, np.full(trials, -1), attributes=seen)
+    many = Measurements(z, noise, np.full(trials, -1), attributes=seen)
     total = float(told.distances(np.zeros(1, dtype=np.intp), many).nis.sum())
     low, high = chi2.ppf((0.0005, 0.9995), trials)
     assert (low < total < high) == holds
@@ -149,7 +152,7 @@ def test_the_layer_holds_the_poles_colours_while_the_filter_drives() -> None:
 
 
 def _wrong(slot: np.ndarray, label: np.ndarray) -> int:
-    """Sightings that are unused, or not given to the landmark most of their label are."""
+    """Measurements that are unused, or not given to the landmark most of their label are."""
     wrong = int((slot < 0).sum())
     for one in np.unique(label[slot >= 0]):
         used = slot[(label == one) & (slot >= 0)]

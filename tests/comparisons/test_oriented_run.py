@@ -32,9 +32,9 @@ from comparisons.extensions.own_association.extension import OwnAssociationFindi
 from comparisons.pipeline.compare import Modified
 from ekf_reference.core.ekf import NEW, Ekf
 from ekf_reference.core.geometry import Index
+from ekf_reference.core.landmark_types import POSE, PredictedMeasurements
 from ekf_reference.core.state import Correction, KalmanState
 from ekf_reference.filters.compressed import CompressedState, LocalAreas
-from ekf_reference.models.range_bearing import PredictedMeasurements
 from ekf_reference.models.relative_pose import RelativePose
 from graphslam.smoother import SmootherOptions
 from tests.ekf_reference.both_kinds import relative
@@ -74,7 +74,7 @@ class Frames:
             if self.by_ledger:
                 slot = ledger.observe(ekf, epoch, z, r, slot)
             else:
-                slot = ekf.observe_oriented(z, r, slot)
+                slot = ekf.observe_known(z, r, slot)
             self.slot.update(zip(which, slot.tolist(), strict=True))
         if epoch == FUSE_AT:
             z = self.measured(self.frames[0], self.frames[1])
@@ -130,7 +130,7 @@ class Flipped(RelativePose):
 
 def test_a_flipped_jacobian_is_a_model_gap_and_named() -> None:
     def plant(ekf: Ekf) -> None:
-        ekf.oriented_observation = Flipped()
+        ekf.models[POSE] = Flipped()
 
     broken = compared(log(), Modified(plant), Source(Frames), filter="full", association="known")
     causes = broken.verdict.causes

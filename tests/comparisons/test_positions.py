@@ -18,7 +18,8 @@ from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log, Positions
 from comparisons.pipeline.compare import Modified
 from ekf_reference.core.ekf import Ekf
-from ekf_reference.core.measurement_update import Steps
+from ekf_reference.core.landmark_types import POINT
+from ekf_reference.core.measurement_update import UpdateSplitter
 from graphslam.graph_builder import position_factor
 from tests.helpers import Array, central_difference, compared, relative_error, simulated
 
@@ -67,11 +68,11 @@ def test_split_updates_are_replayed_part_by_part() -> None:
     log = with_fixes(simulated(seed=3, loop_s=30.0), (0.0, 0.0))
 
     def gradual(ekf: Ekf) -> None:
-        ekf.steps = Steps(largest_turn_rad=np.deg2rad(0.2), largest_move_m=0.05)
-        ekf.fixes = replace(ekf.fixes, steps=ekf.steps)
+        ekf.splitter = UpdateSplitter(largest_turn_rad=np.deg2rad(0.2), largest_move_m=0.05)
+        ekf.fixes = replace(ekf.fixes, steps=ekf.splitter)
 
     c = compared(log, Modified(gradual), association="known", gps="on")
-    assert (c.ekf.trace.updates.weight < 1.0).any()
+    assert (c.ekf.trace.measurements[POINT].weight < 1.0).any()
     assert (c.ekf.trace.positions.weight < 1.0).any()
     assert c.agreement.algebra.within(1e-8)
     assert c.agreement.model.within(1e-8)

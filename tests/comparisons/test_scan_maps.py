@@ -17,7 +17,7 @@ from comparisons.pipeline.dense_map import DenseMapping, map_log
 from comparisons.pipeline.prepare import prepare
 from comparisons.report.dense_map import build_map_result, regions_csv
 from comparisons.settings import run_config
-from ekf_reference.core.layout import POINT, POSE
+from ekf_reference.core.landmark_types import POINT, POSE
 from tests.helpers import compared
 from tests.scenarios import scenario
 

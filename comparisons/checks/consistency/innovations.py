@@ -20,6 +20,7 @@ from scipy.stats import chi2
 
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.checks.consistency.normalised import Band, faults, mean_band
+from ekf_reference.core.landmark_types import POINT
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -98,10 +99,10 @@ def check_innovations(run: EkfRun) -> tuple[SensorInnovations, ...]:
     alone. A sighting that began its landmark predicts nothing.
     """
     time_s = run.timeline.epoch_time_s
-    u, fixes = run.trace.updates, run.trace.positions
-    begun = run.trace.augmentations.sighting
-    first = np.sort(np.unique(u.sighting, return_index=True)[1])
-    rows = first[~np.isin(u.sighting[first], begun)]
+    u, fixes = run.trace.measurements[POINT], run.trace.positions
+    begun = run.trace.initialisations[POINT].number
+    first = np.sort(np.unique(u.number, return_index=True)[1])
+    rows = first[~np.isin(u.number[first], begun)]
     weight = u.weight[rows]
     alone, bad = whiten(
         u.innovation[rows], u.spread[rows] + (weight[:, None, None] - 1.0) * u.noise[rows]
@@ -109,7 +110,7 @@ def check_innovations(run: EkfRun) -> tuple[SensorInnovations, ...]:
     split = (weight < 1.0)[:, None]
     kept = ~(split[:, 0] & bad)
     standard = np.where(split, alone, u.whitened[rows])[kept]
-    seen = u.sighting[rows][kept]
+    seen = u.number[rows][kept]
     names = ("forward", "left") if run.own_axes else ("range", "bearing")
     epoch = run.timeline.sighting_epoch[seen]
     slot = u.slot[rows][kept]

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ekf_reference.core.ekf import Ekf
-from ekf_reference.core.layout import POINT
+from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.state import Correction, KalmanState
+from ekf_reference.filters.compressed import CompressedState
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -85,13 +86,13 @@ class WatchedState:
         return done
 
     def augment(
-        self, point: Array, jacobian_pose: Array, jacobian_sighting: Array, noise: Array
+        self, landmark: Array, jacobian_pose: Array, jacobian_z: Array, noise: Array
     ) -> None:
         """Append landmarks, twice."""
         sound = self._copy()
         v, n = len(sound.pose), len(sound.mean)
-        sound.augment(point, jacobian_pose, jacobian_sighting, noise)
-        self._state.augment(point, jacobian_pose, jacobian_sighting, noise)
+        sound.augment(landmark, jacobian_pose, jacobian_z, noise)
+        self._state.augment(landmark, jacobian_pose, jacobian_z, noise)
         self._compare("the augmentation", sound, v, n)
 
     def remove(self, slot: Index, width: int = POINT) -> None:
@@ -167,11 +168,11 @@ def watch(ekf: Ekf, tolerance: float, pose: Array, covariance: Array) -> Watched
     pose: (p,). covariance: (p, p), the recorded prior, that it should start from. None for states
     that do not lie open, or keep the pose in other figures than the trace and do more than this.
     """
-    if not isinstance(ekf.state, KalmanState) or len(ekf.state.pose) != len(pose):
+    if isinstance(ekf.state, CompressedState) or len(ekf.state.pose) != len(pose):
         return None
     watched = WatchedState(ekf.state, tolerance)
     watched.starts(KalmanState(pose, covariance))
-    ekf.state = watched
+    ekf.state = cast(KalmanState, watched)  # it is one, by delegation
     return watched
 
 

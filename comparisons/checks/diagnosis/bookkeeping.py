@@ -15,7 +15,8 @@ from comparisons.adapters.ekf_run import EkfRun
 from comparisons.checks.misfit import squared_misfit
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
-from ekf_reference.association.nearest_neighbour import REJECTED
+from ekf_reference.core.landmark_types import POINT
+from ekf_reference.core.measurements import REJECTED
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -40,10 +41,10 @@ class Misuse:
 def misuses(log: Log, run: EkfRun, smoothed: Estimate, *, labelled: bool) -> tuple[Misuse, ...]:
     """All that is found. labelled: the filter was to go by the log's labels."""
     trace, timeline = run.trace, run.timeline
-    uses = (trace.updates, trace.augmentations)
+    uses = (trace.measurements[POINT], trace.initialisations[POINT])
     number, step, weight = (
         np.concatenate([getattr(use, name) for use in uses])
-        for name in ("sighting", "step", "weight")
+        for name in ("number", "step", "weight")
     )
     seen = number >= 0
     fixes = trace.positions

@@ -64,8 +64,8 @@ def find_dropouts(run: EkfRun, smoothed: Estimate) -> Dropouts:
     """Stretches without sightings or positions used. smoothed: S, at the same epochs."""
     time_s, until = run.estimate.time_s, run.timeline.steps_until()
     trace = run.trace
-    used = [r.step for r in (trace.updates, trace.augmentations, trace.positions)]
-    used += [r.step for r in (trace.oriented_updates, trace.oriented_augmentations)]
+    records = *trace.measurements.values(), *trace.initialisations.values(), trace.positions
+    used = [r.step for r in records]
     seen = np.searchsorted(until, np.concatenate(used))
     marks = np.unique(np.concatenate(([0], seen, [len(time_s) - 1])))
     interval = np.diff(time_s[marks])

@@ -17,7 +17,8 @@ from comparisons.adapters.ekf_run import EkfRun
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
 from ekf_reference.core.geometry import wrap_angle
-from ekf_reference.core.trace import SightingRecords
+from ekf_reference.core.landmark_types import POINT
+from ekf_reference.core.trace import MeasurementRecords
 from ekf_reference.models.motion import AckermannModel, MotionModel, MotionStep
 
 Array = NDArray[np.float64]
@@ -232,7 +233,7 @@ def _step_noise(log: Log, run: EkfRun, rows: Index, b: Array) -> Iterator[str]:
             return
 
 
-def _rays(r: SightingRecords) -> tuple[Array, Array, Array]:
+def _rays(r: MeasurementRecords) -> tuple[Array, Array, Array]:
     """Expected sightings (N, 2), H_v (N, 2, 3) and H_l (N, 2, 2) of poses and landmarks."""
     dx, dy = (r.landmark - r.pose[:, :2]).T
     q = dx * dx + dy * dy
@@ -246,15 +247,15 @@ def _rays(r: SightingRecords) -> tuple[Array, Array, Array]:
     return z, by_pose, by_landmark
 
 
-def _measured(log: Log, r: SightingRecords) -> tuple[Array, Array]:
+def _measured(log: Log, r: MeasurementRecords) -> tuple[Array, Array]:
     seen = log.sightings
     z = np.column_stack((seen.range_m, seen.bearing_rad))
     sigma = np.column_stack((seen.sigma_range_m, seen.sigma_bearing_rad))
-    return z[r.sighting], sigma[r.sighting]
+    return z[r.number], sigma[r.number]
 
 
 def _updates(log: Log, run: EkfRun) -> Iterator[str]:
-    r = run.trace.updates
+    r = run.trace.measurements[POINT]
     if not len(r.step):
         return
     z, sigma = _measured(log, r)
@@ -281,7 +282,7 @@ def _updates(log: Log, run: EkfRun) -> Iterator[str]:
 
 
 def _jacobians(
-    r: SightingRecords, run: EkfRun, by_pose: Array, by_landmark: Array
+    r: MeasurementRecords, run: EkfRun, by_pose: Array, by_landmark: Array
 ) -> Iterator[str]:
     have = np.concatenate((r.jacobian_pose, r.jacobian_other), axis=2)
     want = np.concatenate((by_pose, by_landmark), axis=2)
@@ -343,8 +344,8 @@ def _diagonal(variance: Array) -> Array:
 
 
 def _beginnings(log: Log, run: EkfRun) -> Iterator[str]:
-    r = run.trace.augmentations
-    r = r.rows(np.flatnonzero((r.sighting >= 0) & (r.weight > 0.0)))
+    r = run.trace.initialisations[POINT]
+    r = r.rows(np.flatnonzero((r.number >= 0) & (r.weight > 0.0)))
     if not len(r.step):
         return
     z, sigma = _measured(log, r)
@@ -353,7 +354,7 @@ def _beginnings(log: Log, run: EkfRun) -> Iterator[str]:
     point = r.pose[:, :2] + ray
     off = np.abs(r.landmark - point).max(axis=1) > _EQUAL
     if off.any():
-        updates = run.trace.updates
+        updates = run.trace.measurements[POINT]
         before = {int(step): pose for step, pose in zip(updates.step[::-1], updates.pose[::-1],
                                                         strict=True)}  # fmt: skip
         pose = np.array([before.get(int(step), own) for step, own in zip(r.step, r.pose,
@@ -372,7 +373,7 @@ def _beginnings(log: Log, run: EkfRun) -> Iterator[str]:
     own = np.broadcast_to(np.eye(2), r.jacobian_other.shape)
     if _equal(r.jacobian_other, own):
         yield "G_z is the identity: R is not rotated when a landmark begins"
-    if not len(run.trace.updates.step):
+    if not len(run.trace.measurements[POINT].step):
         yield from _sighting_noise("R", r.noise, sigma)
 
 

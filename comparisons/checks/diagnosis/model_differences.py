@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ekf_reference.filters.direction_cosine import along_circle
+from ekf_reference.filters.misono import along_circle
 from graphslam.linear_problem import (
     LinearMotion,
     LinearPositions,

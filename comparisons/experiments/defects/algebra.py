@@ -12,27 +12,23 @@ from ekf_reference.core.state import Correction, KalmanState
 class NoCrossAtAugmentation(KalmanState):
     """New landmarks know the vehicle but not the map."""
 
-    def augment(
-        self, point: Array, jacobian_pose: Array, jacobian_sighting: Array, noise: Array
-    ) -> None:
+    def augment(self, point: Array, jacobian_pose: Array, jacobian_z: Array, noise: Array) -> None:
         """Append, then forget."""
-        n = self._size
-        super().augment(point, jacobian_pose, jacobian_sighting, noise)
-        self._covariance[3:n, n : self._size] = 0.0
-        self._covariance[n : self._size, 3:n] = 0.0
+        n = self._layout.size
+        super().augment(point, jacobian_pose, jacobian_z, noise)
+        self._covariance[3:n, n : self._layout.size] = 0.0
+        self._covariance[n : self._layout.size, 3:n] = 0.0
 
 
 class NoVehicleAtAugmentation(KalmanState):
     """New landmarks know the map but not the vehicle."""
 
-    def augment(
-        self, point: Array, jacobian_pose: Array, jacobian_sighting: Array, noise: Array
-    ) -> None:
+    def augment(self, point: Array, jacobian_pose: Array, jacobian_z: Array, noise: Array) -> None:
         """Append, then forget."""
-        n = self._size
-        super().augment(point, jacobian_pose, jacobian_sighting, noise)
-        self._covariance[:3, n : self._size] = 0.0
-        self._covariance[n : self._size, :3] = 0.0
+        n = self._layout.size
+        super().augment(point, jacobian_pose, jacobian_z, noise)
+        self._covariance[:3, n : self._layout.size] = 0.0
+        self._covariance[n : self._layout.size, :3] = 0.0
 
 
 class NoCrossAtPrediction(KalmanState):
@@ -40,7 +36,7 @@ class NoCrossAtPrediction(KalmanState):
 
     def predict(self, pose: Array, jacobian_pose: Array, noise: Array) -> None:
         """Move, then put the old cross-covariance back."""
-        n = self._size
+        n = self._layout.size
         cross = self._covariance[:3, 3:n].copy()
         super().predict(pose, jacobian_pose, noise)
         self._covariance[:3, 3:n] = cross
@@ -60,7 +56,7 @@ class OneSidedPrediction(KalmanState):
 
     def predict(self, pose: Array, jacobian_pose: Array, noise: Array) -> None:
         """Move, then put the lower block back."""
-        n = self._size
+        n = self._layout.size
         lower = self._covariance[3:n, :3].copy()
         super().predict(pose, jacobian_pose, noise)
         self._covariance[3:n, :3] = lower
@@ -73,7 +69,7 @@ class GainNotTransposed(KalmanState):
         self, columns: Index, jacobian: Array, innovation: Array, noise: Array
     ) -> Correction:
         """The mean as it should be, the covariance not."""
-        n = self._size
+        n = self._layout.size
         p = self._covariance[:n, :n].copy()
         h = np.zeros((len(jacobian), n))
         np.add.at(h.T, columns, jacobian.T)
@@ -92,7 +88,7 @@ class NoCrossAtUpdate(KalmanState):
         self, columns: Index, jacobian: Array, innovation: Array, noise: Array
     ) -> Correction:
         """Update, then put the old cross-covariance back."""
-        n = self._size
+        n = self._layout.size
         cross = self._covariance[:3, 3:n].copy()
         done = super().update(columns, jacobian, innovation, noise)
         self._covariance[:3, 3:n] = cross
@@ -108,9 +104,10 @@ class IndependentLandmarks(KalmanState):
     ) -> Correction:
         """Update, then forget what ties landmarks together."""
         done = super().update(columns, jacobian, innovation, noise)
-        for own in self._layout.blocks():
-            self._covariance[own, 3 : own.start] = 0.0
-            self._covariance[3 : own.start, own] = 0.0
+        for width, first in self._layout.first.items():
+            for at in first.tolist():
+                self._covariance[at : at + width, 3:at] = 0.0
+                self._covariance[3:at, at : at + width] = 0.0
         return done
 
 
@@ -121,7 +118,7 @@ class OnlySeenUpdated(KalmanState):
         self, columns: Index, jacobian: Array, innovation: Array, noise: Array
     ) -> Correction:
         """Update, then put the rest of the mean back."""
-        n = self._size
+        n = self._layout.size
         before = self._mean[:n].copy()
         done = super().update(columns, jacobian, innovation, noise)
         unseen = np.setdiff1d(np.arange(n), columns)

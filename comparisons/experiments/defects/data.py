@@ -14,12 +14,13 @@ from comparisons.experiments.defects.defect import (
     with_motion,
     with_steps,
 )
-from ekf_reference.association.nearest_neighbour import REJECTED, KnownAssociation, MappedState
+from ekf_reference.association.known import KnownAssociation
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import Index
-from ekf_reference.core.measurements import NOT_MEASURED, MeasuredAttributes, Sightings
+from ekf_reference.core.landmark_types import POINT, MeasurementModel
+from ekf_reference.core.measurements import NOT_MEASURED, REJECTED, MeasuredAttributes, Measurements
+from ekf_reference.core.state import KalmanState
 from ekf_reference.models.motion import MotionStep
-from ekf_reference.models.range_bearing import Observation
 
 _GATE_SIGMA = 2.0
 
@@ -64,7 +65,7 @@ class AppliedHalf(OtherMotion):
 
 
 class OneScanLate(Ekf):
-    """Sightings wait for the next scan's time."""
+    """Measurements wait for the next scan's time."""
 
     _waiting: tuple[Array, Array, NDArray[np.int64], float, MeasuredAttributes] | None = None
 
@@ -84,7 +85,7 @@ class OneScanLate(Ekf):
 
 
 class OneStepLate(Ekf):
-    """Sightings are fused after the next prediction."""
+    """Measurements are fused after the next prediction."""
 
     _waiting: tuple[Array, Array, NDArray[np.int64], float, MeasuredAttributes] | None = None
 
@@ -114,7 +115,7 @@ class FixedTwice(Ekf):
     def fix_position(self, z: Array, covariance: Array) -> bool:
         """Once, and again."""
         used = super().fix_position(z, covariance)
-        self._fixes_seen -= 1
+        self.take_numbers("position", -1)
         return super().fix_position(z, covariance) and used
 
 
@@ -131,7 +132,7 @@ class SeenTwice(Ekf):
     ) -> Index:
         """Once, and again."""
         slots = super().observe(z, sigma, identity, time_s, attributes)
-        self._sightings_seen -= len(slots)
+        self.take_numbers(POINT, -len(slots))
         super().observe(z, sigma, identity, time_s, attributes)
         return slots
 
@@ -142,7 +143,9 @@ class BegunAnew(KnownAssociation):
 
     last_seen_s: dict[int, float] = field(default_factory=dict)
 
-    def assign(self, state: MappedState, observation: Observation, sightings: Sightings) -> Index:
+    def assign(
+        self, state: KalmanState, observation: MeasurementModel, sightings: Measurements
+    ) -> Index:
         """New slots for labels unseen for 5 s."""
         for label in sightings.identity.tolist():
             if sightings.time_s - self.last_seen_s.get(label, sightings.time_s) > 5.0:
@@ -164,7 +167,9 @@ class SwappedLabels(KnownAssociation):
 
     scans: int = 0
 
-    def assign(self, state: MappedState, observation: Observation, sightings: Sightings) -> Index:
+    def assign(
+        self, state: KalmanState, observation: MeasurementModel, sightings: Measurements
+    ) -> Index:
         """Exchange, where both landmarks are known."""
         slots = super().assign(state, observation, sightings)
         self.scans += 1

@@ -9,14 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.landmark_types import (
+    POINT,
+    MeasurementModel,
+    NewLandmarks,
+    PredictedMeasurements,
+)
 from ekf_reference.core.state import KalmanState
 from ekf_reference.models.motion import MotionModel, MotionStep
-from ekf_reference.models.range_bearing import (
-    NewLandmarks,
-    Observation,
-    PredictedMeasurements,
-    RangeBearing,
-)
+from ekf_reference.models.range_bearing import RangeBearing
 
 Array = NDArray[np.float64]
 Plant = Callable[[Ekf], None]
@@ -85,11 +86,11 @@ def with_state(state: type[KalmanState]) -> Plant:
     return plant
 
 
-def with_observation(observation: Callable[[], Observation]) -> Plant:
+def with_observation(observation: Callable[[], MeasurementModel]) -> Plant:
     """Another observation model, new for every filter."""
 
     def plant(ekf: Ekf) -> None:
-        ekf.observation = observation()
+        ekf.models[POINT] = observation()
 
     return plant
 

@@ -15,9 +15,10 @@ from comparisons.experiments.defects.defect import (
     with_observation,
 )
 from ekf_reference.core.ekf import Ekf
-from ekf_reference.core.measurement_update import PositionModel
+from ekf_reference.core.landmark_types import NewLandmarks, PredictedMeasurements
 from ekf_reference.models.motion import AckermannModel, MotionModel, MotionStep
-from ekf_reference.models.range_bearing import NewLandmarks, PredictedMeasurements, RangeBearing
+from ekf_reference.models.position import PositionModel
+from ekf_reference.models.range_bearing import RangeBearing
 
 _DRIFT_RADPS = 0.01
 
@@ -77,8 +78,8 @@ class NoiseNotTurned(RangeBearing):
     def invert(self, pose: Array, z: Array) -> NewLandmarks:
         """G_z is the identity."""
         new = super().invert(pose, z)
-        own = np.broadcast_to(np.eye(2), new.jacobian_sighting.shape)
-        return NewLandmarks(new.point, new.jacobian_pose, own)
+        own = np.broadcast_to(np.eye(2), new.jacobian_z.shape)
+        return NewLandmarks(new.landmark, new.jacobian_pose, own)
 
 
 class NoHeadingAtAugmentation(RangeBearing):

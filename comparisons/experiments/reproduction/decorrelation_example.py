@@ -11,8 +11,8 @@ import numpy as np
 from comparisons.errors import InputError
 from comparisons.experiments.reproduction.watched_run import watched_run
 from comparisons.logs.log import Log
+from ekf_reference.core.blocks import point_columns
 from ekf_reference.core.geometry import Array
-from ekf_reference.core.state import state_columns
 from ekf_reference.dense.decorrelation import (
     Correlations,
     Displacements,
@@ -44,7 +44,7 @@ class Snapshot:
 
     def among(self, *slot: int) -> Array:
         """(2 k, 2 k) covariance of k landmarks, in this order."""
-        columns = state_columns(np.array(slot))[3:]
+        columns = point_columns(np.array(slot))[3:]
         return self.covariance[np.ix_(columns, columns)]
 
 
@@ -106,5 +106,4 @@ def fused_until(log: Log, cast: Cast) -> Iterator[Snapshot]:
     keep = (sightings.landmark != label) | (sightings.time_s <= cast.fused_s)
     for time, ekf in watched_run(replace(log, sightings=sightings.chosen(keep))):
         if time >= cast.fused_s:
-            everything = ekf.state.snapshot()
-            yield Snapshot(time, everything.landmark.copy(), everything.covariance.copy())
+            yield Snapshot(time, ekf.state.landmarks, ekf.state.covariance.copy())

@@ -26,7 +26,7 @@ from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.simulate.drive import Drive, simulate
 from ekf_reference.core.ekf import Ekf
-from ekf_reference.core.trace import NullTrace, RecordedTrace, Trace
+from ekf_reference.core.trace import RecordedTrace, Trace
 
 ALONE_S, AFTER_S = 200.0, 30.0
 """How long the filter goes without positions (Fig. 9), and how long it is watched with them."""
@@ -129,7 +129,7 @@ def aid(log: Log, filter_name: str = "full") -> Aided:
     alone_s, alone = zip(
         *(
             (time_s, float(np.sqrt(np.trace(ekf.state.pose_covariance[:2, :2]))))
-            for time_s, ekf, _ in _epochs(log, choices, none, NullTrace())
+            for time_s, ekf, _ in _epochs(log, choices, none, Trace())
         ),
         strict=True,
     )

@@ -22,7 +22,7 @@ from comparisons.report.figures.style import (
     draw_reference,
     draw_trajectory,
 )
-from ekf_reference.core.measurement_update import PositionFixes
+from ekf_reference.models.position import PositionFixes
 
 _EARLY_S = 20.0
 _COLOURS = (SMOOTHER_COLOUR, SCANS_COLOUR, TRUTH_COLOUR)
@@ -97,7 +97,7 @@ def claims_9(found: Aided) -> list[Claim]:
         at_most(
             "it is taken in by updates small enough for their Jacobians (largest move by one)",
             float(moves.max()),
-            PositionFixes().steps.largest_move_m,
+            PositionFixes().splitter.largest_move_m,
             "m",
         ),
         at_most(

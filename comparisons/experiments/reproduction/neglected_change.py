@@ -18,6 +18,7 @@ from comparisons.errors import InputError
 from comparisons.experiments.reproduction.watched_run import truth_in_order, watched_run
 from comparisons.logs.log import Log
 from ekf_reference.core.geometry import wrap_angle
+from ekf_reference.core.landmark_types import POINT
 from ekf_reference.dense.conditions import Conditions
 from ekf_reference.dense.neglected import NeglectedCorrelation
 from ekf_reference.dense.passive_states import PassiveStates, local_coordinates, points
@@ -130,7 +131,7 @@ def neglected_change(
         look = Look(time, region, exact + sigma * rng.standard_normal(exact.shape))
         base = regions.base[region]
         each = np.broadcast_to(noise, (len(base), 2, 2))
-        seen = points(ekf.observation, view.pose, look.z, each)
+        seen = points(ekf.models[POINT], view.pose, look.z, each)
         passive.watch(local_coordinates(seen, base, view.landmark))
         layer.note(view, regions.base, region, seen.value)
         looks.append(look)

@@ -27,7 +27,7 @@ from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.scan_drive import occupancy
 from comparisons.pipeline.dense_map import DenseMapping, map_log
-from ekf_reference.core.trace import NullTrace
+from ekf_reference.core.trace import Trace
 from ekf_reference.dense.layers.classic_grid import ClassicGrid
 from ekf_reference.dense.layers.gaussians import Ellipses, Gaussians
 from ekf_reference.dense.layers.layer import Samples
@@ -168,7 +168,7 @@ def rounds(sources: Sources) -> Rounds:
     classic = ClassicGrid(config.resolution_m, GRID_MODEL)
     watcher = DenseWatcher(log, config)
     watcher.feed(classic)
-    ekf = build_ekf(log, settle(EkfConfig(), log), NullTrace())
+    ekf = build_ekf(log, settle(EkfConfig(), log), Trace())
     loop_s, due, each = occupancy().drive.loop_s, list(ROUNDS), list[Round]()
     for stop in drive(ekf, log, build_timeline(log), beside=Beside(watching=watcher)):
         if due and stop.time_s >= due[0] * loop_s:

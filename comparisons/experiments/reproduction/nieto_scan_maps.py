@@ -160,14 +160,14 @@ def _true_places(one: ScanMap) -> list[Array]:
     """(3,) of each landmark's axis: where the true vehicle saw its template."""
     measured = one.mapping.ekf.oriented.measured
     return [
-        _SIGHTED.invert(_born_at(one, slot), measured[[_first_sighting(one, slot)]]).point[0]
+        _SIGHTED.invert(_born_at(one, slot), measured[[_first_sighting(one, slot)]]).landmark[0]
         for slot in range(one.mapping.ekf.oriented.count)
     ]
 
 
 def _composed(vehicle: Array, mount: Array) -> Array:
     """(N, 3) of a scanner on vehicles (N, 3)."""
-    return np.array([_SIGHTED.invert(pose, mount[None]).point[0] for pose in vehicle])
+    return np.array([_SIGHTED.invert(pose, mount[None]).landmark[0] for pose in vehicle])
 
 
 def _shown(one: ScanMap) -> Surrounded:

@@ -33,7 +33,7 @@ from comparisons.logs.simulate.scan_drive import scan_slam, simulate
 from comparisons.pipeline.compare import run_filter
 from comparisons.pipeline.prepare import Prepared, prepare
 from ekf_reference.core.ekf import Ekf
-from ekf_reference.core.layout import POSE
+from ekf_reference.core.landmark_types import POSE
 from ekf_reference.scan_landmarks.scan_slam import ScanLandmarks
 from graphslam.increments import dead_reckoned
 from graphslam.scan import planar
@@ -153,7 +153,7 @@ class _Remembering:
     def look(self, ekf: Ekf, epoch: int, time_s: float, ledger: OrientedLedger) -> None:
         """See ScanSlamSource.look."""
         slots = ekf.state.layout.present(POSE)
-        before, known = np.full((len(ekf.state.oriented), 3, 3), np.nan), self.slam.closing
+        before, known = np.full((len(ekf.state.places(POSE)), 3, 3), np.nan), self.slam.closing
         if len(slots):
             before[slots] = ekf.state.map_of(slots, POSE).own
         self.slam.look(ekf, epoch, time_s, ledger)

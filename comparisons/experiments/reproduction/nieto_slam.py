@@ -17,8 +17,8 @@ from comparisons.experiments.reproduction.watched_run import truth_in_order, wat
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.simulate.drive import Drive
-from ekf_reference.core.correlation import correlation_coefficients
 from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.state import correlation_coefficients
 
 LOOPS = 3
 """The thesis goes round "several times"."""

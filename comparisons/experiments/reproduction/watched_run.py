@@ -12,7 +12,7 @@ from comparisons.errors import InputError
 from comparisons.logs.log import Array, Log, Poses, Positions
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.state import FilterDivergedError
-from ekf_reference.core.trace import NullTrace, Trace
+from ekf_reference.core.trace import Trace
 
 
 def watched_run(
@@ -27,7 +27,7 @@ def watched_run(
     choices: the full filter by default. predicted: shown the filter before it fuses. positions:
     to be fused. Surveyed landmarks are not used. Raises FilterDivergedError.
     """
-    ekf = build_ekf(log, settle(choices or EkfConfig(), log), trace or NullTrace())
+    ekf = build_ekf(log, settle(choices or EkfConfig(), log), trace or Trace())
     beside = Beside(watching=_Shown(predicted))
     for stop in drive(ekf, log, build_timeline(log, positions), positions, beside):
         if stop.fault is not None:

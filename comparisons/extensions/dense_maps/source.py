@@ -20,8 +20,7 @@ from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
 from ekf_reference.core.ekf import Ekf
-from ekf_reference.core.layout import POINT, POSE
-from ekf_reference.core.local_map import by_number
+from ekf_reference.core.landmark_types import POINT, POSE
 from ekf_reference.dense.conditions import Conditions
 from ekf_reference.dense.dense_map import DenseMap
 from ekf_reference.dense.dynamic import Counters, DynamicLayer
@@ -34,7 +33,7 @@ from ekf_reference.dense.layers.values import PlaceValues, Values
 from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.sensor_model import InverseSensorModel
-from ekf_reference.dense.view import FilterView
+from ekf_reference.dense.view import FilterView, by_number
 from ekf_reference.dense.waiting import WaitingRoom
 
 GRID_MODEL = InverseSensorModel(p_occupied=0.65, p_free=0.45)
@@ -99,7 +98,7 @@ class DenseRun:
     """A dense map and how it came about.
 
     kinds: of landmarks that its regions hang on, by width; places in the map are numbers as of
-    Layout.numbered. scan_time_s: (N,) of all scans taken in, scan_pose: (N, 3) the filter's vehicle
+    dense.view.numbered. scan_time_s: (N,) of all scans taken in, scan_pose: (N, 3) the filter's vehicle
     then. scans: the log's. landmark: (L, 2) where the filter has them in the end. seconds: spent
     on regions and on scans.
     """
@@ -221,8 +220,7 @@ class DenseWatcher:
         """Take in what was scanned at the very end."""
         while self._due(time_s + CLOCK_S):
             self._insert(FilterView.of(ekf, self._kinds))
-        whole = {POINT: ekf.state.landmarks, POSE: ekf.state.oriented}
-        landmark = by_number([whole[width] for width in self._kinds])
+        landmark = by_number([ekf.state.places(width) for width in self._kinds])
         self._dense.place(replace(FilterView.of(ekf, self._kinds), landmark=landmark))
 
     def is_dynamic(self, point: Array) -> NDArray[np.bool_]:

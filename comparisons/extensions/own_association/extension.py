@@ -25,7 +25,7 @@ from comparisons.report.model import Model
 from comparisons.report.models import AccuracyResult, AssociationResult
 from comparisons.report.rows import accuracy_rows, association_rows
 from comparisons.report.sections import accuracy_result, association_result
-from ekf_reference.association.nearest_neighbour import DYNAMIC
+from ekf_reference.core.measurements import DYNAMIC
 from graphslam.smoother import smooth
 
 

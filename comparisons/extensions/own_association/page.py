@@ -7,7 +7,7 @@ from comparisons.extensions.own_association.check import OwnAssociationCheck
 from comparisons.report.figures.style import EKF_COLOUR, SMOOTHER_COLOUR
 from comparisons.report.html.drawing import MOST_LINES, Drawing, association_lines
 from comparisons.report.html.shell import number, sortable
-from ekf_reference.association.nearest_neighbour import AMBIGUOUS, CANDIDATE, DYNAMIC, REJECTED
+from ekf_reference.core.measurements import AMBIGUOUS, CANDIDATE, DYNAMIC, REJECTED
 
 _MOST_ROWS = 200
 _UNUSED = {

@@ -20,9 +20,8 @@ from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
 from ekf_reference.association.dynamic_rejection import DynamicGuard
 from ekf_reference.core.ekf import Ekf
-from ekf_reference.core.layout import POINT, POSE
-from ekf_reference.core.local_map import LocalMap
-from ekf_reference.core.state import FilterDivergedError
+from ekf_reference.core.landmark_types import POINT, POSE
+from ekf_reference.core.state import FilterDivergedError, LocalMap
 from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.surroundings import Surroundings
 from ekf_reference.scan_landmarks.merging import FusingOptions, Twins
@@ -209,12 +208,12 @@ class ScanSlamSource:
         if self._next < len(times) and times[self._next] == time_s:
             if not np.isfinite(ekf.state.pose_covariance).all():
                 raise FilterDivergedError("the pose's covariance is not finite")
-            before = ekf.state.oriented.copy()
+            before = ekf.state.places(POSE).copy()
             telling = _Telling(ledger, ekf, epoch)
             self._slam.step(ekf, self._scan(ekf), telling)
             if self._twins is not None:
                 self._twins.step(ekf, telling)
-            self._note(time_s, before, ekf.state.oriented[: len(before)].copy())
+            self._note(time_s, before, ekf.state.places(POSE)[: len(before)].copy())
             self._next += 1
 
     def _note(self, time_s: float, before: Array, after: Array) -> None:

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.figures.style import draw_correlation, estimates_figure
 from comparisons.report.picture import blank
-from ekf_reference.core.correlation import correlation_coefficients
+from ekf_reference.core.state import correlation_coefficients
 
 
 def map_figure(comparison: Comparison) -> Figure:

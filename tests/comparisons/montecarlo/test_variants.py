@@ -21,10 +21,11 @@ from comparisons.experiments.variants.linearisation import (
     SightPoints,
     StepPoints,
 )
-from ekf_reference.association.nearest_neighbour import KnownAssociation
+from ekf_reference.association.known import KnownAssociation
 from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.landmark_types import NewLandmarks, PredictedMeasurements
 from ekf_reference.models.motion import UnicycleModel
-from ekf_reference.models.range_bearing import NewLandmarks, PredictedMeasurements, RangeBearing
+from ekf_reference.models.range_bearing import RangeBearing
 from tests.comparisons.montecarlo.worlds import short_world
 from tests.helpers import Array, central_difference, random_covariance
 

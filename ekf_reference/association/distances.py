@@ -1,0 +1,79 @@
+"""From measurements to landmarks: which are near, how far they are, and who gets which."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ekf_reference.core.geometry import Array, Index, Mask
+from ekf_reference.core.landmark_types import MeasurementModel
+from ekf_reference.core.measurements import AMBIGUOUS, Measurements
+from ekf_reference.core.state import KalmanState, LocalMap
+
+SEARCH_MARGIN_M = 10.0
+SEARCH_SIGMAS = 4.0
+"""Landmarks are sought this much farther than the longest range of a scan, whichever is more:
+metres, or standard deviations of where the vehicle puts the end of that range."""
+
+
+class Distances(NamedTuple):
+    """From m measurements to L landmarks (Nieto 2005, eqs. 2.57, 2.58 and 2.60).
+
+    nis: (m, L) normalised innovation squared. n: (m, L) nis + ln |S|. innovation: (m, L, 2).
+    """
+
+    nis: Array
+    n: Array
+    innovation: Array
+
+
+def landmarks_around(state: KalmanState, model: MeasurementModel, seen: Measurements) -> LocalMap:
+    """Return the landmarks that these measurements could be of."""
+    longest, variance = float(model.range_m(seen.z).max()), state.pose_covariance.diagonal()
+    sigma = math.sqrt(variance[:2].sum()) + longest * math.sqrt(variance[2:].sum())
+    local = state.local_map(longest + max(SEARCH_MARGIN_M, SEARCH_SIGMAS * sigma))
+    closed = np.isin(local.slot, seen.closed)
+    return local.take(np.flatnonzero(~closed)) if closed.any() else local
+
+
+def normalised_distances(local: LocalMap, model: MeasurementModel, seen: Measurements) -> Distances:
+    """Return the distances of all measurements to all landmarks."""
+    predicted = model.predict(local.pose, local.landmark)
+    hv, hl = predicted.jacobian_pose, predicted.jacobian_landmark
+    through_pose = hv @ local.vehicle @ hv.transpose(0, 2, 1)
+    cross = hv @ local.cross @ hl.transpose(0, 2, 1)
+    through_map = hl @ local.own @ hl.transpose(0, 2, 1)
+    spread = through_pose + cross + cross.transpose(0, 2, 1) + through_map  # H P H^T, (L, 2, 2)
+    s = spread[None] + seen.noise[:, None]  # (m, L, 2, 2)
+    nu = model.innovation(seen.z[:, None], predicted.z[None])  # (m, L, 2), 2.57
+    determinant = s[..., 0, 0] * s[..., 1, 1] - s[..., 0, 1] ** 2
+    nis = (
+        s[..., 1, 1] * nu[..., 0] ** 2
+        - 2.0 * s[..., 0, 1] * nu[..., 0] * nu[..., 1]
+        + s[..., 0, 0] * nu[..., 1] ** 2
+    ) / determinant  # 2.58
+    return Distances(nis, nis + np.log(determinant), nu)  # 2.60
+
+
+def match_in_order(cost: Array, allowed: Mask) -> Index:
+    """Return the column of each row (m,), -1 for none: cheapest pairs first, none used twice."""
+    column = np.full(len(cost), -1, dtype=np.intp)
+    rows, columns = np.nonzero(allowed)
+    taken: set[int] = set()
+    for k in np.argsort(cost[rows, columns], kind="stable").tolist():
+        i, j = int(rows[k]), int(columns[k])
+        if column[i] < 0 and j not in taken:
+            column[i] = j
+            taken.add(j)
+    return column
+
+
+def slots_of(column: Index, new: Mask, local_slot: Index, count: int) -> Index:
+    """Return slots (m,) from columns of a local map; new ones from `count`, the rest AMBIGUOUS."""
+    slots = np.full(len(column), AMBIGUOUS, dtype=np.intp)
+    matched = column >= 0
+    slots[matched] = local_slot[column[matched]]
+    slots[new] = count + np.arange(np.count_nonzero(new))
+    return slots

@@ -1,0 +1,49 @@
+"""Absolute positions, such as those of a satellite receiver (Guivant 2002, section 4.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from ekf_reference.core.geometry import Array
+from ekf_reference.core.measurement_update import UpdateSplitter
+
+_PARTS = UpdateSplitter(largest_turn_rad=np.deg2rad(1.0), largest_move_m=1.0)
+
+
+class AbsolutePosition(Protocol):
+    """Contract of all models of an absolute position."""
+
+    def predict(self, pose: Array) -> tuple[Array, Array]:
+        """Return the expected position (2,) and its Jacobian (2, p) by the pose (p,)."""
+        ...
+
+
+@dataclass(frozen=True)
+class PositionModel:
+    """An antenna at `lever_m` (forward, left) of the vehicle's reference point."""
+
+    lever_m: tuple[float, float] = (0.0, 0.0)
+
+    def predict(self, pose: Array) -> tuple[Array, Array]:
+        """Return the expected position (2,) and its Jacobian (2, 3) by the pose (3,)."""
+        forward, left = self.lever_m
+        cos, sin = np.cos(pose[2]), np.sin(pose[2])
+        east, north = cos * forward - sin * left, sin * forward + cos * left
+        jacobian = np.array([[1.0, 0.0, -north], [0.0, 1.0, east]])
+        return pose[:2] + (east, north), jacobian
+
+
+@dataclass(frozen=True)
+class PositionFixes:
+    """How absolute positions are fused.
+
+    gate: normalised innovation squared (2 degrees of freedom) beyond which a fix is rejected; a
+    wrong fix fused in silence is worse than none. splitter: how far one part may move the vehicle.
+    """
+
+    model: AbsolutePosition = PositionModel()
+    gate: float = 13.82  # 99.9 %
+    splitter: UpdateSplitter = _PARTS
