@@ -14,6 +14,10 @@ Index = NDArray[np.intp]
 POSE_KEY = gtsam.symbol("x", 0)
 LANDMARK_KEY = gtsam.symbol("l", 0)
 ORIENTED_KEY = gtsam.symbol("t", 0)
+POINT, POSE_LANDMARK = 2, 3
+"""Kinds of landmarks, by their width: x, y, and x, y, heading."""
+LANDMARK_KEYS = {POINT: LANDMARK_KEY, POSE_LANDMARK: ORIENTED_KEY}
+"""The first key of each kind."""
 KERNELS = ("none", "huber", "cauchy")
 
 

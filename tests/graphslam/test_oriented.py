@@ -9,17 +9,17 @@ import gtsam
 import numpy as np
 import pytest
 
-from comparisons.adapters.recorded import oriented_points, recorded
+from comparisons.adapters.recorded import measurement_points, merge_points, recorded
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.layout import POSE
 from ekf_reference.core.state import KalmanState
 from ekf_reference.core.trace import RecordedTrace, TraceArrays
 from ekf_reference.models.motion import UnicycleModel
 from ekf_reference.models.relative_pose import RelativePose
-from graphslam.frozen_own import FrozenPairs, FrozenPoints, own_problem
 from graphslam.graph_builder import right_perturbation
 from graphslam.linear_problem import LinearProblem, solve
 from graphslam.marginals import Marginal
+from graphslam.model_system import LinearisationPoints, RelationPoints, model_system
 from graphslam.problem import OrientedSightings, SlamProblem, Twins
 from graphslam.smoother import SmootherOptions, smooth
 from tests.ekf_reference.both_kinds import (
@@ -66,7 +66,7 @@ class Chain:
 
     def own(self) -> Marginal:
         """F2."""
-        return self.solve(own_problem(problem_of(self.made), points_of(self.trace, self.ekf)))
+        return self.solve(model_system(problem_of(self.made), points_of(self.trace, self.ekf)))
 
 
 def run(
@@ -118,22 +118,15 @@ def problem_of(made: Made) -> SlamProblem:
     )
 
 
-def points_of(trace: TraceArrays, ekf: Ekf) -> FrozenPoints:
-    uses = trace.updates, trace.augmentations
-    nobody, nothing = np.zeros(0, dtype=np.intp), np.zeros((0, 3))
-    oriented, twins = oriented_points(trace, lambda pose, step: pose)
-    return FrozenPoints(
+def points_of(trace: TraceArrays, ekf: Ekf) -> LinearisationPoints:
+    return LinearisationPoints(
         departed=np.vstack((trace.departed, ekf.state.pose)),
         arrived=np.vstack((trace.prior_pose, trace.arrived)),
-        sighting=np.concatenate([r.sighting for r in uses]),
-        sighting_weight=np.concatenate([r.weight for r in uses]),
-        sighting_pose=np.concatenate([r.pose for r in uses]),
-        sighting_landmark=np.concatenate([r.landmark for r in uses]),
-        position=nobody,
+        measurements=measurement_points(trace, lambda pose, step: pose),
+        merges=merge_points(trace),
+        position=np.zeros(0, dtype=np.intp),
         position_weight=np.zeros(0),
-        position_pose=nothing,
-        oriented=oriented,
-        twins=twins,
+        position_pose=np.zeros((0, 3)),
     )
 
 
@@ -261,7 +254,7 @@ def test_a_frame_in_a_frame_by_central_differences() -> None:
     first, second, measured = (rng.uniform(-2.0, 2.0, (1, 3)) for _ in range(3))
     unit = right_perturbation(measured, np.eye(3)[None])
     nothing = np.zeros(0, dtype=np.intp)
-    at = FrozenPairs(np.zeros(1, dtype=np.intp), np.ones(1), first, second)
+    at = RelationPoints(np.zeros(1, dtype=np.intp), np.ones(1), first, second)
     seen = OrientedSightings(np.zeros(1, dtype=np.intp), np.zeros(1, dtype=np.intp), measured, unit)
     problem = SlamProblem(
         prior_pose=np.zeros(3),
@@ -275,20 +268,16 @@ def test_a_frame_in_a_frame_by_central_differences() -> None:
         landmark_count=0,
         oriented=seen,
     )
-    empty, none = np.zeros((0, 2)), np.zeros((0, 3))
-    points = FrozenPoints(
+    points = LinearisationPoints(
         departed=first,
         arrived=first,
-        sighting=nothing,
-        sighting_weight=np.zeros(0),
-        sighting_pose=none,
-        sighting_landmark=empty,
+        measurements={3: at},
+        merges={},
         position=nothing,
         position_weight=np.zeros(0),
-        position_pose=none,
-        oriented=at,
+        position_pose=np.zeros((0, 3)),
     )
-    rows = own_problem(problem, points).oriented
+    rows = model_system(problem, points).measurements[3]
 
     def expected(x: Array) -> Array:
         between = gtsam.Pose2(*x[:3]).between(gtsam.Pose2(*x[3:]))
