@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +30,7 @@ class Twins:
     def before(self, pose_count: int) -> Twins:
         """Those found at the first `pose_count` poses."""
         rows = self.pose < pose_count
-        return Twins(*(column[rows] for column in vars(self).values()))
+        return Twins(**_of(self, rows))
 
 
 @dataclass(frozen=True)
@@ -55,13 +56,7 @@ class OrientedSightings:
     def before(self, pose_count: int) -> OrientedSightings:
         """Those from the first `pose_count` poses."""
         rows = self.pose < pose_count
-        return OrientedSightings(
-            self.pose[rows],
-            self.landmark[rows],
-            self.measured[rows],
-            self.covariance[rows],
-            self.twins.before(pose_count),
-        )
+        return OrientedSightings(**_of(self, rows), twins=self.twins.before(pose_count))
 
 
 @dataclass(frozen=True)
@@ -87,13 +82,7 @@ class Closures:
     def before(self, pose_count: int) -> Closures:
         """Those among the first `pose_count` poses."""
         rows = self.last < pose_count
-        return Closures(
-            self.first[rows],
-            self.second[rows],
-            self.motion[rows],
-            self.covariance[rows],
-            self.kernel,
-        )
+        return Closures(**_of(self, rows), kernel=self.kernel)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,3 +162,9 @@ class SlamProblem:
             position=self.position[positions],
             position_covariance=self.position_covariance[positions],
         )
+
+
+def _of(columns: object, rows: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
+    """Some rows of all arrays of a dataclass, by name."""
+    every = vars(columns).items()
+    return {name: column[rows] for name, column in every if isinstance(column, np.ndarray)}

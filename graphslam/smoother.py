@@ -17,7 +17,6 @@ from graphslam.graph_builder import (
     build_graph,
     from_values,
     oriented_from,
-    to_tangent,
     to_values,
 )
 from graphslam.incremental import LagEnd, run_fixed_lag, run_isam2
@@ -29,6 +28,7 @@ from graphslam.marginals import (
     last_pose_and_landmarks,
     pose_covariances,
     to_global,
+    turned,
 )
 from graphslam.optimisers import OPTIMISERS, optimise, polish
 from graphslam.optimum import Proof, Stationarity, chi_square_test, stationarity
@@ -133,14 +133,10 @@ class SmootherResult:
         second = 3 * len(poses) + 2 * len(landmarks)
         size = second + 3 * len(oriented)
         local = joint_marginal(self.graph.linearize(self.values), keys, size).covariance
-        turn = np.eye(size)
-        for start, group in zip((0, second), frames, strict=True):
-            headings = np.array([self.values.atPose2(key).theta() for key in group])
-            for at, block in enumerate(to_tangent(headings)):
-                own = slice(start + 3 * at, start + 3 * at + 3)
-                turn[own, own] = block.T
-        covariance: Array = turn @ local @ turn.T
-        return covariance
+        headings = [
+            np.array([self.values.atPose2(key).theta() for key in group]) for group in frames
+        ]
+        return turned(local, (0, headings[0]), (second, headings[1]))
 
     def marginal(self) -> Marginal:
         """Last pose and all landmarks jointly: mean and covariance, additive global error.

@@ -74,7 +74,9 @@ def measurement_points(
         points[width] = RelationPoints(
             np.concatenate([r.sighting for r in both]),
             np.concatenate([r.weight for r in both]),
-            np.concatenate([as_headings(r.pose, r.step) for r in both]),
+            as_headings(
+                np.concatenate([r.pose for r in both]), np.concatenate([r.step for r in both])
+            ),
             np.concatenate([r.landmark for r in both]),
         )
     return points
