@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from graphslam.graph_builder import LANDMARK_KEY, ORIENTED_KEY, POSE_KEY, to_tangent
+from graphslam.graph_builder import LANDMARK_KEY, POSE_KEY, POSE_LANDMARK_KEY, to_tangent
 
 Array = NDArray[np.float64]
 
@@ -45,7 +45,7 @@ def last_pose_and_landmarks(
     kept = [
         POSE_KEY + pose_count - 1,
         *range(LANDMARK_KEY, LANDMARK_KEY + landmark_count),
-        *range(ORIENTED_KEY, ORIENTED_KEY + oriented_count),
+        *range(POSE_LANDMARK_KEY, POSE_LANDMARK_KEY + oriented_count),
     ]
     return joint_marginal(graph, kept, 3 + 2 * landmark_count + 3 * oriented_count)
 

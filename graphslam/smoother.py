@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from graphslam.graph_builder import (
     KERNELS,
     LANDMARK_KEY,
-    ORIENTED_KEY,
     POSE_KEY,
+    POSE_LANDMARK_KEY,
     build_graph,
     from_values,
     oriented_from,
@@ -128,7 +128,7 @@ class SmootherResult:
 
         Of the additive global error, at the optimum; n is 3 P + 2 L + 3 Q.
         """
-        frames = [POSE_KEY + k for k in poses], [ORIENTED_KEY + j for j in oriented]
+        frames = [POSE_KEY + k for k in poses], [POSE_LANDMARK_KEY + j for j in oriented]
         keys = frames[0] + [LANDMARK_KEY + j for j in landmarks] + frames[1]
         second = 3 * len(poses) + 2 * len(landmarks)
         size = second + 3 * len(oriented)
@@ -210,7 +210,7 @@ def smooth(
         lagged = run_fixed_lag(problem, graph, options.lag)
         followed, oriented = (lagged.poses, lagged.landmarks), lagged.oriented
         start = to_values(*followed, seen, problem.oriented)
-        for key, place in enumerate(oriented, start=ORIENTED_KEY):
+        for key, place in enumerate(oriented, start=POSE_LANDMARK_KEY):
             start.update(key, gtsam.Pose2(*place))
         attempt("fixed-lag", start, lagged.updates)
     else:

@@ -101,17 +101,17 @@ def position_rows(timeline: Timeline, positions: Positions | None) -> PositionRo
     )
 
 
-def linear_recorded(run: EkfRun) -> LinearProblem:
+def recorded_system_of(run: EkfRun) -> LinearProblem:
     """F1: one linear problem from the EKF's own recorded matrices."""
     return recorded(run.trace, run.timeline.steps_until())
 
 
-def linear_own(problem: SlamProblem, run: EkfRun) -> LinearProblem:
+def model_system_of(problem: SlamProblem, run: EkfRun) -> LinearProblem:
     """F2: the smoother's own factors, linearised where the EKF was."""
     return model_system(problem, _points(problem, run))
 
 
-def linear_optimum(problem: SlamProblem, run: EkfRun, optimum: Estimate) -> LinearProblem:
+def model_system_at(problem: SlamProblem, run: EkfRun, optimum: Estimate) -> LinearProblem:
     """The same factors in the same order, linearised at the smoother's estimate.
 
     optimum: with all pose landmarks by index, those that were merged with others, too.
@@ -152,7 +152,7 @@ def solve_recorded(linear: LinearProblem, run: EkfRun) -> Marginal:
     return Marginal(mean, read @ found.covariance @ read.T)
 
 
-def solve_own(linear: LinearProblem, run: EkfRun) -> Marginal:
+def solve_model(linear: LinearProblem, run: EkfRun) -> Marginal:
     """F2's estimate of the last pose and all landmarks."""
     return solve(linear, run.departed, run.estimate.landmark, run.oriented_places)
 

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from comparisons.adapters.smoother_input import build_problem, linear_optimum, linear_own
+from comparisons.adapters.smoother_input import build_problem, model_system_at, model_system_of
 from comparisons.checks import causes
 from comparisons.checks.causes import GAPS
 from comparisons.checks.diagnosis.dropouts import find_dropouts
@@ -107,10 +107,10 @@ def test_a_prediction_counts_with_its_turn() -> None:
 def test_at_the_optimum_nothing_is_missed() -> None:
     c = sound()
     problem = build_problem(c.log, c.ekf)
-    there = linear_optimum(problem, c.ekf, c.smoothed)
+    there = model_system_at(problem, c.ekf, c.smoothed)
     growth = linearisation_growth(there, there, c.smoothed)
     assert growth.total == 0.0
-    filters = linear_own(problem, c.ekf)
+    filters = model_system_of(problem, c.ekf)
     assert linearisation_growth(filters, there, c.smoothed).total > 0.1
 
 
