@@ -144,10 +144,10 @@ def build_graph(problem: SlamProblem, kernel: str = "none") -> gtsam.NonlinearFa
             closed.kernel if kernel == "none" else kernel,
         ),
         *_between(
-            (POSE_LANDMARK_KEY + seen.twins.first).tolist(),
-            (POSE_LANDMARK_KEY + seen.twins.second).tolist(),
-            seen.twins.measured,
-            seen.twins.covariance,
+            (POSE_LANDMARK_KEY + seen.merges.first).tolist(),
+            (POSE_LANDMARK_KEY + seen.merges.second).tolist(),
+            seen.merges.measured,
+            seen.merges.covariance,
             kernel,
         ),
     ):
@@ -165,7 +165,7 @@ def last_poses(problem: SlamProblem) -> Index:
             np.zeros(len(problem.surveyed), dtype=np.intp),
             problem.oriented.pose,
             problem.closures.last,
-            problem.oriented.twins.pose,
+            problem.oriented.merges.pose,
         )
     )
 

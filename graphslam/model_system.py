@@ -174,7 +174,7 @@ def _measurement_models(problem: SlamProblem) -> dict[int, _Model]:
 
 def _merge_models(problem: SlamProblem) -> dict[int, _Model]:
     """Of each kind of landmark that can be merged, by its width."""
-    same = problem.oriented.twins
+    same = problem.oriented.merges
     return {
         POSE_LANDMARK: _Model(
             same.first, same.second, partial(_pose_in_pose, same.measured, same.covariance)

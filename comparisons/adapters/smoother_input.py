@@ -176,7 +176,7 @@ def smoothed_estimate(
     Of two landmarks with a direction that are one, the first stands for both.
     """
     oriented = result.oriented()
-    kept = np.setdiff1d(np.arange(len(oriented)), result.problem.oriented.twins.second)
+    kept = np.setdiff1d(np.arange(len(oriented)), result.problem.oriented.merges.second)
     covariance, points = result.marginal().covariance, 3 + result.landmarks.size
     rows = np.concatenate((np.arange(points), points + (3 * kept[:, None] + (0, 1, 2)).ravel()))
     return Estimate(

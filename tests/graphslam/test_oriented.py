@@ -20,7 +20,7 @@ from graphslam.graph_builder import right_perturbation
 from graphslam.linear_problem import LinearProblem, solve
 from graphslam.marginals import Marginal
 from graphslam.model_system import LinearisationPoints, RelationPoints, model_system
-from graphslam.problem import OrientedSightings, SlamProblem, Twins
+from graphslam.problem import Merges, OrientedSightings, SlamProblem
 from graphslam.smoother import SmootherOptions, smooth
 from tests.ekf_reference.both_kinds import (
     CONTROL,
@@ -91,16 +91,16 @@ def problem_of(made: Made) -> SlamProblem:
     node, slot, z = (np.array(c) for c in zip(*made.points_seen, strict=True))
     covariance = np.array([r for _, _, _, r in made.seen])
     measured = np.array([z for _, _, z, _ in made.seen])
-    twins = Twins()
+    merges = Merges()
     if made.fused:
         epoch, first, second, where, r = (np.array(c) for c in zip(*made.fused, strict=True))
-        twins = Twins(epoch, first, second, where, right_perturbation(where, r))
+        merges = Merges(epoch, first, second, where, right_perturbation(where, r))
     oriented = OrientedSightings(
         np.array([k for k, _, _, _ in made.seen]),
         np.array([s for _, s, _, _ in made.seen]),
         measured,
         right_perturbation(measured, covariance),
-        twins,
+        merges,
     )
     return SlamProblem(
         prior_pose=np.array([RADIUS_M, 0.0, 0.5 * np.pi]),
@@ -221,7 +221,7 @@ def test_the_smoother_is_near_and_its_marginal_has_both_kinds() -> None:
     mean, covariance = result.marginal()
     points, frames = problem.landmark_count, problem.oriented.count
     assert len(mean) == 3 + 2 * points + 3 * frames == len(covariance)
-    removed = problem.oriented.twins.second[0]
+    removed = problem.oriented.merges.second[0]
     kept = np.setdiff1d(np.arange(len(mean)), 3 + 2 * points + 3 * removed + np.arange(3))
     own = chain.own()
     sigma = np.sqrt(np.diag(own.covariance))
@@ -242,8 +242,8 @@ def test_the_smoother_is_near_and_its_marginal_has_both_kinds() -> None:
 def test_prefixes_keep_what_was_known() -> None:
     problem = problem_of(run(script=Script(steps=80, fuse_at=60)).made)
     early, late = problem.prefix(60), problem.prefix(61)
-    assert len(early.oriented.twins.pose) == 0
-    assert len(late.oriented.twins.pose) == 1
+    assert len(early.oriented.merges.pose) == 0
+    assert len(late.oriented.merges.pose) == 1
     assert late.residual_dimension - early.residual_dimension > 6
     assert smooth(late, {}).proof.proven
 
