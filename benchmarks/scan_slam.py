@@ -92,7 +92,7 @@ def measured(seed: int, seconds: float, *, fuse: bool = False) -> tuple[Row, str
         cpu_s,
     )
     seen = c.ekf.oriented
-    row = Row(len(c.ekf.estimate.oriented), len(seen.twins.first), len(seen.measured), *figures)
+    row = Row(len(c.ekf.estimate.oriented), len(seen.merges.first), len(seen.measured), *figures)
     return row, c.verdict.outcome
 
 

@@ -13,7 +13,11 @@ Index = NDArray[np.intp]
 
 POSE_KEY = gtsam.symbol("x", 0)
 LANDMARK_KEY = gtsam.symbol("l", 0)
-ORIENTED_KEY = gtsam.symbol("t", 0)
+POSE_LANDMARK_KEY = gtsam.symbol("t", 0)
+POINT, POSE_LANDMARK = 2, 3
+"""Kinds of landmarks, by their width: x, y, and x, y, heading."""
+LANDMARK_KEYS = {POINT: LANDMARK_KEY, POSE_LANDMARK: POSE_LANDMARK_KEY}
+"""The first key of each kind."""
 KERNELS = ("none", "huber", "cauchy")
 
 
@@ -99,7 +103,8 @@ def robust(noise: gtsam.noiseModel.Base, kernel: str) -> gtsam.noiseModel.Base:
 def build_graph(problem: SlamProblem, kernel: str = "none") -> gtsam.NonlinearFactorGraph:
     """The graph of the whole problem.
 
-    Pose k has key POSE_KEY + k, landmark j LANDMARK_KEY + j, oriented landmark j ORIENTED_KEY + j.
+    Pose k has key POSE_KEY + k, point landmark j LANDMARK_KEY + j, pose landmark j
+    POSE_LANDMARK_KEY + j.
     kernel: of KERNELS, for sightings and positions.
     """
     graph = gtsam.NonlinearFactorGraph()
@@ -126,7 +131,7 @@ def build_graph(problem: SlamProblem, kernel: str = "none") -> gtsam.NonlinearFa
     ):
         graph.push_back(gtsam.PriorFactorPoint2(LANDMARK_KEY + slot, place, gaussian(covariance)))
     seen, closed = problem.oriented, problem.closures
-    poses_seen, places_seen = POSE_KEY + seen.pose, ORIENTED_KEY + seen.landmark
+    poses_seen, places_seen = POSE_KEY + seen.pose, POSE_LANDMARK_KEY + seen.landmark
     for factor in (
         *_between(
             poses_seen.tolist(), places_seen.tolist(), seen.measured, seen.covariance, kernel
@@ -139,10 +144,10 @@ def build_graph(problem: SlamProblem, kernel: str = "none") -> gtsam.NonlinearFa
             closed.kernel if kernel == "none" else kernel,
         ),
         *_between(
-            (ORIENTED_KEY + seen.twins.first).tolist(),
-            (ORIENTED_KEY + seen.twins.second).tolist(),
-            seen.twins.measured,
-            seen.twins.covariance,
+            (POSE_LANDMARK_KEY + seen.merges.first).tolist(),
+            (POSE_LANDMARK_KEY + seen.merges.second).tolist(),
+            seen.merges.measured,
+            seen.merges.covariance,
             kernel,
         ),
     ):
@@ -160,7 +165,7 @@ def last_poses(problem: SlamProblem) -> Index:
             np.zeros(len(problem.surveyed), dtype=np.intp),
             problem.oriented.pose,
             problem.closures.last,
-            problem.oriented.twins.pose,
+            problem.oriented.merges.pose,
         )
     )
 
@@ -200,7 +205,7 @@ def to_values(
         values.insert(LANDMARK_KEY + slot, landmarks[slot])
     sighted = oriented or OrientedSightings()
     for row in np.argsort(sighted.pose, kind="stable").tolist():
-        key = ORIENTED_KEY + int(sighted.landmark[row])
+        key = POSE_LANDMARK_KEY + int(sighted.landmark[row])
         if not values.exists(key):
             pose = values.atPose2(POSE_KEY + int(sighted.pose[row]))
             values.insert(key, pose.compose(gtsam.Pose2(*sighted.measured[row])))
@@ -236,5 +241,5 @@ def from_values(values: gtsam.Values, problem: SlamProblem) -> tuple[Array, Arra
 
 def oriented_from(values: gtsam.Values, problem: SlamProblem) -> Array:
     """(Q, 3) oriented landmarks of a solution: x, y, heading."""
-    poses = [values.atPose2(ORIENTED_KEY + j) for j in range(problem.oriented.count)]
+    poses = [values.atPose2(POSE_LANDMARK_KEY + j) for j in range(problem.oriented.count)]
     return np.array([(p.x(), p.y(), p.theta()) for p in poses]).reshape(-1, 3)

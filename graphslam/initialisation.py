@@ -14,7 +14,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from graphslam.graph_builder import LANDMARK_KEY, ORIENTED_KEY, POSE_KEY, last_poses
+from graphslam.graph_builder import LANDMARK_KEY, POSE_KEY, POSE_LANDMARK_KEY, last_poses
 from graphslam.optimisers import levenberg_marquardt
 from graphslam.problem import SlamProblem
 
@@ -97,7 +97,7 @@ def extension(problem: SlamProblem, values: Placed, known: int, count: int) -> g
         poses[k] = pose
     seen = problem.oriented
     for row in np.flatnonzero((seen.pose >= known) & (seen.pose < count)).tolist():
-        key = ORIENTED_KEY + int(seen.landmark[row])
+        key = POSE_LANDMARK_KEY + int(seen.landmark[row])
         if not values.exists(key) and not new.exists(key):
             measured = gtsam.Pose2(*seen.measured[row])
             new.insert(key, poses[int(seen.pose[row])].compose(measured))

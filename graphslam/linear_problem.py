@@ -7,13 +7,15 @@ global errors around a reference, which sets where they are zero, not what the e
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from graphslam.graph_builder import LANDMARK_KEY, ORIENTED_KEY, POSE_KEY
+from graphslam.graph_builder import LANDMARK_KEYS, POINT, POSE_KEY
 from graphslam.marginals import Marginal, joint_marginal
 
 Array = NDArray[np.float64]
@@ -28,32 +30,21 @@ class LinearPrior:
     a: Array
 
 
-@dataclass(frozen=True)
-class LinearMotion:
-    """From pose k to the next: a (x - departed) + c (x' - arrived) = b + noise, K - 1 of them.
-
-    departed, arrived, b: (K-1, p). a, c: (K-1, p, p).
-    """
-
-    departed: Array
-    arrived: Array
-    a: Array
-    c: Array
-    b: Array
-
-
 @dataclass(frozen=True, kw_only=True)
-class LinearSightings:
-    """Of landmark `slot` from pose `node`: a (x - pose) + c (l - landmark) = b + noise.
+class LinearRelations:
+    """Between two states: a (x - first_point) + c (y - second_point) = b + noise, M of them.
 
-    node, slot: (M,). pose: (M, p) and landmark: (M, w), where it was linearised. a: (M, w, p).
-    c: (M, w, w). b: (M, w). w is 2 for points and 3 for oriented landmarks.
+    x is a pose of p entries, or a landmark where two landmarks are one. y is the next pose, or a
+    landmark of w entries; w is the landmark's kind: 2 for points, 3 for pose landmarks.
+
+    first, second: (M,) indices of x and y. first_point: (M, p) and second_point: (M, w), where
+    the relation was linearised. a: (M, w, p). c: (M, w, w). b: (M, w).
     """
 
-    node: Index
-    slot: Index
-    pose: Array
-    landmark: Array
+    first: Index
+    second: Index
+    first_point: Array
+    second_point: Array
     a: Array
     c: Array
     b: Array
@@ -81,125 +72,105 @@ class LinearSurvey:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LinearTwins:
-    """Of two oriented landmarks: a (l - first_place) + c (l' - second_place) = b + noise.
-
-    first, second: (T,) slots. first_place, second_place: (T, 3). a, c: (T, 3, 3). b: (T, 3).
-    """
-
-    first: Index
-    second: Index
-    first_place: Array
-    second_place: Array
-    a: Array
-    c: Array
-    b: Array
-
-
-def no_oriented() -> LinearSightings:
-    """No sighting of an oriented landmark."""
-    nobody, nothing, square = np.zeros(0, dtype=np.intp), np.zeros((0, 3)), np.zeros((0, 3, 3))
-    return LinearSightings(
-        node=nobody, slot=nobody, pose=nothing, landmark=nothing, a=square, c=square, b=nothing
-    )
-
-
-def no_twins() -> LinearTwins:
-    """No two landmarks are one."""
-    nobody, nothing, square = np.zeros(0, dtype=np.intp), np.zeros((0, 3)), np.zeros((0, 3, 3))
-    return LinearTwins(
-        first=nobody,
-        second=nobody,
-        first_place=nothing,
-        second_place=nothing,
-        a=square,
-        c=square,
-        b=nothing,
-    )
-
-
-@dataclass(frozen=True, kw_only=True)
 class LinearProblem:
-    """All relations of one log. sightings: of points. oriented: of oriented landmarks."""
+    """All relations of one log.
+
+    motion: from each pose to the next. measurements: of landmarks from poses, by the landmarks'
+    width. merges: of two landmarks that are one, by their width.
+    """
 
     prior: LinearPrior
-    motion: LinearMotion
-    sightings: LinearSightings
+    motion: LinearRelations
+    measurements: Mapping[int, LinearRelations]
+    merges: Mapping[int, LinearRelations]
     positions: LinearPositions
     survey: LinearSurvey
-    oriented: LinearSightings = field(default_factory=no_oriented)
-    twins: LinearTwins = field(default_factory=no_twins)
 
 
-def solve(
-    problem: LinearProblem, poses: Array, landmarks: Array, oriented: Array | None = None
-) -> Marginal:
-    """The last pose and the landmarks, points first, by elimination of everything else.
+class _States(NamedTuple):
+    """Poses or landmarks of a kind: the key of the first, and the reference (n, w) of all."""
 
-    poses: (K, p), landmarks: (L, 2) and oriented: (Q, 3), the reference. A landmark that is NaN
-    there is eliminated, too: it was removed on the way. Raises SingularProblemError.
+    key: int
+    reference: Array
+
+
+def solve(problem: LinearProblem, poses: Array, *landmarks: Array) -> Marginal:
+    """Return the joint marginal of the last pose and all landmarks.
+
+    Args:
+        problem: the relations.
+        poses: (K, p) reference.
+        landmarks: (n, w) reference of every kind of landmarks, in the order of the result. A
+            landmark that is NaN was removed on the way, and is eliminated, too.
+
+    Raises:
+        SingularProblemError: some direction is left without information.
     """
-    p = poses.shape[1]
+    prior, fixes, survey = problem.prior, problem.positions, problem.survey
+    chain = _States(POSE_KEY, poses)
+    kinds = {}
+    for reference in landmarks:
+        width = reference.shape[1]
+        kinds[width] = _States(LANDMARK_KEYS[width], _filled(reference, problem))
     graph = gtsam.GaussianFactorGraph()
-    add, factor = graph.push_back, gtsam.JacobianFactor
-    unit = {size: gtsam.noiseModel.Unit.Create(size) for size in {2, 3, p}}
-    prior, moves, fixes, survey = problem.prior, problem.motion, problem.positions, problem.survey
-    twins = problem.twins
-    frames = np.zeros((0, 3)) if oriented is None else oriented
-    points = _filled(landmarks, problem.sightings, survey.point)
-    frame = _filled(frames, problem.oriented)
-    add(factor(POSE_KEY, prior.a, prior.a @ (prior.point - poses[0]), unit[p]))
-    b = moves.b + times(moves.a, moves.departed - poses[:-1])
-    b += times(moves.c, moves.arrived - poses[1:])
-    for key, (a_k, c_k, b_k) in enumerate(zip(moves.a, moves.c, b, strict=True), start=POSE_KEY):
-        add(factor(key, a_k, key + 1, c_k, b_k, unit[p]))
-    for first_key, places, seen in (
-        (LANDMARK_KEY, points, problem.sightings),
-        (ORIENTED_KEY, frame, problem.oriented),
-    ):
-        b = seen.b + times(seen.a, seen.pose - poses[seen.node])
-        b += times(seen.c, seen.landmark - places[seen.slot])
-        nodes, slots = (POSE_KEY + seen.node).tolist(), (first_key + seen.slot).tolist()
-        for pose, place, a_k, c_k, b_k in zip(nodes, slots, seen.a, seen.c, b, strict=True):
-            add(factor(pose, a_k, place, c_k, b_k, unit[len(b_k)]))
-    b = twins.b + times(twins.a, twins.first_place - frame[twins.first])
-    b += times(twins.c, twins.second_place - frame[twins.second])
-    keys = (ORIENTED_KEY + twins.first).tolist(), (ORIENTED_KEY + twins.second).tolist()
-    for first, second, a_k, c_k, b_k in zip(*keys, twins.a, twins.c, b, strict=True):
-        add(factor(first, a_k, second, c_k, b_k, unit[3]))
+    b = prior.a @ (prior.point - poses[0])
+    graph.push_back(gtsam.JacobianFactor(POSE_KEY, prior.a, b, _unit(len(b))))
+    _add_relations(graph, problem.motion, chain, chain)
+    for width, seen in problem.measurements.items():
+        _add_relations(graph, seen, chain, kinds[width])
+    for width, merged in problem.merges.items():
+        _add_relations(graph, merged, kinds[width], kinds[width])
     b = fixes.b + times(fixes.a, fixes.pose - poses[fixes.node])
-    for key, a_k, b_k in zip((POSE_KEY + fixes.node).tolist(), fixes.a, b, strict=True):
-        add(factor(key, a_k, b_k, unit[2]))
-    b = times(survey.a, survey.point - points[: len(survey.point)])
-    for key, (a_k, b_k) in enumerate(zip(survey.a, b, strict=True), start=LANDMARK_KEY):
-        add(factor(key, a_k, b_k, unit[2]))
-    kept, kept_frames = _there(landmarks), _there(frames)
-    keys_kept = [
-        POSE_KEY + len(poses) - 1,
-        *(LANDMARK_KEY + kept).tolist(),
-        *(ORIENTED_KEY + kept_frames).tolist(),
-    ]
-    start = np.concatenate((poses[-1], landmarks[kept].ravel(), frames[kept_frames].ravel()))
-    error = joint_marginal(graph, keys_kept, len(start))
-    return Marginal(start + error.mean, error.covariance)
+    _add_unary(graph, POSE_KEY + fixes.node, fixes.a, b)
+    surveyed = np.arange(len(survey.point))
+    b = times(survey.a, survey.point - kinds[POINT].reference[surveyed])
+    _add_unary(graph, kinds[POINT].key + surveyed, survey.a, b)
+    keys, start = [POSE_KEY + len(poses) - 1], [poses[-1]]
+    for reference in landmarks:
+        kept = np.flatnonzero(~np.isnan(reference[:, 0]))
+        keys += (kinds[reference.shape[1]].key + kept).tolist()
+        start.append(reference[kept].ravel())
+    mean = np.concatenate(start)
+    error = joint_marginal(graph, keys, len(mean))
+    return Marginal(mean + error.mean, error.covariance)
 
 
-def _there(reference: Array) -> Index:
-    """Landmarks (n, w) that were not removed."""
-    return np.flatnonzero(~np.isnan(reference[:, 0]))
+def _add_relations(
+    graph: gtsam.GaussianFactorGraph, relations: LinearRelations, first: _States, second: _States
+) -> None:
+    """Add factors in the errors around the references."""
+    r = relations
+    b = r.b + times(r.a, r.first_point - first.reference[r.first])
+    b += times(r.c, r.second_point - second.reference[r.second])
+    keys = (first.key + r.first).tolist(), (second.key + r.second).tolist()
+    unit = _unit(b.shape[1])
+    for i, j, a_k, c_k, b_k in zip(*keys, r.a, r.c, b, strict=True):
+        graph.push_back(gtsam.JacobianFactor(i, a_k, j, c_k, b_k, unit))
 
 
-def _filled(reference: Array, seen: LinearSightings, begun: Array | None = None) -> Array:
-    """Landmarks (n, w), those that were removed at a place where one of their relations is.
+def _add_unary(graph: gtsam.GaussianFactorGraph, keys: Index, a: Array, b: Array) -> None:
+    """Add a error = b + noise for the states with keys (N,). a: (N, w, p). b: (N, w)."""
+    unit = _unit(b.shape[1])
+    for key, a_k, b_k in zip(keys.tolist(), a, b, strict=True):
+        graph.push_back(gtsam.JacobianFactor(key, a_k, b_k, unit))
 
-    begun: (s, w) where the first ones were surveyed.
-    """
-    places = reference.copy()
-    if begun is not None:
-        first = places[: len(begun)]
-        first[np.isnan(first)] = begun[np.isnan(first)]
-    gone = np.isnan(places[seen.slot, 0])
-    places[seen.slot[gone]] = seen.landmark[gone]
+
+def _unit(size: int) -> gtsam.noiseModel.Unit:
+    return gtsam.noiseModel.Unit.Create(size)
+
+
+def _filled(reference: Array, problem: LinearProblem) -> Array:
+    """Landmarks (n, w), those that were removed at a place where one of their relations is."""
+    places, width = reference.copy(), reference.shape[1]
+    known = []
+    if width == POINT:
+        known.append((np.arange(len(problem.survey.point)), problem.survey.point))
+    if width in problem.measurements:
+        seen = problem.measurements[width]
+        known.append((seen.second, seen.second_point))
+    for landmark, point in known:
+        gone = np.isnan(places[landmark, 0])
+        places[landmark[gone]] = point[gone]
     return places
 
 

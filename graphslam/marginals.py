@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from graphslam.graph_builder import LANDMARK_KEY, ORIENTED_KEY, POSE_KEY, to_tangent
+from graphslam.graph_builder import LANDMARK_KEY, POSE_KEY, POSE_LANDMARK_KEY, to_tangent
 
 Array = NDArray[np.float64]
 
@@ -45,7 +45,7 @@ def last_pose_and_landmarks(
     kept = [
         POSE_KEY + pose_count - 1,
         *range(LANDMARK_KEY, LANDMARK_KEY + landmark_count),
-        *range(ORIENTED_KEY, ORIENTED_KEY + oriented_count),
+        *range(POSE_LANDMARK_KEY, POSE_LANDMARK_KEY + oriented_count),
     ]
     return joint_marginal(graph, kept, 3 + 2 * landmark_count + 3 * oriented_count)
 
@@ -80,15 +80,25 @@ def joint_marginal(graph: gtsam.GaussianFactorGraph, kept: Sequence[int], size: 
 def to_global(covariance: Array, heading_rad: float, oriented_rad: Array | None = None) -> Array:
     """Turn poses in a joint covariance (n, n) into the global error.
 
-    The pose at `heading_rad` comes first, oriented landmarks at headings (Q,) last.
-    P_global = blkdiag(R, I) P_local blkdiag(R, I)^T, R a pose's rotation.
+    The pose at `heading_rad` comes first, pose landmarks at headings (Q,) last. See turned.
     """
-    turn, last = np.eye(len(covariance)), np.zeros(0) if oriented_rad is None else oriented_rad
-    turn[:3, :3] = to_tangent(np.array([heading_rad]))[0].T
-    for i, block in enumerate(to_tangent(last), start=-len(last)):
-        at = len(covariance) + 3 * i
-        turn[at : at + 3, at : at + 3] = block.T
-    return turn @ covariance @ turn.T
+    last = np.zeros(0) if oriented_rad is None else oriented_rad
+    return turned(covariance, (0, np.array([heading_rad])), (len(covariance) - 3 * len(last), last))
+
+
+def turned(covariance: Array, *groups: tuple[int, Array]) -> Array:
+    """Return a joint covariance (n, n) of local errors as that of global ones.
+
+    P_global = blkdiag(R, I, ...) P_local blkdiag(R, I, ...)^T, R a pose's rotation. groups: where
+    poses or pose landmarks begin that follow each other, and their headings (m,).
+    """
+    turn = np.eye(len(covariance))
+    for start, headings in groups:
+        for i, block in enumerate(to_tangent(headings)):
+            own = slice(start + 3 * i, start + 3 * i + 3)
+            turn[own, own] = block.T
+    result: Array = turn @ covariance @ turn.T
+    return result
 
 
 def pose_covariances(

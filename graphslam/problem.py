@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +13,8 @@ Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
-class Twins:
-    """N pairs of oriented landmarks that are one thing: where the second is in the first's frame.
+class Merges:
+    """N pairs of pose landmarks that are one: where the second is in the first's frame.
 
     pose: (N,) at which it was found, both having been seen. first, second: (N,) landmarks.
     measured: (N, 3) x, y, heading. covariance: (N, 3, 3) of the right perturbation, in the
@@ -26,26 +27,26 @@ class Twins:
     measured: Array = field(default_factory=lambda: np.zeros((0, 3)))
     covariance: Array = field(default_factory=lambda: np.zeros((0, 3, 3)))
 
-    def before(self, pose_count: int) -> Twins:
+    def before(self, pose_count: int) -> Merges:
         """Those found at the first `pose_count` poses."""
         rows = self.pose < pose_count
-        return Twins(*(column[rows] for column in vars(self).values()))
+        return Merges(**_of(self, rows))
 
 
 @dataclass(frozen=True)
 class OrientedSightings:
-    """N sightings of landmarks that have a place and a direction, such as templates of scans.
+    """N measurements of pose landmarks (place and direction), such as templates of scans.
 
     pose: (N,) and landmark: (N,) indices, these landmarks being numbered apart from the others.
     measured: (N, 3) x, y, heading of the landmark in the pose's frame. covariance: (N, 3, 3) of
-    the right perturbation, in the landmark's frame. twins: of these landmarks, which are one.
+    the right perturbation, in the landmark's frame. merges: which of these landmarks are one.
     """
 
     pose: Index = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
     landmark: Index = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
     measured: Array = field(default_factory=lambda: np.zeros((0, 3)))
     covariance: Array = field(default_factory=lambda: np.zeros((0, 3, 3)))
-    twins: Twins = field(default_factory=Twins)
+    merges: Merges = field(default_factory=Merges)
 
     @property
     def count(self) -> int:
@@ -55,13 +56,7 @@ class OrientedSightings:
     def before(self, pose_count: int) -> OrientedSightings:
         """Those from the first `pose_count` poses."""
         rows = self.pose < pose_count
-        return OrientedSightings(
-            self.pose[rows],
-            self.landmark[rows],
-            self.measured[rows],
-            self.covariance[rows],
-            self.twins.before(pose_count),
-        )
+        return OrientedSightings(**_of(self, rows), merges=self.merges.before(pose_count))
 
 
 @dataclass(frozen=True)
@@ -87,13 +82,7 @@ class Closures:
     def before(self, pose_count: int) -> Closures:
         """Those among the first `pose_count` poses."""
         rows = self.last < pose_count
-        return Closures(
-            self.first[rows],
-            self.second[rows],
-            self.motion[rows],
-            self.covariance[rows],
-            self.kernel,
-        )
+        return Closures(**_of(self, rows), kernel=self.kernel)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,7 +132,7 @@ class SlamProblem:
         pairs = len(self.z) + len(self.position) + len(self.surveyed)
         seen = self.oriented
         triples = self.pose_count + len(self.closures.motion)
-        triples += len(seen.measured) + len(seen.twins.measured)
+        triples += len(seen.measured) + len(seen.merges.measured)
         return 3 * triples + 2 * pairs
 
     @property
@@ -173,3 +162,9 @@ class SlamProblem:
             position=self.position[positions],
             position_covariance=self.position_covariance[positions],
         )
+
+
+def _of(columns: object, rows: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
+    """Some rows of all arrays of a dataclass, by name."""
+    every = vars(columns).items()
+    return {name: column[rows] for name, column in every if isinstance(column, np.ndarray)}

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, diags, identity
 from scipy.sparse.linalg import splu
 
-from graphslam.graph_builder import LANDMARK_KEY, ORIENTED_KEY, POSE_KEY
+from graphslam.graph_builder import LANDMARK_KEY, POSE_KEY, POSE_LANDMARK_KEY
 
 Array = NDArray[np.float64]
 
@@ -80,4 +80,4 @@ def _name(key: int) -> str:
         return f"pose {key - POSE_KEY}"
     if gtsam.symbolChr(key) == _POINT:
         return f"landmark {key - LANDMARK_KEY}"
-    return f"oriented landmark {key - ORIENTED_KEY}"
+    return f"oriented landmark {key - POSE_LANDMARK_KEY}"

@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 from graphslam.graph_builder import (
     KERNELS,
     LANDMARK_KEY,
-    ORIENTED_KEY,
     POSE_KEY,
+    POSE_LANDMARK_KEY,
     build_graph,
     from_values,
     oriented_from,
-    to_tangent,
     to_values,
 )
 from graphslam.incremental import LagEnd, run_fixed_lag, run_isam2
@@ -29,6 +28,7 @@ from graphslam.marginals import (
     last_pose_and_landmarks,
     pose_covariances,
     to_global,
+    turned,
 )
 from graphslam.optimisers import OPTIMISERS, optimise, polish
 from graphslam.optimum import Proof, Stationarity, chi_square_test, stationarity
@@ -128,19 +128,15 @@ class SmootherResult:
 
         Of the additive global error, at the optimum; n is 3 P + 2 L + 3 Q.
         """
-        frames = [POSE_KEY + k for k in poses], [ORIENTED_KEY + j for j in oriented]
+        frames = [POSE_KEY + k for k in poses], [POSE_LANDMARK_KEY + j for j in oriented]
         keys = frames[0] + [LANDMARK_KEY + j for j in landmarks] + frames[1]
         second = 3 * len(poses) + 2 * len(landmarks)
         size = second + 3 * len(oriented)
         local = joint_marginal(self.graph.linearize(self.values), keys, size).covariance
-        turn = np.eye(size)
-        for start, group in zip((0, second), frames, strict=True):
-            headings = np.array([self.values.atPose2(key).theta() for key in group])
-            for at, block in enumerate(to_tangent(headings)):
-                own = slice(start + 3 * at, start + 3 * at + 3)
-                turn[own, own] = block.T
-        covariance: Array = turn @ local @ turn.T
-        return covariance
+        headings = [
+            np.array([self.values.atPose2(key).theta() for key in group]) for group in frames
+        ]
+        return turned(local, (0, headings[0]), (second, headings[1]))
 
     def marginal(self) -> Marginal:
         """Last pose and all landmarks jointly: mean and covariance, additive global error.
@@ -214,7 +210,7 @@ def smooth(
         lagged = run_fixed_lag(problem, graph, options.lag)
         followed, oriented = (lagged.poses, lagged.landmarks), lagged.oriented
         start = to_values(*followed, seen, problem.oriented)
-        for key, place in enumerate(oriented, start=ORIENTED_KEY):
+        for key, place in enumerate(oriented, start=POSE_LANDMARK_KEY):
             start.update(key, gtsam.Pose2(*place))
         attempt("fixed-lag", start, lagged.updates)
     else:

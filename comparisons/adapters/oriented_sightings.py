@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.state import LocalMap
 from graphslam.graph_builder import right_perturbation
-from graphslam.problem import OrientedSightings, Twins
+from graphslam.problem import Merges, OrientedSightings
 
 if TYPE_CHECKING:
     from ekf_reference.association.dynamic_rejection import DynamicGuard
@@ -29,7 +29,7 @@ class OrientedLedger:
     def __init__(self) -> None:
         """Start empty."""
         self._seen: list[tuple[int, int, Array, Array]] = []
-        self._twins: list[tuple[int, int, int, Array, Array]] = []
+        self._merges: list[tuple[int, int, int, Array, Array]] = []
 
     def observe(self, ekf: Ekf, epoch: int, z: Array, covariance: Array, slot: Index) -> Index:
         """Fuse sightings (m, 3) with covariances (m, 3, 3); see Ekf.observe_known."""
@@ -46,7 +46,7 @@ class OrientedLedger:
         from ekf_reference.scan_landmarks.merge_update import merge_landmarks
 
         known = merge_landmarks(ekf, first, second, z, covariance)
-        self._twins.append((epoch, first, second, z, covariance))
+        self._merges.append((epoch, first, second, z, covariance))
         return known
 
     def told(self) -> OrientedSightings:
@@ -55,11 +55,11 @@ class OrientedLedger:
             np.array([epoch for epoch, *_ in self._seen], dtype=np.intp),
             np.array([slot for _, slot, *_ in self._seen], dtype=np.intp),
             *_measured([row[-2:] for row in self._seen]),
-            Twins(
-                np.array([epoch for epoch, *_ in self._twins], dtype=np.intp),
-                np.array([first for _, first, *_ in self._twins], dtype=np.intp),
-                np.array([second for _, _, second, *_ in self._twins], dtype=np.intp),
-                *_measured([row[-2:] for row in self._twins]),
+            Merges(
+                np.array([epoch for epoch, *_ in self._merges], dtype=np.intp),
+                np.array([first for _, first, *_ in self._merges], dtype=np.intp),
+                np.array([second for _, _, second, *_ in self._merges], dtype=np.intp),
+                *_measured([row[-2:] for row in self._merges]),
             ),
         )
 

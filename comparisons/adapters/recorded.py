@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ekf_reference.core.landmark_types import POINT, POSE
 from ekf_reference.core.trace import MeasurementRecords, TraceArrays
-from graphslam.frozen import (
+from graphslam.graph_builder import POSE_LANDMARK
+from graphslam.linear_problem import LinearProblem
+from graphslam.model_system import RelationPoints
+from graphslam.recorded_system import (
     RecordedPositions,
     RecordedPrior,
-    RecordedSightings,
+    RecordedRelations,
     RecordedSteps,
-    RecordedTwins,
-    recorded_problem,
+    recorded_system,
 )
-from graphslam.frozen_own import FrozenPairs
-from graphslam.linear_problem import LinearProblem
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -30,12 +30,18 @@ def recorded(trace: TraceArrays, until: Index) -> LinearProblem:
     until: (K,) steps made when each pose is reached. Landmarks that were put into the map without
     a sighting come last.
     """
-    fixes, merges = trace.positions, trace.merges
-    return recorded_problem(
+    fixes = trace.positions
+    return recorded_system(
         RecordedPrior(trace.prior_pose, trace.prior_covariance),
         RecordedSteps(trace.departed, trace.arrived, trace.f, trace.q),
         until,
-        _sightings(trace.measurements[POINT], trace.initialisations[POINT], until),
+        {
+            width: _joined(
+                _measured(used, until), _initialised(trace.initialisations[width], until)
+            )
+            for width, used in trace.measurements.items()
+        },
+        {POSE_LANDMARK: replace(_measured(trace.merges, until), first=trace.merges.origin)},
         RecordedPositions(
             np.searchsorted(until, fixes.step),
             fixes.pose,
@@ -43,74 +49,70 @@ def recorded(trace: TraceArrays, until: Index) -> LinearProblem:
             fixes.jacobian_pose,
             fixes.noise,
         ),
-        _sightings(trace.measurements[POSE], trace.initialisations[POSE], until),
-        RecordedTwins(
-            first=merges.origin,
-            second=merges.slot,
-            first_place=merges.pose,
-            second_place=merges.landmark,
-            residual=merges.innovation,
-            jacobian_first=merges.jacobian_pose,
-            jacobian_second=merges.jacobian_other,
-            covariance=merges.noise,
-        ),
     )
 
 
-def oriented_points(
+def measurement_points(
     trace: TraceArrays, as_headings: Callable[[Array, Index], Array]
-) -> tuple[FrozenPairs, FrozenPairs]:
-    """Where oriented landmarks were sighted from and fused, for a problem that has all of it.
+) -> dict[int, RelationPoints]:
+    """Return where measurements were linearised, by the landmarks' width; rows are the trace's.
 
-    as_headings: recorded poses (M, p) at steps (M,) as x, y, heading.
+    A landmark initialised with a boundless prior is augmented without its measurement's
+    information, and is left out. as_headings: recorded poses (M, p) at steps (M,) as x, y, heading.
     """
-    uses, merges = (trace.measurements[POSE], trace.initialisations[POSE]), trace.merges
-    return (
-        FrozenPairs(
-            np.concatenate([r.number for r in uses]),
-            np.concatenate([r.weight for r in uses]),
-            np.concatenate([as_headings(r.pose, r.step) for r in uses]),
-            np.concatenate([r.landmark for r in uses]),
-        ),
-        FrozenPairs(merges.number, merges.weight, merges.pose, merges.landmark),
-    )
+    points = {}
+    for width, used in trace.measurements.items():
+        begun = trace.initialisations[width]
+        both = used, begun.rows(np.flatnonzero(begun.weight > 0.0))
+        pose, step = (np.concatenate([getattr(r, name) for r in both]) for name in ("pose", "step"))
+        points[width] = RelationPoints(
+            np.concatenate([r.number for r in both]),
+            np.concatenate([r.weight for r in both]),
+            as_headings(pose, step),
+            np.concatenate([r.landmark for r in both]),
+        )
+    return points
 
 
-def _sightings(
-    updates: MeasurementRecords, begun: MeasurementRecords, until: Index
-) -> RecordedSightings:
-    begun = begun.rows(np.argsort(begun.weight <= 0.0, kind="stable"))
-    used, augmented = _from_updates(updates, until), _from_augmentations(begun, until)
-    return RecordedSightings(
+def merge_points(trace: TraceArrays) -> dict[int, RelationPoints]:
+    """Return where merges were linearised, by the landmarks' width."""
+    merges = trace.merges
+    points = RelationPoints(merges.number, merges.weight, merges.pose, merges.landmark)
+    return {POSE_LANDMARK: points}
+
+
+def _joined(first: RecordedRelations, second: RecordedRelations) -> RecordedRelations:
+    return RecordedRelations(
         **{
-            name: np.concatenate((column, vars(augmented)[name]))
-            for name, column in vars(used).items()
+            name: np.concatenate((column, vars(second)[name]))
+            for name, column in vars(first).items()
         }
     )
 
 
-def _from_updates(r: MeasurementRecords, until: Index) -> RecordedSightings:
-    return RecordedSightings(
-        node=np.searchsorted(until, r.step),
-        slot=r.slot,
-        pose=r.pose,
-        landmark=r.landmark,
+def _measured(r: MeasurementRecords, until: Index) -> RecordedRelations:
+    return RecordedRelations(
+        first=np.searchsorted(until, r.step),
+        second=r.slot,
+        first_point=r.pose,
+        second_point=r.landmark,
         residual=r.innovation,
-        jacobian_pose=r.jacobian_pose,
-        jacobian_landmark=r.jacobian_other,
+        jacobian_first=r.jacobian_pose,
+        jacobian_second=r.jacobian_other,
         covariance=r.noise,
     )
 
 
-def _from_augmentations(r: MeasurementRecords, until: Index) -> RecordedSightings:
+def _initialised(r: MeasurementRecords, until: Index) -> RecordedRelations:
     """Landmark = point + G_x (x - pose) + G_z v, as a relation with residual zero."""
-    return RecordedSightings(
-        node=np.searchsorted(until, r.step),
-        slot=r.slot,
-        pose=r.pose,
-        landmark=r.landmark,
+    r = r.rows(np.argsort(r.weight <= 0.0, kind="stable"))
+    return RecordedRelations(
+        first=np.searchsorted(until, r.step),
+        second=r.slot,
+        first_point=r.pose,
+        second_point=r.landmark,
         residual=r.innovation,
-        jacobian_pose=-r.jacobian_pose,
-        jacobian_landmark=np.broadcast_to(np.eye(r.noise.shape[-1]), r.noise.shape),
+        jacobian_first=-r.jacobian_pose,
+        jacobian_second=np.broadcast_to(np.eye(r.noise.shape[-1]), r.noise.shape),
         covariance=r.jacobian_other @ r.noise @ r.jacobian_other.transpose(0, 2, 1),
     )

@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.adapters.motion import motion_samples
-from comparisons.adapters.recorded import oriented_points, recorded
+from comparisons.adapters.recorded import measurement_points, merge_points, recorded
 from comparisons.adapters.timeline import Timeline
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.transforms.known_landmarks import surveyed
-from ekf_reference.core.landmark_types import POINT
 from graphslam import increments
-from graphslam.frozen_own import FrozenPoints, own_problem
+from graphslam.graph_builder import POINT, POSE_LANDMARK
 from graphslam.linear_problem import LinearProblem, solve
 from graphslam.marginals import Marginal
+from graphslam.model_system import LinearisationPoints, model_system, moved_to
 from graphslam.problem import SlamProblem
 from graphslam.smoother import SmootherOptions, SmootherResult, smooth
 
@@ -101,68 +101,40 @@ def position_rows(timeline: Timeline, positions: Positions | None) -> PositionRo
     )
 
 
-def linear_recorded(run: EkfRun) -> LinearProblem:
+def recorded_system_of(run: EkfRun) -> LinearProblem:
     """F1: one linear problem from the EKF's own recorded matrices."""
     return recorded(run.trace, run.timeline.steps_until())
 
 
-def linear_own(problem: SlamProblem, run: EkfRun) -> LinearProblem:
+def model_system_of(problem: SlamProblem, run: EkfRun) -> LinearProblem:
     """F2: the smoother's own factors, linearised where the EKF was."""
-    return own_problem(problem, _points(problem, run))
+    return model_system(problem, _points(problem, run))
 
 
-def linear_optimum(problem: SlamProblem, run: EkfRun, optimum: Estimate) -> LinearProblem:
+def model_system_at(problem: SlamProblem, run: EkfRun, optimum: Estimate) -> LinearProblem:
     """The same factors in the same order, linearised at the smoother's estimate.
 
-    optimum: with all landmarks with a direction by slot, those that were fused with others, too.
+    optimum: with all pose landmarks by index, those that were merged with others, too.
     """
-    there, seen, twins = _points(problem, run), problem.oriented, problem.oriented.twins
-    poses, frames = optimum.pose, optimum.oriented
-    pair, same = there.oriented.row, there.twins.row
-    return own_problem(
-        problem,
-        replace(
-            there,
-            departed=poses,
-            arrived=poses,
-            sighting_pose=poses[problem.sighting_pose[there.sighting]],
-            sighting_landmark=optimum.landmark[problem.sighting_landmark[there.sighting]],
-            position_pose=poses[problem.position_pose[there.position]],
-            oriented=replace(
-                there.oriented, first=poses[seen.pose[pair]], second=frames[seen.landmark[pair]]
-            ),
-            twins=replace(
-                there.twins, first=frames[twins.first[same]], second=frames[twins.second[same]]
-            ),
-        ),
-    )
+    places = {POINT: optimum.landmark, POSE_LANDMARK: optimum.oriented}
+    there = moved_to(_points(problem, run), problem, optimum.pose, places)
+    return model_system(problem, there)
 
 
-def _points(problem: SlamProblem, run: EkfRun) -> FrozenPoints:
+def _points(problem: SlamProblem, run: EkfRun) -> LinearisationPoints:
     trace = run.trace
-    sighting_row = np.cumsum(run.slot >= 0) - 1  # a log's sighting to the problem's
+    problem_row = np.cumsum(run.slot >= 0) - 1  # of a log's measurement
     fix_row = np.zeros(int(run.fix_number.max(initial=-1)) + 1, dtype=np.intp)
     fix_row[run.fix_number] = np.arange(len(run.fix_number))
-    # A landmark begun with a boundless prior is augmented without its sighting's information.
-    begun = trace.initialisations[POINT]
-    both = (trace.measurements[POINT], begun.rows(np.flatnonzero(begun.weight > 0.0)))
-    oriented, twins = oriented_points(trace, lambda pose, step: _as_headings(run, pose, step))
-    return FrozenPoints(
+    seen = measurement_points(trace, lambda pose, step: _as_headings(run, pose, step))
+    return LinearisationPoints(
         departed=run.departed,
         arrived=run.arrived,
-        sighting=sighting_row[np.concatenate([r.number for r in both])],
-        sighting_weight=np.concatenate([r.weight for r in both]),
-        sighting_pose=_as_headings(
-            run,
-            np.concatenate([r.pose for r in both]),
-            np.concatenate([r.step for r in both]),
-        ),
-        sighting_landmark=np.concatenate([r.landmark for r in both]),
+        measurements=seen | {POINT: replace(seen[POINT], row=problem_row[seen[POINT].row])},
+        merges=merge_points(trace),
         position=fix_row[trace.positions.number],
         position_weight=trace.positions.weight,
         position_pose=_as_headings(run, trace.positions.pose, trace.positions.step),
-        oriented=oriented,
-        twins=twins,
     )
 
 
@@ -180,7 +152,7 @@ def solve_recorded(linear: LinearProblem, run: EkfRun) -> Marginal:
     return Marginal(mean, read @ found.covariance @ read.T)
 
 
-def solve_own(linear: LinearProblem, run: EkfRun) -> Marginal:
+def solve_model(linear: LinearProblem, run: EkfRun) -> Marginal:
     """F2's estimate of the last pose and all landmarks."""
     return solve(linear, run.departed, run.estimate.landmark, run.oriented_places)
 
@@ -204,7 +176,7 @@ def smoothed_estimate(
     Of two landmarks with a direction that are one, the first stands for both.
     """
     oriented = result.oriented()
-    kept = np.setdiff1d(np.arange(len(oriented)), result.problem.oriented.twins.second)
+    kept = np.setdiff1d(np.arange(len(oriented)), result.problem.oriented.merges.second)
     covariance, points = result.marginal().covariance, 3 + result.landmarks.size
     rows = np.concatenate((np.arange(points), points + (3 * kept[:, None] + (0, 1, 2)).ravel()))
     return Estimate(

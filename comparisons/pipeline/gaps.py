@@ -12,12 +12,12 @@ from comparisons.adapters.ekf_run import EkfRun
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.smoother_input import (
     build_problem,
-    linear_optimum,
-    linear_own,
-    linear_recorded,
+    model_system_at,
+    model_system_of,
+    recorded_system_of,
     run_smoother,
     smoothed_estimate,
-    solve_own,
+    solve_model,
     solve_recorded,
 )
 from comparisons.adapters.timeline import Timeline
@@ -66,7 +66,7 @@ class Gaps:
         # All landmarks with a direction by slot, merged ones among them.
         whole = replace(self.smoothed, oriented=self.result.oriented())
         return linearisation_growth(
-            self.model, linear_optimum(self.problem, self.run, whole), whole
+            self.model, model_system_at(self.problem, self.run, whole), whole
         )
 
 
@@ -91,8 +91,8 @@ def compute_gaps(
     problem = build_problem(log, replace(run, timeline=own))
     with clock.stage("frozen"):
         progress("frozen smoothers", 0, 0)
-        recorded, model = linear_recorded(run), linear_own(problem, run)
-        first, second = solve_recorded(recorded, run), solve_own(model, run)
+        recorded, model = recorded_system_of(run), model_system_of(problem, run)
+        first, second = solve_recorded(recorded, run), solve_model(model, run)
     with clock.stage("smoother"):
         result = run_smoother(problem, run, options, lambda stage: progress(stage, 0, 0))
     with clock.stage("marginals"):

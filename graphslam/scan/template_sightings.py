@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from graphslam.belief import Belief
-from graphslam.graph_builder import ORIENTED_KEY, POSE_KEY, build_graph, oriented_from
+from graphslam.graph_builder import POSE_KEY, POSE_LANDMARK_KEY, build_graph, oriented_from
 from graphslam.initialisation import extension
 from graphslam.marginals import joint_marginal, to_global
 from graphslam.optimisers import levenberg_marquardt
@@ -268,14 +268,14 @@ class _Drive:
         part = replace(self._problem, oriented=self.factors()).prefix(self._pose + 1)
         graph = build_graph(part)
         for s in self._seen:  # begun where everything was solved the last time, after that
-            if s.pose < self._solved and not self._values.exists(ORIENTED_KEY + s.landmark):
+            if s.pose < self._solved and not self._values.exists(POSE_LANDMARK_KEY + s.landmark):
                 here = self._values.atPose2(POSE_KEY + s.pose)
                 place = here.compose(gtsam.Pose2(*s.measured))
-                self._values.insert(ORIENTED_KEY + s.landmark, place)
+                self._values.insert(POSE_LANDMARK_KEY + s.landmark, place)
         self._values.insert(extension(part, self._values, self._solved, self._pose + 1))
         self._values, *_ = levenberg_marquardt(graph, self._values, 1e-4, limit=5)
         here = self._values.atPose2(POSE_KEY + self._pose)
-        keys = [POSE_KEY + self._pose, *range(ORIENTED_KEY, ORIENTED_KEY + known)]
+        keys = [POSE_KEY + self._pose, *range(POSE_LANDMARK_KEY, POSE_LANDMARK_KEY + known)]
         local = joint_marginal(graph.linearize(self._values), keys, 3 + 3 * known).covariance
         places = oriented_from(self._values, part)
         mean = np.concatenate(([here.x(), here.y(), here.theta()], places.ravel()))

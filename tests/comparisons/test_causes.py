@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from comparisons.adapters.smoother_input import build_problem, linear_optimum, linear_own
+from comparisons.adapters.smoother_input import build_problem, model_system_at, model_system_of
 from comparisons.checks import causes
 from comparisons.checks.causes import GAPS
 from comparisons.checks.diagnosis.dropouts import find_dropouts
@@ -15,7 +15,7 @@ from comparisons.checks.diagnosis.linearisation_growth import linearisation_grow
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
 from comparisons.pipeline.compare import Comparison
-from graphslam.frozen_own import FrozenPoints, own_problem
+from graphslam.model_system import LinearisationPoints, RelationPoints, model_system
 from graphslam.problem import SlamProblem
 from tests.helpers import Array, compared, simulated
 
@@ -33,7 +33,7 @@ def silent(log: Log, begin_s: float, end_s: float) -> Log:
     return replace(log, sightings=log.sightings.chosen((t <= begin_s) | (t >= end_s)))
 
 
-def linearised(landmark: Array, poses: Array) -> tuple[SlamProblem, FrozenPoints]:
+def linearised(landmark: Array, poses: Array) -> tuple[SlamProblem, LinearisationPoints]:
     """One landmark ahead, seen once from the first of two poses, linearised where asked."""
     problem = SlamProblem(
         prior_pose=poses[0],
@@ -46,13 +46,11 @@ def linearised(landmark: Array, poses: Array) -> tuple[SlamProblem, FrozenPoints
         sigma=np.array([[0.1, 0.02]]),
         landmark_count=1,
     )
-    points = FrozenPoints(
+    points = LinearisationPoints(
         departed=poses,
         arrived=poses,
-        sighting=np.array([0]),
-        sighting_weight=np.ones(1),
-        sighting_pose=poses[:1],
-        sighting_landmark=landmark[None],
+        measurements={2: RelationPoints(np.array([0]), np.ones(1), poses[:1], landmark[None])},
+        merges={},
         position=NONE,
         position_weight=np.zeros(0),
         position_pose=np.zeros((0, 3)),
@@ -76,8 +74,8 @@ def test_the_error_of_linearising_is_that_of_the_formula() -> None:
     poses, sideways = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), 2.0
     off = np.array([10.0, sideways])
     problem, at_filter = linearised(np.array([10.0, 0.0]), poses)
-    optimum = own_problem(problem, linearised(off, poses)[1])
-    growth = linearisation_growth(own_problem(problem, at_filter), optimum, estimate(poses, off))
+    optimum = model_system(problem, linearised(off, poses)[1])
+    growth = linearisation_growth(model_system(problem, at_filter), optimum, estimate(poses, off))
     by_range = (np.hypot(10.0, sideways) - 10.0) / 0.1
     by_bearing = (np.arctan2(sideways, 10.0) - sideways / 10.0) / 0.02
     assert growth.kind == "a sighting"
@@ -93,15 +91,15 @@ def test_a_prediction_counts_with_its_turn() -> None:
     turned[:, 2] = 0.3
     landmark = np.array([10.0, 0.0])
     problem, at_filter = linearised(landmark, poses)
-    optimum = own_problem(problem, linearised(landmark, turned)[1])
+    optimum = model_system(problem, linearised(landmark, turned)[1])
     growth = linearisation_growth(
-        own_problem(problem, at_filter), optimum, estimate(turned, landmark)
+        model_system(problem, at_filter), optimum, estimate(turned, landmark)
     )
     assert growth.squared[1] > 0.0
     assert growth.reached(1.0) == 1
     wound = turned + (0.0, 0.0, 2.0 * np.pi)
     around = linearisation_growth(
-        own_problem(problem, at_filter), optimum, estimate(wound, landmark)
+        model_system(problem, at_filter), optimum, estimate(wound, landmark)
     )
     assert np.allclose(around.squared, growth.squared, rtol=1e-9)
 
@@ -109,10 +107,10 @@ def test_a_prediction_counts_with_its_turn() -> None:
 def test_at_the_optimum_nothing_is_missed() -> None:
     c = sound()
     problem = build_problem(c.log, c.ekf)
-    there = linear_optimum(problem, c.ekf, c.smoothed)
+    there = model_system_at(problem, c.ekf, c.smoothed)
     growth = linearisation_growth(there, there, c.smoothed)
     assert growth.total == 0.0
-    filters = linear_own(problem, c.ekf)
+    filters = model_system_of(problem, c.ekf)
     assert linearisation_growth(filters, there, c.smoothed).total > 0.1
 
 

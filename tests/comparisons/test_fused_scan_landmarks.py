@@ -32,7 +32,7 @@ from tests.scenarios import scenario
 CARELESS = ScanSlamOptions(
     pieces=SingleSegments(every=1, tried=6, ahead_m=0.0, apart_m=-100.0, explained=2.0)
 )
-"""Begins landmarks where there are some: twins, and many of them."""
+"""Begins landmarks where there are some: duplicates, and many of them."""
 
 
 log = partial(scenario, "scan-loop", seed=3, seconds=9.0)
@@ -56,9 +56,9 @@ def by_filter(name: str) -> Comparison:
 @pytest.mark.parametrize("name", ["full", "compressed", "misono-full"])
 def test_the_smoother_is_told_of_the_fused(name: str) -> None:
     c = by_filter(name)
-    twins = c.ekf.oriented.twins
-    assert len(twins.first) > 3
-    assert len(c.agreement.oriented) == c.ekf.oriented.count - len(twins.first)
+    merges = c.ekf.oriented.merges
+    assert len(merges.first) > 3
+    assert len(c.agreement.oriented) == c.ekf.oriented.count - len(merges.first)
     assert c.agreement.algebra.within(1e-6)
     assert c.agreement.model.within(1e-6)
     assert c.verdict.outcome == "agree"
@@ -86,7 +86,7 @@ def test_what_the_smoother_is_not_told_is_found(monkeypatch: pytest.MonkeyPatch)
         covariance: Array,
     ) -> LocalMap:
         known = ekf.fuse_oriented(first, second, z, 0.25 * covariance)
-        self._twins.append((epoch, first, second, z, covariance))
+        self._merges.append((epoch, first, second, z, covariance))
         return known
 
     monkeypatch.setattr(OrientedLedger, "fuse", halved)
@@ -107,7 +107,7 @@ def test_it_is_an_option_and_counted(open3d_library: ModuleType) -> None:
             one.options = CARELESS
     found = compare_prepared(prepared)
     slam, own = found.find(ScanLandmarksFinding).result, found.find(OwnMatchingFinding).result
-    assert slam.fused == len(found.ekf.oriented.twins.first) >= 2
+    assert slam.fused == len(found.ekf.oriented.merges.first) >= 2
     begun = len(slam.landmarks) + slam.fused
     assert sum(row.sightings for row in slam.landmarks) == slam.sightings["used"] + begun
     assert own.reasons["begun"] == begun

@@ -15,12 +15,12 @@ from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.oriented_sightings import OrientedLedger
 from comparisons.adapters.smoother_input import (
     build_problem,
-    linear_optimum,
-    linear_own,
-    linear_recorded,
+    model_system_at,
+    model_system_of,
+    recorded_system_of,
     run_smoother,
     smoothed_estimate,
-    solve_own,
+    solve_model,
     solve_recorded,
 )
 from comparisons.adapters.timeline import build_timeline
@@ -87,8 +87,8 @@ def chain(choices: EkfConfig, modify: Callable[[Ekf], None]) -> tuple[EkfRun, Ag
     setup = FilterSetup(modify=[modify], source=Frames())
     run = run_ekf(log(), build_timeline(log()), chosen, setup=setup)
     problem = build_problem(log(), run)
-    recorded = solve_recorded(linear_recorded(run), run)
-    own = solve_own(linear_own(problem, run), run)
+    recorded = solve_recorded(recorded_system_of(run), run)
+    own = solve_model(model_system_of(problem, run), run)
     result = run_smoother(problem, run, SmootherOptions())
     assert result.proof.proven
     assert result.proof.chi_square.reading == "plausible"
@@ -154,15 +154,15 @@ def test_where_linearising_cost_something_is_found_with_fused_landmarks() -> Non
     ids = run.estimate.landmark_id
     smoothed = smoothed_estimate(result, run.timeline.epoch_time_s, ids, "the EKF's")
     whole = replace(smoothed, oriented=result.oriented())
-    there = linear_optimum(problem, run, whole)
+    there = model_system_at(problem, run, whole)
     assert linearisation_growth(there, there, whole).total == 0.0
-    meant = linear_own(problem, run)
+    meant = model_system_of(problem, run)
     found = linearisation_growth(meant, there, whole)
     assert found.squared.max() < 1.0
     # Broken: what is left of fused landmarks moves up into their slots.
     moved = np.vstack((smoothed.oriented, smoothed.oriented[-1:]))
     shifted = replace(smoothed, oriented=moved)
-    wrong = linearisation_growth(meant, linear_optimum(problem, run, shifted), shifted)
+    wrong = linearisation_growth(meant, model_system_at(problem, run, shifted), shifted)
     assert wrong.squared.max() > 1.0
 
 

@@ -8,14 +8,15 @@ amount to (with the Jacobians' own change).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.estimates.estimate import Estimate
 from ekf_reference.core.geometry import wrap_angle
-from graphslam.linear_problem import LinearProblem, LinearSightings, times
+from graphslam.graph_builder import POINT, POSE_LANDMARK
+from graphslam.linear_problem import LinearProblem, LinearRelations, times
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -67,14 +68,16 @@ def linearisation_growth(
     which has all landmarks by slot. That two are one belongs to no instant, and is left out.
     """
     poses = smoothed.pose
-    every = (
-        _motion(frozen, optimum, poses),
-        _sightings("a sighting", frozen.sightings, optimum.sightings, poses, smoothed.landmark),
-        _sightings(
-            "a template's sighting", frozen.oriented, optimum.oriented, poses, smoothed.oriented
-        ),
-        _positions(frozen, optimum, poses),
-    )
+    steps = _relations("a prediction", frozen.motion, optimum.motion, poses, poses)
+    every = [replace(steps, epoch=frozen.motion.second, slot=np.full(len(steps.epoch), -1))]
+    for width, kind, landmarks in (
+        (POINT, "a sighting", smoothed.landmark),
+        (POSE_LANDMARK, "a template's sighting", smoothed.oriented),
+    ):
+        if width in frozen.measurements:
+            seen = frozen.measurements[width], optimum.measurements[width]
+            every.append(_relations(kind, *seen, poses, landmarks))
+    every.append(_positions(frozen, optimum, poses))
     squared = np.zeros(len(poses))
     for one in every:
         np.add.at(squared, one.epoch, one.sigma**2)
@@ -87,19 +90,13 @@ def linearisation_growth(
     )
 
 
-def _motion(frozen: LinearProblem, optimum: LinearProblem, poses: Array) -> LinearisationError:
-    f = frozen.motion
-    said = f.b - times(f.a, _from(f.departed, poses[:-1])) - times(f.c, _from(f.arrived, poses[1:]))
-    epoch = np.arange(1, len(poses))
-    return _error("a prediction", epoch, np.full(len(epoch), -1), said - optimum.motion.b)
-
-
-def _sightings(
-    kind: str, f: LinearSightings, at: LinearSightings, poses: Array, landmarks: Array
+def _relations(
+    kind: str, f: LinearRelations, at: LinearRelations, first: Array, second: Array
 ) -> LinearisationError:
-    said = f.b - times(f.a, _from(f.pose, poses[f.node]))
-    said -= times(f.c, _from(f.landmark, landmarks[f.slot]))
-    return _error(kind, f.node, f.slot, said - at.b)
+    """Of relations between states (n, p) and (m, w)."""
+    said = f.b - times(f.a, _from(f.first_point, first[f.first]))
+    said -= times(f.c, _from(f.second_point, second[f.second]))
+    return _error(kind, f.first, f.second, said - at.b)
 
 
 def _positions(frozen: LinearProblem, optimum: LinearProblem, poses: Array) -> LinearisationError:

@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ekf_reference.filters.misono import along_circle
+from graphslam.graph_builder import POINT, POSE_LANDMARK
 from graphslam.linear_problem import (
-    LinearMotion,
     LinearPositions,
     LinearPrior,
     LinearProblem,
-    LinearSightings,
+    LinearRelations,
     whiten,
 )
 
@@ -68,33 +68,25 @@ def model_differences(
     begun: so many sightings, the last ones, begin a landmark; they are named apart where the others
     do not differ.
     """
-    from_sightings = _first(recorded.sightings, len(own.sightings.slot))
+    steps = _of_relations(recorded.motion), _of_relations(own.motion)
+    measurements = {
+        width: (
+            _of_relations(_first(recorded.measurements[width], len(seen.b))),
+            _of_relations(seen),
+        )
+        for width, seen in own.measurements.items()
+    }
+    positions = _of_positions(recorded.positions), _of_positions(own.positions)
+    merges = {
+        width: (_of_relations(recorded.merges[width]), _of_relations(merged))
+        for width, merged in own.merges.items()
+    }
     kinds = (
-        ("steps", "the predicted pose", _of_motion(recorded.motion), _of_motion(own.motion)),
-        (
-            "uses of sightings",
-            "the innovation",
-            _of_sightings(from_sightings),
-            _of_sightings(own.sightings),
-        ),
-        (
-            "uses of positions",
-            "the innovation",
-            _of_positions(recorded.positions),
-            _of_positions(own.positions),
-        ),
-        (
-            "sightings of scan landmarks",
-            "the innovation",
-            _of_sightings(recorded.oriented),
-            _of_sightings(own.oriented),
-        ),
-        (
-            "fusions of scan landmarks",
-            "the innovation",
-            _placed(recorded.twins.a, recorded.twins.c, recorded.twins.b),
-            _placed(own.twins.a, own.twins.c, own.twins.b),
-        ),
+        ("steps", "the predicted pose", *steps),
+        ("uses of sightings", "the innovation", *measurements[POINT]),
+        ("uses of positions", "the innovation", *positions),
+        ("sightings of scan landmarks", "the innovation", *measurements[POSE_LANDMARK]),
+        ("fusions of scan landmarks", "the innovation", *merges[POSE_LANDMARK]),
     )
     found = _priors(recorded.prior, own.prior, tolerance)
     for kind, place, said, meant in kinds:
@@ -165,25 +157,13 @@ def _compare(
     return results
 
 
-def _of_sightings(s: LinearSightings) -> _Places:
-    """Landmark place l = landmark + c^-1 (b - a (x - pose) - noise)."""
-    return _placed(_by_heading(s.a, s.pose), s.c, s.b)
-
-
-def _placed(a: Array, c: Array, b: Array) -> _Places:
-    """What is placed by c^-1 (b - a dx - noise), dx of x, y, heading."""
-    inverse = _inverse(c)
-    place = (inverse @ b[..., None])[..., 0]
-    return _Places(place, -inverse @ a, inverse @ inverse.transpose(0, 2, 1))
-
-
-def _of_motion(m: LinearMotion) -> _Places:
-    """Pose x' = arrived + c^-1 (b - a (x - departed) - noise), in x, y, heading."""
-    inverse = _inverse(m.c)
-    if m.departed.shape[1] == 4:
-        inverse = np.array([along_circle(pose).T for pose in m.arrived]) @ inverse
-    jacobian = -inverse @ _by_heading(m.a, m.departed)
-    place = (inverse @ m.b[..., None])[..., 0]
+def _of_relations(r: LinearRelations) -> _Places:
+    """State y = second_point + c^-1 (b - a (x - first_point) - noise), poses as x, y, heading."""
+    inverse = _inverse(r.c)
+    if r.second_point.shape[1] == 4:
+        inverse = np.array([along_circle(pose).T for pose in r.second_point]) @ inverse
+    jacobian = -inverse @ _by_heading(r.a, r.first_point)
+    place = (inverse @ r.b[..., None])[..., 0]
     return _Places(place, jacobian, inverse @ inverse.transpose(0, 2, 1))
 
 
@@ -214,7 +194,7 @@ def _inverse(a: Array) -> Array:
     return inverse
 
 
-def _first(s: LinearSightings, count: int) -> LinearSightings:
-    """Only what comes from a sighting: behind that are priors of landmarks."""
+def _first(r: LinearRelations, count: int) -> LinearRelations:
+    """Only what comes from a measurement: behind that are priors of landmarks."""
     rows = slice(0, count)
-    return LinearSightings(**{name: column[rows] for name, column in vars(s).items()})
+    return LinearRelations(**{name: column[rows] for name, column in vars(r).items()})

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from ekf_reference.core.correlation import correlation_coefficients
 
 from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.timeline import build_timeline
 from comparisons.config import EkfConfig
 from comparisons.logs.log import Positions
 from comparisons.pipeline.compare import Comparison, Modified
-from ekf_reference.core.correlation import correlation_coefficients
 from ekf_reference.core.ekf import Ekf
 from tests.helpers import Array, compared, first_seconds, random_covariance, simulated
 

@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
 from ekf_reference.core.correlation import correlation_coefficients
+
 from ekf_reference.dense.conditions import (
     Conditions,
     coordinate_correlation,

@@ -7,10 +7,10 @@ from functools import cache
 
 import numpy as np
 import pytest
+from ekf_reference.core.local_map import by_number
 
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.layout import POINT, POSE, Layout
-from ekf_reference.core.local_map import by_number
 from ekf_reference.dense.dense_map import DenseMap
 from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.view import FilterView

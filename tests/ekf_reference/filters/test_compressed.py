@@ -10,7 +10,7 @@ import pytest
 from comparisons.adapters.ekf_factory import build_ekf, settle
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.filter_setup import FilterSetup
-from comparisons.adapters.smoother_input import linear_recorded, solve_recorded
+from comparisons.adapters.smoother_input import recorded_system_of, solve_recorded
 from comparisons.adapters.timeline import build_timeline
 from comparisons.checks.agreement import eigenvalue_range
 from comparisons.config import EkfConfig
@@ -170,7 +170,7 @@ def test_suboptimal_update_is_conservative_and_nearly_free(c1: float) -> None:
         EkfConfig(filter="full", association="known"),
         setup=FilterSetup(modify=[plant]),
     )
-    exact = solve_recorded(linear_recorded(spared), spared)
+    exact = solve_recorded(recorded_system_of(spared), spared)
     low, high = eigenvalue_range(spared.estimate.joint_covariance, exact.covariance)
     assert sum(u.spared for u in states[0].updates) > 0
     assert max(u.saved for u in states[0].updates) > 0.1
@@ -218,7 +218,7 @@ def test_sparing_the_cross_covariance_too_is_not_conservative() -> None:
         EkfConfig(filter="full", association="known"),
         setup=FilterSetup(modify=[plant]),
     )
-    exact = solve_recorded(linear_recorded(run_), run_)
+    exact = solve_recorded(recorded_system_of(run_), run_)
     assert eigenvalue_range(run_.estimate.joint_covariance, exact.covariance)[0] < 1.0 - 1e-4
 
 

@@ -6,8 +6,6 @@ import math
 
 import numpy as np
 import pytest
-
-from ekf_reference.core.measurement_update import PositionModel
 from ekf_reference.filters.direction_cosine import (
     DirectionCosineMotion,
     DirectionCosinePosition,
@@ -16,6 +14,8 @@ from ekf_reference.filters.direction_cosine import (
     from_heading,
     to_heading,
 )
+
+from ekf_reference.core.measurement_update import PositionModel
 from ekf_reference.models.motion import (
     AckermannModel,
     MotionModel,

@@ -4,6 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from ekf_reference.filters.direction_cosine import (
+    OwnAxesObservation,
+    along_circle,
+    from_heading,
+)
 
 from comparisons.checks.agreement import ROUNDING
 from comparisons.experiments.defects.defect import with_state
@@ -15,11 +20,6 @@ from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.state import Correction, FilterDivergedError, KalmanState
 from ekf_reference.core.trace import RecordedTrace
-from ekf_reference.filters.direction_cosine import (
-    OwnAxesObservation,
-    along_circle,
-    from_heading,
-)
 from ekf_reference.filters.misono import DirectionCosineEkf, DirectionCosineOptions
 from ekf_reference.models.motion import UnicycleModel
 from ekf_reference.models.range_bearing import NewLandmarks, PredictedMeasurements

@@ -6,11 +6,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
+from ekf_reference.core.local_map import LocalMap
 
 from comparisons.logs.simulate.ray_casting import Solids
 from ekf_reference.core.ekf import NEW
 from ekf_reference.core.layout import POSE
-from ekf_reference.core.local_map import LocalMap
 from ekf_reference.scan_landmarks.merging import FusingOptions, Twins, united
 from ekf_reference.scan_landmarks.pieces import SingleSegments
 from ekf_reference.scan_landmarks.scan_slam import USED, ScanSlam, ScanSlamOptions

@@ -1,0 +1,304 @@
+"""Grade F2 of the frozen smoother: this package's own factors, linearised where the EKF was."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import NamedTuple
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from graphslam.graph_builder import (
+    POINT,
+    POSE_LANDMARK,
+    increment_factors,
+    prior_factor,
+    sighting_factors,
+    to_tangent,
+)
+from graphslam.linear_problem import (
+    LinearPositions,
+    LinearPrior,
+    LinearProblem,
+    LinearRelations,
+    LinearSurvey,
+    times,
+    whiten,
+)
+from graphslam.problem import SlamProblem
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+_Rows = tuple[Array, Array, Array]
+"""Whitened a: (R, w, 3), c: (R, w, w) and b: (R, w), as in LinearRelations."""
+
+
+@dataclass(frozen=True)
+class RelationPoints:
+    """Where R relations between two states were linearised.
+
+    row: (R,) in the problem; a measurement that was fused in parts counts once a part. weight:
+    (R,) share of its information. first: (R, 3), the pose, or the landmark that another one is.
+    second: (R, w), the landmark.
+    """
+
+    row: Index
+    weight: Array
+    first: Array
+    second: Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinearisationPoints:
+    """Where the filter linearised this package's factors, for K poses.
+
+    departed: (K, 3) pose when motion left it; for the last, the filter's final pose.
+    arrived: (K, 3) pose predicted on arrival; for the first, the prior.
+    measurements: of landmarks, by their width. merges: of landmarks that are one, by their width.
+    For G uses of positions: position: (G,) row in the problem, position_weight: (G,) share of its
+    information, position_pose: (G, 3).
+    """
+
+    departed: Array
+    arrived: Array
+    measurements: Mapping[int, RelationPoints]
+    merges: Mapping[int, RelationPoints]
+    position: Index
+    position_weight: Array
+    position_pose: Array
+
+
+class _Model(NamedTuple):
+    """What a problem says of relations of one kind: who is related, and the equations at points."""
+
+    first: Index
+    second: Index
+    rows: Callable[[RelationPoints], _Rows]
+
+    def at(self, points: RelationPoints) -> LinearRelations:
+        """Linearised at these."""
+        a, c, b = self.rows(points)
+        return LinearRelations(
+            first=self.first[points.row],
+            second=self.second[points.row],
+            first_point=points.first,
+            second_point=points.second,
+            a=a,
+            c=c,
+            b=b,
+        )
+
+    def moved(self, points: RelationPoints, first: Array, second: Array) -> RelationPoints:
+        """Linearised at states (n, 3) and (m, w) instead."""
+        rows = points.row
+        return replace(points, first=first[self.first[rows]], second=second[self.second[rows]])
+
+
+def model_system(problem: SlamProblem, points: LinearisationPoints) -> LinearProblem:
+    """Return F2: what this package's factors say at the filter's points.
+
+    Every factor gets variables of its own, so that one gtsam call linearises each where the
+    filter did; gtsam's tangents are then turned into additive global errors.
+    """
+    start = gtsam.Values()
+    start.insert(0, gtsam.Pose2(*problem.prior_pose))
+    prior = _linearised([prior_factor(0, problem)], start, 3, 3)[0]
+    pose = np.arange(problem.pose_count)
+    departed, arrived = points.departed[:-1], points.arrived[1:]
+    motion = _Model(pose[:-1], pose[1:], partial(_increments, problem))
+    measurements, merges = _measurement_models(problem), _merge_models(problem)
+    return LinearProblem(
+        prior=LinearPrior(
+            problem.prior_pose, prior[:, :3] @ to_tangent(problem.prior_pose[2:3])[0]
+        ),
+        motion=motion.at(RelationPoints(pose[:-1], np.ones(len(departed)), departed, arrived)),
+        measurements={w: measurements[w].at(used) for w, used in points.measurements.items()},
+        merges={w: merges[w].at(used) for w, used in points.merges.items()},
+        positions=_positions(problem, points),
+        survey=LinearSurvey(
+            problem.surveyed,
+            *whiten(
+                problem.surveyed_covariance,
+                np.broadcast_to(np.eye(2), problem.surveyed_covariance.shape),
+            ),
+        ),
+    )
+
+
+def moved_to(
+    points: LinearisationPoints,
+    problem: SlamProblem,
+    poses: Array,
+    landmarks: Mapping[int, Array],
+) -> LinearisationPoints:
+    """Return the same uses of measurements, linearised at one estimate.
+
+    Args:
+        points: where the filter linearised them.
+        problem: of which they are.
+        poses: (K, 3).
+        landmarks: (n, w) of each kind by width, merged ones among them.
+    """
+    measurements, merges = _measurement_models(problem), _merge_models(problem)
+    return replace(
+        points,
+        departed=poses,
+        arrived=poses,
+        measurements={
+            w: measurements[w].moved(used, poses, landmarks[w])
+            for w, used in points.measurements.items()
+        },
+        merges={
+            w: merges[w].moved(used, landmarks[w], landmarks[w])
+            for w, used in points.merges.items()
+        },
+        position_pose=poses[problem.position_pose[points.position]],
+    )
+
+
+def _measurement_models(problem: SlamProblem) -> dict[int, _Model]:
+    """Of each kind of landmark, by its width."""
+    seen = problem.oriented
+    return {
+        POINT: _Model(
+            problem.sighting_pose, problem.sighting_landmark, partial(_range_bearing, problem)
+        ),
+        POSE_LANDMARK: _Model(
+            seen.pose, seen.landmark, partial(_pose_in_pose, seen.measured, seen.covariance)
+        ),
+    }
+
+
+def _merge_models(problem: SlamProblem) -> dict[int, _Model]:
+    """Of each kind of landmark that can be merged, by its width."""
+    same = problem.oriented.merges
+    return {
+        POSE_LANDMARK: _Model(
+            same.first, same.second, partial(_pose_in_pose, same.measured, same.covariance)
+        )
+    }
+
+
+def _increments(problem: SlamProblem, at: RelationPoints) -> _Rows:
+    first = list(range(0, 2 * len(at.row), 2))
+    factors = increment_factors(first, [key + 1 for key in first], problem)
+    rows = _linearised_pairs(factors, at.first, at.second)
+    a = rows[:, :, :3] @ to_tangent(at.first[:, 2])
+    c = rows[:, :, 3:6] @ to_tangent(at.second[:, 2])
+    return a, c, rows[:, :, 6]
+
+
+def _range_bearing(problem: SlamProblem, at: RelationPoints) -> _Rows:
+    """Measurements of points, as the filter fuses them."""
+    sigma = problem.sigma[at.row] / np.sqrt(at.weight)[:, None]
+    used = replace(problem, z=problem.z[at.row], sigma=sigma)
+    if problem.own_axes:
+        return _in_own_axes(used, at)
+    first = list(range(0, 2 * len(at.row), 2))
+    factors = sighting_factors(first, [key + 1 for key in first], used)
+    rows = _linearised_pairs(factors, at.first, at.second)
+    return rows[:, :, :3] @ to_tangent(at.first[:, 2]), rows[:, :, 3:5], rows[:, :, 5]
+
+
+def _in_own_axes(used: SlamProblem, at: RelationPoints) -> _Rows:
+    """Measurements as points in the vehicle's axes, in closed form: residual z - R^T (l - p).
+
+    The noise is that of range and bearing, carried over at the measurement.
+    """
+    r, cos, sin = used.z[:, 0], np.cos(used.z[:, 1]), np.sin(used.z[:, 1])
+    root = np.empty((len(r), 2, 2))  # of the noise: its columns along and across the ray
+    root[:, 0, 0], root[:, 1, 0] = cos * used.sigma[:, 0], sin * used.sigma[:, 0]
+    root[:, 0, 1], root[:, 1, 1] = -r * sin * used.sigma[:, 1], r * cos * used.sigma[:, 1]
+    heading = at.first[:, 2]
+    into = np.empty_like(root)  # R^T, global to forward and left
+    into[:, 0, 0] = into[:, 1, 1] = np.cos(heading)
+    into[:, 0, 1], into[:, 1, 0] = np.sin(heading), -np.sin(heading)
+    expected = times(into, at.second - at.first[:, :2])
+    by_pose = np.empty((len(r), 2, 3))
+    by_pose[:, :, :2] = -into
+    by_pose[:, 0, 2], by_pose[:, 1, 2] = expected[:, 1], -expected[:, 0]
+    residual = np.column_stack((r * cos, r * sin)) - expected
+    whitened = np.linalg.solve(root, np.concatenate((by_pose, into, residual[..., None]), axis=2))
+    rows: Array = whitened.astype(np.float64, copy=False)
+    return rows[:, :, :3], rows[:, :, 3:5], rows[:, :, 5]
+
+
+def _pose_in_pose(measured: Array, covariance: Array, at: RelationPoints) -> _Rows:
+    """Relations between two poses, or pose landmarks.
+
+    The residual is the difference of x, y, heading, as a filter has it. gtsam's is the logarithm
+    of the motion in between; both have the same derivative where there is no residual, so gtsam
+    is asked there and its tangent turned. covariance: (N, 3, 3) of the right perturbation.
+    """
+    expected, factors = np.empty_like(at.first), []
+    unit = gtsam.noiseModel.Unit.Create(3)
+    for i, (first, second) in enumerate(zip(at.first.tolist(), at.second.tolist(), strict=True)):
+        between = gtsam.Pose2(*first).between(gtsam.Pose2(*second))
+        expected[i] = between.x(), between.y(), between.theta()
+        factors.append(gtsam.BetweenFactorPose2(2 * i, 2 * i + 1, between, unit))
+    rows = _linearised_pairs(factors, at.first, at.second)
+    out = to_tangent(expected[:, 2]).transpose(0, 2, 1)
+    by_first = out @ rows[:, :, :3] @ to_tangent(at.first[:, 2])
+    by_second = out @ rows[:, :, 3:6] @ to_tangent(at.second[:, 2])
+    residual = measured[at.row] - expected
+    residual[:, 2] = np.pi - np.mod(np.pi - residual[:, 2], 2.0 * np.pi)
+    back = to_tangent(measured[at.row, 2]).transpose(0, 2, 1)
+    added = back @ covariance[at.row] @ back.transpose(0, 2, 1) / at.weight[:, None, None]
+    a, c, b = whiten(added, by_first, by_second, residual)
+    return a, c, b
+
+
+def _positions(problem: SlamProblem, points: LinearisationPoints) -> LinearPositions:
+    """Position fixes, in closed form: the antenna is at p + R lever."""
+    forward, left = problem.lever_m
+    cos, sin = np.cos(points.position_pose[:, 2]), np.sin(points.position_pose[:, 2])
+    arm = np.column_stack((cos * forward - sin * left, sin * forward + cos * left))
+    jacobian = np.zeros((len(arm), 2, 3))
+    jacobian[:, 0, 0] = jacobian[:, 1, 1] = 1.0
+    jacobian[:, 0, 2], jacobian[:, 1, 2] = -arm[:, 1], arm[:, 0]
+    residual = problem.position[points.position] - points.position_pose[:, :2] - arm
+    covariance = problem.position_covariance[points.position]
+    covariance = covariance / points.position_weight[:, None, None]
+    return LinearPositions(
+        problem.position_pose[points.position],
+        points.position_pose,
+        *whiten(covariance, jacobian, residual),
+    )
+
+
+def _linearised_pairs(
+    factors: Sequence[gtsam.NonlinearFactor], first: Array, second: Array
+) -> Array:
+    """(N, w, 3 + w + 1) whitened rows of factors i between keys 2 i and 2 i + 1, as _linearised.
+
+    first: (N, 3) poses. second: (N, w) poses, or points where w is 2.
+    """
+    values, width = gtsam.Values(), second.shape[1]
+    for i, (pose, other) in enumerate(zip(first.tolist(), second, strict=True)):
+        values.insert(2 * i, gtsam.Pose2(*pose))
+        values.insert(2 * i + 1, other if width == POINT else gtsam.Pose2(*other.tolist()))
+    return _linearised(factors, values, width, 3 + width)
+
+
+def _linearised(
+    factors: Sequence[gtsam.NonlinearFactor], values: gtsam.Values, height: int, span: int
+) -> Array:
+    """(N, height, span + 1) whitened rows of equal factors, right-hand side last.
+
+    Each factor has variables of its own, `span` numbers, with keys in the factors' order.
+    """
+    rows = np.zeros((len(factors), height, span + 1))
+    if not factors:
+        return rows
+    graph = gtsam.NonlinearFactorGraph()
+    for factor in factors:
+        graph.push_back(factor)
+    entries = graph.linearize(values).sparseJacobian_()
+    row, column = entries[:2].astype(np.intp) - 1
+    which, local = np.divmod(row, height)
+    place = np.where(column == span * len(factors), span, column - span * which)
+    rows[which, local, place] = entries[2]
+    return rows

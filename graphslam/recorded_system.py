@@ -1,0 +1,160 @@
+"""Grade F1 of the frozen smoother: the matrices that the filter recorded.
+
+A frozen smoother has all states of a log in one linear problem, linearised where the EKF was.
+Grade F2 takes this package's own factors at the filter's points, in model_system. An EKF is the
+exact recursive solution of such a problem, so F1 must equal the filter and F2 must equal F1, to
+rounding.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphslam.linear_problem import (
+    LinearPositions,
+    LinearPrior,
+    LinearProblem,
+    LinearRelations,
+    LinearSurvey,
+    whiten,
+)
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class RecordedPrior:
+    """Where the filter began. pose: (p,). covariance: (p, p)."""
+
+    pose: Array
+    covariance: Array
+
+
+@dataclass(frozen=True)
+class RecordedSteps:
+    """N predictions x' = arrived + f (x - departed) + w, w ~ N(0, q), one after the other.
+
+    departed, arrived: (N, p). f, q: (N, p, p).
+    """
+
+    departed: Array
+    arrived: Array
+    f: Array
+    q: Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordedRelations:
+    """M times residual = jacobian_first (x - first_point) + jacobian_second (y - second_point) + v.
+
+    States, indices and shapes are as in LinearRelations: residual: (M, w). jacobian_first:
+    (M, w, p). jacobian_second: (M, w, w). covariance: (M, w, w) of v.
+    """
+
+    first: Index
+    second: Index
+    first_point: Array
+    second_point: Array
+    residual: Array
+    jacobian_first: Array
+    jacobian_second: Array
+    covariance: Array
+
+    def whitened(self) -> LinearRelations:
+        """Return the same with noise of unit covariance."""
+        a, c, b = whiten(self.covariance, self.jacobian_first, self.jacobian_second, self.residual)
+        return LinearRelations(
+            first=self.first,
+            second=self.second,
+            first_point=self.first_point,
+            second_point=self.second_point,
+            a=a,
+            c=c,
+            b=b,
+        )
+
+
+@dataclass(frozen=True)
+class RecordedPositions:
+    """G relations residual = jacobian_pose (x - pose) + v.
+
+    node: (G,) pose. pose: (G, p). residual: (G, 2). jacobian_pose: (G, 2, p). covariance:
+    (G, 2, 2) of v.
+    """
+
+    node: Index
+    pose: Array
+    residual: Array
+    jacobian_pose: Array
+    covariance: Array
+
+
+def recorded_system(
+    prior: RecordedPrior,
+    steps: RecordedSteps,
+    until: Index,
+    measurements: Mapping[int, RecordedRelations],
+    merges: Mapping[int, RecordedRelations],
+    positions: RecordedPositions,
+) -> LinearProblem:
+    """Return F1: what the filter's own recorded matrices say.
+
+    Args:
+        prior: where the filter began.
+        steps: its predictions.
+        until: (K,) steps made when each pose is reached, ascending from 0.
+        measurements: of landmarks from poses, by the landmarks' width.
+        merges: of two landmarks that are one, by their width.
+        positions: absolute fixes.
+
+    Raises:
+        numpy.linalg.LinAlgError: a recorded covariance is singular.
+    """
+    chain, p = _compose(steps, until), len(prior.pose)
+    pose = np.arange(len(until))
+    motion = RecordedRelations(
+        first=pose[:-1],
+        second=pose[1:],
+        first_point=chain.departed,
+        second_point=chain.arrived,
+        residual=np.zeros_like(chain.arrived),
+        jacobian_first=-chain.f,
+        jacobian_second=np.broadcast_to(np.eye(p), chain.f.shape),
+        covariance=chain.q,
+    )
+    return LinearProblem(
+        prior=LinearPrior(prior.pose, whiten(prior.covariance[None], np.eye(p)[None])[0][0]),
+        motion=motion.whitened(),
+        measurements={width: seen.whitened() for width, seen in measurements.items()},
+        merges={width: merged.whitened() for width, merged in merges.items()},
+        positions=LinearPositions(
+            positions.node,
+            positions.pose,
+            *whiten(positions.covariance, positions.jacobian_pose, positions.residual),
+        ),
+        survey=LinearSurvey(np.zeros((0, 2)), np.zeros((0, 2, 2))),
+    )
+
+
+def _compose(steps: RecordedSteps, until: Index) -> RecordedSteps:
+    """Chain the steps between consecutive poses; exact, as nothing is observed in between."""
+    count, p = len(until) - 1, steps.departed.shape[1]
+    departed, arrived = np.empty((count, p)), np.empty((count, p))
+    f, q = np.empty((count, p, p)), np.empty((count, p, p))
+    for i in range(count):
+        begin, end = int(until[i]), int(until[i + 1])
+        total_f, total_q = steps.f[begin], steps.q[begin]
+        offset = np.zeros(p)
+        for k in range(begin + 1, end):
+            step = steps.f[k]
+            offset = step @ (offset + steps.arrived[k - 1] - steps.departed[k])
+            total_f = step @ total_f
+            total_q = step @ total_q @ step.T + steps.q[k]
+        departed[i], arrived[i] = steps.departed[begin], steps.arrived[end - 1] + offset
+        f[i], q[i] = total_f, total_q
+    return RecordedSteps(departed, arrived, f, q)
