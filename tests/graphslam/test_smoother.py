@@ -6,10 +6,6 @@ import gtsam
 import numpy as np
 import pytest
 
-from comparisons.adapters.ekf_run import run_ekf
-from comparisons.adapters.smoother_input import build_problem
-from comparisons.adapters.timeline import build_timeline
-from comparisons.config import EkfConfig
 from graphslam.frozen import (
     RecordedPositions,
     RecordedPrior,
@@ -29,13 +25,13 @@ from graphslam.marginals import SingularProblemError, last_pose_and_landmarks, t
 from graphslam.optimum import Proof, Stationarity, chi_square_test, stationarity
 from graphslam.problem import SlamProblem
 from graphslam.smoother import smooth
-from tests.helpers import Array, relative_error, simulated
+from tests.graphslam import worlds
+from tests.graphslam.numerics import Array, angle, relative_error
 
 
 @pytest.fixture(scope="module")
 def problem() -> SlamProblem:
-    log = simulated(seed=1, loop_s=20.0)
-    return build_problem(log, run_ekf(log, build_timeline(log), EkfConfig(association="known")))
+    return worlds.loop(1, poses=100).problem
 
 
 def residuals(problem: SlamProblem, poses: Array, landmarks: Array) -> Array:
@@ -47,7 +43,7 @@ def residuals(problem: SlamProblem, poses: Array, landmarks: Array) -> Array:
         a, b = poses[k], poses[k + 1]
         local = to_tangent(a[2:])[0] @ (b - a)
         error = local - d
-        w = np.angle(np.exp(1j * error[2]))
+        w = angle(error[2])
         shift = to_tangent(d[2:])[0][:2, :2] @ error[:2]
         s, q = (np.sin(w) / w, (1 - np.cos(w)) / w) if abs(w) > 1e-12 else (1.0, 0.0)
         v = np.linalg.solve(np.array(((s, -q), (q, s))), shift)
@@ -55,7 +51,7 @@ def residuals(problem: SlamProblem, poses: Array, landmarks: Array) -> Array:
     offset = landmarks[problem.sighting_landmark] - poses[problem.sighting_pose, :2]
     r = np.hypot(*offset.T) - problem.z[:, 0]
     bearing = np.arctan2(offset[:, 1], offset[:, 0]) - poses[problem.sighting_pose, 2]
-    beta = np.angle(np.exp(1j * (bearing - problem.z[:, 1])))
+    beta = angle(bearing - problem.z[:, 1])
     parts.append((np.column_stack((r, beta)) / problem.sigma).ravel())
     return np.concatenate(parts)
 

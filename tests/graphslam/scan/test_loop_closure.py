@@ -25,7 +25,7 @@ from graphslam.scan.odometry import OdometryOptions
 from graphslam.scan.registration import Registration, ScanError
 from graphslam.smoother import smooth
 from tests.graphslam.scan.shapes import ROOM, box, scan
-from tests.helpers import Array, central_difference, random_covariance, relative_error
+from tests.graphslam.numerics import Array, central_difference, random_covariance, relative_error
 
 BLOCK = np.vstack(
     (

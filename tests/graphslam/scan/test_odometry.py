@@ -19,7 +19,7 @@ from graphslam.scan import planar
 from graphslam.scan.odometry import Increment, OdometryOptions, ScanOdometry
 from graphslam.scan.registration import ScanError
 from tests.graphslam.scan.shapes import YARD, hall_in_space, scan, seen_from
-from tests.helpers import Array
+from tests.graphslam.numerics import Array
 
 STEP = np.array((0.2, 0.02, 0.06))
 SIGMA_M = 0.01

@@ -13,7 +13,7 @@ from graphslam.scan.odometry import OdometryOptions, ScanOdometry
 from graphslam.scan.registration import ScanError
 from tests.graphslam.scan.shapes import HALL, box, scan
 from tests.graphslam.scan.test_odometry import STEP, drive
-from tests.helpers import Array
+from tests.graphslam.numerics import Array
 
 BAD: dict[str, Callable[[], object]] = {
     "empty": lambda: np.zeros((0, 3)),

@@ -7,7 +7,7 @@ import pytest
 
 from graphslam import increments
 from graphslam.scan import planar
-from tests.helpers import Array, central_difference, random_covariance, relative_error
+from tests.graphslam.numerics import Array, central_difference, random_covariance, relative_error
 
 
 def random_motion(rng: np.random.Generator) -> Array:

@@ -22,7 +22,7 @@ from graphslam.scan.points import (
     usable,
 )
 from graphslam.scan.registration import ScanError
-from tests.helpers import Array, relative_error
+from tests.graphslam.numerics import Array, relative_error
 
 MOUNT = np.array((2.1, -0.4, 0.3))
 
