@@ -17,7 +17,7 @@ CLOSED_ELSEWHERE = (
     "EDGE_SE2 10 20 1 0 1.5 2 0.5 0 2 0 2\n"
     "EDGE_SE2 10 20 1.1 0 1.4 3 0 0 3 0 3\n"
 )
-"""Of another program: numbers with gaps, edges in any order, the later pose first, none behind #."""
+"""Of another program: gaps in the numbers, edges in any order, the later pose first, no #."""
 
 FAULTS = [
     (("VERTEX_SE2 3 ", "VERTEX_SE3:QUAT 3 "), "unknown tag 'VERTEX_SE3:QUAT'"),

@@ -4,15 +4,8 @@ import numpy as np
 import pytest
 
 from graphslam.graph_builder import to_tangent
-from graphslam.increments import (
-    AckermannGeometry,
-    Samples,
-    Stabilisation,
-    ackermann_samples,
-    compose,
-    relative_pose_samples,
-    unicycle_samples,
-)
+from graphslam.increments import Samples, compose, relative_pose_samples
+from tests.graphslam.motions import GEOMETRY, controls, samples
 from tests.graphslam.numerics import (
     Array,
     central_difference,
@@ -21,42 +14,25 @@ from tests.graphslam.numerics import (
     relative_error,
 )
 
-GEOMETRY = (2.83, 0.76, 3.78, 0.5)
-STABILISATION = Stabilisation(1e-5, 1e-7)
-
-
-def controls(n: int, seed: int) -> tuple[Array, Array, Array]:
-    rng = np.random.default_rng(seed)
-    return rng.uniform(0.5, 3, n), rng.uniform(-0.5, 0.5, n), rng.uniform(0.01, 0.1, n)
-
-
-def samples(kind: str, u: Array, w: Array, dt: Array) -> Samples:
-    if kind == "ackermann":
-        geometry = AckermannGeometry(*GEOMETRY)
-        return ackermann_samples(u, w, dt, 0.2, 0.05, STABILISATION, geometry)
-    return unicycle_samples(u, w, dt, 0.2, 0.05, STABILISATION)
-
 
 def stepped(kind: str, pose: Array, control: Array, duration_s: float) -> Array:
     """A pose (3,) after one sample, in global coordinates; control: speed, steering or yaw rate."""
     speed, turning = control
     if kind == "unicycle":
         middle = pose[2] + 0.5 * duration_s * turning
-        way = duration_s * speed * np.array((np.cos(middle), np.sin(middle)))
-        arrived: Array = pose + (*way, duration_s * turning)
-        return arrived
+        way = speed * np.array((np.cos(middle), np.sin(middle)))
+        return pose + duration_s * np.array((*way, turning))
     wheelbase, encoder, forward, left = GEOMETRY
     tan = np.tan(turning)
     speed /= 1.0 - tan * encoder / wheelbase
     cos, sin = np.cos(pose[2]), np.sin(pose[2])
-    arrived = pose + duration_s * speed * np.array(
+    return pose + duration_s * speed * np.array(
         (
             cos - tan / wheelbase * (forward * sin + left * cos),
             sin + tan / wheelbase * (forward * cos - left * sin),
             tan / wheelbase,
         )
     )
-    return arrived
 
 
 @pytest.mark.parametrize("kind", ["ackermann", "unicycle"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -17,7 +18,7 @@ SIGMA = np.array((0.15, np.deg2rad(1.0)))
 """Of range and bearing."""
 PRIOR = np.diag((0.01, 0.01, 0.001)) ** 2
 STEP = np.array(((4e-4, 0.0, 0.0), (0.0, 1.6e-4, 3.5e-5), (0.0, 3.5e-5, 1.6e-5)))
-"""Covariance of an increment's right perturbation: a sensor ahead of the axle swings as it turns."""
+"""Of an increment's right perturbation: a sensor ahead of the axle swings as it turns."""
 
 
 @dataclass(frozen=True)
@@ -59,8 +60,7 @@ def loop(seed: int, poses: int = LOOP, noise: float = 1.0) -> World:
         return noise * np.linalg.cholesky(covariance) @ rng.standard_normal(len(covariance))
 
     increment = [
-        product(quotient(here, there), exponential(draw(STEP)))
-        for here, there in zip(true[:-1], true[1:], strict=True)
+        product(quotient(here, there), exponential(draw(STEP))) for here, there in pairwise(true)
     ]
     node, label, z = _measured(true, posts())
     seen, first, slot = np.unique(label, return_index=True, return_inverse=True)
