@@ -1,11 +1,10 @@
-"""Landmarks with a direction along the chain of estimates: filter, frozen smoothers, smoother."""
+"""Pose landmarks along the chain of estimates: filter, frozen smoothers, smoother."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import gtsam
 import numpy as np
 import pytest
 
@@ -16,7 +15,7 @@ from ekf_reference.core.state import KalmanState
 from ekf_reference.core.trace import RecordedTrace, TraceArrays
 from ekf_reference.models.motion import UnicycleModel
 from ekf_reference.models.relative_pose import RelativePose
-from graphslam.frozen_own import FrozenPairs, FrozenPoints, own_problem
+from graphslam.frozen_own import FrozenPoints, own_problem
 from graphslam.graph_builder import right_perturbation
 from graphslam.linear_problem import LinearProblem, solve
 from graphslam.marginals import Marginal
@@ -36,7 +35,7 @@ from tests.ekf_reference.both_kinds import (
     build,
     drive,
 )
-from tests.helpers import Array, central_difference, relative_error
+from tests.helpers import Array, relative_error
 
 SCRIPT = Script(steps=120, order="in turn", fuse_at=60, remove_at=75)
 
@@ -244,58 +243,3 @@ def test_the_smoother_is_near_and_its_marginal_has_both_kinds() -> None:
     lagged = smooth(problem, {}, options=SmootherOptions("fixed-lag", lag=len(result.poses)))
     scale = np.sqrt(np.diag(covariance))
     assert np.abs((lagged.marginal().covariance - covariance) / np.outer(scale, scale)).max() < 0.05
-
-
-def test_prefixes_keep_what_was_known() -> None:
-    problem = problem_of(run(script=Script(steps=80, fuse_at=60)).made)
-    early, late = problem.prefix(60), problem.prefix(61)
-    assert len(early.oriented.twins.pose) == 0
-    assert len(late.oriented.twins.pose) == 1
-    assert late.residual_dimension - early.residual_dimension > 6
-    assert smooth(late, {}).proof.proven
-
-
-def test_a_frame_in_a_frame_by_central_differences() -> None:
-    """F2's rows, unwhitened, at residuals that are not zero."""
-    rng = np.random.default_rng(3)
-    first, second, measured = (rng.uniform(-2.0, 2.0, (1, 3)) for _ in range(3))
-    unit = right_perturbation(measured, np.eye(3)[None])
-    nothing = np.zeros(0, dtype=np.intp)
-    at = FrozenPairs(np.zeros(1, dtype=np.intp), np.ones(1), first, second)
-    seen = OrientedSightings(np.zeros(1, dtype=np.intp), np.zeros(1, dtype=np.intp), measured, unit)
-    problem = SlamProblem(
-        prior_pose=np.zeros(3),
-        prior_covariance=np.eye(3),
-        increment=np.zeros((0, 3)),
-        increment_covariance=np.zeros((0, 3, 3)),
-        sighting_pose=nothing,
-        sighting_landmark=nothing,
-        z=np.zeros((0, 2)),
-        sigma=np.zeros((0, 2)),
-        landmark_count=0,
-        oriented=seen,
-    )
-    empty, none = np.zeros((0, 2)), np.zeros((0, 3))
-    points = FrozenPoints(
-        departed=first,
-        arrived=first,
-        sighting=nothing,
-        sighting_weight=np.zeros(0),
-        sighting_pose=none,
-        sighting_landmark=empty,
-        position=nothing,
-        position_weight=np.zeros(0),
-        position_pose=none,
-        oriented=at,
-    )
-    rows = own_problem(problem, points).oriented
-
-    def expected(x: Array) -> Array:
-        between = gtsam.Pose2(*x[:3]).between(gtsam.Pose2(*x[3:]))
-        return np.array([between.x(), between.y(), between.theta()])
-
-    jacobian = central_difference(expected, np.concatenate((first[0], second[0])))
-    assert relative_error(np.hstack((rows.a[0], rows.c[0])), jacobian) < 1e-8
-    residual = measured[0] - expected(np.concatenate((first[0], second[0])))
-    residual[2] = np.angle(np.exp(1j * residual[2]))
-    assert relative_error(rows.b[0], residual) < 1e-12

@@ -142,7 +142,8 @@ def nearest_by_dead_reckoning(world: World) -> Index:
     bearing = at[:, 2] + problem.z[:, 1]
     ray = problem.z[:, :1] * np.column_stack((np.cos(bearing), np.sin(bearing)))
     apart = (at[:, :2] + ray)[:, None] - world.landmarks
-    return np.argmin(np.linalg.norm(apart, axis=2), axis=1)
+    nearest: Index = np.linalg.norm(apart, axis=2).argmin(axis=1)
+    return nearest
 
 
 @pytest.mark.parametrize(("seed", "loops"), [(1, 1), (3, 2)])

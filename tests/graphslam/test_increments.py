@@ -20,19 +20,18 @@ def stepped(kind: str, pose: Array, control: Array, duration_s: float) -> Array:
     speed, turning = control
     if kind == "unicycle":
         middle = pose[2] + 0.5 * duration_s * turning
-        way = speed * np.array((np.cos(middle), np.sin(middle)))
-        return pose + duration_s * np.array((*way, turning))
-    wheelbase, encoder, forward, left = GEOMETRY
-    tan = np.tan(turning)
-    speed /= 1.0 - tan * encoder / wheelbase
-    cos, sin = np.cos(pose[2]), np.sin(pose[2])
-    return pose + duration_s * speed * np.array(
-        (
+        velocity = np.array((speed * np.cos(middle), speed * np.sin(middle), turning))
+    else:
+        wheelbase, encoder, forward, left = GEOMETRY
+        tan, cos, sin = np.tan(turning), np.cos(pose[2]), np.sin(pose[2])
+        way = (
             cos - tan / wheelbase * (forward * sin + left * cos),
             sin + tan / wheelbase * (forward * cos - left * sin),
             tan / wheelbase,
         )
-    )
+        velocity = speed / (1.0 - tan * encoder / wheelbase) * np.array(way)
+    arrived: Array = pose + duration_s * velocity
+    return arrived
 
 
 @pytest.mark.parametrize("kind", ["ackermann", "unicycle"])
