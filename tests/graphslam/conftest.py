@@ -4,5 +4,5 @@ import pytest
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Name the marker, for these tests run without the project's configuration, too."""
+    """Register the marker of slow tests, for runs without the configuration of a project."""
     config.addinivalue_line("markers", "slow: more than a few seconds")
