@@ -15,8 +15,8 @@ from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import read_given
 from comparisons.estimates.folder import read_estimate, write_estimate
 from ekf_reference.core.state import KalmanState
+from tests.comparisons.test_oriented_chain import Conditioned, NoCross
 from tests.ekf_reference.both_kinds import PRIOR, Script, build, drive
-from tests.graphslam.test_oriented import Conditioned, NoCross
 from tests.helpers import random_covariance
 
 

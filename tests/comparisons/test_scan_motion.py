@@ -82,6 +82,17 @@ def test_increments_are_as_exact_as_they_say(
 
 
 @pytest.mark.slow
+def test_errors_of_whole_drives_are_as_large_as_the_covariances_say() -> None:
+    """On seeds that no calibration was found on."""
+    logs = [simulate(np.random.default_rng(seed), dense_slam()) for seed in (10, 11, 12)]
+    total = np.concatenate([squared_errors(log)[1] for log in logs])
+    low, high = chi2.ppf((0.005, 0.995), 3 * len(total)) / len(total)
+    assert low < total.mean() < high
+    assert high < 1.2 * total.mean()
+    assert low > 0.8 * total.mean()
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["scan-loop", "scan-loop-3d"])
 def test_drift_stays_below_one_percent(name: str) -> None:
     log = scan_loop(name=name)

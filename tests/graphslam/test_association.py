@@ -3,34 +3,32 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from comparisons.adapters.ekf_factory import settle
-from comparisons.adapters.ekf_run import run_ekf
-from comparisons.adapters.smoother_association import associate_own
-from comparisons.adapters.smoother_input import assemble, position_rows
-from comparisons.adapters.timeline import build_timeline
-from comparisons.checks.association import compare_partitions, score_association, score_partition
-from comparisons.config import EkfConfig
-from comparisons.logs.bundled import open_log
-from comparisons.logs.log import Log
-from graphslam.association import AssociationResult, associate
+from graphslam.association import associate
 from graphslam.belief import Belief, wrapped
+from graphslam.increments import dead_reckoned
 from graphslam.problem import SlamProblem
 from graphslam.recognition import PENDING, UNSEEN, Options, recognise
-from tests.helpers import Array, central_difference, random_covariance, relative_error, simulated
+from tests.graphslam import worlds
+from tests.graphslam.numerics import (
+    Array,
+    Index,
+    central_difference,
+    random_covariance,
+    relative_error,
+)
+from tests.graphslam.worlds import World
 
 POSTS = np.array([(6.0, -2.0), (6.0, 2.0), (9.0, 5.0)])
 
 
-def problem_of(log: Log) -> SlamProblem:
-    """Every sighting, nothing decided."""
-    timeline = build_timeline(log)
-    nobody = np.zeros(len(log.sightings.time_s), dtype=np.intp)
-    return assemble(log, timeline, nobody, 1, position_rows(timeline, None))
+def unlabelled(problem: SlamProblem) -> SlamProblem:
+    """Every measurement, nothing decided."""
+    nobody = np.zeros(len(problem.z), dtype=np.intp)
+    return replace(problem, sighting_landmark=nobody, landmark_count=1)
 
 
 def belief(heading_sigma: float, posts: Array = POSTS) -> Belief:
@@ -124,24 +122,46 @@ def test_what_stands_together_is_one_piece_of_evidence() -> None:
     assert relative_error(three.covariance, one.covariance) < 0.02
 
 
-def score(log: Log, found: AssociationResult) -> tuple[float, float]:
-    result = score_partition(found.slot, log.sightings.landmark)
-    return result.precision, result.recall
+def pairs(*labels: Index) -> int:
+    """Pairs of measurements with equal labels, each (M,); in all of them, of several."""
+    counts = np.unique(np.column_stack(labels), axis=0, return_counts=True)[1]
+    return int(np.sum(counts * (counts - 1) // 2))
 
 
-@pytest.mark.parametrize(("seed", "loops"), [(0, 1), (3, 2)])
+def score(slot: Index, true: Index) -> tuple[float, float]:
+    """By pairs of measurements: precision and recall of a partition (M,), negative unused."""
+    used = slot >= 0
+    together, right = pairs(slot[used]), pairs(slot[used], true[used])
+    return right / together, right / pairs(true)
+
+
+def nearest_by_dead_reckoning(world: World) -> Index:
+    """The landmark (M,) that each measurement comes nearest to without any correction."""
+    problem = world.problem
+    at = dead_reckoned(problem.prior_pose, problem.increment)[problem.sighting_pose]
+    bearing = at[:, 2] + problem.z[:, 1]
+    ray = problem.z[:, :1] * np.column_stack((np.cos(bearing), np.sin(bearing)))
+    apart = (at[:, :2] + ray)[:, None] - world.landmarks
+    nearest: Index = np.linalg.norm(apart, axis=2).argmin(axis=1)
+    return nearest
+
+
+@pytest.mark.parametrize(("seed", "loops"), [(1, 1), (3, 2)])
 def test_loops_are_closed_without_labels(seed: int, loops: int) -> None:
-    log = simulated(seed, loops=loops)
-    precision, recall = score(log, associate(problem_of(log)))
+    world = worlds.loop(seed, poses=loops * worlds.LOOP + 40)
+    true = world.problem.sighting_landmark
+    precision, recall = score(associate(unlabelled(world.problem)).slot, true)
     assert precision > 0.995
-    assert recall > 0.96
+    assert recall > 0.99
+    # Odometry alone would not do.
+    assert score(nearest_by_dead_reckoning(world), true)[0] < 0.9
 
 
 def test_clutter_becomes_no_landmark() -> None:
     """A fifth more detections of nothing: nearly all stay unused, and the map is the same."""
-    log = simulated(1)
+    problem = worlds.loop(1).problem
     rng = np.random.default_rng(0)
-    everything = problem_of(log)
+    everything = unlabelled(problem)
     count = len(everything.z) // 5
     rows = rng.integers(0, len(everything.z), count)
     z = rng.uniform((3.0, -1.5), (20.0, 1.5), (count, 2))
@@ -154,46 +174,15 @@ def test_clutter_becomes_no_landmark() -> None:
     )
     found = associate(cluttered)
     assert np.mean(found.slot[len(everything.z) :] < 0) > 0.8
-    precision = score_partition(found.slot[: len(everything.z)], log.sightings.landmark)
-    assert precision.precision > 0.98
-    assert found.landmark_count < 75
+    precision, _ = score(found.slot[: len(everything.z)], problem.sighting_landmark)
+    assert precision > 0.98
+    assert found.landmark_count < 1.25 * problem.landmark_count
 
 
-def test_landmarks_are_numbered_by_first_sighting() -> None:
-    log = simulated(2, loop_s=30.0)
-    found = associate(problem_of(log))
+def test_landmarks_are_numbered_by_first_measurement() -> None:
+    found = associate(unlabelled(worlds.loop(2, poses=150).problem))
     used = found.slot[found.slot >= 0]
     _, first = np.unique(used, return_index=True)
     assert np.all(np.diff(first) > 0)
     assert used.max() + 1 == found.landmark_count == len(found.landmarks)
     assert np.isfinite(found.landmarks).all()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("robot", "precision", "recall"), [(1, 0.95, 0.93), (2, 0.99, 0.98), (3, 0.98, 0.95)]
-)
-def test_mrclam_with_its_labels_hidden(
-    shared_data: Path, robot: int, precision: float, recall: float
-) -> None:
-    log = open_log(str(shared_data / "mrclam" / "MRCLAM_Dataset6"), robot=robot)
-    timeline = build_timeline(log)
-    found = associate_own(log, timeline, position_rows(timeline, None))
-    clusters = score_association(found.slot, found.landmarks, log)
-    assert clusters is not None
-    assert clusters.clusters is not None
-    assert clusters.clusters.precision > precision
-    assert clusters.clusters.recall > recall
-
-
-@pytest.mark.slow
-def test_raw_detections_as_the_filter_sees_them(shared_data: Path) -> None:
-    """The first five minutes of Victoria Park: most pairs as in the filter's association."""
-    log = open_log(str(shared_data / "victoria_park"))
-    whole = build_timeline(log)
-    timeline = whole.prefix(int(np.searchsorted(whole.epoch_time_s, 300.0)))
-    run = run_ekf(log, timeline, settle(EkfConfig(filter="compressed"), log))
-    found = associate_own(log, timeline, position_rows(timeline, None))
-    agreement = compare_partitions(run.slot, found.slot)
-    assert agreement.agreement > 0.9
-    assert 0.8 < found.problem.landmark_count / len(run.estimate.landmark) < 1.25

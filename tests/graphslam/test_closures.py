@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from comparisons.errors import InputError
-from comparisons.logs.bundled import open_log
 from graphslam.g2o import G2oContents, read_g2o, write_g2o
 from graphslam.graph_builder import build_graph, last_poses, to_tangent
 from graphslam.increments import dead_reckoned
@@ -18,7 +16,8 @@ from graphslam.marginals import pose_covariances
 from graphslam.optimisers import OPTIMISERS
 from graphslam.problem import Closures, SlamProblem
 from graphslam.smoother import SmootherOptions, smooth
-from tests.helpers import Array, random_covariance, relative_error
+from tests.graphslam.g2o_files import CLOSED_ELSEWHERE
+from tests.graphslam.numerics import Array, random_covariance, relative_error
 
 NOWHERE = np.zeros(0, dtype=np.intp)
 
@@ -204,15 +203,8 @@ def test_closures_survive_g2o_bit_for_bit(tmp_path: Path) -> None:
 
 
 def test_closures_of_another_program_are_read(tmp_path: Path) -> None:
-    """Numbers with gaps, edges in any order, the later pose first, no covariance behind a #."""
     path = tmp_path / "other.g2o"
-    path.write_text(
-        "EDGE_SE2 30 10 -1.5 0.5 -3.0 4 0 0 5 0 100\n"
-        "VERTEX_SE2 10 0 0 0\nVERTEX_SE2 30 2 0 3.0\nVERTEX_SE2 20 1 0 1.5\n"
-        "EDGE_SE2 20 30 1 0 1.5 1 0 0 1 0 1\n"
-        "EDGE_SE2 10 20 1 0 1.5 2 0.5 0 2 0 2\n"
-        "EDGE_SE2 10 20 1.1 0 1.4 3 0 0 3 0 3\n"
-    )
+    path.write_text(CLOSED_ELSEWHERE)
     problem = read_g2o(path).problem
     closed = problem.closures
     assert problem.pose_count == 3
@@ -222,20 +214,6 @@ def test_closures_of_another_program_are_read(tmp_path: Path) -> None:
     assert np.array_equal(closed.motion, ((-1.5, 0.5, -3.0), (1.1, 0.0, 1.4)))
     assert relative_error(closed.covariance[0], np.diag((0.25, 0.2, 0.01))) < 1e-12
     assert closed.kernel == "none"
-    with pytest.raises(InputError, match="do not follow each other") as caught:
-        open_log(str(with_sighting(path)), "g2o")
-    assert "\n" not in str(caught.value)
-
-
-def with_sighting(path: Path) -> Path:
-    """A log needs one; without closures it would then be read."""
-    seen = "VERTEX_XY 40 1 1\nEDGE_SE2_XY 10 40 1 1 9 0 9\n"
-    path.write_text(path.read_text() + seen)
-    plain = [line for line in path.read_text().splitlines() if "SE2 30 10" not in line]
-    sound = path.with_name("sound.g2o")
-    sound.write_text("\n".join(line for line in plain if "10 20 1.1" not in line))
-    assert open_log(str(sound), "g2o").records["odometry"] == 2
-    return path
 
 
 @pytest.mark.parametrize(

@@ -3,42 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import gtsam
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from comparisons.adapters.ekf_factory import settle
-from comparisons.adapters.ekf_run import run_ekf
-from comparisons.adapters.smoother_input import build_problem
-from comparisons.adapters.timeline import build_timeline
-from comparisons.config import EkfConfig
-from comparisons.logs.bundled import open_log
-from comparisons.pipeline.solve import solve
-from graphslam.graph_builder import (
-    build_graph,
-    last_poses,
-    to_values,
-)
+from graphslam.graph_builder import build_graph, last_poses
 from graphslam.incremental import run_fixed_lag, run_isam2
-from graphslam.initialisation import extension, track
+from graphslam.initialisation import extension
 from graphslam.marginals import SingularProblemError
-from graphslam.optimisers import OPTIMISERS, optimise
+from graphslam.optimisers import OPTIMISERS
 from graphslam.problem import OrientedSightings, SlamProblem
 from graphslam.singular import explain_singularity
 from graphslam.smoother import SmootherOptions, smooth
-from tests.helpers import relative_error, simulated
-
-
-def problem_of(seed: int, **drive: float) -> SlamProblem:
-    return solve(simulated(seed, **drive)).result.problem
+from tests.graphslam import worlds
+from tests.graphslam.numerics import angle, relative_error
 
 
 @pytest.fixture(scope="module")
 def problem() -> SlamProblem:
-    return problem_of(1, loop_s=60.0)
+    return worlds.loop(1, poses=300).problem
 
 
 def wild(problem: SlamProblem, share: float) -> tuple[SlamProblem, NDArray[np.bool_]]:
@@ -64,34 +49,10 @@ def test_last_poses_follow_the_order_of_the_graph(problem: SlamProblem) -> None:
 @pytest.mark.parametrize("seed", range(4))
 def test_tracking_ends_where_the_truth_would(seed: int) -> None:
     """Two loops at twice the noise: the optimum is the one that a start at the truth reaches."""
-    log = simulated(seed, loops=2, noise_scale=2.0)
-    tracked = solve(log).result
-    truth, landmarks = log.truth.poses, log.truth.landmarks
-    assert truth is not None
-    assert landmarks is not None
-    timeline = build_timeline(log)
-    rows = np.searchsorted(truth.time_s, timeline.epoch_time_s - 1e-6)
-    ids = list(dict.fromkeys(log.sightings.landmark.tolist()))
-    best = smooth(tracked.problem, {"truth": (truth.pose[rows], landmarks.position_m[ids])})
+    world = worlds.loop(seed, poses=2 * worlds.LOOP, noise=2.0)
+    tracked = smooth(world.problem, {})
+    best = smooth(world.problem, {"truth": (world.poses, world.landmarks)})
     assert abs(tracked.error - best.error) < 1e-6 * best.error
-
-
-@pytest.mark.slow
-def test_tracking_solves_the_raw_detections(shared_data: Path) -> None:
-    """Growing prefixes ended at twice the error here."""
-    log = open_log(str(shared_data / "victoria_park"))
-    run = run_ekf(log, build_timeline(log), settle(EkfConfig(filter="compressed"), log))
-    given = build_problem(log, run)
-    graph = build_graph(given)
-    seen = np.unique(given.sighting_landmark)
-    errors = [
-        graph.error(optimise(graph, start)[0])
-        for start in (
-            track(given, graph)[0],
-            to_values(run.departed, run.estimate.landmark, seen),
-        )
-    ]
-    assert abs(errors[0] - errors[1]) < 1e-3
 
 
 @pytest.mark.parametrize("name", OPTIMISERS)
@@ -122,7 +83,7 @@ def test_fixed_lag_says_how_far_it_drifts(problem: SlamProblem) -> None:
         batch.marginal().covariance / np.outer(sigma, sigma),
         atol=0.02,
     )
-    loop = problem_of(0)  # which comes back to its beginning
+    loop = worlds.loop(0).problem  # which comes back to its beginning
     short = smooth(loop, {}, options=SmootherOptions("fixed-lag", lag=5))
     assert short.proof.distance_sigma > 0.05
     assert not short.proof.proven
@@ -131,10 +92,12 @@ def test_fixed_lag_says_how_far_it_drifts(problem: SlamProblem) -> None:
 
 
 def test_fixed_lag_keeps_every_pose(problem: SlamProblem) -> None:
+    """Within its sigmas of the batch, which has seen more; those of the pose before are not."""
     end = run_fixed_lag(problem, build_graph(problem), 20)
-    batch = smooth(problem, {})
-    assert np.abs(end.poses - batch.poses)[:, :2].max() < 2.0
-    assert np.abs(end.poses - batch.poses)[:, 2].max() < 0.2
+    batch = smooth(problem, {}).poses
+    sigma = np.sqrt(np.einsum("kii->ki", end.pose_covariance))
+    assert np.abs((end.poses - batch) / sigma).max() < 0.5
+    assert np.abs((end.poses[:-1] - batch[1:]) / sigma[:-1]).max(axis=0).min() > 2.0
 
 
 @pytest.mark.slow
@@ -180,22 +143,15 @@ def test_checkpoints_are_as_sure_as_they_should_be() -> None:
     fractions, seeds = np.array((0.2, 0.4, 0.6, 0.8, 1.0)), 50
     total, freedom = np.zeros(len(fractions)), np.zeros(len(fractions))
     for seed in range(seeds):
-        log = simulated(seed, loop_s=12.0)
-        truth, landmarks = log.truth.poses, log.truth.landmarks
-        assert truth is not None
-        assert landmarks is not None
-        problem = solve(log).result.problem
+        world = worlds.loop(seed, poses=60)
+        problem = world.problem
         stops = [int(f * (problem.pose_count - 1)) for f in fractions]
         end = run_isam2(problem, build_graph(problem), stops)
-        ids = list(dict.fromkeys(log.sightings.landmark.tolist()))
-        times = build_timeline(log).epoch_time_s
         for i, checkpoint in enumerate(end.checkpoints):
-            k = int(np.searchsorted(truth.time_s, times[checkpoint.pose] - 1e-6))
-            true = np.concatenate(
-                (truth.pose[k], landmarks.position_m[ids][checkpoint.slot].ravel())
-            )
+            places = world.landmarks[checkpoint.slot].ravel()
+            true = np.concatenate((world.poses[checkpoint.pose], places))
             error = checkpoint.marginal.mean - true
-            error[2] = np.angle(np.exp(1j * error[2]))
+            error[2] = angle(error[2])
             total[i] += float(error @ np.linalg.solve(checkpoint.marginal.covariance, error))
             freedom[i] += len(error)
     spread = 3.1 * np.sqrt(2.0 * freedom)
@@ -302,27 +258,7 @@ def test_oriented_landmarks_are_solved_for(problem: SlamProblem) -> None:
     assert result.rank == more.state_dimension == problem.state_dimension + 9
     found = result.oriented()
     assert np.abs(found[:, :2] - true[:, :2]).max() < 0.01
-    assert np.abs(np.angle(np.exp(1j * (found[:, 2] - true[:, 2])))).max() < 0.001
+    assert np.abs(angle(found[:, 2] - true[:, 2])).max() < 0.001
     before, after = (r.pose_covariances()[:, 2, 2] for r in (plain, result))
     assert np.all(after < before * (1.0 + 1e-9))
     assert len(more.prefix(50).oriented.pose) == np.count_nonzero(pose < 50)
-
-
-@pytest.mark.parametrize("seed", [0, 1])
-def test_the_filter_at_k_agrees_with_the_smoother_up_to_k(seed: int) -> None:
-    """Like with like: neither has seen the future; both are given the same prefix."""
-    log = simulated(seed, loop_s=40.0)
-    timeline = build_timeline(log)
-    problem = solve(log).result.problem
-    stops = [problem.pose_count // 4, problem.pose_count // 2, problem.pose_count - 1]
-    end = run_isam2(problem, build_graph(problem), stops)
-    for checkpoint in end.checkpoints:
-        run = run_ekf(log, timeline.prefix(checkpoint.pose + 1), settle(EkfConfig(), log))
-        mean, covariance = checkpoint.marginal
-        assert len(run.estimate.landmark) == len(checkpoint.slot)
-        apart = run.estimate.joint_mean - mean
-        sigma = np.sqrt(covariance.diagonal())
-        assert np.max(np.abs(apart) / sigma) < 0.5
-        ratio = run.estimate.joint_covariance.diagonal() / covariance.diagonal()
-        assert ratio.min() > 0.5
-        assert ratio.max() < 2.0

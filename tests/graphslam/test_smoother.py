@@ -6,10 +6,13 @@ import gtsam
 import numpy as np
 import pytest
 
-from comparisons.adapters.ekf_run import run_ekf
-from comparisons.adapters.smoother_input import build_problem
-from comparisons.adapters.timeline import build_timeline
-from comparisons.config import EkfConfig
+from graphslam.frozen import (
+    RecordedPositions,
+    RecordedPrior,
+    RecordedSightings,
+    RecordedSteps,
+    recorded_problem,
+)
 from graphslam.graph_builder import (
     LANDMARK_KEY,
     POSE_KEY,
@@ -21,21 +24,14 @@ from graphslam.linear_problem import solve
 from graphslam.marginals import SingularProblemError, last_pose_and_landmarks, to_global
 from graphslam.optimum import Proof, Stationarity, chi_square_test, stationarity
 from graphslam.problem import SlamProblem
-from graphslam.recorded_system import (
-    RecordedPositions,
-    RecordedPrior,
-    RecordedRelations,
-    RecordedSteps,
-    recorded_system,
-)
 from graphslam.smoother import smooth
-from tests.helpers import Array, relative_error, simulated
+from tests.graphslam import worlds
+from tests.graphslam.numerics import Array, angle, relative_error
 
 
 @pytest.fixture(scope="module")
 def problem() -> SlamProblem:
-    log = simulated(seed=1, loop_s=20.0)
-    return build_problem(log, run_ekf(log, build_timeline(log), EkfConfig(association="known")))
+    return worlds.loop(1, poses=100).problem
 
 
 def residuals(problem: SlamProblem, poses: Array, landmarks: Array) -> Array:
@@ -47,7 +43,7 @@ def residuals(problem: SlamProblem, poses: Array, landmarks: Array) -> Array:
         a, b = poses[k], poses[k + 1]
         local = to_tangent(a[2:])[0] @ (b - a)
         error = local - d
-        w = np.angle(np.exp(1j * error[2]))
+        w = angle(error[2])
         shift = to_tangent(d[2:])[0][:2, :2] @ error[:2]
         s, q = (np.sin(w) / w, (1 - np.cos(w)) / w) if abs(w) > 1e-12 else (1.0, 0.0)
         v = np.linalg.solve(np.array(((s, -q), (q, s))), shift)
@@ -55,7 +51,7 @@ def residuals(problem: SlamProblem, poses: Array, landmarks: Array) -> Array:
     offset = landmarks[problem.sighting_landmark] - poses[problem.sighting_pose, :2]
     r = np.hypot(*offset.T) - problem.z[:, 0]
     bearing = np.arctan2(offset[:, 1], offset[:, 0]) - poses[problem.sighting_pose, 2]
-    beta = np.angle(np.exp(1j * (bearing - problem.z[:, 1])))
+    beta = angle(bearing - problem.z[:, 1])
     parts.append((np.column_stack((r, beta)) / problem.sigma).ravel())
     return np.concatenate(parts)
 
@@ -154,14 +150,14 @@ def test_frozen_smoother_on_one_step_equals_the_kalman_filter() -> None:
     gain = predicted @ h.T @ np.linalg.inv(h @ predicted @ h.T + r)
     mean = np.concatenate((x1, l0)) + gain @ nu
     covariance = predicted - gain @ h @ predicted
-    sightings = RecordedRelations(
-        first=np.array((0, 1)),
-        second=np.array((0, 0)),
-        first_point=np.array((x0, x1)),
-        second_point=np.array((l0, l0)),
+    sightings = RecordedSightings(
+        node=np.array((0, 1)),
+        slot=np.array((0, 0)),
+        pose=np.array((x0, x1)),
+        landmark=np.array((l0, l0)),
         residual=np.array((np.zeros(2), nu)),
-        jacobian_first=np.array((-gx, hv)),
-        jacobian_second=np.array((np.eye(2), hl)),
+        jacobian_pose=np.array((-gx, hv)),
+        jacobian_landmark=np.array((np.eye(2), hl)),
         covariance=np.array((r, r)),
     )
     motion = RecordedSteps(x0[None], x1[None], f[None], q[None])
@@ -172,9 +168,7 @@ def test_frozen_smoother_on_one_step_equals_the_kalman_filter() -> None:
         np.zeros((0, 2, 3)),
         np.zeros((0, 2, 2)),
     )
-    linear = recorded_system(
-        RecordedPrior(x0, p0), motion, np.array((0, 1)), {2: sightings}, {}, nothing
-    )
+    linear = recorded_problem(RecordedPrior(x0, p0), motion, np.array((0, 1)), sightings, nothing)
     frozen = solve(linear, np.array((x0, x1)), l0[None])
     assert relative_error(frozen.mean, mean) < 1e-10
     assert relative_error(frozen.covariance, covariance) < 1e-10

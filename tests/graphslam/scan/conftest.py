@@ -1,11 +1,23 @@
 from __future__ import annotations
 
+from types import ModuleType
+
 import pytest
 
 from graphslam.scan.matchers import MATCHERS
+from graphslam.scan.open3d_library import Open3dMissingError, open3d
 from graphslam.scan.registration import Matcher
 
 IN_OPEN3D = {"point-to-point", "point-to-plane", "generalised"}
+
+
+@pytest.fixture(scope="session")
+def open3d_library() -> ModuleType:
+    """Open3D, for tests that need it."""
+    try:
+        return open3d()
+    except Open3dMissingError as error:
+        pytest.skip(str(error))
 
 
 @pytest.fixture(params=MATCHERS)

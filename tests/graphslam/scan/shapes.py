@@ -5,11 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from graphslam.scan import planar
-
-Array = NDArray[np.float64]
+from tests.graphslam.numerics import Array
 
 BEAMS = np.deg2rad(np.arange(0.0, 360.0, 1.0))
 
@@ -47,10 +45,40 @@ YARD = np.vstack(
 LONG = np.vstack((box(0, 0, 60, 4), box(9, 1.7, 0.6, 0.6), box(-8, -1.7, 0.6, 0.6)))
 
 
-def ranges(segment: Array, pose: Array) -> Array:
-    """(B,) to the nearest of segments (S, 4) along all beams, from a pose (3,) within."""
-    cos, sin = np.cos(pose[2] + BEAMS)[:, None], np.sin(pose[2] + BEAMS)[:, None]
-    x1, y1, x2, y2 = (segment - np.tile(pose[:2], 2)).T
+BLOCK = np.vstack(
+    (
+        box(0, 0, 24, 18),
+        box(0, 0, 12, 6),
+        box(3, -8, 2, 1.0, 0.2),
+        box(-6, -4, 1, 1.5, 0.4),
+        box(11, 2, 1, 3, 0.1),
+        box(7, 4, 1, 1, 0.8),
+        box(-2, 8, 3, 0.8, -0.2),
+        box(-11, 5, 1, 2, 0.3),
+        box(-7, -1, 1, 1, 0.6),
+    )
+)
+"""A block of houses with a street around it."""
+
+
+def round_the_block() -> Array:
+    """(K, 3) motions of half a metre or less, once round and 9 m of the first street again."""
+    street, turn = np.array((0.5, 0.0, 0.0)), np.array((0.4, 0.0, np.pi / 20))
+    sides = []
+    for length in (26, 14, 26, 14, 18):
+        sides += [np.tile(street, (length, 1)), np.tile(turn, (10, 1))]
+    return np.vstack(sides[:-1])
+
+
+def cast(segment: Array, beam: Array, scanner: Array) -> Array:
+    """(B,) ranges to the nearest of segments (S, 4) along beams (B,), inf where there is none.
+
+    scanner: its pose (3,), or one for each beam (B, 3).
+    """
+    x, y, heading = np.broadcast_to(scanner, (len(beam), 3)).T[:, :, None]
+    cos, sin = np.cos(heading + beam[:, None]), np.sin(heading + beam[:, None])
+    x1, y1, x2, y2 = segment.T
+    x1, y1, x2, y2 = x1 - x, y1 - y, x2 - x, y2 - y
     one, other = y1 * cos - x1 * sin, y2 * cos - x2 * sin
     with np.errstate(divide="ignore", invalid="ignore"):
         part = one / (one - other)
@@ -62,7 +90,7 @@ def ranges(segment: Array, pose: Array) -> Array:
 
 def scan(rng: np.random.Generator, segment: Array, pose: Array, sigma_m: float) -> Array:
     """(B, 3) a planar scan from a pose (3,), in the scanner's frame."""
-    way = ranges(segment, pose) + sigma_m * rng.standard_normal(len(BEAMS))
+    way = cast(segment, BEAMS, pose) + sigma_m * rng.standard_normal(len(BEAMS))
     return np.column_stack((way * np.cos(BEAMS), way * np.sin(BEAMS), np.zeros(len(BEAMS))))
 
 

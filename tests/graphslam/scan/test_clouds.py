@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from graphslam.scan.clouds import CloudError, read_cloud, write_cloud
-from tests.graphslam.scan.shapes import Array
+from tests.graphslam.numerics import Array
 
 pytestmark = pytest.mark.usefixtures("open3d_library")
 

@@ -24,23 +24,9 @@ from graphslam.scan.matchers import SurfaceMatcher
 from graphslam.scan.odometry import OdometryOptions
 from graphslam.scan.registration import Registration, ScanError
 from graphslam.smoother import smooth
-from tests.graphslam.scan.shapes import ROOM, box, scan
-from tests.helpers import Array, central_difference, random_covariance, relative_error
+from tests.graphslam.numerics import Array, central_difference, random_covariance, relative_error
+from tests.graphslam.scan.shapes import BLOCK, ROOM, round_the_block, scan
 
-BLOCK = np.vstack(
-    (
-        box(0, 0, 24, 18),
-        box(0, 0, 12, 6),
-        box(3, -8, 2, 1.0, 0.2),
-        box(-6, -4, 1, 1.5, 0.4),
-        box(11, 2, 1, 3, 0.1),
-        box(7, 4, 1, 1, 0.8),
-        box(-2, 8, 3, 0.8, -0.2),
-        box(-11, 5, 1, 2, 0.3),
-        box(-7, -1, 1, 1, 0.6),
-    )
-)
-"""A block of houses with a street around it."""
 STEP_SIGMA = np.array((0.02, 0.01, 0.01))
 
 
@@ -58,15 +44,6 @@ def chain(moves: Array, covariance: Array) -> SlamProblem:
         sigma=np.zeros((0, 2)),
         landmark_count=0,
     )
-
-
-def round_the_block() -> Array:
-    """(K, 3) motions of half a metre or less, once round and 9 m of the first street again."""
-    street, turn = np.array((0.5, 0.0, 0.0)), np.array((0.4, 0.0, np.pi / 20))
-    sides = []
-    for length in (26, 14, 26, 14, 18):
-        sides += [np.tile(street, (length, 1)), np.tile(turn, (10, 1))]
-    return np.vstack(sides[:-1])
 
 
 @cache

@@ -8,7 +8,8 @@ from scipy.stats import chi2
 
 from graphslam.scan import planar
 from graphslam.scan.registration import Matcher
-from tests.graphslam.scan.shapes import COURT, ELL, LONG, YARD, Array, scan_pair
+from tests.graphslam.numerics import Array
+from tests.graphslam.scan.shapes import COURT, ELL, LONG, YARD, scan_pair
 
 SIGMA_M = 0.02
 PAIRS = 200

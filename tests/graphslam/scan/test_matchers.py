@@ -9,7 +9,8 @@ from graphslam.scan import planar
 from graphslam.scan.matchers import MATCHERS, MatchOptions, SurfaceMatcher, thinned
 from graphslam.scan.registration import Matcher, Registration, ScanError
 from graphslam.scan.surfaces import SurfaceMap
-from tests.graphslam.scan.shapes import ROOM, Array, hall_in_space, scan, seen_from
+from tests.graphslam.numerics import Array
+from tests.graphslam.scan.shapes import ROOM, hall_in_space, scan, seen_from
 
 TRUE = np.array((0.4, -0.3, 0.25))
 EXACT = {

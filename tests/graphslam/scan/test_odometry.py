@@ -10,30 +10,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
 
-from comparisons.adapters.scan_odometry import run_scan_odometry
-from comparisons.extensions.scan_motion.increments import normalised_errors
-from comparisons.logs.simulate import scan_drive
+from graphslam.increments import dead_reckoned
 from graphslam.scan import planar
 from graphslam.scan.odometry import Increment, OdometryOptions, ScanOdometry
 from graphslam.scan.registration import ScanError
-from tests.graphslam.scan.shapes import YARD, hall_in_space, scan, seen_from
-from tests.helpers import Array
-
-STEP = np.array((0.2, 0.02, 0.06))
-SIGMA_M = 0.01
-
-
-def drive(
-    scans: int, sigma_m: float = SIGMA_M, step: Array = STEP, seed: int = 0
-) -> tuple[Array, list[Array]]:
-    """True poses (N, 3) on an arc through the yard, and a scan from each."""
-    rng = np.random.default_rng(seed)
-    poses = [np.array((-2.5, -3.5, 0.0))]
-    for _ in range(scans - 1):
-        poses.append(planar.compose(poses[-1], step))
-    return np.array(poses), [scan(rng, YARD, pose, sigma_m) for pose in poses]
+from tests.graphslam.numerics import Array
+from tests.graphslam.scan.shapes import BLOCK, hall_in_space, round_the_block, scan, seen_from
+from tests.graphslam.scan.yard import STEP, drive
 
 
 def run(scans: list[Array], guess: Array | None = None) -> tuple[list[Increment], Array]:
@@ -57,19 +41,35 @@ def test_increments_without_noise_are_those_driven() -> None:
     assert np.abs(chained - end).max() < 1e-12
 
 
+def squared_errors(seed: int) -> tuple[list[float], list[float]]:
+    """Round a block: of the increments as stated, and with covariances turned a quarter."""
+    rng, moves = np.random.default_rng(seed), round_the_block()
+    true = dead_reckoned(np.array((-6.0, -6.0, 0.0)), moves)
+    odometry, quarter = ScanOdometry(), planar.rotation(0.5 * np.pi)
+    odometry.register(scan(rng, BLOCK, true[0], 0.02))
+    right, wrong = [], []
+    for end, move in zip(true[1:], moves, strict=True):
+        guess = move + rng.normal(size=3) * (0.02, 0.01, 0.01)
+        found = odometry.register(scan(rng, BLOCK, end, 0.02), guess)
+        assert found is not None
+        assert found.since == 1
+        error = planar.between(found.motion, move)
+        spread = found.covariance
+        right.append(float(error @ np.linalg.solve(spread, error)))
+        wrong.append(float(error @ np.linalg.solve(quarter @ spread @ quarter.T, error)))
+    return right, wrong
+
+
 @pytest.mark.slow
 def test_errors_are_as_large_as_the_covariances_say() -> None:
-    """On seeds that no calibration was found on."""
-    squared = []
-    for seed in (10, 11, 12):
-        log = scan_drive.simulate(np.random.default_rng(seed), scan_drive.dense_slam())
-        assert log.truth.poses is not None
-        squared.append(normalised_errors(run_scan_odometry(log), log.truth.poses))
-    total = np.concatenate(squared)
-    low, high = chi2.ppf((0.005, 0.995), 3 * len(total)) / len(total)
-    assert low < total.mean() < high
-    assert high < 1.2 * total.mean()
-    assert low > 0.8 * total.mean()
+    """The sigmas, on seeds that no calibration was found on, are right to 10 %."""
+    drives = [squared_errors(seed) for seed in (10, 11, 12)]
+    right, wrong = (np.mean(one) / 3.0 for one in zip(*drives, strict=True))
+    low, high = 0.9**2, 1.1**2
+    assert low < right < high
+    assert not low < wrong < high
+    assert not low < right / 0.8**2 < high
+    assert not low < right / 1.2**2 < high
 
 
 def fingerprint() -> str:

@@ -12,7 +12,8 @@ import pytest
 
 from graphslam.scan import planar
 from graphslam.scan.open3d_library import PACKAGES, Open3dMissingError, explained, open3d
-from tests.graphslam.scan.shapes import Array, box, seen_from
+from tests.graphslam.numerics import Array
+from tests.graphslam.scan.shapes import box, seen_from
 
 ROOT = Path(__file__).resolve().parents[3]
 

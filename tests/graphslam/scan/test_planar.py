@@ -7,19 +7,18 @@ import pytest
 
 from graphslam import increments
 from graphslam.scan import planar
-from tests.helpers import Array, central_difference, random_covariance, relative_error
+from tests.graphslam.numerics import (
+    Array,
+    central_difference,
+    exponential,
+    random_covariance,
+    relative_error,
+)
 
 
 def random_motion(rng: np.random.Generator) -> Array:
     motion: Array = rng.uniform((-20.0, -20.0, -4.0), (20.0, 20.0, 4.0))
     return motion
-
-
-def exponential(xi: Array) -> Array:
-    """(3,) the motion of a constant twist, which a right perturbation is."""
-    turn = 1j * xi[2]
-    way = (xi[0] + 1j * xi[1]) * ((np.exp(turn) - 1.0) / turn if xi[2] else 1.0)
-    return np.array((way.real, way.imag, xi[2]))
 
 
 def test_between_undoes_compose() -> None:

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from comparisons.logs.simulate.ray_casting import Solids, cast
 from graphslam.scan import planar
 from graphslam.scan.odometry import OdometryOptions
 from graphslam.scan.points import (
@@ -22,9 +21,13 @@ from graphslam.scan.points import (
     usable,
 )
 from graphslam.scan.registration import ScanError
-from tests.helpers import Array, relative_error
+from tests.graphslam.numerics import Array, relative_error
+from tests.graphslam.scan.shapes import cast
+
+pytestmark = pytest.mark.filterwarnings("error")
 
 MOUNT = np.array((2.1, -0.4, 0.3))
+WALL = np.array(((12.0, -50.0, 9.0, 50.0),))
 
 
 def test_beams_end_where_the_formula_says() -> None:
@@ -59,8 +62,7 @@ def sweep(motion: Array, duration_s: float) -> tuple[Array, Array]:
     seconds = np.linspace(0.0, duration_s, 181)
     vehicle = seconds[:, None] / duration_s * motion
     scanner = np.array([planar.compose(pose, MOUNT) for pose in vehicle])
-    wall = Solids(np.array(((12.0, -50.0, 9.0, 50.0),)), np.zeros(1, dtype=np.intp), np.ones(1))
-    ranges = cast(angle, scanner, wall)
+    ranges = cast(WALL, angle, scanner)
     assert np.isfinite(ranges).all()
     return planar_points(angle, ranges, MOUNT), seconds
 

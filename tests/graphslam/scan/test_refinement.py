@@ -13,8 +13,8 @@ from graphslam.scan import planar, refinement
 from graphslam.scan.refinement import RefinementOptions, refine
 from graphslam.scan.registration import ScanError
 from graphslam.scan.surfaces import Patches, SurfaceMap
+from tests.graphslam.numerics import Array, central_difference, relative_error
 from tests.graphslam.scan.shapes import COURT, LONG, box, hall_in_space, scan, seen_from
-from tests.helpers import Array, central_difference, relative_error
 
 FINE = RefinementOptions(iterations=50, floor_m=1e-9)
 

@@ -23,7 +23,8 @@ from graphslam.scan.template_sightings import (
     sight_templates,
 )
 from graphslam.smoother import smooth
-from tests.graphslam.scan.shapes import Array, box, scan
+from tests.graphslam.numerics import Array
+from tests.graphslam.scan.shapes import box, scan
 
 STEPS = 24
 SIGMA_M = 0.02

@@ -1,0 +1,82 @@
+"""The filter's models and estimates beside the smoother's."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from comparisons.adapters.ekf_factory import settle
+from comparisons.adapters.ekf_run import run_ekf
+from comparisons.adapters.smoother_input import build_problem
+from comparisons.adapters.timeline import build_timeline
+from comparisons.config import EkfConfig
+from comparisons.logs.bundled import open_log
+from comparisons.pipeline.solve import solve
+from ekf_reference.models.motion import AckermannModel, MotionModel, UnicycleModel
+from graphslam.graph_builder import build_graph, to_tangent, to_values
+from graphslam.incremental import run_isam2
+from graphslam.increments import compose
+from graphslam.initialisation import track
+from graphslam.optimisers import optimise
+from tests.graphslam.motions import GEOMETRY, controls, samples
+from tests.graphslam.numerics import product
+from tests.helpers import relative_error, simulated
+
+
+@pytest.mark.parametrize("kind", ["ackermann", "unicycle"])
+def test_increment_carries_what_the_filter_predicts(kind: str) -> None:
+    """Composed by this package, or stepped through by the EKF's models: the same Gaussian."""
+    model: MotionModel = AckermannModel(*GEOMETRY) if kind == "ackermann" else UnicycleModel()
+    u, w, dt = controls(40, 3)
+    start = np.array((4.0, -7.0, 2.1))
+    pose, covariance = start, np.zeros((3, 3))
+    for i in range(40):
+        step = model.step(pose, np.array((u[i], w[i])), float(dt[i]))
+        b = step.jacobian_control
+        noise = b @ np.diag((0.04, 0.0025)) @ b.T + dt[i] * np.diag((1e-5, 1e-5, 1e-7))
+        covariance = step.jacobian_pose @ covariance @ step.jacobian_pose.T + noise
+        pose = step.pose
+    whole = compose(samples(kind, u, w, dt), np.zeros(40, dtype=np.intp), 1)
+    assert np.allclose(product(start, whole.displacement[0]), pose, rtol=0, atol=1e-12)
+    turn = to_tangent(pose[2:])[0].T
+    assert relative_error(turn @ whole.covariance[0] @ turn.T, covariance) < 1e-12
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_filter_at_k_agrees_with_the_smoother_up_to_k(seed: int) -> None:
+    """Like with like: neither has seen the future; both are given the same prefix."""
+    log = simulated(seed, loop_s=40.0)
+    timeline = build_timeline(log)
+    problem = solve(log).result.problem
+    stops = [problem.pose_count // 4, problem.pose_count // 2, problem.pose_count - 1]
+    end = run_isam2(problem, build_graph(problem), stops)
+    for checkpoint in end.checkpoints:
+        run = run_ekf(log, timeline.prefix(checkpoint.pose + 1), settle(EkfConfig(), log))
+        mean, covariance = checkpoint.marginal
+        assert len(run.estimate.landmark) == len(checkpoint.slot)
+        apart = run.estimate.joint_mean - mean
+        sigma = np.sqrt(covariance.diagonal())
+        assert np.max(np.abs(apart) / sigma) < 0.5
+        ratio = run.estimate.joint_covariance.diagonal() / covariance.diagonal()
+        assert ratio.min() > 0.5
+        assert ratio.max() < 2.0
+
+
+@pytest.mark.slow
+def test_tracking_solves_the_raw_detections(shared_data: Path) -> None:
+    """Growing prefixes ended at twice the error here."""
+    log = open_log(str(shared_data / "victoria_park"))
+    run = run_ekf(log, build_timeline(log), settle(EkfConfig(filter="compressed"), log))
+    given = build_problem(log, run)
+    graph = build_graph(given)
+    seen = np.unique(given.sighting_landmark)
+    errors = [
+        graph.error(optimise(graph, start)[0])
+        for start in (
+            track(given, graph)[0],
+            to_values(run.departed, run.estimate.landmark, seen),
+        )
+    ]
+    assert abs(errors[0] - errors[1]) < 1e-3

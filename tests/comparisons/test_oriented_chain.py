@@ -1,0 +1,245 @@
+"""Pose landmarks along the chain of estimates: filter, frozen smoothers, smoother."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from comparisons.adapters.recorded import oriented_points, recorded
+from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.layout import POSE
+from ekf_reference.core.state import KalmanState
+from ekf_reference.core.trace import RecordedTrace, TraceArrays
+from ekf_reference.models.motion import UnicycleModel
+from ekf_reference.models.relative_pose import RelativePose
+from graphslam.frozen_own import FrozenPoints, own_problem
+from graphslam.graph_builder import right_perturbation
+from graphslam.linear_problem import LinearProblem, solve
+from graphslam.marginals import Marginal
+from graphslam.problem import OrientedSightings, SlamProblem, Twins
+from graphslam.smoother import SmootherOptions, smooth
+from tests.ekf_reference.both_kinds import (
+    CONTROL,
+    PRIOR,
+    RADIUS_M,
+    SIGMA,
+    STEP_S,
+    Flipped,
+    Made,
+    Q,
+    Script,
+    Unwrapped,
+    build,
+    drive,
+)
+from tests.helpers import Array, relative_error
+
+SCRIPT = Script(steps=120, order="in turn", fuse_at=60, remove_at=75)
+
+
+@dataclass
+class Chain:
+    """A drive, and what is made of it."""
+
+    ekf: Ekf
+    made: Made
+    trace: TraceArrays
+
+    @property
+    def expected(self) -> Marginal:
+        """E, points before oriented landmarks."""
+        state = self.ekf.state
+        packed = state.layout.packed()
+        return Marginal(state.mean[packed], state.covariance[np.ix_(packed, packed)])
+
+    def solve(self, linear: LinearProblem) -> Marginal:
+        poses = np.vstack((self.trace.departed, self.ekf.state.pose))
+        return solve(linear, poses, self.ekf.state.landmarks, self.ekf.state.oriented)
+
+    def recorded(self) -> Marginal:
+        """F1."""
+        return self.solve(recorded(self.trace, np.arange(len(self.trace.f) + 1)))
+
+    def own(self) -> Marginal:
+        """F2."""
+        return self.solve(own_problem(problem_of(self.made), points_of(self.trace, self.ekf)))
+
+
+def run(
+    kind: str = "full",
+    script: Script = SCRIPT,
+    modify: Callable[[Ekf], None] = lambda ekf: None,
+    seed: int = 0,
+) -> Chain:
+    trace = RecordedTrace()
+    ekf = build(kind, trace)
+    modify(ekf)
+    made = drive(ekf, seed, script)
+    return Chain(ekf, made, trace.arrays())
+
+
+def problem_of(made: Made) -> SlamProblem:
+    """What the drive measured, as the smoother is told."""
+    at = UnicycleModel().step(np.zeros(3), CONTROL, STEP_S)
+    drift = np.diag((1e-8, 1e-8, 1e-10)) * STEP_S
+    spread = at.jacobian_control @ Q @ at.jacobian_control.T + drift
+    steps = made.steps
+    node, slot, z = (np.array(c) for c in zip(*made.points_seen, strict=True))
+    covariance = np.array([r for _, _, _, r in made.seen])
+    measured = np.array([z for _, _, z, _ in made.seen])
+    twins = Twins()
+    if made.fused:
+        epoch, first, second, where, r = (np.array(c) for c in zip(*made.fused, strict=True))
+        twins = Twins(epoch, first, second, where, right_perturbation(where, r))
+    oriented = OrientedSightings(
+        np.array([k for k, _, _, _ in made.seen]),
+        np.array([s for _, s, _, _ in made.seen]),
+        measured,
+        right_perturbation(measured, covariance),
+        twins,
+    )
+    return SlamProblem(
+        prior_pose=np.array([RADIUS_M, 0.0, 0.5 * np.pi]),
+        prior_covariance=PRIOR,
+        increment=np.tile(at.pose, (steps, 1)),
+        increment_covariance=np.tile(
+            right_perturbation(at.pose[None], spread[None]), (steps, 1, 1)
+        ),
+        sighting_pose=node,
+        sighting_landmark=slot,
+        z=z,
+        sigma=np.tile(SIGMA, (len(z), 1)),
+        landmark_count=int(slot.max()) + 1,
+        oriented=oriented,
+    )
+
+
+def points_of(trace: TraceArrays, ekf: Ekf) -> FrozenPoints:
+    uses = trace.updates, trace.augmentations
+    nobody, nothing = np.zeros(0, dtype=np.intp), np.zeros((0, 3))
+    oriented, twins = oriented_points(trace, lambda pose, step: pose)
+    return FrozenPoints(
+        departed=np.vstack((trace.departed, ekf.state.pose)),
+        arrived=np.vstack((trace.prior_pose, trace.arrived)),
+        sighting=np.concatenate([r.sighting for r in uses]),
+        sighting_weight=np.concatenate([r.weight for r in uses]),
+        sighting_pose=np.concatenate([r.pose for r in uses]),
+        sighting_landmark=np.concatenate([r.landmark for r in uses]),
+        position=nobody,
+        position_weight=np.zeros(0),
+        position_pose=nothing,
+        oriented=oriented,
+        twins=twins,
+    )
+
+
+def gap(first: Marginal, second: Marginal) -> float:
+    """Largest difference in sigmas, or of covariances in products of sigmas."""
+    sigma = np.sqrt(np.diag(second.covariance))
+    mean = np.abs((first.mean - second.mean) / sigma).max()
+    spread = np.abs((first.covariance - second.covariance) / np.outer(sigma, sigma)).max()
+    return float(max(mean, spread))
+
+
+@pytest.mark.parametrize("kind", ["full", "compressed"])
+@pytest.mark.parametrize("order", ["in turn", "frames first"])
+def test_the_filter_equals_both_frozen_smoothers(kind: str, order: str) -> None:
+    """Two laps with a fusion and removals; the compressed filter replays like the full one."""
+    chain = run(kind, replace(SCRIPT, order=order))
+    assert len(chain.trace.fusions.step) == 1
+    assert len(chain.trace.removals.slot) == 3
+    expected, f1 = chain.expected, chain.recorded()
+    assert len(f1.mean) == len(expected.mean) == chain.ekf.state.layout.size
+    assert gap(expected, f1) < 1e-9
+    assert gap(f1, chain.own()) < 1e-9
+
+
+def test_parts_of_an_update_are_replayed() -> None:
+    def split(ekf: Ekf) -> None:
+        ekf.steps = replace(ekf.steps, largest_move_m=0.01, most=8)
+
+    chain = run(modify=split)
+    assert (chain.trace.oriented_updates.weight < 1.0).any()
+    f1 = chain.recorded()
+    assert gap(chain.expected, f1) < 1e-9
+    assert gap(f1, chain.own()) < 1e-9
+
+
+class NoCross(KalmanState):
+    """New landmarks with a direction know the vehicle but not the map."""
+
+    def augment(
+        self, point: Array, jacobian_pose: Array, jacobian_sighting: Array, noise: Array
+    ) -> None:
+        n = self._size
+        super().augment(point, jacobian_pose, jacobian_sighting, noise)
+        if point.shape[1] == POSE:
+            self._covariance[3:n, n : self._size] = 0.0
+            self._covariance[n : self._size, 3:n] = 0.0
+
+
+class Conditioned(KalmanState):
+    """Removal as if the place of what is removed were known."""
+
+    def remove(self, slot: np.ndarray, width: int = 2) -> None:
+        local = self.map_of(slot, width)
+        own = local.columns[3:]
+        rows = np.eye(len(local.columns))[3:]
+        self.update(local.columns, rows, np.zeros(len(own)), 1e-8 * np.eye(len(own)))
+        super().remove(slot, width)
+
+
+@pytest.mark.parametrize("model", [Flipped, Unwrapped])
+def test_a_wrong_model_shows_as_a_model_gap_alone(model: type[RelativePose]) -> None:
+    def plant(ekf: Ekf) -> None:
+        ekf.oriented_observation = model()
+
+    chain = run(modify=plant, script=Script(steps=110, order="in turn"))
+    f1 = chain.recorded()
+    assert gap(chain.expected, f1) < 1e-7
+    assert gap(f1, chain.own()) > 1e-2
+
+
+@pytest.mark.parametrize(("state", "script"), [(NoCross, Script(steps=1)), (Conditioned, SCRIPT)])
+def test_wrong_algebra_shows_as_an_algebra_gap_alone(
+    state: type[KalmanState], script: Script
+) -> None:
+    def plant(ekf: Ekf) -> None:
+        ekf.state = state(ekf.state.pose, PRIOR)
+
+    chain = run(modify=plant, script=script)
+    f1 = chain.recorded()
+    assert gap(chain.expected, f1) > 1e-3
+    assert gap(f1, chain.own()) < 1e-9
+
+
+def test_the_smoother_is_near_and_its_marginal_has_both_kinds() -> None:
+    """F2 and S differ by linearisation only; the batch and the fixed lag of all poses agree."""
+    chain = run(script=Script(steps=110, order="in turn", fuse_at=60))
+    problem = problem_of(chain.made)
+    result = smooth(problem, {"ekf": (np.vstack((chain.trace.departed, chain.ekf.state.pose)),
+                                      chain.ekf.state.landmarks)})  # fmt: skip
+    assert result.proof.proven
+    assert {start.name for start in result.starts if np.isfinite(start.error)} >= {"ekf"}
+    mean, covariance = result.marginal()
+    points, frames = problem.landmark_count, problem.oriented.count
+    assert len(mean) == 3 + 2 * points + 3 * frames == len(covariance)
+    removed = problem.oriented.twins.second[0]
+    kept = np.setdiff1d(np.arange(len(mean)), 3 + 2 * points + 3 * removed + np.arange(3))
+    own = chain.own()
+    sigma = np.sqrt(np.diag(own.covariance))
+    apart = mean[kept] - own.mean
+    headings = np.concatenate(([2], np.arange(3 + 2 * points + 2, len(kept), 3)))
+    apart[headings] = np.angle(np.exp(1j * apart[headings]))
+    assert np.abs(apart / sigma).max() < 0.5
+    ratio = np.diag(covariance)[kept] / sigma**2
+    assert ratio.min() > 0.8
+    assert ratio.max() < 1.25
+    joint = result.joint([problem.pose_count - 1], list(range(points)), list(range(frames)))
+    assert relative_error(joint, covariance) < 1e-9
+    lagged = smooth(problem, {}, options=SmootherOptions("fixed-lag", lag=len(result.poses)))
+    scale = np.sqrt(np.diag(covariance))
+    assert np.abs((lagged.marginal().covariance - covariance) / np.outer(scale, scale)).max() < 0.05

@@ -1,0 +1,52 @@
+"""g2o graphs with everything that the format holds, and what may be wrong with them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from graphslam.g2o import G2oContents
+from graphslam.smoother import smooth
+from tests.graphslam import worlds
+
+CLOSED_ELSEWHERE = (
+    "EDGE_SE2 30 10 -1.5 0.5 -3.0 4 0 0 5 0 100\n"
+    "VERTEX_SE2 10 0 0 0\nVERTEX_SE2 30 2 0 3.0\nVERTEX_SE2 20 1 0 1.5\n"
+    "EDGE_SE2 20 30 1 0 1.5 1 0 0 1 0 1\n"
+    "EDGE_SE2 10 20 1 0 1.5 2 0.5 0 2 0 2\n"
+    "EDGE_SE2 10 20 1.1 0 1.4 3 0 0 3 0 3\n"
+)
+"""Of another program: gaps in the numbers, edges in any order, the later pose first, no #."""
+
+FAULTS = [
+    (("VERTEX_SE2 3 ", "VERTEX_SE3:QUAT 3 "), "unknown tag 'VERTEX_SE3:QUAT'"),
+    (("EDGE_SE2 3 4 ", "EDGE_SE2 4 4 "), "from pose 4 to itself"),
+    (("EDGE_SE2 3 4 ", "EDGE_SE2 3 4000 "), "names 4000, which is no pose"),
+    (("EDGE_SE2 3 4 ", "EDGE_SE2 3 4 1.0 "), "has 12 numbers, expected 11"),
+    (("VERTEX_SE2 3 ", "VERTEX_SE2 x "), "holds what is no number"),
+    (("EDGE_PRIOR_SE2 0 1.0", "EDGE_PRIOR_SE2 0 nan"), "not finite"),
+    (("EDGE_PRIOR_SE2 0 ", "EDGE_PRIOR_SE2 1 "), "expected one only, of the first pose"),
+]
+"""Changes, from and to, to a file of `everything`, and the complaint."""
+
+
+def everything() -> G2oContents:
+    """A solved drive with positions and surveyed landmarks, moved away from the origin."""
+    problem = worlds.loop(2, poses=150).problem
+    result = smooth(problem, {})
+    rng = np.random.default_rng(0)
+    a = rng.standard_normal((4, 2, 2))
+    spread = a @ a.transpose(0, 2, 1) + np.eye(2)
+    spread = 0.5 * (spread + spread.transpose(0, 2, 1))
+    problem = replace(
+        problem,
+        prior_pose=np.array([1.0, 2.0, 0.7]),
+        prior_covariance=np.array([[0.2, 0.05, 0.0], [0.05, 0.1, 0.01], [0.0, 0.01, 0.02]]),
+        position_pose=np.array([0, 5, 9, 20]),
+        position=rng.standard_normal((4, 2)),
+        position_covariance=spread,
+        surveyed=result.landmarks[:3],
+        surveyed_covariance=spread[:3],
+    )
+    return G2oContents(problem, result.poses, result.landmarks)
