@@ -72,7 +72,7 @@ class PassiveStates:
         return self.value - self.begun
 
     def watch(self, new: Watched) -> Index:
-        """Append pairs of states, correlated through the filter's; returns their numbers (k,)."""
+        """Append pairs of states, correlated through the filter's (3.2); returns numbers (k,)."""
         p = self._ekf.state.covariance
         columns = [self._ekf.state.layout.columns(slot) for slot in new.slot]
         cross = [j @ p[c] for j, c in zip(new.jacobian, columns, strict=True)]
@@ -171,7 +171,7 @@ def points(observation: Observation, pose: Array, z: Array, noise: Array) -> Wat
 
 
 def local_coordinates(seen: Watched, base: Index, landmark: Array) -> Watched:
-    """Alpha and beta of points in their triangles, as passive states.
+    """Alpha and beta of points in their triangles, as passive states (eqs. 3.1, 3.10, C.4).
 
     Their change is the error of a dense map, which keeps them (Nieto 2005, section 3.6).
 

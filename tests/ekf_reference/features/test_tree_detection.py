@@ -61,6 +61,30 @@ def test_the_width_as_printed_is_biased() -> None:
     assert np.isclose(np.mean(printed) - 0.6, -20 * np.deg2rad(0.5), atol=0.02)
 
 
+def circle_seen(distance_m: float, diameter_m: float) -> tuple[float, float]:
+    """Mean range and angular width of a circle whose centre is so far away, by rays to it."""
+    radius = 0.5 * diameter_m
+    edge = np.arcsin(radius / distance_m)
+    angle = edge * np.linspace(-1.0, 1.0, 100_001)
+    away = distance_m * np.sin(angle)  # of the ray from the centre
+    hit = distance_m * np.cos(angle) - np.sqrt(np.maximum(radius**2 - away**2, 0.0))
+    return float(hit.mean()), float(2.0 * edge)
+
+
+@pytest.mark.parametrize(
+    ("distance", "diameter", "lost"), [(3.0, 1.0, 0.13), (3.0, 0.3, 0.04), (20.0, 1.0, 0.02)]
+)
+def test_the_diameter_as_printed_is_too_small(
+    distance: float, diameter: float, lost: float
+) -> None:
+    """Equation 10 multiplies the width by the mean range; the distance of the centre holds."""
+    range_m, width_rad = circle_seen(distance, diameter)
+    printed = range_m * width_rad
+    assert np.isclose(1.0 - printed / diameter, lost, atol=0.005)
+    found = observed_diameter(np.array([range_m]), np.array([width_rad]))[0]
+    assert abs(found / diameter - 1.0) < 0.006
+
+
 def test_roundness_is_the_mean_over_the_visible_half() -> None:
     angle = np.linspace(-1, 1, 20001)[1:-1]
     assert np.isclose(np.mean(np.sqrt(1 - angle**2)), 2 * ROUNDNESS, atol=1e-4)
