@@ -171,7 +171,7 @@ def points(observation: Observation, pose: Array, z: Array, noise: Array) -> Wat
 
 
 def local_coordinates(seen: Watched, base: Index, landmark: Array) -> Watched:
-    """Alpha and beta of points in their triangles, as passive states (eqs. 3.1, 3.10, C.4).
+    """Alpha and beta of points in their triangles, as passive states.
 
     Their change is the error of a dense map, which keeps them (Nieto 2005, section 3.6).
 

@@ -66,6 +66,8 @@ def circumradius(triangle: Array) -> Array:
 def to_local(triangle: Array, point: Array) -> Array:
     """Local coordinates alpha, beta (..., 2) of points (..., 2) [m] (Nieto 2005, 3.9, C.3).
 
+    What eqs. 3.1, 3.10 and C.4 call h, once a measurement is a point in the world.
+
     Raises DegenerateTriangleError.
     """
     _require_area(triangle)
