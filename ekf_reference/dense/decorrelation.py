@@ -38,7 +38,7 @@ def local_cross_covariance(
 ) -> Array:
     """P_jL (k, 2), covariance of any k states with a point's alpha and beta.
 
-    Source: Nieto 2005, eq. 3.5. triangle: (3, 2) [m]. point: (2,) [m]. with_landmarks: (k, 6)
+    Source: Nieto 2005, eqs. 3.4, 3.5. triangle: (3, 2) [m]. point: (2,) [m]. with_landmarks: (k, 6)
     P_jb. with_point: (k, 2) P_jG. Raises DegenerateTriangleError.
     """
     h = local_jacobians(triangle, point)

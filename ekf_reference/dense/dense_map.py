@@ -36,7 +36,7 @@ class Tally:
 
 @dataclass(kw_only=True)
 class DenseMap:
-    """Regions between a filter's landmarks, and layers in them, fed scan by scan.
+    """Regions between a filter's landmarks, and layers in them, fed scan by scan (eq. 3.24).
 
     Of each instant: `predicted`, the filter's update, `updated`, `insert`. The filter is read only.
 

@@ -72,7 +72,7 @@ class PassiveStates(Trace):
         return self.value - self.begun
 
     def watch(self, new: Watched) -> Index:
-        """Append pairs of states, correlated through the filter's; returns their numbers (k,)."""
+        """Append pairs of states, correlated through the filter's (3.2); returns numbers (k,)."""
         p = self._ekf.state.covariance
         columns = [self._ekf.state.layout.columns(slot) for slot in new.slot]
         cross = [j @ p[c] for j, c in zip(new.jacobian, columns, strict=True)]

@@ -11,7 +11,7 @@ from ekf_reference.core.geometry import Array
 
 @dataclass(frozen=True)
 class InverseSensorModel:
-    """Nieto 2005, eq. 4.4, in its one-dimensional and in its range and bearing form.
+    """Nieto 2005, eqs. 4.3, 4.4, in its one-dimensional and in its range and bearing form.
 
     p_occupied, p_free: p_max and p_min of the thesis. with_bearing: weigh how far a place is off
     the beam (eq. 4.2), else range alone. Errata: 4.2 is printed with sigmas in the place of their

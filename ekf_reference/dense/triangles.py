@@ -66,6 +66,8 @@ def circumradius(triangle: Array) -> Array:
 def to_local(triangle: Array, point: Array) -> Array:
     """Local coordinates alpha, beta (..., 2) of points (..., 2) [m] (Nieto 2005, 3.9, C.3).
 
+    What eqs. 3.1, 3.10 and C.4 call h, once a measurement is a point in the world.
+
     Raises DegenerateTriangleError.
     """
     _require_area(triangle)
@@ -73,7 +75,7 @@ def to_local(triangle: Array, point: Array) -> Array:
 
 
 def solve(triangle: Array, point: Array) -> Array:
-    """As to_local, for callers who have sorted out degenerate triangles themselves."""
+    """As to_local (3.9, C.3), for callers who have sorted out degenerate triangles themselves."""
     a, b = axes(triangle)
     d = point - triangle[..., 0, :]
     delta = b[..., 0] * a[..., 1] - b[..., 1] * a[..., 0]
@@ -92,7 +94,7 @@ def to_global(triangle: Array, local: Array) -> Array:
 def contains(local: Array, tolerance: float = 0.0) -> Mask:
     """Whether local coordinates (..., 2) lie in their triangle; (...,).
 
-    Nieto 2005, eq. 3.7 prints alpha > 0, beta > 0, alpha + beta <= 1, which leaves out two of
+    Nieto 2005, eqs. 3.7, C.2 print alpha > 0, beta > 0, alpha + beta <= 1, which leave out two of
     the three edges and two of the three corners: a point on an edge shared by two regions
     would be in one, both or none of them, by the order of their landmarks. Here all
     edges belong, and who locates points breaks the tie.

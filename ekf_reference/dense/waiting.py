@@ -65,7 +65,7 @@ class Released(NamedTuple):
 
 
 class Points(NamedTuple):
-    """Points (N,), oldest first.
+    """Points (N,), oldest first (Nieto 2005, eq. 3.26).
 
     group: (N,) which frame. point: (N, 2) [m] in it. variance: (N, 2) [m^2], the diagonal of
     P_dd. cross: (N, 2, 3) P_dv with the vehicle's local pose. scan, number: (N,).
@@ -87,7 +87,7 @@ class Points(NamedTuple):
 
 @dataclass(kw_only=True)
 class WaitingRoom:
-    """The points that wait. Of a scan: predicted, the filter's update, updated, release, add.
+    """The points that wait (3.25). Of a scan: predicted, filter's update, updated, release, add.
 
     capacity: points at most, all frames together. patience: scans after which `overdue` tells
     of a point.

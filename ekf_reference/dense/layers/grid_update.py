@@ -18,7 +18,7 @@ _FAR = 4.0
 
 @dataclass(frozen=True)
 class GridUpdate:
-    """Log-odds per cell (Nieto 2005, eq. 4.7), the prior one half.
+    """Log-odds per cell (Nieto 2005, eq. 4.7 for 2.61 and 4.6), the prior one half.
 
     resolution_m: of the cells. model: what a return says. confidence: log-odds stay between those
     of 1 - confidence and confidence, so that the map can change its mind. Errata: 4.7 repeats

@@ -87,7 +87,7 @@ class Particles:
     def sampled(self, hits: Hits, scan: Scan | None) -> tuple[Array, Array]:
         """Samples (N k, 2) [m] of the sensor model of returns, and the log-odds (N k,) of each.
 
-        Source: Nieto 2005, eqs. 4.2, 4.8 and 4.9. The k samples of a return follow each other.
+        Source: Nieto 2005, eqs. 4.1, 4.2, 4.8 and 4.9. The k samples of a return follow each other.
         A late return's direction is not known: its samples are weighed by how far off they are,
         never as free.
         """

@@ -49,16 +49,42 @@ def test_bias_of_range_and_diameter(distance: float, diameter: float) -> None:
 
 
 def test_the_width_as_printed_is_biased() -> None:
-    """Equation 11 as printed is one beam spacing short: 17 cm of diameter at 20 m."""
+    """Equation 11 as printed is one beam spacing short, 17 cm of diameter at 20 m; ours is not."""
     rng = np.random.default_rng(1)
-    printed = []
+    printed, corrected = [], []
     for _ in range(300):
         bearing = rng.uniform(-1.2, 1.2)
         trunk = np.array([[20 * np.cos(bearing), 20 * np.sin(bearing), 0.6]])
         found = cluster(ANGLES, scan_of(trunk, STILL, 0.0, rng), 0.3)
         width = (found.last - found.first) * np.deg2rad(0.5)
         printed.append(observed_diameter(found.range_m, width)[0])
+        corrected.append(observed_diameter(found.range_m, found.width_rad)[0])
     assert np.isclose(np.mean(printed) - 0.6, -20 * np.deg2rad(0.5), atol=0.02)
+    assert np.isclose(np.mean(corrected), 0.6, atol=0.02)
+
+
+def circle_seen(distance_m: float, diameter_m: float) -> tuple[float, float]:
+    """Mean range and angular width of a circle whose centre is so far away, by rays to it."""
+    radius = 0.5 * diameter_m
+    edge = np.arcsin(radius / distance_m)
+    angle = edge * np.linspace(-1.0, 1.0, 100_001)
+    away = distance_m * np.sin(angle)  # of the ray from the centre
+    hit = distance_m * np.cos(angle) - np.sqrt(np.maximum(radius**2 - away**2, 0.0))
+    return float(hit.mean()), float(2.0 * edge)
+
+
+@pytest.mark.parametrize(
+    ("distance", "diameter", "lost"), [(3.0, 1.0, 0.13), (3.0, 0.3, 0.04), (20.0, 1.0, 0.02)]
+)
+def test_the_diameter_as_printed_is_too_small(
+    distance: float, diameter: float, lost: float
+) -> None:
+    """Equation 10 multiplies the width by the mean range; the distance of the centre holds."""
+    range_m, width_rad = circle_seen(distance, diameter)
+    printed = range_m * width_rad
+    assert np.isclose(1.0 - printed / diameter, lost, atol=0.005)
+    found = observed_diameter(np.array([range_m]), np.array([width_rad]))[0]
+    assert abs(found / diameter - 1.0) < 0.006
 
 
 def test_roundness_is_the_mean_over_the_visible_half() -> None:
@@ -79,11 +105,12 @@ def test_variance_is_the_propagated_one() -> None:
 
 def test_clusters_part_at_gaps_and_jumps() -> None:
     ranges = np.full(361, np.nan)
-    ranges[10:14], ranges[14:16], ranges[20] = 5.0, 8.0, 5.0
+    ranges[10:14], ranges[14:16], ranges[20] = (5.0, 5.1, 5.2, 5.1), 8.0, 5.0
     found = cluster(ANGLES, ranges, 0.3)
     assert found.first.tolist() == [10, 14, 20]
     assert found.last.tolist() == [13, 15, 20]
     assert np.allclose(found.width_rad, np.deg2rad((2.0, 1.0, 0.5)))
+    assert np.allclose(found.range_m, (5.1, 8.0, 5.0))
     assert not len(cluster(ANGLES, np.full(361, np.nan), 0.3).first)
 
 
