@@ -9,9 +9,9 @@ import numpy as np
 from comparisons.experiments.reproduction.watched_run import watched_run
 from comparisons.logs.log import Log
 from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.geometry import Array
 from ekf_reference.core.trace import Trace
 from ekf_reference.models.range_bearing import RangeBearing
-from tests.helpers import Array
 
 
 def scans(

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.logs.simulate.scan_drive import occupancy, simulate
+from ekf_reference.core.geometry import Array
 from ekf_reference.dense.layers.gaussians import Gaussians
 from ekf_reference.dense.layers.layer import Hits, Layer
 from ekf_reference.dense.layers.occupancy import OccupancyGrid
@@ -18,7 +19,6 @@ from ekf_reference.dense.layers.values import Values
 from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.scan import Scan, Sensor
-from tests.helpers import Array
 
 Index = NDArray[np.intp]
 SENSOR = Sensor(0.1, math.radians(0.5), math.radians(0.5))

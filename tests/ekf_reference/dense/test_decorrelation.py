@@ -17,6 +17,7 @@ from comparisons.experiments.reproduction.decorrelation_example import (
     fused_until,
 )
 from comparisons.logs.log import Log
+from ekf_reference.core.geometry import Array
 from ekf_reference.core.state import KalmanState, state_columns
 from ekf_reference.dense.conditions import Conditions, coordinate_correlation
 from ekf_reference.dense.decorrelation import (
@@ -28,7 +29,8 @@ from ekf_reference.dense.decorrelation import (
 from ekf_reference.dense.triangles import contains, is_degenerate, local_covariance, to_local
 from ekf_reference.models.range_bearing import RangeBearing
 from tests.ekf_reference.dense.test_triangles import random_triangles
-from tests.helpers import Array, random_covariance, relative_error, simulated
+from tests.ekf_reference.numerics import random_covariance, relative_error
+from tests.helpers import simulated
 
 CAST = Cast()
 CLOSING_S = 78.0

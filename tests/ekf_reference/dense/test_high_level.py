@@ -9,7 +9,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-from comparisons.logs.simulate.ray_casting import Solids, cast
 from ekf_reference.core.geometry import Array
 from ekf_reference.dense.high_level import (
     Around,
@@ -27,6 +26,7 @@ from ekf_reference.dense.layers.occupancy import OccupancyGrid
 from ekf_reference.dense.scan import Scan, Sensor
 from ekf_reference.dense.triangles import turned
 from tests.ekf_reference.dense.scenes import lattice, told
+from tests.ekf_reference.ray_casting import Solids, cast
 
 SENSOR = Sensor(0.05, math.radians(0.5), math.radians(0.5), math.radians(8.0))
 BEAMS = np.radians(np.arange(-180.0, 180.0, 0.5))

@@ -20,7 +20,8 @@ from ekf_reference.dense.triangles import axes, local_jacobians
 from ekf_reference.dense.view import FilterView
 from ekf_reference.models.range_bearing import RangeBearing
 from tests.ekf_reference.dense.drives import scans
-from tests.helpers import relative_error, simulated
+from tests.ekf_reference.numerics import relative_error
+from tests.helpers import simulated
 
 
 @cache

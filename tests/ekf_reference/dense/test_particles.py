@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from ekf_reference.core.geometry import Array
 from ekf_reference.dense.layers.layer import Hits
 from ekf_reference.dense.layers.particles import Particles
 from ekf_reference.dense.placed_regions import PlacedRegions
@@ -19,7 +20,6 @@ from tests.ekf_reference.dense.scenes import (
     told,
     wall_scan,
 )
-from tests.helpers import Array
 
 MODEL = InverseSensorModel()
 

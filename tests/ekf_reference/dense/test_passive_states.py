@@ -11,7 +11,7 @@ import pytest
 
 from ekf_reference.association.nearest_neighbour import KnownAssociation
 from ekf_reference.core.ekf import Ekf
-from ekf_reference.core.geometry import Index
+from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.measurement_update import Steps
 from ekf_reference.core.state import state_columns
 from ekf_reference.core.trace import Prediction, RecordedTrace
@@ -21,7 +21,8 @@ from ekf_reference.filters.compressed import CompressedEkf
 from ekf_reference.filters.misono import DirectionCosineEkf
 from ekf_reference.models.motion import UnicycleModel
 from tests.ekf_reference.dense.drives import scans
-from tests.helpers import Array, relative_error, simulated
+from tests.ekf_reference.numerics import relative_error
+from tests.helpers import simulated
 
 EVERY, FIX_EVERY, SPLIT_FROM = 20, 25, 100
 """Scans between two new dense points, between two position fixes, and until updates are split."""

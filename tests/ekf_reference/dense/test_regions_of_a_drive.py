@@ -6,10 +6,11 @@ from functools import cache
 
 import numpy as np
 
+from ekf_reference.core.geometry import Array
 from ekf_reference.dense.conditions import Conditions, overlap
 from ekf_reference.dense.regions import LocalRegions
 from tests.ekf_reference.dense.drives import scans
-from tests.helpers import Array, simulated
+from tests.helpers import simulated
 
 
 @cache

@@ -15,7 +15,7 @@ from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import build_timeline
 from comparisons.config import EkfConfig
 from ekf_reference.core.ekf import Ekf
-from ekf_reference.core.geometry import Index
+from ekf_reference.core.geometry import Array, Index
 from ekf_reference.dense.local_pose import Frames
 from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.triangles import axes, solve
@@ -23,7 +23,7 @@ from ekf_reference.dense.view import FilterView
 from ekf_reference.dense.waiting import WaitingCounts, WaitingRoom
 from tests.ekf_reference.dense.drives import dense_sightings, scans, true_landmarks
 from tests.ekf_reference.dense.waiting_rooms import NoCross, NoMotion, WrongSign, anywhere
-from tests.helpers import Array, simulated
+from tests.helpers import simulated
 
 KINDS = (WaitingRoom, NoCross, NoMotion, WrongSign)
 SEEDS = range(8)

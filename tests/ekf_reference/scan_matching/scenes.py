@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.logs.simulate.ray_casting import Solids, cast
 from ekf_reference.dense.scan import Sensor
 from ekf_reference.scan_matching.scan_shape import of_scan
 from ekf_reference.scan_matching.sog import SumOfGaussians
+from tests.ekf_reference.ray_casting import Solids, cast
 
 Array = NDArray[np.float64]
 

@@ -9,6 +9,7 @@ from scipy.stats import multivariate_normal
 from ekf_reference.dense.scan import Scan
 from ekf_reference.scan_matching.scan_shape import of_scan
 from ekf_reference.scan_matching.sog import SumOfGaussians
+from tests.ekf_reference.numerics import relative_error
 from tests.ekf_reference.scan_matching.scenes import (
     BEAMS,
     DRUM,
@@ -20,7 +21,6 @@ from tests.ekf_reference.scan_matching.scenes import (
     random_sum,
     ranges,
 )
-from tests.helpers import relative_error
 
 STILL = np.zeros(3)
 
