@@ -109,7 +109,7 @@ def build(
 def follow(
     drive: Circuit,
     ekf: Ekf | None = None,
-    predicted: Callable[[Ekf], None] = lambda ekf: None,
+    predicted: Callable[[Ekf], object] = lambda ekf: None,
 ) -> Iterator[tuple[int, Ekf]]:
     """Give a filter the drive's data; yield it after every scan, with the steps made until then.
 
