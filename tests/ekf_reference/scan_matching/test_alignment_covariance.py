@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from ekf_reference.core.geometry import Array
 from ekf_reference.dense.scan import Sensor
 from ekf_reference.scan_matching.alignment_covariance import quadratic_form, scan_align
 from ekf_reference.scan_matching.scan_shape import of_scan
@@ -20,7 +21,6 @@ from tests.ekf_reference.scan_matching.scenes import (
     THESIS,
     WALL,
     YARD,
-    Array,
     guess_of,
     pair,
 )

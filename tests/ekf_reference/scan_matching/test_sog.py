@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+from ekf_reference.core.geometry import Array
 from ekf_reference.dense.scan import Scan
 from ekf_reference.scan_matching.scan_shape import of_scan
 from ekf_reference.scan_matching.sog import SumOfGaussians
@@ -17,7 +18,6 @@ from tests.ekf_reference.scan_matching.scenes import (
     LASER,
     WALL,
     YARD,
-    Array,
     random_sum,
     ranges,
 )
