@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ekf_reference.core.geometry import Array
 
@@ -19,7 +20,7 @@ def central_difference(f: Callable[[Array], Array], x: Array, step: float = 1e-6
     return np.column_stack(columns)
 
 
-def relative_error(actual: Array, expected: Array) -> float:
+def relative_error(actual: NDArray[np.floating], expected: NDArray[np.floating]) -> float:
     """Return the largest difference over the largest expected entry."""
     return float(np.max(np.abs(actual - expected)) / np.max(np.abs(expected)))
 

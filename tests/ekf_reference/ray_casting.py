@@ -29,15 +29,15 @@ def cast(angle_rad: Array, pose: Array, solids: Solids) -> Array:
     """Return the ranges (B,) [m] to the nearest wall or disc, infinite for none.
 
     angle_rad: (B,) from the heading of the sensor's pose (3,). The sensor does not see a disc
-    that it is in. Beams of a closed polygon's corner meet one of its two sides.
+    that it is in. A beam to a corner of a closed polygon
+    meets one of its two sides.
     """
     direction = pose[2] + angle_rad
     cos, sin = np.cos(direction)[:, None], np.sin(direction)[:, None]
-    walls, discs = (
-        _walls(cos, sin, solids.segment - np.tile(pose[:2], 2)),
-        _discs(cos, sin, solids.disc - (pose[0], pose[1], 0.0)),
-    )
-    return np.min(np.hstack((walls, discs)), axis=1, initial=np.inf)
+    walls = _walls(cos, sin, solids.segment - np.tile(pose[:2], 2))
+    discs = _discs(cos, sin, solids.disc - (pose[0], pose[1], 0.0))
+    nearest: Array = np.min(np.hstack((walls, discs)), axis=1, initial=np.inf)
+    return nearest
 
 
 def _walls(cos: Array, sin: Array, segment: Array) -> Array:

@@ -28,7 +28,7 @@ def replay(trace: TraceArrays) -> Gaussian:
     """
     p, steps = len(trace.prior_pose), len(trace.departed)
     size = p + POINT * len(np.unique(trace.augmentations.slot))
-    root = _Root(np.zeros((0, size)), np.zeros(0))
+    root = _Root(size)
     root.add(np.eye(p, size), trace.prior_pose, trace.prior_covariance)
     for k in range(steps + 1):
         if k:
@@ -89,11 +89,16 @@ def _sighting(
     return jacobian, value + by_pose @ pose + by_landmark @ landmark, noise
 
 
-class _Root:
-    """R and b of |R x - b|, R upper triangular, with rows that wait to be decomposed."""
+def _triangular(rows: Array) -> Array:
+    """R of the rows' QR decomposition."""
+    return np.asarray(np.linalg.qr(rows, mode="r"))
 
-    def __init__(self, r: Array, b: Array) -> None:
-        self._rows, self._waiting = np.column_stack((r, b)), list[Array]()
+
+class _Root:
+    """Rows (R, b) of |R x - b|, R upper triangular, and rows that wait to be decomposed."""
+
+    def __init__(self, size: int) -> None:
+        self._rows, self._waiting = np.zeros((0, size + 1)), list[Array]()
 
     def add(self, jacobian: Array, value: Array, covariance: Array) -> None:
         """Add rows J x = value with a covariance."""
@@ -110,16 +115,16 @@ class _Root:
         top[p:, :p], top[p:, p : 2 * p], top[p:, -1] = -f, np.eye(p), shift
         lower = np.linalg.cholesky(q)
         top[p:] = solve_triangular(lower, top[p:], lower=True)
-        self._rows[:p] = np.linalg.qr(top, mode="r")[p : 2 * p, p:]
+        self._rows[:p] = _triangular(top)[p : 2 * p, p:]
 
     def solved(self) -> Gaussian:
         """The estimate."""
         self._decompose()
-        r, b = self._rows[:, :-1], self._rows[:, -1]
-        inverse = solve_triangular(r[: r.shape[1]], np.eye(r.shape[1]))
-        return Gaussian(inverse @ b[: r.shape[1]], inverse @ inverse.T)
+        size = self._rows.shape[1] - 1
+        inverse = solve_triangular(self._rows[:size, :size], np.eye(size))
+        return Gaussian(inverse @ self._rows[:size, size], inverse @ inverse.T)
 
     def _decompose(self) -> None:
         if self._waiting:
-            self._rows = np.linalg.qr(np.vstack((self._rows, *self._waiting)), mode="r")
+            self._rows = _triangular(np.vstack((self._rows, *self._waiting)))
             self._waiting = []

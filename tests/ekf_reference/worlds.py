@@ -59,7 +59,8 @@ class Circuit:
         """(K, 2) true places in the order in which a filter that knows labels adds landmarks."""
         label = np.concatenate([scan.label for scan in self.scan])
         first = np.unique(label, return_index=True)[1]
-        return self.landmark[label[np.sort(first)]]
+        places: Array = self.landmark[label[np.sort(first)]]
+        return places
 
 
 def landmarks() -> Array:
