@@ -19,23 +19,11 @@ from comparisons.logs.simulate.drive import Drive, simulate
 from comparisons.pipeline.compare import REQUIRED, Comparison, compare_prepared
 from comparisons.pipeline.prepare import Prepared, prepare
 from comparisons.settings import run_config
+from tests.ekf_reference.numerics import central_difference as central_difference
+from tests.ekf_reference.numerics import random_covariance as random_covariance
+from tests.ekf_reference.numerics import relative_error as relative_error
 
 Array = NDArray[np.float64]
-
-
-def central_difference(f: Callable[[Array], Array], x: Array, step: float = 1e-6) -> Array:
-    """Jacobian of f at x, (len(f), len(x))."""
-    columns = []
-    for i in range(len(x)):
-        d = np.zeros(len(x))
-        d[i] = step
-        columns.append((f(x + d) - f(x - d)) / (2.0 * step))
-    return np.column_stack(columns)
-
-
-def relative_error(actual: NDArray[np.floating], expected: NDArray[np.floating]) -> float:
-    """Largest difference over the largest expected entry."""
-    return float(np.max(np.abs(actual - expected)) / np.max(np.abs(expected)))
 
 
 def simulated(seed: int = 0, **drive: float) -> Log:
@@ -80,9 +68,3 @@ def compared(
     given = {} if ekf is None else ekf.model_dump(exclude_none=True)
     config = run_config(**given, **options)
     return compare_prepared(prepare(log, config, required=REQUIRED, also=extensions))
-
-
-def random_covariance(rng: np.random.Generator, n: int) -> Array:
-    """A well-conditioned random covariance."""
-    a = rng.standard_normal((n, n))
-    return a @ a.T + n * np.eye(n)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -26,6 +27,12 @@ STANDARD = {
     "types",
     "typing",
 }
+TESTED = ("ekf_reference", "graphslam")
+"""Packages whose tests run with a copy of the package and of these tests alone."""
+TEST_LIBRARIES = {
+    "ekf_reference": {"numpy", "scipy", "pytest"},
+    "graphslam": {"numpy", "scipy", "pytest", "gtsam", "kiss_icp", "open3d"},
+}
 HOUSE = {"comparisons", "ekf_reference", "graphslam"}
 KEYWORD_ONLY = ("ekf_reference", "graphslam", "comparisons")
 """Folders whose large dataclasses are built by field names alone."""
@@ -43,6 +50,23 @@ def imported(source: str) -> set[str]:
             assert node.level == 0, "relative import"
             names.add((node.module or "").split(".")[0])
     return names
+
+
+def foreign(source: str, package: str) -> list[str]:
+    """Return the modules that a test of a package imports and may not, in full."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "relative import"
+            names |= {f"{node.module}.{alias.name}" for alias in node.names}
+    roots = {package} | TEST_LIBRARIES[package] | sys.stdlib_module_names
+    return sorted(
+        name
+        for name in names
+        if name.split(".")[0] not in roots and not name.startswith(f"tests.{package}.")
+    )
 
 
 def modules() -> dict[str, Path]:
@@ -116,6 +140,40 @@ def test_estimators_import_nothing_of_the_house(package: str) -> None:
     for module in own:
         extra = imported(module.read_text()) - ALLOWED[package] - STANDARD
         assert not extra, f"{module.relative_to(ROOT)} imports {sorted(extra)}"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("package", TESTED)
+def test_tests_of_an_estimator_import_nothing_of_the_house(package: str) -> None:
+    folder = ROOT / "tests" / package
+    paths = sorted(folder.rglob("*.py"))
+    assert len(paths) > 3
+    extra = {str(path.relative_to(ROOT)): foreign(path.read_text(), package) for path in paths}
+    assert {path: names for path, names in extra.items() if names} == {}
+
+
+@pytest.mark.parametrize("package", TESTED)
+def test_test_folders_of_an_estimator_are_no_packages(package: str) -> None:
+    """One that is would hide the estimator of the same name where tests/__init__.py is missing."""
+    assert list((ROOT / "tests" / package).rglob("__init__.py")) == []
+
+
+def test_tests_of_estimators_differ_in_their_base_names() -> None:
+    """Where folders are no packages, pytest knows test modules by these alone."""
+    folders = [ROOT / "tests" / package for package in TESTED]
+    names = [path.name for folder in folders for path in folder.rglob("test_*.py")]
+    assert sorted(set(names)) == sorted(names)
+
+
+@pytest.mark.parametrize("package", TESTED)
+def test_a_foreign_import_of_a_test_is_found(package: str) -> None:
+    other = {"ekf_reference": "graphslam", "graphslam": "ekf_reference"}[package]
+    own = f"import {package}.a, math, scipy.stats\nfrom tests.{package}.b.scenes import c\n"
+    assert foreign(own, package) == []
+    for module in ("comparisons.logs", f"tests.{other}.scenes", "tests.helpers", "hypothesis"):
+        hidden = f"{own}def f():\n    from {module} import name\n"
+        assert foreign(hidden, package) == [f"{module}.name"]
+    assert foreign("from tests import helpers", package) == ["tests.helpers"]
 
 
 def test_the_check_itself_sees_a_hidden_import() -> None:

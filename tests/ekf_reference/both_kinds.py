@@ -9,13 +9,13 @@ import numpy as np
 
 from ekf_reference.association.nearest_neighbour import KnownAssociation
 from ekf_reference.core.ekf import NEW, Ekf, Stabilisation
+from ekf_reference.core.geometry import Array
 from ekf_reference.core.layout import POSE
 from ekf_reference.core.trace import Trace
 from ekf_reference.filters.compressed import CompressedEkf, LocalAreas
 from ekf_reference.models.motion import UnicycleModel
 from ekf_reference.models.range_bearing import PredictedMeasurements
 from ekf_reference.models.relative_pose import RelativePose
-from tests.helpers import Array
 
 RADIUS_M, RANGE_M, STEP_S = 15.0, 11.0, 0.5
 AREAS = LocalAreas(half_m=5.0, reach_m=11.0)

@@ -14,9 +14,9 @@ from ekf_reference.association.nearest_neighbour import (
     NearestNeighbour,
 )
 from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.geometry import Array
 from ekf_reference.filters.compressed import CompressedEkf, LocalAreas
 from ekf_reference.models.motion import RelativePoseModel
-from tests.helpers import Array
 
 LANDMARK = np.array([(8.0, 3.0), (14.0, -4.0), (20.0, 5.0), (28.0, -3.0), (34.0, 4.0), (3.0, -5.0)])
 SIGMA = np.array((0.1, 0.02))

@@ -2,57 +2,50 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+
 from ekf_reference.core.correlation import correlation_coefficients
-
-from comparisons.adapters.ekf_run import run_ekf
-from comparisons.adapters.timeline import build_timeline
-from comparisons.config import EkfConfig
-from comparisons.logs.log import Positions
-from comparisons.pipeline.compare import Comparison, Modified
 from ekf_reference.core.ekf import Ekf
-from tests.helpers import Array, compared, first_seconds, random_covariance, simulated
+from ekf_reference.core.geometry import Array
+from ekf_reference.core.trace import RecordedTrace
+from tests.ekf_reference.numerics import random_covariance
+from tests.ekf_reference.replay import Gaussian, eigenvalue_range, gap, replay
+from tests.ekf_reference.worlds import LOOP_S, build, circuit, follow, followed
 
 
-def begun_boundless(variance: float) -> Comparison:
-    def plant(ekf: Ekf) -> None:
-        ekf.boundless_variance = variance
-
-    return compared(simulated(seed=1, loop_s=30.0), Modified(plant))
+def begun(boundless_variance: float | None) -> tuple[Gaussian, Gaussian]:
+    """The filter's estimate, and the exact solution of what it recorded."""
+    trace = RecordedTrace()
+    ekf = build(trace=trace)
+    ekf.boundless_variance = boundless_variance
+    followed(circuit(seed=1, duration_s=30.0), ekf)
+    return Gaussian(ekf.state.mean, ekf.state.covariance), replay(trace.arrays())
 
 
 def test_both_ways_agree_and_both_are_replayed() -> None:
     """Nieto 2005: eq. 2.56 with a large P_LL* gives what eq. 2.53 gives, nearly."""
-    exact, boundless = compared(simulated(seed=1, loop_s=30.0)), begun_boundless(1e6)
-    p, q = (c.ekf.estimate.joint_covariance for c in (exact, boundless))
-    sigma = np.sqrt(np.diag(p))
-    assert np.max(np.abs(p - q) / np.outer(sigma, sigma)) < 1e-4
-    assert boundless.agreement.algebra.within(1e-6)
-    assert (
-        np.max(np.abs(exact.ekf.estimate.joint_mean - boundless.ekf.estimate.joint_mean) / sigma)
-        < 1e-2
-    )
+    (exact, exact_replayed), (boundless, boundless_replayed) = begun(None), begun(1e6)
+    sigma = np.sqrt(np.diag(exact.covariance))
+    difference = np.abs(exact.covariance - boundless.covariance)
+    assert np.max(difference / np.outer(sigma, sigma)) < 1e-4
+    assert np.max(np.abs(exact.mean - boundless.mean) / sigma) < 1e-2
+    assert gap(exact, exact_replayed) < 1e-6
+    assert gap(boundless, boundless_replayed) < 1e-6
 
 
-@pytest.mark.slow
 def test_the_thesis_warning_about_the_large_prior_holds() -> None:
     """The difference in magnitude costs digits: the larger P_LL*, the larger the algebra gap."""
-    gaps = [begun_boundless(variance).agreement.algebra.covariance for variance in (1e4, 1e10)]
-    assert gaps[1] > 100 * gaps[0]
-    assert begun_boundless(1e10).agreement.algebra.covariance > 100 * (
-        compared(simulated(seed=1, loop_s=30.0)).agreement.algebra.covariance
-    )
+    exact, large, huge = (gap(*begun(variance)) for variance in (None, 1e4, 1e10))
+    assert huge > 100 * large
+    assert huge > 100 * exact
 
 
-def test_a_small_prior_is_an_error_that_shows() -> None:
-    """With P_LL* of 1 m^2 the filter claims knowledge it has not; the model gap finds it."""
-    c = begun_boundless(1.0)
-    assert c.agreement.algebra.within(1e-6)
-    assert c.agreement.model.covariance > 1e-3
-    assert [cause.gap for cause in c.verdict.causes] == ["model"]
+def test_a_small_prior_claims_knowledge_that_the_filter_has_not() -> None:
+    """With P_LL* of 1 m^2 the algebra is right, and the covariance below that of eq. 2.53."""
+    (exact, _), (small, replayed) = begun(None), begun(1.0)
+    assert gap(small, replayed) < 1e-6
+    assert eigenvalue_range(small.covariance, exact.covariance)[0] < 1.0 - 1e-3
 
 
 def test_correlation_coefficients() -> None:
@@ -63,9 +56,9 @@ def test_correlation_coefficients() -> None:
     assert rho.max() <= 1.0 + 1e-12
 
 
-def map_correlation(covariance: Array) -> float:
+def map_correlation(ekf: Ekf) -> float:
     """Mean correlation between entries of different landmarks, same axis."""
-    rho = correlation_coefficients(covariance)[3:, 3:]
+    rho = correlation_coefficients(ekf.state.covariance)[3:, 3:]
     east = rho[::2, ::2]
     return float(east[np.triu_indices(len(east), 1)].mean())
 
@@ -74,31 +67,21 @@ def map_correlation(covariance: Array) -> float:
 @pytest.mark.parametrize("seed", [0, 1])
 def test_closing_the_loop_correlates_the_map(seed: int) -> None:
     """Nieto 2005, Fig. 2.11: (b) before, (c) after the first closing, (d) after several loops."""
-    log = simulated(seed=seed, loops=4)
-    found = []
-    for end in (75.0, 95.0, 340.0):
-        part = first_seconds(log, end)
-        run = run_ekf(part, build_timeline(part), EkfConfig(association="known"))
-        found.append(map_correlation(run.estimate.joint_covariance))
-    before, after, several = found
+    before, after, several = (
+        map_correlation(followed(circuit(seed, duration_s)))
+        for duration_s in (75.0, 95.0, 4 * LOOP_S)
+    )
     assert before < after < several
 
 
-@pytest.mark.slow
 def test_absolute_observations_decorrelate_the_map() -> None:
     """Nieto 2005, Fig. 2.12: a few absolute positions of the vehicle, and the map falls apart."""
-    log = simulated(seed=0, loops=2)
+    drive, rng = circuit(seed=0, duration_s=2 * LOOP_S), np.random.default_rng(0)
     # A doubtful start makes the map's errors common, which absolute positions then take away.
-    log = replace(log, prior=replace(log.prior, covariance=np.diag((1.0, 1.0, 0.01))))
-    truth = log.truth.poses
-    assert truth is not None
-    rows = np.arange(400, len(truth.time_s), 400)
-    noise = 0.2 * np.random.default_rng(0).standard_normal((len(rows), 2))
-    covariance = np.broadcast_to(0.04 * np.eye(2), (len(rows), 2, 2))
-    positions = Positions(truth.time_s[rows], truth.pose[rows, :2] + noise, covariance)
-    log = replace(log, positions=positions)
-    plain, fixed = (
-        map_correlation(compared(log, association="known", gps=gps).ekf.estimate.joint_covariance)
-        for gps in ("off", "on")
-    )
-    assert fixed < 0.8 * plain
+    plain, fixed = (build(prior_covariance=np.diag((1.0, 1.0, 0.01))) for _ in range(2))
+    followed(drive, plain)
+    for done, ekf in follow(drive, fixed):
+        if done % 100 == 0:
+            place: Array = drive.pose[done, :2] + 0.2 * rng.standard_normal(2)
+            assert ekf.fix_position(place, 0.04 * np.eye(2))
+    assert map_correlation(fixed) < 0.8 * map_correlation(plain)

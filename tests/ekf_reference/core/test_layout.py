@@ -7,7 +7,7 @@ import pytest
 
 from ekf_reference.core.layout import ABSENT, POINT, POSE, Layout
 from ekf_reference.core.state import KalmanState, state_columns
-from tests.helpers import random_covariance, relative_error
+from tests.ekf_reference.numerics import random_covariance, relative_error
 
 
 def mixed() -> Layout:

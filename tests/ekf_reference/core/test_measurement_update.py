@@ -5,6 +5,7 @@ import pytest
 
 from ekf_reference.association.nearest_neighbour import KnownAssociation
 from ekf_reference.core.ekf import Ekf, Stabilisation
+from ekf_reference.core.geometry import Array
 from ekf_reference.core.measurement_update import (
     NO_LANDMARKS,
     Linearised,
@@ -16,7 +17,7 @@ from ekf_reference.core.measurement_update import (
 from ekf_reference.core.state import KalmanState
 from ekf_reference.core.trace import RecordedTrace
 from ekf_reference.models.motion import UnicycleModel
-from tests.helpers import Array, central_difference, random_covariance, relative_error
+from tests.ekf_reference.numerics import central_difference, random_covariance, relative_error
 
 LEVER = (2.0, -0.7)
 

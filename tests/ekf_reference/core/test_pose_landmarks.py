@@ -32,7 +32,7 @@ from tests.ekf_reference.both_kinds import (
     error,
     relative,
 )
-from tests.helpers import random_covariance, relative_error
+from tests.ekf_reference.numerics import random_covariance, relative_error
 
 ORDERS = ("points first", "frames first", "in turn", "frames only")
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from ekf_reference.core.geometry import Array
 from ekf_reference.core.state import (
     FilterDivergedError,
     KalmanState,
@@ -11,7 +12,7 @@ from ekf_reference.core.state import (
     stack,
     state_columns,
 )
-from tests.helpers import Array, random_covariance, relative_error
+from tests.ekf_reference.numerics import random_covariance, relative_error
 
 
 def mapped_state(rng: np.random.Generator, landmarks: int) -> KalmanState:

@@ -6,9 +6,8 @@ import math
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-from comparisons.logs.simulate.scan_drive import occupancy, simulate
+from ekf_reference.core.geometry import Array, Index
 from ekf_reference.dense.layers.gaussians import Gaussians
 from ekf_reference.dense.layers.layer import Hits, Layer
 from ekf_reference.dense.layers.occupancy import OccupancyGrid
@@ -18,9 +17,8 @@ from ekf_reference.dense.layers.values import Values
 from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.scan import Scan, Sensor
-from tests.helpers import Array
+from tests.ekf_reference.ray_casting import Solids, cast, sides
 
-Index = NDArray[np.intp]
 SENSOR = Sensor(0.1, math.radians(0.5), math.radians(0.5))
 HERE = np.array([2.0, 5.0, 0.1])
 WALL_M = 14.3
@@ -88,21 +86,28 @@ def wall_scan(
     return Scan.of_ranges(pose, bearing, range_m, SENSOR)
 
 
+def yard() -> Solids:
+    """Five boxes and a drum, inside and outside of a circle of 20 m."""
+    boxes = ((0, 3, 9, 6), (-7, -4, 5, 7), (30, 8, 6, 14), (-5, 32, 16, 5), (-32, -6, 6, 18))
+    corner = np.array(((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)))
+    walls = [sides(corner * (length, width) + (x, y)) for x, y, length, width in boxes]
+    return Solids(np.vstack(walls), disc=np.array(((6.0, -33.0, 8.0),)))
+
+
 @cache
-def simulation(loops: int = 1) -> tuple[PlacedRegions, tuple[Scan, ...]]:
-    """Scans of Nieto 2005, section 4.1.3, from the true poses, in a lattice of regions."""
-    log = simulate(np.random.default_rng(1), occupancy(loops))
-    assert log.scans is not None
-    assert log.truth is not None
-    poses, scans = log.truth.poses, log.scans
-    assert poses is not None
-    sensor = Sensor(0.1, math.radians(1.0), float(np.diff(scans.angle_rad[:2])[0]))
-    place = poses.pose[:, :2]
-    landmark, regions = lattice(place.min(axis=0) - 30.0, place.max(axis=0) + 30.0, 11.0)
+def simulation() -> tuple[PlacedRegions, tuple[Scan, ...]]:
+    """Scans of the noise of Nieto 2005, Table 4.1, from known poses on one loop, in regions."""
+    rng, sensor = np.random.default_rng(1), Sensor(0.1, math.radians(1.0), math.radians(0.5))
+    beam = np.arange(-0.5 * math.pi, 0.5 * math.pi, sensor.beam_rad)
+    landmark, regions = lattice(np.full(2, -50.0), np.full(2, 50.0), 11.0)
     taken: list[Scan] = []
-    for time, range_m in zip(scans.time_s, scans.range_m, strict=True):
-        pose = np.array([np.interp(time, poses.time_s, column) for column in poses.pose.T])
-        taken.append(Scan.of_ranges(pose, scans.angle_rad, range_m, sensor, len(taken)))
+    for turn in np.linspace(0.0, 2.0 * math.pi, 165, endpoint=False).tolist():
+        pose = np.array((20.0 * math.cos(turn), 20.0 * math.sin(turn), turn + 0.5 * math.pi))
+        aside = sensor.sigma_bearing_rad * rng.standard_normal(len(beam))
+        way = cast(beam + aside, pose, yard())
+        way = np.where(way < 25.0, way, np.nan)
+        way = way + sensor.sigma_range_m * rng.standard_normal(len(beam))
+        taken.append(Scan.of_ranges(pose, beam, way, sensor, len(taken)))
     return regions.placed(landmark), tuple(taken)
 
 

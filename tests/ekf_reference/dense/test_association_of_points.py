@@ -3,9 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ekf_reference.core.geometry import Array
 from ekf_reference.dense.layers.association import Associated, associate, doubled, usable
 from tests.ekf_reference.dense.scenes import field
-from tests.helpers import Array
 
 
 def brute_force(old: Array, new: Array, d_min_m: float) -> Associated:

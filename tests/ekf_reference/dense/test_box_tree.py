@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ekf_reference.core.geometry import Array
 from ekf_reference.dense.box_tree import BoxTree, tiled
-from tests.helpers import Array
 
 
 def random_boxes(rng: np.random.Generator, count: int, size_m: float) -> Array:

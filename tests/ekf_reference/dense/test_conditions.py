@@ -2,8 +2,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from ekf_reference.core.correlation import correlation_coefficients
 
+from ekf_reference.core.correlation import correlation_coefficients
+from ekf_reference.core.geometry import Array
 from ekf_reference.dense.conditions import (
     Conditions,
     coordinate_correlation,
@@ -16,7 +17,7 @@ from ekf_reference.dense.conditions import (
     smallest_angle,
 )
 from ekf_reference.dense.triangles import contains, determinant, to_global, to_local
-from tests.helpers import Array, random_covariance
+from tests.ekf_reference.numerics import random_covariance
 
 
 def shared(common_m: float, own_m: float, count: int = 3) -> Array:

@@ -7,11 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from ekf_reference.core.geometry import Array
 from ekf_reference.dense.corners import Corners, HarrisOptions, harris
-
-Array = NDArray[np.float64]
 
 CELL_M = 0.25
 SIDE = 200

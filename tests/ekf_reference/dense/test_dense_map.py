@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ekf_reference.core.geometry import Array
 from ekf_reference.dense.box_tree import BoxTree
 from ekf_reference.dense.conditions import Conditions
 from ekf_reference.dense.dense_map import DenseMap
@@ -22,7 +23,6 @@ from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.view import FilterView
 from ekf_reference.dense.waiting import WaitingRoom
 from tests.ekf_reference.dense.scenes import LAYERS, SENSOR, layer
-from tests.helpers import Array
 
 POSE = np.array([0.0, 0.0, 0.0])
 SQUARE = np.array([(2.0, -8.0), (18.0, -8.0), (18.0, 8.0), (2.0, 8.0)])

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ekf_reference.core.geometry import Array
 from ekf_reference.dense.dynamic import Differencing, DynamicLayer, places
 from ekf_reference.dense.layers.occupancy import RegionGrid
 from ekf_reference.dense.low_pass import LowPass
@@ -15,7 +16,6 @@ from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.scan import Scan
 from tests.ekf_reference.dense import scenes
 from tests.ekf_reference.dense.scenes import field, told
-from tests.helpers import Array
 
 SENSOR = replace(scenes.SENSOR, sigma_range_m=0.2)
 HERE = np.array([1.0, 5.0, 0.0])

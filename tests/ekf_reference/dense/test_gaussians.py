@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from ekf_reference.core.geometry import Array
 from ekf_reference.dense.layers.gaussians import (
     Gaussians,
     in_local_axes,
@@ -16,7 +17,7 @@ from ekf_reference.dense.layers.layer import Hits
 from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.triangles import local_jacobians
 from tests.ekf_reference.dense.scenes import field, mapped, simulation, told, wall_scan
-from tests.helpers import Array, random_covariance
+from tests.ekf_reference.numerics import random_covariance
 
 NOWHERE = np.empty(0, dtype=np.intp)
 START = np.array([(7.0, 3.0)])

@@ -9,7 +9,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-from comparisons.logs.simulate.ray_casting import Solids, cast
 from ekf_reference.core.geometry import Array
 from ekf_reference.dense.high_level import (
     Around,
@@ -27,6 +26,7 @@ from ekf_reference.dense.layers.occupancy import OccupancyGrid
 from ekf_reference.dense.scan import Scan, Sensor
 from ekf_reference.dense.triangles import turned
 from tests.ekf_reference.dense.scenes import lattice, told
+from tests.ekf_reference.ray_casting import Solids, cast, sides
 
 SENSOR = Sensor(0.05, math.radians(0.5), math.radians(0.5), math.radians(8.0))
 BEAMS = np.radians(np.arange(-180.0, 180.0, 0.5))
@@ -48,9 +48,8 @@ def outline(centre: Array) -> Array:
 @cache
 def yard() -> Solids:
     """Three boxes and a pole."""
-    corner = np.concatenate([outline(c) for c in CENTRES])
-    ahead = np.concatenate([np.roll(outline(c), -1, axis=0) for c in CENTRES])
-    return Solids(np.hstack((corner, ahead)), disc=np.array(((*POLE, 0.4),)))
+    walls = np.vstack([sides(outline(c)) for c in CENTRES])
+    return Solids(walls, disc=np.array(((*POLE, 0.4),)))
 
 
 @cache

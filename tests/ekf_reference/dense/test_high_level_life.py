@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from comparisons.logs.simulate.ray_casting import cast
 from ekf_reference.association.nearest_neighbour import KnownAssociation
 from ekf_reference.core.ekf import NEW, Ekf, Stabilisation
 from ekf_reference.core.geometry import Array
@@ -25,7 +24,8 @@ from ekf_reference.models.relative_pose import RelativePose
 from ekf_reference.scan_landmarks.templates import View
 from ekf_reference.scan_matching.scan_shape import of_scan
 from tests.ekf_reference.dense.test_high_level import BEAMS, FEW, NONE, SENSOR, around, yard
-from tests.helpers import central_difference, relative_error
+from tests.ekf_reference.numerics import central_difference, relative_error
+from tests.ekf_reference.ray_casting import cast
 
 START = np.array((1.0, 0.5, 0.7))
 POINTS = np.array(((-20.0, 10.0), (0.0, 10.0), (-10.0, 0.0)))

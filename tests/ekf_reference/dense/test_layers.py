@@ -7,6 +7,7 @@ import pickle
 import numpy as np
 import pytest
 
+from ekf_reference.core.geometry import Array
 from ekf_reference.dense.layers.layer import Layer
 from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.scan import Scan
@@ -20,7 +21,6 @@ from tests.ekf_reference.dense.scenes import (
     told,
     wall_scan,
 )
-from tests.helpers import Array
 
 pytestmark = pytest.mark.parametrize("name", LAYERS)
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ekf_reference.core.geometry import wrap_angle
+from ekf_reference.core.geometry import Array, wrap_angle
 from ekf_reference.dense.local_pose import (
     Frames,
     local_pose,
@@ -12,7 +12,7 @@ from ekf_reference.dense.local_pose import (
 )
 from ekf_reference.dense.view import FilterView
 from ekf_reference.models.range_bearing import RangeBearing
-from tests.helpers import Array, central_difference, random_covariance
+from tests.ekf_reference.numerics import central_difference, random_covariance
 
 SEEDS = range(8)
 

@@ -19,14 +19,14 @@ from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.triangles import axes, local_jacobians
 from ekf_reference.dense.view import FilterView
 from ekf_reference.models.range_bearing import RangeBearing
-from tests.ekf_reference.dense.drives import scans
-from tests.helpers import relative_error, simulated
+from tests.ekf_reference.numerics import relative_error
+from tests.ekf_reference.worlds import circuit, follow
 
 
 @cache
 def seen() -> tuple[FilterView, Index]:
     """A filter in the midst of a drive, and the regions around."""
-    ekf = next(islice(scans(simulated(0, max_range_m=25.0)), 300, None))[1]
+    ekf = next(islice(follow(circuit(0, range_m=25.0)), 300, None))[1]
     view, regions = FilterView.of(ekf), LocalRegions()
     near = view.near(30.0)
     regions.extend(view.landmark, near, view.joint_of_landmarks(near))

@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ekf_reference.core.geometry import Array
 from ekf_reference.dense.layers.classic_grid import ClassicGrid
 from ekf_reference.dense.layers.grid_update import GridUpdate
 from ekf_reference.dense.layers.occupancy import Coarsening, OccupancyGrid, RegionGrid
 from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.sensor_model import InverseSensorModel, log_odds, probability
 from tests.ekf_reference.dense.scenes import HERE, SENSOR, WALL_M, field, told, wall_scan
-from tests.helpers import Array
 
 MODELS = (InverseSensorModel(), InverseSensorModel(0.8, 0.4, with_bearing=True))
 

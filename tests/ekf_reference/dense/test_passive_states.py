@@ -11,7 +11,7 @@ import pytest
 
 from ekf_reference.association.nearest_neighbour import KnownAssociation
 from ekf_reference.core.ekf import Ekf
-from ekf_reference.core.geometry import Index
+from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.measurement_update import Steps
 from ekf_reference.core.state import state_columns
 from ekf_reference.core.trace import Prediction, RecordedTrace
@@ -20,8 +20,8 @@ from ekf_reference.dense.triangles import local_jacobians, to_local
 from ekf_reference.filters.compressed import CompressedEkf
 from ekf_reference.filters.misono import DirectionCosineEkf
 from ekf_reference.models.motion import UnicycleModel
-from tests.ekf_reference.dense.drives import scans
-from tests.helpers import Array, relative_error, simulated
+from tests.ekf_reference.numerics import relative_error
+from tests.ekf_reference.worlds import LOOP_S, build, circuit, follow
 
 EVERY, FIX_EVERY, SPLIT_FROM = 20, 25, 100
 """Scans between two new dense points, between two position fixes, and until updates are split."""
@@ -42,7 +42,7 @@ class Outcome(NamedTuple):
 def drive(look: Callable[[Ekf, int, Array], None], start: Callable[[Ekf], None]) -> Ekf:
     """A loop with position fixes and split updates; `look` gets z (3, 2) of new dense points."""
     rng = np.random.default_rng(0)
-    for k, (_, ekf) in enumerate(scans(simulated(0, extra_s=10.0))):
+    for k, (_, ekf) in enumerate(follow(circuit(0, LOOP_S + 10.0))):
         if k == 0:
             start(ekf)
             ekf.insert_surveyed(np.array([(5.0, 5.0)]), 0.1 * np.eye(2)[None])
@@ -152,7 +152,7 @@ def test_local_coordinates_change_as_their_point_and_landmarks_do() -> None:
     """To rounding by the Jacobians they began with, and nearly so by alpha and beta themselves."""
     z = np.array([(9.0, 0.3), (14.0, -0.4)])
     noise = np.broadcast_to(np.diag(SIGMA**2), (2, 2, 2))
-    for k, (_, ekf) in enumerate(scans(simulated(0, extra_s=10.0))):
+    for k, (_, ekf) in enumerate(follow(circuit(0, LOOP_S + 10.0))):
         if k == 200:
             passive, then = PassiveStates(ekf), ekf.state.landmarks.copy()
             near = ekf.state.local_map(20.0).slot
@@ -172,9 +172,9 @@ def test_local_coordinates_change_as_their_point_and_landmarks_do() -> None:
 
 
 def test_another_trace_goes_on_receiving_everything() -> None:
-    log, alone, behind = simulated(0, loop_s=10.0), RecordedTrace(), RecordedTrace()
+    tour, alone, behind = circuit(0, 10.0), RecordedTrace(), RecordedTrace()
     for trace in (alone, behind):
-        for k, (_, ekf) in enumerate(scans(log, trace)):
+        for k, (_, ekf) in enumerate(follow(tour, build(trace=trace))):
             if k == 0 and trace is behind:
                 PassiveStates(ekf)
         ekf.fix_position(ekf.state.pose[:2], np.eye(2))

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from ekf_reference.core.geometry import Array
 from ekf_reference.core.trace import Removal, SightingUse
 from ekf_reference.dense.passive_states import PassiveStates, points
 from ekf_reference.dense.view import FilterView
 from tests.ekf_reference.both_kinds import Script, build, drive
-from tests.helpers import Array, relative_error
+from tests.ekf_reference.numerics import relative_error
 
 Z = np.array([[4.0, 0.5], [6.0, -1.0]])
 NOISE = np.tile(np.diag((0.01, 0.004)) ** 2, (2, 1, 1))

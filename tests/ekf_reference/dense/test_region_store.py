@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ekf_reference.core.geometry import Array
 from ekf_reference.dense.region_store import RegionStore, Rows
-from tests.helpers import Array
 
 
 def filled(rng: np.random.Generator, batches: int = 20) -> tuple[RegionStore, dict[int, Array]]:

@@ -9,11 +9,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay
 
+from ekf_reference.core.geometry import Array
 from ekf_reference.dense.conditions import Conditions, ellipse_margin, overlap, pair_correlation
 from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.triangles import contains, solve
 from tests.ekf_reference.dense.test_conditions import shared
-from tests.helpers import Array
 
 ANY_SIZE = Conditions(longest_edge_m=1e3)
 

@@ -6,17 +6,17 @@ from functools import cache
 
 import numpy as np
 
+from ekf_reference.core.geometry import Array
 from ekf_reference.dense.conditions import Conditions, overlap
 from ekf_reference.dense.regions import LocalRegions
-from tests.ekf_reference.dense.drives import scans
-from tests.helpers import Array, simulated
+from tests.ekf_reference.worlds import circuit, follow
 
 
 @cache
 def driven(conditions: Conditions | None) -> tuple[LocalRegions, list[int], Array, Array]:
     """Regions, their number after every scan, the filter's last mean and covariance."""
     regions, count = LocalRegions(conditions=conditions or Conditions()), []
-    for _, ekf in scans(simulated(0, max_range_m=25.0)):
+    for _, ekf in follow(circuit(0, range_m=25.0)):
         if conditions is not None:
             near = ekf.state.local_map(30.0)
             regions.extend(ekf.state.landmarks, near.slot, near.covariance[3:, 3:])

@@ -10,6 +10,7 @@ import pytest
 from ekf_reference.core.local_map import by_number
 
 from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.geometry import Array
 from ekf_reference.core.layout import POINT, POSE, Layout
 from ekf_reference.dense.dense_map import DenseMap
 from ekf_reference.dense.scan import Scan
@@ -17,7 +18,6 @@ from ekf_reference.dense.view import FilterView
 from tests.ekf_reference.both_kinds import Script, build, drive
 from tests.ekf_reference.dense.scenes import LAYERS, SENSOR
 from tests.ekf_reference.dense.test_dense_map import content, dense_map, room
-from tests.helpers import Array
 
 BOTH = (POINT, POSE)
 BEARING = np.linspace(-1.2, 1.2, 31)

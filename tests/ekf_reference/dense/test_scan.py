@@ -5,8 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from ekf_reference.core.geometry import Array
 from ekf_reference.dense.scan import Beams, Scan, Sensor
-from tests.helpers import Array, central_difference
+from tests.ekf_reference.numerics import central_difference
 
 SENSOR = Sensor(0.1, 0.01, 0.05)
 POSE = np.array([3.0, -2.0, 2.5])

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
+from ekf_reference.core.geometry import Array
 from ekf_reference.dense.sensor_model import InverseSensorModel, log_odds, probability
-from tests.helpers import Array
 
 MODEL = InverseSensorModel(p_occupied=0.9, p_free=0.3)
 HALF = math.sqrt(2.0 * math.log(2.0))

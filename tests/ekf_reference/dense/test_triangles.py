@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ekf_reference.core.geometry import Array
 from ekf_reference.dense.triangles import (
     DegenerateTriangleError,
     contains,
@@ -14,7 +15,7 @@ from ekf_reference.dense.triangles import (
     to_global,
     to_local,
 )
-from tests.helpers import Array, central_difference, random_covariance, relative_error
+from tests.ekf_reference.numerics import central_difference, random_covariance, relative_error
 
 
 def random_triangles(rng: np.random.Generator, count: int) -> Array:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ekf_reference.core.geometry import Array
 from ekf_reference.dense.dense_map import DenseMap
 from ekf_reference.dense.layers.layer import Hits
 from ekf_reference.dense.layers.values import Values
@@ -15,7 +16,7 @@ from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.scan import Scan
 from tests.ekf_reference.dense.scenes import field
 from tests.ekf_reference.dense.test_dense_map import PATIENCE, TRUSTING, drive, room, view, wall
-from tests.helpers import Array, relative_error
+from tests.ekf_reference.numerics import relative_error
 
 NOWHERE = np.empty(0, dtype=np.intp)
 

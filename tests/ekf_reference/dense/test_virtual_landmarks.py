@@ -3,14 +3,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ekf_reference.core.geometry import Index
+from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.state import KalmanState
 from ekf_reference.dense.conditions import Conditions, overlap
 from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.virtual_landmarks import VirtualLandmarks, behind
 from ekf_reference.models.range_bearing import RangeBearing
 from tests.ekf_reference.dense.test_conditions import shared
-from tests.helpers import Array, central_difference, random_covariance
+from tests.ekf_reference.numerics import central_difference, random_covariance
 
 POSE = np.array((2.0, -6.0, 1.2))
 WALL = np.array([(0.0, 0.0), (12.0, 1.0)])

@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ekf_reference.core.geometry import Array
 from ekf_reference.core.state import state_columns
 from ekf_reference.dense.conditions import Conditions
 from ekf_reference.dense.local_pose import Frames, local_pose
@@ -17,7 +18,7 @@ from ekf_reference.models.motion import (
     UnicycleModel,
 )
 from tests.ekf_reference.dense.waiting_rooms import DENSE, LANDMARK, START, anywhere, noise, view_at
-from tests.helpers import Array, central_difference
+from tests.ekf_reference.numerics import central_difference
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ekf_reference.core.geometry import Array
 from ekf_reference.core.state import KalmanState, state_columns
 from ekf_reference.dense.local_pose import Frames
 from ekf_reference.dense.view import FilterView
@@ -12,7 +13,7 @@ from ekf_reference.dense.waiting import WaitingRoom
 from ekf_reference.models.motion import UnicycleModel
 from ekf_reference.models.range_bearing import RangeBearing
 from tests.ekf_reference.dense.waiting_rooms import BROKEN, DENSE, LANDMARK, START, anywhere
-from tests.helpers import Array, central_difference
+from tests.ekf_reference.numerics import central_difference
 
 MODEL = RangeBearing()
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from ekf_reference.core.geometry import Index
+from ekf_reference.core.geometry import Array, Index
 from ekf_reference.dense.box_tree import BoxTree, boxes
 from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.regions import Potential
 from ekf_reference.dense.view import FilterView
 from ekf_reference.dense.waiting import WaitingRoom
-from tests.helpers import Array
 
 EVERYWHERE = np.array([[(-1e4, -1e4), (1e4, -1e4), (0.0, 1e4)]])
 LANDMARK = np.array([(10.0, 4.0), (2.0, 12.0), (-7.0, 6.0), (4.0, -9.0)])

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from comparisons.logs.simulate.ray_casting import Solids, cast
+from ekf_reference.core.geometry import Array
 from ekf_reference.features.tree_detection import (
     ROUNDNESS,
     TreeTracker,
@@ -12,7 +12,8 @@ from ekf_reference.features.tree_detection import (
     diameter_variance,
     observed_diameter,
 )
-from tests.helpers import Array, central_difference
+from tests.ekf_reference.numerics import central_difference
+from tests.ekf_reference.ray_casting import Solids, cast
 
 ANGLES = np.deg2rad(np.linspace(-90.0, 90.0, 361))
 STILL = np.zeros(3)

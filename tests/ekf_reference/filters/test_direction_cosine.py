@@ -6,6 +6,9 @@ import math
 
 import numpy as np
 import pytest
+
+from ekf_reference.core.geometry import Array
+from ekf_reference.core.measurement_update import PositionModel
 from ekf_reference.filters.direction_cosine import (
     DirectionCosineMotion,
     DirectionCosinePosition,
@@ -24,7 +27,7 @@ from ekf_reference.models.motion import (
     UnicycleModel,
 )
 from ekf_reference.models.range_bearing import RangeBearing
-from tests.helpers import Array, central_difference, relative_error
+from tests.ekf_reference.numerics import central_difference, relative_error
 
 POSE = np.array([3.0, -2.0, 2.1])
 OWN = from_heading(POSE)

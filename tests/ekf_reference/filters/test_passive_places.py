@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 
 from ekf_reference.core.ekf import Ekf
-from ekf_reference.core.geometry import Index
+from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.layout import POINT, POSE
 from ekf_reference.filters.compressed import CompressedState, LocalAreas
 from ekf_reference.models.range_bearing import PredictedMeasurements
 from ekf_reference.models.relative_pose import RelativePose
 from tests.ekf_reference.both_kinds import AREAS, PRIOR, Script, build, drive
-from tests.helpers import Array
 
 FAR_M = 18.0
 """Some landmarks are farther away, and some that are not are passive."""

@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ekf_reference.core.geometry import Array
 from ekf_reference.models.motion import (
     AckermannModel,
     MotionModel,
@@ -10,7 +11,7 @@ from ekf_reference.models.motion import (
     UnicycleModel,
     bicycle_model,
 )
-from tests.helpers import Array, central_difference, relative_error
+from tests.ekf_reference.numerics import central_difference, relative_error
 
 UTE = AckermannModel(2.83, 0.76, 3.78, 0.5)
 MODELS: dict[str, tuple[MotionModel, int]] = {

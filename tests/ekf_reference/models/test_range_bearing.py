@@ -7,7 +7,7 @@ import pytest
 
 from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.models.range_bearing import RangeBearing
-from tests.helpers import central_difference, relative_error
+from tests.ekf_reference.numerics import central_difference, relative_error
 
 MODEL = RangeBearing()
 

@@ -3,10 +3,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ekf_reference.core.geometry import Array
 from ekf_reference.core.state import block_diagonal
 from ekf_reference.models.relative_pose import RelativePose
 from tests.ekf_reference.both_kinds import relative
-from tests.helpers import Array, central_difference, relative_error
+from tests.ekf_reference.numerics import central_difference, relative_error
 
 MODEL = RelativePose()
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ekf_reference.core.geometry import Array
 from ekf_reference.scan_landmarks.enriching import enriched, observe_enriched
 from ekf_reference.scan_landmarks.templates import (
     AMBIGUOUS,
@@ -22,7 +23,6 @@ from tests.ekf_reference.both_kinds import relative
 from tests.ekf_reference.scan_landmarks.test_templates import VIEW as WHOLE
 from tests.ekf_reference.scan_landmarks.test_templates import seen
 from tests.ekf_reference.scan_matching.scenes import box, solids
-from tests.helpers import Array
 
 ALIKE = solids(
     box(12, -4, 3, 2, 25), box(12, 3, 3, 2, 25),

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from ekf_reference.core.local_map import LocalMap
 
-from comparisons.logs.simulate.ray_casting import Solids
 from ekf_reference.core.ekf import NEW
+from ekf_reference.core.geometry import Array
 from ekf_reference.core.layout import POSE
 from ekf_reference.scan_landmarks.merging import FusingOptions, Twins, united
 from ekf_reference.scan_landmarks.pieces import SingleSegments
@@ -19,10 +19,11 @@ from ekf_reference.scan_landmarks.templates import AMBIGUOUS, Template
 from ekf_reference.scan_matching.scan_shape import of_scan
 from ekf_reference.scan_matching.sog import SumOfGaussians
 from tests.ekf_reference.both_kinds import relative as frame_in_frame
+from tests.ekf_reference.numerics import relative_error
+from tests.ekf_reference.ray_casting import Solids
 from tests.ekf_reference.scan_landmarks.test_scan_slam import EVERY, MOUNT, VIEW, Told, filter_at
 from tests.ekf_reference.scan_landmarks.test_templates import STAR
 from tests.ekf_reference.scan_matching.scenes import BEAMS, LASER, WALL, outline, ranges, solids
-from tests.helpers import Array, relative_error
 
 R = np.diag((0.05, 0.05, 0.01)) ** 2
 _CORNERS = np.array(

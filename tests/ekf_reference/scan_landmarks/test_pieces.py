@@ -6,13 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from ekf_reference.core.geometry import Index
+from ekf_reference.core.geometry import Array, Index
 from ekf_reference.dense.scan import Sensor
 from ekf_reference.scan_landmarks.pieces import JoinedSegments, Known, SingleSegments
 from ekf_reference.scan_landmarks.templates import Template, View
 from ekf_reference.scan_matching.scan_shape import of_scan
 from ekf_reference.scan_matching.sog import SumOfGaussians
-from tests.helpers import Array
 
 LASER = Sensor(0.02, 1e-3, np.deg2rad(0.5), np.deg2rad(8.0))
 BEAMS = np.deg2rad(np.arange(-90.0, 90.25, 0.5))

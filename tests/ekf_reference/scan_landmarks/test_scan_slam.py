@@ -9,7 +9,7 @@ import pytest
 
 from ekf_reference.association.nearest_neighbour import KnownAssociation
 from ekf_reference.core.ekf import NEW, Ekf
-from ekf_reference.core.geometry import Index
+from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.layout import POSE
 from ekf_reference.models.motion import RelativePoseModel
 from ekf_reference.scan_landmarks.pieces import SingleSegments
@@ -19,9 +19,9 @@ from ekf_reference.scan_landmarks.templates import BLANK, OUT_OF_VIEW, Template,
 from ekf_reference.scan_matching.scan_shape import of_scan
 from ekf_reference.scan_matching.sog import SumOfGaussians
 from tests.ekf_reference.both_kinds import relative
+from tests.ekf_reference.numerics import central_difference, relative_error
 from tests.ekf_reference.scan_landmarks.test_templates import STAR
 from tests.ekf_reference.scan_matching.scenes import BEAMS, LASER, ranges
-from tests.helpers import Array, central_difference, relative_error
 
 VIEW = View(40.0, float(BEAMS[0]), float(BEAMS[-1]))
 MOUNT = np.array((0.4, -0.3, 0.2))

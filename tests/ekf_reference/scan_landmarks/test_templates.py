@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ekf_reference.core.geometry import Array
 from ekf_reference.scan_landmarks.segmentation import (
     Quality,
     SegmentationOptions,
@@ -26,7 +27,6 @@ from tests.ekf_reference.scan_matching.scenes import (
     LASER,
     WALL,
     YARD,
-    Array,
     box,
     outline,
     ranges,

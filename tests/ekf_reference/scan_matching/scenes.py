@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from comparisons.logs.simulate.ray_casting import Solids, cast
+from ekf_reference.core.geometry import Array
 from ekf_reference.dense.scan import Sensor
 from ekf_reference.scan_matching.scan_shape import of_scan
 from ekf_reference.scan_matching.sog import SumOfGaussians
-
-Array = NDArray[np.float64]
+from tests.ekf_reference.ray_casting import Solids, cast, sides
 
 BEAMS = np.deg2rad(np.linspace(-90.0, 90.0, 361))
 LASER = Sensor(0.02, np.deg2rad(0.1), np.deg2rad(0.5), np.deg2rad(5.0))
@@ -23,8 +21,7 @@ REACH_M = 40.0
 
 def outline(*corner: tuple[float, float]) -> Array:
     """(K, 4) the sides of a closed polygon."""
-    point = np.array(corner, dtype=float)
-    return np.hstack((point, np.roll(point, -1, axis=0)))
+    return sides(np.array(corner, dtype=float))
 
 
 def box(x: float, y: float, length: float, width: float, turn_deg: float) -> Array:

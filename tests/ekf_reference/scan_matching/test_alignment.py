@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from ekf_reference.core.geometry import Array
 from ekf_reference.dense.scan import Scan
 from ekf_reference.scan_matching.alignment import align
 from ekf_reference.scan_matching.grid_correlation import correlate
@@ -19,7 +20,6 @@ from tests.ekf_reference.scan_matching.scenes import (
     ELL,
     LASER,
     YARD,
-    Array,
     box,
     guess_of,
     pair,

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from comparisons.logs.simulate.ray_casting import Solids
+from ekf_reference.core.geometry import Array
 from ekf_reference.dense.scan import Sensor
 from ekf_reference.scan_matching.alignment_covariance import quadratic_form, scan_align
 from ekf_reference.scan_matching.scan_shape import of_scan
+from tests.ekf_reference.ray_casting import Solids
 from tests.ekf_reference.scan_matching.scenes import (
     BEAMS,
     CORRIDOR,
@@ -20,7 +21,6 @@ from tests.ekf_reference.scan_matching.scenes import (
     THESIS,
     WALL,
     YARD,
-    Array,
     guess_of,
     pair,
 )

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ekf_reference.core.geometry import Array
 from ekf_reference.scan_matching.correlation import Look, Pairs
-from tests.ekf_reference.scan_matching.scenes import Array, random_sum
-from tests.helpers import central_difference, relative_error
+from tests.ekf_reference.numerics import central_difference, relative_error
+from tests.ekf_reference.scan_matching.scenes import random_sum
 
 ALL = Look(1000, 1e3, 1e3)
 POSES = [np.array((0.3, -0.2, 0.5)), np.array((-1.0, 0.4, -2.0)), np.zeros(3)]

@@ -3,8 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ekf_reference.core.geometry import Array
 from ekf_reference.scan_matching.frames import moved, moved_gaussians
-from tests.helpers import Array, central_difference, random_covariance, relative_error
+from tests.ekf_reference.numerics import central_difference, random_covariance, relative_error
 
 
 def world(frame: Array, point: Array) -> Array:

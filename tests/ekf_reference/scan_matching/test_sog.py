@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+from ekf_reference.core.geometry import Array
 from ekf_reference.dense.scan import Scan
 from ekf_reference.scan_matching.scan_shape import of_scan
 from ekf_reference.scan_matching.sog import SumOfGaussians
+from tests.ekf_reference.numerics import relative_error
 from tests.ekf_reference.scan_matching.scenes import (
     BEAMS,
     DRUM,
@@ -16,11 +18,9 @@ from tests.ekf_reference.scan_matching.scenes import (
     LASER,
     WALL,
     YARD,
-    Array,
     random_sum,
     ranges,
 )
-from tests.helpers import relative_error
 
 STILL = np.zeros(3)
 

@@ -1,0 +1,59 @@
+"""Misono's filter, as published and with all of its Jacobian, as the comparison sees it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from comparisons.checks.agreement import ROUNDING
+from comparisons.experiments.defects.defect import with_state
+from comparisons.logs.log import Log
+from comparisons.logs.simulate.waypoints import WaypointRun, simulate
+from comparisons.pipeline.compare import Comparison, Modified
+from ekf_reference.core.state import KalmanState
+from tests.ekf_reference.filters.test_misono import CovarianceLeftBehind, DividedByLength
+from tests.helpers import compared, simulated
+
+
+@pytest.fixture(scope="module")
+def log() -> Log:
+    return simulated(seed=3, loop_s=60.0)
+
+
+@pytest.fixture(scope="module")
+def published(log: Log) -> Comparison:
+    return compared(log, filter="misono")
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_full_jacobian_has_no_gap(seed: int) -> None:
+    comparison = compared(simulated(seed, loop_s=40.0), filter="misono-full")
+    assert comparison.agreement.algebra.within(1e-8)
+    assert comparison.agreement.model.within(1e-8)
+    assert comparison.verdict.outcome == "agree"
+
+
+def test_the_report_names_the_missing_columns(published: Comparison) -> None:
+    """As published: right algebra, and a model whose Jacobian knows no heading."""
+    assert published.agreement.algebra.within(ROUNDING)
+    assert published.agreement.model.sigma > 0.1
+    [cause] = published.verdict.causes
+    assert cause.gap == "model"
+    assert "the Jacobian by heading is missing in" in cause.evidence
+    assert "uses of sightings" in cause.evidence
+    assert "the Jacobian by heading" in cause.hint
+
+
+def test_a_waypoint_run_with_positions_has_no_gap() -> None:
+    log = simulate(np.random.default_rng(2), WaypointRun(most_s=60.0))
+    for name in ("misono-full", "misono"):
+        comparison = compared(log, filter=name, gps="on")
+        assert len(comparison.ekf.fix_number) > 3
+        assert comparison.agreement.algebra.within(ROUNDING)
+        assert comparison.agreement.model.within(ROUNDING) is (name == "misono-full")
+
+
+@pytest.mark.parametrize("state", [DividedByLength, CovarianceLeftBehind])
+def test_other_ways_back_to_the_circle_are_rejected(log: Log, state: type[KalmanState]) -> None:
+    comparison = compared(log, Modified(with_state(state)), filter="misono-full")
+    assert not comparison.agreement.algebra.within(ROUNDING)

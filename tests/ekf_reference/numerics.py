@@ -1,0 +1,31 @@
+"""Numerical derivatives and comparisons of arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ekf_reference.core.geometry import Array
+
+
+def central_difference(f: Callable[[Array], Array], x: Array, step: float = 1e-6) -> Array:
+    """Return the Jacobian (len(f), len(x)) of a function of vectors at x."""
+    columns = []
+    for i in range(len(x)):
+        d = np.zeros(len(x))
+        d[i] = step
+        columns.append((f(x + d) - f(x - d)) / (2.0 * step))
+    return np.column_stack(columns)
+
+
+def relative_error(actual: NDArray[np.floating], expected: NDArray[np.floating]) -> float:
+    """Return the largest difference over the largest expected entry."""
+    return float(np.max(np.abs(actual - expected)) / np.max(np.abs(expected)))
+
+
+def random_covariance(rng: np.random.Generator, n: int) -> Array:
+    """Return a well-conditioned random covariance (n, n)."""
+    a = rng.standard_normal((n, n))
+    return a @ a.T + n * np.eye(n)
