@@ -29,6 +29,7 @@ class MyEkf:
     """A textbook EKF. trace: what it linearised where, by the names of docs/formats.md."""
 
     def __init__(self, log: Log, bug: str) -> None:
+        """Bug: one of BUGS."""
         self.bug, self.motion = bug, AckermannModel(**vars(log.odometry.vehicle))
         self.noise = log.odometry.noise
         self.x, self.p = log.prior.pose.copy(), log.prior.covariance.copy()

@@ -189,6 +189,8 @@ def positional_dataclasses(sources: Iterable[str]) -> list[str]:
 
     def fields(one: ast.ClassDef) -> int:
         own = [node for node in one.body if isinstance(node, ast.AnnAssign)]
+        marks = [k for k, node in enumerate(own) if ast.unparse(node.annotation) == "KW_ONLY"]
+        own = own[: marks[0]] if marks else own
         inherited = [ast.unparse(base).split(".")[-1] for base in one.bases]
         return sum("ClassVar" not in ast.unparse(node.annotation) for node in own) + sum(
             fields(named[base]) for base in inherited if base in named

@@ -65,8 +65,8 @@ class ConsensusAssociation:
     ) -> Measurements:
         """One measurement per group, of the mean of its places (m, 2).
 
-        It has the noise of one, since what puts one measurement wrong puts the next, too; and that of
-        a place in a disc, whose variance is its diameter^2 / 16.
+        It has the noise of one, since what puts one wrong puts the next, too; and that of a place
+        in a disc, whose variance is its diameter^2 / 16.
         """
         share = np.equal.outer(np.arange(group.max() + 1), group).astype(float)
         share /= share.sum(axis=1, keepdims=True)

@@ -182,7 +182,7 @@ class Ekf:
         none. attributes: for association.
         """
         own = self.models[POINT].measured(z, sigma)
-        return Measurements(*own, identity, time_s, attributes)
+        return Measurements(*own, identity, time_s=time_s, attributes=attributes)
 
     def observe(
         self,

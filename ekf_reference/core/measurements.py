@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -55,6 +55,7 @@ class Measurements:
     z: Array
     noise: Array
     identity: NDArray[np.int64]
+    _: KW_ONLY
     time_s: float = 0.0
     attributes: MeasuredAttributes = NOT_MEASURED
     closed: tuple[int, ...] = ()
@@ -70,8 +71,13 @@ class Measurements:
 
     def take(self, rows: Index) -> Measurements:
         """Return some of them."""
-        own = self.z[rows], self.noise[rows], self.identity[rows]
-        return Measurements(*own, self.time_s, self.attributes.take(rows), self.closed)
+        return replace(
+            self,
+            z=self.z[rows],
+            noise=self.noise[rows],
+            identity=self.identity[rows],
+            attributes=self.attributes.take(rows),
+        )
 
 
 class Association(Protocol):

@@ -37,7 +37,7 @@ class LayerAttributes:
     column: int
 
     def distances(self, slot: Index, seen: Measurements) -> AttributeDistances:
-        """Return what AttributeEstimates does. A return scatters as the layer's do, and its noise."""
+        """Return the distances; a return scatters as the layer's do, beside its noise."""
         own, column = seen.attributes, self.column
         others = own.value.copy()
         others[:, column] = np.nan

@@ -20,8 +20,7 @@ class FilterView:
     pose: (3,) x, y, heading. landmark: (L, 2) [m] all of the map; one that has left the map, or
     is not there yet, is NaN, since places in the map are for good. slot: (m,) landmarks whose
     covariance is current, ascending; of a compressed filter the active ones. covariance:
-    (3 + 2 m, 3 + 2 m) of the pose and these. The arrays are the filter's own, read-only, and hold
-    until it moves on.
+    (3 + 2 m, 3 + 2 m) of the pose and these. All are copies.
 
     Of landmarks with a direction these are the places: x and y of the state, with what of its
     covariance belongs to them (Nieto 2005, section 6.2). With several kinds a place in the map is

@@ -265,6 +265,8 @@ class CompressedState(KalmanState):
 class CompressedEkf(Ekf):
     """The full filter's steps on a compressed state."""
 
+    state: CompressedState
+
     def __init__(
         self,
         motion: MotionModel,

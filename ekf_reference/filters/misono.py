@@ -166,9 +166,10 @@ class DirectionCosinePosition:
 
 
 class PairRelativePose(RelativePose):
-    """RelativePose on the pose x, y, xi, eta; `read` gives the filter's as x, y, heading."""
+    """RelativePose on the pose x, y, xi, eta."""
 
     def __init__(self, read: Callable[[], PoseReading]) -> None:
+        """Read: gives the filter's pose as x, y, heading."""
         self._read = read
 
     def predict(self, pose: Array, landmarks: Array) -> PredictedMeasurements:

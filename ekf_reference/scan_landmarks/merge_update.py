@@ -9,6 +9,9 @@ from ekf_reference.core.geometry import Array
 from ekf_reference.core.landmark_types import POSE
 from ekf_reference.core.measurement_update import Linearised
 from ekf_reference.core.state import LocalMap
+from ekf_reference.models.relative_pose import RelativePose
+
+_MODEL = RelativePose()
 
 
 def merge_landmarks(ekf: Ekf, first: int, second: int, z: Array, covariance: Array) -> LocalMap:
@@ -21,14 +24,13 @@ def merge_landmarks(ekf: Ekf, first: int, second: int, z: Array, covariance: Arr
     if first == second:
         raise ValueError(f"landmark {first} is one already")
     both = np.array((first, second), dtype=np.intp)
-    model = ekf.models[POSE]
 
     def linearise() -> Linearised:
         local = ekf.state.map_of(both, POSE)
-        at = model.predict(local.landmark[0], local.landmark[1:])
+        at = _MODEL.predict(local.landmark[0], local.landmark[1:])
         by_pose = np.zeros((3, len(local.pose)))
         jacobian = np.hstack((by_pose, at.jacobian_pose[0], at.jacobian_landmark[0]))
-        return Linearised(local, jacobian, model.innovation(z, at.z[0]))
+        return Linearised(local, jacobian, _MODEL.innovation(z, at.z[0]))
 
     label = MeasurementLabel(ekf.take_numbers("merge"), both[1:], first)
     ekf.fuse(linearise, covariance[None], label)

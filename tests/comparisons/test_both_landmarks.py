@@ -141,7 +141,7 @@ class AtEveryScan(CompressedState):
     """Broken: asking who is near makes a global update."""
 
     def within(self, reach_m: float, width: int = POINT) -> Index:
-        self._bring_up_to_date()
+        self._global_update()
         return super().within(reach_m, width)
 
 

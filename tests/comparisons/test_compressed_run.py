@@ -16,7 +16,7 @@ from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
 from comparisons.pipeline.compare import Modified
 from ekf_reference.core.ekf import Ekf
-from ekf_reference.core.trace import NullTrace
+from ekf_reference.core.trace import Trace
 from ekf_reference.filters.compressed import CompressedEkf, CompressedState, LocalAreas
 from tests.ekf_reference.filters.test_compressed import SMALL, NoTheta
 from tests.helpers import compared, relative_error, simulated
@@ -46,7 +46,7 @@ def assert_equal(first: EkfRun, second: EkfRun) -> None:
 
 def test_the_configuration_builds_it() -> None:
     log = simulated(seed=1, loop_s=2.0)
-    ekf = build_ekf(log, EkfConfig(filter="compressed", association="known"), NullTrace())
+    ekf = build_ekf(log, EkfConfig(filter="compressed", association="known"), Trace())
     assert isinstance(ekf, CompressedEkf)
     assert isinstance(ekf.state, CompressedState)
 

@@ -47,7 +47,7 @@ def test_stops_tell_what_was_seen_and_a_fault_is_the_last() -> None:
     for stop in drive(broken, log, timeline):
         stops.append(stop)
         if len(stops) == 5:
-            broken.state._covariance[0, 0] = np.nan  # type: ignore[attr-defined]
+            broken.state._covariance[0, 0] = np.nan
     assert 5 < len(stops) < len(timeline.epoch_time_s)
     assert [stop.fault is None for stop in stops] == [True] * (len(stops) - 1) + [False]
 

@@ -23,6 +23,7 @@ from comparisons.settings import run_config
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.state import LocalMap
 from ekf_reference.filters.compressed import CompressedState, LocalAreas
+from ekf_reference.scan_landmarks.merge_update import merge_landmarks
 from ekf_reference.scan_landmarks.merging import FusingOptions
 from ekf_reference.scan_landmarks.pieces import SingleSegments
 from ekf_reference.scan_landmarks.scan_slam import ScanSlamOptions
@@ -85,7 +86,7 @@ def test_what_the_smoother_is_not_told_is_found(monkeypatch: pytest.MonkeyPatch)
         z: Array,
         covariance: Array,
     ) -> LocalMap:
-        known = ekf.fuse_oriented(first, second, z, 0.25 * covariance)
+        known = merge_landmarks(ekf, first, second, z, 0.25 * covariance)
         self._merges.append((epoch, first, second, z, covariance))
         return known
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
@@ -114,7 +115,7 @@ def test_operations_are_repeated_with_both_kinds(
 ) -> None:
     ekf = build()
     watched = WatchedState(state(ekf.state.pose, PRIOR), 1e-9)
-    ekf.state = watched
+    ekf.state = cast(KalmanState, watched)
     drive(ekf, 0, Script(steps=steps, fuse_at=60, remove_at=75))
     found = watched.differences()
     assert bool(found) == (operation is not None)

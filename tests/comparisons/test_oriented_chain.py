@@ -8,18 +8,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from comparisons.adapters.recorded import oriented_points, recorded
+from comparisons.adapters.recorded import measurement_points, merge_points, recorded
 from ekf_reference.core.ekf import Ekf
-from ekf_reference.core.layout import POSE
+from ekf_reference.core.landmark_types import POSE
 from ekf_reference.core.state import KalmanState
 from ekf_reference.core.trace import RecordedTrace, TraceArrays
 from ekf_reference.models.motion import UnicycleModel
 from ekf_reference.models.relative_pose import RelativePose
-from graphslam.frozen_own import FrozenPoints, own_problem
 from graphslam.graph_builder import right_perturbation
 from graphslam.linear_problem import LinearProblem, solve
 from graphslam.marginals import Marginal
-from graphslam.problem import OrientedSightings, SlamProblem, Twins
+from graphslam.model_system import LinearisationPoints, model_system
+from graphslam.problem import Merges, OrientedSightings, SlamProblem
 from graphslam.smoother import SmootherOptions, smooth
 from tests.ekf_reference.both_kinds import (
     CONTROL,
@@ -52,12 +52,12 @@ class Chain:
     def expected(self) -> Marginal:
         """E, points before oriented landmarks."""
         state = self.ekf.state
-        packed = state.layout.packed()
+        packed = state.layout.by_kind()
         return Marginal(state.mean[packed], state.covariance[np.ix_(packed, packed)])
 
     def solve(self, linear: LinearProblem) -> Marginal:
         poses = np.vstack((self.trace.departed, self.ekf.state.pose))
-        return solve(linear, poses, self.ekf.state.landmarks, self.ekf.state.oriented)
+        return solve(linear, poses, self.ekf.state.landmarks, self.ekf.state.places(POSE))
 
     def recorded(self) -> Marginal:
         """F1."""
@@ -65,7 +65,7 @@ class Chain:
 
     def own(self) -> Marginal:
         """F2."""
-        return self.solve(own_problem(problem_of(self.made), points_of(self.trace, self.ekf)))
+        return self.solve(model_system(problem_of(self.made), points_of(self.trace, self.ekf)))
 
 
 def run(
@@ -90,16 +90,16 @@ def problem_of(made: Made) -> SlamProblem:
     node, slot, z = (np.array(c) for c in zip(*made.points_seen, strict=True))
     covariance = np.array([r for _, _, _, r in made.seen])
     measured = np.array([z for _, _, z, _ in made.seen])
-    twins = Twins()
+    merges = Merges()
     if made.fused:
         epoch, first, second, where, r = (np.array(c) for c in zip(*made.fused, strict=True))
-        twins = Twins(epoch, first, second, where, right_perturbation(where, r))
+        merges = Merges(epoch, first, second, where, right_perturbation(where, r))
     oriented = OrientedSightings(
         np.array([k for k, _, _, _ in made.seen]),
         np.array([s for _, s, _, _ in made.seen]),
         measured,
         right_perturbation(measured, covariance),
-        twins,
+        merges,
     )
     return SlamProblem(
         prior_pose=np.array([RADIUS_M, 0.0, 0.5 * np.pi]),
@@ -117,22 +117,15 @@ def problem_of(made: Made) -> SlamProblem:
     )
 
 
-def points_of(trace: TraceArrays, ekf: Ekf) -> FrozenPoints:
-    uses = trace.updates, trace.augmentations
-    nobody, nothing = np.zeros(0, dtype=np.intp), np.zeros((0, 3))
-    oriented, twins = oriented_points(trace, lambda pose, step: pose)
-    return FrozenPoints(
+def points_of(trace: TraceArrays, ekf: Ekf) -> LinearisationPoints:
+    return LinearisationPoints(
         departed=np.vstack((trace.departed, ekf.state.pose)),
         arrived=np.vstack((trace.prior_pose, trace.arrived)),
-        sighting=np.concatenate([r.sighting for r in uses]),
-        sighting_weight=np.concatenate([r.weight for r in uses]),
-        sighting_pose=np.concatenate([r.pose for r in uses]),
-        sighting_landmark=np.concatenate([r.landmark for r in uses]),
-        position=nobody,
+        measurements=measurement_points(trace, lambda pose, step: pose),
+        merges=merge_points(trace),
+        position=np.zeros(0, dtype=np.intp),
         position_weight=np.zeros(0),
-        position_pose=nothing,
-        oriented=oriented,
-        twins=twins,
+        position_pose=np.zeros((0, 3)),
     )
 
 
@@ -149,7 +142,7 @@ def gap(first: Marginal, second: Marginal) -> float:
 def test_the_filter_equals_both_frozen_smoothers(kind: str, order: str) -> None:
     """Two laps with a fusion and removals; the compressed filter replays like the full one."""
     chain = run(kind, replace(SCRIPT, order=order))
-    assert len(chain.trace.fusions.step) == 1
+    assert len(chain.trace.merges.step) == 1
     assert len(chain.trace.removals.slot) == 3
     expected, f1 = chain.expected, chain.recorded()
     assert len(f1.mean) == len(expected.mean) == chain.ekf.state.layout.size
@@ -159,10 +152,10 @@ def test_the_filter_equals_both_frozen_smoothers(kind: str, order: str) -> None:
 
 def test_parts_of_an_update_are_replayed() -> None:
     def split(ekf: Ekf) -> None:
-        ekf.steps = replace(ekf.steps, largest_move_m=0.01, most=8)
+        ekf.splitter = replace(ekf.splitter, largest_move_m=0.01, most=8)
 
     chain = run(modify=split)
-    assert (chain.trace.oriented_updates.weight < 1.0).any()
+    assert (chain.trace.measurements[POSE].weight < 1.0).any()
     f1 = chain.recorded()
     assert gap(chain.expected, f1) < 1e-9
     assert gap(f1, chain.own()) < 1e-9
@@ -171,14 +164,12 @@ def test_parts_of_an_update_are_replayed() -> None:
 class NoCross(KalmanState):
     """New landmarks with a direction know the vehicle but not the map."""
 
-    def augment(
-        self, point: Array, jacobian_pose: Array, jacobian_sighting: Array, noise: Array
-    ) -> None:
-        n = self._size
-        super().augment(point, jacobian_pose, jacobian_sighting, noise)
+    def augment(self, point: Array, jacobian_pose: Array, jacobian_z: Array, noise: Array) -> None:
+        n = self._layout.size
+        super().augment(point, jacobian_pose, jacobian_z, noise)
         if point.shape[1] == POSE:
-            self._covariance[3:n, n : self._size] = 0.0
-            self._covariance[n : self._size, 3:n] = 0.0
+            self._covariance[3:n, n : self._layout.size] = 0.0
+            self._covariance[n : self._layout.size, 3:n] = 0.0
 
 
 class Conditioned(KalmanState):
@@ -195,7 +186,7 @@ class Conditioned(KalmanState):
 @pytest.mark.parametrize("model", [Flipped, Unwrapped])
 def test_a_wrong_model_shows_as_a_model_gap_alone(model: type[RelativePose]) -> None:
     def plant(ekf: Ekf) -> None:
-        ekf.oriented_observation = model()
+        ekf.models[POSE] = model()
 
     chain = run(modify=plant, script=Script(steps=110, order="in turn"))
     f1 = chain.recorded()
@@ -227,7 +218,7 @@ def test_the_smoother_is_near_and_its_marginal_has_both_kinds() -> None:
     mean, covariance = result.marginal()
     points, frames = problem.landmark_count, problem.oriented.count
     assert len(mean) == 3 + 2 * points + 3 * frames == len(covariance)
-    removed = problem.oriented.twins.second[0]
+    removed = problem.oriented.merges.second[0]
     kept = np.setdiff1d(np.arange(len(mean)), 3 + 2 * points + 3 * removed + np.arange(3))
     own = chain.own()
     sigma = np.sqrt(np.diag(own.covariance))

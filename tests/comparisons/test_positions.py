@@ -69,7 +69,7 @@ def test_split_updates_are_replayed_part_by_part() -> None:
 
     def gradual(ekf: Ekf) -> None:
         ekf.splitter = UpdateSplitter(largest_turn_rad=np.deg2rad(0.2), largest_move_m=0.05)
-        ekf.fixes = replace(ekf.fixes, steps=ekf.splitter)
+        ekf.fixes = replace(ekf.fixes, splitter=ekf.splitter)
 
     c = compared(log, Modified(gradual), association="known", gps="on")
     assert (c.ekf.trace.measurements[POINT].weight < 1.0).any()

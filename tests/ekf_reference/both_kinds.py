@@ -7,15 +7,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ekf_reference.association.nearest_neighbour import KnownAssociation
+from ekf_reference.association.known import KnownAssociation
 from ekf_reference.core.ekf import NEW, Ekf, Stabilisation
 from ekf_reference.core.geometry import Array
-from ekf_reference.core.layout import POSE
+from ekf_reference.core.landmark_types import POINT, POSE, PredictedMeasurements
 from ekf_reference.core.trace import Trace
 from ekf_reference.filters.compressed import CompressedEkf, LocalAreas
 from ekf_reference.models.motion import UnicycleModel
-from ekf_reference.models.range_bearing import PredictedMeasurements
 from ekf_reference.models.relative_pose import RelativePose
+from ekf_reference.scan_landmarks.merge_update import merge_landmarks
 
 RADIUS_M, RANGE_M, STEP_S = 15.0, 11.0, 0.5
 AREAS = LocalAreas(half_m=5.0, reach_m=11.0)
@@ -147,7 +147,7 @@ class _Tour:
         places = [relative(self.made.truth, FRAMES[i]) for i in which]
         z = np.array([at + self.draw(c) for at, c in zip(places, r, strict=True)])
         slot = np.array([self.made.known.get(i, NEW) for i in which], dtype=np.intp)
-        found = self.ekf.observe_oriented(z, r, slot).tolist()
+        found = self.ekf.observe_known(z, r, slot).tolist()
         self.made.known.update(zip(which, found, strict=True))
         self.made.seen += [(k, s, at, c) for s, at, c in zip(found, z, r, strict=True)]
 
@@ -156,7 +156,7 @@ class _Tour:
         r = covariance_of(self.rng)
         z = relative(FRAMES[TWINS[0]], FRAMES[TWINS[1]]) + self.draw(r)
         self.made.fused.append((k, first, second, z, r))
-        self.ekf.fuse_oriented(first, second, z, r)
+        merge_landmarks(self.ekf, first, second, z, r)
         self.gone.add(TWINS[1])
 
     def remove(self) -> None:
@@ -174,12 +174,12 @@ def error(ekf: Ekf, made: Made) -> Array:
     off = np.empty(len(mean))
     off[:3] = ekf.state.pose - made.truth
     for slot in layout.present():
-        at = layout.point[slot]
+        at = layout.first[POINT][slot]
         off[at : at + 2] = mean[at : at + 2] - POINTS[made.label_of[int(slot)]]
     angles = [2]
     frame_of = {slot: frame for frame, slot in made.known.items()}
     for slot in layout.present(POSE):
-        at = layout.oriented[slot]
+        at = layout.first[POSE][slot]
         off[at : at + 3] = mean[at : at + 3] - FRAMES[frame_of[int(slot)]]
         angles.append(int(at) + 2)
     off[angles] = np.angle(np.exp(1j * off[angles]))

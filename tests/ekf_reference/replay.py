@@ -8,8 +8,8 @@ import numpy as np
 from scipy.linalg import LinAlgError, eigh, solve_triangular
 
 from ekf_reference.core.geometry import Array, Index
-from ekf_reference.core.layout import POINT
-from ekf_reference.core.trace import SightingRecords, TraceArrays
+from ekf_reference.core.landmark_types import POINT
+from ekf_reference.core.trace import MeasurementRecords, TraceArrays
 
 
 class Gaussian(NamedTuple):
@@ -27,7 +27,7 @@ def replay(trace: TraceArrays) -> Gaussian:
     covariance is formed before the end. Landmarks must not have been removed.
     """
     p, steps = len(trace.prior_pose), len(trace.departed)
-    size = p + POINT * len(np.unique(trace.augmentations.slot))
+    size = p + POINT * len(np.unique(trace.initialisations[POINT].slot))
     root = _Root(size)
     root.add(np.eye(p, size), trace.prior_pose, trace.prior_covariance)
     for k in range(steps + 1):
@@ -37,7 +37,10 @@ def replay(trace: TraceArrays) -> Gaussian:
                 trace.arrived[k - 1] - trace.f[k - 1] @ trace.departed[k - 1],
                 trace.q[k - 1],
             )
-        for records, begins in ((trace.augmentations, True), (trace.updates, False)):
+        for records, begins in (
+            (trace.initialisations[POINT], True),
+            (trace.measurements[POINT], False),
+        ):
             for row in np.flatnonzero(records.step == k):
                 root.add(*_sighting(records, int(row), size, begins=begins))
         fixes = trace.positions
@@ -74,7 +77,7 @@ def eigenvalue_range(first: Array, second: Array) -> tuple[float, float]:
 
 
 def _sighting(
-    records: SightingRecords, row: int, size: int, *, begins: bool
+    records: MeasurementRecords, row: int, size: int, *, begins: bool
 ) -> tuple[Array, Array, Array]:
     """Jacobian (2, n), value (2,) and covariance (2, 2) of a record."""
     pose, landmark = records.pose[row], records.landmark[row]

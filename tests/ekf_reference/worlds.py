@@ -9,9 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ekf_reference.association.nearest_neighbour import Association, KnownAssociation
+from ekf_reference.association.known import KnownAssociation
 from ekf_reference.core.ekf import Ekf, Stabilisation
 from ekf_reference.core.geometry import Array, Index, wrap_angle
+from ekf_reference.core.measurements import Association
 from ekf_reference.core.trace import Trace
 from ekf_reference.models.motion import UnicycleModel
 from ekf_reference.models.range_bearing import RangeBearing

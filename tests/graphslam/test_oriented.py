@@ -7,11 +7,11 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 
-from graphslam.frozen_own import FrozenPairs, FrozenPoints, own_problem
-from graphslam.graph_builder import right_perturbation
+from graphslam.graph_builder import POINT, POSE_LANDMARK, right_perturbation
 from graphslam.linear_problem import solve
 from graphslam.marginals import Marginal
-from graphslam.problem import OrientedSightings, SlamProblem, Twins
+from graphslam.model_system import LinearisationPoints, RelationPoints, model_system
+from graphslam.problem import Merges, OrientedSightings, SlamProblem
 from graphslam.smoother import SmootherOptions, SmootherResult, smooth
 from tests.graphslam import worlds
 from tests.graphslam.numerics import Array, Index, angle, central_difference, relative_error
@@ -26,31 +26,37 @@ def drive(noise: float = 1.0) -> World:
 
 def linearised(problem: SlamProblem, poses: Array, landmarks: Array, frames: Array) -> Marginal:
     """F2 at poses (K, 3), points (L, 2) and pose landmarks (Q, 3)."""
-    rows, seen, twins = np.arange(len(problem.z)), problem.oriented, problem.oriented.twins
-    points = FrozenPoints(
+    rows, seen, merges = np.arange(len(problem.z)), problem.oriented, problem.oriented.merges
+    points = LinearisationPoints(
         departed=poses,
         arrived=poses,
-        sighting=rows,
-        sighting_weight=np.ones(len(rows)),
-        sighting_pose=poses[problem.sighting_pose],
-        sighting_landmark=landmarks[problem.sighting_landmark],
+        measurements={
+            POINT: RelationPoints(
+                rows,
+                np.ones(len(rows)),
+                poses[problem.sighting_pose],
+                landmarks[problem.sighting_landmark],
+            ),
+            POSE_LANDMARK: RelationPoints(
+                np.arange(len(seen.pose)),
+                np.ones(len(seen.pose)),
+                poses[seen.pose],
+                frames[seen.landmark],
+            ),
+        },
+        merges={
+            POSE_LANDMARK: RelationPoints(
+                np.arange(len(merges.pose)),
+                np.ones(len(merges.pose)),
+                frames[merges.first],
+                frames[merges.second],
+            )
+        },
         position=np.zeros(0, dtype=np.intp),
         position_weight=np.zeros(0),
         position_pose=np.zeros((0, 3)),
-        oriented=FrozenPairs(
-            np.arange(len(seen.pose)),
-            np.ones(len(seen.pose)),
-            poses[seen.pose],
-            frames[seen.landmark],
-        ),
-        twins=FrozenPairs(
-            np.arange(len(twins.pose)),
-            np.ones(len(twins.pose)),
-            frames[twins.first],
-            frames[twins.second],
-        ),
     )
-    return solve(own_problem(problem, points), poses, landmarks, frames)
+    return solve(model_system(problem, points), poses, landmarks, frames)
 
 
 def headings(result: SmootherResult) -> Index:
@@ -78,10 +84,10 @@ def test_without_noise_the_frozen_smoother_is_the_smoother() -> None:
     mean, spread = gap(result, linearised(problem, *truth))
     assert mean < 1e-4
     assert spread < 1e-6
-    # Blind to the twins, or with the frames' noise in the axes of who sees them, it is not.
+    # Blind to the merges, or with the frames' noise in the axes of who sees them, it is not.
     seen = problem.oriented
     turned = right_perturbation(seen.measured * (1.0, 1.0, -1.0), seen.covariance)
-    for wrong in (replace(seen, twins=Twins()), replace(seen, covariance=turned)):
+    for wrong in (replace(seen, merges=Merges()), replace(seen, covariance=turned)):
         assert gap(result, linearised(replace(problem, oriented=wrong), *truth))[1] > 1e-2
 
 
@@ -128,10 +134,10 @@ def test_errors_are_as_large_as_the_covariance_says() -> None:
 
 def test_prefixes_keep_what_was_known() -> None:
     problem = drive().problem
-    [found] = problem.oriented.twins.pose.tolist()
+    [found] = problem.oriented.merges.pose.tolist()
     early, late = problem.prefix(found), problem.prefix(found + 1)
-    assert len(early.oriented.twins.pose) == 0
-    assert len(late.oriented.twins.pose) == 1
+    assert len(early.oriented.merges.pose) == 0
+    assert len(late.oriented.merges.pose) == 1
     assert late.residual_dimension - early.residual_dimension > 6
     assert smooth(late, {}).proof.proven
 
@@ -142,7 +148,7 @@ def test_a_frame_in_a_frame_by_central_differences() -> None:
     first, second, measured = (rng.uniform(-2.0, 2.0, (1, 3)) for _ in range(3))
     unit = right_perturbation(measured, np.eye(3)[None])
     nothing = np.zeros(0, dtype=np.intp)
-    at = FrozenPairs(np.zeros(1, dtype=np.intp), np.ones(1), first, second)
+    at = RelationPoints(np.zeros(1, dtype=np.intp), np.ones(1), first, second)
     seen = OrientedSightings(np.zeros(1, dtype=np.intp), np.zeros(1, dtype=np.intp), measured, unit)
     problem = SlamProblem(
         prior_pose=np.zeros(3),
@@ -156,20 +162,16 @@ def test_a_frame_in_a_frame_by_central_differences() -> None:
         landmark_count=0,
         oriented=seen,
     )
-    empty, none = np.zeros((0, 2)), np.zeros((0, 3))
-    points = FrozenPoints(
+    points = LinearisationPoints(
         departed=first,
         arrived=first,
-        sighting=nothing,
-        sighting_weight=np.zeros(0),
-        sighting_pose=none,
-        sighting_landmark=empty,
+        measurements={POSE_LANDMARK: at},
+        merges={},
         position=nothing,
         position_weight=np.zeros(0),
-        position_pose=none,
-        oriented=at,
+        position_pose=np.zeros((0, 3)),
     )
-    rows = own_problem(problem, points).oriented
+    rows = model_system(problem, points).measurements[POSE_LANDMARK]
 
     def expected(x: Array) -> Array:
         between = gtsam.Pose2(*x[:3]).between(gtsam.Pose2(*x[3:]))

@@ -6,13 +6,6 @@ import gtsam
 import numpy as np
 import pytest
 
-from graphslam.frozen import (
-    RecordedPositions,
-    RecordedPrior,
-    RecordedSightings,
-    RecordedSteps,
-    recorded_problem,
-)
 from graphslam.graph_builder import (
     LANDMARK_KEY,
     POSE_KEY,
@@ -24,6 +17,13 @@ from graphslam.linear_problem import solve
 from graphslam.marginals import SingularProblemError, last_pose_and_landmarks, to_global
 from graphslam.optimum import Proof, Stationarity, chi_square_test, stationarity
 from graphslam.problem import SlamProblem
+from graphslam.recorded_system import (
+    RecordedPositions,
+    RecordedPrior,
+    RecordedRelations,
+    RecordedSteps,
+    recorded_system,
+)
 from graphslam.smoother import smooth
 from tests.graphslam import worlds
 from tests.graphslam.numerics import Array, angle, relative_error
@@ -150,14 +150,14 @@ def test_frozen_smoother_on_one_step_equals_the_kalman_filter() -> None:
     gain = predicted @ h.T @ np.linalg.inv(h @ predicted @ h.T + r)
     mean = np.concatenate((x1, l0)) + gain @ nu
     covariance = predicted - gain @ h @ predicted
-    sightings = RecordedSightings(
-        node=np.array((0, 1)),
-        slot=np.array((0, 0)),
-        pose=np.array((x0, x1)),
-        landmark=np.array((l0, l0)),
+    sightings = RecordedRelations(
+        first=np.array((0, 1)),
+        second=np.array((0, 0)),
+        first_point=np.array((x0, x1)),
+        second_point=np.array((l0, l0)),
         residual=np.array((np.zeros(2), nu)),
-        jacobian_pose=np.array((-gx, hv)),
-        jacobian_landmark=np.array((np.eye(2), hl)),
+        jacobian_first=np.array((-gx, hv)),
+        jacobian_second=np.array((np.eye(2), hl)),
         covariance=np.array((r, r)),
     )
     motion = RecordedSteps(x0[None], x1[None], f[None], q[None])
@@ -168,7 +168,9 @@ def test_frozen_smoother_on_one_step_equals_the_kalman_filter() -> None:
         np.zeros((0, 2, 3)),
         np.zeros((0, 2, 2)),
     )
-    linear = recorded_problem(RecordedPrior(x0, p0), motion, np.array((0, 1)), sightings, nothing)
+    linear = recorded_system(
+        RecordedPrior(x0, p0), motion, np.array((0, 1)), {2: sightings}, {}, nothing
+    )
     frozen = solve(linear, np.array((x0, x1)), l0[None])
     assert relative_error(frozen.mean, mean) < 1e-10
     assert relative_error(frozen.covariance, covariance) < 1e-10

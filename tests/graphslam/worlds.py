@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from graphslam.graph_builder import right_perturbation
-from graphslam.problem import OrientedSightings, SlamProblem, Twins
+from graphslam.problem import Merges, OrientedSightings, SlamProblem
 from tests.graphslam.numerics import Array, Index, angle, exponential, product, quotient
 
 LOOP = 425
@@ -106,8 +106,8 @@ def with_frames(world: World, seed: int, noise: float = 1.0) -> World:
     where, beside = (np.array([value]) for value in measured(frames[0], frames[1]))
     where[:, 2] = angle(where[:, 2])
     one = np.zeros(1, dtype=np.intp)
-    twins = Twins(one + found, one, one + 1, where, right_perturbation(where, beside))
-    oriented = OrientedSightings(node, slot, z, right_perturbation(z, spread), twins)
+    merges = Merges(one + found, one, one + 1, where, right_perturbation(where, beside))
+    oriented = OrientedSightings(node, slot, z, right_perturbation(z, spread), merges)
     return replace(world, problem=replace(world.problem, oriented=oriented), frames=frames)
 
 

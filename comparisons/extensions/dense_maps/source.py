@@ -97,8 +97,8 @@ class BeforeClosing:
 class DenseRun:
     """A dense map and how it came about.
 
-    kinds: of landmarks that its regions hang on, by width; places in the map are numbers as of
-    dense.view.numbered. scan_time_s: (N,) of all scans taken in, scan_pose: (N, 3) the filter's vehicle
+    kinds: of landmarks that its regions are anchored to, by width; places in the map are numbers
+    (dense.view.numbered). scan_time_s: (N,) of all scans taken in, scan_pose: (N, 3) the vehicle
     then. scans: the log's. landmark: (L, 2) where the filter has them in the end. seconds: spent
     on regions and on scans.
     """

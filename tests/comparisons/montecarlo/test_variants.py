@@ -23,7 +23,7 @@ from comparisons.experiments.variants.linearisation import (
 )
 from ekf_reference.association.known import KnownAssociation
 from ekf_reference.core.ekf import Ekf
-from ekf_reference.core.landmark_types import NewLandmarks, PredictedMeasurements
+from ekf_reference.core.landmark_types import POINT, NewLandmarks, PredictedMeasurements
 from ekf_reference.models.motion import UnicycleModel
 from ekf_reference.models.range_bearing import RangeBearing
 from tests.comparisons.montecarlo.worlds import short_world
@@ -78,7 +78,7 @@ def test_the_standard_filter_is_the_reference_run_by_run(scenario: str) -> None:
             UnicycleModel(), KnownAssociation(), world.robot.pose, world.robot.covariance
         )
         if isinstance(world.robot.sensor, RelativePosition):
-            reference.observation = RelativeObservation()
+            reference.models[POINT] = RelativeObservation()
         q = np.diag(world.robot.sigma_odometry**2)
         for k in range(400):
             reference.predict(data.control[run, k], q, world.robot.step_s)

@@ -12,15 +12,17 @@ from ekf_reference.association.attributes import (
     AttributeDistances,
     AttributeEstimates,
     Attributes,
+    RememberedAttributes,
     same_tail,
 )
 from ekf_reference.association.joint_compatibility import JointCompatibility, pair_covariance
-from ekf_reference.association.nearest_neighbour import (
+from ekf_reference.association.nearest_neighbour import NearestNeighbour
+from ekf_reference.core.measurements import (
     AMBIGUOUS,
-    NearestNeighbour,
-    RememberedAttributes,
+    NOT_MEASURED,
+    MeasuredAttributes,
+    Measurements,
 )
-from ekf_reference.core.measurements import NOT_MEASURED, MeasuredAttributes, Sightings
 from ekf_reference.core.state import KalmanState
 from ekf_reference.models.range_bearing import RangeBearing
 
@@ -39,18 +41,18 @@ def mapped(points: list[tuple[float, float]], pose_covariance: np.ndarray) -> Ka
     return state
 
 
-def seen(z: np.ndarray, value: np.ndarray, sigma: float | np.ndarray) -> Sightings:
-    """Sightings (m, 2) with attributes (m, A)."""
+def seen(z: np.ndarray, value: np.ndarray, sigma: float | np.ndarray) -> Measurements:
+    """Measurements (m, 2) with attributes (m, A)."""
     noise = MODEL.noise(np.tile(SIGMA, (len(z), 1)))
     told = MeasuredAttributes(value, np.broadcast_to(np.square(sigma), value.shape))
-    return Sightings(z, noise, np.full(len(z), -1), attributes=told)
+    return Measurements(z, noise, np.full(len(z), -1), attributes=told)
 
 
 def remembered(mean: np.ndarray, sigma: np.ndarray, repeats: float = 1.0) -> AttributeEstimates:
     """Landmarks (L, A) whose attributes are known to a sigma (L, A), NaN for unknown."""
     memory = AttributeEstimates(np.full(mean.shape[1], repeats))
     told = seen(np.ones((len(mean), 2)), mean, sigma)
-    memory.note(np.arange(len(mean)), told)
+    memory.note(np.arange(len(mean)), told.attributes)
     return memory
 
 
@@ -69,7 +71,7 @@ def test_a_constant_is_filtered() -> None:
         gain = 1.0 if k == 0 else variance / (variance + sigma**2)
         mean = z if k == 0 else mean + gain * (z - mean)
         variance = sigma**2 if k == 0 else (1.0 - gain) * variance
-        memory.note(np.array([2]), seen(np.ones((1, 2)), np.array([[z]]), sigma))
+        memory.note(np.array([2]), seen(np.ones((1, 2)), np.array([[z]]), sigma).attributes)
         assert np.allclose((memory.mean[2, 0], memory.variance[2, 0]), (mean, variance), rtol=1e-12)
     assert memory.count.tolist() == [[0], [0], [20]]
     assert np.isnan(memory.mean[:2]).all()
@@ -79,7 +81,7 @@ def test_repeated_sightings_are_worth_less_but_never_less_than_one() -> None:
     memory = AttributeEstimates(np.array([10.0]))
     sigmas = []
     for _ in range(40):
-        memory.note(np.array([0]), seen(np.ones((1, 2)), np.array([[0.4]]), 0.1))
+        memory.note(np.array([0]), seen(np.ones((1, 2)), np.array([[0.4]]), 0.1).attributes)
         sigmas.append(float(np.sqrt(memory.variance[0, 0])))
     assert np.allclose(sigmas[:10], 0.1, rtol=1e-12)
     assert np.isclose(sigmas[39], 0.1 * np.sqrt(10.0 / 40.0), rtol=1e-12)
@@ -135,7 +137,7 @@ class LeftOut:
 
     memory: AttributeEstimates
 
-    def distances(self, slot: np.ndarray, sightings: Sightings) -> AttributeDistances:
+    def distances(self, slot: np.ndarray, sightings: Measurements) -> AttributeDistances:
         found = self.memory.distances(slot, sightings)
         return found._replace(n=np.where(found.dof > 0, found.n, 0.0))
 
@@ -198,7 +200,7 @@ class Unnormalised:
 
     memory: AttributeEstimates
 
-    def distances(self, slot: np.ndarray, sightings: Sightings) -> AttributeDistances:
+    def distances(self, slot: np.ndarray, sightings: Measurements) -> AttributeDistances:
         found = self.memory.distances(slot, sightings)
         return found._replace(n=found.nis)
 
@@ -246,7 +248,7 @@ def test_the_gate_holds_what_it_says() -> None:
     assert not expected_share(0.9, misgated)
 
 
-def position_nis(state: KalmanState, sighting: Sightings) -> float:
+def position_nis(state: KalmanState, sighting: Measurements) -> float:
     local = state.local_map(1e3)
     zero = np.zeros(1, dtype=np.intp)
     spread = pair_covariance(local, MODEL, sighting, zero, zero)
@@ -305,7 +307,7 @@ def test_joint_compatibility_equals_exhaustive_search(seed: int) -> None:
     assert np.where(found == AMBIGUOUS, -1, found).tolist() == list(best[2])
 
 
-def pair(local: object, sightings: Sightings, pairs: list[tuple[int, int]]) -> float:
+def pair(local: object, sightings: Measurements, pairs: list[tuple[int, int]]) -> float:
     """Joint nis of the positions of some pairs."""
     i, j = np.array(pairs).T
     spread = pair_covariance(local, MODEL, sightings, i, j)  # type: ignore[arg-type]
@@ -324,7 +326,7 @@ def test_nothing_told_changes_nothing(kind: type) -> None:
     for _ in range(20):
         z = MODEL.predict(rng.normal(0.0, 0.1, 3), np.array(points)[:3]).z
         unknown = seen(z, np.full((3, 2), np.nan), 0.1)
-        bare = Sightings(z, unknown.noise, unknown.identity)
+        bare = Measurements(z, unknown.noise, unknown.identity)
         assert bare.take(np.array([1, 0])).attributes is NOT_MEASURED
         plain = kind().assign(state, MODEL, bare)
         for sightings in (bare, unknown):

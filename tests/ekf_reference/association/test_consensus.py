@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 
 from ekf_reference.association.consensus import ConsensusAssociation
-from ekf_reference.association.nearest_neighbour import AMBIGUOUS, NearestNeighbour
-from ekf_reference.core.measurements import Sightings
+from ekf_reference.association.nearest_neighbour import NearestNeighbour
+from ekf_reference.core.measurements import AMBIGUOUS, Measurements
 from ekf_reference.core.state import KalmanState
 from ekf_reference.models.range_bearing import RangeBearing
 
@@ -19,10 +19,10 @@ def mapped(points: np.ndarray = POSTS, heading_sigma: float = 0.01) -> KalmanSta
     return state
 
 
-def seen(*points: tuple[float, float], heading: float = 0.0, sigma: float = 0.02) -> Sightings:
+def seen(*points: tuple[float, float], heading: float = 0.0, sigma: float = 0.02) -> Measurements:
     z = MODEL.predict(np.array((0.0, 0.0, heading)), np.array(points)).z
     noise = MODEL.noise(np.tile((0.05, sigma), (len(z), 1)))
-    return Sightings(z, noise, np.full(len(z), -1))
+    return Measurements(z, noise, np.full(len(z), -1))
 
 
 def test_known_landmarks_and_new_ones() -> None:
@@ -36,7 +36,7 @@ def test_known_landmarks_and_new_ones() -> None:
 
 
 def test_a_clump_is_one_landmark() -> None:
-    """Sightings 0.3 m apart share a landmark, mapped or new; the nearest neighbour splits them."""
+    """What is 0.3 m apart shares a landmark, mapped or new; the nearest neighbour splits it."""
     scan = seen((5.0, 0.1), (5.2, -0.2), (5.0, -3.0), (5.2, -3.2))
     assert ConsensusAssociation().assign(mapped(), MODEL, scan).tolist() == [0, 0, 3, 3]
     assert len(set(NearestNeighbour().assign(mapped(), MODEL, scan).tolist())) == 4

@@ -6,14 +6,12 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from ekf_reference.association.distances import normalised_distances
 from ekf_reference.association.joint_compatibility import JointCompatibility
-from ekf_reference.association.nearest_neighbour import (
-    AMBIGUOUS,
-    NearestNeighbour,
-    normalised_distances,
-)
-from ekf_reference.core.measurements import Sightings
-from ekf_reference.core.state import KalmanState, stack, state_columns
+from ekf_reference.association.nearest_neighbour import NearestNeighbour
+from ekf_reference.core.blocks import point_columns, stack
+from ekf_reference.core.measurements import AMBIGUOUS, Measurements
+from ekf_reference.core.state import KalmanState
 from ekf_reference.models.range_bearing import RangeBearing
 
 MODEL = RangeBearing()
@@ -28,9 +26,9 @@ def row_of_posts(heading_sigma: float) -> KalmanState:
     return state
 
 
-def seen_from(heading: float, points: list[tuple[float, float]]) -> Sightings:
+def seen_from(heading: float, points: list[tuple[float, float]]) -> Measurements:
     z = MODEL.predict(np.array((0.0, 0.0, heading)), np.array(points)).z
-    return Sightings(z, MODEL.noise(np.tile((0.05, 0.005), (len(z), 1))), np.full(len(z), -1))
+    return Measurements(z, MODEL.noise(np.tile((0.05, 0.005), (len(z), 1))), np.full(len(z), -1))
 
 
 def test_a_row_seen_with_a_turned_heading() -> None:
@@ -44,11 +42,11 @@ def test_a_row_seen_with_a_turned_heading() -> None:
     assert single.tolist() != truth
 
 
-def joint_nis(state: KalmanState, seen: Sightings, slots: list[int]) -> float:
+def joint_nis(state: KalmanState, seen: Measurements, slots: list[int]) -> float:
     rows = [i for i, s in enumerate(slots) if s >= 0]
     chosen = np.array([slots[i] for i in rows])
     predicted = MODEL.predict(state.pose, state.landmarks[chosen])
-    columns = state_columns(chosen)
+    columns = point_columns(chosen)
     h = stack(predicted.jacobian_pose, predicted.jacobian_landmark)
     s = h @ state.covariance[np.ix_(columns, columns)] @ h.T
     for k, i in enumerate(rows):
@@ -109,7 +107,7 @@ def test_the_order_of_sightings_does_not_matter() -> None:
     z = MODEL.predict(np.zeros(3), points).z
     z[:2, 0] += np.sqrt(10.0) * 0.05
     for order in ([0, 1, 2], [2, 0, 1], [1, 2, 0]):
-        seen = Sightings(z[order], MODEL.noise(np.tile((0.05, 0.005), (3, 1))), np.full(3, -1))
+        seen = Measurements(z[order], MODEL.noise(np.tile((0.05, 0.005), (3, 1))), np.full(3, -1))
         assert JointCompatibility().assign(state, MODEL, seen).tolist() == order
 
 

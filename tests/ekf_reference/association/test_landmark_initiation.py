@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 
 from ekf_reference.association.landmark_initiation import LandmarkInitiation, Reliability
-from ekf_reference.association.nearest_neighbour import CANDIDATE, NearestNeighbour
-from ekf_reference.core.measurements import Sightings
+from ekf_reference.association.nearest_neighbour import NearestNeighbour
+from ekf_reference.core.measurements import CANDIDATE, Measurements
 from ekf_reference.core.state import KalmanState
 from ekf_reference.models.range_bearing import RangeBearing
 
@@ -12,9 +12,11 @@ MODEL = RangeBearing()
 STATE = KalmanState(np.zeros(3), 1e-6 * np.eye(3))
 
 
-def seen(time_s: float, *points: tuple[float, float]) -> Sightings:
+def seen(time_s: float, *points: tuple[float, float]) -> Measurements:
     z = MODEL.predict(np.zeros(3), np.array(points)).z
-    return Sightings(z, MODEL.noise(np.full((len(z), 2), 0.01)), np.full(len(z), -1), time_s)
+    return Measurements(
+        z, MODEL.noise(np.full((len(z), 2), 0.01)), np.full(len(z), -1), time_s=time_s
+    )
 
 
 def managed(**reliability: float) -> LandmarkInitiation:
@@ -28,7 +30,7 @@ def feed(
 
 
 def test_a_stable_feature_becomes_a_landmark_once_it_is_old_enough() -> None:
-    tracks = managed(sightings=4, age_s=0.5)
+    tracks = managed(measurements=4, age_s=0.5)
     result = feed(tracks, [0.0, 0.1, 0.2, 0.3, 0.4, 0.55], (8.0, 1.0), (5.0, -3.0))
     assert result[:5] == [[CANDIDATE, CANDIDATE]] * 5
     assert result[5] == [0, 1]
@@ -37,19 +39,19 @@ def test_a_stable_feature_becomes_a_landmark_once_it_is_old_enough() -> None:
 
 
 def test_too_few_sightings_never_suffice() -> None:
-    tracks = managed(sightings=4, age_s=0.5, silence_s=10.0)
+    tracks = managed(measurements=4, age_s=0.5, silence_s=10.0)
     assert feed(tracks, [0.0, 1.0, 2.0], (8.0, 1.0)) == [[CANDIDATE]] * 3
 
 
 def test_a_spurious_detection_is_dropped_after_its_silence() -> None:
-    tracks = managed(sightings=2, age_s=0.0, silence_s=1.0)
+    tracks = managed(measurements=2, age_s=0.0, silence_s=1.0)
     feed(tracks, [0.0], (8.0, 1.0))
     assert feed(tracks, [1.5], (8.0, 1.0)) == [[CANDIDATE]]  # it starts anew
     assert tracks.dropped == 1
 
 
 def test_a_feature_that_wanders_is_not_stable() -> None:
-    tracks = managed(sightings=3, age_s=0.0, spread_m=0.2, join_m=1.0)
+    tracks = managed(measurements=3, age_s=0.0, spread_m=0.2, join_m=1.0)
     for k in range(10):
         slots = tracks.assign(STATE, MODEL, seen(0.1 * k, (8.0, 1.0 + 0.6 * (k % 2))))
         assert slots.tolist() == [CANDIDATE]
@@ -57,7 +59,7 @@ def test_a_feature_that_wanders_is_not_stable() -> None:
 
 
 def test_two_sightings_of_one_candidate_make_one_landmark() -> None:
-    tracks = managed(sightings=4, age_s=0.0)
+    tracks = managed(measurements=4, age_s=0.0)
     feed(tracks, [0.0], (8.0, 1.0))
     feed(tracks, [0.1], (8.0, 1.0), (8.05, 1.0))
     assert feed(tracks, [0.2], (8.0, 1.0), (8.05, 1.0)) == [[0, CANDIDATE]]

@@ -2,17 +2,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from ekf_reference.association.nearest_neighbour import (
-    AMBIGUOUS,
-    REJECTED,
-    Distances,
-    EuclideanNeighbour,
-    KnownAssociation,
-    NearestNeighbour,
-    normalised_distances,
-)
-from ekf_reference.core.measurements import Sightings
-from ekf_reference.core.state import KalmanState, stack, state_columns
+from ekf_reference.association.distances import Distances, normalised_distances
+from ekf_reference.association.euclidean import EuclideanNeighbour
+from ekf_reference.association.known import KnownAssociation
+from ekf_reference.association.nearest_neighbour import NearestNeighbour
+from ekf_reference.core.blocks import point_columns, stack
+from ekf_reference.core.measurements import AMBIGUOUS, REJECTED, Measurements
+from ekf_reference.core.state import KalmanState
 from ekf_reference.models.range_bearing import RangeBearing
 
 MODEL = RangeBearing()
@@ -27,13 +23,13 @@ def state_with(points: list[tuple[float, float]], sigmas: list[float]) -> Kalman
     return state
 
 
-def sightings(points: list[tuple[float, float]], labels: tuple[int, ...] = ()) -> Sightings:
+def sightings(points: list[tuple[float, float]], labels: tuple[int, ...] = ()) -> Measurements:
     z = MODEL.predict(np.zeros(3), np.array(points)).z
     identity = np.array(labels or [-1] * len(z))
-    return Sightings(z, MODEL.noise(np.tile((0.1, 0.01), (len(z), 1))), identity)
+    return Measurements(z, MODEL.noise(np.tile((0.1, 0.01), (len(z), 1))), identity)
 
 
-def distances(state: KalmanState, seen: Sightings) -> Distances:
+def distances(state: KalmanState, seen: Measurements) -> Distances:
     return normalised_distances(state.local_map(1e3), MODEL, seen)
 
 
@@ -49,7 +45,7 @@ def test_distances_equal_the_textbook_for_every_pair() -> None:
     predicted = MODEL.predict(state.pose, state.landmarks)
     for i in range(len(seen)):
         for j in range(state.landmark_count):
-            columns = state_columns(np.array([j]))
+            columns = point_columns(np.array([j]))
             h = stack(predicted.jacobian_pose[[j]], predicted.jacobian_landmark[[j]])
             s = h @ state.covariance[np.ix_(columns, columns)] @ h.T + seen.noise[i]
             nu = MODEL.innovation(seen.z[i], predicted.z[j])
@@ -119,7 +115,7 @@ def test_the_printed_transformation_of_misono_is_no_rotation() -> None:
     xi, eta = np.cos(0.7), np.sin(0.7)
     printed, corrected = np.array(((eta, -xi), (-xi, eta))), np.array(((eta, xi), (-xi, eta)))
     right_forward = np.array((-np.sin(0.4), np.cos(0.4))) * 5.0  # bearing 0.4, range 5
-    point = MODEL.invert(np.array((0.0, 0.0, 0.7)), np.array([[5.0, 0.4]])).point[0]
+    point = MODEL.invert(np.array((0.0, 0.0, 0.7)), np.array([[5.0, 0.4]])).landmark[0]
     assert np.allclose(corrected @ right_forward, point)
     assert not np.allclose(printed @ right_forward, point, atol=0.5)
     assert np.allclose(corrected.T @ corrected, np.eye(2))

@@ -2,8 +2,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ekf_reference.association.nearest_neighbour import KnownAssociation
+from ekf_reference.association.known import KnownAssociation
 from ekf_reference.core.ekf import Ekf, Stabilisation
+from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.trace import RecordedTrace, Trace
 from ekf_reference.models.motion import UnicycleModel
 
@@ -42,10 +43,11 @@ def test_trace_counts_every_step_and_sighting_once() -> None:
     drive(build(trace))
     arrays = trace.arrays()
     assert len(arrays.f) == 6
-    order = np.concatenate((arrays.updates.sighting, arrays.augmentations.sighting))
+    used, new = arrays.measurements[POINT], arrays.initialisations[POINT]
+    order = np.concatenate((used.number, new.number))
     assert sorted(order.tolist()) == list(range(12))
-    assert arrays.augmentations.step.tolist() == [1, 1]
-    assert arrays.updates.step.tolist() == [s for s in range(2, 7) for _ in range(2)]
+    assert new.step.tolist() == [1, 1]
+    assert used.step.tolist() == [s for s in range(2, 7) for _ in range(2)]
 
 
 def test_second_sighting_of_a_new_landmark_is_fused_too() -> None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ekf_reference.core.correlation import correlation_coefficients
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import Array
+from ekf_reference.core.state import correlation_coefficients
 from ekf_reference.core.trace import RecordedTrace
 from tests.ekf_reference.numerics import random_covariance
 from tests.ekf_reference.replay import Gaussian, eigenvalue_range, gap, replay

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ekf_reference.core.layout import ABSENT, POINT, POSE, Layout
-from ekf_reference.core.state import KalmanState, state_columns
+from ekf_reference.core.blocks import point_columns
+from ekf_reference.core.landmark_types import POINT, POSE
+from ekf_reference.core.layout import ABSENT, Layout
+from ekf_reference.core.state import KalmanState
 from tests.ekf_reference.numerics import random_covariance, relative_error
 
 
@@ -30,31 +32,30 @@ def state(rng: np.random.Generator) -> KalmanState:
 
 def test_landmarks_lie_in_the_order_of_their_arrival() -> None:
     layout = mixed()
-    assert layout.point.tolist() == [3, 5, 10]
-    assert layout.oriented.tolist() == [7, 12, 15]
+    assert layout.first[POINT].tolist() == [3, 5, 10]
+    assert layout.first[POSE].tolist() == [7, 12, 15]
     assert layout.size == 18
-    assert not layout.plain
+    assert not layout.points_only
     assert layout.columns(np.array([2, 0])).tolist() == [0, 1, 2, 10, 11, 3, 4]
     assert layout.columns(np.array([1]), POSE).tolist() == [0, 1, 2, 12, 13, 14]
-    assert layout.packed().tolist() == [0, 1, 2, 3, 4, 5, 6, 10, 11, 7, 8, 9, *range(12, 18)]
-    assert [(b.start, b.stop) for b in layout.blocks()][:3] == [(3, 5), (5, 7), (7, 10)]
+    assert layout.by_kind().tolist() == [0, 1, 2, 3, 4, 5, 6, 10, 11, 7, 8, 9, *range(12, 18)]
 
 
 def test_points_alone_lie_where_they_always_did() -> None:
     layout, slot = Layout.of_pose(4).appended(3, POINT).appended(2, POINT), np.array([4, 0, 0])
-    assert layout.plain
-    assert np.array_equal(layout.columns(slot), state_columns(slot, 4))
-    assert np.array_equal(layout.packed(), np.arange(14))
+    assert layout.points_only
+    assert np.array_equal(layout.columns(slot), point_columns(slot, 4))
+    assert np.array_equal(layout.by_kind(), np.arange(14))
 
 
 def test_a_removed_slot_stays_empty() -> None:
-    layout = mixed().without(np.array([1]), POINT).without(np.array([0]), POSE)
-    assert layout.point.tolist() == [3, ABSENT, 5]
-    assert layout.oriented.tolist() == [ABSENT, 7, 10]
+    layout = mixed().part(np.setdiff1d(np.arange(18), (5, 6, 7, 8, 9)))
+    assert layout.first[POINT].tolist() == [3, ABSENT, 5]
+    assert layout.first[POSE].tolist() == [ABSENT, 7, 10]
     assert layout.size == 13
     assert layout.present().tolist() == [0, 2]
-    assert layout.appended(1, POINT).point.tolist() == [3, ABSENT, 5, 13]
-    assert not Layout.of_pose(3).appended(2, POINT).without(np.array([1]), POINT).plain
+    assert layout.appended(1, POINT).first[POINT].tolist() == [3, ABSENT, 5, 13]
+    assert not Layout.of_pose(3).appended(2, POINT).part(np.arange(5)).points_only
     with pytest.raises(ValueError, match=r"landmarks \[1\] of 2 entries were removed"):
         layout.columns(np.array([0, 1]))
 
@@ -63,20 +64,20 @@ def test_a_part_and_what_it_gains_go_back_into_the_whole() -> None:
     whole = mixed()
     columns = np.array([0, 1, 2, 5, 6, 12, 13, 14])
     part = whole.part(columns)
-    assert part.point.tolist() == [3]
-    assert part.oriented.tolist() == [5]
+    assert part.first[POINT].tolist() == [ABSENT, 3, ABSENT]
+    assert part.first[POSE].tolist() == [ABSENT, 5, ABSENT]
     grown = part.appended(1, POSE).appended(1, POINT)
     back = whole.continued(grown, len(columns))
     expected = whole.appended(1, POSE).appended(1, POINT)
-    assert back.point.tolist() == expected.point.tolist()
-    assert back.oriented.tolist() == expected.oriented.tolist()
+    for width in (POINT, POSE):
+        assert back.first[width].tolist() == expected.first[width].tolist()
     assert back.size == expected.size
 
 
 @pytest.mark.parametrize(("slot", "width"), [([1], POINT), ([0, 2], POSE), ([0, 2], POINT)])
 def test_removal_is_the_marginal(slot: list[int], width: int) -> None:
     made = state(np.random.default_rng(0))
-    points, frames = made.landmarks.copy(), made.oriented.copy()
+    points, frames = made.landmarks.copy(), made.places(POSE).copy()
     gone = made.layout.columns(np.array(slot), width)[3:]
     kept = np.setdiff1d(np.arange(18), gone)
     mean, covariance = made.mean[kept].copy(), made.covariance[np.ix_(kept, kept)].copy()
@@ -85,10 +86,11 @@ def test_removal_is_the_marginal(slot: list[int], width: int) -> None:
     assert np.array_equal(made.covariance, covariance)
     (points if width == POINT else frames)[slot] = np.nan
     assert np.array_equal(made.landmarks, points, equal_nan=True)
-    assert np.array_equal(made.oriented, frames, equal_nan=True)
+    assert np.array_equal(made.places(POSE), frames, equal_nan=True)
     seen = made.snapshot()
     assert seen.slot.tolist() == [i for i in range(3) if width != POINT or i not in slot]
-    assert len(seen.covariance) == 3 + 2 * len(seen.slot)
+    columns = made.layout.columns(seen.slot)
+    assert np.array_equal(made.covariance_of(columns), made.map_of(seen.slot).covariance)
     assert seen.slot.tolist() == made.local_map(1e9).slot.tolist()
     with pytest.raises(ValueError, match="removed"):
         made.remove(np.array(slot), width)
@@ -109,8 +111,8 @@ def test_an_informative_landmark_is_not_forgotten_with_its_place() -> None:
 def test_blocks_of_a_local_map() -> None:
     made = state(np.random.default_rng(2))
     local = made.map_of(np.array([2, 0]), POSE)
-    assert np.array_equal(local.landmark, made.oriented[[2, 0]])
+    assert np.array_equal(local.landmark, made.places(POSE)[[2, 0]])
     for i, slot in enumerate((2, 0)):
-        own = made.layout.oriented[slot] + np.arange(3)
+        own = made.layout.first[POSE][slot] + np.arange(3)
         assert np.array_equal(local.own[i], made.covariance[np.ix_(own, own)])
         assert np.array_equal(local.cross[i], made.covariance[np.ix_(range(3), own)])

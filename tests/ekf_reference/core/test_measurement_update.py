@@ -3,20 +3,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ekf_reference.association.nearest_neighbour import KnownAssociation
-from ekf_reference.core.ekf import Ekf, Stabilisation
+from ekf_reference.association.known import KnownAssociation
+from ekf_reference.core.ekf import NO_LANDMARKS, Ekf, Stabilisation
 from ekf_reference.core.geometry import Array
+from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.measurement_update import (
-    NO_LANDMARKS,
     Linearised,
-    PositionFixes,
-    PositionModel,
-    Steps,
+    UpdateSplitter,
     normalised_innovation_squared,
 )
 from ekf_reference.core.state import KalmanState
 from ekf_reference.core.trace import RecordedTrace
 from ekf_reference.models.motion import UnicycleModel
+from ekf_reference.models.position import PositionFixes, PositionModel
 from tests.ekf_reference.numerics import central_difference, random_covariance, relative_error
 
 LEVER = (2.0, -0.7)
@@ -42,9 +41,9 @@ def test_parts_equal_the_single_update_when_linear() -> None:
     rng = np.random.default_rng(0)
     covariance, noise = 25.0 * random_covariance(rng, 3), random_covariance(rng, 2)
     z = np.array((9.0, -7.0))
-    steps = Steps(largest_turn_rad=0.02, largest_move_m=0.3)
-    single = ekf_at(np.zeros(3), covariance, PositionFixes(gate=1e9, steps=Steps()))
-    parts = ekf_at(np.zeros(3), covariance, PositionFixes(gate=1e9, steps=steps))
+    steps = UpdateSplitter(largest_turn_rad=0.02, largest_move_m=0.3)
+    single = ekf_at(np.zeros(3), covariance, PositionFixes(gate=1e9, splitter=UpdateSplitter()))
+    parts = ekf_at(np.zeros(3), covariance, PositionFixes(gate=1e9, splitter=steps))
     for ekf in (single, parts):
         assert ekf.fix_position(z, noise)
     trace = parts.trace
@@ -56,17 +55,23 @@ def test_parts_equal_the_single_update_when_linear() -> None:
     assert relative_error(parts.state.covariance, single.state.covariance) < 1e-12
 
 
+def of_position(state: KalmanState, z: Array) -> Linearised:
+    local = state.map_of(NO_LANDMARKS)
+    expected, jacobian = PositionModel().predict(local.pose)
+    return Linearised(local, jacobian, z - expected)
+
+
 def test_weights_that_do_not_add_up_would_be_seen() -> None:
     """The broken variant: every part fused with R itself, not R / weight."""
     covariance, noise = np.diag((9.0, 9.0, 0.1)), np.eye(2)
     sound, broken = KalmanState(np.zeros(3), covariance), KalmanState(np.zeros(3), covariance)
-    fixes, z = PositionFixes(steps=Steps(largest_move_m=0.2)), np.array((4.0, 4.0))
+    splitter, z = UpdateSplitter(largest_move_m=0.2), np.array((4.0, 4.0))
     for state, scaled in ((sound, True), (broken, False)):
 
         def linearise(state: KalmanState = state) -> Linearised:
-            return fixes.linearise(state.map_of(NO_LANDMARKS), z)
+            return of_position(state, z)
 
-        for weight, at in fixes.steps.split(linearise, noise):
+        for weight, at in splitter.split(linearise, noise):
             r = noise / weight if scaled else noise
             state.update(np.arange(3), at.jacobian, at.innovation, r)
     exact = np.linalg.inv(np.linalg.inv(covariance) + np.diag((1.0, 1.0, 0.0)))
@@ -92,7 +97,10 @@ def test_parts_come_nearer_to_the_optimum_when_nonlinear() -> None:
     z = model.predict(np.array((0.0, 0.0, np.deg2rad(50.0))))[0]
     best = true_minimum(z, noise, covariance, model)
     error = {}
-    for name, steps in (("single", Steps()), ("parts", Steps(largest_turn_rad=0.05))):
+    for name, steps in (
+        ("single", UpdateSplitter()),
+        ("parts", UpdateSplitter(largest_turn_rad=0.05)),
+    ):
         ekf = ekf_at(np.zeros(3), covariance, PositionFixes(model, 1e9, steps))
         ekf.fix_position(z, noise)
         error[name] = abs(ekf.state.pose[2] - best[2])
@@ -119,7 +127,7 @@ def test_the_gate_decides_just_inside_and_just_outside() -> None:
 
 def test_the_gate_is_the_normalised_innovation() -> None:
     state = KalmanState(np.zeros(3), np.diag((3.0, 3.0, 0.1)))
-    at = PositionFixes().linearise(state.map_of(NO_LANDMARKS), np.array((4.0, 0.0)))
+    at = of_position(state, np.array((4.0, 0.0)))
     assert np.isclose(normalised_innovation_squared(at, np.eye(2)), 4.0)
 
 
@@ -128,12 +136,12 @@ def test_a_large_update_at_loop_closing_is_split_too() -> None:
     ekf = ekf_at(np.zeros(3), np.diag((0.01, 0.01, 1e-4)), PositionFixes())
     ekf.observe(np.array(((10.0, 0.3),)), np.array(((0.1, 0.01),)), np.array([7]))
     ekf.predict(np.array((1.0, 0.0)), np.diag((4.0, 0.5)), 1.0)
-    ekf.steps = Steps(largest_turn_rad=0.01)
+    ekf.splitter = UpdateSplitter(largest_turn_rad=0.01)
     ekf.observe(np.array(((8.0, 0.9),)), np.array(((0.1, 0.01),)), np.array([7]))
     trace = ekf.trace
     assert isinstance(trace, RecordedTrace)
-    updates = trace.arrays().updates
+    updates = trace.arrays().measurements[POINT]
     assert len(updates.weight) > 3
-    assert set(updates.sighting.tolist()) == {1}
+    assert set(updates.number.tolist()) == {1}
     assert np.isclose(updates.weight.sum(), 1.0)
     assert np.all(np.abs(np.diff(updates.pose[:, 2])) < 0.015)

@@ -9,15 +9,16 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from ekf_reference.core.blocks import block_diagonal, stack
 from ekf_reference.core.ekf import NEW, Ekf
 from ekf_reference.core.geometry import Array, Index
-from ekf_reference.core.layout import POSE
-from ekf_reference.core.state import FilterDivergedError, KalmanState, block_diagonal, stack
+from ekf_reference.core.landmark_types import POINT, POSE, NewLandmarks, PredictedMeasurements
+from ekf_reference.core.state import FilterDivergedError, KalmanState
 from ekf_reference.core.trace import RecordedTrace
 from ekf_reference.filters.compressed import CompressedState
 from ekf_reference.filters.misono import DirectionCosineEkf, DirectionCosineOptions
-from ekf_reference.models.range_bearing import NewLandmarks, PredictedMeasurements
 from ekf_reference.models.relative_pose import RelativePose
+from ekf_reference.scan_landmarks.merge_update import merge_landmarks
 from ekf_reference.scan_matching.frames import moved_gaussians
 from tests.ekf_reference.both_kinds import (
     AREAS,
@@ -42,8 +43,8 @@ def assert_equal(first: Ekf, second: Ekf) -> None:
     sigma = np.sqrt(np.diag(q))
     assert np.abs((p - q) / np.outer(sigma, sigma)).max() < 1e-9
     assert np.abs((first.state.mean - second.state.mean) / sigma).max() < 1e-9
-    assert np.array_equal(first.state.layout.point, second.state.layout.point)
-    assert np.array_equal(first.state.layout.oriented, second.state.layout.oriented)
+    assert np.array_equal(first.state.layout.first[POINT], second.state.layout.first[POINT])
+    assert np.array_equal(first.state.layout.first[POSE], second.state.layout.first[POSE])
 
 
 @pytest.mark.parametrize("order", ORDERS)
@@ -63,10 +64,8 @@ def test_compressed_equals_full(order: str) -> None:
 class NoRows(CompressedState):
     """Broken: landmarks with a direction are added as if they knew nothing of the passive ones."""
 
-    def augment(
-        self, point: Array, jacobian_pose: Array, jacobian_sighting: Array, noise: Array
-    ) -> None:
-        super().augment(point, jacobian_pose, jacobian_sighting, noise)
+    def augment(self, point: Array, jacobian_pose: Array, jacobian_z: Array, noise: Array) -> None:
+        super().augment(point, jacobian_pose, jacobian_z, noise)
         if point.shape[1] == POSE:
             self._phi[-point.size :] = 0.0
 
@@ -100,11 +99,11 @@ def test_reading_a_compressed_filter_midway_changes_nothing_but_rounding() -> No
 
     class Reading(RelativePose):
         def predict(self, pose: Array, landmarks: Array) -> PredictedMeasurements:
-            assert np.isfinite(read.state.snapshot().landmark).all()
-            assert len(read.state.oriented) == len(read.state.layout.oriented)
+            assert np.isfinite(read.state.snapshot(POINT).place).all()
+            assert len(read.state.places(POSE)) == len(read.state.layout.first[POSE])
             return super().predict(pose, landmarks)
 
-    read.oriented_observation = Reading()
+    read.models[POSE] = Reading()
     drive(read, 3)
     assert_equal(read, quiet)
 
@@ -119,13 +118,18 @@ def test_the_filter_on_the_circle_equals_the_one_on_the_heading() -> None:
         drive(ekf, 2, script)
     assert relative_error(pair.read_pose().pose, heading.state.pose) < 1e-9
     there = heading.state.layout.present(POSE)
-    assert relative_error(pair.state.oriented[there], heading.state.oriented[there]) < 1e-9
+    assert relative_error(pair.state.places(POSE)[there], heading.state.places(POSE)[there]) < 1e-9
     ours, theirs = (trace.arrays() for trace in traces)
-    for name in ("oriented_updates", "oriented_augmentations", "fusions", "removals"):
-        for field, column in vars(getattr(theirs, name)).items():
+    for one, other in (
+        (ours.measurements[POSE], theirs.measurements[POSE]),
+        (ours.initialisations[POSE], theirs.initialisations[POSE]),
+        (ours.merges, theirs.merges),
+        (ours.removals, theirs.removals),
+    ):
+        assert len(other.step)
+        for name, column in vars(other).items():
             scale = np.abs(column).max(initial=1e-300)
-            apart = np.abs(column - getattr(getattr(ours, name), field)).max(initial=0.0)
-            assert apart <= 1e-8 * scale, (name, field)
+            assert np.abs(column - vars(one)[name]).max(initial=0.0) <= 1e-8 * scale, name
 
 
 @pytest.mark.parametrize("kind", ["full", "compressed"])
@@ -151,14 +155,12 @@ class NoLever(RelativePose):
 class NoCross(KalmanState):
     """New landmarks with a direction know nothing of the vehicle."""
 
-    def augment(
-        self, point: Array, jacobian_pose: Array, jacobian_sighting: Array, noise: Array
-    ) -> None:
-        n = self._size
-        super().augment(point, jacobian_pose, jacobian_sighting, noise)
+    def augment(self, point: Array, jacobian_pose: Array, jacobian_z: Array, noise: Array) -> None:
+        n = self._layout.size
+        super().augment(point, jacobian_pose, jacobian_z, noise)
         if point.shape[1] == POSE:
-            self._covariance[:n, n : self._size] = 0.0
-            self._covariance[n : self._size, :n] = 0.0
+            self._covariance[:n, n : self._layout.size] = 0.0
+            self._covariance[n : self._layout.size, :n] = 0.0
 
 
 def nees(seeds: int, modify: Callable[[Ekf], None] = lambda ekf: None) -> tuple[float, int]:
@@ -183,7 +185,7 @@ def test_errors_are_as_large_as_the_covariance_says() -> None:
 
 def _observe(model: type[RelativePose]) -> Callable[[Ekf], None]:
     def plant(ekf: Ekf) -> None:
-        ekf.oriented_observation = model()
+        ekf.models[POSE] = model()
 
     return plant
 
@@ -209,9 +211,9 @@ def test_one_after_the_other_equals_stacked() -> None:
     new = model.invert(together.pose, z)
     r = np.array([1e-4 * random_covariance(rng, 3) for _ in z])
     for state in (together, apart):
-        state.augment(new.point, new.jacobian_pose, new.jacobian_sighting, r)
+        state.augment(new.landmark, new.jacobian_pose, new.jacobian_z, r)
     slot, start = np.array([2, 0]), together.mean.copy()
-    at = model.predict(together.pose, together.oriented[slot])
+    at = model.predict(together.pose, together.places(POSE)[slot])
     nu = 1e-2 * rng.standard_normal((2, 3))
     jacobian = stack(at.jacobian_pose, at.jacobian_landmark)
     columns = together.layout.columns(slot, POSE)
@@ -229,9 +231,9 @@ def test_a_landmark_seen_twice_at_once_counts_twice() -> None:
     z = np.array([[3.0, 1.0, 0.4]])
     once, twice = build(), build()
     for ekf in (once, twice):
-        ekf.observe_oriented(z, r[None], np.array([NEW]))
-    once.observe_oriented(z, 0.5 * r[None], np.array([0]))
-    twice.observe_oriented(np.repeat(z, 2, axis=0), np.array((r, r)), np.array([0, 0]))
+        ekf.observe_known(z, r[None], np.array([NEW]))
+    once.observe_known(z, 0.5 * r[None], np.array([0]))
+    twice.observe_known(np.repeat(z, 2, axis=0), np.array((r, r)), np.array([0, 0]))
     assert relative_error(twice.state.covariance, once.state.covariance) < 1e-12
     assert relative_error(twice.state.mean, once.state.mean) < 1e-14
 
@@ -239,14 +241,14 @@ def test_a_landmark_seen_twice_at_once_counts_twice() -> None:
 def test_slots_that_are_not_in_the_map_are_named() -> None:
     ekf, z, r = build(), np.ones((1, 3)), np.eye(3)[None]
     with pytest.raises(ValueError, match=r"slots \[0\], expected -1 or less than 0"):
-        ekf.observe_oriented(z, r, np.array([0]))
-    assert ekf.observe_oriented(z, r, np.array([NEW])).tolist() == [0]
+        ekf.observe_known(z, r, np.array([0]))
+    assert ekf.observe_known(z, r, np.array([NEW])).tolist() == [0]
     ekf.remove(np.array([0]), POSE)
     with pytest.raises(ValueError, match="removed"):
-        ekf.observe_oriented(z, r, np.array([0]))
+        ekf.observe_known(z, r, np.array([0]))
     with pytest.raises(ValueError, match="one already"):
-        ekf.fuse_oriented(0, 0, z[0], r[0])
-    assert ekf.observe_oriented(z, r, np.array([NEW])).tolist() == [1]
+        merge_landmarks(ekf, 0, 0, z[0], r[0])
+    assert ekf.observe_known(z, r, np.array([NEW])).tolist() == [1]
 
 
 def test_a_removed_point_is_not_taken_for_one_that_is_there() -> None:
@@ -265,16 +267,16 @@ def test_fusing_two_that_are_one_helps_and_says_how_their_frames_lie() -> None:
     ekf = build()
     made = drive(ekf, 5, Script(steps=60))
     first, second = (made.known[i] for i in TWINS)
-    at = ekf.state.layout.oriented[first] + np.arange(3)
+    at = ekf.state.layout.first[POSE][first] + np.arange(3)
     before = ekf.state.covariance[np.ix_(at, at)].copy()
     z = relative(FRAMES[TWINS[0]], FRAMES[TWINS[1]])
-    known = ekf.fuse_oriented(first, second, z, 1e-8 * np.eye(3))
-    at = ekf.state.layout.oriented[first] + np.arange(3)
+    known = merge_landmarks(ekf, first, second, z, 1e-8 * np.eye(3))
+    at = ekf.state.layout.first[POSE][first] + np.arange(3)
     after = ekf.state.covariance[np.ix_(at, at)]
     assert np.linalg.eigvalsh(before - after)[0] > -1e-9 * np.linalg.norm(before)
     assert np.linalg.det(after) < 0.95 * np.linalg.det(before)
     assert ekf.state.layout.present(POSE).tolist() == [
-        s for s in range(len(ekf.state.layout.oriented)) if s != second
+        s for s in range(len(ekf.state.layout.first[POSE])) if s != second
     ]
     assert np.abs(relative(*known.landmark) - z).max() < 1e-3
     joint = known.covariance[3:, 3:]
@@ -289,11 +291,11 @@ def test_a_fusion_in_many_parts_is_the_same_where_all_is_linear() -> None:
         ekf = build()
         made = drive(ekf, 6, Script(steps=50))
         if parts:
-            ekf.steps = replace(ekf.steps, largest_move_m=1e-7, most=8)
+            ekf.splitter = replace(ekf.splitter, largest_move_m=1e-7, most=8)
         first, second = (made.known[i] for i in TWINS)
-        z = relative(ekf.state.oriented[first], ekf.state.oriented[second])
+        z = relative(ekf.state.places(POSE)[first], ekf.state.places(POSE)[second])
         z[:2] += 1e-5
-        ekf.fuse_oriented(first, second, z, 1e-6 * np.eye(3))
+        merge_landmarks(ekf, first, second, z, 1e-6 * np.eye(3))
         return ekf
 
     whole, split = fused(parts=False), fused(parts=True)
@@ -307,13 +309,13 @@ def test_the_correction_is_what_a_full_product_gives() -> None:
     drive(ekf, 7, Script(steps=20))
     state, z = ekf.state, rng.uniform(-1.0, 1.0, 3)
     local = state.map_of(np.array([0]), POSE)
-    at = ekf.oriented_observation.predict(state.pose, local.landmark)
+    at = ekf.models[POSE].predict(state.pose, local.landmark)
     h = np.zeros((3, len(state.mean)))
     np.add.at(h.T, local.columns, stack(at.jacobian_pose, at.jacobian_landmark).T)
     r = 1e-3 * random_covariance(rng, 3)
     p, x = state.covariance.copy(), state.mean.copy()
     gain = p @ h.T @ np.linalg.inv(h @ p @ h.T + r)
-    nu = ekf.oriented_observation.innovation(z[None], at.z)[0]
-    ekf.observe_oriented(z[None], r[None], np.array([0]))
+    nu = ekf.models[POSE].innovation(z[None], at.z)[0]
+    ekf.observe_known(z[None], r[None], np.array([0]))
     assert relative_error(state.covariance, p - gain @ h @ p) < 1e-9
     assert relative_error(state.mean, x + gain @ nu) < 1e-12

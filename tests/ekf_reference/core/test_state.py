@@ -4,14 +4,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from ekf_reference.core.blocks import block_diagonal, point_columns, stack
 from ekf_reference.core.geometry import Array
-from ekf_reference.core.state import (
-    FilterDivergedError,
-    KalmanState,
-    block_diagonal,
-    stack,
-    state_columns,
-)
+from ekf_reference.core.state import FilterDivergedError, KalmanState
 from tests.ekf_reference.numerics import random_covariance, relative_error
 
 
@@ -50,7 +45,7 @@ def test_prediction_equals_the_full_product() -> None:
 def test_update_equals_joseph_form(slots: list[int]) -> None:
     rng = np.random.default_rng(len(slots))
     state, m = mapped_state(rng, 4), len(slots)
-    columns = state_columns(np.array(slots))
+    columns = point_columns(np.array(slots))
     jacobian = stack(rng.standard_normal((m, 2, 3)), rng.standard_normal((m, 2, 2)))
     nu = rng.standard_normal(2 * m)
     r = block_diagonal(np.array([random_covariance(rng, 2) for _ in slots]))

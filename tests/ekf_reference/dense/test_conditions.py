@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ekf_reference.core.correlation import correlation_coefficients
 from ekf_reference.core.geometry import Array
+from ekf_reference.core.state import correlation_coefficients
 from ekf_reference.dense.conditions import (
     Conditions,
     coordinate_correlation,

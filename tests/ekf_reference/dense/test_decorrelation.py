@@ -10,8 +10,9 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from ekf_reference.core.blocks import point_columns
 from ekf_reference.core.geometry import Array
-from ekf_reference.core.state import KalmanState, state_columns
+from ekf_reference.core.state import KalmanState
 from ekf_reference.dense.conditions import Conditions, coordinate_correlation
 from ekf_reference.dense.decorrelation import (
     Displacements,
@@ -44,7 +45,7 @@ class Snapshot(NamedTuple):
 
     def among(self, *slot: int) -> Array:
         """(2 k, 2 k) covariance of k landmarks, in this order."""
-        columns = state_columns(np.array(slot))[3:]
+        columns = point_columns(np.array(slot))[3:]
         return self.covariance[np.ix_(columns, columns)]
 
     @property
@@ -166,7 +167,7 @@ def seen_once(rng: np.random.Generator) -> KalmanState:
     z = np.column_stack((rng.uniform(5, 20, 5), rng.uniform(-2, 2, 5)))
     new = RangeBearing().invert(state.pose, z)
     spread = np.broadcast_to(NOISE, (5, 2, 2))
-    state.augment(new.point, new.jacobian_pose, new.jacobian_sighting, spread)
+    state.augment(new.landmark, new.jacobian_pose, new.jacobian_z, spread)
     return state
 
 
@@ -181,7 +182,7 @@ def observed(rng: np.random.Generator) -> tuple[KalmanState, Array, Array, Array
     state = seen_once(rng)
     state.predict(state.pose + (3.0, 1.0, 0.2), np.eye(3), np.diag((0.2, 0.3, 0.01)))
     for slot in range(1, 5):
-        columns = state_columns(np.array([slot]))
+        columns = point_columns(np.array([slot]))
         state.update(columns, sighted(state, slot), 0.1 * rng.standard_normal(2), NOISE)
     jacobian = sighted(state, 0)
     spread = jacobian @ state.covariance[:5, :5] @ jacobian.T + NOISE

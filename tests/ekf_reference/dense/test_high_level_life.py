@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ekf_reference.association.nearest_neighbour import KnownAssociation
+from ekf_reference.association.known import KnownAssociation
 from ekf_reference.core.ekf import NEW, Ekf, Stabilisation
 from ekf_reference.core.geometry import Array
 from ekf_reference.dense.high_level import Found, search, to_world
@@ -47,7 +47,7 @@ def filter_at(pose: Array, points: Array = POINTS) -> Ekf:
 
 def glimpse(pose: Array, mount: Array, seed: int = 0) -> Glimpse:
     """The yard from a pose (3,) of the vehicle."""
-    scanner = RelativePose().invert(pose, mount[None]).point[0]
+    scanner = RelativePose().invert(pose, mount[None]).landmark[0]
     noise = 0.05 * np.random.default_rng(seed).standard_normal(len(BEAMS))
     seen = cast(BEAMS, scanner, yard()) + noise
     return Glimpse(of_scan(BEAMS, seen, SENSOR), mount, ALL_ROUND)
@@ -76,7 +76,7 @@ def test_passive_until_seen_then_in_the_state_then_observed(mount: Array) -> Non
         assert (slot == NEW).all() == (look == 0)
         size = len(ekf.state.mean)
         z, noise = np.array([one.z for one in seen]), np.array([one.covariance for one in seen])
-        landmarks.begun(seen, ekf.observe_oriented(z, noise, slot))
+        landmarks.begun(seen, ekf.observe_known(z, noise, slot))
         assert len(ekf.state.mean) == size + (6 if look == 0 else 0)
     assert landmarks.counts == {"seen": 4, "no counterpart": 2}
     assert [one.slot for one in landmarks.landmark] == [0, NEW, 1]

@@ -44,9 +44,9 @@ def test_a_point_is_the_local_pose_composed_with_the_sighting(seed: int) -> None
     """Equation 3.29 in metric coordinates: exact, and without the landmarks."""
     x = state(seed)
     z = np.random.default_rng(100 + seed).uniform((1.0, -3.0), (20.0, 3.0), (5, 2))
-    seen = RangeBearing().invert(x[:3], z).point
+    seen = RangeBearing().invert(x[:3], z).landmark
     expected = Frames.of(x[3:5], x[5:]).to_local(seen)
-    assert np.allclose(RangeBearing().invert(of(x), z).point, expected, atol=1e-12)
+    assert np.allclose(RangeBearing().invert(of(x), z).landmark, expected, atol=1e-12)
 
 
 def test_printed_arctangent_fails_on_axes_to_the_west() -> None:

@@ -9,12 +9,13 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from ekf_reference.association.nearest_neighbour import KnownAssociation
+from ekf_reference.association.known import KnownAssociation
+from ekf_reference.core.blocks import point_columns
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import Array, Index
-from ekf_reference.core.measurement_update import Steps
-from ekf_reference.core.state import state_columns
-from ekf_reference.core.trace import Prediction, RecordedTrace
+from ekf_reference.core.landmark_types import POINT
+from ekf_reference.core.measurement_update import UpdateSplitter
+from ekf_reference.core.trace import RecordedTrace, StepRecord
 from ekf_reference.dense.passive_states import PassiveStates, local_coordinates, points
 from ekf_reference.dense.triangles import local_jacobians, to_local
 from ekf_reference.filters.compressed import CompressedEkf
@@ -49,7 +50,7 @@ def drive(look: Callable[[Ekf, int, Array], None], start: Callable[[Ekf], None])
             assert isinstance(ekf.association, KnownAssociation)
             ekf.association.slot_of[FIRST_LABEL - 1] = len(ekf.association.slot_of)
         if k == SPLIT_FROM:
-            ekf.steps = Steps(largest_turn_rad=2e-3, largest_move_m=0.05)
+            ekf.splitter = UpdateSplitter(largest_turn_rad=2e-3, largest_move_m=0.05)
         if k % EVERY == 5:
             z = np.column_stack((rng.uniform(3.0, 20.0, 3), rng.uniform(-1.5, 1.5, 3)))
             look(ekf, k // EVERY, z)
@@ -70,9 +71,9 @@ def carried() -> Outcome:
     slot = ekf.association.slot_of
     dense = np.array([s for label, s in slot.items() if label >= FIRST_LABEL])
     real = np.array([s for label, s in slot.items() if label < FIRST_LABEL])
-    p, rows = ekf.state.covariance, state_columns(dense)[3:]
+    p, rows = ekf.state.covariance, point_columns(dense)[3:]
     own = np.array([p[np.ix_(r, r)] for r in rows.reshape(-1, 2)])
-    columns = state_columns(real)
+    columns = point_columns(real)
     return Outcome(
         ekf.state.landmarks[dense],
         p[np.ix_(rows, columns)],
@@ -87,7 +88,7 @@ def watched(make: type[PassiveStates]) -> tuple[PassiveStates, Ekf]:
     noise = np.broadcast_to(np.diag(SIGMA**2), (3, 2, 2))
 
     def look(ekf: Ekf, k: int, z: Array) -> None:
-        kept[0].watch(points(ekf.observation, ekf.state.pose, z, noise))
+        kept[0].watch(points(ekf.models[POINT], ekf.state.pose, z, noise))
 
     ekf = drive(look, lambda ekf: kept.append(make(ekf)))
     return kept[0], ekf
@@ -118,8 +119,8 @@ def test_the_filter_does_not_notice() -> None:
 
 
 class WithoutF(PassiveStates):
-    def prediction(self, step: Prediction) -> None:
-        super().prediction(step._replace(f=np.eye(3)))
+    def step(self, step: StepRecord) -> None:
+        super().step(step._replace(f=np.eye(3)))
 
 
 class WrongSign(PassiveStates):
@@ -157,7 +158,7 @@ def test_local_coordinates_change_as_their_point_and_landmarks_do() -> None:
             passive, then = PassiveStates(ekf), ekf.state.landmarks.copy()
             near = ekf.state.local_map(20.0).slot
             base = near[[(0, 1, 3), (1, 2, 4)]]
-            seen = points(ekf.observation, ekf.state.pose, z, noise)
+            seen = points(ekf.models[POINT], ekf.state.pose, z, noise)
             world = passive.watch(seen)
             local = passive.watch(local_coordinates(seen, base, then))
     triangle, now = then[base], ekf.state.landmarks[base]
@@ -181,9 +182,15 @@ def test_another_trace_goes_on_receiving_everything() -> None:
     one, other = alone.arrays(), behind.arrays()
     assert len(one.positions.step) == 1
     assert np.array_equal(one.f, other.f)
-    for part in ("updates", "augmentations", "positions"):
-        a, b = vars(getattr(one, part)), vars(getattr(other, part))
-        assert all(np.array_equal(a[name], b[name]) for name in a)
+    for ours, theirs in (
+        (one.measurements[POINT], other.measurements[POINT]),
+        (one.initialisations[POINT], other.initialisations[POINT]),
+        (one.positions, other.positions),
+    ):
+        assert len(ours.step)
+        assert all(
+            np.array_equal(column, vars(theirs)[name]) for name, column in vars(ours).items()
+        )
 
 
 @pytest.mark.parametrize("kind", [CompressedEkf, DirectionCosineEkf])

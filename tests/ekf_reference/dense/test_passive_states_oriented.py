@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ekf_reference.core.geometry import Array
-from ekf_reference.core.trace import Removal, SightingUse
+from ekf_reference.core.landmark_types import POINT, POSE
+from ekf_reference.core.trace import VEHICLE, MeasurementRecord, RemovalRecord
 from ekf_reference.dense.passive_states import PassiveStates, points
 from ekf_reference.dense.view import FilterView
 from tests.ekf_reference.both_kinds import Script, build, drive
@@ -24,7 +25,7 @@ def outcome(passive: type[PassiveStates] | None) -> tuple[Array, Array, Array]:
     ekf = build()
     if passive is not None:
         beside = passive(ekf)
-        beside.watch(points(ekf.observation, ekf.state.pose, Z, NOISE))
+        beside.watch(points(ekf.models[POINT], ekf.state.pose, Z, NOISE))
         drive(ekf, 4, SCRIPT)
         return beside.value, beside.own, beside.cross
     ekf.observe(Z, np.sqrt(NOISE[:, (0, 1), (0, 1)]), np.array([100, 101]))
@@ -41,14 +42,17 @@ def outcome(passive: type[PassiveStates] | None) -> tuple[Array, Array, Array]:
 class Forgetful(PassiveStates):
     """Broken: sightings of landmarks with a direction tell it nothing."""
 
-    def oriented_update(self, use: SightingUse) -> None:
-        self._next.oriented_update(use)
+    def measurement(self, used: MeasurementRecord) -> None:
+        if used.landmark.shape[1] == POSE and used.origin == VEHICLE:
+            self._next.measurement(used)
+        else:
+            super().measurement(used)
 
 
 class WrongColumns(PassiveStates):
     """Broken: it drops the last columns in place of those of what was removed."""
 
-    def removal(self, gone: Removal) -> None:
+    def removal(self, gone: RemovalRecord) -> None:
         last = self.cross.shape[1] - len(gone.entries)
         super().removal(gone._replace(entries=last + np.arange(len(gone.entries))))
 

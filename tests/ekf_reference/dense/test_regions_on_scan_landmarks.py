@@ -7,14 +7,14 @@ from functools import cache
 
 import numpy as np
 import pytest
-from ekf_reference.core.local_map import by_number
 
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import Array
-from ekf_reference.core.layout import POINT, POSE, Layout
+from ekf_reference.core.landmark_types import POINT, POSE
+from ekf_reference.core.layout import Layout
 from ekf_reference.dense.dense_map import DenseMap
 from ekf_reference.dense.scan import Scan
-from ekf_reference.dense.view import FilterView
+from ekf_reference.dense.view import FilterView, by_number, numbered
 from tests.ekf_reference.both_kinds import Script, build, drive
 from tests.ekf_reference.dense.scenes import LAYERS, SENSOR
 from tests.ekf_reference.dense.test_dense_map import content, dense_map, room
@@ -39,7 +39,7 @@ def driven(kind: str, script: Script, look: Callable[[Ekf], None]) -> Ekf:
 
 def as_points(ekf: Ekf) -> FilterView:
     """The definition, by whole state: landmarks with a direction, their x and y alone."""
-    first = ekf.state.layout.oriented
+    first = ekf.state.layout.first[POSE]
     entries = (first[:, None] + (0, 1)).ravel()
     kept = np.concatenate((np.arange(3), entries))
     return FilterView(
@@ -60,7 +60,7 @@ def without_cross(ekf: Ekf) -> FilterView:
 
 def shifted(ekf: Ekf) -> FilterView:
     """Broken: y and heading are taken for x and y in the covariance."""
-    first = ekf.state.layout.oriented
+    first = ekf.state.layout.first[POSE]
     kept = np.concatenate((np.arange(3), (first[:, None] + (1, 2)).ravel()))
     view = as_points(ekf)
     return FilterView(view.pose, view.landmark, view.slot, ekf.state.covariance[np.ix_(kept, kept)])
@@ -108,11 +108,13 @@ def test_both_kinds_are_shown_by_number() -> None:
     ekf = driven("full", SCRIPT, lambda _: None)
     view, state = FilterView.of(ekf, BOTH), ekf.state
     assert np.array_equal(view.landmark[0::2][: len(state.landmarks)], state.landmarks, True)
-    assert np.array_equal(view.landmark[1::2][: len(state.oriented)], state.oriented[:, :2], True)
+    assert np.array_equal(
+        view.landmark[1::2][: len(state.places(POSE))], state.places(POSE)[:, :2], True
+    )
     assert np.isfinite(view.landmark[view.slot]).all()
     for number in view.slot[[0, 3, -1]].tolist():
         slot, kind = divmod(number, 2)
-        first = int(state.layout.first(BOTH[kind])[slot])
+        first = int(state.layout.first[BOTH[kind]][slot])
         columns = np.array((0, 1, 2, first, first + 1))
         wanted = state.covariance[np.ix_(columns, columns)]
         assert np.array_equal(view.joint(np.array([number])), wanted)
@@ -151,10 +153,11 @@ def test_the_compressed_filter_shows_what_the_full_one_does() -> None:
 
 def test_with_points_alone_numbers_are_slots() -> None:
     layout = Layout.of_pose(3).appended(2, POINT).appended(1, POSE).appended(1, POINT)
-    number, first = layout.numbered((POINT,))
+    slots = [layout.present(width) for width in BOTH]
+    number, first = numbered(layout, (POINT,), slots[:1])
     assert number.tolist() == [0, 1, 2]
     assert first.tolist() == [3, 5, 10]
-    number, first = layout.numbered(BOTH)
+    number, first = numbered(layout, BOTH, slots)
     assert number.tolist() == [0, 1, 2, 4]
     assert first.tolist() == [3, 7, 5, 10]
     point = np.arange(4.0).reshape(2, 2)

@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ekf_reference.core.blocks import point_columns
 from ekf_reference.core.geometry import Array
-from ekf_reference.core.state import state_columns
 from ekf_reference.dense.conditions import Conditions
 from ekf_reference.dense.local_pose import Frames, local_pose
 from ekf_reference.dense.regions import LocalRegions
@@ -177,7 +177,7 @@ def test_points_whose_frame_turns_passive_stay_as_they_are() -> None:
     room.add(view, DENSE, noise(3), 0, anywhere((2, 3)))
     point, variance = room.points.point.copy(), room.points.variance.copy()
     slot = np.array((2, 3))
-    columns = state_columns(slot)
+    columns = point_columns(slot)
     moved = FilterView(
         START + (0.3, 0.1, 0.05), LANDMARK, slot, 0.5 * view.covariance[np.ix_(columns, columns)]
     )

@@ -49,10 +49,10 @@ def dense_sightings(
     """
     z = rng.uniform((3.0, -1.5), (20.0, 1.5), (count, 2))
     sigma = np.array((0.03, 0.002))
-    true = RangeBearing().invert(true_pose, z).point
+    true = RangeBearing().invert(true_pose, z).landmark
     seen = RangeBearing().invert(pose, z + sigma * rng.standard_normal(z.shape))
-    j = seen.jacobian_sighting
-    return true, seen.point, j @ np.diag(sigma**2) @ j.transpose(0, 2, 1)
+    j = seen.jacobian_z
+    return true, seen.landmark, j @ np.diag(sigma**2) @ j.transpose(0, 2, 1)
 
 
 def newest_pair(view: FilterView) -> tuple[int, int] | None:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ekf_reference.core.blocks import point_columns
 from ekf_reference.core.geometry import Array
-from ekf_reference.core.state import KalmanState, state_columns
+from ekf_reference.core.state import KalmanState
 from ekf_reference.dense.local_pose import Frames
 from ekf_reference.dense.view import FilterView
 from ekf_reference.dense.waiting import WaitingRoom
@@ -41,7 +42,7 @@ class Joint:
     def view(self) -> FilterView:
         """What dense mapping sees: the pose and the landmarks."""
         slot = np.arange(len(LANDMARK))
-        columns = state_columns(slot)
+        columns = point_columns(slot)
         covariance = self.state.covariance[np.ix_(columns, columns)]
         return FilterView(self.state.pose, self.state.landmarks[: len(LANDMARK)], slot, covariance)
 
@@ -51,9 +52,9 @@ class Joint:
         z = MODEL.predict(self.true_pose, DENSE).z
         z = z + spread * self.rng.standard_normal(z.shape)
         new = MODEL.invert(self.state.pose, z)
-        in_world = new.jacobian_sighting @ noise @ new.jacobian_sighting.transpose(0, 2, 1)
-        self.room.add(self.view, new.point, in_world, 0, anywhere((0, 1)))
-        self.state.augment(new.point, new.jacobian_pose, new.jacobian_sighting, noise)
+        in_world = new.jacobian_z @ noise @ new.jacobian_z.transpose(0, 2, 1)
+        self.room.add(self.view, new.landmark, in_world, 0, anywhere((0, 1)))
+        self.state.augment(new.landmark, new.jacobian_pose, new.jacobian_z, noise)
 
     def drive(self, process: float = 1.0) -> None:
         """A step of the vehicle with process noise, in which the true vehicle slips."""
@@ -76,7 +77,7 @@ class Joint:
         for k in seen:
             jacobian[2 * k : 2 * k + 2, 3 + 2 * k : 5 + 2 * k] = expected.jacobian_landmark[k]
         noise = np.diag(np.tile(sigma**2, len(seen)))
-        self.state.update(state_columns(seen), jacobian, innovation, noise)
+        self.state.update(point_columns(seen), jacobian, innovation, noise)
         self.room.updated(self.view)
 
     def dense(self) -> tuple[Array, Array]:
@@ -90,7 +91,7 @@ class Joint:
                 local: Array = Frames.of(x[:2], x[2:4]).to_local(x[4:])
                 return local
 
-            columns = state_columns(np.array((0, 1, k)))[3:]
+            columns = point_columns(np.array((0, 1, k)))[3:]
             j = central_difference(in_the_frame, mean[[0, 1, k]].ravel())
             variance.append(np.diag(j @ self.state.covariance[np.ix_(columns, columns)] @ j.T))
         return Frames.of(mean[0], mean[1]).to_local(mean[count:]), np.array(variance)
@@ -130,7 +131,7 @@ def test_a_new_point_has_the_covariance_of_the_joint_filter() -> None:
         expected = joint.dense()[1]
         assert np.allclose(room.points.variance, expected, rtol=1e-4, atol=0.0)
         new = MODEL.invert(joint.state.pose, MODEL.predict(joint.state.pose, DENSE).z)
-        j = new.jacobian_sighting
+        j = new.jacobian_z
         noise = np.diag(np.square(joint.scale * np.array((0.5, 0.05))))
         turn = Frames.of(*joint.view.landmark[:2]).turn
         right = np.einsum("ji,njk,ki->ni", turn, j @ noise @ j.transpose(0, 2, 1), turn)

@@ -8,8 +8,10 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from ekf_reference.association.nearest_neighbour import Association, NearestNeighbour
+from ekf_reference.association.nearest_neighbour import NearestNeighbour
 from ekf_reference.core.geometry import Array, Index
+from ekf_reference.core.landmark_types import POINT
+from ekf_reference.core.measurements import Association
 from ekf_reference.core.state import Correction, KalmanState
 from ekf_reference.core.trace import RecordedTrace, TraceArrays
 from ekf_reference.filters.compressed import CompressedState, LocalAreas
@@ -46,7 +48,7 @@ def run(
     ekf.state = state
     pose = np.array([ekf.state.pose for _, ekf in follow(drive, ekf)])
     arrays = trace.arrays()
-    used = [(r.sighting, r.slot) for r in (arrays.updates, arrays.augmentations)]
+    used = [(r.number, r.slot) for r in (arrays.measurements[POINT], arrays.initialisations[POINT])]
     slot = np.full(sum(len(scan.z) for scan in drive.scan), -1)
     for sighting, which in used:
         slot[sighting] = which
@@ -184,7 +186,7 @@ def test_a_mean_that_is_forgotten_is_no_conservatism() -> None:
     assert farthest(broken.final, replay(broken.trace)) > 0.5
 
 
-class CrossSpared(KalmanState):
+class CrossSpared(CompressedState):
     """Broken: the spared entries' covariance with the changed ones is left alone, too."""
 
     def merge(
@@ -196,7 +198,7 @@ class CrossSpared(KalmanState):
         shift: Array,
         spared: Index,
     ) -> None:
-        n = self._size
+        n = self._layout.size
         before = self._covariance[:n, :n].copy()
         super().merge(columns, local, transition, root, shift, spared)
         changed = np.setdiff1d(np.setdiff1d(np.arange(n), spared), columns)
@@ -207,6 +209,5 @@ class CrossSpared(KalmanState):
 
 def test_sparing_the_cross_covariance_too_is_not_conservative() -> None:
     """Guivant 2002: P12 and P21 have to be updated; the eigenvalues tell when they are not."""
-    state = compressed(LocalAreas(8.0, 12.0, 1e-4))
-    state._whole = CrossSpared(PRIOR_POSE, PRIOR_COVARIANCE)
+    state = CrossSpared(PRIOR_POSE, PRIOR_COVARIANCE, LocalAreas(8.0, 12.0, 1e-4))
     assert optimism(run(circuit(seed=3, duration_s=2 * LOOP_S), state)) > 1e-4

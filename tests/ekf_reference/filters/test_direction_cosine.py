@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from ekf_reference.core.geometry import Array
-from ekf_reference.core.measurement_update import PositionModel
-from ekf_reference.filters.direction_cosine import (
+from ekf_reference.filters.misono import (
     DirectionCosineMotion,
     DirectionCosinePosition,
     OwnAxesObservation,
@@ -17,8 +16,6 @@ from ekf_reference.filters.direction_cosine import (
     from_heading,
     to_heading,
 )
-
-from ekf_reference.core.measurement_update import PositionModel
 from ekf_reference.models.motion import (
     AckermannModel,
     MotionModel,
@@ -26,6 +23,7 @@ from ekf_reference.models.motion import (
     RelativePoseModel,
     UnicycleModel,
 )
+from ekf_reference.models.position import PositionModel
 from ekf_reference.models.range_bearing import RangeBearing
 from tests.ekf_reference.numerics import central_difference, relative_error
 
@@ -153,10 +151,10 @@ def test_inverse_undoes_prediction_and_its_jacobians_hold() -> None:
     model = OwnAxesObservation()
     z = model.predict(OWN, LANDMARKS).z
     new = model.invert(OWN, z)
-    assert np.allclose(new.point, LANDMARKS, atol=1e-12)
+    assert np.allclose(new.landmark, LANDMARKS, atol=1e-12)
 
     def placed(x: Array) -> Array:
-        point: Array = model.invert(x[:4], x[None, 4:]).point[0]
+        point: Array = model.invert(x[:4], x[None, 4:]).landmark[0]
         return point
 
     for pose in (OWN, OFF_CIRCLE):
@@ -164,7 +162,7 @@ def test_inverse_undoes_prediction_and_its_jacobians_hold() -> None:
         for i in range(3):
             numeric = central_difference(placed, np.concatenate((pose, z[i])))
             assert relative_error(new.jacobian_pose[i], numeric[:, :4]) < 1e-8
-            assert relative_error(new.jacobian_sighting[i], numeric[:, 4:]) < 1e-8
+            assert relative_error(new.jacobian_z[i], numeric[:, 4:]) < 1e-8
 
 
 def test_printed_inverse_fails() -> None:

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from ekf_reference.filters.direction_cosine import (
+
+from ekf_reference.association.known import KnownAssociation
+from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.geometry import Array, Index
+from ekf_reference.core.landmark_types import POINT, NewLandmarks, PredictedMeasurements
+from ekf_reference.core.state import Correction, FilterDivergedError, KalmanState
+from ekf_reference.core.trace import RecordedTrace
+from ekf_reference.filters.misono import (
+    DirectionCosineEkf,
+    DirectionCosineOptions,
     OwnAxesObservation,
     along_circle,
     from_heading,
 )
-
-from ekf_reference.association.nearest_neighbour import KnownAssociation
-from ekf_reference.core.ekf import Ekf
-from ekf_reference.core.geometry import Array, Index
-from ekf_reference.core.state import Correction, FilterDivergedError, KalmanState
-from ekf_reference.core.trace import RecordedTrace
-from ekf_reference.filters.misono import DirectionCosineEkf, DirectionCosineOptions
 from ekf_reference.models.motion import UnicycleModel
-from ekf_reference.models.range_bearing import NewLandmarks, PredictedMeasurements
 from tests.ekf_reference.numerics import relative_error
 from tests.ekf_reference.worlds import build, circuit, follow
 
@@ -68,7 +69,7 @@ def on_heading(trace: RecordedTrace | None = None) -> Ekf:
         np.diag((0.1, 0.2, 0.05)),
         trace=trace,
     )
-    ekf.observation = OwnAxesOfHeading()
+    ekf.models[POINT] = OwnAxesOfHeading()
     return ekf
 
 
@@ -97,7 +98,7 @@ def test_renormalised_equals_the_filter_on_the_heading() -> None:
     assert of_mean < 1e-12
     assert of_covariance < 1e-11
     ours, theirs = (trace.arrays() for trace in traces)
-    for records, others in ((ours, theirs), (ours.updates, theirs.updates)):
+    for records, others in ((ours, theirs), (ours.measurements[POINT], theirs.measurements[POINT])):
         for name, column in vars(records).items():
             if isinstance(column, np.ndarray) and column.dtype == float:
                 assert relative_error(column, getattr(others, name)) < 1e-10, name

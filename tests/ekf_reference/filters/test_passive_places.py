@@ -7,9 +7,8 @@ import pytest
 
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import Array, Index
-from ekf_reference.core.layout import POINT, POSE
+from ekf_reference.core.landmark_types import POINT, POSE, PredictedMeasurements
 from ekf_reference.filters.compressed import CompressedState, LocalAreas
-from ekf_reference.models.range_bearing import PredictedMeasurements
 from ekf_reference.models.relative_pose import RelativePose
 from tests.ekf_reference.both_kinds import AREAS, PRIOR, Script, build, drive
 
@@ -28,7 +27,7 @@ class Reading(RelativePose):
 
     def predict(self, pose: Array, landmarks: Array) -> PredictedMeasurements:
         state = self.ekf.state
-        for width, place in zip(WIDTHS, (state.landmarks, state.oriented), strict=True):
+        for width, place in zip(WIDTHS, (state.landmarks, state.places(POSE)), strict=True):
             self.places.append(place.copy())
             self.near.append(state.within(FAR_M, width).tolist())
         return super().predict(pose, landmarks)
@@ -37,16 +36,16 @@ class Reading(RelativePose):
 class Stale(CompressedState):
     """Broken: read as the last global update left them."""
 
-    def _places(self, width: int) -> Array:
+    def places(self, width: int) -> Array:
         theta, self._theta = self._theta, np.zeros_like(self._theta)
-        place = super()._places(width)
+        place = super().places(width)
         self._theta = theta
         return place
 
 
 def asked(ekf: Ekf) -> Reading:
     """What was read in a drive of two laps, some landmarks being fused and some removed."""
-    ekf.oriented_observation = reading = Reading(ekf)
+    ekf.models[POSE] = reading = Reading(ekf)
     drive(ekf, 1, Script(order="in turn", fuse_at=60, remove_at=75))
     return reading
 

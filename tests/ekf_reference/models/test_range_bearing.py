@@ -46,16 +46,16 @@ def test_inverse_undoes_prediction_and_its_jacobians_hold(seed: int) -> None:
     rng = np.random.default_rng(seed)
     pose, z = rng.uniform(-9, 9, 3), np.array([[rng.uniform(1, 30), rng.uniform(-3, 3)]])
     new = MODEL.invert(pose, z)
-    back = MODEL.predict(pose, new.point)
+    back = MODEL.predict(pose, new.landmark)
     assert np.allclose(MODEL.innovation(z, back.z), 0.0, atol=1e-12)
-    by_pose = central_difference(lambda p: MODEL.invert(p, z).point[0], pose)
-    by_z = central_difference(lambda s: MODEL.invert(pose, s[None]).point[0], z[0])
+    by_pose = central_difference(lambda p: MODEL.invert(p, z).landmark[0], pose)
+    by_z = central_difference(lambda s: MODEL.invert(pose, s[None]).landmark[0], z[0])
     assert relative_error(new.jacobian_pose[0], by_pose) < 1e-8
-    assert relative_error(new.jacobian_sighting[0], by_z) < 1e-8
+    assert relative_error(new.jacobian_z[0], by_z) < 1e-8
     # The two models describe one constraint: H_l G_x = -H_v and H_l G_z = I.
     h = back.jacobian_landmark[0]
     assert np.allclose(h @ new.jacobian_pose[0], -back.jacobian_pose[0], atol=1e-12)
-    assert np.allclose(h @ new.jacobian_sighting[0], np.eye(2), atol=1e-12)
+    assert np.allclose(h @ new.jacobian_z[0], np.eye(2), atol=1e-12)
 
 
 def test_printed_arctangent_fails_behind_the_vehicle() -> None:

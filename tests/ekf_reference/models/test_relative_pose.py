@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ekf_reference.core.blocks import block_diagonal
 from ekf_reference.core.geometry import Array
-from ekf_reference.core.state import block_diagonal
 from ekf_reference.models.relative_pose import RelativePose
 from tests.ekf_reference.both_kinds import relative
 from tests.ekf_reference.numerics import central_difference, relative_error
@@ -41,13 +41,13 @@ def test_jacobians_equal_central_differences(seed: int) -> None:
 def test_inverse_undoes_prediction_and_its_jacobians_hold(seed: int) -> None:
     pose, z = some(np.random.default_rng(seed))
     new = MODEL.invert(pose, z)
-    assert relative_error(MODEL.predict(pose, new.point).z, z) < 1e-13
-    by_pose = central_difference(lambda x: MODEL.invert(x, z).point.ravel(), pose)
+    assert relative_error(MODEL.predict(pose, new.landmark).z, z) < 1e-13
+    by_pose = central_difference(lambda x: MODEL.invert(x, z).landmark.ravel(), pose)
     assert relative_error(new.jacobian_pose.reshape(-1, 3), by_pose) < 1e-8
     by_z = central_difference(
-        lambda x: MODEL.invert(pose, x.reshape(-1, 3)).point.ravel(), z.ravel()
+        lambda x: MODEL.invert(pose, x.reshape(-1, 3)).landmark.ravel(), z.ravel()
     )
-    assert relative_error(block_diagonal(new.jacobian_sighting), by_z) < 1e-8
+    assert relative_error(block_diagonal(new.jacobian_z), by_z) < 1e-8
 
 
 def test_the_heading_is_wrapped_and_nothing_is_written_into_the_arguments() -> None:

@@ -6,11 +6,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
-from ekf_reference.core.local_map import LocalMap
 
 from ekf_reference.core.ekf import NEW
 from ekf_reference.core.geometry import Array
-from ekf_reference.core.layout import POSE
+from ekf_reference.core.landmark_types import POSE
+from ekf_reference.core.state import LocalMap
+from ekf_reference.scan_landmarks.merge_update import merge_landmarks
 from ekf_reference.scan_landmarks.merging import FusingOptions, Twins, united
 from ekf_reference.scan_landmarks.pieces import SingleSegments
 from ekf_reference.scan_landmarks.scan_slam import USED, ScanSlam, ScanSlamOptions
@@ -45,7 +46,7 @@ class Telling(Told):
 
     def fuse(self, first: int, second: int, z: Array, covariance: Array) -> LocalMap:
         self.fused.append((first, second))
-        return self.ekf.fuse_oriented(first, second, z, covariance)
+        return merge_landmarks(self.ekf, first, second, z, covariance)
 
 
 def seen_from(scene: Solids, vehicle: Array, seed: int) -> SumOfGaussians:
@@ -100,7 +101,7 @@ def off_the_star(points: Array, frame: Array) -> float:
 def test_one_object_begun_twice_becomes_one_landmark() -> None:
     slam, tell, frames = begun_twice(np.array((0.25, -0.2, 0.03)))
     ekf, template = tell.ekf, dict(slam.found.template)
-    stale = frame_in_frame(*ekf.state.oriented[::-1])
+    stale = frame_in_frame(*ekf.state.places(POSE)[::-1])
     Twins(slam).step(ekf, tell)
     assert len(tell.fused) == slam.found.fused == 1
     kept = int(np.argmax([len(template[k].shape) for k in range(2)]))
@@ -119,10 +120,10 @@ def test_one_object_begun_twice_becomes_one_landmark() -> None:
 
 def test_what_is_fused_is_known_better() -> None:
     slam, tell, frames = begun_twice(np.array((0.25, -0.2, 0.03)))
-    error = frame_in_frame(*tell.ekf.state.oriented) - frame_in_frame(*frames)
+    error = frame_in_frame(*tell.ekf.state.places(POSE)) - frame_in_frame(*frames)
     assert np.abs(error[:2]).max() > 0.1
     Twins(slam).step(tell.ekf, tell)
-    moved = frame_in_frame(tell.ekf.state.oriented[1], tell.ekf.state.pose)
+    moved = frame_in_frame(tell.ekf.state.places(POSE)[1], tell.ekf.state.pose)
     seen = frame_in_frame(frames[1], MOVED)
     assert np.abs(moved - seen)[:2].max() < 0.1
     # The second was begun with the vehicle's error, which is gone by what the first knows.

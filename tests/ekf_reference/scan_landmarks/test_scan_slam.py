@@ -7,10 +7,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
-from ekf_reference.association.nearest_neighbour import KnownAssociation
+from ekf_reference.association.known import KnownAssociation
 from ekf_reference.core.ekf import NEW, Ekf
 from ekf_reference.core.geometry import Array, Index
-from ekf_reference.core.layout import POSE
+from ekf_reference.core.landmark_types import POSE
 from ekf_reference.models.motion import RelativePoseModel
 from ekf_reference.scan_landmarks.pieces import SingleSegments
 from ekf_reference.scan_landmarks.scan_slam import GATED, USED, ScanSlam, ScanSlamOptions
@@ -41,7 +41,7 @@ class Told:
     def observe(self, z: Array, covariance: Array, slot: Index) -> Index:
         self.slot += slot.tolist()
         self.z += list(z)
-        return self.ekf.observe_oriented(z, covariance, slot)
+        return self.ekf.observe_known(z, covariance, slot)
 
 
 def filter_at(pose: Array) -> Ekf:
@@ -146,7 +146,7 @@ def test_of_two_identical_templates_each_keeps_its_own_sightings() -> None:
     slam, ekf, told = begun()
     template = slam.found.template[0]
     far = template.pose + (30.0, 0.0, 0.0)
-    ekf.observe_oriented(far[None], PRIOR[None], np.array([NEW]))
+    ekf.observe_known(far[None], PRIOR[None], np.array([NEW]))
     slam.found.template[1] = Template(template.shape, far)
     slam._last_seen[1] = 0
     slam.step(ekf, scan_from(np.zeros(3), 2), told)
@@ -167,7 +167,7 @@ def test_templates_are_enriched_from_a_sigma_on() -> None:
     for enrich_m, times in ((0.01, 1), (5.0, 0), (np.inf, 0)):
         slam, ekf, told = begun(replace(EVERY, enrich_m=enrich_m))
         slam.around = around
-        place = ekf.state.oriented[0].copy()
+        place = ekf.state.places(POSE)[0].copy()
         ekf.predict(moved, PRIOR, 1.0)
         slam.step(ekf, scan_from(moved, 1), told)
         assert slam.found.enriched == len(asked) == times
