@@ -88,7 +88,7 @@ class DenseMap:
         self._sought_among = there
         self._sought_until = self.tally.scans + self.seek_every
         slot = view.near(self.reach_m)
-        made = self.regions.extend(self.landmark, slot, view.joint_of_landmarks(slot))
+        made = self.regions.extend(self.landmark, slot, view.joint(slot)[3:, 3:])
         if self.waiting is not None:
             behind = self._make_virtual(view, slot, self.waiting)
             if len(made) or len(behind):

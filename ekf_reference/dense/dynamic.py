@@ -31,6 +31,7 @@ from ekf_reference.dense.low_pass import LowPass
 from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.scan import Scan, Single
 from ekf_reference.dense.sensor_model import InverseSensorModel, probability
+from ekf_reference.dense.triangles import determinant, to_global
 
 _UNKNOWN = 0.5
 _NO_PAIRS = np.zeros((0, 2), dtype=np.intp)
@@ -173,27 +174,19 @@ class DynamicLayer:
         found = [number for number, h in self._history.items() if h.dynamic.any()]
         return np.array(sorted(found), dtype=np.intp)
 
-    def local(self, region: int) -> Array:
-        """(k, 2) alpha, beta of a region's dynamic cells."""
-        mask = self.mask(region)
-        if not mask.any():
-            return np.empty((0, 2))
-        cells: Array = self.grid.grids[region].weight[1:, mask].T.astype(float)
-        return cells
-
     def points(self, placed: PlacedRegions, regions: Iterable[int] | None = None) -> Array:
         """(k, 2) [m] the dynamic cells in the world, of all regions or of some."""
         parts = [np.empty((0, 2))]
-        origin, a, b = placed.frames
         for region in self.regions.tolist() if regions is None else regions:
-            local = self.local(region)
-            parts.append(origin[region] + local[:, :1] * a[region] + local[:, 1:] * b[region])
+            mask = self.mask(region)
+            if mask.any():
+                local = self.grid.grids[region].weight[1:, mask].T.astype(float)
+                parts.append(to_global(placed.triangle[region], local))
         return np.concatenate(parts)
 
     def area_m2(self, placed: PlacedRegions) -> float:
         """Of all dynamic cells."""
-        _, a, b = placed.frames
-        whole = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+        whole = np.abs(determinant(placed.triangle))
         return sum(
             float(whole[n] * self.mask(n).sum() / np.prod(self.grid.grids[n].cells))
             for n in self.regions.tolist()

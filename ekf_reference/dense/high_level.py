@@ -8,13 +8,13 @@ vehicle are looked at, so that the cost does not depend on the size of the map (
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from ekf_reference.core.geometry import Array, Index, Mask, rotation
-from ekf_reference.dense.corners import HarrisOptions, harris
+from ekf_reference.dense.corners import harris
 from ekf_reference.dense.layers.gaussians import Ellipses, Gaussians
 from ekf_reference.dense.layers.layer import Layer
 from ekf_reference.dense.placed_regions import PlacedRegions
@@ -44,7 +44,6 @@ class SearchOptions:
     occupied: float = 0.5
     clear_m: float = 1.0
     thin_m: float = 0.3
-    harris: HarrisOptions = field(default_factory=HarrisOptions)
 
 
 class Found(NamedTuple):
@@ -186,7 +185,7 @@ def _corners(around: Around, o: SearchOptions) -> Array:
     place = origin + o.cell_m * np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1)
     share = around.occupancy.occupancy(place.reshape(-1, 2), around.placed)
     stands = np.clip(2.0 * np.nan_to_num(share, nan=0.5) - 1.0, 0.0, 1.0)
-    found = origin + harris(stands.reshape(len(steps), -1), o.cell_m, o.harris).point
+    found = origin + harris(stands.reshape(len(steps), -1), o.cell_m)
     clear: Array = found[_clear(found, around.landmark, o.clear_m)]
     return clear
 

@@ -44,7 +44,7 @@ class PlacedRegions:
         asked = np.where(np.isfinite(point).all(axis=1, keepdims=True), point, np.nan)
         asked = np.concatenate((asked - reach, asked + reach), axis=1)
         near, tree = self._around(asked)
-        query, place, _ = tree.meeting(asked)
+        query, place = tree.meeting(asked)
         item = near[place]
         usable = ~is_degenerate(self.triangle[item])
         query, item = query[usable], item[usable]

@@ -83,16 +83,6 @@ class LocalRegions:
         self._last = landmark.copy(), self.base, placed
         return placed
 
-    def flipped(self, landmark: Array) -> Index:
-        """Numbers of the regions that have turned over, or lost their area, since they were made.
-
-        landmark: (L, 2) [m]. What the second condition is there to prevent; that a landmark has
-        left the map is none of its business.
-        """
-        triangle = self.corners(landmark)[self.base]
-        turned_over = (determinant(triangle) >= 0.0) | is_degenerate(triangle)
-        return np.flatnonzero(turned_over & np.isfinite(triangle).all(axis=(1, 2)))
-
     def extend(self, landmark: Array, slot: Index, covariance: Array) -> Index:
         """Append the regions that landmarks near the vehicle now permit; returns their numbers.
 

@@ -50,16 +50,14 @@ class Sensor:
 class Beams:
     """The returns of a scan met by some points. All (N,).
 
-    beam: the nearest in bearing. ahead_m: how far the point's range falls short of that return,
-    or of the surface between it and the next; negative beyond. off_rad: bearing off the beam.
-    seen: whether a return speaks about it. range_m: the point's own.
+    ahead_m: how far the point's range falls short of the return nearest in bearing, or of the
+    surface between that and the next; negative beyond. off_rad: bearing off that beam. seen:
+    whether a return speaks about it.
     """
 
-    beam: Index
     ahead_m: Array
     off_rad: Array
     seen: Mask
-    range_m: Array
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,11 +148,11 @@ class Scan:
         distance = np.sqrt(ahead_m * ahead_m + left_m * left_m)
         if not len(self.range_m):
             none = np.zeros(len(distance))
-            return Beams(none.astype(np.intp), none, none, none > 0.0, distance)
+            return Beams(none, none, none > 0.0)
         bearing = np.arctan2(left_m, ahead_m)
         beam = self._nearest[((bearing + np.pi) * (_DIRECTIONS / _TURN)).astype(np.intp)]
         off, reach, seen = self._towards(bearing, beam)
-        return Beams(beam, reach - distance, off, seen, distance)
+        return Beams(reach - distance, off, seen)
 
     def short_of(self, ahead_m: Single, left_m: Single) -> Single:
         """(N,) `ahead_m` of `beams_ahead`, fast; -inf where no return speaks.

@@ -162,22 +162,6 @@ def global_jacobians(triangle: Array, local: Array) -> Jacobians:
     )
 
 
-def global_covariance(
-    triangle: Array, local: Array, landmark_covariance: Array, local_covariance: Array
-) -> Array:
-    """Covariance (..., 2, 2) [m^2] of points known in local coordinates (..., 2).
-
-    landmark_covariance: (..., 6, 6) of L1, L2, L3 with each other. local_covariance:
-    (..., 2, 2). The two are taken as uncorrelated, the approximation that makes dense maps
-    tractable (Nieto 2005, section 3.3).
-    """
-    j = global_jacobians(triangle, local)
-    covariance: Array = _through(j.by_landmarks, landmark_covariance) + _through(
-        j.by_point, local_covariance
-    )
-    return covariance
-
-
 def local_covariance(triangle: Array, point: Array, covariance: Array) -> Array:
     """Covariance (..., 2, 2) of the local coordinates of points (..., 2) known globally.
 
@@ -185,17 +169,14 @@ def local_covariance(triangle: Array, point: Array, covariance: Array) -> Array:
     Raises DegenerateTriangleError.
     """
     j = local_jacobians(triangle, point)
-    return _through(np.concatenate((j.by_landmarks, j.by_point), axis=-1), covariance)
+    jacobian = np.concatenate((j.by_landmarks, j.by_point), axis=-1)
+    result: Array = jacobian @ covariance @ np.swapaxes(jacobian, -1, -2)
+    return result
 
 
 def turned(vector: Array) -> Array:
     """(-y, x): vectors (..., 2) a quarter turn to the left."""
     return np.stack((-vector[..., 1], vector[..., 0]), axis=-1)
-
-
-def _through(jacobian: Array, covariance: Array) -> Array:
-    result: Array = jacobian @ covariance @ np.swapaxes(jacobian, -1, -2)
-    return result
 
 
 def _require_area(triangle: Array) -> None:

@@ -56,10 +56,3 @@ class FilterView:
         columns = np.concatenate((np.arange(3), (place[:, None] + np.arange(2)).ravel()))
         part: Array = self.covariance[columns[:, None], columns]
         return part
-
-    def joint_of_landmarks(self, slot: Index) -> Array:
-        """(2 k, 2 k) covariance of some landmarks (k,) among `slot` with each other."""
-        place = 3 + 2 * np.searchsorted(self.slot, slot)
-        columns = (place[:, None] + np.arange(2)).ravel()
-        part: Array = self.covariance[columns[:, None], columns]
-        return part

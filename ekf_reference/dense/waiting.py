@@ -53,14 +53,13 @@ class Released(NamedTuple):
     region: (k,) number. local: (k, 2) coordinates in it. point: (k, 2) [m] in the world.
     covariance: (k, 2, 2) [m^2] in the world's directions, of the place *relative to the
     landmarks*: what the point shares with these is not in it, as local coordinates want it.
-    scan: (k,) when it was seen. number: (k,) as `add` gave it.
+    number: (k,) as `add` gave it.
     """
 
     region: Index
     local: Array
     point: Array
     covariance: Array
-    scan: Index
     number: Index
 
 
@@ -193,7 +192,6 @@ class WaitingRoom:
             found.local[out],
             world[out],
             covariance,
-            self.points.scan[out],
             self.points.number[out],
         )
         if len(out):

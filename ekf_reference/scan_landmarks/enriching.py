@@ -20,7 +20,6 @@ from ekf_reference.scan_landmarks.templates import (
     Template,
     TemplateMatching,
     observe,
-    share_in_view,
 )
 from ekf_reference.scan_matching.alignment import align
 from ekf_reference.scan_matching.sog import SumOfGaussians
@@ -78,8 +77,7 @@ def observe_enriched(
     alignment = matching.alignment
     found = align(enriched(template, around), scan, predicted, covariance, alignment)
     if found.runner_up > matching.options.ambiguous:
-        share = share_in_view(template, scan, predicted, matching.view)
         told = f"another place fits what is around {found.runner_up:.0%} as well"
-        return Observation(None, share, told, AMBIGUOUS)
+        return Observation(None, told, AMBIGUOUS)
     once = replace(matching, alignment=replace(alignment, spacing_m=_ONE_START_M))
     return observe(template, scan, found.pose, covariance, once)

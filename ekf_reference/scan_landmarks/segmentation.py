@@ -54,8 +54,7 @@ class Quality:
 
     residual: greatest error of a trial over its displacement, in metres at the lever's end.
     saliency: inverse of the trace of the covariance of the alignment [1/m^2], the object saliency
-    score of section 5.2.2, and least_information: its smallest eigenvalue inverted, the weakest
-    direction's [1/m^2]; headings as metres at the lever's end. runner_up: greatest second maximum
+    score of section 5.2.2; headings as metres at the lever's end. runner_up: greatest second maximum
     over the best. open_directions: most that the shape did not fix. accepted: whether it may
     become a landmark. All of the worst trial. covariance: (3, 3) mean of the trials', of the
     segment's frame at its centroid: as the noise that is added to a copy is that of the segment's
@@ -64,7 +63,6 @@ class Quality:
 
     residual: float
     saliency: float
-    least_information: float
     runner_up: float
     open_directions: int
     accepted: bool
@@ -106,7 +104,6 @@ def quality(
         return Quality(
             residual=math.inf,
             saliency=0.0,
-            least_information=0.0,
             runner_up=0.0,
             open_directions=3,
             accepted=False,
@@ -120,7 +117,7 @@ def quality(
         wide = replace(segment, covariance=_twice_as_long(segment, sensor))
         halves = [wide.take(np.arange(k, len(wide), 2)) for k in (0, 1)]
     covariance = np.zeros((3, 3))
-    residual, trace, widest, runner_up, free = 0.0, 0.0, 0.0, 0.0, 0
+    residual, trace, runner_up, free = 0.0, 0.0, 0.0, 0
     for trial in range(o.trials):
         kept, copied = halves[trial % 2], halves[1 - trial % 2]
         kept = replace(kept, mean=kept.mean - centre)
@@ -136,15 +133,12 @@ def quality(
         covariance += (axes * kept_size) @ axes.T * np.outer(unit, unit) / o.trials
         residual = max(residual, float(error))
         trace = max(trace, float(np.trace(scaled)))
-        widest = max(widest, float(size[-1]))
         runner_up = max(runner_up, found.alignment.runner_up)
         free = max(free, found.open_directions)
     good = residual < o.residual and free <= o.open_directions and runner_up <= o.ambiguous
-    saliency, weakest = 1.0 / trace, 1.0 / widest
     return Quality(
         residual=residual,
-        saliency=saliency,
-        least_information=weakest,
+        saliency=1.0 / trace,
         runner_up=runner_up,
         open_directions=free,
         accepted=good,

@@ -109,13 +109,11 @@ class TemplateMatching:
 class Observation:
     """What a scan says of a landmark.
 
-    alignment: z and R with their evidence, None when nothing was tried. share_in_view: of the
-    template's points. reason: why it must not be used, empty where it may; kind: the same as one of
+    alignment: z and R with their evidence, None when nothing was tried. reason: why it must not be used, empty where it may; kind: the same as one of
     BLANK, OUT_OF_VIEW, APART, AMBIGUOUS, UNFINISHED.
     """
 
     alignment: ScanAlignment | None
-    share_in_view: float
     reason: str
     kind: str = ""
 
@@ -150,11 +148,11 @@ def observe(
     """
     o, view = matching.options, matching.view
     if not len(scan):
-        return Observation(None, 0.0, "the scan has no returns", BLANK)
+        return Observation(None, "the scan has no returns", BLANK)
     seen = _in_view(template, scan, predicted, view)
     share = float(np.mean(seen))
     if share < view.share:
-        return Observation(None, share, f"{share:.0%} of the template in view", OUT_OF_VIEW)
+        return Observation(None, f"{share:.0%} of the template in view", OUT_OF_VIEW)
     shape = template.shape.take(seen) if o.visible else template.shape
     found = scan_align(shape, scan, predicted, covariance, matching.alignment, matching.belief)
     evidence, reason, kind = found.alignment, "", ""
@@ -164,7 +162,7 @@ def observe(
         reason, kind = f"another place fits {evidence.runner_up:.0%} as well", AMBIGUOUS
     elif not evidence.converged:
         reason, kind = "the alignment did not converge", UNFINISHED
-    return Observation(found, share, reason, kind)
+    return Observation(found, reason, kind)
 
 
 def _in_view(template: Template, scan: SumOfGaussians, pose: Array, view: View) -> Mask:

@@ -32,7 +32,7 @@ class Alignment:
     """Where the first sum lies in the second one's frame, with evidence.
 
     pose: (3,) x_M of Nieto 2005, eq. 5.14: x, y [m], heading [rad], the nearest to the guess's.
-    log_likelihood: ln Lambda there, -inf where the two do not meet. correlation: Lambda over the
+    correlation: Lambda there over the
     geometric mean of what the first sum and those of the second that it meets have with
     themselves, 0 to 1. overlap: share of the first sum's weight that finds a counterpart.
     runner_up: Lambda of the second-best maximum found over that of the best; near 1 the result is
@@ -41,7 +41,6 @@ class Alignment:
     """
 
     pose: Array
-    log_likelihood: float
     correlation: float
     overlap: float
     runner_up: float
@@ -174,7 +173,6 @@ def evidence(problem: Problem, best: Climb, runner_up: float) -> Alignment:
     share = float(problem.second.weight[met].sum())
     return Alignment(
         pose=moved(best.pose, -problem.centre),
-        log_likelihood=math.log(value),
         correlation=min(value / (share * math.sqrt(own * its)), 1.0),
         overlap=overlap,
         runner_up=runner_up,
@@ -187,7 +185,6 @@ def _apart(problem: Problem) -> Alignment:
     pose = moved(problem.guess, -problem.centre)
     return Alignment(
         pose=pose,
-        log_likelihood=-math.inf,
         correlation=0.0,
         overlap=0.0,
         runner_up=0.0,

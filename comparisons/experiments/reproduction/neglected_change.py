@@ -119,7 +119,7 @@ def neglected_change(
         passive = passive or PassiveStates(ekf)
         view = FilterView.of(ekf)
         near = view.near(reach_m + 10.0)
-        regions.extend(view.landmark, near, view.joint_of_landmarks(near))
+        regions.extend(view.landmark, near, view.joint(near)[3:, 3:])
         waiting = np.setdiff1d(np.arange(len(regions.base)), _regions(looks))
         centre = true_landmark[regions.base[waiting]].mean(axis=1)
         exact = _sighted(true_pose.at(np.array([time]))[0], centre)

@@ -8,7 +8,6 @@ and 4.5).
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ekf_reference.core.geometry import Array
 from ekf_reference.dense.layers.grid_update import GridUpdate, known, unknown
@@ -62,22 +61,6 @@ class ClassicGrid:
             occupancy.append(probability(odds[seen].astype(float)))
         places = np.concatenate(point)
         return Samples(places, np.concatenate(occupancy), np.full(len(places), -1, dtype=np.intp))
-
-    def occupancy(self, point: Array) -> Array:
-        """(N,) of the cells that points (N, 2) [m] lie in; NaN where nothing is known."""
-        result = np.full(len(point), np.nan)
-        finite = np.flatnonzero(np.isfinite(point).all(axis=1))
-        cell = np.floor(point[finite] / self.update.resolution_m).astype(np.int64)
-        tile, within = np.divmod(cell, _SIDE)
-        row: NDArray[np.int64] = within[:, 0] * _SIDE + within[:, 1]
-        which, group = np.unique(tile, axis=0, return_inverse=True)
-        for number, (i, j) in enumerate(which.tolist()):
-            odds = self.tiles.get((i, j))
-            if odds is not None:
-                here = np.flatnonzero(group.ravel() == number)
-                found = odds[row[here]].astype(float)
-                result[finite[here]] = np.where(found == 0.0, np.nan, probability(found))
-        return result
 
     @property
     def _tile_m(self) -> float:

@@ -18,6 +18,7 @@ from ekf_reference.dense.layers.values import Values
 from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.scan import Scan, Sensor
+from ekf_reference.dense.triangles import determinant, is_degenerate
 from tests.helpers import Array
 
 Index = NDArray[np.intp]
@@ -50,6 +51,13 @@ def lattice(low: Array, high: Array, step_m: float) -> tuple[Array, LocalRegions
         (np.stack((at, east, east + 1), axis=1), np.stack((at, east + 1, north), axis=1))
     )
     return landmark, LocalRegions(base=base, _order=np.arange(len(base)))
+
+
+def flipped(regions: LocalRegions, landmark: Array) -> Index:
+    """Regions that have turned over, or lost their area, among landmarks (L, 2) of the map."""
+    triangle = regions.corners(landmark)[regions.base]
+    turned_over = (determinant(triangle) >= 0.0) | is_degenerate(triangle)
+    return np.flatnonzero(turned_over & np.isfinite(triangle).all(axis=(1, 2)))
 
 
 def field() -> tuple[Array, LocalRegions]:

@@ -21,7 +21,7 @@ from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.view import FilterView
 from ekf_reference.dense.waiting import WaitingRoom
-from tests.ekf_reference.dense.scenes import LAYERS, SENSOR, layer
+from tests.ekf_reference.dense.scenes import LAYERS, SENSOR, flipped, layer
 from tests.helpers import Array
 
 POSE = np.array([0.0, 0.0, 0.0])
@@ -158,7 +158,7 @@ def test_a_landmark_mapped_twice_makes_no_flat_region() -> None:
     drive(dense, view(twice), wall(), wall())
     placed = dense.regions.placed(twice)
     assert len(dense.regions.base) == 2
-    assert not len(dense.regions.flipped(twice))
+    assert not len(flipped(dense.regions, twice))
     for each in dense.layers.values():
         assert np.isfinite(each.samples(placed).point).all()
     assert accounted(dense)

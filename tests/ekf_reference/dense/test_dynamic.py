@@ -168,7 +168,7 @@ def test_flags_follow_the_landmarks() -> None:
     assert layer.covers(layer.points(there), there).all()
     assert not layer.covers(np.array(((np.nan, 0.0), (500.0, 0.0))), there, 0.5).any()
     region = int(layer.regions[0])
-    assert layer.mask(region).sum() == len(layer.local(region))
+    assert layer.mask(region).sum() == len(layer.points(placed, [region]))
     assert not layer.mask(10_000).any()
 
 

@@ -29,7 +29,7 @@ def seen() -> tuple[FilterView, Index]:
     ekf = next(islice(scans(simulated(0, max_range_m=25.0)), 300, None))[1]
     view, regions = FilterView.of(ekf), LocalRegions()
     near = view.near(30.0)
-    regions.extend(view.landmark, near, view.joint_of_landmarks(near))
+    regions.extend(view.landmark, near, view.joint(near)[3:, 3:])
     return view, regions.base
 
 

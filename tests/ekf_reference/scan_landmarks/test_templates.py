@@ -93,7 +93,6 @@ def test_segments_with_shape_are_accepted_and_walls_are_not() -> None:
     assert wall.residual > 0.1
     assert wall.open_directions == 1
     assert shaped.saliency > 100.0 * wall.saliency
-    assert shaped.least_information > 100.0 * wall.least_information
 
 
 def test_the_axis_is_the_centroid_with_the_vehicles_heading() -> None:
@@ -127,7 +126,6 @@ def test_less_than_nine_tenths_in_view_is_no_observation() -> None:
     for pose in (behind, beyond):
         found = observe(template, scan, pose, NEAR, MATCHING)
         assert found.alignment is None
-        assert found.share_in_view == 0.0
         assert found.reason == "0% of the template in view"
     assert 0.0 < share_in_view(template, scan, aside, VIEW) < 1.0
 
@@ -136,7 +134,6 @@ def test_what_something_nearer_hides_is_not_in_view() -> None:
     template = template_of(seen(STAR))
     screen = solids(box(3.0, 0.0, 0.2, 12.0, 0.0))
     found = observe(template, seen(screen), template.pose, NEAR, MATCHING)
-    assert found.share_in_view < 0.1
     assert found.alignment is None
 
 

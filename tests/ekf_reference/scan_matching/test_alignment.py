@@ -86,7 +86,6 @@ def test_exchanged_sums_give_the_inverse() -> None:
     one = align(plain(two.first), plain(two.second), two.motion, NEAR)
     other = align(plain(two.second), plain(two.first), back, NEAR)
     np.testing.assert_allclose(other.pose, inverse(one.pose), atol=2e-3)
-    assert other.log_likelihood == pytest.approx(one.log_likelihood, abs=1e-2)
 
 
 def test_the_heading_is_the_nearest_to_the_guess() -> None:
@@ -117,7 +116,6 @@ def test_what_does_not_meet_says_so() -> None:
     for first, second in ((one, blank), (blank, one), (blank, blank), (one, far)):
         found = align(first, second, guess, NEAR)
         np.testing.assert_allclose(found.pose, guess, atol=1e-12)
-        assert found.log_likelihood == -math.inf
         assert found.overlap == found.correlation == 0.0
         assert not found.converged
 
