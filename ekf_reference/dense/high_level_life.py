@@ -23,7 +23,8 @@ from ekf_reference.dense.local_pose import Frames, local_pose, read_local_poses
 from ekf_reference.dense.view import FilterView
 from ekf_reference.models.relative_pose import RelativePose
 from ekf_reference.scan_landmarks.templates import (
-    Observation,
+    APART,
+    BLANK,
     ObservationOptions,
     Template,
     TemplateMatching,
@@ -35,13 +36,8 @@ from ekf_reference.scan_matching.sog import SumOfGaussians
 
 GATE = 11.345
 """Squared Mahalanobis distance, 99 % of three degrees of freedom."""
-_REASONS = {
-    "in view": "out of view",
-    "counterpart": "no counterpart",
-    "as well": "ambiguous",
-    "converge": "not converged",
-    "returns": "no returns",
-}
+_COUNTED_AS = {BLANK: "no returns", APART: "no counterpart"}
+"""Names of reasons in `counts`, where these are not the reasons themselves."""
 _OBSERVATION = RelativePose()
 
 
@@ -189,7 +185,7 @@ class HighLevelLandmarks:
         matching = TemplateMatching(view, self.options.observation, belief=one.belief)
         seen = observe(one.template, scan.shape, there.z[0], prior, matching)
         if not seen.usable or seen.alignment is None:
-            return None, _kind(seen)
+            return None, _COUNTED_AS.get(seen.reason, seen.reason)
         if one.slot == NEW and seen.alignment.open_directions:
             return None, "a direction is open"
         back = _OBSERVATION.invert(scan.mount, seen.alignment.pose[None])
@@ -221,7 +217,3 @@ def _active(ekf: Ekf, slot: int) -> Expected:
     at = _OBSERVATION.predict(reading.pose, local.landmark)
     jacobian = np.hstack((at.jacobian_pose[0] @ reading.jacobian, at.jacobian_landmark[0]))
     return Expected(at.z[0], jacobian @ local.covariance @ jacobian.T)
-
-
-def _kind(seen: Observation) -> str:
-    return next(kind for end, kind in _REASONS.items() if seen.reason.endswith(end))

@@ -8,8 +8,8 @@ landmark's own template, from there, against the whole prior, as without a map; 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from ekf_reference.scan_landmarks.templates import (
     Observation,
     Template,
     TemplateMatching,
+    TemplateObserver,
     observe,
 )
 from ekf_reference.scan_matching.alignment import align
@@ -30,15 +31,40 @@ _ONE_START_M = 1e4
 """A spacing that leaves nothing of a prior but its middle."""
 
 
-class Around(Protocol):
-    """Who knows what stands around a landmark."""
+Around = Callable[[Template, Array], SumOfGaussians | None]
+"""What stands around a template whose axis is estimated at (3,) in the world, in that axis.
 
-    def __call__(self, template: Template, place: Array) -> SumOfGaussians | None:
-        """The surroundings in the landmark's axis, which is at a place (3,) in the world now.
+None where nothing but the template is known.
+"""
 
-        None where nothing but the template is known.
-        """
-        ...
+
+class MapAidedObserver(TemplateObserver):
+    """Observes templates with their surroundings, where it is uncertain where to look for them.
+
+    observed: how many were, so far.
+    """
+
+    def __init__(self, around: Around, least_sigma_m: float) -> None:
+        """least_sigma_m: standard deviation of z^ from which the surroundings are used."""
+        self.observed, self._around, self._least_sigma_m = 0, around, least_sigma_m
+
+    def observe(
+        self,
+        template: Template,
+        place: Array,
+        scan: SumOfGaussians,
+        predicted: Array,
+        covariance: Array,
+        matching: TemplateMatching,
+    ) -> Observation:
+        """See TemplateObserver."""
+        around = None
+        if np.linalg.norm(covariance[:2, :2], 2) > self._least_sigma_m**2:
+            around = self._around(template, place)
+        if around is None:
+            return observe(template, scan, predicted, covariance, matching)
+        self.observed += 1
+        return observe_enriched(template, around, scan, predicted, covariance, matching)
 
 
 def enriched(template: Template, around: SumOfGaussians) -> SumOfGaussians:
@@ -69,15 +95,14 @@ def observe_enriched(
     covariance: Array,
     matching: TemplateMatching,
 ) -> Observation:
-    """What a scan says of a landmark (see `observe`), sought where its surroundings fit.
+    """Align a template with a scan (see `observe`), searching where its surroundings fit.
 
-    around: as `Around` answers. Two places that fit the surroundings are as ambiguous as two that
-    fit a template.
+    around: Gaussians in the landmark's axis. Two places that fit the surroundings are as ambiguous
+    as two that fit a template.
     """
     alignment = matching.alignment
     found = align(enriched(template, around), scan, predicted, covariance, alignment)
     if found.runner_up > matching.options.ambiguous:
-        told = f"another place fits what is around {found.runner_up:.0%} as well"
-        return Observation(None, told, AMBIGUOUS)
+        return Observation(None, AMBIGUOUS)
     once = replace(matching, alignment=replace(alignment, spacing_m=_ONE_START_M))
     return observe(template, scan, found.pose, covariance, once)

@@ -64,11 +64,11 @@ class Pair(NamedTuple):
 
 
 class Twins:
-    """Looks for them among the landmarks around the vehicle."""
+    """Looks for them among the landmarks around the vehicle. merged: how many have been, so far."""
 
     def __init__(self, slam: ScanSlam, options: FusingOptions | None = None) -> None:
         """slam: whose templates change as landmarks are fused."""
-        self.found, self._slam = slam.found, slam
+        self.found, self._slam, self.merged = slam.found, slam, 0
         self.options = options or FusingOptions()
         self._tried: dict[tuple[int, int], int] = {}
 
@@ -134,7 +134,7 @@ class Twins:
             template[first], shape=united(template[first], template.pop(second), known)
         )
         seen[first] += seen.pop(second, 0)
-        self.found.fused += 1
+        self.merged += 1
 
 
 def relative(ekf: Ekf, first: int, second: int) -> Pair:

@@ -12,7 +12,6 @@ template is still not in the state, so the smoother may be too sure.
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Protocol
@@ -23,7 +22,6 @@ from ekf_reference.core.ekf import NEW, Ekf
 from ekf_reference.core.geometry import Array, Index, rotation
 from ekf_reference.core.layout import POSE
 from ekf_reference.dense.scan import Sensor
-from ekf_reference.scan_landmarks.enriching import Around, observe_enriched
 from ekf_reference.scan_landmarks.pieces import JoinedSegments, Known, Pieces
 from ekf_reference.scan_landmarks.segmentation import quality
 from ekf_reference.scan_landmarks.templates import (
@@ -32,8 +30,8 @@ from ekf_reference.scan_landmarks.templates import (
     ObservationOptions,
     Template,
     TemplateMatching,
+    TemplateObserver,
     View,
-    observe,
     share_in_view,
 )
 from ekf_reference.scan_matching.alignment_covariance import CovarianceOptions
@@ -64,16 +62,13 @@ class ScanSlamOptions:
     """How much is done per scan, and what counts. The thesis tells none of these but the gate.
 
     aligned: most landmarks that one scan is laid onto. pieces: which returns become landmarks.
-    floor_m, floor_rad: least sigma of where an alignment is sought. enrich_m: sigma of z^ from
-    which on what stands around a landmark says where its template is sought (Nieto 2005,
-    section 6.2).
+    floor_m, floor_rad: least sigma of where an alignment is sought.
     """
 
     aligned: int = 5
     pieces: Pieces = _PIECES
     floor_m: float = 0.1
     floor_rad: float = 0.02
-    enrich_m: float = math.inf
     gate: float = GATE
     observation: ObservationOptions = _OBSERVATION
     alignment: AlignmentOptions = _ALIGNMENT
@@ -98,8 +93,7 @@ class ScanLandmarks:
     begun: templates by slot as they were begun, each of one scan, those of landmarks that were
     fused since among them. reasons: how often a landmark near the scanner was USED, or why not.
     rejected: pieces that failed their trial. scans: looked at. dynamic: returns that
-    were left out since something moves there. enriched: alignments that began
-    where what stands around the landmark fits. fused: how many landmarks were found to be others.
+    were left out since something moves there.
     """
 
     template: dict[int, Template] = field(default_factory=dict)
@@ -109,8 +103,6 @@ class ScanLandmarks:
     rejected: int = 0
     scans: int = 0
     dynamic: int = 0
-    enriched: int = 0
-    fused: int = 0
 
 
 class ScanSlam:
@@ -123,8 +115,12 @@ class ScanSlam:
         mount: Array,
         options: ScanSlamOptions | None = None,
         seed: int = 0,
+        observer: TemplateObserver | None = None,
     ) -> None:
-        """mount: (3,) of the scanner in the vehicle's frame. seed: of the quality's trials."""
+        """mount: (3,) of the scanner in the vehicle's frame. seed: of the quality's trials.
+
+        observer: of the templates; by default by themselves.
+        """
         self.sensor = sensor
         self.mount = np.asarray(mount, dtype=float)
         self.options = options or ScanSlamOptions()
@@ -136,7 +132,7 @@ class ScanSlam:
             self.options.belief,
         )
         self.found = ScanLandmarks()
-        self.around: Around | None = None
+        self._observer = observer or TemplateObserver()
         self._rng = np.random.default_rng(seed)
         self._last_seen: dict[int, int] = {}
         self._begun = 0
@@ -175,15 +171,9 @@ class ScanSlam:
             slot, z = int(predicted.slot[row]), predicted.z[row]
             spread, o = predicted.covariance[row], self.options
             wide = spread + np.diag((o.floor_m, o.floor_m, o.floor_rad)) ** 2
-            template, around = self.found.template[slot], None
-            if self.around is not None and np.linalg.norm(wide[:2, :2], 2) > o.enrich_m**2:
-                around = self.around(template, ekf.state.oriented[slot])
-            if around is None:
-                what = observe(template, scan, z, wide, self._matching)
-            else:
-                what = observe_enriched(template, around, scan, z, wide, self._matching)
-                self.found.enriched += 1
-            kind = what.kind or USED
+            template, place = self.found.template[slot], ekf.state.oriented[slot]
+            what = self._observer.observe(template, place, scan, z, wide, self._matching)
+            reason = what.reason or USED
             if what.usable and what.alignment is not None:
                 r = what.alignment.covariance
                 innovation = what.alignment.pose - z
@@ -191,8 +181,8 @@ class ScanSlam:
                 if innovation @ np.linalg.solve(spread + r, innovation) <= o.gate:
                     seen.append((slot, z + innovation, r))
                 else:
-                    kind = GATED
-            self.found.reasons[kind] += 1
+                    reason = GATED
+            self.found.reasons[reason] += 1
         if seen:
             self._told(tell, seen)
         return len(seen)

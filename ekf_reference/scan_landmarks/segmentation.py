@@ -52,11 +52,11 @@ class SegmentationOptions:
 class Quality:
     """How well a segment lays itself onto itself.
 
-    residual: greatest error of a trial over its displacement, in metres at the lever's end.
-    saliency: inverse of the trace of the covariance of the alignment [1/m^2], the object saliency
-    score of section 5.2.2; headings as metres at the lever's end. runner_up: greatest second maximum
-    over the best. open_directions: most that the shape did not fix. accepted: whether it may
-    become a landmark. All of the worst trial. covariance: (3, 3) mean of the trials', of the
+    All of the worst trial. residual: greatest error over its displacement, in metres at the lever's
+    end. saliency: inverse of the trace of the covariance of the alignment [1/m^2], the object
+    saliency score of section 5.2.2; headings as metres at the lever's end. runner_up: greatest
+    second maximum over the best. open_directions: most that the shape did not fix. accepted:
+    whether it may become a landmark. covariance: (3, 3) mean of the trials', of the
     segment's frame at its centroid: as the noise that is added to a copy is that of the segment's
     own scan, it says how well the segment's returns tell where the surface is.
     """

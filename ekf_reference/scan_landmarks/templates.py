@@ -109,13 +109,12 @@ class TemplateMatching:
 class Observation:
     """What a scan says of a landmark.
 
-    alignment: z and R with their evidence, None when nothing was tried. reason: why it must not be used, empty where it may; kind: the same as one of
-    BLANK, OUT_OF_VIEW, APART, AMBIGUOUS, UNFINISHED.
+    alignment: z and R with their evidence, None when nothing was tried. reason: why it must not
+    be used, one of BLANK, OUT_OF_VIEW, APART, AMBIGUOUS, UNFINISHED; empty where it may be.
     """
 
     alignment: ScanAlignment | None
-    reason: str
-    kind: str = ""
+    reason: str = ""
 
     @property
     def usable(self) -> bool:
@@ -148,21 +147,34 @@ def observe(
     """
     o, view = matching.options, matching.view
     if not len(scan):
-        return Observation(None, "the scan has no returns", BLANK)
+        return Observation(None, BLANK)
     seen = _in_view(template, scan, predicted, view)
-    share = float(np.mean(seen))
-    if share < view.share:
-        return Observation(None, f"{share:.0%} of the template in view", OUT_OF_VIEW)
+    if np.mean(seen) < view.share:
+        return Observation(None, OUT_OF_VIEW)
     shape = template.shape.take(seen) if o.visible else template.shape
     found = scan_align(shape, scan, predicted, covariance, matching.alignment, matching.belief)
-    evidence, reason, kind = found.alignment, "", ""
+    evidence = found.alignment
     if evidence.overlap < o.overlap:
-        reason, kind = f"{evidence.overlap:.0%} of the template finds a counterpart", APART
-    elif evidence.runner_up > o.ambiguous:
-        reason, kind = f"another place fits {evidence.runner_up:.0%} as well", AMBIGUOUS
-    elif not evidence.converged:
-        reason, kind = "the alignment did not converge", UNFINISHED
-    return Observation(found, reason, kind)
+        return Observation(found, APART)
+    if evidence.runner_up > o.ambiguous:
+        return Observation(found, AMBIGUOUS)
+    return Observation(found, "" if evidence.converged else UNFINISHED)
+
+
+class TemplateObserver:
+    """How ScanSlam observes a template: by its shape alone."""
+
+    def observe(
+        self,
+        template: Template,
+        place: Array,
+        scan: SumOfGaussians,
+        predicted: Array,
+        covariance: Array,
+        matching: TemplateMatching,
+    ) -> Observation:
+        """As the function `observe`. place: (3,) estimate of the template's axis in the world."""
+        return observe(template, scan, predicted, covariance, matching)
 
 
 def _in_view(template: Template, scan: SumOfGaussians, pose: Array, view: View) -> Mask:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +24,7 @@ from ekf_reference.core.local_map import LocalMap
 from ekf_reference.core.state import FilterDivergedError
 from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.surroundings import Surroundings
+from ekf_reference.scan_landmarks.enriching import MapAidedObserver
 from ekf_reference.scan_landmarks.merging import FusingOptions, Twins
 from ekf_reference.scan_landmarks.pieces import JoinedSegments, Pieces, SingleSegments
 from ekf_reference.scan_landmarks.scan_slam import ScanLandmarks, ScanSlam, ScanSlamOptions
@@ -70,7 +70,7 @@ def scan_slam_options(config: ScanLandmarksConfig, *, mapped: bool) -> ScanSlamO
     richer = config.templates == "enriched"
     # A map's regions need landmarks that stand among objects.
     pieces = config.pieces or ("single" if richer or mapped else "joined")
-    return ScanSlamOptions(pieces=PIECES[pieces], enrich_m=ENRICH_M if richer else math.inf)
+    return ScanSlamOptions(pieces=PIECES[pieces])
 
 
 class LogScans:
@@ -152,12 +152,15 @@ class ScanSlamSource:
         fusing: of landmarks that are one; None to leave them two.
         """
         self._scans, self._next = scans, 0
-        self._slam = ScanSlam(scans.sensor, scans.view, scans.mount, options)
+        self._observer = None
+        if map_of is not None:
+            self._observer = MapAidedObserver(Surroundings(map_of.dense).around, ENRICH_M)
+        self._slam = ScanSlam(
+            scans.sensor, scans.view, scans.mount, options, observer=self._observer
+        )
         self._twins = None if fusing is None else Twins(self._slam, fusing)
         self.map_of = map_of
         self._guard: DynamicGuard | None = None
-        if map_of is not None:
-            self._slam.around = Surroundings(map_of.dense).around
         self.closing: Closing | None = None
 
     @property
@@ -169,6 +172,16 @@ class ScanSlamSource:
     def pieces(self) -> str:
         """Of PIECES."""
         return self._slam.options.pieces.name
+
+    @property
+    def merged(self) -> int:
+        """Landmarks that were found to be others."""
+        return 0 if self._twins is None else self._twins.merged
+
+    @property
+    def enriched(self) -> int:
+        """Alignments that began where what stands around the landmark fits."""
+        return 0 if self._observer is None else self._observer.observed
 
     def keep_from(self, guard: DynamicGuard) -> None:
         """Returns that lie where something moves are left out, and counted."""

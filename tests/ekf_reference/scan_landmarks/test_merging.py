@@ -100,8 +100,9 @@ def test_one_object_begun_twice_becomes_one_landmark() -> None:
     slam, tell, frames = begun_twice(np.array((0.25, -0.2, 0.03)))
     ekf, template = tell.ekf, dict(slam.found.template)
     stale = frame_in_frame(*ekf.state.oriented[::-1])
-    Twins(slam).step(ekf, tell)
-    assert len(tell.fused) == slam.found.fused == 1
+    twins = Twins(slam)
+    twins.step(ekf, tell)
+    assert len(tell.fused) == twins.merged == 1
     kept = int(np.argmax([len(template[k].shape) for k in range(2)]))
     assert kept == 1
     assert ekf.state.layout.present(POSE).tolist() == [kept] == list(slam.found.template)

@@ -12,10 +12,17 @@ from ekf_reference.core.ekf import NEW, Ekf
 from ekf_reference.core.geometry import Index
 from ekf_reference.core.layout import POSE
 from ekf_reference.models.motion import RelativePoseModel
+from ekf_reference.scan_landmarks.enriching import MapAidedObserver
 from ekf_reference.scan_landmarks.pieces import SingleSegments
 from ekf_reference.scan_landmarks.scan_slam import GATED, USED, ScanSlam, ScanSlamOptions
 from ekf_reference.scan_landmarks.segmentation import SegmentationOptions
-from ekf_reference.scan_landmarks.templates import BLANK, OUT_OF_VIEW, Template, View
+from ekf_reference.scan_landmarks.templates import (
+    BLANK,
+    OUT_OF_VIEW,
+    Template,
+    TemplateObserver,
+    View,
+)
 from ekf_reference.scan_matching.scan_shape import of_scan
 from ekf_reference.scan_matching.sog import SumOfGaussians
 from tests.ekf_reference.both_kinds import relative
@@ -56,9 +63,12 @@ def scan_from(vehicle: Array, seed: int = 0) -> SumOfGaussians:
     return of_scan(BEAMS, way, LASER)
 
 
-def begun(options: ScanSlamOptions = EVERY) -> tuple[ScanSlam, Ekf, Told]:
+def begun(
+    options: ScanSlamOptions = EVERY, observer: TemplateObserver | None = None
+) -> tuple[ScanSlam, Ekf, Told]:
     """One landmark, begun by the first scan."""
-    slam, ekf = ScanSlam(LASER, VIEW, MOUNT, options), filter_at(np.zeros(3))
+    slam = ScanSlam(LASER, VIEW, MOUNT, options, observer=observer)
+    ekf = filter_at(np.zeros(3))
     told = Told(ekf)
     slam.step(ekf, scan_from(np.zeros(3)), told)
     assert told.slot == [NEW]
@@ -164,13 +174,13 @@ def test_templates_are_enriched_from_a_sigma_on() -> None:
         return template.shape
 
     moved = np.array((0.3, 0.1, 0.02))
-    for enrich_m, times in ((0.01, 1), (5.0, 0), (np.inf, 0)):
-        slam, ekf, told = begun(replace(EVERY, enrich_m=enrich_m))
-        slam.around = around
+    for least_sigma_m, times in ((0.01, 1), (5.0, 0), (np.inf, 0)):
+        observer = MapAidedObserver(around, least_sigma_m)
+        slam, ekf, told = begun(observer=observer)
         place = ekf.state.oriented[0].copy()
         ekf.predict(moved, PRIOR, 1.0)
         slam.step(ekf, scan_from(moved, 1), told)
-        assert slam.found.enriched == len(asked) == times
+        assert observer.observed == len(asked) == times
         assert slam.found.reasons[USED] == 1
         for one in asked:
             assert np.array_equal(one, place)
