@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ekf_reference.core.geometry import Array, Index, Mask
+from ekf_reference.dense.triangles import turned
 
 Single = NDArray[np.float32]
 """For many cells near the scanner, where single precision is some micrometres."""
@@ -16,7 +17,7 @@ Single = NDArray[np.float32]
 _DIRECTIONS = 7200
 """Directions of the compass for which the nearest beam is looked up once a scan."""
 _TURN = 2.0 * np.pi
-_NEXT = 1.5
+NEXT = 1.5
 """Two returns are neighbours when so many beams or fewer apart."""
 _NOISY = 3.0
 """Standard deviations by which ranges on one surface may differ beside its slope."""
@@ -39,6 +40,29 @@ class Sensor:
     sigma_bearing_rad: float
     beam_rad: float
     grazing_rad: float = 0.0
+
+    def joins(self, first_m: Array, second_m: Array, turn_rad: Array) -> Mask:
+        """(N,) whether two returns at ranges (N,), an angle (N,) apart, lie on one surface.
+
+        They do when they are next to each other and the surface between them is met at no less
+        than the grazing angle, give or take the noise.
+        """
+        if not self.grazing_rad > 0.0:
+            return np.zeros(len(turn_rad), dtype=bool)
+        steepest = np.minimum(first_m, second_m) * turn_rad / np.tan(self.grazing_rad)
+        noise = _NOISY * np.sqrt(2.0) * self.sigma_range_m
+        near = turn_rad <= NEXT * self.beam_rad
+        on_one: Mask = near & (np.abs(second_m - first_m) <= steepest + noise)
+        return on_one
+
+    def covariance(self, point: Array, range_m: Array) -> Array:
+        """(N, 2, 2) [m^2] of returns (N, 2) in the scanner's frame (Nieto 2005, eq. 4.16)."""
+        ray = point / range_m[:, None]
+        along = self.sigma_range_m**2 * ray[:, :, None] * ray[:, None, :]
+        side = turned(ray)
+        across = (range_m * self.sigma_bearing_rad) ** 2
+        spread: Array = along + across[:, None, None] * side[:, :, None] * side[:, None, :]
+        return spread
 
     @property
     def reach_rad(self) -> float:
@@ -121,12 +145,7 @@ class Scan:
     @cached_property
     def covariance(self) -> Array:
         """(B, 2, 2) of these points for a known pose [m^2] (Nieto 2005, eq. 4.16)."""
-        ray = (self.point - self.origin) / self.range_m[:, None]
-        along = self.sensor.sigma_range_m**2 * ray[:, :, None] * ray[:, None, :]
-        side = np.stack((-ray[:, 1], ray[:, 0]), axis=1)
-        across = (self.range_m * self.sensor.sigma_bearing_rad) ** 2
-        spread: Array = along + across[:, None, None] * side[:, :, None] * side[:, None, :]
-        return spread
+        return self.sensor.covariance(self.point - self.origin, self.range_m)
 
     def box(self, margin_m: float = 0.0) -> Array:
         """(4,) west, south, east, north of the scanner and all returns."""
@@ -193,14 +212,7 @@ class Scan:
         """From each return to the next: both ranges, the angle, and whether on one surface."""
         first, second = self.range_m, np.roll(self.range_m, -1)
         turn = np.mod(np.roll(self.bearing_rad, -1) - self.bearing_rad, _TURN)
-        joined = np.zeros(len(first), dtype=bool)
-        sensor = self.sensor
-        if sensor.grazing_rad > 0.0:
-            noise = _NOISY * np.sqrt(2.0) * sensor.sigma_range_m
-            steepest = np.minimum(first, second) * turn / np.tan(sensor.grazing_rad)
-            near = (turn > 0.0) & (turn <= _NEXT * sensor.beam_rad)
-            joined = near & (np.abs(second - first) <= steepest + noise)
-        return first, second, turn, joined
+        return first, second, turn, self.sensor.joins(first, second, turn) & (turn > 0.0)
 
     @cached_property
     def _nearest(self) -> Index:

@@ -148,12 +148,7 @@ def quality(
 
 def _twice_as_long(segment: SumOfGaussians, sensor: Sensor) -> Array:
     """(N, 2, 2) covariances for pieces of surface twice as long, noise as it was."""
-    way = np.hypot(*segment.mean.T)
-    ray = segment.mean / way[:, None]
-    side = np.stack((-ray[:, 1], ray[:, 0]), axis=1)
-    across = (way * sensor.sigma_bearing_rad) ** 2
-    noise = sensor.sigma_range_m**2 * ray[:, :, None] * ray[:, None, :]
-    noise += across[:, None, None] * side[:, :, None] * side[:, None, :]
+    noise = sensor.covariance(segment.mean, np.hypot(*segment.mean.T))
     longer: Array = noise + 4.0 * (segment.covariance - noise)
     return longer
 

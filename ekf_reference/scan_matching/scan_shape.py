@@ -7,13 +7,9 @@ import math
 import numpy as np
 
 from ekf_reference.core.geometry import Array, Mask
-from ekf_reference.dense.scan import Scan, Sensor
+from ekf_reference.dense.scan import NEXT, Scan, Sensor
 from ekf_reference.scan_matching.sog import SumOfGaussians
 
-_NEXT = 1.5
-"""Two returns are neighbours when so many beams or fewer apart."""
-_NOISY = 3.0
-"""Standard deviations by which ranges on one surface may differ beside its slope."""
 _MEET = 0.5
 """Sigma of a piece of surface over its length, at which a row of pieces has an even height."""
 _LIMB_RAD = math.radians(25.0)
@@ -41,7 +37,7 @@ def of_scan(
     scan = Scan.of_ranges(np.zeros(3), bearing_rad, range_m, sensor)
     if not surface or len(scan.range_m) < 2:
         return SumOfGaussians.of_equal_height(scan.point, scan.covariance)
-    one = joined(scan.bearing_rad, scan.range_m, sensor)
+    one = sensor.joins(scan.range_m[:-1], scan.range_m[1:], np.diff(scan.bearing_rad))
     half = 0.5 * np.where(one[:, None], np.diff(scan.point, axis=0), 0.0)
     none = np.zeros((1, 2))
     piece = np.vstack((half, none)) + np.vstack((none, half))
@@ -50,22 +46,6 @@ def of_scan(
     return SumOfGaussians.of_equal_height(
         scan.point, covariance, _seams(scan, one, float(beams.min()), float(beams.max()))
     )
-
-
-def joined(bearing_rad: Array, range_m: Array, sensor: Sensor) -> Mask:
-    """(B - 1,) whether a return (B,), in order of bearing, and the next lie on one surface.
-
-    They do when they are next to each other and the surface between them is met at no less than
-    the sensor's grazing angle, give or take the noise.
-    """
-    if not sensor.grazing_rad > 0.0:
-        return np.zeros(max(len(range_m) - 1, 0), dtype=bool)
-    turn = np.diff(bearing_rad)
-    nearer = np.minimum(range_m[1:], range_m[:-1])
-    steepest = nearer * turn / math.tan(sensor.grazing_rad)
-    noise = _NOISY * math.sqrt(2.0) * sensor.sigma_range_m
-    one: Mask = (turn <= _NEXT * sensor.beam_rad) & (np.abs(np.diff(range_m)) <= steepest + noise)
-    return one
 
 
 def _seams(scan: Scan, one: Mask, first_rad: float, last_rad: float) -> Mask:
@@ -94,7 +74,7 @@ def _one_sided(
     begin = np.searchsorted(run, run)
     last = np.append(~one, True)
     beside = np.append(np.diff(bearing_rad), rim_rad - bearing_rad[-1])
-    empty = beside > _NEXT * sensor.beam_rad
+    empty = beside > NEXT * sensor.beam_rad
     farther = np.append(range_m[1:], np.inf)
     behind = ~empty & (farther < range_m)
     behind[-1] = not empty[-1]

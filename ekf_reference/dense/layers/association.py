@@ -8,8 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ekf_reference.core.geometry import Array, Index, Mask
-from ekf_reference.dense.placed_regions import PlacedRegions
-from ekf_reference.dense.triangles import is_degenerate
 
 _SIDE = 512
 """Cells along a side of the hash; farther points share cells, which costs time, not exactness."""
@@ -81,11 +79,6 @@ def doubled(pair: Associated, d_min_m: float, worth: Array) -> Index:
     second = np.diff(pair.new[row], prepend=-1) == 0
     lighter: Index = pair.old[row[second]]
     return lighter
-
-
-def usable(placed: PlacedRegions, regions: Index) -> Index:
-    """Those of some regions (r,) that have an area now, so that places in them are somewhere."""
-    return regions[~is_degenerate(placed.triangle[regions])]
 
 
 def _key(cell: NDArray[np.int64]) -> NDArray[np.int64]:

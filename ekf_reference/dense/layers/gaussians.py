@@ -9,10 +9,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ekf_reference.core.geometry import Array, Index
-from ekf_reference.dense.layers.association import associate, doubled, usable
-from ekf_reference.dense.layers.layer import Hits, Samples, in_world
+from ekf_reference.dense.layers.association import associate, doubled
+from ekf_reference.dense.layers.layer import Hits, in_world
+from ekf_reference.dense.layers.points import PointLayer
 from ekf_reference.dense.placed_regions import PlacedRegions
-from ekf_reference.dense.region_store import RegionStore
 from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.triangles import determinant, solve, turned
 
@@ -31,7 +31,7 @@ class Ellipses(NamedTuple):
     region: Index
 
 
-class Gaussians:
+class Gaussians(PointLayer):
     """Means and covariances that are local, so they move, turn and shear with the landmarks.
 
     d_min_m: old Gaussians with an observed one closer than that are fused with the nearest.
@@ -45,21 +45,15 @@ class Gaussians:
 
     def __init__(self, d_min_m: float = 0.2, widest: float = 0.8) -> None:
         """Raises ValueError for bounds that are not above zero."""
-        if not (d_min_m > 0.0 and widest > 0.0):
-            raise ValueError(f"d_min {d_min_m} m and k {widest} must be above zero")
-        self.d_min_m = d_min_m
+        if not widest > 0.0:
+            raise ValueError(f"k is {widest}, it must be above zero")
+        super().__init__(5, d_min_m)
         self.widest = widest
-        self._store = RegionStore(5)
-
-    def __len__(self) -> int:
-        """Number of Gaussians."""
-        return len(self._store)
 
     def fuse(self, hits: Hits, placed: PlacedRegions, scan: Scan | None, near: Index) -> None:
         """Widen and shift old Gaussians by the nearest returns, then add the other returns."""
-        old = self._store.gather(usable(placed, np.union1d(near, hits.region)))
-        where = in_world(placed, old.region, old.value[:, :2])
-        pair = associate(where, hits.point, self.d_min_m)
+        old, where = self._placed(placed, np.union1d(near, hits.region))
+        pair = associate(where, hits.point, self._reach_m)
         region = old.region[pair.old]
         value = old.value[pair.old]
         value[:, :2] += solve(placed.triangle[region], hits.point[pair.new])
@@ -67,25 +61,20 @@ class Gaussians:
         prior = in_world_axes(placed, region, value[:, 2:])
         observed = hits.covariance[pair.new]
         total = largest_sigma(prior) + largest_sigma(observed)
-        grow = np.flatnonzero(total <= self.widest * self.d_min_m)  # 4.18
+        grow = np.flatnonzero(total <= self.widest * self._reach_m)  # 4.18
         value[grow, 2:] += in_local_axes(placed, region[grow], observed[grow])  # 4.19, else 4.20
         old.value[pair.old] = value
         self._store.put(old)
         kept = np.ones(len(where), dtype=bool)
-        kept[doubled(pair, self.d_min_m, -pair.apart_m)] = False
+        kept[doubled(pair, self._reach_m, -pair.apart_m)] = False
         self._store.keep(old, kept)
         add = np.flatnonzero(~pair.met)
         spread = in_local_axes(placed, hits.region[add], hits.covariance[add])
         self._store.append(hits.region[add], np.hstack((hits.local[add], spread)))
 
-    def samples(self, placed: PlacedRegions, regions: Index | None = None) -> Samples:
-        """The means, where Gaussians of peak one are one."""
-        region, value = self._store.gather(self._store.regions if regions is None else regions)
-        return Samples(in_world(placed, region, value[:, :2]), np.ones(len(region)), region)
-
     def ellipses(self, placed: PlacedRegions, regions: Index | None = None) -> Ellipses:
         """All Gaussians, or those in distinct regions (r,), as the landmarks lie now."""
-        region, value = self._store.gather(self._store.regions if regions is None else regions)
+        region, value = self._store.gather(regions)
         return Ellipses(
             in_world(placed, region, value[:, :2]),
             in_world_axes(placed, region, value[:, 2:]),
