@@ -11,7 +11,7 @@ import numpy as np
 from ekf_reference.core.geometry import Array, Index
 from ekf_reference.dense.dynamic import DynamicLayer
 from ekf_reference.dense.layers.layer import Hits, Layer
-from ekf_reference.dense.neglected import NeglectedCorrelation, corners_of
+from ekf_reference.dense.neglected import NeglectedCorrelation
 from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.regions import LocalRegions, Potential
 from ekf_reference.dense.scan import Scan
@@ -70,7 +70,7 @@ class DenseMap:
 
     def __post_init__(self) -> None:
         """The error layer follows the regions."""
-        self.neglected = NeglectedCorrelation(corners_of(self.regions))
+        self.neglected = NeglectedCorrelation(self.regions)
 
     def predicted(self, view: FilterView) -> None:
         """The filter has predicted, and not yet fused anything there."""
@@ -141,11 +141,10 @@ class DenseMap:
 
         All of these are within reach, whose covariance every filter has up to date.
         """
-        middle, base = placed.triangle[near].mean(axis=1), self.regions.base
-        known = replace(view, landmark=self.landmark)
-        slot = self.neglected.corners(known, base[near], middle)[0]
+        middle, known = placed.triangle[near].mean(axis=1), replace(view, landmark=self.landmark)
+        slot = self.neglected.carriers(known, near, middle).slot
         close = np.isin(slot, view.near(self.reach_m)).all(axis=1)
-        sigma = self.neglected.sigma_now(known, base, near, middle)
+        sigma = self.neglected.sigma_now(known, near, middle)
         return near[close & (sigma <= sigma_m)]
 
     def _note_error(self, view: FilterView, hits: Hits) -> None:
@@ -155,7 +154,7 @@ class DenseMap:
             sums = [np.bincount(row, hits.point[:, axis]) for axis in range(2)]
             mean = np.column_stack(sums) / count[:, None]
             known = replace(view, landmark=self.landmark)
-            self.neglected.note(known, self.regions.base, region, mean, count.astype(float))
+            self.neglected.note(known, region, mean, count.astype(float))
 
     def _let_wait(self, view: FilterView, scan: Scan, outside: Index) -> None:
         if self.waiting is None or not len(outside):

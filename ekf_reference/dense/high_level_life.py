@@ -38,21 +38,10 @@ GATE = 11.345
 """Squared Mahalanobis distance, 99 % of three degrees of freedom."""
 _COUNTED_AS = {BLANK: "no returns", APART: "no counterpart"}
 """Names of reasons in `counts`, where these are not the reasons themselves."""
+_SHARE = 0.3
+"""Of a template, in view: it holds what was seen from several sides, which no scan sees at once."""
+_MATCHED = ObservationOptions(overlap=0.4, ambiguous=0.8)
 _OBSERVATION = RelativePose()
-
-
-@dataclass(frozen=True)
-class LifeOptions:
-    """How sightings are made and judged.
-
-    settled: sigmas [m, m, rad] of where the dense map holds a landmark within the frame of two
-    others. share, observation: see scan_landmarks.templates; a template holds what was seen
-    from several sides, so that less of it is in view than of a scan's own.
-    """
-
-    settled: tuple[float, float, float] = (0.3, 0.3, 0.05)
-    share: float = 0.3
-    observation: ObservationOptions = field(default_factory=lambda: ObservationOptions(0.4, 0.8))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,9 +91,13 @@ class Expected(NamedTuple):
 
 @dataclass
 class HighLevelLandmarks:
-    """All that were found. counts: of looks that came to nothing, by reason, and of `seen`."""
+    """All that were found.
 
-    options: LifeOptions = field(default_factory=LifeOptions)
+    settled: sigmas [m, m, rad] of where the dense map holds a landmark within the frame of two
+    others. counts: of looks that came to nothing, by reason, and of `seen`.
+    """
+
+    settled: tuple[float, float, float] = (0.3, 0.3, 0.05)
     landmark: list[HighLevelLandmark] = field(default_factory=list)
     counts: Counter[str] = field(default_factory=Counter)
 
@@ -172,7 +165,7 @@ class HighLevelLandmarks:
         vehicle, covariance = (part[0] for part in read_local_poses(view, one.base[None]))
         at = _OBSERVATION.predict(vehicle, one.held[None])
         by_vehicle, by_own = at.jacobian_pose[0], at.jacobian_landmark[0]
-        spread = by_own @ np.diag(np.square(self.options.settled)) @ by_own.T
+        spread = by_own @ np.diag(np.square(self.settled)) @ by_own.T
         return Expected(at.z[0], by_vehicle @ covariance @ by_vehicle.T + spread)
 
     def _sight(
@@ -181,8 +174,8 @@ class HighLevelLandmarks:
         there = _OBSERVATION.predict(scan.mount, expected.z[None])
         turn = there.jacobian_landmark[0]
         prior = turn @ expected.covariance @ turn.T
-        view = replace(scan.view, share=self.options.share)
-        matching = TemplateMatching(view, self.options.observation, belief=one.belief)
+        view = replace(scan.view, share=_SHARE)
+        matching = TemplateMatching(view, _MATCHED, belief=one.belief)
         seen = observe(one.template, scan.shape, there.z[0], prior, matching)
         if not seen.usable or seen.alignment is None:
             return None, _COUNTED_AS.get(seen.reason, seen.reason)

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ekf_reference.core.geometry import Array, Index, Mask
+from ekf_reference.core.geometry import Array, Index, Mask, rotation
 from ekf_reference.dense.triangles import turned
 
 Single = NDArray[np.float32]
@@ -159,8 +159,7 @@ class Scan:
     @property
     def axes(self) -> Array:
         """(2, 2) columns are ahead and left of the scanner, in the world."""
-        cos, sin = np.cos(self.pose[2]), np.sin(self.pose[2])
-        return np.array(((cos, -sin), (sin, cos)))
+        return rotation(float(self.pose[2]))
 
     def beams_ahead(self, ahead_m: Array, left_m: Array) -> Beams:
         """The same for points ahead and left (N,) of the scanner."""

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ekf_reference.core.geometry import Array
+from ekf_reference.core.geometry import Array, rotation
 
 
 class Moved(NamedTuple):
@@ -32,9 +32,7 @@ def moved(first: Array, second: Array, point: Array) -> Moved:
     Source: Nieto 2005, eqs. 5.6, 5.7 and 5.9 to 5.11. Erratum: 5.8 prints T = x_L2 - x_L1; turned
     into the axes of the first, R(-phi_L1) (x_L2 - x_L1), it holds.
     """
-    angle = second[2] - first[2]
-    r = _rotation(angle)
-    into = _rotation(-first[2])
+    r, into = rotation(float(second[2] - first[2])), rotation(-float(first[2]))
     turned = point @ r.T
     shift = into @ (second[:2] - first[:2])
     result = turned + shift
@@ -60,8 +58,3 @@ def moved_gaussians(
     spread = at.by_point @ covariance @ at.by_point.T
     spread = spread + by_frames @ joint @ by_frames.transpose(0, 2, 1)
     return at.point, 0.5 * (spread + spread.transpose(0, 2, 1))
-
-
-def _rotation(angle_rad: float) -> Array:
-    cos, sin = np.cos(angle_rad), np.sin(angle_rad)
-    return np.array([[cos, -sin], [sin, cos]])

@@ -113,7 +113,8 @@ def neglected_change(
     """
     true_pose, true_landmark = truth_in_order(log)
     noise, looks = np.diag(np.square(sigma)), list[Look]()
-    regions, layer = LocalRegions(conditions=conditions or Conditions()), NeglectedCorrelation()
+    regions = LocalRegions(conditions=conditions or Conditions())
+    layer = NeglectedCorrelation(regions)
     passive, axes_then, true_local = None, list[Array](), list[Array]()
     for time, ekf in watched_run(log):
         passive = passive or PassiveStates(ekf)
@@ -132,7 +133,7 @@ def neglected_change(
         each = np.broadcast_to(noise, (len(base), 2, 2))
         seen = points(ekf.observation, view.pose, look.z, each)
         passive.watch(local_coordinates(seen, base, view.landmark))
-        layer.note(view, regions.base, region, seen.value)
+        layer.note(view, region, seen.value)
         looks.append(look)
         axes_then.append(np.stack(axes(view.landmark[base]), axis=-1))
         true_local.append(to_local(true_landmark[base], centre))

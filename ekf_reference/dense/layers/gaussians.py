@@ -130,7 +130,7 @@ def largest_sigma(covariance: Array) -> Array:
     """Largest standard deviation (N,) of covariances (N, 2, 2), in any direction."""
     mean = 0.5 * (covariance[:, 0, 0] + covariance[:, 1, 1])
     half = 0.5 * (covariance[:, 0, 0] - covariance[:, 1, 1])
-    sigma: Array = np.sqrt(mean + np.hypot(half, covariance[:, 0, 1]))
+    sigma: Array = np.sqrt(np.maximum(mean + np.hypot(half, covariance[:, 0, 1]), 0.0))
     return sigma
 
 
