@@ -78,15 +78,6 @@ class Differencing:
     deformed_m: float = 0.3
     known_m: float = 0.3
 
-    def __post_init__(self) -> None:
-        """Raises ValueError for a number out of range."""
-        for name, value in vars(self).items():
-            if not (value > 0.0 or (name == "least" and value == 0.0)):
-                raise ValueError(f"{name} is {value}, expected more than 0")
-        for name in ("threshold", "slow_threshold"):
-            if not getattr(self, name) < 1.0:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected less than 1")
-
 
 class _Map(NamedTuple):
     """A region's occupancy at one time. edge_m: (3,) of the region then."""
@@ -228,18 +219,15 @@ class DynamicLayer:
         if history is None:
             widths = self.rule.lowpass * sigma_m, self.rule.slow_lowpass * sigma_m
             brief, lasting = (LowPass.over(grid, triangle, width_m) for width_m in widths)
-            none = np.zeros(len(old), dtype=bool)
-            first = deque((_Map(now, _occupancy(old), edge_m),))
-            history = _History(
-                dynamic=none,
+            history = self._history[region] = _History(
+                dynamic=np.zeros(len(old), dtype=bool),
                 brief=brief,
                 lasting=lasting,
                 least_m2=self.rule.least * sigma_m**2,
-                recent=first,
+                recent=deque((_Map(now, _occupancy(old), edge_m),)),
                 looked_s=now,
                 seen_s=now,
             )
-            self._history[region] = history
         elif now - history.seen_s > self.rule.absence_s:
             history.visit = _Map(history.seen_s, _occupancy(old), edge_m)
             history.recent = deque((_Map(now, _occupancy(old), edge_m),))

@@ -17,11 +17,11 @@ import numpy as np
 
 from ekf_reference.core.ekf import NEW, Ekf
 from ekf_reference.core.geometry import Array, Index
-from ekf_reference.core.layout import POSE
 from ekf_reference.dense.high_level import Found, to_world
 from ekf_reference.dense.local_pose import Frames, local_pose, read_local_poses
 from ekf_reference.dense.view import FilterView
 from ekf_reference.models.relative_pose import RelativePose
+from ekf_reference.scan_landmarks.scan_slam import GATE, predicted_frames
 from ekf_reference.scan_landmarks.templates import (
     APART,
     BLANK,
@@ -34,8 +34,6 @@ from ekf_reference.scan_landmarks.templates import (
 from ekf_reference.scan_matching.alignment_covariance import CovarianceOptions
 from ekf_reference.scan_matching.sog import SumOfGaussians
 
-GATE = 11.345
-"""Squared Mahalanobis distance, 99 % of three degrees of freedom."""
 _COUNTED_AS = {BLANK: "no returns", APART: "no counterpart"}
 """Names of reasons in `counts`, where these are not the reasons themselves."""
 _SHARE = 0.3
@@ -152,7 +150,10 @@ class HighLevelLandmarks:
 
     def expected(self, ekf: Ekf, view: FilterView, one: HighLevelLandmark) -> Expected | None:
         """Its pose in the vehicle's frame; None where the covariance of what it hangs on is old."""
-        return self._passive(view, one) if one.slot == NEW else _active(ekf, one.slot)
+        if one.slot == NEW:
+            return self._passive(view, one)
+        z, covariance = predicted_frames(ekf, np.array([one.slot]))
+        return Expected(z[0], covariance[0])
 
     def begun(self, sightings: list[Sighting], slot: Index) -> None:
         """The filter has fused sightings and says which of its landmarks (m,) they are."""
@@ -203,10 +204,3 @@ def _in_the_world(one: HighLevelLandmark, point: Array) -> Array:
     ahead = second - first
     place = Frames.of(first, second).to_world(one.held[:2])
     return np.append(place, one.held[2] + np.arctan2(ahead[1], ahead[0]))
-
-
-def _active(ekf: Ekf, slot: int) -> Expected:
-    local, reading = ekf.state.map_of(np.array([slot]), POSE), ekf.read_pose()
-    at = _OBSERVATION.predict(reading.pose, local.landmark)
-    jacobian = np.hstack((at.jacobian_pose[0] @ reading.jacobian, at.jacobian_landmark[0]))
-    return Expected(at.z[0], jacobian @ local.covariance @ jacobian.T)

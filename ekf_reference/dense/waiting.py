@@ -36,15 +36,13 @@ class WaitingCounts:
 
     released: handed out. refused: not taken in, since no potential region has them. dropped: the
     oldest, for want of room. vanished: with a landmark of their frame, or as its two came to be one
-    place. uncoupled: points (they wait on) that are corrected no more, since their frame left the
-    active part of a compressed filter.
+    place.
     """
 
     released: int = 0
     refused: int = 0
     dropped: int = 0
     vanished: int = 0
-    uncoupled: int = 0
 
 
 class Released(NamedTuple):
@@ -222,9 +220,8 @@ class WaitingRoom:
             self._keep(np.flatnonzero(kept))
         current = _current(view, self.axis)
         if not current.all():
-            coupled = ~current[self.points.group] & self.points.cross.any(axis=(1, 2))
-            self.counts.uncoupled += int(np.count_nonzero(coupled))
-            self.points.cross[coupled] = 0.0
+            # Passive in a compressed filter: corrected no more.
+            self.points.cross[~current[self.points.group]] = 0.0
         before = self.mean, self.covariance
         self.mean, self.covariance = self.mean.copy(), self.covariance.copy()
         read = read_local_poses(view, self.axis[current])

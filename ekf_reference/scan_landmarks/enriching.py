@@ -1,9 +1,8 @@
-"""Templates with what the dense map knows around them (Nieto 2005, section 6.2).
+"""Template matching aided by the dense map around the landmark (Nieto 2005, section 6.2).
 
-The map was placed by the same filter, from scans of which the filter has used much already: what it
-says is not independent of the prior, and there is no R for it. So it says only which of the maxima
-of a template's correlation is the right one, a question of association. z and R come from the
-landmark's own template, from there, against the whole prior, as without a map; so does the gate.
+The map comes from the same filter and scans, so it is not independent of the prior and has no R.
+It only selects which maximum of a template's correlation is the right one. z and R, from there,
+are those of the template alone, against the whole prior, and so is the gate.
 """
 
 from __future__ import annotations
@@ -26,9 +25,9 @@ from ekf_reference.scan_matching.alignment import align
 from ekf_reference.scan_matching.sog import SumOfGaussians
 
 _THIN_M = 0.3
-"""Cells in which Gaussians become one: what an alignment costs grows with their number."""
+"""Cells in which Gaussians are merged, since an alignment's cost grows with their number."""
 _ONE_START_M = 1e4
-"""A spacing that leaves nothing of a prior but its middle."""
+"""Spacing of starts that leaves the middle of the prior alone."""
 
 
 Around = Callable[[Template, Array], SumOfGaussians | None]
@@ -68,10 +67,9 @@ class MapAidedObserver(TemplateObserver):
 
 
 def enriched(template: Template, around: SumOfGaussians) -> SumOfGaussians:
-    """A template's Gaussians and those around it, both in its axis; each half of the sum.
+    """Return a template's Gaussians and those around it, in its axis, each half of the weight.
 
-    By their lengths, as within a scan, the map would outweigh the template many times over. It is
-    never whole, and the correlation gains by laying what is in it onto what is not.
+    With weights by length, as within a scan, the incomplete map would outweigh the template.
     """
     n = len(around)
     even = SumOfGaussians(

@@ -1,13 +1,11 @@
-"""Scan-SLAM: the landmarks of an EKF are templates, pieces of scans (Nieto 2005, section 5.2).
+"""Scan-SLAM: landmarks of an EKF are templates, parts of scans (Nieto 2005, section 5.2).
 
-Where which noise belongs. A template's returns are noisy, so the axis in them is not where it
-would be in the true surface. Let a landmark be the axis at which the template fits the true
-surface best. Then the first sighting, at the template's own pose, errs by the template's noise
-alone: its R is that of a registration of the segment with a noisy copy of itself. Later ones err
-by the noise of their scans, and by nothing of the template's, whose error is the same each time.
-The alignment's covariance, which holds both, is taken: too large, as chi-square says, and with it
-the pose's NEES is honest as long as no loop is missed. What several sightings share through one
-template is still not in the state, so the smoother may be too sure.
+A landmark is the axis at which its template fits the true surface best. So the error of the first
+measurement, at the template's own pose, comes from the template's noise alone; its R is that of
+aligning the segment with a noisy copy of itself. Errors of later measurements come from the noise
+of their own scans. R is the alignment's covariance, which holds the template's noise too: it is too
+large by chi-square, and the pose's NEES is consistent with it as long as no loop is missed. The
+state does not hold what measurements share through one template, so a smoother may be too sure.
 """
 
 from __future__ import annotations
@@ -50,7 +48,7 @@ _BELIEF = CovarianceOptions(neighbourhood_m=1.0, beyond_chance=3.0)
 
 
 class Teller(Protocol):
-    """By whom a filter is told of landmarks with a direction."""
+    """Receives measurements of pose landmarks for a filter."""
 
     def observe(self, z: Array, covariance: Array, slot: Index) -> Index:
         """See Ekf.observe_oriented."""
@@ -59,10 +57,10 @@ class Teller(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class ScanSlamOptions:
-    """How much is done per scan, and what counts. The thesis tells none of these but the gate.
+    """Settings of Scan-SLAM; the thesis gives none of these but the gate.
 
-    aligned: most landmarks that one scan is laid onto. pieces: which returns become landmarks.
-    floor_m, floor_rad: least sigma of where an alignment is sought.
+    aligned: most templates that one scan is aligned with. pieces: which returns become templates.
+    floor_m, floor_rad: least sigma of the prior of an alignment.
     """
 
     aligned: int = 5
@@ -76,10 +74,7 @@ class ScanSlamOptions:
 
 
 class Predicted(NamedTuple):
-    """Landmarks (m,) as they should be seen from here. z: (m, 3) z^ in the scanner's frame.
-
-    covariance: (m, 3, 3) H P H^T of the vehicle, the landmark, and what they share.
-    """
+    """Predicted measurements z^ (m, 3) of landmarks, in the scanner's frame, with H P H^T."""
 
     slot: Index
     z: Array
@@ -88,12 +83,12 @@ class Predicted(NamedTuple):
 
 @dataclass(kw_only=True)
 class ScanLandmarks:
-    """What a run has gathered. template: by slot. sightings: used, by slot.
+    """Templates and counts of a run.
 
-    begun: templates by slot as they were begun, each of one scan, those of landmarks that were
-    fused since among them. reasons: how often a landmark near the scanner was USED, or why not.
-    rejected: pieces that failed their trial. scans: looked at. dynamic: returns that
-    were left out since something moves there.
+    template: by landmark index. sightings: measurements used, by landmark index. begun: every
+    template as it was initialised from one scan. reasons: how often a landmark near the scanner was
+    USED, or why it was not. rejected: candidate templates that failed their trial. scans: processed
+    so far. dynamic: returns left out because something moves there.
     """
 
     template: dict[int, Template] = field(default_factory=dict)
@@ -106,7 +101,7 @@ class ScanLandmarks:
 
 
 class ScanSlam:
-    """Sees scan landmarks in scans and begins new ones; the filter and its map are the caller's."""
+    """Measures templates in scans and initialises new ones; the filter is the caller's."""
 
     def __init__(
         self,
@@ -138,7 +133,7 @@ class ScanSlam:
         self._begun = 0
 
     def step(self, ekf: Ekf, scan: SumOfGaussians, tell: Teller) -> None:
-        """One scan, in the scanner's frame: predict, align, gate, update, augment."""
+        """Process a scan, in the scanner's frame: predict, align, gate, update, augment."""
         self.found.scans += 1
         used = self._update(ekf, self._predict(ekf), scan, tell)
         if self.options.pieces.due(self.found.scans, self._begun, used):
@@ -146,26 +141,15 @@ class ScanSlam:
 
     def _predict(self, ekf: Ekf) -> Predicted:
         """Z^ and H P H^T of all landmarks that may be within reach (Nieto 2005, eq. 5.15)."""
-        reading, reach_m = ekf.read_pose(), self.view.reach_m + float(np.hypot(*self.mount[:2]))
-        near = ekf.state.within(reach_m, POSE)
-        local = ekf.state.map_of(near, POSE)
-        at = ekf.oriented_observation.predict(reading.pose, local.landmark)
-        by_pose = at.jacobian_pose @ reading.jacobian
-        h = np.concatenate((by_pose, at.jacobian_landmark), axis=2)
-        p = len(reading.own)
-        joint = np.empty((len(near), p + POSE, p + POSE))
-        joint[:, :p, :p], joint[:, p:, p:] = local.vehicle, local.own
-        joint[:, :p, p:], joint[:, p:, :p] = local.cross, local.cross.transpose(0, 2, 1)
-        spread, out = h @ joint @ h.transpose(0, 2, 1), self._out()
-        z = at.z - self.mount
+        reach_m = self.view.reach_m + float(np.hypot(*self.mount[:2]))
+        near, out = ekf.state.within(reach_m, POSE), self._out()
+        frame, spread = predicted_frames(ekf, near)
+        z = frame - self.mount
         z[:, :2] = z[:, :2] @ out[:2, :2]
         return Predicted(near, z, out.T @ spread @ out)
 
     def _update(self, ekf: Ekf, predicted: Predicted, scan: SumOfGaussians, tell: Teller) -> int:
-        """[z, R] = scan_align(G_L, G_o, z^) of those in view; those within the gate are fused.
-
-        Returns how many.
-        """
+        """Fuse [z, R] = scan_align(G_L, G_o, z^) of those in view and gate; returns how many."""
         seen: list[tuple[int, Array, Array]] = []
         for row in self._in_view(predicted, scan):
             slot, z = int(predicted.slot[row]), predicted.z[row]
@@ -188,7 +172,7 @@ class ScanSlam:
         return len(seen)
 
     def _in_view(self, predicted: Predicted, scan: SumOfGaussians) -> list[int]:
-        """Rows of the predicted that are in view, those first that were longest out of sight."""
+        """Rows of the predicted that are in view, the longest unobserved first."""
         o, rows = self.options, []
         for row, slot in enumerate(predicted.slot.tolist()):
             if self._share(slot, predicted.z[row], scan) >= self.view.share:
@@ -204,7 +188,7 @@ class ScanSlam:
         return share_in_view(self.found.template[slot], scan, z, self.view) if len(scan) else 0.0
 
     def _augment(self, ekf: Ekf, scan: SumOfGaussians, tell: Teller) -> None:
-        """Pieces begin a landmark if they lay themselves onto themselves."""
+        """Initialise landmarks of those candidate templates that align with themselves."""
         o = self.options
 
         def known() -> list[Known]:
@@ -227,7 +211,7 @@ class ScanSlam:
             self._begun = self.found.scans
 
     def _told(self, tell: Teller, seen: list[tuple[int, Array, Array]]) -> int:
-        """Tell of sightings (slot, z, R) in the scanner's frame; returns the last one's slot."""
+        """Fuse measurements (index, z, R) in the scanner's frame; returns the last index."""
         out = self._out()
         z = np.array([at for _, at, _ in seen]) @ out.T + self.mount
         r = np.array([out @ spread @ out.T for *_, spread in seen])
@@ -242,3 +226,18 @@ class ScanSlam:
         out = np.eye(3)
         out[:2, :2] = rotation(float(self.mount[2]))
         return out
+
+
+def predicted_frames(ekf: Ekf, slot: Index) -> tuple[Array, Array]:
+    """Predict the frames of landmarks (m,) in the vehicle's (Nieto 2005, eq. 5.15).
+
+    Returns z^ (m, 3) and H P H^T (m, 3, 3) of the vehicle, the landmark, and what they share.
+    """
+    reading, local = ekf.read_pose(), ekf.state.map_of(slot, POSE)
+    at = ekf.oriented_observation.predict(reading.pose, local.landmark)
+    h = np.concatenate((at.jacobian_pose @ reading.jacobian, at.jacobian_landmark), axis=2)
+    p = len(reading.own)
+    joint = np.empty((len(slot), p + POSE, p + POSE))
+    joint[:, :p, :p], joint[:, p:, p:] = local.vehicle, local.own
+    joint[:, :p, p:], joint[:, p:, :p] = local.cross, local.cross.transpose(0, 2, 1)
+    return at.z, h @ joint @ h.transpose(0, 2, 1)

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ekf_reference.core.geometry import Array
-from ekf_reference.scan_matching.correlation import Look, Pairs
 from ekf_reference.scan_matching.problem import (
     SLACK,
     AlignmentOptions,
@@ -32,20 +31,15 @@ class Alignment:
     """Where the first sum lies in the second one's frame, with evidence.
 
     pose: (3,) x_M of Nieto 2005, eq. 5.14: x, y [m], heading [rad], the nearest to the guess's.
-    correlation: Lambda there over the
-    geometric mean of what the first sum and those of the second that it meets have with
-    themselves, 0 to 1. overlap: share of the first sum's weight that finds a counterpart.
-    runner_up: Lambda of the second-best maximum found over that of the best; near 1 the result is
-    a guess among two, and 0 says that there was no other within the prior. iterations: of all
-    stages on the way to the result. converged: whether the last stage ended at a maximum.
+    overlap: share of the first sum's weight that finds a counterpart. runner_up: Lambda of the
+    second-best maximum found over that of the best; near 1 the pose is ambiguous, at 0 there was no
+    other maximum within the prior. converged: whether the last stage ended at a maximum.
     """
 
     pose: Array
-    correlation: float
-    overlap: float
-    runner_up: float
-    iterations: int
-    converged: bool
+    overlap: float = 0.0
+    runner_up: float = 0.0
+    converged: bool = False
 
 
 @dataclass(frozen=True)
@@ -54,7 +48,6 @@ class Climb:
 
     pose: Array
     value: float
-    iterations: int
     converged: bool
 
 
@@ -85,22 +78,16 @@ def aligned(problem: Problem) -> Alignment:
     begin = starts(coarse[0].first, coarse[0].second, lattice, o.inflation_m[0], o.starts)
     ends = [climb(coarse[0], pose, o.inflation_m[0]) for pose in begin]
     ends = _distinct(problem, ends, o.inflation_m[0])[: o.finished]
-    finished = []
-    for end in ends:
-        steps = end.iterations
-        for stage, inflation_m in zip(coarse[1:], o.inflation_m[1:], strict=True):
-            end = climb(stage, end.pose, inflation_m)
-            steps += end.iterations
-        finished.append(Climb(end.pose, end.value, steps, end.converged))
-    finished = _distinct(problem, finished, o.spacing_m)
+    for stage, inflation_m in zip(coarse[1:], o.inflation_m[1:], strict=True):
+        ends = [climb(stage, end.pose, inflation_m) for end in ends]
+    finished = _distinct(problem, ends, o.spacing_m)
     if not finished:
         return _apart(problem)
     best = finished[0]
     runner_up = finished[1].value / best.value if len(finished) > 1 else 0.0
     inside = within_seams(problem, best.pose)
     if len(inside.first):
-        again = climb(inside, best.pose, 0.0)
-        best = replace(again, iterations=best.iterations + again.iterations)
+        best = climb(inside, best.pose, 0.0)
     return evidence(problem, best, runner_up)
 
 
@@ -136,7 +123,7 @@ def climb(
             step -= held @ (held.T @ step)
         length = float(np.linalg.norm(step))
         if length < close:
-            return Climb(pose, here.value, taken, converged=True)
+            return Climb(pose, here.value, converged=True)
         tried = pairs.derivatives(pose + unit * step)
         expected = float(slope @ step + 0.5 * step @ bend @ step)
         gained = math.log(tried.value / here.value) if tried.value > 0.0 else -math.inf
@@ -146,20 +133,18 @@ def climb(
             radius *= 2.0
         if gained <= 0.0:
             if length < 100.0 * close:
-                return Climb(pose, here.value, taken, converged=True)
+                return Climb(pose, here.value, converged=True)
             continue
         pose, here = pose + unit * step, tried
         if np.abs((pose - looked) / unit).max() > slack:
             pairs, looked = problem.pairs(pose, inflation_m), pose
             here = pairs.derivatives(pose)
-    return Climb(pose, here.value, taken, converged=False)
+    return Climb(pose, here.value, converged=False)
 
 
 def evidence(problem: Problem, best: Climb, runner_up: float) -> Alignment:
     """What is said of a maximum."""
-    pairs = problem.pairs(best.pose)
-    value = pairs.value(best.pose)
-    if not value > 0.0:
+    if not problem.pairs(best.pose).value(best.pose) > 0.0:
         return _apart(problem)
     laid = problem.first.transformed(best.pose)
     column = problem.second.tree.query(laid.mean)[1]
@@ -167,30 +152,17 @@ def evidence(problem: Problem, best: Climb, runner_up: float) -> Alignment:
     spread = laid.covariance + problem.second.covariance[column]
     square = np.einsum("ni,ni->n", apart, np.linalg.solve(spread, apart[:, :, None])[:, :, 0])
     overlap = float(problem.first.weight[square < _COUNTERPART].sum())
-    met = np.unique(pairs.column)
-    own = _self_correlation(problem, problem.first)
-    its = _self_correlation(problem, problem.second.take(met))
-    share = float(problem.second.weight[met].sum())
     return Alignment(
         pose=moved(best.pose, -problem.centre),
-        correlation=min(value / (share * math.sqrt(own * its)), 1.0),
         overlap=overlap,
         runner_up=runner_up,
-        iterations=best.iterations,
         converged=best.converged,
     )
 
 
 def _apart(problem: Problem) -> Alignment:
-    pose = moved(problem.guess, -problem.centre)
-    return Alignment(
-        pose=pose,
-        correlation=0.0,
-        overlap=0.0,
-        runner_up=0.0,
-        iterations=0,
-        converged=False,
-    )
+    """Two sums that do not meet: the guess."""
+    return Alignment(pose=moved(problem.guess, -problem.centre))
 
 
 def _newton(slope: Array, bend: Array, radius: float) -> Array:
@@ -216,10 +188,3 @@ def _distinct(problem: Problem, ends: list[Climb], apart_m: float) -> list[Climb
         if end.value > 0.0 and all(far):
             kept.append(end)
     return kept
-
-
-def _self_correlation(problem: Problem, one: SumOfGaussians) -> float:
-    still = np.zeros(3)
-    o = problem.options
-    look = Look(o.neighbours, o.reach * math.sqrt(2.0 * one.typical_variance), o.reach)
-    return Pairs.near(one, one, still, look).value(still)

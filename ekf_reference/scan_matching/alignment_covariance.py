@@ -65,8 +65,7 @@ class CovarianceOptions:
     a maximum sits on one. sharp: curvature by squared neighbourhood beyond which no edge is
     looked at. open_sigmas: sigma of a direction that is not fixed, over the neighbourhood, so
     that a filter learns next to nothing along it.
-    calibration: factor on the variance. Simulated pairs need none: NEES per degree of freedom is
-    0.9 with 2 cm of range noise and 1.0 to 1.1 with 10 cm and 1 degree.
+    NEES per degree of freedom is 0.9 with 2 cm of range noise, 1.0 to 1.1 with 10 cm and 1 degree.
     """
 
     sample_sigmas: float = 0.5
@@ -75,7 +74,6 @@ class CovarianceOptions:
     beyond_chance: float = 4.0
     sharp: float = 100.0
     open_sigmas: float = 10.0
-    calibration: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -168,8 +166,7 @@ class _Shape:
         covariance = (loose * _along(about, loose)) @ loose.T * belief.open_sigmas**2
         if pairs is not None and met.any():
             flattest = belief.fallen / _along(about, fixed).max()
-            spread = _sandwich(pairs, peak, unit, curvature, fixed, flattest)
-            covariance += spread * belief.calibration
+            covariance += _sandwich(pairs, peak, unit, curvature, fixed, flattest)
             covariance += fixed @ (fixed.T @ bent @ fixed) @ fixed.T
         return cls(curvature, fixed, loose, covariance)
 

@@ -22,20 +22,16 @@ _FARTHEST = 0.9
 """Share of the greatest range beyond which a surface may go on out of reach."""
 
 
-def of_scan(
-    bearing_rad: Array, range_m: Array, sensor: Sensor, *, surface: bool = True
-) -> SumOfGaussians:
+def of_scan(bearing_rad: Array, range_m: Array, sensor: Sensor) -> SumOfGaussians:
     """The returns of a scan in the scanner's frame; beams (B,), those without return left out.
 
-    Means and covariances are Nieto 2005, eqs. 4.15 and 4.16. surface: each return also stands
-    for the surface between it and its neighbours on the same surface, and its Gaussian is so much
-    longer; and where the scan loses a surface that goes on there are seams. Without that two
-    scans of one wall match where their returns fall on each other, or where the views end, which
-    says where the beams went and nothing about the wall. A sensor with grazing_rad 0 has no
-    neighbours. In a full circle the surface straight behind is cut in two.
+    Means and covariances are Nieto 2005, eqs. 4.15 and 4.16. Each Gaussian is longer by the surface
+    between the return and its neighbours on the same surface, if any (see Sensor.joins), and where
+    the scan loses a surface that goes on there are seams. Otherwise two scans of one wall would
+    match by where beams hit and views end. In a full circle the surface behind is cut in two.
     """
     scan = Scan.of_ranges(np.zeros(3), bearing_rad, range_m, sensor)
-    if not surface or len(scan.range_m) < 2:
+    if len(scan.range_m) < 2:
         return SumOfGaussians.of_equal_height(scan.point, scan.covariance)
     one = sensor.joins(scan.range_m[:-1], scan.range_m[1:], np.diff(scan.bearing_rad))
     half = 0.5 * np.where(one[:, None], np.diff(scan.point, axis=0), 0.0)

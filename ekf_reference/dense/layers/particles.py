@@ -23,7 +23,7 @@ class Particles(PointLayer):
     closer than that are samples of the same state (Nieto 2005, eq. 4.10). model: what a return
     says. confidence: weights stay between 1 - confidence and confidence, so that the map can
     change its mind. least: particles of a smaller weight are dropped, 0 to keep them; so are
-    those that have come to lie on a heavier one. Both are counted in `pruned`.
+    those that have come to lie on a heavier one.
 
     Of what a scan draws only samples farther than d_min from all old particles are added. So the
     number of particles levels off in a scene that stays as it is.
@@ -48,7 +48,6 @@ class Particles(PointLayer):
         super().__init__(3, d_min_m)
         self.per_return = per_return
         self.model = model or InverseSensorModel()
-        self.pruned = 0
         self._rng = rng
         self._most = float(log_odds(confidence))
         self._least = float(log_odds(least)) if least > 0.0 else -np.inf
@@ -71,7 +70,6 @@ class Particles(PointLayer):
         self._store.put(old)
         kept = old.value[:, 2] >= self._least
         kept[doubled(pair, self._reach_m, old.value[pair.old, 2])] = False
-        self.pruned += int(np.count_nonzero(~kept))
         self._store.keep(old, kept)
         row = np.flatnonzero(~pair.met)
         region = np.repeat(hits.region, self.per_return)[row]

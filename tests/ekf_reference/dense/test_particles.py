@@ -178,7 +178,7 @@ def test_numbers_level_off_in_a_scene_that_stays() -> None:
         particles.fuse(*told(placed, wall_scan(rng=rng)))
         size.append(len(particles))
     assert max(size[200:]) < 1.15 * max(size[:100])
-    assert particles.pruned > 0
+    assert min(np.diff(size)) < 0  # some are dropped
 
 
 def test_shares_of_weights_on_the_simulation() -> None:

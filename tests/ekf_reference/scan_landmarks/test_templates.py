@@ -78,8 +78,6 @@ def test_blank_scans_and_single_points_make_no_segments() -> None:
     assert not quality(one, LASER, np.random.default_rng(0)).accepted
     with pytest.raises(ValueError, match="template of 1 points"):
         Template.of_segment(one, np.array([0]))
-    with pytest.raises(ValueError, match="above zero"):
-        SegmentationOptions(trials=0)
 
 
 def tried(scene: object) -> Quality:

@@ -48,7 +48,6 @@ def test_a_sum_finds_its_own_copy_exactly(scene: object) -> None:
     true = np.array((0.4, -0.3, 0.2))
     found = align(one, one.transformed(true), true + (0.2, 0.2, -0.05), NEAR)
     assert np.abs(found.pose - true).max() < 1e-6
-    assert found.correlation > 1.0 - 1e-3
     assert found.overlap == pytest.approx(1.0)
     assert found.converged
 
@@ -116,7 +115,7 @@ def test_what_does_not_meet_says_so() -> None:
     for first, second in ((one, blank), (blank, one), (blank, blank), (one, far)):
         found = align(first, second, guess, NEAR)
         np.testing.assert_allclose(found.pose, guess, atol=1e-12)
-        assert found.overlap == found.correlation == 0.0
+        assert found.overlap == 0.0
         assert not found.converged
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
@@ -70,7 +72,7 @@ def test_thinning_keeps_mean_covariance_and_weight() -> None:
 def test_returns_without_surface_are_equations_4_15_and_4_16() -> None:
     way = ranges(np.random.default_rng(0), ELL, STILL, LASER)
     scan = Scan.of_ranges(STILL, BEAMS, way, LASER)
-    one = of_scan(BEAMS, way, LASER, surface=False)
+    one = of_scan(BEAMS, way, replace(LASER, grazing_rad=0.0))
     np.testing.assert_array_equal(one.mean, scan.point)
     np.testing.assert_array_equal(one.covariance, scan.covariance)
 
@@ -81,8 +83,8 @@ def test_a_wall_has_an_even_height_and_single_returns_do_not() -> None:
     way[np.abs(BEAMS) > 1.0] = np.nan
     line = np.column_stack((np.full(400, 8.0), np.linspace(-5.0, 5.0, 400)))
     uneven = []
-    for surface in (True, False):
-        height = of_scan(BEAMS, way, LASER, surface=surface).value(line)
+    for sensor in (LASER, replace(LASER, grazing_rad=0.0)):
+        height = of_scan(BEAMS, way, sensor).value(line)
         uneven.append(float(height.std() / height.mean()))
     assert uneven[0] < 0.01 < 0.3 < uneven[1]
 
