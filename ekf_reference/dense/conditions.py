@@ -70,10 +70,8 @@ def smallest_angle(triangle: Array) -> Array:
 class Conditions:
     """Bounds of the three conditions, and how large a region may be.
 
-    least_correlation: of every pair of base landmarks.
-    known_apart_m: standard deviation of a pair's relative position below which correlation is
-    not asked for; 0 to ask always, as the thesis does. Landmarks seen from a well known pose
-    are independent, yet their region cannot deform.
+    least_correlation: of every pair of base landmarks. known_apart_m: standard deviation of a
+    pair's relative position below which any correlation will do; 0 for none, as in the thesis.
     flip_sigmas: how many standard deviations a region must be away from turning over.
     least_angle_rad: of the three corners. longest_edge_m: of the three edges.
     """
@@ -137,9 +135,8 @@ def overlap(first: Array, second: Array) -> Mask:
 def crosses(segment: Array, triangle: Array) -> Mask:
     """Whether segments (k, 2, 2) run through the inside of triangles (k, 3, 2); (k,).
 
-    Then every triangle with such an edge, unless it is a line, overlaps the other. A segment along
-    an edge, or up to a corner, does not cross. The two are apart when the triangle lies on one side
-    of the segment, or the segment outside of one of the triangle's edges.
+    A segment along an edge, or up to a corner, does not cross. The two are apart when the triangle
+    lies on one side of the segment, or the segment outside of one of the triangle's edges.
     """
     start, way = segment[:, 0], segment[:, 1] - segment[:, 0]
     side = np.stack([_cross(way, triangle[:, i] - start) for i in range(3)])

@@ -23,8 +23,7 @@ from ekf_reference.dense.waiting import WaitingRoom
 class Tally:
     """What became of all returns: fused at once, after a wait (`late`), or not at all.
 
-    outside: where no region is, nor two landmarks that one could hang on. The rest waits, or is
-    counted by the waiting room.
+    outside: in no region, nor in a potential one. The others wait, or are counted there.
     """
 
     scans: int = 0
@@ -38,18 +37,16 @@ class Tally:
 class DenseMap:
     """Regions between a filter's landmarks, and layers in them, fed scan by scan.
 
-    Of each instant: `predicted`, the filter's update, `updated`, `insert`. The filter is read only.
+    At each instant call `predicted`, the filter's update, `updated`, `insert`.
 
-    layers: by name; all are given the same scans. regions: made as landmarks arrive.
-    waiting: for returns where no region is yet; None to leave these out, as the thesis'
-    simulations do. reach_m: of the landmarks that may form regions. least_points: returns that
-    wait in vain before a region with a virtual corner is made for them. seek_every: scans after
-    which regions are sought again; with every new landmark they are, too. neglected: per region,
-    how far what the map leaves out may still move its data (section 3.6). dynamic: where things
-    move, if that is looked for (section 6.3); it is no Layer, since it asks when. landmark: (L, 2)
-    [m] where the regions' landmarks were when the filter was last read. known_m: greatest standard
-    deviation of a region, seen from the vehicle, at which its returns are fused; the others count
-    as outside.
+    layers: by name; all are given the same scans. waiting: for returns outside all regions; None to
+    leave these out, as the thesis' simulations do. reach_m: of the landmarks that may form regions.
+    least_points: returns that are overdue before a region with a virtual corner is made for them.
+    seek_every: scans after which regions are sought again, as with every new landmark. neglected:
+    how far what the map leaves out may still move a region's data (section 3.6). dynamic: where
+    things move, if that is wanted (section 6.3). landmark: (L, 2) [m] of the filter when it was
+    last read. known_m: greatest standard deviation of a region, seen from the vehicle, at which
+    its returns are fused; the others count as outside.
     """
 
     layers: Mapping[str, Layer]
@@ -127,20 +124,14 @@ class DenseMap:
         self._let_wait(view, scan, np.flatnonzero(found.region < 0))
 
     def place(self, view: FilterView) -> PlacedRegions:
-        """The regions with the landmarks where a view has them: the whole map has moved along.
-
-        A landmark that has left the filter's map stays where it was last.
-        """
+        """Move the regions to a view's landmarks; one that has left the filter's map stays."""
         known = np.full_like(view.landmark, np.nan)
         known[: len(self.landmark)] = self.landmark
         self.landmark = np.where(np.isnan(view.landmark), known, view.landmark)
         return self.regions.placed(self.landmark)
 
     def _known(self, view: FilterView, placed: PlacedRegions, near: Index, sigma_m: float) -> Index:
-        """Those of the regions whose middle a scan from here places so well among its landmarks.
-
-        All of these are within reach, whose covariance every filter has up to date.
-        """
+        """Those of the regions whose middle is known so well from here, all within reach."""
         middle, known = placed.triangle[near].mean(axis=1), replace(view, landmark=self.landmark)
         slot = self.neglected.carriers(known, near, middle).slot
         close = np.isin(slot, view.near(self.reach_m)).all(axis=1)

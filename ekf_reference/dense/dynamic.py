@@ -2,13 +2,8 @@
 
 Occupancy maps of one region at two times are differenced, low-pass filtered, thresholded, and
 united with what was found before. Fast motion shows between maps a second apart, slow motion
-between two visits. Maps of one region lie on the same landmarks: only local errors part them,
-whatever the vehicle has drifted in between (section 6.3.1).
-
-That takes three landmarks that stand still around every place. A landmark that moves, and is
-recognised all the same, drags its regions along; their maps lie on other ground and are not
-compared. Other regions see it pass, but where there are none it is not found out; in a scene
-in which all landmarks move nothing is.
+between two visits. Only local errors part two maps of one region, whatever the vehicle's drift
+(section 6.3.1), as long as its landmarks stand still: regions that deform are not compared.
 """
 
 from __future__ import annotations
@@ -44,27 +39,22 @@ _CONFIDENCE = 0.95
 class Differencing:
     """Which maps are differenced, and what counts as a change.
 
-    fast_s: between two maps for fast motion (1 s in the thesis' experiment). look_s: how often maps
-    are differenced; the thesis does so every second, and then what passes in between must pass
-    more often to be seen everywhere. absence_s: a region that was not seen for so long is visited
+    fast_s: between two maps for fast motion (1 s in the thesis). look_s: how often maps are
+    differenced; every second in the thesis. absence_s: a region not seen for so long is visited
     anew; slow motion is what differs from the end of the last visit. The thesis takes maps 150 s
     apart instead, which is longer than its loop.
 
     lowpass, slow_lowpass: standard deviation of the Gaussian low-pass, in units of the standard
-    deviation of where the grid puts a return (GridUpdate.sigma_m), or of a cell if that is more: a
-    shift by one is seldom motion, however exact the scanner. Surfaces are bands of 2.4 of the
-    former. A band of width w that has changed keeps erf(w / (2 sqrt(2) lowpass)) of its height: of
-    one that came or went two thirds (fast) or half (slow), less with exact scanners on large cells;
-    of one that noise has moved by a quarter of its width less than 0.2. Over a long time local
-    errors move contours by more.
-    threshold, slow_threshold: least change of occupancy. The thesis has 0.5, of a filter that it
-    does not give; here it lies between the two. least: a smaller piece of changed ground, in
-    squares of the same unit, is noise, too: a pole that some beams pass by comes and goes.
+    deviation of where the grid puts a return (GridUpdate.sigma_m), or of a cell if that is more.
+    A changed band of width w keeps erf(w / (2 sqrt(2) lowpass)) of its height. Surfaces are bands
+    of 2.4 units: of one that came or went two thirds (fast) or half (slow) are left, of one that
+    noise has moved by a quarter of its width less than 0.2.
+    threshold, slow_threshold: least change of occupancy, between the two. The thesis has 0.5, for
+    a filter that it does not give. least: smallest connected change, in squares of the same unit.
 
-    deformed_m: where an edge of the region has changed by more between two maps, local coordinates
-    name other ground, and the maps are not compared: a landmark that moves deforms its regions.
-    known_m: a scan counts only where the vehicle is known so well relative to a region's landmarks
-    (standard deviation), as it is not before a loop is closed.
+    deformed_m: greatest change of a region's edge between two maps that are compared.
+    known_m: greatest standard deviation of the vehicle relative to a region's landmarks at which
+    a scan counts; it is larger before a loop is closed.
     """
 
     fast_s: float = 1.0
@@ -120,10 +110,10 @@ class Counters:
 
 @dataclass
 class DynamicLayer:
-    """Mask per cell of every region, on occupancy grids of their own.
+    """Mask of dynamic cells per region, on occupancy grids of their own.
 
-    The grids answer faster than those of a map that is kept: with p_occupied 0.9, p_free 0.3 and
-    a confidence of 0.95 two returns make free ground occupied, and four looks past it free again.
+    With p_occupied 0.9, p_free 0.3 and a confidence of 0.95 two returns make free ground occupied,
+    and four scans past it make it free again.
     """
 
     resolution_m: float = 0.2

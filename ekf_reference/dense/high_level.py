@@ -1,9 +1,8 @@
-"""High level landmarks: what no single scan shows, found in the dense map (Nieto 2005, 6.1).
+"""High level landmarks, found in the dense map and not in a single scan (Nieto 2005, 6.1).
 
 A corner of the occupancy layer is paired with the nearest one; a rectangle is drawn around the two
-(Fig. 6.4); and the Gaussians of the sum-of-Gaussians layer inside it, if there are enough of
-them, are the template of a landmark with a direction (6.1.2). Only the regions around the
-vehicle are looked at, so that the cost does not depend on the size of the map (6.1.3).
+(Fig. 6.4); the Gaussians of the sum-of-Gaussians layer inside it, if there are enough, are the
+template of a pose landmark (6.1.2). Only regions around the vehicle are searched (6.1.3).
 """
 
 from __future__ import annotations
@@ -26,14 +25,13 @@ from ekf_reference.scan_matching.sog import SumOfGaussians
 
 @dataclass(frozen=True, kw_only=True)
 class SearchOptions:
-    """Where and what is looked for; lengths and the least number are those of Nieto 2005, 6.1.3.
+    """Settings of the search; lengths and the least number are those of Nieto 2005, 6.1.3.
 
-    reach_m: how far from the vehicle, along the axes; cell_m: of the grid that is looked at.
+    reach_m: how far from the vehicle, along the axes. cell_m: of the grid that is searched.
     pair_m: greatest distance of two corners. margin_m: from the corners to the rectangle's sides.
-    least: Gaussians in it. thin_m: cells in which they then become one, 0 for all of them: what a
-    match costs grows with their number. occupied: least occupancy of the cell that a Gaussian
-    lies in, for no scan that looks past takes one out of its layer. clear_m: corners and
-    Gaussians so near to a point landmark are that landmark, which the filter has.
+    least: Gaussians in it. thin_m: cells in which these are merged, 0 for none, since a match's
+    cost grows with their number. occupied: least occupancy of the cell that a Gaussian lies in.
+    clear_m: corners and Gaussians so near to a point landmark are left out.
     """
 
     reach_m: float = 30.0

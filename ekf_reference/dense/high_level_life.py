@@ -1,9 +1,8 @@
-"""The life of high level landmarks: passive until seen again, then in the state (Nieto 2005, 6.1).
+"""High level landmarks: passive until measured again, then in the state (Nieto 2005, 6.1).
 
-A passive one is kept in the frame of two of its region's landmarks and moves with the map. What a
-scan says of it, aligned with its template, begins it in the state as eqs. 2.51 to 2.53 do with
-any new landmark: no covariance is made up, and the dense map's is not needed. From then on it
-is observed like the others.
+A passive one is kept in the frame of two of its region's landmarks and moves with the map. The
+first scan that aligns with its template initialises it in the state by eqs. 2.51 to 2.53, as any
+new landmark; no covariance is made up. From then on it is observed like the others.
 """
 
 from __future__ import annotations

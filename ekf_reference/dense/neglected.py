@@ -1,8 +1,7 @@
-"""The error layer: how far what a dense map leaves out may still move its data (N 3.6).
+"""Bound of the correlation that dense maps neglect (Nieto 2005, section 3.6).
 
-A map that keeps local coordinates for good ignores eq. 3.16. All that later updates can add up to
-is bounded beforehand: they cannot take away more doubt than the vehicle and the base landmarks
-had about each other when a point was fused. The sensor's own noise stays and moves nothing.
+A map that keeps local coordinates for good ignores eq. 3.16. The sum of all later changes is
+bounded by the relative uncertainty of the vehicle and the base landmarks when a point was fused.
 """
 
 from __future__ import annotations

@@ -1,17 +1,13 @@
 """The partition of the map into local triangular regions, maintained as landmarks arrive.
 
-A region is three landmarks, for good: dense data keeps its local coordinates, so a region that
-holds any must never be split, flipped or dropped. That rules out what an incremental Delaunay
-triangulation does (scipy's included): a landmark that arrives flips edges around it. Instead
-regions are only ever appended: of the triples of nearby landmarks that meet the conditions of
-Nieto 2005, section 3.5, the roundest first, all that fit between the regions that exist. So no
-gap stays open that a permitted triple fills, and a landmark inside a region is no corner
-(Fig. 3.1).
+Dense data keeps its local coordinates, so a region's three landmarks never change. An incremental
+Delaunay triangulation would flip edges; here regions are only appended: all triples of nearby
+landmarks that meet the conditions of Nieto 2005, section 3.5, and overlap no region, the roundest
+first. So no gap stays open that a permitted triple fills, and a landmark inside a region is no
+corner (Fig. 3.1).
 
-Landmarks move with every update of the filter. A history of the triangulation would locate points
-among landmarks where they once were; a tree of boxes is refitted to where they are now, which
-costs a pass over the regions, less than the update that moved them. A landmark that leaves the
-map is a row of NaN: its regions are empty from then on, and their ground is free.
+Points are located by a tree of boxes, fitted anew whenever landmarks have moved. A landmark that
+leaves the map is a row of NaN: its regions are empty from then on, and their ground is free.
 """
 
 from __future__ import annotations
@@ -33,9 +29,8 @@ from ekf_reference.dense.virtual_landmarks import VirtualLandmarks, behind
 class Potential(NamedTuple):
     """Triangles that may become regions once they meet the first condition.
 
-    axis: (C, 2) places in the map of the two real landmarks that a triangle is best told by, its
-    longest edge, or its only real one. placed: the triangles, those with three real
-    landmarks first, each kind roundest first.
+    axis: (C, 2) landmarks of a triangle's longest edge, or of its only edge between real landmarks.
+    placed: the triangles, those with three real landmarks first, each kind roundest first.
     """
 
     axis: Index
@@ -69,11 +64,7 @@ class LocalRegions:
         return np.concatenate((landmark, self.virtual.point(landmark)[::-1]))
 
     def placed(self, landmark: Array) -> PlacedRegions:
-        """The regions with the map's landmarks (L, 2) [m] where they are now.
-
-        The last answer serves for as long as nothing moves or is added: it is asked for several
-        times between two updates of the filter.
-        """
+        """Return the regions with the map's landmarks (L, 2) [m] where they are now; cached."""
         if self._last is not None:
             asked, base, placed = self._last
             if base is self.base and np.array_equal(asked, landmark, equal_nan=True):
@@ -164,12 +155,7 @@ class LocalRegions:
         return base[np.argsort(circumradius(landmark[base]), kind="stable")]
 
     def _behind(
-        self,
-        landmark: Array,
-        slot: Index,
-        pose: Array,
-        covariance: Array,
-        pair: Mask,
+        self, landmark: Array, slot: Index, pose: Array, covariance: Array, pair: Mask
     ) -> tuple[VirtualLandmarks, Array]:
         """Virtual landmarks behind `_open` pairs, and triangles (C, 3, 2) that fit."""
         local = landmark[slot]
@@ -185,10 +171,7 @@ class LocalRegions:
         return VirtualLandmarks(slot[new.pair[fit]], new.depth[fit]), triangle[fit]
 
     def _open(self, landmark: Array, slot: Index, pair: Mask) -> Mask:
-        """The pairs (m, m), each once, that no region lies between: what may be a new one's edge.
-
-        Where regions are dense that leaves few, and of all pairs there are triples without number.
-        """
+        """The pairs (m, m), each once, that may be a new region's edge: no region lies between."""
         pair = np.triu(pair)
         first, second = np.nonzero(pair)
         between = self.placed(landmark).crossed(landmark[np.stack((slot[first], slot[second]), 1)])

@@ -1,4 +1,4 @@
-"""Templates of landmarks, and what a scan says of them (Nieto 2005, 5.2.1, 5.2.3 and 5.7)."""
+"""Templates of landmarks, and their observation in scans (Nieto 2005, 5.2.1, 5.2.3 and 5.7)."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ class View:
 
 @dataclass(frozen=True)
 class ObservationOptions:
-    """What is aligned, and when that counts as seeing the landmark.
+    """When an alignment observes a landmark.
 
     overlap: least share of what is aligned that finds a counterpart. ambiguous: greatest second
     maximum over the best. visible: of the template only what should be in view is aligned.
@@ -107,7 +107,7 @@ class TemplateMatching:
 
 @dataclass(frozen=True)
 class Observation:
-    """What a scan says of a landmark.
+    """The observation of a template in a scan.
 
     alignment: z and R with their evidence, None when nothing was tried. reason: why it must not
     be used, one of BLANK, OUT_OF_VIEW, APART, AMBIGUOUS, UNFINISHED; empty where it may be.
@@ -123,11 +123,10 @@ class Observation:
 
 
 def share_in_view(template: Template, scan: SumOfGaussians, pose: Array, view: View) -> float:
-    """Share of a template's points that the sensor should see from where the scan was taken.
+    """Return the share of a template's points that the scanner should see.
 
-    pose: (3,) of the template's axis in the scanner's frame. A point does not count when it lies
-    outside the field of view or when the returns on both its sides, no farther from it than their
-    own neighbours are, come from something much nearer.
+    pose: (3,) of the template's axis in the scanner's frame. Points outside the field of view, or
+    behind much nearer returns on both sides, are not seen.
     """
     return float(np.mean(_in_view(template, scan, pose, view)))
 
@@ -142,8 +141,7 @@ def observe(
     """[z, R] = scan_align(G_L, G_o, z^) of Nieto 2005, section 5.2.1, against the whole scan.
 
     scan: in the scanner's frame, bearings in order. predicted: (3,) z^, the axis' pose in that
-    frame, and covariance: (3, 3) of its error. A blank scan, a template out of view, one that
-    does not meet the scan, and one that two places fit are told apart by the reason.
+    frame, and covariance: (3, 3) of its error.
     """
     o, view = matching.options, matching.view
     if not len(scan):

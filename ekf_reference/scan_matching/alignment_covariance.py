@@ -1,14 +1,12 @@
 """Covariance of an alignment, from the shape of the correlation (Nieto 2005, section 5.4).
 
-Eqs. 5.16 and 5.17 fit a Gaussian to Lambda about its maximum. That gives Lambda's curvature, C:
-of the logarithm of a sum over all pairs of Gaussians, so it is about as wide as one pair is and
-does not get narrower when there are more of them. It is no covariance of the maximum's error.
-For that the fitted curvature becomes the bread of the sandwich that every M-estimator has,
+Eqs. 5.16 and 5.17 fit a Gaussian to Lambda about its maximum. Its covariance, C, is about as wide
+as that of one pair of Gaussians, however many there are: it is not that of the maximum's error.
+That is the sandwich of an M-estimator,
 
     P = C J C,    J = covariance of the gradient of ln Lambda,
 
-with J from the gradients that each return adds, of the first scan and of the second, as the noise
-of different returns is independent.
+with J from the independent gradients that each return of both scans adds.
 """
 
 from __future__ import annotations
@@ -55,16 +53,14 @@ _LEAST = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class CovarianceOptions:
-    """What is believed of a maximum.
+    """When a direction counts as fixed by a maximum, and how it is sampled.
 
     sample_sigmas: how far off the maximum Lambda is sampled, in sigmas of its own curvature.
-    neighbourhood_m: least distance, at the lever's end, within which Lambda has to fall for a
-    direction to count as fixed; a wider prior adds to it. fallen: least -2 ln of Lambda over its
-    maximum on both edges of the neighbourhood, and beyond_chance: least fall in standard
-    deviations, each return's share of it being independent: noise makes ripples on a wall, and
-    a maximum sits on one. sharp: curvature by squared neighbourhood beyond which no edge is
-    looked at. open_sigmas: sigma of a direction that is not fixed, over the neighbourhood, so
-    that a filter learns next to nothing along it.
+    neighbourhood_m: least distance, at the lever's end, within which Lambda has to fall along a
+    fixed direction; a wider prior adds to it. fallen: least -2 ln of Lambda over its maximum on
+    both edges of the neighbourhood. beyond_chance: least fall in standard deviations of the ripples
+    that noise makes on a wall. sharp: curvature by squared neighbourhood beyond which edges are not
+    tested. open_sigmas: sigma of a direction that is not fixed, over the neighbourhood.
     NEES per degree of freedom is 0.9 with 2 cm of range noise, 1.0 to 1.1 with 10 cm and 1 degree.
     """
 
@@ -78,7 +74,7 @@ class CovarianceOptions:
 
 @dataclass(frozen=True)
 class ScanAlignment:
-    """What an alignment says to a filter: z and R of Nieto 2005, section 5.2.1, and the evidence.
+    """A measurement of an alignment: z and R of Nieto 2005, section 5.2.1, and the evidence.
 
     pose: (3,) z; where the shape does not fix a direction it is as guessed along it. covariance:
     (3, 3) R, of the error added to x, y and heading, positive definite. curvature: (3, 3) P^-1 of
@@ -101,7 +97,7 @@ def scan_align(
     options: AlignmentOptions | None = None,
     belief: CovarianceOptions | None = None,
 ) -> ScanAlignment:
-    """Align and say how well: x_M and P_M of Nieto 2005, section 5.4.
+    """Align two sums, with covariance: x_M and P_M of Nieto 2005, section 5.4.
 
     guess: (3,) x_0, the first sum's pose in the second's frame; covariance: (3, 3) of its error.
     Where the two do not meet the guess comes back with all directions open. Raises ValueError as
@@ -188,16 +184,11 @@ def _edge(problem: Problem, peak: Array, way: Array) -> Array:
 
 
 def _falls(
-    problem: Problem,
-    peak: Array,
-    edge: Array,
-    belief: CovarianceOptions,
-    off_seams: Mask,
+    problem: Problem, peak: Array, edge: Array, belief: CovarianceOptions, off_seams: Mask
 ) -> bool:
-    """Lambda falls for certain from its maximum to an edge (3,).
+    """Whether Lambda falls from its maximum to an edge (3,), by more than chance.
 
-    By what is on no seam at either pose (off_seams: at the maximum), so that what comes into view
-    or leaves it has no say.
+    Only what is on no seam at either pose counts (off_seams: at the maximum).
     """
     both = off_seams & on_no_seam(problem, edge, _ASIDE)
     if not both.any():

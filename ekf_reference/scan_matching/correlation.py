@@ -67,13 +67,7 @@ class Pairs:
     weight: Array
 
     @classmethod
-    def near(
-        cls,
-        first: SumOfGaussians,
-        second: SumOfGaussians,
-        pose: Array,
-        look: Look,
-    ) -> Pairs:
+    def near(cls, first: SumOfGaussians, second: SumOfGaussians, pose: Array, look: Look) -> Pairs:
         """At a pose (3,), within reach even after a motion by the slack."""
         place = first.mean @ rotation(float(pose[2])).T + pose[:2]
         count = min(look.most, len(second))

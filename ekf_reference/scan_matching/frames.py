@@ -1,9 +1,4 @@
-"""What is known in one landmark's frame, told in another's: two scan landmarks become one.
-
-Scan landmarks keep their templates in frames of their own. Where two are close, one frame is
-enough: the filter fuses where they are (Ekf.fuse_oriented) or drops the second, and what lies
-in the second's frame moves to the first's by what is said here.
-"""
+"""Points and Gaussians of one landmark's frame in another's, for merging two templates."""
 
 from __future__ import annotations
 

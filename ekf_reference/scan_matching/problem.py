@@ -1,4 +1,4 @@
-"""What an alignment is about: two sums of Gaussians, where they may lie, and what to pair."""
+"""The alignment problem: two sums of Gaussians, a prior, and which pairs count."""
 
 from __future__ import annotations
 
@@ -136,12 +136,10 @@ def carried(pose: Array, shift: Array) -> Array:
 
 
 def within_seams(problem: Problem, pose: Array) -> Problem:
-    """Without those of the first sum that lie on a seam of the second, or beyond, at a pose (3,).
+    """Leave out those of the first sum that lie on a seam of the second, or beyond, at a pose (3,).
 
-    What a view loses moves with the sensor. Two views of one wall overlap most where both sensors
-    were at the same place along it; with all ends of the first view inside of the second, or
-    gone, the correlation stays as it is when one is moved along the other. (Turk and Levoy 1994
-    leave out such pairs of meshes.)
+    Otherwise two views of one wall would correlate best where their ends meet, which only says
+    where the sensors were. (Turk and Levoy 1994 leave out such pairs of meshes.)
     """
     return problem.taking(on_no_seam(problem, pose))
 
@@ -149,8 +147,7 @@ def within_seams(problem: Problem, pose: Array) -> Problem:
 def on_no_seam(problem: Problem, pose: Array, across_sigmas: float = math.inf) -> Mask:
     """(N,) which of the first sum lie nearest to something of the second that is on no seam.
 
-    Or are farther off the surface at the seam than so many sigmas: they have left it by
-    its side, not by its end.
+    Those farther off the surface at the seam than so many sigmas count, too.
     """
     second = problem.second
     if not second.seam.any():
