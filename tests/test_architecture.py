@@ -15,6 +15,7 @@ ALLOWED = {
 }
 STANDARD = {
     "__future__",
+    "abc",
     "collections",
     "ctypes",
     "dataclasses",

@@ -1,8 +1,7 @@
 """Corners of what stands in an occupancy grid (Nieto 2005, sections 6.1.1 and 6.1.3).
 
-The thesis runs "a Harris corner detector", without its formula or its settings. Here it is that of
-Harris and Stephens 1988: R = det M - k (trace M)^2 of the gradients' products, M, averaged over a
-window. The trace takes away what has one direction only, so that a wall is no corner.
+The thesis gives no formula. Here it is that of Harris and Stephens 1988, R = det M - k (trace M)^2
+of the gradients' products, M, averaged over a window.
 """
 
 from __future__ import annotations

@@ -27,13 +27,9 @@ _NOISY = 3.0
 class Sensor:
     """A range and bearing sensor. sigma_range_m, sigma_bearing_rad: of every return.
 
-    beam_rad: angle between two beams; a direction farther than half of that, and than a sigma,
-    from every return is one in which nothing was measured. With three sigmas the rims of objects
-    would grow by more than a metre at 25 m and a degree.
-
-    grazing_rad: least angle to a surface down to which two neighbouring returns are taken to lie
-    on one, so that the range is known between them; 0 to have every return stand for itself.
-    Along a wall the next return may be a metre farther, and the cells between are not free.
+    beam_rad: angle between two beams; nothing was measured in a direction that is farther than half
+    of that, and than a sigma, from every return. grazing_rad: least angle to a surface at which
+    neighbouring returns may lie on one, with the range between them known; 0 for never.
     """
 
     sigma_range_m: float
@@ -173,11 +169,7 @@ class Scan:
         return Beams(reach - distance, off, seen)
 
     def short_of(self, ahead_m: Single, left_m: Single) -> Single:
-        """(N,) `ahead_m` of `beams_ahead`, fast; -inf where no return speaks.
-
-        By direction to 0.05 degrees, so at the rim of what a return speaks about a point may
-        differ from `beams_ahead`.
-        """
+        """(N,) `ahead_m` of `beams_ahead`, -inf where unseen; fast, directions to 0.05 degrees."""
         bearing = np.arctan2(left_m, ahead_m)
         direction = ((bearing + np.float32(np.pi)) * np.float32(_DIRECTIONS / _TURN)).astype(
             np.intp

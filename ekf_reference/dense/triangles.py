@@ -92,10 +92,9 @@ def to_global(triangle: Array, local: Array) -> Array:
 def contains(local: Array, tolerance: float = 0.0) -> Mask:
     """Whether local coordinates (..., 2) lie in their triangle; (...,).
 
-    Nieto 2005, eq. 3.7 prints alpha > 0, beta > 0, alpha + beta <= 1, which leaves out two of
-    the three edges and two of the three corners: a point on an edge shared by two regions
-    would be in one, both or none of them, by the order of their landmarks. Here all
-    edges belong, and who locates points breaks the tie.
+    Nieto 2005, eq. 3.7 prints alpha > 0, beta > 0, alpha + beta <= 1, which leaves out two of the
+    three edges, so that a point on a shared edge may be in both regions or none. Here all edges
+    belong, and who locates points breaks the tie.
     """
     inside: Mask = (local.min(axis=-1) >= -tolerance) & (local.sum(axis=-1) <= 1.0 + tolerance)
     return inside

@@ -60,10 +60,9 @@ def align(
 ) -> Alignment:
     """The pose of the first sum in the second's frame that has the highest correlation.
 
-    guess: (3,) x, y [m], heading [rad]. covariance: (3, 3) of its error: starts are spread over
-    it, so a wide one costs time, and a narrow one keeps other maxima out. It is no evidence and
-    does not pull. A sum without Gaussians meets nothing. Raises ValueError for a guess or a
-    covariance that cannot be used.
+    guess: (3,) x, y [m], heading [rad]. covariance: (3, 3) of its error, over which starts are
+    spread; it does not pull the result. Raises ValueError for a guess or covariance that is not
+    finite, has another shape, or a negative eigenvalue.
     """
     return aligned(Problem.of(first, second, guess, covariance, options))
 

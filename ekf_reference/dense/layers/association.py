@@ -70,9 +70,8 @@ def associate(old: Array, new: Array, d_min_m: float) -> Associated:
 def doubled(pair: Associated, d_min_m: float, worth: Array) -> Index:
     """Which old points (d,) share their new one with an old one of more worth (k,).
 
-    Only pairs closer than a tenth of d_min count. Points that move half the way to one place scan
-    after scan end up in one place and leave gaps, which new points fill, without end were the
-    doubles kept.
+    Only pairs closer than a tenth of d_min count. If kept, points that converge to one place would
+    leave gaps, which new points fill, without end.
     """
     row = np.flatnonzero(pair.apart_m < _SAME * d_min_m)
     row = row[np.lexsort((-worth[row], pair.new[row]))]

@@ -1,8 +1,7 @@
 """One occupancy grid in the global frame: the baseline that local regions improve on.
 
-What a pose was wrong by when a scan came in stays in the cells for good. Once the filter has
-corrected its poses the same object is drawn a second time (Nieto 2005, section 4.1.3, Figs. 4.3 a
-and 4.5).
+A pose's error stays in the cells. After the filter has corrected its poses an object is drawn a
+second time (Nieto 2005, section 4.1.3, Figs. 4.3 a and 4.5).
 """
 
 from __future__ import annotations

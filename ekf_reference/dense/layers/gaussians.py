@@ -34,13 +34,11 @@ class Ellipses(NamedTuple):
 class Gaussians(PointLayer):
     """Means and covariances that are local, so they move, turn and shear with the landmarks.
 
-    d_min_m: old Gaussians with an observed one closer than that are fused with the nearest.
-    widest: k of Nieto 2005, eq. 4.18: sigmas add up until their sum passes k d_min. There "the
-    Gaussian variance" is compared to a length; it is the largest standard deviation here.
-
-    Observed Gaussians farther than d_min from all old ones are added. Old ones that have come to
-    lie on each other become one. What the sum means is shape alone: 4.17 to 4.20 are no Bayesian
-    update, and no scan that sees free space takes a Gaussian away.
+    d_min_m: old Gaussians with an observed one closer than that are fused with the nearest; others
+    observed are added, and old ones on each other become one. widest: k of Nieto 2005, eq. 4.18:
+    sigmas add up until their sum passes k d_min. There "the Gaussian variance" is compared to a
+    length; it is the largest standard deviation here. 4.17 to 4.20 are no Bayesian update, and free
+    space takes no Gaussian away.
     """
 
     def __init__(self, d_min_m: float = 0.2, widest: float = 0.8) -> None:

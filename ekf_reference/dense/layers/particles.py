@@ -19,14 +19,10 @@ from ekf_reference.dense.triangles import solve
 class Particles(PointLayer):
     """Samples drawn around the returns; a weight is how likely its place is occupied.
 
-    rng: the only source of randomness. per_return: samples drawn of each return. d_min_m: samples
-    closer than that are samples of the same state (Nieto 2005, eq. 4.10). model: what a return
-    says. confidence: weights stay between 1 - confidence and confidence, so that the map can
-    change its mind. least: particles of a smaller weight are dropped, 0 to keep them; so are
-    those that have come to lie on a heavier one.
-
-    Of what a scan draws only samples farther than d_min from all old particles are added. So the
-    number of particles levels off in a scene that stays as it is.
+    per_return: samples drawn of each return. d_min_m: samples closer than that are of the same
+    state (Nieto 2005, eq. 4.10); others are added, so their number levels off in a static scene.
+    confidence: weights stay between 1 - confidence and confidence. least: particles of a smaller
+    weight are dropped, 0 to keep them; so are those that have come to lie on a heavier one.
 
     Erratum: in the normaliser of 4.11 stand the prior and the likelihood of the new sample i; for
     its terms to add up to one they are the prior of the old particle j that is updated, and the

@@ -1,8 +1,4 @@
-"""What a scanner measures of surfaces besides where they are, such as how bright they are.
-
-Nieto 2005, section 6.4: DenseSLAM allows "different map layers with different environment
-properties (occupancy, colour, texture)". This one keeps any one number that comes with returns.
-"""
+"""A layer of one number that is measured with returns, such as intensity (Nieto 2005, 6.4)."""
 
 from __future__ import annotations
 
