@@ -113,7 +113,7 @@ def quality(
         kept_size = np.minimum(size, o.displacement_m**2)
         covariance += (axes * kept_size) @ axes.T * np.outer(unit, unit) / o.trials
         runner_up = found.alignment.runner_up
-        tried.append((residual, np.trace(scaled), runner_up, found.open_directions))
+        tried.append((float(residual), float(np.trace(scaled)), runner_up, found.open_directions))
     residual, trace, runner_up, free = np.max(tried, axis=0).tolist()
     good = residual < o.residual and free <= o.open_directions and runner_up <= o.ambiguous
     return Quality(
