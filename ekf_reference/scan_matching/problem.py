@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ekf_reference.core.geometry import Array, Mask, rotation
-from ekf_reference.scan_matching.correlation import Look, Pairs
+from ekf_reference.scan_matching.correlation import CorrespondenceSearch, Pairs
 from ekf_reference.scan_matching.sog import SumOfGaussians
 
 _SHORTEST_M = 0.1
@@ -108,7 +108,10 @@ class Problem:
             self.first.typical_variance + self.second.typical_variance + inflation_m**2
         )
         return Pairs.near(
-            self.first, self.second, pose, Look(most, far, o.reach, inflation_m, slack)
+            self.first,
+            self.second,
+            pose,
+            CorrespondenceSearch(most, far, o.reach, inflation_m, slack),
         )
 
     def slack_m(self, inflation_m: float = 0.0) -> float:
