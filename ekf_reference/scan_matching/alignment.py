@@ -43,8 +43,8 @@ class Alignment:
 
 
 @dataclass(frozen=True)
-class Climb:
-    """Where a climb ended. value: Lambda."""
+class Ascent:
+    """Where a trust-region ascent ended. value: Lambda."""
 
     pose: Array
     value: float
@@ -75,10 +75,10 @@ def aligned(problem: Problem) -> Alignment:
     coarse = [_thinned(problem, s) for s in o.inflation_m]
     lattice = Lattice.over(problem.guess, problem.covariance, o.spacing_m, problem.first.lever_m)
     begin = starts(coarse[0].first, coarse[0].second, lattice, o.inflation_m[0], o.starts)
-    ends = [climb(coarse[0], pose, o.inflation_m[0]) for pose in begin]
+    ends = [ascend(coarse[0], pose, o.inflation_m[0]) for pose in begin]
     ends = _distinct(problem, ends, o.inflation_m[0])[: o.finished]
     for stage, inflation_m in zip(coarse[1:], o.inflation_m[1:], strict=True):
-        ends = [climb(stage, end.pose, inflation_m) for end in ends]
+        ends = [ascend(stage, end.pose, inflation_m) for end in ends]
     finished = _distinct(problem, ends, o.spacing_m)
     if not finished:
         return _apart(problem)
@@ -86,17 +86,17 @@ def aligned(problem: Problem) -> Alignment:
     runner_up = finished[1].value / best.value if len(finished) > 1 else 0.0
     inside = within_seams(problem, best.pose)
     if len(inside.first):
-        best = climb(inside, best.pose, 0.0)
+        best = ascend(inside, best.pose, 0.0)
     return evidence(problem, best, runner_up)
 
 
-def climb(
+def ascend(
     problem: Problem,
     start: Array,
     inflation_m: float,
     held: Array | None = None,
     iterations: int | None = None,
-) -> Climb:
+) -> Ascent:
     """The maximum of Lambda uphill of a pose (3,), by Newton's method in a trust region.
 
     held: (3, k) orthonormal directions, scaled, along which the pose stays. iterations:
@@ -122,7 +122,7 @@ def climb(
             step -= held @ (held.T @ step)
         length = float(np.linalg.norm(step))
         if length < close:
-            return Climb(pose, here.value, converged=True)
+            return Ascent(pose, here.value, converged=True)
         tried = pairs.derivatives(pose + unit * step)
         expected = float(slope @ step + 0.5 * step @ bend @ step)
         gained = math.log(tried.value / here.value) if tried.value > 0.0 else -math.inf
@@ -132,16 +132,16 @@ def climb(
             radius *= 2.0
         if gained <= 0.0:
             if length < 100.0 * close:
-                return Climb(pose, here.value, converged=True)
+                return Ascent(pose, here.value, converged=True)
             continue
         pose, here = pose + unit * step, tried
         if np.abs((pose - looked) / unit).max() > slack:
             pairs, looked = problem.pairs(pose, inflation_m), pose
             here = pairs.derivatives(pose)
-    return Climb(pose, here.value, converged=False)
+    return Ascent(pose, here.value, converged=False)
 
 
-def evidence(problem: Problem, best: Climb, runner_up: float) -> Alignment:
+def evidence(problem: Problem, best: Ascent, runner_up: float) -> Alignment:
     """What is said of a maximum."""
     if not problem.pairs(best.pose).value(best.pose) > 0.0:
         return _apart(problem)
@@ -179,9 +179,9 @@ def _thinned(problem: Problem, inflation_m: float) -> Problem:
     return replace(problem, first=first, second=second)
 
 
-def _distinct(problem: Problem, ends: list[Climb], apart_m: float) -> list[Climb]:
+def _distinct(problem: Problem, ends: list[Ascent], apart_m: float) -> list[Ascent]:
     """Best first, without those within a distance of a better one, and without empty ones."""
-    kept: list[Climb] = []
+    kept: list[Ascent] = []
     for end in sorted(ends, key=lambda e: -e.value):
         far = (np.linalg.norm((end.pose - k.pose) / problem.unit) > apart_m for k in kept)
         if end.value > 0.0 and all(far):

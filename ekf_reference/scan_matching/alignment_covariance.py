@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ekf_reference.core.geometry import Array, Mask
-from ekf_reference.scan_matching.alignment import Alignment, aligned, climb
+from ekf_reference.scan_matching.alignment import Alignment, aligned, ascend
 from ekf_reference.scan_matching.correlation import Pairs
 from ekf_reference.scan_matching.problem import (
     AlignmentOptions,
@@ -113,7 +113,7 @@ def scan_align(
     if len(shape.loose.T) and len(shape.fixed.T):
         # What lies across moves a little when the pose goes back along what is not fixed.
         peak = peak - unit * (shape.loose @ (shape.loose.T @ ((peak - problem.guess) / unit)))
-        peak = climb(within_seams(problem, peak), peak, 0.0, held=shape.loose).pose
+        peak = ascend(within_seams(problem, peak), peak, 0.0, held=shape.loose).pose
         shape = _Shape.at(problem, peak, about, belief)
     peak = peak - unit * (shape.loose @ (shape.loose.T @ ((peak - problem.guess) / unit)))
     return _result(problem, found, peak, shape)
@@ -179,7 +179,7 @@ def _edge(problem: Problem, peak: Array, way: Array) -> Array:
     held = (way / np.linalg.norm(way))[:, None]
     # A curved valley may be farther away than the exact correlation feels it.
     for inflation_m in problem.options.inflation_m[-2:]:
-        pose = climb(within_seams(problem, pose), pose, inflation_m, held, iterations=8).pose
+        pose = ascend(within_seams(problem, pose), pose, inflation_m, held, iterations=8).pose
     return pose
 
 
