@@ -81,7 +81,7 @@ def enriched(template: Template, around: SumOfGaussians) -> SumOfGaussians:
         np.concatenate((shape.mean, even.mean)),
         np.concatenate((shape.covariance, even.covariance)),
         weight / weight.sum(),
-        np.concatenate((shape.seam, even.seam)),
+        np.concatenate((shape.boundary, even.boundary)),
     )
 
 

@@ -157,5 +157,5 @@ def united(first: Template, second: Template, known: LocalMap) -> SumOfGaussians
     return SumOfGaussians.of_equal_height(
         np.concatenate((first.shape.mean, mean)),
         np.concatenate((first.shape.covariance, covariance)),
-        np.concatenate((first.shape.seam, second.shape.seam)),
+        np.concatenate((first.shape.boundary, second.shape.boundary)),
     )

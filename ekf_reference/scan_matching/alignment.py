@@ -13,7 +13,7 @@ from ekf_reference.scan_matching.problem import (
     AlignmentOptions,
     Problem,
     moved,
-    within_seams,
+    within_boundaries,
 )
 from ekf_reference.scan_matching.search import Lattice, starts
 from ekf_reference.scan_matching.sog import SumOfGaussians
@@ -84,7 +84,7 @@ def aligned(problem: Problem) -> Alignment:
         return _apart(problem)
     best = finished[0]
     runner_up = finished[1].value / best.value if len(finished) > 1 else 0.0
-    inside = within_seams(problem, best.pose)
+    inside = within_boundaries(problem, best.pose)
     if len(inside.first):
         best = ascend(inside, best.pose, 0.0)
     return evidence(problem, best, runner_up)

@@ -24,8 +24,8 @@ from ekf_reference.scan_matching.problem import (
     Problem,
     carried,
     moved,
-    on_no_seam,
-    within_seams,
+    on_no_boundary,
+    within_boundaries,
 )
 from ekf_reference.scan_matching.sog import SumOfGaussians
 
@@ -113,7 +113,7 @@ def scan_align(
     if len(shape.loose.T) and len(shape.fixed.T):
         # What lies across moves a little when the pose goes back along what is not fixed.
         peak = peak - unit * (shape.loose @ (shape.loose.T @ ((peak - problem.guess) / unit)))
-        peak = ascend(within_seams(problem, peak), peak, 0.0, held=shape.loose).pose
+        peak = ascend(within_boundaries(problem, peak), peak, 0.0, held=shape.loose).pose
         shape = _Shape.at(problem, peak, about, belief)
     peak = peak - unit * (shape.loose @ (shape.loose.T @ ((peak - problem.guess) / unit)))
     return _result(problem, found, peak, shape)
@@ -134,8 +134,8 @@ class _Shape:
     @classmethod
     def at(cls, problem: Problem, peak: Array, about: Array, belief: CovarianceOptions) -> _Shape:
         unit, axes, size, curvature = problem.unit, np.eye(3), np.zeros(3), np.zeros((3, 3))
-        off_seams = on_no_seam(problem, peak)
-        inside = problem.taking(off_seams)
+        off_boundaries = on_no_boundary(problem, peak)
+        inside = problem.taking(off_boundaries)
         pairs = inside.pairs(peak) if len(inside.first) and len(problem.second) else None
         if pairs is not None and pairs.value(peak) > 0.0:
             curvature = fitted_curvature(pairs, peak, unit, about, belief.sample_sigmas)
@@ -147,7 +147,7 @@ class _Shape:
             way = math.sqrt(near[k]) * axes[:, k]
             edges = [_edge(problem, peak, side * way) for side in (-1.0, 1.0)]
             met[k] = size[k] > 0.0 and all(
-                _falls(problem, peak, edge, belief, off_seams) for edge in edges
+                _falls(problem, peak, edge, belief, off_boundaries) for edge in edges
             )
             if not met[k]:
                 low, high = ((edge - peak) / unit for edge in edges)
@@ -179,18 +179,18 @@ def _edge(problem: Problem, peak: Array, way: Array) -> Array:
     held = (way / np.linalg.norm(way))[:, None]
     # A curved valley may be farther away than the exact correlation feels it.
     for inflation_m in problem.options.inflation_m[-2:]:
-        pose = ascend(within_seams(problem, pose), pose, inflation_m, held, iterations=8).pose
+        pose = ascend(within_boundaries(problem, pose), pose, inflation_m, held, iterations=8).pose
     return pose
 
 
 def _falls(
-    problem: Problem, peak: Array, edge: Array, belief: CovarianceOptions, off_seams: Mask
+    problem: Problem, peak: Array, edge: Array, belief: CovarianceOptions, off_boundaries: Mask
 ) -> bool:
     """Whether Lambda falls from its maximum to an edge (3,), by more than chance.
 
-    Only what is on no seam at either pose counts (off_seams: at the maximum).
+    Only what is on no boundary at either pose counts (off_boundaries: at the maximum).
     """
-    both = off_seams & on_no_seam(problem, edge, _ASIDE)
+    both = off_boundaries & on_no_boundary(problem, edge, _ASIDE)
     if not both.any():
         return False
     common = problem.taking(both)

@@ -81,7 +81,9 @@ class Problem:
         centre = first.centroid
         jacobian = carried(guess, centre)
         return cls(
-            first=SumOfGaussians(first.mean - centre, first.covariance, first.weight, first.seam),
+            first=SumOfGaussians(
+                first.mean - centre, first.covariance, first.weight, first.boundary
+            ),
             second=second,
             centre=centre,
             guess=moved(guess, centre),
@@ -138,26 +140,26 @@ def carried(pose: Array, shift: Array) -> Array:
     return jacobian
 
 
-def within_seams(problem: Problem, pose: Array) -> Problem:
-    """Leave out those of the first sum that lie on a seam of the second, or beyond, at a pose (3,).
+def within_boundaries(problem: Problem, pose: Array) -> Problem:
+    """Leave out those of the first sum that lie on a boundary of the second, or beyond, at a pose (3,).
 
     Otherwise two views of one wall would correlate best where their ends meet, which only says
     where the sensors were. (Turk and Levoy 1994 leave out such pairs of meshes.)
     """
-    return problem.taking(on_no_seam(problem, pose))
+    return problem.taking(on_no_boundary(problem, pose))
 
 
-def on_no_seam(problem: Problem, pose: Array, across_sigmas: float = math.inf) -> Mask:
-    """(N,) which of the first sum lie nearest to something of the second that is on no seam.
+def on_no_boundary(problem: Problem, pose: Array, across_sigmas: float = math.inf) -> Mask:
+    """(N,) which of the first sum lie nearest to something of the second that is on no boundary.
 
-    Those farther off the surface at the seam than so many sigmas count, too.
+    Those farther off the surface at the boundary than so many sigmas count, too.
     """
     second = problem.second
-    if not second.seam.any():
+    if not second.boundary.any():
         return np.ones(len(problem.first), dtype=bool)
     place = problem.first.mean @ rotation(float(pose[2])).T + pose[:2]
     near = second.tree.query(place)[1]
-    inside: Mask = ~second.seam[near]
+    inside: Mask = ~second.boundary[near]
     lost = np.flatnonzero(~inside)
     if math.isfinite(across_sigmas) and len(lost):
         size, axes = np.linalg.eigh(second.covariance[near[lost]])

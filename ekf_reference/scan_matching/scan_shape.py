@@ -16,7 +16,7 @@ _LIMB_RAD = math.radians(25.0)
 """Met at less than that a surface goes on behind its last return."""
 _BACK = 4
 """Returns over which the direction of a surface at its end is taken."""
-_SEAM = 3
+_BESIDE_BOUNDARY = 3
 """Returns next to where the scan loses a surface that cannot tell where it ends."""
 _FARTHEST = 0.9
 """Share of the greatest range beyond which a surface may go on out of reach."""
@@ -27,7 +27,7 @@ def of_scan(bearing_rad: Array, range_m: Array, sensor: Sensor) -> SumOfGaussian
 
     Means and covariances are Nieto 2005, eqs. 4.15 and 4.16. Each Gaussian is longer by the surface
     between the return and its neighbours on the same surface, if any (see Sensor.joins), and where
-    the scan loses a surface that goes on there are seams. Otherwise two scans of one wall would
+    the scan loses a surface that goes on there are boundaries. Otherwise two scans of one wall would
     match by where beams hit and views end. In a full circle the surface behind is cut in two.
     """
     scan = Scan.of_ranges(np.zeros(3), bearing_rad, range_m, sensor)
@@ -40,23 +40,25 @@ def of_scan(bearing_rad: Array, range_m: Array, sensor: Sensor) -> SumOfGaussian
     covariance = scan.covariance + _MEET**2 * piece[:, :, None] * piece[:, None, :]
     beams = np.mod(bearing_rad[np.isfinite(bearing_rad)] + np.pi, 2.0 * np.pi) - np.pi
     return SumOfGaussians.of_equal_height(
-        scan.point, covariance, _seams(scan, one, float(beams.min()), float(beams.max()))
+        scan.point, covariance, _boundaries(scan, one, float(beams.min()), float(beams.max()))
     )
 
 
-def _seams(scan: Scan, one: Mask, first_rad: float, last_rad: float) -> Mask:
+def _boundaries(scan: Scan, one: Mask, first_rad: float, last_rad: float) -> Mask:
     """(B,) returns near where a surface goes on unseen: each side of the scan in turn.
 
     It does at the rims of the view, behind something nearer, out of reach, and round a limb.
     Anything else that ends before something farther is an edge.
     """
-    seam: Mask = _one_sided(scan.bearing_rad, scan.range_m, scan.point, one, last_rad, scan.sensor)
+    boundary: Mask = _one_sided(
+        scan.bearing_rad, scan.range_m, scan.point, one, last_rad, scan.sensor
+    )
     back = slice(None, None, -1)
     mirrored = _one_sided(
         -scan.bearing_rad[back], scan.range_m[back], scan.point[back], one[back], -first_rad,
         scan.sensor,
     )  # fmt: skip
-    both: Mask = seam | mirrored[back]
+    both: Mask = boundary | mirrored[back]
     return both
 
 
@@ -82,7 +84,7 @@ def _one_sided(
         across < math.sin(_LIMB_RAD) * np.linalg.norm(along, axis=1) * range_m
     )
     ends = last & (behind | lost | limb)
-    seam = ends.copy()
-    for k in range(1, _SEAM):
-        seam[:-k] |= ends[k:] & (run[:-k] == run[k:])
-    return np.asarray(seam)
+    boundary = ends.copy()
+    for k in range(1, _BESIDE_BOUNDARY):
+        boundary[:-k] |= ends[k:] & (run[:-k] == run[k:])
+    return np.asarray(boundary)

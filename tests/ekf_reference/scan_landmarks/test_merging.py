@@ -138,7 +138,7 @@ def test_united_templates_are_moved_and_spread_by_what_lies_between_the_frames()
     expected = second.shape.transformed(frame_in_frame(*local.landmark))
     assert relative_error(one.mean[count:], expected.mean) < 1e-12
     assert relative_error(one.covariance[count:], expected.covariance) < 1e-12
-    assert np.array_equal(one.seam[count:], second.shape.seam)
+    assert np.array_equal(one.boundary[count:], second.shape.boundary)
     assert one.weight.sum() == pytest.approx(1.0)
     wider = united(first, second, local).covariance[count:] - one.covariance[count:]
     assert np.linalg.eigvalsh(wider).min() > 0.0

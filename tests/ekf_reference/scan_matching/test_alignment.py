@@ -32,7 +32,7 @@ WIDE = np.diag((1.5, 1.5, 0.35)) ** 2
 
 
 def plain(one: SumOfGaussians) -> SumOfGaussians:
-    """Without seams."""
+    """Without boundaries."""
     return SumOfGaussians(one.mean, one.covariance, one.weight, np.zeros(len(one), dtype=bool))
 
 

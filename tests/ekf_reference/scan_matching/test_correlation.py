@@ -68,7 +68,9 @@ def test_derivatives_equal_central_differences(pose: Array) -> None:
 def test_inflation_is_a_wider_second_sum() -> None:
     rng, pose = np.random.default_rng(3), POSES[0]
     one, other = random_sum(rng, 10), random_sum(rng, 10)
-    wide = type(other)(other.mean, other.covariance + 0.09 * np.eye(2), other.weight, other.seam)
+    wide = type(other)(
+        other.mean, other.covariance + 0.09 * np.eye(2), other.weight, other.boundary
+    )
     inflated = Pairs.near(one, other, pose, CorrespondenceSearch(1000, 1e3, 1e3, inflation_m=0.3))
     assert inflated.value(pose) == pytest.approx(Pairs.near(one, wide, pose, ALL).value(pose))
 
