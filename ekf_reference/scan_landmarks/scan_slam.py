@@ -20,8 +20,8 @@ from ekf_reference.core.ekf import NEW, Ekf
 from ekf_reference.core.geometry import Array, Index, rotation
 from ekf_reference.core.layout import POSE
 from ekf_reference.dense.scan import Sensor
-from ekf_reference.scan_landmarks.pieces import JoinedSegments, Known, Pieces
 from ekf_reference.scan_landmarks.segmentation import quality
+from ekf_reference.scan_landmarks.template_extraction import JoinedSegments, Known, Pieces
 from ekf_reference.scan_landmarks.templates import (
     BLANK,
     OUT_OF_VIEW,

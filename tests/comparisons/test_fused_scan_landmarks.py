@@ -24,8 +24,8 @@ from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.local_map import LocalMap
 from ekf_reference.filters.compressed import CompressedState, LocalAreas
 from ekf_reference.scan_landmarks.merging import FusingOptions
-from ekf_reference.scan_landmarks.pieces import SingleSegments
 from ekf_reference.scan_landmarks.scan_slam import ScanSlamOptions
+from ekf_reference.scan_landmarks.template_extraction import SingleSegments
 from tests.helpers import Array, Source, compared
 from tests.scenarios import scenario
 

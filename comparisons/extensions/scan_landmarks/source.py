@@ -26,8 +26,8 @@ from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.surroundings import Surroundings
 from ekf_reference.scan_landmarks.enriching import MapAidedObserver
 from ekf_reference.scan_landmarks.merging import FusingOptions, Twins
-from ekf_reference.scan_landmarks.pieces import JoinedSegments, Pieces, SingleSegments
 from ekf_reference.scan_landmarks.scan_slam import ScanLandmarks, ScanSlam, ScanSlamOptions
+from ekf_reference.scan_landmarks.template_extraction import JoinedSegments, Pieces, SingleSegments
 from ekf_reference.scan_matching.scan_shape import of_scan
 from ekf_reference.scan_matching.sog import SumOfGaussians
 

@@ -12,9 +12,9 @@ from ekf_reference.core.ekf import NEW
 from ekf_reference.core.layout import POSE
 from ekf_reference.core.local_map import LocalMap
 from ekf_reference.scan_landmarks.merging import FusingOptions, Twins, united
-from ekf_reference.scan_landmarks.pieces import SingleSegments
 from ekf_reference.scan_landmarks.scan_slam import USED, ScanSlam, ScanSlamOptions
 from ekf_reference.scan_landmarks.segmentation import segments
+from ekf_reference.scan_landmarks.template_extraction import SingleSegments
 from ekf_reference.scan_landmarks.templates import AMBIGUOUS, Template
 from ekf_reference.scan_matching.scan_shape import of_scan
 from ekf_reference.scan_matching.sog import SumOfGaussians

@@ -13,9 +13,9 @@ from ekf_reference.core.geometry import Index
 from ekf_reference.core.layout import POSE
 from ekf_reference.models.motion import RelativePoseModel
 from ekf_reference.scan_landmarks.enriching import MapAidedObserver
-from ekf_reference.scan_landmarks.pieces import SingleSegments
 from ekf_reference.scan_landmarks.scan_slam import GATED, USED, ScanSlam, ScanSlamOptions
 from ekf_reference.scan_landmarks.segmentation import SegmentationOptions
+from ekf_reference.scan_landmarks.template_extraction import SingleSegments
 from ekf_reference.scan_landmarks.templates import (
     BLANK,
     OUT_OF_VIEW,

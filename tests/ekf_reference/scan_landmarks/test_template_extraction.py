@@ -8,7 +8,7 @@ import numpy as np
 
 from ekf_reference.core.geometry import Index
 from ekf_reference.dense.scan import Sensor
-from ekf_reference.scan_landmarks.pieces import JoinedSegments, Known, SingleSegments
+from ekf_reference.scan_landmarks.template_extraction import JoinedSegments, Known, SingleSegments
 from ekf_reference.scan_landmarks.templates import Template, View
 from ekf_reference.scan_matching.scan_shape import of_scan
 from ekf_reference.scan_matching.sog import SumOfGaussians
