@@ -21,7 +21,11 @@ from ekf_reference.core.geometry import Array, Index, rotation
 from ekf_reference.core.layout import POSE
 from ekf_reference.dense.scan import Sensor
 from ekf_reference.scan_landmarks.segmentation import quality
-from ekf_reference.scan_landmarks.template_extraction import JoinedSegments, Known, Pieces
+from ekf_reference.scan_landmarks.template_extraction import (
+    JoinedSegments,
+    Known,
+    TemplateExtraction,
+)
 from ekf_reference.scan_landmarks.templates import (
     BLANK,
     OUT_OF_VIEW,
@@ -43,7 +47,7 @@ LEFT_OUT = "left out"
 GATE = 11.345
 """Chi-square, 99 % of three degrees of freedom."""
 
-_PIECES, _OBSERVATION, _ALIGNMENT = JoinedSegments(), ObservationOptions(), AlignmentOptions()
+_EXTRACTION, _OBSERVATION, _ALIGNMENT = JoinedSegments(), ObservationOptions(), AlignmentOptions()
 _BELIEF = CovarianceOptions(neighbourhood_m=1.0, beyond_chance=3.0)
 
 
@@ -59,12 +63,12 @@ class Teller(Protocol):
 class ScanSlamOptions:
     """Settings of Scan-SLAM; the thesis gives none of these but the gate.
 
-    aligned: most templates that one scan is aligned with. pieces: which returns become templates.
+    aligned: most templates that one scan is aligned with. extraction: which returns become templates.
     floor_m, floor_rad: least sigma of the prior of an alignment.
     """
 
     aligned: int = 5
-    pieces: Pieces = _PIECES
+    extraction: TemplateExtraction = _EXTRACTION
     floor_m: float = 0.1
     floor_rad: float = 0.02
     gate: float = GATE
@@ -119,10 +123,10 @@ class ScanSlam:
         self.sensor = sensor
         self.mount = np.asarray(mount, dtype=float)
         self.options = options or ScanSlamOptions()
-        self.view = replace(view, share=self.options.pieces.share)
+        self.view = replace(view, share=self.options.extraction.share)
         self._matching = TemplateMatching(
             self.view,
-            replace(self.options.observation, visible=self.options.pieces.visible),
+            replace(self.options.observation, visible=self.options.extraction.visible),
             self.options.alignment,
             self.options.belief,
         )
@@ -136,7 +140,7 @@ class ScanSlam:
         """Process a scan, in the scanner's frame: predict, align, gate, update, augment."""
         self.found.scans += 1
         used = self._update(ekf, self._predict(ekf), scan, tell)
-        if self.options.pieces.due(self.found.scans, self._begun, used):
+        if self.options.extraction.due(self.found.scans, self._begun, used):
             self._augment(ekf, scan, tell)
 
     def _predict(self, ekf: Ekf) -> Predicted:
@@ -199,8 +203,8 @@ class ScanSlam:
                 if self._share(int(slot), z, scan) >= self.view.share
             ]
 
-        for rows in o.pieces.found(scan, self.view, self._out()[0, :2], known):
-            piece, trial = scan.take(rows), o.pieces.segmentation
+        for rows in o.extraction.found(scan, self.view, self._out()[0, :2], known):
+            piece, trial = scan.take(rows), o.extraction.segmentation
             found = quality(piece, self.sensor, self._rng, trial, o.alignment, o.belief)
             if not found.accepted:
                 self.found.rejected += 1

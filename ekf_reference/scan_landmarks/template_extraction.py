@@ -32,7 +32,7 @@ class Known(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Pieces(ABC):
+class TemplateExtraction(ABC):
     """Which returns become landmarks, and when.
 
     every: scans between two that may begin some. share: least part of a template that must be in
@@ -75,7 +75,7 @@ _JOINED, _SINGLE = (replace(_TRIAL, least_points=least) for least in (8, 15))
 
 
 @dataclass(frozen=True, kw_only=True)
-class JoinedSegments(Pieces):
+class JoinedSegments(TemplateExtraction):
     """All segments of a scan in one landmark, as far as they stay in view.
 
     enough: a scan in which so many landmarks are observed begins none; one with none always does.
@@ -94,7 +94,7 @@ class JoinedSegments(Pieces):
     segmentation: SegmentationOptions = _JOINED
 
     def due(self, scans: int, begun: int, used: int) -> bool:
-        """See Pieces."""
+        """See TemplateExtraction."""
         return not used or (used < self.enough and scans >= begun + self.every)
 
     def found(
@@ -113,7 +113,7 @@ class JoinedSegments(Pieces):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SingleSegments(Pieces):
+class SingleSegments(TemplateExtraction):
     """A landmark for each segment that no other one explains, the longest first.
 
     tried: most segments of a scan whose quality is tried. ahead_m: a segment must stay in view when
@@ -135,13 +135,13 @@ class SingleSegments(Pieces):
     segmentation: SegmentationOptions = _SINGLE
 
     def due(self, scans: int, begun: int, used: int) -> bool:
-        """See Pieces."""
+        """See TemplateExtraction."""
         return self.every == 1 or scans % self.every == 1
 
     def found(
         self, scan: SumOfGaussians, view: View, ahead: Array, known: Callable[[], list[Known]]
     ) -> Iterator[Index]:
-        """See Pieces."""
+        """See TemplateExtraction."""
         in_view, tried = known(), 0
         for rows in sorted(segments(scan, self.segmentation), key=len, reverse=True):
             if tried >= self.tried:

@@ -30,7 +30,7 @@ from tests.helpers import Array, Source, compared
 from tests.scenarios import scenario
 
 CARELESS = ScanSlamOptions(
-    pieces=SingleSegments(every=1, tried=6, ahead_m=0.0, apart_m=-100.0, explained=2.0)
+    extraction=SingleSegments(every=1, tried=6, ahead_m=0.0, apart_m=-100.0, explained=2.0)
 )
 """Begins landmarks where there are some: twins, and many of them."""
 

@@ -27,7 +27,11 @@ from ekf_reference.dense.surroundings import Surroundings
 from ekf_reference.scan_landmarks.enriching import MapAidedObserver
 from ekf_reference.scan_landmarks.merging import FusingOptions, Twins
 from ekf_reference.scan_landmarks.scan_slam import ScanLandmarks, ScanSlam, ScanSlamOptions
-from ekf_reference.scan_landmarks.template_extraction import JoinedSegments, Pieces, SingleSegments
+from ekf_reference.scan_landmarks.template_extraction import (
+    JoinedSegments,
+    SingleSegments,
+    TemplateExtraction,
+)
 from ekf_reference.scan_matching.scan_shape import of_scan
 from ekf_reference.scan_matching.sog import SumOfGaussians
 
@@ -37,7 +41,9 @@ Flags = NDArray[np.bool_]
 
 LANDMARKS = {"scans": (POSE,), "both": (POINT, POSE)}
 """Kinds of landmarks that regions of a dense map are anchored to, by width."""
-PIECES: dict[str, Pieces] = {one.name: one for one in (JoinedSegments(), SingleSegments())}
+PIECES: dict[str, TemplateExtraction] = {
+    one.name: one for one in (JoinedSegments(), SingleSegments())
+}
 """Which returns of a scan become one landmark."""
 ENRICH_M = 1.0
 """Sigma of where a landmark should be seen, from which on its template alone may be fragile."""
@@ -70,7 +76,7 @@ def scan_slam_options(config: ScanLandmarksConfig, *, mapped: bool) -> ScanSlamO
     richer = config.templates == "enriched"
     # A map's regions need landmarks that stand among objects.
     pieces = config.pieces or ("single" if richer or mapped else "joined")
-    return ScanSlamOptions(pieces=PIECES[pieces])
+    return ScanSlamOptions(extraction=PIECES[pieces])
 
 
 class LogScans:
@@ -171,7 +177,7 @@ class ScanSlamSource:
     @property
     def pieces(self) -> str:
         """Of PIECES."""
-        return self._slam.options.pieces.name
+        return self._slam.options.extraction.name
 
     @property
     def merged(self) -> int:

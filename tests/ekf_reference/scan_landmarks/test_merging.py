@@ -170,7 +170,9 @@ def test_what_may_slide_along_the_other_is_not_fused() -> None:
     assert len(tell.fused) == 1
 
 
-SMALL_ONES = ScanSlamOptions(pieces=SingleSegments(every=1, apart_m=1.0, explained_m=0.3, tried=4))
+SMALL_ONES = ScanSlamOptions(
+    extraction=SingleSegments(every=1, apart_m=1.0, explained_m=0.3, tried=4)
+)
 
 
 def alike(options: ScanSlamOptions = SMALL_ONES) -> tuple[ScanSlam, Telling]:

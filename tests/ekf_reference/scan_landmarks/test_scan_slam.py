@@ -34,7 +34,7 @@ VIEW = View(40.0, float(BEAMS[0]), float(BEAMS[-1]))
 MOUNT = np.array((0.4, -0.3, 0.2))
 PRIOR = np.diag((0.05, 0.05, 0.01)) ** 2
 SINGLE = SingleSegments(every=1)
-EVERY = ScanSlamOptions(pieces=SINGLE)
+EVERY = ScanSlamOptions(extraction=SINGLE)
 
 
 @dataclass
@@ -144,7 +144,7 @@ def test_a_template_out_of_view_is_not_aligned() -> None:
 @pytest.mark.parametrize("points", [1, 2])
 def test_segments_too_small_for_a_heading_begin_nothing(points: int) -> None:
     small = replace(SINGLE, segmentation=SegmentationOptions(least_points=1), ahead_m=0.0)
-    options = replace(EVERY, pieces=small)
+    options = replace(EVERY, extraction=small)
     slam, ekf = ScanSlam(LASER, VIEW, MOUNT, options), filter_at(np.zeros(3))
     way = np.full(len(BEAMS), np.nan)
     way[180 : 180 + points] = 5.0
