@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ekf_reference.core.geometry import Array, Index
+from ekf_reference.dense.delayed_initialisation import DelayedInitialisation
 from ekf_reference.dense.dynamic import DynamicLayer
 from ekf_reference.dense.layers.layer import Hits, Layer
 from ekf_reference.dense.neglected import NeglectedCorrelation
@@ -16,7 +17,6 @@ from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.regions import LocalRegions, Potential
 from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.view import FilterView
-from ekf_reference.dense.waiting import WaitingRoom
 
 
 @dataclass
@@ -51,7 +51,7 @@ class DenseMap:
 
     layers: Mapping[str, Layer]
     regions: LocalRegions = field(default_factory=LocalRegions)
-    waiting: WaitingRoom | None = field(default_factory=WaitingRoom)
+    waiting: DelayedInitialisation | None = field(default_factory=DelayedInitialisation)
     reach_m: float = 35.0
     least_points: int = 10
     seek_every: int = 4
@@ -167,7 +167,7 @@ class DenseMap:
             kept = number >= 0
             self._value[number[kept]] = scan.value[outside[kept]]
 
-    def _make_virtual(self, view: FilterView, slot: Index, waiting: WaitingRoom) -> Index:
+    def _make_virtual(self, view: FilterView, slot: Index, waiting: DelayedInitialisation) -> Index:
         """Regions with virtual corners for what has waited too long."""
         overdue = waiting.overdue(view, self.tally.scans)
         if len(overdue) < self.least_points:
@@ -176,7 +176,7 @@ class DenseMap:
             self.landmark, slot, view.pose, view.joint(slot), overdue, self.least_points
         )
 
-    def _fuse_late(self, view: FilterView, waiting: WaitingRoom) -> None:
+    def _fuse_late(self, view: FilterView, waiting: DelayedInitialisation) -> None:
         placed = self.place(view)
         out = waiting.release(view, placed)
         if not len(out.region):

@@ -14,13 +14,13 @@ import pytest
 
 from ekf_reference.dense.box_tree import BoxTree
 from ekf_reference.dense.conditions import Conditions
+from ekf_reference.dense.delayed_initialisation import DelayedInitialisation
 from ekf_reference.dense.dense_map import DenseMap
 from ekf_reference.dense.layers.layer import Layer
 from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.view import FilterView
-from ekf_reference.dense.waiting import WaitingRoom
 from tests.ekf_reference.dense.scenes import LAYERS, SENSOR, flipped, layer
 from tests.helpers import Array
 
@@ -47,7 +47,7 @@ def wall(pose: Array = POSE, range_m: float = 12.0) -> Scan:
     return Scan.of_ranges(pose, BEARING, np.full(len(BEARING), range_m), SENSOR)
 
 
-def dense_map(*names: str, waiting: WaitingRoom | None = None) -> DenseMap:
+def dense_map(*names: str, waiting: DelayedInitialisation | None = None) -> DenseMap:
     """A map of some layers, those of the contract test."""
     return DenseMap(
         layers={n: layer(n) for n in names},
@@ -56,8 +56,8 @@ def dense_map(*names: str, waiting: WaitingRoom | None = None) -> DenseMap:
     )
 
 
-def room(capacity: int = 5_000) -> WaitingRoom:
-    return WaitingRoom(capacity=capacity, patience=PATIENCE)
+def room(capacity: int = 5_000) -> DelayedInitialisation:
+    return DelayedInitialisation(capacity=capacity, patience=PATIENCE)
 
 
 def drive(dense: DenseMap, seen: FilterView, *scans: Scan) -> None:

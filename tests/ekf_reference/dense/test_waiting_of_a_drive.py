@@ -16,16 +16,16 @@ from comparisons.adapters.timeline import build_timeline
 from comparisons.config import EkfConfig
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import Index
+from ekf_reference.dense.delayed_initialisation import DelayedCounts, DelayedInitialisation
 from ekf_reference.dense.local_pose import Frames
 from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.triangles import axes, solve
 from ekf_reference.dense.view import FilterView
-from ekf_reference.dense.waiting import WaitingCounts, WaitingRoom
 from tests.ekf_reference.dense.drives import dense_sightings, scans, true_landmarks
 from tests.ekf_reference.dense.waiting_rooms import NoCross, NoMotion, WrongSign, anywhere
 from tests.helpers import Array, simulated
 
-KINDS = (WaitingRoom, NoCross, NoMotion, WrongSign)
+KINDS = (DelayedInitialisation, NoCross, NoMotion, WrongSign)
 SEEDS = range(8)
 PATIENCE = 30
 
@@ -70,7 +70,7 @@ def waited(seed: int) -> dict[str, Errors]:
     first: list[bool] = []
     true, taken = np.empty((0, 2)), set()
 
-    def note(room: WaitingRoom, rows: Index, name: str) -> None:
+    def note(room: DelayedInitialisation, rows: Index, name: str) -> None:
         points = room.points
         axis, number = room.axis[points.group[rows]], points.number[rows]
         frame = Frames.of(landmark[axis[:, 0]], landmark[axis[:, 1]])
@@ -126,13 +126,13 @@ def closer(name: str) -> bool:
 def test_waiting_brings_points_closer_to_where_they_are() -> None:
     """And their variance is honest, at once and afterwards."""
     assert honest("at once")
-    assert closer("WaitingRoom")
-    assert honest("WaitingRoom")
+    assert closer("DelayedInitialisation")
+    assert honest("DelayedInitialisation")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS[1:])
-def test_broken_variants_are_not_closer_or_not_honest(kind: type[WaitingRoom]) -> None:
+def test_broken_variants_are_not_closer_or_not_honest(kind: type[DelayedInitialisation]) -> None:
     assert not (closer(kind.__name__) and honest(kind.__name__))
 
 
@@ -146,7 +146,7 @@ class Driven(NamedTuple):
     mean: Array
     covariance: Array
     regions: LocalRegions
-    counts: WaitingCounts
+    counts: DelayedCounts
     error: Array
 
 
@@ -157,7 +157,7 @@ def driven(*, dense: bool) -> Driven:
     assert log.truth is not None
     assert log.truth.poses is not None
     landmark, rng = true_landmarks(log), np.random.default_rng(7)
-    room, regions = WaitingRoom(patience=40), LocalRegions()
+    room, regions = DelayedInitialisation(patience=40), LocalRegions()
     offered: dict[int, tuple[Array, Array, Array]] = {}
     errors: list[Array] = [np.empty((0, 2))]
     predicted = (lambda ekf: room.predicted(FilterView.of(ekf))) if dense else None
@@ -224,12 +224,12 @@ def test_what_waited_is_fused_and_nearer_to_its_place() -> None:
     assert corrected < 0.9 * uncorrected
 
 
-def waiting_points(name: str) -> tuple[WaitingRoom, Array]:
+def waiting_points(name: str) -> tuple[DelayedInitialisation, Array]:
     """Points taken in on the way through a run's filter, never released, and its final mean."""
     log = simulated(0, loop_s=40.0)
     assert log.truth is not None
     assert log.truth.poses is not None
-    poses, rng, room = log.truth.poses, np.random.default_rng(3), WaitingRoom()
+    poses, rng, room = log.truth.poses, np.random.default_rng(3), DelayedInitialisation()
 
     def watch(ekf: Ekf) -> None:
         observe = ekf.observe

@@ -6,10 +6,10 @@ import numpy as np
 
 from ekf_reference.core.geometry import Index
 from ekf_reference.dense.box_tree import BoxTree, boxes
+from ekf_reference.dense.delayed_initialisation import DelayedInitialisation
 from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.regions import Potential
 from ekf_reference.dense.view import FilterView
-from ekf_reference.dense.waiting import WaitingRoom
 from tests.helpers import Array
 
 EVERYWHERE = np.array([[(-1e4, -1e4), (1e4, -1e4), (0.0, 1e4)]])
@@ -25,7 +25,7 @@ def anywhere(*axis: tuple[int, int]) -> Potential:
     return Potential(np.array(axis).reshape(-1, 2), PlacedRegions(triangle, tree))
 
 
-class NoCross(WaitingRoom):
+class NoCross(DelayedInitialisation):
     """A broken variant: the covariance with the vehicle is left out."""
 
     def add(
@@ -36,14 +36,14 @@ class NoCross(WaitingRoom):
         return number
 
 
-class NoMotion(WaitingRoom):
+class NoMotion(DelayedInitialisation):
     """A broken variant: F is left out."""
 
     def predicted(self, view: FilterView) -> None:
         self._read(view)
 
 
-class WrongSign(WaitingRoom):
+class WrongSign(DelayedInitialisation):
     """A broken variant: the correction goes the other way."""
 
     def updated(self, view: FilterView) -> None:

@@ -28,7 +28,7 @@ SINGULAR = 1e-9
 
 
 @dataclass
-class WaitingCounts:
+class DelayedCounts:
     """What became of points. Every point offered is waiting or counted here.
 
     released: handed out. refused: in no potential region. dropped: the oldest, over the capacity.
@@ -79,7 +79,7 @@ class Points(NamedTuple):
 
 
 @dataclass(kw_only=True)
-class WaitingRoom:
+class DelayedInitialisation:
     """Waiting points. Per scan call predicted, the filter's update, updated, release, add.
 
     capacity: most points. patience: scans after which a point is `overdue`. axis: (G, 2) landmarks
@@ -89,7 +89,7 @@ class WaitingRoom:
 
     capacity: int = 5_000
     patience: int = 50
-    counts: WaitingCounts = field(default_factory=WaitingCounts)
+    counts: DelayedCounts = field(default_factory=DelayedCounts)
     points: Points = field(default_factory=Points.none)
     axis: Index = field(default_factory=lambda: np.empty((0, 2), dtype=np.intp))
     mean: Array = field(default_factory=lambda: np.empty((0, 3)))
