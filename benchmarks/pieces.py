@@ -21,7 +21,7 @@ import numpy as np
 from comparisons.logs.simulate.ray_casting import Solids, cast
 from ekf_reference.association.nearest_neighbour import KnownAssociation
 from ekf_reference.core.ekf import Ekf
-from ekf_reference.dense.neglected import NeglectedCorrelation
+from ekf_reference.dense.neglected_correlation import NeglectedCorrelation
 from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.view import FilterView
 from ekf_reference.models.motion import UnicycleModel

@@ -12,7 +12,7 @@ from ekf_reference.core.geometry import Array, Index
 from ekf_reference.dense.delayed_initialisation import DelayedInitialisation
 from ekf_reference.dense.dynamic import DynamicLayer
 from ekf_reference.dense.layers.layer import Hits, Layer
-from ekf_reference.dense.neglected import NeglectedCorrelation
+from ekf_reference.dense.neglected_correlation import NeglectedCorrelation
 from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.regions import LocalRegions, Potential
 from ekf_reference.dense.scan import Scan

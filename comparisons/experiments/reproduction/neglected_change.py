@@ -19,7 +19,7 @@ from comparisons.experiments.reproduction.watched_run import truth_in_order, wat
 from comparisons.logs.log import Log
 from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.dense.conditions import Conditions
-from ekf_reference.dense.neglected import NeglectedCorrelation
+from ekf_reference.dense.neglected_correlation import NeglectedCorrelation
 from ekf_reference.dense.passive_states import PassiveStates, local_coordinates, points
 from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.triangles import axes, to_local

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ekf_reference.core.geometry import Array, Index
-from ekf_reference.dense.neglected import (
+from ekf_reference.dense.neglected_correlation import (
     Carriers,
     NeglectedCorrelation,
     neglected_covariance,
