@@ -18,8 +18,8 @@ import numpy as np
 
 from ekf_reference.core.geometry import Array, Index, Mask, wrap_angle
 from ekf_reference.dense.local_pose import Frames, read_local_poses
-from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.regions import Potential
+from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.triangles import turned
 from ekf_reference.dense.view import FilterView
 
@@ -171,7 +171,7 @@ class DelayedInitialisation:
             self._keep(np.arange(excess, len(self.points.scan)))
         return number
 
-    def release(self, view: FilterView, placed: PlacedRegions) -> Released:
+    def release(self, view: FilterView, placed: RegionsAtMap) -> Released:
         """Hand out the points that lie in a region now; they leave the room."""
         world, frame = self._in_the_world(view)
         found = placed.locate(world)

@@ -13,8 +13,8 @@ from ekf_reference.dense.delayed_initialisation import DelayedInitialisation
 from ekf_reference.dense.dynamic import DynamicLayer
 from ekf_reference.dense.layers.layer import Hits, Layer
 from ekf_reference.dense.neglected_correlation import NeglectedCorrelation
-from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.regions import LocalRegions, Potential
+from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.view import FilterView
 
@@ -123,14 +123,14 @@ class DenseMap:
         self._note_error(view, hits)
         self._let_wait(view, scan, np.flatnonzero(found.region < 0))
 
-    def place(self, view: FilterView) -> PlacedRegions:
+    def place(self, view: FilterView) -> RegionsAtMap:
         """Move the regions to a view's landmarks; one that has left the filter's map stays."""
         known = np.full_like(view.landmark, np.nan)
         known[: len(self.landmark)] = self.landmark
         self.landmark = np.where(np.isnan(view.landmark), known, view.landmark)
         return self.regions.placed(self.landmark)
 
-    def _known(self, view: FilterView, placed: PlacedRegions, near: Index, sigma_m: float) -> Index:
+    def _known(self, view: FilterView, placed: RegionsAtMap, near: Index, sigma_m: float) -> Index:
         """Those of the regions whose middle is known so well from here, all within reach."""
         middle, known = placed.triangle[near].mean(axis=1), replace(view, landmark=self.landmark)
         slot = self.neglected.carriers(known, near, middle).slot

@@ -23,7 +23,7 @@ from ekf_reference.core.geometry import Array, Index, Mask
 from ekf_reference.dense.layers.layer import Hits
 from ekf_reference.dense.layers.occupancy import OccupancyGrid, RegionGrid
 from ekf_reference.dense.low_pass import LowPass
-from ekf_reference.dense.placed_regions import PlacedRegions
+from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.scan import Scan, Single
 from ekf_reference.dense.sensor_model import InverseSensorModel, probability
 from ekf_reference.dense.triangles import determinant, to_global
@@ -127,7 +127,7 @@ class DynamicLayer:
         self.grid = OccupancyGrid(self.resolution_m, _MODEL, _CONFIDENCE)
 
     def fuse(
-        self, hits: Hits, placed: PlacedRegions, scan: Scan, near: Index, time_s: float
+        self, hits: Hits, placed: RegionsAtMap, scan: Scan, near: Index, time_s: float
     ) -> None:
         """Take in a scan at a time [s], not before the last; see dense.layers.layer.Layer.
 
@@ -155,7 +155,7 @@ class DynamicLayer:
         found = [number for number, h in self._history.items() if h.dynamic.any()]
         return np.array(sorted(found), dtype=np.intp)
 
-    def points(self, placed: PlacedRegions, regions: Iterable[int] | None = None) -> Array:
+    def points(self, placed: RegionsAtMap, regions: Iterable[int] | None = None) -> Array:
         """(k, 2) [m] the dynamic cells in the world, of all regions or of some."""
         parts = [np.empty((0, 2))]
         for region in self.regions.tolist() if regions is None else regions:
@@ -165,7 +165,7 @@ class DynamicLayer:
                 parts.append(to_global(placed.triangle[region], local))
         return np.concatenate(parts)
 
-    def area_m2(self, placed: PlacedRegions) -> float:
+    def area_m2(self, placed: RegionsAtMap) -> float:
         """Of all dynamic cells."""
         whole = np.abs(determinant(placed.triangle))
         return sum(
@@ -173,7 +173,7 @@ class DynamicLayer:
             for n in self.regions.tolist()
         )
 
-    def covers(self, point: Array, placed: PlacedRegions, margin_m: float = 0.0) -> Mask:
+    def covers(self, point: Array, placed: RegionsAtMap, margin_m: float = 0.0) -> Mask:
         """(N,) which points (N, 2) [m] lie in a dynamic cell, or so near to the middle of one.
 
         Points that are not finite lie nowhere.
@@ -196,7 +196,7 @@ class DynamicLayer:
                 covered[rest] = cKDTree(cells).query(point[rest])[0] <= margin_m
         return covered
 
-    def occupancy(self, point: Array, placed: PlacedRegions) -> Array:
+    def occupancy(self, point: Array, placed: RegionsAtMap) -> Array:
         """(N,) 1 in dynamic cells, 0 in others, NaN where nothing was ever seen: to be drawn."""
         known = np.isfinite(self.grid.occupancy(point, placed))
         return np.where(known, self.covers(point, placed).astype(float), np.nan)

@@ -21,7 +21,7 @@ import numpy as np
 from ekf_reference.core.geometry import Array, Index, Mask
 from ekf_reference.dense.box_tree import BoxTree, boxes, tiled
 from ekf_reference.dense.conditions import Conditions, overlap
-from ekf_reference.dense.placed_regions import PlacedRegions
+from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.triangles import circumradius, contains, determinant, is_degenerate, solve
 from ekf_reference.dense.virtual_landmarks import VirtualLandmarks, behind
 
@@ -34,7 +34,7 @@ class Potential(NamedTuple):
     """
 
     axis: Index
-    placed: PlacedRegions
+    placed: RegionsAtMap
 
 
 @dataclass(kw_only=True)
@@ -52,9 +52,7 @@ class LocalRegions:
     virtual: VirtualLandmarks = field(default_factory=VirtualLandmarks)
     _order: Index = field(default_factory=lambda: np.empty(0, dtype=np.intp))
     _tiled: int = 0
-    _last: tuple[Array, Index, PlacedRegions] | None = field(
-        default=None, repr=False, compare=False
-    )
+    _last: tuple[Array, Index, RegionsAtMap] | None = field(default=None, repr=False, compare=False)
 
     def corners(self, landmark: Array) -> Array:
         """The map's landmarks (L, 2) [m], then the virtual ones, newest first; (L + V, 2).
@@ -63,14 +61,14 @@ class LocalRegions:
         """
         return np.concatenate((landmark, self.virtual.point(landmark)[::-1]))
 
-    def placed(self, landmark: Array) -> PlacedRegions:
+    def placed(self, landmark: Array) -> RegionsAtMap:
         """Return the regions with the map's landmarks (L, 2) [m] where they are now; cached."""
         if self._last is not None:
             asked, base, placed = self._last
             if base is self.base and np.array_equal(asked, landmark, equal_nan=True):
                 return placed
         triangle = self.corners(landmark)[self.base]
-        placed = PlacedRegions(triangle, BoxTree.pack(boxes(triangle), self._order))
+        placed = RegionsAtMap(triangle, BoxTree.pack(boxes(triangle), self._order))
         self._last = landmark.copy(), self.base, placed
         return placed
 
@@ -139,7 +137,7 @@ class LocalRegions:
         axis = np.sort(np.concatenate((axis, new.pair[roundest])), axis=1)
         triangle = np.concatenate((landmark[base], triangle[roundest]))
         tree = BoxTree.pack(boxes(triangle), tiled(triangle.mean(axis=1)))
-        return Potential(axis, PlacedRegions(triangle, tree))
+        return Potential(axis, RegionsAtMap(triangle, tree))
 
     def _triples(self, landmark: Array, slot: Index, covariance: Array, pair: Mask) -> Index:
         """Triples (C, 3) of `_open` pairs that meet the last two conditions, roundest first."""

@@ -12,7 +12,7 @@ from ekf_reference.core.geometry import Array, Index
 from ekf_reference.dense.layers.association import associate, doubled
 from ekf_reference.dense.layers.layer import Hits, in_world
 from ekf_reference.dense.layers.points import PointLayer
-from ekf_reference.dense.placed_regions import PlacedRegions
+from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.triangles import determinant, solve, turned
 
@@ -48,7 +48,7 @@ class Gaussians(PointLayer):
         super().__init__(5, d_min_m)
         self.widest = widest
 
-    def fuse(self, hits: Hits, placed: PlacedRegions, scan: Scan | None, near: Index) -> None:
+    def fuse(self, hits: Hits, placed: RegionsAtMap, scan: Scan | None, near: Index) -> None:
         """Widen and shift old Gaussians by the nearest returns, then add the other returns."""
         old, where = self._placed(placed, np.union1d(near, hits.region))
         pair = associate(where, hits.point, self._reach_m)
@@ -70,7 +70,7 @@ class Gaussians(PointLayer):
         spread = in_local_axes(placed, hits.region[add], hits.covariance[add])
         self._store.append(hits.region[add], np.hstack((hits.local[add], spread)))
 
-    def ellipses(self, placed: PlacedRegions, regions: Index | None = None) -> Ellipses:
+    def ellipses(self, placed: RegionsAtMap, regions: Index | None = None) -> Ellipses:
         """All Gaussians, or those in distinct regions (r,), as the landmarks lie now."""
         region, value = self._store.gather(regions)
         return Ellipses(
@@ -79,7 +79,7 @@ class Gaussians(PointLayer):
             region,
         )
 
-    def occupancy(self, point: Array, placed: PlacedRegions) -> Array:
+    def occupancy(self, point: Array, placed: RegionsAtMap) -> Array:
         """1 - prod(1 - g) over the Gaussians g, peaks one, in the regions that points are in.
 
         The sum of 4.14 that stays below one, as if each Gaussian were by itself the chance that
@@ -103,13 +103,13 @@ class Gaussians(PointLayer):
         return np.where(height >= _NEGLIGIBLE, height, np.nan)
 
 
-def in_world_axes(placed: PlacedRegions, region: Index, local: Array) -> Array:
+def in_world_axes(placed: RegionsAtMap, region: Index, local: Array) -> Array:
     """Covariances (N, 2, 2) [m^2] of local ones (N, 3), their aa, ab and bb, in regions (N,)."""
     _, a, b = placed.frames
     return _through(a[region], b[region], local)
 
 
-def in_local_axes(placed: PlacedRegions, region: Index, world: Array) -> Array:
+def in_local_axes(placed: RegionsAtMap, region: Index, world: Array) -> Array:
     """The inverse: (N, 3) of covariances (N, 2, 2) [m^2]. No region may be degenerate.
 
     The Jacobian by the point alone (Nieto 2005, eqs. C.11 and C.12): the landmarks' own

@@ -10,7 +10,7 @@ from ekf_reference.core.geometry import Array, Index
 from ekf_reference.dense.layers.association import associate, doubled
 from ekf_reference.dense.layers.layer import Hits
 from ekf_reference.dense.layers.points import PointLayer
-from ekf_reference.dense.placed_regions import PlacedRegions
+from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.sensor_model import InverseSensorModel, log_odds, probability
 from ekf_reference.dense.triangles import solve
@@ -48,7 +48,7 @@ class Particles(PointLayer):
         self._most = float(log_odds(confidence))
         self._least = float(log_odds(least)) if least > 0.0 else -np.inf
 
-    def fuse(self, hits: Hits, placed: PlacedRegions, scan: Scan | None, near: Index) -> None:
+    def fuse(self, hits: Hits, placed: RegionsAtMap, scan: Scan | None, near: Index) -> None:
         """Update the particles near new samples and those in free space, then add the others."""
         drawn, drawn_odds = self.sampled(hits, scan)
         old, where = self._placed(placed, np.union1d(near, hits.region))

@@ -7,8 +7,8 @@ from scipy.spatial import cKDTree
 
 from ekf_reference.core.geometry import Array, Index
 from ekf_reference.dense.layers.layer import Hits, Samples, in_world
-from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.region_store import RegionStore, Rows
+from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.triangles import is_degenerate
 
@@ -29,12 +29,12 @@ class PointLayer:
         """Number of points."""
         return len(self._store)
 
-    def samples(self, placed: PlacedRegions, regions: Index | None = None) -> Samples:
+    def samples(self, placed: RegionsAtMap, regions: Index | None = None) -> Samples:
         """All points, or those in distinct regions (r,)."""
         region, value = self._store.gather(regions)
         return Samples(in_world(placed, region, value[:, :2]), self._occupied(value), region)
 
-    def occupancy(self, point: Array, placed: PlacedRegions) -> Array:
+    def occupancy(self, point: Array, placed: RegionsAtMap) -> Array:
         """(N,) occupancy of the nearest sample within reach, NaN where there is none.
 
         Samples of all regions count in which any of the points (N, 2) [m] are.
@@ -54,7 +54,7 @@ class PointLayer:
         """(N,) occupancy of rows (N, w): returns are occupied for certain."""
         return np.ones(len(value))
 
-    def _placed(self, placed: PlacedRegions, regions: Index) -> tuple[Rows, Array]:
+    def _placed(self, placed: RegionsAtMap, regions: Index) -> tuple[Rows, Array]:
         """The rows of those of some regions (r,) that have an area now, and their points (n, 2)."""
         rows = self._store.gather(regions[~is_degenerate(placed.triangle[regions])])
         return rows, in_world(placed, rows.region, rows.value[:, :2])
@@ -67,6 +67,6 @@ class Points(PointLayer):
         """resolution_m: how near a point is to a return that counts as occupied."""
         super().__init__(2, resolution_m)
 
-    def fuse(self, hits: Hits, placed: PlacedRegions, scan: Scan | None, near: Index) -> None:
+    def fuse(self, hits: Hits, placed: RegionsAtMap, scan: Scan | None, near: Index) -> None:
         """Append the returns."""
         self._store.append(hits.region, hits.local)

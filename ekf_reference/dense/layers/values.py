@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from ekf_reference.core.geometry import Array, Index
 from ekf_reference.dense.layers.layer import Hits
 from ekf_reference.dense.layers.points import PointLayer
-from ekf_reference.dense.placed_regions import PlacedRegions
+from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.scan import Scan
 
 
@@ -37,7 +37,7 @@ class Values(PointLayer):
         """Raises ValueError for a distance that is not above zero."""
         super().__init__(5, d_min_m)  # alpha, beta, count, mean, sum of squares about it
 
-    def fuse(self, hits: Hits, placed: PlacedRegions, scan: Scan | None, near: Index) -> None:
+    def fuse(self, hits: Hits, placed: RegionsAtMap, scan: Scan | None, near: Index) -> None:
         """Average in the values of returns, late ones as well."""
         if hits.value is None:
             return
@@ -56,7 +56,7 @@ class Values(PointLayer):
         columns = hits.local[told[rest]], none + 1.0, value[rest], none
         self._store.append(region[rest], np.column_stack(columns))
 
-    def around(self, point: Array, placed: PlacedRegions, reach_m: float) -> PlaceValues:
+    def around(self, point: Array, placed: RegionsAtMap, reach_m: float) -> PlaceValues:
         """Of all returns from within reach of points (L, 2) [m], whatever region they are in."""
         asked = np.where(np.isfinite(point).all(axis=1, keepdims=True), point, np.nan)
         box = np.concatenate((asked - reach_m, asked + reach_m), axis=1)

@@ -15,8 +15,8 @@ from ekf_reference.dense.layers.occupancy import OccupancyGrid
 from ekf_reference.dense.layers.particles import Particles
 from ekf_reference.dense.layers.points import Points
 from ekf_reference.dense.layers.values import Values
-from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.regions import LocalRegions
+from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.scan import Scan, Sensor
 from ekf_reference.dense.triangles import determinant, is_degenerate
 from tests.helpers import Array
@@ -66,8 +66,8 @@ def field() -> tuple[Array, LocalRegions]:
 
 
 def told(
-    placed: PlacedRegions, scan: Scan, late: bool = False
-) -> tuple[Hits, PlacedRegions, Scan | None, Index]:
+    placed: RegionsAtMap, scan: Scan, late: bool = False
+) -> tuple[Hits, RegionsAtMap, Scan | None, Index]:
     """What a dense map tells its layers of a scan."""
     found = placed.locate(scan.point)
     inside = np.flatnonzero(found.region >= 0)
@@ -97,7 +97,7 @@ def wall_scan(
 
 
 @cache
-def simulation(loops: int = 1) -> tuple[PlacedRegions, tuple[Scan, ...]]:
+def simulation(loops: int = 1) -> tuple[RegionsAtMap, tuple[Scan, ...]]:
     """Scans of Nieto 2005, section 4.1.3, from the true poses, in a lattice of regions."""
     log = simulate(np.random.default_rng(1), occupancy(loops))
     assert log.scans is not None

@@ -17,8 +17,8 @@ from ekf_reference.dense.conditions import Conditions
 from ekf_reference.dense.delayed_initialisation import DelayedInitialisation
 from ekf_reference.dense.dense_map import DenseMap
 from ekf_reference.dense.layers.layer import Layer
-from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.regions import LocalRegions
+from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.view import FilterView
 from tests.ekf_reference.dense.scenes import LAYERS, SENSOR, flipped, layer
@@ -80,13 +80,13 @@ def accounted(dense: DenseMap) -> bool:
 
 def held(dense: DenseMap) -> int:
     """Points in the layer that keeps them all."""
-    placed = PlacedRegions(
+    placed = RegionsAtMap(
         np.zeros((len(dense.regions.base), 3, 2)), BoxTree(np.empty(0, dtype=np.intp), ())
     )
     return len(dense.layers["points"].samples(placed).point)
 
 
-def held_by(layer: Layer, placed: PlacedRegions) -> bytes:
+def held_by(layer: Layer, placed: RegionsAtMap) -> bytes:
     return b"".join(column.tobytes() for column in layer.samples(placed))
 
 

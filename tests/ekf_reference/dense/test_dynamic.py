@@ -11,7 +11,7 @@ import pytest
 from ekf_reference.dense.dynamic import Differencing, DynamicLayer, places
 from ekf_reference.dense.layers.occupancy import RegionGrid
 from ekf_reference.dense.low_pass import LowPass
-from ekf_reference.dense.placed_regions import PlacedRegions
+from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.scan import Scan
 from tests.ekf_reference.dense import scenes
 from tests.ekf_reference.dense.scenes import field, told
@@ -38,7 +38,7 @@ def scene(box: Array | None, rng: np.random.Generator, noise_m: float = 0.15) ->
 
 def watched(
     layer: DynamicLayer, north: list[float | None], seed: int = 0, east: float = 8.0
-) -> tuple[DynamicLayer, PlacedRegions]:
+) -> tuple[DynamicLayer, RegionsAtMap]:
     """Ten scans a second of a box so far north in each."""
     rng = np.random.default_rng(seed)
     landmark, regions = field()

@@ -7,8 +7,8 @@ import numpy as np
 from ekf_reference.core.geometry import Index
 from ekf_reference.dense.box_tree import BoxTree, boxes
 from ekf_reference.dense.delayed_initialisation import DelayedInitialisation
-from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.regions import Potential
+from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.view import FilterView
 from tests.helpers import Array
 
@@ -22,7 +22,7 @@ def anywhere(*axis: tuple[int, int]) -> Potential:
     """Potential regions of these axes, the first of which has the whole plane."""
     triangle = np.repeat(EVERYWHERE, len(axis), axis=0)
     tree = BoxTree.pack(boxes(triangle), np.arange(len(axis)))
-    return Potential(np.array(axis).reshape(-1, 2), PlacedRegions(triangle, tree))
+    return Potential(np.array(axis).reshape(-1, 2), RegionsAtMap(triangle, tree))
 
 
 class NoCross(DelayedInitialisation):

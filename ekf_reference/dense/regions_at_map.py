@@ -25,7 +25,7 @@ class Located(NamedTuple):
 
 
 @dataclass(frozen=True)
-class PlacedRegions:
+class RegionsAtMap:
     """Regions with their landmarks where these are now; a snapshot.
 
     triangle: (R, 3, 2) [m]. tree: over their boxes.
