@@ -13,7 +13,7 @@ from ekf_reference.association.nearest_neighbour import KnownAssociation
 from ekf_reference.core.ekf import NEW, Ekf, Stabilisation
 from ekf_reference.core.geometry import Array
 from ekf_reference.dense.high_level import Found, search, to_world
-from ekf_reference.dense.high_level_life import (
+from ekf_reference.dense.high_level_lifecycle import (
     Glimpse,
     HighLevelLandmarks,
 )
