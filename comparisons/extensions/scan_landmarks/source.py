@@ -24,7 +24,7 @@ from ekf_reference.core.local_map import LocalMap
 from ekf_reference.core.state import FilterDivergedError
 from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.surroundings import Surroundings
-from ekf_reference.scan_landmarks.enriching import MapAidedObserver
+from ekf_reference.scan_landmarks.map_aided_matching import MapAidedObserver
 from ekf_reference.scan_landmarks.merging import FusingOptions, Twins
 from ekf_reference.scan_landmarks.scan_slam import ScanLandmarks, ScanSlam, ScanSlamOptions
 from ekf_reference.scan_landmarks.template_extraction import (

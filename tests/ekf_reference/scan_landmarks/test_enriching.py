@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ekf_reference.scan_landmarks.enriching import enriched, observe_enriched
+from ekf_reference.scan_landmarks.map_aided_matching import enriched, observe_enriched
 from ekf_reference.scan_landmarks.templates import (
     AMBIGUOUS,
     ObservationOptions,

@@ -12,7 +12,7 @@ from ekf_reference.core.ekf import NEW, Ekf
 from ekf_reference.core.geometry import Index
 from ekf_reference.core.layout import POSE
 from ekf_reference.models.motion import RelativePoseModel
-from ekf_reference.scan_landmarks.enriching import MapAidedObserver
+from ekf_reference.scan_landmarks.map_aided_matching import MapAidedObserver
 from ekf_reference.scan_landmarks.scan_slam import GATED, USED, ScanSlam, ScanSlamOptions
 from ekf_reference.scan_landmarks.segmentation import SegmentationOptions
 from ekf_reference.scan_landmarks.template_extraction import SingleSegments
