@@ -22,8 +22,8 @@ from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.layout import POINT, POSE
 from ekf_reference.core.local_map import LocalMap
 from ekf_reference.core.state import FilterDivergedError
+from ekf_reference.dense.local_context import LocalContext
 from ekf_reference.dense.scan import Scan
-from ekf_reference.dense.surroundings import Surroundings
 from ekf_reference.scan_landmarks.map_aided_matching import MapAidedObserver
 from ekf_reference.scan_landmarks.merging import FusingOptions, Twins
 from ekf_reference.scan_landmarks.scan_slam import ScanLandmarks, ScanSlam, ScanSlamOptions
@@ -160,7 +160,7 @@ class ScanSlamSource:
         self._scans, self._next = scans, 0
         self._observer = None
         if map_of is not None:
-            self._observer = MapAidedObserver(Surroundings(map_of.dense).around, ENRICH_M)
+            self._observer = MapAidedObserver(LocalContext(map_of.dense).around, ENRICH_M)
         self._slam = ScanSlam(
             scans.sensor, scans.view, scans.mount, options, observer=self._observer
         )
