@@ -26,7 +26,7 @@ from ekf_reference.scan_matching.sog import SumOfGaussians
 _MODEL = RelativePose()
 
 
-class Fuser(Protocol):
+class MergeSink(Protocol):
     """Receives, for a filter, the measurement that two of its landmarks are one."""
 
     def fuse(self, first: int, second: int, z: Array, covariance: Array) -> LocalMap:
@@ -61,7 +61,7 @@ class Pair(NamedTuple):
     covariance: Array
 
 
-class Twins:
+class DuplicateMerging:
     """Finds and merges duplicates around the vehicle. merged: how many, so far."""
 
     def __init__(self, slam: ScanSlam, options: FusingOptions | None = None) -> None:
@@ -70,7 +70,7 @@ class Twins:
         self.options = options or FusingOptions()
         self._tried: dict[tuple[int, int], int] = {}
 
-    def step(self, ekf: Ekf, tell: Fuser) -> None:
+    def step(self, ekf: Ekf, tell: MergeSink) -> None:
         """Merge duplicates within reach, the closest first; call it after every scan."""
         gone = set[int]()
         for pair in self._close(ekf, self._slam.view.reach_m)[: self.options.tried]:

@@ -51,7 +51,7 @@ _EXTRACTION, _OBSERVATION, _ALIGNMENT = JoinedSegments(), ObservationOptions(), 
 _BELIEF = CovarianceOptions(neighbourhood_m=1.0, beyond_chance=3.0)
 
 
-class Teller(Protocol):
+class MeasurementSink(Protocol):
     """Receives measurements of pose landmarks for a filter."""
 
     def observe(self, z: Array, covariance: Array, slot: Index) -> Index:
@@ -136,7 +136,7 @@ class ScanSlam:
         self._last_seen: dict[int, int] = {}
         self._begun = 0
 
-    def step(self, ekf: Ekf, scan: SumOfGaussians, tell: Teller) -> None:
+    def step(self, ekf: Ekf, scan: SumOfGaussians, tell: MeasurementSink) -> None:
         """Process a scan, in the scanner's frame: predict, align, gate, update, augment."""
         self.found.scans += 1
         used = self._update(ekf, self._predict(ekf), scan, tell)
@@ -152,7 +152,9 @@ class ScanSlam:
         z[:, :2] = z[:, :2] @ out[:2, :2]
         return Predicted(near, z, out.T @ spread @ out)
 
-    def _update(self, ekf: Ekf, predicted: Predicted, scan: SumOfGaussians, tell: Teller) -> int:
+    def _update(
+        self, ekf: Ekf, predicted: Predicted, scan: SumOfGaussians, tell: MeasurementSink
+    ) -> int:
         """Fuse [z, R] = scan_align(G_L, G_o, z^) of those in view and gate; returns how many."""
         seen: list[tuple[int, Array, Array]] = []
         for row in self._in_view(predicted, scan):
@@ -191,7 +193,7 @@ class ScanSlam:
         """Of a landmark's template that should be seen; of a blank scan nothing is."""
         return share_in_view(self.found.template[slot], scan, z, self.view) if len(scan) else 0.0
 
-    def _augment(self, ekf: Ekf, scan: SumOfGaussians, tell: Teller) -> None:
+    def _augment(self, ekf: Ekf, scan: SumOfGaussians, tell: MeasurementSink) -> None:
         """Initialise landmarks of those candidate templates that align with themselves."""
         o = self.options
 
@@ -214,7 +216,7 @@ class ScanSlam:
             self.found.template[slot] = self.found.begun[slot] = template
             self._begun = self.found.scans
 
-    def _told(self, tell: Teller, seen: list[tuple[int, Array, Array]]) -> int:
+    def _told(self, tell: MeasurementSink, seen: list[tuple[int, Array, Array]]) -> int:
         """Fuse measurements (index, z, R) in the scanner's frame; returns the last index."""
         out = self._out()
         z = np.array([at for _, at, _ in seen]) @ out.T + self.mount

@@ -25,7 +25,7 @@ from ekf_reference.core.state import FilterDivergedError
 from ekf_reference.dense.local_context import LocalContext
 from ekf_reference.dense.scan import Scan
 from ekf_reference.scan_landmarks.map_aided_matching import MapAidedObserver
-from ekf_reference.scan_landmarks.merging import FusingOptions, Twins
+from ekf_reference.scan_landmarks.merging import DuplicateMerging, FusingOptions
 from ekf_reference.scan_landmarks.scan_slam import ScanLandmarks, ScanSlam, ScanSlamOptions
 from ekf_reference.scan_landmarks.template_extraction import (
     JoinedSegments,
@@ -144,7 +144,7 @@ class Closing:
 
 
 class ScanSlamSource:
-    """An OrientedSource: looks at a log's scans at their times. See ScanSlam and Twins."""
+    """An OrientedSource: looks at a log's scans at their times. See ScanSlam and DuplicateMerging."""
 
     def __init__(
         self,
@@ -164,7 +164,7 @@ class ScanSlamSource:
         self._slam = ScanSlam(
             scans.sensor, scans.view, scans.mount, options, observer=self._observer
         )
-        self._twins = None if fusing is None else Twins(self._slam, fusing)
+        self._twins = None if fusing is None else DuplicateMerging(self._slam, fusing)
         self.map_of = map_of
         self._guard: DynamicGuard | None = None
         self.closing: Closing | None = None
