@@ -26,10 +26,7 @@ class BoxTree:
     """Levels of boxes, each the hull of `BRANCHES` consecutive ones below; one at the top.
 
     order: (n,) the item behind each of the lowest boxes. levels: lowest first, (4, b) west,
-    south, east, north; padded with empty boxes.
-
-    A question goes down one level at a time for all points at once, so numpy's cost per call is
-    paid once per level: logarithmic in the boxes when few of them overlap.
+    south, east, north; padded with empty boxes. All points are asked level by level at once.
     """
 
     order: Index

@@ -37,8 +37,8 @@ class RegionsAtMap:
     def locate(self, point: Array) -> Located:
         """Find the regions of points (N, 2) [m], in logarithmic time each.
 
-        A point on a shared edge, or where landmarks have moved so that regions overlap, is in
-        the oldest of its regions: never in two. Not finite points are outside all.
+        A point in several regions, on a shared edge or where regions overlap by now, is in the
+        oldest. Points that are not finite are outside all.
         """
         reach = ON_AN_EDGE * self._extent
         asked = np.where(np.isfinite(point).all(axis=1, keepdims=True), point, np.nan)

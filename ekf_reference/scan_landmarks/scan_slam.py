@@ -63,8 +63,8 @@ class MeasurementSink(Protocol):
 class ScanSlamOptions:
     """Settings of Scan-SLAM; the thesis gives none of these but the gate.
 
-    aligned: most templates that one scan is aligned with. extraction: which returns become templates.
-    floor_m, floor_rad: least sigma of the prior of an alignment.
+    aligned: most templates that one scan is aligned with. extraction: which returns become
+    templates. floor_m, floor_rad: least sigma of the prior of an alignment.
     """
 
     aligned: int = 5
@@ -206,8 +206,8 @@ class ScanSlam:
             ]
 
         for rows in o.extraction.found(scan, self.view, self._out()[0, :2], known):
-            piece, trial = scan.take(rows), o.extraction.segmentation
-            found = quality(piece, self.sensor, self._rng, trial, o.alignment, o.belief)
+            segment, trial = scan.take(rows), o.extraction.segmentation
+            found = quality(segment, self.sensor, self._rng, trial, o.alignment, o.belief)
             if not found.accepted:
                 self.found.rejected += 1
                 continue

@@ -85,7 +85,7 @@ def quality(
     """Align noisy, displaced copies of a segment with it (Nieto 2005, sections 5.2.2 and 5.7).
 
     segment: some returns of a scan in the scanner's frame. Two things would fix a copy of a wall
-    along it, unlike a second scan: the ends of the view, which its boundaries exclude, and the noise
+    along it, unlike a second scan: the view's ends, which its boundaries exclude, and the noise
     that copies share with the segment unless they are interleaved.
     """
     o = options or SegmentationOptions()

@@ -116,7 +116,17 @@ def scan_align(
         peak = ascend(within_boundaries(problem, peak), peak, 0.0, held=shape.loose).pose
         shape = _Shape.at(problem, peak, about, belief)
     peak = peak - unit * (shape.loose @ (shape.loose.T @ ((peak - problem.guess) / unit)))
-    return _result(problem, found, peak, shape)
+    # From the centred sum's pose to that of its frame.
+    jacobian = carried(peak, -problem.centre)
+    inverse, scale = np.linalg.inv(jacobian), np.outer(unit, unit)
+    spread = jacobian @ (shape.covariance * scale) @ jacobian.T
+    return ScanAlignment(
+        pose=moved(peak, -problem.centre),
+        covariance=0.5 * (spread + spread.T),
+        curvature=inverse.T @ (shape.curvature / scale) @ inverse,
+        open_directions=shape.loose.shape[1],
+        alignment=found,
+    )
 
 
 @dataclass(frozen=True)
@@ -255,18 +265,3 @@ def _sandwich(
     half = root @ turn
     spread = (half * share) @ half.T
     return np.asarray(spread)
-
-
-def _result(problem: Problem, found: Alignment, pose: Array, shape: _Shape) -> ScanAlignment:
-    """From the centred sum's pose to that of its frame."""
-    jacobian = carried(pose, -problem.centre)
-    inverse = np.linalg.inv(jacobian)
-    scale = np.outer(problem.unit, problem.unit)
-    covariance = jacobian @ (shape.covariance * scale) @ jacobian.T
-    return ScanAlignment(
-        pose=moved(pose, -problem.centre),
-        covariance=0.5 * (covariance + covariance.T),
-        curvature=inverse.T @ (shape.curvature / scale) @ inverse,
-        open_directions=shape.loose.shape[1],
-        alignment=found,
-    )

@@ -141,7 +141,7 @@ def carried(pose: Array, shift: Array) -> Array:
 
 
 def within_boundaries(problem: Problem, pose: Array) -> Problem:
-    """Leave out those of the first sum that lie on a boundary of the second, or beyond, at a pose (3,).
+    """Leave out those of the first sum on a boundary of the second, or beyond, at a pose (3,).
 
     Otherwise two views of one wall would correlate best where their ends meet, which only says
     where the sensors were. (Turk and Levoy 1994 leave out such pairs of meshes.)

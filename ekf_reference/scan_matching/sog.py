@@ -13,11 +13,10 @@ from ekf_reference.core.geometry import Array, Index, Mask, rotation
 
 @dataclass(frozen=True)
 class SumOfGaussians:
-    """Gaussians of one frame, weighted (Nieto 2005, eq. 4.14).
+    """Weighted Gaussians of one frame: a shape, not a distribution (Nieto 2005, 4.3, eq. 4.14).
 
-    mean: (N, 2) [m]. covariance: (N, 2, 2) [m^2]. weight: (N,) alpha, positive, of sum one where
-    there are any. boundary: (N,) where the surface goes on unseen, so that the sum ends and the
-    surface does not. It is a shape, not a distribution of anything (section 4.3).
+    mean: (N, 2) [m]. covariance: (N, 2, 2) [m^2]. weight: (N,) alpha, positive, of sum one.
+    boundary: (N,) at an end of the view, where the surface goes on unseen.
     """
 
     mean: Array
@@ -31,9 +30,8 @@ class SumOfGaussians:
     ) -> SumOfGaussians:
         """Alpha_i in proportion to sqrt((2 pi)^2 |P_i|), as in Nieto 2005, Fig. 4.11.
 
-        On pieces of surface that is in proportion to their lengths. Raises ValueError for
-        numbers that are not finite, shapes that do not fit, or covariances that are not
-        positive definite. Without boundaries the surface ends with the sum.
+        Raises ValueError for numbers that are not finite, shapes that do not fit, or covariances
+        that are not positive definite. boundary: none by default.
         """
         mean, covariance = np.asarray(mean, dtype=float), np.asarray(covariance, dtype=float)
         if mean.ndim != 2 or mean.shape[1] != 2 or covariance.shape != (len(mean), 2, 2):

@@ -144,7 +144,7 @@ class Closing:
 
 
 class ScanSlamSource:
-    """An OrientedSource: looks at a log's scans at their times. See ScanSlam and DuplicateMerging."""
+    """An OrientedSource: scans of a log at their times. See ScanSlam and DuplicateMerging."""
 
     def __init__(
         self,

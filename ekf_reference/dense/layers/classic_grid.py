@@ -41,7 +41,7 @@ class ClassicGrid:
         """Occupied where returns come from, free before them, as if the pose were known."""
         if not len(scan.range_m):
             return
-        edge = scan.box(3.0 * self.update.sigma_m(scan)) / self._tile_m
+        edge = scan.box(3.0 * self.update.sigma_m(scan)) / (_SIDE * self.update.resolution_m)
         west, south, east, north = np.floor(edge).astype(int).tolist()
         for tile in ((i, j) for i in range(west, east + 1) for j in range(south, north + 1)):
             ahead, left = ((self._corner(tile) - scan.origin + self._center) @ scan.axes).T
@@ -61,9 +61,5 @@ class ClassicGrid:
         places = np.concatenate(point)
         return Samples(places, np.concatenate(occupancy), np.full(len(places), -1, dtype=np.intp))
 
-    @property
-    def _tile_m(self) -> float:
-        return _SIDE * self.update.resolution_m
-
     def _corner(self, tile: tuple[int, int]) -> Array:
-        return np.array(tile) * self._tile_m
+        return np.array(tile) * (_SIDE * self.update.resolution_m)
