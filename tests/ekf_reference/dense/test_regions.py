@@ -189,7 +189,7 @@ def test_third_condition_refuses_overlap(monkeypatch: pytest.MonkeyPatch) -> Non
     def apart(first: Array, second: Array) -> Array:
         return np.zeros(np.broadcast_shapes(first.shape, second.shape)[:-2], dtype=bool)
 
-    for module in ("regions", "placed_regions"):
+    for module in ("regions", "regions_at_map"):
         monkeypatch.setattr(f"ekf_reference.dense.{module}.overlap", apart)
     assert added(ANY_SIZE, landmark, covariance) > 4  # the check left out
 
