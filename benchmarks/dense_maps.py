@@ -36,7 +36,7 @@ from comparisons.logs.simulate.ray_casting import Solids, cast
 from comparisons.pipeline.dense_map import DenseMapping, map_log
 from ekf_reference.dense.dense_map import DenseMap
 from ekf_reference.dense.layers.layer import Hits, Layer
-from ekf_reference.dense.placed_regions import PlacedRegions
+from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.scan import Scan, Sensor
 from ekf_reference.dense.view import FilterView
 
@@ -101,12 +101,12 @@ class Told:
     """What a dense map tells its layers of a scan."""
 
     hits: Hits
-    placed: PlacedRegions
+    placed: RegionsAtMap
     scan: Scan
     near: NDArray[np.intp]
 
     @classmethod
-    def of(cls, placed: PlacedRegions, scan: Scan) -> Told:
+    def of(cls, placed: RegionsAtMap, scan: Scan) -> Told:
         """Of a scan."""
         found = placed.locate(scan.point)
         inside = np.flatnonzero(found.region >= 0)

@@ -21,7 +21,8 @@ import numpy as np
 from comparisons.logs.simulate.ray_casting import Solids, cast
 from ekf_reference.association.known import KnownAssociation
 from ekf_reference.core.ekf import Ekf
-from ekf_reference.dense.neglected import NeglectedCorrelation
+from ekf_reference.dense.neglected_correlation import NeglectedCorrelation
+from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.view import FilterView
 from ekf_reference.models.motion import UnicycleModel
 
@@ -47,8 +48,8 @@ def note_neglected() -> Callable[[], object]:
     ekf.state.augment(place, through, eye, noise)
     base = np.array([rng.choice(30, 3, replace=False) for _ in range(40)])
     point, region = place[base].mean(axis=1), np.arange(40)
-    view, layer = FilterView.of(ekf), NeglectedCorrelation()
-    return lambda: layer.note(view, base, region, point)
+    view, layer = FilterView.of(ekf), NeglectedCorrelation(LocalRegions(base=base))
+    return lambda: layer.note(view, region, point)
 
 
 PIECES = {

@@ -49,7 +49,7 @@ def measured(name: str, seed: int, templates: str) -> str:
         float(off[-1]),
         float(sigma),
         len(m.placed.triangle),
-        source.found.enriched,
+        source.enriched,
     ]
     for layer in LAYERS:
         first = float("nan")

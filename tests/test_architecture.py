@@ -16,6 +16,7 @@ ALLOWED = {
 }
 STANDARD = {
     "__future__",
+    "abc",
     "collections",
     "ctypes",
     "dataclasses",

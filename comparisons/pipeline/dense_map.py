@@ -22,7 +22,7 @@ from comparisons.pipeline.prepare import (
 )
 from ekf_reference.dense.layers.classic_grid import ClassicGrid
 from ekf_reference.dense.layers.layer import Samples
-from ekf_reference.dense.placed_regions import PlacedRegions
+from ekf_reference.dense.regions_at_map import RegionsAtMap
 
 REQUIRED = Required(
     sightings="between which the map is kept: try --features trees or --landmarks scans",
@@ -44,7 +44,7 @@ class DenseMapping:
     setup: FilterSetup
     ekf: EkfRun
     dense: DenseRun
-    placed: PlacedRegions
+    placed: RegionsAtMap
     layers: Mapping[str, Samples]
     classic: Samples
     errors: Mapping[str, SurfaceError]
@@ -98,7 +98,7 @@ def map_log(
 
 
 def _errors(
-    log: Log, placed: PlacedRegions, layers: Mapping[str, Samples], usual: Samples
+    log: Log, placed: RegionsAtMap, layers: Mapping[str, Samples], usual: Samples
 ) -> dict[str, SurfaceError]:
     if log.truth.surfaces is None:
         return {}

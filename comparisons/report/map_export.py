@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Array
-from ekf_reference.dense.placed_regions import PlacedRegions
+from ekf_reference.dense.regions_at_map import RegionsAtMap
 
 OCCUPIED_ABOVE, FREE_BELOW = 0.65, 0.25
 """Of the ROS map's three values."""
@@ -61,12 +61,12 @@ class Raster:
 class Drawable(Protocol):
     """What a raster can be made of; every Layer is."""
 
-    def occupancy(self, point: Array, placed: PlacedRegions) -> Array:
+    def occupancy(self, point: Array, placed: RegionsAtMap) -> Array:
         """(N,) from 0 to 1 at points (N, 2) [m], NaN where nothing is known."""
         ...
 
 
-def window(placed: PlacedRegions) -> tuple[float, float, float, float]:
+def window(placed: RegionsAtMap) -> tuple[float, float, float, float]:
     """West, south, east, north of all regions [m]. Raises InputError where there are none."""
     corner = placed.triangle.reshape(-1, 2)
     corner = corner[np.isfinite(corner).all(axis=1)]
@@ -79,7 +79,7 @@ def window(placed: PlacedRegions) -> tuple[float, float, float, float]:
 
 def rasterise(
     layer: Drawable,
-    placed: PlacedRegions,
+    placed: RegionsAtMap,
     cell_m: float,
     bounds: tuple[float, float, float, float] | None = None,
 ) -> Raster:

@@ -15,11 +15,10 @@ EMPTY = np.array((np.inf, np.inf, -np.inf, -np.inf))
 
 
 class Meeting(NamedTuple):
-    """Pairs that meet. query: (k,) which question. item: (k,) which box. tested: boxes tried."""
+    """Pairs that meet. query: (k,) which question. item: (k,) which box."""
 
     query: Index
     item: Index
-    tested: int
 
 
 @dataclass(frozen=True)
@@ -27,10 +26,7 @@ class BoxTree:
     """Levels of boxes, each the hull of `BRANCHES` consecutive ones below; one at the top.
 
     order: (n,) the item behind each of the lowest boxes. levels: lowest first, (4, b) west,
-    south, east, north; padded with empty boxes.
-
-    A question goes down one level at a time for all points at once, so numpy's cost per call is
-    paid once per level: logarithmic in the boxes when few of them overlap.
+    south, east, north; padded with empty boxes. All points are asked level by level at once.
     """
 
     order: Index
@@ -58,9 +54,7 @@ class BoxTree:
         query = np.repeat(np.arange(len(box)), BRANCHES)
         node = np.tile(np.arange(BRANCHES), len(box))
         west, south, east, north = box.T.copy()  # contiguous: several times faster to pick from
-        tested = 0
         for height in range(len(self.levels) - 1, -1, -1):
-            tested += len(query)
             here = self.levels[height]
             touch = np.flatnonzero(
                 (west[query] <= here[2][node])
@@ -72,7 +66,7 @@ class BoxTree:
             if height:
                 query = np.repeat(query, BRANCHES)
                 node = (node[:, None] * BRANCHES + np.arange(BRANCHES)).ravel()
-        return Meeting(query, self.order[node], tested)
+        return Meeting(query, self.order[node])
 
 
 def boxes(triangle: Array) -> Array:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,30 +31,6 @@ def coordinate_correlation(covariance: Array) -> Array:
     return lower
 
 
-def pair_correlation(covariance: Array) -> Array:
-    """How much of their uncertainty landmarks have in common; (m, m), between -1 and 1.
-
-    covariance: (2 m, 2 m) [m^2].
-
-    The thesis asks for high correlation *and* the same uncertainty (section 3.5): then the
-    relative position is known. Both are in the smallest, over directions u, of
-    2 u'P_ij u / u'(P_ii + P_jj) u. With equal variances that is the correlation coefficient in
-    the worst direction. Where positive it never exceeds those in east and north, and it does not
-    depend on the choice of axes, as coordinate_correlation does.
-    """
-    own, cross = _blocks(covariance)
-    total = own[:, None] + own
-    common = cross + np.swapaxes(cross, -1, -2)
-    known = np.trace(total, axis1=-2, axis2=-1) <= 0.0  # nothing left to disagree about
-    total = np.where(known[..., None, None], np.eye(2), total)
-    common = np.where(known[..., None, None], np.eye(2), common)
-    half_trace = 0.5 * np.trace(np.linalg.solve(total, common), axis1=-2, axis2=-1)
-    product = np.linalg.det(common) / np.linalg.det(total)
-    root = np.sqrt(np.maximum(half_trace**2 - product, 0.0))
-    smallest: Array = half_trace - root
-    return smallest
-
-
 def relative_sigma(covariance: Array) -> Array:
     """Standard deviation [m] of relative positions in their worst direction; (m, m).
 
@@ -76,25 +51,10 @@ def flip_margin(triangle: Array, covariance: Array) -> Array:
     a, b = axes(triangle)
     by_landmarks = np.concatenate((turned(a - b), turned(b), -turned(a)), axis=-1)
     variance = np.einsum("...i,...ij,...j->...", by_landmarks, covariance, by_landmarks)
-    return _ratio(np.abs(determinant(triangle)), np.sqrt(np.maximum(variance, 0.0)))
-
-
-def ellipse_margin(triangle: Array, covariance: Array) -> Array:
-    """How many sigmas a landmark's ellipse may grow before it meets the opposite axis; (C,).
-
-    The smallest over the three landmarks, correlations left out (Nieto 2005, Fig. 3.10 a).
-    triangle: (C, 3, 2). covariance: (C, 6, 6).
-    """
-    margins = []
-    for corner in range(3):
-        opposite = triangle[:, corner - 1] - triangle[:, corner - 2]
-        normal = turned(opposite) / np.linalg.norm(opposite, axis=-1, keepdims=True)
-        columns = slice(2 * corner, 2 * corner + 2)
-        variance = np.einsum("ci,cij,cj->c", normal, covariance[:, columns, columns], normal)
-        height = np.abs(determinant(triangle)) / np.linalg.norm(opposite, axis=-1)
-        margins.append(_ratio(height, np.sqrt(variance)))
-    least: Array = np.min(margins, axis=0)
-    return least
+    size, sigma = np.abs(determinant(triangle)), np.sqrt(np.maximum(variance, 0.0))
+    certain = sigma <= 0.0
+    ratio: Array = np.where(certain, np.inf, size / np.where(certain, 1.0, sigma))
+    return ratio
 
 
 def smallest_angle(triangle: Array) -> Array:
@@ -110,22 +70,15 @@ def smallest_angle(triangle: Array) -> Array:
 class Conditions:
     """Bounds of the three conditions, and how large a region may be.
 
-    least_correlation: of every pair of base landmarks. correlation: what that is measured by,
-    the thesis' coordinate_correlation or the stricter pair_correlation.
-    known_apart_m: standard deviation of a pair's relative position below which correlation is
-    not asked for; 0 to ask always, as the thesis does. Landmarks seen from a well known pose
-    are independent, yet their region cannot deform.
-    flip_sigmas: how many standard deviations a region must be away from turning over. margin:
-    how that is told, flip_margin or the thesis' conservative ellipse_margin, which refuses
-    everything where the pose is poorly known.
+    least_correlation: of every pair of base landmarks. known_apart_m: standard deviation of a
+    pair's relative position below which any correlation will do; 0 for none, as in the thesis.
+    flip_sigmas: how many standard deviations a region must be away from turning over.
     least_angle_rad: of the three corners. longest_edge_m: of the three edges.
     """
 
     least_correlation: float = 0.9
-    correlation: Callable[[Array], Array] = coordinate_correlation
     known_apart_m: float = 0.0
     flip_sigmas: float = 3.0
-    margin: Callable[[Array, Array], Array] = flip_margin
     least_angle_rad: float = math.radians(15.0)
     longest_edge_m: float = 25.0
 
@@ -144,7 +97,7 @@ class Conditions:
 
     def correlated(self, covariance: Array) -> Mask:
         """Which points (2 m, 2 m) [m^2] hang together enough, by the first condition; (m, m)."""
-        alike = self.correlation(covariance) >= self.least_correlation
+        alike = coordinate_correlation(covariance) >= self.least_correlation
         if self.known_apart_m > 0.0:
             alike |= relative_sigma(covariance) <= self.known_apart_m
         return alike
@@ -152,7 +105,7 @@ class Conditions:
     def well_conditioned(self, triangle: Array, covariance: Array) -> Mask:
         """Which triangles (C, 3, 2) with covariances (C, 6, 6) keep their shape; (C,)."""
         wide = smallest_angle(triangle) >= self.least_angle_rad
-        safe: Mask = wide & (self.margin(triangle, covariance) >= self.flip_sigmas)
+        safe: Mask = wide & (flip_margin(triangle, covariance) >= self.flip_sigmas)
         return safe
 
 
@@ -182,9 +135,8 @@ def overlap(first: Array, second: Array) -> Mask:
 def crosses(segment: Array, triangle: Array) -> Mask:
     """Whether segments (k, 2, 2) run through the inside of triangles (k, 3, 2); (k,).
 
-    Then every triangle with such an edge, unless it is a line, overlaps the other. A segment along
-    an edge, or up to a corner, does not cross. The two are apart when the triangle lies on one side
-    of the segment, or the segment outside of one of the triangle's edges.
+    A segment along an edge, or up to a corner, does not cross. The two are apart when the triangle
+    lies on one side of the segment, or the segment outside of one of the triangle's edges.
     """
     start, way = segment[:, 0], segment[:, 1] - segment[:, 0]
     side = np.stack([_cross(way, triangle[:, i] - start) for i in range(3)])
@@ -217,10 +169,3 @@ def _blocks(covariance: Array) -> tuple[Array, Array]:
     cross = covariance.reshape(m, 2, m, 2).transpose(0, 2, 1, 3)
     which = np.arange(m)
     return cross[which, which], cross
-
-
-def _ratio(size: Array, sigma: Array) -> Array:
-    """Size in sigmas, infinite where there is no uncertainty."""
-    certain = sigma <= 0.0
-    ratio: Array = np.where(certain, np.inf, size / np.where(certain, 1.0, sigma))
-    return ratio

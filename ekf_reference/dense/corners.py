@@ -1,94 +1,70 @@
 """Corners of what stands in an occupancy grid (Nieto 2005, sections 6.1.1 and 6.1.3).
 
-The thesis runs "a Harris corner detector", without its formula or its settings. Here it is that of
-Harris and Stephens 1988: R = det M - k (trace M)^2 of the gradients' products, M, averaged over a
-window. The trace takes away what has one direction only, so that a wall is no corner.
+The thesis gives no formula. Here it is that of Harris and Stephens 1988, R = det M - k (trace M)^2
+of the gradients' products, M, averaged over a window.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import gaussian_filter, maximum_filter
 
 from ekf_reference.core.geometry import Array, Index
 
+_GRADIENT_M = 0.3
+"""Sigma at which derivatives are taken; in metres, so that it holds for every resolution."""
+_WINDOW_M = 0.8
+"""Sigma of the window over which their products are averaged."""
+_APART_M = 2.0
+"""Of two corners nearer than that, the stronger counts."""
 _BLOCK = 12
 """Size in window sigmas of the block whose corner sets the scale."""
 
 
-@dataclass(frozen=True)
-class HarrisOptions:
-    """Scales in metres, so that they hold for every resolution.
+def harris(occupied: Array, cell_m: float, trace: float = 0.06, least: float = 0.01) -> Array:
+    """Corners (C, 2) [m] of an occupancy grid, the strongest first.
 
-    gradient_m: sigma at which derivatives are taken. window_m: sigma of the window over which
-    their products are averaged. trace: k. least: response of the weakest corner over that of a
-    solid block's right angle; walls as thin as scans draw them have 0.1 and more there, and 0.02
-    to 0.05 where they end. apart_m: of two corners nearer than that, the stronger counts.
+    Each lies at the peak of the parabolas through the response at a cell and its neighbours.
+
+    Args:
+        occupied: (I, J) cells from 0, free or unknown, to 1. What touches the border goes on
+            beyond it. Rows go along the first axis of the points, the first cell's centre is 0.
+        cell_m: size of a cell.
+        trace: k.
+        least: response of the weakest corner over that of a solid block's right angle; walls as
+            thin as scans draw them have 0.1 and more there, and 0.02 to 0.05 where they end.
     """
-
-    gradient_m: float = 0.3
-    window_m: float = 0.8
-    trace: float = 0.06
-    least: float = 0.01
-    apart_m: float = 2.0
-
-    def __post_init__(self) -> None:
-        """Check the numbers."""
-        scales = self.gradient_m, self.window_m, self.least, self.apart_m
-        if not (all(s > 0.0 for s in scales) and 0.0 <= self.trace < 0.25):
-            raise ValueError(f"scales {scales} must be above zero and k {self.trace} below 0.25")
-
-
-class Corners(NamedTuple):
-    """The strongest first. point: (C, 2) [m] in the grid's axes, the first cell's centre being 0.
-
-    response: (C,) over that of a solid block's right angle.
-    """
-
-    point: Array
-    response: Array
-
-
-def harris(occupied: Array, cell_m: float, options: HarrisOptions | None = None) -> Corners:
-    """Corners of a grid (I, J) of cells from 0, free or unknown, to 1, occupied.
-
-    Rows go along the first axis of the points. What touches the grid's border goes on beyond it.
-    A place is that of the peak of the parabolas through the response at a cell and its neighbours.
-    """
-    o = options or HarrisOptions()
-    height = _response(occupied, cell_m, o) / _of_a_block(cell_m, o)
-    peak = (height == maximum_filter(height, 3, mode="nearest")) & (height >= o.least)
+    height = _response(occupied, cell_m, trace) / _of_a_block(cell_m, trace)
+    peak = (height == maximum_filter(height, 3, mode="nearest")) & (height >= least)
     peak[[0, -1]] = peak[:, [0, -1]] = False
     row = np.argwhere(peak)
     row = row[np.argsort(-height[peak], kind="stable")]
     point = cell_m * (row + _offset(height, row))
-    kept = _apart(point, o.apart_m)
-    return Corners(point[kept], height[tuple(row[kept].T)])
+    corner: Array = point[_apart(point, _APART_M)]
+    return corner
 
 
-def _response(value: Array, cell_m: float, o: HarrisOptions) -> Array:
-    fine, window = o.gradient_m / cell_m, o.window_m / cell_m
+def _response(value: Array, cell_m: float, trace: float) -> Array:
+    fine, window = _GRADIENT_M / cell_m, _WINDOW_M / cell_m
     first = gaussian_filter(value, fine, order=(1, 0), mode="nearest")
     second = gaussian_filter(value, fine, order=(0, 1), mode="nearest")
     xx, xy, yy = (
         gaussian_filter(product, window, mode="nearest")
         for product in (first * first, first * second, second * second)
     )
-    response: Array = xx * yy - xy * xy - o.trace * np.square(xx + yy)
+    response: Array = xx * yy - xy * xy - trace * np.square(xx + yy)
     return response
 
 
 @lru_cache
-def _of_a_block(cell_m: float, o: HarrisOptions) -> float:
+def _of_a_block(cell_m: float, trace: float) -> float:
     """Response at the right angle of a solid block."""
-    half = max(int(_BLOCK * max(o.window_m, o.gradient_m) / cell_m), 4)
+    half = max(int(_BLOCK * max(_WINDOW_M, _GRADIENT_M) / cell_m), 4)
     block = np.zeros((2 * half, 2 * half))
     block[half:, half:] = 1.0
-    return float(_response(block, cell_m, o).max())
+    return float(_response(block, cell_m, trace).max())
 
 
 def _apart(point: Array, least_m: float) -> Index:

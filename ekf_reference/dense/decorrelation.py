@@ -1,4 +1,4 @@
-"""What representing a point locally does to its correlation with the rest of the map.
+"""How local coordinates of a point reduce its correlation with the rest of the map.
 
 Nieto 2005, sections 3.3 and 3.6: Example 3.1 (eq. 3.5) and Example 3.2 (eqs. 3.11 to 3.20).
 """

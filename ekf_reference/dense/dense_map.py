@@ -9,22 +9,21 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ekf_reference.core.geometry import Array, Index
+from ekf_reference.dense.delayed_initialisation import DelayedInitialisation
 from ekf_reference.dense.dynamic import DynamicLayer
 from ekf_reference.dense.layers.layer import Hits, Layer
-from ekf_reference.dense.neglected import NeglectedCorrelation, corners_of
-from ekf_reference.dense.placed_regions import PlacedRegions
+from ekf_reference.dense.neglected_correlation import NeglectedCorrelation
 from ekf_reference.dense.regions import LocalRegions, Potential
+from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.view import FilterView
-from ekf_reference.dense.waiting import WaitingRoom
 
 
 @dataclass
 class Tally:
     """What became of all returns: fused at once, after a wait (`late`), or not at all.
 
-    outside: where no region is, nor two landmarks that one could hang on. The rest waits, or is
-    counted by the waiting room.
+    outside: in no region, nor in a potential one. The others wait, or are counted there.
     """
 
     scans: int = 0
@@ -38,23 +37,21 @@ class Tally:
 class DenseMap:
     """Regions between a filter's landmarks, and layers in them, fed scan by scan (eq. 3.24).
 
-    Of each instant: `predicted`, the filter's update, `updated`, `insert`. The filter is read only.
+    At each instant call `predicted`, the filter's update, `updated`, `insert`.
 
-    layers: by name; all are given the same scans. regions: made as landmarks arrive.
-    waiting: for returns where no region is yet; None to leave these out, as the thesis'
-    simulations do. reach_m: of the landmarks that may form regions. least_points: returns that
-    wait in vain before a region with a virtual corner is made for them. seek_every: scans after
-    which regions are sought again; with every new landmark they are, too. neglected: per region,
-    how far what the map leaves out may still move its data (section 3.6). dynamic: where things
-    move, if that is looked for (section 6.3); it is no Layer, since it asks when. landmark: (L, 2)
-    [m] where the regions' landmarks were when the filter was last read. known_m: greatest standard
-    deviation of a region, seen from the vehicle, at which its returns are fused; the others count
-    as outside.
+    layers: by name; all are given the same scans. waiting: for returns outside all regions; None to
+    leave these out, as the thesis' simulations do. reach_m: of the landmarks that may form regions.
+    least_points: returns that are overdue before a region with a virtual corner is made for them.
+    seek_every: scans after which regions are sought again, as with every new landmark. neglected:
+    how far what the map leaves out may still move a region's data (section 3.6). dynamic: where
+    things move, if that is wanted (section 6.3). landmark: (L, 2) [m] of the filter when it was
+    last read. known_m: greatest standard deviation of a region, seen from the vehicle, at which
+    its returns are fused; the others count as outside.
     """
 
     layers: Mapping[str, Layer]
     regions: LocalRegions = field(default_factory=LocalRegions)
-    waiting: WaitingRoom | None = field(default_factory=WaitingRoom)
+    waiting: DelayedInitialisation | None = field(default_factory=DelayedInitialisation)
     reach_m: float = 35.0
     least_points: int = 10
     seek_every: int = 4
@@ -70,7 +67,7 @@ class DenseMap:
 
     def __post_init__(self) -> None:
         """The error layer follows the regions."""
-        self.neglected = NeglectedCorrelation(corners_of(self.regions))
+        self.neglected = NeglectedCorrelation(self.regions)
 
     def predicted(self, view: FilterView) -> None:
         """The filter has predicted, and not yet fused anything there."""
@@ -88,7 +85,7 @@ class DenseMap:
         self._sought_among = there
         self._sought_until = self.tally.scans + self.seek_every
         slot = view.near(self.reach_m)
-        made = self.regions.extend(self.landmark, slot, view.joint_of_landmarks(slot))
+        made = self.regions.extend(self.landmark, slot, view.joint(slot)[3:, 3:])
         if self.waiting is not None:
             behind = self._make_virtual(view, slot, self.waiting)
             if len(made) or len(behind):
@@ -126,26 +123,19 @@ class DenseMap:
         self._note_error(view, hits)
         self._let_wait(view, scan, np.flatnonzero(found.region < 0))
 
-    def place(self, view: FilterView) -> PlacedRegions:
-        """The regions with the landmarks where a view has them: the whole map has moved along.
-
-        A landmark that has left the filter's map stays where it was last.
-        """
+    def place(self, view: FilterView) -> RegionsAtMap:
+        """Move the regions to a view's landmarks; one that has left the filter's map stays."""
         known = np.full_like(view.landmark, np.nan)
         known[: len(self.landmark)] = self.landmark
         self.landmark = np.where(np.isnan(view.landmark), known, view.landmark)
         return self.regions.placed(self.landmark)
 
-    def _known(self, view: FilterView, placed: PlacedRegions, near: Index, sigma_m: float) -> Index:
-        """Those of the regions whose middle a scan from here places so well among its landmarks.
-
-        All of these are within reach, whose covariance every filter has up to date.
-        """
-        middle, base = placed.triangle[near].mean(axis=1), self.regions.base
-        known = replace(view, landmark=self.landmark)
-        slot = self.neglected.corners(known, base[near], middle)[0]
+    def _known(self, view: FilterView, placed: RegionsAtMap, near: Index, sigma_m: float) -> Index:
+        """Those of the regions whose middle is known so well from here, all within reach."""
+        middle, known = placed.triangle[near].mean(axis=1), replace(view, landmark=self.landmark)
+        slot = self.neglected.carriers(known, near, middle).slot
         close = np.isin(slot, view.near(self.reach_m)).all(axis=1)
-        sigma = self.neglected.sigma_now(known, base, near, middle)
+        sigma = self.neglected.sigma_now(known, near, middle)
         return near[close & (sigma <= sigma_m)]
 
     def _note_error(self, view: FilterView, hits: Hits) -> None:
@@ -155,7 +145,7 @@ class DenseMap:
             sums = [np.bincount(row, hits.point[:, axis]) for axis in range(2)]
             mean = np.column_stack(sums) / count[:, None]
             known = replace(view, landmark=self.landmark)
-            self.neglected.note(known, self.regions.base, region, mean, count.astype(float))
+            self.neglected.note(known, region, mean, count.astype(float))
 
     def _let_wait(self, view: FilterView, scan: Scan, outside: Index) -> None:
         if self.waiting is None or not len(outside):
@@ -177,7 +167,7 @@ class DenseMap:
             kept = number >= 0
             self._value[number[kept]] = scan.value[outside[kept]]
 
-    def _make_virtual(self, view: FilterView, slot: Index, waiting: WaitingRoom) -> Index:
+    def _make_virtual(self, view: FilterView, slot: Index, waiting: DelayedInitialisation) -> Index:
         """Regions with virtual corners for what has waited too long."""
         overdue = waiting.overdue(view, self.tally.scans)
         if len(overdue) < self.least_points:
@@ -186,7 +176,7 @@ class DenseMap:
             self.landmark, slot, view.pose, view.joint(slot), overdue, self.least_points
         )
 
-    def _fuse_late(self, view: FilterView, waiting: WaitingRoom) -> None:
+    def _fuse_late(self, view: FilterView, waiting: DelayedInitialisation) -> None:
         placed = self.place(view)
         out = waiting.release(view, placed)
         if not len(out.region):

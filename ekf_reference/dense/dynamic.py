@@ -2,13 +2,8 @@
 
 Occupancy maps of one region at two times are differenced, low-pass filtered, thresholded, and
 united with what was found before. Fast motion shows between maps a second apart, slow motion
-between two visits. Maps of one region lie on the same landmarks: only local errors part them,
-whatever the vehicle has drifted in between (section 6.3.1).
-
-That takes three landmarks that stand still around every place. A landmark that moves, and is
-recognised all the same, drags its regions along; their maps lie on other ground and are not
-compared. Other regions see it pass, but where there are none it is not found out; in a scene
-in which all landmarks move nothing is.
+between two visits. Only local errors part two maps of one region, whatever the vehicle's drift
+(section 6.3.1), as long as its landmarks stand still: regions that deform are not compared.
 """
 
 from __future__ import annotations
@@ -28,9 +23,10 @@ from ekf_reference.core.geometry import Array, Index, Mask
 from ekf_reference.dense.layers.layer import Hits
 from ekf_reference.dense.layers.occupancy import OccupancyGrid, RegionGrid
 from ekf_reference.dense.low_pass import LowPass
-from ekf_reference.dense.placed_regions import PlacedRegions
+from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.scan import Scan, Single
 from ekf_reference.dense.sensor_model import InverseSensorModel, probability
+from ekf_reference.dense.triangles import determinant, to_global
 
 _UNKNOWN = 0.5
 _NO_PAIRS = np.zeros((0, 2), dtype=np.intp)
@@ -43,27 +39,22 @@ _CONFIDENCE = 0.95
 class Differencing:
     """Which maps are differenced, and what counts as a change.
 
-    fast_s: between two maps for fast motion (1 s in the thesis' experiment). look_s: how often maps
-    are differenced; the thesis does so every second, and then what passes in between must pass
-    more often to be seen everywhere. absence_s: a region that was not seen for so long is visited
+    fast_s: between two maps for fast motion (1 s in the thesis). look_s: how often maps are
+    differenced; every second in the thesis. absence_s: a region not seen for so long is visited
     anew; slow motion is what differs from the end of the last visit. The thesis takes maps 150 s
     apart instead, which is longer than its loop.
 
     lowpass, slow_lowpass: standard deviation of the Gaussian low-pass, in units of the standard
-    deviation of where the grid puts a return (GridUpdate.sigma_m), or of a cell if that is more: a
-    shift by one is seldom motion, however exact the scanner. Surfaces are bands of 2.4 of the
-    former. A band of width w that has changed keeps erf(w / (2 sqrt(2) lowpass)) of its height: of
-    one that came or went two thirds (fast) or half (slow), less with exact scanners on large cells;
-    of one that noise has moved by a quarter of its width less than 0.2. Over a long time local
-    errors move contours by more.
-    threshold, slow_threshold: least change of occupancy. The thesis has 0.5, of a filter that it
-    does not give; here it lies between the two. least: a smaller piece of changed ground, in
-    squares of the same unit, is noise, too: a pole that some beams pass by comes and goes.
+    deviation of where the grid puts a return (GridUpdate.sigma_m), or of a cell if that is more.
+    A changed band of width w keeps erf(w / (2 sqrt(2) lowpass)) of its height. Surfaces are bands
+    of 2.4 units: of one that came or went two thirds (fast) or half (slow) are left, of one that
+    noise has moved by a quarter of its width less than 0.2.
+    threshold, slow_threshold: least change of occupancy, between the two. The thesis has 0.5, for
+    a filter that it does not give. least: smallest connected change, in squares of the same unit.
 
-    deformed_m: where an edge of the region has changed by more between two maps, local coordinates
-    name other ground, and the maps are not compared: a landmark that moves deforms its regions.
-    known_m: a scan counts only where the vehicle is known so well relative to a region's landmarks
-    (standard deviation), as it is not before a loop is closed.
+    deformed_m: greatest change of a region's edge between two maps that are compared.
+    known_m: greatest standard deviation of the vehicle relative to a region's landmarks at which
+    a scan counts; it is larger before a loop is closed.
     """
 
     fast_s: float = 1.0
@@ -76,15 +67,6 @@ class Differencing:
     least: float = 5.0
     deformed_m: float = 0.3
     known_m: float = 0.3
-
-    def __post_init__(self) -> None:
-        """Raises ValueError for a number out of range."""
-        for name, value in vars(self).items():
-            if not (value > 0.0 or (name == "least" and value == 0.0)):
-                raise ValueError(f"{name} is {value}, expected more than 0")
-        for name in ("threshold", "slow_threshold"):
-            if not getattr(self, name) < 1.0:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected less than 1")
 
 
 class _Map(NamedTuple):
@@ -128,10 +110,10 @@ class Counters:
 
 @dataclass
 class DynamicLayer:
-    """Mask per cell of every region, on occupancy grids of their own.
+    """Mask of dynamic cells per region, on occupancy grids of their own.
 
-    The grids answer faster than those of a map that is kept: with p_occupied 0.9, p_free 0.3 and
-    a confidence of 0.95 two returns make free ground occupied, and four looks past it free again.
+    With p_occupied 0.9, p_free 0.3 and a confidence of 0.95 two returns make free ground occupied,
+    and four scans past it make it free again.
     """
 
     resolution_m: float = 0.2
@@ -145,7 +127,7 @@ class DynamicLayer:
         self.grid = OccupancyGrid(self.resolution_m, _MODEL, _CONFIDENCE)
 
     def fuse(
-        self, hits: Hits, placed: PlacedRegions, scan: Scan, near: Index, time_s: float
+        self, hits: Hits, placed: RegionsAtMap, scan: Scan, near: Index, time_s: float
     ) -> None:
         """Take in a scan at a time [s], not before the last; see dense.layers.layer.Layer.
 
@@ -173,33 +155,25 @@ class DynamicLayer:
         found = [number for number, h in self._history.items() if h.dynamic.any()]
         return np.array(sorted(found), dtype=np.intp)
 
-    def local(self, region: int) -> Array:
-        """(k, 2) alpha, beta of a region's dynamic cells."""
-        mask = self.mask(region)
-        if not mask.any():
-            return np.empty((0, 2))
-        cells: Array = self.grid.grids[region].weight[1:, mask].T.astype(float)
-        return cells
-
-    def points(self, placed: PlacedRegions, regions: Iterable[int] | None = None) -> Array:
+    def points(self, placed: RegionsAtMap, regions: Iterable[int] | None = None) -> Array:
         """(k, 2) [m] the dynamic cells in the world, of all regions or of some."""
         parts = [np.empty((0, 2))]
-        origin, a, b = placed.frames
         for region in self.regions.tolist() if regions is None else regions:
-            local = self.local(region)
-            parts.append(origin[region] + local[:, :1] * a[region] + local[:, 1:] * b[region])
+            mask = self.mask(region)
+            if mask.any():
+                local = self.grid.grids[region].weight[1:, mask].T.astype(float)
+                parts.append(to_global(placed.triangle[region], local))
         return np.concatenate(parts)
 
-    def area_m2(self, placed: PlacedRegions) -> float:
+    def area_m2(self, placed: RegionsAtMap) -> float:
         """Of all dynamic cells."""
-        _, a, b = placed.frames
-        whole = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+        whole = np.abs(determinant(placed.triangle))
         return sum(
             float(whole[n] * self.mask(n).sum() / np.prod(self.grid.grids[n].cells))
             for n in self.regions.tolist()
         )
 
-    def covers(self, point: Array, placed: PlacedRegions, margin_m: float = 0.0) -> Mask:
+    def covers(self, point: Array, placed: RegionsAtMap, margin_m: float = 0.0) -> Mask:
         """(N,) which points (N, 2) [m] lie in a dynamic cell, or so near to the middle of one.
 
         Points that are not finite lie nowhere.
@@ -222,7 +196,7 @@ class DynamicLayer:
                 covered[rest] = cKDTree(cells).query(point[rest])[0] <= margin_m
         return covered
 
-    def occupancy(self, point: Array, placed: PlacedRegions) -> Array:
+    def occupancy(self, point: Array, placed: RegionsAtMap) -> Array:
         """(N,) 1 in dynamic cells, 0 in others, NaN where nothing was ever seen: to be drawn."""
         known = np.isfinite(self.grid.occupancy(point, placed))
         return np.where(known, self.covers(point, placed).astype(float), np.nan)
@@ -235,18 +209,15 @@ class DynamicLayer:
         if history is None:
             widths = self.rule.lowpass * sigma_m, self.rule.slow_lowpass * sigma_m
             brief, lasting = (LowPass.over(grid, triangle, width_m) for width_m in widths)
-            none = np.zeros(len(old), dtype=bool)
-            first = deque((_Map(now, _occupancy(old), edge_m),))
-            history = _History(
-                dynamic=none,
+            history = self._history[region] = _History(
+                dynamic=np.zeros(len(old), dtype=bool),
                 brief=brief,
                 lasting=lasting,
                 least_m2=self.rule.least * sigma_m**2,
-                recent=first,
+                recent=deque((_Map(now, _occupancy(old), edge_m),)),
                 looked_s=now,
                 seen_s=now,
             )
-            self._history[region] = history
         elif now - history.seen_s > self.rule.absence_s:
             history.visit = _Map(history.seen_s, _occupancy(old), edge_m)
             history.recent = deque((_Map(now, _occupancy(old), edge_m),))

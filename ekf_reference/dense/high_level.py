@@ -1,23 +1,22 @@
-"""High level landmarks: what no single scan shows, found in the dense map (Nieto 2005, 6.1).
+"""High level landmarks, found in the dense map and not in a single scan (Nieto 2005, 6.1).
 
 A corner of the occupancy layer is paired with the nearest one; a rectangle is drawn around the two
-(Fig. 6.4); and the Gaussians of the sum-of-Gaussians layer inside it, if there are enough of
-them, are the template of a landmark with a direction (6.1.2). Only the regions around the
-vehicle are looked at, so that the cost does not depend on the size of the map (6.1.3).
+(Fig. 6.4); the Gaussians of the sum-of-Gaussians layer inside it, if there are enough, are the
+template of a pose landmark (6.1.2). Only regions around the vehicle are searched (6.1.3).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from ekf_reference.core.geometry import Array, Index, Mask, rotation
-from ekf_reference.dense.corners import HarrisOptions, harris
+from ekf_reference.dense.corners import harris
 from ekf_reference.dense.layers.gaussians import Ellipses, Gaussians
 from ekf_reference.dense.layers.layer import Layer
-from ekf_reference.dense.placed_regions import PlacedRegions
+from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.triangles import turned
 from ekf_reference.models.relative_pose import RelativePose
 from ekf_reference.scan_landmarks.templates import Template
@@ -26,14 +25,13 @@ from ekf_reference.scan_matching.sog import SumOfGaussians
 
 @dataclass(frozen=True, kw_only=True)
 class SearchOptions:
-    """Where and what is looked for; lengths and the least number are those of Nieto 2005, 6.1.3.
+    """Settings of the search; lengths and the least number are those of Nieto 2005, 6.1.3.
 
-    reach_m: how far from the vehicle, along the axes; cell_m: of the grid that is looked at.
+    reach_m: how far from the vehicle, along the axes. cell_m: of the grid that is searched.
     pair_m: greatest distance of two corners. margin_m: from the corners to the rectangle's sides.
-    least: Gaussians in it. thin_m: cells in which they then become one, 0 for all of them: what a
-    match costs grows with their number. occupied: least occupancy of the cell that a Gaussian
-    lies in, for no scan that looks past takes one out of its layer. clear_m: corners and
-    Gaussians so near to a point landmark are that landmark, which the filter has.
+    least: Gaussians in it. thin_m: cells in which these are merged, 0 for none, since a match's
+    cost grows with their number. occupied: least occupancy of the cell that a Gaussian lies in.
+    clear_m: corners and Gaussians so near to a point landmark are left out.
     """
 
     reach_m: float = 30.0
@@ -44,7 +42,6 @@ class SearchOptions:
     occupied: float = 0.5
     clear_m: float = 1.0
     thin_m: float = 0.3
-    harris: HarrisOptions = field(default_factory=HarrisOptions)
 
 
 class Found(NamedTuple):
@@ -93,7 +90,7 @@ class Around:
 
     occupancy: Layer
     gaussians: Gaussians
-    placed: PlacedRegions
+    placed: RegionsAtMap
     pose: Array
     landmark: Array
 
@@ -186,7 +183,7 @@ def _corners(around: Around, o: SearchOptions) -> Array:
     place = origin + o.cell_m * np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1)
     share = around.occupancy.occupancy(place.reshape(-1, 2), around.placed)
     stands = np.clip(2.0 * np.nan_to_num(share, nan=0.5) - 1.0, 0.0, 1.0)
-    found = origin + harris(stands.reshape(len(steps), -1), o.cell_m, o.harris).point
+    found = origin + harris(stands.reshape(len(steps), -1), o.cell_m)
     clear: Array = found[_clear(found, around.landmark, o.clear_m)]
     return clear
 

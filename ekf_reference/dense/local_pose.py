@@ -1,9 +1,8 @@
 """The vehicle in the frame of two landmarks (Nieto 2005, eqs. 3.27 and 3.28).
 
 The thesis writes the local pose in affine coordinates. Here they are metres along and across the
-axis from L1 to L2, heading as in 3.28: then an observation's place in the frame is the local pose
-composed with what the sensor saw, whatever the landmarks' uncertainty (3.29), and the
-triangle's third landmark has no say.
+axis from L1 to L2, heading as in 3.28. Then a point's place in the frame is the local pose composed
+with the measurement (3.29), and the third landmark does not matter.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """States that only receive information (Nieto 2005, section 3.7.1, Example 3.3).
 
-What the filter does to the rest of the world follows from what it does to itself: beside a filter
-of n entries, q pairs of passive states need their covariance with it, 2 q x n, and each pair its
-own; not what they have in common with each other. They hang on the filter as its trace, read
-every linearisation as it was used, and write nothing: the filter stays as it is, to the bit.
+Beside a filter of n entries, q pairs of passive states need their covariance with it, 2 q x n, and
+each pair its own, but no covariance with each other. They take the place of the filter's trace,
+read every linearisation as it was used, and write nothing: the filter stays the same to the bit.
 """
 
 from __future__ import annotations

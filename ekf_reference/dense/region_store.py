@@ -29,11 +29,6 @@ class RegionStore:
     _table: dict[int, Array] = field(default_factory=dict)
     _count: dict[int, int] = field(default_factory=dict)
 
-    @property
-    def regions(self) -> Index:
-        """(r,) all that hold rows, ascending."""
-        return np.array(sorted(self._count), dtype=np.intp)
-
     def __len__(self) -> int:
         """Number of rows in all regions."""
         return sum(self._count.values())
@@ -50,9 +45,10 @@ class RegionStore:
             table[count : count + len(rows)] = value[rows]
             self._count[number] = count + len(rows)
 
-    def gather(self, regions: Index) -> Rows:
-        """The rows of distinct regions (r,), in their order."""
-        kept = [number for number in regions.tolist() if number in self._count]
+    def gather(self, regions: Index | None = None) -> Rows:
+        """The rows of distinct regions (r,), in their order; of all, ascending, by default."""
+        asked = sorted(self._count) if regions is None else regions.tolist()
+        kept = [number for number in asked if number in self._count]
         counts = [self._count[number] for number in kept]
         parts = [self._table[n][:c] for n, c in zip(kept, counts, strict=True)]
         value = np.concatenate(parts) if parts else np.empty((0, self.width))
@@ -69,11 +65,8 @@ class RegionStore:
             return
         for number, first, last in _runs(rows.region):
             if not kept[first:last].all():
-                self.replace(number, rows.value[first:last][kept[first:last]])
-
-    def replace(self, region: int, value: Array) -> None:
-        """Set all rows (n, w) of one region."""
-        self._table[region], self._count[region] = np.array(value, dtype=float), len(value)
+                left = rows.value[first:last][kept[first:last]]
+                self._table[number], self._count[number] = left, len(left)
 
     def _room(self, number: int, size: int) -> Array:
         table = self._table.get(number)

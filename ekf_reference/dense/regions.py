@@ -1,17 +1,13 @@
 """The partition of the map into local triangular regions, maintained as landmarks arrive.
 
-A region is three landmarks, for good: dense data keeps its local coordinates, so a region that
-holds any must never be split, flipped or dropped. That rules out what an incremental Delaunay
-triangulation does (scipy's included): a landmark that arrives flips edges around it. Instead
-regions are only ever appended: of the triples of nearby landmarks that meet the conditions of
-Nieto 2005, section 3.5, the roundest first, all that fit between the regions that exist. So no
-gap stays open that a permitted triple fills, and a landmark inside a region is no corner
-(Fig. 3.1).
+Dense data keeps its local coordinates, so a region's three landmarks never change. An incremental
+Delaunay triangulation would flip edges; here regions are only appended: all triples of nearby
+landmarks that meet the conditions of Nieto 2005, section 3.5, and overlap no region, the roundest
+first. So no gap stays open that a permitted triple fills, and a landmark inside a region is no
+corner (Fig. 3.1).
 
-Landmarks move with every update of the filter. A history of the triangulation would locate points
-among landmarks where they once were; a tree of boxes is refitted to where they are now, which
-costs a pass over the regions, less than the update that moved them. A landmark that leaves the
-map is a row of NaN: its regions are empty from then on, and their ground is free.
+Points are located by a tree of boxes, fitted anew whenever landmarks have moved. A landmark that
+leaves the map is a row of NaN: its regions are empty from then on, and their ground is free.
 """
 
 from __future__ import annotations
@@ -25,7 +21,7 @@ import numpy as np
 from ekf_reference.core.geometry import Array, Index, Mask
 from ekf_reference.dense.box_tree import BoxTree, boxes, tiled
 from ekf_reference.dense.conditions import Conditions, overlap
-from ekf_reference.dense.placed_regions import PlacedRegions
+from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.triangles import circumradius, contains, determinant, is_degenerate, solve
 from ekf_reference.dense.virtual_landmarks import VirtualLandmarks, behind
 
@@ -33,13 +29,12 @@ from ekf_reference.dense.virtual_landmarks import VirtualLandmarks, behind
 class Potential(NamedTuple):
     """Triangles that may become regions once they meet the first condition.
 
-    axis: (C, 2) places in the map of the two real landmarks that a triangle is best told by, its
-    longest edge, or its only real one. placed: the triangles, those with three real
-    landmarks first, each kind roundest first.
+    axis: (C, 2) landmarks of a triangle's longest edge, or of its only edge between real landmarks.
+    placed: the triangles, those with three real landmarks first, each kind roundest first.
     """
 
     axis: Index
-    placed: PlacedRegions
+    placed: RegionsAtMap
 
 
 @dataclass(kw_only=True)
@@ -57,9 +52,7 @@ class LocalRegions:
     virtual: VirtualLandmarks = field(default_factory=VirtualLandmarks)
     _order: Index = field(default_factory=lambda: np.empty(0, dtype=np.intp))
     _tiled: int = 0
-    _last: tuple[Array, Index, PlacedRegions] | None = field(
-        default=None, repr=False, compare=False
-    )
+    _last: tuple[Array, Index, RegionsAtMap] | None = field(default=None, repr=False, compare=False)
 
     def corners(self, landmark: Array) -> Array:
         """The map's landmarks (L, 2) [m], then the virtual ones, newest first; (L + V, 2).
@@ -68,30 +61,16 @@ class LocalRegions:
         """
         return np.concatenate((landmark, self.virtual.point(landmark)[::-1]))
 
-    def placed(self, landmark: Array) -> PlacedRegions:
-        """The regions with the map's landmarks (L, 2) [m] where they are now.
-
-        The last answer serves for as long as nothing moves or is added: it is asked for several
-        times between two updates of the filter.
-        """
+    def placed(self, landmark: Array) -> RegionsAtMap:
+        """Return the regions with the map's landmarks (L, 2) [m] where they are now; cached."""
         if self._last is not None:
             asked, base, placed = self._last
             if base is self.base and np.array_equal(asked, landmark, equal_nan=True):
                 return placed
         triangle = self.corners(landmark)[self.base]
-        placed = PlacedRegions(triangle, BoxTree.pack(boxes(triangle), self._order))
+        placed = RegionsAtMap(triangle, BoxTree.pack(boxes(triangle), self._order))
         self._last = landmark.copy(), self.base, placed
         return placed
-
-    def flipped(self, landmark: Array) -> Index:
-        """Numbers of the regions that have turned over, or lost their area, since they were made.
-
-        landmark: (L, 2) [m]. What the second condition is there to prevent; that a landmark has
-        left the map is none of its business.
-        """
-        triangle = self.corners(landmark)[self.base]
-        turned_over = (determinant(triangle) >= 0.0) | is_degenerate(triangle)
-        return np.flatnonzero(turned_over & np.isfinite(triangle).all(axis=(1, 2)))
 
     def extend(self, landmark: Array, slot: Index, covariance: Array) -> Index:
         """Append the regions that landmarks near the vehicle now permit; returns their numbers.
@@ -158,7 +137,7 @@ class LocalRegions:
         axis = np.sort(np.concatenate((axis, new.pair[roundest])), axis=1)
         triangle = np.concatenate((landmark[base], triangle[roundest]))
         tree = BoxTree.pack(boxes(triangle), tiled(triangle.mean(axis=1)))
-        return Potential(axis, PlacedRegions(triangle, tree))
+        return Potential(axis, RegionsAtMap(triangle, tree))
 
     def _triples(self, landmark: Array, slot: Index, covariance: Array, pair: Mask) -> Index:
         """Triples (C, 3) of `_open` pairs that meet the last two conditions, roundest first."""
@@ -174,12 +153,7 @@ class LocalRegions:
         return base[np.argsort(circumradius(landmark[base]), kind="stable")]
 
     def _behind(
-        self,
-        landmark: Array,
-        slot: Index,
-        pose: Array,
-        covariance: Array,
-        pair: Mask,
+        self, landmark: Array, slot: Index, pose: Array, covariance: Array, pair: Mask
     ) -> tuple[VirtualLandmarks, Array]:
         """Virtual landmarks behind `_open` pairs, and triangles (C, 3, 2) that fit."""
         local = landmark[slot]
@@ -195,10 +169,7 @@ class LocalRegions:
         return VirtualLandmarks(slot[new.pair[fit]], new.depth[fit]), triangle[fit]
 
     def _open(self, landmark: Array, slot: Index, pair: Mask) -> Mask:
-        """The pairs (m, m), each once, that no region lies between: what may be a new one's edge.
-
-        Where regions are dense that leaves few, and of all pairs there are triples without number.
-        """
+        """The pairs (m, m), each once, that may be a new region's edge: no region lies between."""
         pair = np.triu(pair)
         first, second = np.nonzero(pair)
         between = self.placed(landmark).crossed(landmark[np.stack((slot[first], slot[second]), 1)])

@@ -8,7 +8,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ekf_reference.core.geometry import Array, Index, Mask
+from ekf_reference.core.geometry import Array, Index, Mask, rotation
+from ekf_reference.dense.triangles import turned
 
 Single = NDArray[np.float32]
 """For many cells near the scanner, where single precision is some micrometres."""
@@ -16,7 +17,7 @@ Single = NDArray[np.float32]
 _DIRECTIONS = 7200
 """Directions of the compass for which the nearest beam is looked up once a scan."""
 _TURN = 2.0 * np.pi
-_NEXT = 1.5
+NEXT = 1.5
 """Two returns are neighbours when so many beams or fewer apart."""
 _NOISY = 3.0
 """Standard deviations by which ranges on one surface may differ beside its slope."""
@@ -26,19 +27,38 @@ _NOISY = 3.0
 class Sensor:
     """A range and bearing sensor. sigma_range_m, sigma_bearing_rad: of every return.
 
-    beam_rad: angle between two beams; a direction farther than half of that, and than a sigma,
-    from every return is one in which nothing was measured. With three sigmas the rims of objects
-    would grow by more than a metre at 25 m and a degree.
-
-    grazing_rad: least angle to a surface down to which two neighbouring returns are taken to lie
-    on one, so that the range is known between them; 0 to have every return stand for itself.
-    Along a wall the next return may be a metre farther, and the cells between are not free.
+    beam_rad: angle between two beams; nothing was measured in a direction that is farther than half
+    of that, and than a sigma, from every return. grazing_rad: least angle to a surface at which
+    neighbouring returns may lie on one, with the range between them known; 0 for never.
     """
 
     sigma_range_m: float
     sigma_bearing_rad: float
     beam_rad: float
     grazing_rad: float = 0.0
+
+    def joins(self, first_m: Array, second_m: Array, turn_rad: Array) -> Mask:
+        """(N,) whether two returns at ranges (N,), an angle (N,) apart, lie on one surface.
+
+        They do when they are next to each other and the surface between them is met at no less
+        than the grazing angle, give or take the noise.
+        """
+        if not self.grazing_rad > 0.0:
+            return np.zeros(len(turn_rad), dtype=bool)
+        steepest = np.minimum(first_m, second_m) * turn_rad / np.tan(self.grazing_rad)
+        noise = _NOISY * np.sqrt(2.0) * self.sigma_range_m
+        near = turn_rad <= NEXT * self.beam_rad
+        on_one: Mask = near & (np.abs(second_m - first_m) <= steepest + noise)
+        return on_one
+
+    def covariance(self, point: Array, range_m: Array) -> Array:
+        """(N, 2, 2) [m^2] of returns (N, 2) in the scanner's frame (Nieto 2005, eq. 4.16)."""
+        ray = point / range_m[:, None]
+        along = self.sigma_range_m**2 * ray[:, :, None] * ray[:, None, :]
+        side = turned(ray)
+        across = (range_m * self.sigma_bearing_rad) ** 2
+        spread: Array = along + across[:, None, None] * side[:, :, None] * side[:, None, :]
+        return spread
 
     @property
     def reach_rad(self) -> float:
@@ -50,16 +70,14 @@ class Sensor:
 class Beams:
     """The returns of a scan met by some points. All (N,).
 
-    beam: the nearest in bearing. ahead_m: how far the point's range falls short of that return,
-    or of the surface between it and the next; negative beyond. off_rad: bearing off the beam.
-    seen: whether a return speaks about it. range_m: the point's own.
+    ahead_m: how far the point's range falls short of the return nearest in bearing, or of the
+    surface between that and the next; negative beyond. off_rad: bearing off that beam. seen:
+    whether a return speaks about it.
     """
 
-    beam: Index
     ahead_m: Array
     off_rad: Array
     seen: Mask
-    range_m: Array
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,12 +141,7 @@ class Scan:
     @cached_property
     def covariance(self) -> Array:
         """(B, 2, 2) of these points for a known pose [m^2] (Nieto 2005, eq. 4.16)."""
-        ray = (self.point - self.origin) / self.range_m[:, None]
-        along = self.sensor.sigma_range_m**2 * ray[:, :, None] * ray[:, None, :]
-        side = np.stack((-ray[:, 1], ray[:, 0]), axis=1)
-        across = (self.range_m * self.sensor.sigma_bearing_rad) ** 2
-        spread: Array = along + across[:, None, None] * side[:, :, None] * side[:, None, :]
-        return spread
+        return self.sensor.covariance(self.point - self.origin, self.range_m)
 
     def box(self, margin_m: float = 0.0) -> Array:
         """(4,) west, south, east, north of the scanner and all returns."""
@@ -142,26 +155,21 @@ class Scan:
     @property
     def axes(self) -> Array:
         """(2, 2) columns are ahead and left of the scanner, in the world."""
-        cos, sin = np.cos(self.pose[2]), np.sin(self.pose[2])
-        return np.array(((cos, -sin), (sin, cos)))
+        return rotation(float(self.pose[2]))
 
     def beams_ahead(self, ahead_m: Array, left_m: Array) -> Beams:
         """The same for points ahead and left (N,) of the scanner."""
         distance = np.sqrt(ahead_m * ahead_m + left_m * left_m)
         if not len(self.range_m):
             none = np.zeros(len(distance))
-            return Beams(none.astype(np.intp), none, none, none > 0.0, distance)
+            return Beams(none, none, none > 0.0)
         bearing = np.arctan2(left_m, ahead_m)
         beam = self._nearest[((bearing + np.pi) * (_DIRECTIONS / _TURN)).astype(np.intp)]
         off, reach, seen = self._towards(bearing, beam)
-        return Beams(beam, reach - distance, off, seen, distance)
+        return Beams(reach - distance, off, seen)
 
     def short_of(self, ahead_m: Single, left_m: Single) -> Single:
-        """(N,) `ahead_m` of `beams_ahead`, fast; -inf where no return speaks.
-
-        By direction to 0.05 degrees, so at the rim of what a return speaks about a point may
-        differ from `beams_ahead`.
-        """
+        """(N,) `ahead_m` of `beams_ahead`, -inf where unseen; fast, directions to 0.05 degrees."""
         bearing = np.arctan2(left_m, ahead_m)
         direction = ((bearing + np.float32(np.pi)) * np.float32(_DIRECTIONS / _TURN)).astype(
             np.intp
@@ -195,14 +203,7 @@ class Scan:
         """From each return to the next: both ranges, the angle, and whether on one surface."""
         first, second = self.range_m, np.roll(self.range_m, -1)
         turn = np.mod(np.roll(self.bearing_rad, -1) - self.bearing_rad, _TURN)
-        joined = np.zeros(len(first), dtype=bool)
-        sensor = self.sensor
-        if sensor.grazing_rad > 0.0:
-            noise = _NOISY * np.sqrt(2.0) * sensor.sigma_range_m
-            steepest = np.minimum(first, second) * turn / np.tan(sensor.grazing_rad)
-            near = (turn > 0.0) & (turn <= _NEXT * sensor.beam_rad)
-            joined = near & (np.abs(second - first) <= steepest + noise)
-        return first, second, turn, joined
+        return first, second, turn, self.sensor.joins(first, second, turn) & (turn > 0.0)
 
     @cached_property
     def _nearest(self) -> Index:

@@ -31,11 +31,7 @@ class InverseSensorModel:
             )
 
     def probability(
-        self,
-        ahead_m: Array,
-        off_rad: Array,
-        sigma_range_m: float | Array,
-        sigma_bearing_rad: float,
+        self, ahead_m: Array, off_rad: Array, sigma_range_m: float | Array, sigma_bearing_rad: float
     ) -> Array:
         """P(occupied | return) (N,) of places that lie ahead of the return and off its beam.
 

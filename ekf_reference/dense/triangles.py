@@ -94,10 +94,9 @@ def to_global(triangle: Array, local: Array) -> Array:
 def contains(local: Array, tolerance: float = 0.0) -> Mask:
     """Whether local coordinates (..., 2) lie in their triangle; (...,).
 
-    Nieto 2005, eqs. 3.7, C.2 print alpha > 0, beta > 0, alpha + beta <= 1, which leave out two of
-    the three edges and two of the three corners: a point on an edge shared by two regions
-    would be in one, both or none of them, by the order of their landmarks. Here all
-    edges belong, and who locates points breaks the tie.
+    Nieto 2005, eqs. 3.7 and C.2 print alpha > 0, beta > 0, alpha + beta <= 1: this leaves out two
+    of the three edges, so that a point on a shared edge may be in both regions or none. Here all edges
+    belong, and who locates points breaks the tie.
     """
     inside: Mask = (local.min(axis=-1) >= -tolerance) & (local.sum(axis=-1) <= 1.0 + tolerance)
     return inside
@@ -164,22 +163,6 @@ def global_jacobians(triangle: Array, local: Array) -> Jacobians:
     )
 
 
-def global_covariance(
-    triangle: Array, local: Array, landmark_covariance: Array, local_covariance: Array
-) -> Array:
-    """Covariance (..., 2, 2) [m^2] of points known in local coordinates (..., 2).
-
-    landmark_covariance: (..., 6, 6) of L1, L2, L3 with each other. local_covariance:
-    (..., 2, 2). The two are taken as uncorrelated, the approximation that makes dense maps
-    tractable (Nieto 2005, section 3.3).
-    """
-    j = global_jacobians(triangle, local)
-    covariance: Array = _through(j.by_landmarks, landmark_covariance) + _through(
-        j.by_point, local_covariance
-    )
-    return covariance
-
-
 def local_covariance(triangle: Array, point: Array, covariance: Array) -> Array:
     """Covariance (..., 2, 2) of the local coordinates of points (..., 2) known globally.
 
@@ -187,17 +170,14 @@ def local_covariance(triangle: Array, point: Array, covariance: Array) -> Array:
     Raises DegenerateTriangleError.
     """
     j = local_jacobians(triangle, point)
-    return _through(np.concatenate((j.by_landmarks, j.by_point), axis=-1), covariance)
+    jacobian = np.concatenate((j.by_landmarks, j.by_point), axis=-1)
+    result: Array = jacobian @ covariance @ np.swapaxes(jacobian, -1, -2)
+    return result
 
 
 def turned(vector: Array) -> Array:
     """(-y, x): vectors (..., 2) a quarter turn to the left."""
     return np.stack((-vector[..., 1], vector[..., 0]), axis=-1)
-
-
-def _through(jacobian: Array, covariance: Array) -> Array:
-    result: Array = jacobian @ covariance @ np.swapaxes(jacobian, -1, -2)
-    return result
 
 
 def _require_area(triangle: Array) -> None:

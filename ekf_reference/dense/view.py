@@ -61,13 +61,6 @@ class FilterView:
         part: Array = self.covariance[columns[:, None], columns]
         return part
 
-    def joint_of_landmarks(self, slot: Index) -> Array:
-        """(2 k, 2 k) covariance of some landmarks (k,) among `slot` with each other."""
-        place = 3 + 2 * np.searchsorted(self.slot, slot)
-        columns = (place[:, None] + np.arange(2)).ravel()
-        part: Array = self.covariance[columns[:, None], columns]
-        return part
-
 
 def numbered(layout: Layout, kinds: Sequence[int], slots: Sequence[Index]) -> tuple[Index, Index]:
     """Return numbers (m,), ascending, and first state entries (m,) of landmarks of some kinds.

@@ -1,9 +1,8 @@
 """Corners for regions where no landmark can stand, such as inside buildings (Nieto 2005, 3.5.1).
 
-The thesis augments the filter with them. That moves no estimate, but it changes the size of the
-filter's arrays and with it the rounding of everything, and a dense map must not be felt. Since a
-virtual landmark has no information of its own, it is here a fixed linear function of
-its two real landmarks, and follows them wherever they go.
+The thesis augments the filter with them, which would change the rounding of its estimate. Here a
+virtual landmark is a fixed linear function of its two real landmarks; it has no information of its
+own.
 """
 
 from __future__ import annotations

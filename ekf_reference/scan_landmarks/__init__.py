@@ -1,1 +1,1 @@
-"""Landmarks that are pieces of scans: frames in the state, templates beside (Nieto 2005, ch. 5)."""
+"""Landmarks made of scans: frames in the state, templates beside it (Nieto 2005, chapter 5)."""

@@ -1,9 +1,8 @@
-"""Two scan landmarks that are one, found and fused while driving (Nieto 2005, section 5.2.3).
+"""Merging of duplicate scan landmarks (Nieto 2005, section 5.2.3).
 
-They arise where a loop closes late: what was met again had not been recognised and was begun for a
-second time. The thesis makes one template of two landmarks that are close. Here the two templates
-must also fit each other, and where they do is fused as a measurement, so that what both
-landmarks know comes together; close landmarks that are different things stay two.
+Duplicates arise where a loop closes late, and a landmark is initialised a second time. The thesis
+merges landmarks that are close. Here their templates must also fit each other, and the pose at
+which they fit is fused as a measurement.
 """
 
 from __future__ import annotations
@@ -27,8 +26,8 @@ from ekf_reference.scan_matching.sog import SumOfGaussians
 _MODEL = RelativePose()
 
 
-class Fuser(Protocol):
-    """By whom a filter is told that two of its landmarks are one."""
+class MergeSink(Protocol):
+    """Receives, for a filter, the measurement that two of its landmarks are one."""
 
     def fuse(self, first: int, second: int, z: Array, covariance: Array) -> LocalMap:
         """See Ekf.fuse_oriented."""
@@ -37,13 +36,12 @@ class Fuser(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class FusingOptions:
-    """When two scan landmarks are one. The thesis says no more than that they are very close.
+    """When two scan landmarks are merged; the thesis asks only that they are very close.
 
-    within_m: most between their axes. certain_m, certain_rad: largest sigma of where the one is
-    seen from the other. open_directions: most of x, y and heading that the fit may leave open; what
-    it does not fix would stay wrong between the points of one template. tried: most pairs that
-    one scan has time for. again_after: scans until a pair that does not fit is tried again. What
-    else makes a fit is for ScanSlamOptions to say.
+    within_m: greatest distance of their axes. certain_m, certain_rad: largest sigma of their
+    relative pose. open_directions: most of x, y and heading that the fit may leave open. tried:
+    most pairs per scan. again_after: scans until a pair that did not fit is tried again. Other
+    bounds of a fit are those of ScanSlamOptions.
     """
 
     within_m: float = 1.5
@@ -55,7 +53,7 @@ class FusingOptions:
 
 
 class Pair(NamedTuple):
-    """Two landmarks, and where the second's frame is in the first's: (3,), covariance (3, 3)."""
+    """Two landmarks, and z (3,) of the second in the first's frame with covariance (3, 3)."""
 
     first: int
     second: int
@@ -63,17 +61,17 @@ class Pair(NamedTuple):
     covariance: Array
 
 
-class Twins:
-    """Looks for them among the landmarks around the vehicle."""
+class DuplicateMerging:
+    """Finds and merges duplicates around the vehicle. merged: how many, so far."""
 
     def __init__(self, slam: ScanSlam, options: FusingOptions | None = None) -> None:
         """slam: whose templates change as landmarks are fused."""
-        self.found, self._slam = slam.found, slam
+        self.found, self._slam, self.merged = slam.found, slam, 0
         self.options = options or FusingOptions()
         self._tried: dict[tuple[int, int], int] = {}
 
-    def step(self, ekf: Ekf, tell: Fuser) -> None:
-        """Fuse those within reach that are one, the closest first; call it after every scan."""
+    def step(self, ekf: Ekf, tell: MergeSink) -> None:
+        """Merge duplicates within reach, the closest first; call it after every scan."""
         gone = set[int]()
         for pair in self._close(ekf, self._slam.view.reach_m)[: self.options.tried]:
             if gone & {pair.first, pair.second}:
@@ -105,7 +103,7 @@ class Twins:
         return sorted(pairs, key=lambda pair: float(np.hypot(*pair.z[:2])))
 
     def _fit(self, pair: Pair) -> tuple[Array, Array] | None:
-        """Where the second's template lies in the first's, and R; None if it does not fit there."""
+        """Align the second's template with the first's: z and R; None if it does not fit."""
         o, template = self._slam.options, self.found.template
         wide = pair.covariance + np.diag((o.floor_m, o.floor_m, o.floor_rad)) ** 2
         found = scan_align(
@@ -128,17 +126,17 @@ class Twins:
         return (pair.z + innovation, found.covariance) if fits else None
 
     def _unite(self, first: int, second: int, known: LocalMap) -> None:
-        """The second's template, told in the first's frame, joins the first's."""
+        """Add the second's template to the first's, in the first's frame."""
         template, seen = self.found.template, self.found.sightings
         template[first] = replace(
             template[first], shape=united(template[first], template.pop(second), known)
         )
         seen[first] += seen.pop(second, 0)
-        self.found.fused += 1
+        self.merged += 1
 
 
 def relative(ekf: Ekf, first: int, second: int) -> Pair:
-    """Where one landmark's frame is in another's, and how well that is known (eq. 5.15)."""
+    """Return the relative pose of two landmarks and its covariance (Nieto 2005, eq. 5.15)."""
     local = ekf.state.map_of(np.array((first, second), dtype=np.intp), POSE)
     at = _MODEL.predict(local.landmark[0], local.landmark[1:])
     h = np.hstack((at.jacobian_pose[0], at.jacobian_landmark[0]))
@@ -147,10 +145,10 @@ def relative(ekf: Ekf, first: int, second: int) -> Pair:
 
 
 def united(first: Template, second: Template, known: LocalMap) -> SumOfGaussians:
-    """One sum of two templates', in the first's frame (Nieto 2005, eqs. 5.6 to 5.12).
+    """Return the union of two templates in the first's frame (Nieto 2005, eqs. 5.6 to 5.12).
 
-    known: the two landmarks, as Ekf.fuse_oriented returns them. Every Gaussian of the second
-    has the uncertainty between the frames added to its own. Errata: see frames.
+    known: the two landmarks, as Ekf.fuse_oriented returns them; the uncertainty between the frames
+    is added to that of the second's Gaussians. Errata: see frames.
     """
     joint = known.covariance[len(known.pose) :, len(known.pose) :]
     mean, covariance = moved_gaussians(
@@ -159,5 +157,5 @@ def united(first: Template, second: Template, known: LocalMap) -> SumOfGaussians
     return SumOfGaussians.of_equal_height(
         np.concatenate((first.shape.mean, mean)),
         np.concatenate((first.shape.covariance, covariance)),
-        np.concatenate((first.shape.seam, second.shape.seam)),
+        np.concatenate((first.shape.boundary, second.shape.boundary)),
     )

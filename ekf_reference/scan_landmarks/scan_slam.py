@@ -1,18 +1,15 @@
-"""Scan-SLAM: the landmarks of an EKF are templates, pieces of scans (Nieto 2005, section 5.2).
+"""Scan-SLAM: landmarks of an EKF are templates, parts of scans (Nieto 2005, section 5.2).
 
-Where which noise belongs. A template's returns are noisy, so the axis in them is not where it
-would be in the true surface. Let a landmark be the axis at which the template fits the true
-surface best. Then the first sighting, at the template's own pose, errs by the template's noise
-alone: its R is that of a registration of the segment with a noisy copy of itself. Later ones err
-by the noise of their scans, and by nothing of the template's, whose error is the same each time.
-The alignment's covariance, which holds both, is taken: too large, as chi-square says, and with it
-the pose's NEES is honest as long as no loop is missed. What several sightings share through one
-template is still not in the state, so the smoother may be too sure.
+A landmark is the axis at which its template fits the true surface best. So the error of the first
+measurement, at the template's own pose, comes from the template's noise alone; its R is that of
+aligning the segment with a noisy copy of itself. Errors of later measurements come from the noise
+of their own scans. R is the alignment's covariance, which holds the template's noise too: it is too
+large by chi-square, and the pose's NEES is consistent with it as long as no loop is missed. The
+state does not hold what measurements share through one template, so a smoother may be too sure.
 """
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Protocol
@@ -23,17 +20,20 @@ from ekf_reference.core.ekf import NEW, Ekf
 from ekf_reference.core.geometry import Array, Index, rotation
 from ekf_reference.core.landmark_types import POSE
 from ekf_reference.dense.scan import Sensor
-from ekf_reference.scan_landmarks.enriching import Around, observe_enriched
-from ekf_reference.scan_landmarks.pieces import JoinedSegments, Known, Pieces
 from ekf_reference.scan_landmarks.segmentation import quality
+from ekf_reference.scan_landmarks.template_extraction import (
+    JoinedSegments,
+    Known,
+    TemplateExtraction,
+)
 from ekf_reference.scan_landmarks.templates import (
     BLANK,
     OUT_OF_VIEW,
     ObservationOptions,
     Template,
     TemplateMatching,
+    TemplateObserver,
     View,
-    observe,
     share_in_view,
 )
 from ekf_reference.scan_matching.alignment_covariance import CovarianceOptions
@@ -47,12 +47,12 @@ LEFT_OUT = "left out"
 GATE = 11.345
 """Chi-square, 99 % of three degrees of freedom."""
 
-_PIECES, _OBSERVATION, _ALIGNMENT = JoinedSegments(), ObservationOptions(), AlignmentOptions()
+_EXTRACTION, _OBSERVATION, _ALIGNMENT = JoinedSegments(), ObservationOptions(), AlignmentOptions()
 _BELIEF = CovarianceOptions(neighbourhood_m=1.0, beyond_chance=3.0)
 
 
-class Teller(Protocol):
-    """By whom a filter is told of landmarks with a direction."""
+class MeasurementSink(Protocol):
+    """Receives measurements of pose landmarks for a filter."""
 
     def observe(self, z: Array, covariance: Array, slot: Index) -> Index:
         """See Ekf.observe_known."""
@@ -61,19 +61,16 @@ class Teller(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class ScanSlamOptions:
-    """How much is done per scan, and what counts. The thesis tells none of these but the gate.
+    """Settings of Scan-SLAM; the thesis gives none of these but the gate.
 
-    aligned: most landmarks that one scan is laid onto. pieces: which returns become landmarks.
-    floor_m, floor_rad: least sigma of where an alignment is sought. enrich_m: sigma of z^ from
-    which on what stands around a landmark says where its template is sought (Nieto 2005,
-    section 6.2).
+    aligned: most templates that one scan is aligned with. extraction: which returns become
+    templates. floor_m, floor_rad: least sigma of the prior of an alignment.
     """
 
     aligned: int = 5
-    pieces: Pieces = _PIECES
+    extraction: TemplateExtraction = _EXTRACTION
     floor_m: float = 0.1
     floor_rad: float = 0.02
-    enrich_m: float = math.inf
     gate: float = GATE
     observation: ObservationOptions = _OBSERVATION
     alignment: AlignmentOptions = _ALIGNMENT
@@ -81,10 +78,7 @@ class ScanSlamOptions:
 
 
 class Predicted(NamedTuple):
-    """Landmarks (m,) as they should be seen from here. z: (m, 3) z^ in the scanner's frame.
-
-    covariance: (m, 3, 3) H P H^T of the vehicle, the landmark, and what they share.
-    """
+    """Predicted measurements z^ (m, 3) of landmarks, in the scanner's frame, with H P H^T."""
 
     slot: Index
     z: Array
@@ -93,13 +87,12 @@ class Predicted(NamedTuple):
 
 @dataclass(kw_only=True)
 class ScanLandmarks:
-    """What a run has gathered. template: by slot. sightings: used, by slot.
+    """Templates and counts of a run.
 
-    begun: templates by slot as they were begun, each of one scan, those of landmarks that were
-    fused since among them. reasons: how often a landmark near the scanner was USED, or why not.
-    rejected: pieces that failed their trial. scans: looked at. dynamic: returns that
-    were left out since something moves there. enriched: alignments that began
-    where what stands around the landmark fits. fused: how many landmarks were found to be others.
+    template: by landmark index. sightings: measurements used, by landmark index. begun: every
+    template as it was initialised from one scan. reasons: how often a landmark near the scanner was
+    USED, or why it was not. rejected: candidate templates that failed their trial. scans: processed
+    so far. dynamic: returns left out because something moves there.
     """
 
     template: dict[int, Template] = field(default_factory=dict)
@@ -109,12 +102,10 @@ class ScanLandmarks:
     rejected: int = 0
     scans: int = 0
     dynamic: int = 0
-    enriched: int = 0
-    fused: int = 0
 
 
 class ScanSlam:
-    """Sees scan landmarks in scans and begins new ones; the filter and its map are the caller's."""
+    """Measures templates in scans and initialises new ones; the filter is the caller's."""
 
     def __init__(
         self,
@@ -123,67 +114,56 @@ class ScanSlam:
         mount: Array,
         options: ScanSlamOptions | None = None,
         seed: int = 0,
+        observer: TemplateObserver | None = None,
     ) -> None:
-        """mount: (3,) of the scanner in the vehicle's frame. seed: of the quality's trials."""
+        """mount: (3,) of the scanner in the vehicle's frame. seed: of the quality's trials.
+
+        observer: of the templates; by default by themselves.
+        """
         self.sensor = sensor
         self.mount = np.asarray(mount, dtype=float)
         self.options = options or ScanSlamOptions()
-        self.view = replace(view, share=self.options.pieces.share)
+        self.view = replace(view, share=self.options.extraction.share)
         self._matching = TemplateMatching(
             self.view,
-            replace(self.options.observation, visible=self.options.pieces.visible),
+            replace(self.options.observation, visible=self.options.extraction.visible),
             self.options.alignment,
             self.options.belief,
         )
         self.found = ScanLandmarks()
-        self.around: Around | None = None
+        self._observer = observer or TemplateObserver()
         self._rng = np.random.default_rng(seed)
         self._last_seen: dict[int, int] = {}
         self._begun = 0
 
-    def step(self, ekf: Ekf, scan: SumOfGaussians, tell: Teller) -> None:
-        """One scan, in the scanner's frame: predict, align, gate, update, augment."""
+    def step(self, ekf: Ekf, scan: SumOfGaussians, tell: MeasurementSink) -> None:
+        """Process a scan, in the scanner's frame: predict, align, gate, update, augment."""
         self.found.scans += 1
         used = self._update(ekf, self._predict(ekf), scan, tell)
-        if self.options.pieces.due(self.found.scans, self._begun, used):
+        if self.options.extraction.due(self.found.scans, self._begun, used):
             self._augment(ekf, scan, tell)
 
     def _predict(self, ekf: Ekf) -> Predicted:
         """Z^ and H P H^T of all landmarks that may be within reach (Nieto 2005, eq. 5.15)."""
-        reading, reach_m = ekf.read_pose(), self.view.reach_m + float(np.hypot(*self.mount[:2]))
-        near = ekf.state.within(reach_m, POSE)
-        local = ekf.state.map_of(near, POSE)
-        at = ekf.models[POSE].predict(reading.pose, local.landmark)
-        by_pose = at.jacobian_pose @ reading.jacobian
-        h = np.concatenate((by_pose, at.jacobian_landmark), axis=2)
-        p = len(reading.own)
-        joint = np.empty((len(near), p + POSE, p + POSE))
-        joint[:, :p, :p], joint[:, p:, p:] = local.vehicle, local.own
-        joint[:, :p, p:], joint[:, p:, :p] = local.cross, local.cross.transpose(0, 2, 1)
-        spread, out = h @ joint @ h.transpose(0, 2, 1), self._out()
-        z = at.z - self.mount
+        reach_m = self.view.reach_m + float(np.hypot(*self.mount[:2]))
+        near, out = ekf.state.within(reach_m, POSE), self._out()
+        frame, spread = predicted_frames(ekf, near)
+        z = frame - self.mount
         z[:, :2] = z[:, :2] @ out[:2, :2]
         return Predicted(near, z, out.T @ spread @ out)
 
-    def _update(self, ekf: Ekf, predicted: Predicted, scan: SumOfGaussians, tell: Teller) -> int:
-        """[z, R] = scan_align(G_L, G_o, z^) of those in view; those within the gate are fused.
-
-        Returns how many.
-        """
+    def _update(
+        self, ekf: Ekf, predicted: Predicted, scan: SumOfGaussians, tell: MeasurementSink
+    ) -> int:
+        """Fuse [z, R] = scan_align(G_L, G_o, z^) of those in view and gate; returns how many."""
         seen: list[tuple[int, Array, Array]] = []
         for row in self._in_view(predicted, scan):
             slot, z = int(predicted.slot[row]), predicted.z[row]
             spread, o = predicted.covariance[row], self.options
             wide = spread + np.diag((o.floor_m, o.floor_m, o.floor_rad)) ** 2
-            template, around = self.found.template[slot], None
-            if self.around is not None and np.linalg.norm(wide[:2, :2], 2) > o.enrich_m**2:
-                around = self.around(template, ekf.state.places(POSE)[slot])
-            if around is None:
-                what = observe(template, scan, z, wide, self._matching)
-            else:
-                what = observe_enriched(template, around, scan, z, wide, self._matching)
-                self.found.enriched += 1
-            kind = what.kind or USED
+            template, place = self.found.template[slot], ekf.state.places(POSE)[slot]
+            what = self._observer.observe(template, place, scan, z, wide, self._matching)
+            reason = what.reason or USED
             if what.usable and what.alignment is not None:
                 r = what.alignment.covariance
                 innovation = what.alignment.pose - z
@@ -191,14 +171,14 @@ class ScanSlam:
                 if innovation @ np.linalg.solve(spread + r, innovation) <= o.gate:
                     seen.append((slot, z + innovation, r))
                 else:
-                    kind = GATED
-            self.found.reasons[kind] += 1
+                    reason = GATED
+            self.found.reasons[reason] += 1
         if seen:
             self._told(tell, seen)
         return len(seen)
 
     def _in_view(self, predicted: Predicted, scan: SumOfGaussians) -> list[int]:
-        """Rows of the predicted that are in view, those first that were longest out of sight."""
+        """Rows of the predicted that are in view, the longest unobserved first."""
         o, rows = self.options, []
         for row, slot in enumerate(predicted.slot.tolist()):
             if self._share(slot, predicted.z[row], scan) >= self.view.share:
@@ -213,8 +193,8 @@ class ScanSlam:
         """Of a landmark's template that should be seen; of a blank scan nothing is."""
         return share_in_view(self.found.template[slot], scan, z, self.view) if len(scan) else 0.0
 
-    def _augment(self, ekf: Ekf, scan: SumOfGaussians, tell: Teller) -> None:
-        """Pieces begin a landmark if they lay themselves onto themselves."""
+    def _augment(self, ekf: Ekf, scan: SumOfGaussians, tell: MeasurementSink) -> None:
+        """Initialise landmarks of those candidate templates that align with themselves."""
         o = self.options
 
         def known() -> list[Known]:
@@ -225,9 +205,9 @@ class ScanSlam:
                 if self._share(int(slot), z, scan) >= self.view.share
             ]
 
-        for rows in o.pieces.found(scan, self.view, self._out()[0, :2], known):
-            piece, trial = scan.take(rows), o.pieces.segmentation
-            found = quality(piece, self.sensor, self._rng, trial, o.alignment, o.belief)
+        for rows in o.extraction.found(scan, self.view, self._out()[0, :2], known):
+            segment, trial = scan.take(rows), o.extraction.segmentation
+            found = quality(segment, self.sensor, self._rng, trial, o.alignment, o.belief)
             if not found.accepted:
                 self.found.rejected += 1
                 continue
@@ -236,8 +216,8 @@ class ScanSlam:
             self.found.template[slot] = self.found.begun[slot] = template
             self._begun = self.found.scans
 
-    def _told(self, tell: Teller, seen: list[tuple[int, Array, Array]]) -> int:
-        """Tell of sightings (slot, z, R) in the scanner's frame; returns the last one's slot."""
+    def _told(self, tell: MeasurementSink, seen: list[tuple[int, Array, Array]]) -> int:
+        """Fuse measurements (index, z, R) in the scanner's frame; returns the last index."""
         out = self._out()
         z = np.array([at for _, at, _ in seen]) @ out.T + self.mount
         r = np.array([out @ spread @ out.T for *_, spread in seen])
@@ -252,3 +232,18 @@ class ScanSlam:
         out = np.eye(3)
         out[:2, :2] = rotation(float(self.mount[2]))
         return out
+
+
+def predicted_frames(ekf: Ekf, slot: Index) -> tuple[Array, Array]:
+    """Predict the frames of landmarks (m,) in the vehicle's (Nieto 2005, eq. 5.15).
+
+    Returns z^ (m, 3) and H P H^T (m, 3, 3) of the vehicle, the landmark, and what they share.
+    """
+    local = ekf.state.map_of(slot, POSE)
+    at = ekf.models[POSE].predict(local.pose, local.landmark)
+    h = np.concatenate((at.jacobian_pose, at.jacobian_landmark), axis=2)
+    p = len(local.pose)
+    joint = np.empty((len(slot), p + POSE, p + POSE))
+    joint[:, :p, :p], joint[:, p:, p:] = local.vehicle, local.own
+    joint[:, :p, p:], joint[:, p:, :p] = local.cross, local.cross.transpose(0, 2, 1)
+    return at.z, h @ joint @ h.transpose(0, 2, 1)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -16,17 +16,15 @@ from ekf_reference.scan_matching.sog import SumOfGaussians
 
 @dataclass(frozen=True, kw_only=True)
 class SegmentationOptions:
-    """Which returns hang together (Nieto 2005, section 5.7), and how segments are tried.
+    """How a scan is segmented and segments are tried (Nieto 2005, section 5.7).
 
-    range_m, bearing_rad: less than so much lies between two neighbours. least_points: of a
-    segment; the thesis has 100 on its car park. displacement_m, displacement_rad: standard
-    deviations of the random motions that copies are given. trials: copies. residual: share of the
-    displacement below which an alignment's error must stay; the thesis has a tenth. ambiguous:
-    greatest second maximum over the best. open_directions: most of x, y and heading that a segment
-    may leave open. interleaved: every second return is copied and registered
-    with the others; else all are, with all, as the thesis has it. Where noise is as large as the
-    spacing of returns a copy shares little with what it is laid onto, and half of a segment does
-    not show its corners.
+    range_m, bearing_rad: bounds of the gap between two neighbours. least_points: of a segment; the
+    thesis has 100 on its car park. displacement_m, displacement_rad: standard deviations of the
+    random motions of copies. trials: copies. residual: greatest error of an alignment over its
+    displacement; the thesis has a tenth. ambiguous: greatest second maximum over the best.
+    open_directions: most of x, y and heading that a segment may leave open. interleaved: every
+    second return is copied and aligned with the others, else all with all, as in the thesis: with
+    noise as large as the spacing of returns, half of a segment does not show its corners.
     """
 
     range_m: float = 5.0
@@ -40,39 +38,30 @@ class SegmentationOptions:
     interleaved: bool = True
     open_directions: int = 0
 
-    def __post_init__(self) -> None:
-        """Check the counts."""
-        if self.least_points < 1 or self.trials < 1:
-            raise ValueError(
-                f"least points {self.least_points} and trials {self.trials} must be above zero"
-            )
-
 
 @dataclass(frozen=True, kw_only=True)
 class Quality:
-    """How well a segment lays itself onto itself.
+    """How well a segment aligns with noisy copies of itself.
 
-    residual: greatest error of a trial over its displacement, in metres at the lever's end.
-    saliency: inverse of the trace of the covariance of the alignment [1/m^2], the object saliency
-    score of section 5.2.2, and least_information: its smallest eigenvalue inverted, the weakest
-    direction's [1/m^2]; headings as metres at the lever's end. runner_up: greatest second maximum
-    over the best. open_directions: most that the shape did not fix. accepted: whether it may
-    become a landmark. All of the worst trial. covariance: (3, 3) mean of the trials', of the
-    segment's frame at its centroid: as the noise that is added to a copy is that of the segment's
-    own scan, it says how well the segment's returns tell where the surface is.
+    All of the worst trial. residual: greatest error over its displacement, in metres at the lever's
+    end. saliency: inverse of the trace of the covariance of the alignment [1/m^2], the object
+    saliency score of section 5.2.2; headings as metres at the lever's end. runner_up: greatest
+    second maximum over the best. open_directions: most that the shape did not fix. accepted:
+    whether it may become a landmark. covariance: (3, 3) mean over the trials, of the segment's
+    frame at its centroid; the copies' noise is that of the scan, so it is the error of the
+    segment's returns about the true surface.
     """
 
-    residual: float
-    saliency: float
-    least_information: float
-    runner_up: float
-    open_directions: int
-    accepted: bool
-    covariance: Array
+    residual: float = math.inf
+    saliency: float = 0.0
+    runner_up: float = 0.0
+    open_directions: int = 3
+    accepted: bool = False
+    covariance: Array = field(default_factory=lambda: np.full((3, 3), np.inf))
 
 
 def segments(scan: SumOfGaussians, options: SegmentationOptions | None = None) -> list[Index]:
-    """Rows of a scan's returns that hang together, by bearing; none for a scan without returns.
+    """Return the rows of a scan's returns by segment; none for a scan without returns.
 
     scan: in the scanner's frame, returns in order of bearing, as `of_scan` makes it.
     """
@@ -93,25 +82,15 @@ def quality(
     alignment: AlignmentOptions | None = None,
     belief: CovarianceOptions | None = None,
 ) -> Quality:
-    """Register noisy, displaced copies of a segment with it (Nieto 2005, sections 5.2.2 and 5.7).
+    """Align noisy, displaced copies of a segment with it (Nieto 2005, sections 5.2.2 and 5.7).
 
-    segment: some returns of a scan in the scanner's frame, so that noise can be added to ranges
-    and bearings. A copy of a wall finds its place along it, which no second look at the wall
-    does, by two things: the wall ends where the view does, which the segment's seams tell; and
-    copies share the segment's own noise, unless they are interleaved.
+    segment: some returns of a scan in the scanner's frame. Two things would fix a copy of a wall
+    along it, unlike a second scan: the view's ends, which its boundaries exclude, and the noise
+    that copies share with the segment unless they are interleaved.
     """
     o = options or SegmentationOptions()
     if len(segment) < 3 or segment.lever_m < 0.01:
-        nothing = np.full((3, 3), np.inf)
-        return Quality(
-            residual=math.inf,
-            saliency=0.0,
-            least_information=0.0,
-            runner_up=0.0,
-            open_directions=3,
-            accepted=False,
-            covariance=nothing,
-        )
+        return Quality()
     centre, lever = segment.centroid, segment.lever_m
     spread = np.array((o.displacement_m, o.displacement_m, o.displacement_rad))
     unit = np.array((1.0, 1.0, 1.0 / lever))
@@ -119,8 +98,7 @@ def quality(
     if o.interleaved:
         wide = replace(segment, covariance=_twice_as_long(segment, sensor))
         halves = [wide.take(np.arange(k, len(wide), 2)) for k in (0, 1)]
-    covariance = np.zeros((3, 3))
-    residual, trace, widest, runner_up, free = 0.0, 0.0, 0.0, 0.0, 0
+    covariance, tried = np.zeros((3, 3)), []
     for trial in range(o.trials):
         kept, copied = halves[trial % 2], halves[1 - trial % 2]
         kept = replace(kept, mean=kept.mean - centre)
@@ -131,22 +109,18 @@ def quality(
         size, axes = np.linalg.eigh(scaled)
         fixed = 3 - found.open_directions if o.open_directions else 3
         told = axes[:, :fixed].T @ (found.pose / unit)
-        error = np.linalg.norm(told) / np.linalg.norm(displaced / unit)
+        residual = np.linalg.norm(told) / np.linalg.norm(displaced / unit)
         kept_size = np.minimum(size, o.displacement_m**2)
         covariance += (axes * kept_size) @ axes.T * np.outer(unit, unit) / o.trials
-        residual = max(residual, float(error))
-        trace = max(trace, float(np.trace(scaled)))
-        widest = max(widest, float(size[-1]))
-        runner_up = max(runner_up, found.alignment.runner_up)
-        free = max(free, found.open_directions)
+        runner_up = found.alignment.runner_up
+        tried.append((float(residual), float(np.trace(scaled)), runner_up, found.open_directions))
+    residual, trace, runner_up, free = np.max(tried, axis=0).tolist()
     good = residual < o.residual and free <= o.open_directions and runner_up <= o.ambiguous
-    saliency, weakest = 1.0 / trace, 1.0 / widest
     return Quality(
         residual=residual,
-        saliency=saliency,
-        least_information=weakest,
+        saliency=1.0 / trace,
         runner_up=runner_up,
-        open_directions=free,
+        open_directions=int(free),
         accepted=good,
         covariance=covariance,
     )
@@ -154,12 +128,7 @@ def quality(
 
 def _twice_as_long(segment: SumOfGaussians, sensor: Sensor) -> Array:
     """(N, 2, 2) covariances for pieces of surface twice as long, noise as it was."""
-    way = np.hypot(*segment.mean.T)
-    ray = segment.mean / way[:, None]
-    side = np.stack((-ray[:, 1], ray[:, 0]), axis=1)
-    across = (way * sensor.sigma_bearing_rad) ** 2
-    noise = sensor.sigma_range_m**2 * ray[:, :, None] * ray[:, None, :]
-    noise += across[:, None, None] * side[:, :, None] * side[:, None, :]
+    noise = sensor.covariance(segment.mean, np.hypot(*segment.mean.T))
     longer: Array = noise + 4.0 * (segment.covariance - noise)
     return longer
 

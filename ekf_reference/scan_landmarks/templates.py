@@ -1,4 +1,4 @@
-"""Templates of landmarks, and what a scan says of them (Nieto 2005, 5.2.1, 5.2.3 and 5.7)."""
+"""Templates of landmarks, and their observation in scans (Nieto 2005, 5.2.1, 5.2.3 and 5.7)."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ class View:
 
 @dataclass(frozen=True)
 class ObservationOptions:
-    """What is aligned, and when that counts as seeing the landmark.
+    """When an alignment observes a landmark.
 
     overlap: least share of what is aligned that finds a counterpart. ambiguous: greatest second
     maximum over the best. visible: of the template only what should be in view is aligned.
@@ -107,17 +107,14 @@ class TemplateMatching:
 
 @dataclass(frozen=True)
 class Observation:
-    """What a scan says of a landmark.
+    """The observation of a template in a scan.
 
-    alignment: z and R with their evidence, None when nothing was tried. share_in_view: of the
-    template's points. reason: why it must not be used, empty where it may; kind: the same as one of
-    BLANK, OUT_OF_VIEW, APART, AMBIGUOUS, UNFINISHED.
+    alignment: z and R with their evidence, None when nothing was tried. reason: why it must not
+    be used, one of BLANK, OUT_OF_VIEW, APART, AMBIGUOUS, UNFINISHED; empty where it may be.
     """
 
     alignment: ScanAlignment | None
-    share_in_view: float
-    reason: str
-    kind: str = ""
+    reason: str = ""
 
     @property
     def usable(self) -> bool:
@@ -126,11 +123,10 @@ class Observation:
 
 
 def share_in_view(template: Template, scan: SumOfGaussians, pose: Array, view: View) -> float:
-    """Share of a template's points that the sensor should see from where the scan was taken.
+    """Return the share of a template's points that the scanner should see.
 
-    pose: (3,) of the template's axis in the scanner's frame. A point does not count when it lies
-    outside the field of view or when the returns on both its sides, no farther from it than their
-    own neighbours are, come from something much nearer.
+    pose: (3,) of the template's axis in the scanner's frame. Points outside the field of view, or
+    behind much nearer returns on both sides, are not seen.
     """
     return float(np.mean(_in_view(template, scan, pose, view)))
 
@@ -145,26 +141,38 @@ def observe(
     """[z, R] = scan_align(G_L, G_o, z^) of Nieto 2005, section 5.2.1, against the whole scan.
 
     scan: in the scanner's frame, bearings in order. predicted: (3,) z^, the axis' pose in that
-    frame, and covariance: (3, 3) of its error. A blank scan, a template out of view, one that
-    does not meet the scan, and one that two places fit are told apart by the reason.
+    frame, and covariance: (3, 3) of its error.
     """
     o, view = matching.options, matching.view
     if not len(scan):
-        return Observation(None, 0.0, "the scan has no returns", BLANK)
+        return Observation(None, BLANK)
     seen = _in_view(template, scan, predicted, view)
-    share = float(np.mean(seen))
-    if share < view.share:
-        return Observation(None, share, f"{share:.0%} of the template in view", OUT_OF_VIEW)
+    if np.mean(seen) < view.share:
+        return Observation(None, OUT_OF_VIEW)
     shape = template.shape.take(seen) if o.visible else template.shape
     found = scan_align(shape, scan, predicted, covariance, matching.alignment, matching.belief)
-    evidence, reason, kind = found.alignment, "", ""
+    evidence = found.alignment
     if evidence.overlap < o.overlap:
-        reason, kind = f"{evidence.overlap:.0%} of the template finds a counterpart", APART
-    elif evidence.runner_up > o.ambiguous:
-        reason, kind = f"another place fits {evidence.runner_up:.0%} as well", AMBIGUOUS
-    elif not evidence.converged:
-        reason, kind = "the alignment did not converge", UNFINISHED
-    return Observation(found, share, reason, kind)
+        return Observation(found, APART)
+    if evidence.runner_up > o.ambiguous:
+        return Observation(found, AMBIGUOUS)
+    return Observation(found, "" if evidence.converged else UNFINISHED)
+
+
+class TemplateObserver:
+    """How ScanSlam observes a template: by its shape alone."""
+
+    def observe(
+        self,
+        template: Template,
+        place: Array,
+        scan: SumOfGaussians,
+        predicted: Array,
+        covariance: Array,
+        matching: TemplateMatching,
+    ) -> Observation:
+        """As the function `observe`. place: (3,) estimate of the template's axis in the world."""
+        return observe(template, scan, predicted, covariance, matching)
 
 
 def _in_view(template: Template, scan: SumOfGaussians, pose: Array, view: View) -> Mask:

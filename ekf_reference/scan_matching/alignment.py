@@ -8,13 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ekf_reference.core.geometry import Array
-from ekf_reference.scan_matching.correlation import Look, Pairs
 from ekf_reference.scan_matching.problem import (
     SLACK,
     AlignmentOptions,
     Problem,
     moved,
-    within_seams,
+    within_boundaries,
 )
 from ekf_reference.scan_matching.search import Lattice, starts
 from ekf_reference.scan_matching.sog import SumOfGaussians
@@ -32,30 +31,23 @@ class Alignment:
     """Where the first sum lies in the second one's frame, with evidence.
 
     pose: (3,) x_M of Nieto 2005, eq. 5.14: x, y [m], heading [rad], the nearest to the guess's.
-    log_likelihood: ln Lambda there, -inf where the two do not meet. correlation: Lambda over the
-    geometric mean of what the first sum and those of the second that it meets have with
-    themselves, 0 to 1. overlap: share of the first sum's weight that finds a counterpart.
-    runner_up: Lambda of the second-best maximum found over that of the best; near 1 the result is
-    a guess among two, and 0 says that there was no other within the prior. iterations: of all
-    stages on the way to the result. converged: whether the last stage ended at a maximum.
+    overlap: share of the first sum's weight that finds a counterpart. runner_up: Lambda of the
+    second-best maximum found over that of the best; near 1 the pose is ambiguous, at 0 there was no
+    other maximum within the prior. converged: whether the last stage ended at a maximum.
     """
 
     pose: Array
-    log_likelihood: float
-    correlation: float
-    overlap: float
-    runner_up: float
-    iterations: int
-    converged: bool
+    overlap: float = 0.0
+    runner_up: float = 0.0
+    converged: bool = False
 
 
 @dataclass(frozen=True)
-class Climb:
-    """Where a climb ended. value: Lambda."""
+class Ascent:
+    """Where a trust-region ascent ended. value: Lambda."""
 
     pose: Array
     value: float
-    iterations: int
     converged: bool
 
 
@@ -68,10 +60,9 @@ def align(
 ) -> Alignment:
     """The pose of the first sum in the second's frame that has the highest correlation.
 
-    guess: (3,) x, y [m], heading [rad]. covariance: (3, 3) of its error: starts are spread over
-    it, so a wide one costs time, and a narrow one keeps other maxima out. It is no evidence and
-    does not pull. A sum without Gaussians meets nothing. Raises ValueError for a guess or a
-    covariance that cannot be used.
+    guess: (3,) x, y [m], heading [rad]. covariance: (3, 3) of its error, over which starts are
+    spread; it does not pull the result. Raises ValueError for a guess or covariance that is not
+    finite, has another shape, or a negative eigenvalue.
     """
     return aligned(Problem.of(first, second, guess, covariance, options))
 
@@ -84,34 +75,28 @@ def aligned(problem: Problem) -> Alignment:
     coarse = [_thinned(problem, s) for s in o.inflation_m]
     lattice = Lattice.over(problem.guess, problem.covariance, o.spacing_m, problem.first.lever_m)
     begin = starts(coarse[0].first, coarse[0].second, lattice, o.inflation_m[0], o.starts)
-    ends = [climb(coarse[0], pose, o.inflation_m[0]) for pose in begin]
+    ends = [ascend(coarse[0], pose, o.inflation_m[0]) for pose in begin]
     ends = _distinct(problem, ends, o.inflation_m[0])[: o.finished]
-    finished = []
-    for end in ends:
-        steps = end.iterations
-        for stage, inflation_m in zip(coarse[1:], o.inflation_m[1:], strict=True):
-            end = climb(stage, end.pose, inflation_m)
-            steps += end.iterations
-        finished.append(Climb(end.pose, end.value, steps, end.converged))
-    finished = _distinct(problem, finished, o.spacing_m)
+    for stage, inflation_m in zip(coarse[1:], o.inflation_m[1:], strict=True):
+        ends = [ascend(stage, end.pose, inflation_m) for end in ends]
+    finished = _distinct(problem, ends, o.spacing_m)
     if not finished:
         return _apart(problem)
     best = finished[0]
     runner_up = finished[1].value / best.value if len(finished) > 1 else 0.0
-    inside = within_seams(problem, best.pose)
+    inside = within_boundaries(problem, best.pose)
     if len(inside.first):
-        again = climb(inside, best.pose, 0.0)
-        best = replace(again, iterations=best.iterations + again.iterations)
+        best = ascend(inside, best.pose, 0.0)
     return evidence(problem, best, runner_up)
 
 
-def climb(
+def ascend(
     problem: Problem,
     start: Array,
     inflation_m: float,
     held: Array | None = None,
     iterations: int | None = None,
-) -> Climb:
+) -> Ascent:
     """The maximum of Lambda uphill of a pose (3,), by Newton's method in a trust region.
 
     held: (3, k) orthonormal directions, scaled, along which the pose stays. iterations:
@@ -137,7 +122,7 @@ def climb(
             step -= held @ (held.T @ step)
         length = float(np.linalg.norm(step))
         if length < close:
-            return Climb(pose, here.value, taken, converged=True)
+            return Ascent(pose, here.value, converged=True)
         tried = pairs.derivatives(pose + unit * step)
         expected = float(slope @ step + 0.5 * step @ bend @ step)
         gained = math.log(tried.value / here.value) if tried.value > 0.0 else -math.inf
@@ -147,20 +132,18 @@ def climb(
             radius *= 2.0
         if gained <= 0.0:
             if length < 100.0 * close:
-                return Climb(pose, here.value, taken, converged=True)
+                return Ascent(pose, here.value, converged=True)
             continue
         pose, here = pose + unit * step, tried
         if np.abs((pose - looked) / unit).max() > slack:
             pairs, looked = problem.pairs(pose, inflation_m), pose
             here = pairs.derivatives(pose)
-    return Climb(pose, here.value, taken, converged=False)
+    return Ascent(pose, here.value, converged=False)
 
 
-def evidence(problem: Problem, best: Climb, runner_up: float) -> Alignment:
+def evidence(problem: Problem, best: Ascent, runner_up: float) -> Alignment:
     """What is said of a maximum."""
-    pairs = problem.pairs(best.pose)
-    value = pairs.value(best.pose)
-    if not value > 0.0:
+    if not problem.pairs(best.pose).value(best.pose) > 0.0:
         return _apart(problem)
     laid = problem.first.transformed(best.pose)
     column = problem.second.tree.query(laid.mean)[1]
@@ -168,32 +151,17 @@ def evidence(problem: Problem, best: Climb, runner_up: float) -> Alignment:
     spread = laid.covariance + problem.second.covariance[column]
     square = np.einsum("ni,ni->n", apart, np.linalg.solve(spread, apart[:, :, None])[:, :, 0])
     overlap = float(problem.first.weight[square < _COUNTERPART].sum())
-    met = np.unique(pairs.column)
-    own = _self_correlation(problem, problem.first)
-    its = _self_correlation(problem, problem.second.take(met))
-    share = float(problem.second.weight[met].sum())
     return Alignment(
         pose=moved(best.pose, -problem.centre),
-        log_likelihood=math.log(value),
-        correlation=min(value / (share * math.sqrt(own * its)), 1.0),
         overlap=overlap,
         runner_up=runner_up,
-        iterations=best.iterations,
         converged=best.converged,
     )
 
 
 def _apart(problem: Problem) -> Alignment:
-    pose = moved(problem.guess, -problem.centre)
-    return Alignment(
-        pose=pose,
-        log_likelihood=-math.inf,
-        correlation=0.0,
-        overlap=0.0,
-        runner_up=0.0,
-        iterations=0,
-        converged=False,
-    )
+    """Two sums that do not meet: the guess."""
+    return Alignment(pose=moved(problem.guess, -problem.centre))
 
 
 def _newton(slope: Array, bend: Array, radius: float) -> Array:
@@ -211,18 +179,11 @@ def _thinned(problem: Problem, inflation_m: float) -> Problem:
     return replace(problem, first=first, second=second)
 
 
-def _distinct(problem: Problem, ends: list[Climb], apart_m: float) -> list[Climb]:
+def _distinct(problem: Problem, ends: list[Ascent], apart_m: float) -> list[Ascent]:
     """Best first, without those within a distance of a better one, and without empty ones."""
-    kept: list[Climb] = []
+    kept: list[Ascent] = []
     for end in sorted(ends, key=lambda e: -e.value):
         far = (np.linalg.norm((end.pose - k.pose) / problem.unit) > apart_m for k in kept)
         if end.value > 0.0 and all(far):
             kept.append(end)
     return kept
-
-
-def _self_correlation(problem: Problem, one: SumOfGaussians) -> float:
-    still = np.zeros(3)
-    o = problem.options
-    look = Look(o.neighbours, o.reach * math.sqrt(2.0 * one.typical_variance), o.reach)
-    return Pairs.near(one, one, still, look).value(still)

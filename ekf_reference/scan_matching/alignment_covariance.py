@@ -1,14 +1,12 @@
 """Covariance of an alignment, from the shape of the correlation (Nieto 2005, section 5.4).
 
-Eqs. 5.16 and 5.17 fit a Gaussian to Lambda about its maximum. That gives Lambda's curvature, C:
-of the logarithm of a sum over all pairs of Gaussians, so it is about as wide as one pair is and
-does not get narrower when there are more of them. It is no covariance of the maximum's error.
-For that the fitted curvature becomes the bread of the sandwich that every M-estimator has,
+Eqs. 5.16 and 5.17 fit a Gaussian to Lambda about its maximum. Its covariance, C, is about as wide
+as that of one pair of Gaussians, however many there are: it is not that of the maximum's error.
+That is the sandwich of an M-estimator,
 
     P = C J C,    J = covariance of the gradient of ln Lambda,
 
-with J from the gradients that each return adds, of the first scan and of the second, as the noise
-of different returns is independent.
+with J from the independent gradients that each return of both scans adds.
 """
 
 from __future__ import annotations
@@ -19,15 +17,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from ekf_reference.core.geometry import Array, Mask
-from ekf_reference.scan_matching.alignment import Alignment, aligned, climb
+from ekf_reference.scan_matching.alignment import Alignment, aligned, ascend
 from ekf_reference.scan_matching.correlation import Pairs
 from ekf_reference.scan_matching.problem import (
     AlignmentOptions,
     Problem,
     carried,
     moved,
-    on_no_seam,
-    within_seams,
+    on_no_boundary,
+    within_boundaries,
 )
 from ekf_reference.scan_matching.sog import SumOfGaussians
 
@@ -55,18 +53,15 @@ _LEAST = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class CovarianceOptions:
-    """What is believed of a maximum.
+    """When a direction counts as fixed by a maximum, and how it is sampled.
 
     sample_sigmas: how far off the maximum Lambda is sampled, in sigmas of its own curvature.
-    neighbourhood_m: least distance, at the lever's end, within which Lambda has to fall for a
-    direction to count as fixed; a wider prior adds to it. fallen: least -2 ln of Lambda over its
-    maximum on both edges of the neighbourhood, and beyond_chance: least fall in standard
-    deviations, each return's share of it being independent: noise makes ripples on a wall, and
-    a maximum sits on one. sharp: curvature by squared neighbourhood beyond which no edge is
-    looked at. open_sigmas: sigma of a direction that is not fixed, over the neighbourhood, so
-    that a filter learns next to nothing along it.
-    calibration: factor on the variance. Simulated pairs need none: NEES per degree of freedom is
-    0.9 with 2 cm of range noise and 1.0 to 1.1 with 10 cm and 1 degree.
+    neighbourhood_m: least distance, at the lever's end, within which Lambda has to fall along a
+    fixed direction; a wider prior adds to it. fallen: least -2 ln of Lambda over its maximum on
+    both edges of the neighbourhood. beyond_chance: least fall in standard deviations of the ripples
+    that noise makes on a wall. sharp: curvature by squared neighbourhood beyond which edges are not
+    tested. open_sigmas: sigma of a direction that is not fixed, over the neighbourhood.
+    NEES per degree of freedom is 0.9 with 2 cm of range noise, 1.0 to 1.1 with 10 cm and 1 degree.
     """
 
     sample_sigmas: float = 0.5
@@ -75,12 +70,11 @@ class CovarianceOptions:
     beyond_chance: float = 4.0
     sharp: float = 100.0
     open_sigmas: float = 10.0
-    calibration: float = 1.0
 
 
 @dataclass(frozen=True)
 class ScanAlignment:
-    """What an alignment says to a filter: z and R of Nieto 2005, section 5.2.1, and the evidence.
+    """A measurement of an alignment: z and R of Nieto 2005, section 5.2.1, and the evidence.
 
     pose: (3,) z; where the shape does not fix a direction it is as guessed along it. covariance:
     (3, 3) R, of the error added to x, y and heading, positive definite. curvature: (3, 3) P^-1 of
@@ -103,7 +97,7 @@ def scan_align(
     options: AlignmentOptions | None = None,
     belief: CovarianceOptions | None = None,
 ) -> ScanAlignment:
-    """Align and say how well: x_M and P_M of Nieto 2005, section 5.4.
+    """Align two sums, with covariance: x_M and P_M of Nieto 2005, section 5.4.
 
     guess: (3,) x_0, the first sum's pose in the second's frame; covariance: (3, 3) of its error.
     Where the two do not meet the guess comes back with all directions open. Raises ValueError as
@@ -119,10 +113,20 @@ def scan_align(
     if len(shape.loose.T) and len(shape.fixed.T):
         # What lies across moves a little when the pose goes back along what is not fixed.
         peak = peak - unit * (shape.loose @ (shape.loose.T @ ((peak - problem.guess) / unit)))
-        peak = climb(within_seams(problem, peak), peak, 0.0, held=shape.loose).pose
+        peak = ascend(within_boundaries(problem, peak), peak, 0.0, held=shape.loose).pose
         shape = _Shape.at(problem, peak, about, belief)
     peak = peak - unit * (shape.loose @ (shape.loose.T @ ((peak - problem.guess) / unit)))
-    return _result(problem, found, peak, shape)
+    # From the centred sum's pose to that of its frame.
+    jacobian = carried(peak, -problem.centre)
+    inverse, scale = np.linalg.inv(jacobian), np.outer(unit, unit)
+    spread = jacobian @ (shape.covariance * scale) @ jacobian.T
+    return ScanAlignment(
+        pose=moved(peak, -problem.centre),
+        covariance=0.5 * (spread + spread.T),
+        curvature=inverse.T @ (shape.curvature / scale) @ inverse,
+        open_directions=shape.loose.shape[1],
+        alignment=found,
+    )
 
 
 @dataclass(frozen=True)
@@ -140,8 +144,8 @@ class _Shape:
     @classmethod
     def at(cls, problem: Problem, peak: Array, about: Array, belief: CovarianceOptions) -> _Shape:
         unit, axes, size, curvature = problem.unit, np.eye(3), np.zeros(3), np.zeros((3, 3))
-        off_seams = on_no_seam(problem, peak)
-        inside = problem.taking(off_seams)
+        off_boundaries = on_no_boundary(problem, peak)
+        inside = problem.taking(off_boundaries)
         pairs = inside.pairs(peak) if len(inside.first) and len(problem.second) else None
         if pairs is not None and pairs.value(peak) > 0.0:
             curvature = fitted_curvature(pairs, peak, unit, about, belief.sample_sigmas)
@@ -153,7 +157,7 @@ class _Shape:
             way = math.sqrt(near[k]) * axes[:, k]
             edges = [_edge(problem, peak, side * way) for side in (-1.0, 1.0)]
             met[k] = size[k] > 0.0 and all(
-                _falls(problem, peak, edge, belief, off_seams) for edge in edges
+                _falls(problem, peak, edge, belief, off_boundaries) for edge in edges
             )
             if not met[k]:
                 low, high = ((edge - peak) / unit for edge in edges)
@@ -168,8 +172,7 @@ class _Shape:
         covariance = (loose * _along(about, loose)) @ loose.T * belief.open_sigmas**2
         if pairs is not None and met.any():
             flattest = belief.fallen / _along(about, fixed).max()
-            spread = _sandwich(pairs, peak, unit, curvature, fixed, flattest)
-            covariance += spread * belief.calibration
+            covariance += _sandwich(pairs, peak, unit, curvature, fixed, flattest)
             covariance += fixed @ (fixed.T @ bent @ fixed) @ fixed.T
         return cls(curvature, fixed, loose, covariance)
 
@@ -186,23 +189,18 @@ def _edge(problem: Problem, peak: Array, way: Array) -> Array:
     held = (way / np.linalg.norm(way))[:, None]
     # A curved valley may be farther away than the exact correlation feels it.
     for inflation_m in problem.options.inflation_m[-2:]:
-        pose = climb(within_seams(problem, pose), pose, inflation_m, held, iterations=8).pose
+        pose = ascend(within_boundaries(problem, pose), pose, inflation_m, held, iterations=8).pose
     return pose
 
 
 def _falls(
-    problem: Problem,
-    peak: Array,
-    edge: Array,
-    belief: CovarianceOptions,
-    off_seams: Mask,
+    problem: Problem, peak: Array, edge: Array, belief: CovarianceOptions, off_boundaries: Mask
 ) -> bool:
-    """Lambda falls for certain from its maximum to an edge (3,).
+    """Whether Lambda falls from its maximum to an edge (3,), by more than chance.
 
-    By what is on no seam at either pose (off_seams: at the maximum), so that what comes into view
-    or leaves it has no say.
+    Only what is on no boundary at either pose counts (off_boundaries: at the maximum).
     """
-    both = off_seams & on_no_seam(problem, edge, _ASIDE)
+    both = off_boundaries & on_no_boundary(problem, edge, _ASIDE)
     if not both.any():
         return False
     common = problem.taking(both)
@@ -267,18 +265,3 @@ def _sandwich(
     half = root @ turn
     spread = (half * share) @ half.T
     return np.asarray(spread)
-
-
-def _result(problem: Problem, found: Alignment, pose: Array, shape: _Shape) -> ScanAlignment:
-    """From the centred sum's pose to that of its frame."""
-    jacobian = carried(pose, -problem.centre)
-    inverse = np.linalg.inv(jacobian)
-    scale = np.outer(problem.unit, problem.unit)
-    covariance = jacobian @ (shape.covariance * scale) @ jacobian.T
-    return ScanAlignment(
-        pose=moved(pose, -problem.centre),
-        covariance=0.5 * (covariance + covariance.T),
-        curvature=inverse.T @ (shape.curvature / scale) @ inverse,
-        open_directions=shape.loose.shape[1],
-        alignment=found,
-    )

@@ -19,7 +19,7 @@ from ekf_reference.scan_matching.sog import SumOfGaussians
 
 
 @dataclass(frozen=True)
-class Look:
+class CorrespondenceSearch:
     """Which pairs count: the `most` nearest within m metres and so many sigmas of S.
 
     inflation_m: sigma added to every Gaussian of the second sum. slack_m: how far the pose may
@@ -72,22 +72,24 @@ class Pairs:
         first: SumOfGaussians,
         second: SumOfGaussians,
         pose: Array,
-        look: Look,
+        wanted: CorrespondenceSearch,
     ) -> Pairs:
         """At a pose (3,), within reach even after a motion by the slack."""
         place = first.mean @ rotation(float(pose[2])).T + pose[:2]
-        count = min(look.most, len(second))
-        _, column = second.tree.query(place, k=[*range(1, count + 1)], distance_upper_bound=look.m)
+        count = min(wanted.most, len(second))
+        _, column = second.tree.query(
+            place, k=[*range(1, count + 1)], distance_upper_bound=wanted.m
+        )
         row = np.flatnonzero(column < len(second))
         column, row = column.ravel().take(row), row // count
         p, q = first.entries, second.entries
-        q = q + np.array(((look.inflation_m**2,), (0.0,), (look.inflation_m**2,)))
+        q = q + np.array(((wanted.inflation_m**2,), (0.0,), (wanted.inflation_m**2,)))
         own = np.stack(_turned(Entries(*p), float(pose[2])))
-        own[::2] += look.slack_m**2
+        own[::2] += wanted.slack_m**2
         sxx, sxy, syy = own.take(row, axis=1) + q.take(column, axis=1)
         dx, dy = second.columns.take(column, axis=1) - place.T.take(row, axis=1)
         square = dx * dx * syy - 2.0 * dx * dy * sxy + dy * dy * sxx
-        met = np.flatnonzero(square <= look.sigmas**2 * (sxx * syy - sxy * sxy))
+        met = np.flatnonzero(square <= wanted.sigmas**2 * (sxx * syy - sxy * sxy))
         row, column = row.take(met), column.take(met)
         return cls(
             row=row,

@@ -1,9 +1,4 @@
-"""What is known in one landmark's frame, told in another's: two scan landmarks become one.
-
-Scan landmarks keep their templates in frames of their own. Where two are close, one frame is
-enough: the filter fuses where they are (Ekf.fuse_oriented) or drops the second, and what lies
-in the second's frame moves to the first's by what is said here.
-"""
+"""Points and Gaussians of one landmark's frame in another's, for merging two templates."""
 
 from __future__ import annotations
 
@@ -11,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ekf_reference.core.geometry import Array
+from ekf_reference.core.geometry import Array, rotation
 
 
 class Moved(NamedTuple):
@@ -32,9 +27,7 @@ def moved(first: Array, second: Array, point: Array) -> Moved:
     Source: Nieto 2005, eqs. 5.6, 5.7 and 5.9 to 5.11. Erratum: 5.8 prints T = x_L2 - x_L1; turned
     into the axes of the first, R(-phi_L1) (x_L2 - x_L1), it holds.
     """
-    angle = second[2] - first[2]
-    r = _rotation(angle)
-    into = _rotation(-first[2])
+    r, into = rotation(float(second[2] - first[2])), rotation(-float(first[2]))
     turned = point @ r.T
     shift = into @ (second[:2] - first[:2])
     result = turned + shift
@@ -60,8 +53,3 @@ def moved_gaussians(
     spread = at.by_point @ covariance @ at.by_point.T
     spread = spread + by_frames @ joint @ by_frames.transpose(0, 2, 1)
     return at.point, 0.5 * (spread + spread.transpose(0, 2, 1))
-
-
-def _rotation(angle_rad: float) -> Array:
-    cos, sin = np.cos(angle_rad), np.sin(angle_rad)
-    return np.array([[cos, -sin], [sin, cos]])

@@ -1,4 +1,4 @@
-"""What an alignment is about: two sums of Gaussians, where they may lie, and what to pair."""
+"""The alignment problem: two sums of Gaussians, a prior, and which pairs count."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ekf_reference.core.geometry import Array, Mask, rotation
-from ekf_reference.scan_matching.correlation import Look, Pairs
+from ekf_reference.scan_matching.correlation import CorrespondenceSearch, Pairs
 from ekf_reference.scan_matching.sog import SumOfGaussians
 
 _SHORTEST_M = 0.1
@@ -81,7 +81,9 @@ class Problem:
         centre = first.centroid
         jacobian = carried(guess, centre)
         return cls(
-            first=SumOfGaussians(first.mean - centre, first.covariance, first.weight, first.seam),
+            first=SumOfGaussians(
+                first.mean - centre, first.covariance, first.weight, first.boundary
+            ),
             second=second,
             centre=centre,
             guess=moved(guess, centre),
@@ -108,7 +110,10 @@ class Problem:
             self.first.typical_variance + self.second.typical_variance + inflation_m**2
         )
         return Pairs.near(
-            self.first, self.second, pose, Look(most, far, o.reach, inflation_m, slack)
+            self.first,
+            self.second,
+            pose,
+            CorrespondenceSearch(most, far, o.reach, inflation_m, slack),
         )
 
     def slack_m(self, inflation_m: float = 0.0) -> float:
@@ -135,29 +140,26 @@ def carried(pose: Array, shift: Array) -> Array:
     return jacobian
 
 
-def within_seams(problem: Problem, pose: Array) -> Problem:
-    """Without those of the first sum that lie on a seam of the second, or beyond, at a pose (3,).
+def within_boundaries(problem: Problem, pose: Array) -> Problem:
+    """Leave out those of the first sum on a boundary of the second, or beyond, at a pose (3,).
 
-    What a view loses moves with the sensor. Two views of one wall overlap most where both sensors
-    were at the same place along it; with all ends of the first view inside of the second, or
-    gone, the correlation stays as it is when one is moved along the other. (Turk and Levoy 1994
-    leave out such pairs of meshes.)
+    Otherwise two views of one wall would correlate best where their ends meet, which only says
+    where the sensors were. (Turk and Levoy 1994 leave out such pairs of meshes.)
     """
-    return problem.taking(on_no_seam(problem, pose))
+    return problem.taking(on_no_boundary(problem, pose))
 
 
-def on_no_seam(problem: Problem, pose: Array, across_sigmas: float = math.inf) -> Mask:
-    """(N,) which of the first sum lie nearest to something of the second that is on no seam.
+def on_no_boundary(problem: Problem, pose: Array, across_sigmas: float = math.inf) -> Mask:
+    """(N,) which of the first sum lie nearest to something of the second that is on no boundary.
 
-    Or are farther off the surface at the seam than so many sigmas: they have left it by
-    its side, not by its end.
+    Those farther off the surface at the boundary than so many sigmas count, too.
     """
     second = problem.second
-    if not second.seam.any():
+    if not second.boundary.any():
         return np.ones(len(problem.first), dtype=bool)
     place = problem.first.mean @ rotation(float(pose[2])).T + pose[:2]
     near = second.tree.query(place)[1]
-    inside: Mask = ~second.seam[near]
+    inside: Mask = ~second.boundary[near]
     lost = np.flatnonzero(~inside)
     if math.isfinite(across_sigmas) and len(lost):
         size, axes = np.linalg.eigh(second.covariance[near[lost]])

@@ -7,80 +7,58 @@ import math
 import numpy as np
 
 from ekf_reference.core.geometry import Array, Mask
-from ekf_reference.dense.scan import Scan, Sensor
+from ekf_reference.dense.scan import NEXT, Scan, Sensor
 from ekf_reference.scan_matching.sog import SumOfGaussians
 
-_NEXT = 1.5
-"""Two returns are neighbours when so many beams or fewer apart."""
-_NOISY = 3.0
-"""Standard deviations by which ranges on one surface may differ beside its slope."""
 _MEET = 0.5
 """Sigma of a piece of surface over its length, at which a row of pieces has an even height."""
 _LIMB_RAD = math.radians(25.0)
 """Met at less than that a surface goes on behind its last return."""
 _BACK = 4
 """Returns over which the direction of a surface at its end is taken."""
-_SEAM = 3
+_BESIDE_BOUNDARY = 3
 """Returns next to where the scan loses a surface that cannot tell where it ends."""
 _FARTHEST = 0.9
 """Share of the greatest range beyond which a surface may go on out of reach."""
 
 
-def of_scan(
-    bearing_rad: Array, range_m: Array, sensor: Sensor, *, surface: bool = True
-) -> SumOfGaussians:
+def of_scan(bearing_rad: Array, range_m: Array, sensor: Sensor) -> SumOfGaussians:
     """The returns of a scan in the scanner's frame; beams (B,), those without return left out.
 
-    Means and covariances are Nieto 2005, eqs. 4.15 and 4.16. surface: each return also stands
-    for the surface between it and its neighbours on the same surface, and its Gaussian is so much
-    longer; and where the scan loses a surface that goes on there are seams. Without that two
-    scans of one wall match where their returns fall on each other, or where the views end, which
-    says where the beams went and nothing about the wall. A sensor with grazing_rad 0 has no
-    neighbours. In a full circle the surface straight behind is cut in two.
+    Means and covariances are Nieto 2005, eqs. 4.15 and 4.16. Each Gaussian is longer by the surface
+    between the return and its neighbours on the same surface, if any (see Sensor.joins), and there
+    is a boundary where the scan loses a surface that goes on. Otherwise two scans of one wall would
+    match by where beams hit and views end. In a full circle the surface behind is cut in two.
     """
     scan = Scan.of_ranges(np.zeros(3), bearing_rad, range_m, sensor)
-    if not surface or len(scan.range_m) < 2:
+    if len(scan.range_m) < 2:
         return SumOfGaussians.of_equal_height(scan.point, scan.covariance)
-    one = joined(scan.bearing_rad, scan.range_m, sensor)
+    one = sensor.joins(scan.range_m[:-1], scan.range_m[1:], np.diff(scan.bearing_rad))
     half = 0.5 * np.where(one[:, None], np.diff(scan.point, axis=0), 0.0)
     none = np.zeros((1, 2))
     piece = np.vstack((half, none)) + np.vstack((none, half))
     covariance = scan.covariance + _MEET**2 * piece[:, :, None] * piece[:, None, :]
     beams = np.mod(bearing_rad[np.isfinite(bearing_rad)] + np.pi, 2.0 * np.pi) - np.pi
     return SumOfGaussians.of_equal_height(
-        scan.point, covariance, _seams(scan, one, float(beams.min()), float(beams.max()))
+        scan.point, covariance, _boundaries(scan, one, float(beams.min()), float(beams.max()))
     )
 
 
-def joined(bearing_rad: Array, range_m: Array, sensor: Sensor) -> Mask:
-    """(B - 1,) whether a return (B,), in order of bearing, and the next lie on one surface.
-
-    They do when they are next to each other and the surface between them is met at no less than
-    the sensor's grazing angle, give or take the noise.
-    """
-    if not sensor.grazing_rad > 0.0:
-        return np.zeros(max(len(range_m) - 1, 0), dtype=bool)
-    turn = np.diff(bearing_rad)
-    nearer = np.minimum(range_m[1:], range_m[:-1])
-    steepest = nearer * turn / math.tan(sensor.grazing_rad)
-    noise = _NOISY * math.sqrt(2.0) * sensor.sigma_range_m
-    one: Mask = (turn <= _NEXT * sensor.beam_rad) & (np.abs(np.diff(range_m)) <= steepest + noise)
-    return one
-
-
-def _seams(scan: Scan, one: Mask, first_rad: float, last_rad: float) -> Mask:
+def _boundaries(scan: Scan, one: Mask, first_rad: float, last_rad: float) -> Mask:
     """(B,) returns near where a surface goes on unseen: each side of the scan in turn.
 
     It does at the rims of the view, behind something nearer, out of reach, and round a limb.
     Anything else that ends before something farther is an edge.
     """
-    seam: Mask = _one_sided(scan.bearing_rad, scan.range_m, scan.point, one, last_rad, scan.sensor)
+    boundary: Mask = _one_sided(
+        scan.bearing_rad, scan.range_m, scan.point, one, last_rad, scan.sensor
+    )
     back = slice(None, None, -1)
     mirrored = _one_sided(
         -scan.bearing_rad[back], scan.range_m[back], scan.point[back], one[back], -first_rad,
         scan.sensor,
     )  # fmt: skip
-    both: Mask = seam | mirrored[back]
+    both: Mask = boundary | mirrored[back]
     return both
 
 
@@ -94,7 +72,7 @@ def _one_sided(
     begin = np.searchsorted(run, run)
     last = np.append(~one, True)
     beside = np.append(np.diff(bearing_rad), rim_rad - bearing_rad[-1])
-    empty = beside > _NEXT * sensor.beam_rad
+    empty = beside > NEXT * sensor.beam_rad
     farther = np.append(range_m[1:], np.inf)
     behind = ~empty & (farther < range_m)
     behind[-1] = not empty[-1]
@@ -106,7 +84,7 @@ def _one_sided(
         across < math.sin(_LIMB_RAD) * np.linalg.norm(along, axis=1) * range_m
     )
     ends = last & (behind | lost | limb)
-    seam = ends.copy()
-    for k in range(1, _SEAM):
-        seam[:-k] |= ends[k:] & (run[:-k] == run[k:])
-    return np.asarray(seam)
+    boundary = ends.copy()
+    for k in range(1, _BESIDE_BOUNDARY):
+        boundary[:-k] |= ends[k:] & (run[:-k] == run[k:])
+    return np.asarray(boundary)

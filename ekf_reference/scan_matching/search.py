@@ -1,8 +1,7 @@
-"""Where alignments may begin: poses all over a prior, by a coarse picture of the second sum.
+"""Starts of an alignment: poses all over a prior, scored on a coarse picture of the second sum.
 
-Correlation by shifting the pose, as with occupancy grids (Nieto 2005, section 5.3): the second
-sum, blurred, is drawn once on a grid, and the first sum's means read it at many poses. What it
-finds are starts for the exact correlation, no results.
+As correlation with occupancy grids (Nieto 2005, section 5.3): the second sum, blurred, is drawn
+once on a grid, and read at the first sum's means from many poses.
 """
 
 from __future__ import annotations
@@ -61,11 +60,7 @@ class Lattice:
 
 
 def starts(
-    first: SumOfGaussians,
-    second: SumOfGaussians,
-    lattice: Lattice,
-    blur_m: float,
-    most: int,
+    first: SumOfGaussians, second: SumOfGaussians, lattice: Lattice, blur_m: float, most: int
 ) -> Array:
     """(k, 3) up to `most` poses of the lattice, best first, none in the basin of a better one."""
     if len(lattice.pose) == 1:

@@ -13,27 +13,25 @@ from ekf_reference.core.geometry import Array, Index, Mask, rotation
 
 @dataclass(frozen=True)
 class SumOfGaussians:
-    """Gaussians of one frame, weighted (Nieto 2005, eq. 4.14).
+    """Weighted Gaussians of one frame: a shape, not a distribution (Nieto 2005, 4.3, eq. 4.14).
 
-    mean: (N, 2) [m]. covariance: (N, 2, 2) [m^2]. weight: (N,) alpha, positive, of sum one where
-    there are any. seam: (N,) where the surface goes on unseen, so that the sum ends and the
-    surface does not. It is a shape, not a distribution of anything (section 4.3).
+    mean: (N, 2) [m]. covariance: (N, 2, 2) [m^2]. weight: (N,) alpha, positive, of sum one.
+    boundary: (N,) at an end of the view, where the surface goes on unseen.
     """
 
     mean: Array
     covariance: Array
     weight: Array
-    seam: Mask
+    boundary: Mask
 
     @classmethod
     def of_equal_height(
-        cls, mean: Array, covariance: Array, seam: Mask | None = None
+        cls, mean: Array, covariance: Array, boundary: Mask | None = None
     ) -> SumOfGaussians:
         """Alpha_i in proportion to sqrt((2 pi)^2 |P_i|), as in Nieto 2005, Fig. 4.11.
 
-        On pieces of surface that is in proportion to their lengths. Raises ValueError for
-        numbers that are not finite, shapes that do not fit, or covariances that are not
-        positive definite. Without seams the surface ends with the sum.
+        Raises ValueError for numbers that are not finite, shapes that do not fit, or covariances
+        that are not positive definite. boundary: none by default.
         """
         mean, covariance = np.asarray(mean, dtype=float), np.asarray(covariance, dtype=float)
         if mean.ndim != 2 or mean.shape[1] != 2 or covariance.shape != (len(mean), 2, 2):
@@ -47,7 +45,9 @@ class SumOfGaussians:
             raise ValueError("a mean is not finite or a covariance not positive definite")
         height = np.sqrt(area)
         weight = height / (height.sum() if len(height) else 1.0)
-        return cls(mean, covariance, weight, np.zeros(len(mean), bool) if seam is None else seam)
+        return cls(
+            mean, covariance, weight, np.zeros(len(mean), bool) if boundary is None else boundary
+        )
 
     def __len__(self) -> int:
         """Number of Gaussians."""
@@ -90,14 +90,14 @@ class SumOfGaussians:
         """The same in the frame in which this one's lies at pose (3,): x, y [m], heading [rad]."""
         turn = rotation(float(pose[2]))
         mean = self.mean @ turn.T + pose[:2]
-        return SumOfGaussians(mean, turn @ self.covariance @ turn.T, self.weight, self.seam)
+        return SumOfGaussians(mean, turn @ self.covariance @ turn.T, self.weight, self.boundary)
 
     def take(self, rows: Index | Mask) -> SumOfGaussians:
         """Some of them, their weights adding up to one again."""
         weight = self.weight[rows]
         total = weight.sum() if len(weight) else 1.0
         return SumOfGaussians(
-            self.mean[rows], self.covariance[rows], weight / total, self.seam[rows]
+            self.mean[rows], self.covariance[rows], weight / total, self.boundary[rows]
         )
 
     def value(self, point: Array) -> Array:

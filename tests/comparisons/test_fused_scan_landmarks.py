@@ -25,13 +25,13 @@ from ekf_reference.core.state import LocalMap
 from ekf_reference.filters.compressed import CompressedState, LocalAreas
 from ekf_reference.scan_landmarks.merge_update import merge_landmarks
 from ekf_reference.scan_landmarks.merging import FusingOptions
-from ekf_reference.scan_landmarks.pieces import SingleSegments
 from ekf_reference.scan_landmarks.scan_slam import ScanSlamOptions
+from ekf_reference.scan_landmarks.template_extraction import SingleSegments
 from tests.helpers import Array, Source, compared
 from tests.scenarios import scenario
 
 CARELESS = ScanSlamOptions(
-    pieces=SingleSegments(every=1, tried=6, ahead_m=0.0, apart_m=-100.0, explained=2.0)
+    extraction=SingleSegments(every=1, tried=6, ahead_m=0.0, apart_m=-100.0, explained=2.0)
 )
 """Begins landmarks where there are some: duplicates, and many of them."""
 

@@ -21,7 +21,7 @@ from comparisons.report.map_export import (
 from ekf_reference.dense.box_tree import BoxTree, boxes
 from ekf_reference.dense.layers.layer import Hits
 from ekf_reference.dense.layers.points import Points
-from ekf_reference.dense.placed_regions import PlacedRegions
+from ekf_reference.dense.regions_at_map import RegionsAtMap
 from tests.comparisons.test_cli import slamcheck
 
 
@@ -109,9 +109,9 @@ def test_a_ros_map_has_three_values(tmp_path: Path) -> None:
     assert loaded.tolist() == [-1, 0, 100, 0, 100, -1]
 
 
-def one_region() -> PlacedRegions:
+def one_region() -> RegionsAtMap:
     triangle = np.array([[(0.0, 0.0), (4.0, 0.0), (0.0, 4.0)]])
-    return PlacedRegions(triangle, BoxTree.pack(boxes(triangle), np.zeros(1, dtype=np.intp)))
+    return RegionsAtMap(triangle, BoxTree.pack(boxes(triangle), np.zeros(1, dtype=np.intp)))
 
 
 def test_a_layer_is_read_at_the_centres_of_cells() -> None:
@@ -133,6 +133,6 @@ def test_a_picture_without_end_is_refused() -> None:
 
 def test_no_regions_no_window() -> None:
     nothing = np.empty((0, 3, 2))
-    placed = PlacedRegions(nothing, BoxTree.pack(boxes(nothing), np.zeros(0, dtype=np.intp)))
+    placed = RegionsAtMap(nothing, BoxTree.pack(boxes(nothing), np.zeros(0, dtype=np.intp)))
     with pytest.raises(InputError, match="no region"):
         window(placed)

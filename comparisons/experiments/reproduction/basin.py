@@ -15,7 +15,7 @@ import numpy as np
 
 from comparisons.estimates.estimate import Array
 from ekf_reference.core.geometry import wrap_angle
-from ekf_reference.scan_landmarks.enriching import enriched, observe_enriched
+from ekf_reference.scan_landmarks.map_aided_matching import enriched, observe_enriched
 from ekf_reference.scan_landmarks.scan_slam import ScanSlamOptions
 from ekf_reference.scan_landmarks.templates import (
     Observation,

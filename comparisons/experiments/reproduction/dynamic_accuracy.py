@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from comparisons.logs.simulate.dynamic_worlds import moved_over
 from comparisons.logs.simulate.scan_worlds import Moving
 from ekf_reference.dense.dynamic import DynamicLayer, places
-from ekf_reference.dense.placed_regions import PlacedRegions
+from ekf_reference.dense.regions_at_map import RegionsAtMap
 
 Array = NDArray[np.float64]
 
@@ -32,7 +32,7 @@ class DynamicScore:
 
 
 def score_dynamic(
-    layer: DynamicLayer, placed: PlacedRegions, movers: Sequence[Moving], duration_s: float
+    layer: DynamicLayer, placed: RegionsAtMap, movers: Sequence[Moving], duration_s: float
 ) -> DynamicScore:
     """Of a layer at the end of a log that lasted so long."""
     seen = layer.grid.samples(placed).point

@@ -20,7 +20,7 @@ from comparisons.logs.log import Log
 from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.dense.conditions import Conditions
-from ekf_reference.dense.neglected import NeglectedCorrelation
+from ekf_reference.dense.neglected_correlation import NeglectedCorrelation
 from ekf_reference.dense.passive_states import PassiveStates, local_coordinates, points
 from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.triangles import axes, to_local
@@ -114,13 +114,14 @@ def neglected_change(
     """
     true_pose, true_landmark = truth_in_order(log)
     noise, looks = np.diag(np.square(sigma)), list[Look]()
-    regions, layer = LocalRegions(conditions=conditions or Conditions()), NeglectedCorrelation()
+    regions = LocalRegions(conditions=conditions or Conditions())
+    layer = NeglectedCorrelation(regions)
     passive, axes_then, true_local = None, list[Array](), list[Array]()
     for time, ekf in watched_run(log):
         passive = passive or PassiveStates(ekf)
         view = FilterView.of(ekf)
         near = view.near(reach_m + 10.0)
-        regions.extend(view.landmark, near, view.joint_of_landmarks(near))
+        regions.extend(view.landmark, near, view.joint(near)[3:, 3:])
         waiting = np.setdiff1d(np.arange(len(regions.base)), _regions(looks))
         centre = true_landmark[regions.base[waiting]].mean(axis=1)
         exact = _sighted(true_pose.at(np.array([time]))[0], centre)
@@ -133,7 +134,7 @@ def neglected_change(
         each = np.broadcast_to(noise, (len(base), 2, 2))
         seen = points(ekf.models[POINT], view.pose, look.z, each)
         passive.watch(local_coordinates(seen, base, view.landmark))
-        layer.note(view, regions.base, region, seen.value)
+        layer.note(view, region, seen.value)
         looks.append(look)
         axes_then.append(np.stack(axes(view.landmark[base]), axis=-1))
         true_local.append(to_local(true_landmark[base], centre))

@@ -21,7 +21,7 @@ from comparisons.extensions.scan_landmarks.source import LogScans, ScanSlamSourc
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
 from comparisons.pipeline.dense_map import DenseMapping, map_log
-from ekf_reference.dense.surroundings import Surroundings
+from ekf_reference.dense.local_context import LocalContext
 from ekf_reference.models.relative_pose import RelativePose
 from ekf_reference.scan_landmarks.scan_slam import ScanLandmarks
 from ekf_reference.scan_landmarks.templates import share_in_view
@@ -139,7 +139,7 @@ def cases_of(one: ScanMap) -> list[Seen]:
 
 def _around(one: ScanMap, slot: int) -> SumOfGaussians | None:
     place = one.mapping.ekf.oriented_places[slot]
-    return Surroundings(one.mapping.dense.dense).around(one.found.template[slot], place)
+    return LocalContext(one.mapping.dense.dense).around(one.found.template[slot], place)
 
 
 def _first_sighting(one: ScanMap, slot: int) -> int:
@@ -181,7 +181,7 @@ def _shown(one: ScanMap) -> Surrounded:
     return Surrounded(
         template.shape.mean,
         held[best].mean,
-        Surroundings(one.mapping.dense.dense).rectangle(template),
+        LocalContext(one.mapping.dense.dense).rectangle(template),
         ends.reshape(-1, 4),
     )
 

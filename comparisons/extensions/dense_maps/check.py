@@ -25,7 +25,7 @@ from comparisons.extensions.dense_maps.source import GRID_MODEL, DenseRun
 from comparisons.logs.log import Log
 from ekf_reference.dense.layers.classic_grid import ClassicGrid
 from ekf_reference.dense.layers.layer import Samples
-from ekf_reference.dense.placed_regions import PlacedRegions
+from ekf_reference.dense.regions_at_map import RegionsAtMap
 
 AGREE_M = 0.3
 """Two maps agree when half of what the one holds is no farther than this from the other, in all
@@ -120,7 +120,7 @@ def compare_dense(log: Log, dense: DenseRun, smoothed: Estimate) -> DenseAgreeme
 
 
 def _returns(
-    log: Log, dense: DenseRun, smoothed: Estimate, placed: PlacedRegions, grid: ClassicGrid
+    log: Log, dense: DenseRun, smoothed: Estimate, placed: RegionsAtMap, grid: ClassicGrid
 ) -> Array:
     """(M, 2) all returns in regions, from the smoother's poses; the scans go into a grid, too."""
     seen = [np.empty((0, 2))]

@@ -22,6 +22,7 @@ from comparisons.logs.odometry import RelativePoses
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import POINT, POSE
 from ekf_reference.dense.conditions import Conditions
+from ekf_reference.dense.delayed_initialisation import DelayedInitialisation
 from ekf_reference.dense.dense_map import DenseMap
 from ekf_reference.dense.dynamic import Counters, DynamicLayer
 from ekf_reference.dense.layers.gaussians import Gaussians
@@ -34,7 +35,6 @@ from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.sensor_model import InverseSensorModel
 from ekf_reference.dense.view import FilterView, by_number
-from ekf_reference.dense.waiting import WaitingRoom
 
 GRID_MODEL = InverseSensorModel(p_occupied=0.65, p_free=0.45)
 """Of grids: several looks, not one noisy return, make a cell occupied, and what stands is often
@@ -71,7 +71,7 @@ def build_map(config: DenseMapsConfig, also: Sequence[str] = ()) -> DenseMap:
     return DenseMap(
         layers={name: made[name] for name in dict.fromkeys((*config.kept_layers, *also))},
         regions=LocalRegions(conditions=conditions),
-        waiting=WaitingRoom(capacity=config.capacity, patience=config.patience),
+        waiting=DelayedInitialisation(capacity=config.capacity, patience=config.patience),
         reach_m=config.reach_m,
         dynamic=DynamicLayer(size) if config.detect_motion else None,
         known_m=config.known_m,

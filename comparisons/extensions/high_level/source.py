@@ -21,7 +21,7 @@ from comparisons.extensions.high_level.config import HighLevelConfig
 from comparisons.logs.log import Log
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.dense.high_level import Around, Search, SearchOptions, search, to_world
-from ekf_reference.dense.high_level_life import Glimpse, HighLevelLandmarks, LifeOptions
+from ekf_reference.dense.high_level_lifecycle import Glimpse, HighLevelLandmarks
 from ekf_reference.dense.layers.gaussians import Gaussians
 from ekf_reference.scan_landmarks.templates import View
 from ekf_reference.scan_matching.scan_shape import of_scan
@@ -44,7 +44,6 @@ class HighLevelOptions:
 
     every_s: float = 20.0
     search: SearchOptions = field(default_factory=SearchOptions)
-    life: LifeOptions = field(default_factory=LifeOptions)
     resolution_m: float = 0.2
     d_min_m: float = 0.2
 
@@ -117,7 +116,7 @@ class HighLevelSource:
         """
         self._searched = searched
         self.options = options or HighLevelOptions()
-        self.landmarks = HighLevelLandmarks(self.options.life)
+        self.landmarks = HighLevelLandmarks()
         self._map = shared or DenseWatcher(log, self.options.kept)
         self._watcher: Watcher = NoWatcher() if shared else self._map
         self._scans = PlanarScans(log)

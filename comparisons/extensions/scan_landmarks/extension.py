@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -59,7 +58,7 @@ class ScanLandmarksExtension(Extension):
             raise InputError("scan landmarks: the log was not prepared")
         setup.kinds = LANDMARKS[self._config.landmarks]
         enriching = None
-        if math.isfinite(self.options.enrich_m):
+        if self._config.templates == "enriched":
             enriching = DenseWatcher(prepared.log, ENRICHING, kinds=setup.kinds)
         fusing = FusingOptions() if self._config.fuse else None
         setup.source = ScanSlamSource(self._scans, self.options, enriching, fusing)

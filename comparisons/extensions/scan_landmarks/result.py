@@ -31,8 +31,8 @@ def scan_slam_result(source: ScanSlamSource, ekf: Estimate, gaps: Gaps) -> ScanS
         ],
         rejected=found.rejected,
         dynamic=found.dynamic,
-        fused=found.fused,
-        enriched=found.enriched,
+        fused=source.merged,
+        enriched=source.enriched,
         pieces=source.pieces,
         sightings=dict(found.reasons),
     )

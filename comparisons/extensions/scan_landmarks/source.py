@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,11 +21,16 @@ from ekf_reference.association.dynamic_rejection import DynamicGuard
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import POINT, POSE
 from ekf_reference.core.state import FilterDivergedError, LocalMap
+from ekf_reference.dense.local_context import LocalContext
 from ekf_reference.dense.scan import Scan
-from ekf_reference.dense.surroundings import Surroundings
-from ekf_reference.scan_landmarks.merging import FusingOptions, Twins
-from ekf_reference.scan_landmarks.pieces import JoinedSegments, Pieces, SingleSegments
+from ekf_reference.scan_landmarks.map_aided_matching import MapAidedObserver
+from ekf_reference.scan_landmarks.merging import DuplicateMerging, FusingOptions
 from ekf_reference.scan_landmarks.scan_slam import ScanLandmarks, ScanSlam, ScanSlamOptions
+from ekf_reference.scan_landmarks.template_extraction import (
+    JoinedSegments,
+    SingleSegments,
+    TemplateExtraction,
+)
 from ekf_reference.scan_matching.scan_shape import of_scan
 from ekf_reference.scan_matching.sog import SumOfGaussians
 
@@ -36,7 +40,9 @@ Flags = NDArray[np.bool_]
 
 LANDMARKS = {"scans": (POSE,), "both": (POINT, POSE)}
 """Kinds of landmarks that regions of a dense map are anchored to, by width."""
-PIECES: dict[str, Pieces] = {one.name: one for one in (JoinedSegments(), SingleSegments())}
+PIECES: dict[str, TemplateExtraction] = {
+    one.name: one for one in (JoinedSegments(), SingleSegments())
+}
 """Which returns of a scan become one landmark."""
 ENRICH_M = 1.0
 """Sigma of where a landmark should be seen, from which on its template alone may be fragile."""
@@ -69,7 +75,7 @@ def scan_slam_options(config: ScanLandmarksConfig, *, mapped: bool) -> ScanSlamO
     richer = config.templates == "enriched"
     # A map's regions need landmarks that stand among objects.
     pieces = config.pieces or ("single" if richer or mapped else "joined")
-    return ScanSlamOptions(pieces=PIECES[pieces], enrich_m=ENRICH_M if richer else math.inf)
+    return ScanSlamOptions(extraction=PIECES[pieces])
 
 
 class LogScans:
@@ -137,7 +143,7 @@ class Closing:
 
 
 class ScanSlamSource:
-    """An OrientedSource: looks at a log's scans at their times. See ScanSlam and Twins."""
+    """An OrientedSource: scans of a log at their times. See ScanSlam and DuplicateMerging."""
 
     def __init__(
         self,
@@ -151,12 +157,15 @@ class ScanSlamSource:
         fusing: of landmarks that are one; None to leave them two.
         """
         self._scans, self._next = scans, 0
-        self._slam = ScanSlam(scans.sensor, scans.view, scans.mount, options)
-        self._twins = None if fusing is None else Twins(self._slam, fusing)
+        self._observer = None
+        if map_of is not None:
+            self._observer = MapAidedObserver(LocalContext(map_of.dense).around, ENRICH_M)
+        self._slam = ScanSlam(
+            scans.sensor, scans.view, scans.mount, options, observer=self._observer
+        )
+        self._twins = None if fusing is None else DuplicateMerging(self._slam, fusing)
         self.map_of = map_of
         self._guard: DynamicGuard | None = None
-        if map_of is not None:
-            self._slam.around = Surroundings(map_of.dense).around
         self.closing: Closing | None = None
 
     @property
@@ -167,7 +176,17 @@ class ScanSlamSource:
     @property
     def pieces(self) -> str:
         """Of PIECES."""
-        return self._slam.options.pieces.name
+        return self._slam.options.extraction.name
+
+    @property
+    def merged(self) -> int:
+        """Landmarks that were found to be others."""
+        return 0 if self._twins is None else self._twins.merged
+
+    @property
+    def enriched(self) -> int:
+        """Alignments that began where what stands around the landmark fits."""
+        return 0 if self._observer is None else self._observer.observed
 
     def keep_from(self, guard: DynamicGuard) -> None:
         """Returns that lie where something moves are left out, and counted."""

@@ -8,8 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ekf_reference.core.geometry import Array, Index, Mask
-from ekf_reference.dense.placed_regions import PlacedRegions
-from ekf_reference.dense.triangles import is_degenerate
 
 _SIDE = 512
 """Cells along a side of the hash; farther points share cells, which costs time, not exactness."""
@@ -72,20 +70,14 @@ def associate(old: Array, new: Array, d_min_m: float) -> Associated:
 def doubled(pair: Associated, d_min_m: float, worth: Array) -> Index:
     """Which old points (d,) share their new one with an old one of more worth (k,).
 
-    Only pairs closer than a tenth of d_min count. Points that move half the way to one place scan
-    after scan end up in one place and leave gaps, which new points fill, without end were the
-    doubles kept.
+    Only pairs closer than a tenth of d_min count. If kept, points that converge to one place would
+    leave gaps, which new points fill, without end.
     """
     row = np.flatnonzero(pair.apart_m < _SAME * d_min_m)
     row = row[np.lexsort((-worth[row], pair.new[row]))]
     second = np.diff(pair.new[row], prepend=-1) == 0
     lighter: Index = pair.old[row[second]]
     return lighter
-
-
-def usable(placed: PlacedRegions, regions: Index) -> Index:
-    """Those of some regions (r,) that have an area now, so that places in them are somewhere."""
-    return regions[~is_degenerate(placed.triangle[regions])]
 
 
 def _key(cell: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -1,14 +1,12 @@
 """One occupancy grid in the global frame: the baseline that local regions improve on.
 
-What a pose was wrong by when a scan came in stays in the cells for good. Once the filter has
-corrected its poses the same object is drawn a second time (Nieto 2005, section 4.1.3, Figs. 4.3 a
-and 4.5).
+A pose's error stays in the cells. After the filter has corrected its poses an object is drawn a
+second time (Nieto 2005, section 4.1.3, Figs. 4.3 a and 4.5).
 """
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ekf_reference.core.geometry import Array
 from ekf_reference.dense.layers.grid_update import GridUpdate, known, unknown
@@ -43,7 +41,7 @@ class ClassicGrid:
         """Occupied where returns come from, free before them, as if the pose were known."""
         if not len(scan.range_m):
             return
-        edge = scan.box(3.0 * self.update.sigma_m(scan)) / self._tile_m
+        edge = scan.box(3.0 * self.update.sigma_m(scan)) / (_SIDE * self.update.resolution_m)
         west, south, east, north = np.floor(edge).astype(int).tolist()
         for tile in ((i, j) for i in range(west, east + 1) for j in range(south, north + 1)):
             ahead, left = ((self._corner(tile) - scan.origin + self._center) @ scan.axes).T
@@ -63,25 +61,5 @@ class ClassicGrid:
         places = np.concatenate(point)
         return Samples(places, np.concatenate(occupancy), np.full(len(places), -1, dtype=np.intp))
 
-    def occupancy(self, point: Array) -> Array:
-        """(N,) of the cells that points (N, 2) [m] lie in; NaN where nothing is known."""
-        result = np.full(len(point), np.nan)
-        finite = np.flatnonzero(np.isfinite(point).all(axis=1))
-        cell = np.floor(point[finite] / self.update.resolution_m).astype(np.int64)
-        tile, within = np.divmod(cell, _SIDE)
-        row: NDArray[np.int64] = within[:, 0] * _SIDE + within[:, 1]
-        which, group = np.unique(tile, axis=0, return_inverse=True)
-        for number, (i, j) in enumerate(which.tolist()):
-            odds = self.tiles.get((i, j))
-            if odds is not None:
-                here = np.flatnonzero(group.ravel() == number)
-                found = odds[row[here]].astype(float)
-                result[finite[here]] = np.where(found == 0.0, np.nan, probability(found))
-        return result
-
-    @property
-    def _tile_m(self) -> float:
-        return _SIDE * self.update.resolution_m
-
     def _corner(self, tile: tuple[int, int]) -> Array:
-        return np.array(tile) * self._tile_m
+        return np.array(tile) * (_SIDE * self.update.resolution_m)

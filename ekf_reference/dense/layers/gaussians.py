@@ -9,10 +9,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ekf_reference.core.geometry import Array, Index
-from ekf_reference.dense.layers.association import associate, doubled, usable
-from ekf_reference.dense.layers.layer import Hits, Samples, in_world
-from ekf_reference.dense.placed_regions import PlacedRegions
-from ekf_reference.dense.region_store import RegionStore
+from ekf_reference.dense.layers.association import associate, doubled
+from ekf_reference.dense.layers.layer import Hits, in_world
+from ekf_reference.dense.layers.points import PointLayer
+from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.triangles import determinant, solve, turned
 
@@ -31,35 +31,27 @@ class Ellipses(NamedTuple):
     region: Index
 
 
-class Gaussians:
+class Gaussians(PointLayer):
     """Means and covariances that are local, so they move, turn and shear with the landmarks.
 
-    d_min_m: old Gaussians with an observed one closer than that are fused with the nearest.
-    widest: k of Nieto 2005, eq. 4.18: sigmas add up until their sum passes k d_min. There "the
-    Gaussian variance" is compared to a length; it is the largest standard deviation here.
-
-    Observed Gaussians farther than d_min from all old ones are added. Old ones that have come to
-    lie on each other become one. What the sum means is shape alone: 4.17 to 4.20 are no Bayesian
-    update, and no scan that sees free space takes a Gaussian away.
+    d_min_m: old Gaussians with an observed one closer than that are fused with the nearest; others
+    observed are added, and old ones on each other become one. widest: k of Nieto 2005, eq. 4.18:
+    sigmas add up until their sum passes k d_min. There "the Gaussian variance" is compared to a
+    length; it is the largest standard deviation here. 4.17 to 4.20 are no Bayesian update, and free
+    space takes no Gaussian away.
     """
 
     def __init__(self, d_min_m: float = 0.2, widest: float = 0.8) -> None:
         """Raises ValueError for bounds that are not above zero."""
-        if not (d_min_m > 0.0 and widest > 0.0):
-            raise ValueError(f"d_min {d_min_m} m and k {widest} must be above zero")
-        self.d_min_m = d_min_m
+        if not widest > 0.0:
+            raise ValueError(f"k is {widest}, it must be above zero")
+        super().__init__(5, d_min_m)
         self.widest = widest
-        self._store = RegionStore(5)
 
-    def __len__(self) -> int:
-        """Number of Gaussians."""
-        return len(self._store)
-
-    def fuse(self, hits: Hits, placed: PlacedRegions, scan: Scan | None, near: Index) -> None:
+    def fuse(self, hits: Hits, placed: RegionsAtMap, scan: Scan | None, near: Index) -> None:
         """Widen and shift old Gaussians by the nearest returns, then add the other returns."""
-        old = self._store.gather(usable(placed, np.union1d(near, hits.region)))
-        where = in_world(placed, old.region, old.value[:, :2])
-        pair = associate(where, hits.point, self.d_min_m)
+        old, where = self._placed(placed, np.union1d(near, hits.region))
+        pair = associate(where, hits.point, self._reach_m)
         region = old.region[pair.old]
         value = old.value[pair.old]
         value[:, :2] += solve(placed.triangle[region], hits.point[pair.new])
@@ -67,32 +59,27 @@ class Gaussians:
         prior = in_world_axes(placed, region, value[:, 2:])
         observed = hits.covariance[pair.new]
         total = largest_sigma(prior) + largest_sigma(observed)
-        grow = np.flatnonzero(total <= self.widest * self.d_min_m)  # 4.18
+        grow = np.flatnonzero(total <= self.widest * self._reach_m)  # 4.18
         value[grow, 2:] += in_local_axes(placed, region[grow], observed[grow])  # 4.19, else 4.20
         old.value[pair.old] = value
         self._store.put(old)
         kept = np.ones(len(where), dtype=bool)
-        kept[doubled(pair, self.d_min_m, -pair.apart_m)] = False
+        kept[doubled(pair, self._reach_m, -pair.apart_m)] = False
         self._store.keep(old, kept)
         add = np.flatnonzero(~pair.met)
         spread = in_local_axes(placed, hits.region[add], hits.covariance[add])
         self._store.append(hits.region[add], np.hstack((hits.local[add], spread)))
 
-    def samples(self, placed: PlacedRegions, regions: Index | None = None) -> Samples:
-        """The means, where Gaussians of peak one are one."""
-        region, value = self._store.gather(self._store.regions if regions is None else regions)
-        return Samples(in_world(placed, region, value[:, :2]), np.ones(len(region)), region)
-
-    def ellipses(self, placed: PlacedRegions, regions: Index | None = None) -> Ellipses:
+    def ellipses(self, placed: RegionsAtMap, regions: Index | None = None) -> Ellipses:
         """All Gaussians, or those in distinct regions (r,), as the landmarks lie now."""
-        region, value = self._store.gather(self._store.regions if regions is None else regions)
+        region, value = self._store.gather(regions)
         return Ellipses(
             in_world(placed, region, value[:, :2]),
             in_world_axes(placed, region, value[:, 2:]),
             region,
         )
 
-    def occupancy(self, point: Array, placed: PlacedRegions) -> Array:
+    def occupancy(self, point: Array, placed: RegionsAtMap) -> Array:
         """1 - prod(1 - g) over the Gaussians g, peaks one, in the regions that points are in.
 
         The sum of 4.14 that stays below one, as if each Gaussian were by itself the chance that
@@ -116,13 +103,13 @@ class Gaussians:
         return np.where(height >= _NEGLIGIBLE, height, np.nan)
 
 
-def in_world_axes(placed: PlacedRegions, region: Index, local: Array) -> Array:
+def in_world_axes(placed: RegionsAtMap, region: Index, local: Array) -> Array:
     """Covariances (N, 2, 2) [m^2] of local ones (N, 3), their aa, ab and bb, in regions (N,)."""
     _, a, b = placed.frames
     return _through(a[region], b[region], local)
 
 
-def in_local_axes(placed: PlacedRegions, region: Index, world: Array) -> Array:
+def in_local_axes(placed: RegionsAtMap, region: Index, world: Array) -> Array:
     """The inverse: (N, 3) of covariances (N, 2, 2) [m^2]. No region may be degenerate.
 
     The Jacobian by the point alone (Nieto 2005, eqs. C.11 and C.12): the landmarks' own
@@ -141,7 +128,7 @@ def largest_sigma(covariance: Array) -> Array:
     """Largest standard deviation (N,) of covariances (N, 2, 2), in any direction."""
     mean = 0.5 * (covariance[:, 0, 0] + covariance[:, 1, 1])
     half = 0.5 * (covariance[:, 0, 0] - covariance[:, 1, 1])
-    sigma: Array = np.sqrt(mean + np.hypot(half, covariance[:, 0, 1]))
+    sigma: Array = np.sqrt(np.maximum(mean + np.hypot(half, covariance[:, 0, 1]), 0.0))
     return sigma
 
 

@@ -20,12 +20,9 @@ _FAR = 4.0
 class GridUpdate:
     """Log-odds per cell (Nieto 2005, eq. 4.7 for 2.61 and 4.6), the prior one half.
 
-    resolution_m: of the cells. model: what a return says. confidence: log-odds stay between those
-    of 1 - confidence and confidence, so that the map can change its mind. Errata: 4.7 repeats
-    the map's term where the inverse sensor model belongs.
-
-    A scan changes a cell once, by the return nearest in bearing: to add up all beams that cross
-    it would count one look many times.
+    confidence: log-odds stay between those of 1 - confidence and confidence. Errata: 4.7 repeats
+    the map's term where the inverse sensor model belongs. A scan changes a cell once, by the return
+    nearest in bearing: adding up all beams that cross it would count one look many times.
     """
 
     resolution_m: float = 0.2

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 from ekf_reference.core.geometry import Array, Index
-from ekf_reference.dense.placed_regions import PlacedRegions
+from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.scan import Scan
 
 
@@ -44,7 +44,7 @@ class Layer(Protocol):
     it is given, so that it moves with the landmarks at no cost (Nieto 2005, section 3.7).
     """
 
-    def fuse(self, hits: Hits, placed: PlacedRegions, scan: Scan | None, near: Index) -> None:
+    def fuse(self, hits: Hits, placed: RegionsAtMap, scan: Scan | None, near: Index) -> None:
         """Take in returns.
 
         scan: whose they are, for what it says about free space; None for late returns, of which
@@ -52,16 +52,16 @@ class Layer(Protocol):
         """
         ...
 
-    def samples(self, placed: PlacedRegions, regions: Index | None = None) -> Samples:
+    def samples(self, placed: RegionsAtMap, regions: Index | None = None) -> Samples:
         """All that the layer holds, or what it holds in distinct regions (r,)."""
         ...
 
-    def occupancy(self, point: Array, placed: PlacedRegions) -> Array:
+    def occupancy(self, point: Array, placed: RegionsAtMap) -> Array:
         """(N,) how likely points (N, 2) [m] are occupied; NaN where the layer knows nothing."""
         ...
 
 
-def in_world(placed: PlacedRegions, region: Index, local: Array) -> Array:
+def in_world(placed: RegionsAtMap, region: Index, local: Array) -> Array:
     """Points (N, 2) [m] of local coordinates (N, 2) in regions (N,) (Nieto 2005, eq. 3.7)."""
     origin, a, b = placed.frames
     first, along_a, along_b = (f.take(region, axis=0) for f in (origin, a, b))  # faster than [ ]

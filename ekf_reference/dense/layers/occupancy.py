@@ -9,7 +9,7 @@ import numpy as np
 from ekf_reference.core.geometry import Array, Index, Mask
 from ekf_reference.dense.layers.grid_update import GridUpdate, known, unknown
 from ekf_reference.dense.layers.layer import Hits, Samples
-from ekf_reference.dense.placed_regions import PlacedRegions
+from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.scan import Scan, Single
 from ekf_reference.dense.sensor_model import InverseSensorModel, log_odds, probability
 
@@ -81,7 +81,7 @@ class OccupancyGrid:
         self.grids: dict[int, RegionGrid] = {}
         self._scans = 0
 
-    def fuse(self, hits: Hits, placed: PlacedRegions, scan: Scan | None, near: Index) -> None:
+    def fuse(self, hits: Hits, placed: RegionsAtMap, scan: Scan | None, near: Index) -> None:
         """Occupied where returns come from, free before them."""
         if scan is None:
             self._fuse_late(hits, placed)
@@ -92,7 +92,7 @@ class OccupancyGrid:
             for region in near.tolist():
                 self._coarsen(region, placed, self.coarsening)
 
-    def _fuse_scan(self, placed: PlacedRegions, scan: Scan, near: Index) -> None:
+    def _fuse_scan(self, placed: RegionsAtMap, scan: Scan, near: Index) -> None:
         grids = [self._grid(region, placed) for region in near.tolist()]
         ends = np.cumsum([0, *(len(grid.odds) for grid in grids)])
         if not ends[-1]:
@@ -107,7 +107,7 @@ class OccupancyGrid:
         for grid, first, last in zip(grids, ends[:-1], ends[1:], strict=True):
             self.update.add(grid.odds, change[first:last])
 
-    def _fuse_late(self, hits: Hits, placed: PlacedRegions) -> None:
+    def _fuse_late(self, hits: Hits, placed: RegionsAtMap) -> None:
         most = log_odds(self.update.model.p_occupied)
         for region in np.unique(hits.region).tolist():
             grid = self._grid(region, placed)
@@ -115,7 +115,7 @@ class OccupancyGrid:
             count = np.bincount(cells, minlength=len(grid.odds))
             self.update.add(grid.odds, (count * most).astype(np.float32))
 
-    def samples(self, placed: PlacedRegions, regions: Index | None = None) -> Samples:
+    def samples(self, placed: RegionsAtMap, regions: Index | None = None) -> Samples:
         """The centres of all cells that were ever seen."""
         wanted = sorted(self.grids) if regions is None else regions.tolist()
         point, occupancy, region = [np.empty((0, 2))], [np.empty(0)], [np.empty(0, dtype=np.intp)]
@@ -129,7 +129,7 @@ class OccupancyGrid:
                 region.append(np.full(len(seen), number, dtype=np.intp))
         return Samples(np.concatenate(point), np.concatenate(occupancy), np.concatenate(region))
 
-    def occupancy(self, point: Array, placed: PlacedRegions) -> Array:
+    def occupancy(self, point: Array, placed: RegionsAtMap) -> Array:
         """P(occupied) of the cells that points (N, 2) lie in."""
         found = placed.locate(point)
         result = np.full(len(point), np.nan)
@@ -141,7 +141,7 @@ class OccupancyGrid:
                 result[rows] = np.where(odds == 0.0, np.nan, probability(odds))
         return result
 
-    def _grid(self, region: int, placed: PlacedRegions) -> RegionGrid:
+    def _grid(self, region: int, placed: RegionsAtMap) -> RegionGrid:
         grid = self.grids.get(region)
         if grid is None:
             grid = self.grids[region] = RegionGrid.over(
@@ -149,7 +149,7 @@ class OccupancyGrid:
             )
         return grid
 
-    def _coarsen(self, region: int, placed: PlacedRegions, rule: Coarsening) -> None:
+    def _coarsen(self, region: int, placed: RegionsAtMap, rule: Coarsening) -> None:
         """Larger cells, each as occupied as the most occupied of those whose centres it holds."""
         fine = self.grids[region]
         free: Mask = fine.odds < log_odds(rule.least)

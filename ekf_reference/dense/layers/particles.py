@@ -6,28 +6,23 @@ from dataclasses import replace
 
 import numpy as np
 
-from ekf_reference.core.geometry import Array, Index, Mask
-from ekf_reference.dense.layers.association import associate, doubled, usable
-from ekf_reference.dense.layers.layer import Hits, Samples, in_world
-from ekf_reference.dense.layers.points import from_nearest
-from ekf_reference.dense.placed_regions import PlacedRegions
-from ekf_reference.dense.region_store import RegionStore
+from ekf_reference.core.geometry import Array, Index
+from ekf_reference.dense.layers.association import associate, doubled
+from ekf_reference.dense.layers.layer import Hits
+from ekf_reference.dense.layers.points import PointLayer
+from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.sensor_model import InverseSensorModel, log_odds, probability
 from ekf_reference.dense.triangles import solve
 
 
-class Particles:
+class Particles(PointLayer):
     """Samples drawn around the returns; a weight is how likely its place is occupied.
 
-    rng: the only source of randomness. per_return: samples drawn of each return. d_min_m: samples
-    closer than that are samples of the same state (Nieto 2005, eq. 4.10). model: what a return
-    says. confidence: weights stay between 1 - confidence and confidence, so that the map can
-    change its mind. least: particles of a smaller weight are dropped, 0 to keep them; so are
-    those that have come to lie on a heavier one. Both are counted in `pruned`.
-
-    Of what a scan draws only samples farther than d_min from all old particles are added. So the
-    number of particles levels off in a scene that stays as it is.
+    per_return: samples drawn of each return. d_min_m: samples closer than that are of the same
+    state (Nieto 2005, eq. 4.10); others are added, so their number levels off in a static scene.
+    confidence: weights stay between 1 - confidence and confidence. least: particles of a smaller
+    weight are dropped, 0 to keep them; so are those that have come to lie on a heavier one.
 
     Erratum: in the normaliser of 4.11 stand the prior and the likelihood of the new sample i; for
     its terms to add up to one they are the prior of the old particle j that is updated, and the
@@ -44,29 +39,20 @@ class Particles:
         least: float = 0.3,
     ) -> None:
         """Raises ValueError for a number of samples or a distance that is not above zero."""
-        if per_return < 1 or not d_min_m > 0.0:
-            raise ValueError(
-                f"{per_return} samples per return and d_min {d_min_m} m, both must be above zero"
-            )
+        if per_return < 1:
+            raise ValueError(f"{per_return} samples per return, they must be above zero")
+        super().__init__(3, d_min_m)
         self.per_return = per_return
-        self.d_min_m = d_min_m
         self.model = model or InverseSensorModel()
-        self.pruned = 0
         self._rng = rng
         self._most = float(log_odds(confidence))
         self._least = float(log_odds(least)) if least > 0.0 else -np.inf
-        self._store = RegionStore(3)
 
-    def __len__(self) -> int:
-        """Number of particles."""
-        return len(self._store)
-
-    def fuse(self, hits: Hits, placed: PlacedRegions, scan: Scan | None, near: Index) -> None:
+    def fuse(self, hits: Hits, placed: RegionsAtMap, scan: Scan | None, near: Index) -> None:
         """Update the particles near new samples and those in free space, then add the others."""
         drawn, drawn_odds = self.sampled(hits, scan)
-        old = self._store.gather(usable(placed, np.union1d(near, hits.region)))
-        where = in_world(placed, old.region, old.value[:, :2])
-        pair = associate(where, drawn, self.d_min_m)
+        old, where = self._placed(placed, np.union1d(near, hits.region))
+        pair = associate(where, drawn, self._reach_m)
         triangle = placed.triangle[old.region[pair.old]]
         old.value[pair.old, :2] += solve(triangle, drawn[pair.new])
         old.value[pair.old, :2] *= 0.5
@@ -79,10 +65,12 @@ class Particles:
         np.clip(old.value[:, 2], -self._most, self._most, out=old.value[:, 2])
         self._store.put(old)
         kept = old.value[:, 2] >= self._least
-        kept[doubled(pair, self.d_min_m, old.value[pair.old, 2])] = False
-        self.pruned += int(np.count_nonzero(~kept))
+        kept[doubled(pair, self._reach_m, old.value[pair.old, 2])] = False
         self._store.keep(old, kept)
-        self._add(hits, placed, drawn, drawn_odds, ~pair.met)
+        row = np.flatnonzero(~pair.met)
+        region = np.repeat(hits.region, self.per_return)[row]
+        local = solve(placed.triangle[region], drawn[row])
+        self._store.append(region, np.column_stack((local, drawn_odds[row])))  # 4.12
 
     def sampled(self, hits: Hits, scan: Scan | None) -> tuple[Array, Array]:
         """Samples (N k, 2) [m] of the sensor model of returns, and the log-odds (N k,) of each.
@@ -121,26 +109,6 @@ class Particles:
         change[row] = np.minimum(log_odds(weight), 0.0)
         return change
 
-    def _add(
-        self,
-        hits: Hits,
-        placed: PlacedRegions,
-        point: Array,
-        odds: Array,
-        which: Mask,
-    ) -> None:
-        row = np.flatnonzero(which)
-        region = np.repeat(hits.region, self.per_return)[row]
-        local = solve(placed.triangle[region], point[row])
-        self._store.append(region, np.column_stack((local, odds[row])))  # 4.12
-
-    def samples(self, placed: PlacedRegions, regions: Index | None = None) -> Samples:
-        """The particles, as occupied as they weigh."""
-        region, value = self._store.gather(self._store.regions if regions is None else regions)
-        return Samples(
-            in_world(placed, region, value[:, :2]), np.asarray(probability(value[:, 2])), region
-        )
-
-    def occupancy(self, point: Array, placed: PlacedRegions) -> Array:
-        """The weight of the nearest particle within d_min, NaN where there is none."""
-        return from_nearest(self, point, placed, self.d_min_m)
+    def _occupied(self, value: Array) -> Array:
+        """Particles are as occupied as they weigh."""
+        return np.asarray(probability(value[:, 2]))

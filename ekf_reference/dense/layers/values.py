@@ -1,8 +1,4 @@
-"""What a scanner measures of surfaces besides where they are, such as how bright they are.
-
-Nieto 2005, section 6.4: DenseSLAM allows "different map layers with different environment
-properties (occupancy, colour, texture)". This one keeps any one number that comes with returns.
-"""
+"""A layer of one number that is measured with returns, such as intensity (Nieto 2005, 6.4)."""
 
 from __future__ import annotations
 
@@ -12,11 +8,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ekf_reference.core.geometry import Array, Index
-from ekf_reference.dense.layers.association import usable
-from ekf_reference.dense.layers.layer import Hits, Samples, in_world
-from ekf_reference.dense.layers.points import from_nearest
-from ekf_reference.dense.placed_regions import PlacedRegions
-from ekf_reference.dense.region_store import RegionStore
+from ekf_reference.dense.layers.layer import Hits
+from ekf_reference.dense.layers.points import PointLayer
+from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.scan import Scan
 
 
@@ -32,7 +26,7 @@ class PlaceValues(NamedTuple):
     returns: Array
 
 
-class Values:
+class Values(PointLayer):
     """Mean and scatter of returns' values, in samples that keep local coordinates.
 
     d_min_m: a return joins the nearest sample so near; farther away it begins one. Returns without
@@ -41,26 +35,18 @@ class Values:
 
     def __init__(self, d_min_m: float = 0.1) -> None:
         """Raises ValueError for a distance that is not above zero."""
-        if not d_min_m > 0.0:
-            raise ValueError(f"d_min {d_min_m} m must be above zero")
-        self.d_min_m = d_min_m
-        self._store = RegionStore(5)  # alpha, beta, count, mean, sum of squares about it
+        super().__init__(5, d_min_m)  # alpha, beta, count, mean, sum of squares about it
 
-    def __len__(self) -> int:
-        """Number of samples."""
-        return len(self._store)
-
-    def fuse(self, hits: Hits, placed: PlacedRegions, scan: Scan | None, near: Index) -> None:
+    def fuse(self, hits: Hits, placed: RegionsAtMap, scan: Scan | None, near: Index) -> None:
         """Average in the values of returns, late ones as well."""
         if hits.value is None:
             return
         told = np.flatnonzero(np.isfinite(hits.value))
         value, region = hits.value[told], hits.region[told]
-        old = self._store.gather(usable(placed, np.union1d(near, region)))
-        where = in_world(placed, old.region, old.value[:, :2])
+        old, where = self._placed(placed, np.union1d(near, region))
         row = np.full(len(told), len(where), dtype=np.intp)
         if len(where) and len(told):
-            row = cKDTree(where).query(hits.point[told], distance_upper_bound=self.d_min_m)[1]
+            row = cKDTree(where).query(hits.point[told], distance_upper_bound=self._reach_m)[1]
         met = row < len(where)
         if met.any():
             old.value[:, 2:] = _pooled(old.value[:, 2:], row[met], value[met])
@@ -70,16 +56,16 @@ class Values:
         columns = hits.local[told[rest]], none + 1.0, value[rest], none
         self._store.append(region[rest], np.column_stack(columns))
 
-    def around(self, point: Array, placed: PlacedRegions, reach_m: float) -> PlaceValues:
+    def around(self, point: Array, placed: RegionsAtMap, reach_m: float) -> PlaceValues:
         """Of all returns from within reach of points (L, 2) [m], whatever region they are in."""
         asked = np.where(np.isfinite(point).all(axis=1, keepdims=True), point, np.nan)
         box = np.concatenate((asked - reach_m, asked + reach_m), axis=1)
         near = np.unique(placed.tree.meeting(box).item)
-        region, value = self._store.gather(usable(placed, near))
+        (region, value), where = self._placed(placed, near)
         known = np.flatnonzero(np.isfinite(point).all(axis=1))
         count, mean, square_sum = (np.zeros(len(point)) for _ in range(3))
         if len(region) and len(known):
-            tree = cKDTree(in_world(placed, region, value[:, :2]))
+            tree = cKDTree(where)
             for k, rows in zip(known, tree.query_ball_point(point[known], reach_m), strict=True):
                 n, middle, apart = value[rows, 2:].T
                 count[k] = n.sum()
@@ -90,15 +76,6 @@ class Values:
         return PlaceValues(
             np.where(seen, mean, np.nan), np.where(seen, square_sum / share, np.nan), count
         )
-
-    def samples(self, placed: PlacedRegions, regions: Index | None = None) -> Samples:
-        """The samples, occupied for certain."""
-        region, value = self._store.gather(self._store.regions if regions is None else regions)
-        return Samples(in_world(placed, region, value[:, :2]), np.ones(len(region)), region)
-
-    def occupancy(self, point: Array, placed: PlacedRegions) -> Array:
-        """1 within d_min_m of a sample, NaN elsewhere, as `Points` has it."""
-        return from_nearest(self, point, placed, self.d_min_m)
 
 
 def _pooled(kept: Array, row: Index, value: Array) -> Array:

@@ -14,9 +14,10 @@ from ekf_reference.dense.layers.occupancy import OccupancyGrid
 from ekf_reference.dense.layers.particles import Particles
 from ekf_reference.dense.layers.points import Points
 from ekf_reference.dense.layers.values import Values
-from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.regions import LocalRegions
+from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.scan import Scan, Sensor
+from ekf_reference.dense.triangles import determinant, is_degenerate
 from tests.ekf_reference.ray_casting import Solids, cast, sides
 
 SENSOR = Sensor(0.1, math.radians(0.5), math.radians(0.5))
@@ -50,14 +51,21 @@ def lattice(low: Array, high: Array, step_m: float) -> tuple[Array, LocalRegions
     return landmark, LocalRegions(base=base, _order=np.arange(len(base)))
 
 
+def flipped(regions: LocalRegions, landmark: Array) -> Index:
+    """Regions that have turned over, or lost their area, among landmarks (L, 2) of the map."""
+    triangle = regions.corners(landmark)[regions.base]
+    turned_over = (determinant(triangle) >= 0.0) | is_degenerate(triangle)
+    return np.flatnonzero(turned_over & np.isfinite(triangle).all(axis=(1, 2)))
+
+
 def field() -> tuple[Array, LocalRegions]:
     """20 m east by 20 m north of regions, 5 m long, from (0, -5)."""
     return lattice(np.array([0.0, -5.0]), np.array([20.0, 15.0]), 5.0)
 
 
 def told(
-    placed: PlacedRegions, scan: Scan, late: bool = False
-) -> tuple[Hits, PlacedRegions, Scan | None, Index]:
+    placed: RegionsAtMap, scan: Scan, late: bool = False
+) -> tuple[Hits, RegionsAtMap, Scan | None, Index]:
     """What a dense map tells its layers of a scan."""
     found = placed.locate(scan.point)
     inside = np.flatnonzero(found.region >= 0)
@@ -95,7 +103,7 @@ def yard() -> Solids:
 
 
 @cache
-def simulation() -> tuple[PlacedRegions, tuple[Scan, ...]]:
+def simulation() -> tuple[RegionsAtMap, tuple[Scan, ...]]:
     """Scans of the noise of Nieto 2005, Table 4.1, from known poses on one loop, in regions."""
     rng, sensor = np.random.default_rng(1), Sensor(0.1, math.radians(1.0), math.radians(0.5))
     beam = np.arange(-0.5 * math.pi, 0.5 * math.pi, sensor.beam_rad)

@@ -9,10 +9,8 @@ from ekf_reference.dense.conditions import (
     Conditions,
     coordinate_correlation,
     crosses,
-    ellipse_margin,
     flip_margin,
     overlap,
-    pair_correlation,
     relative_sigma,
     smallest_angle,
 )
@@ -25,47 +23,23 @@ def shared(common_m: float, own_m: float, count: int = 3) -> Array:
     return common_m**2 * np.kron(np.ones((count, count)), np.eye(2)) + own_m**2 * np.eye(2 * count)
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_pair_correlation_is_the_worst_direction(seed: int) -> None:
-    covariance = random_covariance(np.random.default_rng(seed), 8)
-    found = pair_correlation(covariance)
-    assert np.allclose(found, found.T)
-    assert np.allclose(np.diag(found), 1.0)
-    turn = np.linspace(0, np.pi, 4001)
-    u = np.stack((np.cos(turn), np.sin(turn)))
-    for i, j in ((0, 1), (1, 3), (2, 0)):
-        a, b = slice(2 * i, 2 * i + 2), slice(2 * j, 2 * j + 2)
-        p_ij, total = covariance[a, b], covariance[a, a] + covariance[b, b]
-        along = 2 * np.sum(u * (p_ij @ u), axis=0) / np.sum(u * (total @ u), axis=0)
-        assert np.isclose(found[i, j], along.min(), atol=1e-5)
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_pair_correlation_never_exceeds_east_and_north(seed: int) -> None:
-    """Landmarks that pass with it pass by east and north too, whatever the axes."""
-    covariance = random_covariance(np.random.default_rng(seed), 8)
-    found, printed = pair_correlation(covariance), correlation_coefficients(covariance)
-    by_axes = coordinate_correlation(covariance)
-    assert (found <= np.maximum(by_axes, 0.0) + 1e-12).all()
-    assert (found[by_axes < 0.0] < 0.0).all()
+def test_correlation_is_the_lower_of_east_and_north() -> None:
+    covariance = random_covariance(np.random.default_rng(0), 8)
     sigma = np.sqrt(np.diag(covariance))
     signed = covariance / np.outer(sigma, sigma)
-    assert np.allclose(np.abs(signed), printed)
-    assert np.allclose(by_axes, np.minimum(signed[::2, ::2], signed[1::2, 1::2]))
-    turn = np.kron(np.eye(4), np.array(((0.6, -0.8), (0.8, 0.6))))
-    assert np.allclose(pair_correlation(turn @ covariance @ turn.T), found)
+    expected = np.minimum(signed[::2, ::2], signed[1::2, 1::2])
+    assert np.allclose(coordinate_correlation(covariance), expected)
+    assert np.allclose(correlation_coefficients(covariance), np.abs(signed))
 
 
 def test_correlation_of_equal_landmarks() -> None:
-    assert np.isclose(pair_correlation(shared(3.0, 1.0))[0, 1], 0.9)
+    assert np.isclose(coordinate_correlation(shared(3.0, 1.0))[0, 1], 0.9)
     assert np.allclose(relative_sigma(shared(3.0, 0.5))[0, 1], 0.5 * np.sqrt(2))
-    assert np.allclose(pair_correlation(np.zeros((6, 6))), 1.0)  # surveyed landmarks
     opposed = shared(3.0, 0.1, 2)
     opposed[:2, 2:] *= -1.0
     opposed[2:, :2] *= -1.0
-    assert pair_correlation(opposed)[0, 1] < -0.99
     assert coordinate_correlation(opposed)[0, 1] < -0.99
-    assert np.allclose(coordinate_correlation(np.zeros((6, 6))), 1.0)
+    assert np.allclose(coordinate_correlation(np.zeros((6, 6))), 1.0)  # surveyed landmarks
     assert correlation_coefficients(opposed)[0, 2] > 0.99  # eq. 2.62 as printed takes |P_ij|
 
 
@@ -80,27 +54,7 @@ def test_margins_tell_how_likely_a_region_flips() -> None:
     margin = flip_margin(triangle, covariance)[0]
     from_margin = 0.5 * np.mean(np.abs(rng.standard_normal(1_000_000)) > margin)
     assert np.isclose(share, from_margin, rtol=0.1)
-    # The thesis' test without correlations: height 2 m over a sigma of the landmark.
-    assert np.isclose(ellipse_margin(triangle, covariance)[0], 2.0 / np.hypot(4.0, 0.8))
     assert np.isinf(flip_margin(triangle, np.zeros((1, 6, 6)))[0])
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_ellipses_touch_the_opposite_axis_at_the_margin(seed: int) -> None:
-    """Grown by the margin, one ellipse touches its opposite axis and none crosses."""
-    rng = np.random.default_rng(seed)
-    triangle, covariance = rng.uniform(-20, 20, (3, 2)), random_covariance(rng, 6)
-    margin = ellipse_margin(triangle[None], covariance[None])[0]
-    turn = np.linspace(0, 2 * np.pi, 20_001)
-    circle = np.stack((np.cos(turn), np.sin(turn)))
-    opposite = []  # barycentric coordinate of each landmark's ellipse, zero on the other two's line
-    for corner in range(3):
-        root = np.linalg.cholesky(covariance[2 * corner :, 2 * corner :][:2, :2])
-        ellipse = triangle[corner] + margin * (root @ circle).T
-        first, second = triangle[corner - 2], triangle[corner - 1]
-        frame = np.stack((first, triangle[corner], second))
-        opposite.append(to_local(frame, ellipse)[:, 0].min())
-    assert np.isclose(min(opposite), 0.0, atol=1e-6)
 
 
 def test_angles() -> None:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from ekf_reference.core.geometry import Array
-from ekf_reference.dense.corners import Corners, HarrisOptions, harris
+from ekf_reference.dense.corners import harris
 
 CELL_M = 0.25
 SIDE = 200
@@ -40,27 +39,26 @@ def corners(angle_rad: float = 0.0) -> Array:
     return MIDDLE + turned(0.5 * SIZE * SIGNS, angle_rad)
 
 
-def missed(found: Corners, true: Array) -> Array:
+def missed(found: Array, true: Array) -> Array:
     """(C,) from each true corner to the nearest found."""
-    apart = np.linalg.norm(true[:, None] - found.point, axis=2)
+    apart = np.linalg.norm(true[:, None] - found, axis=2)
     return np.asarray(apart.min(axis=1))
 
 
 @pytest.mark.parametrize("wall_m", [None, 0.5])
 def test_a_rectangle_has_its_four_corners_and_nothing_else(wall_m: float | None) -> None:
     found = harris(drawn(wall_m=wall_m), CELL_M)
-    assert len(found.point) == 4
+    assert len(found) == 4
     assert missed(found, corners()).max() < 1.1  # inwards by about the window's sigma
-    assert np.ptp(found.response) < 1e-6 * found.response[0]
-    if wall_m is None:
-        assert abs(found.response[0] - 1.0) < 1e-3
+    assert not len(harris(drawn(), CELL_M, least=1.001))  # a solid block's is the scale
+    assert len(harris(drawn(), CELL_M, least=0.999)) == 4
 
 
 def test_places_are_finer_than_cells() -> None:
     """A shape that moves by part of a cell takes its corners along."""
-    base = harris(drawn(), CELL_M).point
+    base = harris(drawn(), CELL_M)
     for shift in (0.25, 0.5, 0.75):
-        moved = harris(drawn(shift_m=shift * CELL_M), CELL_M).point
+        moved = harris(drawn(shift_m=shift * CELL_M), CELL_M)
         apart = np.linalg.norm(base[:, None] + shift * CELL_M - moved, axis=2).min(axis=1)
         assert apart.max() < 0.2 * CELL_M
 
@@ -70,8 +68,8 @@ def test_places_are_finer_than_cells() -> None:
 def test_a_turned_shape_has_turned_corners(angle_deg: float, wall_m: float | None) -> None:
     angle = math.radians(angle_deg)
     straight, found = harris(drawn(wall_m=wall_m), CELL_M), harris(drawn(angle, wall_m), CELL_M)
-    assert len(found.point) == 4
-    assert missed(found, MIDDLE + turned(straight.point - MIDDLE, angle)).max() < 0.5 * CELL_M
+    assert len(found) == 4
+    assert missed(found, MIDDLE + turned(straight - MIDDLE, angle)).max() < 0.5 * CELL_M
 
 
 def test_a_straight_wall_has_none() -> None:
@@ -79,14 +77,12 @@ def test_a_straight_wall_has_none() -> None:
     for angle in np.radians((0.0, 17.0, 45.0, 80.0)):
         aside = np.cos(angle) * at[:, None] + np.sin(angle) * at
         wall = np.clip(1.0 - np.abs(aside) / CELL_M, 0.0, 1.0)
-        assert not len(harris(wall, CELL_M).point)
+        assert not len(harris(wall, CELL_M))
         along = np.cos(angle) * at - np.sin(angle) * at[:, None]
-        ends = harris(
-            wall * (along > 0.0), CELL_M, HarrisOptions(least=0.003)
-        ).point  # where it ends something has a corner
+        ends = harris(wall * (along > 0.0), CELL_M, least=0.003)  # where it ends is a corner
         assert len(ends) == 1
         assert np.linalg.norm(ends - MIDDLE) < 1.0
-    assert not len(harris(np.zeros((SIDE, SIDE)), CELL_M).point)
+    assert not len(harris(np.zeros((SIDE, SIDE)), CELL_M))
 
 
 def test_without_the_trace_a_rough_wall_is_full_of_corners() -> None:
@@ -94,12 +90,5 @@ def test_without_the_trace_a_rough_wall_is_full_of_corners() -> None:
     at = CELL_M * np.arange(SIDE) - MIDDLE
     rough = 0.1 * np.random.default_rng(1).standard_normal(SIDE)
     wall = np.clip(1.0 - np.abs(at[:, None] - rough) / 0.5, 0.0, 1.0)
-    options = HarrisOptions()
-    assert not len(harris(wall, CELL_M, options).point)
-    assert len(harris(wall, CELL_M, replace(options, trace=0.0)).point) > 3
-
-
-def test_options_are_checked() -> None:
-    for wrong in ({"window_m": 0.0}, {"trace": 0.25}, {"apart_m": math.nan}):
-        with pytest.raises(ValueError, match="above zero"):
-            HarrisOptions(**wrong)
+    assert not len(harris(wall, CELL_M))
+    assert len(harris(wall, CELL_M, trace=0.0)) > 3

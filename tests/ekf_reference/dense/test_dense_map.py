@@ -15,14 +15,14 @@ import pytest
 from ekf_reference.core.geometry import Array
 from ekf_reference.dense.box_tree import BoxTree
 from ekf_reference.dense.conditions import Conditions
+from ekf_reference.dense.delayed_initialisation import DelayedInitialisation
 from ekf_reference.dense.dense_map import DenseMap
 from ekf_reference.dense.layers.layer import Layer
-from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.regions import LocalRegions
+from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.view import FilterView
-from ekf_reference.dense.waiting import WaitingRoom
-from tests.ekf_reference.dense.scenes import LAYERS, SENSOR, layer
+from tests.ekf_reference.dense.scenes import LAYERS, SENSOR, flipped, layer
 
 POSE = np.array([0.0, 0.0, 0.0])
 SQUARE = np.array([(2.0, -8.0), (18.0, -8.0), (18.0, 8.0), (2.0, 8.0)])
@@ -47,7 +47,7 @@ def wall(pose: Array = POSE, range_m: float = 12.0) -> Scan:
     return Scan.of_ranges(pose, BEARING, np.full(len(BEARING), range_m), SENSOR)
 
 
-def dense_map(*names: str, waiting: WaitingRoom | None = None) -> DenseMap:
+def dense_map(*names: str, waiting: DelayedInitialisation | None = None) -> DenseMap:
     """A map of some layers, those of the contract test."""
     return DenseMap(
         layers={n: layer(n) for n in names},
@@ -56,8 +56,8 @@ def dense_map(*names: str, waiting: WaitingRoom | None = None) -> DenseMap:
     )
 
 
-def room(capacity: int = 5_000) -> WaitingRoom:
-    return WaitingRoom(capacity=capacity, patience=PATIENCE)
+def room(capacity: int = 5_000) -> DelayedInitialisation:
+    return DelayedInitialisation(capacity=capacity, patience=PATIENCE)
 
 
 def drive(dense: DenseMap, seen: FilterView, *scans: Scan) -> None:
@@ -80,13 +80,13 @@ def accounted(dense: DenseMap) -> bool:
 
 def held(dense: DenseMap) -> int:
     """Points in the layer that keeps them all."""
-    placed = PlacedRegions(
+    placed = RegionsAtMap(
         np.zeros((len(dense.regions.base), 3, 2)), BoxTree(np.empty(0, dtype=np.intp), ())
     )
     return len(dense.layers["points"].samples(placed).point)
 
 
-def held_by(layer: Layer, placed: PlacedRegions) -> bytes:
+def held_by(layer: Layer, placed: RegionsAtMap) -> bytes:
     return b"".join(column.tobytes() for column in layer.samples(placed))
 
 
@@ -158,7 +158,7 @@ def test_a_landmark_mapped_twice_makes_no_flat_region() -> None:
     drive(dense, view(twice), wall(), wall())
     placed = dense.regions.placed(twice)
     assert len(dense.regions.base) == 2
-    assert not len(dense.regions.flipped(twice))
+    assert not len(flipped(dense.regions, twice))
     for each in dense.layers.values():
         assert np.isfinite(each.samples(placed).point).all()
     assert accounted(dense)

@@ -14,7 +14,7 @@ from ekf_reference.dense.layers.gaussians import (
     largest_sigma,
 )
 from ekf_reference.dense.layers.layer import Hits
-from ekf_reference.dense.placed_regions import PlacedRegions
+from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.triangles import local_jacobians
 from tests.ekf_reference.dense.scenes import field, mapped, simulation, told, wall_scan
 from tests.ekf_reference.numerics import random_covariance
@@ -23,12 +23,12 @@ NOWHERE = np.empty(0, dtype=np.intp)
 START = np.array([(7.0, 3.0)])
 
 
-def place() -> PlacedRegions:
+def place() -> RegionsAtMap:
     landmark, regions = field()
     return regions.placed(landmark)
 
 
-def hits(placed: PlacedRegions, point: Array, sigma: tuple[float, float]) -> Hits:
+def hits(placed: RegionsAtMap, point: Array, sigma: tuple[float, float]) -> Hits:
     """Returns with standard deviations [m] in east and north."""
     found = placed.locate(point)
     covariance = np.tile(np.diag(np.square(sigma)), (len(point), 1, 1))

@@ -12,10 +12,9 @@ from ekf_reference.association.known import KnownAssociation
 from ekf_reference.core.ekf import NEW, Ekf, Stabilisation
 from ekf_reference.core.geometry import Array
 from ekf_reference.dense.high_level import Found, search, to_world
-from ekf_reference.dense.high_level_life import (
+from ekf_reference.dense.high_level_lifecycle import (
     Glimpse,
     HighLevelLandmarks,
-    LifeOptions,
 )
 from ekf_reference.dense.local_pose import local_pose
 from ekf_reference.dense.view import FilterView
@@ -57,10 +56,10 @@ def found() -> list[Found]:
     return list(search(around(), NONE, FEW).found)
 
 
-def kept(options: LifeOptions | None = None, points: Array = POINTS) -> HighLevelLandmarks:
-    landmarks = HighLevelLandmarks(options or LifeOptions())
+def kept(settled: tuple[float, float, float] = (0.3, 0.3, 0.05)) -> HighLevelLandmarks:
+    landmarks = HighLevelLandmarks(settled)
     for one in found():
-        landmarks.take(one, np.array((0, 1, 2)), points)
+        landmarks.take(one, np.array((0, 1, 2)), POINTS)
     return landmarks
 
 
@@ -121,7 +120,7 @@ def test_the_prior_of_a_match_is_the_covariance_carried_through() -> None:
     jacobian = central_difference(way, x)
     joint = np.zeros((10, 10))
     joint[:7, :7] = view.joint(np.sort(one.base))
-    joint[7:, 7:] = np.diag(np.square(landmarks.options.settled))
+    joint[7:, 7:] = np.diag(np.square(landmarks.settled))
     assert np.allclose(expected.z, way(x))
     carried = jacobian @ joint @ jacobian.T
     assert relative_error(expected.covariance, carried) < 1e-6
@@ -132,15 +131,15 @@ def test_the_prior_of_a_match_is_the_covariance_carried_through() -> None:
 def test_what_lies_elsewhere_does_not_pass_the_gate() -> None:
     """A template found 0.9 m off is met by the scan, and rejected; with a wide prior it is not."""
 
-    def looked(options: LifeOptions) -> HighLevelLandmarks:
-        landmarks = kept(options)
+    def looked(settled: tuple[float, float, float]) -> HighLevelLandmarks:
+        landmarks = kept(settled)
         off = (0.0, 0.9, 0.0)
         landmarks.landmark = [replace(one, held=one.held + off) for one in landmarks.landmark]
         landmarks.look(filter_at(START), glimpse(START, np.zeros(3)))
         return landmarks
 
-    assert looked(LifeOptions((0.1, 0.1, 0.02))).counts["seen"] == 0
-    assert looked(LifeOptions((1.0, 1.0, 0.02))).counts["seen"] > 0
+    assert looked((0.1, 0.1, 0.02)).counts["seen"] == 0
+    assert looked((1.0, 1.0, 0.02)).counts["seen"] > 0
 
 
 def test_no_landmark_begins_with_an_open_direction() -> None:

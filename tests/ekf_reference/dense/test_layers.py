@@ -9,7 +9,7 @@ import pytest
 
 from ekf_reference.core.geometry import Array
 from ekf_reference.dense.layers.layer import Layer
-from ekf_reference.dense.placed_regions import PlacedRegions
+from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.scan import Scan
 from tests.ekf_reference.dense.scenes import (
     HERE,
@@ -28,24 +28,24 @@ ON_THE_WALL = np.column_stack((np.full(9, WALL_M), np.linspace(3.0, 9.0, 9)))
 OUTSIDE = np.array([(-3.0, 2.0), (50.0, 50.0), (np.nan, 1.0), (1.0, np.inf)])
 
 
-def place() -> PlacedRegions:
+def place() -> RegionsAtMap:
     landmark, regions = field()
     return regions.placed(landmark)
 
 
-def filled(name: str, scans: int = 5, seed: int = 0) -> tuple[Layer, PlacedRegions]:
+def filled(name: str, scans: int = 5, seed: int = 0) -> tuple[Layer, RegionsAtMap]:
     placed, made, rng = place(), layer(name, seed), np.random.default_rng(seed)
     for _ in range(scans):
         made.fuse(*told(placed, wall_scan(rng=rng)))
     return made, placed
 
 
-def spread(placed: PlacedRegions) -> Array:
+def spread(placed: RegionsAtMap) -> Array:
     """(N, 2) points all over the field."""
     return np.random.default_rng(8).uniform((0, -5), (20, 15), (2000, 2))
 
 
-def nothing_known(made: Layer, placed: PlacedRegions) -> bool:
+def nothing_known(made: Layer, placed: RegionsAtMap) -> bool:
     asked = made.occupancy(spread(placed), placed)
     return not len(made.samples(placed).point) and bool(np.isnan(asked).all())
 

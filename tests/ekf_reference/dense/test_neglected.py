@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from ekf_reference.core.geometry import Array, Index
-from ekf_reference.dense.neglected import (
+from ekf_reference.dense.neglected_correlation import (
     Carriers,
     NeglectedCorrelation,
-    landmark_corners,
     neglected_covariance,
 )
 from ekf_reference.dense.regions import LocalRegions
@@ -29,8 +28,16 @@ def seen() -> tuple[FilterView, Index]:
     ekf = next(islice(follow(circuit(0, range_m=25.0)), 300, None))[1]
     view, regions = FilterView.of(ekf), LocalRegions()
     near = view.near(30.0)
-    regions.extend(view.landmark, near, view.joint_of_landmarks(near))
+    regions.extend(view.landmark, near, view.joint(near)[3:, 3:])
     return view, regions.base
+
+
+def over(base: Index) -> NeglectedCorrelation:
+    return NeglectedCorrelation(LocalRegions(base=base))
+
+
+def carriers_of(view: FilterView, base: Index, point: Array) -> Carriers:
+    return over(base).carriers(view, np.arange(len(base)), point)
 
 
 def centres() -> tuple[FilterView, Index, Array]:
@@ -42,7 +49,7 @@ def centres() -> tuple[FilterView, Index, Array]:
 def test_it_is_the_covariance_of_alpha_and_beta_in_metres() -> None:
     """J P J^T by the Jacobians of Appendix C and of the sighting, one region after another."""
     view, base, point = centres()
-    found = neglected_covariance(view, landmark_corners(view, base, point), point)
+    found = neglected_covariance(view, carriers_of(view, base, point), point)
     for slot, at, spread in zip(base, point, found, strict=True):
         triangle = view.landmark[slot]
         h = local_jacobians(triangle, at)
@@ -65,7 +72,7 @@ def test_it_is_the_covariance_of_alpha_and_beta_in_metres() -> None:
 def test_every_part_of_the_joint_covariance_counts(left_out: str) -> None:
     """Most of what pose and landmarks doubt, they doubt together."""
     view, base, point = centres()
-    carriers = landmark_corners(view, base, point)
+    carriers = carriers_of(view, base, point)
     part = view.covariance.copy()
     if left_out == "pose":
         part[:3] = part[:, :3] = 0.0
@@ -80,10 +87,10 @@ def test_every_part_of_the_joint_covariance_counts(left_out: str) -> None:
 
 def test_a_region_keeps_its_largest_and_its_mean_over_points() -> None:
     view, base, point = centres()
-    layer, both = NeglectedCorrelation(), np.array([1, 3])
-    first = layer.note(view, base, both, point[both], np.array([2.0, 1.0]))
+    layer, both = over(base), np.array([1, 3])
+    first = layer.note(view, both, point[both], np.array([2.0, 1.0]))
     doubtful = replace(view, covariance=4.0 * view.covariance)
-    second = layer.note(doubtful, base, both[:1], point[both[:1]], np.array([6.0]))
+    second = layer.note(doubtful, both[:1], point[both[:1]], np.array([6.0]))
     assert np.isclose(second[0], 2.0 * first[0])
     assert np.isclose(layer.sigma_m(both), ((2 * first[0] + 6 * second[0]) / 8, first[1])).all()
     assert np.isclose(layer.largest_m[both], (second[0], first[1])).all()
@@ -93,8 +100,8 @@ def test_a_region_keeps_its_largest_and_its_mean_over_points() -> None:
 
 def test_the_worst_direction_is_the_larger_eigenvalue() -> None:
     view, base, point = centres()
-    sigma = NeglectedCorrelation().note(view, base, np.arange(len(base)), point)
-    spread = neglected_covariance(view, landmark_corners(view, base, point), point)
+    sigma = over(base).note(view, np.arange(len(base)), point)
+    spread = neglected_covariance(view, carriers_of(view, base, point), point)
     assert np.allclose(np.square(sigma), np.linalg.eigvalsh(spread)[:, 1], rtol=1e-9)
 
 
@@ -103,26 +110,25 @@ def test_a_region_whose_covariance_is_not_current_is_left_alone() -> None:
     lost = int(base[0, 1])
     kept = np.delete(view.slot, np.searchsorted(view.slot, lost))
     part = replace(view, slot=kept, covariance=view.joint(kept))
-    layer = NeglectedCorrelation()
-    sigma = layer.note(part, base, np.arange(len(base)), point)
+    layer = over(base)
+    sigma = layer.note(part, np.arange(len(base)), point)
     touched = (base == lost).any(axis=1)
     assert np.array_equal(np.isnan(sigma), touched)
     assert np.array_equal(np.isnan(layer.sigma_m(np.arange(len(base)))), touched)
-    assert np.allclose(sigma[~touched], NeglectedCorrelation().note(
-        view, base, np.flatnonzero(~touched), point[~touched]))  # fmt: skip
+    assert np.allclose(sigma[~touched], over(base).note(
+        view, np.flatnonzero(~touched), point[~touched]))  # fmt: skip
     nothing = replace(view, slot=kept[:0], covariance=view.covariance[:3, :3])
-    assert np.isnan(layer.note(nothing, base, np.arange(2), point[:2])).all()
+    assert np.isnan(layer.note(nothing, np.arange(2), point[:2])).all()
 
 
 def test_corners_may_be_linear_functions_of_landmarks() -> None:
     """A landmark may come twice among the carriers, which sums its shares."""
     view, base, point = centres()
-    slot, share = landmark_corners(view, base, point)
+    slot, share = carriers_of(view, base, point)
     other = np.roll(base[:, 0], 1)
     half = np.concatenate((0.5 * share[:, :, :2], share[:, :, 2:], 0.5 * share[:, :, :2]), axis=2)
     split = Carriers(np.column_stack((slot, slot[:, 0])), half)
     whole = neglected_covariance(view, Carriers(slot, share), point)
     assert np.allclose(neglected_covariance(view, split, point), whole, atol=1e-12)
     moved = Carriers(np.column_stack((slot, other)), half)
-    layer = NeglectedCorrelation(lambda view, base, point: moved)
-    assert layer.note(view, base, np.arange(len(base)), point).max() > 0.0
+    assert np.trace(neglected_covariance(view, moved, point), axis1=1, axis2=2).max() > 0.0

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from scipy.spatial import Delaunay
 
 from ekf_reference.core.geometry import Array
-from ekf_reference.dense.conditions import Conditions, ellipse_margin, overlap, pair_correlation
+from ekf_reference.dense.conditions import Conditions, overlap
 from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.triangles import contains, solve
+from tests.ekf_reference.dense.scenes import flipped
 from tests.ekf_reference.dense.test_conditions import shared
 
 ANY_SIZE = Conditions(longest_edge_m=1e3)
@@ -77,7 +78,7 @@ def test_location_equals_brute_force(moved_m: float) -> None:
     assert np.array_equal(np.isnan(located.local[:, 0]), expected < 0)
     found = expected >= 0
     assert np.array_equal(located.local[found], solve(triangle[expected[found]], point[found]))
-    assert (len(regions.flipped(landmark)) > 0) == (moved_m > 5)
+    assert (len(flipped(regions, landmark)) > 0) == (moved_m > 5)
 
 
 def test_points_on_the_outer_edge_belong_to_the_region() -> None:
@@ -147,8 +148,6 @@ def added(conditions: Conditions, landmark: Array, covariance: Array) -> int:
 def test_first_condition_refuses_landmarks_that_hang_together_too_little() -> None:
     """Small deviations, so that the second condition has no say."""
     loose, tight = shared(0.3, 0.2), shared(0.3, 0.01)
-    assert added(Conditions(correlation=pair_correlation), THREE, tight) == 1
-    assert added(Conditions(correlation=pair_correlation), THREE, loose) == 0
     assert added(Conditions(), THREE, tight) == 1
     assert added(Conditions(), THREE, loose) == 0
     assert added(Conditions(least_correlation=-1.0), THREE, loose) == 1  # the check left out
@@ -179,8 +178,6 @@ def test_second_condition_refuses_regions_that_could_flip_over() -> None:
     sliver, certain = flat * (1.0, 0.2), shared(0.1, 1e-4)
     assert added(Conditions(), sliver, certain) == 0
     assert added(replace(Conditions(), least_angle_rad=0.0), sliver, certain) == 1
-    # The thesis' conservative test takes no account of what is common.
-    assert added(replace(Conditions(), margin=ellipse_margin), flat * (2.0, 4.0), covariance) == 0
 
 
 def test_third_condition_refuses_overlap(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -192,7 +189,7 @@ def test_third_condition_refuses_overlap(monkeypatch: pytest.MonkeyPatch) -> Non
     def apart(first: Array, second: Array) -> Array:
         return np.zeros(np.broadcast_shapes(first.shape, second.shape)[:-2], dtype=bool)
 
-    for module in ("regions", "placed_regions"):
+    for module in ("regions", "regions_at_map"):
         monkeypatch.setattr(f"ekf_reference.dense.{module}.overlap", apart)
     assert added(ANY_SIZE, landmark, covariance) > 4  # the check left out
 

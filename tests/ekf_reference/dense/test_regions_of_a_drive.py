@@ -9,6 +9,7 @@ import numpy as np
 from ekf_reference.core.geometry import Array
 from ekf_reference.dense.conditions import Conditions, overlap
 from ekf_reference.dense.regions import LocalRegions
+from tests.ekf_reference.dense.scenes import flipped
 from tests.ekf_reference.worlds import circuit, follow
 
 
@@ -36,7 +37,7 @@ def test_regions_survive_the_closing_of_the_loop() -> None:
     regions, count, mean, _ = driven(Conditions())
     landmark = mean[3:].reshape(-1, 2)
     assert len(regions.base) > 30
-    assert not len(regions.flipped(landmark))
+    assert not len(flipped(regions, landmark))
     triangle = landmark[regions.base]
     assert not np.triu(overlap(triangle[:, None], triangle), 1).any()
     assert (np.diff(count) >= 0).all()

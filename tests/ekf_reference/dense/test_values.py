@@ -11,8 +11,8 @@ from ekf_reference.core.geometry import Array
 from ekf_reference.dense.dense_map import DenseMap
 from ekf_reference.dense.layers.layer import Hits
 from ekf_reference.dense.layers.values import Values
-from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.regions import LocalRegions
+from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.scan import Scan
 from tests.ekf_reference.dense.scenes import field
 from tests.ekf_reference.dense.test_dense_map import PATIENCE, TRUSTING, drive, room, view, wall
@@ -21,7 +21,7 @@ from tests.ekf_reference.numerics import relative_error
 NOWHERE = np.empty(0, dtype=np.intp)
 
 
-def hits(placed: PlacedRegions, point: Array, value: Array) -> Hits:
+def hits(placed: RegionsAtMap, point: Array, value: Array) -> Hits:
     found = placed.locate(point)
     return Hits(found.region, found.local, point, np.tile(1e-4 * np.eye(2), (len(point), 1, 1)),
                 value)  # fmt: skip

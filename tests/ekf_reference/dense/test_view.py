@@ -20,7 +20,6 @@ def test_it_shows_pose_landmarks_and_their_joint_covariance() -> None:
     assert 2 < len(near) < len(view.landmark)
     columns = np.concatenate((np.arange(3), (3 + 2 * near[:, None] + (0, 1)).ravel()))
     assert np.array_equal(view.joint(near), ekf.state.covariance[np.ix_(columns, columns)])
-    assert np.array_equal(view.joint_of_landmarks(near), view.joint(near)[3:, 3:])
     assert np.array_equal(view.pose, ekf.state.pose)
     before = ekf.state.mean.copy(), ekf.state.covariance.copy()
     for shown in (view.pose, view.landmark, view.covariance):

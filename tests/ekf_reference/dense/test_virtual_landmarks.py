@@ -9,6 +9,7 @@ from ekf_reference.dense.conditions import Conditions, overlap
 from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.virtual_landmarks import VirtualLandmarks, behind
 from ekf_reference.models.range_bearing import RangeBearing
+from tests.ekf_reference.dense.scenes import flipped
 from tests.ekf_reference.dense.test_conditions import shared
 from tests.ekf_reference.numerics import central_difference, random_covariance
 
@@ -43,7 +44,7 @@ def test_it_makes_a_region_behind_two_landmarks() -> None:
     assert extended(regions, state, BEHIND[None]).tolist() == [0]
     assert regions.base[0].min() == -1
     assert regions.placed(state.landmarks).locate(BEHIND[None]).region[0] == 0
-    assert not len(regions.flipped(state.landmarks))
+    assert not len(flipped(regions, state.landmarks))
     assert len(extended(regions, state, BEHIND[None])) == 0  # the ground is taken
     assert np.array_equal(state.mean, mean)
     assert np.array_equal(state.covariance, covariance)
@@ -110,7 +111,7 @@ def test_it_lies_across_the_line_from_the_vehicle(seed: int) -> None:
         point = triangle.mean(axis=0)[None]
         assert len(regions.extend_virtual(corners, BOTH, pose, np.eye(7), point)) == 1
         assert np.allclose(regions.corners(corners)[2], triangle[2])
-        assert not len(regions.flipped(corners))
+        assert not len(flipped(regions, corners))
 
 
 @pytest.mark.parametrize(
@@ -200,7 +201,7 @@ def test_regions_of_a_landmark_that_left_the_map_are_empty() -> None:
     unknown[3:5] = unknown[:, 3:5] = np.nan
     region = regions.placed(gone).locate(point).region
     assert np.array_equal(region >= 0, (False, True, False))
-    assert not len(regions.flipped(gone))
+    assert not len(flipped(regions, gone))
     before = len(regions.base)
     assert len(regions.extend(gone, slot, unknown[3:, 3:])) == 0
     assert len(regions.extend_virtual(gone, slot, pose, unknown, below)) == 0

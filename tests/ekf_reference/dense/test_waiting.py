@@ -6,11 +6,11 @@ import pytest
 from ekf_reference.core.blocks import point_columns
 from ekf_reference.core.geometry import Array
 from ekf_reference.dense.conditions import Conditions
+from ekf_reference.dense.delayed_initialisation import DelayedInitialisation
 from ekf_reference.dense.local_pose import Frames, local_pose
 from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.triangles import to_global
 from ekf_reference.dense.view import FilterView
-from ekf_reference.dense.waiting import WaitingRoom
 from ekf_reference.models.motion import (
     AckermannModel,
     MotionModel,
@@ -47,7 +47,7 @@ def test_motion_enters_by_its_jacobian_in_the_frame(
         moved: Array = local_pose(after(np.append(place, local[2] - turn)), first, second)
         return moved
 
-    room = WaitingRoom()
+    room = DelayedInitialisation()
     room.add(view_at(START), DENSE, noise(3), 0, anywhere((0, 2)))
     swapped = np.array([axis])  # whichever of the two landmarks the axis starts from
     room.axis, room.mean = swapped, local_pose(START, first, second)[None]
@@ -60,7 +60,7 @@ def test_motion_enters_by_its_jacobian_in_the_frame(
 
 def test_a_heading_that_turns_past_pi_is_no_correction() -> None:
     """Same pose, a turn further: nothing is learnt, nothing moves."""
-    room = WaitingRoom()
+    room = DelayedInitialisation()
     room.add(view_at(START), DENSE, noise(3), 0, anywhere((0, 1)))
     before = room.points.point.copy()
     room.predicted(view_at(START))
@@ -73,7 +73,7 @@ def test_what_is_known_already_is_not_corrected(sigma: float) -> None:
     """A singular covariance of the local pose is no fault."""
     known = view_at(START, sigma=0.0)
     known.covariance[2, 2] = sigma**2  # only the heading is in doubt, or nothing is
-    room = WaitingRoom()
+    room = DelayedInitialisation()
     room.add(known, DENSE, noise(3), 0, anywhere((0, 1)))
     room.predicted(known)
     certain = view_at(START + (0.0, 0.0, sigma), sigma=0.0)
@@ -94,7 +94,7 @@ def test_points_join_the_frame_of_the_region_they_may_belong_to() -> None:
     strange = np.array([(500.0, 0.0), (np.nan, 1.0), (3.0, 7.0)])
     spread = noise(6).copy()
     spread[5] = np.nan
-    room = WaitingRoom()
+    room = DelayedInitialisation()
     number = room.add(view, np.vstack((DENSE, strange)), spread, 7, potential)
     assert number.tolist() == [0, 1, 2, -1, -1, -1]
     assert room.counts.refused == 3
@@ -112,7 +112,7 @@ def test_points_join_the_frame_of_the_region_they_may_belong_to() -> None:
 
 def test_points_leave_once_a_region_has_them() -> None:
     """They follow their landmarks until then; variance turns with the frame."""
-    room, view = WaitingRoom(), view_at(START)
+    room, view = DelayedInitialisation(), view_at(START)
     room.add(view, DENSE, noise(3), 4, anywhere((0, 1)))
     local, variance = room.points.point.copy(), room.points.variance.copy()
     regions = LocalRegions()
@@ -130,14 +130,13 @@ def test_points_leave_once_a_region_has_them() -> None:
         frame.turn.T @ out.covariance @ frame.turn, [np.diag(v) for v in variance[inside]]
     )
     assert np.array_equal(out.number, np.flatnonzero(inside))
-    assert (out.scan == 4).all()
     assert (out.region == 0).all()
     assert room.counts.released == inside.sum()
     assert np.array_equal(room.points.point, local[~inside])
 
 
 def test_the_oldest_make_room_and_are_counted() -> None:
-    room, view = WaitingRoom(capacity=7), view_at(START)
+    room, view = DelayedInitialisation(capacity=7), view_at(START)
     for scan in range(4):
         room.add(view, DENSE, noise(3), scan, anywhere((0, 1)) if scan else anywhere((1, 2)))
     assert room.points.number.tolist() == [5, 6, 7, 8, 9, 10, 11]
@@ -150,7 +149,7 @@ def test_the_oldest_make_room_and_are_counted() -> None:
 
 
 def test_points_vanish_with_a_landmark_and_are_counted() -> None:
-    room, view = WaitingRoom(), view_at(START)
+    room, view = DelayedInitialisation(), view_at(START)
     room.add(view, DENSE, noise(3), 0, anywhere((0, 1)))
     room.add(view, DENSE[:2], noise(2), 0, anywhere((2, 3)))
     gone = LANDMARK.copy()
@@ -172,7 +171,7 @@ def test_points_vanish_with_a_landmark_and_are_counted() -> None:
 
 def test_points_whose_frame_turns_passive_stay_as_they_are() -> None:
     """A compressed filter's passive landmarks have no current covariance to be corrected by."""
-    room, view = WaitingRoom(), view_at(START)
+    room, view = DelayedInitialisation(), view_at(START)
     room.add(view, DENSE, noise(3), 0, anywhere((0, 1)))
     room.add(view, DENSE, noise(3), 0, anywhere((2, 3)))
     point, variance = room.points.point.copy(), room.points.variance.copy()
@@ -183,7 +182,7 @@ def test_points_whose_frame_turns_passive_stay_as_they_are() -> None:
     )
     room.predicted(view)
     room.updated(moved)
-    assert room.counts.uncoupled == 3
+    assert room.points.cross.any(axis=(1, 2)).tolist() == [False] * 3 + [True] * 3
     assert np.array_equal(room.points.point[:3], point[:3])
     assert np.array_equal(room.points.variance[:3], variance[:3])
     assert (room.points.variance[3:] < variance[3:]).all()
@@ -191,7 +190,7 @@ def test_points_whose_frame_turns_passive_stay_as_they_are() -> None:
     room.predicted(active)
     room.updated(active)  # active again: what happened meanwhile is not known
     assert np.array_equal(room.points.point[:3], point[:3])
-    assert room.counts.uncoupled == 3
+    assert room.points.cross.any(axis=(1, 2)).tolist() == [False] * 3 + [True] * 3
 
 
 def test_what_has_waited_long_gets_a_virtual_region() -> None:
@@ -200,7 +199,7 @@ def test_what_has_waited_long_gets_a_virtual_region() -> None:
     view = view_at(np.array((5.0, -6.0, 1.5)), landmark, 0.01)
     wall = np.column_stack((np.linspace(3, 7, 20), np.full(20, 1.5)))
     regions = LocalRegions(conditions=Conditions(known_apart_m=0.1))
-    room = WaitingRoom(patience=10)
+    room = DelayedInitialisation(patience=10)
     given = (view.landmark, view.slot, view.pose, view.covariance)
     potential = regions.potential(*given)
     room.add(view, wall, noise(20), 0, potential)
@@ -214,7 +213,7 @@ def test_what_has_waited_long_gets_a_virtual_region() -> None:
 
 
 def test_without_points_nothing_happens() -> None:
-    room, view = WaitingRoom(), view_at(START)
+    room, view = DelayedInitialisation(), view_at(START)
     nothing = np.empty((0, 2))
     assert len(room.add(view, nothing, noise(0), 0, anywhere((0, 1)))) == 0
     no_landmark = FilterView(START, np.empty((0, 2)), np.arange(0), np.eye(3))
@@ -241,7 +240,7 @@ def test_without_points_nothing_happens() -> None:
 def test_every_point_is_somewhere() -> None:
     """Whatever happens, the counts add up."""
     rng = np.random.default_rng(0)
-    room, offered = WaitingRoom(capacity=60), 0
+    room, offered = DelayedInitialisation(capacity=60), 0
     regions = LocalRegions(conditions=Conditions(known_apart_m=0.2, flip_sigmas=0.0))
     landmark = rng.uniform(-15, 15, (12, 2))
     for scan in range(40):
@@ -253,7 +252,7 @@ def test_every_point_is_somewhere() -> None:
         room.updated(now)
         if scan % 10 == 9:
             regions.extend(
-                landmark, now.slot[scan % 7 :][:4], now.joint_of_landmarks(now.slot[scan % 7 :][:4])
+                landmark, now.slot[scan % 7 :][:4], now.joint(now.slot[scan % 7 :][:4])[3:, 3:]
             )
         room.release(now, regions.placed(landmark))
         point = rng.uniform(-25, 25, (10, 2))

@@ -8,9 +8,9 @@ import pytest
 from ekf_reference.core.blocks import point_columns
 from ekf_reference.core.geometry import Array
 from ekf_reference.core.state import KalmanState
+from ekf_reference.dense.delayed_initialisation import DelayedInitialisation
 from ekf_reference.dense.local_pose import Frames
 from ekf_reference.dense.view import FilterView
-from ekf_reference.dense.waiting import WaitingRoom
 from ekf_reference.models.motion import UnicycleModel
 from ekf_reference.models.range_bearing import RangeBearing
 from tests.ekf_reference.dense.waiting_rooms import BROKEN, DENSE, LANDMARK, START, anywhere
@@ -25,7 +25,9 @@ class Joint:
     The true vehicle, landmarks and points are drawn from the filter's own prior.
     """
 
-    def __init__(self, room: WaitingRoom, scale: float, landmark_m: float, seed: int) -> None:
+    def __init__(
+        self, room: DelayedInitialisation, scale: float, landmark_m: float, seed: int
+    ) -> None:
         """landmark_m: standard deviation of the landmarks; 0 where they are known."""
         self.rng, self.room, self.scale = np.random.default_rng(seed), room, scale
         sigma = scale * np.array((0.5, 0.5, 0.05))
@@ -97,7 +99,9 @@ class Joint:
         return Frames.of(mean[0], mean[1]).to_local(mean[count:]), np.array(variance)
 
 
-def corrections(kind: type[WaitingRoom], landmark_m: float, scale: float, seed: int) -> Array:
+def corrections(
+    kind: type[DelayedInitialisation], landmark_m: float, scale: float, seed: int
+) -> Array:
     """(4, N, 2): what the joint filter and the room changed in the points and their variances."""
     room = kind()
     joint = Joint(room, scale, landmark_m, seed)
@@ -124,7 +128,7 @@ def corrections(kind: type[WaitingRoom], landmark_m: float, scale: float, seed: 
 def test_a_new_point_has_the_covariance_of_the_joint_filter() -> None:
     """Equation 3.30, with landmarks known and unknown; as printed it fails."""
     for landmark_m in (0.0, 1.0):
-        room = WaitingRoom()
+        room = DelayedInitialisation()
         joint = Joint(room, 1e-5, landmark_m, 0)
         joint.drive()
         joint.see_dense((0.5, 0.05))
@@ -142,14 +146,14 @@ def test_a_new_point_has_the_covariance_of_the_joint_filter() -> None:
 @pytest.mark.parametrize("seed", range(5))
 def test_it_equals_the_joint_filter_where_landmarks_are_known(seed: int) -> None:
     """With noise of the motion, and so small that everything is linear: mean and variance."""
-    expected, found, variance, found_variance = corrections(WaitingRoom, 0.0, 1e-5, seed)
+    expected, found, variance, found_variance = corrections(DelayedInitialisation, 0.0, 1e-5, seed)
     assert np.abs(expected).max() > 0.1  # of deviations of half a metre
     assert np.allclose(found, expected, atol=1e-4 * np.abs(expected).max())
     assert np.allclose(found_variance, variance, atol=1e-3 * np.abs(variance).max())
 
 
 @pytest.mark.parametrize("kind", BROKEN)
-def test_the_equality_rejects(kind: type[WaitingRoom]) -> None:
+def test_the_equality_rejects(kind: type[DelayedInitialisation]) -> None:
     expected, found, *_ = corrections(kind, 0.0, 1e-5, 0)
     assert np.abs(found - expected).max() > 0.02 * np.abs(expected).max()
 
@@ -158,7 +162,9 @@ def test_where_landmarks_are_learnt_it_does_most_of_what_the_joint_filter_does()
     """Corrections differ by a twentieth of their size, variances by a hundredth."""
     gap, whole, learnt, learnt_by_joint = 0.0, 0.0, 0.0, 0.0
     for seed in range(30):
-        expected, found, variance, found_variance = corrections(WaitingRoom, 1.0, 1e-5, seed)
+        expected, found, variance, found_variance = corrections(
+            DelayedInitialisation, 1.0, 1e-5, seed
+        )
         gap += np.square(found - expected).sum()
         whole += np.square(expected).sum()
         learnt += found_variance.sum()
@@ -176,7 +182,7 @@ def test_after_a_long_drive_away_its_variance_is_a_tenth_too_small_and_no_worse(
     """
     error, variance = np.zeros(2), np.zeros(2)
     for seed in range(400):
-        room = WaitingRoom()
+        room = DelayedInitialisation()
         joint = Joint(room, 1e-4, 1.0, seed)
         joint.see_landmarks()
         joint.drive()

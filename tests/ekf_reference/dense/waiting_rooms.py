@@ -6,10 +6,10 @@ import numpy as np
 
 from ekf_reference.core.geometry import Array, Index
 from ekf_reference.dense.box_tree import BoxTree, boxes
-from ekf_reference.dense.placed_regions import PlacedRegions
+from ekf_reference.dense.delayed_initialisation import DelayedInitialisation
 from ekf_reference.dense.regions import Potential
+from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.view import FilterView
-from ekf_reference.dense.waiting import WaitingRoom
 
 EVERYWHERE = np.array([[(-1e4, -1e4), (1e4, -1e4), (0.0, 1e4)]])
 LANDMARK = np.array([(10.0, 4.0), (2.0, 12.0), (-7.0, 6.0), (4.0, -9.0)])
@@ -21,10 +21,10 @@ def anywhere(*axis: tuple[int, int]) -> Potential:
     """Potential regions of these axes, the first of which has the whole plane."""
     triangle = np.repeat(EVERYWHERE, len(axis), axis=0)
     tree = BoxTree.pack(boxes(triangle), np.arange(len(axis)))
-    return Potential(np.array(axis).reshape(-1, 2), PlacedRegions(triangle, tree))
+    return Potential(np.array(axis).reshape(-1, 2), RegionsAtMap(triangle, tree))
 
 
-class NoCross(WaitingRoom):
+class NoCross(DelayedInitialisation):
     """A broken variant: the covariance with the vehicle is left out."""
 
     def add(
@@ -35,14 +35,14 @@ class NoCross(WaitingRoom):
         return number
 
 
-class NoMotion(WaitingRoom):
+class NoMotion(DelayedInitialisation):
     """A broken variant: F is left out."""
 
     def predicted(self, view: FilterView) -> None:
         self._read(view)
 
 
-class WrongSign(WaitingRoom):
+class WrongSign(DelayedInitialisation):
     """A broken variant: the correction goes the other way."""
 
     def updated(self, view: FilterView) -> None:

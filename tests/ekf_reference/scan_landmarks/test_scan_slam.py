@@ -12,10 +12,17 @@ from ekf_reference.core.ekf import NEW, Ekf
 from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.landmark_types import POSE
 from ekf_reference.models.motion import RelativePoseModel
-from ekf_reference.scan_landmarks.pieces import SingleSegments
+from ekf_reference.scan_landmarks.map_aided_matching import MapAidedObserver
 from ekf_reference.scan_landmarks.scan_slam import GATED, USED, ScanSlam, ScanSlamOptions
 from ekf_reference.scan_landmarks.segmentation import SegmentationOptions
-from ekf_reference.scan_landmarks.templates import BLANK, OUT_OF_VIEW, Template, View
+from ekf_reference.scan_landmarks.template_extraction import SingleSegments
+from ekf_reference.scan_landmarks.templates import (
+    BLANK,
+    OUT_OF_VIEW,
+    Template,
+    TemplateObserver,
+    View,
+)
 from ekf_reference.scan_matching.scan_shape import of_scan
 from ekf_reference.scan_matching.sog import SumOfGaussians
 from tests.ekf_reference.both_kinds import relative
@@ -27,7 +34,7 @@ VIEW = View(40.0, float(BEAMS[0]), float(BEAMS[-1]))
 MOUNT = np.array((0.4, -0.3, 0.2))
 PRIOR = np.diag((0.05, 0.05, 0.01)) ** 2
 SINGLE = SingleSegments(every=1)
-EVERY = ScanSlamOptions(pieces=SINGLE)
+EVERY = ScanSlamOptions(extraction=SINGLE)
 
 
 @dataclass
@@ -56,9 +63,12 @@ def scan_from(vehicle: Array, seed: int = 0) -> SumOfGaussians:
     return of_scan(BEAMS, way, LASER)
 
 
-def begun(options: ScanSlamOptions = EVERY) -> tuple[ScanSlam, Ekf, Told]:
+def begun(
+    options: ScanSlamOptions = EVERY, observer: TemplateObserver | None = None
+) -> tuple[ScanSlam, Ekf, Told]:
     """One landmark, begun by the first scan."""
-    slam, ekf = ScanSlam(LASER, VIEW, MOUNT, options), filter_at(np.zeros(3))
+    slam = ScanSlam(LASER, VIEW, MOUNT, options, observer=observer)
+    ekf = filter_at(np.zeros(3))
     told = Told(ekf)
     slam.step(ekf, scan_from(np.zeros(3)), told)
     assert told.slot == [NEW]
@@ -134,7 +144,7 @@ def test_a_template_out_of_view_is_not_aligned() -> None:
 @pytest.mark.parametrize("points", [1, 2])
 def test_segments_too_small_for_a_heading_begin_nothing(points: int) -> None:
     small = replace(SINGLE, segmentation=SegmentationOptions(least_points=1), ahead_m=0.0)
-    options = replace(EVERY, pieces=small)
+    options = replace(EVERY, extraction=small)
     slam, ekf = ScanSlam(LASER, VIEW, MOUNT, options), filter_at(np.zeros(3))
     way = np.full(len(BEAMS), np.nan)
     way[180 : 180 + points] = 5.0
@@ -164,13 +174,13 @@ def test_templates_are_enriched_from_a_sigma_on() -> None:
         return template.shape
 
     moved = np.array((0.3, 0.1, 0.02))
-    for enrich_m, times in ((0.01, 1), (5.0, 0), (np.inf, 0)):
-        slam, ekf, told = begun(replace(EVERY, enrich_m=enrich_m))
-        slam.around = around
+    for least_sigma_m, times in ((0.01, 1), (5.0, 0), (np.inf, 0)):
+        observer = MapAidedObserver(around, least_sigma_m)
+        slam, ekf, told = begun(observer=observer)
         place = ekf.state.places(POSE)[0].copy()
         ekf.predict(moved, PRIOR, 1.0)
         slam.step(ekf, scan_from(moved, 1), told)
-        assert slam.found.enriched == len(asked) == times
+        assert observer.observed == len(asked) == times
         assert slam.found.reasons[USED] == 1
         for one in asked:
             assert np.array_equal(one, place)

@@ -13,6 +13,10 @@ from ekf_reference.scan_landmarks.segmentation import (
     segments,
 )
 from ekf_reference.scan_landmarks.templates import (
+    AMBIGUOUS,
+    APART,
+    BLANK,
+    OUT_OF_VIEW,
     Template,
     TemplateMatching,
     View,
@@ -74,8 +78,6 @@ def test_blank_scans_and_single_points_make_no_segments() -> None:
     assert not quality(one, LASER, np.random.default_rng(0)).accepted
     with pytest.raises(ValueError, match="template of 1 points"):
         Template.of_segment(one, np.array([0]))
-    with pytest.raises(ValueError, match="above zero"):
-        SegmentationOptions(trials=0)
 
 
 def tried(scene: object) -> Quality:
@@ -93,7 +95,6 @@ def test_segments_with_shape_are_accepted_and_walls_are_not() -> None:
     assert wall.residual > 0.1
     assert wall.open_directions == 1
     assert shaped.saliency > 100.0 * wall.saliency
-    assert shaped.least_information > 100.0 * wall.least_information
 
 
 def test_the_axis_is_the_centroid_with_the_vehicles_heading() -> None:
@@ -127,8 +128,7 @@ def test_less_than_nine_tenths_in_view_is_no_observation() -> None:
     for pose in (behind, beyond):
         found = observe(template, scan, pose, NEAR, MATCHING)
         assert found.alignment is None
-        assert found.share_in_view == 0.0
-        assert found.reason == "0% of the template in view"
+        assert found.reason == OUT_OF_VIEW
     assert 0.0 < share_in_view(template, scan, aside, VIEW) < 1.0
 
 
@@ -136,19 +136,16 @@ def test_what_something_nearer_hides_is_not_in_view() -> None:
     template = template_of(seen(STAR))
     screen = solids(box(3.0, 0.0, 0.2, 12.0, 0.0))
     found = observe(template, seen(screen), template.pose, NEAR, MATCHING)
-    assert found.share_in_view < 0.1
     assert found.alignment is None
 
 
 def test_blank_scans_and_other_shapes_are_refused_with_a_reason() -> None:
     template = template_of(seen(STAR))
     blank = of_scan(BEAMS, np.full(len(BEAMS), np.nan), LASER)
-    assert (
-        observe(template, blank, template.pose, NEAR, MATCHING).reason == "the scan has no returns"
-    )
+    assert observe(template, blank, template.pose, NEAR, MATCHING).reason == BLANK
     other = solids(box(20.0, 0.0, 1.0, 30.0, 0.0))
     gone = observe(template, seen(other), template.pose, NEAR, MATCHING)
-    assert "finds a counterpart" in gone.reason
+    assert gone.reason == APART
     assert not gone.usable
 
 
@@ -166,6 +163,4 @@ def test_identical_templates_see_the_same_and_twins_nothing() -> None:
     lone = seen(solids(box(8, 1.2, 1.2, 0.8, 20)))
     template = Template.of_segment(lone, np.arange(len(lone)))
     wide = np.diag((1.5, 1.5, 0.2)) ** 2
-    assert (
-        "another place fits" in observe(template, seen(twins), template.pose, wide, MATCHING).reason
-    )
+    assert observe(template, seen(twins), template.pose, wide, MATCHING).reason == AMBIGUOUS

@@ -32,7 +32,7 @@ WIDE = np.diag((1.5, 1.5, 0.35)) ** 2
 
 
 def plain(one: SumOfGaussians) -> SumOfGaussians:
-    """Without seams."""
+    """Without boundaries."""
     return SumOfGaussians(one.mean, one.covariance, one.weight, np.zeros(len(one), dtype=bool))
 
 
@@ -48,7 +48,6 @@ def test_a_sum_finds_its_own_copy_exactly(scene: object) -> None:
     true = np.array((0.4, -0.3, 0.2))
     found = align(one, one.transformed(true), true + (0.2, 0.2, -0.05), NEAR)
     assert np.abs(found.pose - true).max() < 1e-6
-    assert found.correlation > 1.0 - 1e-3
     assert found.overlap == pytest.approx(1.0)
     assert found.converged
 
@@ -86,7 +85,6 @@ def test_exchanged_sums_give_the_inverse() -> None:
     one = align(plain(two.first), plain(two.second), two.motion, NEAR)
     other = align(plain(two.second), plain(two.first), back, NEAR)
     np.testing.assert_allclose(other.pose, inverse(one.pose), atol=2e-3)
-    assert other.log_likelihood == pytest.approx(one.log_likelihood, abs=1e-2)
 
 
 def test_the_heading_is_the_nearest_to_the_guess() -> None:
@@ -117,8 +115,7 @@ def test_what_does_not_meet_says_so() -> None:
     for first, second in ((one, blank), (blank, one), (blank, blank), (one, far)):
         found = align(first, second, guess, NEAR)
         np.testing.assert_allclose(found.pose, guess, atol=1e-12)
-        assert found.log_likelihood == -math.inf
-        assert found.overlap == found.correlation == 0.0
+        assert found.overlap == 0.0
         assert not found.converged
 
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from ekf_reference.core.geometry import Array
-from ekf_reference.scan_matching.correlation import Look, Pairs
+from ekf_reference.scan_matching.correlation import CorrespondenceSearch, Pairs
 from tests.ekf_reference.numerics import central_difference, relative_error
 from tests.ekf_reference.scan_matching.scenes import random_sum
 
-ALL = Look(1000, 1e3, 1e3)
+ALL = CorrespondenceSearch(1000, 1e3, 1e3)
 POSES = [np.array((0.3, -0.2, 0.5)), np.array((-1.0, 0.4, -2.0)), np.zeros(3)]
 
 
@@ -69,8 +69,10 @@ def test_derivatives_equal_central_differences(pose: Array) -> None:
 def test_inflation_is_a_wider_second_sum() -> None:
     rng, pose = np.random.default_rng(3), POSES[0]
     one, other = random_sum(rng, 10), random_sum(rng, 10)
-    wide = type(other)(other.mean, other.covariance + 0.09 * np.eye(2), other.weight, other.seam)
-    inflated = Pairs.near(one, other, pose, Look(1000, 1e3, 1e3, inflation_m=0.3))
+    wide = type(other)(
+        other.mean, other.covariance + 0.09 * np.eye(2), other.weight, other.boundary
+    )
+    inflated = Pairs.near(one, other, pose, CorrespondenceSearch(1000, 1e3, 1e3, inflation_m=0.3))
     assert inflated.value(pose) == pytest.approx(Pairs.near(one, wide, pose, ALL).value(pose))
 
 
@@ -78,6 +80,6 @@ def test_pairs_out_of_reach_add_nothing_to_speak_of() -> None:
     rng, pose = np.random.default_rng(4), POSES[1]
     one, other = random_sum(rng, 200), random_sum(rng, 300)
     whole = Pairs.near(one, other, pose, ALL)
-    pruned = Pairs.near(one, other, pose, Look(300, 10.0, 4.5))
+    pruned = Pairs.near(one, other, pose, CorrespondenceSearch(300, 10.0, 4.5))
     assert len(pruned.row) < 0.9 * len(whole.row)
     assert pruned.value(pose) == pytest.approx(whole.value(pose), rel=1e-3)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
@@ -49,7 +51,7 @@ def test_a_moved_sum_is_the_same_in_another_frame() -> None:
     moved = one.transformed(pose).value(point @ turn.T + pose[:2])
     assert relative_error(moved, one.value(point)) < 1e-12
     transposed = SumOfGaussians(
-        one.mean @ turn.T + pose[:2], turn.T @ one.covariance @ turn, one.weight, one.seam
+        one.mean @ turn.T + pose[:2], turn.T @ one.covariance @ turn, one.weight, one.boundary
     )
     assert relative_error(transposed.value(point @ turn.T + pose[:2]), one.value(point)) > 1e-2
 
@@ -70,7 +72,7 @@ def test_thinning_keeps_mean_covariance_and_weight() -> None:
 def test_returns_without_surface_are_equations_4_15_and_4_16() -> None:
     way = ranges(np.random.default_rng(0), ELL, STILL, LASER)
     scan = Scan.of_ranges(STILL, BEAMS, way, LASER)
-    one = of_scan(BEAMS, way, LASER, surface=False)
+    one = of_scan(BEAMS, way, replace(LASER, grazing_rad=0.0))
     np.testing.assert_array_equal(one.mean, scan.point)
     np.testing.assert_array_equal(one.covariance, scan.covariance)
 
@@ -81,29 +83,31 @@ def test_a_wall_has_an_even_height_and_single_returns_do_not() -> None:
     way[np.abs(BEAMS) > 1.0] = np.nan
     line = np.column_stack((np.full(400, 8.0), np.linspace(-5.0, 5.0, 400)))
     uneven = []
-    for surface in (True, False):
-        height = of_scan(BEAMS, way, LASER, surface=surface).value(line)
+    for sensor in (LASER, replace(LASER, grazing_rad=0.0)):
+        height = of_scan(BEAMS, way, sensor).value(line)
         uneven.append(float(height.std() / height.mean()))
     assert uneven[0] < 0.01 < 0.3 < uneven[1]
 
 
-def test_seams_are_where_the_view_loses_a_surface() -> None:
+def test_boundaries_are_where_the_view_loses_a_surface() -> None:
     rng = np.random.default_rng(1)
     for scene in (WALL, DRUM, ELL):
         one = of_scan(BEAMS, ranges(rng, scene, STILL, LASER), LASER)
-        assert one.seam[:3].all()
-        assert one.seam[-3:].all()
-        assert one.seam.sum() < 0.25 * len(one)
+        assert one.boundary[:3].all()
+        assert one.boundary[-3:].all()
+        assert one.boundary.sum() < 0.25 * len(one)
 
 
-def test_edges_of_objects_are_no_seams() -> None:
+def test_edges_of_objects_are_no_boundaries() -> None:
     """A box before an empty background ends where it ends; its shaded part is lost."""
     way = ranges(np.random.default_rng(1), YARD, STILL, LASER)
     one = of_scan(BEAMS, way, LASER)
-    assert 0.03 < one.seam.mean() < 0.3
+    assert 0.03 < one.boundary.mean() < 0.3
     single = np.full(len(BEAMS), np.nan)
     single[100:104] = 5.0
-    assert not of_scan(BEAMS, np.where(np.isnan(single), 30.0, single), LASER).seam[100:104].any()
+    assert (
+        not of_scan(BEAMS, np.where(np.isnan(single), 30.0, single), LASER).boundary[100:104].any()
+    )
 
 
 def test_blank_scans_have_no_gaussians() -> None:

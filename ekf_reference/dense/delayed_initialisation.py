@@ -1,15 +1,12 @@
-"""Observations that wait for a region to come up where they lie (Nieto 2005, section 3.7.3).
+"""Delayed initialisation of points where there is no region yet (Nieto 2005, section 3.7.3).
 
-A point seen where there is no region yet is kept in the frame of two landmarks near it, with
-its covariance with the vehicle's pose in that frame. As the filter learns where the vehicle is
-among these landmarks, the point is corrected with it. By the unidirectional flow of information
-(section 3.7) points do not tell each other or the filter anything, so what is kept of their
-covariance is its diagonal and those three columns: a scan costs time linear in the points.
+A point is kept in the frame of two landmarks near it, with its variances and its covariance with
+the vehicle's pose in that frame, by which the filter's updates correct it. Information flows to
+points only (section 3.7), so a scan costs time linear in the points.
 
-What is approximated: the filter's information reaches a point through the vehicle's pose as it
-is now and by no other way. That is exact while the landmarks are known, with any noise of the
-motion. Where the landmarks are learnt too, some of what they tell is left out, and after a long
-drive the variance is about a tenth too small (tests/ekf_reference/dense/test_waiting_oracle.py).
+Approximation: the filter's information reaches a point through the vehicle's current pose alone.
+That is exact for known landmarks, with any noise of the motion. Where landmarks are estimated too,
+the variance is about a tenth too small after a long drive (see test_waiting_oracle.py).
 """
 
 from __future__ import annotations
@@ -21,8 +18,8 @@ import numpy as np
 
 from ekf_reference.core.geometry import Array, Index, Mask, wrap_angle
 from ekf_reference.dense.local_pose import Frames, read_local_poses
-from ekf_reference.dense.placed_regions import PlacedRegions
 from ekf_reference.dense.regions import Potential
+from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.triangles import turned
 from ekf_reference.dense.view import FilterView
 
@@ -31,20 +28,17 @@ SINGULAR = 1e-9
 
 
 @dataclass
-class WaitingCounts:
-    """What became of points. Every point offered is waiting, or in one of the first four.
+class DelayedCounts:
+    """What became of points. Every point offered is waiting or counted here.
 
-    released: handed out. refused: not taken in, since no potential region has them. dropped: the
-    oldest, for want of room. vanished: with a landmark of their frame, or as its two came to be one
-    place. uncoupled: points (they wait on) that are corrected no more, since their frame left the
-    active part of a compressed filter.
+    released: handed out. refused: in no potential region. dropped: the oldest, over the capacity.
+    vanished: with a landmark of their frame, or when its two landmarks coincided.
     """
 
     released: int = 0
     refused: int = 0
     dropped: int = 0
     vanished: int = 0
-    uncoupled: int = 0
 
 
 class Released(NamedTuple):
@@ -53,14 +47,13 @@ class Released(NamedTuple):
     region: (k,) number. local: (k, 2) coordinates in it. point: (k, 2) [m] in the world.
     covariance: (k, 2, 2) [m^2] in the world's directions, of the place *relative to the
     landmarks*: what the point shares with these is not in it, as local coordinates want it.
-    scan: (k,) when it was seen. number: (k,) as `add` gave it.
+    number: (k,) as `add` gave it.
     """
 
     region: Index
     local: Array
     point: Array
     covariance: Array
-    scan: Index
     number: Index
 
 
@@ -86,19 +79,17 @@ class Points(NamedTuple):
 
 
 @dataclass(kw_only=True)
-class WaitingRoom:
-    """The points that wait (3.25). Of a scan: predicted, filter's update, updated, release, add.
+class DelayedInitialisation:
+    """Waiting points (3.25). Per scan call predicted, the filter's update, updated, release, add.
 
-    capacity: points at most, all frames together. patience: scans after which `overdue` tells
-    of a point.
-
-    points: those that wait. axis: (G, 2) places in the map of the frames' L1 and L2. mean,
-    covariance: (G, 3), (G, 3, 3) of the vehicle's local poses when last read.
+    capacity: most points. patience: scans after which a point is `overdue`. axis: (G, 2) landmarks
+    L1 and L2 of the frames. mean, covariance: (G, 3), (G, 3, 3) of the vehicle's local poses when
+    last read.
     """
 
     capacity: int = 5_000
     patience: int = 50
-    counts: WaitingCounts = field(default_factory=WaitingCounts)
+    counts: DelayedCounts = field(default_factory=DelayedCounts)
     points: Points = field(default_factory=Points.none)
     axis: Index = field(default_factory=lambda: np.empty((0, 2), dtype=np.intp))
     mean: Array = field(default_factory=lambda: np.empty((0, 3)))
@@ -119,10 +110,9 @@ class WaitingRoom:
         self.points.cross[:, :, 1] += turn * dx[:, None]
 
     def updated(self, view: FilterView) -> None:
-        """Correct the points by what the filter's update told of the vehicle's local pose.
+        """Correct the points by the change of the vehicle's local pose in the filter's update.
 
-        Regression on it, A = P_dv (P_vv^-)^-1 (section 3.7.3, "the standard EKF-SLAM" where all
-        information comes through the vehicle): d += A dv, P_dv <- A P_vv^+,
+        Regression on it (section 3.7.3), A = P_dv (P_vv^-)^-1: d += A dv, P_dv <- A P_vv^+,
         P_dd <- P_dd - A (P_vv^- - P_vv^+) A^T.
         """
         mean, covariance = self._read(view)
@@ -144,7 +134,7 @@ class WaitingRoom:
     def add(
         self, view: FilterView, point: Array, noise: Array, scan: int, potential: Potential
     ) -> Index:
-        """Take in what was seen where no region is; returns the points' numbers, -1 if refused.
+        """Take in points outside all regions; returns their numbers, -1 where refused.
 
         Source: Nieto 2005, eqs. 3.29 and 3.30. Erratum: 3.30 prints the last factor without
         its transpose, grad h_z R grad h_z^T holds.
@@ -181,7 +171,7 @@ class WaitingRoom:
             self._keep(np.arange(excess, len(self.points.scan)))
         return number
 
-    def release(self, view: FilterView, placed: PlacedRegions) -> Released:
+    def release(self, view: FilterView, placed: RegionsAtMap) -> Released:
         """Hand out the points that lie in a region now; they leave the room."""
         world, frame = self._in_the_world(view)
         found = placed.locate(world)
@@ -189,12 +179,7 @@ class WaitingRoom:
         turn, variance = frame.turn[out], self.points.variance[out]
         covariance = np.einsum("nij,nj,nkj->nik", turn, variance, turn)
         released = Released(
-            found.region[out],
-            found.local[out],
-            world[out],
-            covariance,
-            self.points.scan[out],
-            self.points.number[out],
+            found.region[out], found.local[out], world[out], covariance, self.points.number[out]
         )
         if len(out):
             self.counts.released += len(out)
@@ -202,10 +187,7 @@ class WaitingRoom:
         return released
 
     def overdue(self, view: FilterView, scan: int) -> Array:
-        """Where the points are (k, 2) [m] that have waited for `patience` scans or more.
-
-        What LocalRegions.extend_virtual is to cover.
-        """
+        """Return the points (k, 2) [m] that have waited for `patience` scans or more."""
         world, _ = self._in_the_world(view)
         return world[scan - self.points.scan >= self.patience]
 
@@ -224,9 +206,8 @@ class WaitingRoom:
             self._keep(np.flatnonzero(kept))
         current = _current(view, self.axis)
         if not current.all():
-            coupled = ~current[self.points.group] & self.points.cross.any(axis=(1, 2))
-            self.counts.uncoupled += int(np.count_nonzero(coupled))
-            self.points.cross[coupled] = 0.0
+            # Passive in a compressed filter: corrected no more.
+            self.points.cross[~current[self.points.group]] = 0.0
         before = self.mean, self.covariance
         self.mean, self.covariance = self.mean.copy(), self.covariance.copy()
         read = read_local_poses(view, self.axis[current])
@@ -274,10 +255,7 @@ def _spans(view: FilterView, axis: Index) -> Mask:
 
 
 def _inverse(covariance: Array) -> Array:
-    """Of covariances (G, 3, 3); zero in directions without variance, where nothing is to learn.
-
-    Nor is there anything to learn from one that is not finite, as a broken filter leaves it.
-    """
+    """Pseudo-inverses of covariances (G, 3, 3); zero where one is not finite."""
     finite = np.isfinite(covariance).all(axis=(1, 2), keepdims=True)
     covariance = np.where(finite, covariance, 0.0)
     sigma = np.sqrt(np.einsum("gii->gi", covariance))

@@ -1,9 +1,8 @@
-"""The life of high level landmarks: passive until seen again, then in the state (Nieto 2005, 6.1).
+"""High level landmarks: passive until measured again, then in the state (Nieto 2005, 6.1).
 
-A passive one is kept in the frame of two of its region's landmarks and moves with the map. What a
-scan says of it, aligned with its template, begins it in the state as eqs. 2.51 to 2.53 do with
-any new landmark: no covariance is made up, and the dense map's is not needed. From then on it
-is observed like the others.
+A passive one is kept in the frame of two of its region's landmarks and moves with the map. The
+first scan that aligns with its template initialises it in the state by eqs. 2.51 to 2.53, as any
+new landmark; no covariance is made up. From then on it is observed like the others.
 """
 
 from __future__ import annotations
@@ -22,8 +21,10 @@ from ekf_reference.dense.high_level import Found, to_world
 from ekf_reference.dense.local_pose import Frames, local_pose, read_local_poses
 from ekf_reference.dense.view import FilterView
 from ekf_reference.models.relative_pose import RelativePose
+from ekf_reference.scan_landmarks.scan_slam import GATE, predicted_frames
 from ekf_reference.scan_landmarks.templates import (
-    Observation,
+    APART,
+    BLANK,
     ObservationOptions,
     Template,
     TemplateMatching,
@@ -33,30 +34,12 @@ from ekf_reference.scan_landmarks.templates import (
 from ekf_reference.scan_matching.alignment_covariance import CovarianceOptions
 from ekf_reference.scan_matching.sog import SumOfGaussians
 
-GATE = 11.345
-"""Squared Mahalanobis distance, 99 % of three degrees of freedom."""
-_REASONS = {
-    "in view": "out of view",
-    "counterpart": "no counterpart",
-    "as well": "ambiguous",
-    "converge": "not converged",
-    "returns": "no returns",
-}
+_COUNTED_AS = {BLANK: "no returns", APART: "no counterpart"}
+"""Names of reasons in `counts`, where these are not the reasons themselves."""
+_SHARE = 0.3
+"""Of a template, in view: it holds what was seen from several sides, which no scan sees at once."""
+_MATCHED = ObservationOptions(overlap=0.4, ambiguous=0.8)
 _OBSERVATION = RelativePose()
-
-
-@dataclass(frozen=True)
-class LifeOptions:
-    """How sightings are made and judged.
-
-    settled: sigmas [m, m, rad] of where the dense map holds a landmark within the frame of two
-    others. share, observation: see scan_landmarks.templates; a template holds what was seen
-    from several sides, so that less of it is in view than of a scan's own.
-    """
-
-    settled: tuple[float, float, float] = (0.3, 0.3, 0.05)
-    share: float = 0.3
-    observation: ObservationOptions = field(default_factory=lambda: ObservationOptions(0.4, 0.8))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,9 +89,13 @@ class Expected(NamedTuple):
 
 @dataclass
 class HighLevelLandmarks:
-    """All that were found. counts: of looks that came to nothing, by reason, and of `seen`."""
+    """All that were found.
 
-    options: LifeOptions = field(default_factory=LifeOptions)
+    settled: sigmas [m, m, rad] of where the dense map holds a landmark within the frame of two
+    others. counts: of looks that came to nothing, by reason, and of `seen`.
+    """
+
+    settled: tuple[float, float, float] = (0.3, 0.3, 0.05)
     landmark: list[HighLevelLandmark] = field(default_factory=list)
     counts: Counter[str] = field(default_factory=Counter)
 
@@ -163,7 +150,10 @@ class HighLevelLandmarks:
 
     def expected(self, ekf: Ekf, view: FilterView, one: HighLevelLandmark) -> Expected | None:
         """Its pose in the vehicle's frame; None where the covariance of what it hangs on is old."""
-        return self._passive(view, one) if one.slot == NEW else _active(ekf, one.slot)
+        if one.slot == NEW:
+            return self._passive(view, one)
+        z, covariance = predicted_frames(ekf, np.array([one.slot]))
+        return Expected(z[0], covariance[0])
 
     def begun(self, sightings: list[Sighting], slot: Index) -> None:
         """The filter has fused sightings and says which of its landmarks (m,) they are."""
@@ -176,7 +166,7 @@ class HighLevelLandmarks:
         vehicle, covariance = (part[0] for part in read_local_poses(view, one.base[None]))
         at = _OBSERVATION.predict(vehicle, one.held[None])
         by_vehicle, by_own = at.jacobian_pose[0], at.jacobian_landmark[0]
-        spread = by_own @ np.diag(np.square(self.options.settled)) @ by_own.T
+        spread = by_own @ np.diag(np.square(self.settled)) @ by_own.T
         return Expected(at.z[0], by_vehicle @ covariance @ by_vehicle.T + spread)
 
     def _sight(
@@ -185,11 +175,11 @@ class HighLevelLandmarks:
         there = _OBSERVATION.predict(scan.mount, expected.z[None])
         turn = there.jacobian_landmark[0]
         prior = turn @ expected.covariance @ turn.T
-        view = replace(scan.view, share=self.options.share)
-        matching = TemplateMatching(view, self.options.observation, belief=one.belief)
+        view = replace(scan.view, share=_SHARE)
+        matching = TemplateMatching(view, _MATCHED, belief=one.belief)
         seen = observe(one.template, scan.shape, there.z[0], prior, matching)
         if not seen.usable or seen.alignment is None:
-            return None, _kind(seen)
+            return None, _COUNTED_AS.get(seen.reason, seen.reason)
         if one.slot == NEW and seen.alignment.open_directions:
             return None, "a direction is open"
         back = _OBSERVATION.invert(scan.mount, seen.alignment.pose[None])
@@ -214,14 +204,3 @@ def _in_the_world(one: HighLevelLandmark, point: Array) -> Array:
     ahead = second - first
     place = Frames.of(first, second).to_world(one.held[:2])
     return np.append(place, one.held[2] + np.arctan2(ahead[1], ahead[0]))
-
-
-def _active(ekf: Ekf, slot: int) -> Expected:
-    local, reading = ekf.state.map_of(np.array([slot]), POSE), ekf.read_pose()
-    at = _OBSERVATION.predict(reading.pose, local.landmark)
-    jacobian = np.hstack((at.jacobian_pose[0] @ reading.jacobian, at.jacobian_landmark[0]))
-    return Expected(at.z[0], jacobian @ local.covariance @ jacobian.T)
-
-
-def _kind(seen: Observation) -> str:
-    return next(kind for end, kind in _REASONS.items() if seen.reason.endswith(end))

@@ -15,7 +15,7 @@ from ekf_reference.scan_matching.sog import SumOfGaussians
 
 
 @dataclass(frozen=True)
-class Surroundings:
+class LocalContext:
     """Reads a dense map with the layers `sog` and `occupancy`, as its landmarks now lie.
 
     margin_m: from the template's points to the sides of the rectangle (Fig. 6.8 b) whose Gaussians

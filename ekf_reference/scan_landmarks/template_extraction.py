@@ -1,18 +1,18 @@
-"""Which pieces of a scan become landmarks (Nieto 2005, sections 5.2.2, 5.2.3 and 5.7).
+"""Which returns of a scan become templates (Nieto 2005, sections 5.2.2, 5.2.3 and 5.7).
 
-The thesis takes segments, and on its car park such of a hundred returns of 361. With ranges and
-bearings as noisy as in Table 5.1 the segment of one object tells a heading to a degree and often
-nothing along its wall: all of a scan's segments apart give about a twentieth of the information
-that its returns hold together. `JoinedSegments` fuses at once what section 5.2.3 would fuse later:
-segments of one scan, whose places relative to each other are known as exactly as the scan is.
-`SingleSegments` keeps them apart, on the objects, where regions of a dense map can hang on them.
+The thesis makes a template of each segment. With the noise of Table 5.1 the segment of one object
+gives a heading to a degree and often nothing along its wall: a scan's segments, each aligned alone,
+give about a twentieth of the information that they give together. `JoinedSegments` makes one
+template of all. `SingleSegments` keeps them apart, so that regions of a dense map can be anchored
+to objects.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import ClassVar, NamedTuple, Protocol
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -31,47 +31,36 @@ class Known(NamedTuple):
     covariance: Array
 
 
-class Pieces(Protocol):
-    """Which returns become landmarks, when, and how much of their templates must be in view.
+@dataclass(frozen=True, kw_only=True)
+class TemplateExtraction(ABC):
+    """Which returns become landmarks, and when.
 
-    visible: only what should be seen of a template is aligned.
+    every: scans between two that may begin some. share: least part of a template that must be in
+    view to be observed (see View). visible: only what should be seen of a template is aligned.
+    segmentation: of the scan, and how a template is tried.
     """
 
-    @property
-    def name(self) -> str:
-        """One word."""
-        ...
+    name: ClassVar[str]
+    every: int
+    share: float
+    visible: bool
+    segmentation: SegmentationOptions
 
-    @property
-    def share(self) -> float:
-        """See View."""
-        ...
-
-    @property
-    def visible(self) -> bool:
-        """See ObservationOptions."""
-        ...
-
-    @property
-    def segmentation(self) -> SegmentationOptions:
-        """Segments, and how pieces are tried."""
-        ...
-
+    @abstractmethod
     def due(self, scans: int, begun: int, used: int) -> bool:
         """Whether the scan of number `scans` may begin some: the last that did was `begun`.
 
         used: landmarks that were seen in this one.
         """
-        ...
 
+    @abstractmethod
     def found(
         self, scan: SumOfGaussians, view: View, ahead: Array, known: Callable[[], list[Known]]
     ) -> Iterator[Index]:
-        """Rows of the scan's returns, by piece. ahead: (2,) where the vehicle goes, length one.
+        """Rows of the scan's returns, by template. ahead: (2,) where the vehicle goes, length one.
 
         known: the landmarks in view, worked out when asked for.
         """
-        ...
 
 
 _TRIAL = SegmentationOptions(
@@ -86,13 +75,13 @@ _JOINED, _SINGLE = (replace(_TRIAL, least_points=least) for least in (8, 15))
 
 
 @dataclass(frozen=True, kw_only=True)
-class JoinedSegments:
+class JoinedSegments(TemplateExtraction):
     """All segments of a scan in one landmark, as far as they stay in view.
 
-    every: scans between two that begin one, as long as fewer than `enough` are seen; one that sees
-    none always does. ahead_m: what is still in view when the vehicle has gone so far is taken, or
-    half and a quarter of it where that leaves fewer than `least` returns. share: less than the
-    thesis' 90 %, as a view changes sooner than what is seen of one object.
+    enough: a scan in which so many landmarks are observed begins none; one with none always does.
+    ahead_m: returns are taken that stay in view when the vehicle moves so far, or half or a quarter
+    of it where that leaves fewer than `least`. share: less than the thesis' 90 %, since the view
+    changes sooner than what is seen of one object.
     """
 
     name: ClassVar[str] = "joined"
@@ -105,13 +94,13 @@ class JoinedSegments:
     segmentation: SegmentationOptions = _JOINED
 
     def due(self, scans: int, begun: int, used: int) -> bool:
-        """See Pieces."""
+        """See TemplateExtraction."""
         return not used or (used < self.enough and scans >= begun + self.every)
 
     def found(
         self, scan: SumOfGaussians, view: View, ahead: Array, known: Callable[[], list[Known]]
     ) -> Iterator[Index]:
-        """See Pieces. One, or none."""
+        """One, or none."""
         parts = segments(scan, self.segmentation)
         if not parts:
             return
@@ -124,14 +113,14 @@ class JoinedSegments:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SingleSegments:
+class SingleSegments(TemplateExtraction):
     """A landmark for each segment that no other one explains, the longest first.
 
-    every: scans between two that may begin some. tried: most segments whose quality is tried
-    then. ahead_m: a segment must still be in view when the vehicle has gone so far. apart_m: a new
-    landmark's axis is at least so far from all others; explained_m: a return that is nearer to a
-    template's point is that landmark's, and explained: a segment with such a share of these is no
-    new one; the landmark's uncertainty is added to both distances. share: the thesis' 90 %.
+    tried: most segments of a scan whose quality is tried. ahead_m: a segment must stay in view when
+    the vehicle moves so far. apart_m: least distance of a new landmark's axis to all others.
+    explained_m, explained: a return so near to a template's point belongs to that landmark, and a
+    segment with a larger share of such returns is no new one. The landmark's uncertainty is added
+    to both distances. share: the thesis' 90 %.
     """
 
     name: ClassVar[str] = "single"
@@ -146,13 +135,13 @@ class SingleSegments:
     segmentation: SegmentationOptions = _SINGLE
 
     def due(self, scans: int, begun: int, used: int) -> bool:
-        """See Pieces."""
+        """See TemplateExtraction."""
         return self.every == 1 or scans % self.every == 1
 
     def found(
         self, scan: SumOfGaussians, view: View, ahead: Array, known: Callable[[], list[Known]]
     ) -> Iterator[Index]:
-        """See Pieces."""
+        """See TemplateExtraction."""
         in_view, tried = known(), 0
         for rows in sorted(segments(scan, self.segmentation), key=len, reverse=True):
             if tried >= self.tried:

@@ -8,7 +8,7 @@ import numpy as np
 
 from ekf_reference.core.geometry import Array, Index
 from ekf_reference.dense.scan import Sensor
-from ekf_reference.scan_landmarks.pieces import JoinedSegments, Known, SingleSegments
+from ekf_reference.scan_landmarks.template_extraction import JoinedSegments, Known, SingleSegments
 from ekf_reference.scan_landmarks.templates import Template, View
 from ekf_reference.scan_matching.scan_shape import of_scan
 from ekf_reference.scan_matching.sog import SumOfGaussians
@@ -32,8 +32,10 @@ def none() -> list[Known]:
     return []
 
 
-def found(pieces: JoinedSegments | SingleSegments, known: list[Known] | None = None) -> list[Index]:
-    return list(pieces.found(scan(), VIEW, AHEAD, lambda: known or []))
+def found(
+    extraction: JoinedSegments | SingleSegments, known: list[Known] | None = None
+) -> list[Index]:
+    return list(extraction.found(scan(), VIEW, AHEAD, lambda: known or []))
 
 
 def test_joined_segments_are_one_piece_of_what_stays_in_view() -> None:
@@ -57,11 +59,11 @@ def test_what_lies_ahead_is_where_the_vehicle_goes() -> None:
 
 
 def test_a_new_one_is_due_when_too_few_are_seen() -> None:
-    pieces = JoinedSegments(every=5, enough=3)
-    assert pieces.due(scans=7, begun=6, used=0)
-    assert not pieces.due(scans=7, begun=6, used=1)
-    assert pieces.due(scans=11, begun=6, used=2)
-    assert not pieces.due(scans=11, begun=6, used=3)
+    extraction = JoinedSegments(every=5, enough=3)
+    assert extraction.due(scans=7, begun=6, used=0)
+    assert not extraction.due(scans=7, begun=6, used=1)
+    assert extraction.due(scans=11, begun=6, used=2)
+    assert not extraction.due(scans=11, begun=6, used=3)
     single = SingleSegments(every=2)
     assert [single.due(n, 0, 9) for n in (1, 2, 3)] == [True, False, True]
 

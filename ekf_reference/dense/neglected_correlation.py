@@ -1,19 +1,18 @@
-"""The error layer: how far what a dense map leaves out may still move its data (N 3.6).
+"""Bound of the correlation that dense maps neglect (Nieto 2005, section 3.6).
 
-A map that keeps local coordinates for good ignores eq. 3.16. All that later updates can add up to
-is bounded beforehand: they cannot take away more doubt than the vehicle and the base landmarks
-had about each other when a point was fused. The sensor's own noise stays and moves nothing.
+A map that keeps local coordinates for good ignores eq. 3.16. The sum of all later changes is
+bounded by the relative uncertainty of the vehicle and the base landmarks when a point was fused.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
 from ekf_reference.core.geometry import Array, Index
+from ekf_reference.dense.layers.gaussians import largest_sigma
 from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.triangles import global_jacobians, to_local, turned
 from ekf_reference.dense.view import FilterView
@@ -27,31 +26,6 @@ class Carriers(NamedTuple):
 
     slot: Index
     share: Array
-
-
-Corners = Callable[[FilterView, Index, Array], Carriers]
-"""The carriers of points (k, 2) [m] in regions with corners (k, 3)."""
-
-
-def landmark_corners(view: FilterView, base: Index, point: Array) -> Carriers:
-    """The three base landmarks, 1 - alpha - beta, alpha and beta of them (Nieto 2005, eq. 3.7).
-
-    Raises DegenerateTriangleError.
-    """
-    triangle = view.landmark[base]
-    return Carriers(base, global_jacobians(triangle, to_local(triangle, point)).by_landmarks)
-
-
-def corners_of(regions: LocalRegions) -> Corners:
-    """The same where corners may be virtual, which follow their two landmarks in turn."""
-
-    def corners(view: FilterView, base: Index, point: Array) -> Carriers:
-        triangle = regions.corners(view.landmark)[base]
-        place, lift = regions.virtual.lift(base)
-        by_corners = global_jacobians(triangle, to_local(triangle, point)).by_landmarks
-        return Carriers(place, by_corners @ lift)
-
-    return corners
 
 
 def neglected_covariance(view: FilterView, carriers: Carriers, point: Array) -> Array:
@@ -86,31 +60,38 @@ def neglected_covariance(view: FilterView, carriers: Carriers, point: Array) -> 
 class NeglectedCorrelation:
     """Per region, the standard deviation [m] that its data's place was fused with.
 
-    corners: who knows what a region's corners are. The arrays grow with the regions: largest_m:
-    (R,). mean_m: (R,), over points. count: (R,) points noted. NaN where there are none.
+    The arrays grow with the regions: largest_m: (R,). mean_m: (R,), over points. count: (R,) points
+    noted. NaN where there are none.
     """
 
-    corners: Corners = landmark_corners
+    regions: LocalRegions
     largest_m: Array = field(default_factory=lambda: np.empty(0))
     mean_m: Array = field(default_factory=lambda: np.empty(0))
     count: Array = field(default_factory=lambda: np.empty(0))
 
-    def note(
-        self,
-        view: FilterView,
-        base: Index,
-        region: Index,
-        point: Array,
-        weight: Array | None = None,
-    ) -> Array:
-        """One scan; returns its standard deviations (k,) [m], in the worst direction.
+    def carriers(self, view: FilterView, region: Index, point: Array) -> Carriers:
+        """Landmarks that points (k, 2) [m] in regions (k,) follow (Nieto 2005, eq. 3.7).
 
-        base: (R, 3) corners of all regions. region: (k,) those that got points, each once. point:
-        (k, 2) [m] the mean of what each got. weight: (k,) how many that were; one by default. A
-        region that is NaN in the answer is left as it was: not all of its covariance is current.
+        Their shares are 1 - alpha - beta, alpha and beta of the corners, of which virtual ones
+        follow their two landmarks in turn. Raises DegenerateTriangleError.
         """
-        self._grow(len(base))
-        sigma = self.sigma_now(view, base, region, point)
+        base = self.regions.base[region]
+        triangle = self.regions.corners(view.landmark)[base]
+        slot, lift = self.regions.virtual.lift(base)
+        by_corners = global_jacobians(triangle, to_local(triangle, point)).by_landmarks
+        return Carriers(slot, by_corners @ lift)
+
+    def note(
+        self, view: FilterView, region: Index, point: Array, weight: Array | None = None
+    ) -> Array:
+        """Note one scan; returns its standard deviations (k,) [m], in the worst direction.
+
+        region: (k,) those that got points, each once. point: (k, 2) [m] the mean of what each got.
+        weight: (k,) how many that were; one by default. A region that is NaN in the answer is left
+        as it was: not all of its covariance is current.
+        """
+        self._grow(len(self.regions.base))
+        sigma = self.sigma_now(view, region, point)
         known = np.isfinite(sigma)
         row, new = region[known], sigma[known]
         more = np.ones(len(row)) if weight is None else weight[known]
@@ -120,11 +101,9 @@ class NeglectedCorrelation:
         self.mean_m[row] = before + (new - before) * more / self.count[row]
         return sigma
 
-    def sigma_now(self, view: FilterView, base: Index, region: Index, point: Array) -> Array:
+    def sigma_now(self, view: FilterView, region: Index, point: Array) -> Array:
         """(k,) standard deviations [m] of one scan, as `note` returns them, without noting."""
-        return _worst_sigma(
-            neglected_covariance(view, self.corners(view, base[region], point), point)
-        )
+        return largest_sigma(neglected_covariance(view, self.carriers(view, region, point), point))
 
     def sigma_m(self, region: Index) -> Array:
         """(k,) mean standard deviation of regions (k,); twice of it is rarely exceeded."""
@@ -138,10 +117,3 @@ class NeglectedCorrelation:
         self.largest_m = np.concatenate((self.largest_m, np.full(more, np.nan)))
         self.mean_m = np.concatenate((self.mean_m, np.full(more, np.nan)))
         self.count = np.concatenate((self.count, np.zeros(more)))
-
-
-def _worst_sigma(covariance: Array) -> Array:
-    """Root of the larger eigenvalue of covariances (k, 2, 2); (k,)."""
-    xx, xy, yy = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
-    worst: Array = np.sqrt(np.maximum(0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy), 0.0))
-    return worst

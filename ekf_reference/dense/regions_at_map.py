@@ -25,7 +25,7 @@ class Located(NamedTuple):
 
 
 @dataclass(frozen=True)
-class PlacedRegions:
+class RegionsAtMap:
     """Regions with their landmarks where these are now; a snapshot.
 
     triangle: (R, 3, 2) [m]. tree: over their boxes.
@@ -37,14 +37,14 @@ class PlacedRegions:
     def locate(self, point: Array) -> Located:
         """Find the regions of points (N, 2) [m], in logarithmic time each.
 
-        A point on a shared edge, or where landmarks have moved so that regions overlap, is in
-        the oldest of its regions: never in two. Not finite points are outside all.
+        A point in several regions, on a shared edge or where regions overlap by now, is in the
+        oldest. Points that are not finite are outside all.
         """
         reach = ON_AN_EDGE * self._extent
         asked = np.where(np.isfinite(point).all(axis=1, keepdims=True), point, np.nan)
         asked = np.concatenate((asked - reach, asked + reach), axis=1)
         near, tree = self._around(asked)
-        query, place, _ = tree.meeting(asked)
+        query, place = tree.meeting(asked)
         item = near[place]
         usable = ~is_degenerate(self.triangle[item])
         query, item = query[usable], item[usable]
