@@ -10,6 +10,7 @@ from ekf_reference.core.geometry import Array, Index
 def stack(jacobian_pose: Array, jacobian_landmark: Array) -> Array:
     """Return one Jacobian (r m, p + w m) of m measurements, in the order of Layout.columns.
 
+    Source: Guivant 2002, eq. 3.
     jacobian_pose: (m, r, p). jacobian_landmark: (m, r, w).
 
     Two measurements of one landmark get two sets of columns with the same state entries, which

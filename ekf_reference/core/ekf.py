@@ -139,7 +139,10 @@ class Ekf:
         return slots
 
     def predict(self, control: Array, covariance: Array, duration_s: float) -> None:
-        """Move under a control (m,) with covariance (m, m) for a time (Nieto 2005, 2.32, 2.36)."""
+        """Move under a control (m,) with covariance (m, m) for a time.
+
+        Source: Guivant 2002, eq. 7; Misono 2007, eqs. 10 and 11; Nieto 2005, eqs. 2.32 to 2.36.
+        """
         departed = self.state.pose
         step = self.motion.step(departed, control, duration_s)
         b = step.jacobian_control

@@ -50,6 +50,7 @@ class Layout:
     def columns(self, slot: Index, width: int = POINT) -> Index:
         """Return the entries (p + w m,) of the pose and some landmarks (m,) of a kind.
 
+        Source: Guivant 2002, eq. 4; Misono 2007, eq. 7; Nieto 2005, eqs. 2.2, 2.12, 2.25, 5.3, 6.1.
         Raises ValueError for a landmark that is absent.
         """
         p, first = self.pose_size, self.first[width][slot]

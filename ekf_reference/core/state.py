@@ -119,7 +119,7 @@ class KalmanState:
 
     @property
     def pose(self) -> Array:
-        """(p,) x, y and the direction; a copy."""
+        """(p,) x, y and the direction; a copy (Nieto 2005, eqs. 2.26, 5.4 and 6.2)."""
         return self._mean[: self._layout.pose_size].copy()
 
     @property
@@ -129,7 +129,7 @@ class KalmanState:
 
     @property
     def landmarks(self) -> Array:
-        """(L, 2) all points; NaN where one was removed."""
+        """(L, 2) all points; NaN where one was removed (Nieto 2005, eqs. 2.27 and 6.3)."""
         return self.places(POINT)
 
     @property
@@ -138,7 +138,10 @@ class KalmanState:
         return len(self.layout.first[POINT])
 
     def places(self, width: int) -> Array:
-        """Return all landmarks (L, w) of a kind, a copy; NaN where one was removed."""
+        """Return all landmarks (L, w) of a kind, a copy; NaN where one was removed.
+
+        Source: Nieto 2005, eqs. 5.5 and 6.4.
+        """
         first = self._layout.first[width]
         place: Array = self._mean[first[:, None] + np.arange(width)]
         place[first < 0] = np.nan
@@ -182,7 +185,10 @@ class KalmanState:
         return part
 
     def predict(self, pose: Array, jacobian_pose: Array, noise: Array) -> None:
-        """Move the vehicle; the map stays (Nieto 2005, eqs. 2.32 and 2.36).
+        """Move the vehicle; the map stays.
+
+        Source: Guivant 2002, eqs. 5 to 7; Misono 2007, eqs. 1, 6 and 11; Nieto 2005, eqs. 2.14 and
+        2.32 to 2.36. The Jacobian of the whole is diag(jacobian_pose, I).
 
         pose: (p,) f(x, u). jacobian_pose: (p, p). noise: (p, p), all of the step's noise.
         """
@@ -197,8 +203,10 @@ class KalmanState:
     def update(
         self, columns: Index, jacobian: Array, innovation: Array, noise: Array
     ) -> Correction:
-        """Fuse one stacked measurement (Nieto 2005, eqs. 2.39 and 2.45 to 2.47).
+        """Fuse one stacked measurement.
 
+        Source: Guivant 2002, eq. 8; Misono 2007, eqs. 13 to 15; Nieto 2005, eqs. 2.39, 2.45 to 2.47
+        and, for entries that are not measured, 3.11.
         Errata: 2.39 is printed S = H P H + R and 2.47 W = P H S^-1; the transposes belong there.
 
         columns: (c,) state entries the measurement depends on. jacobian: (m, c) with respect to
@@ -229,7 +237,7 @@ class KalmanState:
     def augment(
         self, landmark: Array, jacobian_pose: Array, jacobian_z: Array, noise: Array
     ) -> None:
-        """Append m landmarks, correlated through the vehicle (Nieto 2005, eqs. 2.51 to 2.53).
+        """Append m landmarks, correlated through the vehicle (Nieto 2005, eqs. 2.48 to 2.53).
 
         landmark: (m, w). jacobian_pose: (m, w, p). jacobian_z: (m, w, w). noise: (m, w, w), R.
         """
@@ -274,12 +282,12 @@ class KalmanState:
         shift: Array,
         spared: Index,
     ) -> None:
-        """Take over what a local filter learnt (the global update of the compressed filter).
+        """Take over what a local filter learnt: the global update of the compressed filter.
 
-        columns: (a,) entries that the local state started from. local: its state now, further
+        Source: Guivant 2002, eqs. 17, 20, 21 and 23. columns: (a,) entries that the local state started from. local: its state now, further
         landmarks behind the first a. transition: (a', a) phi. root: (n, k) with
         Delta P = root root^T, shift: (n,) correction of the mean, for entries outside. spared:
-        entries whose covariance with each other stays as it is (Guivant 2002, eqs. 22 and 23).
+        entries whose covariance with each other stays as it is.
         """
         n, a = self._layout.size, len(columns)
         total = n + local._layout.size - a

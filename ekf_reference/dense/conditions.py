@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,7 +52,28 @@ def flip_margin(triangle: Array, covariance: Array) -> Array:
     a, b = axes(triangle)
     by_landmarks = np.concatenate((turned(a - b), turned(b), -turned(a)), axis=-1)
     variance = np.einsum("...i,...ij,...j->...", by_landmarks, covariance, by_landmarks)
-    size, sigma = np.abs(determinant(triangle)), np.sqrt(np.maximum(variance, 0.0))
+    return _ratio(np.abs(determinant(triangle)), np.sqrt(np.maximum(variance, 0.0)))
+
+
+def ellipse_margin(triangle: Array, covariance: Array) -> Array:
+    """Return by how many sigmas a landmark's ellipse may grow to the opposite axis (C,).
+
+    The thesis' form (Nieto 2005, section 3.5, Fig. 3.10 a): the smallest over the three landmarks,
+    correlations left out. triangle: (C, 3, 2). covariance: (C, 6, 6).
+    """
+    margins = []
+    for corner in range(3):
+        opposite = triangle[:, corner - 1] - triangle[:, corner - 2]
+        length = np.linalg.norm(opposite, axis=-1, keepdims=True)
+        normal, columns = turned(opposite) / length, slice(2 * corner, 2 * corner + 2)
+        variance = np.einsum("ci,cij,cj->c", normal, covariance[:, columns, columns], normal)
+        margins.append(_ratio(np.abs(determinant(triangle)) / length[:, 0], np.sqrt(variance)))
+    least: Array = np.min(margins, axis=0)
+    return least
+
+
+def _ratio(size: Array, sigma: Array) -> Array:
+    """Size in sigmas, infinite where there is no uncertainty."""
     certain = sigma <= 0.0
     ratio: Array = np.where(certain, np.inf, size / np.where(certain, 1.0, sigma))
     return ratio
@@ -72,13 +94,16 @@ class Conditions:
 
     least_correlation: of every pair of base landmarks. known_apart_m: standard deviation of a
     pair's relative position below which any correlation will do; 0 for none, as in the thesis.
-    flip_sigmas: how many standard deviations a region must be away from turning over.
+    flip_sigmas: how many standard deviations a region must be away from turning over. margin: how
+    these are counted, flip_margin or the thesis' ellipse_margin, which refuses everything where
+    the pose is poorly known.
     least_angle_rad: of the three corners. longest_edge_m: of the three edges.
     """
 
     least_correlation: float = 0.9
     known_apart_m: float = 0.0
     flip_sigmas: float = 3.0
+    margin: Callable[[Array, Array], Array] = flip_margin
     least_angle_rad: float = math.radians(15.0)
     longest_edge_m: float = 25.0
 
@@ -105,7 +130,7 @@ class Conditions:
     def well_conditioned(self, triangle: Array, covariance: Array) -> Mask:
         """Which triangles (C, 3, 2) with covariances (C, 6, 6) keep their shape; (C,)."""
         wide = smallest_angle(triangle) >= self.least_angle_rad
-        safe: Mask = wide & (flip_margin(triangle, covariance) >= self.flip_sigmas)
+        safe: Mask = wide & (self.margin(triangle, covariance) >= self.flip_sigmas)
         return safe
 
 

@@ -95,8 +95,8 @@ def contains(local: Array, tolerance: float = 0.0) -> Mask:
     """Whether local coordinates (..., 2) lie in their triangle; (...,).
 
     Nieto 2005, eqs. 3.7 and C.2 print alpha > 0, beta > 0, alpha + beta <= 1: this leaves out two
-    of the three edges, so that a point on a shared edge may be in both regions or none. Here all edges
-    belong, and who locates points breaks the tie.
+    of the three edges, so that a point on a shared edge may be in both regions or none. Here all
+    edges belong, and who locates points breaks the tie.
     """
     inside: Mask = (local.min(axis=-1) >= -tolerance) & (local.sum(axis=-1) <= 1.0 + tolerance)
     return inside

@@ -69,7 +69,7 @@ def to_heading(pose: Array) -> Array:
 
 @dataclass(frozen=True)
 class DirectionCosineMotion:
-    """Any vehicle model on this pose: x' = F x + B n (Misono 2007, eqs. 2 to 6).
+    """Any vehicle model on this pose: x' = F x + B n (Misono 2007, eqs. 1 to 6 and 10).
 
     `motion` says how far the vehicle goes in its own frame: dx, dy and a turn. Eq. 4 is the case
     of a turn first and the way afterwards, dx = d cos(turn), dy = d sin(turn), where dx and dy

@@ -54,7 +54,10 @@ class AckermannModel:
     sensor_left_m: float = 0.0
 
     def step(self, pose: Array, control: Array, duration_s: float) -> MotionStep:
-        """Euler step of Nieto 2005, eq. A.4, with Jacobians A.5 to A.15."""
+        """Euler step of Nieto 2005, eqs. 2.5 and A.1 to A.4, with Jacobians 2.35 and A.5 to A.15.
+
+        Guivant 2002, eq. 9 is the Jacobian by the pose.
+        """
         x, y, heading = pose.tolist()
         speed_encoder, steering = control.tolist()
         a, b, dt = self.sensor_forward_m, self.sensor_left_m, duration_s

@@ -32,7 +32,11 @@ class RangeBearing:
         return z[:, 0]
 
     def predict(self, pose: Array, landmarks: Array) -> PredictedMeasurements:
-        """Predict range and bearing of points (m, 2) from a pose (3,)."""
+        """Predict range and bearing of points (m, 2) from a pose (3,).
+
+        Source: Guivant 2002, eqs. 2 and 9; Nieto 2005, eqs. 2.7, 2.8, 2.37, 2.40 to 2.44, 3.13 and
+        3.17 to 3.20.
+        """
         dx = landmarks[:, 0] - pose[0]
         dy = landmarks[:, 1] - pose[1]
         q = dx * dx + dy * dy
@@ -49,7 +53,7 @@ class RangeBearing:
         return PredictedMeasurements(z, jacobian_pose, jacobian_landmark)
 
     def innovation(self, z: Array, predicted: Array) -> Array:
-        """Return z - predicted (..., 2), bearing wrapped (Nieto 2005, eqs. 2.38, 2.57)."""
+        """Return z - predicted (..., 2), bearing wrapped (Nieto 2005, eqs. 2.38, 2.57, 3.15)."""
         difference = z - predicted
         difference[..., 1] = wrap_angle(difference[..., 1])
         return difference

@@ -9,6 +9,7 @@ from ekf_reference.dense.conditions import (
     Conditions,
     coordinate_correlation,
     crosses,
+    ellipse_margin,
     flip_margin,
     overlap,
     relative_sigma,
@@ -54,7 +55,27 @@ def test_margins_tell_how_likely_a_region_flips() -> None:
     margin = flip_margin(triangle, covariance)[0]
     from_margin = 0.5 * np.mean(np.abs(rng.standard_normal(1_000_000)) > margin)
     assert np.isclose(share, from_margin, rtol=0.1)
+    # The thesis' form without correlations: height 2 m over a sigma of the landmark.
+    assert np.isclose(ellipse_margin(triangle, covariance)[0], 2.0 / np.hypot(4.0, 0.8))
     assert np.isinf(flip_margin(triangle, np.zeros((1, 6, 6)))[0])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_ellipses_touch_the_opposite_axis_at_the_margin(seed: int) -> None:
+    """Grown by the margin, one ellipse touches its opposite axis and none crosses."""
+    rng = np.random.default_rng(seed)
+    triangle, covariance = rng.uniform(-20, 20, (3, 2)), random_covariance(rng, 6)
+    margin = ellipse_margin(triangle[None], covariance[None])[0]
+    turn = np.linspace(0, 2 * np.pi, 20_001)
+    circle = np.stack((np.cos(turn), np.sin(turn)))
+    opposite = []  # barycentric coordinate of each landmark's ellipse, zero on the other two's line
+    for corner in range(3):
+        root = np.linalg.cholesky(covariance[2 * corner :, 2 * corner :][:2, :2])
+        ellipse = triangle[corner] + margin * (root @ circle).T
+        first, second = triangle[corner - 2], triangle[corner - 1]
+        frame = np.stack((first, triangle[corner], second))
+        opposite.append(to_local(frame, ellipse)[:, 0].min())
+    assert np.isclose(min(opposite), 0.0, atol=1e-6)
 
 
 def test_angles() -> None:
