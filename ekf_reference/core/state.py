@@ -284,10 +284,10 @@ class KalmanState:
     ) -> None:
         """Take over what a local filter learnt: the global update of the compressed filter.
 
-        Source: Guivant 2002, eqs. 17, 20, 21 and 23. columns: (a,) entries that the local state started from. local: its state now, further
-        landmarks behind the first a. transition: (a', a) phi. root: (n, k) with
-        Delta P = root root^T, shift: (n,) correction of the mean, for entries outside. spared:
-        entries whose covariance with each other stays as it is.
+        Source: Guivant 2002, eqs. 17, 20, 21 and 23. columns: (a,) entries that the local state
+        started from. local: its state now, new landmarks behind the first a. transition: (a', a)
+        phi. root: (n, k) with Delta P = root root^T, and shift: (n,) of the mean, for entries
+        outside. spared: entries whose covariance with each other stays as it is.
         """
         n, a = self._layout.size, len(columns)
         total = n + local._layout.size - a

@@ -15,6 +15,7 @@ from comparisons.checks.diagnosis.linearisation_growth import linearisation_grow
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
 from comparisons.pipeline.compare import Comparison
+from ekf_reference.core.landmark_types import POSE
 from graphslam.model_system import LinearisationPoints, RelationPoints, model_system
 from graphslam.problem import SlamProblem
 from tests.helpers import Array, compared, simulated
@@ -140,9 +141,11 @@ def test_a_stretch_with_scan_landmarks_seen_is_no_dropout() -> None:
     c = compared(silent(simulated(seed=3, loop_s=30.0), 10.0, 22.0))
     assert find_dropouts(c.ekf, c.smoothed).stretches
     steps = np.arange(len(c.ekf.trace.departed))
-    for kind in ("oriented_updates", "oriented_augmentations"):
-        seen = replace(getattr(c.ekf.trace, kind), step=steps)
-        run = replace(c.ekf, trace=replace(c.ekf.trace, **{kind: seen}))
+    trace = c.ekf.trace
+    for kind in ("measurements", "initialisations"):
+        records = getattr(trace, kind)
+        seen = {**records, POSE: replace(records[POSE], step=steps)}
+        run = replace(c.ekf, trace=replace(trace, **{kind: seen}))
         assert not find_dropouts(run, c.smoothed).stretches
 
 
