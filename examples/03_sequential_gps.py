@@ -35,8 +35,9 @@ def main() -> dict[str, float]:
             ekf.fixes = PositionFixes(model, gate=math.inf, splitter=splitter)
             ekf.fix_position(z, SIGMA_POSITION_M**2 * np.eye(2))
             error = ekf.state.pose - pose
-            nees[name] += error @ np.linalg.solve(ekf.state.pose_covariance, error) / TRIALS
-            squares[name] += error[2] ** 2 / TRIALS
+            own = error @ np.linalg.solve(ekf.state.pose_covariance, error)
+            nees[name] += float(own) / TRIALS
+            squares[name] += float(error[2]) ** 2 / TRIALS
     for name in ways:
         degrees = math.degrees(math.sqrt(squares[name]))
         print(f"fused {name}: heading {degrees:.2f} degrees off (rms), mean NEES {nees[name]:.1f}")

@@ -2,7 +2,7 @@
 
 The published filter keeps cosine and sine of the heading as two free numbers and takes their
 columns of the measurement Jacobian for zero (Misono 2007, eq. 9). Renormalised, with the full
-Jacobian, it is the filter of x, y, heading.
+Jacobian, it is a filter of x, y, heading that measures landmarks in the vehicle's axes.
 
 python examples/04_misono.py
 """

@@ -27,7 +27,7 @@ from ekf_reference.models.range_bearing import RangeBearing
 SIDE_M, SPEED_MPS, STEP_S, REACH_M, RADIUS_M = 60.0, 1.0, 1.0, 14.0, 0.5
 SIGMA = np.array((0.05, math.radians(0.5)))  # range [m], bearing [rad]
 SIGMA_CONTROL = np.array((0.02, math.radians(0.8)))  # speed [m/s], yaw rate [rad/s]
-SENSOR = Sensor(*SIGMA.tolist(), beam_rad=math.radians(1.0))
+SENSOR = Sensor(float(SIGMA[0]), float(SIGMA[1]), beam_rad=math.radians(1.0))
 
 
 def main(figure: str | None = None) -> dict[str, float]:
@@ -100,11 +100,12 @@ def off_surface(point: Array, objects: Array) -> float:
 def plot(figure: str, maps: dict[str, Array], objects: Array, landmarks: Array) -> None:
     """Draw both maps."""
     import matplotlib.pyplot as plt
+    from matplotlib.patches import Circle
 
     _, axes = plt.subplots(1, 2, figsize=(12, 6), sharex=True, sharey=True)
     for ax, (name, point) in zip(axes, maps.items(), strict=True):
         for centre in objects:
-            ax.add_patch(plt.Circle(centre, RADIUS_M, fill=False, color="k", lw=0.5))
+            ax.add_patch(Circle((centre[0], centre[1]), RADIUS_M, fill=False, color="k", lw=0.5))
         ax.plot(*landmarks.T, "k^", ms=3)
         ax.plot(*point.T, ".", ms=1, color="tab:blue")
         ax.set(xlabel="x [m]", title=f"points {name}", aspect="equal")

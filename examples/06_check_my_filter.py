@@ -19,6 +19,7 @@ from comparisons.estimates.external import read_given
 from comparisons.estimates.folder import write_estimate
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Array, Log
+from comparisons.logs.odometry import SteeringOdometry
 from comparisons.pipeline.check import GivenCheck, check
 from ekf_reference.models.motion import AckermannModel
 
@@ -30,11 +31,13 @@ class MyEkf:
 
     def __init__(self, log: Log, bug: str) -> None:
         """Bug: one of BUGS."""
+        if not isinstance(log.odometry, SteeringOdometry):
+            raise TypeError("expected a log with steering odometry")
         self.bug, self.motion = bug, AckermannModel(**vars(log.odometry.vehicle))
         self.noise = log.odometry.noise
         self.x, self.p = log.prior.pose.copy(), log.prior.covariance.copy()
         self.slot: dict[int, int] = {}
-        self.trace: dict[str, list] = defaultdict(list)
+        self.trace: dict[str, list[Array]] = defaultdict(list)
 
     def predict(self, control: Array, covariance: Array, duration_s: float, end_s: float) -> None:
         """Move the vehicle; write down F and Q."""
@@ -83,7 +86,7 @@ class MyEkf:
         jacobians = {"jacobian_pose": h_v, "jacobian_landmark": h_l}
         self.note("update", **seen, pose=pose, point=point, noise=r, innovation=nu, **jacobians)
 
-    def note(self, part: str, **arrays: object) -> None:
+    def note(self, part: str, **arrays: Array | float) -> None:
         """Append a row to the trace."""
         for name, value in arrays.items():
             self.trace[f"{part}_{name}"].append(np.array(value))
@@ -116,8 +119,9 @@ def run(log: Log, timeline: Timeline, bug: str, folder: Path) -> None:
         information="filtered",
     )
     write_estimate(estimate, folder)
-    prior = {"prior_pose": log.prior.pose, "prior_covariance": log.prior.covariance}
-    np.savez(folder / "trace.npz", **prior, **{k: np.array(v) for k, v in ekf.trace.items()})
+    arrays = {name: np.array(rows) for name, rows in ekf.trace.items()}
+    arrays |= {"prior_pose": log.prior.pose, "prior_covariance": log.prior.covariance}
+    np.savez(folder / "trace.npz", **arrays)  # type: ignore[arg-type]
 
 
 def main() -> dict[str, GivenCheck]:

@@ -142,10 +142,12 @@ def test_a_stretch_with_scan_landmarks_seen_is_no_dropout() -> None:
     assert find_dropouts(c.ekf, c.smoothed).stretches
     steps = np.arange(len(c.ekf.trace.departed))
     trace = c.ekf.trace
-    for kind in ("measurements", "initialisations"):
-        records = getattr(trace, kind)
-        seen = {**records, POSE: replace(records[POSE], step=steps)}
-        run = replace(c.ekf, trace=replace(trace, **{kind: seen}))
+    used, new = trace.measurements, trace.initialisations
+    for seen in (
+        replace(trace, measurements={**used, POSE: replace(used[POSE], step=steps)}),
+        replace(trace, initialisations={**new, POSE: replace(new[POSE], step=steps)}),
+    ):
+        run = replace(c.ekf, trace=seen)
         assert not find_dropouts(run, c.smoothed).stretches
 
 
