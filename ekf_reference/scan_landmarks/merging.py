@@ -30,7 +30,7 @@ class MergeSink(Protocol):
     """Receives, for a filter, the measurement that two of its landmarks are one."""
 
     def fuse(self, first: int, second: int, z: Array, covariance: Array) -> LocalMap:
-        """See Ekf.fuse_oriented."""
+        """See merge_update.merge_landmarks."""
         ...
 
 
@@ -147,7 +147,7 @@ def relative(ekf: Ekf, first: int, second: int) -> Pair:
 def united(first: Template, second: Template, known: LocalMap) -> SumOfGaussians:
     """Return the union of two templates in the first's frame (Nieto 2005, eqs. 5.6 to 5.12).
 
-    known: the two landmarks, as Ekf.fuse_oriented returns them; the uncertainty between the frames
+    known: the two landmarks, as merge_landmarks returns them; the uncertainty between the frames
     is added to that of the second's Gaussians. Errata: see frames.
     """
     joint = known.covariance[len(known.pose) :, len(known.pose) :]

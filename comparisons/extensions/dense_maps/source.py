@@ -234,7 +234,7 @@ class DenseWatcher:
         """
         layer, landmark = self._dense.layers["values"], self._dense.landmark
         placed = self._dense.regions.placed(landmark)
-        number = len(self._kinds) * slot + self._kinds.index(POINT)  # see Layout.numbered
+        number = len(self._kinds) * slot + self._kinds.index(POINT)  # see dense.view.numbered
         return cast(Values, layer).around(landmark[number], placed, AROUND_M)
 
     @property
