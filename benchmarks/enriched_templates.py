@@ -30,9 +30,9 @@ from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.source import build_map
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.report.picture import blank, save
-from ekf_reference.dense.high_level import Around, search, to_world, within
 from ekf_reference.dense.layers.gaussians import Gaussians
 from ekf_reference.models.relative_pose import RelativePose
+from ekf_reference.scan_landmarks.high_level import Around, search, to_world, within
 from ekf_reference.scan_landmarks.templates import Template
 from ekf_reference.scan_matching.scan_shape import of_scan
 from ekf_reference.scan_matching.sog import SumOfGaussians

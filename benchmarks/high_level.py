@@ -32,7 +32,7 @@ from comparisons.extensions.high_level.source import HighLevelOptions, HighLevel
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
 from ekf_reference.core.geometry import wrap_angle
-from ekf_reference.dense.high_level import Around, search
+from ekf_reference.scan_landmarks.high_level import Around, search
 
 Array = NDArray[np.float64]
 

@@ -291,6 +291,46 @@ def test_an_import_upward_is_found() -> None:
     assert upward(edges) == ["comparisons.checks.verdict imports comparisons.report.rows"]
 
 
+ROOMS = {
+    "core": {"core", "models"},
+    "models": {"core"},
+    "filters": {"core", "models"},
+    "association": {"association", "core"},
+    "features": {"core"},
+    "dense": {"association", "core", "dense"},
+    "scan_matching": {"core", "dense", "scan_matching"},
+    "scan_landmarks": {"core", "dense", "models", "scan_landmarks", "scan_matching"},
+}
+"""Folders of ekf_reference, and those that each may import: the filter knows no feature."""
+
+
+def trespasses(sources: Iterable[tuple[str, str]]) -> list[str]:
+    """Return the imports of ekf_reference's folders from others than they may know.
+
+    sources: folder and text of each module.
+    """
+    return sorted(
+        {
+            f"{room} imports {name.split('.')[1]}"
+            for room, source in sources
+            for name in loads(ast.parse(source).body)
+            if name.startswith("ekf_reference.") and name.split(".")[1] not in ROOMS[room]
+        }
+    )
+
+
+def test_rooms_of_the_reference_know_only_those_below() -> None:
+    paths = [path for room in ROOMS for path in (ROOT / "ekf_reference" / room).rglob("*.py")]
+    assert len(paths) == len(list((ROOT / "ekf_reference").rglob("*.py"))) - 1
+    rooms = [path.relative_to(ROOT / "ekf_reference").parts[0] for path in paths]
+    assert trespasses(zip(rooms, (path.read_text() for path in paths), strict=True)) == []
+
+
+def test_a_filter_that_knows_a_feature_is_found() -> None:
+    source = "from ekf_reference.scan_landmarks.merging import DuplicateMerging"
+    assert trespasses([("filters", source)]) == ["filters imports scan_landmarks"]
+
+
 def test_no_extension_imports_another_but_what_it_stands_on() -> None:
     """A feature knows nobody's internals: only sources that another one offers."""
     stands_on = {

@@ -27,7 +27,7 @@ from comparisons.logs.log import Log
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.result import build_result
 from comparisons.settings import run_config
-from ekf_reference.dense.high_level import SearchOptions
+from ekf_reference.scan_landmarks.high_level import SearchOptions
 from tests.comparisons.test_cli import slamcheck
 from tests.helpers import Array, compared, first_seconds
 

@@ -38,8 +38,8 @@ from comparisons.logs.log import Log
 from comparisons.logs.simulate.scan_drive import ScanExperiment, occupancy, simulate
 from comparisons.logs.simulate.scan_worlds import with_landmarks
 from comparisons.pipeline.dense_map import map_log
-from ekf_reference.dense.high_level import Around, Search, SearchOptions, search, to_world
 from ekf_reference.dense.layers.gaussians import Gaussians
+from ekf_reference.scan_landmarks.high_level import Around, Search, SearchOptions, search, to_world
 
 Index = NDArray[np.intp]
 

@@ -21,8 +21,8 @@ from comparisons.extensions.scan_landmarks.source import LogScans, ScanSlamSourc
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
 from comparisons.pipeline.dense_map import DenseMapping, map_log
-from ekf_reference.dense.local_context import LocalContext
 from ekf_reference.models.relative_pose import RelativePose
+from ekf_reference.scan_landmarks.local_context import LocalContext
 from ekf_reference.scan_landmarks.scan_slam import ScanLandmarks
 from ekf_reference.scan_landmarks.templates import share_in_view
 from ekf_reference.scan_matching.sog import SumOfGaussians

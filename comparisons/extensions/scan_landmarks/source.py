@@ -21,8 +21,8 @@ from ekf_reference.association.dynamic_rejection import DynamicGuard
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import POINT, POSE
 from ekf_reference.core.state import FilterDivergedError, LocalMap
-from ekf_reference.dense.local_context import LocalContext
 from ekf_reference.dense.scan import Scan
+from ekf_reference.scan_landmarks.local_context import LocalContext
 from ekf_reference.scan_landmarks.map_aided_matching import MapAidedObserver
 from ekf_reference.scan_landmarks.merging import DuplicateMerging, FusingOptions
 from ekf_reference.scan_landmarks.scan_slam import ScanLandmarks, ScanSlam, ScanSlamOptions

@@ -13,12 +13,12 @@ from typing import NamedTuple
 import numpy as np
 
 from ekf_reference.core.geometry import Array, Index, Mask, rotation
-from ekf_reference.dense.corners import harris
 from ekf_reference.dense.layers.gaussians import Ellipses, Gaussians
 from ekf_reference.dense.layers.layer import Layer
 from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.triangles import turned
 from ekf_reference.models.relative_pose import RelativePose
+from ekf_reference.scan_landmarks.corners import harris
 from ekf_reference.scan_landmarks.templates import Template
 from ekf_reference.scan_matching.sog import SumOfGaussians
 

@@ -11,20 +11,27 @@ import pytest
 from ekf_reference.association.known import KnownAssociation
 from ekf_reference.core.ekf import NEW, Ekf, Stabilisation
 from ekf_reference.core.geometry import Array
-from ekf_reference.dense.high_level import Found, search, to_world
-from ekf_reference.dense.high_level_lifecycle import (
-    Glimpse,
-    HighLevelLandmarks,
-)
 from ekf_reference.dense.local_pose import local_pose
 from ekf_reference.dense.view import FilterView
 from ekf_reference.models.motion import UnicycleModel
 from ekf_reference.models.relative_pose import RelativePose
+from ekf_reference.scan_landmarks.high_level import Found, search, to_world
+from ekf_reference.scan_landmarks.high_level_lifecycle import (
+    Glimpse,
+    HighLevelLandmarks,
+)
 from ekf_reference.scan_landmarks.templates import View
 from ekf_reference.scan_matching.scan_shape import of_scan
-from tests.ekf_reference.dense.test_high_level import BEAMS, FEW, NONE, SENSOR, around, yard
 from tests.ekf_reference.numerics import central_difference, relative_error
 from tests.ekf_reference.ray_casting import cast
+from tests.ekf_reference.scan_landmarks.test_high_level import (
+    BEAMS,
+    FEW,
+    NONE,
+    SENSOR,
+    around,
+    yard,
+)
 
 START = np.array((1.0, 0.5, 0.7))
 POINTS = np.array(((-20.0, 10.0), (0.0, 10.0), (-10.0, 0.0)))

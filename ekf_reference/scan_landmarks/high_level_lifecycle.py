@@ -17,10 +17,10 @@ import numpy as np
 from ekf_reference.core.ekf import NEW, Ekf
 from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.landmark_types import POSE
-from ekf_reference.dense.high_level import Found, to_world
 from ekf_reference.dense.local_pose import Frames, local_pose, read_local_poses
 from ekf_reference.dense.view import FilterView
 from ekf_reference.models.relative_pose import RelativePose
+from ekf_reference.scan_landmarks.high_level import Found, to_world
 from ekf_reference.scan_landmarks.scan_slam import GATE, predicted_frames
 from ekf_reference.scan_landmarks.templates import (
     APART,

@@ -10,7 +10,11 @@ import numpy as np
 import pytest
 
 from ekf_reference.core.geometry import Array
-from ekf_reference.dense.high_level import (
+from ekf_reference.dense.layers.gaussians import Gaussians
+from ekf_reference.dense.layers.occupancy import OccupancyGrid
+from ekf_reference.dense.scan import Scan, Sensor
+from ekf_reference.dense.triangles import turned
+from ekf_reference.scan_landmarks.high_level import (
     Around,
     SearchOptions,
     overlapping,
@@ -21,10 +25,6 @@ from ekf_reference.dense.high_level import (
     to_world,
     within,
 )
-from ekf_reference.dense.layers.gaussians import Gaussians
-from ekf_reference.dense.layers.occupancy import OccupancyGrid
-from ekf_reference.dense.scan import Scan, Sensor
-from ekf_reference.dense.triangles import turned
 from tests.ekf_reference.dense.scenes import lattice, told
 from tests.ekf_reference.ray_casting import Solids, cast, sides
 
