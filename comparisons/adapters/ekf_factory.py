@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,7 +20,6 @@ from ekf_reference.association.nearest_neighbour import NearestNeighbour
 from ekf_reference.core.ekf import Ekf, Stabilisation
 from ekf_reference.core.measurements import Association
 from ekf_reference.core.trace import Trace
-from ekf_reference.dense.layer_attributes import LayerAttributes, LayerValues
 from ekf_reference.models.motion import (
     AckermannModel,
     MotionModel,
@@ -26,6 +27,9 @@ from ekf_reference.models.motion import (
     UnicycleModel,
 )
 from ekf_reference.models.position import PositionFixes, PositionModel
+
+if TYPE_CHECKING:
+    from ekf_reference.dense.layer_attributes import LayerValues
 
 Common = tuple[MotionModel, Association, Array, Array, Stabilisation, Trace]
 """What every filter is made of: motion, association, prior, its covariance, noise, trace."""
@@ -146,6 +150,8 @@ def build_association(
     if choices.attributes == "layer" and memory is not None:
         if layer is None:
             raise ValueError("attributes of a layer need the map that keeps it")
+        from ekf_reference.dense.layer_attributes import LayerAttributes
+
         told = LayerAttributes(memory, layer, BRIGHTNESS)
     if choices.association == "known":
         rule = KnownAssociation(log.sightings.label_gate, first_slot=len(slot_of))

@@ -24,7 +24,6 @@ from ekf_reference.core.landmark_types import POINT, POSE
 from ekf_reference.core.measurements import AMBIGUOUS, CANDIDATE, DYNAMIC, REJECTED
 from ekf_reference.core.trace import RecordedTrace, TraceArrays
 from ekf_reference.filters.compressed import CompressedState
-from ekf_reference.filters.misono import OwnAxesObservation
 from graphslam.problem import OrientedSightings
 
 _FARTHEST_M = 1e6
@@ -173,7 +172,7 @@ def run_ekf(
         departed=departed[:epochs],
         arrived=arrived[:epochs],
         final=ekf.read_recorded_pose(),
-        own_axes=isinstance(ekf.models[POINT], OwnAxesObservation),
+        own_axes=config.filter.startswith("misono"),
         positions=positions,
         fix_number=fused,
         rejected_fixes=rejected_fixes,
