@@ -14,9 +14,8 @@ from comparisons.logs.log import Array, Log, Positions
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry
 from comparisons.logs.transforms.known_landmarks import surveyed
 from ekf_reference.association.attributes import NO_ATTRIBUTES, Attributes, RememberedAttributes
-from ekf_reference.association.euclidean import EuclideanNeighbour
 from ekf_reference.association.known import KnownAssociation, SurveyedLandmarks
-from ekf_reference.association.nearest_neighbour import NearestNeighbour
+from ekf_reference.association.nearest_neighbour import EuclideanNeighbour, NearestNeighbour
 from ekf_reference.core.ekf import Ekf, Stabilisation
 from ekf_reference.core.measurements import Association
 from ekf_reference.core.trace import Trace

@@ -1,15 +1,14 @@
 """What tells landmarks apart besides where they are (Nieto 2005, section 6.4).
 
 A trunk's diameter or a reflector's brightness is constant (Guivant 2002, eq. 16): every landmark
-keeps an estimate of each, and the density of a pairing is the product of the position's Gaussian
-and the attributes', so that their normalised innovations squared and ln |S| add up (Nieto 2005,
-eqs. 2.58 and 2.60), and their degrees of freedom. The filter's state knows nothing of this.
+keeps an estimate of each. The density of a pairing is the product of the position's Gaussian and
+the attributes', so nis, ln |S| (Nieto 2005, eqs. 2.58 and 2.60) and degrees of freedom add up.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -22,10 +21,7 @@ from ekf_reference.core.state import KalmanState
 
 
 class AttributeDistances(NamedTuple):
-    """What attributes add to the distances from m measurements to L landmarks.
-
-    nis: (m, L). n: (m, L) nis + ln of the variances. dof: (m, L) attributes that were compared.
-    """
+    """What attributes add to distances, all (m, L). n: nis + ln of variances. dof: compared."""
 
     nis: Array
     n: Array
@@ -51,68 +47,56 @@ class NoAttributes:
 NO_ATTRIBUTES = NoAttributes()
 
 
-@dataclass
 class AttributeEstimates:
-    """Mean, variance and count of every landmark's attributes, from the seen it was given.
+    """Mean, variance and count of every landmark's attributes, from the measurements it was given.
 
-    repeats: (A,) sightings that are worth one independent one, for what puts one wrong (the side
+    repeats: (A,) measurements that are worth one independent one, for what puts one wrong (the side
     that a trunk shows, an occlusion) puts the next wrong, too; 1 makes this the Kalman filter of a
-    constant. The variance is never taken for larger than that of the best single sighting.
+    constant. The variance is at most that of the best single measurement.
     """
 
-    repeats: Array
-    count: Index = field(init=False)
-    _information: Array = field(init=False)
-    _weighted: Array = field(init=False)
-    _least: Array = field(init=False)
-
-    def __post_init__(self) -> None:
+    def __init__(self, repeats: Array) -> None:
         """Start without landmarks."""
-        shape = (0, len(self.repeats))
-        self.count = np.zeros(shape, dtype=np.intp)
-        self._information, self._weighted = np.zeros(shape), np.zeros(shape)
-        self._least = np.zeros(shape)
+        nothing = np.zeros((0, len(repeats)))
+        self.repeats, self.count = repeats, nothing.astype(np.intp)
+        self._information = self._weighted = self._least = nothing
 
     @property
     def mean(self) -> Array:
         """(L, A), NaN where nothing is known; L counts up to the last landmark seen."""
-        known = self.count > 0
-        return np.where(known, self._weighted / np.where(known, self._information, 1.0), np.nan)
+        return self._weighted / np.where(self.count > 0, self._information, np.nan)
 
     @property
     def variance(self) -> Array:
         """(L, A), NaN where nothing is known."""
-        known = self.count > 0
-        pooled = self.repeats / np.where(known, self._information, 1.0)
-        return np.where(known, np.minimum(pooled, self._least), np.nan)
+        pooled = self.repeats / np.where(self.count > 0, self._information, np.nan)
+        return np.where(pooled > self._least, self._least, pooled)
 
     def distances(self, slot: Index, seen: Measurements) -> AttributeDistances:
         """Return the distances by what both have; nis and dof of nothing else.
 
-        A landmark that lacks what was measured is no likelier for it: in n it stands with the
-        mean and spread of all landmarks that have it. Leaving the term out would weigh a density
-        per unit of the attribute against one without, and the unit would decide.
+        In n a landmark that lacks what was measured stands with the mean and spread of all that
+        have it: without the term a density per unit of the attribute would be weighed against one
+        without, and the unit would decide.
         """
-        self._reach(int(slot.max(initial=-1)) + 1)
+        self._reach(slot)
         if not seen.attributes.value.shape[1]:
             return NO_ATTRIBUTES.distances(slot, seen)
-        anyone = population(self.mean, self.variance)
-        return compared(seen.attributes, self.mean[slot], self.variance[slot], anyone)
+        mean, variance = self.mean, self.variance
+        return compared(seen.attributes, mean[slot], variance[slot], population(mean, variance))
 
     def note(self, slots: Index, measured: MeasuredAttributes) -> None:
         """Average in the attributes of measurements that were given to landmarks (m,)."""
         row, column = np.nonzero(np.isfinite(measured.value) & (slots >= 0)[:, None])
-        if not len(row):
-            return
         slot, variance = slots[row], measured.variance[row, column]
-        self._reach(int(slot.max()) + 1)
+        self._reach(slot)
         np.add.at(self.count, (slot, column), 1)
         np.add.at(self._information, (slot, column), 1.0 / variance)
         np.add.at(self._weighted, (slot, column), measured.value[row, column] / variance)
         np.minimum.at(self._least, (slot, column), variance)
 
-    def _reach(self, landmarks: int) -> None:
-        more = landmarks - len(self.count)
+    def _reach(self, slot: Index) -> None:
+        more = int(slot.max(initial=-1)) + 1 - len(self.count)
         if more > 0:
             below = ((0, more), (0, 0))
             self.count = np.pad(self.count, below)
@@ -123,10 +107,7 @@ class AttributeEstimates:
 
 @dataclass(frozen=True)
 class RememberedAttributes:
-    """Wraps all other rules: what was measured is noted for the landmark it was given to.
-
-    memory: the one that the rule within asks.
-    """
+    """Wraps all other rules: notes in `memory`, which they ask, what a landmark was given."""
 
     rule: Association
     memory: AttributeEstimates
@@ -141,7 +122,7 @@ class RememberedAttributes:
 def compared(
     seen: MeasuredAttributes, mean: Array, variance: Array, anyone: tuple[Array, Array]
 ) -> AttributeDistances:
-    """From seen to landmarks with attributes (L, A), NaN where unknown.
+    """Return the distances to landmarks with attributes (L, A), NaN where unknown.
 
     anyone: (A,) mean and variance of what a landmark that lacks one stands with.
     """
@@ -150,9 +131,8 @@ def compared(
     nis = (seen.value[:, None] - np.where(known, mean, anyone[0])) ** 2 / spread  # (m, L, A)
     both = np.isfinite(seen.value)[:, None] & known
     n = np.nansum(nis + np.log(spread), axis=2)
-    return AttributeDistances(
-        np.where(both, nis, 0.0).sum(axis=2), n, np.count_nonzero(both, axis=2)
-    )
+    dof = np.count_nonzero(both, axis=2)
+    return AttributeDistances(np.where(both, nis, 0.0).sum(axis=2), n, dof)
 
 
 def population(mean: Array, variance: Array) -> tuple[Array, Array]:
@@ -167,10 +147,7 @@ def population(mean: Array, variance: Array) -> tuple[Array, Array]:
 
 
 def same_tail(gate: float, dof: Index) -> Array:
-    """Return the chi-square bounds that are exceeded as often as `gate` is with 2 dof.
-
-    dof: any shape, 2 or more each.
-    """
+    """Return the chi-square bounds exceeded as often as `gate` with 2 dof. dof: each 2 or more."""
     more = np.arange(3, int(dof.max(initial=2)) + 1)
     wider = 2.0 * gammainccinv(0.5 * more, math.exp(-0.5 * gate))
     bounds: Array = np.concatenate((np.full(3, gate), wider))[dof]

@@ -1,9 +1,8 @@
 """Joint association that passes while it is in doubt, for landmarks that stand in clumps.
 
-After a blind turn the first measurement may fit several landmarks, and a wrong choice is fused for
-good. Here all hypotheses of a scan are weighed against each other (Nieto 2005, section 2.4.1; the
-joint form of eqs. 2.58 and 2.60), and a measurement is used only when every hypothesis that is not
-far less likely than the best says the same of it.
+After a blind turn a measurement may fit several landmarks, and a wrong choice is fused for good.
+Here all hypotheses of a scan are weighed against each other (Nieto 2005, section 2.4.1; the joint
+form of eqs. 2.58 and 2.60), and only that is used which all likely ones agree on.
 """
 
 from __future__ import annotations
@@ -20,9 +19,6 @@ from ekf_reference.core.landmark_types import MeasurementModel
 from ekf_reference.core.measurements import AMBIGUOUS, Measurements
 from ekf_reference.core.state import KalmanState, LocalMap
 
-Choice = tuple[int, ...]
-"""Per place the landmark of the local map, or _NEW."""
-
 _NEW = -1
 
 
@@ -30,10 +26,9 @@ _NEW = -1
 class ConsensusAssociation:
     """Measurements are AMBIGUOUS unless the likely hypotheses agree on them.
 
-    resolution_m: seen nearer to each other than this are of one landmark, which stands for
-    all that is seen within a disc of this diameter. odds: a hypothesis counts until the best is so
-    many times likelier. new_density: new landmarks expected in the view, per m and rad. gate:
-    bound of the nis of a single pairing. most_hypotheses: that are followed at a time.
+    resolution_m: diameter of a disc; what is seen in it is of one landmark. odds: a hypothesis
+    counts until the best is so many times likelier. new_density: new landmarks expected in the
+    view, per m and rad. gate: of the nis of a single pairing. most_hypotheses: followed at a time.
     """
 
     resolution_m: float = 0.75
@@ -46,61 +41,51 @@ class ConsensusAssociation:
         """Assign the measurements on which all likely hypotheses agree."""
         point = model.invert(state.pose, seen.z).landmark
         group = _groups(point, self.resolution_m)
-        merged = self._merged(model, state.pose, point, group, seen)
-        local = landmarks_around(state, model, merged)
-        likely = self._likely(local, model, merged)
-        slots = np.full(len(seen), AMBIGUOUS, dtype=np.intp)
-        added = state.landmark_count
-        for place in range(len(merged)):
-            choices = {choice[place] for choice in likely}
-            if len(choices) > 1:
-                continue
-            (landmark,) = choices
-            slots[group == place] = added if landmark == _NEW else local.slot[landmark]
-            added += landmark == _NEW
-        return slots
-
-    def _merged(
-        self, model: MeasurementModel, pose: Array, point: Array, group: Index, seen: Measurements
-    ) -> Measurements:
-        """One measurement per group, of the mean of its places (m, 2).
-
-        It has the noise of one, since what puts one wrong puts the next, too; and that of a place
-        in a disc, whose variance is its diameter^2 / 16.
-        """
+        # Of a group the mean place, with the noise of one, since what puts one wrong puts the next,
+        # too, and that of a place in a disc, whose variance is its diameter^2 / 16.
         share = np.equal.outer(np.arange(group.max() + 1), group).astype(float)
         share /= share.sum(axis=1, keepdims=True)
-        predicted = model.predict(pose, share @ point)
+        predicted = model.predict(state.pose, share @ point)
         h = predicted.jacobian_landmark
         noise = np.einsum("gm,mij->gij", share, seen.noise)
         noise += self.resolution_m**2 / 16.0 * h @ h.transpose(0, 2, 1)
-        return Measurements(predicted.z, noise, np.full(len(share), -1), closed=seen.closed)
+        merged = Measurements(predicted.z, noise, np.full(len(share), -1), closed=seen.closed)
+        local = landmarks_around(state, model, merged)
+        slots = np.full(len(seen), AMBIGUOUS, dtype=np.intp)
+        added = state.landmark_count
+        for place, choices in enumerate(zip(*self._likely(local, model, merged), strict=True)):
+            landmark, *others = set(choices)
+            if not others:
+                slots[group == place] = added if landmark == _NEW else local.slot[landmark]
+                added += landmark == _NEW
+        return slots
 
     def _likely(
         self, local: LocalMap, model: MeasurementModel, merged: Measurements
-    ) -> list[Choice]:
-        """The hypotheses within the odds of the best, which may give no landmark to two places.
+    ) -> list[tuple[int, ...]]:
+        """Hypotheses within the odds of the best: per place a landmark, none twice, or _NEW.
 
-        A hypothesis costs -2 ln of its density up to a constant: joint nis + ln |S| of its pairs,
-        and -2 ln (2 pi density) for each new landmark.
+        One costs -2 ln of its density up to a constant: joint nis + ln |S| of its pairs, and
+        -2 ln (2 pi density) for each new landmark.
         """
         nis = normalised_distances(local, model, merged)
         place, landmark = np.nonzero(nis.nis <= self.gate)
         if not len(place):
             return [(_NEW,) * len(merged)]
-        nu = nis.innovation[place, landmark]
+        nu = nis.innovation[place, landmark].ravel()
         spread = pair_covariance(local, model, merged, place, landmark)
         cost_of_new = -2.0 * math.log(2.0 * math.pi * self.new_density)
-        beam: list[tuple[float, Choice, list[int]]] = [(0.0, (), [])]
+        beam: list[tuple[float, tuple[int, ...], list[int]]] = [(0.0, (), [])]
         for k in range(len(merged)):
             grown = [(cost + cost_of_new, (*c, _NEW), pairs) for cost, c, pairs in beam]
+            options = [(p, int(landmark[p])) for p in np.flatnonzero(place == k).tolist()]
             for _, choice, pairs in beam:
-                fresh = cost_of_new * choice.count(_NEW)
-                for pair in np.flatnonzero(place == k).tolist():
-                    if int(landmark[pair]) not in choice:
-                        chosen = [*pairs, pair]
-                        cost = fresh + _cost(nu, spread, chosen)
-                        grown.append((cost, (*choice, int(landmark[pair])), chosen))
+                for chosen, one in [([*pairs, p], j) for p, j in options if j not in choice]:
+                    entries = (2 * np.array(chosen)[:, None] + (0, 1)).ravel()
+                    s, innovation = spread[entries[:, None], entries], nu[entries]
+                    joint = innovation @ np.linalg.solve(s, innovation) + np.linalg.slogdet(s)[1]
+                    cost = cost_of_new * choice.count(_NEW) + float(joint)
+                    grown.append((cost, (*choice, one), chosen))
             beam = sorted(grown)[: self.most_hypotheses]
         return [c for cost, c, _ in beam if cost <= beam[0][0] + 2.0 * math.log(self.odds)]
 
@@ -114,10 +99,3 @@ def _groups(point: Array, within_m: float) -> Index:
         group[k] = distance.argmin() if near else len(first)
         first = first if near else np.vstack((first, p))
     return group
-
-
-def _cost(nu: Array, spread: Array, pairs: list[int]) -> float:
-    """Joint nis + ln |S| of some pairs; nu: (p, 2). spread: (2 p, 2 p)."""
-    entries = (2 * np.array(pairs)[:, None] + (0, 1)).ravel()
-    s, innovation = spread[np.ix_(entries, entries)], nu[pairs].ravel()
-    return float(innovation @ np.linalg.solve(s, innovation) + np.linalg.slogdet(s)[1])

@@ -19,10 +19,7 @@ metres, or standard deviations of where the vehicle puts the end of that range."
 
 
 class Distances(NamedTuple):
-    """From m measurements to L landmarks (Nieto 2005, eqs. 2.57, 2.58 and 2.60).
-
-    nis: (m, L) normalised innovation squared. n: (m, L) nis + ln |S|. innovation: (m, L, 2).
-    """
+    """Nis (m, L), N = nis + ln |S| (m, L) and innovation (m, L, 2): m measurements, L landmarks."""
 
     nis: Array
     n: Array
@@ -39,7 +36,7 @@ def landmarks_around(state: KalmanState, model: MeasurementModel, seen: Measurem
 
 
 def normalised_distances(local: LocalMap, model: MeasurementModel, seen: Measurements) -> Distances:
-    """Return the distances of all measurements to all landmarks."""
+    """Return the distances of all measurements to all landmarks (Nieto 2005, 2.57, 2.58, 2.60)."""
     predicted = model.predict(local.pose, local.landmark)
     hv, hl = predicted.jacobian_pose, predicted.jacobian_landmark
     through_pose = hv @ local.vehicle @ hv.transpose(0, 2, 1)
@@ -60,20 +57,19 @@ def normalised_distances(local: LocalMap, model: MeasurementModel, seen: Measure
 def match_in_order(cost: Array, allowed: Mask) -> Index:
     """Return the column of each row (m,), -1 for none: cheapest pairs first, none used twice."""
     column = np.full(len(cost), -1, dtype=np.intp)
-    rows, columns = np.nonzero(allowed)
     taken: set[int] = set()
-    for k in np.argsort(cost[rows, columns], kind="stable").tolist():
-        i, j = int(rows[k]), int(columns[k])
+    for i, j in np.argwhere(allowed)[np.argsort(cost[allowed], kind="stable")].tolist():
         if column[i] < 0 and j not in taken:
             column[i] = j
             taken.add(j)
     return column
 
 
-def slots_of(column: Index, new: Mask, local_slot: Index, count: int) -> Index:
-    """Return slots (m,) from columns of a local map; new ones from `count`, the rest AMBIGUOUS."""
+def slots_of(column: Index, far: Mask, local_slot: Index, count: int) -> Index:
+    """Return slots (m,) by column of a local map; one far (m, L) from all is new from `count`."""
     slots = np.full(len(column), AMBIGUOUS, dtype=np.intp)
     matched = column >= 0
     slots[matched] = local_slot[column[matched]]
+    new = np.logical_and.reduce(far, axis=1)
     slots[new] = count + np.arange(np.count_nonzero(new))
     return slots

@@ -1,10 +1,8 @@
 """Nothing that moves is navigated by (Nieto 2005, section 6.5).
 
-Measurements from dynamic regions are discarded, and landmarks under them leave the map that
-measurements are matched with. Such a landmark is deactivated: its slot is closed for good. A
-variable that is never observed again gains nothing and tells nothing: what the filter says of the
-rest is what it would say with the landmark marginalised out. So the compressed filter equals the
-full one as before, and a smoother that follows the filter's association has nothing to unlearn.
+Measurements from dynamic regions are discarded, and landmarks in them are deactivated: their slots
+are closed for good. The filter says of the rest what it would say with them marginalised out: the
+compressed filter still equals the full one, and a smoother that follows has nothing to unlearn.
 """
 
 from __future__ import annotations
@@ -33,9 +31,8 @@ class DynamicRejection:
     """Wraps an association rule: it sees neither dynamic measurements nor deactivated landmarks.
 
     retired: slots that are closed. What was fused before a region was found to be dynamic stays
-    fused: the filter cannot unlearn it. Only landmarks within reach of the measurements are asked
-    about, so that a compressed filter, whose other landmarks are not up to date, deactivates the
-    same ones at the same time.
+    fused. Only landmarks within reach of the measurements are asked about, so that a compressed
+    filter, whose other landmarks are not up to date, deactivates the same ones at the same time.
     """
 
     rule: Association
@@ -50,8 +47,7 @@ class DynamicRejection:
         around = landmarks_around(state, model, seen)
         self.retired.update(around.slot[self.guard.is_dynamic(around.landmark)].tolist())
         closed = tuple(sorted(self.retired))
-        place = model.invert(around.pose, seen.z).landmark
-        still = np.flatnonzero(~self.guard.is_dynamic(place))
+        still = np.flatnonzero(~self.guard.is_dynamic(model.invert(around.pose, seen.z).landmark))
         if len(still):
             rest = replace(seen.take(still), closed=closed)
             slots[still] = self.rule.assign(state, model, rest)

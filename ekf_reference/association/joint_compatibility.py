@@ -7,8 +7,7 @@ joint distance among equals.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.special import gammaincinv
@@ -29,13 +28,12 @@ from ekf_reference.core.state import KalmanState, LocalMap
 
 @dataclass(frozen=True)
 class JointCompatibility:
-    """Each pairing within `gate`, all together within the joint gate of the same probability.
+    """Each pairing within the chi-square gate of `probability`, all together within the joint one.
 
-    probability: of the chi-square gates. new_gate: as in NearestNeighbour. most_nodes: branches
-    visited at the most in one scan; beyond that the best set so far is taken. Of a scan with more
-    than `most_matched` to match, the nearest neighbour decides. attributes: enter every gate with
-    their degrees of freedom, and the joint distance by how much less likely they make a pairing
-    than the likeliest of the same measurement.
+    new_gate: as in NearestNeighbour. most_nodes: branches visited at the most in one scan; beyond
+    that the best set so far is taken. Of a scan with more than `most_matched` to match, the nearest
+    neighbour decides. attributes: enter every gate with their degrees of freedom, and the joint
+    distance by how much less likely they make a pairing than the likeliest of its measurement.
     """
 
     probability: float = 0.999
@@ -50,7 +48,8 @@ class JointCompatibility:
         distances = normalised_distances(local, model, seen)
         added = self.attributes.distances(local.slot, seen)
         nis, n, dof = distances.nis + added.nis, distances.n + added.n, 2 + added.dof
-        gates = self._gates(int(dof.max(initial=2)) * len(dof))
+        upward = np.arange(int(dof.max(initial=2)) * len(dof) + 1)
+        gates = 2.0 * gammaincinv(0.5 * np.maximum(upward, 2), self.probability)
         compatible = nis <= gates[dof]
         row, landmark = np.nonzero(compatible)
         column = np.full(len(seen), -1, dtype=np.intp)
@@ -58,27 +57,22 @@ class JointCompatibility:
             column = match_in_order(n, compatible)
         elif len(row):
             order = np.lexsort((n[row, landmark], row))
-            row, landmark = row[order], landmark[order]
-            least = np.where(compatible, added.n, np.inf).min(axis=1, keepdims=True, initial=np.inf)
-            pairs = _Pairs(
-                row,
-                landmark,
-                distances.innovation[row, landmark],
-                pair_covariance(local, model, seen, row, landmark),
-                added.nis[row, landmark],
-                (added.n - least)[row, landmark],
-                dof[row, landmark],
-            )
-            chosen = _Search(pairs, gates, self.most_nodes).best()
+            row, landmark = pairs = row[order], landmark[order]
+            least = np.where(compatible, added.n, np.inf).min(axis=1, keepdims=True)
+            chosen = _Search(
+                row=row,
+                landmark=landmark.tolist(),
+                innovation=distances.innovation[pairs],
+                spread=pair_covariance(local, model, seen, row, landmark),
+                nis=added.nis[pairs].tolist(),
+                cost=(added.n - least)[pairs].tolist(),
+                dof=dof[pairs].tolist(),
+                gates=gates,
+                left=self.most_nodes,
+            ).best()
             column[row[chosen]] = landmark[chosen]
-        new = np.logical_and.reduce(nis > same_tail(self.new_gate, dof), axis=1)
-        return slots_of(column, new, local.slot, state.landmark_count)
-
-    def _gates(self, most: int) -> Array:
-        """Bounds of chi-square variables with 0 to `most` degrees of freedom, 2 at the least."""
-        dof = np.maximum(np.arange(most + 1), 2)
-        bounds: Array = 2.0 * gammaincinv(0.5 * dof, self.probability)
-        return bounds
+        far = nis > same_tail(self.new_gate, dof)
+        return slots_of(column, far, local.slot, state.landmark_count)
 
 
 def pair_covariance(
@@ -90,97 +84,70 @@ def pair_covariance(
     predicted = model.predict(part.pose, part.landmark)
     h = stack(predicted.jacobian_pose, predicted.jacobian_landmark).reshape(len(chosen), 2, -1)
     stacked = h[where].reshape(2 * len(landmark), -1)
-    spread = stacked @ part.covariance @ stacked.T
-    return spread + block_diagonal(seen.noise[row])
+    return stacked @ part.covariance @ stacked.T + block_diagonal(seen.noise[row])
 
 
-class _Pairs(NamedTuple):
-    """Pairings (p,) of measurements, by row, with landmarks of the local map.
+@dataclass(kw_only=True)
+class _Search:
+    """Depth first over the measurements; every node extends one Cholesky factor by two rows.
 
-    innovation: (p, 2). spread: (2 p, 2 p). Of the attributes, nis: (p,) and cost: (p,) -2 ln of
-    their density, none below 0. dof: (p,) position and attributes.
+    Of p pairs, by row. innovation: (p, 2). spread: (2 p, 2 p). nis, cost: of the attributes, the
+    latter -2 ln of their density, none below 0. dof: position and attributes. gates: of the joint
+    nis by its dof. left: nodes that may still be visited.
     """
 
     row: Index
-    landmark: Index
+    landmark: list[int]
     innovation: Array
     spread: Array
-    nis: Array
-    cost: Array
-    dof: Index
-
-
-class _Sum(NamedTuple):
-    """Of the chosen pairs: joint nis, -2 ln of the density up to a constant, degrees of freedom."""
-
-    nis: float
-    cost: float
-    dof: int
-
-
-class _Search:
-    """Depth first over the measurements; every node extends one Cholesky factor by two rows."""
-
-    def __init__(self, pairs: _Pairs, gates: Array, most_nodes: int) -> None:
-        self._pairs, self._gates, self._left = pairs, gates, most_nodes
-        self._of_row = [np.flatnonzero(pairs.row == row).tolist() for row in np.unique(pairs.row)]
-        most = [int(pairs.dof[own].max()) for own in self._of_row]
-        self._dof_left = [sum(most[level:]) for level in range(len(most) + 1)]
-        self._best: list[int] = []
-        self._best_cost = np.inf
+    nis: list[float]
+    cost: list[float]
+    dof: list[int]
+    gates: Array
+    left: int
+    _best: list[int] = field(default_factory=list)
+    _best_cost: float = np.inf
 
     def best(self) -> list[int]:
         """Return the pairs of the best set."""
-        size = 2 * len(self._of_row)
-        self._descend(0, [], _Sum(0.0, 0.0, 0), np.zeros((size, size)), np.zeros(size))
+        self._of_row = [np.flatnonzero(self.row == row).tolist() for row in np.unique(self.row)]
+        most = [max(self.dof[pair] for pair in own) for own in self._of_row]
+        self._dof_left = [sum(most[level:]) for level in range(len(most) + 1)]
+        self._whitened = np.zeros(2 * len(most))
+        self._root = np.diag(self._whitened)  # lower Cholesky factor of the chosen pairs' spread
+        self._descend(0, [], 0.0, 0.0, 0)
         return self._best
 
-    def _descend(
-        self, level: int, chosen: list[int], so_far: _Sum, root: Array, whitened: Array
-    ) -> None:
-        """Distance and cost grow with every pair; the gate of the whole set is tested at its end.
-
-        root: lower Cholesky factor of the chosen pairs' covariance.
-        """
+    def _descend(self, level: int, chosen: list[int], nis: float, cost: float, dof: int) -> None:
+        """Nis and cost grow with every pair; the gate of the whole set is tested at its end."""
         possible = len(chosen) + len(self._of_row) - level
-        if possible < len(self._best) or (
-            possible == len(self._best) and so_far.cost >= self._best_cost
-        ):
+        if (possible, -cost) <= (len(self._best), -self._best_cost):
             return
         if level == len(self._of_row):
-            if so_far.nis <= self._gates[so_far.dof]:
-                self._best, self._best_cost = list(chosen), so_far.cost
+            if nis <= self.gates[dof]:
+                self._best, self._best_cost = chosen, cost
             return
-        widest = self._gates[so_far.dof + self._dof_left[level]]  # that this branch may still meet
-        taken = {int(self._pairs.landmark[pair]) for pair in chosen}
+        widest = self.gates[dof + self._dof_left[level]]  # that this branch may still meet
+        taken = {self.landmark[pair] for pair in chosen}
         for pair in self._of_row[level]:
-            if self._left <= 0:
-                break
-            if int(self._pairs.landmark[pair]) in taken:
-                continue
-            self._left -= 1
-            total = self._extend(chosen, pair, so_far, root, whitened)
-            if total is not None and total.nis <= widest:
-                self._descend(level + 1, [*chosen, pair], total, root, whitened)
-        self._descend(level + 1, chosen, so_far, root, whitened)
+            if self.left > 0 and self.landmark[pair] not in taken:
+                self.left -= 1
+                own, more = self._extend(chosen, pair), dof + self.dof[pair]
+                total, costs = nis + own + self.nis[pair], cost + own + self.cost[pair]
+                if total <= widest:
+                    self._descend(level + 1, [*chosen, pair], total, costs, more)
+        self._descend(level + 1, chosen, nis, cost, dof)
 
-    def _extend(
-        self, chosen: list[int], pair: int, so_far: _Sum, root: Array, whitened: Array
-    ) -> _Sum | None:
-        """Add a pair to the factor; None for a copy of one that is there: nothing new to test."""
-        p, k, own = self._pairs, 2 * len(chosen), slice(2 * pair, 2 * pair + 2)
+    def _extend(self, chosen: list[int], pair: int) -> float:
+        """Add a pair to the factor; return its nis given the others, NaN for a copy of one."""
+        k, own = 2 * len(chosen), slice(2 * pair, 2 * pair + 2)
         entries = (2 * np.array(chosen, dtype=np.intp)[:, None] + (0, 1)).ravel()
-        below = np.linalg.solve(root[:k, :k], p.spread[entries, own]).T if k else np.zeros((2, 0))
+        below = np.linalg.solve(self._root[:k, :k], self.spread[entries, own]).T
         try:
-            corner = np.linalg.cholesky(p.spread[own, own] - below @ below.T)
+            corner = np.linalg.cholesky(self.spread[own, own] - below @ below.T)
         except np.linalg.LinAlgError:
-            return None
-        tail = np.linalg.solve(corner, p.innovation[pair] - below @ whitened[:k])
-        root[k : k + 2, :k], root[k : k + 2, k : k + 2] = below, corner
-        whitened[k : k + 2] = tail
-        nis = float(tail @ tail)
-        return _Sum(
-            so_far.nis + nis + float(p.nis[pair]),
-            so_far.cost + nis + float(p.cost[pair]),
-            so_far.dof + int(p.dof[pair]),
-        )
+            return np.nan
+        tail = np.linalg.solve(corner, self.innovation[pair] - below @ self._whitened[:k])
+        self._root[k : k + 2, :k], self._root[k : k + 2, k : k + 2] = below, corner
+        self._whitened[k : k + 2] = tail
+        return float(tail @ tail)

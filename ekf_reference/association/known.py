@@ -18,9 +18,8 @@ from ekf_reference.core.state import KalmanState
 class KnownAssociation:
     """Takes the labels that the log carries; the n-th new label becomes the n-th landmark.
 
-    gate: normalised innovation squared beyond which a label is taken for a misread and its
-    measurement rejected (Nieto 2005, section 2.4.1); infinite where labels are certain.
-    first_slot: where landmarks by label begin in the map.
+    gate: nis beyond which a label is taken for a misread (Nieto 2005, section 2.4.1); infinite
+    where labels are certain. first_slot: where landmarks by label begin in the map.
     """
 
     gate: float = float("inf")
@@ -29,21 +28,19 @@ class KnownAssociation:
 
     def assign(self, state: KalmanState, model: MeasurementModel, seen: Measurements) -> Index:
         """Look the labels up, giving new ones the next slots. Unlabelled are rejected."""
-        slots = [
-            self.slot_of.setdefault(label, self.first_slot + len(self.slot_of))
-            if label >= 0
-            else REJECTED
-            for label in seen.identity.tolist()
-        ]
-        return reject_beyond(self.gate, np.array(slots, dtype=np.intp), state, model, seen)
+        slots = np.full(len(seen), REJECTED, dtype=np.intp)
+        for k, label in enumerate(seen.identity.tolist()):
+            if label >= 0:
+                slots[k] = self.slot_of.setdefault(label, self.first_slot + len(self.slot_of))
+        return reject_beyond(self.gate, slots, state, model, seen)
 
 
 @dataclass(frozen=True)
 class SurveyedLandmarks:
     """Surveyed landmarks go by label, others by a rule (Guivant 2002, section 4.2).
 
-    slot_of: place in the map of each surveyed landmark's label. gate: as in KnownAssociation; a
-    wrong measurement of a landmark that is known for certain does the most harm.
+    slot_of: of the surveyed, by label. gate: as in KnownAssociation; a wrong measurement of a
+    landmark that is known for certain does the most harm.
     """
 
     rule: Association
@@ -65,14 +62,12 @@ def reject_beyond(
     gate: float, slots: Index, state: KalmanState, model: MeasurementModel, seen: Measurements
 ) -> Index:
     """Return the slots, REJECTED where a landmark was removed or its nis exceeds the gate."""
+    slots = slots.copy()
     mapped = np.flatnonzero((slots >= 0) & (slots < state.landmark_count))
     gone = state.layout.first[seen.width][slots[mapped]] == ABSENT
-    if gone.any():
-        slots = slots.copy()
-        slots[mapped[gone]], mapped = REJECTED, mapped[~gone]
+    slots[mapped[gone]], mapped = REJECTED, mapped[~gone]
     if np.isfinite(gate) and len(mapped):
         local = state.map_of(slots[mapped])
-        nis = normalised_distances(local, model, seen.take(mapped)).nis
-        slots = slots.copy()
-        slots[mapped[nis.diagonal() > gate]] = REJECTED
+        nis = normalised_distances(local, model, seen.take(mapped)).nis.diagonal()
+        slots[mapped[nis > gate]] = REJECTED
     return slots

@@ -1,8 +1,8 @@
 """Candidates: new features become landmarks only when reliable and stable.
 
-Guivant 2002, section 2: features enter the map "once they become reliable and stable". A
-candidate lives outside the state, as a place in the map; the measurement that completes it
-initialises the landmark by Nieto 2005, eq. 2.53, so no measurement is used twice.
+Guivant 2002, section 2: features enter the map "once they become reliable and stable". A candidate
+lives outside the state; the measurement that completes it initialises the landmark (Nieto 2005,
+eq. 2.53), so no measurement is used twice.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from ekf_reference.core.state import KalmanState
 class Reliability:
     """When a candidate becomes a landmark, and when it is given up.
 
-    measurements: at least so many. age_s: since the first at least so long. spread_m: root mean
-    square distance of its measurements from their mean at most so much. join_m: a measurement
-    belongs to a candidate within this distance. silence_s: one unseen for longer is dropped.
+    measurements: the least number. age_s: the least time since the first. spread_m: the greatest
+    root mean square distance of its measurements from their mean. join_m: a measurement belongs to
+    a candidate within this distance. silence_s: one unseen for longer is dropped.
     """
 
     measurements: int = 5
@@ -33,12 +33,12 @@ class Reliability:
     silence_s: float = 3.0
 
 
-@dataclass
+@dataclass(eq=False)
 class _Candidate:
     """Sums over the places (2,) of a candidate's measurements, and their times."""
 
     first_s: float
-    last_s: float
+    last_s: float = 0.0
     total: Array = field(default_factory=lambda: np.zeros(2))
     squares: float = 0.0
     count: int = 0
@@ -70,7 +70,7 @@ class LandmarkInitiation:
     """
 
     rule: Association
-    reliability: Reliability = field(default_factory=Reliability)
+    reliability: Reliability = Reliability()
     promoted: int = 0
     dropped: int = 0
     _candidates: list[_Candidate] = field(default_factory=list)
@@ -78,31 +78,24 @@ class LandmarkInitiation:
     def assign(self, state: KalmanState, model: MeasurementModel, seen: Measurements) -> Index:
         """Assign by the rule, but new landmarks are CANDIDATE until they are reliable."""
         slots = self.rule.assign(state, model, seen)
-        self._forget(seen.time_s)
+        silence_s, before = self.reliability.silence_s, len(self._candidates)
+        self._candidates = [c for c in self._candidates if seen.time_s - c.last_s <= silence_s]
+        self.dropped += before - len(self._candidates)
         new = np.flatnonzero(slots >= state.landmark_count)
-        if not len(new):
-            return slots
         place = model.invert(state.pose, seen.z[new]).landmark
-        slots[new] = CANDIDATE
-        ready = new[self._complete(place, seen.time_s)]
-        slots[ready] = state.landmark_count + np.arange(len(ready))
-        return slots
-
-    def _complete(self, place: Array, time_s: float) -> list[int]:
-        """Add places (m, 2); return the first of each candidate that is thereby complete."""
-        joined = [self._nearest(point) for point in place]
-        for k, candidate in enumerate(joined):
-            if candidate is None:
-                joined[k] = candidate = _Candidate(time_s, time_s)
-                self._candidates.append(candidate)
-            candidate.add(place[k], time_s)
-        done: dict[int, int] = {}
-        for k, candidate in enumerate(joined):
-            if candidate is not None and candidate.complete(self.reliability):
-                done.setdefault(id(candidate), k)
-        self._candidates = [one for one in self._candidates if id(one) not in done]
+        joined = [self._nearest(point) or _Candidate(seen.time_s) for point in place]
+        self._candidates += [one for one in joined if not one.count]
+        for candidate, point in zip(joined, place, strict=True):
+            candidate.add(point, seen.time_s)
+        done: dict[_Candidate, int] = {}  # first measurement of each that is complete
+        for k, candidate in zip(new.tolist(), joined, strict=True):
+            if candidate.complete(self.reliability):
+                done.setdefault(candidate, k)
+        self._candidates = [one for one in self._candidates if one not in done]
         self.promoted += len(done)
-        return list(done.values())
+        slots[new] = CANDIDATE
+        slots[list(done.values())] = state.landmark_count + np.arange(len(done))
+        return slots
 
     def _nearest(self, point: Array) -> _Candidate | None:
         """The candidate within reach of a place (2,) that is nearest to it."""
@@ -110,9 +103,3 @@ class LandmarkInitiation:
             return None
         away = np.linalg.norm(point - [one.mean for one in self._candidates], axis=1)
         return self._candidates[away.argmin()] if away.min() <= self.reliability.join_m else None
-
-    def _forget(self, time_s: float) -> None:
-        silence_s = self.reliability.silence_s
-        alive = [one for one in self._candidates if time_s - one.last_s <= silence_s]
-        self.dropped += len(self._candidates) - len(alive)
-        self._candidates = alive

@@ -1,4 +1,4 @@
-"""Gated nearest neighbour (Nieto 2005, section 2.4)."""
+"""Nearest neighbours: gated (Nieto 2005, section 2.4), and in metres (Misono 2007, section 3)."""
 
 from __future__ import annotations
 
@@ -23,13 +23,10 @@ from ekf_reference.core.state import KalmanState
 class NearestNeighbour:
     """Gated nearest neighbour, each landmark taken at most once in a scan.
 
-    A measurement may join a landmark when its normalised innovation squared (Nieto 2005, eq. 2.58)
-    is within `gate`; among those the least N (eq. 2.60) wins, over the whole scan in order of N.
-    A measurement whose nis exceeds `new_gate` for every landmark starts a new one; between the two
-    gates, or beaten to its landmark, it is ambiguous.
-
-    gate, new_gate: bounds of the chi-square variable with 2 degrees of freedom; with attributes,
-    which enter both nis and N, those of the same probability with as many more.
+    A measurement may join a landmark when its nis (Nieto 2005, eq. 2.58) is within `gate`, the pair
+    with the least N (eq. 2.60) first. One whose nis exceeds `new_gate` for every landmark starts a
+    new one; between the two gates, or beaten to its landmark, it is ambiguous. The gates are for 2
+    degrees of freedom; attributes enter nis and N, and widen the gates to the same probability.
     """
 
     gate: float = 13.82  # 99.9 %
@@ -37,11 +34,30 @@ class NearestNeighbour:
     attributes: Attributes = NO_ATTRIBUTES
 
     def assign(self, state: KalmanState, model: MeasurementModel, seen: Measurements) -> Index:
-        """Assign by position and attributes; labels are not used."""
+        """Assign by position and attributes."""
         local = landmarks_around(state, model, seen)
         distances = normalised_distances(local, model, seen)
         added = self.attributes.distances(local.slot, seen)
         nis, dof = distances.nis + added.nis, 2 + added.dof
         column = match_in_order(distances.n + added.n, nis <= same_tail(self.gate, dof))
-        new = np.logical_and.reduce(nis > same_tail(self.new_gate, dof), axis=1)
-        return slots_of(column, new, local.slot, state.landmark_count)
+        far = nis > same_tail(self.new_gate, dof)
+        return slots_of(column, far, local.slot, state.landmark_count)
+
+
+@dataclass(frozen=True)
+class EuclideanNeighbour:
+    """Nearest landmark within d_min of the measurement's place in the map (Misono 2007, eq. 17).
+
+    Eq. 16 is printed with a sign lost; the inverse of the measurement model takes its place.
+    A measurement with no landmark within d_min starts a new one; beaten to it, it is ambiguous.
+    """
+
+    d_min_m: float = 1.0
+
+    def assign(self, state: KalmanState, model: MeasurementModel, seen: Measurements) -> Index:
+        """Assign by distance in metres."""
+        local = landmarks_around(state, model, seen)
+        place = model.invert(local.pose, seen.z).landmark
+        distance = np.linalg.norm(place[:, None] - local.landmark[None], axis=2)  # 17
+        column = match_in_order(distance, distance < self.d_min_m)
+        return slots_of(column, distance >= self.d_min_m, local.slot, state.landmark_count)

@@ -3,9 +3,8 @@ from __future__ import annotations
 import numpy as np
 
 from ekf_reference.association.distances import Distances, normalised_distances
-from ekf_reference.association.euclidean import EuclideanNeighbour
 from ekf_reference.association.known import KnownAssociation
-from ekf_reference.association.nearest_neighbour import NearestNeighbour
+from ekf_reference.association.nearest_neighbour import EuclideanNeighbour, NearestNeighbour
 from ekf_reference.core.blocks import point_columns, stack
 from ekf_reference.core.measurements import AMBIGUOUS, REJECTED, Measurements
 from ekf_reference.core.state import KalmanState
