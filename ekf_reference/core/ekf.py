@@ -21,14 +21,7 @@ from ekf_reference.core.measurements import (
     Measurements,
 )
 from ekf_reference.core.state import KalmanState
-from ekf_reference.core.trace import (
-    VEHICLE,
-    MeasurementRecord,
-    PriorRecord,
-    RemovalRecord,
-    StepRecord,
-    Trace,
-)
+from ekf_reference.core.trace import VEHICLE, MeasurementRecord, RemovalRecord, StepRecord, Trace
 from ekf_reference.models.motion import MotionModel
 from ekf_reference.models.position import PositionFixes
 from ekf_reference.models.range_bearing import RangeBearing
@@ -58,8 +51,7 @@ class StepNoise(Protocol):
 class Stabilisation:
     """Small noise that keeps one step's covariance regular (Nieto 2005, section 2.1.1).
 
-    Isotropic in position, so that it is the same in every frame. Variances grow with time:
-    [m^2 / s] and [rad^2 / s].
+    Rates [m^2 / s] and [rad^2 / s], isotropic in position to be the same in every frame.
     """
 
     variance_rate_position: float = 0.0
@@ -106,13 +98,10 @@ class Ekf:
         self.trace: Trace = trace or Trace()
         self.state: KalmanState = KalmanState(prior_pose, prior_covariance)
         self._count: Counter[str | int] = Counter()
-        self.trace.prior(PriorRecord(prior_pose, prior_covariance))
+        self.trace.prior(prior_pose, prior_covariance)
 
     def step(self, control: Control, seen: Measurements) -> Index:
-        """Do one cycle; return the measurements' slots (m,), negative where unused.
-
-        Source: Nieto 2005, section 2.3.
-        """
+        """Do one cycle (Nieto 2005, section 2.3); return the slots (m,), negative where unused."""
         self.predict(*control)
         slots = self.associate(seen)
         self.update(seen, slots)
@@ -180,8 +169,7 @@ class Ekf:
         mapped = len(self.state.layout.first[seen.width])
         if ((slot < NEW) | (slot >= mapped)).any():
             raise ValueError(f"slots {slot.tolist()}, expected {NEW} or less than {mapped}")
-        slots = slot.copy()
-        slots[slot == NEW] = mapped + np.arange(np.count_nonzero(slot == NEW))
+        slots = np.where(slot == NEW, mapped + np.cumsum(slot == NEW) - 1, slot)
         self.update(seen, slots)
         self.augment(seen, slots)
         return slots
@@ -197,8 +185,7 @@ class Ekf:
 
         if linearise().normalised_squared(covariance) > self.fixes.gate:
             return False
-        slot, splitter = np.array((-1,)), self.fixes.splitter
-        self.fuse(linearise, covariance[None], number, slot, splitter=splitter)
+        self.fuse(linearise, covariance[None], number, np.array([-1]), splitter=self.fixes.splitter)
         return True
 
     def fuse(
@@ -223,39 +210,36 @@ class Ekf:
                 jacobian = jacobian[:, len(frame) :]
                 frame, landmark = landmark[0], landmark[1:]
             p = len(frame)
-            self.trace.measurement(
-                MeasurementRecord(
-                    number=number,
-                    slot=slot,
-                    pose=frame,
-                    landmark=landmark.reshape(m, -1),
-                    jacobian_pose=jacobian[:, :p].reshape(m, -1, p),
-                    jacobian_other=diagonal_blocks(jacobian[:, p:], m),
-                    noise=noise / weight,
-                    innovation=at.innovation.reshape(m, -1),
-                    whitened=done.whitened.reshape(m, -1),
-                    spread=diagonal_blocks(done.spread, m),
-                    weight=weight,
-                    origin=origin,
-                )
+            record = MeasurementRecord(
+                number=number,
+                slot=slot,
+                pose=frame,
+                landmark=landmark.reshape(m, -1),
+                jacobian_pose=jacobian[:, :p].reshape(m, -1, p),
+                jacobian_other=diagonal_blocks(jacobian[:, p:], m),
+                noise=noise / weight,
+                innovation=at.innovation.reshape(m, -1),
+                whitened=done.whitened.reshape(m, -1),
+                spread=diagonal_blocks(done.spread, m),
+                weight=weight,
+                origin=origin,
             )
+            self.trace.measurement(record)
 
     def take_numbers(self, kind: str | int, count: int = 1) -> Index:
         """Return the next numbers (count,) of a kind of measurements, for `fuse`."""
-        first = self._count[kind]
         self._count[kind] += count
-        return first + np.arange(count)
+        return self._count[kind] - count + np.arange(count)
 
     def insert_surveyed(self, point: Array, covariance: Array) -> None:
         """Put points of known position (k, 2) and covariance (k, 2, 2) into the map.
 
-        Guivant 2002, section 4.2: their measurements are absolute information. They are
-        independent of the vehicle and of each other to begin with.
+        Guivant 2002, section 4.2: absolute information, so far independent of the vehicle.
         """
-        if len(point):
-            slots = self.state.landmark_count + np.arange(len(point))
+        if m := len(point):
             new = _independent(point, len(self.state.pose))
-            self._append(np.full(len(point), -1), slots, new, covariance, 0.0)
+            slots = self.state.landmark_count + np.arange(m)
+            self._append(np.full(m, -1), slots, new, covariance, weight=0.0)
 
     def remove(self, slot: Index, width: int = POINT) -> None:
         """Marginalise landmarks (m,) of a kind out. Raises ValueError for removed ones."""
@@ -265,8 +249,7 @@ class Ekf:
 
     def read_pose(self) -> PoseReading:
         """Return the pose now, against the state's."""
-        pose = self.state.pose
-        return PoseReading(pose, pose, np.eye(3))
+        return PoseReading(self.state.pose, self.state.pose, np.eye(3))
 
     def read_recorded_pose(self) -> PoseReading:
         """Return the pose now, against the trace's."""
@@ -279,9 +262,8 @@ class Ekf:
 
         def linearise() -> Linearised:
             local = self.state.map_of(slot, seen.width)
-            predicted = model.predict(local.pose, local.landmark)
-            jacobian = stack(predicted.jacobian_pose, predicted.jacobian_landmark)
-            return Linearised(local, jacobian, model.innovation(z, predicted.z).ravel())
+            expected, *jacobians = model.predict(local.pose, local.landmark)
+            return Linearised(local, stack(*jacobians), model.innovation(z, expected).ravel())
 
         self.fuse(linearise, seen.noise[rows], self._count[seen.width] + rows, slot)
 

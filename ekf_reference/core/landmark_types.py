@@ -12,11 +12,8 @@ import numpy as np
 
 from ekf_reference.core.geometry import Array, wrap_angle
 
-POINT = 2
-"""Entries of a landmark that is a point: x, y."""
-POSE = 3
-"""Entries of a landmark that is a pose: x, y, heading."""
-WIDTHS = (POINT, POSE)
+POINT, POSE = WIDTHS = (2, 3)
+"""Entries of a landmark that is a point, x, y, and of one that is a pose, x, y, heading."""
 
 
 class PredictedMeasurements(NamedTuple):

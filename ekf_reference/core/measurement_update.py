@@ -1,9 +1,8 @@
-"""The measurement update, and its split into a sequence of weaker ones (Guivant 2002, section 4.2).
+"""The measurement update, split into a sequence of weaker ones (Guivant 2002, section 4.2).
 
 One measurement of covariance R counts as L measurements of K_i R with sum 1 / K_i = 1. For a
-linear measurement that is the same update; for a nonlinear one every part is linearised where
-the last one led, so that a strong correction does not rest on Jacobians taken far away. It serves
-absolute positions and the large correction at a loop closure.
+linear measurement that is the same update; for a nonlinear one, as of an absolute position or at a
+loop closure, every part is linearised where the last one led, not far from where it corrects.
 """
 
 from __future__ import annotations
@@ -51,9 +50,8 @@ class UpdateSplitter:
         """Yield weights 1 / K_i, of sum one, and the measurement linearised anew for each.
 
         The caller fuses each part with noise / weight before it takes the next. noise: (m, m), R.
-        A weight is halved until the predicted correction of the pose is within the bounds; the
-        first parts of a strong correction are therefore very weak. The last part takes what is
-        left.
+        A weight is halved until the predicted correction of the pose is within the bounds, so that
+        a strong correction starts with very weak parts. The last part takes what is left.
         """
         left = 1.0
         for remaining in range(self.most, 0, -1):

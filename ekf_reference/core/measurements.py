@@ -34,7 +34,7 @@ class MeasuredAttributes:
 
     def take(self, rows: Index) -> MeasuredAttributes:
         """Return some of them."""
-        if not self.value.shape[1]:
+        if not self.value.size:
             return self
         return MeasuredAttributes(self.value[rows], self.variance[rows])
 

@@ -47,8 +47,7 @@ class LocalMap:
     @property
     def vehicle(self) -> Array:
         """(p, p) P_vv."""
-        p = len(self.pose)
-        return self.covariance[:p, :p]
+        return self.covariance[: len(self.pose), : len(self.pose)]
 
     @property
     def cross(self) -> Array:
@@ -73,10 +72,7 @@ class LocalMap:
 
 
 class MapSnapshot(NamedTuple):
-    """The landmarks of a kind as they can be read without a global update of compressed filters.
-
-    place: (L, w), NaN where one was removed. slot: (m,) those that are current, ascending.
-    """
+    """Landmarks (L, w) of a kind, NaN where removed, and the sorted slots (m,) of current ones."""
 
     place: Array
     slot: Index
@@ -132,10 +128,7 @@ class KalmanState:
         return len(self.layout.first[POINT])
 
     def places(self, width: int) -> Array:
-        """Return all landmarks (L, w) of a kind, a copy; NaN where one was removed.
-
-        Source: Nieto 2005, eqs. 5.5 and 6.4.
-        """
+        """Return all landmarks (L, w), a copy; NaN where removed (Nieto 2005, eqs. 5.5, 6.4)."""
         first = self._layout.first[width]
         place: Array = self._mean[first[:, None] + np.arange(width)]
         place[first < 0] = np.nan
@@ -153,13 +146,12 @@ class KalmanState:
 
     def within(self, reach_m: float, width: int = POINT) -> Index:
         """Return the slots of the landmarks of a kind at most `reach_m` from the vehicle."""
-        return np.flatnonzero(np.hypot(*self._from_vehicle(width).T) <= reach_m)
+        offset = self.places(width)[:, :2] - self.pose[:2]
+        return np.flatnonzero(np.hypot(*offset.T) <= reach_m)
 
     def _near(self, reach_m: float, width: int) -> Index:
-        return np.flatnonzero(np.abs(self._from_vehicle(width)).max(axis=1) <= reach_m)
-
-    def _from_vehicle(self, width: int) -> Array:
-        return self.places(width)[:, :2] - self.pose[:2]
+        offset = self.places(width)[:, :2] - self.pose[:2]
+        return np.flatnonzero(np.abs(offset).max(axis=1) <= reach_m)
 
     def map_of(self, slot: Index, width: int = POINT) -> LocalMap:
         """Return some landmarks (m,) of a kind. Raises ValueError for removed ones."""
@@ -208,10 +200,9 @@ class KalmanState:
         if not (np.isfinite(innovation_covariance).all() and np.isfinite(innovation).all()):
             raise FilterDivergedError("the innovation or its covariance is not finite")
         try:
-            root = np.linalg.cholesky(innovation_covariance)
+            inverse_root = np.linalg.inv(np.linalg.cholesky(innovation_covariance))
         except np.linalg.LinAlgError as e:
             raise FilterDivergedError("the innovation covariance is not positive definite") from e
-        inverse_root = np.linalg.inv(root)
         u, whitened = inverse_root @ gain_left.T, inverse_root @ innovation
         self._mean[:n] += u.T @ whitened  # 2.45
         p -= u.T @ u  # 2.46
@@ -224,32 +215,25 @@ class KalmanState:
 
         landmark: (m, w). jacobian_pose: (m, w, p). jacobian_z: (m, w, w). noise: (m, w, w), R.
         """
-        count, width = landmark.shape
-        v, n, added = self._layout.pose_size, self._layout.size, width * count
-        self._reserve(n + added)
-        p = self._covariance
-        stacked = jacobian_pose.reshape(added, v)
+        v, n = self._layout.pose_size, self._layout.size
+        new = slice(n, n + landmark.size)
+        self._reserve(new.stop)
+        p, stacked = self._covariance, jacobian_pose.reshape(-1, v)
         cross = stacked @ p[:v, :n]
-        new = slice(n, n + added)
         p[new, :n], p[:n, new] = cross, cross.T
-        spread = jacobian_z @ noise @ jacobian_z.transpose(0, 2, 1)
-        own = cross[:, :v] @ stacked.T + block_diagonal(spread)
+        own_noise = jacobian_z @ noise @ jacobian_z.transpose(0, 2, 1)
+        own = cross[:, :v] @ stacked.T + block_diagonal(own_noise)
         p[new, new] = 0.5 * (own + own.T)
         self._mean[new] = landmark.ravel()
-        self._layout = self._layout.appended(count, width)
+        self._layout = self._layout.appended(*landmark.shape)
 
     def remove(self, slot: Index, width: int = POINT) -> None:
-        """Marginalise landmarks (m,) of a kind out; their slots stay empty.
-
-        Raises ValueError for landmarks that were removed before.
-        """
+        """Marginalise landmarks (m,) out; slots stay empty. Raises ValueError for removed ones."""
         gone = self._layout.columns(slot, width)[self._layout.pose_size :]
         kept = np.setdiff1d(np.arange(self._layout.size), gone)
         self._layout, n = self._layout.part(kept), len(kept)
-        self._mean[:n], self._covariance[:n, :n] = (
-            self._mean[kept],
-            self._covariance[kept[:, None], kept],
-        )
+        self._mean[:n] = self._mean[kept]
+        self._covariance[:n, :n] = self._covariance[kept[:, None], kept]
 
     def part(self, columns: Index) -> KalmanState:
         """Return the marginal of some state entries (c,), the pose's first; slots are the same."""
@@ -258,26 +242,20 @@ class KalmanState:
         return chosen
 
     def merge(
-        self,
-        columns: Index,
-        local: KalmanState,
-        transition: Array,
-        root: Array,
-        shift: Array,
-        spared: Index,
+        self, start: Index, local: KalmanState, phi: Array, root: Array, shift: Array, spared: Index
     ) -> None:
         """Take over what a local filter learnt: the global update of the compressed filter.
 
-        Source: Guivant 2002, eqs. 17, 20, 21 and 23. columns: (a,) entries that the local state
-        started from. local: its state now, new landmarks behind the first a. transition: (a', a)
-        phi. root: (n, k) with Delta P = root root^T, and shift: (n,) of the mean, for entries
-        outside. spared: entries whose covariance with each other stays as it is.
+        Source: Guivant 2002, eqs. 17, 20, 21 and 23. start: (a,) entries that the local state
+        started from. local: its state now, new landmarks behind the first a. phi: (a', a). root:
+        (n, k) with Delta P = root root^T, and shift: (n,) of the mean, for entries outside. spared:
+        entries whose covariance with each other stays as it is.
         """
-        n, a = self._layout.size, len(columns)
+        n, a = self._layout.size, len(start)
         total = n + local._layout.size - a
         self._reserve(total)
         mean, p = self._mean, self._covariance
-        cross = transition @ p[columns, :n]  # P_ab = phi P_ab(0), all columns
+        cross = phi @ p[start, :n]  # P_ab = phi P_ab(0), all columns
         changed = np.setdiff1d(np.arange(n), spared)
         if 2 * len(changed) < n:
             p[changed, :n] -= root[changed] @ root.T
@@ -287,7 +265,7 @@ class KalmanState:
             p[:n, :n] -= root @ root.T
             p[spared[:, None], spared] = kept
         mean[:n] += shift
-        everywhere = np.concatenate((columns, np.arange(n, total)))
+        everywhere = np.concatenate((start, np.arange(n, total)))
         p[everywhere, :n], p[:n, everywhere] = cross, cross.T
         p[everywhere[:, None], everywhere] = local.covariance
         mean[everywhere] = local.mean

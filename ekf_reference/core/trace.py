@@ -20,13 +20,6 @@ VEHICLE = -1
 """The origin of what is measured from the vehicle."""
 
 
-class PriorRecord(NamedTuple):
-    """Where the filter starts. pose: (p,). covariance: (p, p)."""
-
-    pose: Array
-    covariance: Array
-
-
 class StepRecord(NamedTuple):
     """One step: x' = arrived + f (x - departed) + w, w ~ N(0, q), poses (p,)."""
 
@@ -41,11 +34,8 @@ class MeasurementRecord(NamedTuple):
 
     A measurement says innovation = H_v (x - pose) + H_l (l - landmark) + v, an initialisation
     l = landmark + G_x (x - pose) + G_z v, v ~ N(0, noise). jacobian_pose is H_v or G_x,
-    jacobian_other H_l or G_z.
-
-    The width w of the landmarks tells what was measured: 2 points, 3 poses, and 0 none, as by an
-    absolute position. origin: VEHICLE, or the slot of the pose landmark that another was measured
-    from, whose place is then `pose`: two landmarks that were found to be one.
+    jacobian_other H_l or G_z. The width w of the landmarks tells what was measured: 2 points, 3
+    poses, and 0 none, as by an absolute position.
 
     number: (m,) in the order of arrival of the measurements of this kind, from 0; parts of an
     update share it. -1 for a landmark put into the map without one. slot: (m,). landmark: (m, w).
@@ -54,7 +44,8 @@ class MeasurementRecord(NamedTuple):
     together, in their order. spread: (m, r, r), its own block of S = H P H^T + R / weight. The last
     three are zero for initialisations. weight: the share of the measurement's information: one,
     less for parts of an update, zero for a landmark that is surveyed or initialised with a
-    boundless prior, whose noise is that prior's covariance.
+    boundless prior, whose noise is that prior's covariance. origin: VEHICLE, or the slot of the
+    pose landmark that another was measured from, whose place is then `pose`: they are one.
     """
 
     number: Index
@@ -82,8 +73,8 @@ class RemovalRecord(NamedTuple):
 class Trace:
     """Receives every linearisation of a filter, in order; this one keeps nothing."""
 
-    def prior(self, start: PriorRecord) -> None:
-        """Record where the filter starts."""
+    def prior(self, pose: Array, covariance: Array) -> None:
+        """Record where the filter starts: a pose (p,) with covariance (p, p)."""
 
     def step(self, step: StepRecord) -> None:
         """Record one step of the vehicle."""
@@ -154,20 +145,23 @@ class TraceArrays:
     removals: RemovalRecords
 
 
+Kept = list[tuple[int, MeasurementRecord]]
+"""Records, with the steps made before each."""
+
+
 class RecordedTrace(Trace):
     """Keeps everything, in memory."""
 
     def __init__(self) -> None:
         """Start empty."""
-        self._prior = PriorRecord(np.zeros(3), np.eye(3))
+        self._prior = np.zeros(3), np.eye(3)
         self._steps: list[StepRecord] = []
         self._removals: list[tuple[int, RemovalRecord]] = []
-        self._records: defaultdict[tuple[str, int], list[tuple[int, MeasurementRecord]]]
-        self._records = defaultdict(list)
+        self._records: defaultdict[tuple[str, int], Kept] = defaultdict(list)
 
-    def prior(self, start: PriorRecord) -> None:
+    def prior(self, pose: Array, covariance: Array) -> None:
         """Keep the prior."""
-        self._prior = start
+        self._prior = pose, covariance
 
     def step(self, step: StepRecord) -> None:
         """Keep one step."""
@@ -187,10 +181,10 @@ class RecordedTrace(Trace):
 
     def arrays(self) -> TraceArrays:
         """Return everything so far, stacked."""
-        p, steps, records = len(self._prior.pose), self._steps, self._records
+        p, steps, records = len(self._prior[0]), self._steps, self._records
         return TraceArrays(
-            prior_pose=self._prior.pose,
-            prior_covariance=self._prior.covariance,
+            prior_pose=self._prior[0],
+            prior_covariance=self._prior[1],
             departed=np.array([one.departed for one in steps]).reshape(-1, p),
             arrived=np.array([one.arrived for one in steps]).reshape(-1, p),
             f=np.array([one.f for one in steps]).reshape(-1, p, p),
@@ -206,13 +200,10 @@ class RecordedTrace(Trace):
         self._records[what, record.landmark.shape[1]].append((len(self._steps), record))
 
 
-def stack_records(
-    records: Sequence[tuple[int, MeasurementRecord]], p: int, width: int, size: int = 0
-) -> MeasurementRecords:
+def stack_records(records: Kept, p: int, width: int, size: int = 0) -> MeasurementRecords:
     """Return one row per measurement; what a record says once holds for all of its rows.
 
-    records: with the steps made before each. p: entries of the pose, width: of the landmark, and
-    size: of the measurement, those of the landmark unless told.
+    p, width, size: entries of a pose, a landmark, and a measurement (the landmark's unless told).
     """
     r = size or width
     shapes = {"pose": (p,), "landmark": (width,), "jacobian_pose": (r, p), "noise": (r, r)}

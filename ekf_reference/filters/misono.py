@@ -27,7 +27,6 @@ from ekf_reference.core.state import Correction, FilterDivergedError, KalmanStat
 from ekf_reference.core.trace import (
     VEHICLE,
     MeasurementRecord,
-    PriorRecord,
     RemovalRecord,
     StepRecord,
     Trace,
@@ -317,10 +316,10 @@ class HeadingTrace(Trace):
         self._trace = trace
         self._heading_rad = heading_rad
 
-    def prior(self, start: PriorRecord) -> None:
+    def prior(self, pose: Array, covariance: Array) -> None:
         """Record the covariance along the circle."""
-        back = along_circle(start.pose).T
-        self._trace.prior(PriorRecord(self._pose(start.pose), back @ start.covariance @ back.T))
+        back = along_circle(pose).T
+        self._trace.prior(self._pose(pose), back @ covariance @ back.T)
 
     def step(self, step: StepRecord) -> None:
         """Record F and Q along the circle."""
