@@ -212,7 +212,8 @@ def stack_records(records: Kept, p: int, width: int, size: int = 0) -> Measureme
     found: dict[str, list[Any]] = {name: [np.zeros((0, *shape))] for name, shape in shapes.items()}
     for step, one in records:
         for name, value in {"step": step, **one._asdict()}.items():
-            found[name].append(np.broadcast_to(value, (len(one.slot), *shapes[name])))
+            once = np.ndim(value) == len(shapes[name])
+            found[name].append(np.full((len(one.slot), *shapes[name]), value) if once else value)
     joined = {name: np.concatenate(values) for name, values in found.items()}
     whole = {name: joined[name].astype(np.intp) for name in ("step", "number", "slot", "origin")}
     return MeasurementRecords(**(joined | whole))
