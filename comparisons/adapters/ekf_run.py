@@ -215,8 +215,7 @@ def _check_counts(
 def _joint_covariance(ekf: Ekf) -> Array:
     """Of the last pose as x, y, heading, and all landmarks, points first."""
     read, own, packed = ekf.read_pose().jacobian, ekf.state.covariance, ekf.state.layout.by_kind()
-    if not ekf.state.layout.points_only:
-        own = own[np.ix_(packed, packed)]
+    own = own[np.ix_(packed, packed)]
     p = read.shape[1]
     joint = np.empty((len(own) - p + 3, len(own) - p + 3))
     joint[:3, :3] = read @ own[:p, :p] @ read.T

@@ -10,15 +10,10 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ekf_reference.core.blocks import block_diagonal, diagonal_blocks, stack, unstack
+from ekf_reference.core.blocks import block_diagonal, diagonal_blocks, stack
 from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.landmark_types import POINT, POSE, MeasurementModel, NewLandmarks
-from ekf_reference.core.measurement_update import (
-    Linearised,
-    UpdateSplitter,
-    fuse,
-    normalised_innovation_squared,
-)
+from ekf_reference.core.measurement_update import Linearised, UpdateSplitter
 from ekf_reference.core.measurements import (
     NOT_MEASURED,
     Association,
@@ -26,14 +21,7 @@ from ekf_reference.core.measurements import (
     Measurements,
 )
 from ekf_reference.core.state import KalmanState
-from ekf_reference.core.trace import (
-    VEHICLE,
-    MeasurementRecord,
-    PriorRecord,
-    RemovalRecord,
-    StepRecord,
-    Trace,
-)
+from ekf_reference.core.trace import VEHICLE, MeasurementRecord, RemovalRecord, StepRecord, Trace
 from ekf_reference.models.motion import MotionModel
 from ekf_reference.models.position import PositionFixes
 from ekf_reference.models.range_bearing import RangeBearing
@@ -57,15 +45,13 @@ class StepNoise(Protocol):
 
     def covariance(self, duration_s: float, pose: Array) -> Array:
         """Return the noise (p, p) of a step that arrives at a pose (p,)."""
-        ...
 
 
 @dataclass(frozen=True)
 class Stabilisation:
     """Small noise that keeps one step's covariance regular (Nieto 2005, section 2.1.1).
 
-    Isotropic in position, so that it is the same in every frame. Variances grow with time.
-    variance_rate_position: m^2 / s. variance_rate_heading: rad^2 / s.
+    Rates [m^2 / s] and [rad^2 / s], isotropic in position to be the same in every frame.
     """
 
     variance_rate_position: float = 0.0
@@ -78,32 +64,20 @@ class Stabilisation:
 
 
 class PoseReading(NamedTuple):
-    """A pose as x, y, heading. pose: (3,). own: (p,) the same as the state has it.
-
-    jacobian: (3, p) of the former by the latter.
-    """
+    """A pose (3,) as x, y, heading, its own form (p,) in the state, and the Jacobian (3, p)."""
 
     pose: Array
     own: Array
     jacobian: Array
 
 
-class MeasurementLabel(NamedTuple):
-    """What m measurements are recorded as. number, slot: (m,). origin: as in MeasurementRecord."""
-
-    number: Index
-    slot: Index
-    origin: int = VEHICLE
-
-
 class Ekf:
     """Predict, associate, update, augment. Public attributes are its parts; all can be replaced.
 
     models: how landmarks are measured, by their width. fixes: how absolute positions are fused.
-    splitter: bounds beyond which one update is split; without bounds by default.
-    boundless_variance: of a new landmark's position before it is updated with its first
-    measurement (Nieto 2005, eq. 2.56), None to initialise it from that measurement directly
-    (eqs. 2.48 to 2.55).
+    splitter: bounds beyond which an update of landmarks is split. boundless_variance: of a new
+    landmark before it is updated with its first measurement (Nieto 2005, eq. 2.56), None to
+    initialise it from that measurement directly (eqs. 2.48 to 2.55).
     """
 
     def __init__(
@@ -124,14 +98,10 @@ class Ekf:
         self.trace: Trace = trace or Trace()
         self.state: KalmanState = KalmanState(prior_pose, prior_covariance)
         self._count: Counter[str | int] = Counter()
-        self.trace.prior(PriorRecord(prior_pose, prior_covariance))
+        self.trace.prior(prior_pose, prior_covariance)
 
     def step(self, control: Control, seen: Measurements) -> Index:
-        """Do one cycle of the filter; return the measurements' slots (m,), negative where unused.
-
-        Nieto 2005, section 2.3: prediction, association, update of what is known, and augmentation
-        of the state with what is new, at the updated pose.
-        """
+        """Do one cycle (Nieto 2005, section 2.3); return the slots (m,), negative where unused."""
         self.predict(*control)
         slots = self.associate(seen)
         self.update(seen, slots)
@@ -144,11 +114,10 @@ class Ekf:
         Source: Guivant 2002, eq. 7; Misono 2007, eqs. 10 and 11; Nieto 2005, eqs. 2.32 to 2.36.
         """
         departed = self.state.pose
-        step = self.motion.step(departed, control, duration_s)
-        b = step.jacobian_control
-        noise = b @ covariance @ b.T + self.stabilisation.covariance(duration_s, step.pose)
-        self.state.predict(step.pose, step.jacobian_pose, noise)
-        self.trace.step(StepRecord(departed, step.pose, step.jacobian_pose, noise))
+        pose, f, b = self.motion.step(departed, control, duration_s)
+        noise = b @ covariance @ b.T + self.stabilisation.covariance(duration_s, pose)
+        self.state.predict(pose, f, noise)
+        self.trace.step(StepRecord(departed, pose, f, noise))
 
     def associate(self, seen: Measurements) -> Index:
         """Return the slots (m,) that the association rule gives (Nieto 2005, section 2.4)."""
@@ -162,30 +131,14 @@ class Ekf:
     def augment(self, seen: Measurements, slots: Index) -> None:
         """Initialise the landmarks that are not in the state yet (Nieto 2005, 2.48 to 2.56).
 
-        A second measurement of the same new landmark is fused after that. Comes after `update`.
+        Comes after `update`, at the updated pose. A second measurement of the same new landmark is
+        fused after that.
         """
-        new = slots >= len(self.state.layout.first[seen.width])
-        first = np.zeros(len(slots), dtype=bool)
-        first[np.unique(slots, return_index=True)[1]] = True
-        self._initialise(seen, slots, np.flatnonzero(new & first))
-        self._fuse(seen, slots, np.flatnonzero(new & ~first))
+        new = np.flatnonzero(slots >= len(self.state.layout.first[seen.width]))
+        first = np.sort(new[np.unique(slots[new], return_index=True)[1]])
+        self._initialise(seen, slots, first)
+        self._fuse(seen, slots, np.setdiff1d(new, first))
         self.take_numbers(seen.width, len(slots))
-
-    def measurements(
-        self,
-        z: Array,
-        sigma: Array,
-        identity: NDArray[np.int64],
-        time_s: float = 0.0,
-        attributes: MeasuredAttributes = NOT_MEASURED,
-    ) -> Measurements:
-        """Return ranges and bearings of points as the filter's model has them.
-
-        z: (m, 2) range [m] and bearing [rad]. sigma: (m, 2). identity: (m,) labels, negative for
-        none. attributes: for association.
-        """
-        own = self.models[POINT].measured(z, sigma)
-        return Measurements(*own, identity, time_s=time_s, attributes=attributes)
 
     def observe(
         self,
@@ -195,111 +148,108 @@ class Ekf:
         time_s: float = 0.0,
         attributes: MeasuredAttributes = NOT_MEASURED,
     ) -> Index:
-        """Do a cycle without a step; the arguments are those of `measurements`."""
-        seen = self.measurements(z, sigma, identity, time_s, attributes)
+        """Do a cycle without a step, with ranges [m] and bearings [rad] (m, 2) of points.
+
+        sigma: (m, 2). identity: (m,) labels, negative for none. attributes: for association.
+        """
+        own = self.models[POINT].measured(z, sigma)
+        seen = Measurements(*own, identity, time_s=time_s, attributes=attributes)
         slots = self.associate(seen)
         self.update(seen, slots)
         self.augment(seen, slots)
         return slots
 
     def observe_known(self, z: Array, noise: Array, slot: Index) -> Index:
-        """Update and augment with measurements whose landmarks are known; return their slots (m,).
+        """Update and augment with measurements (m, w), R (m, w, w), whose slots (m,) are known.
 
-        z: (m, w) with R (m, w, w). slot: (m,), NEW for new landmarks. Raises ValueError for one
-        that is not in the state.
+        NEW stands for a new landmark; the slots returned have its own. Raises ValueError for a
+        landmark that is not in the state.
         """
         seen = Measurements(z, noise, slot)
         mapped = len(self.state.layout.first[seen.width])
         if ((slot < NEW) | (slot >= mapped)).any():
             raise ValueError(f"slots {slot.tolist()}, expected {NEW} or less than {mapped}")
-        slots = slot.copy()
-        slots[slot == NEW] = mapped + np.arange(np.count_nonzero(slot == NEW))
+        slots = np.where(slot == NEW, mapped + np.cumsum(slot == NEW) - 1, slot)
         self.update(seen, slots)
         self.augment(seen, slots)
         return slots
 
     def fix_position(self, z: Array, covariance: Array) -> bool:
         """Fuse an absolute position (2,) with covariance (2, 2); False when the gate rejects it."""
-        label = MeasurementLabel(self.take_numbers("position"), np.array((-1,)))
+        number = self.take_numbers("position")
 
         def linearise() -> Linearised:
             local = self.state.map_of(NO_LANDMARKS)
             expected, jacobian = self.fixes.model.predict(local.pose)
             return Linearised(local, jacobian, z - expected)
 
-        if normalised_innovation_squared(linearise(), covariance) > self.fixes.gate:
+        if linearise().normalised_squared(covariance) > self.fixes.gate:
             return False
-        self.fuse(linearise, covariance[None], label, self.fixes.splitter)
+        self.fuse(linearise, covariance[None], number, np.array([-1]), splitter=self.fixes.splitter)
         return True
 
     def fuse(
         self,
         linearise: Callable[[], Linearised],
         noise: Array,
-        label: MeasurementLabel,
+        number: Index,
+        slot: Index,
+        origin: int = VEHICLE,
         splitter: UpdateSplitter | None = None,
     ) -> None:
         """Fuse m measurements together, in as many parts as the splitter asks for, and record each.
 
         linearise: the measurements at the state as it then is. noise: (m, r, r), R of each.
-        splitter: the filter's own unless told.
+        number, slot, origin: as in MeasurementRecord. splitter: the filter's own unless told.
         """
-        m = len(noise)
-        parts = fuse(self.state, splitter or self.splitter, linearise, block_diagonal(noise))
-        for weight, at, done in parts:
+        m, r = len(noise), block_diagonal(noise)
+        for weight, at in (splitter or self.splitter).split(linearise, r):
+            done = self.state.update(at.local.columns, at.jacobian, at.innovation, r / weight)
             frame, landmark, jacobian = at.local.pose, at.local.landmark, at.jacobian
-            if label.origin != VEHICLE:
+            if origin != VEHICLE:
                 jacobian = jacobian[:, len(frame) :]
                 frame, landmark = landmark[0], landmark[1:]
-            width = (jacobian.shape[1] - len(frame)) // m
-            by_frame, by_landmark = unstack(jacobian, m, width)
-            self.trace.measurement(
-                MeasurementRecord(
-                    number=label.number,
-                    slot=label.slot,
-                    pose=frame,
-                    landmark=landmark.reshape(m, width),
-                    innovation=at.innovation.reshape(m, -1),
-                    jacobian_pose=by_frame,
-                    jacobian_other=by_landmark,
-                    noise=noise / weight,
-                    spread=diagonal_blocks(done.spread, m),
-                    whitened=done.whitened.reshape(m, -1),
-                    weight=weight,
-                    origin=label.origin,
-                )
+            p = len(frame)
+            record = MeasurementRecord(
+                number=number,
+                slot=slot,
+                pose=frame,
+                landmark=landmark.reshape(m, -1),
+                jacobian_pose=jacobian[:, :p].reshape(m, -1, p),
+                jacobian_other=diagonal_blocks(jacobian[:, p:], m),
+                noise=noise / weight,
+                innovation=at.innovation.reshape(m, -1),
+                whitened=done.whitened.reshape(m, -1),
+                spread=diagonal_blocks(done.spread, m),
+                weight=weight,
+                origin=origin,
             )
+            self.trace.measurement(record)
 
     def take_numbers(self, kind: str | int, count: int = 1) -> Index:
-        """Return the next numbers (count,) of a kind of measurements, for a MeasurementLabel."""
-        first = self._count[kind]
+        """Return the next numbers (count,) of a kind of measurements, for `fuse`."""
         self._count[kind] += count
-        return first + np.arange(count)
+        return self._count[kind] - count + np.arange(count)
 
     def insert_surveyed(self, point: Array, covariance: Array) -> None:
         """Put points of known position (k, 2) and covariance (k, 2, 2) into the map.
 
-        Guivant 2002, section 4.2: their measurements are absolute information. They are
-        independent of the vehicle and of each other to begin with.
+        Guivant 2002, section 4.2: absolute information, so far independent of the vehicle.
         """
-        if len(point):
-            slots = self.state.landmark_count + np.arange(len(point))
+        if m := len(point):
             new = _independent(point, len(self.state.pose))
-            self._append(np.full(len(point), -1), slots, new, covariance, weight=0.0)
+            slots = self.state.landmark_count + np.arange(m)
+            self._append(np.full(m, -1), slots, new, covariance, weight=0.0)
 
     def remove(self, slot: Index, width: int = POINT) -> None:
-        """Marginalise landmarks (m,) of a kind out of the state, such as ones that may move.
-
-        Raises ValueError for landmarks that were removed before.
-        """
+        """Marginalise landmarks (m,) of a kind out. Raises ValueError for removed ones."""
         entries = self.state.layout.columns(slot, width)[len(self.state.pose) :]
         self.state.remove(slot, width)
         self.trace.removal(RemovalRecord(slot, width, entries))
 
     def read_pose(self) -> PoseReading:
         """Return the pose now, against the state's."""
-        pose = self.state.pose
-        return PoseReading(pose, pose, np.eye(3))
+        return PoseReading(self.state.pose, self.state.pose, np.eye(3))
 
     def read_recorded_pose(self) -> PoseReading:
         """Return the pose now, against the trace's."""
@@ -308,51 +258,34 @@ class Ekf:
     def _fuse(self, seen: Measurements, slots: Index, rows: Index) -> None:
         if not len(rows):
             return
-        width, slot, z, noise = seen.width, slots[rows], seen.z[rows], seen.noise[rows]
-        model = self.models[width]
+        slot, z, model = slots[rows], seen.z[rows], self.models[seen.width]
 
         def linearise() -> Linearised:
-            local = self.state.map_of(slot, width)
-            predicted = model.predict(local.pose, local.landmark)
-            innovation = model.innovation(z, predicted.z)
-            jacobian = stack(predicted.jacobian_pose, predicted.jacobian_landmark)
-            return Linearised(local, jacobian, innovation.ravel())
+            local = self.state.map_of(slot, seen.width)
+            expected, *jacobians = model.predict(local.pose, local.landmark)
+            return Linearised(local, stack(*jacobians), model.innovation(z, expected).ravel())
 
-        self.fuse(linearise, noise, MeasurementLabel(self._count[width] + rows, slot))
+        self.fuse(linearise, seen.noise[rows], self._count[seen.width] + rows, slot)
 
     def _initialise(self, seen: Measurements, slots: Index, rows: Index) -> None:
         if not len(rows):
             return
-        noise, number = seen.noise[rows], self._count[seen.width] + rows
+        slot, number = slots[rows], self._count[seen.width] + rows
         new = self.models[seen.width].invert(self.state.pose, seen.z[rows])
         if self.boundless_variance is None:
-            self._append(number, slots[rows], new, noise)
-            return
-        apart = _independent(new.landmark, len(self.state.pose))  # 2.56: know nothing, then fuse
-        boundless = self.boundless_variance * apart.jacobian_z
-        self._append(number, slots[rows], apart, boundless, weight=0.0)
-        self._fuse(seen, slots, rows)
+            self._append(number, slot, new, seen.noise[rows], 1.0)
+        else:  # 2.56: know nothing, then fuse
+            new = _independent(new.landmark, len(self.state.pose))
+            self._append(number, slot, new, self.boundless_variance * new.jacobian_z, 0.0)
+            self._fuse(seen, slots, rows)
 
     def _append(
-        self, number: Index, slot: Index, new: NewLandmarks, noise: Array, weight: float = 1.0
+        self, number: Index, slot: Index, new: NewLandmarks, noise: Array, weight: float
     ) -> None:
-        pose, zero = self.state.pose, np.zeros(new.landmark.shape)
+        zeros = np.zeros(new.landmark.shape), np.zeros(new.landmark.shape), np.zeros(noise.shape)
+        record = MeasurementRecord(number, slot, self.state.pose, *new, noise, *zeros, weight)
         self.state.augment(*new, noise)
-        self.trace.initialisation(
-            MeasurementRecord(
-                number=number,
-                slot=slot,
-                pose=pose,
-                landmark=new.landmark,
-                innovation=zero,
-                jacobian_pose=new.jacobian_pose,
-                jacobian_other=new.jacobian_z,
-                noise=noise,
-                spread=np.zeros_like(new.jacobian_z),
-                whitened=zero,
-                weight=weight,
-            )
-        )
+        self.trace.initialisation(record)
 
 
 def _independent(landmark: Array, p: int) -> NewLandmarks:

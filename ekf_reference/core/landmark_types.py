@@ -10,20 +10,14 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from ekf_reference.core.geometry import Array
+from ekf_reference.core.geometry import Array, wrap_angle
 
-POINT = 2
-"""Entries of a landmark that is a point: x, y."""
-POSE = 3
-"""Entries of a landmark that is a pose: x, y, heading."""
-WIDTHS = (POINT, POSE)
+POINT, POSE = WIDTHS = (2, 3)
+"""Entries of a landmark that is a point, x, y, and of one that is a pose, x, y, heading."""
 
 
 class PredictedMeasurements(NamedTuple):
-    """Expected measurements z (m, w) of m landmarks, with Jacobians.
-
-    jacobian_pose: (m, w, p) by the pose. jacobian_landmark: (m, w, w) by the landmark.
-    """
+    """Expected measurements (m, w), with Jacobians (m, w, p) by the pose, (m, w, w) by each."""
 
     z: Array
     jacobian_pose: Array
@@ -31,10 +25,7 @@ class PredictedMeasurements(NamedTuple):
 
 
 class NewLandmarks(NamedTuple):
-    """Landmarks (m, w) computed from m measurements, with Jacobians.
-
-    jacobian_pose: (m, w, p) by the pose. jacobian_z: (m, w, w) by the measurement.
-    """
+    """Landmarks (m, w) computed from measurements z, with Jacobians (m, w, p) and (m, w, w)."""
 
     landmark: Array
     jacobian_pose: Array
@@ -42,32 +33,33 @@ class NewLandmarks(NamedTuple):
 
 
 class MeasurementModel(Protocol):
-    """How landmarks of one kind are measured from a pose of p entries."""
+    """How landmarks of one kind are measured, as z (m, w), from a pose (p,).
+
+    What is not abstract holds for z whose entries have independent errors and end in an angle.
+    """
 
     def measured(self, z: Array, sigma: Array) -> tuple[Array, Array]:
-        """Return the model's own z (m, w) and R (m, w, w) of what a sensor measured with sigmas."""
-        ...
+        """Return the model's own z and R (m, w, w) of what a sensor measured with sigmas (m, w)."""
+        return z, diagonal_noise(sigma)
 
     def range_m(self, z: Array) -> Array:
-        """Return the distances (m,) of measurements (m, w) [m]."""
-        ...
+        """Return the distances (m,) of what was measured [m]."""
 
     def predict(self, pose: Array, landmarks: Array) -> PredictedMeasurements:
-        """Predict the measurements of landmarks (m, w) from a pose (p,)."""
-        ...
+        """Predict the measurements of landmarks (m, w)."""
 
     def innovation(self, z: Array, predicted: Array) -> Array:
-        """Return z - predicted (..., w), angles wrapped."""
-        ...
+        """Return z - predicted (..., w), wrapped (Nieto 2005, eqs. 2.38, 2.57 and 3.15)."""
+        difference: Array = z - predicted
+        difference[..., -1] = wrap_angle(difference[..., -1])
+        return difference
 
     def invert(self, pose: Array, z: Array) -> NewLandmarks:
-        """Return the landmarks that are measured as z (m, w) from a pose (p,)."""
-        ...
+        """Return the landmarks that are measured as z."""
 
 
 def diagonal_noise(sigma: Array) -> Array:
-    """Return R (m, w, w) of m measurements with independent errors of sigmas (m, w)."""
-    count, width = sigma.shape
-    covariance = np.zeros((count, width, width))
-    covariance[:, range(width), range(width)] = sigma**2
+    """Return R (m, w, w) of independent errors with sigmas (m, w) (Nieto 2005, eq. 2.41)."""
+    covariance = np.zeros((*sigma.shape, sigma.shape[1]))
+    covariance[:, range(sigma.shape[1]), range(sigma.shape[1])] = sigma**2
     return covariance

@@ -33,15 +33,7 @@ class Layout:
     @classmethod
     def of_pose(cls, pose_size: int) -> Layout:
         """Return the layout of a pose alone."""
-        nothing = np.zeros(0, dtype=np.intp)
-        return cls(pose_size, pose_size, dict.fromkeys(WIDTHS, nothing))
-
-    @property
-    def points_only(self) -> bool:
-        """All landmarks are points and none is absent: number i is at pose_size + 2 i."""
-        return self.size == self.pose_size + POINT * len(self.first[POINT]) and not any(
-            len(first) for width, first in self.first.items() if width != POINT
-        )
+        return cls(pose_size, pose_size, {width: np.zeros(0, dtype=np.intp) for width in WIDTHS})
 
     def present(self, width: int = POINT) -> Index:
         """Return the slots of a kind that are in the state, ascending."""
@@ -53,15 +45,12 @@ class Layout:
         Source: Guivant 2002, eq. 4; Misono 2007, eq. 7; Nieto 2005, eqs. 2.2, 2.12, 2.25, 5.3, 6.1.
         Raises ValueError for a landmark that is absent.
         """
-        p, first = self.pose_size, self.first[width][slot]
+        first = self.first[width][slot]
         if first.min(initial=0) < 0:
             gone = np.asarray(slot)[first == ABSENT].tolist()
             raise ValueError(f"landmarks {gone} of {width} entries were removed from the state")
-        columns = np.empty(p + width * len(first), dtype=np.intp)
-        columns[:p] = np.arange(p)
-        for i in range(width):
-            columns[p + i :: width] = first + i
-        return columns
+        entries = (first[:, None] + np.arange(width)).ravel()
+        return np.concatenate((np.arange(self.pose_size), entries))
 
     def by_kind(self) -> Index:
         """Return all entries: the pose's, then those of each kind by slot."""
@@ -76,11 +65,9 @@ class Layout:
 
     def continued(self, part: Layout, start: int) -> Layout:
         """Return the layout with the landmarks that a part of it got since, behind its `start`."""
-        shift = self.size - start
-        first = {
-            width: np.concatenate((own, part.first[width][len(own) :] + shift))
-            for width, own in self.first.items()
-        }
+        first, shift = dict(self.first), self.size - start
+        for width, own in self.first.items():
+            first[width] = np.concatenate((own, part.first[width][len(own) :] + shift))
         return Layout(self.pose_size, part.size + shift, first)
 
     def part(self, columns: Index) -> Layout:

@@ -1,9 +1,8 @@
-"""The measurement update, and its split into a sequence of weaker ones (Guivant 2002, section 4.2).
+"""The measurement update, split into a sequence of weaker ones (Guivant 2002, section 4.2).
 
 One measurement of covariance R counts as L measurements of K_i R with sum 1 / K_i = 1. For a
-linear measurement that is the same update; for a nonlinear one every part is linearised where
-the last one led, so that a strong correction does not rest on Jacobians taken far away. It serves
-absolute positions and the large correction at a loop closure.
+linear measurement that is the same update; for a nonlinear one, as of an absolute position or at a
+loop closure, every part is linearised where the last one led, not far from where it corrects.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ekf_reference.core.geometry import Array
-from ekf_reference.core.state import Correction, KalmanState, LocalMap
+from ekf_reference.core.state import LocalMap
 
 _WEAKEST = 2.0**-40
 
@@ -31,21 +30,15 @@ class Linearised(NamedTuple):
     jacobian: Array
     innovation: Array
 
-
-class Part(NamedTuple):
-    """One of the L updates: its weight 1 / K_i, where it was linearised, and what it did."""
-
-    weight: float
-    at: Linearised
-    done: Correction
+    def normalised_squared(self, noise: Array) -> float:
+        """Return the innovation's nu^T S^-1 nu with R (m, m) (Nieto 2005, eq. 2.58)."""
+        s = self.jacobian @ self.local.covariance @ self.jacobian.T + noise
+        return float(self.innovation @ np.linalg.solve(s, self.innovation))
 
 
 @dataclass(frozen=True)
 class UpdateSplitter:
-    """How far one update may move the vehicle before it is split.
-
-    largest_turn_rad, largest_move_m: bounds on heading and position. most: L at the most.
-    """
+    """How far one update may move the vehicle before it is split into `most` parts or fewer."""
 
     largest_turn_rad: float = float("inf")
     largest_move_m: float = float("inf")
@@ -54,17 +47,15 @@ class UpdateSplitter:
     def split(
         self, linearise: Callable[[], Linearised], noise: Array
     ) -> Iterator[tuple[float, Linearised]]:
-        """Yield weights, of sum one, and the measurement linearised anew for each.
+        """Yield weights 1 / K_i, of sum one, and the measurement linearised anew for each.
 
         The caller fuses each part with noise / weight before it takes the next. noise: (m, m), R.
-        A weight is halved until the predicted correction of the pose is within the bounds; the
-        first parts of a strong correction are therefore very weak. When only one part may follow,
-        it takes what is left.
+        A weight is halved until the predicted correction of the pose is within the bounds, so that
+        a strong correction starts with very weak parts. The last part takes what is left.
         """
         left = 1.0
         for remaining in range(self.most, 0, -1):
-            at = linearise()
-            weight = left
+            at, weight = linearise(), left
             while remaining > 1 and weight > _WEAKEST and not self._within(at, noise / weight):
                 weight *= 0.5
             left -= weight
@@ -78,23 +69,5 @@ class UpdateSplitter:
         gain_left = at.local.covariance @ at.jacobian.T
         s = at.jacobian @ gain_left + noise
         step = gain_left[: len(at.local.pose)] @ np.linalg.solve(s, at.innovation)
-        turn, move = float(np.linalg.norm(step[2:])), float(np.hypot(step[0], step[1]))
-        return turn <= self.largest_turn_rad and move <= self.largest_move_m
-
-
-def fuse(
-    state: KalmanState,
-    splitter: UpdateSplitter,
-    linearise: Callable[[], Linearised],
-    noise: Array,
-) -> Iterator[Part]:
-    """Fuse a measurement with R (m, m) in as many parts as it takes; yield each once it is."""
-    for weight, at in splitter.split(linearise, noise):
-        done = state.update(at.local.columns, at.jacobian, at.innovation, noise / weight)
-        yield Part(weight, at, done)
-
-
-def normalised_innovation_squared(at: Linearised, noise: Array) -> float:
-    """Return nu^T S^-1 nu of a stacked measurement with R (m, m) (Nieto 2005, eq. 2.58)."""
-    s = at.jacobian @ at.local.covariance @ at.jacobian.T + noise
-    return float(at.innovation @ np.linalg.solve(s, at.innovation))
+        turn, move = np.linalg.norm(step[2:]), np.hypot(step[0], step[1])
+        return bool(turn <= self.largest_turn_rad and move <= self.largest_move_m)

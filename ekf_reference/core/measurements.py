@@ -26,8 +26,7 @@ DYNAMIC = -4
 class MeasuredAttributes:
     """A attributes of m measurements, in any units, that tell landmarks apart.
 
-    value: (m, A), NaN where not measured. variance: (m, A). Without columns, of any number of
-    measurements.
+    value: (m, A), NaN where not measured. variance: (m, A). A = 0 serves any m.
     """
 
     value: Array
@@ -35,7 +34,7 @@ class MeasuredAttributes:
 
     def take(self, rows: Index) -> MeasuredAttributes:
         """Return some of them."""
-        if not self.value.shape[1]:
+        if not self.value.size:
             return self
         return MeasuredAttributes(self.value[rows], self.variance[rows])
 
@@ -71,22 +70,15 @@ class Measurements:
 
     def take(self, rows: Index) -> Measurements:
         """Return some of them."""
-        return replace(
-            self,
-            z=self.z[rows],
-            noise=self.noise[rows],
-            identity=self.identity[rows],
-            attributes=self.attributes.take(rows),
-        )
+        own = {name: getattr(self, name)[rows] for name in ("z", "noise", "identity")}
+        return replace(self, **own, attributes=self.attributes.take(rows))
 
 
 class Association(Protocol):
-    """Contract of all association rules.
-
-    An assignment is a slot per measurement, (m,) integers: that of a landmark in the state, or a
-    negative code. Slots from the present landmark count upward name new landmarks, in order.
-    """
+    """Contract of all association rules."""
 
     def assign(self, state: KalmanState, model: MeasurementModel, seen: Measurements) -> Index:
-        """Return the slots (m,) of the measurements of one instant."""
-        ...
+        """Return the slots (m,) of landmarks in the state, or negative codes.
+
+        Slots from the present landmark count upward name new landmarks, in order.
+        """

@@ -34,8 +34,8 @@ class FilterDivergedError(ArithmeticError):
 class LocalMap:
     """The pose and some landmarks of one kind, such as those that may be seen from here.
 
-    pose: (p,). slot: (L,) of the landmarks. landmark: (L, w). covariance: (p + w L, p + w L) of
-    the pose and these landmarks. columns: (p + w L,) their state entries.
+    pose: (p,). slot: (L,). landmark: (L, w). covariance: (p + w L, p + w L) of all. columns:
+    (p + w L,) their state entries.
     """
 
     pose: Array
@@ -47,42 +47,32 @@ class LocalMap:
     @property
     def vehicle(self) -> Array:
         """(p, p) P_vv."""
-        p = len(self.pose)
-        return self.covariance[:p, :p]
+        return self.covariance[: len(self.pose), : len(self.pose)]
 
     @property
     def cross(self) -> Array:
         """(L, p, w) P_vl of each landmark."""
-        p, (count, width) = len(self.pose), self.landmark.shape
-        return self.covariance[:p, p:].reshape(p, count, width).transpose(1, 0, 2)
+        p = len(self.pose)
+        return self.covariance[:p, p:].reshape(p, *self.landmark.shape).transpose(1, 0, 2)
 
     @property
     def own(self) -> Array:
-        """(L, w, w) P_ll of each landmark."""
-        p, (count, width) = len(self.pose), self.landmark.shape
-        own = np.empty((count, width, width))
-        for offset in range(width):
-            diagonal = self.covariance.diagonal(offset)
-            for i in range(width - offset):
-                own[:, i, i + offset] = own[:, i + offset, i] = diagonal[p + i :: width]
+        """(L, w, w) P_ll of each landmark, of the upper triangle: symmetric to the bit."""
+        entry = len(self.pose) + np.arange(self.landmark.size).reshape(self.landmark.shape)
+        i, j = entry[:, :, None], entry[:, None]
+        own: Array = self.covariance[np.minimum(i, j), np.maximum(i, j)]
         return own
 
     def take(self, rows: Index) -> LocalMap:
         """Return the pose and some of the landmarks (k,)."""
         p, width = len(self.pose), self.landmark.shape[1]
         entry = np.concatenate((np.arange(p), (p + width * rows[:, None] + range(width)).ravel()))
-        covariance = self.covariance[entry[:, None], entry]
-        return LocalMap(
-            self.pose, self.slot[rows], self.landmark[rows], covariance, self.columns[entry]
-        )
+        covariance, columns = self.covariance[entry[:, None], entry], self.columns[entry]
+        return LocalMap(self.pose, self.slot[rows], self.landmark[rows], covariance, columns)
 
 
 class MapSnapshot(NamedTuple):
-    """The landmarks of a kind as they can be read without moving anything.
-
-    place: (L, w), NaN where one was removed; of a compressed filter, passive ones are as the last
-    global update left them. slot: (m,) those whose covariance is current, ascending.
-    """
+    """Landmarks (L, w) of a kind, NaN where removed, and the sorted slots (m,) of current ones."""
 
     place: Array
     slot: Index
@@ -138,10 +128,7 @@ class KalmanState:
         return len(self.layout.first[POINT])
 
     def places(self, width: int) -> Array:
-        """Return all landmarks (L, w) of a kind, a copy; NaN where one was removed.
-
-        Source: Nieto 2005, eqs. 5.5 and 6.4.
-        """
+        """Return all landmarks (L, w), a copy; NaN where removed (Nieto 2005, eqs. 5.5, 6.4)."""
         first = self._layout.first[width]
         place: Array = self._mean[first[:, None] + np.arange(width)]
         place[first < 0] = np.nan
@@ -157,23 +144,20 @@ class KalmanState:
         near = [self._layout.columns(self._near(reach_m, w), w)[p:] for w in WIDTHS]
         return np.sort(np.concatenate((np.arange(p), *near)))
 
-    def _near(self, reach_m: float, width: int) -> Index:
-        slot = self._layout.present(width)
-        place = self._mean[self._layout.first[width][slot, None] + np.arange(2)]
-        near: Index = slot[np.abs(place - self._mean[:2]).max(axis=1, initial=0.0) <= reach_m]
-        return near
-
     def within(self, reach_m: float, width: int = POINT) -> Index:
         """Return the slots of the landmarks of a kind at most `reach_m` from the vehicle."""
-        place, pose = self.places(width), self.pose
-        return np.flatnonzero(np.hypot(place[:, 0] - pose[0], place[:, 1] - pose[1]) <= reach_m)
+        offset = self.places(width)[:, :2] - self.pose[:2]
+        return np.flatnonzero(np.hypot(*offset.T) <= reach_m)
+
+    def _near(self, reach_m: float, width: int) -> Index:
+        offset = self.places(width)[:, :2] - self.pose[:2]
+        return np.flatnonzero(np.abs(offset).max(axis=1) <= reach_m)
 
     def map_of(self, slot: Index, width: int = POINT) -> LocalMap:
         """Return some landmarks (m,) of a kind. Raises ValueError for removed ones."""
         columns = self._layout.columns(slot, width)
-        covariance = self._covariance[columns[:, None], columns]
         landmark = self._mean[columns[self._layout.pose_size :]].reshape(-1, width)
-        return LocalMap(self.pose, slot, landmark, covariance, columns)
+        return LocalMap(self.pose, slot, landmark, self.covariance_of(columns), columns)
 
     def snapshot(self, width: int = POINT) -> MapSnapshot:
         """Return all landmarks of a kind, all of them current."""
@@ -185,34 +169,28 @@ class KalmanState:
         return part
 
     def predict(self, pose: Array, jacobian_pose: Array, noise: Array) -> None:
-        """Move the vehicle; the map stays.
+        """Move the vehicle to f(x, u) (p,), with F (p, p) and all of the step's noise (p, p).
 
         Source: Guivant 2002, eqs. 5 to 7; Misono 2007, eqs. 1, 6 and 11; Nieto 2005, eqs. 2.14 and
-        2.32 to 2.36. The Jacobian of the whole is diag(jacobian_pose, I).
-
-        pose: (p,) f(x, u). jacobian_pose: (p, p). noise: (p, p), all of the step's noise.
+        2.32 to 2.36. The map stays: the Jacobian of the whole is diag(F, I).
         """
         v, n, p = self._layout.pose_size, self._layout.size, self._covariance
         self._mean[:v] = pose
         vehicle = jacobian_pose @ p[:v, :v] @ jacobian_pose.T + noise
         p[:v, :v] = 0.5 * (vehicle + vehicle.T)
         cross = jacobian_pose @ p[:v, v:n]
-        p[:v, v:n] = cross
-        p[v:n, :v] = cross.T
+        p[:v, v:n], p[v:n, :v] = cross, cross.T
 
     def update(
         self, columns: Index, jacobian: Array, innovation: Array, noise: Array
     ) -> Correction:
-        """Fuse one stacked measurement.
+        """Fuse one stacked measurement, with H (m, c) by some state entries (c,) and R (m, m).
 
         Source: Guivant 2002, eq. 8; Misono 2007, eqs. 13 to 15; Nieto 2005, eqs. 2.39, 2.45 to 2.47
         and, for entries that are not measured, 3.11.
         Errata: 2.39 is printed S = H P H + R and 2.47 W = P H S^-1; the transposes belong there.
-
-        columns: (c,) state entries the measurement depends on. jacobian: (m, c) with respect to
-        them. innovation: (m,), wrapped. noise: (m, m).
-
-        With S = L L^T the term W S W^T is U^T U, U = L^-1 H P: symmetric as computed.
+        innovation: (m,), wrapped. With S = L L^T the term W S W^T is U^T U, U = L^-1 H P: symmetric
+        as computed.
         Raises FilterDivergedError when S is not positive definite, or anything is not finite.
         """
         n = self._layout.size
@@ -222,14 +200,10 @@ class KalmanState:
         if not (np.isfinite(innovation_covariance).all() and np.isfinite(innovation).all()):
             raise FilterDivergedError("the innovation or its covariance is not finite")
         try:
-            root = np.linalg.cholesky(innovation_covariance)
-        except np.linalg.LinAlgError as error:
-            raise FilterDivergedError(
-                "the innovation covariance is not positive definite"
-            ) from error
-        inverse_root = np.linalg.inv(root)
-        u = inverse_root @ gain_left.T
-        whitened = inverse_root @ innovation
+            inverse_root = np.linalg.inv(np.linalg.cholesky(innovation_covariance))
+        except np.linalg.LinAlgError as e:
+            raise FilterDivergedError("the innovation covariance is not positive definite") from e
+        u, whitened = inverse_root @ gain_left.T, inverse_root @ innovation
         self._mean[:n] += u.T @ whitened  # 2.45
         p -= u.T @ u  # 2.46
         return Correction(inverse_root, u, whitened, innovation_covariance)
@@ -241,31 +215,25 @@ class KalmanState:
 
         landmark: (m, w). jacobian_pose: (m, w, p). jacobian_z: (m, w, w). noise: (m, w, w), R.
         """
-        count, width = landmark.shape
-        v, n, added = self._layout.pose_size, self._layout.size, width * count
-        self._reserve(n + added)
-        p = self._covariance
-        stacked = jacobian_pose.reshape(added, v)
+        v, n = self._layout.pose_size, self._layout.size
+        new = slice(n, n + landmark.size)
+        self._reserve(new.stop)
+        p, stacked = self._covariance, jacobian_pose.reshape(-1, v)
         cross = stacked @ p[:v, :n]
-        p[n : n + added, :n] = cross
-        p[:n, n : n + added] = cross.T
-        spread = jacobian_z @ noise @ jacobian_z.transpose(0, 2, 1)
-        own = cross[:, :v] @ stacked.T + block_diagonal(spread)
-        p[n : n + added, n : n + added] = 0.5 * (own + own.T)
-        self._mean[n : n + added] = landmark.ravel()
-        self._layout = self._layout.appended(count, width)
+        p[new, :n], p[:n, new] = cross, cross.T
+        own_noise = jacobian_z @ noise @ jacobian_z.transpose(0, 2, 1)
+        own = cross[:, :v] @ stacked.T + block_diagonal(own_noise)
+        p[new, new] = 0.5 * (own + own.T)
+        self._mean[new] = landmark.ravel()
+        self._layout = self._layout.appended(*landmark.shape)
 
     def remove(self, slot: Index, width: int = POINT) -> None:
-        """Marginalise landmarks (m,) of a kind out; their slots stay empty.
-
-        Raises ValueError for landmarks that were removed before.
-        """
+        """Marginalise landmarks (m,) out; slots stay empty. Raises ValueError for removed ones."""
         gone = self._layout.columns(slot, width)[self._layout.pose_size :]
         kept = np.setdiff1d(np.arange(self._layout.size), gone)
-        size = len(kept)
-        self._mean[:size] = self._mean[kept]
-        self._covariance[:size, :size] = self._covariance[kept[:, None], kept]
-        self._layout = self._layout.part(kept)
+        self._layout, n = self._layout.part(kept), len(kept)
+        self._mean[:n] = self._mean[kept]
+        self._covariance[:n, :n] = self._covariance[kept[:, None], kept]
 
     def part(self, columns: Index) -> KalmanState:
         """Return the marginal of some state entries (c,), the pose's first; slots are the same."""
@@ -274,26 +242,20 @@ class KalmanState:
         return chosen
 
     def merge(
-        self,
-        columns: Index,
-        local: KalmanState,
-        transition: Array,
-        root: Array,
-        shift: Array,
-        spared: Index,
+        self, start: Index, local: KalmanState, phi: Array, root: Array, shift: Array, spared: Index
     ) -> None:
         """Take over what a local filter learnt: the global update of the compressed filter.
 
-        Source: Guivant 2002, eqs. 17, 20, 21 and 23. columns: (a,) entries that the local state
-        started from. local: its state now, new landmarks behind the first a. transition: (a', a)
-        phi. root: (n, k) with Delta P = root root^T, and shift: (n,) of the mean, for entries
-        outside. spared: entries whose covariance with each other stays as it is.
+        Source: Guivant 2002, eqs. 17, 20, 21 and 23. start: (a,) entries that the local state
+        started from. local: its state now, new landmarks behind the first a. phi: (a', a). root:
+        (n, k) with Delta P = root root^T, and shift: (n,) of the mean, for entries outside. spared:
+        entries whose covariance with each other stays as it is.
         """
-        n, a = self._layout.size, len(columns)
+        n, a = self._layout.size, len(start)
         total = n + local._layout.size - a
         self._reserve(total)
         mean, p = self._mean, self._covariance
-        cross = transition @ p[columns, :n]  # P_ab = phi P_ab(0), all columns
+        cross = phi @ p[start, :n]  # P_ab = phi P_ab(0), all columns
         changed = np.setdiff1d(np.arange(n), spared)
         if 2 * len(changed) < n:
             p[changed, :n] -= root[changed] @ root.T
@@ -303,23 +265,17 @@ class KalmanState:
             p[:n, :n] -= root @ root.T
             p[spared[:, None], spared] = kept
         mean[:n] += shift
-        everywhere = np.concatenate((columns, np.arange(n, total)))
-        p[everywhere, :n] = cross
-        p[:n, everywhere] = cross.T
+        everywhere = np.concatenate((start, np.arange(n, total)))
+        p[everywhere, :n], p[:n, everywhere] = cross, cross.T
         p[everywhere[:, None], everywhere] = local.covariance
         mean[everywhere] = local.mean
         self._layout = self._layout.continued(local.layout, a)
 
     def _reserve(self, size: int) -> None:
         """Grow the buffers geometrically, so that adding landmarks stays cheap."""
-        if size <= len(self._mean):
-            return
-        capacity = max(size, 2 * len(self._mean), 64)
-        mean, covariance = np.zeros(capacity), np.zeros((capacity, capacity))
-        n = self._layout.size
-        mean[:n] = self._mean[:n]
-        covariance[:n, :n] = self._covariance[:n, :n]
-        self._mean, self._covariance = mean, covariance
+        if size > len(self._mean):
+            more = (0, max(size - len(self._mean), len(self._mean), 64 - len(self._mean)))
+            self._mean, self._covariance = np.pad(self._mean, more), np.pad(self._covariance, more)
 
 
 def correlation_coefficients(covariance: Array) -> Array:

@@ -6,6 +6,7 @@ same linear equations must reach the same estimate, or the filter's algebra is w
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -19,18 +20,8 @@ VEHICLE = -1
 """The origin of what is measured from the vehicle."""
 
 
-class PriorRecord(NamedTuple):
-    """Where the filter starts. pose: (p,). covariance: (p, p)."""
-
-    pose: Array
-    covariance: Array
-
-
 class StepRecord(NamedTuple):
-    """One step: x' = arrived + f (x - departed) + w, w ~ N(0, q).
-
-    departed, arrived: (p,). f, q: (p, p).
-    """
+    """One step: x' = arrived + f (x - departed) + w, w ~ N(0, q), poses (p,)."""
 
     departed: Array
     arrived: Array
@@ -43,41 +34,36 @@ class MeasurementRecord(NamedTuple):
 
     A measurement says innovation = H_v (x - pose) + H_l (l - landmark) + v, an initialisation
     l = landmark + G_x (x - pose) + G_z v, v ~ N(0, noise). jacobian_pose is H_v or G_x,
-    jacobian_other H_l or G_z.
-
-    The width w of the landmarks tells what was measured: 2 points, 3 poses, and 0 none, as by an
-    absolute position. origin: VEHICLE, or the slot of the pose landmark that another was measured
-    from, whose place is then `pose`: two landmarks that were found to be one.
+    jacobian_other H_l or G_z. The width w of the landmarks tells what was measured: 2 points, 3
+    poses, and 0 none, as by an absolute position.
 
     number: (m,) in the order of arrival of the measurements of this kind, from 0; parts of an
     update share it. -1 for a landmark put into the map without one. slot: (m,). landmark: (m, w).
-    innovation: (m, r), zero for initialisations. jacobian_pose: (m, r, p). jacobian_other:
-    (m, r, w). noise: (m, r, r), R / weight. spread: (m, r, r), the measurement's own block of
-    S = H P H^T + R / weight, and whitened: (m, r), its part of L^-1 innovation, S = L L^T of all
-    that were fused together, in their order; both zero for initialisations. weight: the share of
-    the measurement's information: one, less for parts of an update, zero for a landmark that is
-    surveyed or initialised with a boundless prior, whose noise is that prior's covariance.
+    jacobian_pose: (m, r, p). jacobian_other: (m, r, w). noise: (m, r, r), R / weight. innovation:
+    (m, r). whitened: (m, r), its part of L^-1 innovation, S = L L^T of all that were fused
+    together, in their order. spread: (m, r, r), its own block of S = H P H^T + R / weight. The last
+    three are zero for initialisations. weight: the share of the measurement's information: one,
+    less for parts of an update, zero for a landmark that is surveyed or initialised with a
+    boundless prior, whose noise is that prior's covariance. origin: VEHICLE, or the slot of the
+    pose landmark that another was measured from, whose place is then `pose`: they are one.
     """
 
     number: Index
     slot: Index
     pose: Array
     landmark: Array
-    innovation: Array
     jacobian_pose: Array
     jacobian_other: Array
     noise: Array
-    spread: Array
+    innovation: Array
     whitened: Array
+    spread: Array
     weight: float = 1.0
     origin: int = VEHICLE
 
 
 class RemovalRecord(NamedTuple):
-    """Landmarks of a kind that were marginalised out.
-
-    slot: (m,) and width: which. entries: (w m,) of the state as it was before.
-    """
+    """Landmarks (m,) of a kind that were marginalised out. entries: (w m,) of the state before."""
 
     slot: Index
     width: int
@@ -85,19 +71,16 @@ class RemovalRecord(NamedTuple):
 
 
 class Trace:
-    """Receives every linearisation of a filter, in order; this one keeps nothing.
+    """Receives every linearisation of a filter, in order; this one keeps nothing."""
 
-    Poses have p entries: three (x, y, heading), or more where a filter's state has more.
-    """
-
-    def prior(self, start: PriorRecord) -> None:
-        """Record where the filter starts."""
+    def prior(self, pose: Array, covariance: Array) -> None:
+        """Record where the filter starts: a pose (p,) with covariance (p, p)."""
 
     def step(self, step: StepRecord) -> None:
         """Record one step of the vehicle."""
 
     def measurement(self, used: MeasurementRecord) -> None:
-        """Record measurements that were fused."""
+        """Record measurements that were fused, or a part of them."""
 
     def initialisation(self, new: MeasurementRecord) -> None:
         """Record new landmarks."""
@@ -118,12 +101,12 @@ class MeasurementRecords:
     slot: Index
     pose: Array
     landmark: Array
-    innovation: Array
     jacobian_pose: Array
     jacobian_other: Array
     noise: Array
-    spread: Array
+    innovation: Array
     whitened: Array
+    spread: Array
     weight: Array
     origin: Index
 
@@ -143,9 +126,8 @@ class RemovalRecords:
 
 @dataclass(frozen=True, kw_only=True)
 class TraceArrays:
-    """A finished trace.
+    """A finished trace of N steps, its records stacked.
 
-    prior_pose: (p,). prior_covariance: (p, p). departed, arrived: (N, p) poses. f, q: (N, p, p).
     measurements, initialisations: of landmarks, by their width. positions: absolute ones. merges:
     of pose landmarks from others that they are one with. removals: of all kinds.
     """
@@ -163,32 +145,35 @@ class TraceArrays:
     removals: RemovalRecords
 
 
+Kept = list[tuple[int, MeasurementRecord]]
+"""Records, with the steps made before each."""
+
+
 class RecordedTrace(Trace):
     """Keeps everything, in memory."""
 
     def __init__(self) -> None:
         """Start empty."""
-        self._prior = PriorRecord(np.zeros(3), np.eye(3))
+        self._prior = np.zeros(3), np.eye(3)
         self._steps: list[StepRecord] = []
-        self._measurements: list[tuple[int, MeasurementRecord]] = []
-        self._initialisations: list[tuple[int, MeasurementRecord]] = []
         self._removals: list[tuple[int, RemovalRecord]] = []
+        self._records: defaultdict[tuple[str, int], Kept] = defaultdict(list)
 
-    def prior(self, start: PriorRecord) -> None:
+    def prior(self, pose: Array, covariance: Array) -> None:
         """Keep the prior."""
-        self._prior = start
+        self._prior = pose, covariance
 
     def step(self, step: StepRecord) -> None:
         """Keep one step."""
         self._steps.append(step)
 
     def measurement(self, used: MeasurementRecord) -> None:
-        """Keep measurements, or a part of them."""
-        self._measurements.append((len(self._steps), used))
+        """Keep measurements of landmarks or positions, or a merge."""
+        self._keep("measurement" if used.origin == VEHICLE else "merge", used)
 
     def initialisation(self, new: MeasurementRecord) -> None:
         """Keep new landmarks."""
-        self._initialisations.append((len(self._steps), new))
+        self._keep("initialisation", new)
 
     def removal(self, gone: RemovalRecord) -> None:
         """Keep which landmarks went."""
@@ -196,63 +181,45 @@ class RecordedTrace(Trace):
 
     def arrays(self) -> TraceArrays:
         """Return everything so far, stacked."""
-        p, steps = len(self._prior.pose), self._steps
-        used = [(one.origin != VEHICLE, one.landmark.shape[1]) for _, one in self._measurements]
-        new = [one.landmark.shape[1] for _, one in self._initialisations]
-
-        def chosen(of: list[Any], kinds: list[Any], kind: Any) -> list[Any]:
-            return [one for one, its in zip(of, kinds, strict=True) if its == kind]
-
-        seen = {w: chosen(self._measurements, used, (False, w)) for w in (0, *WIDTHS)}
-        merges = chosen(self._measurements, used, (True, POSE))
+        p, steps, records = len(self._prior[0]), self._steps, self._records
         return TraceArrays(
-            prior_pose=self._prior.pose,
-            prior_covariance=self._prior.covariance,
-            departed=_stacked([one.departed for one in steps], (p,)),
-            arrived=_stacked([one.arrived for one in steps], (p,)),
-            f=_stacked([one.f for one in steps], (p, p)),
-            q=_stacked([one.q for one in steps], (p, p)),
-            measurements={w: stack_records(seen[w], p, w) for w in WIDTHS},
-            initialisations={
-                w: stack_records(chosen(self._initialisations, new, w), p, w) for w in WIDTHS
-            },
-            positions=stack_records(seen[0], p, 0, POINT),
-            merges=stack_records(merges, POSE, POSE),
+            prior_pose=self._prior[0],
+            prior_covariance=self._prior[1],
+            departed=np.array([one.departed for one in steps]).reshape(-1, p),
+            arrived=np.array([one.arrived for one in steps]).reshape(-1, p),
+            f=np.array([one.f for one in steps]).reshape(-1, p, p),
+            q=np.array([one.q for one in steps]).reshape(-1, p, p),
+            measurements={w: stack_records(records["measurement", w], p, w) for w in WIDTHS},
+            initialisations={w: stack_records(records["initialisation", w], p, w) for w in WIDTHS},
+            positions=stack_records(records["measurement", 0], p, 0, POINT),
+            merges=stack_records(records["merge", POSE], POSE, POSE),
             removals=removal_records(self._removals),
         )
 
+    def _keep(self, what: str, record: MeasurementRecord) -> None:
+        self._records[what, record.landmark.shape[1]].append((len(self._steps), record))
 
-def stack_records(
-    records: Sequence[tuple[int, MeasurementRecord]], p: int, width: int, size: int = 0
-) -> MeasurementRecords:
+
+def stack_records(records: Kept, p: int, width: int, size: int = 0) -> MeasurementRecords:
     """Return one row per measurement; what a record says once holds for all of its rows.
 
-    records: with the steps made before each. p: entries of the pose, width: of the landmark, and
-    size: of the measurement, those of the landmark unless told.
+    p, width, size: entries of a pose, a landmark, and a measurement (the landmark's unless told).
     """
-    each, r = [record for _, record in records], size or width
-    rows = {"number": (), "slot": (), "landmark": (width,), "innovation": (r,), "whitened": (r,)}
-    rows |= {"jacobian_pose": (r, p), "jacobian_other": (r, width), "noise": (r, r)}
-    rows |= {"spread": (r, r)}
-    joined = {
-        name: np.concatenate((np.zeros((0, *shape)), *(getattr(one, name) for one in each)))
-        for name, shape in rows.items()
-    }
-    once = {"pose": (p,), "weight": (), "origin": ()}
-    joined |= {name: _stacked([getattr(one, name) for one in each], once[name]) for name in once}
-    count = [len(record.slot) for record in each]
-    joined |= {name: np.repeat(joined[name], count, axis=0) for name in once}
-    step = np.repeat(np.array([step for step, _ in records], dtype=np.intp), count)
-    joined |= {name: joined[name].astype(np.intp) for name in ("number", "slot", "origin")}
-    return MeasurementRecords(step=step, **joined)
+    r = size or width
+    shapes = {"pose": (p,), "landmark": (width,), "jacobian_pose": (r, p), "noise": (r, r)}
+    shapes |= {"jacobian_other": (r, width), "innovation": (r,), "whitened": (r,), "weight": ()}
+    shapes |= {"spread": (r, r), "step": (), "number": (), "slot": (), "origin": ()}
+    found: dict[str, list[Any]] = {name: [np.zeros((0, *shape))] for name, shape in shapes.items()}
+    for step, one in records:
+        for name, value in {"step": step, **one._asdict()}.items():
+            once = np.ndim(value) == len(shapes[name])
+            found[name].append(np.full((len(one.slot), *shapes[name]), value) if once else value)
+    joined = {name: np.concatenate(values) for name, values in found.items()}
+    whole = {name: joined[name].astype(np.intp) for name in ("step", "number", "slot", "origin")}
+    return MeasurementRecords(**(joined | whole))
 
 
 def removal_records(removals: Sequence[tuple[int, RemovalRecord]]) -> RemovalRecords:
     """Return one row per landmark. removals: with the steps made before each."""
     rows = [(step, gone.width, slot) for step, gone in removals for slot in gone.slot.tolist()]
     return RemovalRecords(*np.array(rows, dtype=np.intp).reshape(-1, 3).T)
-
-
-def _stacked(values: Sequence[Any], shape: tuple[int, ...]) -> Array:
-    """Return equal arrays as one (N, *shape), also none of them."""
-    return np.array(values, dtype=float).reshape(len(values), *shape)

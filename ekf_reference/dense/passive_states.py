@@ -19,7 +19,6 @@ from ekf_reference.core.state import KalmanState
 from ekf_reference.core.trace import (
     VEHICLE,
     MeasurementRecord,
-    PriorRecord,
     RemovalRecord,
     StepRecord,
     Trace,
@@ -83,9 +82,9 @@ class PassiveStates(Trace):
         self.own = np.concatenate((self.own, np.reshape(own, (-1, 2, 2)) + new.noise))
         return np.arange(first, len(self.value))
 
-    def prior(self, start: PriorRecord) -> None:
+    def prior(self, pose: Array, covariance: Array) -> None:
         """Pass on."""
-        self._next.prior(start)
+        self._next.prior(pose, covariance)
 
     def step(self, step: StepRecord) -> None:
         """C_v <- C_v F^T: the vehicle moves, passive states do not."""

@@ -284,11 +284,10 @@ class HeadingTrace(records.Trace):
     trace: records.Trace
     read: UnwrappedPose
 
-    def prior(self, start: records.PriorRecord) -> None:
+    def prior(self, pose: Array, covariance: Array) -> None:
         """Record the covariance along the circle."""
-        back = along_circle(start.pose).T
-        covariance = back @ start.covariance @ back.T
-        self.trace.prior(records.PriorRecord(self.read(start.pose), covariance))
+        back = along_circle(pose).T
+        self.trace.prior(self.read(pose), back @ covariance @ back.T)
 
     def step(self, step: records.StepRecord) -> None:
         """Record F and Q along the circle."""

@@ -12,20 +12,27 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from ekf_reference.core.geometry import Array
+from ekf_reference.core.geometry import Array, rotation
 
 
 class MotionStep(NamedTuple):
     """One prediction of the vehicle.
 
-    pose: (3,) predicted x, y, heading [m, m, rad], heading unwrapped.
-    jacobian_pose: (3, 3) df/dx_v, global additive errors on both sides.
-    jacobian_control: (3, m) df/du.
+    pose: (3,) x, y, heading [m, m, rad], heading unwrapped. jacobian_pose: (3, 3) df/dx_v, global
+    additive errors on both sides. jacobian_control: (3, m) df/du.
     """
 
     pose: Array
     jacobian_pose: Array
     jacobian_control: Array
+
+    @classmethod
+    def by(
+        cls, pose: Array, east: float, north: float, turn: float, jacobian_control: Array
+    ) -> MotionStep:
+        """Return the step that moves a pose by so much in the map [m] and turns it [rad]."""
+        by_pose = np.array([[1.0, 0.0, -north], [0.0, 1.0, east], [0.0, 0.0, 1.0]])
+        return cls(pose + (east, north, turn), by_pose, jacobian_control)
 
 
 class MotionModel(Protocol):
@@ -33,7 +40,6 @@ class MotionModel(Protocol):
 
     def step(self, pose: Array, control: Array, duration_s: float) -> MotionStep:
         """Predict the pose after `duration_s` under a constant control (m,)."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -58,43 +64,34 @@ class AckermannModel:
 
         Guivant 2002, eq. 9 is the Jacobian by the pose.
         """
-        x, y, heading = pose.tolist()
-        speed_encoder, steering = control.tolist()
-        a, b, dt = self.sensor_forward_m, self.sensor_left_m, duration_s
+        heading, (speed_encoder, steering) = float(pose[2]), control.tolist()
+        a, b = self.sensor_forward_m, self.sensor_left_m
         cos, sin, tan = math.cos(heading), math.sin(heading), math.tan(steering)
         sec2 = 1.0 + tan * tan
         slip = 1.0 - tan * self.encoder_offset_m / self.wheelbase_m
         speed = speed_encoder / slip  # A.3
-        dspeed_dencoder = 1.0 / slip
-        dspeed_dsteering = speed / slip * sec2 * self.encoder_offset_m / self.wheelbase_m
+        by_encoder = 1.0 / slip
+        by_steering = speed / slip * sec2 * self.encoder_offset_m / self.wheelbase_m
         curvature = tan / self.wheelbase_m
         t1 = a * sin + b * cos  # A.13
         t2 = a * cos - b * sin  # A.14
         east = cos - curvature * t1  # displacement per metre of the rear axle, east
         north = sin + curvature * t2
         turn = speed / self.wheelbase_m * sec2
-
-        predicted = np.array(
-            [x + dt * speed * east, y + dt * speed * north, heading + dt * speed * curvature]
-        )  # A.4
-        jacobian_pose = np.array(
-            [[1.0, 0.0, -dt * speed * north], [0.0, 1.0, dt * speed * east], [0.0, 0.0, 1.0]]
-        )  # A.15
-        jacobian_control = dt * np.array(
+        jacobian_control = duration_s * np.array(
             [
-                [east * dspeed_dencoder, -t1 * turn + east * dspeed_dsteering],  # A.6, A.7
-                [north * dspeed_dencoder, t2 * turn + north * dspeed_dsteering],  # A.8, A.9
-                [curvature * dspeed_dencoder, turn + curvature * dspeed_dsteering],  # A.10, A.11
+                [east * by_encoder, -t1 * turn + east * by_steering],  # A.6, A.7
+                [north * by_encoder, t2 * turn + north * by_steering],  # A.8, A.9
+                [curvature * by_encoder, turn + curvature * by_steering],  # A.10, A.11
             ]
         )
-        return MotionStep(predicted, jacobian_pose, jacobian_control)
+        way = duration_s * speed
+        moved = way * east, way * north, way * curvature
+        return MotionStep.by(pose, *moved, jacobian_control)  # A.4, A.15
 
 
 def bicycle_model(wheelbase_m: float) -> AckermannModel:
-    """The classic bicycle, pose and speed at the rear axle (Nieto 2005, eq. 2.6).
-
-    It is the car-like model with the sensor and the encoder at the middle of the rear axle.
-    """
+    """Return the classic bicycle, pose and speed at the rear axle (Nieto 2005, eq. 2.6)."""
     return AckermannModel(wheelbase_m)
 
 
@@ -108,20 +105,14 @@ class UnicycleModel:
 
     def step(self, pose: Array, control: Array, duration_s: float) -> MotionStep:
         """Midpoint step and its Jacobians."""
-        x, y, heading = pose.tolist()
         speed, yaw_rate = control.tolist()
-        dt = duration_s
-        middle = heading + 0.5 * dt * yaw_rate
+        forward, turn = duration_s * speed, duration_s * yaw_rate
+        middle = float(pose[2]) + 0.5 * duration_s * yaw_rate
         cos, sin = math.cos(middle), math.sin(middle)
-        forward = dt * speed
-        predicted = np.array([x + forward * cos, y + forward * sin, heading + dt * yaw_rate])
-        jacobian_pose = np.array(
-            [[1.0, 0.0, -forward * sin], [0.0, 1.0, forward * cos], [0.0, 0.0, 1.0]]
-        )
-        jacobian_control = dt * np.array(
+        jacobian_control = duration_s * np.array(
             [[cos, -0.5 * forward * sin], [sin, 0.5 * forward * cos], [0.0, 1.0]]
         )
-        return MotionStep(predicted, jacobian_pose, jacobian_control)
+        return MotionStep.by(pose, forward * cos, forward * sin, turn, jacobian_control)
 
 
 @dataclass(frozen=True)
@@ -135,12 +126,9 @@ class RelativePoseModel:
 
     def step(self, pose: Array, control: Array, duration_s: float) -> MotionStep:
         """Compose the pose with the displacement."""
-        x, y, heading = pose.tolist()
-        dx, dy, turn = control.tolist()
+        heading, (dx, dy, turn) = float(pose[2]), control.tolist()
         cos, sin = math.cos(heading), math.sin(heading)
-        east, north = cos * dx - sin * dy, sin * dx + cos * dy
-        predicted = np.array([x + east, y + north, heading + turn])
-        jacobian_pose = np.array([[1.0, 0.0, -north], [0.0, 1.0, east], [0.0, 0.0, 1.0]])
-        cos, sin = math.cos(heading + turn), math.sin(heading + turn)
-        jacobian_control = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-        return MotionStep(predicted, jacobian_pose, jacobian_control)
+        jacobian_control = np.eye(3)
+        jacobian_control[:2, :2] = rotation(heading + turn)
+        moved = cos * dx - sin * dy, sin * dx + cos * dy, turn
+        return MotionStep.by(pose, *moved, jacobian_control)

@@ -18,7 +18,6 @@ class AbsolutePosition(Protocol):
 
     def predict(self, pose: Array) -> tuple[Array, Array]:
         """Return the expected position (2,) and its Jacobian (2, p) by the pose (p,)."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -28,12 +27,11 @@ class PositionModel:
     lever_m: tuple[float, float] = (0.0, 0.0)
 
     def predict(self, pose: Array) -> tuple[Array, Array]:
-        """Return the expected position (2,) and its Jacobian (2, 3) by the pose (3,)."""
+        """Predict from a pose (3,)."""
         forward, left = self.lever_m
         cos, sin = np.cos(pose[2]), np.sin(pose[2])
         east, north = cos * forward - sin * left, sin * forward + cos * left
-        jacobian = np.array([[1.0, 0.0, -north], [0.0, 1.0, east]])
-        return pose[:2] + (east, north), jacobian
+        return pose[:2] + (east, north), np.array([[1.0, 0.0, -north], [0.0, 1.0, east]])
 
 
 @dataclass(frozen=True)

@@ -7,24 +7,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from ekf_reference.core.geometry import Array, wrap_angle
-from ekf_reference.core.landmark_types import (
-    NewLandmarks,
-    PredictedMeasurements,
-    diagonal_noise,
-)
+from ekf_reference.core.geometry import Array
+from ekf_reference.core.landmark_types import MeasurementModel, NewLandmarks, PredictedMeasurements
 
 
-class RelativePose:
+class RelativePose(MeasurementModel):
     """The pose of a landmark's frame as seen from another frame, such as the vehicle's.
 
     Source: Nieto 2005, eq. 5.15. Measurements are z = (x, y, heading) with noise that is added to
     these three: forward and left of the frame that they are measured from, [m] and [rad].
     """
-
-    def measured(self, z: Array, sigma: Array) -> tuple[Array, Array]:
-        """Return poses (m, 3) as they come, and R (m, 3, 3)."""
-        return z, diagonal_noise(sigma)
 
     def range_m(self, z: Array) -> Array:
         """Return the distances (m,)."""
@@ -38,17 +30,11 @@ class RelativePose:
         forward, left = dx * cos + dy * sin, -dx * sin + dy * cos
         z = np.column_stack((forward, left, landmarks[:, 2] - pose[2]))
         into = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
-        by_landmark = np.repeat(into[None], len(landmarks), axis=0)
+        by_landmark = np.tile(into, (len(z), 1, 1))
         by_pose = -by_landmark
         by_pose[:, 0, 2] += left
         by_pose[:, 1, 2] -= forward
         return PredictedMeasurements(z, by_pose, by_landmark)
-
-    def innovation(self, z: Array, predicted: Array) -> Array:
-        """Return z - predicted (..., 3), the heading wrapped."""
-        difference: Array = z - predicted
-        difference[..., 2] = wrap_angle(difference[..., 2])
-        return difference
 
     def invert(self, pose: Array, z: Array) -> NewLandmarks:
         """Return the poses measured as z (m, 3) from a pose (3,): both composed.
@@ -59,6 +45,6 @@ class RelativePose:
         east, north = cos * z[:, 0] - sin * z[:, 1], sin * z[:, 0] + cos * z[:, 1]
         place = np.column_stack((pose[0] + east, pose[1] + north, pose[2] + z[:, 2]))
         out = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-        by_pose = np.repeat(np.eye(3)[None], len(z), axis=0)
+        by_pose = np.tile(np.eye(3), (len(z), 1, 1))
         by_pose[:, 0, 2], by_pose[:, 1, 2] = -north, east
-        return NewLandmarks(place, by_pose, np.repeat(out[None], len(z), axis=0))
+        return NewLandmarks(place, by_pose, np.tile(out, (len(z), 1, 1)))

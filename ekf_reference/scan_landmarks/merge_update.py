@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ekf_reference.core.ekf import Ekf, MeasurementLabel
+from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import Array
 from ekf_reference.core.landmark_types import POSE
 from ekf_reference.core.measurement_update import Linearised
@@ -32,8 +32,7 @@ def merge_landmarks(ekf: Ekf, first: int, second: int, z: Array, covariance: Arr
         jacobian = np.hstack((by_pose, at.jacobian_pose[0], at.jacobian_landmark[0]))
         return Linearised(local, jacobian, _MODEL.innovation(z, at.z[0]))
 
-    label = MeasurementLabel(ekf.take_numbers("merge"), both[1:], first)
-    ekf.fuse(linearise, covariance[None], label)
+    ekf.fuse(linearise, covariance[None], ekf.take_numbers("merge"), both[1:], first)
     known = ekf.state.map_of(both, POSE)
     ekf.remove(both[1:], POSE)
     return known

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from ekf_reference.core.geometry import Array
+from ekf_reference.core.geometry import Array, Index
 
 
 def central_difference(f: Callable[[Array], Array], x: Array, step: float = 1e-6) -> Array:
@@ -29,3 +29,12 @@ def random_covariance(rng: np.random.Generator, n: int) -> Array:
     """Return a well-conditioned random covariance (n, n)."""
     a = rng.standard_normal((n, n))
     return a @ a.T + n * np.eye(n)
+
+
+def point_columns(slot: Index, pose_size: int = 3) -> Index:
+    """Return the entries (p + 2 m,) of the pose and some points (m,) of a map of points alone."""
+    columns = np.empty(pose_size + 2 * len(slot), dtype=np.intp)
+    columns[:pose_size] = np.arange(pose_size)
+    columns[pose_size::2] = pose_size + 2 * slot
+    columns[pose_size + 1 :: 2] = pose_size + 1 + 2 * slot
+    return columns

@@ -12,33 +12,33 @@ from ekf_reference.models.range_bearing import RangeBearing
 class SigmaSquaredTwice(RangeBearing):
     """R from variances that were squared again."""
 
-    def noise(self, sigma: Array) -> Array:
+    def measured(self, z: Array, sigma: Array) -> tuple[Array, Array]:
         """R with sigma^4."""
-        return super().noise(sigma**2)
+        return super().measured(z, sigma**2)
 
 
 class SigmaForVariance(RangeBearing):
     """R from sigmas that were not squared."""
 
-    def noise(self, sigma: Array) -> Array:
+    def measured(self, z: Array, sigma: Array) -> tuple[Array, Array]:
         """R with sigma."""
-        return super().noise(np.sqrt(sigma))
+        return super().measured(z, np.sqrt(sigma))
 
 
 class TwiceTheVariance(RangeBearing):
     """R counted twice."""
 
-    def noise(self, sigma: Array) -> Array:
+    def measured(self, z: Array, sigma: Array) -> tuple[Array, Array]:
         """R, and again."""
-        return 2.0 * super().noise(sigma)
+        return z, 2.0 * super().measured(z, sigma)[1]
 
 
 class DegreesForRadians(RangeBearing):
     """The bearing's sigma was given in degrees and taken for radians."""
 
-    def noise(self, sigma: Array) -> Array:
+    def measured(self, z: Array, sigma: Array) -> tuple[Array, Array]:
         """R with the bearing's sigma 57 times as large."""
-        return super().noise(sigma * (1.0, np.degrees(1.0)))
+        return super().measured(z, sigma * (1.0, np.degrees(1.0)))
 
 
 class ControlSigmaForVariance(Ekf):

@@ -11,7 +11,6 @@ import numpy as np
 from comparisons.errors import InputError
 from comparisons.experiments.reproduction.watched_run import watched_run
 from comparisons.logs.log import Log
-from ekf_reference.core.blocks import point_columns
 from ekf_reference.core.geometry import Array
 from ekf_reference.dense.decorrelation import (
     Correlations,
@@ -44,7 +43,7 @@ class Snapshot:
 
     def among(self, *slot: int) -> Array:
         """(2 k, 2 k) covariance of k landmarks, in this order."""
-        columns = point_columns(np.array(slot))[3:]
+        columns = (3 + 2 * np.array(slot)[:, None] + np.arange(2)).ravel()
         return self.covariance[np.ix_(columns, columns)]
 
 

@@ -17,6 +17,7 @@ from ekf_reference.association.attributes import (
 )
 from ekf_reference.association.joint_compatibility import JointCompatibility, pair_covariance
 from ekf_reference.association.nearest_neighbour import NearestNeighbour
+from ekf_reference.core.landmark_types import diagonal_noise
 from ekf_reference.core.measurements import (
     AMBIGUOUS,
     NOT_MEASURED,
@@ -43,7 +44,7 @@ def mapped(points: list[tuple[float, float]], pose_covariance: np.ndarray) -> Ka
 
 def seen(z: np.ndarray, value: np.ndarray, sigma: float | np.ndarray) -> Measurements:
     """Measurements (m, 2) with attributes (m, A)."""
-    noise = MODEL.noise(np.tile(SIGMA, (len(z), 1)))
+    noise = diagonal_noise(np.tile(SIGMA, (len(z), 1)))
     told = MeasuredAttributes(value, np.broadcast_to(np.square(sigma), value.shape))
     return Measurements(z, noise, np.full(len(z), -1), attributes=told)
 

@@ -4,6 +4,7 @@ import numpy as np
 
 from ekf_reference.association.consensus import ConsensusAssociation
 from ekf_reference.association.nearest_neighbour import NearestNeighbour
+from ekf_reference.core.landmark_types import diagonal_noise
 from ekf_reference.core.measurements import AMBIGUOUS, Measurements
 from ekf_reference.core.state import KalmanState
 from ekf_reference.models.range_bearing import RangeBearing
@@ -21,7 +22,7 @@ def mapped(points: np.ndarray = POSTS, heading_sigma: float = 0.01) -> KalmanSta
 
 def seen(*points: tuple[float, float], heading: float = 0.0, sigma: float = 0.02) -> Measurements:
     z = MODEL.predict(np.array((0.0, 0.0, heading)), np.array(points)).z
-    noise = MODEL.noise(np.tile((0.05, sigma), (len(z), 1)))
+    noise = diagonal_noise(np.tile((0.05, sigma), (len(z), 1)))
     return Measurements(z, noise, np.full(len(z), -1))
 
 

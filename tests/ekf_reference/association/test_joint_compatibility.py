@@ -9,10 +9,12 @@ from scipy.stats import chi2
 from ekf_reference.association.distances import normalised_distances
 from ekf_reference.association.joint_compatibility import JointCompatibility
 from ekf_reference.association.nearest_neighbour import NearestNeighbour
-from ekf_reference.core.blocks import point_columns, stack
+from ekf_reference.core.blocks import stack
+from ekf_reference.core.landmark_types import diagonal_noise
 from ekf_reference.core.measurements import AMBIGUOUS, Measurements
 from ekf_reference.core.state import KalmanState
 from ekf_reference.models.range_bearing import RangeBearing
+from tests.ekf_reference.numerics import point_columns
 
 MODEL = RangeBearing()
 
@@ -28,7 +30,7 @@ def row_of_posts(heading_sigma: float) -> KalmanState:
 
 def seen_from(heading: float, points: list[tuple[float, float]]) -> Measurements:
     z = MODEL.predict(np.array((0.0, 0.0, heading)), np.array(points)).z
-    return Measurements(z, MODEL.noise(np.tile((0.05, 0.005), (len(z), 1))), np.full(len(z), -1))
+    return Measurements(z, diagonal_noise(np.tile((0.05, 0.005), (len(z), 1))), np.full(len(z), -1))
 
 
 def test_a_row_seen_with_a_turned_heading() -> None:
@@ -107,7 +109,9 @@ def test_the_order_of_sightings_does_not_matter() -> None:
     z = MODEL.predict(np.zeros(3), points).z
     z[:2, 0] += np.sqrt(10.0) * 0.05
     for order in ([0, 1, 2], [2, 0, 1], [1, 2, 0]):
-        seen = Measurements(z[order], MODEL.noise(np.tile((0.05, 0.005), (3, 1))), np.full(3, -1))
+        seen = Measurements(
+            z[order], diagonal_noise(np.tile((0.05, 0.005), (3, 1))), np.full(3, -1)
+        )
         assert JointCompatibility().assign(state, MODEL, seen).tolist() == order
 
 

@@ -4,6 +4,7 @@ import numpy as np
 
 from ekf_reference.association.landmark_initiation import LandmarkInitiation, Reliability
 from ekf_reference.association.nearest_neighbour import NearestNeighbour
+from ekf_reference.core.landmark_types import diagonal_noise
 from ekf_reference.core.measurements import CANDIDATE, Measurements
 from ekf_reference.core.state import KalmanState
 from ekf_reference.models.range_bearing import RangeBearing
@@ -15,7 +16,7 @@ STATE = KalmanState(np.zeros(3), 1e-6 * np.eye(3))
 def seen(time_s: float, *points: tuple[float, float]) -> Measurements:
     z = MODEL.predict(np.zeros(3), np.array(points)).z
     return Measurements(
-        z, MODEL.noise(np.full((len(z), 2), 0.01)), np.full(len(z), -1), time_s=time_s
+        z, diagonal_noise(np.full((len(z), 2), 0.01)), np.full(len(z), -1), time_s=time_s
     )
 
 

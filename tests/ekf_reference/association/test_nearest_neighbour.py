@@ -5,10 +5,12 @@ import numpy as np
 from ekf_reference.association.distances import Distances, normalised_distances
 from ekf_reference.association.known import KnownAssociation
 from ekf_reference.association.nearest_neighbour import EuclideanNeighbour, NearestNeighbour
-from ekf_reference.core.blocks import point_columns, stack
+from ekf_reference.core.blocks import stack
+from ekf_reference.core.landmark_types import diagonal_noise
 from ekf_reference.core.measurements import AMBIGUOUS, REJECTED, Measurements
 from ekf_reference.core.state import KalmanState
 from ekf_reference.models.range_bearing import RangeBearing
+from tests.ekf_reference.numerics import point_columns
 
 MODEL = RangeBearing()
 
@@ -25,7 +27,7 @@ def state_with(points: list[tuple[float, float]], sigmas: list[float]) -> Kalman
 def sightings(points: list[tuple[float, float]], labels: tuple[int, ...] = ()) -> Measurements:
     z = MODEL.predict(np.zeros(3), np.array(points)).z
     identity = np.array(labels or [-1] * len(z))
-    return Measurements(z, MODEL.noise(np.tile((0.1, 0.01), (len(z), 1))), identity)
+    return Measurements(z, diagonal_noise(np.tile((0.1, 0.01), (len(z), 1))), identity)
 
 
 def distances(state: KalmanState, seen: Measurements) -> Distances:

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ekf_reference.core.blocks import point_columns
 from ekf_reference.core.landmark_types import POINT, POSE
 from ekf_reference.core.layout import ABSENT, Layout
 from ekf_reference.core.state import KalmanState
-from tests.ekf_reference.numerics import random_covariance, relative_error
+from tests.ekf_reference.numerics import point_columns, random_covariance, relative_error
 
 
 def mixed() -> Layout:
@@ -35,7 +34,6 @@ def test_landmarks_lie_in_the_order_of_their_arrival() -> None:
     assert layout.first[POINT].tolist() == [3, 5, 10]
     assert layout.first[POSE].tolist() == [7, 12, 15]
     assert layout.size == 18
-    assert not layout.points_only
     assert layout.columns(np.array([2, 0])).tolist() == [0, 1, 2, 10, 11, 3, 4]
     assert layout.columns(np.array([1]), POSE).tolist() == [0, 1, 2, 12, 13, 14]
     assert layout.by_kind().tolist() == [0, 1, 2, 3, 4, 5, 6, 10, 11, 7, 8, 9, *range(12, 18)]
@@ -43,7 +41,6 @@ def test_landmarks_lie_in_the_order_of_their_arrival() -> None:
 
 def test_points_alone_lie_where_they_always_did() -> None:
     layout, slot = Layout.of_pose(4).appended(3, POINT).appended(2, POINT), np.array([4, 0, 0])
-    assert layout.points_only
     assert np.array_equal(layout.columns(slot), point_columns(slot, 4))
     assert np.array_equal(layout.by_kind(), np.arange(14))
 
@@ -55,7 +52,6 @@ def test_a_removed_slot_stays_empty() -> None:
     assert layout.size == 13
     assert layout.present().tolist() == [0, 2]
     assert layout.appended(1, POINT).first[POINT].tolist() == [3, ABSENT, 5, 13]
-    assert not Layout.of_pose(3).appended(2, POINT).part(np.arange(5)).points_only
     with pytest.raises(ValueError, match=r"landmarks \[1\] of 2 entries were removed"):
         layout.columns(np.array([0, 1]))
 

@@ -7,11 +7,7 @@ from ekf_reference.association.known import KnownAssociation
 from ekf_reference.core.ekf import NO_LANDMARKS, Ekf, Stabilisation
 from ekf_reference.core.geometry import Array
 from ekf_reference.core.landmark_types import POINT
-from ekf_reference.core.measurement_update import (
-    Linearised,
-    UpdateSplitter,
-    normalised_innovation_squared,
-)
+from ekf_reference.core.measurement_update import Linearised, UpdateSplitter
 from ekf_reference.core.state import KalmanState
 from ekf_reference.core.trace import RecordedTrace
 from ekf_reference.models.motion import UnicycleModel
@@ -128,7 +124,7 @@ def test_the_gate_decides_just_inside_and_just_outside() -> None:
 def test_the_gate_is_the_normalised_innovation() -> None:
     state = KalmanState(np.zeros(3), np.diag((3.0, 3.0, 0.1)))
     at = of_position(state, np.array((4.0, 0.0)))
-    assert np.isclose(normalised_innovation_squared(at, np.eye(2)), 4.0)
+    assert np.isclose(at.normalised_squared(np.eye(2)), 4.0)
 
 
 def test_a_large_update_at_loop_closing_is_split_too() -> None:

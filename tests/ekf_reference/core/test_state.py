@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ekf_reference.core.blocks import block_diagonal, point_columns, stack
+from ekf_reference.core.blocks import block_diagonal, stack
 from ekf_reference.core.geometry import Array
 from ekf_reference.core.state import FilterDivergedError, KalmanState
-from tests.ekf_reference.numerics import random_covariance, relative_error
+from tests.ekf_reference.numerics import point_columns, random_covariance, relative_error
 
 
 def mapped_state(rng: np.random.Generator, landmarks: int) -> KalmanState:

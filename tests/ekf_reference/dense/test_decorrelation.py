@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from ekf_reference.core.blocks import point_columns
 from ekf_reference.core.geometry import Array
 from ekf_reference.core.state import KalmanState
 from ekf_reference.dense.conditions import Conditions, coordinate_correlation
@@ -24,7 +23,7 @@ from ekf_reference.dense.decorrelation import (
 from ekf_reference.dense.triangles import contains, is_degenerate, local_covariance, to_local
 from ekf_reference.models.range_bearing import RangeBearing
 from tests.ekf_reference.dense.test_triangles import random_triangles
-from tests.ekf_reference.numerics import random_covariance, relative_error
+from tests.ekf_reference.numerics import point_columns, random_covariance, relative_error
 from tests.ekf_reference.worlds import LOOP_S, STEP_S, Scan, circuit, follow
 
 POINT, BASE, DISTANT = 34, (33, 35, 38), 32

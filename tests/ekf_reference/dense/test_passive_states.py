@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from ekf_reference.association.known import KnownAssociation
-from ekf_reference.core.blocks import point_columns
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.landmark_types import POINT
@@ -21,7 +20,7 @@ from ekf_reference.dense.triangles import local_jacobians, to_local
 from ekf_reference.filters.compressed import CompressedEkf
 from ekf_reference.filters.misono import DirectionCosineEkf
 from ekf_reference.models.motion import UnicycleModel
-from tests.ekf_reference.numerics import relative_error
+from tests.ekf_reference.numerics import point_columns, relative_error
 from tests.ekf_reference.worlds import LOOP_S, build, circuit, follow
 
 EVERY, FIX_EVERY, SPLIT_FROM = 20, 25, 100

@@ -3,7 +3,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ekf_reference.core.blocks import point_columns
 from ekf_reference.core.geometry import Array
 from ekf_reference.dense.conditions import Conditions
 from ekf_reference.dense.delayed_initialisation import DelayedInitialisation
@@ -18,7 +17,7 @@ from ekf_reference.models.motion import (
     UnicycleModel,
 )
 from tests.ekf_reference.dense.waiting_rooms import DENSE, LANDMARK, START, anywhere, noise, view_at
-from tests.ekf_reference.numerics import central_difference
+from tests.ekf_reference.numerics import central_difference, point_columns
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ekf_reference.core.blocks import point_columns
 from ekf_reference.core.geometry import Array
 from ekf_reference.core.state import KalmanState
 from ekf_reference.dense.delayed_initialisation import DelayedInitialisation
@@ -14,7 +13,7 @@ from ekf_reference.dense.view import FilterView
 from ekf_reference.models.motion import UnicycleModel
 from ekf_reference.models.range_bearing import RangeBearing
 from tests.ekf_reference.dense.waiting_rooms import BROKEN, DENSE, LANDMARK, START, anywhere
-from tests.ekf_reference.numerics import central_difference
+from tests.ekf_reference.numerics import central_difference, point_columns
 
 MODEL = RangeBearing()
 
