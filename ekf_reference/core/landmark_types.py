@@ -33,7 +33,7 @@ class NewLandmarks(NamedTuple):
 
 
 class MeasurementModel(Protocol):
-    """How landmarks of one kind are measured, as z (m, w), from a pose (p,).
+    """How landmarks of one kind are measured, as z (m, w), from a pose T_world_vehicle (p,).
 
     What is not abstract holds for z whose entries have independent errors and end in an angle.
     """
@@ -45,7 +45,7 @@ class MeasurementModel(Protocol):
     def range_m(self, z: Array) -> Array:
         """Return the distances (m,) of what was measured [m]."""
 
-    def predict(self, pose: Array, landmarks: Array) -> PredictedMeasurements:
+    def predict(self, T_world_vehicle: Array, landmarks: Array) -> PredictedMeasurements:
         """Predict the measurements of landmarks (m, w)."""
 
     def innovation(self, z: Array, predicted: Array) -> Array:
@@ -54,7 +54,7 @@ class MeasurementModel(Protocol):
         difference[..., -1] = wrap_angle(difference[..., -1])
         return difference
 
-    def invert(self, pose: Array, z: Array) -> NewLandmarks:
+    def invert(self, T_world_vehicle: Array, z: Array) -> NewLandmarks:
         """Return the landmarks that are measured as z."""
 
 

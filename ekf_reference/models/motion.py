@@ -38,7 +38,7 @@ class MotionStep(NamedTuple):
 class MotionModel(Protocol):
     """Contract of all vehicle models."""
 
-    def step(self, pose: Array, control: Array, duration_s: float) -> MotionStep:
+    def step(self, T_world_vehicle: Array, control: Array, duration_s: float) -> MotionStep:
         """Predict the pose after `duration_s` under a constant control (m,)."""
 
 
@@ -59,12 +59,12 @@ class AckermannModel:
     sensor_forward_m: float = 0.0
     sensor_left_m: float = 0.0
 
-    def step(self, pose: Array, control: Array, duration_s: float) -> MotionStep:
+    def step(self, T_world_vehicle: Array, control: Array, duration_s: float) -> MotionStep:
         """Euler step of Nieto 2005, eqs. 2.5 and A.1 to A.4, with Jacobians 2.35 and A.5 to A.15.
 
         Guivant 2002, eq. 9 is the Jacobian by the pose.
         """
-        heading, (speed_encoder, steering) = float(pose[2]), control.tolist()
+        heading, (speed_encoder, steering) = float(T_world_vehicle[2]), control.tolist()
         a, b = self.sensor_forward_m, self.sensor_left_m
         cos, sin, tan = math.cos(heading), math.sin(heading), math.tan(steering)
         sec2 = 1.0 + tan * tan
@@ -87,7 +87,7 @@ class AckermannModel:
         )
         way = duration_s * speed
         moved = way * east, way * north, way * curvature
-        return MotionStep.by(pose, *moved, jacobian_control)  # A.4, A.15
+        return MotionStep.by(T_world_vehicle, *moved, jacobian_control)  # A.4, A.15
 
 
 def bicycle_model(wheelbase_m: float) -> AckermannModel:
@@ -103,16 +103,16 @@ class UnicycleModel:
     of the step (second order in the duration).
     """
 
-    def step(self, pose: Array, control: Array, duration_s: float) -> MotionStep:
+    def step(self, T_world_vehicle: Array, control: Array, duration_s: float) -> MotionStep:
         """Midpoint step and its Jacobians."""
         speed, yaw_rate = control.tolist()
         forward, turn = duration_s * speed, duration_s * yaw_rate
-        middle = float(pose[2]) + 0.5 * duration_s * yaw_rate
+        middle = float(T_world_vehicle[2]) + 0.5 * duration_s * yaw_rate
         cos, sin = math.cos(middle), math.sin(middle)
         jacobian_control = duration_s * np.array(
             [[cos, -0.5 * forward * sin], [sin, 0.5 * forward * cos], [0.0, 1.0]]
         )
-        return MotionStep.by(pose, forward * cos, forward * sin, turn, jacobian_control)
+        return MotionStep.by(T_world_vehicle, forward * cos, forward * sin, turn, jacobian_control)
 
 
 @dataclass(frozen=True)
@@ -124,11 +124,11 @@ class RelativePoseModel:
     plays no part.
     """
 
-    def step(self, pose: Array, control: Array, duration_s: float) -> MotionStep:
+    def step(self, T_world_vehicle: Array, control: Array, duration_s: float) -> MotionStep:
         """Compose the pose with the displacement."""
-        heading, (dx, dy, turn) = float(pose[2]), control.tolist()
+        heading, (dx, dy, turn) = float(T_world_vehicle[2]), control.tolist()
         cos, sin = math.cos(heading), math.sin(heading)
         jacobian_control = np.eye(3)
         jacobian_control[:2, :2] = rotation(heading + turn)
         moved = cos * dx - sin * dy, sin * dx + cos * dy, turn
-        return MotionStep.by(pose, *moved, jacobian_control)
+        return MotionStep.by(T_world_vehicle, *moved, jacobian_control)

@@ -16,7 +16,7 @@ _PARTS = UpdateSplitter(largest_turn_rad=np.deg2rad(1.0), largest_move_m=1.0)
 class AbsolutePosition(Protocol):
     """Contract of all models of an absolute position."""
 
-    def predict(self, pose: Array) -> tuple[Array, Array]:
+    def predict(self, T_world_vehicle: Array) -> tuple[Array, Array]:
         """Return the expected position (2,) and its Jacobian (2, p) by the pose (p,)."""
 
 
@@ -26,12 +26,13 @@ class PositionModel:
 
     lever_m: tuple[float, float] = (0.0, 0.0)
 
-    def predict(self, pose: Array) -> tuple[Array, Array]:
+    def predict(self, T_world_vehicle: Array) -> tuple[Array, Array]:
         """Predict from a pose (3,)."""
         forward, left = self.lever_m
-        cos, sin = np.cos(pose[2]), np.sin(pose[2])
+        cos, sin = np.cos(T_world_vehicle[2]), np.sin(T_world_vehicle[2])
         east, north = cos * forward - sin * left, sin * forward + cos * left
-        return pose[:2] + (east, north), np.array([[1.0, 0.0, -north], [0.0, 1.0, east]])
+        p_antenna_world = T_world_vehicle[:2] + (east, north)
+        return p_antenna_world, np.array([[1.0, 0.0, -north], [0.0, 1.0, east]])
 
 
 @dataclass(frozen=True)

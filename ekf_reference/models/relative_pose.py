@@ -23,12 +23,13 @@ class RelativePose(MeasurementModel):
         distance: Array = np.hypot(z[:, 0], z[:, 1])
         return distance
 
-    def predict(self, pose: Array, landmarks: Array) -> PredictedMeasurements:
+    def predict(self, T_world_vehicle: Array, T_world_landmark: Array) -> PredictedMeasurements:
         """Predict the measurements of poses (m, 3) from a pose (3,)."""
-        cos, sin = np.cos(pose[2]), np.sin(pose[2])
-        dx, dy = landmarks[:, 0] - pose[0], landmarks[:, 1] - pose[1]
+        x, y, heading = T_world_vehicle
+        cos, sin = np.cos(heading), np.sin(heading)
+        dx, dy = T_world_landmark[:, 0] - x, T_world_landmark[:, 1] - y
         forward, left = dx * cos + dy * sin, -dx * sin + dy * cos
-        z = np.column_stack((forward, left, landmarks[:, 2] - pose[2]))
+        z = np.column_stack((forward, left, T_world_landmark[:, 2] - heading))
         into = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
         by_landmark = np.tile(into, (len(z), 1, 1))
         by_pose = -by_landmark
@@ -36,15 +37,16 @@ class RelativePose(MeasurementModel):
         by_pose[:, 1, 2] -= forward
         return PredictedMeasurements(z, by_pose, by_landmark)
 
-    def invert(self, pose: Array, z: Array) -> NewLandmarks:
+    def invert(self, T_world_vehicle: Array, z: Array) -> NewLandmarks:
         """Return the poses measured as z (m, 3) from a pose (3,): both composed.
 
         To eq. 5.15 what eqs. 2.50, 2.54 and 2.55 are to range and bearing.
         """
-        cos, sin = np.cos(pose[2]), np.sin(pose[2])
+        x, y, heading = T_world_vehicle
+        cos, sin = np.cos(heading), np.sin(heading)
         east, north = cos * z[:, 0] - sin * z[:, 1], sin * z[:, 0] + cos * z[:, 1]
-        place = np.column_stack((pose[0] + east, pose[1] + north, pose[2] + z[:, 2]))
+        T_world_landmark = np.column_stack((x + east, y + north, heading + z[:, 2]))
         out = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
         by_pose = np.tile(np.eye(3), (len(z), 1, 1))
         by_pose[:, 0, 2], by_pose[:, 1, 2] = -north, east
-        return NewLandmarks(place, by_pose, np.tile(out, (len(z), 1, 1)))
+        return NewLandmarks(T_world_landmark, by_pose, np.tile(out, (len(z), 1, 1)))
