@@ -14,11 +14,12 @@ from pathlib import Path
 import numpy as np
 
 from comparisons.adapters.timeline import Timeline, build_timeline
+from comparisons.arrays import Array
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import read_given
 from comparisons.estimates.folder import write_estimate
 from comparisons.logs.bundled import open_log
-from comparisons.logs.log import Array, Log
+from comparisons.logs.log import Log
 from comparisons.logs.odometry import SteeringOdometry
 from comparisons.pipeline.check import GivenCheck, check
 from ekf_reference.models.motion import AckermannModel

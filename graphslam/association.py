@@ -14,9 +14,9 @@ from dataclasses import dataclass, field, replace
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 from scipy.cluster.hierarchy import fcluster, linkage
 
+from graphslam.arrays import Array, Index, Mask
 from graphslam.belief import Belief, wrapped
 from graphslam.graph_builder import (
     LANDMARK_KEY,
@@ -31,10 +31,6 @@ from graphslam.marginals import joint_marginal, to_global
 from graphslam.optimisers import levenberg_marquardt
 from graphslam.problem import SlamProblem
 from graphslam.recognition import PENDING, UNSEEN, Options, extent, recognise
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

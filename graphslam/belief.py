@@ -9,10 +9,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
+from graphslam.arrays import Array, Index, wrap_angle
 
 
 class Expected(NamedTuple):
@@ -105,5 +103,5 @@ class Belief:
 def wrapped(difference: Array) -> Array:
     """Range and bearing differences (..., 2), the bearing in (-pi, pi]."""
     result = difference.copy()
-    result[..., 1] = np.pi - np.mod(np.pi - result[..., 1], 2.0 * np.pi)
+    result[..., 1] = wrap_angle(result[..., 1])
     return result

@@ -17,12 +17,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from graphslam.arrays import Array
 from graphslam.graph_builder import to_tangent
 from graphslam.problem import Closures, SlamProblem
-
-Array = NDArray[np.float64]
 
 _FREE_PRIOR = 1e-12
 """Variance of the first pose where a file has no prior."""

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
+from graphslam.arrays import Array, Index
 from graphslam.problem import OrientedSightings, SlamProblem
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 POSE_KEY = gtsam.symbol("x", 0)
 LANDMARK_KEY = gtsam.symbol("l", 0)

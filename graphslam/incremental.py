@@ -8,8 +8,8 @@ from typing import NamedTuple, SupportsFloat, SupportsIndex, SupportsInt
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
+from graphslam.arrays import Array, Index
 from graphslam.graph_builder import (
     LANDMARK_KEY,
     POSE_KEY,
@@ -21,9 +21,6 @@ from graphslam.graph_builder import (
 from graphslam.initialisation import extension
 from graphslam.marginals import Marginal, joint_marginal, to_global
 from graphslam.problem import SlamProblem
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 RELINEARISE = 0.1
 """A variable is linearised anew when it has moved by this much [m or rad] ..."""

@@ -12,13 +12,10 @@ from typing import Protocol
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
 from graphslam.graph_builder import LANDMARK_KEY, POSE_KEY, POSE_LANDMARK_KEY, last_poses
 from graphslam.optimisers import levenberg_marquardt
 from graphslam.problem import SlamProblem
-
-Array = NDArray[np.float64]
 
 PIECE = 100
 """Poses that are dead reckoned at once."""

@@ -15,11 +15,9 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from graphslam.arrays import Array, Index
 from graphslam.graph_builder import LANDMARK_KEYS, POINT, POSE_KEY
 from graphslam.marginals import Marginal, joint_marginal
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True)

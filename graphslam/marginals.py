@@ -7,12 +7,10 @@ from typing import NamedTuple
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
+from graphslam.arrays import Array
 from graphslam.graph_builder import LANDMARK_KEY, POSE_KEY, POSE_LANDMARK_KEY, to_tangent
-
-Array = NDArray[np.float64]
 
 _ROUNDING = 1e-13
 _UNFIXED = "the measurements do not fix the last pose and every landmark"

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
+from graphslam.arrays import Array, Index, wrap_angle
 from graphslam.graph_builder import (
     POINT,
     POSE_LANDMARK,
@@ -30,8 +30,6 @@ from graphslam.linear_problem import (
 )
 from graphslam.problem import SlamProblem
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 _Rows = tuple[Array, Array, Array]
 """Whitened a: (R, w, 3), c: (R, w, w) and b: (R, w), as in LinearRelations."""
 
@@ -244,7 +242,7 @@ def _pose_in_pose(measured: Array, covariance: Array, at: RelationPoints) -> _Ro
     by_first = out @ rows[:, :, :3] @ to_tangent(at.first[:, 2])
     by_second = out @ rows[:, :, 3:6] @ to_tangent(at.second[:, 2])
     residual = measured[at.row] - expected
-    residual[:, 2] = np.pi - np.mod(np.pi - residual[:, 2], 2.0 * np.pi)
+    residual[:, 2] = wrap_angle(residual[:, 2])
     back = to_tangent(measured[at.row, 2]).transpose(0, 2, 1)
     added = back @ covariance[at.row] @ back.transpose(0, 2, 1) / at.weight[:, None, None]
     a, c, b = whiten(added, by_first, by_second, residual)

@@ -6,12 +6,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from graphslam.arrays import Array, Index
 from graphslam.belief import Belief, wrapped
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 UNSEEN, PENDING = -1, -2
 """Not used, for it could be of several landmarks; not explained by any landmark, so far."""

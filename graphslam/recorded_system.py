@@ -12,8 +12,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from graphslam.arrays import Array, Index
 from graphslam.linear_problem import (
     LinearPositions,
     LinearPrior,
@@ -22,9 +22,6 @@ from graphslam.linear_problem import (
     LinearSurvey,
     whiten,
 )
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True)

@@ -11,11 +11,9 @@ from dataclasses import dataclass
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
+from graphslam.arrays import Index
 from graphslam.problem import SlamProblem
-
-Index = NDArray[np.intp]
 
 INLIER_PROBABILITY = 0.999
 """Observations beyond this quantile of chi-square count as wild."""

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, diags, identity
 from scipy.sparse.linalg import splu
 
+from graphslam.arrays import Array
 from graphslam.graph_builder import LANDMARK_KEY, POSE_KEY, POSE_LANDMARK_KEY
-
-Array = NDArray[np.float64]
 
 _FREE = 1e-10
 """A direction is free when what the measurements say of it is this small against its columns."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
+from graphslam.arrays import Array
 from graphslam.graph_builder import (
     KERNELS,
     LANDMARK_KEY,
@@ -35,8 +35,6 @@ from graphslam.optimum import Proof, Stationarity, chi_square_test, stationarity
 from graphslam.problem import SlamProblem
 from graphslam.robust import NOTHING_REJECTED, Rejected, reject_wild
 from graphslam.singular import explain_singularity
-
-Array = NDArray[np.float64]
 
 AGREEMENT = 1e-6
 """Starts agree when their errors differ by less than this, relative to 1 + error."""

@@ -240,7 +240,7 @@ def test_nothing_stands_on_experiments() -> None:
 
 
 LAYERS = {
-    "errors": 0, "files": 0, "choices": 0, "atomic": 0, "archive": 0,
+    "arrays": 0, "errors": 0, "files": 0, "choices": 0, "atomic": 0, "archive": 0,
     "logs": 1, "options": 1,
     "config": 2, "estimates": 2,
     "settings": 3, "adapters": 3, "logs.transforms": 3,

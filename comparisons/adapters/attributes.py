@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from comparisons.adapters.motion import CLOCK_S
+from comparisons.arrays import Array
 from comparisons.errors import InputError
-from comparisons.logs.log import Array, Log
+from comparisons.logs.log import Log
 from ekf_reference.association.attributes import AttributeEstimates
 from ekf_reference.core.measurements import MeasuredAttributes
 

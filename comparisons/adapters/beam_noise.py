@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from comparisons.arrays import Array
 from comparisons.logs.scans import Scans
 from ekf_reference.dense.scan import Sensor
-
-Array = NDArray[np.float64]
 
 _BEAMS = 9
 """Neighbouring beams to which a quadratic is fitted, a wall being nearly one."""

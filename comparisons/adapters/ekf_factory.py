@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.adapters.attributes import BRIGHTNESS, check_attributes, no_estimates
+from comparisons.arrays import Array
 from comparisons.config import EkfConfig
 from comparisons.errors import InputError
-from comparisons.logs.log import Array, Log, Positions
+from comparisons.logs.log import Log, Positions
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry
 from comparisons.logs.transforms.known_landmarks import surveyed
 from ekf_reference.association.attributes import NO_ATTRIBUTES, Attributes, RememberedAttributes

@@ -14,9 +14,10 @@ from comparisons.adapters.filter_loop import Beside, drive
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.oriented_sightings import OrientedLedger
 from comparisons.adapters.timeline import Timeline
+from comparisons.arrays import Array
 from comparisons.config import EkfConfig
 from comparisons.errors import InputError
-from comparisons.estimates.estimate import Array, Estimate
+from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.transforms.known_landmarks import surveyed
 from ekf_reference.core.ekf import Ekf, PoseReading

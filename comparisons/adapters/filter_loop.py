@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from comparisons.adapters.attributes import sighted_attributes
 from comparisons.adapters.oriented_sightings import NoOrientedSource, OrientedLedger, OrientedSource
 from comparisons.adapters.timeline import Timeline
-from comparisons.logs.log import Array, Log, Positions
+from comparisons.arrays import Array
+from comparisons.logs.log import Log, Positions
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.measurements import REJECTED, MeasuredAttributes
 from ekf_reference.core.state import FilterDivergedError

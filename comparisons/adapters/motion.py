@@ -6,17 +6,15 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from comparisons.adapters.timeline import Timeline, build_timeline
+from comparisons.arrays import Array
 from comparisons.errors import InputError, RecordError
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log, Sightings
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry
 from graphslam import increments
 from graphslam.scan import planar
-
-Array = NDArray[np.float64]
 
 CLOCK_S = 1e-4
 """Times closer than this are one: a timeline resolves no more."""

@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from comparisons.arrays import Array, Index
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.state import LocalMap
 from graphslam.graph_builder import right_perturbation
@@ -18,9 +18,6 @@ from graphslam.problem import Merges, OrientedSightings
 
 if TYPE_CHECKING:
     from ekf_reference.association.dynamic_rejection import DynamicGuard
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 
 class OrientedLedger:

@@ -6,14 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.adapters.scan_source import ScanSource
+from comparisons.arrays import Array
 from comparisons.logs.log import Log
 from comparisons.logs.scans import Scans
 from ekf_reference.dense.scan import Scan, Sensor
 from ekf_reference.scan_landmarks.templates import View
 from graphslam.scan import planar
 from graphslam.scan.points import above_ground, beam_noise
-
-Array = NDArray[np.float64]
 
 _LEAST_SIGMA_M = 0.02
 _GRAZING_RAD = np.deg2rad(8.0)

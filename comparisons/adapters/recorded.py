@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from comparisons.arrays import Array, Index
 from ekf_reference.core.trace import MeasurementRecords, TraceArrays
 from graphslam.graph_builder import POSE_LANDMARK
 from graphslam.linear_problem import LinearProblem
@@ -19,9 +19,6 @@ from graphslam.recorded_system import (
     RecordedSteps,
     recorded_system,
 )
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 
 def recorded(trace: TraceArrays, until: Index) -> LinearProblem:

@@ -10,14 +10,12 @@ from numpy.typing import NDArray
 
 from comparisons.adapters.motion import motion_between
 from comparisons.adapters.scan_source import CloudsAt, ScanSource
+from comparisons.arrays import Array, Index
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
 from graphslam.increments import dead_reckoned
 from graphslam.scan.odometry import OdometryOptions, ScanOdometry
 from graphslam.scan.registration import Registration, ScanError
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True)

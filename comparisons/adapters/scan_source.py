@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from comparisons.adapters.motion import motion_between
+from comparisons.arrays import Array, Index
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
@@ -16,9 +16,6 @@ from graphslam.increments import dead_reckoned
 from graphslam.scan import planar
 from graphslam.scan.odometry import OdometryOptions
 from graphslam.scan.points import beam_noise, compensated, planar_points, swept_points
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 _SAMPLE = 50
 """So many scans tell how noisy they are."""

@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from comparisons.adapters.smoother_input import PositionRows, assemble
 from comparisons.adapters.timeline import Timeline
-from comparisons.logs.log import Array, Log
+from comparisons.arrays import Array, Index
+from comparisons.logs.log import Log
 from comparisons.logs.transforms.known_landmarks import surveyed
 from graphslam.association import associate
 from graphslam.problem import SlamProblem
-
-Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from comparisons.adapters.ekf_run import EkfRun
 from comparisons.adapters.motion import motion_samples
 from comparisons.adapters.recorded import measurement_points, merge_points, recorded
 from comparisons.adapters.timeline import Timeline
+from comparisons.arrays import Array, Index
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.transforms.known_landmarks import surveyed
@@ -23,9 +24,6 @@ from graphslam.marginals import Marginal
 from graphslam.model_system import LinearisationPoints, model_system, moved_to
 from graphslam.problem import SlamProblem
 from graphslam.smoother import SmootherOptions, SmootherResult, smooth
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 
 class PositionRows(NamedTuple):

@@ -8,13 +8,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from comparisons.arrays import Array, Index
 from comparisons.errors import RecordError
-from comparisons.logs.log import Array, Log, Positions
+from comparisons.logs.log import Log, Positions
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry
-
-Index = NDArray[np.intp]
 
 _LONGEST_S = 0.5
 

@@ -9,11 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from comparisons.arrays import Array, Index
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 MATCH_M = 1.0
 """Unlabelled landmarks match true ones within this distance."""

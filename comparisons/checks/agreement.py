@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, eigh, eigvalsh
 
-Array = NDArray[np.float64]
+from comparisons.arrays import Array
+from ekf_reference.core.geometry import wrap_angle
 
 ROUNDING = 1e-6
 """Largest algebra and model gap, in sigma and in covariance, that rounding explains."""
@@ -175,5 +176,5 @@ def _difference(first: Gaussian, second: Gaussian) -> Array:
     if first.oriented != second.oriented:
         raise ValueError(f"{first.oriented} landmarks with a direction against {second.oriented}")
     difference, turns = first.mean - second.mean, second.headings
-    difference[turns] = np.pi - np.mod(np.pi - difference[turns], 2.0 * np.pi)
+    difference[turns] = wrap_angle(difference[turns])
     return difference

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from comparisons.adapters.ekf_run import EkfRun
+from comparisons.arrays import Array
 from comparisons.checks.agreement import (
     LARGEST_DISTANCE,
     LEAST_VARIANCE_RATIO,
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from comparisons.checks.diagnosis.linearisation_growth import LinearisationGrowth
     from comparisons.checks.diagnosis.model_differences import ModelDifference
 
-Array = NDArray[np.float64]
 
 GAPS = ("algebra", "model", "linearisation", "association", "matching")
 """Causes that are gaps between the estimates; other causes explain one, or stand beside."""

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from comparisons.arrays import Array, Index
 from comparisons.checks.accuracy import match_landmarks
 from comparisons.checks.agreement import (
     LARGEST_DISTANCE,
@@ -19,11 +20,9 @@ from comparisons.checks.agreement import (
 from comparisons.checks.causes import Cause
 from comparisons.checks.diagnosis.diagnosis import Paths, diagnose, rms
 from comparisons.errors import InputError
-from comparisons.estimates.estimate import Array, Estimate
+from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import GivenEstimate
 from ekf_reference.core.geometry import wrap_angle
-
-Index = NDArray[np.intp]
 
 _SURE = 0.999
 _MOST_OUTSIDE = 0.01

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from comparisons.arrays import Array
 from comparisons.checks.accuracy import aligned
 from comparisons.estimates.estimate import Estimate
-
-Array = NDArray[np.float64]
 
 _CHI2_2_99 = float(chi2.ppf(0.99, 2))
 MOST_OUTSIDE = 0.05

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from comparisons.arrays import Array, Index
 from comparisons.logs.log import Sightings
 from ekf_reference.models.range_bearing import RangeBearing
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 
 def squared_misfit(seen: Sightings, rows: Index, pose: Array, landmark: Array) -> Array:

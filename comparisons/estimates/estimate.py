@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from comparisons.arrays import Array
 
 
 @dataclass(frozen=True, kw_only=True)

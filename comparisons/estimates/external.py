@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.archive import read_arrays
+from comparisons.arrays import Array
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import landmark_blocks
 from comparisons.estimates.folder import (
@@ -22,8 +23,6 @@ from comparisons.estimates.folder import (
 from comparisons.estimates.trace_file import TRACE, TraceFile, read_trace
 from comparisons.estimates.trajectory_files import read_trajectory_file
 from comparisons.logs.validation import LARGEST
-
-Array = NDArray[np.float64]
 
 Information = Literal["filtered", "smoothed", "fixed-lag"]
 _ARRAYS = ("pose", "landmarks", "last_pose_and_landmarks")

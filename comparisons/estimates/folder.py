@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from comparisons.archive import read_archive
+from comparisons.arrays import Array
 from comparisons.errors import InputError
-from comparisons.estimates.estimate import Array, Estimate
+from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log_meta import first_fault
 from comparisons.logs.table import Table, read_toml
 from comparisons.logs.validation import LARGEST, distinct, increasing, whole_numbers, within

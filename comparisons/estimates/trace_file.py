@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.archive import read_arrays
+from comparisons.arrays import Array, Index
 from comparisons.errors import InputError
 from comparisons.logs.validation import LARGEST, LARGEST_ID
 from ekf_reference.core.landmark_types import POINT, POSE
@@ -24,8 +25,6 @@ from ekf_reference.core.trace import (
 if TYPE_CHECKING:
     from comparisons.adapters.ekf_run import EkfRun
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 TRACE = "trace.npz"
 """Stands in an estimate folder."""

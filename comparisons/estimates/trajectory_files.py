@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from comparisons.arrays import Array
 from comparisons.atomic import write_whole
 from comparisons.errors import InputError
-from comparisons.estimates.estimate import Array
 from comparisons.estimates.folder import read_trajectory, tum_text
 from comparisons.logs.table import Table, read_text
 from comparisons.logs.validation import LARGEST, increasing, within

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from comparisons.arrays import Array
 from comparisons.errors import InputError, RecordError, printable
 from comparisons.logs.odometry import Odometry
 from comparisons.logs.scans import Clouds, Scans
@@ -27,7 +28,6 @@ from comparisons.logs.validation import (
     within,
 )
 
-Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
 
 NO_LANDMARK = -1

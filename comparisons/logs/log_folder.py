@@ -12,19 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from comparisons.archive import read_archive
+from comparisons.arrays import Array
 from comparisons.atomic import fresh_folder
 from comparisons.errors import InputError, RecordError
-from comparisons.logs.log import (
-    Array,
-    Landmarks,
-    Log,
-    Poses,
-    Positions,
-    Prior,
-    Sightings,
-    Surfaces,
-    Truth,
-)
+from comparisons.logs.log import Landmarks, Log, Poses, Positions, Prior, Sightings, Surfaces, Truth
 from comparisons.logs.log_meta import (
     MARK,
     LogModel,

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
+from comparisons.arrays import Array
 from comparisons.errors import InputError, RecordError
 from comparisons.logs.validation import check, increasing, positive_definite, within
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

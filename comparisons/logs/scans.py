@@ -8,8 +8,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from comparisons.arrays import Array
 from comparisons.errors import InputError, RecordError
-from comparisons.logs.validation import Array, check, increasing
+from comparisons.logs.validation import check, increasing
 
 Index = NDArray[np.int64]
 

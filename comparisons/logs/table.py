@@ -9,12 +9,10 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
+from comparisons.arrays import Array
 from comparisons.errors import InputError, RecordError, printable
 from comparisons.files import check_regular
-
-Array = NDArray[np.float64]
 
 
 class Table:

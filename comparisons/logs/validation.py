@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from comparisons.arrays import Array
 from comparisons.errors import RecordError
-
-Array = NDArray[np.float64]
 
 LARGEST = 1e10
 """Beyond this no time, length, speed or angle of a drive lies; squares of it stay finite."""

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.motion import poses_at
+from comparisons.arrays import Array
 from comparisons.checks.accuracy import Accuracy, assess_trajectory
 from comparisons.checks.causes import Cause
 from comparisons.checks.given_agreement import GivenAgreement, compare_given
 from comparisons.checks.verdict import Outcome
 from comparisons.config import CheckConfig
-from comparisons.estimates.estimate import Array
 from comparisons.estimates.external import GivenEstimate
 from comparisons.logs.log import Log
 from comparisons.pipeline.given_trace import TraceCheck, check_trace

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.filter_setup import FilterSetup
+from comparisons.arrays import Array
 from comparisons.checks.accuracy import Accuracy, assess, assess_trajectory
 from comparisons.checks.agreement import ROUNDING, Agreement
 from comparisons.checks.association import AssociationScore, score_association
@@ -16,7 +17,7 @@ from comparisons.checks.diagnosis.bookkeeping import misuses
 from comparisons.checks.verdict import Diagnosis, Verdict, judge
 from comparisons.config import RunConfig
 from comparisons.errors import InputError
-from comparisons.estimates.estimate import Array, Estimate
+from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.contract import Extension, Finding
 from comparisons.logs.log import Log
 from comparisons.pipeline.gaps import Compared, Gaps, compute_gaps

@@ -5,17 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.adapters.timeline import Timeline
+from comparisons.arrays import Array
 from comparisons.checks.agreement import Agreement, Gap
 from comparisons.checks.diagnosis.bookkeeping import Misuse, misuses
 from comparisons.checks.diagnosis.explanations import explain
 from comparisons.checks.verdict import Diagnosis, Verdict, judge
 from comparisons.config import SolveConfig
 from comparisons.errors import InputError
-from comparisons.estimates.estimate import Array, Estimate
+from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import GivenEstimate
 from comparisons.estimates.trace_file import TraceFile
 from comparisons.logs.log import Log, Positions
@@ -25,8 +25,6 @@ from ekf_reference.core.ekf import PoseReading
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.measurements import REJECTED
 from graphslam.smoother import SmootherOptions
-
-Index = NDArray[np.intp]
 
 _CLOCK_S = 0.5e-4
 """Half of what times are resolved to."""

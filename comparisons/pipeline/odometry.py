@@ -10,9 +10,10 @@ from comparisons.adapters.motion import motion_between
 from comparisons.adapters.scan_odometry import ScanMotion, run_scan_odometry
 from comparisons.adapters.scan_source import CloudsAt
 from comparisons.adapters.smoother_input import assemble, position_rows, smoothed_estimate
+from comparisons.arrays import Array
 from comparisons.checks.accuracy import Accuracy, assess, assess_trajectory
 from comparisons.config import EkfConfig, OdometryConfig
-from comparisons.estimates.estimate import Array, Estimate
+from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.scan_motion.increments import IncrementCheck, check_increments
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses

@@ -12,9 +12,9 @@ from typing import Any, Generic, NamedTuple, TypeVar
 from comparisons.adapters.ekf_factory import fused_positions, judging_positions, settle
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import Timeline, build_timeline
+from comparisons.arrays import Array
 from comparisons.config import Configured, EkfConfig, JobConfig
 from comparisons.errors import InputError
-from comparisons.estimates.estimate import Array
 from comparisons.extensions.contract import Extension
 from comparisons.extensions.registry import EXTENSIONS
 from comparisons.logs.hashing import log_hash

@@ -5,22 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from comparisons.adapters.smoother_association import associate_own
 from comparisons.adapters.smoother_input import assemble, position_rows, smoothed_estimate
+from comparisons.arrays import Array, Index
 from comparisons.checks.accuracy import Accuracy, assess, assess_trajectory
 from comparisons.checks.association import AssociationScore, score_association
 from comparisons.config import EkfConfig, SolveConfig
 from comparisons.errors import InputError
-from comparisons.estimates.estimate import Array, Estimate
+from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
 from comparisons.logs.transforms.known_landmarks import slots_by_label
 from comparisons.pipeline.prepare import Prepared, Progress, Required, no_progress, prepare
 from graphslam.increments import dead_reckoned
 from graphslam.smoother import SmootherOptions, SmootherResult, smooth
-
-Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,8 +15,8 @@ import numpy as np
 from matplotlib.image import imsave
 from numpy.typing import NDArray
 
+from comparisons.arrays import Array
 from comparisons.errors import InputError
-from comparisons.estimates.estimate import Array
 from ekf_reference.dense.regions_at_map import RegionsAtMap
 
 OCCUPIED_ABOVE, FREE_BELOW = 0.65, 0.25

@@ -8,14 +8,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from comparisons.arrays import Array
 from comparisons.checks.consistency.innovations import SensorInnovations
 from comparisons.checks.consistency.normalised import mean_band
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.figures.style import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR
-
-Array = NDArray[np.float64]
 
 _COMPONENTS = (("east [m]", 1.0), ("north [m]", 1.0), ("heading [deg]", 180.0 / np.pi))
 _COLOURS = (EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR, "#5c6f2b")

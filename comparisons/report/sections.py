@@ -8,9 +8,9 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from comparisons.adapters.ekf_run import EkfRun
+from comparisons.arrays import Array
 from comparisons.checks.accuracy import Accuracy
 from comparisons.checks.agreement import BlockAgreement, block_agrees
 from comparisons.checks.association import AssociationScore
@@ -33,7 +33,6 @@ from graphslam import smoother
 if TYPE_CHECKING:
     from comparisons.checks.map_agreement import Pair
 
-Array = NDArray[np.float64]
 
 _PACKAGES = ("slamcheck", "gtsam", "numpy", "scipy", "kiss-icp", "open3d-cpu", "open3d")
 """Those that the results depend on."""

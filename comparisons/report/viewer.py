@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.adapters.scan_source import ScanSource
+from comparisons.arrays import Array
 from comparisons.atomic import write_whole
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
@@ -21,8 +22,6 @@ from comparisons.logs.log import Log, Poses
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.figures.style import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR, ellipses
 from graphslam.scan import planar
-
-Array = NDArray[np.float64]
 
 SUFFIX = ".rrd"
 _TIME = "time"

@@ -10,11 +10,9 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from graphslam.arrays import Array
 from graphslam.scan.open3d_library import open3d
-
-Array = NDArray[np.float64]
 
 SUFFIXES = (".pcd", ".ply")
 

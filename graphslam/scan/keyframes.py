@@ -5,14 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from graphslam.arrays import Array, Index
 from graphslam.problem import SlamProblem
 from graphslam.scan import planar
 from graphslam.smoother import SmootherResult
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 
 def choose_keyframes(

@@ -8,13 +8,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+
+from graphslam.arrays import Array
 
 if TYPE_CHECKING:
     from kiss_icp.mapping import VoxelHashMap
     from kiss_icp.registration import Registration
-
-Array = NDArray[np.float64]
 
 
 def registration(iterations: int, converged: float) -> Registration:

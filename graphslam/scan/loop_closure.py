@@ -12,9 +12,9 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from graphslam.arrays import Array
 from graphslam.problem import Closures, SlamProblem
 from graphslam.scan import planar
 from graphslam.scan.keyframes import KeyframeBelief, choose_keyframes
@@ -25,8 +25,6 @@ from graphslam.scan.refinement import RefinementOptions
 from graphslam.scan.registration import Matcher, Registration, ScanError, squared_distance
 from graphslam.smoother import smooth
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 Clouds = Mapping[int, Array]
 """Points (M, 3) seen from some of the poses, by the pose's number."""
 

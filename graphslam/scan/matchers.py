@@ -13,15 +13,13 @@ from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from graphslam.arrays import Array
 from graphslam.scan import kiss, planar
 from graphslam.scan.points import LEAST_POINTS, usable
 from graphslam.scan.refinement import RefinementOptions, refine
 from graphslam.scan.registration import Matcher, Registration, ScanError
 from graphslam.scan.surfaces import SurfaceMap
-
-Array = NDArray[np.float64]
 
 _FAR_M = 1e4
 _UNKNOWN_M = 1e4

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from graphslam.arrays import Array
 from graphslam.scan import kiss, planar
 from graphslam.scan.points import above_ground, usable
 from graphslam.scan.refinement import RefinementOptions, refine
@@ -22,8 +22,6 @@ from graphslam.scan.surfaces import SurfaceMap
 
 if TYPE_CHECKING:
     from kiss_icp.mapping import VoxelHashMap
-
-Array = NDArray[np.float64]
 
 
 _FINE_M, _COARSE_M = 0.03, 0.15

@@ -13,12 +13,11 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from graphslam.arrays import Array
 from graphslam.scan import planar
 from graphslam.scan.matchers import JudgedMatcher, MatchOptions
 from graphslam.scan.open3d_library import open3d
 from graphslam.scan.surfaces import SurfaceMap
-
-Array = NDArray[np.float64]
 
 _THIN = 1e-3
 """Variance across a surface relative to along it (Segal, Haehnel and Thrun 2009, section III)."""

@@ -5,12 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from graphslam.arrays import Array
 from graphslam.scan import planar
 from graphslam.scan.registration import ScanError
-
-Array = NDArray[np.float64]
 
 LEAST_POINTS = 20
 _LEAST_SPREAD_M = 0.05

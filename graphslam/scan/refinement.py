@@ -13,11 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from graphslam.arrays import Array
 from graphslam.scan import planar
 from graphslam.scan.registration import Registration, ScanError
 from graphslam.scan.surfaces import SurfaceMap
-
-Array = NDArray[np.float64]
 
 _CONVERGED = 3e-4
 """Steps below this, in metres and radians, are well inside any laser's noise."""

@@ -6,11 +6,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from graphslam.arrays import Array
 from graphslam.scan import planar
-
-Array = NDArray[np.float64]
 
 
 class ScanError(ValueError):

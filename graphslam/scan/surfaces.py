@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-Array = NDArray[np.float64]
+from graphslam.arrays import Array
 
 _FLAT = 6.0
 """A neighbourhood is a surface when it is this much thinner across than along, in variance."""

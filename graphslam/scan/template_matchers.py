@@ -6,14 +6,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from graphslam.arrays import Array
 from graphslam.scan.matchers import JudgedMatcher, MatchOptions
 from graphslam.scan.odometry import OdometryOptions
 from graphslam.scan.refinement import RefinementOptions
 from graphslam.scan.registration import ScanError
-
-Array = NDArray[np.float64]
 
 COARSE_M = 1.0
 """So far off a match may begin."""

@@ -19,9 +19,9 @@ from typing import NamedTuple
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from graphslam.arrays import Array, Mask
 from graphslam.belief import Belief
 from graphslam.graph_builder import POSE_KEY, POSE_LANDMARK_KEY, build_graph, oriented_from
 from graphslam.initialisation import extension
@@ -33,9 +33,6 @@ from graphslam.scan.loop_closure import starts
 from graphslam.scan.odometry import OdometryOptions
 from graphslam.scan.registration import Registration, ScanError, squared_distance
 from graphslam.scan.template_matchers import COARSE_M, Template, TemplateMatchers, lever_m
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 USED, BEGUN = "used", "begun"
 APART = "does not meet the scan"
@@ -222,14 +219,14 @@ class _Drive:
         mean, covariance = self._belief.mean, self._belief.covariance
         return planar.relative(mean[:3], mean[at : at + 3], covariance[np.ix_(rows, rows)])
 
-    def _near(self, number: int, expected: Array, spread: Array, tree: cKDTree) -> Flags:
+    def _near(self, number: int, expected: Array, spread: Array, tree: cKDTree) -> Mask:
         """(M,) which points of a template have returns near them; none of one out of reach."""
         o, points = self._options, self._templates[number].points
         if np.hypot(*expected[:2]) > o.reach_m:
             return np.zeros(len(points), dtype=bool)
         reach = COARSE_M + 2.0 * float(np.sqrt(np.trace(spread[:2, :2])))
         place = planar.moved(expected, points)
-        near: Flags = np.isfinite(tree.query(place, distance_upper_bound=reach)[0])
+        near: Mask = np.isfinite(tree.query(place, distance_upper_bound=reach)[0])
         if near.mean() < o.least_share:
             self.reasons[APART] += 1
         return near

@@ -7,15 +7,8 @@ import json
 import numpy as np
 import pytest
 
-from comparisons.report.html.curves import (
-    MOST_POINTS,
-    Array,
-    Index,
-    data_block,
-    panel_data,
-    short,
-    thinned,
-)
+from comparisons.arrays import Array, Index
+from comparisons.report.html.curves import MOST_POINTS, data_block, panel_data, short, thinned
 from comparisons.report.html.map import ratio_colours
 from comparisons.report.panels import Band, Curve, Panel
 

@@ -12,14 +12,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from comparisons.arrays import Array, Index
 from comparisons.checks.consistency.normalised import counted, faults
 from ekf_reference.core.geometry import wrap_angle
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 CLEAR = 0.05
 """Least share of the filter's variance that the future took away, in a direction that is judged,

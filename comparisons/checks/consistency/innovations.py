@@ -19,11 +19,9 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from comparisons.adapters.ekf_run import EkfRun
+from comparisons.arrays import Array, Index
 from comparisons.checks.consistency.normalised import Band, faults, mean_band
 from ekf_reference.core.landmark_types import POINT
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 LAGS = 10
 _LEAST_PAIRS = 20

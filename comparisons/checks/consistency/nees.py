@@ -10,17 +10,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import minimum_spanning_tree
 
+from comparisons.arrays import Array, Index
 from comparisons.checks.accuracy import match_landmarks
 from comparisons.checks.consistency.normalised import Normalised, normalise
 from comparisons.estimates.estimate import Estimate, landmark_blocks
 from comparisons.logs.log import Log
 from ekf_reference.core.geometry import wrap_angle
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 _LEAST_SIGMAS = 5.0
 """A distance shorter than so many of its sigmas is not a linear function of the errors."""

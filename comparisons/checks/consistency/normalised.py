@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
+from comparisons.arrays import Array, Index
 
 _TAILS = (0.025, 0.975)
 _SKEW = 1e-6

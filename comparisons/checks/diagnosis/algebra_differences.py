@@ -7,15 +7,12 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from comparisons.arrays import Array, Index
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.state import Correction, KalmanState
 from ekf_reference.filters.compressed import CompressedState
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True, kw_only=True)

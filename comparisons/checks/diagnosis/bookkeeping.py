@@ -12,14 +12,12 @@ from numpy.typing import NDArray
 from scipy.stats import binom, chi2
 
 from comparisons.adapters.ekf_run import EkfRun
+from comparisons.arrays import Array, Index
 from comparisons.checks.misfit import squared_misfit
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.measurements import REJECTED
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 _WHOLE = 1e-9
 """Weights that add up to one do so to this."""

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from comparisons.arrays import Array
 from comparisons.checks.accuracy import aligned
 from comparisons.checks.causes import Cause
-from comparisons.estimates.estimate import Array
 
 _EXPLAINS = 0.35
 """A correction explains a difference when this share of it is left, or less."""

@@ -5,13 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.estimates.estimate import Estimate
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 _TIMES_USUAL = 10.0
 """A stretch without observations is a dropout when it is so many times the median interval."""

@@ -9,11 +9,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from comparisons.adapters.ekf_factory import motion_model
 from comparisons.adapters.ekf_run import EkfRun
+from comparisons.arrays import Array, Index
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
 from ekf_reference.core.geometry import wrap_angle
@@ -21,8 +21,6 @@ from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.trace import MeasurementRecords
 from ekf_reference.models.motion import AckermannModel, MotionModel, MotionStep
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 Scale = float | tuple[float, float]
 """What a control is multiplied by: all of it, or speed and turn."""
 

@@ -11,15 +11,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from comparisons.arrays import Array, Index
 from comparisons.estimates.estimate import Estimate
 from ekf_reference.core.geometry import wrap_angle
 from graphslam.graph_builder import POINT, POSE_LANDMARK
 from graphslam.linear_problem import LinearProblem, LinearRelations, times
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from comparisons.arrays import Array
 from ekf_reference.filters.misono import along_circle
 from graphslam.graph_builder import POINT, POSE_LANDMARK
 from graphslam.linear_problem import (
@@ -23,8 +24,6 @@ from graphslam.linear_problem import (
     LinearRelations,
     whiten,
 )
-
-Array = NDArray[np.float64]
 
 _PLACES = ("position", "heading")
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from comparisons.experiments.defects.defect import Array, Defect, with_state
+from comparisons.arrays import Array
+from comparisons.experiments.defects.defect import Defect, with_state
 from ekf_reference.core.geometry import Index
 from ekf_reference.core.state import Correction, KalmanState
 

@@ -7,13 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.experiments.defects.defect import (
-    Array,
-    Defect,
-    OtherMotion,
-    with_motion,
-    with_steps,
-)
+from comparisons.arrays import Array
+from comparisons.experiments.defects.defect import Defect, OtherMotion, with_motion, with_steps
 from ekf_reference.association.known import KnownAssociation
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import Index

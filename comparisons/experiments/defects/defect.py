@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from comparisons.arrays import Array
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import (
     POINT,
@@ -19,7 +19,6 @@ from ekf_reference.core.state import KalmanState
 from ekf_reference.models.motion import MotionModel, MotionStep
 from ekf_reference.models.range_bearing import RangeBearing
 
-Array = NDArray[np.float64]
 Plant = Callable[[Ekf], None]
 
 

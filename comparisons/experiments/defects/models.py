@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from comparisons.arrays import Array
 from comparisons.experiments.defects.defect import (
-    Array,
     Defect,
     OtherMotion,
     OtherObservation,

@@ -5,9 +5,9 @@ from __future__ import annotations
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from comparisons.arrays import Array
 from comparisons.experiments.montecarlo.statistics import DOF
 from comparisons.experiments.montecarlo.study import Outcome
-from comparisons.experiments.variants.batch_models import Array
 from comparisons.report.picture import blank
 
 _COLOURS = {

@@ -7,15 +7,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from comparisons.arrays import Array
 from comparisons.experiments.scenarios.world import Measurements, World
 from comparisons.experiments.variants.batch_ekf import BatchEkf, BatchFilter, InvariantEkf
-from comparisons.experiments.variants.batch_models import Array, wrap_angle
 from comparisons.experiments.variants.linearisation import (
     AtEstimate,
     AtFirstEstimate,
     AtTruth,
     ObservabilityConstrained,
 )
+from ekf_reference.core.geometry import wrap_angle
 
 _MOST_RECORDS = 500
 

@@ -11,8 +11,8 @@ from typing import Literal
 import numpy as np
 from scipy import stats
 
+from comparisons.arrays import Array
 from comparisons.experiments.montecarlo.runs import Records
-from comparisons.experiments.variants.batch_models import Array
 
 LEVEL = 0.95
 DOF = {"pose": 3, "position": 2, "heading": 1, "landmarks": 2}

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from comparisons.estimates.estimate import Array
+from comparisons.arrays import Array
 from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.scan_landmarks.map_aided_matching import enriched, observe_enriched
 from ekf_reference.scan_landmarks.scan_slam import ScanSlamOptions

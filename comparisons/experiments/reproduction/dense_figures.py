@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from comparisons.arrays import Array
 from comparisons.experiments.reproduction.decorrelation_example import DecorrelationExample
 from comparisons.experiments.reproduction.neglected_change import NeglectedChange
 from comparisons.report.figures.style import (
@@ -13,7 +14,6 @@ from comparisons.report.figures.style import (
     SCANS_COLOUR,
     SMOOTHER_COLOUR,
     TRUTH_COLOUR,
-    Array,
     draw_reference,
 )
 from comparisons.report.picture import blank

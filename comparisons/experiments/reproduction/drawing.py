@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from matplotlib.axes import Axes
 
+from comparisons.arrays import Array
 from comparisons.report.figures.style import (
     EKF_COLOUR,
     SMOOTHER_COLOUR,
     TRUTH_COLOUR,
-    Array,
     draw_landmarks,
     draw_reference,
     draw_trajectory,

@@ -6,14 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from comparisons.arrays import Array
 from comparisons.logs.simulate.dynamic_worlds import moved_over
 from comparisons.logs.simulate.scan_worlds import Moving
 from ekf_reference.dense.dynamic import DynamicLayer, places
 from ekf_reference.dense.regions_at_map import RegionsAtMap
-
-Array = NDArray[np.float64]
 
 _SAMPLE_S = 0.02
 

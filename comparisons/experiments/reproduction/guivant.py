@@ -17,9 +17,9 @@ from comparisons.adapters.ekf_factory import build_ekf, fused_positions, settle
 from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.filter_loop import drive
 from comparisons.adapters.timeline import build_timeline
+from comparisons.arrays import Array
 from comparisons.config import EkfConfig
 from comparisons.errors import InputError
-from comparisons.estimates.estimate import Array
 from comparisons.experiments.reproduction.contract import Experiment, Sources
 from comparisons.experiments.reproduction.watched_run import truth_in_order
 from comparisons.logs.bundled import open_log

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure as Canvas
 from comparisons.adapters.ekf_factory import fused_positions
 from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.timeline import build_timeline
+from comparisons.arrays import Array
 from comparisons.config import EkfConfig
 from comparisons.experiments.reproduction.contract import (
     AnyFigure,
@@ -25,7 +26,7 @@ from comparisons.experiments.reproduction.contract import (
     at_most,
 )
 from comparisons.experiments.reproduction.drawing import TRUE_PATH_COLOUR, plan
-from comparisons.experiments.reproduction.navigator import Array, direction_cosine_navigator
+from comparisons.experiments.reproduction.navigator import direction_cosine_navigator
 from comparisons.experiments.reproduction.watched_run import truth_in_order
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.waypoints import WaypointRun, simulate

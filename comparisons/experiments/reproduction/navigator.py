@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from comparisons.arrays import Array
 from ekf_reference.association.known import KnownAssociation
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.filters.misono import DirectionCosineEkf, DirectionCosineOptions
 from ekf_reference.models.motion import RelativePoseModel
-
-Array = NDArray[np.float64]
 
 
 class FilterNavigator:

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from comparisons.arrays import Array, Index
 from comparisons.errors import InputError
 from comparisons.experiments.reproduction.watched_run import truth_in_order, watched_run
 from comparisons.logs.log import Log
@@ -26,9 +26,6 @@ from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.triangles import axes, to_local
 from ekf_reference.dense.view import FilterView
 from ekf_reference.models.range_bearing import RangeBearing
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 _FIRST_LABEL = 1_000_000
 """Of dense points in the state; log labels lie below."""

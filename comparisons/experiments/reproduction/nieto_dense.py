@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from comparisons.adapters.ekf_factory import build_ekf, settle
 from comparisons.adapters.filter_loop import Beside, drive
 from comparisons.adapters.timeline import build_timeline
+from comparisons.arrays import Array
 from comparisons.choices import Layer
 from comparisons.config import EkfConfig, MapConfig
 from comparisons.errors import InputError
-from comparisons.estimates.estimate import Array
 from comparisons.experiments.reproduction.contract import Experiment, Sources
 from comparisons.experiments.reproduction.watched_run import truth_in_order
 from comparisons.extensions.dense_maps.accuracy import SurfaceError, surface_error

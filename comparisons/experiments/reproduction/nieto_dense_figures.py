@@ -10,7 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure as Canvas
 
-from comparisons.estimates.estimate import Array, landmark_blocks
+from comparisons.arrays import Array
+from comparisons.estimates.estimate import landmark_blocks
 from comparisons.experiments.reproduction import nieto_dense_claims as claim
 from comparisons.experiments.reproduction.contract import AnyFigure, Claim, Experiment, Figure
 from comparisons.experiments.reproduction.drawing import draw_slam, plan

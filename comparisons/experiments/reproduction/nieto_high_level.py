@@ -12,10 +12,10 @@ from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import build_timeline
+from comparisons.arrays import Array
 from comparisons.checks.accuracy import rigid_motion
 from comparisons.config import EkfConfig, MapConfig
 from comparisons.errors import InputError
-from comparisons.estimates.estimate import Array
 from comparisons.experiments.reproduction.contract import (
     Claim,
     Experiment,
@@ -40,8 +40,6 @@ from comparisons.logs.simulate.scan_worlds import with_landmarks
 from comparisons.pipeline.dense_map import map_log
 from ekf_reference.dense.layers.gaussians import Gaussians
 from ekf_reference.scan_landmarks.high_level import Around, Search, SearchOptions, search, to_world
-
-Index = NDArray[np.intp]
 
 EVERY_S, LOOPS, MOST_DRIVES = 60.0, 2, 3
 FIRST, LATER = 1, 4

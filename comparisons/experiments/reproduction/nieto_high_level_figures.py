@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure as Canvas
 
-from comparisons.estimates.estimate import Array
+from comparisons.arrays import Array
 from comparisons.experiments.reproduction import nieto_high_level as claim
 from comparisons.experiments.reproduction.contract import AnyFigure, Figure
 from comparisons.experiments.reproduction.drawing import TRUE_PATH_COLOUR, plan

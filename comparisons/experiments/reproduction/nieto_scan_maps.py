@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from comparisons.arrays import Array
 from comparisons.choices import Layer
 from comparisons.config import MapConfig
 from comparisons.errors import InputError
-from comparisons.estimates.estimate import Array
 from comparisons.experiments.reproduction.basin import Basin, Seen, basin
 from comparisons.experiments.reproduction.contract import Experiment, Sources
 from comparisons.extensions.dense_maps.accuracy import SurfaceError, near_share, surface_error

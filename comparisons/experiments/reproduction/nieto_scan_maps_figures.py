@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 from matplotlib.patches import Polygon
 
-from comparisons.estimates.estimate import Array
+from comparisons.arrays import Array
 from comparisons.experiments.reproduction.contract import (
     AnyFigure,
     Claim,

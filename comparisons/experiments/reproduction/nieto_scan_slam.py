@@ -12,10 +12,10 @@ from comparisons.adapters.ekf_run import EkfRun
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.oriented_sightings import OrientedLedger
 from comparisons.adapters.smoother_input import build_problem
+from comparisons.arrays import Array, Index
 from comparisons.checks.accuracy import assess, assess_trajectory
 from comparisons.config import RunConfig
 from comparisons.errors import InputError
-from comparisons.estimates.estimate import Array
 from comparisons.experiments.reproduction.contract import (
     Claim,
     Experiment,
@@ -37,8 +37,6 @@ from ekf_reference.core.landmark_types import POSE
 from ekf_reference.scan_landmarks.scan_slam import ScanLandmarks
 from graphslam.increments import dead_reckoned
 from graphslam.scan import planar
-
-Index = NDArray[np.intp]
 
 MOST_DRIVES = 3
 """A drive takes a minute."""

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure as Canvas
 
-from comparisons.estimates.estimate import Array
+from comparisons.arrays import Array
 from comparisons.experiments.reproduction import nieto_scan_slam as claim
 from comparisons.experiments.reproduction.contract import AnyFigure, Figure
 from comparisons.experiments.reproduction.drawing import SIGMAS, plan

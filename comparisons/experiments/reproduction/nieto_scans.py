@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
+from comparisons.arrays import Array
 from comparisons.checks.consistency.normalised import mean_band
-from comparisons.estimates.estimate import Array
 from comparisons.experiments.reproduction.contract import (
     AnyFigure,
     Claim,

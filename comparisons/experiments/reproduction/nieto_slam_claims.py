@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterable
 import numpy as np
 from numpy.typing import NDArray
 
+from comparisons.arrays import Array
 from comparisons.checks.consistency.normalised import mean_band
-from comparisons.estimates.estimate import Array
 from comparisons.experiments.reproduction.contract import Claim, at_least, at_most
 from comparisons.experiments.reproduction.nieto_slam import Fixed, LoopDrive, Loops, Moment
 

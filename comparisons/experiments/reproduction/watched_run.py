@@ -7,9 +7,10 @@ from collections.abc import Callable, Iterator
 from comparisons.adapters.ekf_factory import build_ekf, settle
 from comparisons.adapters.filter_loop import Beside, NoWatcher, drive
 from comparisons.adapters.timeline import build_timeline
+from comparisons.arrays import Array
 from comparisons.config import EkfConfig
 from comparisons.errors import InputError
-from comparisons.logs.log import Array, Log, Poses, Positions
+from comparisons.logs.log import Log, Poses, Positions
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.state import FilterDivergedError
 from ekf_reference.core.trace import Trace

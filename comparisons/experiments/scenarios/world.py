@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from comparisons.arrays import Array
 from comparisons.errors import InputError
 from comparisons.experiments.scenarios.scenario import (
     Circle,
@@ -23,14 +24,13 @@ from comparisons.experiments.scenarios.scenario import (
 )
 from comparisons.experiments.variants.batch_ekf import Robot
 from comparisons.experiments.variants.batch_models import (
-    Array,
     RangeBearing,
     RelativePosition,
     Sensor,
     unicycle,
-    wrap_angle,
 )
 from comparisons.logs.simulate.worlds import nieto_loop
+from ekf_reference.core.geometry import wrap_angle
 
 _MOST_LOOKAHEADS = 100_000
 _FULL_TURN = 2.0 * math.pi

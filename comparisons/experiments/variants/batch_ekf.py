@@ -10,14 +10,9 @@ from typing import Protocol
 
 import numpy as np
 
-from comparisons.experiments.variants.batch_models import (
-    Array,
-    Sensor,
-    control_jacobian,
-    turned,
-    unicycle,
-)
-from comparisons.experiments.variants.batch_state import BatchState, InvariantState, Slots
+from comparisons.arrays import Array, Index
+from comparisons.experiments.variants.batch_models import Sensor, control_jacobian, turned, unicycle
+from comparisons.experiments.variants.batch_state import BatchState, InvariantState
 from comparisons.experiments.variants.linearisation import Linearisation
 
 
@@ -41,7 +36,7 @@ class BatchFilter(Protocol):
         ...
 
     @property
-    def label(self) -> Slots:
+    def label(self) -> Index:
         """(L,) landmarks' labels, in the state's order."""
         ...
 
@@ -49,7 +44,7 @@ class BatchFilter(Protocol):
         """Move under measured (v, omega), (B, 2)."""
         ...
 
-    def observe(self, z: Array, sigma: Array, label: Slots) -> None:
+    def observe(self, z: Array, sigma: Array, label: Index) -> None:
         """Fuse one instant's sightings (B, m, 2), sigmas (m, 2), of landmarks (m,), all unlike."""
         ...
 
@@ -60,13 +55,13 @@ class _Labelled:
     def __init__(self) -> None:
         self.label = np.zeros(0, dtype=np.intp)
 
-    def split(self, label: Slots) -> tuple[Slots, Slots, Slots]:
+    def split(self, label: Index) -> tuple[Index, Index, Index]:
         """Rows seen before, their slots, and rows that are new."""
         same = label[:, None] == self.label
         known = same.any(axis=1)
         return np.flatnonzero(known), np.nonzero(same)[1], np.flatnonzero(~known)
 
-    def add(self, label: Slots) -> None:
+    def add(self, label: Index) -> None:
         self.label = np.concatenate((self.label, label))
 
 
@@ -80,7 +75,7 @@ class BatchEkf:
         linearisation.start(self.state)
 
     @property
-    def label(self) -> Slots:
+    def label(self) -> Index:
         """(L,) labels."""
         return self._labels.label
 
@@ -93,7 +88,7 @@ class BatchEkf:
         noise = (b * robot.sigma_odometry**2) @ b.transpose(0, 2, 1)
         self.state.predict(arrival, at.travel, noise)
 
-    def observe(self, z: Array, sigma: Array, label: Slots) -> None:
+    def observe(self, z: Array, sigma: Array, label: Index) -> None:
         """Update with what is known, then begin what is new, at the updated pose."""
         old, slot, new = self._labels.split(label)
         if len(old):
@@ -101,7 +96,7 @@ class BatchEkf:
         if len(new):
             self._augment(z[:, new], sigma[new], label[new])
 
-    def _update(self, z: Array, sigma: Array, slot: Slots) -> None:
+    def _update(self, z: Array, sigma: Array, slot: Index) -> None:
         sensor, pose = self._robot.sensor, self.state.pose
         offset = self.state.landmarks[:, slot] - pose[:, None, :2]
         innovation = sensor.innovation(z, sensor.sight(pose[:, 2:], offset))
@@ -109,7 +104,7 @@ class BatchEkf:
         matrix = sensor.by_offset(at.heading[:, None], at.offset)
         self.state.update(slot, matrix, at.offset, innovation, sigma**2)
 
-    def _augment(self, z: Array, sigma: Array, label: Slots) -> None:
+    def _augment(self, z: Array, sigma: Array, label: Index) -> None:
         sensor, pose = self._robot.sensor, self.state.pose
         point = pose[:, None, :2] + sensor.offset(pose[:, 2:], z)
         at = self._points.begun(self.state, label, point)
@@ -131,7 +126,7 @@ class InvariantEkf:
         self.state = InvariantState(robot.pose, covariance, runs, capacity)
 
     @property
-    def label(self) -> Slots:
+    def label(self) -> Index:
         """(L,) labels."""
         return self._labels.label
 
@@ -147,7 +142,7 @@ class InvariantEkf:
         gamma[:, 3:] = -arm[..., None] * b[:, None, 2]
         state.predict_invariant(arrival, gamma, robot.sigma_odometry**2)
 
-    def observe(self, z: Array, sigma: Array, label: Slots) -> None:
+    def observe(self, z: Array, sigma: Array, label: Index) -> None:
         """Update with what is known, then begin what is new, at the updated pose."""
         sensor, state = self._robot.sensor, self.state
         old, slot, new = self._labels.split(label)

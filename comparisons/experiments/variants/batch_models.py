@@ -6,13 +6,12 @@ Both sensors see a landmark only through its offset from the robot and the robot
 
 from __future__ import annotations
 
-import math
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from comparisons.arrays import Array
+from ekf_reference.core.geometry import wrap_angle
 
 
 def turned(vector: Array) -> Array:
@@ -25,11 +24,6 @@ def rotated(angle: Array, vector: Array) -> Array:
     cos, sin = np.cos(angle), np.sin(angle)
     x, y = vector[..., 0], vector[..., 1]
     return np.stack((cos * x - sin * y, sin * x + cos * y), axis=-1)
-
-
-def wrap_angle(angle_rad: Array) -> Array:
-    """Wrap angles of any shape to (-pi, pi]."""
-    return math.pi - np.mod(math.pi - angle_rad, 2.0 * math.pi)
 
 
 def unicycle(pose: Array, control: Array, step_s: float) -> Array:

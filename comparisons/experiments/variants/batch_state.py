@@ -8,14 +8,13 @@ global error here; InvariantState keeps those of another.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from comparisons.experiments.variants.batch_models import Array, rotated, turned, wrap_angle
+from comparisons.arrays import Array, Index
+from comparisons.experiments.variants.batch_models import rotated, turned
+from ekf_reference.core.geometry import wrap_angle
 
-Slots = NDArray[np.intp]
 
-
-def sighted(matrix: Array, lever: Array | None, slot: Slots, x: Array) -> Array:
+def sighted(matrix: Array, lever: Array | None, slot: Index, x: Array) -> Array:
     """H X (B, 2 m, c) for X (B, n, c), with H = M [-I, -J lever, I] of each landmark.
 
     matrix: (B, m, 2, 2) M. lever: (B, m, 2), or None where the heading has no part.
@@ -74,7 +73,7 @@ class BatchState:
         self._mean[:, :3] = pose
 
     def update(
-        self, slot: Slots, matrix: Array, lever: Array | None, innovation: Array, noise: Array
+        self, slot: Index, matrix: Array, lever: Array | None, innovation: Array, noise: Array
     ) -> None:
         """Fuse the sightings of one instant; H as of `sighted`.
 

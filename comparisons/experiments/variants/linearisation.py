@@ -11,8 +11,8 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from comparisons.experiments.variants.batch_models import Array
-from comparisons.experiments.variants.batch_state import BatchState, Slots
+from comparisons.arrays import Array, Index
+from comparisons.experiments.variants.batch_state import BatchState
 
 
 class StepPoints(NamedTuple):
@@ -41,11 +41,11 @@ class Linearisation(Protocol):
         """The state departs; it will arrive at (B, 3)."""
         ...
 
-    def sighted(self, state: BatchState, label: Slots, slot: Slots) -> SightPoints:
+    def sighted(self, state: BatchState, label: Index, slot: Index) -> SightPoints:
         """Landmarks (m,) of the map are seen."""
         ...
 
-    def begun(self, state: BatchState, label: Slots, point: Array) -> SightPoints:
+    def begun(self, state: BatchState, label: Index, point: Array) -> SightPoints:
         """Landmarks at (B, k, 2) will be appended."""
         ...
 
@@ -60,13 +60,13 @@ class AtEstimate:
         """From the updated to the predicted position."""
         return StepPoints(arrival[:, :2] - state.pose[:, :2], state.pose[:, 2], control)
 
-    def sighted(self, state: BatchState, label: Slots, slot: Slots) -> SightPoints:
+    def sighted(self, state: BatchState, label: Index, slot: Index) -> SightPoints:
         """As it is believed now."""
         return SightPoints(
             state.pose[:, 2].copy(), state.landmarks[:, slot] - state.pose[:, None, :2]
         )
 
-    def begun(self, state: BatchState, label: Slots, point: Array) -> SightPoints:
+    def begun(self, state: BatchState, label: Index, point: Array) -> SightPoints:
         """As it is believed now."""
         return SightPoints(state.pose[:, 2].copy(), point - state.pose[:, None, :2])
 
@@ -85,11 +85,11 @@ class AtFirstEstimate:
         self._before = arrival
         return StepPoints(travel, state.pose[:, 2], control)
 
-    def sighted(self, state: BatchState, label: Slots, slot: Slots) -> SightPoints:
+    def sighted(self, state: BatchState, label: Index, slot: Index) -> SightPoints:
         """The first estimates of the landmarks, from the predicted pose."""
         return SightPoints(self._before[:, 2], self._first[:, slot] - self._before[:, None, :2])
 
-    def begun(self, state: BatchState, label: Slots, point: Array) -> SightPoints:
+    def begun(self, state: BatchState, label: Index, point: Array) -> SightPoints:
         """From the predicted pose, like the sightings of this instant."""
         self._first = np.concatenate((self._first, point), axis=1)
         return SightPoints(self._before[:, 2], point - self._before[:, None, :2])
@@ -117,12 +117,12 @@ class ObservabilityConstrained:
         self._anchor = arrival[:, :2] - shift
         return StepPoints(travel, state.pose[:, 2], control)
 
-    def sighted(self, state: BatchState, label: Slots, slot: Slots) -> SightPoints:
+    def sighted(self, state: BatchState, label: Index, slot: Index) -> SightPoints:
         """L* - p*, which is l - c."""
         offset = self._first[:, slot] - self._anchor[:, None]
         return SightPoints(state.pose[:, 2].copy(), offset)
 
-    def begun(self, state: BatchState, label: Slots, point: Array) -> SightPoints:
+    def begun(self, state: BatchState, label: Index, point: Array) -> SightPoints:
         """As it is believed now; l is put where that offset is right from c."""
         offset = point - state.pose[:, None, :2]
         first = self._anchor[:, None] + offset
@@ -153,15 +153,15 @@ class AtTruth:
             np.tile(steps, (runs, 1)),
         )
 
-    def sighted(self, state: BatchState, label: Slots, slot: Slots) -> SightPoints:
+    def sighted(self, state: BatchState, label: Index, slot: Index) -> SightPoints:
         """Where the landmarks are."""
         return self._offset(label, len(state.pose))
 
-    def begun(self, state: BatchState, label: Slots, point: Array) -> SightPoints:
+    def begun(self, state: BatchState, label: Index, point: Array) -> SightPoints:
         """Where the landmarks are."""
         return self._offset(label, len(state.pose))
 
-    def _offset(self, label: Slots, runs: int) -> SightPoints:
+    def _offset(self, label: Index, runs: int) -> SightPoints:
         x, y, heading = self._pose[self._now]
         offset = self._landmark[label] - (x, y)
         return SightPoints(np.full(runs, heading), np.tile(offset, (runs, 1, 1)))

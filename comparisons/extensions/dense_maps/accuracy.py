@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from comparisons.estimates.estimate import Array
+from comparisons.arrays import Array
 from ekf_reference.dense.layers.layer import Samples
 
 OCCUPIED = 0.8

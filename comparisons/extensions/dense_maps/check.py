@@ -13,8 +13,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from comparisons.adapters.motion import poses_at
+from comparisons.arrays import Array
 from comparisons.checks.causes import Cause
-from comparisons.estimates.estimate import Array, Estimate
+from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.dense_maps.accuracy import (
     OCCUPIED,
     SurfaceError,

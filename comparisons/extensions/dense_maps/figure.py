@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PathCollection, PolyCollection
 from matplotlib.figure import Figure
 
-from comparisons.estimates.estimate import Array
+from comparisons.arrays import Array
 from comparisons.extensions.dense_maps.accuracy import OCCUPIED
 from comparisons.extensions.dense_maps.check import DenseAgreement
 from comparisons.extensions.dense_maps.source import DenseRun

@@ -14,8 +14,9 @@ from comparisons.adapters.attributes import AROUND_M
 from comparisons.adapters.ekf_factory import motion_model
 from comparisons.adapters.motion import CLOCK_S
 from comparisons.adapters.planar_scans import PlanarScans
+from comparisons.arrays import Array
 from comparisons.errors import InputError
-from comparisons.estimates.estimate import Array, Estimate
+from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from comparisons.adapters.filter_loop import NoWatcher, Watcher
 from comparisons.adapters.oriented_sightings import OrientedLedger
 from comparisons.adapters.planar_scans import PlanarScans, view_to
+from comparisons.arrays import Array
 from comparisons.choices import Layer
-from comparisons.estimates.estimate import Array
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.source import DenseWatcher
 from comparisons.extensions.high_level.config import HighLevelConfig

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from comparisons.adapters.ekf_run import EkfRun
+from comparisons.arrays import Array, Index
 from comparisons.checks.accuracy import Accuracy
 from comparisons.checks.agreement import BlockAgreement, Gaussian, block_agreement
 from comparisons.checks.association import (
@@ -21,9 +21,6 @@ from comparisons.checks.misfit import squared_misfit
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Sightings
 from graphslam.optimum import Proof
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,21 +11,19 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2, f
 
 from comparisons.adapters.ekf_run import EkfRun
+from comparisons.arrays import Array, Index
 from comparisons.checks.accuracy import Accuracy, aligned
 from comparisons.checks.agreement import BlockAgreement, Gaussian, block_agreement
 from comparisons.checks.causes import Cause
 from comparisons.checks.map_agreement import Pair
 from comparisons.estimates.estimate import Estimate
+from ekf_reference.core.geometry import wrap_angle
 from graphslam.graph_builder import to_tangent
 from graphslam.optimum import Proof
 from graphslam.problem import OrientedSightings
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 GATE = float(chi2.ppf(0.99, 3))
 """A landmark's alignments contradict when their mean squared distance is more: as the filter's own
@@ -130,7 +128,7 @@ def check_own_matching(
     common = sorted(used[0].keys() & used[1].keys())
     rows = [np.array([one[pair] for pair in common], dtype=np.intp) for one in used]
     difference = filters.measured[rows[0]] - own.measured[rows[1]]
-    difference[:, 2] = np.pi - np.mod(np.pi - difference[:, 2], 2.0 * np.pi)
+    difference[:, 2] = wrap_angle(difference[:, 2])
     spread = _in_poses_frame(filters, rows[0]) + _in_poses_frame(own, rows[1])
     information = np.linalg.inv(spread).astype(np.float64)
     squared = np.einsum("ni,nij,nj->n", difference, information, difference)
@@ -196,7 +194,7 @@ def compare_frames(first: Estimate, second: Estimate) -> Pair:
         return Pair(0.0, 0.0, np.zeros(0), 0)
     a, b = first.oriented[i], second.oriented[j]
     apart = a - b
-    apart[:, 2] = np.pi - np.mod(np.pi - apart[:, 2], 2.0 * np.pi)
+    apart[:, 2] = wrap_angle(apart[:, 2])
     total = first.oriented_covariances()[i] + second.oriented_covariances()[j]
     squared = np.einsum("ni,ni->n", apart, np.linalg.solve(total, apart[:, :, None])[:, :, 0])
     return Pair(

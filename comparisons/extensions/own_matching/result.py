@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from comparisons.estimates.estimate import Array
+from comparisons.arrays import Array
 from comparisons.extensions.contract import Row
 from comparisons.extensions.own_matching.check import LandmarkMatching, OwnMatchingCheck
 from comparisons.report.model import Model, finite

@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from comparisons.adapters.beam_noise import sensor_of
@@ -26,8 +25,6 @@ from graphslam.scan.template_sightings import (
     TemplateSightings,
     sight_templates,
 )
-
-Array = NDArray[np.float64]
 
 
 def own_sightings(

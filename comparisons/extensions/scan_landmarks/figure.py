@@ -5,16 +5,13 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
-from numpy.typing import NDArray
 
+from comparisons.arrays import Array, Index
 from comparisons.estimates.estimate import Estimate
 from comparisons.pipeline.gaps import Compared
 from comparisons.report.figures.style import EKF_COLOUR, SMOOTHER_COLOUR, ellipses
 from comparisons.report.html.drawing import Drawing
 from ekf_reference.scan_landmarks.scan_slam import ScanLandmarks
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 _SIGMAS = 3.0
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from comparisons.adapters.beam_noise import sensor_of
 from comparisons.adapters.oriented_sightings import OrientedLedger
 from comparisons.adapters.planar_scans import PlanarScans, view_to
 from comparisons.adapters.timeline import resolved
+from comparisons.arrays import Array, Index, Mask
 from comparisons.errors import InputError
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.source import DenseWatcher
@@ -33,10 +33,6 @@ from ekf_reference.scan_landmarks.template_extraction import (
 )
 from ekf_reference.scan_matching.scan_shape import of_scan
 from ekf_reference.scan_matching.sog import SumOfGaussians
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
-Flags = NDArray[np.bool_]
 
 LANDMARKS = {"scans": (POSE,), "both": (POINT, POSE)}
 """Kinds of landmarks that regions of a dense map are anchored to, by width."""
@@ -115,7 +111,7 @@ class LogScans:
         """Scan `number` in the scanner's frame."""
         return self.shape_of(self.scan(number, np.zeros(3)))
 
-    def shape_of(self, seen: Scan, left_out: Flags | None = None) -> SumOfGaussians:
+    def shape_of(self, seen: Scan, left_out: Mask | None = None) -> SumOfGaussians:
         """A scan in the scanner's frame. left_out: (R,) returns to take for none."""
         way = seen.range_m if left_out is None else np.where(left_out, np.nan, seen.range_m)
         # Beams without a return at the rims tell where the view ends.

@@ -10,13 +10,12 @@ from scipy.optimize import minimize
 from scipy.stats import chi2
 
 from comparisons.adapters.scan_odometry import ScanMotion
+from comparisons.arrays import Array
 from comparisons.checks.accuracy import aligned
 from comparisons.logs.log import Log, Poses, Positions
 from comparisons.logs.transforms.scan_motion import divide
 from graphslam.increments import Samples, dead_reckoned
 from graphslam.scan import planar
-
-Array = NDArray[np.float64]
 
 WINDOW_S = 5.0
 """Increments are judged by positions over windows of this length."""

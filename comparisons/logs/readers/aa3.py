@@ -14,8 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
+from comparisons.arrays import Array
 from comparisons.errors import InputError, RecordError
-from comparisons.logs.log import Array, Log, Positions, Prior
+from comparisons.logs.log import Log, Positions, Prior
 from comparisons.logs.odometry import SteeringOdometry
 from comparisons.logs.readers.gps_start import start_from_gps
 from comparisons.logs.readers.matlab import load_matlab

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from comparisons.arrays import Array
 from comparisons.errors import InputError
-from comparisons.logs.log import Array
 from comparisons.logs.table import number_or_fail, shorten
 from comparisons.logs.validation import LARGEST
 

@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from comparisons.arrays import Array
 from comparisons.errors import InputError
-from comparisons.logs.log import Array, Log, Prior, Sightings
+from comparisons.logs.log import Log, Prior, Sightings
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.table import locate_rows, number_or_fail, read_text, shorten
 

@@ -16,8 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
+from comparisons.arrays import Array
 from comparisons.errors import InputError
-from comparisons.logs.log import Array, Landmarks, Log, Poses, Prior, Sightings, Truth
+from comparisons.logs.log import Landmarks, Log, Poses, Prior, Sightings, Truth
 from comparisons.logs.odometry import OdometryNoise, VelocityOdometry
 from comparisons.logs.table import Table
 from comparisons.logs.validation import whole_numbers, within

@@ -20,8 +20,9 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from comparisons.arrays import Array
 from comparisons.errors import InputError
-from comparisons.logs.log import Array, Log
+from comparisons.logs.log import Log
 from comparisons.logs.readers.ros_bag import TRANSFORMS, Bag, Topic, open_bag, recognise_bag
 from comparisons.logs.readers.ros_messages import (
     Sweep,

@@ -8,13 +8,11 @@ fires. It is generous for wheels indoors, since scan matching corrects what it l
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from comparisons.arrays import Array
 from comparisons.logs.log import Log, Prior, Sightings
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.scans import Clouds, Scans
-
-Array = NDArray[np.float64]
 
 SIGMA_M_PER_SQRT_M = 0.1
 """Forward and sideways: 10 % after one metre."""

@@ -12,13 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from comparisons.arrays import Array
 from comparisons.logs.log import Landmarks, Log, Poses, Prior, Sightings, Truth
 from comparisons.logs.odometry import Ackermann, OdometryNoise, SteeringOdometry
 from comparisons.logs.readers.victoria_park import UTE
 from comparisons.logs.simulate.pursuit import pursue
 from comparisons.logs.simulate.worlds import World, nieto_loop
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

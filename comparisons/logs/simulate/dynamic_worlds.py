@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from comparisons.arrays import Array
 from comparisons.logs.readers.victoria_park import UTE
 from comparisons.logs.simulate.scan_worlds import (
     Mover,
@@ -21,8 +22,6 @@ from comparisons.logs.simulate.scan_worlds import (
     placed_shapes,
     with_landmarks,
 )
-
-Array = NDArray[np.float64]
 
 LANES_M = (5.0, -5.0)
 """North of the two lanes; the first leads east (Nieto 2005, section 6.3.3)."""

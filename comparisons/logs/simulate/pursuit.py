@@ -5,11 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from comparisons.arrays import Array
 from comparisons.logs.odometry import Ackermann
-
-Array = NDArray[np.float64]
 
 
 def pursue(

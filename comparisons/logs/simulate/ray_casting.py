@@ -11,10 +11,8 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
+from comparisons.arrays import Array, Index
 
 _PAIRS = 2**18
 """So many pairs of beam and thing are tried at once: their arrays stay in the cache."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from comparisons.arrays import Array
 from comparisons.logs.log import Log, Poses, Truth
 from comparisons.logs.scans import Clouds, Scans
 from comparisons.logs.simulate.drive import (
@@ -28,8 +29,6 @@ from comparisons.logs.simulate.scan_worlds import (
     scan_slam_world,
 )
 from comparisons.logs.simulate.scanners import Planar, Rings
-
-Array = NDArray[np.float64]
 
 _OVERLAP_M = 30.0
 """After the last loop the start is passed once more by so much."""

@@ -10,14 +10,12 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from comparisons.arrays import Array
 from comparisons.logs.log import Surfaces
 from comparisons.logs.simulate.ray_casting import Solids
 from comparisons.logs.simulate.worlds import World
-
-Array = NDArray[np.float64]
 
 _POLE_SIDES = 32
 _PATH_STEP_M = 0.125

@@ -7,14 +7,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from comparisons.arrays import Array
 from comparisons.errors import InputError
 from comparisons.logs.scans import Clouds, Mount, Scans
 from comparisons.logs.simulate.ray_casting import Solids, cast, cast_rings
 from comparisons.logs.simulate.scan_worlds import ScanWorld
 
-Array = NDArray[np.float64]
 PoseAt = Callable[[Array], Array]
 """Poses (N, 3) of the vehicle at times (N,)."""
 

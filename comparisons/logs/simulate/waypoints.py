@@ -15,12 +15,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from comparisons.arrays import Array
 from comparisons.logs.log import Landmarks, Log, Poses, Positions, Prior, Sightings, Truth
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.scans import Scans
 from comparisons.logs.simulate.ray_casting import Solids, cast
-
-Array = NDArray[np.float64]
 
 
 class Navigator(Protocol):

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.logs.log import Array, Log, Sightings
+from comparisons.arrays import Array
+from comparisons.logs.log import Log, Sightings
 
 SURVEYED = 10**9
 """Added to a surveyed landmark's id, so that it meets no other landmark's."""

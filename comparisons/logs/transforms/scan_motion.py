@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from comparisons.adapters.motion import motion_between
 from comparisons.adapters.scan_odometry import ScanMotion
+from comparisons.arrays import Array
 from comparisons.errors import InputError
-from comparisons.logs.log import Array, Log, Prior
+from comparisons.logs.log import Log, Prior
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.transforms.known_landmarks import join_known_sightings
 from graphslam.increments import Samples

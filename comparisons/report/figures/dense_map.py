@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from comparisons.estimates.estimate import Array
+from comparisons.arrays import Array
 from comparisons.extensions.dense_maps.figure import (
     draw_error_layer,
     draw_occupied,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from matplotlib.figure import Figure
 
-from comparisons.estimates.estimate import Array
+from comparisons.arrays import Array
 from comparisons.pipeline.odometry import FrontEnd
 from comparisons.report.figures.style import (
     EKF_COLOUR,

@@ -7,13 +7,11 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from numpy.typing import NDArray
 
+from comparisons.arrays import Array
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
 from comparisons.report.picture import blank
-
-Array = NDArray[np.float64]
 
 EKF_COLOUR = "#d1495b"
 SMOOTHER_COLOUR = "#00798c"

@@ -9,12 +9,9 @@ from math import floor, isfinite, log10
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from comparisons.arrays import Array, Index
 from comparisons.report.panels import ConsistencyPanels, Panel
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 MOST_POINTS = 2000
 _DIGITS = 4

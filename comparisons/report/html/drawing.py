@@ -9,10 +9,8 @@ from html import escape
 import numpy as np
 from numpy.typing import NDArray
 
+from comparisons.arrays import Array, Index
 from comparisons.estimates.estimate import Estimate
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 MOST_POINTS = 4000
 MOST_LINES = 3000

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from comparisons.arrays import Array
 from comparisons.estimates.estimate import Estimate
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.figures.style import EKF_COLOUR, SMOOTHER_COLOUR, ellipses
 from comparisons.report.html.drawing import MOST_LINES, Drawing, association_lines, kept
-
-Array = NDArray[np.float64]
 
 RATIO_LAYER = "variance ratio, least"
 _SIGMAS = 3.0

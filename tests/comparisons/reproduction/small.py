@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from comparisons.estimates.estimate import Array
+from comparisons.arrays import Array
 from comparisons.experiments.reproduction import (
     guivant,
     misono,
