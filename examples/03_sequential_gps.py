@@ -15,7 +15,7 @@ from ekf_reference.association.known import KnownAssociation
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.measurement_update import UpdateSplitter
 from ekf_reference.models.motion import UnicycleModel
-from ekf_reference.models.position import PositionFixes, PositionModel
+from ekf_reference.models.position import POSITION_SPLITTER, PositionFixes, PositionModel
 
 TRIALS, LEVER_M, SIGMA_POSITION_M = 300, 3.0, 0.05
 PRIOR = np.diag((0.05, 0.05, math.radians(30.0))) ** 2
@@ -24,7 +24,7 @@ PRIOR = np.diag((0.05, 0.05, math.radians(30.0))) ** 2
 def main() -> dict[str, float]:
     """Return the mean normalised error squared of the pose after the fix: 3 if all is right."""
     model = PositionModel((LEVER_M, 0.0))
-    ways = {"at once": UpdateSplitter(), "in parts": PositionFixes().splitter}
+    ways = {"at once": UpdateSplitter(), "in parts": POSITION_SPLITTER}
     nees, squares = dict.fromkeys(ways, 0.0), dict.fromkeys(ways, 0.0)
     rng = np.random.default_rng(11)
     for _ in range(TRIALS):

@@ -1,7 +1,8 @@
-"""Is my own EKF right? A filter of 40 lines, its trace, and what the check says of two bugs.
+"""Is my own EKF right? A textbook EKF, its trace, and what the check says of two planted bugs.
 
-The filter below knows nothing of this project. It writes down what it linearised where; the check
-replays that with a smoother and names the gap: algebra, model or linearisation.
+The filter's algebra is its own; the vehicle model and the log are the project's. It records what it
+linearised where. The check replays that with a smoother and names the gap: algebra, model or
+linearisation.
 
 python examples/06_check_my_filter.py
 """

@@ -50,9 +50,8 @@ NO_ATTRIBUTES = NoAttributes()
 class AttributeEstimates:
     """Mean, variance and count of every landmark's attributes, from the measurements it was given.
 
-    repeats: (A,) measurements that are worth one independent one, for what puts one wrong (the side
-    that a trunk shows, an occlusion) puts the next wrong, too; 1 makes this the Kalman filter of a
-    constant. The variance is at most that of the best single measurement.
+    repeats: (A,) measurements with the information of an independent one, as their errors are
+    correlated; 1 is the Kalman filter of a constant. No variance exceeds the best measurement's.
     """
 
     def __init__(self, repeats: Array) -> None:

@@ -1,4 +1,4 @@
-"""Joint association that passes while it is in doubt, for landmarks that stand in clumps.
+"""Joint association that abstains where likely hypotheses disagree, for clumps of landmarks.
 
 After a blind turn a measurement may fit several landmarks, and a wrong choice is fused for good.
 Here all hypotheses of a scan are weighed against each other (Nieto 2005, section 2.4.1; the joint

@@ -1,8 +1,8 @@
-"""Nothing that moves is navigated by (Nieto 2005, section 6.5).
+"""Reject measurements of what moves, and landmarks there (Nieto 2005, section 6.5).
 
 Measurements from dynamic regions are discarded, and landmarks in them are deactivated: their slots
-are closed for good. The filter says of the rest what it would say with them marginalised out: the
-compressed filter still equals the full one, and a smoother that follows has nothing to unlearn.
+are closed for good. The other states are estimated as if these had been marginalised out. They
+stay in the state, so that the compressed filter still equals the full one.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ekf_reference.core.state import KalmanState
 
 
 class DynamicGuard(Protocol):
-    """Whoever knows where things move."""
+    """Tells where things move."""
 
     def is_dynamic(self, point: Array) -> Mask:
         """Return which points (N, 2) of the world [m] lie in a dynamic region (N,)."""

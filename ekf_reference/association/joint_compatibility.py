@@ -2,7 +2,7 @@
 
 Measurements of one scan share the error of the pose, so a set of pairings that are each likely can
 be unlikely together. The largest set that passes one joint gate wins, the one with the least
-joint distance among equals.
+joint nis, attributes included, among equals.
 """
 
 from __future__ import annotations

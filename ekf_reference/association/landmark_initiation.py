@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ekf_reference.association.known import KnownAssociation
 from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.landmark_types import MeasurementModel
 from ekf_reference.core.measurements import CANDIDATE, Association, Measurements
@@ -66,6 +67,7 @@ class _Candidate:
 class LandmarkInitiation:
     """Wraps an association rule; its new landmarks have to pass as candidates first.
 
+    rule: one that goes by the state alone. KnownAssociation is none: it keeps slots of its own.
     promoted, dropped: how many candidates became landmarks, and how many never did.
     """
 
@@ -74,6 +76,11 @@ class LandmarkInitiation:
     promoted: int = 0
     dropped: int = 0
     _candidates: list[_Candidate] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        """Raise TypeError for KnownAssociation."""
+        if isinstance(self.rule, KnownAssociation):
+            raise TypeError("labels give slots away before a landmark is confirmed")
 
     def assign(self, state: KalmanState, model: MeasurementModel, seen: Measurements) -> Index:
         """Assign by the rule, but new landmarks are CANDIDATE until they are reliable."""

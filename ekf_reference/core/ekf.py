@@ -64,7 +64,7 @@ class Stabilisation:
 
 
 class PoseReading(NamedTuple):
-    """A pose (3,) as x, y, heading, its own form (p,) in the state, and the Jacobian (3, p)."""
+    """A pose as x, y, heading (3,), as the state has it (p,), and the Jacobian (3, p)."""
 
     pose: Array
     own: Array
@@ -75,7 +75,7 @@ class Ekf:
     """Predict, associate, update, augment. Public attributes are its parts; all can be replaced.
 
     models: how landmarks are measured, by their width. fixes: how absolute positions are fused.
-    splitter: bounds beyond which an update of landmarks is split. boundless_variance: of a new
+    splitter: splits updates whose correction of the pose is too large. boundless_variance: of a new
     landmark before it is updated with its first measurement (Nieto 2005, eq. 2.56), None to
     initialise it from that measurement directly (eqs. 2.48 to 2.55).
     """
@@ -120,7 +120,11 @@ class Ekf:
         self.trace.step(StepRecord(departed, pose, f, noise))
 
     def associate(self, seen: Measurements) -> Index:
-        """Return the slots (m,) that the association rule gives (Nieto 2005, section 2.4)."""
+        """Return the slots (m,) of points (Nieto 2005, section 2.4); ValueError for poses."""
+        if seen.width != POINT:
+            raise ValueError(f"measurements of {seen.width} entries, expected {POINT}: of points")
+        if not len(seen):
+            return NO_LANDMARKS
         return self.association.assign(self.state, self.models[seen.width], seen)
 
     def update(self, seen: Measurements, slots: Index) -> None:
@@ -131,8 +135,7 @@ class Ekf:
     def augment(self, seen: Measurements, slots: Index) -> None:
         """Initialise the landmarks that are not in the state yet (Nieto 2005, 2.48 to 2.56).
 
-        Comes after `update`, at the updated pose. A second measurement of the same new landmark is
-        fused after that.
+        Follows `update`. Fuses second measurements of a new landmark; counts all for the trace.
         """
         new = np.flatnonzero(slots >= len(self.state.layout.first[seen.width]))
         first = np.sort(new[np.unique(slots[new], return_index=True)[1]])
@@ -248,11 +251,11 @@ class Ekf:
         self.trace.removal(RemovalRecord(slot, width, entries))
 
     def read_pose(self) -> PoseReading:
-        """Return the pose now, against the state's."""
+        """Return the pose now, with the Jacobian by the pose in the state."""
         return PoseReading(self.state.pose, self.state.pose, np.eye(3))
 
     def read_recorded_pose(self) -> PoseReading:
-        """Return the pose now, against the trace's."""
+        """Return the pose now, with the Jacobian by the pose in the trace."""
         return self.read_pose()
 
     def _fuse(self, seen: Measurements, slots: Index, rows: Index) -> None:

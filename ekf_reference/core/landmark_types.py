@@ -17,7 +17,7 @@ POINT, POSE = WIDTHS = (2, 3)
 
 
 class PredictedMeasurements(NamedTuple):
-    """Expected measurements (m, w), with Jacobians (m, w, p) by the pose, (m, w, w) by each."""
+    """Expected measurements (m, w); Jacobians by the pose (m, w, p) and the landmark (m, w, w)."""
 
     z: Array
     jacobian_pose: Array
@@ -25,7 +25,7 @@ class PredictedMeasurements(NamedTuple):
 
 
 class NewLandmarks(NamedTuple):
-    """Landmarks (m, w) computed from measurements z, with Jacobians (m, w, p) and (m, w, w)."""
+    """Landmarks (m, w) of measurements z; Jacobians by the pose (m, w, p) and by z (m, w, w)."""
 
     landmark: Array
     jacobian_pose: Array
@@ -35,11 +35,11 @@ class NewLandmarks(NamedTuple):
 class MeasurementModel(Protocol):
     """How landmarks of one kind are measured, as z (m, w), from a pose T_world_vehicle (p,).
 
-    What is not abstract holds for z whose entries have independent errors and end in an angle.
+    The default methods suit models whose noise is diagonal and whose last entry is an angle.
     """
 
     def measured(self, z: Array, sigma: Array) -> tuple[Array, Array]:
-        """Return the model's own z and R (m, w, w) of what a sensor measured with sigmas (m, w)."""
+        """Convert what a sensor measured, with sigmas (m, w), to the model's z and R (m, w, w)."""
         return z, diagonal_noise(sigma)
 
     def range_m(self, z: Array) -> Array:

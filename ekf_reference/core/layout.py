@@ -64,7 +64,7 @@ class Layout:
         return Layout(self.pose_size, self.size + width * count, {**self.first, width: new})
 
     def continued(self, part: Layout, start: int) -> Layout:
-        """Return the layout with the landmarks that a part of it got since, behind its `start`."""
+        """Return the layout with the landmarks that a part of it has beyond its entry `start`."""
         first, shift = dict(self.first), self.size - start
         for width, own in self.first.items():
             first[width] = np.concatenate((own, part.first[width][len(own) :] + shift))

@@ -24,7 +24,7 @@ DYNAMIC = -4
 
 @dataclass(frozen=True)
 class MeasuredAttributes:
-    """A attributes of m measurements, in any units, that tell landmarks apart.
+    """The A attributes of m measurements, in any units, that tell landmarks apart.
 
     value: (m, A), NaN where not measured. variance: (m, A). A = 0 serves any m.
     """
@@ -60,7 +60,7 @@ class Measurements:
     closed: tuple[int, ...] = ()
 
     def __len__(self) -> int:
-        """M."""
+        """Return the number of measurements."""
         return len(self.z)
 
     @property

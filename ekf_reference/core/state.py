@@ -191,7 +191,7 @@ class KalmanState:
         Errata: 2.39 is printed S = H P H + R and 2.47 W = P H S^-1; the transposes belong there.
         innovation: (m,), wrapped. With S = L L^T the term W S W^T is U^T U, U = L^-1 H P: symmetric
         as computed.
-        Raises FilterDivergedError when S is not positive definite, or anything is not finite.
+        Raises FilterDivergedError when S is not positive definite, or S or nu not finite.
         """
         n = self._layout.size
         p = self._covariance[:n, :n]

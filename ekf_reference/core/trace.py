@@ -44,8 +44,8 @@ class MeasurementRecord(NamedTuple):
     together, in their order. spread: (m, r, r), its own block of S = H P H^T + R / weight. The last
     three are zero for initialisations. weight: the share of the measurement's information: one,
     less for parts of an update, zero for a landmark that is surveyed or initialised with a
-    boundless prior, whose noise is that prior's covariance. origin: VEHICLE, or the slot of the
-    pose landmark that another was measured from, whose place is then `pose`: they are one.
+    boundless prior, whose noise is that prior's covariance. origin: VEHICLE, or for
+    a merge of two landmarks that are one the first's slot; `pose` is then that landmark's place.
     """
 
     number: Index

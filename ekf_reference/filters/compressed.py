@@ -26,9 +26,9 @@ class LocalAreas:
     """How the map is cut, and how much of it a global update touches.
 
     half_m: the vehicle may move this far east, west, north or south of an area's centre before
-    the next area is centred on it. reach_m: landmarks this much farther out are active too, or as
-    far as somebody asks who is within reach. least_gain: c1 of Guivant 2002, eq. 22; zero for the
-    exact update, 1e-4 is the paper's example.
+    the next area is centred on it. reach_m: the active area extends this far beyond that, or as
+    far as the longest range that `within` was asked for. least_gain: c1 of Guivant 2002, eq. 22;
+    zero for the exact update, 1e-4 is the paper's example.
     """
 
     half_m: float = 25.0
@@ -51,7 +51,7 @@ class GlobalUpdate:
 
 
 class CompressedState(KalmanState):
-    """A state whose passive part lags behind until somebody reads all of mean or covariance.
+    """Updates passive states late: on leaving the area, on removal, or to read mean or covariance.
 
     What KalmanState keeps is all of it as of the last global update. phi: (a', a), psi: (a, a),
     theta: (a,) as in section 4; a states at the area's start, a' now.
@@ -153,7 +153,7 @@ class CompressedState(KalmanState):
     def update(
         self, columns: Index, jacobian: Array, innovation: Array, noise: Array
     ) -> Correction:
-        """Fuse in the active states; psi, theta and phi take note, in this order."""
+        """Fuse in the active states, then add to psi and theta with the old phi, then move phi."""
         local = self._local_entries(columns)
         done = self._local.update(local, jacobian, innovation, noise)
         seen = done.inverse_root @ (jacobian @ self._phi[local])  # L^-1 H phi

@@ -41,7 +41,7 @@ def along_circle(pose: Array) -> Array:
     return jacobian
 
 
-def to_heading(pose: Array) -> Array:
+def heading_jacobian(pose: Array) -> Array:
     """Return d(x, y, heading) / d(x, y, xi, eta) (3, 4) of atan2(eta, xi), also off the circle."""
     jacobian = along_circle(pose).T.copy()
     jacobian[2] /= pose[2] ** 2 + pose[3] ** 2
@@ -137,7 +137,7 @@ class OwnAxesObservation:
         """Return the landmarks seen at z (m, 2) from a pose (4,) (eq. 16, first row corrected).
 
         Erratum: the first row is printed (eta, -xi, ...), which is no inverse of eq. 9. The
-        Jacobians, which the paper leaves out, are those of Nieto 2005, eq. 2.53.
+        Jacobians, which the paper leaves out, are those that Nieto 2005, eqs. 2.54 and 2.55 define.
         """
         x, y, xi, eta = pose.tolist()
         right, ahead = z[:, 0], z[:, 1]
@@ -170,12 +170,12 @@ class PairRelativePose(RelativePose):
     def predict(self, pose: Array, landmarks: Array) -> PredictedMeasurements:
         """Predict the measurements from a pose (4,)."""
         predicted = super().predict(self.read(pose), landmarks)
-        return predicted._replace(jacobian_pose=predicted.jacobian_pose @ to_heading(pose))
+        return predicted._replace(jacobian_pose=predicted.jacobian_pose @ heading_jacobian(pose))
 
     def invert(self, pose: Array, z: Array) -> NewLandmarks:
         """Return the landmarks that are measured from a pose (4,)."""
         new = super().invert(self.read(pose), z)
-        return new._replace(jacobian_pose=new.jacobian_pose @ to_heading(pose))
+        return new._replace(jacobian_pose=new.jacobian_pose @ heading_jacobian(pose))
 
 
 class FreePairState(KalmanState):
@@ -269,7 +269,7 @@ class DirectionCosineEkf(Ekf):
     def read_pose(self) -> PoseReading:
         """Return the pose now; its heading goes on from where it was read last, unwrapped."""
         own = self.state.pose
-        return PoseReading(self._unwrapped(own), own, to_heading(own))
+        return PoseReading(self._unwrapped(own), own, heading_jacobian(own))
 
     def read_recorded_pose(self) -> PoseReading:
         """Return the pose now, against the trace's."""

@@ -48,7 +48,7 @@ class AckermannModel:
 
     Control: (encoder speed v_e [m/s], steering alpha [rad], positive to the left).
     Source: Nieto 2005, eqs. A.3 to A.15; Guivant 2002, eq. 1. Errata: A.7, A.9 and A.11 print the
-    first term without dt, and A.9 prints -T1 where +T2 holds; the corrected form is used.
+    first term without dt, and A.9 prints it with a minus; the corrected form is used.
 
     wheelbase_m: L. encoder_offset_m: H, half the rear track. sensor_forward_m, sensor_left_m:
     a, b, the laser seen from the middle of the rear axle.

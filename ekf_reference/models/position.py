@@ -10,7 +10,7 @@ import numpy as np
 from ekf_reference.core.geometry import Array
 from ekf_reference.core.measurement_update import UpdateSplitter
 
-_PARTS = UpdateSplitter(largest_turn_rad=np.deg2rad(1.0), largest_move_m=1.0)
+POSITION_SPLITTER = UpdateSplitter(largest_turn_rad=np.deg2rad(1.0), largest_move_m=1.0)
 
 
 class AbsolutePosition(Protocol):
@@ -45,4 +45,4 @@ class PositionFixes:
 
     model: AbsolutePosition = PositionModel()
     gate: float = 13.82  # 99.9 %
-    splitter: UpdateSplitter = _PARTS
+    splitter: UpdateSplitter = POSITION_SPLITTER

@@ -1,7 +1,9 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
+from ekf_reference.association.known import KnownAssociation
 from ekf_reference.association.landmark_initiation import LandmarkInitiation, Reliability
 from ekf_reference.association.nearest_neighbour import NearestNeighbour
 from ekf_reference.core.landmark_types import diagonal_noise
@@ -65,3 +67,9 @@ def test_two_sightings_of_one_candidate_make_one_landmark() -> None:
     feed(tracks, [0.1], (8.0, 1.0), (8.05, 1.0))
     assert feed(tracks, [0.2], (8.0, 1.0), (8.05, 1.0)) == [[0, CANDIDATE]]
     assert tracks.promoted == 1
+
+
+def test_a_rule_that_keeps_slots_of_its_own_is_refused() -> None:
+    """It would fuse a landmark's measurements into the one that was confirmed before it."""
+    with pytest.raises(TypeError, match="before a landmark is confirmed"):
+        LandmarkInitiation(rule=KnownAssociation())

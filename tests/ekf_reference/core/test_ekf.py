@@ -1,10 +1,17 @@
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Callable
 
+import numpy as np
+import pytest
+
+from ekf_reference.association.consensus import ConsensusAssociation
+from ekf_reference.association.joint_compatibility import JointCompatibility
 from ekf_reference.association.known import KnownAssociation
-from ekf_reference.core.ekf import Ekf, Stabilisation
-from ekf_reference.core.landmark_types import POINT
+from ekf_reference.association.nearest_neighbour import EuclideanNeighbour, NearestNeighbour
+from ekf_reference.core.ekf import Control, Ekf, Stabilisation
+from ekf_reference.core.landmark_types import POINT, diagonal_noise
+from ekf_reference.core.measurements import Association, Measurements
 from ekf_reference.core.trace import RecordedTrace, Trace
 from ekf_reference.models.motion import UnicycleModel
 
@@ -27,6 +34,39 @@ def drive(ekf: Ekf) -> None:
         ekf.predict(np.array((1.0, 0.2)), np.diag((0.01, 0.001)), 0.1)
         z = np.array(((8.0 + 0.1 * k, 0.5), (6.0, -0.4 - 0.02 * k)))
         ekf.observe(z, np.repeat(SIGMA, 2, axis=0), np.array((11, 12)))
+
+
+RULES = (
+    KnownAssociation,
+    NearestNeighbour,
+    EuclideanNeighbour,
+    JointCompatibility,
+    ConsensusAssociation,
+)
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_a_step_is_predict_associate_update_augment(rule: Callable[[], Association]) -> None:
+    """Also without measurements, before the first landmark and after it."""
+    whole, parts = build(), build()
+    whole.association, parts.association = rule(), rule()
+    control = Control(np.array((1.0, 0.2)), np.diag((0.01, 0.001)), 0.1)
+    nothing = Measurements(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0, dtype=np.int64))
+    z, r = np.array([[8.0, 0.5], [6.0, -0.4]]), diagonal_noise(np.repeat(SIGMA, 2, axis=0))
+    for seen in (nothing, Measurements(z, r, np.array((11, 12))), nothing):
+        slots = whole.step(control, seen)
+        assert slots.tolist() == list(range(len(seen)))
+        parts.predict(*control)
+        if len(seen):
+            parts.observe(z, np.repeat(SIGMA, 2, axis=0), np.array((11, 12)))
+    assert np.array_equal(whole.state.mean, parts.state.mean)
+    assert np.array_equal(whole.state.covariance, parts.state.covariance)
+
+
+def test_rules_are_for_points() -> None:
+    frame = Measurements(np.zeros((1, 3)), np.eye(3)[None], np.array([7]))
+    with pytest.raises(ValueError, match="measurements of 3 entries, expected 2"):
+        build().associate(frame)
 
 
 def test_the_trace_changes_nothing() -> None:

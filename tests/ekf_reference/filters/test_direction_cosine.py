@@ -14,7 +14,7 @@ from ekf_reference.filters.misono import (
     OwnAxesObservation,
     along_circle,
     from_heading,
-    to_heading,
+    heading_jacobian,
 )
 from ekf_reference.models.motion import (
     AckermannModel,
@@ -59,7 +59,7 @@ def test_motion_equals_that_of_the_heading(motion: MotionModel, control: Array) 
     own = DirectionCosineMotion(motion).step(OWN, control, 0.5)
     heading = motion.step(POSE, control, 0.5)
     assert np.allclose(own.pose, from_heading(heading.pose), atol=1e-14)
-    read = to_heading(own.pose)
+    read = heading_jacobian(own.pose)
     assert relative_error(read @ own.jacobian_pose @ along_circle(OWN), heading.jacobian_pose) < (
         1e-14
     )
@@ -185,5 +185,5 @@ def test_positions_are_linear() -> None:
 
 def test_reading_undoes_the_pair() -> None:
     numeric = central_difference(lambda p: np.array([*p[:2], math.atan2(p[3], p[2])]), OFF_CIRCLE)
-    assert relative_error(to_heading(OFF_CIRCLE), numeric) < 1e-8
-    assert np.allclose(to_heading(OWN) @ along_circle(OWN), np.eye(3), atol=1e-15)
+    assert relative_error(heading_jacobian(OFF_CIRCLE), numeric) < 1e-8
+    assert np.allclose(heading_jacobian(OWN) @ along_circle(OWN), np.eye(3), atol=1e-15)
