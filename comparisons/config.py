@@ -109,6 +109,11 @@ class EkfConfig(Section):
         """The filter does not claim to be exact, only never to be too certain."""
         return self.filter == "compressed-suboptimal"
 
+    @property
+    def own_axes(self) -> bool:
+        """The filter measures landmarks as points in the vehicle's axes (Misono 2007)."""
+        return self.filter.startswith("misono")
+
     def needs(self) -> Needs:
         """Attributes of a layer come from the dense map that keeps it."""
         return {"dense_maps": {"attribute_values": True}} if self.attributes == "layer" else {}
@@ -211,7 +216,7 @@ class RunConfig(Configured):
 
     @model_validator(mode="after")
     def _traceable(self) -> Self:
-        own_state = self.ekf.filter.startswith("misono")
+        own_state = self.ekf.own_axes
         if self.report.trace and (own_state or "scan_landmarks" in self.extensions):
             raise ValueError(
                 "--trace is for filters of x, y and heading, and for landmarks that are points"

@@ -68,7 +68,7 @@ def build_ekf(log: Log, choices: EkfConfig, trace: Trace, layer: LayerValues | N
     rule = build_association(log, choices, layer)
     common = (motion_model(log), rule, prior.pose, prior.covariance, stabilisation, trace)
     antenna = log.positions.antenna_m if log.positions is not None else (0.0, 0.0)
-    make = _misono if choices.filter.startswith("misono") else _of_headings
+    make = _misono if choices.own_axes else _of_headings
     return make(choices, common, antenna)
 
 

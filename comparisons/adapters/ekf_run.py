@@ -40,7 +40,7 @@ class EkfRun:
     how many the gate rejected. retired: (R,) landmarks that were found to stand where things move;
     they stay in the state, and nothing is matched with them any more.
     slot: (M,) landmark of each of the timeline's sightings, a negative code where unused (see
-    ekf_reference.association.nearest_neighbour).
+    ekf_reference.core.measurements).
     departed: (K, 3) the pose when each epoch was done. arrived: (K, 3) as predicted there.
     final: the last pose, against the trace's. own_axes: the filter fuses sightings as points in
     the vehicle's axes, not as range and bearing.
@@ -173,7 +173,7 @@ def run_ekf(
         departed=departed[:epochs],
         arrived=arrived[:epochs],
         final=ekf.read_recorded_pose(),
-        own_axes=config.filter.startswith("misono"),
+        own_axes=config.own_axes,
         positions=positions,
         fix_number=fused,
         rejected_fixes=rejected_fixes,

@@ -138,9 +138,10 @@ class Ekf:
         Follows `update`. Fuses second measurements of a new landmark; counts all for the trace.
         """
         new = np.flatnonzero(slots >= len(self.state.layout.first[seen.width]))
-        first = np.sort(new[np.unique(slots[new], return_index=True)[1]])
-        self._initialise(seen, slots, first)
-        self._fuse(seen, slots, np.setdiff1d(new, first))
+        if len(new):
+            first = np.sort(new[np.unique(slots[new], return_index=True)[1]])
+            self._initialise(seen, slots, first)
+            self._fuse(seen, slots, np.setdiff1d(new, first))
         self.take_numbers(seen.width, len(slots))
 
     def observe(
@@ -271,8 +272,6 @@ class Ekf:
         self.fuse(linearise, seen.noise[rows], self._count[seen.width] + rows, slot)
 
     def _initialise(self, seen: Measurements, slots: Index, rows: Index) -> None:
-        if not len(rows):
-            return
         slot, number = slots[rows], self._count[seen.width] + rows
         new = self.models[seen.width].invert(self.state.pose, seen.z[rows])
         if self.boundless_variance is None:

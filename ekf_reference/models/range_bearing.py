@@ -34,7 +34,7 @@ class RangeBearing(MeasurementModel):
         q = dx * dx + dy * dy
         r = np.sqrt(q)
         z = np.column_stack((r, np.arctan2(dy, dx) - heading))
-        jacobian_landmark = np.column_stack((dx / r, dy / r, -dy / q, dx / q)).reshape(-1, 2, 2)
+        jacobian_landmark = np.array((dx / r, dy / r, -dy / q, dx / q)).T.reshape(-1, 2, 2)
         jacobian_pose = np.zeros((len(r), 2, 3))
         jacobian_pose[:, :, :2] = -jacobian_landmark
         jacobian_pose[:, 1, 2] = -1.0
