@@ -78,7 +78,7 @@ def false_alarms(seeds: int, noise_scale: float, loop_s: float) -> None:
     print(
         f"sound filter, noise {noise_scale:g} times the stated, {loop_s:g} s: "
         f"{outcomes['disagree']} of {seeds} flagged, {100.0 * low:.1f} to {100.0 * high:.1f} %"
-        + (f"; {outcomes['unproven']} unproven" if outcomes["unproven"] else "")
+        + (f"; {outcomes['unverified']} unverified" if outcomes["unverified"] else "")
         + "".join(f"; {gap} {count}" for gap, count in blamed.items())
     )
 

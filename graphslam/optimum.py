@@ -78,11 +78,11 @@ def stationarity(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Sta
 
 
 @dataclass(frozen=True)
-class Proof:
+class Optimality:
     """The case for a result being the global optimum.
 
     agreeing: starts that ended at the lowest error. distance_sigma: how far the estimate is from
-    that point, where it is an incremental smoother's. It is proven when the point is a strict
+    that point, where it is an incremental smoother's. It is verified when the point is a strict
     local minimum, the estimate is there, and either two starts agree on it or its chi-square is
     not too high, which a wrong minimum's is.
     """
@@ -93,7 +93,7 @@ class Proof:
     distance_sigma: float = 0.0
 
     @property
-    def proven(self) -> bool:
+    def verified(self) -> bool:
         """Whether the evidence suffices."""
         independent = len(self.agreeing) >= 2
         return (

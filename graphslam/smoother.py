@@ -31,7 +31,7 @@ from graphslam.marginals import (
     turned,
 )
 from graphslam.optimisers import OPTIMISERS, optimise, polish
-from graphslam.optimum import Proof, Stationarity, chi_square_test, stationarity
+from graphslam.optimum import Optimality, Stationarity, chi_square_test, stationarity
 from graphslam.problem import SlamProblem
 from graphslam.robust import NOTHING_REJECTED, Rejected, reject_wild
 from graphslam.singular import explain_singularity
@@ -102,7 +102,7 @@ class SmootherResult:
     iterations: int
     converged: bool
     starts: tuple[Start, ...]
-    proof: Proof
+    optimality: Optimality
     rejected: Rejected
     values: gtsam.Values
     graph: gtsam.NonlinearFactorGraph
@@ -167,8 +167,8 @@ def smooth(
 
     guesses: other estimators' poses (K, 3) and landmarks (L, 2) by name, tried first. Then comes
     the tracked start, which needs no guess, or the incremental method's end, and dead reckoning
-    when the proof is still open. Raises SingularProblemError when every attempt fails for want of
-    information, and ValueError for closures that reach beyond a fixed lag.
+    when the optimum is not verified yet. Raises SingularProblemError when every attempt fails for
+    want of information, and ValueError for closures that reach beyond a fixed lag.
     """
     options = options or SmootherOptions()
     reach = int(np.abs(problem.closures.first - problem.closures.second).max(initial=0))
@@ -213,11 +213,11 @@ def smooth(
         attempt("fixed-lag", start, lagged.updates)
     else:
         attempt("tracked", *track(problem, graph))
-    proof = _prove(problem, graph, attempts, weighted=weighted)
-    if not proof.proven:
+    optimality = _examine(problem, graph, attempts, weighted=weighted)
+    if not optimality.verified:
         start = extension(problem, gtsam.Values(), 0, problem.pose_count)
         attempt("dead-reckoning", start)
-        proof = _prove(problem, graph, attempts, weighted=weighted)
+        optimality = _examine(problem, graph, attempts, weighted=weighted)
     best, values = min(attempts, key=lambda a: a[0].error)
     if not np.isfinite(best.error):
         why = explain_singularity(graph, values)
@@ -232,7 +232,7 @@ def smooth(
         iterations=best.iterations,
         converged=best.converged,
         starts=tuple(start for start, _ in attempts),
-        proof=proof,
+        optimality=optimality,
         rejected=rejected,
         values=values,
         graph=graph,
@@ -243,7 +243,7 @@ def smooth(
         result,
         poses=followed[0],
         landmarks=followed[1],
-        proof=replace(proof, distance_sigma=_distance(result, *followed, oriented)),
+        optimality=replace(optimality, distance_sigma=_distance(result, *followed, oriented)),
         lagged=lagged,
     )
 
@@ -257,13 +257,13 @@ def _distance(optimum: SmootherResult, poses: Array, landmarks: Array, oriented:
     return float(np.max(np.abs(apart) / np.sqrt(np.diag(covariance))))
 
 
-def _prove(
+def _examine(
     problem: SlamProblem,
     graph: gtsam.NonlinearFactorGraph,
     attempts: list[tuple[Start, gtsam.Values]],
     *,
     weighted: bool,
-) -> Proof:
+) -> Optimality:
     """weighted: a kernel has changed the residuals, so that chi-square says nothing."""
     best, values = min(attempts, key=lambda a: a[0].error)
     agreeing = tuple(
@@ -277,4 +277,4 @@ def _prove(
         if np.isfinite(best.error)
         else Stationarity(float("nan"), definite=False)
     )
-    return Proof(conditions, chi_square_test(best.error, dof), agreeing)
+    return Optimality(conditions, chi_square_test(best.error, dof), agreeing)

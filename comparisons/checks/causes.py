@@ -20,7 +20,7 @@ from comparisons.checks.agreement import (
     block_agrees,
 )
 from comparisons.checks.consistency.innovations import SensorInnovations
-from graphslam.optimum import DISTANCE_LIMIT, ChiSquareTest, Proof
+from graphslam.optimum import DISTANCE_LIMIT, ChiSquareTest, Optimality
 
 if TYPE_CHECKING:
     from comparisons.checks.diagnosis.algebra_differences import AlgebraDifference
@@ -90,21 +90,21 @@ def model(gap: Gap, differences: Sequence[ModelDifference], explanations: Sequen
     )
 
 
-def unproven(proof: Proof) -> Cause:
-    """No proof of the optimum, and what it lacks."""
-    if not proof.stationarity.holds:
+def unverified(optimality: Optimality) -> Cause:
+    """The optimum is not verified, and what the check lacks."""
+    if not optimality.stationarity.holds:
         evidence = "the smoother's best result is not a strict local minimum"
-    elif proof.distance_sigma > DISTANCE_LIMIT:
+    elif optimality.distance_sigma > DISTANCE_LIMIT:
         evidence = (
-            f"the estimate along the way is {proof.distance_sigma:.2g} sigma from the optimum, "
-            f"expected at most {DISTANCE_LIMIT}"
+            f"the estimate along the way is {optimality.distance_sigma:.2g} sigma from the "
+            f"optimum, expected at most {DISTANCE_LIMIT}"
         )
         return Cause("oracle", evidence, "use the batch, or a longer lag")
     else:
-        test = proof.chi_square
+        test = optimality.chi_square
         evidence = (
-            f"only {proof.agreeing[0]} reached the lowest error, and chi-square {test.chi2:.0f} "
-            f"lies above {test.upper:.0f} for {test.dof} degrees of freedom"
+            f"only {optimality.agreeing[0]} reached the lowest error, and chi-square "
+            f"{test.chi2:.0f} lies above {test.upper:.0f} for {test.dof} degrees of freedom"
         )
     return Cause(
         "oracle",

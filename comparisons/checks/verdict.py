@@ -12,7 +12,7 @@ from comparisons.checks.agreement import ROUNDING, Agreement, Gap, block_agrees
 from comparisons.checks.causes import Cause
 from comparisons.checks.consistency.innovations import SensorInnovations
 from comparisons.checks.diagnosis.bookkeeping import Misuse
-from graphslam.optimum import Proof
+from graphslam.optimum import Optimality
 from graphslam.smoother import SmootherResult
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 SPARED_SIGMA = 0.05
 """Largest difference of the means that sparing part of the covariance may cause, in sigma."""
 
-Outcome = Literal["agree", "disagree", "unproven"]
+Outcome = Literal["agree", "disagree", "unverified"]
 
 
 @dataclass(frozen=True)
@@ -75,11 +75,11 @@ def judge(
     found = _red(agreement, run, diagnosis, misuses, conservative=conservative)
     outcome: Outcome = "disagree"
     if not found:
-        outcome, found = _by_optimum(agreement, result.proof, run, diagnosis, causes)
+        outcome, found = _by_optimum(agreement, result.optimality, run, diagnosis, causes)
         if outcome != "agree":
-            found += cause.noise(result.proof.chi_square, diagnosis.sensors)
+            found += cause.noise(result.optimality.chi_square, diagnosis.sensors)
             found += cause.dropout(diagnosis.dropouts())
-    remarks = _remarks(result.proof, run) + _on_robust(result.options.robust)
+    remarks = _remarks(result.optimality, run) + _on_robust(result.options.robust)
     algebra = agreement.algebra
     if conservative and not algebra.within(ROUNDING):
         remarks.append(
@@ -120,14 +120,14 @@ def _red(
 
 def _by_optimum(
     agreement: Agreement,
-    proof: Proof,
+    optimality: Optimality,
     run: EkfRun,
     diagnosis: Diagnosis,
     causes: Sequence[Cause],
 ) -> tuple[Outcome, list[Cause]]:
     """The filter against the smoother's optimum."""
-    if not proof.proven:
-        return "unproven", [cause.unproven(proof)]
+    if not optimality.verified:
+        return "unverified", [cause.unverified(optimality)]
     blocks = (agreement.pose, *agreement.landmarks, *agreement.oriented, agreement.whole)
     found = []
     if not all(map(block_agrees, blocks)):
@@ -151,9 +151,9 @@ def _conservative(gap: Gap) -> bool:
     return gap.least >= 1.0 - ROUNDING and gap.asymmetry <= ROUNDING and gap.sigma <= SPARED_SIGMA
 
 
-def _remarks(proof: Proof, run: EkfRun) -> list[str]:
+def _remarks(optimality: Optimality, run: EkfRun) -> list[str]:
     remarks = []
-    test = proof.chi_square
+    test = optimality.chi_square
     if test.reading != "plausible":
         meaning = {
             "too high": "noise is larger than stated, or the model or the association is wrong",

@@ -39,7 +39,7 @@ def build(names: list[str]) -> typer.Typer:
     app = typer.Typer(
         name="slamcheck",
         help="Is my EKF-SLAM right? Runs an EKF and a smoother on one log and judges the EKF.",
-        epilog="Exit codes: 0 agree, 1 disagree, 2 unusable input or usage, 3 unproven, "
+        epilog="Exit codes: 0 agree, 1 disagree, 2 unusable input or usage, 3 unverified, "
         "70 a fault of slamcheck itself, 130 interrupted.",
         no_args_is_help=True,
         rich_markup_mode=None,

@@ -10,7 +10,7 @@ from comparisons.options import FEATURES, GPS, LOG, SMOOTHER, SOLVER_ASSOCIATION
 
 @from_flags((SOLVER_ASSOCIATION, FEATURES, GPS, *SMOOTHER, *LOG))
 def solve(given: Given) -> None:
-    """Run the smoother alone; write its estimate and its graph. Exits with 0 when proven, else 3.
+    """Run the smoother alone; write its estimate and its graph. Exits with 0 when verified, else 3.
 
     \b
     Examples:

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
     from comparisons.pipeline.prepare import Progress
 
-AGREE, DISAGREE, UNUSABLE, UNPROVEN = 0, 1, 2, 3
-VERDICTS = {"agree": AGREE, "proven": AGREE, "disagree": DISAGREE, "unproven": UNPROVEN}
+AGREE, DISAGREE, UNUSABLE, UNVERIFIED = 0, 1, 2, 3
+VERDICTS = {"agree": AGREE, "verified": AGREE, "disagree": DISAGREE, "unverified": UNVERIFIED}
 BROKEN, INTERRUPTED = 70, 130
 
 
@@ -62,7 +62,7 @@ def guarded(*, verbose: bool = False, log_file: Path | None = None) -> Iterator[
         fail("not enough memory for this log", UNUSABLE)
     except Exception as error:
         if _is(error, "graphslam.marginals", "SingularProblemError"):
-            fail(f"unproven: {error}", UNPROVEN)
+            fail(f"unverified: {error}", UNVERIFIED)
         if _is(error, "graphslam.scan.open3d_library", "Open3dMissingError") or _is(
             error, "graphslam.scan.clouds", "CloudError"
         ):

@@ -1,4 +1,4 @@
-"""The check job: someone else's estimate of a log against the smoother's, proven, estimate."""
+"""The check job: someone else's estimate of a log against the smoother's verified optimum."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def check(
         labelled=solution.prepared.labelled,
         peer=(lambda: _peer(given, solution)) if given.information == "filtered" else None,
     )
-    proven = solution.result.proof.proven
+    verified = solution.result.optimality.verified
     traced, causes = None, found.causes
     if given.trace is not None:
         progress("trace", 0, 0)
@@ -69,7 +69,7 @@ def check(
     if any(cause.gap in _OWN for cause in causes):
         outcome = "disagree"
     else:
-        outcome = "unproven" if not proven else "disagree" if causes else "agree"
+        outcome = "unverified" if not verified else "disagree" if causes else "agree"
     return GivenCheck(
         given=given,
         solution=solution,

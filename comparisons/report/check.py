@@ -212,7 +212,7 @@ class CheckResult(Model):
     accuracy: AccuracyResult | None
     smoother_accuracy: AccuracyResult | None
     trace: TraceResult | None
-    verdict: Literal["agree", "disagree", "unproven"]
+    verdict: Literal["agree", "disagree", "unverified"]
     causes: list[CauseResult]
     remarks: list[str]
     seconds: dict[str, float]

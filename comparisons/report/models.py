@@ -77,7 +77,7 @@ class SmootherResult(Model):
     newton_decrement: float
     iterations: int
     converged: bool
-    proven: bool
+    verified: bool
     agreeing_starts: list[str]
     starts: list[StartResult]
 
@@ -268,7 +268,7 @@ class CauseResult(Model):
     hint: str
 
 
-SCHEMA = 2
+SCHEMA = 3
 """Raised when a field of `result.json` changes its meaning. 1 had no `schema` and no `config`."""
 
 
@@ -286,7 +286,7 @@ class Result(Model):
     consistency: ConsistencyResult
     accuracy: Accuracies | None
     association: AssociationResult | None
-    verdict: Literal["agree", "disagree", "unproven"]
+    verdict: Literal["agree", "disagree", "unverified"]
     causes: list[CauseResult]
     remarks: list[str]
     seconds: dict[str, float]
@@ -307,7 +307,7 @@ class SolutionResult(Model):
     accuracy: AccuracyResult | None
     dead_reckoning: AccuracyResult | None
     association: AssociationResult | None
-    verdict: Literal["proven", "unproven"]
+    verdict: Literal["verified", "unverified"]
     remarks: list[str]
     seconds: dict[str, float]
     versions: dict[str, str]

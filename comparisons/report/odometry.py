@@ -66,7 +66,7 @@ class FrontEndResult(Model):
     wheels: AccuracyResult | None
     scan_odometry: AccuracyResult | None
     scan_graph: AccuracyResult | None
-    verdict: Literal["proven", "unproven"]
+    verdict: Literal["verified", "unverified"]
     remarks: list[str]
     seconds: dict[str, float]
     versions: dict[str, str]
@@ -94,7 +94,7 @@ def build_front_end_result(front_end: FrontEnd, read_s: float = 0.0) -> FrontEnd
         wheels=accuracy_result(f.accuracy_wheels),
         scan_odometry=accuracy_result(f.accuracy_odometry),
         scan_graph=accuracy_result(f.accuracy_graph),
-        verdict="proven" if f.graph.proof.proven else "unproven",
+        verdict="verified" if f.graph.optimality.verified else "unverified",
         remarks=_remarks(f),
         seconds={"read": read_s, **f.prepared.clock.seconds},
         versions=package_versions(),

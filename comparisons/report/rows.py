@@ -21,9 +21,9 @@ from comparisons.report.models import (
 
 _STYLE = {
     "agree": "bold green",
-    "proven": "bold green",
+    "verified": "bold green",
     "disagree": "bold red",
-    "unproven": "bold yellow",
+    "unverified": "bold yellow",
 }
 
 
@@ -96,7 +96,7 @@ def smoother_rows(smoother: SmootherResult) -> list[Row]:
         Row(
             "smoother",
             f"{smoother.poses:,} poses, error {smoother.error:.2f}, "
-            f"{'optimum proven' if smoother.proven else 'optimum NOT proven'} "
+            f"{'optimum verified' if smoother.verified else 'optimum NOT verified'} "
             f"(chi2 {smoother.chi2:.0f} {tested}; starts: "
             + ", ".join(f"{s.name} {shown(s.error, '.2f')}" for s in smoother.starts)
             + ")",

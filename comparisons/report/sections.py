@@ -69,25 +69,25 @@ def ekf_result(run: EkfRun, config: EkfConfig) -> EkfResult:
 
 def smoother_result(result: smoother.SmootherResult) -> SmootherResult:
     """The smoother and its evidence."""
-    options, proof = result.options, result.proof
+    options, optimality = result.options, result.optimality
     return SmootherResult(
         method=options.method,
         optimiser=options.optimiser,
         robust=options.robust,
         rejected_sightings=len(result.rejected.sightings),
         rejected_positions=len(result.rejected.positions),
-        distance_sigma=finite(proof.distance_sigma),
+        distance_sigma=finite(optimality.distance_sigma),
         rank=result.rank,
         poses=len(result.poses),
         error=result.error,
-        chi2=proof.chi_square.chi2,
-        dof=proof.chi_square.dof,
-        chi2_band=(proof.chi_square.lower, proof.chi_square.upper),
-        newton_decrement=proof.stationarity.decrement,
+        chi2=optimality.chi_square.chi2,
+        dof=optimality.chi_square.dof,
+        chi2_band=(optimality.chi_square.lower, optimality.chi_square.upper),
+        newton_decrement=optimality.stationarity.decrement,
         iterations=result.iterations,
         converged=result.converged,
-        proven=proof.proven,
-        agreeing_starts=list(proof.agreeing),
+        verified=optimality.verified,
+        agreeing_starts=list(optimality.agreeing),
         starts=[
             StartResult(
                 name=s.name,

@@ -34,15 +34,15 @@ LARGEST_DRAWN = 150
 
 def build_solution_result(solution: Solution, read_s: float = 0.0) -> SolutionResult:
     """Return the findings, read_s being the seconds that reading the log took."""
-    s, proof = solution, solution.result.proof
-    test = proof.chi_square
+    s, optimality = solution, solution.result.optimality
+    test = optimality.chi_square
     remarks = []
     if test.reading != "plausible":
         remarks.append(
             f"chi-square {test.chi2:.0f} for {test.dof} degrees of freedom is {test.reading} "
             f"(band {test.lower:.0f} to {test.upper:.0f})"
         )
-    if not proof.stationarity.holds:
+    if not optimality.stationarity.holds:
         remarks.append("the best result is not a strict local minimum")
     return SolutionResult(
         config=s.prepared.config.model_dump(mode="json"),
@@ -55,7 +55,7 @@ def build_solution_result(solution: Solution, read_s: float = 0.0) -> SolutionRe
         accuracy=accuracy_result(s.accuracy),
         dead_reckoning=accuracy_result(s.accuracy_dead_reckoned),
         association=association_result(s.association),
-        verdict="proven" if proof.proven else "unproven",
+        verdict="verified" if optimality.verified else "unverified",
         remarks=remarks,
         seconds={"read": read_s, **s.prepared.clock.seconds},
         versions=package_versions(),

@@ -179,14 +179,14 @@ def test_sound_logs_have_neither_dropouts_nor_too_much_noise() -> None:
     assert not found.stretches
     assert found.coverage == 1.0
     assert causes.dropout(found) == []
-    assert causes.noise(c.smoother.proof.chi_square, c.consistency.sensors) == []
+    assert causes.noise(c.smoother.optimality.chi_square, c.consistency.sensors) == []
 
 
 def test_an_understated_sigma_is_named() -> None:
     log = simulated(seed=3, loop_s=30.0)
     stated = replace(log.sightings, sigma_range_m=log.sightings.sigma_range_m / 3.0)
     c = compared(replace(log, sightings=stated))
-    (named,) = causes.noise(c.smoother.proof.chi_square, c.consistency.sensors)
+    (named,) = causes.noise(c.smoother.optimality.chi_square, c.consistency.sensors)
     assert named.gap == "noise"
     assert named.gap not in GAPS
     assert "sightings' range" in named.hint

@@ -9,7 +9,7 @@ from comparisons.checks.accuracy import aligned, assess, match_by_distance
 from comparisons.checks.agreement import BlockAgreement, Gaussian, block_agrees, compare, gap
 from comparisons.checks.verdict import Diagnosis, judge
 from comparisons.pipeline.compare import Comparison
-from graphslam.optimum import Proof, Stationarity, chi_square_test
+from graphslam.optimum import Optimality, Stationarity, chi_square_test
 from tests.helpers import compared, random_covariance, simulated
 
 
@@ -76,19 +76,19 @@ def test_block_limits(distance: float, least: float, largest: float, agrees: boo
 
 def test_without_proof_there_is_no_agreement(comparison: Comparison) -> None:
     assert comparison.verdict.outcome == "agree"
-    unproven = Proof(Stationarity(0.0, definite=True), chi_square_test(9e9, 100), ("ekf",))
-    result = replace(comparison.smoother, proof=unproven)
+    unverified = Optimality(Stationarity(0.0, definite=True), chi_square_test(9e9, 100), ("ekf",))
+    result = replace(comparison.smoother, optimality=unverified)
     verdict = judge(comparison.agreement, result, comparison.ekf, Diagnosis())
-    assert verdict.outcome == "unproven"
+    assert verdict.outcome == "unverified"
     assert [cause.gap for cause in verdict.causes] == ["oracle"]
     assert "only ekf reached the lowest error" in verdict.causes[0].evidence
 
 
 def test_a_red_algebra_gap_needs_no_oracle(comparison: Comparison) -> None:
-    unproven = Proof(Stationarity(1.0, definite=False), chi_square_test(9e9, 100), ())
+    unverified = Optimality(Stationarity(1.0, definite=False), chi_square_test(9e9, 100), ())
     a = comparison.agreement
     red = replace(a, algebra=replace(a.algebra, covariance=float("inf")))
-    result = replace(comparison.smoother, proof=unproven)
+    result = replace(comparison.smoother, optimality=unverified)
     assert judge(red, result, comparison.ekf, Diagnosis()).outcome == "disagree"
 
 

@@ -25,7 +25,7 @@ def test_sightings_that_come_one_by_one(jitter_s: float) -> None:
     c = compared(replace(log, sightings=replace(log.sightings, time_s=time)))
     assert c.agreement.algebra.within(1e-8)
     assert c.agreement.model.within(1e-8)
-    assert c.smoother.proof.proven
+    assert c.smoother.optimality.verified
     assert c.verdict.outcome == "agree"
 
 

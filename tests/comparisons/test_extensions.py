@@ -68,7 +68,9 @@ def test_a_toy_that_lies_is_found_out() -> None:
         )
         for bias in (0.0, 1.0)
     )
-    assert wrong.smoother.proof.chi_square.chi2 > 2.0 * right.smoother.proof.chi_square.chi2
+    assert (
+        wrong.smoother.optimality.chi_square.chi2 > 2.0 * right.smoother.optimality.chi_square.chi2
+    )
 
 
 @pytest.mark.usefixtures("registered")

@@ -70,7 +70,7 @@ def test_car_park_by_tree_features(shared_data: Path) -> None:
     c = compared(log)
     assert c.agreement.algebra.within(1e-6)
     assert c.agreement.model.within(1e-6)
-    assert c.smoother.proof.proven
+    assert c.smoother.optimality.verified
     assert c.assessment.smoother is not None
     assert c.assessment.smoother.gps_median_aligned_m is not None
     assert c.assessment.smoother.gps_median_aligned_m < 0.15

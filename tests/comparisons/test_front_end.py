@@ -61,7 +61,7 @@ def three_of(c: Comparison) -> ThreeWay:
 def test_the_front_end_leaves_a_whole_folder(tmp_path: Path) -> None:
     done = slamcheck("odometry", "scan-loop", "--out", "scans", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "verdict: proven" in done.stdout
+    assert "verdict: verified" in done.stdout
     assert "248 of 248 scans used" in done.stdout
     folder = tmp_path / "scans"
     names = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
@@ -223,7 +223,7 @@ def test_the_car_park(shared_data: Path) -> None:
     assert graph is not None
     assert odometry < min(1.0, wheels)
     assert graph < 0.35
-    assert f.graph.proof.proven
+    assert f.graph.optimality.verified
 
 
 @pytest.mark.slow
@@ -260,5 +260,5 @@ def test_scans_alone_make_a_log(tmp_path: Path, scan_loop: Log) -> None:
 
 
 def test_a_culprit_needs_evidence(wrong_wheels: Comparison) -> None:
-    proof = wrong_wheels.smoother.proof
-    assert find_culprit(proof, proof, None, None)[0] == ""
+    optimality = wrong_wheels.smoother.optimality
+    assert find_culprit(optimality, optimality, None, None)[0] == ""

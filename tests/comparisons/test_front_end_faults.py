@@ -202,12 +202,12 @@ def test_an_unproven_smoother_on_scans_has_no_say() -> None:
     c = compared(short(), motion="both")
     three, motion = three_of(c), c.find(ScanMotionFinding).motion
     apart = replace(three, ekf=replace(three.ekf, outside=len(three.ekf.distance_sigma)))
-    lost = replace(apart, proof=replace(three.proof, agreeing=(), stationarity=_SADDLE))
+    lost = replace(apart, optimality=replace(three.optimality, agreeing=(), stationarity=_SADDLE))
     both = Compared(prepared=c.prepared, setup=FilterSetup(), ekf=c.ekf, gaps=c.gaps)
     found = [ScanMotionFinding(both, motion, third) for third in (apart, lost)]
     said = [judge(c.agreement, c.smoother, c.ekf, Diagnosis(), causes=f.causes) for f in found]
     assert [v.outcome for v in said] == ["disagree", "agree"]
-    assert any("unproven" in remark for remark in found[1].remarks)
+    assert any("unverified" in remark for remark in found[1].remarks)
 
 
 def test_a_landmark_without_numbers_lies_outside() -> None:
@@ -223,7 +223,7 @@ def test_chi_square_is_tested_where_no_loop_was_closed() -> None:
     front_end = run_front_end(short())
     assert not len(front_end.closed.closures.first)
     problem = front_end.graph.problem
-    test = front_end.graph.proof.chi_square
+    test = front_end.graph.optimality.chi_square
     assert test.dof == problem.residual_dimension - problem.state_dimension > 0
     assert test.reading == "plausible"
 

@@ -52,8 +52,8 @@ def test_gaps_stay_at_rounding(name: str, association: str) -> None:
     c = compared(with_survey(simulated(seed=2)), filter=name, association=association)
     assert c.agreement.algebra.within(1e-8)
     assert c.agreement.model.within(1e-8)
-    assert c.smoother.proof.proven
-    assert c.smoother.proof.chi_square.reading == "plausible"
+    assert c.smoother.optimality.verified
+    assert c.smoother.optimality.chi_square.reading == "plausible"
     assert c.ekf.unused["rejected"] == 0
 
 

@@ -17,8 +17,8 @@ def test_victoria_park_disagrees_through_linearisation(victoria_park: Comparison
     assert len(c.smoother.poses) == 6969
     assert len(c.ekf.estimate.landmark) == 151
     assert abs(c.smoother.error - 3173.49) < 0.01
-    assert c.smoother.proof.proven
-    assert set(c.smoother.proof.agreeing) == {"ekf", "tracked"}
+    assert c.smoother.optimality.verified
+    assert set(c.smoother.optimality.agreeing) == {"ekf", "tracked"}
     assert c.agreement.algebra.within(1e-6)
     assert c.agreement.model.within(1e-6)
     assert c.agreement.linearisation.sigma > 3.0
@@ -41,7 +41,7 @@ def test_car_park(shared_data: Path) -> None:
     assert c.prepared.ekf.association == "nn"
     assert c.agreement.algebra.within(1e-6)
     assert c.agreement.model.within(1e-6)
-    assert c.smoother.proof.proven
+    assert c.smoother.optimality.verified
     for accuracy in (c.assessment.ekf, c.assessment.smoother):
         assert accuracy is not None
         assert accuracy.landmarks_found == accuracy.landmarks_true == 15
@@ -58,7 +58,7 @@ def test_mrclam(shared_data: Path, robot: int) -> None:
     c = compared(log, association="known")
     assert c.agreement.algebra.within(1e-6)
     assert c.agreement.model.within(1e-6)
-    assert c.smoother.proof.proven
+    assert c.smoother.optimality.verified
     assert c.ekf.unused["rejected"] == (4 if robot == 3 else 0)  # one misread label, four times
     for accuracy in (c.assessment.ekf, c.assessment.smoother):
         assert accuracy is not None

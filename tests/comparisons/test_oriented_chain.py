@@ -213,7 +213,7 @@ def test_the_smoother_is_near_and_its_marginal_has_both_kinds() -> None:
     problem = problem_of(chain.made)
     result = smooth(problem, {"ekf": (np.vstack((chain.trace.departed, chain.ekf.state.pose)),
                                       chain.ekf.state.landmarks)})  # fmt: skip
-    assert result.proof.proven
+    assert result.optimality.verified
     assert {start.name for start in result.starts if np.isfinite(start.error)} >= {"ekf"}
     mean, covariance = result.marginal()
     points, frames = problem.landmark_count, problem.oriented.count

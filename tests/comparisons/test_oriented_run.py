@@ -90,8 +90,8 @@ def chain(choices: EkfConfig, modify: Callable[[Ekf], None]) -> tuple[EkfRun, Ag
     recorded = solve_recorded(recorded_system_of(run), run)
     own = solve_model(model_system_of(problem, run), run)
     result = run_smoother(problem, run, SmootherOptions())
-    assert result.proof.proven
-    assert result.proof.chi_square.reading == "plausible"
+    assert result.optimality.verified
+    assert result.optimality.chi_square.reading == "plausible"
     ids = run.estimate.landmark_id
     smoothed = smoothed_estimate(result, run.timeline.epoch_time_s, ids, "the EKF's")
     assert np.array_equal(smoothed.oriented_id, run.estimate.oriented_id)

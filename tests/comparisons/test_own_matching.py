@@ -31,7 +31,7 @@ from comparisons.report.run import run_folder
 from ekf_reference.scan_matching.alignment_covariance import ScanAlignment, scan_align
 from ekf_reference.scan_matching.sog import SumOfGaussians
 from graphslam.graph_builder import to_tangent
-from graphslam.optimum import ChiSquareTest, Proof, Stationarity
+from graphslam.optimum import ChiSquareTest, Optimality, Stationarity
 from graphslam.problem import OrientedSightings
 from tests.helpers import Array, compared, first_seconds, simulated
 from tests.scenarios import scenario
@@ -81,7 +81,7 @@ def test_a_sound_matcher_is_confirmed(open3d_library: ModuleType) -> None:
     own = c.find(OwnMatchingFinding).own
     assert c.verdict.outcome == "agree"
     assert own.agrees
-    assert own.proof.proven
+    assert own.optimality.verified
     assert own.sightings[2] > 0.7 * own.sightings[0]
     # Sharing template and scan they differ by much less than both covariances.
     assert np.mean(own.squared) / 3.0 < 0.5
@@ -245,9 +245,9 @@ def test_alignments_are_compared_where_both_have_one_and_none_has_begun() -> Non
     filters_ = told([(0, 0, 1.0), (1, 0, 2.0), (2, 0, 3.0), (2, 1, 9.0), (3, 0, 4.0)], 0.3)
     own = told([(0, 0, 7.0), (1, 0, 2.5), (3, 0, 4.0), (2, 1, 9.0), (4, 0, 1.0)], 0.4)
     test = ChiSquareTest(1.0, 1, 0.0, 2.0)
-    proof = Proof(Stationarity(0.0, definite=True), test, ("a", "b"))
+    optimality = Optimality(Stationarity(0.0, definite=True), test, ("a", "b"))
     some = frames(np.zeros((2, 3)), 1.0)
-    found = check_own_matching((filters_, own), some, some, some, proof)
+    found = check_own_matching((filters_, own), some, some, some, optimality)
     assert found.sightings == (3, 3, 2)
     (one,) = found.landmarks
     assert one.common == 2

@@ -182,7 +182,7 @@ def test_both_estimators_move_by_scans() -> None:
     assert by_scans.verdict.outcome == "agree"
     assert by_scans.agreement.algebra.sigma < 1e-9
     assert by_scans.agreement.model.sigma < 1e-9
-    assert by_scans.smoother.proof.chi_square.reading == "plausible"
+    assert by_scans.smoother.optimality.chi_square.reading == "plausible"
     assert by_scans.assessment.ekf is not None
     assert by_wheels.assessment.ekf is not None
     assert by_scans.assessment.ekf.ate_aligned_m is not None

@@ -47,7 +47,7 @@ def without_labels(log: Log) -> Log:
 def test_solving_leaves_a_whole_folder(tmp_path: Path) -> None:
     done = slamcheck("solve", "simulated-loop", "--out", "solved", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "verdict: proven" in done.stdout
+    assert "verdict: verified" in done.stdout
     folder = tmp_path / "solved"
     names = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
     estimate = ("covariances.npz", "estimate.toml", "landmarks.csv", "trajectory.tum")
@@ -60,7 +60,7 @@ def test_solving_leaves_a_whole_folder(tmp_path: Path) -> None:
     }
     result = SolutionResult.model_validate_json((folder / "solution.json").read_text())
     assert set(result.files) == names
-    assert result.smoother.proven
+    assert result.smoother.verified
     assert result.smoother.starts[0].name == "tracked"
     assert result.accuracy is not None
     again, graph = read_estimate(folder / "smoother"), read_g2o(folder / "graph.g2o")
@@ -123,7 +123,7 @@ def test_own_association_needs_no_labels() -> None:
     assert seen.association is not None
     assert seen.association.landmarks.precision > 0.99
     assert seen.association.landmarks.recall > 0.97
-    assert seen.result.proof.proven
+    assert seen.result.optimality.verified
 
 
 def test_too_little_to_make_a_map_of_is_said() -> None:
@@ -179,7 +179,7 @@ def test_what_a_wrong_association_costs() -> None:
         (wrong, run.slot),
         smoothed,
         smoothed,
-        comparison.smoother.proof,
+        comparison.smoother.optimality,
     )
     assert found.differing.tolist() == [row]
     assert found.cost[0, 0] > 1e3 > 20.0 > found.cost[0, 1]

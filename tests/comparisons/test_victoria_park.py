@@ -12,7 +12,7 @@ from comparisons.pipeline.compare import Comparison
 from graphslam.graph_builder import build_graph
 from graphslam.initialisation import extension
 from graphslam.optimisers import levenberg_marquardt
-from graphslam.optimum import Proof, Stationarity, chi_square_test, stationarity
+from graphslam.optimum import Optimality, Stationarity, chi_square_test, stationarity
 from graphslam.problem import SlamProblem
 from graphslam.smoother import smooth
 
@@ -27,7 +27,7 @@ def test_tracking_reaches_the_optimum_from_nothing(problem: SlamProblem) -> None
     result = smooth(problem, {})
     assert [start.name for start in result.starts] == ["tracked"]
     assert abs(result.error - 3173.49) < 0.01
-    assert result.proof.proven
+    assert result.optimality.verified
 
 
 @pytest.mark.slow
@@ -40,9 +40,11 @@ def test_where_dead_reckoning_leads_is_not_believed(problem: SlamProblem) -> Non
     dof = problem.residual_dimension - problem.state_dimension
     assert dof == 6978
     assert error > 10 * 3173.49
-    proof = Proof(stationarity(graph, end), chi_square_test(error, dof), ("dead-reckoning",))
-    assert not proof.proven
+    optimality = Optimality(
+        stationarity(graph, end), chi_square_test(error, dof), ("dead-reckoning",)
+    )
+    assert not optimality.verified
     # Even were it a strict local minimum, its chi-square would give it away.
-    local = replace(proof, stationarity=Stationarity(0.0, definite=True))
-    assert not local.proven
+    local = replace(optimality, stationarity=Stationarity(0.0, definite=True))
+    assert not local.verified
     assert local.chi_square.reading == "too high"

@@ -123,7 +123,7 @@ def test_the_optimum_is_that_of_dense_least_squares(optimiser: str) -> None:
     poses, covariance, error = oracle(problem)
     assert relative_error(result.poses, poses) < 1e-6
     assert abs(result.error - error) < 1e-6 * error
-    assert result.proof.proven
+    assert result.optimality.verified
     assert relative_error(result.pose_covariances(), covariance) < 1e-5
     # Taken the wrong way round, with the covariance's frame along, it is another problem.
     one = problem.closures
@@ -141,8 +141,8 @@ def test_incremental_smoothing_takes_closures_in() -> None:
 def test_closures_must_lie_within_a_fixed_lag() -> None:
     problem = circle(closures())
     held = smooth(problem, {}, options=SmootherOptions("fixed-lag", lag=12))
-    assert held.proof.distance_sigma is not None
-    assert held.proof.distance_sigma < 0.1
+    assert held.optimality.distance_sigma is not None
+    assert held.optimality.distance_sigma < 0.1
     with pytest.raises(ValueError, match="lag is 11, expected 12 at least"):
         smooth(problem, {}, options=SmootherOptions("fixed-lag", lag=11))
 
@@ -181,8 +181,8 @@ def test_a_kernel_says_nothing_against_sound_closures() -> None:
     plain, robust = (smooth(circle(closures(kernel)), {}) for kernel in ("none", "cauchy"))
     off = (robust.poses - plain.poses) / np.sqrt(np.einsum("kii->ki", plain.pose_covariances()))
     assert np.abs(off).max() < 1.0
-    assert plain.proof.chi_square.dof == 9
-    assert robust.proof.chi_square.dof == 0
+    assert plain.optimality.chi_square.dof == 9
+    assert robust.optimality.chi_square.dof == 0
 
 
 def solved(problem: SlamProblem) -> G2oContents:

@@ -60,23 +60,23 @@ def test_optimisers_agree(problem: SlamProblem, name: str) -> None:
     reference = smooth(problem, {})
     other = smooth(problem, {}, options=SmootherOptions(optimiser=name))
     assert abs(other.error - reference.error) < 1e-9 * reference.error
-    assert other.proof.proven
+    assert other.optimality.verified
     assert other.rank == problem.state_dimension
 
 
 def test_isam2_reaches_the_optimum(problem: SlamProblem) -> None:
     result = smooth(problem, {}, options=SmootherOptions("isam2"))
-    assert result.proof.distance_sigma < 0.05
-    assert result.proof.proven
+    assert result.optimality.distance_sigma < 0.05
+    assert result.optimality.verified
     assert result.starts[0].name == "isam2"
 
 
 @pytest.mark.slow
 def test_fixed_lag_says_how_far_it_drifts(problem: SlamProblem) -> None:
-    """A lag as long as the log is the batch; a short one drifts, and is not taken for proven."""
+    """A lag as long as the log is the batch; a short one drifts, and is not taken for verified."""
     batch = smooth(problem, {})
     whole = smooth(problem, {}, options=SmootherOptions("fixed-lag", lag=10_000))
-    assert whole.proof.distance_sigma < 0.05
+    assert whole.optimality.distance_sigma < 0.05
     sigma = np.sqrt(batch.marginal().covariance.diagonal())
     assert np.allclose(
         whole.marginal().covariance / np.outer(sigma, sigma),
@@ -85,8 +85,8 @@ def test_fixed_lag_says_how_far_it_drifts(problem: SlamProblem) -> None:
     )
     loop = worlds.loop(0).problem  # which comes back to its beginning
     short = smooth(loop, {}, options=SmootherOptions("fixed-lag", lag=5))
-    assert short.proof.distance_sigma > 0.05
-    assert not short.proof.proven
+    assert short.optimality.distance_sigma > 0.05
+    assert not short.optimality.verified
     assert short.pose_covariances().shape == (loop.pose_count, 3, 3)
     assert np.linalg.eigvalsh(short.pose_covariances()).min() > 0.0
 
@@ -105,7 +105,7 @@ def test_wild_sightings_are_found_and_left_out(problem: SlamProblem) -> None:
     """30 % of them; what is left is the problem without them."""
     spoilt, rows = wild(problem, 0.3)
     plain = smooth(spoilt, {})
-    assert plain.proof.chi_square.reading == "too high"
+    assert plain.optimality.chi_square.reading == "too high"
     result = smooth(spoilt, {}, options=SmootherOptions(robust="gnc"))
     rejected = np.zeros(len(rows), dtype=bool)
     rejected[result.rejected.sightings] = True
@@ -125,7 +125,7 @@ def test_kernels_resist_a_few_wild_sightings(problem: SlamProblem, kernel: str) 
     plain = np.linalg.norm(smooth(spoilt, {}).landmarks - clean, axis=1)
     result = smooth(spoilt, {}, options=SmootherOptions(robust=kernel))
     assert np.median(np.linalg.norm(result.landmarks - clean, axis=1)) < 0.5 * np.median(plain)
-    assert result.proof.chi_square.dof == 0  # not tested under a kernel
+    assert result.optimality.chi_square.dof == 0  # not tested under a kernel
 
 
 @pytest.mark.parametrize(
@@ -254,7 +254,7 @@ def test_oriented_landmarks_are_solved_for(problem: SlamProblem) -> None:
     oriented = OrientedSightings(pose, which, np.array(measured), covariance)
     more = replace(problem, oriented=oriented)
     result = smooth(more, {})
-    assert result.proof.proven
+    assert result.optimality.verified
     assert result.rank == more.state_dimension == problem.state_dimension + 9
     found = result.oriented()
     assert np.abs(found[:, :2] - true[:, :2]).max() < 0.01

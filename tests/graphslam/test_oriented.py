@@ -96,7 +96,7 @@ def test_with_noise_they_are_near_and_the_marginal_has_both_kinds() -> None:
     world = drive()
     problem = world.problem
     result = smooth(problem, {"truth": (world.poses, world.landmarks)})
-    assert result.proof.proven
+    assert result.optimality.verified
     assert {start.name for start in result.starts if np.isfinite(start.error)} >= {"truth"}
     mean, covariance = result.marginal()
     points, frames = problem.landmark_count, problem.oriented.count
@@ -139,7 +139,7 @@ def test_prefixes_keep_what_was_known() -> None:
     assert len(early.oriented.merges.pose) == 0
     assert len(late.oriented.merges.pose) == 1
     assert late.residual_dimension - early.residual_dimension > 6
-    assert smooth(late, {}).proof.proven
+    assert smooth(late, {}).optimality.verified
 
 
 def test_a_frame_in_a_frame_by_central_differences() -> None:

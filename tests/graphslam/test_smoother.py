@@ -15,7 +15,7 @@ from graphslam.graph_builder import (
 )
 from graphslam.linear_problem import solve
 from graphslam.marginals import SingularProblemError, last_pose_and_landmarks, to_global
-from graphslam.optimum import Proof, Stationarity, chi_square_test, stationarity
+from graphslam.optimum import Optimality, Stationarity, chi_square_test, stationarity
 from graphslam.problem import SlamProblem
 from graphslam.recorded_system import (
     RecordedPositions,
@@ -71,9 +71,9 @@ def test_every_start_reaches_the_same_optimum(problem: SlamProblem) -> None:
         truth.landmarks + rng.standard_normal(truth.landmarks.shape),
     )
     result = smooth(problem, {"shaken": shaken})
-    assert result.proof.agreeing == ("shaken", "tracked")
-    assert result.proof.proven
-    assert result.proof.chi_square.reading == "plausible"
+    assert result.optimality.agreeing == ("shaken", "tracked")
+    assert result.optimality.verified
+    assert result.optimality.chi_square.reading == "plausible"
     assert np.allclose(result.poses, truth.poses, atol=1e-5)
 
 
@@ -202,7 +202,7 @@ def test_chi_square_has_two_sides(error: float, reading: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("holds", "agreeing", "chi2", "proven"),
+    ("holds", "agreeing", "chi2", "verified"),
     [
         (True, ("ekf", "tracked"), 900.0, True),
         (True, ("ekf",), 100.0, True),
@@ -211,7 +211,7 @@ def test_chi_square_has_two_sides(error: float, reading: str) -> None:
     ],
 )
 def test_what_proves_an_optimum(
-    holds: bool, agreeing: tuple[str, ...], chi2: float, proven: bool
+    holds: bool, agreeing: tuple[str, ...], chi2: float, verified: bool
 ) -> None:
     conditions = Stationarity(0.0 if holds else 1.0, definite=True)
-    assert Proof(conditions, chi_square_test(0.5 * chi2, 100), agreeing).proven is proven
+    assert Optimality(conditions, chi_square_test(0.5 * chi2, 100), agreeing).verified is verified

@@ -20,7 +20,7 @@ from comparisons.checks.causes import Cause
 from comparisons.checks.misfit import squared_misfit
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Sightings
-from graphslam.optimum import Proof
+from graphslam.optimum import Optimality
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +33,7 @@ class OwnAssociationCheck:
     (L,) the filter's counterpart of each of its landmarks, -1 for none. differing: the sightings
     that the two do not give to counterparts. cost: (D, 2) squared misfit of each of these, in units
     of its noise, at S with the filter's landmark and at S' with its own, NaN where it is unused.
-    estimate, proof, accuracy, score: of S'.
+    estimate, optimality, accuracy, score: of S'.
     """
 
     slot: Index
@@ -44,7 +44,7 @@ class OwnAssociationCheck:
     pose: BlockAgreement
     landmark_rms_m: float | None
     estimate: Estimate
-    proof: Proof
+    optimality: Optimality
     accuracy: Accuracy | None = None
     score: AssociationScore | None = None
 
@@ -55,12 +55,12 @@ def check_own_association(
     slots: tuple[Index, Index],
     smoothed: Estimate,
     estimate: Estimate,
-    proof: Proof,
+    optimality: Optimality,
 ) -> OwnAssociationCheck:
     """Compare. seen, epoch: the sightings, of which the first M are told, and their epochs.
 
-    slots: (M,) landmarks of each by the filter, and by the smoother. smoothed: S. estimate, proof:
-    of S'.
+    slots: (M,) landmarks of each by the filter, and by the smoother. smoothed: S. estimate,
+    optimality: of S'.
     """
     filters, own = slots
     first, second = counterparts(filters, own)
@@ -83,7 +83,7 @@ def check_own_association(
         pose=block_agreement(*poses),
         landmark_rms_m=float(np.sqrt(np.mean(np.sum(apart**2, axis=1)))) if len(apart) else None,
         estimate=estimate,
-        proof=proof,
+        optimality=optimality,
     )
 
 

@@ -50,7 +50,7 @@ class OwnAssociationFinding(Finding):
         self.own, self._compared = own, compared
         self.result = _result(own)
         self.entries = {"own_association": self.result}
-        if own.proof.proven and not block_agrees(own.pose):
+        if own.optimality.verified and not block_agrees(own.pose):
             self.causes = [association_cause(own, compared.ekf)]
 
     def rows(self) -> Sequence[Row]:
@@ -101,7 +101,7 @@ def solve_with_own_association(compared: Compared) -> OwnAssociationCheck:
         (run.slot, found.slot),
         gaps.smoothed,
         estimate,
-        result.proof,
+        result.optimality,
     )
     return replace(
         own,
@@ -123,7 +123,7 @@ def _result(own: OwnAssociationCheck) -> OwnAssociationResult:
         pose_difference_m=own.pose.difference_m,
         pose_distance_sigma=own.pose.distance,
         landmark_rms_m=own.landmark_rms_m,
-        proven=own.proof.proven,
+        verified=own.optimality.verified,
         accuracy=accuracy_result(own.accuracy),
         association=association_result(own.score),
     )
@@ -146,6 +146,6 @@ class OwnAssociationResult(Model):
     pose_difference_m: float
     pose_distance_sigma: float
     landmark_rms_m: float | None
-    proven: bool
+    verified: bool
     accuracy: AccuracyResult | None
     association: AssociationResult | None

@@ -22,7 +22,7 @@ from comparisons.checks.map_agreement import Pair
 from comparisons.estimates.estimate import Estimate
 from ekf_reference.core.geometry import wrap_angle
 from graphslam.graph_builder import to_tangent
-from graphslam.optimum import Proof
+from graphslam.optimum import Optimality
 from graphslam.problem import OrientedSightings
 
 GATE = float(chi2.ppf(0.99, 3))
@@ -73,7 +73,7 @@ class OwnMatchingCheck:
     fewer than three landmarks; shift_freedom: degrees of freedom of the scatter that this is by.
     ekf, smoother: each of the two against S'', all scan landmarks that
     they share. pose: S against S'' in the last pose, by the sum of both covariances. path_rms_m:
-    between the paths of the EKF and S'', and of S and S''. estimate, proof, accuracy: of S''.
+    between the paths of the EKF and S'', and of S and S''. estimate, optimality, accuracy: of S''.
     alignments: the own ones, as the matcher made them. reasons: what became of the own matches.
     """
 
@@ -88,7 +88,7 @@ class OwnMatchingCheck:
     pose: BlockAgreement
     path_rms_m: tuple[float, float]
     estimate: Estimate
-    proof: Proof
+    optimality: Optimality
     alignments: OrientedSightings
     accuracy: Accuracy | None = None
     reasons: Counter[str] = field(default_factory=Counter)
@@ -120,9 +120,9 @@ def check_own_matching(
     ekf: Estimate,
     smoothed: Estimate,
     estimate: Estimate,
-    proof: Proof,
+    optimality: Optimality,
 ) -> OwnMatchingCheck:
-    """Compare. sightings: what S and what S'' were given. estimate, proof: of S''."""
+    """Compare. sightings: what S and what S'' were given. estimate, optimality: of S''."""
     filters, own = sightings
     used = (_later(filters), _later(own))
     common = sorted(used[0].keys() & used[1].keys())
@@ -161,7 +161,7 @@ def check_own_matching(
         pose=block_agreement(last[0], both),
         path_rms_m=(_rms(path[0]), _rms(path[1])),
         estimate=estimate,
-        proof=proof,
+        optimality=optimality,
         alignments=own,
     )
 

@@ -46,9 +46,9 @@ class OwnMatchingFinding(Finding):
         self.result = own_matching_result(own, compared.ekf.estimate.time_s)
         self.entries = {"own_matching": self.result}
         self.estimates = {"own-matcher": own.estimate}
-        if not own.proof.proven:
+        if not own.optimality.verified:
             self.remarks = [
-                "the smoother with its own matcher is unproven: it has no say in the verdict"
+                "the smoother with its own matcher is unverified: it has no say in the verdict"
             ]
         elif not own.agrees:
             self.causes = [matching_cause(own, compared.ekf)]
@@ -81,7 +81,7 @@ def solve_with_own_matching(compared: Compared, slam: ScanSlamSource) -> OwnMatc
     ids = run.estimate.landmark_id
     estimate = smoothed_estimate(result, run.timeline.epoch_time_s, ids, "the EKF's")
     own = check_own_matching(
-        (run.oriented, found.alignments), run.estimate, gaps.smoothed, estimate, result.proof
+        (run.oriented, found.alignments), run.estimate, gaps.smoothed, estimate, result.optimality
     )
     accuracy = assess(estimate, prepared.judged, labelled=False)
     return replace(own, accuracy=accuracy, reasons=found.reasons)

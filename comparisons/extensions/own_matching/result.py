@@ -17,7 +17,7 @@ MATCHER = "Open3D, generalised ICP"
 
 def own_matching_result(own: OwnMatchingCheck, time_s: Array) -> OwnMatchingResult:
     """Return how it compares with the filter's alignments. time_s: (K,) of the epochs."""
-    test, several = own.proof.chi_square, own.shift_squared > 0.0
+    test, several = own.optimality.chi_square, own.shift_squared > 0.0
     return OwnMatchingResult(
         matcher=MATCHER,
         filter=own.sightings[0],
@@ -35,7 +35,7 @@ def own_matching_result(own: OwnMatchingCheck, time_s: Array) -> OwnMatchingResu
         path_ekf_m=own.path_rms_m[0],
         path_smoother_m=own.path_rms_m[1],
         agrees=own.agrees,
-        proven=own.proof.proven,
+        verified=own.optimality.verified,
         chi2=test.chi2,
         dof=test.dof,
         reasons=dict(own.reasons),
@@ -143,7 +143,7 @@ class OwnMatchingResult(Model):
     path_ekf_m: float
     path_smoother_m: float
     agrees: bool
-    proven: bool
+    verified: bool
     chi2: float
     dof: int
     reasons: dict[str, int]

@@ -91,7 +91,7 @@ class ScanMotionFinding(Finding):
             self._three = entries["three_way"] = three_way_result(three)
             self.estimates = {"scans": three.estimate}
             remarks += three.remarks
-            if three.proof.proven and not three.ekf.agrees:
+            if three.optimality.verified and not three.ekf.agrees:
                 self.causes = [motion_cause(three)]
         self.entries = entries
         self.remarks = [*remarks, *increment_remarks(increments)]
@@ -116,19 +116,19 @@ def solve_on_scans(compared: Compared, motion: ScanMotion) -> ThreeWay:
     scans = smooth_on_scans(prepared.log, motion, run, closer, SmootherOptions())
     accuracy = assess(scans.estimate, prepared.judged, labelled=False)
     ekf, smoother = (compare_maps(own, scans.estimate) for own in (run.estimate, gaps.smoothed))
-    proof = readable(scans.result)
+    optimality = readable(scans.result)
     culprit, evidence = "", "the maps agree"
     if not (ekf.agrees and smoother.agrees):
         culprit, evidence = find_culprit(
             readable(gaps.result),
-            proof,
+            optimality,
             assess(gaps.smoothed, prepared.judged, labelled=False),
             accuracy,
         )
     return ThreeWay(
         estimate=scans.estimate,
-        proof=scans.result.proof,
-        chi_square=proof.chi_square,
+        optimality=scans.result.optimality,
+        chi_square=optimality.chi_square,
         accuracy=accuracy,
         ekf=ekf,
         smoother=smoother,

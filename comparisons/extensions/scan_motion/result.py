@@ -76,7 +76,7 @@ def three_way_result(three: ThreeWay) -> ThreeWayResult:
         ekf=map_pair_result(three.ekf),
         smoother=map_pair_result(three.smoother),
         loops=three.loops,
-        proven=three.proof.proven,
+        verified=three.optimality.verified,
         chi2=three.chi_square.chi2,
         dof=three.chi_square.dof,
         accuracy=accuracy_result(three.accuracy),
@@ -125,7 +125,7 @@ class ThreeWayResult(Model):
     ekf: MapPairResult
     smoother: MapPairResult
     loops: int
-    proven: bool
+    verified: bool
     chi2: float
     dof: int
     accuracy: AccuracyResult | None

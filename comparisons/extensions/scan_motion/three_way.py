@@ -13,7 +13,7 @@ from comparisons.checks.accuracy import Accuracy
 from comparisons.checks.causes import Cause
 from comparisons.checks.map_agreement import Pair
 from comparisons.estimates.estimate import Estimate
-from graphslam.optimum import ChiSquareTest, Proof, chi_square_test
+from graphslam.optimum import ChiSquareTest, Optimality, chi_square_test
 from graphslam.smoother import SmootherResult
 
 _CLEARLY = 1.5
@@ -24,13 +24,13 @@ _CLEARLY = 1.5
 class ThreeWay:
     """The smoother on scans beside the two estimates on wheels.
 
-    estimate, proof, accuracy: of the smoother on scans. chi_square: see readable. ekf, smoother:
-    each of the two on wheels against it. loops: closures in its graph. culprit: `wheels`, `scans`,
-    or neither where nothing tells or all agree; evidence: why.
+    estimate, optimality, accuracy: of the smoother on scans. chi_square: see readable. ekf,
+    smoother: each of the two on wheels against it. loops: closures in its graph. culprit: `wheels`,
+    `scans`, or neither where nothing tells or all agree; evidence: why.
     """
 
     estimate: Estimate
-    proof: Proof
+    optimality: Optimality
     chi_square: ChiSquareTest
     accuracy: Accuracy | None
     ekf: Pair
@@ -43,9 +43,9 @@ class ThreeWay:
     def remarks(self) -> list[str]:
         """How far this estimate can be trusted."""
         remarks, test = [], self.chi_square
-        if not self.proof.proven:
+        if not self.optimality.verified:
             remarks.append(
-                "the smoother on scans is unproven, so its map has no say in the verdict"
+                "the smoother on scans is unverified, so its map has no say in the verdict"
             )
         if test.reading == "too high":
             remarks.append(
@@ -55,19 +55,19 @@ class ThreeWay:
         return remarks
 
 
-def readable(result: SmootherResult) -> Proof:
-    """The proof with a chi-square that counts its degrees of freedom, kernels or not.
+def readable(result: SmootherResult) -> Optimality:
+    """The optimality check with a chi-square that counts its degrees of freedom, kernels or not.
 
     A robust kernel only lowers the error, so what is too high under it is so without it.
     """
     problem = result.problem
     dof = problem.residual_dimension - problem.state_dimension
-    return replace(result.proof, chi_square=chi_square_test(result.error, dof))
+    return replace(result.optimality, chi_square=chi_square_test(result.error, dof))
 
 
 def find_culprit(
-    wheels: Proof,
-    scans: Proof,
+    wheels: Optimality,
+    scans: Optimality,
     accuracy_wheels: Accuracy | None,
     accuracy_scans: Accuracy | None,
 ) -> tuple[str, str]:
@@ -75,10 +75,10 @@ def find_culprit(
 
     wheels, scans: with a chi-square that can be read, see readable.
     """
-    for name, proof in (("wheels", wheels), ("scans", scans)):
+    for name, optimality in (("wheels", wheels), ("scans", scans)):
         other = scans if name == "wheels" else wheels
-        if proof.chi_square.reading == "too high" and other.chi_square.reading != "too high":
-            test = proof.chi_square
+        if optimality.chi_square.reading == "too high" and other.chi_square.reading != "too high":
+            test = optimality.chi_square
             return name, (
                 f"with the {name}' motion chi-square is {test.chi2:.0f} for {test.dof} degrees of "
                 "freedom, too high"

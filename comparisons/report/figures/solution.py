@@ -10,10 +10,10 @@ from comparisons.report.figures.style import estimates_figure
 
 def solution_figure(solution: Solution) -> Figure:
     """The smoother on top of what the log knows."""
-    proof = solution.result.proof
+    optimality = solution.result.optimality
     title = (
-        f"{solution.log.name}: optimum {'proven' if proof.proven else 'NOT proven'}, "
-        f"chi2 {proof.chi_square.chi2:.0f} for {proof.chi_square.dof} degrees of freedom"
+        f"{solution.log.name}: optimum {'verified' if optimality.verified else 'NOT verified'}, "
+        f"chi2 {optimality.chi_square.chi2:.0f} for {optimality.chi_square.dof} degrees of freedom"
     )
     return estimates_figure(
         solution.log, solution.dead_reckoned, {"smoother": solution.estimate}, title

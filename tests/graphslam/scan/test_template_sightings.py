@@ -123,7 +123,7 @@ def test_with_noise_the_covariance_is_honest_and_the_drive_is_found(
         normalised += np.einsum("ni,nij,nj->n", wrong, np.linalg.inv(spread), wrong).tolist()
         factors = SlamProblem(**{**vars(given), "oriented": found.factors})
         result = smooth(factors, {})
-        assert result.proof.proven
+        assert result.optimality.verified
         reckoned = [given.prior_pose]
         for motion in given.increment:
             reckoned.append(planar.compose(reckoned[-1], motion))
