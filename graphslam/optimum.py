@@ -9,8 +9,15 @@ from scipy.special import gammainccinv
 
 from graphslam.marginals import eliminate
 
-DECREMENT_LIMIT = 1e-6
-"""A full Newton step must not promise to lower the error by more than this."""
+DECREMENT_LIMIT = 1e-5
+"""A full Gauss-Newton step must not promise to lower the error by more than this.
+
+It moves no unknown by more than 4.5e-3 sigma. gtsam's BetweenFactorPose2 leaves the derivative of
+the logarithm out of its Jacobian, so that large residuals of motion promise 1e-6 at the minimum.
+"""
+
+AGREEMENT = 1e-6
+"""Errors are equal when they differ by less than this, relative to 1 + error."""
 
 DISTANCE_LIMIT = 0.05
 """An incremental estimate must not be farther from the optimum than this, in sigma."""
@@ -78,26 +85,93 @@ def stationarity(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Sta
 
 
 @dataclass(frozen=True)
-class Optimality:
-    """The case for a result being the global optimum.
+class Minimum:
+    """One of the minima that were found.
 
-    agreeing: starts that ended at the lowest error. distance_sigma: how far the estimate is from
-    that point, where it is an incremental smoother's. It is verified when the point is a strict
-    local minimum, the estimate is there, and either two starts agree on it or its chi-square is
-    not too high, which a wrong minimum's is.
+    starts: attempts and hops that ended there. pose, landmark: where it differs most from the
+    lowest one, and by how much; landmark is -1 where there is none.
+    """
+
+    error: float
+    starts: int
+    pose: int
+    pose_m: float
+    landmark: int
+    landmark_m: float
+
+    @property
+    def furthest_m(self) -> float:
+        """The larger of both distances."""
+        return max(self.pose_m, self.landmark_m)
+
+
+@dataclass(frozen=True)
+class Exploration:
+    """What a search looked at beside its starts.
+
+    minima: the distinct ones, lowest first. hops: alternatives tried. draws: random starts; missed:
+    the chance that so many miss a basin as wide as the lowest one's, 0 where none were needed.
+    complete: everything that was to be tried was tried within the budget.
+    """
+
+    minima: tuple[Minimum, ...] = ()
+    hops: int = 0
+    draws: int = 0
+    missed: float = 0.0
+    complete: bool = True
+
+
+def same_error(one: float, other: float) -> bool:
+    """Two errors are equal as far as the optimisers settle."""
+    return abs(one - other) <= AGREEMENT * (1.0 + min(one, other))
+
+
+@dataclass(frozen=True)
+class Optimality:
+    """The evidence that a result is the global optimum; evidence, not a certificate.
+
+    agreeing: starts that ended at the lowest error. agreed: at least two of them are independent by
+    construction. distance_sigma: how far the estimate is from that point, where it is an
+    incremental smoother's. accept_misfit: a chi-square that is too high does not count.
     """
 
     stationarity: Stationarity
     chi_square: ChiSquareTest
     agreeing: tuple[str, ...]
+    agreed: bool
+    exploration: Exploration = Exploration()
     distance_sigma: float = 0.0
+    accept_misfit: bool = False
 
     @property
     def verified(self) -> bool:
-        """Whether the evidence suffices."""
-        independent = len(self.agreeing) >= 2
-        return (
-            self.stationarity.holds
-            and self.distance_sigma <= DISTANCE_LIMIT
-            and (independent or self.chi_square.chi2 <= self.chi_square.upper)
-        )
+        """Nothing is lacking."""
+        return not self.lacks
+
+    @property
+    def lacks(self) -> str:
+        """The first condition that does not hold, in words; empty when all do."""
+        test, explored = self.chi_square, self.exploration
+        if not self.stationarity.holds:
+            return "the smoother ended where the error is not at a strict local minimum"
+        if self.distance_sigma > DISTANCE_LIMIT:
+            return (
+                f"the estimate along the way is {self.distance_sigma:.2g} sigma from the optimum, "
+                f"expected at most {DISTANCE_LIMIT}"
+            )
+        if test.reading == "too high" and not self.accept_misfit:
+            return (
+                f"chi-square {test.chi2:.0f} lies above {test.upper:.0f} for {test.dof} degrees "
+                "of freedom"
+            )
+        if not explored.complete:
+            return (
+                f"the search ended before its time with {len(explored.minima)} minima found, by "
+                f"{explored.hops} hops and {explored.draws} random starts"
+            )
+        if len(explored.minima) > 1 and same_error(*(m.error for m in explored.minima[:2])):
+            other = explored.minima[1]
+            return f"another minimum, {other.furthest_m:.3g} m away, has the same error"
+        if not self.agreed:
+            return f"only {', '.join(self.agreeing)} reached the lowest error"
+        return ""

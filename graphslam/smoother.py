@@ -17,10 +17,9 @@ from graphslam.graph_builder import (
     build_graph,
     from_values,
     oriented_from,
-    to_values,
 )
 from graphslam.incremental import LagEnd, run_fixed_lag, run_isam2
-from graphslam.initialisation import extension, track
+from graphslam.initialisation import track
 from graphslam.marginals import (
     Marginal,
     SingularProblemError,
@@ -30,14 +29,13 @@ from graphslam.marginals import (
     to_global,
     turned,
 )
-from graphslam.optimisers import OPTIMISERS, optimise, polish
-from graphslam.optimum import Optimality, Stationarity, chi_square_test, stationarity
+from graphslam.optimisers import OPTIMISERS
+from graphslam.optimum import Optimality, chi_square_test, stationarity
 from graphslam.problem import SlamProblem
 from graphslam.robust import NOTHING_REJECTED, Rejected, reject_wild
+from graphslam.search import MinimumSearch
 from graphslam.singular import explain_singularity
 
-AGREEMENT = 1e-6
-"""Starts agree when their errors differ by less than this, relative to 1 + error."""
 METHODS = ("batch", "isam2", "fixed-lag")
 ROBUST = (*KERNELS, "gnc")
 
@@ -48,12 +46,14 @@ class SmootherOptions:
 
     method: of METHODS. lag: poses that a fixed lag holds. optimiser: of the batch, one of
     OPTIMISERS. robust: against wild sightings and positions, one of ROBUST; it changes marginals.
+    accept_misfit: a minimum may be verified although its chi-square is too high.
     """
 
     method: str = "batch"
     lag: int = 100
     optimiser: str = OPTIMISERS[0]
     robust: str = "none"
+    accept_misfit: bool = False
 
     @property
     def kernel(self) -> str:
@@ -166,9 +166,10 @@ def smooth(
     """Find the optimum of a problem, or follow it along the way and say how far it is.
 
     guesses: other estimators' poses (K, 3) and landmarks (L, 2) by name, tried first. Then comes
-    the tracked start, which needs no guess, or the incremental method's end, and dead reckoning
-    when the optimum is not verified yet. Raises SingularProblemError when every attempt fails for
-    want of information, and ValueError for closures that reach beyond a fixed lag.
+    the relaxed start, which needs no guess, and the incremental method's end; tracking, where
+    no guess agrees with the relaxed start; and the search for other minima. Raises
+    SingularProblemError when every attempt fails for want of information, and ValueError for
+    closures that reach beyond a fixed lag.
     """
     options = options or SmootherOptions()
     reach = int(np.abs(problem.closures.first - problem.closures.second).max(initial=0))
@@ -180,49 +181,20 @@ def smooth(
         graph = build_graph(problem)
         problem, rejected = reject_wild(problem, graph, track(problem, graph)[0])
     graph = build_graph(problem, options.kernel)
-    closed = problem.closures
-    weighted = options.kernel != "none" or (len(closed.first) > 0 and closed.kernel != "none")
-    seen = np.union1d(problem.sighting_landmark, np.arange(len(problem.surveyed)))
-    attempts: list[tuple[Start, gtsam.Values]] = []
-
-    def attempt(name: str, values: gtsam.Values, spent: int = 0) -> None:
-        progress(f"smoother, start {name}")
-        try:
-            end, iterations, converged = optimise(graph, values, options.optimiser)
-            end, error = polish(graph, end)
-        except RuntimeError:  # gtsam's indeterminate linear system
-            attempts.append((Start(name, float("inf"), spent, converged=False), values))
-            return
-        attempts.append((Start(name, error, spent + iterations, converged), end))
-
-    for name, (poses, landmarks) in guesses.items():
-        attempt(name, to_values(poses, landmarks, seen, problem.oriented))
+    search = MinimumSearch(problem, graph, options.optimiser, progress)
+    for name, guess in guesses.items():
+        search.attempt(name, "sequential", search.values(*guess))
+    search.attempt_relaxed()
     progress(f"smoother, {options.method}")
-    lagged = None
-    if options.method == "isam2":
-        end = run_isam2(problem, graph)
-        followed = from_values(end.values, problem)
-        oriented = oriented_from(end.values, problem)
-        attempt("isam2", end.values, end.updates)
-    elif options.method == "fixed-lag":
-        lagged = run_fixed_lag(problem, graph, options.lag)
-        followed, oriented = (lagged.poses, lagged.landmarks), lagged.oriented
-        start = to_values(*followed, seen, problem.oriented)
-        for key, place in enumerate(oriented, start=POSE_LANDMARK_KEY):
-            start.update(key, gtsam.Pose2(*place))
-        attempt("fixed-lag", start, lagged.updates)
-    else:
-        attempt("tracked", *track(problem, graph))
-    optimality = _examine(problem, graph, attempts, weighted=weighted)
-    if not optimality.verified:
-        start = extension(problem, gtsam.Values(), 0, problem.pose_count)
-        attempt("dead-reckoning", start)
-        optimality = _examine(problem, graph, attempts, weighted=weighted)
-    best, values = min(attempts, key=lambda a: a[0].error)
+    followed = _follow(problem, graph, options, search)
+    if not search.attempts or not search.agreed:
+        search.attempt("tracked", "sequential", *track(problem, graph))
+    exploration = search.explore()
+    best = search.best
     if not np.isfinite(best.error):
-        why = explain_singularity(graph, values)
+        why = explain_singularity(graph, best.values)
         raise SingularProblemError(why or "the measurements do not fix every pose and landmark")
-    poses, landmarks = from_values(values, problem)
+    poses, landmarks = from_values(best.values, problem)
     result = SmootherResult(
         options=options,
         problem=problem,
@@ -231,50 +203,76 @@ def smooth(
         error=best.error,
         iterations=best.iterations,
         converged=best.converged,
-        starts=tuple(start for start, _ in attempts),
-        optimality=optimality,
+        starts=tuple(Start(a.name, a.error, a.iterations, a.converged) for a in search.attempts),
+        optimality=Optimality(
+            stationarity(graph, best.values),
+            chi_square_test(best.error, _degrees_of_freedom(problem, options.kernel)),
+            tuple(attempt.name for attempt in search.agreeing()),
+            agreed=search.agreed,
+            exploration=exploration,
+            accept_misfit=options.accept_misfit,
+        ),
         rejected=rejected,
-        values=values,
+        values=best.values,
         graph=graph,
     )
-    if options.method == "batch":
+    if followed is None:
         return result
     return replace(
         result,
-        poses=followed[0],
-        landmarks=followed[1],
-        optimality=replace(optimality, distance_sigma=_distance(result, *followed, oriented)),
-        lagged=lagged,
+        poses=followed.poses,
+        landmarks=followed.landmarks,
+        optimality=replace(result.optimality, distance_sigma=_distance(result, followed)),
+        lagged=followed.lagged,
     )
 
 
-def _distance(optimum: SmootherResult, poses: Array, landmarks: Array, oriented: Array) -> float:
-    """Largest difference of the last pose and the landmarks from the optimum, in its sigma."""
-    mean, covariance = optimum.marginal()
-    apart = np.concatenate((poses[-1], landmarks.ravel(), oriented.ravel())) - mean
-    turns = np.concatenate(([2], np.arange(len(mean) - oriented.size + 2, len(mean), 3)))
-    apart[turns] = np.angle(np.exp(1j * apart[turns]))
-    return float(np.max(np.abs(apart) / np.sqrt(np.diag(covariance))))
+@dataclass(frozen=True)
+class _Followed:
+    """What an incremental method said: poses (K, 3), landmarks (L, 2), pose landmarks (Q, 3)."""
+
+    poses: Array
+    landmarks: Array
+    oriented: Array
+    lagged: LagEnd | None
 
 
-def _examine(
+def _follow(
     problem: SlamProblem,
     graph: gtsam.NonlinearFactorGraph,
-    attempts: list[tuple[Start, gtsam.Values]],
-    *,
-    weighted: bool,
-) -> Optimality:
-    """weighted: a kernel has changed the residuals, so that chi-square says nothing."""
-    best, values = min(attempts, key=lambda a: a[0].error)
-    agreeing = tuple(
-        start.name
-        for start, _ in attempts
-        if start.error - best.error <= AGREEMENT * (1.0 + best.error)
-    )
-    dof = 0 if weighted else problem.residual_dimension - problem.state_dimension
-    conditions = (
-        stationarity(graph, values)
-        if np.isfinite(best.error)
-        else Stationarity(float("nan"), definite=False)
-    )
-    return Optimality(conditions, chi_square_test(best.error, dof), agreeing)
+    options: SmootherOptions,
+    search: MinimumSearch,
+) -> _Followed | None:
+    """Run the incremental method that is asked for and begin an attempt where it ended."""
+    if options.method == "isam2":
+        end = run_isam2(problem, graph)
+        search.attempt("isam2", "sequential", end.values, end.updates)
+        return _Followed(
+            *from_values(end.values, problem), oriented_from(end.values, problem), None
+        )
+    if options.method == "fixed-lag":
+        lagged = run_fixed_lag(problem, graph, options.lag)
+        start = search.values(lagged.poses, lagged.landmarks)
+        for key, place in enumerate(lagged.oriented, start=POSE_LANDMARK_KEY):
+            start.update(key, gtsam.Pose2(*place))
+        search.attempt("fixed-lag", "sequential", start, lagged.updates)
+        return _Followed(lagged.poses, lagged.landmarks, lagged.oriented, lagged)
+    return None
+
+
+def _degrees_of_freedom(problem: SlamProblem, kernel: str) -> int:
+    """0 where a kernel has changed the residuals, so that chi-square says nothing."""
+    closed = problem.closures
+    if kernel != "none" or (len(closed.first) > 0 and closed.kernel != "none"):
+        return 0
+    return problem.residual_dimension - problem.state_dimension
+
+
+def _distance(optimum: SmootherResult, followed: _Followed) -> float:
+    """Largest difference of the last pose and the landmarks from the optimum, in its sigma."""
+    mean, covariance = optimum.marginal()
+    oriented = followed.oriented.ravel()
+    apart = np.concatenate((followed.poses[-1], followed.landmarks.ravel(), oriented)) - mean
+    turns = np.concatenate(([2], np.arange(len(mean) - len(oriented) + 2, len(mean), 3)))
+    apart[turns] = np.angle(np.exp(1j * apart[turns]))
+    return float(np.max(np.abs(apart) / np.sqrt(np.diag(covariance))))

@@ -76,7 +76,9 @@ def test_block_limits(distance: float, least: float, largest: float, agrees: boo
 
 def test_without_proof_there_is_no_agreement(comparison: Comparison) -> None:
     assert comparison.verdict.outcome == "agree"
-    unverified = Optimality(Stationarity(0.0, definite=True), chi_square_test(9e9, 100), ("ekf",))
+    unverified = Optimality(
+        Stationarity(0.0, definite=True), chi_square_test(9e9, 100), ("ekf",), agreed=False
+    )
     result = replace(comparison.smoother, optimality=unverified)
     verdict = judge(comparison.agreement, result, comparison.ekf, Diagnosis())
     assert verdict.outcome == "unverified"
@@ -85,7 +87,9 @@ def test_without_proof_there_is_no_agreement(comparison: Comparison) -> None:
 
 
 def test_a_red_algebra_gap_needs_no_oracle(comparison: Comparison) -> None:
-    unverified = Optimality(Stationarity(1.0, definite=False), chi_square_test(9e9, 100), ())
+    unverified = Optimality(
+        Stationarity(1.0, definite=False), chi_square_test(9e9, 100), (), agreed=False
+    )
     a = comparison.agreement
     red = replace(a, algebra=replace(a.algebra, covariance=float("inf")))
     result = replace(comparison.smoother, optimality=unverified)

@@ -1,0 +1,274 @@
+"""The search for the lowest minimum: starts that know nothing of each other, and hops.
+
+Starts are of three kinds that share no values: `relaxed` (the problem made linear), `sequential`
+(made along the way: tracked, an EKF's, iSAM2's) and `random` (drawn from prior and sensors). Hops
+lead from where they end to the alternatives of `ambiguity`: a landmark on the other side of the
+path, a heading wound by a turn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import gtsam
+import numpy as np
+
+from graphslam.ambiguity import Alternative, alternatives
+from graphslam.arrays import Array
+from graphslam.graph_builder import (
+    LANDMARK_KEY,
+    POSE_KEY,
+    POSE_LANDMARK_KEY,
+    from_values,
+    to_values,
+)
+from graphslam.optimisers import levenberg_marquardt, optimise, polish
+from graphslam.optimum import Exploration, Minimum, same_error
+from graphslam.problem import SlamProblem
+from graphslam.relaxation import relax
+
+BUDGET = 400
+"""Iterations over the whole graph that exploring may take."""
+MISSED = 0.05
+"""Random starts go on until a basin as wide as the best one's is missed with this chance."""
+MOST_DRAWS = 40
+_SAME = 1e-2
+"""Two ends are one minimum when the quadratic model at one gives the other no more error."""
+_TRIAL = 20
+"""Iterations after which a hop or a random start must have come near the best error ..."""
+_NEAR = 0.05
+"""... by this, relative to 1 + error, to be followed to its end."""
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One start and where it ended. kind: `relaxed`, `sequential` or `random`."""
+
+    name: str
+    kind: str
+    error: float
+    iterations: int
+    converged: bool
+    values: gtsam.Values
+
+
+class MinimumSearch:
+    """Starts, their ends and what they amount to, for one problem and its graph."""
+
+    def __init__(
+        self,
+        problem: SlamProblem,
+        graph: gtsam.NonlinearFactorGraph,
+        optimiser: str,
+        progress: Callable[[str], None],
+    ) -> None:
+        """optimiser: of optimisers.OPTIMISERS, for starts; hops take Levenberg-Marquardt."""
+        self._problem, self._graph, self._optimiser = problem, graph, optimiser
+        self._progress = progress
+        self._spent, self._hops, self._cut = 0, 0, False
+        self._beside: list[Attempt] = []  # where hops ended that did not lead below
+        self._settled: list[Attempt] = []  # no alternative of these leads below
+        self.attempts: list[Attempt] = []
+
+    @property
+    def best(self) -> Attempt:
+        """The lowest of all."""
+        return min(self.attempts, key=lambda attempt: attempt.error)
+
+    def attempt(self, name: str, kind: str, values: gtsam.Values, spent: int = 0) -> Attempt:
+        """Optimise from values and keep the end; a singular problem's error is infinite."""
+        self._progress(f"smoother, start {name}")
+        try:
+            end, iterations, converged = optimise(self._graph, values, self._optimiser)
+            end, error, more = polish(self._graph, end)
+            iterations += more
+        except RuntimeError:  # gtsam's indeterminate linear system
+            end, error, iterations, converged = values, float("inf"), 0, False
+        self.attempts.append(Attempt(name, kind, error, spent + iterations, converged, end))
+        return self.attempts[-1]
+
+    def values(self, poses: Array, landmarks: Array) -> gtsam.Values:
+        """Of poses (K, 3) and landmarks (L, 2); pose landmarks stand where first measured."""
+        known = np.union1d(self._problem.sighting_landmark, np.arange(len(self._problem.surveyed)))
+        return to_values(poses, landmarks, known, self._problem.oriented)
+
+    def attempt_relaxed(self) -> None:
+        """Start from the relaxed problem's solution; a problem that it does not fix has none."""
+        try:
+            values = relaxed_values(self._problem)
+        except RuntimeError:
+            return
+        self.attempt("relaxed", "relaxed", values)
+
+    def agreeing(self) -> list[Attempt]:
+        """The attempts that ended at the lowest minimum."""
+        best = self.best
+        return [attempt for attempt in self.attempts if self._same(best, attempt)]
+
+    @property
+    def agreed(self) -> bool:
+        """Whether two independent starts reached the lowest minimum; random ones all are."""
+        kinds = [attempt.kind for attempt in self.agreeing()]
+        return len({"relaxed", "sequential"}.intersection(kinds)) + kinds.count("random") >= 2
+
+    def explore(self) -> Exploration:
+        """Hop from the best; where starts disagree, draw starts, and hop from the others, too.
+
+        Stops without completing when the budget is spent.
+        """
+        agreed, lowest = self.agreed, self.best
+        self._spent = 0
+        lower = self._descend(lowest)
+        draws, missed = 0, 0.0
+        if not agreed or lower is not lowest:
+            draws, missed = self._draw()
+            if not self.agreed:
+                for other in [a for a in self.attempts if a.kind == "sequential"]:
+                    self._descend(other)
+        complete = not self._cut and missed <= MISSED
+        return Exploration(self._minima(), self._hops, draws, missed, complete)
+
+    def _afford(self) -> bool:
+        """Whether there is budget left; what is left out for want of it makes a search partial."""
+        self._cut = self._cut or self._spent >= BUDGET
+        return not self._cut
+
+    def _draw(self) -> tuple[int, float]:
+        """Start from relaxed problems that are drawn: how many, and the chance left."""
+        missed, draws = 1.0, 0
+        while missed > MISSED and draws < MOST_DRAWS and self._afford():
+            draws += 1
+            rng = np.random.default_rng(draws)
+            try:
+                start = relaxed_values(draw(self._problem, rng))
+            except RuntimeError:
+                continue
+            drawn = self._rough(Attempt(f"random {draws}", "random", np.inf, 0, False, start))
+            self.attempts.append(drawn)
+            if drawn is self.best:
+                self._descend(drawn)
+            hits = sum(attempt.kind == "random" for attempt in self.agreeing())
+            missed = (1.0 - hits / (draws + 1)) ** draws
+        return draws, missed
+
+    def _descend(self, attempt: Attempt) -> Attempt:
+        """Hop to lower minima until no alternative leads to one; the end is an attempt, too."""
+        now = attempt
+        while np.isfinite(now.error):
+            if any(self._same(settled, now) for settled in self._settled):
+                break
+            lower = self._hop(now)
+            if lower is None:
+                self._settled.append(now)
+                break
+            now = lower
+        if now is not attempt:
+            self.attempts.append(now)
+        return now
+
+    def _hop(self, attempt: Attempt) -> Attempt | None:
+        """The first alternative that leads below, or None."""
+        poses, landmarks = from_values(attempt.values, self._problem)
+        for other in alternatives(self._problem, poses, landmarks):
+            if not self._afford():
+                return None
+            end = self._trial(attempt, other, poses, landmarks)
+            if end.error < attempt.error and not same_error(end.error, attempt.error):
+                return end
+            self._beside.append(end)
+        return None
+
+    def _trial(
+        self, attempt: Attempt, other: Alternative, poses: Array, landmarks: Array
+    ) -> Attempt:
+        values = gtsam.Values(attempt.values)
+        for k in np.flatnonzero(np.abs(other.poses - poses).max(axis=1) > 0.0).tolist():
+            values.update(POSE_KEY + k, gtsam.Pose2(*other.poses[k]))
+        # A landmark that nobody saw is NaN, and nowhere else either.
+        for j in np.flatnonzero(np.abs(other.landmarks - landmarks).max(axis=1) > 0.0).tolist():
+            values.update(LANDMARK_KEY + j, other.landmarks[j])
+        self._hops += 1
+        name = attempt.name.removesuffix(" and hops") + " and hops"
+        return self._rough(replace(attempt, name=name, values=values))
+
+    def _rough(self, start: Attempt) -> Attempt:
+        """Optimise in few iterations, and to the end only what comes near the best by then."""
+        try:
+            end, spent, converged = levenberg_marquardt(self._graph, start.values, 1e-4, _TRIAL)
+            error, more = self._graph.error(end), 0
+            if error < self.best.error + _NEAR * (1.0 + self.best.error):
+                end, more, converged = optimise(self._graph, end)
+                end, error, last = polish(self._graph, end)
+                more += last
+        except RuntimeError:
+            return replace(start, error=float("inf"), converged=False)
+        self._spent += spent + more
+        return replace(start, error=error, iterations=spent + more, converged=converged, values=end)
+
+    def _same(self, one: Attempt, other: Attempt) -> bool:
+        """Equal in error and in place."""
+        if one is other:
+            return True
+        if not np.isfinite(one.error) or not same_error(one.error, other.error):
+            return False
+        apart = one.values.localCoordinates(other.values)
+        linear = self._graph.linearize(one.values)
+        return abs(linear.error(apart) - linear.error(one.values.zeroVectors())) <= _SAME
+
+    def _minima(self) -> tuple[Minimum, ...]:
+        """The distinct minima, lowest first, and where the others differ most from it."""
+        ends = sorted((*self.attempts, *self._beside), key=lambda attempt: attempt.error)
+        distinct: list[tuple[Attempt, int]] = []
+        for end in ends:
+            if not np.isfinite(end.error):
+                continue
+            if distinct and self._same(distinct[-1][0], end):
+                distinct[-1] = distinct[-1][0], distinct[-1][1] + 1
+            else:
+                distinct.append((end, 1))
+        if not distinct:
+            return ()
+        poses, landmarks = from_values(distinct[0][0].values, self._problem)
+        return tuple(self._difference(end, count, poses, landmarks) for end, count in distinct)
+
+    def _difference(self, end: Attempt, count: int, poses: Array, landmarks: Array) -> Minimum:
+        other_poses, other_landmarks = from_values(end.values, self._problem)
+        moved = np.linalg.norm(other_poses[:, :2] - poses[:, :2], axis=1)
+        shifted = np.linalg.norm(other_landmarks - landmarks, axis=1)
+        pose = int(moved.argmax())
+        known = np.flatnonzero(np.isfinite(shifted))
+        landmark = int(known[shifted[known].argmax()]) if len(known) else -1
+        far = float(shifted[landmark]) if len(known) else 0.0
+        return Minimum(end.error, count, pose, float(moved[pose]), landmark, far)
+
+
+def relaxed_values(problem: SlamProblem) -> gtsam.Values:
+    """The relaxed problem's solution. Raises RuntimeError where its equations do not fix it."""
+    start = relax(problem)
+    seen = np.flatnonzero(np.isfinite(start.landmarks[:, 0]))
+    values = to_values(start.poses, start.landmarks, seen)
+    for key, place in enumerate(start.frames, start=POSE_LANDMARK_KEY):
+        values.insert(key, gtsam.Pose2(*place))
+    return values
+
+
+def draw(problem: SlamProblem, rng: np.random.Generator) -> SlamProblem:
+    """The problem with every measurement and the prior drawn anew about what was measured."""
+
+    def noise(covariance: Array) -> Array:
+        values, vectors = np.linalg.eigh(covariance)
+        scaled = np.sqrt(np.maximum(values, 0.0)) * rng.standard_normal(values.shape)
+        drawn: Array = np.einsum("...ij,...j->...i", vectors, scaled)
+        return drawn
+
+    seen = problem.oriented
+    z = problem.z + problem.sigma * rng.standard_normal(problem.z.shape)
+    return replace(
+        problem,
+        prior_pose=problem.prior_pose + noise(problem.prior_covariance),
+        increment=problem.increment + noise(problem.increment_covariance),
+        z=np.column_stack((np.abs(z[:, 0]), z[:, 1])),
+        position=problem.position + noise(problem.position_covariance),
+        oriented=replace(seen, measured=seen.measured + noise(seen.covariance)),
+    )

@@ -1,0 +1,235 @@
+"""The relaxed start, the alternatives of a minimum, and the search among minima."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from graphslam.ambiguity import alternatives, landmark_modes
+from graphslam.graph_builder import build_graph, to_values
+from graphslam.optimisers import optimise, polish
+from graphslam.problem import SlamProblem
+from graphslam.relaxation import relax
+from graphslam.search import MinimumSearch, draw
+from graphslam.smoother import smooth
+from tests.graphslam import worlds
+from tests.graphslam.numerics import Array, angle
+
+
+def silent(stage: str) -> None:
+    """Takes what a search reports."""
+
+
+def exact(seed: int) -> worlds.World:
+    """A world without noise, with pose landmarks and one merge."""
+    return worlds.with_frames(worlds.loop(seed, poses=120, noise=0.0), seed, noise=0.0)
+
+
+def two_sided(seed: int) -> tuple[SlamProblem, Array, Array]:
+    """A straight drive past six posts whose ranges are exact and bearings nearly unknown."""
+    rng = np.random.default_rng(seed)
+    poses = np.column_stack((np.arange(40.0), np.zeros((40, 2))))
+    posts = np.column_stack((np.linspace(4.0, 36.0, 6), (3.0, -4.0, 5.0, -3.0, 4.0, -5.0)))
+    offset = posts - poses[:, None, :2]
+    pose, post = np.nonzero(np.hypot(offset[..., 0], offset[..., 1]) < 12.0)
+    x, y = offset[pose, post].T
+    sigma = np.array((0.02, 0.7))
+    z = np.column_stack((np.hypot(x, y), np.arctan2(y, x)))
+    step = np.array((0.05, 0.02, 0.01))
+    problem = SlamProblem(
+        prior_pose=np.zeros(3),
+        prior_covariance=np.diag((0.01, 0.01, 0.002)) ** 2,
+        increment=np.diff(poses, axis=0) + step * rng.standard_normal((39, 3)),
+        increment_covariance=np.tile(np.diag(step**2), (39, 1, 1)),
+        sighting_pose=pose,
+        sighting_landmark=post,
+        z=z + sigma * rng.standard_normal(z.shape),
+        sigma=np.tile(sigma, (len(z), 1)),
+        landmark_count=6,
+    )
+    return problem, poses, posts
+
+
+def test_the_relaxed_start_is_exact_without_noise() -> None:
+    world = exact(2)
+    start = relax(world.problem)
+    assert np.allclose(start.poses[:, :2], world.poses[:, :2], atol=1e-6)
+    assert np.allclose(angle(start.poses[:, 2] - world.poses[:, 2]), 0.0, atol=1e-7)
+    assert np.allclose(start.landmarks, world.landmarks, atol=1e-6)
+    assert np.allclose(start.frames[:, :2], world.frames[:, :2], atol=1e-6)
+    assert np.allclose(angle(start.frames[:, 2] - world.frames[:, 2]), 0.0, atol=1e-7)
+
+
+def test_the_relaxed_start_uses_positions_and_surveyed_landmarks() -> None:
+    """Positions of an antenna and known landmarks, moved by one metre, move the start with them."""
+    world = worlds.loop(2, poses=120, noise=0.0)
+    lever = np.array((1.5, 0.5))
+    cos, sin = np.cos(world.poses[::10, 2]), np.sin(world.poses[::10, 2])
+    antenna = world.poses[::10, :2] + np.column_stack(
+        (cos * lever[0] - sin * lever[1], sin * lever[0] + cos * lever[1])
+    )
+    told = replace(
+        world.problem,
+        prior_covariance=np.eye(3) * 1e4,
+        prior_pose=np.zeros(3),
+        position_pose=np.arange(0, 120, 10),
+        position=antenna + 1.0,
+        position_covariance=np.tile(np.eye(2) * 1e-6, (12, 1, 1)),
+        lever_m=(1.5, 0.5),
+    )
+    assert np.allclose(relax(told).poses[:, :2], world.poses[:, :2] + 1.0, atol=1e-3)
+    surveyed = replace(
+        world.problem,
+        prior_covariance=np.eye(3) * 1e4,
+        prior_pose=np.zeros(3),
+        surveyed=world.landmarks[:3] - 1.0,
+        surveyed_covariance=np.tile(np.eye(2) * 1e-6, (3, 1, 1)),
+    )
+    assert np.allclose(relax(surveyed).landmarks, world.landmarks - 1.0, atol=1e-2)
+
+
+def test_the_relaxed_start_leads_where_tracking_does_not() -> None:
+    problem, poses, posts = two_sided(0)
+    graph = build_graph(problem)
+    true = polish(graph, optimise(graph, to_values(poses, posts, np.arange(6)))[0])[1]
+    result = smooth(problem, {})
+    ends = {start.name: start.error for start in result.starts}
+    assert ends["tracked"] > true + 10.0
+    assert np.isclose(ends["relaxed"], true, rtol=1e-6)
+    assert np.isclose(result.error, true, rtol=1e-6)
+    assert result.optimality.verified, result.optimality.lacks
+    assert len(result.optimality.exploration.minima) > 1
+    assert result.optimality.exploration.draws > 0
+
+
+def test_a_landmark_may_stand_on_the_other_side() -> None:
+    problem, poses, posts = two_sided(1)
+    modes = landmark_modes(problem, poses, posts)
+    mirrored = posts * (1.0, -1.0)
+    for landmark in range(6):
+        places = modes.place[modes.landmark == landmark]
+        assert np.linalg.norm(places - mirrored[landmark], axis=1).min() < 0.3
+    back = landmark_modes(problem, poses, mirrored)
+    assert (back.excess < 0.0).any()  # the right side is the better one
+    first = alternatives(problem, poses, mirrored)[0]
+    assert first.excess < 0.0
+    assert np.count_nonzero(np.abs(first.landmarks - mirrored).max(axis=1) > 0.1) > 1
+
+
+def test_a_sure_bearing_leaves_no_alternative() -> None:
+    problem, poses, posts = two_sided(1)
+    offset = posts[problem.sighting_landmark] - poses[problem.sighting_pose, :2]
+    sure = replace(
+        problem,
+        sigma=np.tile((0.02, 0.02), (len(problem.z), 1)),
+        z=np.column_stack((np.hypot(*offset.T), np.arctan2(offset[:, 1], offset[:, 0]))),
+    )
+    assert alternatives(sure, poses, posts) == []
+
+
+def blind_loop(sigma_turn: float) -> tuple[SlamProblem, Array, Array]:
+    """A round of 30 m without measurements, between two looks at three posts."""
+    turn = np.concatenate((np.zeros(3), np.full(36, 2.0 * np.pi / 36), np.zeros(3)))
+    increment = np.column_stack((np.full(42, 0.8), np.zeros(42), turn))
+    heading = np.concatenate(([0.0], np.cumsum(turn)))
+    step = increment[:, 0] * np.exp(1j * heading[:-1])
+    place = np.concatenate(([0.0], np.cumsum(step)))
+    poses = np.column_stack((place.real, place.imag, heading))
+    posts = np.array(((3.0, 2.0), (5.0, -2.0), (7.0, 1.0)))
+    pose = np.repeat(np.concatenate((np.arange(4), np.arange(39, 43))), 3)
+    post = np.tile(np.arange(3), 8)
+    x, y = (posts[post] - poses[pose, :2]).T
+    variance = np.tile((0.03**2, 0.02**2, 0.01**2), (42, 1))
+    variance[3:39, 2] = sigma_turn**2
+    problem = SlamProblem(
+        prior_pose=poses[0],
+        prior_covariance=np.eye(3) * 1e-6,
+        increment=increment,
+        increment_covariance=np.array([np.diag(v) for v in variance]),
+        sighting_pose=pose,
+        sighting_landmark=post,
+        z=np.column_stack((np.hypot(x, y), angle(np.arctan2(y, x) - poses[pose, 2]))),
+        sigma=np.tile((0.05, 0.02), (24, 1)),
+        landmark_count=3,
+    )
+    return problem, poses, posts
+
+
+def test_a_poor_gyro_may_have_lost_a_turn() -> None:
+    """The alternative keeps the poses outside the loop, one turn apart, and is a minimum."""
+    problem, poses, posts = blind_loop(sigma_turn=0.3)
+    found = alternatives(problem, poses, posts)
+    turns = [round(float(one.poses[-1, 2] - poses[-1, 2]) / (2.0 * np.pi)) for one in found]
+    assert sorted(turns) == [-1, 1]
+    for one in found:
+        assert np.allclose(one.poses[:4], poses[:4])
+        assert np.allclose(one.poses[39:, :2], poses[39:, :2], atol=1e-9)
+        assert np.isclose(one.excess, (2.0 * np.pi) ** 2 / (2.0 * 36 * 0.09))
+    assert alternatives(blind_loop(sigma_turn=0.02)[0], poses, posts) == []
+
+
+def test_other_minima_are_told_with_where_they_differ() -> None:
+    """Without the turn's noise the lowest is the truth; one turn less is a minimum, too."""
+    problem = blind_loop(sigma_turn=0.3)[0]
+    result = smooth(problem, {})
+    assert result.optimality.verified, result.optimality.lacks
+    lowest, other = result.optimality.exploration.minima[:2]
+    assert lowest.error < 1e-6
+    assert lowest.furthest_m == 0.0
+    assert other.error > 1.0
+    assert 3 < other.pose < 39
+    assert other.pose_m > 1.0
+
+
+def test_a_hop_leads_out_of_a_local_minimum() -> None:
+    """Begun with every post on the wrong side, hops alone reach the lowest error."""
+    problem, poses, posts = two_sided(0)
+    graph = build_graph(problem)
+    search = MinimumSearch(problem, graph, "levenberg-marquardt", silent)
+    wrong = search.attempt("wrong", "sequential", search.values(poses, posts * (1.0, -1.0)))
+    search.explore()
+    true = polish(graph, optimise(graph, to_values(poses, posts, np.arange(6)))[0])[1]
+    assert wrong.error > true + 10.0
+    assert np.isclose(search.best.error, true, rtol=1e-6)
+
+
+def test_starts_of_one_kind_are_one_start() -> None:
+    problem, poses, posts = two_sided(0)
+    graph = build_graph(problem)
+    search = MinimumSearch(problem, graph, "levenberg-marquardt", silent)
+    search.attempt("tracked", "sequential", search.values(poses, posts))
+    search.attempt("ekf", "sequential", search.values(poses, posts))
+    assert len(search.agreeing()) == 2
+    assert not search.agreed
+    search.attempt_relaxed()
+    assert search.agreed
+
+
+def test_a_mirrored_world_is_not_verified() -> None:
+    """A straight path, one post, and bearings that tell nothing of its side."""
+    problem, poses, posts = two_sided(0)
+    ahead = problem.sighting_landmark == 0
+    offset = posts[0] - poses[problem.sighting_pose[ahead], :2]
+    alone = replace(
+        problem,
+        increment=np.tile((1.0, 0.0, 0.0), (39, 1)),
+        sighting_pose=problem.sighting_pose[ahead],
+        sighting_landmark=problem.sighting_landmark[ahead],
+        z=np.column_stack((np.hypot(*offset.T), np.where(offset[:, 0] > 0.0, 0.0, np.pi))),
+        sigma=np.tile((0.02, 3.0), (int(ahead.sum()), 1)),
+        landmark_count=1,
+    )
+    result = smooth(alone, {})
+    assert not result.optimality.verified
+    assert "another minimum, " in result.optimality.lacks
+
+
+def test_a_draw_differs_by_the_stated_noise() -> None:
+    """2,000 draws of one problem: mean and covariance are the measurement's."""
+    problem = worlds.loop(1, poses=3).problem
+    rng = np.random.default_rng(0)
+    drawn = np.array([draw(problem, rng).increment[0] for _ in range(2000)])
+    spread = np.cov(drawn.T) - problem.increment_covariance[0]
+    scale = np.sqrt(np.outer(*(np.diag(problem.increment_covariance[0]),) * 2))
+    assert np.abs(spread / scale).max() < 5.0 * np.sqrt(2.0 / 2000)
