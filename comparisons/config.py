@@ -126,6 +126,9 @@ class SmootherConfig(Section):
     lag: int = Field(100, ge=1, description="poses that a fixed lag holds")
     optimiser: Optimiser = Field("levenberg-marquardt", description="of the batch smoother")
     robust: Robust = Field("none", description="kernel against outliers; changes the marginals")
+    accept_misfit: bool = Field(
+        False, description="verify a minimum although its chi-square is too high"
+    )
 
 
 class ReportConfig(Section):

@@ -119,6 +119,10 @@ ROBUST = Flag(
     option="--robust", field="smoother.robust", choices=choices.Robust,
     help="Kernel against outliers in the smoother; changes its marginals. [none]",
 )
+ACCEPT_MISFIT = Flag(
+    option="--accept-misfit", field="smoother.accept_misfit", kind=bool,
+    help="Verify the lowest minimum even where its chi-square is too high.",
+)
 SMOOTHER = (
     Flag(
         option="--smoother", field="smoother.method", choices=choices.Method,
@@ -132,6 +136,7 @@ SMOOTHER = (
         help="Of the batch smoother. [levenberg-marquardt]",
     ),
     ROBUST,
+    ACCEPT_MISFIT,
 )
 _LANDMARKS = "--landmarks scans or both"
 SCAN_LANDMARKS = (

@@ -151,18 +151,25 @@ def _conservative(gap: Gap) -> bool:
     return gap.least >= 1.0 - ROUNDING and gap.asymmetry <= ROUNDING and gap.sigma <= SPARED_SIGMA
 
 
-def _remarks(optimality: Optimality, run: EkfRun) -> list[str]:
-    remarks = []
+def misfit_remarks(optimality: Optimality) -> list[str]:
+    """What a chi-square outside its band means, and whether it was accepted."""
     test = optimality.chi_square
-    if test.reading != "plausible":
-        meaning = {
-            "too high": "noise is larger than stated, or the model or the association is wrong",
-            "too low": "the stated noise is conservative",
-        }[test.reading]
-        remarks.append(
-            f"chi-square {test.chi2:.0f} for {test.dof} degrees of freedom is {test.reading} "
-            f"(band {test.lower:.0f} to {test.upper:.0f}): {meaning}"
-        )
+    if test.reading == "plausible":
+        return []
+    meaning = {
+        "too high": "noise is larger than stated, or the model or the association is wrong",
+        "too low": "the stated noise is conservative",
+    }[test.reading]
+    if test.reading == "too high" and optimality.accept_misfit:
+        meaning += "; accepted as --accept-misfit asks"
+    return [
+        f"chi-square {test.chi2:.0f} for {test.dof} degrees of freedom is {test.reading} "
+        f"(band {test.lower:.0f} to {test.upper:.0f}): {meaning}"
+    ]
+
+
+def _remarks(optimality: Optimality, run: EkfRun) -> list[str]:
+    remarks = misfit_remarks(optimality)
     unused = {reason: count for reason, count in run.unused.items() if count}
     if unused:
         remarks.append(

@@ -8,10 +8,18 @@ from comparisons.cli.flags import Given, from_flags
 from comparisons.cli.jobs import start_job
 from comparisons.cli.support import VERDICTS, guarded, print_result, progress_bar
 from comparisons.errors import InputError
-from comparisons.options import ESTIMATE, FEATURES, GPS, LOG, ROBUST, SOLVER_ASSOCIATION
+from comparisons.options import (
+    ACCEPT_MISFIT,
+    ESTIMATE,
+    FEATURES,
+    GPS,
+    LOG,
+    ROBUST,
+    SOLVER_ASSOCIATION,
+)
 
 
-@from_flags((*ESTIMATE, SOLVER_ASSOCIATION, FEATURES, GPS, ROBUST, *LOG))
+@from_flags((*ESTIMATE, SOLVER_ASSOCIATION, FEATURES, GPS, ROBUST, ACCEPT_MISFIT, *LOG))
 def check(given: Given) -> None:
     """Check another system's estimate of a log against the smoother's. Exits as run does.
 

@@ -41,7 +41,7 @@ def build_check_result(check: GivenCheck, read_s: float = 0.0) -> CheckResult:
     return CheckResult(
         config=solution.prepared.config.model_dump(mode="json"),
         log=log_result(solution.log),
-        smoother=smoother_result(solution.result),
+        smoother=smoother_result(solution.result, solution.estimate),
         association_by=solution.association_by,
         information=check.given.information,
         absent=check.given.absent,

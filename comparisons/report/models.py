@@ -55,11 +55,29 @@ class StartResult(Model):
     converged: bool
 
 
+class MinimumResult(Model):
+    """A minimum, how many attempts ended there, and where it differs most from the lowest one.
+
+    time_s: of the pose that is farthest off. landmark: the id of the landmark that is; None where
+    the log has no landmarks.
+    """
+
+    error: float
+    starts: int
+    time_s: float
+    pose_m: float
+    landmark: int | None
+    landmark_m: float
+
+
 class SmootherResult(Model):
     """The smoother and the evidence for its optimum. See graphslam.optimum.
 
     distance_sigma: of an incremental estimate from the optimum. rejected: wild sightings and
-    positions that were left out. rank: unknowns that the measurements determine.
+    positions that were left out. rank: unknowns that the measurements determine. lacks: why the
+    optimum is not verified; empty where it is. minima: the distinct ones found, lowest first.
+    hops, random_starts: how many were tried. chance_missed: that the random starts miss a basin as
+    wide as the lowest one's.
     """
 
     method: str
@@ -78,8 +96,13 @@ class SmootherResult(Model):
     iterations: int
     converged: bool
     verified: bool
+    lacks: str
     agreeing_starts: list[str]
     starts: list[StartResult]
+    minima: list[MinimumResult]
+    hops: int
+    random_starts: int
+    chance_missed: float
 
 
 class BlockResult(Model):

@@ -87,7 +87,7 @@ def build_front_end_result(front_end: FrontEnd, read_s: float = 0.0) -> FrontEnd
             closed=len(f.closed.closures.first),
             reasons=by_reason(a.outcome for a in f.closed.attempts if a.outcome != "accepted"),
         ),
-        graph=smoother_result(f.graph),
+        graph=smoother_result(f.graph, f.estimate),
         landmarks=len(f.estimate.landmark),
         gps=how.gps,
         increments=increment_result(f.increments),

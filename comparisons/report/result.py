@@ -49,7 +49,7 @@ def build_result(comparison: Comparison, read_s: float = 0.0) -> Result:
         config=c.prepared.config.model_dump(mode="json"),
         log=log_result(c.log),
         ekf=ekf_result(c.ekf, c.prepared.ekf),
-        smoother=smoother_result(c.smoother),
+        smoother=smoother_result(c.smoother, c.smoothed),
         agreement=_agreement(c),
         consistency=consistency_result(c.consistency),
         accuracy=_accuracies(c),

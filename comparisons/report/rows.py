@@ -97,11 +97,12 @@ def smoother_rows(smoother: SmootherResult) -> list[Row]:
             "smoother",
             f"{smoother.poses:,} poses, error {smoother.error:.2f}, "
             f"{'optimum verified' if smoother.verified else 'optimum NOT verified'} "
-            f"(chi2 {smoother.chi2:.0f} {tested}; starts: "
-            + ", ".join(f"{s.name} {shown(s.error, '.2f')}" for s in smoother.starts)
-            + ")",
-        )
+            f"(chi2 {smoother.chi2:.0f} {tested})",
+        ),
+        Row("starts", _starts(smoother)),
     ]
+    if len(smoother.minima) > 1:
+        rows.append(Row("minima", _minima(smoother)))
     if smoother.method != "batch":
         far = f"{shown(smoother.distance_sigma, '.2g')} sigma from the optimum at most"
         rows.append(Row(smoother.method, far))
@@ -114,6 +115,29 @@ def smoother_rows(smoother: SmootherResult) -> list[Row]:
             )
         )
     return rows
+
+
+def _starts(smoother: SmootherResult) -> str:
+    told = [s for s in smoother.starts if not s.name.startswith("random")]
+    parts = [f"{s.name} {shown(s.error, '.2f')}" for s in told]
+    if smoother.random_starts:
+        parts.append(
+            f"{smoother.random_starts} random ({smoother.chance_missed:.1%} chance of missing a "
+            "basin as wide)"
+        )
+    if smoother.hops:
+        parts.append(f"{smoother.hops} hops")
+    return ", ".join(parts)
+
+
+def _minima(smoother: SmootherResult) -> str:
+    second = smoother.minima[1]
+    place = f"pose at {second.time_s:.1f} s by {second.pose_m:.3g} m"
+    if second.landmark is not None and second.landmark_m > second.pose_m:
+        place = f"landmark {second.landmark} by {second.landmark_m:.3g} m"
+    return (
+        f"{len(smoother.minima)} found; the next has error {second.error:.2f} and moves the {place}"
+    )
 
 
 def association_rows(association: AssociationResult | None) -> list[Row]:

@@ -15,6 +15,7 @@ from comparisons.checks.accuracy import Accuracy
 from comparisons.checks.agreement import BlockAgreement, block_agrees
 from comparisons.checks.association import AssociationScore
 from comparisons.config import EkfConfig
+from comparisons.estimates.estimate import Estimate
 from comparisons.logs.hashing import log_hash
 from comparisons.logs.log import Log
 from comparisons.report.model import finite
@@ -24,6 +25,7 @@ from comparisons.report.models import (
     EkfResult,
     LogResult,
     MapPairResult,
+    MinimumResult,
     PartitionResult,
     SmootherResult,
     StartResult,
@@ -67,9 +69,10 @@ def ekf_result(run: EkfRun, config: EkfConfig) -> EkfResult:
     )
 
 
-def smoother_result(result: smoother.SmootherResult) -> SmootherResult:
-    """The smoother and its evidence."""
+def smoother_result(result: smoother.SmootherResult, estimate: Estimate) -> SmootherResult:
+    """The smoother and its evidence. estimate: its own, for times and names of landmarks."""
     options, optimality = result.options, result.optimality
+    explored = optimality.exploration
     return SmootherResult(
         method=options.method,
         optimiser=options.optimiser,
@@ -87,6 +90,7 @@ def smoother_result(result: smoother.SmootherResult) -> SmootherResult:
         iterations=result.iterations,
         converged=result.converged,
         verified=optimality.verified,
+        lacks=optimality.lacks,
         agreeing_starts=list(optimality.agreeing),
         starts=[
             StartResult(
@@ -97,6 +101,20 @@ def smoother_result(result: smoother.SmootherResult) -> SmootherResult:
             )
             for s in result.starts
         ],
+        minima=[
+            MinimumResult(
+                error=m.error,
+                starts=m.starts,
+                time_s=float(estimate.time_s[m.pose]),
+                pose_m=m.pose_m,
+                landmark=None if m.landmark < 0 else int(estimate.landmark_id[m.landmark]),
+                landmark_m=m.landmark_m,
+            )
+            for m in explored.minima
+        ],
+        hops=explored.hops,
+        random_starts=explored.draws,
+        chance_missed=explored.missed,
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from rich.console import Console
 
+from comparisons.checks.verdict import misfit_remarks
 from comparisons.extensions.contract import Row
 from comparisons.pipeline.solve import Solution
 from comparisons.report.figures.solution import solution_figure
@@ -35,15 +36,9 @@ LARGEST_DRAWN = 150
 def build_solution_result(solution: Solution, read_s: float = 0.0) -> SolutionResult:
     """Return the findings, read_s being the seconds that reading the log took."""
     s, optimality = solution, solution.result.optimality
-    test = optimality.chi_square
-    remarks = []
-    if test.reading != "plausible":
-        remarks.append(
-            f"chi-square {test.chi2:.0f} for {test.dof} degrees of freedom is {test.reading} "
-            f"(band {test.lower:.0f} to {test.upper:.0f})"
-        )
-    if not optimality.stationarity.holds:
-        remarks.append("the best result is not a strict local minimum")
+    remarks = misfit_remarks(optimality)
+    if optimality.lacks and not remarks:
+        remarks.append(optimality.lacks)
     return SolutionResult(
         config=s.prepared.config.model_dump(mode="json"),
         log=log_result(s.log),
@@ -51,7 +46,7 @@ def build_solution_result(solution: Solution, read_s: float = 0.0) -> SolutionRe
         landmarks=len(s.estimate.landmark),
         sightings_used=int(np.count_nonzero(s.slot >= 0)),
         gps=s.prepared.ekf.gps,
-        smoother=smoother_result(s.result),
+        smoother=smoother_result(s.result, s.estimate),
         accuracy=accuracy_result(s.accuracy),
         dead_reckoning=accuracy_result(s.accuracy_dead_reckoned),
         association=association_result(s.association),
