@@ -38,7 +38,7 @@ def nees(estimate: Estimate, truth: Array, part: slice) -> float:
 
 
 def test_without_noise_both_are_exact() -> None:
-    c = compared(simulated(noise_scale=0.0))
+    c = compared(simulated(exact=True))
     truth = c.log.truth.poses
     assert truth is not None
     at = truth.pose[np.searchsorted(truth.time_s, c.ekf.estimate.time_s - 1e-9)]
