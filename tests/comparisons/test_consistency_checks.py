@@ -101,6 +101,12 @@ def test_short_distances_are_left_out() -> None:
     assert (found.distances.dof, found.skipped) == (1, 1)
 
 
+def test_one_landmark_alone_has_no_distances() -> None:
+    mean = np.array([0.0, 0.0, 0.0, 5.0, 0.0])
+    found = map_errors(mean, 0.01 * np.eye(5), mean, np.zeros((5, 5)), with_pose=False)
+    assert (found.distances.dof, found.distance.mean, found.skipped) == (0, None, 0)
+
+
 def test_whiteness_is_ljung_and_boxs() -> None:
     values = np.random.default_rng(4).standard_normal(200)
     found = whiteness("range", "time", values, lags=5)
