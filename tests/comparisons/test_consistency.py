@@ -49,6 +49,16 @@ def test_without_noise_both_are_exact() -> None:
     assert c.verdict.outcome == "agree"
 
 
+def test_the_prior_is_not_among_the_estimates_that_are_judged() -> None:
+    """It is often taken from the truth, so that its error is zero whatever it states."""
+    c = compared(simulated(loop_s=10.0))
+    for found in (c.consistency.ekf, c.consistency.smoother):
+        assert found is not None
+        assert found.poses is not None
+        assert found.poses.time_s.tolist() == c.ekf.estimate.time_s[1:].tolist()
+        assert found.poses.pose.squared.min() > 0.0
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(SEEDS))
 def test_gaps_are_rounding_at_the_documents_noise(seed: int) -> None:
