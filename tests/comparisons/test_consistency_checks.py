@@ -273,6 +273,9 @@ def test_a_filter_surer_than_the_smoother_is_told_with_its_begin() -> None:
     found = against_smoother(runs, 0)
     assert found.surer[0] == 20
     assert found.ratio[-1] == pytest.approx(0.2)
+    relinearised = simulate(2)
+    relinearised.covariance[20:] *= 0.92 / against_smoother(relinearised, 0).ratio[-1]
+    assert len(against_smoother(relinearised, 0).surer) == 0
     covariance = runs.covariance[:, :3, :3].copy()
     covariance[5] = -np.eye(3)
     covariance[6, 0, 0] = np.nan
