@@ -1,12 +1,13 @@
 """Which planted defects are caught and named, and how often a sound filter is flagged.
 
-    python benchmarks/defects.py [--seed 4] [--seeds 200] [--noise-scale 0.3] [--only WORD]
+    python benchmarks/defects.py [--seed 4] [--seeds 200] [--noise-scale 1] [--only WORD]
                                 [--table]
 
 Every defect of experiments.defects runs on a log that shows it; `named` says whether the first
-cause is the right one. Then the sound filter drives simulated loops with so much of the stated
-noise, one per seed; a verdict of `disagree` is a false alarm. The interval is Clopper and
-Pearson's, 95 %. --table prints the defects as Markdown.
+cause is the right one. Then the sound filter drives simulated loops, one per seed, with so much of
+the document's noise, true and stated; a verdict of `disagree` is a false alarm, and each band's
+share outside stands beside what is expected. The interval is Clopper and Pearson's, 95 %. --table
+prints the defects as Markdown.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from collections import Counter
 import numpy as np
 from scipy.stats import beta
 
+from comparisons.experiments.bands.coverage import figures_of
 from comparisons.experiments.defects.catalogue import CATALOGUE, named_first, run_defect
 from comparisons.logs.simulate.drive import Drive, simulate
 from comparisons.pipeline.compare import compare
@@ -67,20 +69,27 @@ def defects(seed: int, only: str, *, table: bool) -> None:
 
 
 def false_alarms(seeds: int, noise_scale: float, loop_s: float) -> None:
-    """Print how often the sound filter is flagged."""
+    """Print how often the sound filter is flagged, by the verdict and by each band."""
     drive = Drive(noise_scale=noise_scale, loop_s=loop_s)
-    outcomes, blamed = Counter[str](), Counter[str]()
+    outcomes, blamed, outside = Counter[str](), Counter[str](), Counter[str]()
     for seed in range(seeds):
-        verdict = compare(simulate(np.random.default_rng(seed), drive)).verdict
-        outcomes[verdict.outcome] += 1
-        blamed.update(cause.gap for cause in verdict.causes)
+        c = compare(simulate(np.random.default_rng(seed), drive))
+        outcomes[c.verdict.outcome] += 1
+        blamed.update(cause.gap for cause in c.verdict.causes)
+        figures = figures_of(c)
+        outside.update(dict.fromkeys((name for name, one in figures.items() if one.band), 0))
+        outside.update(name for name, one in figures.items() if one.band and not one.value)
     low, high = interval(outcomes["disagree"], seeds)
     print(
-        f"sound filter, noise {noise_scale:g} times the stated, {loop_s:g} s: "
+        f"sound filter, true and stated noise {noise_scale:g} times the document's, {loop_s:g} s: "
         f"{outcomes['disagree']} of {seeds} flagged, {100.0 * low:.1f} to {100.0 * high:.1f} %"
         + (f"; {outcomes['unverified']} unverified" if outcomes["unverified"] else "")
         + "".join(f"; {gap} {count}" for gap, count in blamed.items())
     )
+    expected = {name: seeds * (1.0 - one.nominal) for name, one in figures.items() if one.band}
+    print("outside the band of, with what is expected of a filter that is exact:")
+    for name, count in outside.items():
+        print(f"  {name:<60} {count:>4} of {seeds}, {expected[name]:.1f}")
 
 
 def main() -> None:
@@ -88,7 +97,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, default=4, help="of the defects' logs")
     parser.add_argument("--seeds", type=int, default=200, help="of the sound filter's drives")
-    parser.add_argument("--noise-scale", type=float, default=0.3)
+    parser.add_argument("--noise-scale", type=float, default=1.0)
     parser.add_argument("--loop-s", type=float, default=85.0)
     parser.add_argument("--only", default="", help="defects whose name holds this")
     parser.add_argument("--table", action="store_true")

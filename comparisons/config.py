@@ -78,7 +78,10 @@ class LogSection(Section):
     seed: int = Field(0, ge=0, lt=2**64, description="seed of a simulated log")
     loops: int = Field(1, ge=1, le=1000, description="loops of a simulated log")
     noise_scale: float = Field(
-        1.0, ge=0.0, allow_inf_nan=False, description="factor on the noise of a simulated log"
+        1.0,
+        gt=0.0,
+        allow_inf_nan=False,
+        description="factor on the noise of a simulated log, added and stated alike",
     )
     features: Features = Field("log", description="the log's own, or trunks found in its scans")
     sha256: str | None = Field(None, description="hash of the log; a run refuses another log")

@@ -86,7 +86,7 @@ LOG = (
     Flag(option="--loops", field="log.loops", kind=int, help="Loops of a simulated log. [1]"),
     Flag(
         option="--noise-scale", field="log.noise_scale", kind=float,
-        help="Factor on the noise of a simulated log. [1]",
+        help="Factor on the noise of a simulated log, added and stated. [1]",
     ),
 )
 FEATURES = Flag(

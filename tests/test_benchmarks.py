@@ -164,6 +164,13 @@ def test_defects_benchmark_runs() -> None:
 
 
 @pytest.mark.slow
+def test_trust_bands_benchmark_runs() -> None:
+    lines = run("benchmarks/trust_bands.py", "--quick")
+    assert len(lines) == 11
+    assert all(line.endswith("| yes |") for line in lines[2:])
+
+
+@pytest.mark.slow
 def test_dynamic_regions_benchmark_runs() -> None:
     lines = run("benchmarks/dynamic_regions.py", "--seeds", "1", "--seconds", "6")
     assert [line.split(":")[0] for line in lines] == [

@@ -8,16 +8,26 @@ from itertools import pairwise
 import numpy as np
 
 from comparisons.adapters.timeline import Timeline, build_timeline
-from comparisons.arrays import Array
+from comparisons.arrays import Array, Index
 from comparisons.errors import InputError, RecordError
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log, Sightings
-from comparisons.logs.odometry import RelativePoses, SteeringOdometry
+from comparisons.logs.odometry import (
+    OdometryNoise,
+    RelativePoses,
+    SteeringOdometry,
+    VelocityOdometry,
+)
 from graphslam import increments
 from graphslam.scan import planar
 
 CLOCK_S = 1e-4
 """Times closer than this are one: a timeline resolves no more."""
+LEAST_EIGENVALUE = 1e-7
+"""Of an increment's correlation matrix. At 1.8e-7 the filter and the frozen smoothers still agree
+to 3e-10; from 3e-8 on elimination takes the information for singular."""
+_DECADES = range(-10, 7)
+"""Of the noise advised, in m^2/s: 1e-10 is a hundredth of a millimetre after a second."""
 
 
 def motion_samples(log: Log, timeline: Timeline) -> increments.Samples:
@@ -35,6 +45,71 @@ def motion_samples(log: Log, timeline: Timeline) -> increments.Samples:
         geometry = increments.AckermannGeometry(**vars(odometry.vehicle))
         return increments.ackermann_samples(first, second, *common, geometry)
     return increments.unicycle_samples(first, second, *common)
+
+
+def composed_motion(log: Log, timeline: Timeline) -> increments.Samples:
+    """Motion from each epoch to the next: displacements (K - 1, 3), covariances (K - 1, 3, 3)."""
+    count = len(timeline.epoch_time_s) - 1
+    return increments.compose(motion_samples(log, timeline), timeline.step_epoch - 1, count)
+
+
+def check_regular(log: Log, timeline: Timeline) -> None:
+    """Raise InputError unless the motion between any two consecutive epochs has full rank.
+
+    Speed and turn leave one direction of a sample's motion without noise, standing still more.
+    Over the samples of a curve all have some; where not, the error says how much stabilisation
+    noise will do. Relative poses are regular one by one.
+    """
+    if isinstance(log.odometry, RelativePoses):
+        return
+    covariance = composed_motion(log, timeline).covariance
+    bad = np.flatnonzero(_least_eigenvalues(covariance) < LEAST_EIGENVALUE)
+    if len(bad):
+        begin_s, end_s = timeline.epoch_time_s[bad[0] : bad[0] + 2]
+        raise InputError(
+            f"{log.name}: odometry noise: the covariance of the motion from {begin_s:.4f} to "
+            f"{end_s:.4f} s is singular, one of {len(bad)} among {len(covariance)}, for speed "
+            "and turn leave a direction without noise; expected stabilisation noise, such as "
+            + _enough(log, log.odometry, timeline, bad)
+        )
+
+
+def _enough(
+    log: Log, odometry: SteeringOdometry | VelocityOdometry, timeline: Timeline, rows: Index
+) -> str:
+    """The least rates of stabilisation noise, powers of ten, that make increments (n,) regular."""
+    noise = odometry.noise
+
+    def of(noise: OdometryNoise) -> Array:
+        alone = replace(log, odometry=replace(odometry, noise=noise))
+        return composed_motion(alone, timeline).covariance[rows]
+
+    controls = of(OdometryNoise(noise.sigma_speed_mps, noise.sigma_turn, 0.0, 0.0))
+    per_position, per_heading = (
+        of(OdometryNoise(0.0, 0.0, 1.0, 0.0)),
+        of(OdometryNoise(0.0, 0.0, 0.0, 1.0)),
+    )
+    for exponent in _DECADES:
+        position, heading = 10.0**exponent, 10.0 ** (exponent - 2)
+        for by_position, by_heading in ((position, 0.0), (0.0, heading), (position, heading)):
+            p = max(by_position, noise.variance_rate_position)
+            h = max(by_heading, noise.variance_rate_heading)
+            total = controls + p * per_position + h * per_heading
+            if (_least_eigenvalues(total) >= LEAST_EIGENVALUE).all():
+                said = [f"variance_rate_position = {p:.0e} (m^2/s)"] * (by_position > 0.0)
+                said += [f"variance_rate_heading = {h:.0e} (rad^2/s)"] * (by_heading > 0.0)
+                return " and ".join(said)
+    raise ValueError("no stabilisation noise makes the increments regular")
+
+
+def _least_eigenvalues(covariance: Array) -> Array:
+    """(N,) of the correlation matrices of covariances (N, 3, 3); 0 where a variance is zero."""
+    sigma = np.sqrt(np.einsum("nii->ni", covariance))
+    rows = np.flatnonzero((sigma > 0.0).all(axis=1))
+    kept = sigma[rows]
+    least = np.zeros(len(covariance))
+    least[rows] = np.linalg.eigvalsh(covariance[rows] / (kept[:, :, None] * kept[:, None]))[:, 0]
+    return least
 
 
 def motion_between(log: Log, time_s: Array) -> increments.Samples:

@@ -10,14 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.adapters.ekf_run import EkfRun
-from comparisons.adapters.motion import motion_samples
+from comparisons.adapters.motion import composed_motion
 from comparisons.adapters.recorded import measurement_points, merge_points, recorded
 from comparisons.adapters.timeline import Timeline
 from comparisons.arrays import Array, Index
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.transforms.known_landmarks import surveyed
-from graphslam import increments
 from graphslam.graph_builder import POINT, POSE_LANDMARK
 from graphslam.linear_problem import LinearProblem, solve
 from graphslam.marginals import Marginal
@@ -57,9 +56,7 @@ def assemble(
     """The log as the smoother's arrays. slot: (M,) of the timeline's sightings, negative unused."""
     used = np.flatnonzero(slot >= 0)
     seen = log.sightings
-    composed = increments.compose(
-        motion_samples(log, timeline), timeline.step_epoch - 1, len(timeline.epoch_time_s) - 1
-    )
+    composed = composed_motion(log, timeline)
     _, surveyed_place, surveyed_covariance = surveyed(log)
     return SlamProblem(
         prior_pose=log.prior.pose,

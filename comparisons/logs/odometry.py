@@ -37,7 +37,8 @@ class OdometryNoise:
 
     sigma_speed_mps; sigma_turn: of the steering angle [rad] or of the yaw rate [rad/s].
     variance_rate_position [m^2/s], variance_rate_heading [rad^2/s]: small noise both estimators
-    add (Nieto 2005, section 2.1.1); above zero, since one sample's control noise is singular.
+    add (Nieto 2005, section 2.1.1), since one sample's control noise is singular. Zero will do
+    where the samples between any two poses make it regular; see adapters.motion.check_regular.
     """
 
     sigma_speed_mps: float
@@ -50,10 +51,9 @@ class OdometryNoise:
         for f in fields(self):
             value = getattr(self, f.name)
             object.__setattr__(self, f.name, float(value))
-            least = 0.0 if f.name.startswith("sigma") else 1e-12
-            if not least <= value <= 1e6:
+            if not 0.0 <= value <= 1e6:
                 raise InputError(
-                    f"odometry noise: {f.name} is {value}, expected between {least:g} and 1e+06"
+                    f"odometry noise: {f.name} is {value}, expected between 0 and 1e+06"
                 )
 
 

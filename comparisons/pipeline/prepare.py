@@ -11,6 +11,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 from comparisons.adapters.ekf_factory import fused_positions, judging_positions, settle
 from comparisons.adapters.filter_setup import FilterSetup
+from comparisons.adapters.motion import check_regular
 from comparisons.adapters.timeline import Timeline, build_timeline
 from comparisons.arrays import Array
 from comparisons.config import Configured, EkfConfig, JobConfig
@@ -76,8 +77,13 @@ class Prepared(Generic[C]):
 
     @cached_property
     def timeline(self) -> Timeline:
-        """The instants at which something is fused, and the odometry in between."""
-        return build_timeline(self.log, self.positions, self.epochs)
+        """The instants at which something is fused, and the odometry in between.
+
+        Raises InputError where the odometry leaves a motion without full rank.
+        """
+        timeline = build_timeline(self.log, self.positions, self.epochs)
+        check_regular(self.log, timeline)
+        return timeline
 
     @cached_property
     def judged(self) -> Log:

@@ -38,7 +38,7 @@ def nees(estimate: Estimate, truth: Array, part: slice) -> float:
 
 
 def test_without_noise_both_are_exact() -> None:
-    c = compared(simulated(noise_scale=0.0))
+    c = compared(simulated(exact=True))
     truth = c.log.truth.poses
     assert truth is not None
     at = truth.pose[np.searchsorted(truth.time_s, c.ekf.estimate.time_s - 1e-9)]
@@ -47,6 +47,16 @@ def test_without_noise_both_are_exact() -> None:
         assert np.max(np.abs(estimate.joint_mean - true_state(c))) < 1e-9
     assert c.smoother.error < 1e-15
     assert c.verdict.outcome == "agree"
+
+
+def test_the_prior_is_not_among_the_estimates_that_are_judged() -> None:
+    """It is often taken from the truth, so that its error is zero whatever it states."""
+    c = compared(simulated(loop_s=10.0))
+    for found in (c.consistency.ekf, c.consistency.smoother):
+        assert found is not None
+        assert found.poses is not None
+        assert found.poses.time_s.tolist() == c.ekf.estimate.time_s[1:].tolist()
+        assert found.poses.pose.squared.min() > 0.0
 
 
 @pytest.mark.slow

@@ -16,6 +16,7 @@ from comparisons.checks.consistency.filter_smoother import (
 from comparisons.checks.consistency.innovations import (
     Nis,
     SensorInnovations,
+    Whiteness,
     sensor,
     whiten,
     whiteness,
@@ -101,6 +102,12 @@ def test_short_distances_are_left_out() -> None:
     assert (found.distances.dof, found.skipped) == (1, 1)
 
 
+def test_one_landmark_alone_has_no_distances() -> None:
+    mean = np.array([0.0, 0.0, 0.0, 5.0, 0.0])
+    found = map_errors(mean, 0.01 * np.eye(5), mean, np.zeros((5, 5)), with_pose=False)
+    assert (found.distances.dof, found.distance.mean, found.skipped) == (0, None, 0)
+
+
 def test_whiteness_is_ljung_and_boxs() -> None:
     values = np.random.default_rng(4).standard_normal(200)
     found = whiteness("range", "time", values, lags=5)
@@ -108,7 +115,31 @@ def test_whiteness_is_ljung_and_boxs() -> None:
     r = np.array([values[k:] @ values[:-k] for k in range(1, 6)]) / (values @ values)
     q = 200 * 202 * np.sum(r**2 / (200 - np.arange(1, 6)))
     assert found.p_value == pytest.approx(chi2.sf(q, 5))
-    assert found.band == pytest.approx(2.0 / np.sqrt(200 - np.arange(1, 6)))
+    assert found.band == pytest.approx(2.0 * np.sqrt(200 / 202 / (200 - np.arange(1, 6))))
+
+
+def white_series(count: int, landmarks: int = 1) -> list[Whiteness]:
+    rng, group = np.random.default_rng(7), np.repeat(np.arange(landmarks), count // landmarks)
+    found = [whiteness("range", "time", rng.standard_normal(count), group) for _ in range(4000)]
+    return [w for w in found if w is not None]
+
+
+def test_ten_lags_of_a_short_series_are_too_many(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("comparisons.checks.consistency.innovations._PER_LAG", 1)
+    p = np.array([w.p_value for w in white_series(60)])
+    assert np.mean(p < 0.01) > 0.016
+
+
+@pytest.mark.parametrize("count", [30, 60, 150])
+@pytest.mark.parametrize("landmarks", [1, 5])
+def test_white_numbers_lie_in_the_bands_as_often_as_said(count: int, landmarks: int) -> None:
+    """Of 4000 short series: p-values below 5 % and 1 %, first coefficients, and averages."""
+    drawn = white_series(count, landmarks)
+    p = np.array([w.p_value for w in drawn])
+    assert 0.035 < np.mean(p < 0.05) < 0.06
+    assert 0.004 < np.mean(p < 0.01) < 0.016
+    assert 0.945 < np.mean([abs(w.coefficient[0]) < w.band[0] for w in drawn]) < 0.967
+    assert 0.94 < np.mean([abs(w.mean) < w.mean_band for w in drawn]) < 0.967
 
 
 def test_coloured_innovations_are_found_in_the_order_in_which_they_are_coloured() -> None:
@@ -242,6 +273,9 @@ def test_a_filter_surer_than_the_smoother_is_told_with_its_begin() -> None:
     found = against_smoother(runs, 0)
     assert found.surer[0] == 20
     assert found.ratio[-1] == pytest.approx(0.2)
+    relinearised = simulate(2)
+    relinearised.covariance[20:] *= 0.92 / against_smoother(relinearised, 0).ratio[-1]
+    assert len(against_smoother(relinearised, 0).surer) == 0
     covariance = runs.covariance[:, :3, :3].copy()
     covariance[5] = -np.eye(3)
     covariance[6, 0, 0] = np.nan

@@ -98,7 +98,7 @@ def test_the_agreement_rejects_a_stale_covariance(monkeypatch: pytest.MonkeyPatc
 
 @pytest.mark.slow
 def test_nothing_changes_in_a_drive_without_noise() -> None:
-    log = simulated(0, max_range_m=25.0, extra_s=10.0, noise_scale=0.0)
+    log = simulated(0, max_range_m=25.0, extra_s=10.0, exact=True)
     found = neglected_change(log, SICK, np.random.default_rng(0))
     assert np.abs(found.predicted).max() < 1e-3 * np.abs(changes("landmarks", 0).predicted).max()
 

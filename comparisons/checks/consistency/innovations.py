@@ -26,6 +26,9 @@ from ekf_reference.core.landmark_types import POINT
 LAGS = 10
 _LEAST_PAIRS = 20
 """An autocorrelation from fewer products is not looked at."""
+_PER_LAG = 20
+"""So many numbers are asked for each lag: with more lags the statistic's tail is not chi-square's.
+Of 40 numbers at 10 lags, 0.6 % of white series have a p-value below 0.1 %; at 2 lags 0.13 %."""
 _WINDOWS = 60
 """So many averages over a run are drawn."""
 
@@ -56,8 +59,9 @@ class Whiteness:
     something lasts, a bias of the sensor, coloured noise of the motion, a wrong heading.
     `landmark`, from one sighting of a landmark to the next, with all landmarks pooled: correlated
     when the filter is surer of landmarks than it may be, for each then has a lasting error.
-    coefficient, band: (k,), the band being 2 / root of the number of products. p_value: of the
-    Ljung-Box statistic over the k lags. mean: 0 is right, within mean_band of it.
+    coefficient, band: (k,), the band being two standard deviations of a white series, root of
+    n / (m (n + 2)) with m products of n numbers. p_value: of the Ljung-Box statistic over the k
+    lags, which are as many as the numbers allow. mean: 0 is right, within mean_band of it.
     """
 
     component: str
@@ -178,7 +182,7 @@ def whiteness(
     if power <= 0.0:
         return None
     coefficient, pairs = [], []
-    for k in range(1, lags + 1):
+    for k in range(1, min(lags, max(n // _PER_LAG, 1)) + 1):
         product = values[k:] * values[:-k]
         if group is not None:
             product = product[group[k:] == group[:-k]]
@@ -189,13 +193,13 @@ def whiteness(
     if not pairs:
         return None
     c, m = np.array(coefficient), np.array(pairs, dtype=float)
-    statistic = (n + 2.0) / n * float(np.sum(m * c**2))
+    sigma = np.sqrt(n / (m * (n + 2.0)))
     return Whiteness(
         component=component,
         order=order,
         coefficient=c,
-        band=2.0 / np.sqrt(m),
-        p_value=float(chi2.sf(statistic, len(c))),
+        band=2.0 * sigma,
+        p_value=float(chi2.sf(np.sum((c / sigma) ** 2), len(c))),
         mean=float(values.mean()),
         mean_band=2.0 * float(np.sqrt(power / n)),
     )

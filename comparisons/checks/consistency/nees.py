@@ -25,7 +25,7 @@ _LEAST_SIGMAS = 5.0
 
 @dataclass(frozen=True, kw_only=True)
 class PoseErrors:
-    """The poses at the epochs within the truth's time.
+    """The poses at the epochs within the truth's time, after the prior's.
 
     time_s: (n,). error: (n, 3) x, y, heading; sigma: (n, 3), NaN where a variance is negative.
     pose, position, heading: of all three, the first two, and the last, per epoch. Their averages
@@ -138,7 +138,8 @@ def _pose_errors(estimate: Estimate, log: Log) -> PoseErrors | None:
     poses, t = log.truth.poses, estimate.time_s
     if poses is None:
         return None
-    known = np.flatnonzero((t >= poses.time_s[0]) & (t <= poses.time_s[-1]))
+    begun = (t >= poses.time_s[0]) & (t > log.prior.time_s)  # the prior itself is no estimate
+    known = np.flatnonzero(begun & (t <= poses.time_s[-1]))
     if not len(known):
         return None
     at, covariance = poses.at(t[known]), estimate.pose_covariance[known]

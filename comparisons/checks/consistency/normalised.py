@@ -100,7 +100,8 @@ def faults(covariance: Array) -> NDArray[np.str_]:
     sigma = np.sqrt(diagonal[row])
     scaled = covariance[row] / (sigma[:, :, None] * sigma[:, None])
     turned = scaled.transpose(0, 2, 1)
-    least = np.linalg.eigvalsh(0.5 * (scaled + turned))[:, 0] if len(row) else np.zeros(0)
+    some = len(row) and covariance.shape[1]  # of no components nothing is wrong
+    least = np.linalg.eigvalsh(0.5 * (scaled + turned))[:, 0] if some else np.ones(len(row))
     fault[row[least <= _LEAST_EIGENVALUE]] = "not positive definite"
     fault[row[np.abs(scaled - turned).max(axis=(1, 2), initial=0.0) > _SKEW]] = "asymmetric"
     return fault

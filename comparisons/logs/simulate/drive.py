@@ -25,8 +25,9 @@ class Drive:
     """Vehicle and sensors; the defaults are Nieto 2005, Table 2.2 and Appendix A.
 
     field_of_view_rad: full angle of the sensor, centred straight ahead. extra_s: driven on after
-    the last loop. noise_scale: multiplies what is added to the data, not the sigmas that the log
-    states, so that zero gives exact data.
+    the last loop. noise_scale: multiplies every sigma above and the stabilisation noise's, what is
+    added to the data and what the log states alike. exact: nothing is added, and the log states
+    its sigmas all the same: there both estimators must find the truth itself.
     """
 
     loops: int = 1
@@ -42,7 +43,13 @@ class Drive:
     loop_s: float = 85.0
     extra_s: float = 0.0
     noise_scale: float = 1.0
+    exact: bool = False
     vehicle: Ackermann = UTE
+
+    @property
+    def added_scale(self) -> float:
+        """What the sigmas are multiplied by where noise is added."""
+        return 0.0 if self.exact else self.noise_scale
 
     def scan_samples(self, count: int) -> NDArray[np.int64]:
         """Which of `count` samples end with a scan."""
@@ -61,7 +68,7 @@ def simulate(
     return Log(
         name="simulated-loop",
         format="simulated",
-        prior=known_start(pose),
+        prior=known_start(pose, drive.noise_scale),
         odometry=odometry,
         sightings=sightings,
         truth=Truth(Poses(time, pose), exact_landmarks(world.landmark)),
@@ -84,19 +91,27 @@ def wheel_odometry(
     rng: np.random.Generator, drive: Drive, time: Array, control: Array
 ) -> SteeringOdometry:
     """The controls as the sensors tell them, with noise."""
-    noise = drive.noise_scale * rng.standard_normal((len(control), 2))
+    noise, scale = drive.added_scale * rng.standard_normal((len(control), 2)), drive.noise_scale
     return SteeringOdometry(
         time[:-1],
         control[:, 0] + drive.sigma_speed_mps * noise[:, 0],
         control[:, 1] + drive.sigma_steering_rad * noise[:, 1],
         drive.vehicle,
-        OdometryNoise(drive.sigma_speed_mps, drive.sigma_steering_rad, 1e-7, 1e-9),
+        OdometryNoise(
+            scale * drive.sigma_speed_mps,
+            scale * drive.sigma_steering_rad,
+            scale**2 * 1e-7,
+            scale**2 * 1e-9,
+        ),
     )
 
 
-def known_start(pose: Array) -> Prior:
-    """The estimators start where the vehicle does; so small a doubt leaves the frame fixed."""
-    return Prior(0.0, pose[0], 1e-10 * np.eye(3))
+def known_start(pose: Array, scale: float) -> Prior:
+    """The estimators start where the vehicle does; so small a doubt leaves the frame fixed.
+
+    scale: as the noise's.
+    """
+    return Prior(0.0, pose[0], scale**2 * 1e-10 * np.eye(3))
 
 
 def exact_landmarks(landmark: Array) -> Landmarks:
@@ -123,13 +138,13 @@ def point_sightings(
     seen = (distance <= drive.max_range_m) & (np.abs(bearing) <= 0.5 * drive.field_of_view_rad)
     scan, which = np.nonzero(seen if hidden is None else seen & ~hidden)
     count = len(scan)
-    noise = drive.noise_scale * rng.standard_normal((count, 2))
+    noise, scale = drive.added_scale * rng.standard_normal((count, 2)), drive.noise_scale
     return Sightings(
         time_s=time[scan],
         range_m=distance[scan, which] + drive.sigma_range_m * noise[:, 0],
         bearing_rad=bearing[scan, which] + drive.sigma_bearing_rad * noise[:, 1],
-        sigma_range_m=np.full(count, drive.sigma_range_m),
-        sigma_bearing_rad=np.full(count, drive.sigma_bearing_rad),
+        sigma_range_m=np.full(count, scale * drive.sigma_range_m),
+        sigma_bearing_rad=np.full(count, scale * drive.sigma_bearing_rad),
         landmark=which,
         diameter_m=np.full(count, np.nan),
     )

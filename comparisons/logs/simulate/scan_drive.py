@@ -69,11 +69,11 @@ def simulate(rng: np.random.Generator, experiment: ScanExperiment) -> Log:
 
     start = time[samples]
     start = start[start + scanner.sweep_s <= time[-1]]
-    record = scanner.record(rng, world, start, pose_at, drive.noise_scale)
+    record = scanner.record(rng, world, start, pose_at, drive.added_scale)
     return Log(
         name=experiment.name,
         format="simulated",
-        prior=known_start(pose),
+        prior=known_start(pose, drive.noise_scale),
         odometry=odometry,
         sightings=sightings,
         scans=record if isinstance(record, Scans) else None,

@@ -77,8 +77,9 @@ class WaypointRun:
 
     waypoint: (W, 2), driven in order from the base at the origin, which is the last goal.
     obstacles: how many, at random beside the course. reached_m: a goal counts as reached within
-    this distance. most_s: when the run ends at the latest. noise_scale: multiplies what is added
-    to the data, not the sigmas that the log states.
+    this distance. most_s: when the run ends at the latest. noise_scale: multiplies every sigma,
+    what is added to the data and what the log states alike. exact: nothing is added, and the log
+    states its sigmas all the same.
     """
 
     waypoint: Array = field(default_factory=_waypoints)
@@ -97,6 +98,12 @@ class WaypointRun:
     sigma_gps_m: float = 0.3
     max_range_m: float = 12.0
     noise_scale: float = 1.0
+    exact: bool = False
+
+    @property
+    def added_scale(self) -> float:
+        """What the sigmas are multiplied by where noise is added."""
+        return 0.0 if self.exact else self.noise_scale
 
 
 _STABILISATION = 1e-8
@@ -111,19 +118,20 @@ def simulate(
     run, navigator = run or WaypointRun(), navigator or TrueNavigator()
     place, diameter = _obstacles(rng, run)
     goals = np.vstack((run.waypoint, (0.0, 0.0)))
-    covariance = np.array((run.sigma_way_m**2, run.sigma_turn_rad**2))
+    variance = np.array((run.sigma_way_m**2, run.sigma_turn_rad**2))
+    stated = run.noise_scale**2
     pose, reached = np.zeros(3), 0
     poses, moves, spreads = [pose], [], []
     seen: list[tuple[Array, Array, Array, NDArray[np.int64]]] = []
     scans: list[tuple[float, Array]] = []
     fixes: list[tuple[float, Array]] = []
-    gps = run.sigma_gps_m**2 * np.eye(2)
+    gps = stated * run.sigma_gps_m**2 * np.eye(2)
     for k in range(1, round(run.most_s / run.sample_s) + 1):
         turn, way = _pursue(run, navigator.pose(), goals[reached])
         pose = _moved(pose, turn, way)
-        added = run.noise_scale * rng.standard_normal(2) * np.sqrt(covariance)
+        added = run.added_scale * rng.standard_normal(2) * np.sqrt(variance)
         move = _moved(np.zeros(3), turn + added[1], way + added[0])
-        spread = _spread(way + added[0], covariance)
+        spread = stated * _spread(way + added[0], variance)
         poses.append(pose)
         moves.append(move)
         spreads.append(spread)
@@ -131,12 +139,14 @@ def simulate(
         time = k * run.sample_s
         if k % run.scan_every == 0:
             z, landmark = _sightings(rng, run, pose, place)
-            sigma = np.tile((run.sigma_range_m, run.sigma_bearing_rad), (len(z), 1))
+            sigma = run.noise_scale * np.tile(
+                (run.sigma_range_m, run.sigma_bearing_rad), (len(z), 1)
+            )
             seen.append((np.full(len(z), time), z, sigma, landmark))
             navigator.saw(z, sigma, landmark)
             scans.append((time, _scan(rng, run, pose, place, diameter)))
         if np.linalg.norm(navigator.pose()[:2] - goals[reached]) < run.reached_m:
-            fix = pose[:2] + run.noise_scale * run.sigma_gps_m * rng.standard_normal(2)
+            fix = pose[:2] + run.added_scale * run.sigma_gps_m * rng.standard_normal(2)
             fixes.append((time, fix))
             navigator.fixed(fix, gps)
             reached += 1
@@ -147,7 +157,7 @@ def simulate(
     return Log(
         name="waypoint-run",
         format="simulated",
-        prior=Prior(0.0, np.zeros(3), _PRIOR * np.eye(3)),
+        prior=Prior(0.0, np.zeros(3), stated * _PRIOR * np.eye(3)),
         odometry=RelativePoses(time_s[1:], np.array(moves), np.array(spreads)),
         sightings=Sightings(
             time_s=stamp,
@@ -234,7 +244,7 @@ def _sightings(
     distance = np.hypot(offset[:, 0], offset[:, 1])
     bearing = np.angle(np.exp(1j * (np.arctan2(offset[:, 1], offset[:, 0]) - pose[2])))
     inside = np.flatnonzero((distance <= run.max_range_m) & (np.abs(bearing) <= 0.5 * np.pi))
-    noise = run.noise_scale * rng.standard_normal((len(inside), 2))
+    noise = run.added_scale * rng.standard_normal((len(inside), 2))
     z = np.column_stack((distance[inside], bearing[inside]))
     return z + noise * (run.sigma_range_m, run.sigma_bearing_rad), inside.astype(np.int64)
 
@@ -246,5 +256,5 @@ def _scan(
     discs = Solids(disc=np.column_stack((place, diameter)))
     nearest = cast(_BEAMS, pose, discs)
     nearest = np.where(nearest <= run.max_range_m, nearest, np.nan)
-    ranges: Array = nearest + run.noise_scale * run.sigma_scan_m * rng.standard_normal(len(nearest))
+    ranges: Array = nearest + run.added_scale * run.sigma_scan_m * rng.standard_normal(len(nearest))
     return ranges

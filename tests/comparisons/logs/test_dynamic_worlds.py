@@ -15,6 +15,7 @@ from comparisons.logs.simulate.dynamic_worlds import (
 )
 from comparisons.logs.simulate.scan_drive import dynamic_lanes, dynamic_places, simulate
 from comparisons.logs.simulate.scan_worlds import Mover
+from tests.comparisons.logs.test_scanners import exact
 
 
 def test_traffic_begins_anew_where_it_came_from() -> None:
@@ -54,7 +55,7 @@ def test_the_lanes_are_driven_on_in_both_directions() -> None:
 @pytest.mark.slow
 def test_a_carried_landmark_is_seen_where_its_vehicle_is() -> None:
     """And is not among the truth's, which has one place for each."""
-    experiment = dynamic_lanes(noise_scale=0.0, carried=True)
+    experiment = exact(dynamic_lanes(carried=True))
     log = simulate(np.random.default_rng(0), experiment)
     seen, world = log.sightings, experiment.world
     label = len(world.landmark)
@@ -67,7 +68,7 @@ def test_a_carried_landmark_is_seen_where_its_vehicle_is() -> None:
     angle = pose[:, 2] + seen.bearing_rad[rows]
     place = pose[:, :2] + seen.range_m[rows, None] * np.column_stack((np.cos(angle), np.sin(angle)))
     assert np.allclose(place, world.movers[world.carrier[0]].place(seen.time_s[rows]), atol=1e-9)
-    without = simulate(np.random.default_rng(0), dynamic_lanes(noise_scale=0.0))
+    without = simulate(np.random.default_rng(0), exact(dynamic_lanes()))
     assert without.sightings.landmark.max() == label - 1
 
 

@@ -106,7 +106,10 @@ FAULTS: dict[str, tuple[Callable[[], object], str]] = {
         lambda: Ackermann(1.0, float("nan")),
         "encoder_offset_m is nan, expected at most 1000 m",
     ),
-    "stabilisation": (lambda: OdometryNoise(0.1, 0.1, 0.0), "variance_rate_position is 0.0"),
+    "stabilisation": (
+        lambda: OdometryNoise(0.1, 0.1, -1e-9),
+        "variance_rate_position is -1e-09, expected between 0 and",
+    ),
     "scan shape": (
         lambda: Scans(
             time_s=np.zeros(1),

@@ -25,22 +25,22 @@ from comparisons.logs.simulate.scan_drive import (
 from comparisons.logs.simulate.scanners import Rings
 from ekf_reference.models.motion import AckermannModel
 from tests.comparisons.logs.test_log_folder import assert_same
-from tests.comparisons.logs.test_scanners import in_bounds, log_of, short
+from tests.comparisons.logs.test_scanners import exact, in_bounds, log_of, short
 
 Array = NDArray[np.float64]
 
 
 def test_odometry_and_sightings_are_as_uncertain_as_stated() -> None:
-    noisy, quiet = (log_of(occupancy(noise_scale=scale)) for scale in (1.0, 0.0))
-    wheels, exact = noisy.odometry, quiet.odometry
+    noisy, quiet = log_of(occupancy()), log_of(exact(occupancy()))
+    wheels, true_wheels = noisy.odometry, quiet.odometry
     assert isinstance(wheels, SteeringOdometry)
-    assert isinstance(exact, SteeringOdometry)
-    assert wheels.noise == exact.noise
+    assert isinstance(true_wheels, SteeringOdometry)
+    assert wheels.noise == true_wheels.noise
     seen, true = noisy.sightings, quiet.sightings
     assert np.array_equal(seen.landmark, true.landmark)
     for difference, sigma in (
-        (wheels.speed_mps - exact.speed_mps, 0.5),
-        (wheels.steering_rad - exact.steering_rad, np.deg2rad(5.0)),
+        (wheels.speed_mps - true_wheels.speed_mps, 0.5),
+        (wheels.steering_rad - true_wheels.steering_rad, np.deg2rad(5.0)),
         (seen.range_m - true.range_m, 0.1),
         (seen.bearing_rad - true.bearing_rad, np.deg2rad(1.0)),
     ):
@@ -50,7 +50,7 @@ def test_odometry_and_sightings_are_as_uncertain_as_stated() -> None:
 
 
 def test_truth_is_there_at_every_sample_and_obeys_the_model() -> None:
-    experiment = short(scan_slam(noise_scale=0.0), 30.0)
+    experiment = short(exact(scan_slam()), 30.0)
     log = log_of(experiment)
     odometry = log.odometry
     assert isinstance(odometry, SteeringOdometry)
@@ -67,7 +67,7 @@ def test_truth_is_there_at_every_sample_and_obeys_the_model() -> None:
 
 def test_objects_hide_landmarks() -> None:
     """A landmark is sighted if, and only if, no side of an object crosses the line of sight."""
-    experiment = dense_slam(noise_scale=0.0)
+    experiment = exact(dense_slam())
     drive = replace(experiment.drive, max_range_m=60.0)
     world, log = experiment.world, log_of(replace(experiment, drive=drive))
     assert log.truth.poses is not None

@@ -38,6 +38,11 @@ def short(experiment: ScanExperiment, seconds: float = 12.0, **drive: float) -> 
     )
 
 
+def exact(experiment: ScanExperiment) -> ScanExperiment:
+    """The same with nothing added."""
+    return replace(experiment, drive=replace(experiment.drive, exact=True))
+
+
 def log_of(experiment: ScanExperiment, seed: int = 0) -> Log:
     return simulate(np.random.default_rng(seed), experiment)
 
@@ -86,7 +91,7 @@ def from_walls(point: Array, world: ScanWorld) -> Array:
 
 @pytest.mark.parametrize("name", PLANAR)
 def test_without_noise_every_return_lies_on_a_surface(name: str) -> None:
-    experiment = short(PLANAR[name](noise_scale=0.0))
+    experiment = short(exact(PLANAR[name]()))
     assert isinstance(experiment.scanner, Planar)
     log = log_of(experiment)
     point, _ = points_of(log)
@@ -100,7 +105,7 @@ def test_without_noise_every_return_lies_on_a_surface(name: str) -> None:
 
 
 def swept(**scanner: float) -> ScanExperiment:
-    experiment = short(dense_slam(noise_scale=0.0))
+    experiment = short(exact(dense_slam()))
     assert isinstance(experiment.scanner, Planar)
     laser = replace(experiment.scanner, mount=MOUNT, **scanner)  # type: ignore[arg-type]
     return replace(experiment, scanner=laser)
@@ -143,8 +148,9 @@ def test_movers_are_seen_where_they_are() -> None:
     assert np.min(still, axis=0).max() > 1.0
 
 
-def spun(noise_scale: float = 0.0, sweep_s: float = 0.0, **rings: float) -> ScanExperiment:
-    experiment = short(dense_slam_in_space(noise_scale=noise_scale))
+def spun(*, noisy: bool = False, sweep_s: float = 0.0, **rings: float) -> ScanExperiment:
+    experiment = short(dense_slam_in_space())
+    experiment = experiment if noisy else exact(experiment)
     scanner = Rings(sweep_s=sweep_s, mount=MOUNT, **rings)  # type: ignore[arg-type]
     world = replace(
         experiment.world, movers=(Mover(start=(6, 5), end=(14, 5), speed_mps=1.5, diameter_m=0.8),)
@@ -191,9 +197,11 @@ def residuals(kind: str) -> Array:
     """What noise adds to the data, over the sigma that is stated."""
     if kind in ("planar range", "rings range"):
         made = []
-        for scale in (1.0, 0.0):
-            flat = kind == "planar range"
-            experiment = short(dense_slam(noise_scale=scale)) if flat else spun(scale)
+        for noisy in (True, False):
+            if kind != "planar range":
+                experiment = spun(noisy=noisy)
+            else:
+                experiment = short(dense_slam() if noisy else exact(dense_slam()))
             experiment = replace(experiment, scanner=replace(experiment.scanner, sigma_beam_rad=0))
             log = log_of(experiment)
             if log.scans is not None:

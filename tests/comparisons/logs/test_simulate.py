@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from comparisons.logs.odometry import SteeringOdometry
 from comparisons.logs.simulate.drive import Drive, simulate
@@ -21,7 +22,7 @@ def test_the_environment_is_that_of_section_2_9() -> None:
 
 
 def test_truth_obeys_the_models_exactly_when_there_is_no_noise() -> None:
-    log = simulated(noise_scale=0.0)
+    log = simulated(exact=True)
     odometry, truth = log.odometry, log.truth
     assert isinstance(odometry, SteeringOdometry)
     assert truth.poses is not None
@@ -40,7 +41,7 @@ def test_truth_obeys_the_models_exactly_when_there_is_no_noise() -> None:
 
 
 def test_the_loop_closes_and_repeats() -> None:
-    log = simulated(noise_scale=0.0, loops=2)
+    log = simulated(exact=True, loops=2)
     assert log.truth.poses is not None
     pose = log.truth.poses.pose
     middle = len(pose) // 2
@@ -48,16 +49,24 @@ def test_the_loop_closes_and_repeats() -> None:
     assert np.isclose(pose[-1, 2] - pose[0, 2], 4 * np.pi, atol=0.2)
 
 
-def test_noise_has_the_stated_sigmas() -> None:
-    quiet, noisy = simulated(noise_scale=0.0), simulated(noise_scale=1.0)
+@pytest.mark.parametrize("scale", [1.0, 0.1])
+def test_noise_has_the_stated_sigmas(scale: float) -> None:
+    """Sigmas of the noise added are those stated, and of the settings times the scale."""
+    quiet, noisy = simulated(exact=True), simulated(noise_scale=scale)
     assert isinstance(quiet.odometry, SteeringOdometry)
     assert isinstance(noisy.odometry, SteeringOdometry)
-    for difference, sigma in (
-        (noisy.odometry.speed_mps - quiet.odometry.speed_mps, 0.3),
-        (noisy.odometry.steering_rad - quiet.odometry.steering_rad, np.deg2rad(3.0)),
-        (noisy.sightings.range_m - quiet.sightings.range_m, 0.15),
-        (noisy.sightings.bearing_rad - quiet.sightings.bearing_rad, np.deg2rad(1.0)),
+    noise, seen, true = noisy.odometry.noise, noisy.sightings, quiet.sightings
+    for difference, sigma, setting in (
+        (noisy.odometry.speed_mps - quiet.odometry.speed_mps, noise.sigma_speed_mps, 0.3),
+        (
+            noisy.odometry.steering_rad - quiet.odometry.steering_rad,
+            noise.sigma_turn,
+            np.deg2rad(3.0),
+        ),
+        (seen.range_m - true.range_m, seen.sigma_range_m[0], 0.15),
+        (seen.bearing_rad - true.bearing_rad, seen.sigma_bearing_rad[0], np.deg2rad(1.0)),
     ):
+        assert sigma == pytest.approx(scale * setting)
         n = len(difference)
         assert abs(np.mean(difference)) < 4 * sigma / np.sqrt(n)
         assert abs(np.std(difference) / sigma - 1) < 4 / np.sqrt(2 * n)

@@ -46,7 +46,7 @@ def test_the_truth_passes_all_waypoints_and_ends_at_the_base() -> None:
 
 
 def test_without_noise_odometry_sightings_and_positions_are_exact() -> None:
-    log = run_of(1, noise_scale=0.0)
+    log = run_of(1, exact=True)
     assert isinstance(log.odometry, RelativePoses)
     assert log.truth.poses is not None
     assert log.truth.landmarks is not None
@@ -63,9 +63,10 @@ def test_without_noise_odometry_sightings_and_positions_are_exact() -> None:
         assert np.allclose(RangeBearing().innovation(z, expected.z), 0.0, atol=1e-9)
 
 
-def test_odometry_is_as_uncertain_as_it_says() -> None:
+@pytest.mark.parametrize("scale", [1.0, 0.1])
+def test_odometry_is_as_uncertain_as_it_says(scale: float) -> None:
     """Normalised squared errors of the increments: chi-square, two-sided."""
-    log = run_of(2)
+    log = run_of(2, noise_scale=scale)
     assert isinstance(log.odometry, RelativePoses)
     assert log.truth.poses is not None
     pose, said = log.truth.poses.pose, log.odometry

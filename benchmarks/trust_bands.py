@@ -1,0 +1,184 @@
+"""False alarms: whether bands cover what they say, and logs without stabilisation noise.
+
+    python benchmarks/trust_bands.py [--quick] [--table]
+
+400 short drives (40 with --quick) of a sound filter, with noise so small that all is linear; each
+band of the consistency check must hold as often as it says, within binomial limits (a family of
+two-sided tests, 1 % together). Then drives with the documents' noise, of which the verdict must
+blame none, and logs without stabilisation noise. --table prints every band. One process.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+from trust_row import Row, print_table  # type: ignore[import-not-found]
+
+from comparisons.choices import Filter
+from comparisons.config import EkfConfig, RunConfig, SolveConfig
+from comparisons.errors import InputError
+from comparisons.experiments.bands.coverage import Coverage, coverage, figures_of, wrong
+from comparisons.experiments.bands.sound_drives import sound_run
+from comparisons.logs.log import Log
+from comparisons.logs.odometry import SteeringOdometry
+from comparisons.logs.simulate.drive import Drive, simulate
+from comparisons.pipeline.compare import compare
+from comparisons.pipeline.solve import solve
+
+SCALES = (0.3, 1.0)
+_EXACT = 1e-9
+
+
+def rows(quick: bool = False) -> list[Row]:
+    """What is promised of rates and of stabilisation noise, and what was measured."""
+    return [*_bands(quick), *_alarms(quick), *_without_noise()]
+
+
+@cache
+def tables(quick: bool) -> dict[str, list[Coverage]]:
+    """The coverage of every band, without and with absolute positions."""
+    seeds, seconds = (40, 10.0) if quick else (400, 20.0)
+    return {
+        world: coverage(
+            [
+                figures_of(sound_run(seed, seconds, positions=world == "with positions"))
+                for seed in range(seeds)
+            ]
+        )
+        for world in ("landmarks alone", "with positions")
+    }
+
+
+def _bands(quick: bool) -> Iterator[Row]:
+    for world, table in tables(quick).items():
+        off, least = wrong(table), min(table, key=lambda one: one.p_value)
+        yield Row(
+            f"the consistency check's bands cover their nominal share ({world}, "
+            f"{table[0].runs} sound drives)",
+            f"all {len(table)}",
+            f"{len(table) - len(off)}; the least likely: {least.name}, {least.found:.3f} of "
+            f"{least.nominal:g} (p {least.p_value:.2g})",
+            not off,
+        )
+
+
+def _alarms(quick: bool) -> Iterator[Row]:
+    seeds, seconds = (20, 15.0) if quick else (200, 30.0)
+    for first, scale in enumerate(SCALES):
+        outcomes, outside, nis, surer = Counter[str](), 0, 0, 0
+        for seed in range(first * seeds, (first + 1) * seeds):
+            log = simulate(np.random.default_rng(seed), Drive(noise_scale=scale, loop_s=seconds))
+            c = compare(log)
+            outcomes[c.verdict.outcome] += 1
+            readings = [one.reading for sensor in c.consistency.sensors for one in sensor.nis]
+            outside += len(readings) - readings.count("plausible")
+            nis += len(readings)
+            surer += c.consistency.smoothed is not None and len(c.consistency.smoothed.surer) > 0
+        share = outside / nis
+        yield Row(
+            f"a sound filter is not blamed, true and stated noise {scale:g} times the document's",
+            f"disagree 0 of {seeds}, surer than the smoother 0, NIS outside its band 5 %",
+            f"disagree {outcomes['disagree']}, unverified {outcomes['unverified']}, surer {surer}, "
+            f"NIS outside {100.0 * share:.1f} %",
+            outcomes["agree"] == seeds
+            and not surer
+            and abs(share - 0.05) < 3.0 * _deviation(seeds),
+        )
+
+
+def _deviation(seeds: int) -> float:
+    """Of the share of NIS outside, the three of a run counting as two."""
+    return float(np.sqrt(0.05 * 0.95 / (2.0 * seeds)))
+
+
+def _without_noise() -> Iterator[Row]:
+    log = without_noise(simulate(np.random.default_rng(1), Drive(loop_s=25.0)))
+    filters: tuple[Filter, ...] = ("full", "compressed", "misono-full")
+    for name in filters:
+        c = compare(log, RunConfig(ekf=EkfConfig(filter=name)))
+        gap = max(
+            part
+            for one in (c.agreement.algebra, c.agreement.model)
+            for part in (one.sigma, one.covariance)
+        )
+        yield Row(
+            f"no stabilisation noise: {name} EKF against the frozen smoothers",
+            f"agree, gaps below {_EXACT:g}",
+            f"{c.verdict.outcome}, {gap:.1g}",
+            c.verdict.outcome == "agree" and gap < _EXACT,
+        )
+    verified = solve(log, SolveConfig()).result.optimality.verified
+    yield Row(
+        "no stabilisation noise: the smoother alone",
+        "verified",
+        "verified" if verified else "unverified",
+        verified,
+    )
+    yield _refused(log)
+
+
+def _refused(log: Log) -> Row:
+    """A stop leaves two directions without noise."""
+    odometry = log.odometry
+    if not isinstance(odometry, SteeringOdometry):
+        raise TypeError("the simulated vehicle steers")
+    still = (odometry.time_s >= 4.0) & (odometry.time_s < 6.0)
+    speed, steering = (np.where(still, 0.0, c) for c in (odometry.speed_mps, odometry.steering_rad))
+    stopped = replace(log, odometry=replace(odometry, speed_mps=speed, steering_rad=steering))
+    try:
+        compare(stopped)
+    except InputError as error:
+        said = str(error)
+    else:
+        said = "accepted"
+    return Row(
+        "no stabilisation noise and a stop: refused, with what to add",
+        "one line with both rates",
+        said.rpartition("; ")[2],
+        "variance_rate_position" in said and "variance_rate_heading" in said and "\n" not in said,
+    )
+
+
+def without_noise(log: Log) -> Log:
+    """The log with its controls' noise alone."""
+    odometry = log.odometry
+    if not isinstance(odometry, SteeringOdometry):
+        raise TypeError("the simulated vehicle steers")
+    noise = replace(odometry.noise, variance_rate_position=0.0, variance_rate_heading=0.0)
+    return replace(log, odometry=replace(odometry, noise=noise))
+
+
+def print_bands(quick: bool) -> None:
+    """Print every band of both worlds, those that are wrong marked."""
+    for world, table in tables(quick).items():
+        off = {one.name for one in wrong(table)}
+        print(f"\n{world}, {table[0].runs} drives\n")
+        print("| figure | nominal | found | p |\n|---|---|---|---|")
+        for one in table:
+            mark = " **" if one.name in off else ""
+            print(f"| {one.name} | {one.nominal:.4g} | {one.found:.4f} | {one.p_value:.2g}{mark} |")
+
+
+def main() -> None:
+    """Print the table of promises."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--table", action="store_true", help="every band")
+    options = parser.parse_args()
+    if options.table:
+        print_bands(options.quick)
+        print()
+    print_table(rows(options.quick))
+
+
+if __name__ == "__main__":
+    main()
