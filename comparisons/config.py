@@ -24,6 +24,7 @@ from comparisons.choices import (
     Association,
     Attributes,
     CloudFormat,
+    FailOn,
     Features,
     Filter,
     Gps,
@@ -207,10 +208,20 @@ class Configured(JobConfig):
         return self
 
 
+def _listed(value: Any) -> Any:
+    """Words with commas between them, as a command line gives several."""
+    if not isinstance(value, str):
+        return value
+    return [part.strip() for part in value.split(",") if part.strip()]
+
+
 class RunConfig(Configured):
     """`slamcheck run`: both estimators on one log, compared."""
 
     job: Literal["run"] = "run"
+    fail_on: Annotated[tuple[FailOn, ...], BeforeValidator(_listed)] = Field(
+        (), description="what makes a run fail whatever its outcome"
+    )
     smoother: SmootherConfig = SmootherConfig()
     report: ReportConfig = ReportConfig()
 

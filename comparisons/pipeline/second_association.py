@@ -1,0 +1,85 @@
+"""What tells of an association that both estimators share: another one, or the log's labels.
+
+The other one is the smoother's own. A run asks for it by itself where nothing else could tell, and
+where it costs less than the run. Both costs are estimated by counts, so that a run repeats.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from comparisons.adapters.smoother_input import assemble, position_rows
+from comparisons.checks.association import score_association
+from comparisons.checks.association_variants import poses_apart
+from comparisons.checks.qualifiers import Distance, TruthGap, sighting_scale
+from comparisons.errors import InputError
+from comparisons.extensions.contract import Finding
+from comparisons.logs.transforms.known_landmarks import slots_by_label
+from comparisons.pipeline.gaps import Compared
+from graphslam.recognition import Options
+from graphslam.smoother import smooth
+
+NAME = "own_association"
+
+
+def own_association(compared: Compared) -> tuple[Finding | None, str]:
+    """Return the smoother's own association against the filter's, or why nobody has asked it."""
+    config = compared.prepared.config.extensions.get(NAME)
+    if config is not None:
+        return None, "nobody has checked the association: --smoother-association is ekf"
+    own, run = own_work(compared), run_work(compared)
+    if own > run:
+        return None, (
+            "nobody has checked the association: the smoother's own costs about "
+            f"{own / run:.1f} times the run; ask for it with --smoother-association own"
+        )
+    from comparisons.extensions.own_association.extension import OwnAssociation
+
+    try:
+        found = OwnAssociation().check(compared)
+    except InputError as error:
+        return None, f"nobody has checked the association: {error}"
+    return found, ""
+
+
+def own_work(compared: Compared) -> float:
+    """Seconds, about, that the smoother's own association takes on the machine it was measured on.
+
+    After each piece all poses so far are solved for anew, and every sighting is judged by the map.
+    """
+    poses, seen, landmarks = _counts(compared)
+    pieces = poses / Options().piece
+    return 1e-5 * pieces * (poses + seen) + 1e-9 * seen * landmarks**2
+
+
+def run_work(compared: Compared) -> float:
+    """Seconds, about, that the run itself takes there: the filter, then the smoothers."""
+    poses, seen, landmarks = _counts(compared)
+    return 1e-3 * (poses + seen) + 1e-8 * seen * landmarks**2
+
+
+def _counts(compared: Compared) -> tuple[int, int, int]:
+    run = compared.ekf
+    return len(run.estimate.time_s), len(run.slot), len(run.estimate.landmark)
+
+
+def labels_gap(compared: Compared) -> TruthGap | None:
+    """Return how far S is from the smoother with the log's labels, which stand for the truth.
+
+    None where that smoother is not verified, or its chi-square says that the labels do not fit.
+    """
+    log, run, gaps = compared.prepared.log, compared.ekf, compared.gaps
+    slot, ids = slots_by_label(log)
+    rows = position_rows(run.timeline, run.positions)
+    problem = assemble(log, run.timeline, slot[: len(run.slot)], len(ids), rows)
+    labelled = smooth(problem, {}, options=gaps.result.options)
+    test = labelled.optimality.chi_square
+    if not labelled.optimality.verified or test.reading == "too high":
+        return None
+    sigma, metres = poses_apart(gaps.smoothed.pose, labelled.poses, labelled.pose_covariances())
+    return TruthGap(
+        distances=(Distance("poses", 3, sigma, metres),),
+        sighting_m=sighting_scale(log.sightings, np.zeros((0, 2, 2))),
+        association=score_association(run.slot, run.estimate.landmark, log),
+        reference="the log's labels put it",
+    )
