@@ -43,24 +43,33 @@ def own_association(compared: Compared) -> tuple[Finding | None, str]:
 
 
 def own_work(compared: Compared) -> float:
-    """Seconds, about, that the smoother's own association takes on the machine it was measured on.
+    """Seconds, about, of the smoother's own association and of the optimum with it.
 
-    After each piece all poses so far are solved for anew, and every sighting is judged by the map.
+    After each piece all poses so far are solved for anew, every sighting is judged by the map, and
+    in the end the smoother starts again. Coefficients: least squares over six runs, from 430 to
+    2,800 epochs and 1,900 to 23,600 sightings, of processor time on one machine.
     """
-    poses, seen, landmarks = _counts(compared)
-    pieces = poses / Options().piece
-    return 1e-5 * pieces * (poses + seen) + 1e-9 * seen * landmarks**2
+    epochs, seen, landmarks, _ = _counts(compared)
+    solved = 0.5 * (epochs / Options().piece) * (epochs + seen)
+    return 1.3e-4 * epochs + 3.4e-5 * solved + 1.9e-6 * seen * landmarks + 1.6e-4 * seen
 
 
 def run_work(compared: Compared) -> float:
-    """Seconds, about, that the run itself takes there: the filter, then the smoothers."""
-    poses, seen, landmarks = _counts(compared)
-    return 1e-3 * (poses + seen) + 1e-8 * seen * landmarks**2
+    """Seconds, about, of the run itself, measured likewise, two of them for reading and report."""
+    _, seen, landmarks, steps = _counts(compared)
+    return 2.0 + 2.1e-4 * seen + 6.2e-5 * steps + 1.1e-6 * seen * landmarks
 
 
-def _counts(compared: Compared) -> tuple[int, int, int]:
+def _counts(compared: Compared) -> tuple[int, int, int, int]:
+    """Epochs, sightings, landmarks, and samples of odometry."""
     run = compared.ekf
-    return len(run.estimate.time_s), len(run.slot), len(run.estimate.landmark)
+    timeline = run.timeline
+    return (
+        len(timeline.epoch_time_s),
+        len(run.slot),
+        len(run.estimate.landmark),
+        len(timeline.step_epoch),
+    )
 
 
 def labels_gap(compared: Compared) -> TruthGap | None:
