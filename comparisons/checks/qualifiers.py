@@ -26,6 +26,8 @@ TRUTH_GAP, UNCHECKED, INCONSISTENT = "truth gap", "association unchecked", "inco
 _SHARE = 0.999
 """Of the sound runs that stay within the limit. The errors of one run depend on each other, hence
 the limit of one value, not of an average of independent ones."""
+_SURER = 0.05
+"""Of the epochs: so many in which the filter is surer than the smoother make it inconsistent."""
 _NONE_FOUND = 3
 """With so many landmarks, of which none is near a true one, the map is wrong as a whole."""
 
@@ -123,16 +125,27 @@ def sighting_scale(seen: Sightings, places: Array) -> float:
 
 
 def inconsistent(consistency: Consistency) -> bool:
-    """Whether NIS, filter against smoother or the filter's NEES are outside their bands."""
-    against = consistency.ekf
+    """Whether NIS, filter against smoother or the filter's NEES are outside their bands.
+
+    An association that leaves out large innovations makes the NIS too low, which does not count.
+    The bands of NIS are of 95 % for each component and for both; a filter surer than the smoother
+    counts from one epoch in twenty on, the NEES from the limit of the truth gap.
+    """
+    against, smoothed = consistency.ekf, consistency.smoothed
+    readings = {nis.reading for sensor in consistency.sensors for nis in sensor.nis}
+    outside = readings - {"plausible", "too low" if consistency.gated else "plausible"}
     far = []
     if against is not None and against.poses is not None:
         far.append(against.poses.pose)
     if against is not None and against.map is not None:
         far.append(against.map.landmarks)
-    return bool(consistency.remarks) or any(
-        errors.mean is not None and errors.mean / errors.dof > limit(errors.dof) ** 2
-        for errors in far
+    return (
+        bool(outside)
+        or (smoothed is not None and len(smoothed.surer) > _SURER * len(smoothed.time_s))
+        or any(
+            errors.mean is not None and errors.mean / errors.dof > limit(errors.dof) ** 2
+            for errors in far
+        )
     )
 
 

@@ -100,7 +100,7 @@ def test_a_check_stands_in_the_result() -> None:
 
 @pytest.mark.slow
 def test_a_quiet_log_is_verified_and_a_wrong_association_is_not(tmp_path: Path) -> None:
-    """The wrong one: noise of which the log states a third, on a blurred heading."""
+    """The wrong one: the noise is six times what the log states."""
     good = solve(simulated(0), SolveConfig(association="own"))
     assert good.verified
     result = build_solution_result(good)
