@@ -23,6 +23,8 @@ from comparisons.choices import FailOn
 from comparisons.logs.log import Sightings
 
 TRUTH_GAP, UNCHECKED, INCONSISTENT = "truth gap", "association unchecked", "inconsistent"
+WORSE = 2.0
+"""So many times the error with labels is a mistake of the association."""
 _SHARE = 0.999
 """Of the sound runs that stay within the limit. The errors of one run depend on each other, hence
 the limit of one value, not of an average of independent ones."""
@@ -41,13 +43,15 @@ def limit(dof: int) -> float:
 class Distance:
     """How far the smoother is from the truth in one kind of unknowns.
 
-    what: they are. sigma: root of the mean NEES over `dof`. error_m: root mean square.
+    what: they are. sigma: root of the mean NEES over `dof`. error_m: root mean square; labels_m:
+    the same of the smoother with the log's labels, where S has not used them.
     """
 
     what: str
     dof: int
     sigma: float
     error_m: float
+    labels_m: float | None = None
 
     @property
     def limit(self) -> float:
@@ -58,6 +62,16 @@ class Distance:
     def far(self) -> bool:
         """By its own covariance."""
         return self.sigma > self.limit
+
+    @property
+    def worse(self) -> bool:
+        """By what the same smoother reaches with the log's labels."""
+        return self.labels_m is not None and self.error_m > WORSE * self.labels_m
+
+    @property
+    def off(self) -> bool:
+        """By either."""
+        return self.far or self.worse
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,8 +91,13 @@ class TruthGap:
 
     @property
     def stands(self) -> bool:
-        """Far by its covariance, and by more than one sighting may err."""
-        return self.lost or any(d.far and d.error_m > self.sighting_m for d in self.distances)
+        """Off, and by more than one sighting may err."""
+        return self.lost or any(d.off and d.error_m > self.sighting_m for d in self.distances)
+
+    @property
+    def settled(self) -> bool:
+        """The log's labels could not make it stand, nor fall: it does, or all errors are small."""
+        return self.stands or all(d.error_m <= self.sighting_m for d in self.distances)
 
     @property
     def rough(self) -> bool:
@@ -192,8 +211,9 @@ def _cause(gap: TruthGap) -> Cause:
     parts = [
         f"its {d.what} are {d.error_m:.2g} m off (rms), {d.sigma:.1f} times what its covariance "
         "allows for"
+        + (f", with the log's labels {d.labels_m:.2g} m" if d.labels_m is not None else "")
         for d in gap.distances
-        if d.far
+        if d.off
     ]
     if gap.lost:
         parts.append("none of its landmarks stands near a true one")

@@ -199,11 +199,11 @@ def _truth_gap(
         sighting_scale(prepared.log.sightings, run.oriented.covariance[:, :2, :2]),
         len(smoothed.landmark),
     )
-    if gap is None and not prepared.labelled and prepared.log.sightings.labelled:
-        from comparisons.pipeline.second_association import labels_gap
+    if prepared.labelled or not prepared.log.sightings.labelled or (gap and gap.settled):
+        return gap
+    from comparisons.pipeline.second_association import labels_gap, with_labels
 
-        gap = labels_gap(compared)
-    return gap
+    return labels_gap(compared) if gap is None else with_labels(compared, gap)
 
 
 class Modified(Extension):

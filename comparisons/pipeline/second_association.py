@@ -6,9 +6,12 @@ where it costs less than the run. Both costs are estimated by counts, so that a 
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from comparisons.adapters.smoother_input import assemble, position_rows
+from comparisons.checks.accuracy import assess_trajectory, match_landmarks
 from comparisons.checks.association import score_association
 from comparisons.checks.association_variants import poses_apart
 from comparisons.checks.qualifiers import Distance, TruthGap, sighting_scale
@@ -16,6 +19,9 @@ from comparisons.errors import InputError
 from comparisons.extensions.contract import Finding
 from comparisons.logs.transforms.known_landmarks import slots_by_label
 from comparisons.pipeline.gaps import Compared
+from graphslam.graph_builder import build_graph, from_values
+from graphslam.initialisation import track
+from graphslam.optimisers import optimise
 from graphslam.recognition import Options
 from graphslam.smoother import smooth
 
@@ -70,6 +76,34 @@ def _counts(compared: Compared) -> tuple[int, int, int, int]:
         len(run.estimate.landmark),
         len(timeline.step_epoch),
     )
+
+
+def with_labels(compared: Compared, gap: TruthGap) -> TruthGap:
+    """Return a gap with the errors that the smoother has with the log's labels beside S's.
+
+    A robust kernel keeps misread labels from spoiling it; where it has no solution, the gap stays.
+    """
+    log, run = compared.prepared.log, compared.ekf
+    slot, ids = slots_by_label(log)
+    rows = position_rows(run.timeline, run.positions)
+    problem = assemble(log, run.timeline, slot[: len(run.slot)], len(ids), rows)
+    problem = replace(problem, oriented=run.oriented)
+    graph = build_graph(problem, "cauchy")
+    try:
+        poses, places = from_values(optimise(graph, track(problem, graph)[0])[0], problem)
+    except RuntimeError:  # gtsam's indeterminate linear system
+        return gap
+    judged, table = compared.prepared.judged, log.truth.landmarks
+    reached = assess_trajectory(run.timeline.epoch_time_s, poses, judged)
+    errors = {"poses": None if reached is None else reached.ate_m}
+    if table is not None:
+        true = (table.id, table.position_m)
+        ours, theirs = match_landmarks((ids, places), true, labelled=True)
+        apart = places[ours] - table.position_m[theirs]
+        if len(apart):
+            errors["landmarks"] = float(np.sqrt(np.mean(np.sum(apart**2, axis=1))))
+    distances = tuple(replace(d, labels_m=errors.get(d.what)) for d in gap.distances)
+    return replace(gap, distances=distances)
 
 
 def labels_gap(compared: Compared) -> TruthGap | None:

@@ -158,13 +158,15 @@ class TruthDistanceResult(Model):
     """The smoother's poses or landmarks against truth. See comparisons.checks.qualifiers.Distance.
 
     sigma: root of the mean NEES over its degrees of freedom, of which limit is the most that a
-    sound run reaches. error_m: root mean square.
+    sound run reaches. error_m: root mean square; labels_m: the same with the log's labels, where
+    the run has not used them and they could tell.
     """
 
     what: str
     sigma: float | None
     limit: float
     error_m: float
+    labels_m: float | None
 
 
 class TruthGapResult(Model):

@@ -128,7 +128,11 @@ def truth_gap_result(gap: TruthGap | None) -> TruthGapResult | None:
         stands=gap.stands,
         distances=[
             TruthDistanceResult(
-                what=d.what, sigma=finite(d.sigma), limit=d.limit, error_m=d.error_m
+                what=d.what,
+                sigma=finite(d.sigma),
+                limit=d.limit,
+                error_m=d.error_m,
+                labels_m=d.labels_m,
             )
             for d in gap.distances
         ],

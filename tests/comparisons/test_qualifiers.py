@@ -22,8 +22,10 @@ from comparisons.checks.qualifiers import (
 )
 from comparisons.checks.verdict import Verdict
 from comparisons.errors import InputError
+from comparisons.logs.bundled import open_log
 from comparisons.logs.log import NO_LANDMARK, Log, Truth
 from comparisons.logs.log_folder import write_log_folder
+from comparisons.logs.odometry import VelocityOdometry
 from comparisons.pipeline import second_association
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.result import build_result
@@ -48,6 +50,25 @@ def blind(log: Log) -> Log:
     return replace(log, sightings=replace(log.sightings, landmark=nobody), truth=Truth())
 
 
+def between(log: Log, begin_s: float, end_s: float) -> Log:
+    """A stretch of a log with velocity odometry, its prior from the true poses."""
+    odometry, seen, poses = log.odometry, log.sightings, log.truth.poses
+    assert isinstance(odometry, VelocityOdometry)
+    assert poses is not None
+    rows = (odometry.time_s >= begin_s) & (odometry.time_s <= end_s)
+    return replace(
+        log,
+        prior=replace(log.prior, time_s=begin_s, pose=poses.at(np.array([begin_s]))[0]),
+        odometry=replace(
+            odometry,
+            time_s=odometry.time_s[rows],
+            speed_mps=odometry.speed_mps[rows],
+            yaw_rate_radps=odometry.yaw_rate_radps[rows],
+        ),
+        sightings=seen.chosen((seen.time_s > begin_s) & (seen.time_s <= end_s)),
+    )
+
+
 def shifted_truth(log: Log, metres: float) -> Log:
     """The same log, whose truth is elsewhere: both estimators share the mistake."""
     poses, landmarks = log.truth.poses, log.truth.landmarks
@@ -70,6 +91,18 @@ def test_a_gap_is_far_by_sigma_and_in_metres() -> None:
     assert not fine.stands
     assert not fine.rough
     assert TruthGap(distances=(), sighting_m=0.1, lost=True).stands
+
+
+def test_twice_the_error_with_labels_is_a_gap_however_sure_the_smoother_is() -> None:
+    """An association shared by both makes sigmas that fit it: NEES alone would miss this."""
+    assert not gap(1.4, 0.4).stands
+    off = TruthGap(distances=(Distance("poses", 3, 1.4, 0.4, 0.13),), sighting_m=0.15)
+    assert off.stands
+    assert not TruthGap(distances=(Distance("poses", 3, 1.4, 0.4, 0.3),), sighting_m=0.15).stands
+    assert not replace(off, sighting_m=0.5).stands
+    assert off.settled
+    assert gap(1.4, 0.1).settled
+    assert not gap(1.4, 0.4).settled
 
 
 def test_no_truth_is_no_gap() -> None:
@@ -156,7 +189,7 @@ def test_the_cost_is_counted_and_not_measured(sound: Comparison) -> None:
     assert asked.verdict.qualifiers == again.verdict.qualifiers
 
 
-def test_labels_stand_for_the_truth(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_labels_stand_for_the_truth() -> None:
     """A log with labels and without truth: the smoother with them says how far off S is."""
     log = replace(first_seconds(simulated(0), 30.0), truth=Truth())
     found = compared(log, association="nn")
@@ -184,6 +217,21 @@ def test_a_log_of_templates_has_their_scale() -> None:
     none = seen.chosen(np.zeros(len(seen.time_s), dtype=bool))
     assert sighting_scale(none, np.tile(0.02 * np.eye(2), (3, 1, 1))) == pytest.approx(0.2)
     assert sighting_scale(none, np.zeros((0, 2, 2))) == 0.0
+
+
+@pytest.mark.slow
+def test_two_that_share_a_wrong_association_read_no_bare_agree(shared_data: Path) -> None:
+    """From 190 to 340 s MR.CLAM's robot 1 is seen 0.4 m off by both; with labels 0.13 m."""
+    whole = open_log(str(shared_data / "mrclam" / "MRCLAM_Dataset6"), robot=1)
+    log = between(whole, 190.0, 340.0)
+    for association in ("jcbb", "agreed"):
+        found = compared(log, association=association)
+        assert found.verdict.headline == "agree, truth gap", association
+        held = found.assessment.truth_gap
+        assert held is not None
+        assert all(d.worse and not d.far for d in held.distances)
+        assert "with the log's labels 0.13 m" in found.verdict.causes[0].evidence
+    assert compared(log, association="known").verdict.headline == "agree"
 
 
 @pytest.mark.slow
