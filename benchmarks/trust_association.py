@@ -17,8 +17,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from association_logs import piece, simulated_sensor
-from trust_row import Row, print_table
+from association_logs import piece, simulated_sensor  # type: ignore[import-not-found]
+from trust_row import Row, print_table  # type: ignore[import-not-found]
 
 from comparisons.checks import association_variants
 from comparisons.checks.qualifiers import TRUTH_GAP, UNCHECKED
@@ -60,7 +60,7 @@ def tried(log: Log, robust: str = "none") -> Trial | None:
     """
     if len(log.sightings.time_s) < _FEWEST_SIGHTINGS:
         return None
-    labelled = SolveConfig(association="known", smoother=SmootherConfig(robust=robust))  # type: ignore[arg-type]
+    labelled = SolveConfig(association="known", smoother=SmootherConfig(robust=robust))
     try:
         known, own = (solve(log, config) for config in (labelled, SolveConfig(association="own")))
     except (InputError, SingularProblemError):
