@@ -20,7 +20,7 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-from many_basins import CLASSES
+from many_basins import CLASSES  # type: ignore[import-not-found]
 from numpy.typing import NDArray
 from scipy.linalg import eigh, eigvalsh
 from scipy.sparse import coo_matrix, csc_matrix

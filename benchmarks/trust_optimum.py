@@ -21,8 +21,8 @@ from dataclasses import dataclass
 
 import gtsam
 import numpy as np
-from many_basins import CLASSES, World
-from trust_row import Row, print_table
+from many_basins import CLASSES, World  # type: ignore[import-not-found]
+from trust_row import Row, print_table  # type: ignore[import-not-found]
 
 from graphslam.ambiguity import landmark_modes
 from graphslam.graph_builder import build_graph, from_values, to_values

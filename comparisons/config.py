@@ -24,6 +24,7 @@ from comparisons.choices import (
     Association,
     Attributes,
     CloudFormat,
+    FailOn,
     Features,
     Filter,
     Gps,
@@ -213,12 +214,25 @@ class Configured(JobConfig):
         return self
 
 
+def _listed(value: Any) -> Any:
+    """Words with commas between them, as a command line gives several."""
+    if isinstance(value, str):
+        value = [part.strip() for part in value.split(",") if part.strip()]
+    known = get_args(FailOn)
+    if isinstance(value, list | tuple) and (unknown := [one for one in value if one not in known]):
+        raise ValueError(f"fail_on is {shown(unknown[0])}: expected some of {', '.join(known)}")
+    return value
+
+
 class RunConfig(Configured):
     """`slamcheck run`: both estimators on one log, compared."""
 
     job: Literal["run"] = "run"
     smoother: SmootherConfig = SmootherConfig()
     report: ReportConfig = ReportConfig()
+    fail_on: Annotated[tuple[FailOn, ...], BeforeValidator(_listed)] = Field(
+        (), description="what makes a run fail whatever its outcome"
+    )
 
     @model_validator(mode="after")
     def _traceable(self) -> Self:

@@ -178,8 +178,9 @@ RUN_EXTENSIONS = (
     ),
     Flag(
         option="--smoother-association", field="extensions.own_association", choices=choices.Peer,
-        settings={"ekf": ABSENT, "own": {}},
-        help="Own: solve for a second time, with the smoother's own association. [ekf]",
+        settings={"ekf": {"when": "never"}, "own": {"when": "always"}},
+        help="Own: solve for a second time, with the smoother's own association. [own where the "
+        "log has neither labels nor truth and this costs less than the run, else ekf]",
     ),
     Flag(
         option="--smoother-matcher", field="extensions.own_matching", choices=choices.Peer,
@@ -218,6 +219,11 @@ RUN_EXTENSIONS = (
             ("every", "every_s", float),
         )
     ),
+)
+FAIL_ON = Flag(
+    option="--fail-on", field="fail_on", metavar="WHAT,...",
+    help="Exit with 1 on these, too: truth (the smoother is far from it), consistency (NEES, NIS "
+    "or filter against smoother outside their bands), association (nobody has checked it).",
 )
 REPORT = (
     Flag(
@@ -275,7 +281,7 @@ MAP = (
     CLOUD,
 )
 # fmt: on
-RUN = (*EKF, ATTRIBUTES, *RUN_EXTENSIONS, *SMOOTHER, *REPORT, *LOG)
+RUN = (*EKF, ATTRIBUTES, *RUN_EXTENSIONS, *SMOOTHER, FAIL_ON, *REPORT, *LOG)
 
 
 def lay_over(config: dict[str, Any], flags: Sequence[tuple[Flag, Any]]) -> None:

@@ -89,7 +89,8 @@ def associate(problem: SlamProblem, options: Options | None = None) -> Associati
     )
     _see(draft, 0)
     while draft.known < problem.pose_count:
-        end = min(draft.known + options.piece, problem.pose_count)
+        length = options.piece if draft.solved else options.first_piece
+        end = min(draft.known + length, problem.pose_count)
         for k in range(draft.known, end):
             draft.belief.move(problem.increment[k - 1], problem.increment_covariance[k - 1])
             _see(draft, k)

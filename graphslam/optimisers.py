@@ -10,8 +10,7 @@ from graphslam.marginals import eliminate
 
 SETTLED = 1e-9
 """A step that promises less than this is the last: no unknown is 5e-5 sigma from its place."""
-_MOST_POLISHING = 40
-_LEAST_SHARE = 0.05
+_MOST_POLISHING = 20
 OPTIMISERS = ("levenberg-marquardt", "gauss-newton", "dogleg")
 
 
@@ -73,28 +72,41 @@ def polish(
 ) -> tuple[gtsam.Values, float, int]:
     """Gauss-Newton until a step promises next to nothing; the end, its error and the iterations.
 
-    By Cholesky, and from where that fails by QR, which loses half as many digits but takes twice
-    as long; from where that gains nothing by shorter steps, for residuals are large there.
+    Where it does not get there, for residuals are large, Levenberg-Marquardt goes on to its end.
     """
-    error, exact, share, iterations = graph.error(values), False, 1.0, 0
-    while share > _LEAST_SHARE and iterations < _MOST_POLISHING:
+    values, error, promised, spent = _gauss_newton(graph, values)
+    if promised < SETTLED:
+        return values, error, spent
+    values, more, _ = levenberg_marquardt(graph, values, 1e-14)
+    values, error, _, last = _gauss_newton(graph, values)
+    return values, error, spent + more + last
+
+
+def _gauss_newton(
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values
+) -> tuple[gtsam.Values, float, float, int]:
+    """The end, its error, what another step promises to take off it, and the iterations.
+
+    By Cholesky, and from where that fails by QR, which loses half as many digits but takes twice
+    as long.
+    """
+    error, exact, promised, iterations = graph.error(values), False, float("inf"), 0
+    while iterations < _MOST_POLISHING and promised >= SETTLED:
         iterations += 1
         linear = graph.linearize(values)
         try:
             step = eliminate(linear).optimize() if exact else linear.optimize()
             promised = linear.error(values.zeroVectors()) - linear.error(step)
-            nearer = values.retract(step.scale(share))
+            nearer = values.retract(step)
             lower = graph.error(nearer)
         except RuntimeError:
             if exact:
                 raise
-            promised = lower = float("inf")
+            lower = float("inf")
         if lower < error:
             values, error = nearer, lower
         elif exact:
-            share *= 0.5
-        else:
-            exact = True
-        if abs(promised) < SETTLED:
             break
-    return values, error, iterations
+        else:
+            exact, promised = True, max(promised, SETTLED)
+    return values, error, promised, iterations

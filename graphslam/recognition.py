@@ -34,6 +34,7 @@ class Options:
     sightings: int = 5
     spread_m: float = 0.5
     piece: int = 60
+    first_piece: int = 60
     most_hypotheses: int = 60
 
 

@@ -29,7 +29,9 @@ from graphslam.problem import SlamProblem
 from graphslam.relaxation import relax
 
 BUDGET = 400
-"""Iterations over the whole graph that exploring may take."""
+"""Iterations over the whole graph that exploring may take, beside those in BUDGET_SHARE."""
+BUDGET_SHARE = 4
+"""It may take so many times the iterations of the starts more."""
 MISSED = 0.05
 """Random starts go on until a basin as wide as the best one's is missed with this chance."""
 MOST_DRAWS = 40
@@ -66,7 +68,7 @@ class MinimumSearch:
         """optimiser: of optimisers.OPTIMISERS, for starts; hops take Levenberg-Marquardt."""
         self._problem, self._graph, self._optimiser = problem, graph, optimiser
         self._progress = progress
-        self._spent, self._hops, self._cut = 0, 0, False
+        self._spent, self._budget, self._hops, self._cut = 0, BUDGET, 0, False
         self._beside: list[Attempt] = []  # where hops ended that did not lead below
         self._settled: list[Attempt] = []  # no alternative of these leads below
         self.attempts: list[Attempt] = []
@@ -118,7 +120,7 @@ class MinimumSearch:
         Stops without completing when the budget is spent.
         """
         agreed, lowest = self.agreed, self.best
-        self._spent = 0
+        self._budget = BUDGET + BUDGET_SHARE * sum(one.iterations for one in self.attempts)
         lower = self._descend(lowest)
         draws, missed = 0, 0.0
         if not agreed or lower is not lowest:
@@ -131,7 +133,7 @@ class MinimumSearch:
 
     def _afford(self) -> bool:
         """Whether there is budget left; what is left out for want of it makes a search partial."""
-        self._cut = self._cut or self._spent >= BUDGET
+        self._cut = self._cut or self._spent >= self._budget
         return not self._cut
 
     def _draw(self) -> tuple[int, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,8 +12,9 @@ from comparisons.adapters.timeline import Timeline
 from comparisons.arrays import Array, Index
 from comparisons.logs.log import Log
 from comparisons.logs.transforms.known_landmarks import surveyed
-from graphslam.association import associate
+from graphslam.association import AssociationResult, associate
 from graphslam.problem import SlamProblem
+from graphslam.smoother import SmootherResult
 
 
 @dataclass(frozen=True)
@@ -28,26 +30,92 @@ class OwnAssociation:
     landmarks: Array
 
 
-def associate_own(
-    log: Log, timeline: Timeline, rows: PositionRows, left_out: Index | None = None
-) -> OwnAssociation:
-    """Decide who was seen, by position alone; sightings of surveyed landmarks go by their ids.
+@dataclass(frozen=True)
+class Alternative:
+    """Another association of the same sightings, and the optimum with it.
 
-    left_out: sightings that are not to be used.
+    name: of the way it was found. slot: (M,). poses: (K, 3). chi2: at that optimum, infinite where
+    there is none.
     """
-    slot_of, places, _ = surveyed(log)
-    label = log.sightings.landmark[: len(timeline.sighting_epoch)]
-    slot = np.array([slot_of.get(key, -1) for key in label.tolist()], dtype=np.intp)
-    free = slot < 0
-    if left_out is not None:
-        slot[left_out], free[left_out] = -1, False
-    open_rows = np.flatnonzero(free)
-    nobody = np.full(len(label), -1, dtype=np.intp)
-    nobody[open_rows] = 0
-    everything = assemble(log, timeline, nobody, 1, rows)
-    nothing = np.zeros((0, 2)), np.zeros((0, 2, 2))
-    found = associate(replace(everything, surveyed=nothing[0], surveyed_covariance=nothing[1]))
-    slot[open_rows] = np.where(found.slot >= 0, found.slot + len(slot_of), -1)
-    count = len(slot_of) + found.landmark_count
-    problem = assemble(log, timeline, slot, count, rows)
-    return OwnAssociation(slot, problem, found.poses, np.vstack((places, found.landmarks)))
+
+    name: str
+    slot: Index
+    poses: Array
+    chi2: float
+
+
+class OwnAssociator:
+    """Associates the sightings of one log, by position alone, in one way or in several."""
+
+    def __init__(
+        self, log: Log, timeline: Timeline, rows: PositionRows, left_out: Index | None = None
+    ) -> None:
+        """Sightings of surveyed landmarks go by their ids. left_out: those not to be used.
+
+        time_s: (M,) of the sightings.
+        """
+        self._log, self._timeline, self._rows = log, timeline, rows
+        self.time_s: Array = timeline.epoch_time_s[timeline.sighting_epoch]
+        slot_of, self._places, _ = surveyed(log)
+        label = log.sightings.landmark[: len(timeline.sighting_epoch)]
+        self._fixed = np.array([slot_of.get(key, -1) for key in label.tolist()], dtype=np.intp)
+        free = self._fixed < 0
+        if left_out is not None:
+            self._fixed[left_out], free[left_out] = -1, False
+        self._open = np.flatnonzero(free)
+        nobody = np.full(len(label), -1, dtype=np.intp)
+        nobody[self._open] = 0
+        nothing = np.zeros((0, 2)), np.zeros((0, 2, 2))
+        self._problem = replace(
+            assemble(log, timeline, nobody, 1, rows),
+            surveyed=nothing[0],
+            surveyed_covariance=nothing[1],
+        )
+
+    def associate(self) -> OwnAssociation:
+        """Decide for every sighting."""
+        return self._completed(associate(self._problem))
+
+    def alternatives(self, own: OwnAssociation, result: SmootherResult) -> Iterator[Alternative]:
+        """Decide in other ways, and optimise with each.
+
+        result: the smoother's with the association `own`. What a robust method left out there as
+        wild is left out here, too.
+        """
+        from graphslam.association_variants import associate_by, variants
+
+        wild = np.flatnonzero(own.slot >= 0)[result.rejected.sightings]
+        for variant in variants():
+            found = associate_by(self._problem, variant, result.poses[-1])
+            yield self._optimised(variant.name, self._completed(found), wild, result)
+
+    def _completed(self, found: AssociationResult) -> OwnAssociation:
+        """The same of all sightings, the surveyed landmarks coming first."""
+        slot, known = self._fixed.copy(), len(self._places)
+        slot[self._open] = np.where(found.slot >= 0, found.slot + known, -1)
+        problem = assemble(
+            self._log, self._timeline, slot, known + found.landmark_count, self._rows
+        )
+        places = np.vstack((self._places, found.landmarks))
+        return OwnAssociation(slot, problem, found.poses, places)
+
+    def _optimised(
+        self, name: str, own: OwnAssociation, wild: Index, result: SmootherResult
+    ) -> Alternative:
+        """The optimum with an association. wild: rows of sightings that are left out."""
+        from graphslam.graph_builder import build_graph, from_values, to_values
+        from graphslam.optimisers import levenberg_marquardt
+
+        problem, slot = own.problem, own.slot
+        kept = ~np.isin(np.flatnonzero(slot >= 0), wild)
+        fixes = np.ones(len(problem.position_pose), dtype=bool)
+        fixes[result.rejected.positions] = False
+        problem = problem.keep(kept, fixes)
+        seen = np.union1d(problem.sighting_landmark, np.arange(len(self._places)))
+        graph = build_graph(problem, result.options.kernel)
+        start = to_values(own.poses, own.landmarks, seen, problem.oriented)
+        try:
+            end, *_ = levenberg_marquardt(graph, start, 1e-6)
+        except RuntimeError:  # gtsam's indeterminate linear system
+            return Alternative(name, slot, own.poses, float("inf"))
+        return Alternative(name, slot, from_values(end, problem)[0], 2.0 * float(graph.error(end)))

@@ -11,6 +11,7 @@ from scipy.cluster.hierarchy import fcluster, linkage
 from comparisons.logs.log import Log
 
 Ids = NDArray[np.int64]
+Slots = NDArray[np.intp]
 
 CLUSTER_M = 0.35
 """True landmarks nearer than this to each other are told apart by no sensor of ours."""
@@ -147,3 +148,16 @@ def _divided(table: Ids) -> int:
     """Rows whose counts fall on several columns."""
     total = table.sum(axis=1, keepdims=True)
     return int(np.count_nonzero((table > SHARE * np.maximum(total, 1)).sum(axis=1) > 1))
+
+
+def differing_sightings(first: Slots, second: Slots, matched: Slots) -> Slots:
+    """Which of the sightings (M,) two associations give to landmarks that are no counterparts.
+
+    matched: (L,) the first's counterpart of each of the second's landmarks, -1 for none. A
+    sighting that neither uses does not differ.
+    """
+    used = second >= 0
+    meant = np.full(len(second), -1, dtype=np.intp)
+    meant[used] = matched[second[used]]
+    same = (first >= 0) & used & (first == meant)
+    return np.flatnonzero(~same & ((first >= 0) | used))

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from comparisons.checks.diagnosis.model_differences import ModelDifference
 
 
-GAPS = ("algebra", "model", "linearisation", "association", "matching")
+GAPS = ("algebra", "model", "linearisation", "association", "matching", "truth")
 """Causes that are gaps between the estimates; other causes explain one, or stand beside."""
 _NAMED = 3
 """So many differences of the models are named."""

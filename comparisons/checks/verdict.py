@@ -12,6 +12,7 @@ from comparisons.checks.agreement import ROUNDING, Agreement, Gap, block_agrees
 from comparisons.checks.causes import Cause
 from comparisons.checks.consistency.innovations import SensorInnovations
 from comparisons.checks.diagnosis.bookkeeping import Misuse
+from comparisons.choices import FailOn
 from graphslam.optimum import Optimality
 from graphslam.smoother import SmootherResult
 
@@ -29,11 +30,22 @@ Outcome = Literal["agree", "disagree", "unverified"]
 
 @dataclass(frozen=True)
 class Verdict:
-    """The outcome, its causes (worst kind first), and remarks that change nothing."""
+    """The outcome, its causes (worst kind first), and remarks that change nothing.
+
+    qualifiers: what a reader of the outcome must know as well. failed_on: those of `--fail-on`
+    that the run fails on, whatever the outcome. See checks.qualifiers.
+    """
 
     outcome: Outcome
     causes: tuple[Cause, ...]
     remarks: tuple[str, ...]
+    qualifiers: tuple[str, ...] = ()
+    failed_on: tuple[FailOn, ...] = ()
+
+    @property
+    def headline(self) -> str:
+        """The outcome with its qualifiers."""
+        return ", ".join((self.outcome, *self.qualifiers))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,7 +9,7 @@ import typer
 
 from comparisons.cli.flags import Given, from_flags
 from comparisons.cli.jobs import start_job
-from comparisons.cli.support import VERDICTS, guarded, print_result, progress_bar
+from comparisons.cli.support import DISAGREE, VERDICTS, guarded, print_result, progress_bar
 from comparisons.options import RUN
 
 if TYPE_CHECKING:
@@ -35,6 +35,7 @@ def run(given: Given) -> None:
       slamcheck run slamcheck-simulated-loop/config.toml --out again
       slamcheck run path/to/MRCLAM_Dataset6 --robot 2
       slamcheck run my-log-folder --association nn --out report
+      slamcheck run simulated-loop --association jcbb --fail-on truth,consistency
       slamcheck run path/to/acfr_car_park --motion both
       slamcheck run scan-loop --dense points --dense occupancy
       slamcheck run scan-loop --dense sog --set dense_maps.d_min_m=0.1
@@ -70,7 +71,7 @@ def run(given: Given) -> None:
             from comparisons.report.viewer import show_run
 
             show_run(comparison)
-        raise SystemExit(VERDICTS[result.verdict])
+        raise SystemExit(DISAGREE if result.failed_on else VERDICTS[result.verdict])
 
 
 def _record(comparison: Comparison, record: Path | None) -> None:

@@ -59,7 +59,7 @@ def check(
         labelled=solution.prepared.labelled,
         peer=(lambda: _peer(given, solution)) if given.information == "filtered" else None,
     )
-    verified = solution.result.optimality.verified
+    verified = solution.verified
     traced, causes = None, found.causes
     if given.trace is not None:
         progress("trace", 0, 0)
@@ -78,8 +78,14 @@ def check(
         trace=traced,
         outcome=outcome,
         causes=causes,
-        remarks=tuple(_remarks(given, found)),
+        remarks=(*_remarks(given, found), *_on_association(solution)),
     )
+
+
+def _on_association(solution: Solution) -> list[str]:
+    """What speaks against the smoother's own association."""
+    checked = solution.association_check
+    return [] if checked is None else checked.remarks
 
 
 def _with_trace(found: tuple[Cause, ...], traced: tuple[Cause, ...]) -> tuple[Cause, ...]:

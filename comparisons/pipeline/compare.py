@@ -14,6 +14,7 @@ from comparisons.checks.agreement import ROUNDING, Agreement
 from comparisons.checks.association import AssociationScore, score_association
 from comparisons.checks.consistency.consistency import Consistency, check_consistency
 from comparisons.checks.diagnosis.bookkeeping import misuses
+from comparisons.checks.qualifiers import TruthGap, qualified, sighting_scale, truth_gap
 from comparisons.checks.verdict import Diagnosis, Verdict, judge
 from comparisons.config import RunConfig
 from comparisons.errors import InputError
@@ -49,12 +50,14 @@ class Assessment:
     """Each estimate against truth or held-back positions; None where the log has no reference.
 
     association: how it compares with the log's labels, where it was made without them.
+    truth_gap: the smoother against truth, or else against labels that it has not used.
     """
 
     ekf: Accuracy | None
     smoother: Accuracy | None
     dead_reckoned: Accuracy | None
     association: AssociationScore | None
+    truth_gap: TruthGap | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,6 +135,7 @@ def compare_prepared(prepared: Prepared[RunConfig]) -> Comparison:
     findings = {
         one.name: found for one in prepared.extensions if (found := one.check(compared)) is not None
     }
+    unchecked = _second_association(compared, findings)
     with clock.stage("checks"):
         progress("checks", 0, 0)
         labelled, smoothed = prepared.labelled, gaps.smoothed
@@ -149,16 +153,57 @@ def compare_prepared(prepared: Prepared[RunConfig]) -> Comparison:
         )
         remarks = [remark for found in findings.values() for remark in found.remarks]
         reckoned = dead_reckoned(gaps.problem.prior_pose, gaps.problem.increment)
+        assessment = _assess(prepared, run, smoothed, reckoned)
+        gap = _truth_gap(compared, assessment, consistency)
         return Comparison(
             prepared=prepared,
             ekf=run,
             gaps=gaps,
             dead_reckoned=reckoned,
             consistency=consistency,
-            assessment=_assess(prepared, run, smoothed, reckoned),
+            assessment=replace(assessment, truth_gap=gap),
             findings=findings,
-            verdict=replace(verdict, remarks=(*verdict.remarks, *consistency.remarks, *remarks)),
+            verdict=qualified(
+                replace(verdict, remarks=(*verdict.remarks, *consistency.remarks, *remarks)),
+                gap,
+                unchecked=unchecked,
+                consistency=consistency,
+                fail_on=prepared.config.fail_on,
+            ),
         )
+
+
+def _second_association(compared: Compared, findings: dict[str, Finding]) -> str:
+    """Ask the smoother's own where nothing else tells; return why nobody did, if so."""
+    log, name = compared.prepared.log, "own_association"
+    told = log.sightings.labelled or log.truth.poses is not None or log.truth.landmarks is not None
+    if compared.prepared.labelled or told or not len(log.sightings.time_s) or name in findings:
+        return ""
+    from comparisons.pipeline.second_association import own_association
+
+    found, unchecked = own_association(compared)
+    if found is not None:
+        findings[name] = found
+    return unchecked
+
+
+def _truth_gap(
+    compared: Compared, assessment: Assessment, consistency: Consistency
+) -> TruthGap | None:
+    """S against truth, or else against the log's labels, where S has not used them."""
+    prepared, run, smoothed = compared.prepared, compared.ekf, compared.gaps.smoothed
+    gap = truth_gap(
+        assessment.smoother,
+        consistency.smoother,
+        assessment.association,
+        sighting_scale(prepared.log.sightings, run.oriented.covariance[:, :2, :2]),
+        len(smoothed.landmark),
+    )
+    if prepared.labelled or not prepared.log.sightings.labelled or (gap and gap.settled):
+        return gap
+    from comparisons.pipeline.second_association import labels_gap, with_labels
+
+    return labels_gap(compared) if gap is None else with_labels(compared, gap)
 
 
 class Modified(Extension):

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from comparisons.adapters.smoother_association import associate_own
+from comparisons.adapters.smoother_association import OwnAssociation, OwnAssociator
 from comparisons.adapters.smoother_input import assemble, position_rows, smoothed_estimate
 from comparisons.arrays import Array, Index
 from comparisons.checks.accuracy import Accuracy, assess, assess_trajectory
 from comparisons.checks.association import AssociationScore, score_association
+from comparisons.checks.association_variants import AssociationCheck, check_association
 from comparisons.config import EkfConfig, SolveConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
@@ -26,7 +27,8 @@ class Solution:
     """What the smoother found.
 
     slot: (M,) landmark of each of the log's sightings, negative where unused. association: how it
-    compares with the log's labels, when it was made without them.
+    compares with the log's labels, when it was made without them; association_check: and with
+    others that are made without them.
     """
 
     prepared: Prepared[SolveConfig]
@@ -37,6 +39,13 @@ class Solution:
     accuracy: Accuracy | None
     accuracy_dead_reckoned: Accuracy | None
     association: AssociationScore | None
+    association_check: AssociationCheck | None
+
+    @property
+    def verified(self) -> bool:
+        """The optimum is, and so is the association, where it is the smoother's own."""
+        checked = self.association_check
+        return self.result.optimality.verified and (checked is None or checked.verified)
 
     @property
     def log(self) -> Log:
@@ -63,7 +72,7 @@ def solve(
     required = Required(odometry="use slamcheck odometry for its scans")
     prepared = prepare(log, config, ekf, progress, required)
     log, clock, timeline = prepared.log, prepared.clock, prepared.timeline
-    guesses = {}
+    guesses, own, associator = {}, None, None
     with clock.stage("association"):
         rows = position_rows(timeline, prepared.positions)
         if known:
@@ -71,7 +80,8 @@ def solve(
             problem = assemble(log, timeline, slot, len(ids), rows)
         else:
             progress("association", 0, 0)
-            own = associate_own(log, timeline, rows)
+            associator = OwnAssociator(log, timeline, rows)
+            own = associator.associate()
             slot, problem = own.slot, own.problem
             ids = np.arange(problem.landmark_count)
             guesses["association"] = (own.poses, own.landmarks)
@@ -84,6 +94,11 @@ def solve(
         progress("marginals", 0, 0)
         name = "known" if known else "own"
         estimate = smoothed_estimate(result, timeline.epoch_time_s, ids, name)
+    checked = None
+    if own is not None and associator is not None:
+        with clock.stage("association check"):
+            progress("association check", 0, 0)
+            checked = _check(associator, own, result, estimate)
     reckoned = dead_reckoned(problem.prior_pose, problem.increment)
     return Solution(
         prepared=prepared,
@@ -94,4 +109,17 @@ def solve(
         accuracy=assess(estimate, prepared.judged, labelled=known),
         accuracy_dead_reckoned=assess_trajectory(timeline.epoch_time_s, reckoned, prepared.judged),
         association=None if known else score_association(slot, result.landmarks, log),
+        association_check=checked,
+    )
+
+
+def _check(
+    associator: OwnAssociator, own: OwnAssociation, result: SmootherResult, estimate: Estimate
+) -> AssociationCheck:
+    """Compare the association with others of the same sightings."""
+    problem = result.problem
+    dof = problem.residual_dimension - problem.state_dimension
+    optimum = (result.poses, estimate.pose_covariance, 2.0 * result.error, dof)
+    return check_association(
+        own.slot, associator.time_s, optimum, associator.alternatives(own, result)
     )

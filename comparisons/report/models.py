@@ -177,6 +177,74 @@ class AssociationResult(Model):
     clusters: PartitionResult | None
 
 
+class TruthDistanceResult(Model):
+    """The smoother's poses or landmarks against truth. See comparisons.checks.qualifiers.Distance.
+
+    sigma: root of the mean NEES over its degrees of freedom, of which limit is the most that a
+    sound run reaches. error_m: root mean square; labels_m: the same with the log's labels, where
+    the run has not used them and they could tell.
+    """
+
+    what: str
+    sigma: float | None
+    limit: float
+    error_m: float
+    labels_m: float | None
+
+
+class TruthGapResult(Model):
+    """The smoother against truth, or against labels. See comparisons.checks.qualifiers.TruthGap.
+
+    stands: it is far by its covariance, and by more than sighting_m, what one sighting errs by.
+    lost: no landmark is near a true one. reference: where it should be, in words.
+    """
+
+    stands: bool
+    distances: list[TruthDistanceResult]
+    sighting_m: float
+    lost: bool
+    reference: str
+
+
+class AssociationVariantResult(Model):
+    """An association made in another way. See comparisons.checks.association_variants.
+
+    agreement: share of the pairs of sightings put together by either that both put together.
+    apart: root mean square distance of the poses at the two optima. excess: how much worse it
+    explains the sightings, as squared misfit. disputed: sightings not given to counterparts.
+    """
+
+    name: str
+    agreement: float
+    pairs_both: int
+    pairs_association: int
+    pairs_variant: int
+    apart_sigma: float | None
+    apart_m: float
+    excess: float | None
+    disputed: int
+    elsewhere: bool
+    against: bool
+
+
+class DisputeResult(Model):
+    """Sightings of one landmark, -1 for none, that a variant gives to others."""
+
+    variant: str
+    landmark: int
+    sightings: int
+    begin_s: float
+    end_s: float
+
+
+class AssociationCheckResult(Model):
+    """Whether an association hangs on how it was made. disputes: the largest first."""
+
+    verified: bool
+    variants: list[AssociationVariantResult]
+    disputes: list[DisputeResult]
+
+
 class MapPairResult(Model):
     """Two maps of the same landmarks. See comparisons.extensions.scan_motion.three_way.Pair."""
 
@@ -309,16 +377,27 @@ class Result(Model):
     consistency: ConsistencyResult
     accuracy: Accuracies | None
     association: AssociationResult | None
+    truth_gap: TruthGapResult | None = None
     verdict: Literal["agree", "disagree", "unverified"]
+    qualifiers: list[str] = Field(default_factory=list)
+    failed_on: list[str] = Field(default_factory=list)
     causes: list[CauseResult]
     remarks: list[str]
     seconds: dict[str, float]
     versions: dict[str, str]
     files: tuple[str, ...] = ()
 
+    @property
+    def headline(self) -> str:
+        """The verdict with its qualifiers."""
+        return ", ".join((self.verdict, *self.qualifiers))
+
 
 class SolutionResult(Model):
-    """`solution.json`: the smoother alone. sightings_used: of the log's."""
+    """`solution.json`: the smoother alone. sightings_used: of the log's.
+
+    association_check: of the smoother's own, which must hold for `verified`, too.
+    """
 
     config: dict[str, Any]
     log: LogResult
@@ -330,6 +409,7 @@ class SolutionResult(Model):
     accuracy: AccuracyResult | None
     dead_reckoning: AccuracyResult | None
     association: AssociationResult | None
+    association_check: AssociationCheckResult | None = None
     verdict: Literal["verified", "unverified"]
     remarks: list[str]
     seconds: dict[str, float]

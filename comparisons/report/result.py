@@ -37,6 +37,7 @@ from comparisons.report.sections import (
     log_result,
     package_versions,
     smoother_result,
+    truth_gap_result,
 )
 
 
@@ -54,7 +55,10 @@ def build_result(comparison: Comparison, read_s: float = 0.0) -> Result:
         consistency=consistency_result(c.consistency),
         accuracy=_accuracies(c),
         association=association_result(c.assessment.association),
+        truth_gap=truth_gap_result(c.assessment.truth_gap),
         verdict=c.verdict.outcome,
+        qualifiers=list(c.verdict.qualifiers),
+        failed_on=list(c.verdict.failed_on),
         causes=[CauseResult(**vars(cause)) for cause in c.verdict.causes],
         remarks=list(c.verdict.remarks),
         seconds={"read": read_s, **c.seconds},
@@ -118,7 +122,14 @@ def gap_rows(gaps: AgreementResult) -> list[Row]:
 def print_run(comparison: Comparison, result: Result, console: Console) -> None:
     """Print the table, the verdict and its causes."""
     print_rows([*run_rows(comparison, result), *seconds_rows(result.seconds)], console)
-    print_verdict(result.verdict, console, result.causes, result.remarks)
+    print_verdict(
+        result.verdict,
+        console,
+        result.causes,
+        result.remarks,
+        qualifiers=result.qualifiers,
+        failed_on=result.failed_on,
+    )
 
 
 def _agreement(c: Comparison) -> AgreementResult:

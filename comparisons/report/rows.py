@@ -12,6 +12,7 @@ from comparisons.checks.causes import GAPS
 from comparisons.extensions.contract import Row
 from comparisons.report.models import (
     AccuracyResult,
+    AssociationCheckResult,
     AssociationResult,
     CauseResult,
     EkfResult,
@@ -38,10 +39,19 @@ def print_rows(rows: Iterable[Row], console: Console) -> None:
 
 
 def print_verdict(
-    verdict: str, console: Console, causes: Sequence[CauseResult] = (), remarks: Sequence[str] = ()
+    verdict: str,
+    console: Console,
+    causes: Sequence[CauseResult] = (),
+    remarks: Sequence[str] = (),
+    *,
+    qualifiers: Sequence[str] = (),
+    failed_on: Sequence[str] = (),
 ) -> None:
-    """Print the outcome, why, and what else there is to know."""
-    console.print(f"verdict: [{_STYLE[verdict]}]{verdict}[/]", highlight=False)
+    """Print the outcome with its qualifiers, why, and what else there is to know."""
+    style = "bold yellow" if qualifiers and verdict == "agree" else _STYLE[verdict]
+    headline = ", ".join((verdict, *qualifiers))
+    failed = f" (fails on {', '.join(failed_on)})" if failed_on else ""
+    console.print(f"verdict: [{style}]{headline}[/]{failed}", highlight=False)
     for cause in causes:
         name = f"{cause.gap} gap" if cause.gap in GAPS else cause.gap
         console.print(f"  {name}: {escape(cause.evidence)}", highlight=False)
@@ -149,6 +159,18 @@ def association_rows(association: AssociationResult | None) -> list[Row]:
         parts.append(("clusters", association.clusters))
     scores = (f"{n}: precision {p.precision:.3f}, recall {p.recall:.3f}" for n, p in parts)
     return [Row("association", "; ".join(scores) + " (pairs of sightings)")]
+
+
+def association_check_rows(check: AssociationCheckResult | None) -> list[Row]:
+    """How an association compares with others of the same sightings."""
+    if check is None:
+        return []
+    parts = (
+        f"{v.name} {100.0 * v.agreement:.1f} % of pairs, {shown(v.apart_sigma, '.2g')} sigma"
+        + (" AGAINST" if v.against else "")
+        for v in check.variants
+    )
+    return [Row("association check", "; ".join(parts))]
 
 
 def accuracy_rows(name: str, accuracy: AccuracyResult | None) -> list[Row]:

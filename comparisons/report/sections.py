@@ -21,7 +21,10 @@ from comparisons.logs.log import Log
 from comparisons.report.model import finite
 from comparisons.report.models import (
     AccuracyResult,
+    AssociationCheckResult,
     AssociationResult,
+    AssociationVariantResult,
+    DisputeResult,
     EkfResult,
     LogResult,
     MapPairResult,
@@ -29,11 +32,15 @@ from comparisons.report.models import (
     PartitionResult,
     SmootherResult,
     StartResult,
+    TruthDistanceResult,
+    TruthGapResult,
 )
 from graphslam import smoother
 
 if TYPE_CHECKING:
+    from comparisons.checks.association_variants import AssociationCheck
     from comparisons.checks.map_agreement import Pair
+    from comparisons.checks.qualifiers import TruthGap
 
 
 _PACKAGES = ("slamcheck", "gtsam", "numpy", "scipy", "kiss-icp", "open3d-cpu", "open3d")
@@ -129,6 +136,64 @@ def association_result(score: AssociationScore | None) -> AssociationResult | No
         return None
     clusters = None if score.clusters is None else PartitionResult(**vars(score.clusters))
     return AssociationResult(landmarks=PartitionResult(**vars(score.landmarks)), clusters=clusters)
+
+
+def truth_gap_result(gap: TruthGap | None) -> TruthGapResult | None:
+    """S against truth."""
+    if gap is None:
+        return None
+    return TruthGapResult(
+        stands=gap.stands,
+        distances=[
+            TruthDistanceResult(
+                what=d.what,
+                sigma=finite(d.sigma),
+                limit=d.limit,
+                error_m=d.error_m,
+                labels_m=d.labels_m,
+            )
+            for d in gap.distances
+        ],
+        sighting_m=gap.sighting_m,
+        lost=gap.lost,
+        reference=gap.reference,
+    )
+
+
+def association_check_result(check: AssociationCheck | None) -> AssociationCheckResult | None:
+    """An association and the others it is compared with."""
+    if check is None:
+        return None
+    against = check.against
+    return AssociationCheckResult(
+        verified=check.verified,
+        variants=[
+            AssociationVariantResult(
+                name=one.name,
+                agreement=one.partition.agreement,
+                pairs_both=one.partition.pairs_both,
+                pairs_association=one.partition.pairs_first,
+                pairs_variant=one.partition.pairs_second,
+                apart_sigma=finite(one.apart_sigma),
+                apart_m=one.apart_m,
+                excess=finite(one.excess),
+                disputed=len(one.disputed),
+                elsewhere=one.elsewhere,
+                against=one in against,
+            )
+            for one in check.variants
+        ],
+        disputes=[
+            DisputeResult(
+                variant=d.variant,
+                landmark=d.landmark,
+                sightings=d.count,
+                begin_s=d.begin_s,
+                end_s=d.end_s,
+            )
+            for d in check.disputes
+        ],
+    )
 
 
 def block_fields(b: BlockAgreement) -> dict[str, float | bool | None]:

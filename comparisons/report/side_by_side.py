@@ -40,7 +40,7 @@ def side_by_side(results: Sequence[Result]) -> list[tuple[str, list[str]]]:
         ("association", [r.ekf.association for r in results]),
         ("attributes", [r.ekf.attributes for r in results]),
         ("gps", [r.ekf.gps for r in results]),
-        ("verdict", [str(r.verdict) for r in results]),
+        ("verdict", [r.headline for r in results]),
         ("first cause", [r.causes[0].gap if r.causes else "" for r in results]),
     ]
     every = [metrics(r) for r in results]

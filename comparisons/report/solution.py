@@ -13,6 +13,7 @@ from comparisons.report.folder import JobFolder
 from comparisons.report.models import SolutionResult
 from comparisons.report.rows import (
     accuracy_rows,
+    association_check_rows,
     association_rows,
     log_rows,
     print_rows,
@@ -22,6 +23,7 @@ from comparisons.report.rows import (
 )
 from comparisons.report.sections import (
     accuracy_result,
+    association_check_result,
     association_result,
     log_result,
     package_versions,
@@ -39,6 +41,8 @@ def build_solution_result(solution: Solution, read_s: float = 0.0) -> SolutionRe
     remarks = misfit_remarks(optimality)
     if optimality.lacks and not remarks:
         remarks.append(optimality.lacks)
+    if s.association_check is not None:
+        remarks += s.association_check.remarks
     return SolutionResult(
         config=s.prepared.config.model_dump(mode="json"),
         log=log_result(s.log),
@@ -50,7 +54,8 @@ def build_solution_result(solution: Solution, read_s: float = 0.0) -> SolutionRe
         accuracy=accuracy_result(s.accuracy),
         dead_reckoning=accuracy_result(s.accuracy_dead_reckoned),
         association=association_result(s.association),
-        verdict="verified" if optimality.verified else "unverified",
+        association_check=association_check_result(s.association_check),
+        verdict="verified" if s.verified else "unverified",
         remarks=remarks,
         seconds={"read": read_s, **s.prepared.clock.seconds},
         versions=package_versions(),
@@ -71,6 +76,7 @@ def print_solution(result: SolutionResult, console: Console) -> None:
         *accuracy_rows("accuracy", result.accuracy),
         *accuracy_rows("dead reckoning", result.dead_reckoning),
         *association_rows(result.association),
+        *association_check_rows(result.association_check),
         *seconds_rows(result.seconds),
     ]
     print_rows(rows, console)

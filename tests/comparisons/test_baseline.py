@@ -183,7 +183,7 @@ def test_a_gate_of_a_run_with_extensions(tmp_path: Path) -> None:
     saved = slamcheck("baseline", "save", *log, "b.json", *options, "--runs", "1", cwd=tmp_path)
     assert saved.returncode == 0, saved.stderr
     config = json.loads((tmp_path / "b.json").read_text())["config"]
-    assert config["extensions"] == {"own_association": {}}
+    assert config["extensions"] == {"own_association": {"when": "always"}}
     same = slamcheck("baseline", "compare", "simulated-loop", "b.json", cwd=tmp_path)
     assert same.returncode == 0, same.stdout + same.stderr
 

@@ -111,7 +111,7 @@ def test_a_configuration_survives_its_file(config: JobConfig, tmp_path: Path) ->
 def test_defaults_are_written_out() -> None:
     written = tomllib.loads(run_config().toml())
     assert written["smoother"]["lag"] == 100
-    assert set(written) == {"job", "log", "ekf", "smoother", "report", "extensions"}
+    assert set(written) == {"job", "fail_on", "log", "ekf", "smoother", "report", "extensions"}
 
 
 def test_flags_lie_over_a_file_and_settings_over_flags(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.ekf_run import run_ekf
-from comparisons.adapters.smoother_association import associate_own
+from comparisons.adapters.smoother_association import OwnAssociator
 from comparisons.adapters.smoother_input import position_rows
 from comparisons.adapters.timeline import build_timeline
 from comparisons.checks.association import compare_partitions, score_association
@@ -26,7 +26,7 @@ def test_mrclam_with_its_labels_hidden(
 ) -> None:
     log = open_log(str(shared_data / "mrclam" / "MRCLAM_Dataset6"), robot=robot)
     timeline = build_timeline(log)
-    found = associate_own(log, timeline, position_rows(timeline, None))
+    found = OwnAssociator(log, timeline, position_rows(timeline, None)).associate()
     clusters = score_association(found.slot, found.landmarks, log)
     assert clusters is not None
     assert clusters.clusters is not None
@@ -41,7 +41,7 @@ def test_raw_detections_as_the_filter_sees_them(shared_data: Path) -> None:
     whole = build_timeline(log)
     timeline = whole.prefix(int(np.searchsorted(whole.epoch_time_s, 300.0)))
     run = run_ekf(log, timeline, settle(EkfConfig(filter="compressed"), log))
-    found = associate_own(log, timeline, position_rows(timeline, None))
+    found = OwnAssociator(log, timeline, position_rows(timeline, None)).associate()
     agreement = compare_partitions(run.slot, found.slot)
     assert agreement.agreement > 0.9
     assert 0.8 < found.problem.landmark_count / len(run.estimate.landmark) < 1.25

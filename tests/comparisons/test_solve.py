@@ -8,17 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from comparisons.adapters.smoother_association import associate_own
+from comparisons.adapters.smoother_association import OwnAssociator
 from comparisons.adapters.smoother_input import position_rows
 from comparisons.adapters.timeline import build_timeline
-from comparisons.checks.association import counterparts
+from comparisons.checks.association import counterparts, differing_sightings
 from comparisons.config import SmootherConfig, SolveConfig
 from comparisons.errors import InputError
 from comparisons.estimates.folder import read_estimate
 from comparisons.extensions.own_association.check import (
     association_cause,
     check_own_association,
-    differing_sightings,
 )
 from comparisons.extensions.own_association.extension import (
     OwnAssociationFinding,
@@ -225,7 +224,7 @@ def test_sightings_that_are_left_out_make_no_landmark() -> None:
     log = simulated(0, loop_s=10.0)
     timeline, few = build_timeline(log), np.arange(0, 20)
     rows = position_rows(timeline, None)
-    found = associate_own(log, timeline, rows, few)
+    found = OwnAssociator(log, timeline, rows, few).associate()
     assert (found.slot[few] == -1).all()
     assert (np.delete(found.slot, few) >= 0).any()
-    assert (associate_own(log, timeline, rows).slot[few] >= 0).any()
+    assert (OwnAssociator(log, timeline, rows).associate().slot[few] >= 0).any()

@@ -15,6 +15,7 @@ from comparisons.checks.association import (
     PartitionAgreement,
     compare_partitions,
     counterparts,
+    differing_sightings,
 )
 from comparisons.checks.causes import Cause
 from comparisons.checks.misfit import squared_misfit
@@ -85,19 +86,6 @@ def check_own_association(
         estimate=estimate,
         optimality=optimality,
     )
-
-
-def differing_sightings(filters: Index, own: Index, matched: Index) -> Index:
-    """Which of the sightings (M,) go to landmarks that are not counterparts.
-
-    matched: (L,) the filter's counterpart of each of the own landmarks, -1 for none. A sighting
-    that neither uses does not differ.
-    """
-    used = own >= 0
-    meant = np.full(len(own), -1, dtype=np.intp)
-    meant[used] = matched[own[used]]
-    same = (filters >= 0) & used & (filters == meant)
-    return np.flatnonzero(~same & ((filters >= 0) | used))
 
 
 def association_cause(own: OwnAssociationCheck, run: EkfRun) -> Cause:

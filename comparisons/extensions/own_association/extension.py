@@ -7,11 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from comparisons.adapters.smoother_association import associate_own
+from comparisons.adapters.smoother_association import OwnAssociator
 from comparisons.adapters.smoother_input import position_rows, smoothed_estimate
 from comparisons.checks.accuracy import assess
 from comparisons.checks.agreement import block_agrees
 from comparisons.checks.association import score_association
+from comparisons.choices import When
 from comparisons.errors import InputError
 from comparisons.extensions.contract import Extension, Finding, Row
 from comparisons.extensions.own_association.check import (
@@ -34,8 +35,14 @@ class OwnAssociation(Extension):
 
     name = "own_association"
 
-    def check(self, compared: Compared) -> OwnAssociationFinding:
+    def __init__(self, when: When = "always") -> None:
+        """when: never, to do nothing."""
+        self._when = when
+
+    def check(self, compared: Compared) -> OwnAssociationFinding | None:
         """Associate without the filter, solve, assess, and compare. Raises InputError."""
+        if self._when == "never":
+            return None
         prepared = compared.prepared
         with prepared.clock.stage("own association"):
             prepared.progress("own association", 0, 0)
@@ -87,7 +94,8 @@ def solve_with_own_association(compared: Compared) -> OwnAssociationCheck:
     """
     log, run, gaps = compared.prepared.log, compared.ekf, compared.gaps
     rows = position_rows(run.timeline, run.positions)
-    found = associate_own(log, run.timeline, rows, np.flatnonzero(run.slot == DYNAMIC))
+    left_out = np.flatnonzero(run.slot == DYNAMIC)
+    found = OwnAssociator(log, run.timeline, rows, left_out).associate()
     if not found.problem.landmark_count:
         raise InputError(f"{log.name}: the smoother's own association found no landmark")
     problem = replace(found.problem, oriented=run.oriented)

@@ -14,7 +14,7 @@ def map_figure(comparison: Comparison) -> Figure:
     """The map: both trajectories, landmarks and 3-sigma ellipses of both, truth where known."""
     a = comparison.agreement
     title = (
-        f"{comparison.log.name}: EKF and smoother {comparison.verdict.outcome}\n"
+        f"{comparison.log.name}: EKF and smoother {comparison.verdict.headline}\n"
         f"gaps: algebra {a.algebra.sigma:.1e}, model {a.model.sigma:.1e}, "
         f"linearisation {a.linearisation.sigma:.2g} sigma; optimism {a.whole.least:.3g}"
     )

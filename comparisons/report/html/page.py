@@ -36,7 +36,8 @@ def page(
         "panels": curve_data(panels, start_s),
     }
     parts = [
-        f'<header><h1>{name}</h1><p><span class="verdict {result.verdict}">{result.verdict}</span> '
+        f"<header><h1>{name}</h1><p>"
+        f'<span class="verdict {result.verdict}">{result.headline}</span> '
         f"{escape(result.log.format)}, {result.log.duration_s:,.0f} s</p></header>",
         _causes(result),
         '<noscript><p class="note">Curves, layers and sorting need JavaScript; the same curves '
@@ -57,7 +58,7 @@ def page(
         f"<h2>Versions</h2>{table(('package', 'version'), list(result.versions.items()))}",
         data_block(data),
     ]
-    return document(f"{result.log.name}: {result.verdict}", parts, script())
+    return document(f"{result.log.name}: {result.headline}", parts, script())
 
 
 def _causes(result: Result) -> str:

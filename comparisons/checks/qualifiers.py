@@ -1,0 +1,247 @@
+"""What qualifies a verdict: the smoother against truth, and what nobody has checked.
+
+EKF and smoother share the log, its stated noise and the association; where they agree they may
+share a mistake. Truth, labels and the smoother's own association do not share it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import chi2
+
+from comparisons.arrays import Array
+from comparisons.checks.accuracy import Accuracy
+from comparisons.checks.association import AssociationScore
+from comparisons.checks.causes import Cause
+from comparisons.checks.consistency.consistency import Consistency
+from comparisons.checks.consistency.nees import TruthConsistency
+from comparisons.checks.verdict import Verdict
+from comparisons.choices import FailOn
+from comparisons.logs.log import Sightings
+
+TRUTH_GAP, UNCHECKED, INCONSISTENT = "truth gap", "association unchecked", "inconsistent"
+WORSE = 2.0
+"""So many times the error with labels is a mistake of the association."""
+_SHARE = 0.999
+"""Of the sound runs that stay within the limit. The errors of one run depend on each other, hence
+the limit of one value, not of an average of independent ones."""
+_SURER = 0.05
+"""Of the epochs: so many in which the filter is surer than the smoother make it inconsistent."""
+_NONE_FOUND = 3
+"""With so many landmarks, of which none is near a true one, the map is wrong as a whole."""
+
+
+def limit(dof: int) -> float:
+    """Root of a mean NEES over its degrees of freedom that a sound run hardly passes."""
+    return float(np.sqrt(chi2.ppf(_SHARE, dof) / dof))
+
+
+@dataclass(frozen=True)
+class Distance:
+    """How far the smoother is from the truth in one kind of unknowns.
+
+    what: they are. sigma: root of the mean NEES over `dof`. error_m: root mean square; labels_m:
+    the same of the smoother with the log's labels, where S has not used them.
+    """
+
+    what: str
+    dof: int
+    sigma: float
+    error_m: float
+    labels_m: float | None = None
+
+    @property
+    def limit(self) -> float:
+        """The sigma that a sound run hardly passes."""
+        return limit(self.dof)
+
+    @property
+    def far(self) -> bool:
+        """By its own covariance."""
+        return self.sigma > self.limit
+
+    @property
+    def worse(self) -> bool:
+        """By what the same smoother reaches with the log's labels."""
+        return self.labels_m is not None and self.error_m > WORSE * self.labels_m
+
+    @property
+    def off(self) -> bool:
+        """By either."""
+        return self.far or self.worse
+
+
+@dataclass(frozen=True, kw_only=True)
+class TruthGap:
+    """S against truth, or against the smoother with the log's labels where there is no truth.
+
+    sighting_m: standard deviation of the place that a single sighting gives, the scale in metres.
+    lost: no landmark is near a true one. association: of the filter, against the log's labels.
+    reference: where the smoother should be.
+    """
+
+    distances: tuple[Distance, ...]
+    sighting_m: float
+    lost: bool = False
+    association: AssociationScore | None = None
+    reference: str = "the truth is"
+
+    @property
+    def stands(self) -> bool:
+        """Off, and by more than one sighting may err."""
+        return self.lost or any(d.off and d.error_m > self.sighting_m for d in self.distances)
+
+    @property
+    def settled(self) -> bool:
+        """The log's labels could not make it stand, nor fall: it does, or all errors are small."""
+        return self.stands or all(d.error_m <= self.sighting_m for d in self.distances)
+
+    @property
+    def rough(self) -> bool:
+        """Far by its covariance only: the stated sigmas are too small, the estimate is good."""
+        return not self.stands and any(d.far for d in self.distances)
+
+
+def truth_gap(
+    accuracy: Accuracy | None,
+    consistency: TruthConsistency | None,
+    association: AssociationScore | None,
+    sighting_m: float,
+    landmarks: int,
+) -> TruthGap | None:
+    """Return S against truth, None where the log has none. landmarks: of S."""
+    if accuracy is None or (accuracy.ate_m is None and accuracy.landmarks_true is None):
+        return None
+    found = []
+    poses = None if consistency is None else consistency.poses
+    mapped = None if consistency is None else consistency.map
+    for what, errors, metres in (
+        ("poses", None if poses is None else poses.pose, accuracy.ate_m),
+        ("landmarks", None if mapped is None else mapped.landmarks, accuracy.landmark_rmse_m),
+    ):
+        if errors is not None and errors.mean is not None and metres is not None:
+            sigma = float(np.sqrt(errors.mean / errors.dof))
+            found.append(Distance(what, errors.dof, sigma, metres))
+    true = accuracy.landmarks_true
+    lost = true is not None and not accuracy.landmarks_found and min(true, landmarks) >= _NONE_FOUND
+    return TruthGap(
+        distances=tuple(found), sighting_m=sighting_m, lost=lost, association=association
+    )
+
+
+def sighting_scale(seen: Sightings, places: Array) -> float:
+    """Median standard deviation [m] of the place that one sighting gives.
+
+    places: (N, 2, 2) covariances of measured pose landmarks, which count without sightings.
+    """
+    if len(seen.time_s):
+        spread = np.hypot(seen.sigma_range_m, seen.range_m * seen.sigma_bearing_rad)
+        return float(np.median(spread))
+    return float(np.median(np.sqrt(np.trace(places, axis1=1, axis2=2)))) if len(places) else 0.0
+
+
+def inconsistent(consistency: Consistency) -> bool:
+    """Whether NIS, filter against smoother or the filter's NEES are outside their bands.
+
+    An association that leaves out large innovations makes the NIS too low, which does not count.
+    The bands of NIS are of 95 % for each component and for both; a filter surer than the smoother
+    counts from one epoch in twenty on, the NEES from the limit of the truth gap.
+    """
+    against, smoothed = consistency.ekf, consistency.smoothed
+    readings = {nis.reading for sensor in consistency.sensors for nis in sensor.nis}
+    outside = readings - {"plausible", "too low" if consistency.gated else "plausible"}
+    far = []
+    if against is not None and against.poses is not None:
+        far.append(against.poses.pose)
+    if against is not None and against.map is not None:
+        far.append(against.map.landmarks)
+    return (
+        bool(outside)
+        or (smoothed is not None and len(smoothed.surer) > _SURER * len(smoothed.time_s))
+        or any(
+            errors.mean is not None and errors.mean / errors.dof > limit(errors.dof) ** 2
+            for errors in far
+        )
+    )
+
+
+def qualified(
+    verdict: Verdict,
+    gap: TruthGap | None,
+    *,
+    unchecked: str,
+    consistency: Consistency,
+    fail_on: Sequence[FailOn],
+) -> Verdict:
+    """Return the verdict with its qualifiers, and with what it fails on of `fail_on`.
+
+    unchecked: why nobody has checked the association; empty where somebody has, or need not.
+    """
+    found, failed = list[str](), list[FailOn]()
+    causes, remarks = verdict.causes, verdict.remarks
+    if gap is not None and gap.stands:
+        found.append(TRUTH_GAP)
+        causes = (*causes, _cause(gap))
+    elif gap is not None and gap.rough:
+        remarks = (*remarks, _rough(gap))
+    if unchecked:
+        found.append(UNCHECKED)
+        remarks = (*remarks, unchecked)
+    if "consistency" in fail_on and inconsistent(consistency):
+        found.append(INCONSISTENT)
+    of: dict[FailOn, str] = {
+        "truth": TRUTH_GAP,
+        "consistency": INCONSISTENT,
+        "association": UNCHECKED,
+    }
+    failed = [one for one in fail_on if of[one] in found]
+    return replace(
+        verdict,
+        causes=causes,
+        remarks=remarks,
+        qualifiers=tuple(found),
+        failed_on=tuple(dict.fromkeys(failed)),
+    )
+
+
+def _cause(gap: TruthGap) -> Cause:
+    parts = [
+        f"its {d.what} are {d.error_m:.2g} m off (rms), {d.sigma:.1f} times what its covariance "
+        "allows for"
+        + (f", with the log's labels {d.labels_m:.2g} m" if d.labels_m is not None else "")
+        for d in gap.distances
+        if d.off
+    ]
+    if gap.lost:
+        parts.append("none of its landmarks stands near a true one")
+    hint = "EKF and smoother share what is wrong: look at the stated noise, the model and the start"
+    if gap.association is not None:
+        pairs = gap.association.clusters or gap.association.landmarks
+        parts.append(
+            f"of the pairs of sightings put together {100.0 * pairs.precision:.1f} % belong "
+            f"together by the log's labels, and {100.0 * pairs.recall:.1f} % of those that do were "
+            "put together"
+        )
+        hint = (
+            "EKF and smoother share the association: take the log's labels, or a stricter "
+            "association (agreed), and see --smoother-association own"
+        )
+    about = "a single sighting errs by" if not gap.lost else "one sighting's sigma is"
+    return Cause(
+        "truth",
+        f"the smoother is not where {gap.reference}: {'; '.join(parts)}; {about} "
+        f"{gap.sighting_m:.2g} m",
+        hint,
+    )
+
+
+def _rough(gap: TruthGap) -> str:
+    worst = max(gap.distances, key=lambda d: d.sigma / d.limit)
+    return (
+        f"the smoother's {worst.what} are {worst.error_m:.2g} m from the truth, less than one "
+        f"sighting errs by ({gap.sighting_m:.2g} m), but {worst.sigma:.1f} times what its "
+        "covariance allows for: the stated sigmas are too small"
+    )

@@ -1,0 +1,118 @@
+"""An association is verified when other ways to make it end at the same place."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from comparisons.adapters.smoother_association import Alternative
+from comparisons.arrays import Array, Index
+from comparisons.checks.association_variants import (
+    APART,
+    AssociationCheck,
+    check_association,
+)
+from comparisons.config import SolveConfig
+from comparisons.logs.log_folder import write_log_folder
+from comparisons.pipeline.solve import solve
+from comparisons.report.models import SolutionResult
+from comparisons.report.sections import association_check_result
+from comparisons.report.solution import build_solution_result
+from tests.comparisons.test_cli import slamcheck
+from tests.helpers import simulated
+
+SLOT = np.repeat(np.arange(3), 10)
+TIME = np.arange(30.0)
+POSES = np.column_stack((np.arange(5.0), np.zeros(5), np.zeros(5)))
+COVARIANCE = np.tile(0.01 * np.eye(3), (5, 1, 1))
+
+
+def split() -> Index:
+    """The second landmark's later half becomes a fourth."""
+    slot = SLOT.copy()
+    slot[15:20] = 3
+    return slot
+
+
+def at(metres: float) -> Array:
+    """All poses so far to the north."""
+    return POSES + (0.0, metres, 0.0)
+
+
+def checked(*others: Alternative) -> AssociationCheck:
+    return check_association(SLOT, TIME, (POSES, COVARIANCE, 30.0, 30), others)
+
+
+def test_another_partition_with_the_same_optimum_does_not_matter() -> None:
+    found = checked(Alternative("a", split(), at(0.001), 30.0))
+    assert found.verified
+    assert found.variants[0].partition.splits == 1
+    assert not found.disputes
+
+
+def test_another_optimum_that_explains_as_much_is_a_dispute() -> None:
+    found = checked(Alternative("a", split(), at(0.5), 10.0))
+    assert not found.verified
+    assert found.variants[0].apart_sigma == pytest.approx(0.5 / 0.1 / math.sqrt(3.0))
+    assert found.variants[0].apart_m == pytest.approx(0.5)
+    (dispute,) = found.disputes
+    assert (dispute.landmark, dispute.count) == (1, 5)
+    assert (dispute.begin_s, dispute.end_s) in ((10.0, 14.0), (15.0, 19.0))
+    (remark,) = found.remarks
+    assert "with a the poses are 0.50 m (2.9 sigma) elsewhere" in remark
+    assert "5 of landmark 1 (" in remark
+
+
+def test_what_explains_less_speaks_only_with_others() -> None:
+    worse = [Alternative(name, split(), at(0.5), 300.0) for name in "abc"]
+    assert checked(*worse[:2]).verified
+    assert not checked(*worse).verified
+    nothing = [Alternative(name, split(), at(0.0), math.inf) for name in "abc"]
+    assert checked(nothing[0]).verified
+    assert not checked(*nothing).verified
+
+
+def test_a_shift_below_the_limit_is_none() -> None:
+    limit = APART * 0.1 * math.sqrt(3.0)
+    assert checked(Alternative("a", split(), at(0.99 * limit), 0.0)).verified
+    assert not checked(Alternative("a", split(), at(1.01 * limit), 0.0)).verified
+
+
+def test_sightings_left_out_cost_something() -> None:
+    """Broken variants of a comparison by chi-square alone would prefer to use nothing."""
+    nobody = np.full(30, -1)
+    found = checked(Alternative("a", nobody, at(0.5), 0.0))
+    assert found.variants[0].excess > 0.0
+    assert found.verified
+
+
+def test_a_check_stands_in_the_result() -> None:
+    found = checked(Alternative("a", split(), at(0.5), math.inf))
+    model = association_check_result(found)
+    assert model is not None
+    assert model.variants[0].apart_sigma is None
+    assert model.variants[0].elsewhere
+    assert model.verified
+
+
+@pytest.mark.slow
+def test_a_quiet_log_is_verified_and_a_wrong_association_is_not(tmp_path: Path) -> None:
+    """The wrong one: the noise is six times what the log states."""
+    good = solve(simulated(0), SolveConfig(association="own"))
+    assert good.verified
+    result = build_solution_result(good)
+    assert result.association_check is not None
+    assert len(result.association_check.variants) == 4
+    bad = simulated(1, loops=1, noise_scale=6.0)
+    write_log_folder(bad, tmp_path / "noisy")
+    done = slamcheck("solve", "noisy", "--association", "own", "--out", "out", cwd=tmp_path)
+    assert done.returncode == 3, done.stdout
+    told = SolutionResult.model_validate_json((tmp_path / "out" / "solution.json").read_text())
+    assert told.verdict == "unverified"
+    assert told.association_check is not None
+    assert not told.association_check.verified
+    assert told.association_check.disputes
+    assert "sightings in dispute: " in " ".join(done.stdout.split())

@@ -1,0 +1,250 @@
+"""What qualifies a verdict: truth, labels, and an association that nobody has checked."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from comparisons.checks.qualifiers import (
+    INCONSISTENT,
+    TRUTH_GAP,
+    UNCHECKED,
+    Distance,
+    TruthGap,
+    limit,
+    qualified,
+    sighting_scale,
+    truth_gap,
+)
+from comparisons.checks.verdict import Verdict
+from comparisons.errors import InputError
+from comparisons.logs.bundled import open_log
+from comparisons.logs.log import NO_LANDMARK, Log, Truth
+from comparisons.logs.log_folder import write_log_folder
+from comparisons.logs.odometry import VelocityOdometry
+from comparisons.pipeline import second_association
+from comparisons.pipeline.compare import Comparison
+from comparisons.report.result import build_result
+from comparisons.settings import run_config
+from tests.comparisons.test_cli import slamcheck
+from tests.helpers import compared, first_seconds, simulated
+
+AGREE = Verdict("agree", (), ())
+
+
+def gap(sigma: float, error_m: float, sighting_m: float = 0.15) -> TruthGap:
+    return TruthGap(distances=(Distance("poses", 3, sigma, error_m),), sighting_m=sighting_m)
+
+
+@pytest.fixture(scope="module")
+def sound() -> Comparison:
+    return compared(first_seconds(simulated(0), 30.0))
+
+
+def blind(log: Log) -> Log:
+    nobody = np.full(len(log.sightings.time_s), NO_LANDMARK)
+    return replace(log, sightings=replace(log.sightings, landmark=nobody), truth=Truth())
+
+
+def between(log: Log, begin_s: float, end_s: float) -> Log:
+    """A stretch of a log with velocity odometry, its prior from the true poses."""
+    odometry, seen, poses = log.odometry, log.sightings, log.truth.poses
+    assert isinstance(odometry, VelocityOdometry)
+    assert poses is not None
+    rows = (odometry.time_s >= begin_s) & (odometry.time_s <= end_s)
+    return replace(
+        log,
+        prior=replace(log.prior, time_s=begin_s, pose=poses.at(np.array([begin_s]))[0]),
+        odometry=replace(
+            odometry,
+            time_s=odometry.time_s[rows],
+            speed_mps=odometry.speed_mps[rows],
+            yaw_rate_radps=odometry.yaw_rate_radps[rows],
+        ),
+        sightings=seen.chosen((seen.time_s > begin_s) & (seen.time_s <= end_s)),
+    )
+
+
+def shifted_truth(log: Log, metres: float) -> Log:
+    """The same log, whose truth is elsewhere: both estimators share the mistake."""
+    poses, landmarks = log.truth.poses, log.truth.landmarks
+    assert poses is not None
+    assert landmarks is not None
+    truth = Truth(
+        replace(poses, pose=poses.pose + (metres, 0.0, 0.0)),
+        replace(landmarks, position_m=landmarks.position_m + (metres, 0.0)),
+    )
+    return replace(log, truth=truth)
+
+
+def test_a_gap_is_far_by_sigma_and_in_metres() -> None:
+    assert limit(3) == pytest.approx((16.27 / 3.0) ** 0.5, rel=1e-3)
+    assert gap(3.0, 0.4).stands
+    rough = gap(3.0, 0.1)  # a broken variant, by sigma alone, would call it a gap
+    assert not rough.stands
+    assert rough.rough
+    fine = gap(2.0, 5.0)  # and one by metres alone this
+    assert not fine.stands
+    assert not fine.rough
+    assert TruthGap(distances=(), sighting_m=0.1, lost=True).stands
+
+
+def test_twice_the_error_with_labels_is_a_gap_however_sure_the_smoother_is() -> None:
+    """An association shared by both makes sigmas that fit it: NEES alone would miss this."""
+    assert not gap(1.4, 0.4).stands
+    off = TruthGap(distances=(Distance("poses", 3, 1.4, 0.4, 0.13),), sighting_m=0.15)
+    assert off.stands
+    assert not TruthGap(distances=(Distance("poses", 3, 1.4, 0.4, 0.3),), sighting_m=0.15).stands
+    assert not replace(off, sighting_m=0.5).stands
+    assert off.settled
+    assert gap(1.4, 0.1).settled
+    assert not gap(1.4, 0.4).settled
+
+
+def test_no_truth_is_no_gap() -> None:
+    assert truth_gap(None, None, None, 0.1, 5) is None
+
+
+def test_the_headline_says_what_qualifies_it(sound: Comparison) -> None:
+    assert sound.verdict.headline == "agree"
+    found = qualified(AGREE, gap(3.0, 0.4), unchecked="", consistency=sound.consistency, fail_on=())
+    assert found.headline == "agree, truth gap"
+    assert found.causes[0].gap == "truth"
+    assert "0.4 m off (rms), 3.0 times what its covariance allows" in found.causes[0].evidence
+    assert found.failed_on == ()
+    found = qualified(
+        AGREE,
+        gap(3.0, 0.1),
+        unchecked="nobody has",
+        consistency=sound.consistency,
+        fail_on=("truth", "association", "association"),
+    )
+    assert found.headline == "agree, association unchecked"
+    assert found.failed_on == ("association",)
+    assert "the stated sigmas are too small" in found.remarks[0]
+
+
+def test_an_inconsistent_filter_qualifies_only_when_asked(sound: Comparison) -> None:
+    consistency = sound.consistency
+    sensor = consistency.sensors[0]
+    nis = tuple(replace(one, mean=10.0 * one.mean) for one in sensor.nis)
+    off = replace(consistency, sensors=(replace(sensor, nis=nis),))
+    silent = qualified(AGREE, None, unchecked="", consistency=off, fail_on=())
+    assert silent.headline == "agree"
+    asked = qualified(AGREE, None, unchecked="", consistency=off, fail_on=("consistency",))
+    assert (asked.headline, asked.failed_on) == ("agree, inconsistent", ("consistency",))
+    plausible = tuple(replace(one, mean=float(one.dof)) for one in sensor.nis)
+    inside = replace(consistency, sensors=(replace(sensor, nis=plausible),), smoothed=None)
+    right = qualified(AGREE, None, unchecked="", consistency=inside, fail_on=("consistency",))
+    assert INCONSISTENT not in right.qualifiers
+
+
+def test_a_shared_mistake_shows_in_verdict_and_result(sound: Comparison) -> None:
+    wrong = compared(shifted_truth(sound.log, 1.0))
+    assert wrong.verdict.outcome == "agree"
+    assert wrong.verdict.qualifiers == (TRUTH_GAP,)
+    result = build_result(wrong)
+    assert result.headline == "agree, truth gap"
+    assert result.truth_gap is not None
+    assert result.truth_gap.stands
+    assert result.truth_gap.distances[0].error_m == pytest.approx(1.0, abs=0.5)
+    assert not build_result(sound).truth_gap.stands  # type: ignore[union-attr]
+
+
+def test_a_map_that_is_nowhere_near_is_a_gap(sound: Comparison) -> None:
+    """Landmarks that match no true one are in no error: they must not count as right."""
+    log = sound.log
+    lost = replace(shifted_truth(log, 500.0), truth=shifted_truth(log, 500.0).truth)
+    lost = replace(lost, truth=replace(lost.truth, poses=None))
+    found = compared(lost, association="nn")
+    assert found.assessment.truth_gap is not None
+    assert found.assessment.truth_gap.lost
+    assert TRUTH_GAP in found.verdict.qualifiers
+
+
+@pytest.mark.slow
+def test_without_truth_and_labels_the_own_association_is_asked() -> None:
+    found = compared(blind(simulated(0)), association="nn")
+    assert list(found.findings) == ["own_association"]
+    assert found.verdict.headline == "agree"
+    declined = compared(blind(simulated(0)), association="nn", smoother_association="ekf")
+    assert declined.verdict.headline == "agree, association unchecked"
+    assert not declined.findings
+
+
+def test_what_costs_more_than_the_run_is_not_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(second_association, "own_work", lambda compared: 1e9)
+    found = compared(blind(first_seconds(simulated(0), 20.0)), association="nn")
+    assert UNCHECKED in found.verdict.qualifiers
+    assert any("times the run" in remark for remark in found.verdict.remarks)
+
+
+def test_the_cost_is_counted_and_not_measured(sound: Comparison) -> None:
+    asked = compared(blind(first_seconds(simulated(0), 10.0)), association="nn")
+    again = compared(blind(first_seconds(simulated(0), 10.0)), association="nn")
+    assert asked.verdict.qualifiers == again.verdict.qualifiers
+
+
+def test_labels_stand_for_the_truth() -> None:
+    """A log with labels and without truth: the smoother with them says how far off S is."""
+    log = replace(first_seconds(simulated(0), 30.0), truth=Truth())
+    found = compared(log, association="nn")
+    right = found.assessment.truth_gap
+    assert right is not None
+    assert right.reference == "the log's labels put it"
+    assert not right.stands
+    assert compared(log, association="known").assessment.truth_gap is None
+
+
+@pytest.mark.parametrize("text", ["truth", "truth,consistency", "association, truth", ""])
+def test_fail_on_takes_words_with_commas(text: str) -> None:
+    expected = tuple(part.strip() for part in text.split(",") if part.strip())
+    assert run_config(fail_on=text).fail_on == expected
+
+
+def test_an_unknown_word_is_one_line() -> None:
+    with pytest.raises(InputError, match=r"fail_on is 'time': expected some of truth, consis"):
+        run_config(fail_on="truth,time")
+
+
+def test_a_log_of_templates_has_their_scale() -> None:
+    seen = simulated(0, loop_s=2.0).sightings
+    assert 0.1 < sighting_scale(seen, np.zeros((0, 2, 2))) < 0.5
+    none = seen.chosen(np.zeros(len(seen.time_s), dtype=bool))
+    assert sighting_scale(none, np.tile(0.02 * np.eye(2), (3, 1, 1))) == pytest.approx(0.2)
+    assert sighting_scale(none, np.zeros((0, 2, 2))) == 0.0
+
+
+@pytest.mark.slow
+def test_two_that_share_a_wrong_association_read_no_bare_agree(shared_data: Path) -> None:
+    """From 190 to 340 s MR.CLAM's robot 1 is seen 0.4 m off by both; with labels 0.13 m."""
+    whole = open_log(str(shared_data / "mrclam" / "MRCLAM_Dataset6"), robot=1)
+    log = between(whole, 190.0, 340.0)
+    for association in ("jcbb", "agreed"):
+        found = compared(log, association=association)
+        assert found.verdict.headline == "agree, truth gap", association
+        held = found.assessment.truth_gap
+        assert held is not None
+        assert all(d.worse and not d.far for d in held.distances)
+        assert "with the log's labels 0.13 m" in found.verdict.causes[0].evidence
+    assert compared(log, association="known").verdict.headline == "agree"
+
+
+@pytest.mark.slow
+def test_a_truth_gap_has_an_exit_code_on_request(tmp_path: Path) -> None:
+    write_log_folder(shifted_truth(simulated(0), 2.0), tmp_path / "log")
+    plain = slamcheck("run", "log", "--out", "plain", cwd=tmp_path)
+    assert plain.returncode == 0, plain.stderr
+    assert "verdict: agree, truth gap" in plain.stdout
+    failed = slamcheck("run", "log", "--fail-on", "truth", "--out", "failed", cwd=tmp_path)
+    assert failed.returncode == 1
+    assert "verdict: agree, truth gap (fails on truth)" in failed.stdout
+    result = json.loads((tmp_path / "failed" / "result.json").read_text())
+    assert result["verdict"] == "agree"
+    assert result["qualifiers"] == ["truth gap"]
+    assert result["failed_on"] == ["truth"]
+    assert "agree, truth gap" in (tmp_path / "failed" / "report.html").read_text()
