@@ -18,10 +18,9 @@ from ekf_reference.core.landmark_types import NewLandmarks
 from ekf_reference.core.measurement_update import Linearised
 from ekf_reference.core.measurements import NOT_MEASURED, MeasuredAttributes, Measurements
 
-_MOST_ITERATIONS = 20
 _CONVERGED_SIGMA = 1e-9
-_ALPHA, _BETA = 1e-3, 2.0
-"""Spread of the sigma points, and what their middle one weighs more in covariances."""
+_BETA = 2.0
+"""What the middle sigma point weighs more in covariances, for Gaussians."""
 
 
 class SequentialEkf(Ekf):
@@ -56,6 +55,8 @@ class BackwardEkf(SequentialEkf):
 class IteratedEkf(Ekf):
     """The EKF that repeats an update at its own result until that stays (Bell and Cathey 1993)."""
 
+    most_iterations: ClassVar[int] = 20
+
     def _fuse(self, seen: Measurements, slots: Index, rows: Index) -> None:
         if not len(rows):
             return
@@ -66,7 +67,7 @@ class IteratedEkf(Ekf):
             local = self.state.map_of(slot, seen.width)
             p, prior = local.covariance, np.concatenate((local.pose, local.landmark.ravel()))
             sigma, at, v = np.sqrt(np.diag(p)), prior, len(local.pose)
-            for _ in range(_MOST_ITERATIONS):
+            for _ in range(self.most_iterations):
                 expected, *parts = model.predict(at[:v], at[v:].reshape(-1, seen.width))
                 jacobian = stack(*parts)
                 innovation = model.innovation(z, expected).ravel() - jacobian @ (prior - at)
@@ -87,6 +88,9 @@ class UnscentedEkf(Ekf):
     (van der Merwe 2004, eqs. 3.168 to 3.187; the others follow by their correlation).
     """
 
+    alpha: ClassVar[float] = 1e-3
+    """Spread of the sigma points, in units of sqrt(n) sigma."""
+
     def predict(self, control: Array, covariance: Array, duration_s: float) -> None:
         """Move under a control (m,) with covariance (m, m), added by its Jacobian, for a time."""
         pose, p = self.state.pose, self.state.pose_covariance
@@ -94,7 +98,7 @@ class UnscentedEkf(Ekf):
         def moved(points: Array) -> Array:
             return np.array([self.motion.step(x, control, duration_s).pose for x in points])
 
-        y = unscented(pose, p, moved, np.subtract)
+        y = unscented(pose, p, moved, alpha=self.alpha)
         b = self.motion.step(pose, control, duration_s).jacobian_control
         noise = b @ covariance @ b.T + y.rest + self.stabilisation.covariance(duration_s, y.mean)
         self.state.predict(y.mean, y.slope, noise)
@@ -119,7 +123,7 @@ class UnscentedEkf(Ekf):
             return model.innovation(pairs[0], np.tile(pairs[1], (len(y), 1))).reshape(y.shape)
 
         prior = np.concatenate((local.pose, local.landmark.ravel()))
-        y = unscented(prior, local.covariance, measured, apart)
+        y = unscented(prior, local.covariance, measured, apart, alpha=self.alpha)
         innovation = model.innovation(z, y.mean.reshape(z.shape)).ravel()
         noise = block_diagonal(seen.noise[rows]) + y.rest
         self.state.update(local.columns, y.slope, innovation, noise)
@@ -136,7 +140,7 @@ class UnscentedEkf(Ekf):
 
             both = block_diagonal_of(p, seen.noise[row])
             x = np.concatenate((pose, seen.z[row]))
-            found.append(unscented(x, both, placed, np.subtract))
+            found.append(unscented(x, both, placed, alpha=self.alpha))
         slope = np.array([y.slope for y in found])
         by_z, rest = slope[:, :, len(p) :], np.array([y.rest for y in found])
         noise = by_z @ seen.noise[rows] @ by_z.transpose(0, 2, 1) + rest
@@ -157,7 +161,9 @@ def unscented(
     mean: Array,
     covariance: Array,
     function: Callable[[Array], Array],
-    subtract: Callable[[Array, Array], Array],
+    subtract: Callable[[Array, Array], Array] = np.subtract,
+    *,
+    alpha: float,
 ) -> Transformed:
     """Return the unscented transform of x ~ N(mean (n,), covariance (n, n)).
 
@@ -166,18 +172,19 @@ def unscented(
         covariance: (n, n), positive definite.
         function: takes points (k, n) to values (k, m).
         subtract: of values (k, m) and the middle one (m,), angles wrapped.
+        alpha: spread of the points.
 
     Source: van der Merwe 2004, eqs. 3.11 to 3.21 with kappa 0, written with the odd and the even
     part of f about the mean, which keeps the digits that a small alpha costs.
     """
     n = len(mean)
-    root = _ALPHA * np.sqrt(n) * np.linalg.cholesky(covariance)
+    root = alpha * np.sqrt(n) * np.linalg.cholesky(covariance)
     y = function(np.vstack((mean, mean + root.T, mean - root.T)))
     off = subtract(y[1:], y[0])
     odd, even = 0.5 * (off[:n] - off[n:]), 0.5 * (off[:n] + off[n:])
-    weight = 1.0 / (_ALPHA**2 * n)
+    weight = 1.0 / (alpha**2 * n)
     shift = weight * even.sum(axis=0)
-    rest = weight * even.T @ even + (_BETA - _ALPHA**2) * np.outer(shift, shift)
+    rest = weight * even.T @ even + (_BETA - alpha**2) * np.outer(shift, shift)
     return Transformed(y[0] + shift, np.linalg.solve(root.T, odd).T, rest)
 
 

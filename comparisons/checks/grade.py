@@ -161,13 +161,12 @@ def eigenvalues(first: Array, second: Array) -> tuple[Array, Array]:
     The second are positive definite. Asymmetry of the first, in the second's sigma squared, counts
     as if it were an eigenvalue beyond one.
     """
-    inverse = np.linalg.inv(np.linalg.cholesky(second))
+    inverse: Array = np.linalg.inv(np.linalg.cholesky(second))
     whitened = inverse @ first @ inverse.transpose(0, 2, 1)
     values = np.linalg.eigvalsh(0.5 * (whitened + whitened.transpose(0, 2, 1)))
     skew = np.abs(whitened - whitened.transpose(0, 2, 1)).max(axis=(1, 2))
-    least: Array = values[:, 0]
-    largest: Array = np.maximum(values[:, -1], 1.0 + skew)
-    return least, largest
+    least, largest = np.asarray(values[:, 0], dtype=float), np.asarray(values[:, -1], dtype=float)
+    return least, np.where(skew > ROUNDING, np.fmax(largest, 1.0 + skew), largest)
 
 
 def in_sigma(difference: Array, covariance: Array) -> Array:

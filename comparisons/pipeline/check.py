@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from comparisons.checks import causes as cause
 from comparisons.checks.accuracy import Accuracy, assess_trajectory
+from comparisons.checks.agreement import ROUNDING
 from comparisons.checks.causes import Cause
 from comparisons.checks.diagnosis.estimate_facts import Clues, facts
 from comparisons.checks.given_agreement import GivenAgreement, compare_given, within_log
@@ -25,8 +26,8 @@ from comparisons.pipeline.solve import Solution, solve
 
 _OWN = ("data", "algebra", "model")
 """Causes that the filter's trace shows whatever the smoother found."""
-_HOPELESS_SIGMA = 30.0
-"""So far from the reference EKF no variant of it is tried."""
+_HOPELESS_SIGMA = 10.0
+"""So far from the reference EKF no variant of it is tried, nor where the means are the EKF's."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,7 +156,11 @@ def _nearest(given: GivenEstimate, references: _References, solution: Solution) 
         best = _better(best, likeness(given, peer, labelled=labelled))
     if best is None or best.grade == "equal" or references.clues.before is None:
         return best
-    if likeness(given, references.peers[0], labelled=labelled).sigma > _HOPELESS_SIGMA:
+    if (
+        not ROUNDING
+        < likeness(given, references.peers[0], labelled=labelled).sigma
+        < _HOPELESS_SIGMA
+    ):
         return best
     for variant in variants(solution.prepared, given.time_s):
         best = _better(best, likeness(given, variant, labelled=labelled))

@@ -72,7 +72,7 @@ def of_poses(given: Array, poses: Poses, name: str) -> str:
         return f"pose covariances: {wrong}"
     for words, expected, scaled in _pose_candidates(poses):
         found = fit(given, expected, scaled=scaled)
-        if found is not None and not (words == "" and found.factor == 1.0):
+        if found is not None:
             return f"your pose covariances {_are(words, found.factor, name)}{_but(found)}"
     if len(given) > 2 and np.ptp(given, axis=0).max() <= 1e-9 * np.abs(given).max():
         return "your pose covariances are one and the same for all poses"
@@ -100,7 +100,7 @@ def of_landmarks(given: Array, expected: Array, heading: float, name: str) -> st
         *_common(expected),
     ):
         found = fit(given, other)
-        if found is not None and not (words == "" and found.factor == 1.0):
+        if found is not None:
             return f"your landmark covariances {_are(words, found.factor, name)}{_but(found)}"
     order = _shuffled(given, expected)
     if order:
@@ -112,7 +112,7 @@ def of_landmarks(given: Array, expected: Array, heading: float, name: str) -> st
 def of_all(given: Array, expected: Array, name: str) -> str:
     """Say how the covariance (n, n) of last pose and landmarks differs, each of which is right."""
     if wrong := invalid(given[None]):
-        return f"the covariance of last pose and landmarks is {wrong.removeprefix('all ')}"
+        return f"the covariance of last pose and landmarks is {wrong.removeprefix('all are ')}"
     n = len(given)
     where = np.concatenate(([0, 0, 0], 1 + np.arange(n - 3) // 2))
     same, pose = where[:, None] == where, (where == 0)[:, None] | (where == 0)
@@ -155,8 +155,8 @@ def _pose_candidates(poses: Poses) -> Iterator[tuple[str, Array, bool]]:
     yield "those of the pose before", np.concatenate((e[:1], e[:-1])), False
     if np.isfinite(poses.smoothed).all():
         yield "those of the smoother, which has seen the future", poses.smoothed, False
-    order = [2, 0, 1]
-    yield "in the order heading, x, y", e[:, order][:, :, order], False
+    for words, order in (("heading, x, y", [2, 0, 1]), ("y, x, heading", [1, 0, 2])):
+        yield f"in the order {words}", e[:, order][:, :, order], False
     for words, other in _common(e):
         yield words, other, True
 
@@ -164,7 +164,7 @@ def _pose_candidates(poses: Poses) -> Iterator[tuple[str, Array, bool]]:
 def _common(expected: Array) -> Sequence[tuple[str, Array]]:
     n = expected.shape[1]
     variance = np.diagonal(expected, 0, 1, 2)
-    inverse: Array = np.linalg.inv(expected)
+    inverse = np.asarray(np.linalg.inv(expected), dtype=float)
     return (
         ("without the correlations, their diagonals alone", variance[:, :, None] * np.eye(n)),
         ("standard deviations where variances belong", np.sqrt(variance)[:, :, None] * np.eye(n)),
@@ -206,6 +206,8 @@ def _varying(begin: str, given: Array, expected: Array, name: str, what: tuple[s
 
 
 def _are(words: str, factor: float, name: str) -> str:
+    if not words and factor == 1.0:
+        return f"are those of {name}"
     if not words:
         return f"are {times(factor)} times those of {name}, in all directions"
     if factor == 1.0:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from comparisons.arrays import Array
 from comparisons.checks.grade import joint_rows
@@ -157,6 +159,11 @@ def _alone(joint: Array, *, pose: bool, landmarks: bool) -> Array:
     return joint
 
 
+def _inverse(covariance: Array) -> Array:
+    found: Array = np.linalg.inv(covariance)
+    return found
+
+
 def _opposite(joint: Array) -> Array:
     joint[:3, 3:] *= -1.0
     joint[3:, :3] *= -1.0
@@ -226,7 +233,7 @@ EXPORTS: dict[str, Export] = {
     "pose covariances without correlations": of_poses(lambda p: p * np.eye(3)),
     "sigmas for variances of poses": of_poses(_deviations),
     "variances of poses squared": of_poses(lambda p: _deviations(p) ** 4),
-    "information of poses": of_poses(np.linalg.inv),
+    "information of poses": of_poses(_inverse),
     "pose covariances in the order heading, x, y": of_poses(lambda p: _permuted(p, [2, 0, 1])),
     "pose covariances in the order y, x, heading": of_poses(lambda p: _permuted(p, [1, 0, 2])),
     "heading's covariance in degrees": of_poses(
@@ -256,7 +263,7 @@ EXPORTS: dict[str, Export] = {
     "covariances of pose and map negated": of_joint(_opposite),
     "landmark covariances in another order": of_joint(_reordered),
     "sigmas for variances of the map": of_joint(lambda p: np.diag(np.sqrt(np.diag(p)))),
-    "information of the map": of_joint(np.linalg.inv),
+    "information of the map": of_joint(_inverse),
     "correlations for covariances": of_joint(
         lambda p: p / np.sqrt(np.outer(np.diag(p), np.diag(p)))
     ),
@@ -292,37 +299,38 @@ def sightings(**columns: Callable[[Array], Array]) -> Feed:
     """Other columns of the sightings."""
 
     def change(log: Log) -> Log:
-        own = {name: of(getattr(log.sightings, name)) for name, of in columns.items()}
+        own: dict[str, Any] = {
+            name: of(getattr(log.sightings, name)) for name, of in columns.items()
+        }
         return replace(log, sightings=replace(log.sightings, **own))
 
     return change
 
 
-def kept(rows: Callable[[Log], Array]) -> Feed:
+def kept(rows: Callable[[Log], NDArray[Any]]) -> Feed:
     """Some of the sightings only."""
 
     def change(log: Log) -> Log:
-        which, seen = rows(log), log.sightings
-        names = ("time_s", "range_m", "bearing_rad", "sigma_range_m", "sigma_bearing_rad")
-        own = {name: getattr(seen, name)[which] for name in (*names, "landmark", "diameter_m")}
-        return replace(log, sightings=replace(seen, **own))
+        which, seen = rows(log), vars(log.sightings)
+        own: dict[str, Any] = {
+            name: column[which] for name, column in seen.items() if isinstance(column, np.ndarray)
+        }
+        return replace(log, sightings=replace(log.sightings, **own))
 
     return change
 
 
-def odometry(change: Callable[[dict[str, Array]], dict[str, Array]]) -> Feed:
-    """Other columns of the wheel odometry."""
+def odometry(**columns: Callable[[Array], Array]) -> Feed:
+    """Other speeds or turns of the wheel odometry; `turn` is of steering angles or yaw rates."""
 
-    def changed(log: Log) -> Log:
-        if isinstance(log.odometry, RelativePoses):
-            raise ValueError(f"{log.name}: has no wheel odometry")
-        second = "steering_rad" if hasattr(log.odometry, "steering_rad") else "yaw_rate_radps"
-        own = log.odometry
-        found = change({"time": own.time_s, "speed": own.speed_mps, "turn": getattr(own, second)})
-        columns = {"time_s": found["time"], "speed_mps": found["speed"], second: found["turn"]}
-        return replace(log, odometry=replace(own, **columns))
+    def change(log: Log) -> Log:
+        own: dict[str, Any] = vars(log.odometry)
+        second = "steering_rad" if "steering_rad" in own else "yaw_rate_radps"
+        names = {"speed": "speed_mps", "turn": second}
+        changed: dict[str, Any] = {names[key]: of(own[names[key]]) for key, of in columns.items()}
+        return replace(log, odometry=replace(log.odometry, **changed))
 
-    return changed
+    return change
 
 
 def noise(**factors: float) -> Feed:
@@ -338,9 +346,15 @@ def noise(**factors: float) -> Feed:
     return change
 
 
-def _of_one(log: Log) -> Array:
-    others: Array = log.sightings.landmark != np.bincount(log.sightings.landmark).argmax()
+def _of_one(log: Log) -> NDArray[np.bool_]:
+    others: NDArray[np.bool_] = (
+        log.sightings.landmark != np.bincount(log.sightings.landmark).argmax()
+    )
     return others
+
+
+def _delayed(column: Array) -> Array:
+    return np.concatenate((column[:1], column[:1], column[:-2]))
 
 
 FEEDS: dict[str, Feed] = {
@@ -362,12 +376,10 @@ FEEDS: dict[str, Feed] = {
     "range 1 % too long": sightings(range_m=lambda r: 1.01 * r),
     "range 5 cm too long": sightings(range_m=lambda r: r + 0.05),
     "bearing off by 0.5 degrees": sightings(bearing_rad=lambda b: b + np.deg2rad(0.5)),
-    "speed 1 % too high": odometry(lambda c: c | {"speed": 1.01 * c["speed"]}),
-    "turn 2 % too strong": odometry(lambda c: c | {"turn": 1.02 * c["turn"]}),
-    "turn off by 0.2 degrees": odometry(lambda c: c | {"turn": c["turn"] + np.deg2rad(0.2)}),
-    "odometry two samples late": odometry(
-        lambda c: c | {"speed": _delayed(c["speed"]), "turn": _delayed(c["turn"])}
-    ),
+    "speed 1 % too high": odometry(speed=lambda v: 1.01 * v),
+    "turn 2 % too strong": odometry(turn=lambda t: 1.02 * t),
+    "turn off by 0.2 degrees": odometry(turn=lambda t: t + np.deg2rad(0.2)),
+    "odometry two samples late": odometry(speed=_delayed, turn=_delayed),
     "prior's covariance 100 times": lambda log: replace(
         log, prior=replace(log.prior, covariance=100.0 * log.prior.covariance)
     ),
@@ -376,7 +388,3 @@ FEEDS: dict[str, Feed] = {
     ),
 }
 """What a sound filter may be fed in place of the log."""
-
-
-def _delayed(column: Array) -> Array:
-    return np.concatenate((column[:1], column[:1], column[:-2]))
