@@ -220,7 +220,10 @@ class Cases:
     ) -> GivenEstimate:
         config = settle(EkfConfig.of(**settings), self.log)
         setup = FilterSetup(modify=[plant])
-        run = run_ekf(self.log, self.timeline, config, None, setup)
+        try:
+            run = run_ekf(self.log, self.timeline, config, None, setup)
+        except TypeError as error:  # a defect of another vehicle
+            raise InputError(str(error)) from None
         return handed_in(run.estimate)
 
     def _fed(self, feed: Callable[[Log], Log]) -> GivenEstimate:
@@ -423,7 +426,8 @@ def outcomes(log: Log, only: str = "", every: int = 1) -> Iterator[Outcome]:
 
 def summary(found: list[Outcome], log: str) -> list[Row]:
     """What was promised, and what holds."""
-    faults = [one for one in found if not one.case.sound]
+    faults = [one for one in found if not one.case.sound and one.grade != "refused"]
+    refused = sum(not one.case.sound for one in found) - len(faults)
     sound = [one for one in found if one.case.sound]
     passed = [one.case.name for one in faults if one.grade in ("like", "equal")]
     wrong = [one.case.name for one in sound if one.grade in ("wrong", "none", "refused")]
@@ -435,7 +439,9 @@ def summary(found: list[Outcome], log: str) -> list[Row]:
         Row(
             f"faults without a trace are below like ({log})",
             "at least 95 %",
-            f"{len(faults) - len(passed)} of {len(faults)} ({shown})"
+            f"{len(faults) - len(passed)} of {len(faults)} ({shown}"
+            + (f"; {refused} more left no estimate" if refused else "")
+            + ")"
             + (f"; not: {', '.join(passed)}" if passed else ""),
             len(passed) <= 0.05 * len(faults),
         ),

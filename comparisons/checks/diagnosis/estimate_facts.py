@@ -96,7 +96,7 @@ def _known_path(given: GivenEstimate, found: Likeness, clues: Clues) -> Cause | 
 
 def _fits(given: GivenEstimate, found: Likeness, other: tuple[Array, Array]) -> bool:
     at = found.reference.known & np.isfinite(other[1]).all(axis=(1, 2))
-    if not at.any():
+    if 2 * at.sum() < len(at):
         return False
     difference = pose_difference(given.pose[at], other[0][at])
     return bool((in_sigma(difference, other[1][at]) <= LIKE_SIGMA).all())

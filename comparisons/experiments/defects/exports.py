@@ -160,8 +160,7 @@ def _alone(joint: Array, *, pose: bool, landmarks: bool) -> Array:
 
 
 def _inverse(covariance: Array) -> Array:
-    found: Array = np.linalg.inv(covariance)
-    return found
+    return np.asarray(np.linalg.inv(covariance), dtype=float)
 
 
 def _opposite(joint: Array) -> Array:
@@ -347,9 +346,8 @@ def noise(**factors: float) -> Feed:
 
 
 def _of_one(log: Log) -> NDArray[np.bool_]:
-    others: NDArray[np.bool_] = (
-        log.sightings.landmark != np.bincount(log.sightings.landmark).argmax()
-    )
+    landmark = log.sightings.landmark
+    others: NDArray[np.bool_] = landmark != np.unique(landmark)[0]
     return others
 
 
