@@ -70,8 +70,10 @@ class Part(NamedTuple):
     def within(self, sigma: float, variance: float) -> bool:
         """Means and covariances differ by no more."""
         by_mean, by_variance = self.rounding
-        spread = np.fmax(np.abs(self.least - 1.0), np.abs(self.largest - 1.0))
-        return not ((self.sigma > sigma + by_mean).any() or (spread > variance + by_variance).any())
+        near = self.sigma <= sigma + by_mean
+        spread = np.maximum(np.abs(self.least - 1.0), np.abs(self.largest - 1.0))
+        alike = np.isnan(spread) | (spread <= variance + by_variance)
+        return bool(near.all() and alike.all())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,10 +160,14 @@ def match_map(given: GivenEstimate, reference: Reference, *, labelled: bool) -> 
 def eigenvalues(first: Array, second: Array) -> tuple[Array, Array]:
     """Return least and largest generalised eigenvalues (K,) of covariance pairs (K, n, n).
 
-    The second are positive definite. Asymmetry of the first, in the second's sigma squared, counts
-    as if it were an eigenvalue beyond one.
+    (-inf, inf) where the second are not all positive definite, for no such comparison may pass.
+    Asymmetry of the first, in the second's sigma squared, counts as if it were an eigenvalue
+    beyond one.
     """
-    inverse: Array = np.linalg.inv(np.linalg.cholesky(second))
+    try:
+        inverse = np.linalg.inv(np.linalg.cholesky(second))
+    except np.linalg.LinAlgError:
+        return np.full(len(first), -np.inf), np.full(len(first), np.inf)
     whitened = inverse @ first @ inverse.transpose(0, 2, 1)
     values = np.linalg.eigvalsh(0.5 * (whitened + whitened.transpose(0, 2, 1)))
     skew = np.abs(whitened - whitened.transpose(0, 2, 1)).max(axis=(1, 2))
@@ -214,7 +220,9 @@ def _joint(given: GivenEstimate, reference: Reference, rows: tuple[Index, Index]
     ours, theirs = map(joint_rows, rows)
     if abs(reference.time_s[-1] - reference.joint_s) > CLOCK_S:  # of other poses
         ours, theirs = ours[3:], theirs[3:]
-    joint = np.zeros((0, 0)) if given.joint_covariance is None else given.joint_covariance
+    if given.joint_covariance is None or not len(ours):
+        return Part("last pose and landmarks", *[np.zeros(0)] * 3)
+    joint = given.joint_covariance
     first = joint[np.ix_(ours, ours)]
     second = reference.joint_covariance[np.ix_(theirs, theirs)]
     first = first[None]

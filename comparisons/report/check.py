@@ -35,6 +35,9 @@ from comparisons.report.sections import (
     smoother_result,
 )
 
+NOT_STATED = "not stated"
+"""In place of what an estimate's poses know of the log."""
+
 
 def build_check_result(check: GivenCheck, read_s: float = 0.0) -> CheckResult:
     """The findings, read_s being the seconds that reading log and estimate took."""
@@ -44,7 +47,7 @@ def build_check_result(check: GivenCheck, read_s: float = 0.0) -> CheckResult:
         log=log_result(solution.log),
         smoother=smoother_result(solution.result),
         association_by=solution.association_by,
-        information=check.given.information or "not stated",
+        information=check.given.information or NOT_STATED,
         estimator=check.given.estimator,
         absent=check.given.absent,
         poses=len(found.time_s),
@@ -99,13 +102,14 @@ def check_folder(check: GivenCheck, result: CheckResult) -> JobFolder:
 
 
 def _agreement_rows(result: CheckResult) -> list[Row]:
+    kind = "poses" if result.information == NOT_STATED else result.information
     own = ""
     if result.outside is not None:
         own = f"; {100.0 * result.outside:.1f} % beyond their own 99.9 % region"
     rows = [
         Row(
             "poses",
-            f"{result.poses:,} {result.information}, {result.rms_m:.3f} m and "
+            f"{result.poses:,} {kind}, {result.rms_m:.3f} m and "
             f"{result.rms_heading_rad:.4f} rad from the smoother's (rms){own}",
         )
     ]

@@ -19,7 +19,7 @@ from comparisons.adapters.filter_variants import (
 from comparisons.adapters.reference_filter import run_reference
 from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array
-from comparisons.checks.grade import eigenvalues
+from comparisons.checks.grade import Part, eigenvalues
 from comparisons.choices import Required
 from comparisons.config import EkfConfig
 from comparisons.estimates.external import GivenEstimate, read_given
@@ -284,6 +284,14 @@ def test_eigenvalues_are_those_of_the_pair() -> None:
     assert (low[0], high[0]) == (pytest.approx(3.0), pytest.approx(3.0))
     skewed = second + np.array([[0.0, 0.2], [0.0, 0.0]])
     assert eigenvalues(skewed, second)[1][0] > 1.1
+    assert eigenvalues(second, -second) == (-np.inf, np.inf)
+
+
+def test_what_is_not_a_number_is_not_like_anything() -> None:
+    none = np.full(2, np.nan)
+    assert Part("poses", np.zeros(2), none, none).within(0.05, 0.05)
+    assert not Part("poses", none, none, none).within(0.05, 0.05)
+    assert not Part("poses", np.zeros(2), np.zeros(2), np.full(2, np.inf)).within(0.05, 0.05)
 
 
 @pytest.mark.slow

@@ -27,10 +27,7 @@ def fit(given: Array, expected: Array, *, scaled: bool = True) -> Fit | None:
 
     One in fifty may be an exception. scaled: another factor than one may be.
     """
-    try:
-        low, high = eigenvalues(given, expected)
-    except np.linalg.LinAlgError:
-        return None
+    low, high = eigenvalues(given, expected)
     if not (low > 0.0).any():
         return None
     middle = np.sqrt(np.maximum(low, 1e-300) * high)
