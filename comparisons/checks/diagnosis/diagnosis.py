@@ -19,6 +19,8 @@ _LEAST_SCALE = 0.005
 _LEAST_HEADING_RAD = np.deg2rad(3.0)
 _LEAST_ALONE_RAD = np.deg2rad(0.1)
 """Heading that is off where the positions are right."""
+_MOST_TURNED_RAD = 5e-3
+"""Another point of the vehicle has its heading; a path that is late at an even speed has not."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,8 @@ def _lever(paths: Paths) -> tuple[float, Cause] | None:
     off = (paths.pose[:, :2] - paths.reference[:, :2]) @ (1.0, 1.0j)
     body = off * np.exp(-1j * paths.reference[:, 2])
     left = float(np.sqrt(np.mean(np.abs(body - body.mean()) ** 2)))
-    if left > _EXPLAINS * paths.rms_m:
+    turned = np.angle(np.exp(1j * (paths.pose[:, 2] - paths.reference[:, 2])))
+    if left > _EXPLAINS * paths.rms_m or np.sqrt(np.mean(turned**2)) > _MOST_TURNED_RAD:
         return None
     forward, side = float(body.mean().real), float(body.mean().imag)
     return left / paths.rms_m, Cause(
