@@ -221,7 +221,8 @@ def _joint(given: GivenEstimate, reference: Reference, rows: tuple[Index, Index]
     if abs(reference.time_s[-1] - reference.joint_s) > CLOCK_S:  # of other poses
         ours, theirs = ours[3:], theirs[3:]
     if given.joint_covariance is None or not len(ours):
-        return Part("last pose and landmarks", *[np.zeros(0)] * 3)
+        none = np.zeros(0)
+        return Part("last pose and landmarks", none, none, none)
     joint = given.joint_covariance
     first = joint[np.ix_(ours, ours)]
     second = reference.joint_covariance[np.ix_(theirs, theirs)]
