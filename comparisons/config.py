@@ -33,6 +33,7 @@ from comparisons.choices import (
     Method,
     Optimiser,
     PictureFormat,
+    Required,
     Robust,
     SolverAssociation,
 )
@@ -268,6 +269,11 @@ class CheckConfig(SolveConfig):
     job: Literal["check"] = "check"  # type: ignore[assignment]
     estimate: str = Field("", description="a trajectory file, or an estimate folder")
     times: str | None = Field(None, description="times of a KITTI file")
+    require: Required | None = Field(
+        None,
+        description="least grade that agrees: like an EKF where the estimate calls itself one, "
+        "else plausible, if absent",
+    )
 
 
 class OdometryConfig(JobConfig):

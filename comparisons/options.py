@@ -235,6 +235,12 @@ REPORT = (
         help="Write ekf/trace.npz: what the EKF linearised where.",
     ),
 )
+REQUIRE = Flag(
+    option="--require", field="require", choices=choices.Required,
+    help="Least grade that exits with 0: equal to the reference EKF, like it (5 %), or as near "
+    "to the optimum as that is certain. [like where estimate.toml says estimator = \"ekf\", "
+    "else plausible]",
+)
 ESTIMATE = (
     Flag(
         option="--estimate", field="estimate", metavar="FOLDER|FILE",
@@ -245,6 +251,7 @@ ESTIMATE = (
         option="--times", field="times", metavar="FILE",
         help="Times of a KITTI file, else times.txt beside it.",
     ),
+    REQUIRE,
 )
 CLOUD = Flag(
     option="--cloud", field="cloud", choices=choices.CloudFormat,

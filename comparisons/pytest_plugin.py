@@ -45,7 +45,8 @@ def slam_check() -> Callable[..., Any]:
     """Judge a log: the reference EKF's run, or the estimate of another system given as a path.
 
     What it returns has `outcome`, `causes` and `remarks`. Settings are named as the options of
-    `slamcheck run`, as `filter="compressed"`; for an estimate `association`, `gps` and `robust`.
+    `slamcheck run`, as `filter="compressed"`; for an estimate `association`, `gps`, `require`
+    and `robust`.
     """
 
     def check(log: Log, estimate: str | Path | None = None, **settings: Any) -> Any:
@@ -56,12 +57,12 @@ def slam_check() -> Callable[..., Any]:
             return compare(log, run_config(**settings)).verdict
         from comparisons.config import CheckConfig
         from comparisons.estimates.external import read_given
-        from comparisons.options import GPS, ROBUST, SOLVER_ASSOCIATION, options
+        from comparisons.options import GPS, REQUIRE, ROBUST, SOLVER_ASSOCIATION, options
         from comparisons.pipeline.check import check as check_estimate
         from comparisons.settings import configure
 
         given = read_given(Path(estimate))
-        flags = options((SOLVER_ASSOCIATION, GPS, ROBUST), settings)
+        flags = options((SOLVER_ASSOCIATION, GPS, REQUIRE, ROBUST), settings)
         return check_estimate(log, given, configure(CheckConfig, flags=flags))
 
     return check

@@ -1,10 +1,10 @@
-"""Someone else's estimate against the smoother: what is absent narrows what can be said."""
+"""Whether an external estimate is plausible: as near to the optimum as that itself is certain."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,22 +17,41 @@ from comparisons.checks.agreement import (
     LEAST_VARIANCE_RATIO,
     eigenvalue_range,
 )
-from comparisons.checks.causes import Cause
-from comparisons.checks.diagnosis.diagnosis import Paths, diagnose, rms
+from comparisons.checks.diagnosis.diagnosis import rms
+from comparisons.checks.grade import (
+    Reference,
+    eigenvalues,
+    joint_rows,
+    match_map,
+    pose_difference,
+)
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import GivenEstimate
-from ekf_reference.core.geometry import wrap_angle
 
 _SURE = 0.999
 _MOST_OUTSIDE = 0.01
-"""Share of poses that may lie beyond their 99.9 % region."""
+"""Share of poses that may lie beyond their 99.9 % region, or beyond any other bound."""
 _MOST_LATE_S = 0.5
 _GENEROUS = 2.0
 _FLOOR_M = 0.05
-"""Differences that one estimate may have from another of its kind, in RMS over all poses."""
-_SWAPPED = 3.0
-"""Names are taken for exchanged where another landmark is so many times nearer."""
+"""Differences that one estimate may have from another of its kind, in RMS over all poses, where
+the reference filter is no measure."""
+_NARROW = 0.5
+"""Least share of a justified variance that is plausible beyond what linearisation changes."""
+
+
+class Band(NamedTuple):
+    """Variances over the smoother's that are plausible."""
+
+    least: float = LEAST_VARIANCE_RATIO
+    largest: float = 1.0 / LEAST_VARIANCE_RATIO
+
+    def holds(self, least: float | None, largest: float | None) -> bool:
+        """Both are within, as far as there are any."""
+        return (least is None or least >= self.least) and (
+            largest is None or largest <= self.largest
+        )
 
 
 @dataclass(frozen=True)
@@ -53,28 +72,19 @@ class Block:
         """As near as the optimum itself is certain."""
         return self.distance <= LARGEST_DISTANCE
 
-    @property
-    def sure_enough(self) -> bool:
-        """No variance too small or too large by more than the bound, as far as one was given."""
-        if self.least is None or self.largest is None:
-            return True
-        return self.least >= LEAST_VARIANCE_RATIO and self.largest <= 1.0 / LEAST_VARIANCE_RATIO
-
 
 @dataclass(frozen=True, kw_only=True)
 class GivenAgreement:
-    """All that could be compared.
+    """All that could be compared with the smoother.
 
-    time_s: (K,) the given poses inside the log's time, pose: (K, 3), and the smoother's there,
-    reference: (K, 3). rms_m, rms_heading_rad: of their differences. outside: share of them beyond
-    the 99.9 % region of the given covariances; None without. last: the last pose; None where
-    it lies before the log's last epoch. landmark_id: (M,) of those compared, landmarks: as many.
-    unmatched: landmarks given that the smoother does not have. causes: why they disagree, if so.
+    time_s: (K,) the given poses inside the log's time. rms_m, rms_heading_rad: of their differences
+    from the smoother's. outside: share of them beyond the 99.9 % region of the given covariances;
+    None without. last: the last pose; None where it lies before the log's last epoch. landmark_id:
+    (M,) of those compared, landmarks: as many. unmatched: landmarks given that the smoother does
+    not have. band: of variances. against: what is not plausible, in words.
     """
 
     time_s: Array
-    pose: Array
-    reference: Array
     rms_m: float
     rms_heading_rad: float
     outside: float | None
@@ -82,183 +92,180 @@ class GivenAgreement:
     landmark_id: NDArray[np.int64]
     landmarks: tuple[Block, ...]
     unmatched: int
-    causes: tuple[Cause, ...]
+    band: Band
+    against: tuple[str, ...]
+
+    def agrees(self, block: Block) -> bool:
+        """Whether a block's mean and covariance are plausible."""
+        return block.near and self.band.holds(block.least, block.largest)
 
 
-def compare_given(
-    given: GivenEstimate,
-    smoothed: Estimate,
-    reference: Array,
-    *,
-    labelled: bool,
-    peer: Callable[[], Array] | None = None,
-) -> GivenAgreement:
-    """Compare all that is there.
-
-    reference: (K, 3) the smoother's poses at the given times. labelled: ids are the log's.
-    peer: gives a right estimate of the same kind there (K, 3), the smoother's by default; asked
-    where it is needed. Poses without covariances may be a few times as far from the smoother's
-    as it is.
-
-    Raises InputError where the estimate has no pose in the log's time.
-    """
+def within_log(given: GivenEstimate, smoothed: Estimate) -> NDArray[np.bool_]:
+    """Return which poses (K,) lie in the log's time. Raises InputError where none does."""
     first, last = smoothed.time_s[0], smoothed.time_s[-1]
-    inside = (given.time_s >= first - 1e-4) & (given.time_s <= last + 1e-4)
+    inside: NDArray[np.bool_] = (given.time_s >= first - 1e-4) & (given.time_s <= last + 1e-4)
     if not inside.any():
         raise InputError(
             f"the estimate's times, {given.time_s[0]:.3f} to {given.time_s[-1]:.3f} s, lie outside "
             f"the log's, {first:.3f} to {last:.3f} s; expected the log's own clock"
         )
-    time_s, pose, reference = given.time_s[inside], given.pose[inside], reference[inside]
-    difference = _wrapped(pose - reference)
-    outside = None
+    return inside
+
+
+def compare_given(
+    given: GivenEstimate, smoothed: Reference, peers: Sequence[Reference], *, labelled: bool
+) -> GivenAgreement:
+    """Compare all that is there.
+
+    given: its poses at the references' times, and no others. smoothed: the smoother's optimum.
+    peers: right estimates of the kinds that it may be; a path need be near one. labelled: ids are
+    the log's.
+    """
+    difference = pose_difference(given.pose, smoothed.pose)
+    rows, outside, end = match_map(given, smoothed, labelled=labelled), None, None
     if given.pose_covariance is not None:
-        outside = _outside(difference, given.pose_covariance[inside])
-    end = None
-    if last - time_s[-1] <= _MOST_LATE_S:
-        cover = None if given.pose_covariance is None else given.pose_covariance[inside][-1]
+        outside = _outside(difference, given.pose_covariance)
+    if smoothed.span_s[1] - given.time_s[-1] <= _MOST_LATE_S:
+        cover = None if given.pose_covariance is None else given.pose_covariance[-1]
         end = _block(difference[-1], smoothed.joint_covariance[:3, :3], cover)
-    ours, theirs = _matched(given, smoothed, labelled=labelled)
-    blocks = _landmark_blocks(given, smoothed, ours, theirs)
+    band, trusted = Band(_NARROW, 1.0 / _NARROW), {}
+    for peer in peers:
+        whole = _whole(peer, smoothed, labelled=labelled)
+        trusted[peer.name] = whole.near and Band().holds(whole.least, whole.largest)
+        band = _widened(band, whole)
     found = GivenAgreement(
-        time_s=time_s,
-        pose=pose,
-        reference=reference,
-        rms_m=float(np.sqrt(np.square(difference[:, :2]).sum(axis=1).mean())),
+        time_s=given.time_s,
+        rms_m=rms(difference[:, :2]),
         rms_heading_rad=float(np.sqrt(np.square(difference[:, 2]).mean())),
         outside=outside,
         last=end,
-        landmark_id=smoothed.landmark_id[theirs],
-        landmarks=tuple(blocks),
-        unmatched=(0 if given.landmark is None else len(given.landmark)) - len(ours),
-        causes=(),
+        landmark_id=smoothed.landmark_id[rows[1]],
+        landmarks=tuple(_landmark_blocks(given, smoothed, rows)),
+        unmatched=(0 if given.landmark is None else len(given.landmark)) - len(rows[0]),
+        band=band,
+        against=(),
     )
-
-    @cache
-    def alike() -> Array:
-        return reference if peer is None else peer()[inside]
-
-    poses_off = _poses_off(found, alike)
-    swapped = _swapped(given, smoothed, ours, theirs)
-    causes = _causes(found, lambda: Paths(time_s, pose, alike()), swapped, poses_off)
-    return replace(found, causes=tuple(causes))
-
-
-def _landmark_blocks(
-    given: GivenEstimate, smoothed: Estimate, ours: Index, theirs: Index
-) -> list[Block]:
-    if given.landmark is None:
-        return []
-    own = smoothed.landmark_covariances()
-    blocks = []
-    for i, j in zip(ours.tolist(), theirs.tolist(), strict=True):
-        cover = None if given.landmark_covariance is None else given.landmark_covariance[i]
-        blocks.append(_block(given.landmark[i] - smoothed.landmark[j], own[j], cover))
-    return blocks
+    paths = [
+        _path_by_peer(given, peer, band)
+        if trusted[peer.name] and peer.known.any()
+        else _path_alone(found, rms((peer.pose - smoothed.pose)[:, :2]))
+        for peer in peers
+    ] or [_path_alone(found, 0.0)]
+    against = [*_map_faults(given, smoothed, rows, found), *min(paths, key=len)]
+    return replace(found, against=tuple(against))
 
 
-def _causes(
-    found: GivenAgreement, paths: Callable[[], Paths], swapped: Cause | None, poses_off: str
-) -> list[Cause]:
-    far = [k for k, block in enumerate(found.landmarks) if not block.near]
-    causes = []
-    if poses_off or far:
-        causes += diagnose(paths())
-        if swapped is not None and not causes:  # another frame exchanges landmarks, too
-            causes.append(swapped)
-        if not causes or far:
-            causes.append(_position(found, far, poses_off))
-    unsure = [k for k, block in enumerate(found.landmarks) if not block.sure_enough]
-    ends = found.last is not None and not found.last.sure_enough
-    if unsure or ends:
-        causes.append(_covariance(found, unsure))
-    return causes
-
-
-def _poses_off(found: GivenAgreement, alike: Callable[[], Array]) -> str:
-    """What is wrong with the poses, in words; empty when nothing is."""
-    parts = []
-    if found.last is not None and not found.last.near:
-        parts.append(
-            f"the last pose is off by {found.last.difference_m:.2f} m "
-            f"({found.last.distance:.1f} sigma)"
-        )
-    if found.outside is not None and found.outside > _MOST_OUTSIDE:
-        parts.append(
-            f"{100.0 * found.outside:.0f} % of the poses lie beyond their own 99.9 % region, "
-            f"{found.rms_m:.2f} m off (RMS)"
-        )
-    elif found.outside is None:
-        expected_m = _GENEROUS * rms((alike() - found.reference)[:, :2]) + _FLOOR_M
-        if found.rms_m > expected_m:
-            parts.append(
-                f"the poses are {found.rms_m:.2f} m off (RMS), where {expected_m:.2f} m could be"
-            )
-    return "; ".join(parts)
-
-
-def _position(found: GivenAgreement, far: list[int], poses_off: str) -> Cause:
-    parts = []
-    if far:
-        worst = max(far, key=lambda k: found.landmarks[k].distance)
-        block = found.landmarks[worst]
-        parts.append(
-            f"{len(far)} of {len(found.landmarks)} landmarks are too far off, landmark "
-            f"{found.landmark_id[worst]} by {block.difference_m:.2f} m ({block.distance:.1f} sigma)"
-        )
-    return Cause(
-        "estimate",
-        "; ".join(filter(None, (*parts, poses_off))),
-        "a trace would tell algebra from model; look first at associations, signs and noise",
-    )
-
-
-def _covariance(found: GivenAgreement, unsure: list[int]) -> Cause:
-    blocks = [found.landmarks[k] for k in unsure]
-    if found.last is not None and not found.last.sure_enough:
-        blocks.append(found.last)
-    ratios = [r for b in blocks for r in (b.least, b.largest) if r is not None]
-    worst = float(max(ratios, key=lambda r: abs(float(np.log(max(r, 1e-300))))))
-    typical = float(np.median(ratios))
-    return Cause(
-        "covariance",
-        f"{len(unsure)} of {len(found.landmarks)} landmarks have a wrong covariance, at worst "
-        f"{worst:.3g} times the justified variance, typically {typical:.3g} times",
-        "look at the noise: a sigma where a variance is meant, a factor on R or Q, a dropped "
-        "cross-covariance, sightings used twice",
-    )
-
-
-def _swapped(given: GivenEstimate, smoothed: Estimate, ours: Index, theirs: Index) -> Cause | None:
-    """Landmarks that lie where another one's name belongs."""
-    if given.landmark is None or len(ours) < 2:
-        return None
-    apart = np.linalg.norm(given.landmark[ours][:, None] - smoothed.landmark[theirs][None], axis=2)
-    own = np.diag(apart)
-    nearest = apart.argmin(axis=1)
-    other = np.flatnonzero(
-        (nearest != np.arange(len(own))) & (_SWAPPED * apart.min(axis=1) < own) & (own > 0.5)
-    )
-    if not len(other) or len(other) > 0.5 * len(own):
-        return None
-    ids = smoothed.landmark_id[theirs]
-    pairs = ", ".join(f"{ids[k]} at {ids[nearest[k]]}" for k in other[:4])
-    return Cause(
-        "association",
-        f"{len(other)} landmarks lie where another is: {pairs}",
-        "look at the names: ids exchanged, or sightings given to the wrong landmark",
-    )
-
-
-def _matched(given: GivenEstimate, smoothed: Estimate, *, labelled: bool) -> tuple[Index, Index]:
-    none = np.zeros(0, dtype=np.intp)
-    if given.landmark is None or given.landmark_id is None:
-        return none, none
-    return match_landmarks(
-        (given.landmark_id, given.landmark),
+def _whole(peer: Reference, smoothed: Reference, *, labelled: bool) -> Block:
+    """A reference's map against the optimum's."""
+    ours, theirs = match_landmarks(
+        (peer.landmark_id, peer.landmark),
         (smoothed.landmark_id, smoothed.landmark),
         labelled=labelled,
     )
+    rows, own = (joint_rows(which)[3:] for which in (ours, theirs))
+    difference = (peer.landmark[ours] - smoothed.landmark[theirs]).ravel()
+    if not len(difference):
+        return Block(0.0, 0.0)
+    cover = peer.joint_covariance[np.ix_(rows, rows)]
+    return _block(difference, smoothed.joint_covariance[np.ix_(own, own)], cover)
+
+
+def _widened(band: Band, peer: Block) -> Band:
+    """Linearisation may change variances by as much as it does in the reference filter."""
+    widest = Band()
+    if peer.least is None or peer.largest is None or not np.isfinite(peer.least):
+        return widest
+    return Band(
+        max(widest.least, min(band.least, _NARROW * peer.least)),
+        min(widest.largest, max(band.largest, peer.largest / _NARROW)),
+    )
+
+
+def _map_faults(
+    given: GivenEstimate, smoothed: Reference, rows: tuple[Index, Index], found: GivenAgreement
+) -> list[str]:
+    """What is not plausible of the last pose and the map."""
+    parts, blocks = [], found.landmarks
+    far = [k for k, block in enumerate(blocks) if not block.near]
+    if far:
+        worst = max(far, key=lambda k: blocks[k].distance)
+        parts.append(
+            f"{len(far)} of {len(blocks)} landmarks are too far from the optimum, landmark "
+            f"{found.landmark_id[worst]} by {blocks[worst].difference_m:.2f} m "
+            f"({blocks[worst].distance:.1f} sigma)"
+        )
+    last = found.last
+    if last is not None and not last.near:
+        parts.append(
+            f"the last pose is {last.difference_m:.2f} m from the optimum "
+            f"({last.distance:.1f} sigma)"
+        )
+    unsure = [b for b in blocks if not found.band.holds(b.least, b.largest)]
+    if last is not None and not found.band.holds(last.least, last.largest):
+        unsure.append(last)
+    if not unsure and given.joint_covariance is not None and last is not None:
+        ours, theirs = map(joint_rows, rows)
+        pair = given.joint_covariance[np.ix_(ours, ours)], smoothed.joint_covariance
+        whole = Block(0.0, 0.0, *eigenvalue_range(pair[0], pair[1][np.ix_(theirs, theirs)]))
+        unsure = [] if found.band.holds(whole.least, whole.largest) else [whole]
+    if unsure:
+        ratios = [r for b in unsure for r in (b.least, b.largest) if r is not None]
+        worst_ratio = max(ratios, key=lambda r: abs(float(np.log(max(r, 1e-300)))))
+        parts.append(
+            f"covariances of last pose and map are up to {worst_ratio:.3g} times the optimum's, "
+            f"expected {found.band.least:.2g} to {found.band.largest:.2g}"
+        )
+    return parts
+
+
+def _path_by_peer(given: GivenEstimate, peer: Reference, band: Band) -> list[str]:
+    """What is not plausible of a path beside that of a right estimate of its kind."""
+    at, parts = peer.known, []
+    own = peer.pose_covariance[at]
+    difference = pose_difference(given.pose[at], peer.pose[at])
+    solved = np.linalg.solve(own, difference[..., None])[..., 0]
+    square = np.einsum("ki,ki->k", difference, solved) / 3.0
+    far = float(np.mean(square > LARGEST_DISTANCE**2))
+    if far > _MOST_OUTSIDE:
+        parts.append(
+            f"{100.0 * far:.0f} % of the poses are more than a sigma from those of {peer.name}, "
+            f"{rms(difference[:, :2]):.2f} m (RMS)"
+        )
+    if given.pose_covariance is not None:
+        least, largest = eigenvalues(given.pose_covariance[at], own)
+        bad = float(np.mean((least < band.least) | (largest > band.largest)))
+        if bad > _MOST_OUTSIDE:
+            parts.append(
+                f"{100.0 * bad:.0f} % of the pose covariances are not {band.least:.2g} to "
+                f"{band.largest:.2g} times those of {peer.name}"
+            )
+    return parts
+
+
+def _path_alone(found: GivenAgreement, peer_rms_m: float) -> list[str]:
+    """What is not plausible of a path where no right estimate of its kind is a measure."""
+    if found.outside is not None:
+        if found.outside <= _MOST_OUTSIDE:
+            return []
+        return [
+            f"{100.0 * found.outside:.0f} % of the poses lie beyond their own 99.9 % region, "
+            f"{found.rms_m:.2f} m off (RMS)"
+        ]
+    expected_m = _GENEROUS * peer_rms_m + _FLOOR_M
+    if found.rms_m <= expected_m:
+        return []
+    return [f"the poses are {found.rms_m:.2f} m off (RMS), where {expected_m:.2f} m could be"]
+
+
+def _landmark_blocks(
+    given: GivenEstimate, smoothed: Reference, rows: tuple[Index, Index]
+) -> Iterator[Block]:
+    if given.landmark is None:
+        return
+    for i, j in zip(*(one.tolist() for one in rows), strict=True):
+        own = smoothed.joint_covariance[3 + 2 * j : 5 + 2 * j, 3 + 2 * j : 5 + 2 * j]
+        cover = None if given.landmark_covariance is None else given.landmark_covariance[i]
+        yield _block(given.landmark[i] - smoothed.landmark[j], own, cover)
 
 
 def _block(difference: Array, covariance: Array, given: Array | None) -> Block:
@@ -278,9 +285,3 @@ def _outside(difference: Array, covariance: Array) -> float:
     safe = np.where(positive[:, None, None], covariance, np.eye(3))
     square = np.einsum("ki,ki->k", difference, np.linalg.solve(safe, difference[..., None])[..., 0])
     return float(np.mean(~positive | (square > limit)))
-
-
-def _wrapped(difference: Array) -> Array:
-    difference = difference.copy()
-    difference[:, 2] = wrap_angle(difference[:, 2])
-    return difference

@@ -1,4 +1,4 @@
-"""`slamcheck check`: an external estimate against the smoother's."""
+"""`slamcheck check`: an external estimate against a filter like it and the smoother's."""
 
 from __future__ import annotations
 
@@ -21,12 +21,16 @@ from comparisons.options import (
 
 @from_flags((*ESTIMATE, SOLVER_ASSOCIATION, FEATURES, GPS, ROBUST, ACCEPT_MISFIT, *LOG))
 def check(given: Given) -> None:
-    """Check another system's estimate of a log against the smoother's. Exits as run does.
+    """Grade another system's estimate: equal to a reference EKF, like it, plausible, or wrong.
+
+    Exits with 0 where the grade is what --require asks for, with 1 below it, with 3 where that
+    needs an optimum which is not verified.
 
     \b
     Examples:
       slamcheck check simulated-loop --estimate my-filter-output
       slamcheck check my-log --estimate trajectory.tum
+      slamcheck check my-log --estimate my-filter-output --require like
     """
     with guarded(verbose=given.verbose, log_file=given.log_file):
         from comparisons.config import CheckConfig

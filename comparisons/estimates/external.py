@@ -25,6 +25,7 @@ from comparisons.estimates.trajectory_files import read_trajectory_file
 from comparisons.logs.validation import LARGEST
 
 Information = Literal["filtered", "smoothed", "fixed-lag"]
+Estimator = Literal["ekf", "smoother", "other"]
 _ARRAYS = ("pose", "landmarks", "last_pose_and_landmarks")
 
 
@@ -35,7 +36,8 @@ class GivenEstimate:
     time_s: (K,). pose: (K, 3) x, y, heading, unwrapped. landmark_id: (L,) and landmark: (L, 2),
     both None without a map. pose_covariance: (K, 3, 3). landmark_covariance: (L, 2, 2).
     joint_covariance: (3 + 2 L, 3 + 2 L) of the last pose and all landmarks. All covariances are
-    of the additive global error. information: as of Estimate.
+    of the additive global error. information: as of Estimate, None where it was not said.
+    estimator: what it calls itself.
     trace: what the filter linearised where.
     """
 
@@ -46,8 +48,16 @@ class GivenEstimate:
     pose_covariance: Array | None = None
     landmark_covariance: Array | None = None
     joint_covariance: Array | None = None
-    information: Information = "filtered"
+    information: Information | None = None
+    estimator: Estimator = "other"
     trace: TraceFile | None = None
+
+    def may_be(self, information: Information) -> bool:
+        """Whether its poses may know so much of the log; an EKF's know what is past."""
+        if self.information is None and self.estimator == "other":
+            return information != "fixed-lag"
+        default = "smoothed" if self.estimator == "smoother" else "filtered"
+        return information == (self.information or default)
 
     @property
     def absent(self) -> list[str]:
@@ -85,9 +95,11 @@ def _read_folder(path: Path) -> GivenEstimate:
     time_s, pose = read_trajectory(path / "trajectory.tum")
     if not len(pose):
         raise InputError(f"{path / 'trajectory.tum'}: holds no poses")
-    information: Information = "filtered"
+    information: Information | None = None
+    estimator: Estimator = "other"
     if (path / "estimate.toml").exists():
-        information = read_meta(path / "estimate.toml").information
+        meta = read_meta(path / "estimate.toml")
+        information, estimator = meta.information, meta.estimator
     ids = places = None
     if (path / "landmarks.csv").exists():
         ids, places = read_landmarks(path / "landmarks.csv")
@@ -106,6 +118,7 @@ def _read_folder(path: Path) -> GivenEstimate:
         landmark_covariance=covariances.landmark,
         joint_covariance=covariances.joint,
         information=information,
+        estimator=estimator,
         trace=trace,
     )
 

@@ -33,6 +33,7 @@ class Meta(BaseModel):
     model_config = ConfigDict(extra="forbid")
     version: Literal[1]
     information: Literal["filtered", "smoothed", "fixed-lag"]
+    estimator: Literal["ekf", "smoother", "other"] = "other"
     provenance: dict[str, str] = {}
 
 

@@ -1,34 +1,59 @@
-"""The check job: someone else's estimate of a log against the smoother's verified optimum."""
+"""The check job: someone else's estimate of a log, graded by a filter like it and the optimum."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from comparisons.adapters.ekf_run import run_ekf
-from comparisons.adapters.motion import poses_at
-from comparisons.arrays import Array
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.checks import causes as cause
 from comparisons.checks.accuracy import Accuracy, assess_trajectory
+from comparisons.checks.agreement import ROUNDING
 from comparisons.checks.causes import Cause
-from comparisons.checks.given_agreement import GivenAgreement, compare_given
+from comparisons.checks.diagnosis.estimate_facts import Clues, facts
+from comparisons.checks.given_agreement import GivenAgreement, compare_given, within_log
+from comparisons.checks.grade import GRADES, Grade, Likeness, Reference, likeness
 from comparisons.checks.verdict import Outcome
+from comparisons.choices import Required
 from comparisons.config import CheckConfig
 from comparisons.estimates.external import GivenEstimate
 from comparisons.logs.log import Log
 from comparisons.pipeline.given_trace import TraceCheck, check_trace
 from comparisons.pipeline.prepare import Progress, no_progress
+from comparisons.pipeline.references import reference_ekf, smoother, variants
 from comparisons.pipeline.solve import Solution, solve
 
 _OWN = ("data", "algebra", "model")
 """Causes that the filter's trace shows whatever the smoother found."""
+_HOPELESS_SIGMA = 10.0
+"""So far from the reference EKF no variant of it is tried, nor where the means are the EKF's."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Graded:
+    """An estimate's grade. value: None where it is not like any, and the optimum is not verified.
+
+    required: the least that is asked for. by: what it was compared with in the end, the nearest.
+    """
+
+    value: Grade | None
+    required: Required
+    by: Likeness | None
+
+    @property
+    def enough(self) -> bool:
+        """Whether it is what is asked for."""
+        return self.value is not None and (GRADES.index(self.value) >= GRADES.index(self.required))
 
 
 @dataclass(frozen=True, kw_only=True)
 class GivenCheck:
     """What the check found.
 
-    solution: the smoother's. agreement: against it. accuracy: of the given trajectory where the
-    log has truth or positions. trace: the filter's own gaps, where it left one. outcome, causes,
-    remarks: the verdict.
+    solution: the smoother's. agreement: with it. accuracy: of the given trajectory where the
+    log has truth or positions. trace: the filter's own gaps, where it left one. grade, outcome,
+    causes, remarks: the verdict.
     """
 
     given: GivenEstimate
@@ -36,9 +61,19 @@ class GivenCheck:
     agreement: GivenAgreement
     accuracy: Accuracy | None
     trace: TraceCheck | None
+    grade: Graded
     outcome: Outcome
     causes: tuple[Cause, ...]
     remarks: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _References:
+    """optimum: the smoother. peers: estimates of the kinds that it may be. clues: what else."""
+
+    optimum: Reference
+    peers: tuple[Reference, ...]
+    clues: Clues
 
 
 def check(
@@ -47,38 +82,54 @@ def check(
     config: CheckConfig | None = None,
     progress: Progress = no_progress,
 ) -> GivenCheck:
-    """Solve the log, compare, judge. Raises InputError, and as `solve` does."""
+    """Solve the log, run the reference EKF, grade. Raises InputError, and as `solve` does."""
     config = config or CheckConfig()
-    solution = solve(log, config, progress)
+    return judge_given(given, solve(log, config, progress), config.require, progress)
+
+
+def judge_given(
+    given: GivenEstimate,
+    solution: Solution,
+    require: Required | None = None,
+    progress: Progress = no_progress,
+) -> GivenCheck:
+    """Grade an estimate of a log that is solved. Raises InputError for one of another time."""
+    clock, labelled = solution.prepared.clock, solution.prepared.labelled
+    inside = _chosen(given, within_log(given, solution.estimate))
+    with clock.stage("references"):
+        progress("references", 0, 0)
+        references = _references(inside, solution)
+        near = _nearest(inside, references, solution)
     progress("check", 0, 0)
-    reference = poses_at(solution.log, solution.estimate, given.time_s)
-    found = compare_given(
-        given,
-        solution.estimate,
-        reference,
-        labelled=solution.prepared.labelled,
-        peer=(lambda: _peer(given, solution)) if given.information == "filtered" else None,
-    )
+    found = compare_given(inside, references.optimum, references.peers, labelled=labelled)
     verified = solution.verified
-    traced, causes = None, found.causes
+    grade = _grade(require or _expected(given), near, found, verified=verified)
+    first = near and likeness(inside, references.peers[0], labelled=labelled)
+    known = facts(inside, first, references.clues) if first else []
+    traced, causes = None, _causes(grade, known, found)
     if given.trace is not None:
         progress("trace", 0, 0)
         traced = check_trace(given, solution.prepared, solution.result.options)
         causes = _with_trace(causes, traced.verdict.causes)
-    outcome: Outcome
-    if any(cause.gap in _OWN for cause in causes):
-        outcome = "disagree"
-    else:
-        outcome = "unverified" if not verified else "disagree" if causes else "agree"
+    outcome = _outcome(grade, causes, verified=verified)
+    if outcome == "unverified":
+        causes = (cause.unverified(solution.result.optimality), *causes)
+    elif outcome == "agree":
+        causes = ()
     return GivenCheck(
         given=given,
         solution=solution,
         agreement=found,
         accuracy=assess_trajectory(given.time_s, given.pose, solution.log),
         trace=traced,
+        grade=grade,
         outcome=outcome,
         causes=causes,
-        remarks=(*_remarks(given, found), *_on_association(solution)),
+        remarks=(
+            *_remarks(given, found),
+            *_beside(grade, known, found, outcome),
+            *_on_association(solution),
+        ),
     )
 
 
@@ -88,18 +139,107 @@ def _on_association(solution: Solution) -> list[str]:
     return [] if checked is None else checked.remarks
 
 
+def _expected(given: GivenEstimate) -> Required:
+    """What is asked of an estimate by what it calls itself."""
+    return "like" if given.estimator == "ekf" else "plausible"
+
+
+def _chosen(given: GivenEstimate, rows: NDArray[np.bool_]) -> GivenEstimate:
+    cover = None if given.pose_covariance is None else given.pose_covariance[rows]
+    return replace(given, time_s=given.time_s[rows], pose=given.pose[rows], pose_covariance=cover)
+
+
+def _references(given: GivenEstimate, solution: Solution) -> _References:
+    optimum = smoother(solution, given.time_s)
+    smoothed = optimum.pose, optimum.pose_covariance
+    ekf = reference_ekf(solution.prepared, given.time_s) if given.may_be("filtered") else None
+    peers: tuple[Reference, ...] = () if ekf is None else (ekf[0],)
+    if given.may_be("smoothed"):
+        peers += (optimum,)
+    return _References(optimum, peers, Clues(before=ekf and ekf[1], smoothed=smoothed))
+
+
+def _nearest(given: GivenEstimate, references: _References, solution: Solution) -> Likeness | None:
+    """The best of all likenesses; variants of the EKF are tried where it is not equal to it."""
+    labelled, best = solution.prepared.labelled, None
+    for peer in references.peers:
+        best = _better(best, likeness(given, peer, labelled=labelled))
+    if best is None or best.grade == "equal" or references.clues.before is None:
+        return best
+    if (
+        not ROUNDING
+        < likeness(given, references.peers[0], labelled=labelled).sigma
+        < _HOPELESS_SIGMA
+    ):
+        return best
+    for variant in variants(solution.prepared, given.time_s):
+        best = _better(best, likeness(given, variant, labelled=labelled))
+    return best
+
+
+def _better(first: Likeness | None, second: Likeness) -> Likeness:
+    """The second where it is nearer, by grade and then by the largest difference."""
+    if first is None:
+        return second
+    ranks = [GRADES.index(one.grade or "wrong") for one in (first, second)]
+    if ranks[0] != ranks[1]:
+        return second if ranks[1] > ranks[0] else first
+    return second if second.farthest < first.farthest else first
+
+
+def _grade(
+    required: Required, near: Likeness | None, found: GivenAgreement, *, verified: bool
+) -> Graded:
+    value: Grade | None = near.grade if near else None
+    if value is None and verified:
+        value = "wrong" if found.against else "plausible"
+    return Graded(value=value, required=required, by=near)
+
+
+def _causes(grade: Graded, known: list[Cause], found: GivenAgreement) -> tuple[Cause, ...]:
+    """Why the grade is not higher."""
+    causes = list(known)
+    if found.against and grade.value in ("wrong", None):
+        hint = "see above" if known else "look first at associations, signs and noise"
+        causes.append(Cause("optimum", "; ".join(found.against), hint))
+    if not causes and not grade.enough and grade.by is not None:
+        name, sigma = grade.by.reference.name, grade.by.sigma
+        causes.append(Cause("grade", f"up to {sigma:.2g} sigma from {name}", "look at rounding"))
+    return tuple(causes)
+
+
+def _outcome(grade: Graded, causes: tuple[Cause, ...], *, verified: bool) -> Outcome:
+    """An optimum that is not verified leaves open only what is measured by it."""
+    if any(one.gap in _OWN for one in causes):
+        return "disagree"
+    by_optimum = grade.by is None or grade.by.grade is None or grade.by.reference.smoothed
+    if by_optimum and not verified and not (grade.value is None and grade.required != "plausible"):
+        return "unverified"
+    return "agree" if grade.enough else "disagree"
+
+
 def _with_trace(found: tuple[Cause, ...], traced: tuple[Cause, ...]) -> tuple[Cause, ...]:
     """The trace's causes first; linearisation stands for what it explains."""
-    kept = tuple(cause for cause in traced if cause.gap in (*_OWN, "linearisation"))
-    explained = ("estimate", "covariance") if kept else ()
-    return kept + tuple(cause for cause in found if cause.gap not in explained)
+    kept = tuple(one for one in traced if one.gap in (*_OWN, "linearisation"))
+    explained = ("estimate", "covariance", "optimum") if kept else ()
+    return kept + tuple(one for one in found if one.gap not in explained)
 
 
-def _peer(given: GivenEstimate, solution: Solution) -> Array:
-    """The reference EKF's poses (K, 3) at the given times."""
-    p = solution.prepared
-    run = run_ekf(p.log, p.timeline, p.ekf, p.positions)
-    return poses_at(p.log, run.estimate, given.time_s)
+def _beside(
+    grade: Graded, known: list[Cause], found: GivenAgreement, outcome: Outcome
+) -> list[str]:
+    """What the grade does not say."""
+    remarks = []
+    if grade.value == "plausible" and outcome == "agree":
+        remarks += [f"plausible, but not like a reference: {one.evidence}" for one in known]
+    if grade.value in ("like", "equal") and found.against:
+        remarks.append(
+            "the filter is as it should be, and still not near the optimum, which is "
+            f"linearisation: {'; '.join(found.against)}"
+        )
+    if grade.by is not None and grade.by.single and grade.value in ("like", "equal"):
+        remarks.append("stored in single precision, whose rounding was allowed for")
+    return remarks
 
 
 def _remarks(given: GivenEstimate, found: GivenAgreement) -> list[str]:
@@ -109,7 +249,7 @@ def _remarks(given: GivenEstimate, found: GivenAgreement) -> list[str]:
         judged = ["the last pose"] if found.last is not None else []
         judged += ["landmarks"] if found.landmarks else []
         judged.append(
-            "the path as a whole" if found.outside is None else "every pose by its own covariance"
+            "every pose's place" if given.pose_covariance is None else "every pose with covariance"
         )
         remarks.append(f"not handed in: {', '.join(given.absent)}; judged: {', '.join(judged)}")
     if len(found.time_s) < len(given.time_s):
@@ -118,7 +258,7 @@ def _remarks(given: GivenEstimate, found: GivenAgreement) -> list[str]:
             "left out"
         )
     if found.last is None:
-        remarks.append("the last pose given lies before the log's end, so it was not judged")
+        remarks.append("the last pose given lies before the log's end, so it was not judged by it")
     if given.trace is not None and given.joint_covariance is None:
         remarks.append("no last_pose_and_landmarks beside the trace, so its algebra is not judged")
     if found.unmatched:

@@ -6,7 +6,8 @@ from typing import Any, Literal
 
 from rich.console import Console
 
-from comparisons.checks.given_agreement import Block
+from comparisons.checks.given_agreement import Block, GivenAgreement
+from comparisons.checks.grade import Likeness
 from comparisons.extensions.contract import Row
 from comparisons.pipeline.check import GivenCheck
 from comparisons.pipeline.given_trace import TraceCheck
@@ -34,6 +35,9 @@ from comparisons.report.sections import (
     smoother_result,
 )
 
+NOT_STATED = "not stated"
+"""In place of what an estimate's poses know of the log."""
+
 
 def build_check_result(check: GivenCheck, read_s: float = 0.0) -> CheckResult:
     """The findings, read_s being the seconds that reading log and estimate took."""
@@ -43,7 +47,8 @@ def build_check_result(check: GivenCheck, read_s: float = 0.0) -> CheckResult:
         log=log_result(solution.log),
         smoother=smoother_result(solution.result, solution.estimate),
         association_by=solution.association_by,
-        information=check.given.information,
+        information=check.given.information or NOT_STATED,
+        estimator=check.given.estimator,
         absent=check.given.absent,
         poses=len(found.time_s),
         rms_m=found.rms_m,
@@ -51,14 +56,17 @@ def build_check_result(check: GivenCheck, read_s: float = 0.0) -> CheckResult:
         outside=found.outside,
         last_pose=None
         if found.last is None
-        else GivenBlockResult.model_validate(_block(found.last)),
+        else GivenBlockResult.model_validate(_block(found, found.last)),
         landmarks=[
-            GivenLandmarkResult.model_validate({"id": int(number), **_block(block)})
+            GivenLandmarkResult.model_validate({"id": int(number), **_block(found, block)})
             for number, block in zip(found.landmark_id, found.landmarks, strict=True)
         ],
         accuracy=accuracy_result(check.accuracy),
         smoother_accuracy=accuracy_result(solution.accuracy),
         trace=_trace(check.trace),
+        grade=check.grade.value,
+        required=check.grade.required,
+        nearest=_nearest(check.grade.by),
         verdict=check.outcome,
         causes=[CauseResult(**vars(cause)) for cause in check.causes],
         remarks=list(check.remarks),
@@ -94,13 +102,14 @@ def check_folder(check: GivenCheck, result: CheckResult) -> JobFolder:
 
 
 def _agreement_rows(result: CheckResult) -> list[Row]:
+    kind = "poses" if result.information == NOT_STATED else result.information
     own = ""
     if result.outside is not None:
         own = f"; {100.0 * result.outside:.1f} % beyond their own 99.9 % region"
     rows = [
         Row(
             "poses",
-            f"{result.poses:,} {result.information}, {result.rms_m:.3f} m and "
+            f"{result.poses:,} {kind}, {result.rms_m:.3f} m and "
             f"{result.rms_heading_rad:.4f} rad from the smoother's (rms){own}",
         )
     ]
@@ -116,6 +125,28 @@ def _agreement_rows(result: CheckResult) -> list[Row]:
     if result.landmarks:
         agreeing = sum(row.agrees for row in result.landmarks)
         rows.append(Row("landmarks", f"{agreeing} of {len(result.landmarks)} agree"))
+    return [*rows, *_grade_rows(result)]
+
+
+def _grade_rows(result: CheckResult) -> list[Row]:
+    rows, nearest = [], result.nearest
+    if nearest is not None:
+        covariances = "no covariances"
+        if nearest.variance_ratio_least is not None:
+            shown = (nearest.variance_ratio_least, nearest.variance_ratio_largest)
+            covariances = "variances {} to {} times".format(
+                *("?" if value is None else f"{value:.4g}" for value in shown)
+            )
+        far = "?" if nearest.largest_sigma is None else f"{nearest.largest_sigma:.2g}"
+        rows.append(Row("nearest", f"{nearest.name}: up to {far} sigma, {covariances}"))
+    words = {
+        "equal": f"equal to {nearest.name if nearest else ''}",
+        "like": f"like {nearest.name if nearest else ''}",
+        "plausible": "plausible",
+        "wrong": "wrong",
+        None: "none, for the optimum is not verified",
+    }
+    rows.append(Row("grade", f"{words[result.grade]} (required: {result.required})"))
     return rows
 
 
@@ -149,13 +180,27 @@ def _trace(check: TraceCheck | None) -> TraceResult | None:
     )
 
 
-def _block(block: Block) -> dict[str, float | bool | None]:
+def _nearest(found: Likeness | None) -> NearestResult | None:
+    if found is None:
+        return None
+    low, high = found.variances or (None, None)
+    return NearestResult(
+        name=found.reference.name,
+        largest_sigma=finite(found.sigma),
+        variance_ratio_least=low,
+        variance_ratio_largest=None if high is None else finite(high),
+        parts=[part.name for part in found.parts],
+        missing=list(found.missing),
+    )
+
+
+def _block(found: GivenAgreement, block: Block) -> dict[str, float | bool | None]:
     return {
         "difference_m": block.difference_m,
         "distance_sigma": block.distance,
         "variance_ratio_least": None if block.least is None else finite(block.least),
         "variance_ratio_largest": None if block.largest is None else finite(block.largest),
-        "agrees": block.near and block.sure_enough,
+        "agrees": found.agrees(block),
     }
 
 
@@ -175,6 +220,21 @@ class GivenLandmarkResult(GivenBlockResult):
     id: int
 
 
+class NearestResult(Model):
+    """The reference that the estimate is nearest to; see comparisons.checks.grade.Likeness.
+
+    largest_sigma: largest difference of any mean. variance ratios: over all poses, landmarks, and
+    directions, None without covariances.
+    """
+
+    name: str
+    largest_sigma: float | None
+    variance_ratio_least: float | None
+    variance_ratio_largest: float | None
+    parts: list[str]
+    missing: list[str]
+
+
 class TraceResult(Model):
     """See comparisons.checks.given_trace.TraceCheck; gaps as in `result.json`."""
 
@@ -191,10 +251,12 @@ class TraceResult(Model):
 
 
 class CheckResult(Model):
-    """`check.json`: an estimate from elsewhere against the smoother's.
+    """`check.json`: an estimate from elsewhere against a filter like it and the smoother's.
 
-    absent: what was not handed in. outside: share of the poses beyond the 99.9 % region of their
-    own covariance, None without covariances. trace: None without one.
+    grade: None where it is not like any reference, and the optimum is not verified. required: the
+    least that agrees. nearest: of the references. absent: what was not handed in. outside: share
+    of the poses beyond the 99.9 % region of their own covariance, None without covariances.
+    trace: None without one.
     """
 
     config: dict[str, Any]
@@ -202,6 +264,7 @@ class CheckResult(Model):
     smoother: SmootherResult
     association_by: str
     information: str
+    estimator: str
     absent: list[str]
     poses: int
     rms_m: float
@@ -212,6 +275,9 @@ class CheckResult(Model):
     accuracy: AccuracyResult | None
     smoother_accuracy: AccuracyResult | None
     trace: TraceResult | None
+    grade: Literal["equal", "like", "plausible", "wrong"] | None
+    required: Literal["equal", "like", "plausible"]
+    nearest: NearestResult | None
     verdict: Literal["agree", "disagree", "unverified"]
     causes: list[CauseResult]
     remarks: list[str]

@@ -17,6 +17,10 @@ _NO_MATTER_M = 0.01
 _LATEST_S = 2.0
 _LEAST_SCALE = 0.005
 _LEAST_HEADING_RAD = np.deg2rad(3.0)
+_LEAST_ALONE_RAD = np.deg2rad(0.1)
+"""Heading that is off where the positions are right."""
+_MOST_TURNED_RAD = 5e-3
+"""Another point of the vehicle has its heading; a path that is late at an even speed has not."""
 
 
 @dataclass(frozen=True)
@@ -35,9 +39,9 @@ class Paths:
 
 def diagnose(paths: Paths) -> list[Cause]:
     """Corrections that take most of a difference away, the most telling first; may be none."""
-    tries = [_heading]
+    tries = [_heading, _clockwise]
     if paths.rms_m > _NO_MATTER_M:
-        tries += [_frame, _late, _mirrored, _scaled]
+        tries += [_frame, _late, _mirrored, _scaled, _lever]
     found = [cause for cause in (attempt(paths) for attempt in tries) if cause is not None]
     return [cause for _, cause in sorted(found, key=lambda pair: pair[0])]
 
@@ -49,16 +53,50 @@ def rms(error: Array) -> float:
 
 def _heading(paths: Paths) -> tuple[float, Cause] | None:
     """Headings that are off by much the same everywhere, whatever the positions do."""
-    off = np.exp(1j * (paths.pose[:, 2] - paths.reference[:, 2])).mean()
-    mean, together = float(np.angle(off)), float(abs(off))
-    turned = paths.rms_m > _NO_MATTER_M and _frame(paths) is not None
-    if abs(mean) < _LEAST_HEADING_RAD or together < 0.98 or turned:
+    each = np.exp(1j * (paths.pose[:, 2] - paths.reference[:, 2]))
+    mean, together = float(np.angle(each.mean())), float(abs(each.mean()))
+    alone = paths.rms_m <= _NO_MATTER_M
+    if abs(mean) < (_LEAST_ALONE_RAD if alone else _LEAST_HEADING_RAD) or together < 0.98:
+        return None
+    varies = float(np.std(np.angle(each * np.exp(-1j * mean))))
+    if (alone and varies > _EXPLAINS * abs(mean)) or (not alone and _frame(paths) is not None):
         return None
     return 0.0, Cause(
         "heading",
         f"all headings are off by {np.degrees(mean):.1f} degrees, the positions by "
         f"{paths.rms_m:.2f} m (RMS)",
         "look at the heading's zero and sense: counter-clockwise from east is expected",
+    )
+
+
+def _clockwise(paths: Paths) -> tuple[float, Cause] | None:
+    """Headings counted the other way, from whatever direction."""
+    both = np.exp(1j * (paths.pose[:, 2] + paths.reference[:, 2])).mean()
+    as_is = np.exp(1j * (paths.pose[:, 2] - paths.reference[:, 2])).mean()
+    if paths.rms_m > _NO_MATTER_M or abs(both) < 0.98 or abs(as_is) > 0.9:
+        return None
+    return 0.0, Cause(
+        "heading",
+        "all headings turn the other way: clockwise, from "
+        f"{np.degrees(float(np.angle(both))):.0f} degrees",
+        "look at the heading's sense: counter-clockwise from east is expected",
+    )
+
+
+def _lever(paths: Paths) -> tuple[float, Cause] | None:
+    """The path of another point of the vehicle."""
+    off = (paths.pose[:, :2] - paths.reference[:, :2]) @ (1.0, 1.0j)
+    body = off * np.exp(-1j * paths.reference[:, 2])
+    left = float(np.sqrt(np.mean(np.abs(body - body.mean()) ** 2)))
+    turned = np.angle(np.exp(1j * (paths.pose[:, 2] - paths.reference[:, 2])))
+    if left > _EXPLAINS * paths.rms_m or np.sqrt(np.mean(turned**2)) > _MOST_TURNED_RAD:
+        return None
+    forward, side = float(body.mean().real), float(body.mean().imag)
+    return left / paths.rms_m, Cause(
+        "lever",
+        f"{forward:.3f} m forward and {side:.3f} m left of the log's point of the vehicle the path "
+        f"fits to {left:.3f} m (RMS), {paths.rms_m:.3f} m before",
+        "look at which point of the vehicle is written: axle, sensor or antenna",
     )
 
 

@@ -18,7 +18,7 @@ from comparisons.report.figures.style import (
 def check_figure(check: GivenCheck) -> Figure:
     """An estimate from elsewhere on top of the smoother's."""
     solution, given = check.solution, check.given
-    title = f"{solution.log.name}: {check.outcome}"
+    title = f"{solution.log.name}: {check.outcome}, {check.grade.value or 'no grade'}"
     estimates = {"smoother": solution.estimate}
     figure = estimates_figure(solution.log, solution.dead_reckoned, estimates, title)
     axis = figure.axes[0]

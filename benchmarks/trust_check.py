@@ -1,0 +1,502 @@
+"""How `slamcheck check` grades external estimates that leave no trace, right and wrong ones.
+
+    python benchmarks/trust_check.py [--quick] [--log simulated-loop] [--noise-scale 0.3]
+                                     [--seed 0] [--only WORD] [--every N] [--table]
+
+Faults: exports of a sound filter's estimate, sound filters that were fed something else, and the
+planted defects of experiments.defects, but those that show on other logs only; a filter that breaks
+down hands in what it has until then. Sound: the EKF in other implementations, orders, precisions
+and formats, other filters, and smoothers. --log takes the folder of a real log as well. --table
+prints every grade with its first reason. --quick takes a drive of 30 s and every fourth estimate.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from trust_row import Row, print_table  # type: ignore[import-not-found]
+
+from comparisons.adapters import filter_variants
+from comparisons.adapters.ekf_factory import settle
+from comparisons.adapters.ekf_run import run_ekf
+from comparisons.adapters.filter_setup import FilterSetup
+from comparisons.adapters.reference_filter import FilterRun, run_reference
+from comparisons.adapters.timeline import build_timeline
+from comparisons.arrays import Array
+from comparisons.config import EkfConfig, SmootherConfig, SolveConfig
+from comparisons.errors import InputError
+from comparisons.estimates.estimate import Estimate, landmark_blocks
+from comparisons.estimates.external import GivenEstimate, read_given
+from comparisons.estimates.trajectory_files import FORMATS, Trajectory, write_trajectory
+from comparisons.experiments.defects.catalogue import CATALOGUE
+from comparisons.experiments.defects.exports import EXPORTS, FEEDS, with_joint
+from comparisons.logs.bundled import open_log
+from comparisons.logs.log import Log
+from comparisons.logs.simulate.drive import Drive, simulate
+from comparisons.pipeline.check import GivenCheck, judge_given
+from comparisons.pipeline.solve import Solution, solve
+from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.geometry import Index
+from ekf_reference.core.landmark_types import POINT
+from ekf_reference.core.measurements import (
+    NOT_MEASURED,
+    REJECTED,
+    MeasuredAttributes,
+    Measurements,
+)
+from ekf_reference.core.state import Correction, KalmanState
+
+QUICK_S = 30.0
+
+
+class Case(NamedTuple):
+    """An estimate to be graded. like: it has to be found like a reference, not just not wrong."""
+
+    name: str
+    sound: bool
+    make: Callable[[], GivenEstimate]
+    like: bool = False
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A case and what became of it; `refused` where the estimate could not be read or compared."""
+
+    case: Case
+    grade: str
+    by: str
+    reason: str
+
+
+def handed_in(estimate: Estimate) -> GivenEstimate:
+    """An estimate as somebody else's."""
+    return GivenEstimate(
+        time_s=estimate.time_s,
+        pose=estimate.pose,
+        landmark_id=estimate.landmark_id,
+        landmark=estimate.landmark,
+        pose_covariance=estimate.pose_covariance,
+        landmark_covariance=estimate.landmark_covariances(),
+        joint_covariance=estimate.joint_covariance,
+        information=estimate.information,
+    )
+
+
+def of_run(run: FilterRun | None, time_s: Array) -> GivenEstimate:
+    """What a filter knew at some times."""
+    if run is None:
+        raise InputError("the filter broke down")
+    pose, covariance = run.at(time_s)
+    return GivenEstimate(
+        time_s=time_s,
+        pose=pose,
+        landmark_id=run.map.landmark_id,
+        landmark=run.map.landmark,
+        pose_covariance=covariance,
+        landmark_covariance=landmark_blocks(run.map.joint_covariance),
+        joint_covariance=run.map.joint_covariance,
+        information="filtered",
+    )
+
+
+class JosephState(KalmanState):
+    """Joseph's form of the covariance's update."""
+
+    def update(
+        self, columns: Index, jacobian: Array, innovation: Array, noise: Array
+    ) -> Correction:
+        """(I - W H) P (I - W H)^T + W R W^T."""
+        n = self._layout.size
+        p = self._covariance[:n, :n].copy()
+        done = super().update(columns, jacobian, innovation, noise)
+        w = done.gain_root.T @ done.inverse_root
+        keep = np.eye(n)
+        np.subtract.at(keep.T, columns, (w @ jacobian).T)
+        self._covariance[:n, :n] = keep @ p @ keep.T + w @ noise @ w.T
+        return done
+
+
+class InformationState(KalmanState):
+    """The update by inverses, P^-1 + H^T R^-1 H."""
+
+    def update(
+        self, columns: Index, jacobian: Array, innovation: Array, noise: Array
+    ) -> Correction:
+        """Add information, then invert."""
+        n = self._layout.size
+        p = self._covariance[:n, :n].copy()
+        done = super().update(columns, jacobian, innovation, noise)
+        h = np.zeros((len(jacobian), n))
+        np.add.at(h.T, columns, jacobian.T)
+        found = np.linalg.inv(np.linalg.inv(p) + h.T @ np.linalg.inv(noise) @ h)
+        self._covariance[:n, :n] = 0.5 * (found + found.T)
+        return done
+
+
+class SingleState(KalmanState):
+    """The covariance is kept in single precision."""
+
+    def update(
+        self, columns: Index, jacobian: Array, innovation: Array, noise: Array
+    ) -> Correction:
+        """Update, then round."""
+        done = super().update(columns, jacobian, innovation, noise)
+        self._covariance = self._covariance.astype(np.float32).astype(float)
+        return done
+
+
+class IteratedThrice(filter_variants.IteratedEkf):
+    """An iterated EKF that stops after three rounds."""
+
+    most_iterations = 3
+
+
+class WideUnscented(filter_variants.UnscentedEkf):
+    """Sigma points at the full spread, as of the cubature filter."""
+
+    alpha = 1.0
+
+
+class EarlyInitialising(Ekf):
+    """New landmarks are initialised before the measurements of the others are fused."""
+
+    def observe(
+        self,
+        z: Array,
+        sigma: Array,
+        identity: NDArray[np.int64],
+        time_s: float = 0.0,
+        attributes: MeasuredAttributes = NOT_MEASURED,
+    ) -> Index:
+        """As `Ekf.observe`, in another order."""
+        own = self.models[POINT].measured(z, sigma)
+        seen = Measurements(*own, identity, time_s=time_s, attributes=attributes)
+        slots = self.associate(seen)
+        known = slots < self.state.landmark_count
+        self.augment(seen, slots)
+        self.update(seen, np.where(known, slots, REJECTED))
+        return slots
+
+
+class Cases:
+    """All estimates of one log."""
+
+    def __init__(self, log: Log) -> None:
+        """log: with labels; only a long one returns to landmarks after they were out of view."""
+        self.shown = ("loop", "closing") if log.end_s > QUICK_S else ("loop",)
+        self.log, self.config = log, settle(EkfConfig(), log)
+        self.timeline = build_timeline(log)
+        self.right = handed_in(run_ekf(log, self.timeline, self.config).estimate)
+
+    def all(self) -> Iterator[Case]:
+        """Faults, then sound ones."""
+        right = self.right
+        for name, export in EXPORTS.items():
+            yield Case(f"export: {name}", False, partial(export, right))
+        for name, feed in FEEDS.items():
+            yield Case(f"fed: {name}", False, partial(self._fed, feed))
+        for defect in CATALOGUE:
+            if defect.log in self.shown:
+                plant = defect.plant
+                yield Case(f"defect: {defect.name}", False, partial(self._filtered, plant))
+        yield from self._filters()
+        yield from self._exports()
+        yield from self._smoothers()
+
+    def _filtered(
+        self, plant: Callable[[Ekf], None] = lambda ekf: None, **settings: str
+    ) -> GivenEstimate:
+        config = settle(EkfConfig.of(**settings), self.log)
+        setup = FilterSetup(modify=[plant])
+        try:
+            run = run_ekf(self.log, self.timeline, config, None, setup)
+        except TypeError as error:  # a defect of another vehicle
+            raise InputError(str(error)) from None
+        return handed_in(run.estimate)
+
+    def _fed(self, feed: Callable[[Log], Log]) -> GivenEstimate:
+        log = feed(self.log)
+        run = run_reference(log, build_timeline(log), self.config)
+        return of_run(run, self.right.time_s)
+
+    def _variant(self, kind: type[Ekf]) -> GivenEstimate:
+        return of_run(
+            run_reference(self.log, self.timeline, self.config, kind=kind), self.right.time_s
+        )
+
+    def _filters(self) -> Iterator[Case]:
+        def kept_in(state: type[KalmanState]) -> Callable[[], GivenEstimate]:
+            def plant(ekf: Ekf) -> None:
+                ekf.state = state(ekf.state.pose, np.array(ekf.state.covariance))
+
+            return lambda: self._filtered(plant)
+
+        yield Case("the reference EKF", True, lambda: self.right, True)
+        yield Case("compressed", True, lambda: self._filtered(filter="compressed"), True)
+        yield Case("Joseph form", True, kept_in(JosephState), True)
+        yield Case("information form", True, kept_in(InformationState), True)
+        yield Case("computed in single precision", True, kept_in(SingleState))
+        for name, kind in (
+            ("sequential", filter_variants.SequentialEkf),
+            ("sequential, backward", filter_variants.BackwardEkf),
+            ("iterated", filter_variants.IteratedEkf),
+            ("unscented", filter_variants.UnscentedEkf),
+            ("iterated three times", IteratedThrice),
+            ("unscented, wide", WideUnscented),
+            ("landmarks initialised before the update", EarlyInitialising),
+        ):
+            yield Case(name, True, partial(self._variant, kind), True)
+        for name in ("compressed-suboptimal", "misono-full"):
+            yield Case(name, True, partial(self._filtered, filter=name))
+
+    def _exports(self) -> Iterator[Case]:
+        right = self.right
+        bare = GivenEstimate(time_s=right.time_s, pose=right.pose)
+        yield Case(
+            "no covariances",
+            True,
+            lambda: replace(
+                right, pose_covariance=None, landmark_covariance=None, joint_covariance=None
+            ),
+            True,
+        )
+        yield Case("no joint covariance", True, lambda: replace(right, joint_covariance=None), True)
+        yield Case(
+            "no map",
+            True,
+            lambda: replace(
+                right,
+                landmark=None,
+                landmark_id=None,
+                landmark_covariance=None,
+                joint_covariance=None,
+            ),
+            True,
+        )
+        yield Case("another order of landmarks", True, lambda: backwards(right), True)
+        yield Case(
+            "headings between -pi and pi",
+            True,
+            lambda: replace(
+                right, pose=np.column_stack((right.pose[:, :2], wrapped(right.pose[:, 2])))
+            ),
+            True,
+        )
+        yield Case("stored in single precision", True, lambda: single(right), True)
+        yield Case(
+            "covariances in single precision",
+            True,
+            lambda: replace(single(right), pose=right.pose, landmark=right.landmark),
+            True,
+        )
+        yield Case("every fifth pose", True, lambda: thinned(right), True)
+        yield Case("at every odometry sample", True, self._at_samples, True)
+        yield Case("resampled between poses", True, lambda: resampled(right))
+        for name in FORMATS:
+            yield Case(f"a {name} file", True, partial(from_file, bare, name), True)
+        yield Case(
+            "TUM with six decimals",
+            True,
+            lambda: replace(bare, time_s=np.round(bare.time_s, 6), pose=np.round(bare.pose, 6)),
+            True,
+        )
+
+    def _at_samples(self) -> GivenEstimate:
+        run = run_reference(self.log, self.timeline, self.config)
+        return of_run(
+            run, np.unique(np.append(np.round(self.timeline.step_begin_s(), 4), self.right.time_s))
+        )
+
+    def _smoothers(self) -> Iterator[Case]:
+        def smoothed(**settings: str) -> GivenEstimate:
+            config = SolveConfig(smoother=SmootherConfig.of(**settings))
+            return handed_in(solve(self.log, config).estimate)
+
+        yield Case("smoother", True, smoothed, True)
+        yield Case(
+            "smoother, its path alone",
+            True,
+            lambda: replace(
+                smoothed(),
+                landmark=None,
+                landmark_id=None,
+                landmark_covariance=None,
+                joint_covariance=None,
+                pose_covariance=None,
+                information=None,
+            ),
+            True,
+        )
+        yield Case("smoother, dogleg", True, lambda: smoothed(optimiser="dogleg"), True)
+        yield Case("iSAM2", True, lambda: smoothed(method="isam2"))
+        yield Case("fixed lag", True, lambda: smoothed(method="fixed-lag"))
+
+
+def backwards(given: GivenEstimate) -> GivenEstimate:
+    """Landmarks from the last to the first."""
+    if given.landmark is None or given.landmark_id is None or given.joint_covariance is None:
+        raise ValueError("the estimate is not whole")
+    count = len(given.landmark)
+    rows = 3 + 2 * np.arange(count)[::-1, None] + np.arange(2)
+    rows = np.concatenate((np.arange(3), rows.ravel()))
+    return with_joint(
+        replace(given, landmark=given.landmark[::-1], landmark_id=given.landmark_id[::-1]),
+        given.joint_covariance[np.ix_(rows, rows)],
+    )
+
+
+def wrapped(angle: Array) -> Array:
+    """Between -pi and pi."""
+    found: Array = np.angle(np.exp(1j * angle))
+    return found
+
+
+def single(given: GivenEstimate) -> GivenEstimate:
+    """Every number but times as a float32."""
+    names = ("pose", "landmark", "pose_covariance", "landmark_covariance", "joint_covariance")
+    found = {name: getattr(given, name).astype(np.float32).astype(float) for name in names}
+    return replace(given, **found)
+
+
+def thinned(given: GivenEstimate) -> GivenEstimate:
+    """Every fifth pose, and the last."""
+    rows = np.unique(np.append(np.arange(0, len(given.time_s), 5), len(given.time_s) - 1))
+    if given.pose_covariance is None:
+        raise ValueError("the estimate has no covariances")
+    return replace(
+        given,
+        time_s=given.time_s[rows],
+        pose=given.pose[rows],
+        pose_covariance=given.pose_covariance[rows],
+    )
+
+
+def resampled(given: GivenEstimate) -> GivenEstimate:
+    """Poses half way between those there are, by interpolation."""
+    middle = 0.5 * (given.time_s[1:] + given.time_s[:-1])
+    pose = 0.5 * (given.pose[1:] + given.pose[:-1])
+    return GivenEstimate(time_s=middle, pose=pose)
+
+
+def from_file(given: GivenEstimate, format_name: str) -> GivenEstimate:
+    """Written and read."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "path.txt"
+        write_trajectory(Trajectory(given.time_s, given.pose), path, format_name)
+        return read_given(path)
+
+
+def grade(case: Case, solution: Solution) -> Outcome:
+    """Grade an estimate."""
+    try:
+        found = judge_given(case.make(), solution)
+    except (InputError, np.linalg.LinAlgError) as error:
+        return Outcome(case, "refused", "", str(error))
+    by = found.grade.by
+    name = by.reference.name if by is not None and by.grade is not None else ""
+    return Outcome(case, found.grade.value or "none", name, reason(found))
+
+
+def reason(found: GivenCheck) -> str:
+    """The first cause, or what stands beside."""
+    if found.causes:
+        return f"{found.causes[0].gap}: {found.causes[0].evidence}"
+    return next((remark for remark in found.remarks if remark.startswith("plausible")), "")
+
+
+def outcomes(log: Log, only: str = "", every: int = 1) -> Iterator[Outcome]:
+    """Grade all estimates of a log, or some."""
+    solution = solve(log)
+    chosen = [case for case in Cases(log).all() if only in case.name]
+    for case in chosen[::every]:
+        yield grade(case, solution)
+
+
+def summary(found: list[Outcome], log: str) -> list[Row]:
+    """What was promised, and what holds."""
+    faults = [one for one in found if not one.case.sound and one.grade != "refused"]
+    refused = sum(not one.case.sound for one in found) - len(faults)
+    sound = [one for one in found if one.case.sound]
+    passed = [one.case.name for one in faults if one.grade in ("like", "equal")]
+    wrong = [one.case.name for one in sound if one.grade in ("wrong", "none", "refused")]
+    akin = [one for one in sound if one.case.like]
+    unlike = [one.case.name for one in akin if one.grade not in ("like", "equal")]
+    counts = Counter(one.grade for one in faults)
+    shown = ", ".join(f"{count} {name}" for name, count in counts.items())
+    return [
+        Row(
+            f"faults without a trace are below like ({log})",
+            "at least 95 %",
+            f"{len(faults) - len(passed)} of {len(faults)} ({shown}"
+            + (f"; {refused} more left no estimate" if refused else "")
+            + ")"
+            + (f"; not: {', '.join(passed)}" if passed else ""),
+            len(passed) <= 0.05 * len(faults),
+        ),
+        Row(
+            f"no sound estimate is wrong ({log})",
+            "none",
+            f"{len(wrong)} of {len(sound)}" + (f": {', '.join(wrong)}" if wrong else ""),
+            not wrong,
+        ),
+        Row(
+            f"sound estimates of the references' kinds are like one ({log})",
+            "all",
+            f"{len(akin) - len(unlike)} of {len(akin)}"
+            + (f"; not: {', '.join(unlike)}" if unlike else ""),
+            not unlike,
+        ),
+    ]
+
+
+def rows(quick: bool = False) -> list[Row]:
+    """The table's rows: the simulated loop at a third of its noise; quick on 30 s of it."""
+    loop_s = QUICK_S if quick else 85.0
+    log = simulate(np.random.default_rng(0), Drive(noise_scale=0.3, loop_s=loop_s))
+    return summary(list(outcomes(log, every=4 if quick else 1)), "simulated-loop, noise 0.3")
+
+
+def main() -> None:
+    """Print the rows, and with --table all grades."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--log", default="simulated-loop", help="a folder, or the simulated loop")
+    parser.add_argument("--noise-scale", type=float, default=0.3)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", default="", help="estimates whose name holds this")
+    parser.add_argument("--table", action="store_true")
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--every", type=int, default=1, help="take one in so many estimates")
+    options = parser.parse_args()
+    name = options.log
+    if name == "simulated-loop":
+        loop_s = QUICK_S if options.quick else 85.0
+        drive = Drive(noise_scale=options.noise_scale, loop_s=loop_s)
+        log = simulate(np.random.default_rng(options.seed), drive)
+        name += f", noise {options.noise_scale:g}"
+    else:
+        log = open_log(name)
+        name = log.name
+    found = []
+    for one in outcomes(log, options.only, 4 if options.quick else options.every):
+        found.append(one)
+        if options.table:
+            kind = "sound" if one.case.sound else "fault"
+            print(f"{kind} {one.case.name:<46} {one.grade:<9} {one.by or one.reason}", flush=True)
+    print_table(summary(found, name))
+
+
+if __name__ == "__main__":
+    main()

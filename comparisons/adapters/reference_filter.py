@@ -1,0 +1,173 @@
+"""A filter run over a log as a reference: what it knew of the pose at any instant, and its map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.adapters.ekf_factory import build_ekf, motion_model
+from comparisons.adapters.filter_loop import Beside, drive
+from comparisons.adapters.timeline import Timeline
+from comparisons.arrays import Array
+from comparisons.config import EkfConfig
+from comparisons.logs.log import Log, Positions
+from comparisons.logs.odometry import RelativePoses
+from comparisons.logs.transforms.known_landmarks import surveyed
+from ekf_reference.core.ekf import Ekf, StepNoise
+from ekf_reference.core.state import FilterDivergedError
+from ekf_reference.core.trace import Trace
+from ekf_reference.models.motion import MotionStep
+
+_SAME_S = 0.5e-4
+"""Half of what a timeline resolves."""
+
+
+class KnownMap(NamedTuple):
+    """The map at an instant.
+
+    landmark_id: (L,). landmark: (L, 2). joint_covariance: (3 + 2 L, 3 + 2 L) of the pose then and
+    these.
+    """
+
+    time_s: float
+    landmark_id: NDArray[np.int64]
+    landmark: Array
+    joint_covariance: Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class FilterRun:
+    """What a filter knew: at the beginning of each step, all that was seen until then fused.
+
+    time_s: (N + 1,), the last is the end's. pose: (N + 1, 3). covariance: (N + 1, 3, 3).
+    before, before_covariance: the same without what was seen at that very instant. map: at an
+    instant that was asked for.
+    """
+
+    log: Log
+    timeline: Timeline
+    noise: StepNoise
+    time_s: Array
+    pose: Array
+    covariance: Array
+    before: Array
+    before_covariance: Array
+    map: KnownMap
+
+    def at(self, time_s: Array) -> tuple[Array, Array]:
+        """Return poses (K, 3) and covariances (K, 3, 3) at times (K,), predicted from the last."""
+        row = np.searchsorted(self.time_s, np.round(time_s, 4) + _SAME_S, side="right") - 1
+        row = np.maximum(row, 0)
+        pose, covariance = self.pose[row], self.covariance[row]
+        late_s = np.round(time_s, 4) - self.time_s[row]
+        for k in np.flatnonzero((late_s > _SAME_S) & (row < len(self.timeline.control))):
+            pose[k], f, q = _part_of_step(self, int(row[k]), pose[k], float(late_s[k]))
+            covariance[k] = f @ covariance[k] @ f.T + q
+        return pose, covariance
+
+    def before_updates(self) -> FilterRun:
+        """Return the same run with the poses before each instant's measurements."""
+        return replace(self, pose=self.before, covariance=self.before_covariance)
+
+
+def _part_of_step(run: FilterRun, i: int, pose: Array, late_s: float) -> MotionStep:
+    """Return the pose some time into a step, F and Q."""
+    timeline = run.timeline
+    control, own = timeline.control[i], timeline.control_covariance[i]
+    if isinstance(run.log.odometry, RelativePoses):
+        share = late_s / timeline.step_duration_s[i]
+        control, own = share * control, share * own
+    pose, f, b = motion_model(run.log).step(pose, control, late_s)
+    return MotionStep(pose, f, b @ own @ b.T + run.noise.covariance(late_s, pose))
+
+
+class _Recorder:
+    """Notes pose and covariance before each step and on each arrival, and the map at an instant."""
+
+    def __init__(self, map_s: float) -> None:
+        self.map_s = map_s
+        self.time_s: list[float] = []
+        self.pose: list[Array] = []
+        self.covariance: list[Array] = []
+        self.before: dict[int, tuple[Array, Array]] = {}
+        self.map: tuple[float, Array, Array] | None = None
+
+    def stepping(self, ekf: Ekf, time_s: float, control: Array, duration_s: float) -> None:
+        """All that was seen until this time is fused."""
+        self.time_s.append(time_s)
+        self.pose.append(ekf.state.pose)
+        self.covariance.append(ekf.state.pose_covariance)
+        ends_s = self.map_s + _SAME_S
+        if self.map is None or time_s <= ends_s < time_s + duration_s:
+            self.map = time_s, ekf.state.landmarks, np.array(ekf.state.covariance)
+
+    def arrived(self, ekf: Ekf) -> None:
+        """Nothing of this instant is."""
+        self.before[len(self.pose)] = ekf.state.pose, ekf.state.pose_covariance
+
+    def updated(self, ekf: Ekf) -> None:
+        """The next step notes it."""
+
+    def finished(self, ekf: Ekf, time_s: float) -> None:
+        """Note the end."""
+        self.map = None if time_s <= self.map_s + _SAME_S else self.map
+        self.stepping(ekf, time_s, np.zeros(0), 0.0)
+
+    def known_map(self, label: dict[int, int]) -> KnownMap:
+        """Return the map; label: landmarks' ids by slot."""
+        if self.map is None:
+            raise ValueError("the filter has not finished")
+        time_s, landmark, joint = self.map
+        ids = np.array([label.get(slot, slot) for slot in range(len(landmark))], dtype=np.int64)
+        return KnownMap(time_s, ids, landmark, joint)
+
+
+def run_reference(
+    log: Log,
+    timeline: Timeline,
+    config: EkfConfig,
+    positions: Positions | None = None,
+    *,
+    kind: type[Ekf] = Ekf,
+    map_s: float = np.inf,
+) -> FilterRun | None:
+    """Run the full EKF, or a variant of it, over a log; None where it breaks down.
+
+    config: settled, of the full filter. positions: to be fused. map_s: when the map is noted.
+    """
+    plain = build_ekf(log, config, Trace())
+    ekf = kind(plain.motion, plain.association, log.prior.pose, log.prior.covariance)
+    ekf.stabilisation, ekf.fixes = plain.stabilisation, plain.fixes
+    slot_of, *known = surveyed(log)
+    ekf.insert_surveyed(*known)
+    recorder, label = _Recorder(map_s), dict(zip(slot_of.values(), slot_of, strict=True))
+    try:
+        for stop in drive(ekf, log, timeline, positions, Beside(recorder)):
+            if stop.fault is not None:
+                return None
+            if config.association == "known":
+                names = log.sightings.landmark[stop.rows].tolist()
+                label |= {s: n for s, n in zip(stop.slots.tolist(), names, strict=True) if s >= 0}
+    except (FilterDivergedError, np.linalg.LinAlgError):
+        return None
+    recorder.finished(ekf, float(timeline.epoch_time_s[-1]))
+    pose, covariance = np.array(recorder.pose), np.array(recorder.covariance)
+    before, before_covariance = pose.copy(), covariance.copy()
+    for row, (at, spread) in recorder.before.items():
+        before[row], before_covariance[row] = at, spread
+    if not (np.isfinite(ekf.state.mean).all() and np.isfinite(ekf.state.covariance).all()):
+        return None
+    return FilterRun(
+        log=log,
+        timeline=timeline,
+        noise=ekf.stabilisation,
+        time_s=np.array(recorder.time_s),
+        pose=pose,
+        covariance=covariance,
+        before=before,
+        before_covariance=before_covariance,
+        map=recorder.known_map(label),
+    )

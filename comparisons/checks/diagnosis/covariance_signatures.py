@@ -1,0 +1,228 @@
+"""What would make covariances fit: known ways for them to be wrong, tried one after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.arrays import Array
+from comparisons.checks.grade import LIKE_VARIANCE, eigenvalues
+
+_FITS = 1.0 + LIKE_VARIANCE
+_MOST_EXCEPTIONS = 0.02
+
+
+class Fit(NamedTuple):
+    """factor: of the covariances, 1 where it is near. exceptions: (N,) those that do not fit."""
+
+    factor: float
+    exceptions: NDArray[np.bool_]
+
+
+def fit(given: Array, expected: Array, *, scaled: bool = True) -> Fit | None:
+    """Fit covariances (N, n, n) by one factor in all directions; None where they do not fit.
+
+    One in fifty may be an exception. scaled: another factor than one may be.
+    """
+    low, high = eigenvalues(given, expected)
+    if not (low > 0.0).any():
+        return None
+    middle = np.sqrt(np.maximum(low, 1e-300) * high)
+    factor = float(np.median(middle)) if scaled else 1.0
+    if abs(factor - 1.0) <= LIKE_VARIANCE:
+        factor = 1.0
+    bad = (low * _FITS < factor) | (high > factor * _FITS)
+    most = max(1.0, _MOST_EXCEPTIONS * len(bad)) if len(bad) > 1 else 0.0
+    return Fit(factor, bad) if bad.sum() <= most else None
+
+
+def invalid(given: Array) -> str:
+    """What makes some of (N, n, n) no covariances, in words; empty where all are."""
+    scale = np.sqrt(np.abs(np.diagonal(given, 0, 1, 2)))
+    scale = scale[:, :, None] * scale[:, None]
+    skew = np.abs(given - given.transpose(0, 2, 1)) > 1e-3 * np.maximum(scale, 1e-300)
+    if skew.any():
+        return f"{_of(np.asarray(skew.any(axis=(1, 2))))} not symmetric"
+    bad = np.linalg.eigvalsh(0.5 * (given + given.transpose(0, 2, 1)))[:, 0] <= 0.0
+    return f"{_of(bad)} not positive definite" if bad.any() else ""
+
+
+class Poses(NamedTuple):
+    """Covariances (N, 3, 3) that poses should have, and what they might have been taken from.
+
+    heading: (N,). before: before each instant's measurements. smoothed: (N, 3, 3) of the smoother,
+    NaN where it has none.
+    """
+
+    expected: Array
+    heading: Array
+    before: Array
+    smoothed: Array
+
+
+def of_poses(given: Array, poses: Poses, name: str) -> str:
+    """Say how pose covariances (N, 3, 3) differ from those of an estimate of this name."""
+    if wrong := invalid(given):
+        return f"pose covariances: {wrong}"
+    for words, expected, scaled in _pose_candidates(poses):
+        found = fit(given, expected, scaled=scaled)
+        if found is not None:
+            return f"your pose covariances {_are(words, found.factor, name)}{_but(found)}"
+    if len(given) > 2 and np.ptp(given, axis=0).max() <= 1e-9 * np.abs(given).max():
+        return "your pose covariances are one and the same for all poses"
+    diagonal = np.arange(3)
+    ratio = given[:, diagonal, diagonal] / poses.expected[:, diagonal, diagonal]
+    entry = np.median(ratio, axis=0)
+    root = np.sqrt(np.maximum(entry, 1e-300))
+    if fit(given, root[:, None] * poses.expected * root, scaled=False) is not None:
+        listed = ", ".join(map(times, entry))
+        degrees = " (the heading is in degrees)" if abs(root[2] - np.degrees(1.0)) < 3.0 else ""
+        return (
+            f"your pose covariances are those of {name} with the variances of x, y and heading "
+            f"{listed} times as large{degrees}"
+        )
+    return _varying("your pose covariances are", given, poses.expected, name, ("poses", "pose"))
+
+
+def of_landmarks(given: Array, expected: Array, heading: float, name: str) -> str:
+    """Say how landmark covariances (L, 2, 2) differ. heading: of the last pose."""
+    if wrong := invalid(given):
+        return f"landmark covariances: {wrong}"
+    for words, other in (
+        ("", expected),
+        ("in the last pose's frame instead of the log's", _turned(expected, np.array([heading]))),
+        *_common(expected),
+    ):
+        found = fit(given, other)
+        if found is not None:
+            return f"your landmark covariances {_are(words, found.factor, name)}{_but(found)}"
+    order = _shuffled(given, expected)
+    if order:
+        return f"your landmark covariances are those of other landmarks: {order}"
+    what = ("landmarks", "landmark")
+    return _varying("your landmark covariances are", given, expected, name, what)
+
+
+def of_all(given: Array, expected: Array, name: str) -> str:
+    """Say how the covariance (n, n) of last pose and landmarks differs, each of which is right."""
+    if wrong := invalid(given[None]):
+        return f"the covariance of last pose and landmarks is {wrong.removeprefix('all are ')}"
+    n = len(given)
+    where = np.concatenate(([0, 0, 0], 1 + np.arange(n - 3) // 2))
+    same, pose = where[:, None] == where, (where == 0)[:, None] | (where == 0)
+    flipped = np.where(pose & ~same, -1.0, 1.0)
+    for words, other in (
+        ("", expected),
+        ("without the covariances between pose and landmarks", expected * (same | ~pose)),
+        ("without the covariances between landmarks", expected * (same | pose)),
+        ("without the covariances of one with another", expected * same),
+        ("with the covariances of pose and landmarks of opposite sign", expected * flipped),
+    ):
+        found = fit(given[None], other[None])
+        if found is not None and not (words == "" and found.factor == 1.0):
+            if not words:
+                return of_everything(found.factor, name)
+            return f"your covariance of last pose and landmarks is that of {name} {words}"
+    low, high = eigenvalues(given[None], expected[None])
+    return (
+        f"your covariance of last pose and landmarks together is {times(low[0])} to "
+        f"{times(high[0])} times that of {name}, by combination of the two"
+    )
+
+
+def of_everything(factor: float, name: str) -> str:
+    """Say that one factor explains all covariances."""
+    return f"your covariance is {times(factor)} times that of {name} on this log, in all directions"
+
+
+def times(factor: float) -> str:
+    """A factor as people write it."""
+    return f"{factor:.1f}" if 1.0 <= factor < 1000.0 else f"{factor:.2g}"
+
+
+def _pose_candidates(poses: Poses) -> Iterator[tuple[str, Array, bool]]:
+    """Names, covariances, and whether a factor may be added."""
+    e = poses.expected
+    yield "", e, True
+    yield "in the body's frame instead of the log's", _turned(e, poses.heading), True
+    yield "those before each instant's measurements", poses.before, False
+    yield "those of the pose before", np.concatenate((e[:1], e[:-1])), False
+    if np.isfinite(poses.smoothed).all():
+        yield "those of the smoother, which has seen the future", poses.smoothed, False
+    for words, order in (("heading, x, y", [2, 0, 1]), ("y, x, heading", [1, 0, 2])):
+        yield f"in the order {words}", e[:, order][:, :, order], False
+    for words, other in _common(e):
+        yield words, other, True
+
+
+def _common(expected: Array) -> Sequence[tuple[str, Array]]:
+    n = expected.shape[1]
+    variance = np.diagonal(expected, 0, 1, 2)
+    inverse = np.asarray(np.linalg.inv(expected), dtype=float)
+    return (
+        ("without the correlations, their diagonals alone", variance[:, :, None] * np.eye(n)),
+        ("standard deviations where variances belong", np.sqrt(variance)[:, :, None] * np.eye(n)),
+        ("inverted, which is information", inverse),
+    )
+
+
+def _turned(covariance: Array, heading: Array) -> Array:
+    """R^T P R of the position's entries (N, n, n), n at least 2, by headings (N,) or (1,)."""
+    n = covariance.shape[1]
+    turn = np.tile(np.eye(n), (len(heading), 1, 1))
+    cos, sin = np.cos(heading), np.sin(heading)
+    turn[:, 0, 0], turn[:, 0, 1], turn[:, 1, 0], turn[:, 1, 1] = cos, -sin, sin, cos
+    turned: Array = turn.transpose(0, 2, 1) @ covariance @ turn
+    return turned
+
+
+def _shuffled(given: Array, expected: Array) -> str:
+    """Landmarks whose covariance is that of another."""
+    own, other = eigenvalues(given, expected), []
+    off = np.flatnonzero((own[0] * _FITS < 1.0) | (own[1] > _FITS))
+    for k in off:
+        low, high = eigenvalues(np.broadcast_to(given[k], expected.shape), expected)
+        other.append(bool(((low * 1.01 > 1.0) & (high < 1.01)).any()))
+    return f"{sum(other)} of {len(given)}" if other and all(other) else ""
+
+
+def _varying(begin: str, given: Array, expected: Array, name: str, what: tuple[str, str]) -> str:
+    low, high = eigenvalues(given, expected)
+    middle = float(np.median(np.sqrt(np.maximum(low, 1e-300) * high)))
+    off = (low * _FITS < 1.0) | (high > _FITS)
+    even = " in all directions alike," if (high <= low * _FITS**2).all() else ""
+    worst = int(np.argmax(np.maximum(high, 1.0 / np.maximum(low, 1e-300))))
+    return (
+        f"{begin} {times(low.min())} to {times(high.max())} times those of {name},{even} typically "
+        f"{times(middle)}; {off.sum()} of {len(off)} {what[0]} are off by more than "
+        f"{100 * LIKE_VARIANCE:.0f} %, {what[1]} number {worst + 1} the most"
+    )
+
+
+def _are(words: str, factor: float, name: str) -> str:
+    if not words and factor == 1.0:
+        return f"are those of {name}"
+    if not words:
+        return f"are {times(factor)} times those of {name}, in all directions"
+    if factor == 1.0:
+        return f"are {words}"
+    return f"are {words}, and {times(factor)} times those of {name}"
+
+
+def _but(found: Fit) -> str:
+    """Which ones do not fit."""
+    count = int(found.exceptions.sum())
+    if not count:
+        return ""
+    if count == 1 and found.exceptions[-1]:
+        return ", all but the last"
+    if count == 1 and found.exceptions[0]:
+        return ", all but the first"
+    return f", all but {count} of {len(found.exceptions)}"
+
+
+def _of(bad: NDArray[np.bool_]) -> str:
+    return "all are" if bad.all() else f"{bad.sum()} of {len(bad)} are"

@@ -1,0 +1,208 @@
+"""What an external estimate has that a reference of its kind has not, in words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.arrays import Array
+from comparisons.checks.causes import Cause
+from comparisons.checks.diagnosis import covariance_signatures as signatures
+from comparisons.checks.diagnosis.diagnosis import Paths, diagnose, rms
+from comparisons.checks.grade import (
+    LIKE_SIGMA,
+    LIKE_VARIANCE,
+    Likeness,
+    Part,
+    in_sigma,
+    joint_rows,
+    pose_difference,
+)
+from comparisons.estimates.external import GivenEstimate
+
+_SWAPPED = 3.0
+"""Names are taken for exchanged where another landmark is so many times nearer."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Clues:
+    """What poses (K, 3) and covariances (K, 3, 3) might be in place of the reference's.
+
+    before: those before each instant's measurements, if the reference is a filter. smoothed: the
+    smoother's, NaN where it has none.
+    """
+
+    before: tuple[Array, Array] | None
+    smoothed: tuple[Array, Array]
+
+
+def facts(given: GivenEstimate, found: Likeness, clues: Clues) -> list[Cause]:
+    """Name all that keeps an estimate from being like a reference; none where it is.
+
+    given: its poses at the reference's times, and no others.
+    """
+    if found.grade is not None:
+        return []
+    causes = _means(given, found, clues)
+    causes += _covariances(given, found, clues)
+    if found.missing:
+        causes.append(
+            Cause("coverage", "; ".join(found.missing), "hand in the whole path and the whole map")
+        )
+    return causes
+
+
+def _means(given: GivenEstimate, found: Likeness, clues: Clues) -> list[Cause]:
+    poses, landmarks = found.parts[0], _part(found, "landmarks")
+    far_poses = poses.sigma > LIKE_SIGMA + poses.rounding[0]
+    far = np.zeros(0, dtype=bool)
+    if landmarks is not None:
+        far = landmarks.sigma > LIKE_SIGMA + landmarks.rounding[0]
+    if not far_poses.any() and not far.any():
+        return []
+    known, causes = _known_path(given, found, clues) if far_poses.any() else None, []
+    if known is not None:
+        causes.append(known)
+    elif far_poses.any():
+        at = found.reference.known
+        paths = Paths(found.reference.time_s[at], given.pose[at], found.reference.pose[at])
+        causes += diagnose(paths)
+    swapped = _swapped(given, found)
+    if swapped is not None and not causes:  # another frame exchanges landmarks, too
+        causes.append(swapped)
+    if not causes or far.any():
+        causes.append(_apart(given, found, far_poses, far))
+    return causes
+
+
+def _known_path(given: GivenEstimate, found: Likeness, clues: Clues) -> Cause | None:
+    """Other poses of the same estimators."""
+    if clues.before is not None and _fits(given, found, clues.before):
+        return Cause(
+            "time",
+            "the poses are those before the measurements of each instant are used",
+            "write the pose after every update",
+        )
+    if not found.reference.smoothed and _fits(given, found, clues.smoothed):
+        return Cause(
+            "information",
+            "the poses are the smoother's, which have seen the future",
+            'state information = "smoothed" in estimate.toml',
+        )
+    return None
+
+
+def _fits(given: GivenEstimate, found: Likeness, other: tuple[Array, Array]) -> bool:
+    at = found.reference.known & np.isfinite(other[1]).all(axis=(1, 2))
+    if 2 * at.sum() < len(at):
+        return False
+    difference = pose_difference(given.pose[at], other[0][at])
+    return bool((in_sigma(difference, other[1][at]) <= LIKE_SIGMA).all())
+
+
+def _apart(
+    given: GivenEstimate, found: Likeness, poses: NDArray[np.bool_], landmarks: NDArray[np.bool_]
+) -> Cause:
+    reference, limit, parts = found.reference, f"{100 * LIKE_SIGMA:.0f} % of sigma", []
+    if poses.any():
+        at = reference.known
+        difference = given.pose[at] - reference.pose[at]
+        sigma, worst = found.parts[0].sigma, int(np.argmax(found.parts[0].sigma))
+        parts.append(
+            f"{poses.sum()} of {len(poses)} poses are more than {limit} from those of "
+            f"{reference.name}, {rms(difference[:, :2]):.3f} m (RMS), the one at "
+            f"{reference.time_s[at][worst]:.2f} s {sigma[worst]:.2g} sigma"
+        )
+    if landmarks.any() and given.landmark is not None:
+        sigma = found.parts[1].sigma
+        worst = int(np.argmax(sigma))
+        place = given.landmark[found.ours[worst]], reference.landmark[found.theirs[worst]]
+        parts.append(
+            f"{landmarks.sum()} of {len(landmarks)} landmarks are more than {limit} away, landmark "
+            f"{reference.landmark_id[found.theirs[worst]]} by "
+            f"{np.linalg.norm(place[0] - place[1]):.3f} m ({sigma[worst]:.2g} sigma)"
+        )
+    return Cause(
+        "estimate",
+        "; ".join(parts),
+        "a trace would tell algebra from model; look first at associations, signs and noise",
+    )
+
+
+def _covariances(given: GivenEstimate, found: Likeness, clues: Clues) -> list[Cause]:
+    """One sentence for each part that is off, or one for all where one factor explains them."""
+    reference, name = found.reference, found.reference.name
+    off = {p.name for p in found.parts if not p.within(np.inf, LIKE_VARIANCE)}
+    if not off:
+        return []
+    at, pairs = reference.known, _pairs(given, found)
+    hint = (
+        "look at the noise: a sigma where a variance is meant, a factor on R or Q, a dropped "
+        "cross-covariance, sightings used twice; and at the export: frame, units, order, time"
+    )
+    fits = [signatures.fit(*pair) for pair in pairs.values()]
+    factors = [one.factor for one in fits if one is not None and not one.exceptions.any()]
+    if len(factors) == len(fits) and max(factors) <= min(factors) * (1.0 + LIKE_VARIANCE):
+        return [
+            Cause("covariance", signatures.of_everything(float(np.median(factors)), name), hint)
+        ]
+    said = []
+    if "poses" in off:
+        smoothed = clues.smoothed[1][at]
+        before = reference.pose_covariance[at] if clues.before is None else clues.before[1][at]
+        poses = signatures.Poses(*pairs["poses"][1:], given.pose[at, 2], before, smoothed)
+        said.append(signatures.of_poses(pairs["poses"][0], poses, name))
+    if "landmarks" in off:
+        heading = float(given.pose[-1, 2])
+        said.append(signatures.of_landmarks(*pairs["landmarks"], heading, name))
+    if "last pose and landmarks" in off and (not said or "landmarks" not in off):
+        first, second = pairs["last pose and landmarks"]
+        said.append(signatures.of_all(first[0], second[0], name))
+    return [Cause("covariance", "; ".join(said), hint)]
+
+
+def _pairs(given: GivenEstimate, found: Likeness) -> dict[str, tuple[Array, Array]]:
+    """Covariances (N, n, n) of the parts that were handed in, and the reference's."""
+    reference, ours, theirs = found.reference, found.ours, found.theirs
+    pairs, at = {}, reference.known
+    if given.pose_covariance is not None:
+        pairs["poses"] = given.pose_covariance[at], reference.pose_covariance[at]
+    if given.landmark_covariance is not None:
+        which = 3 + 2 * theirs[:, None] + np.arange(2)
+        own = reference.joint_covariance[which[:, :, None], which[:, None]]
+        pairs["landmarks"] = given.landmark_covariance[ours], own
+    if given.joint_covariance is not None:
+        rows, columns = joint_rows(ours), joint_rows(theirs)
+        first = given.joint_covariance[np.ix_(rows, rows)]
+        second = reference.joint_covariance[np.ix_(columns, columns)]
+        pairs["last pose and landmarks"] = first[None], second[None]
+    return pairs
+
+
+def _part(found: Likeness, name: str) -> Part | None:
+    return next((part for part in found.parts if part.name == name), None)
+
+
+def _swapped(given: GivenEstimate, found: Likeness) -> Cause | None:
+    """Landmarks that lie where another one's name belongs."""
+    ours, theirs, reference = found.ours, found.theirs, found.reference
+    if given.landmark is None or len(ours) < 2:
+        return None
+    place = reference.landmark[theirs]
+    apart = np.linalg.norm(given.landmark[ours][:, None] - place[None], axis=2)
+    own = np.diag(apart)
+    nearest = apart.argmin(axis=1)
+    other = np.flatnonzero(
+        (nearest != np.arange(len(own))) & (_SWAPPED * apart.min(axis=1) < own) & (own > 0.5)
+    )
+    if not len(other):
+        return None
+    ids = reference.landmark_id[theirs]
+    pairs = ", ".join(f"{ids[k]} at {ids[nearest[k]]}" for k in other[:4])
+    return Cause(
+        "association",
+        f"{len(other)} landmarks lie where another is: {pairs}",
+        "look at the names: ids exchanged, or sightings given to the wrong landmark",
+    )

@@ -1,0 +1,277 @@
+"""How near an external estimate is to a reference of its own kind: equal, like it, or neither."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.adapters.motion import CLOCK_S
+from comparisons.arrays import Array, Index
+from comparisons.checks.accuracy import match_landmarks
+from comparisons.checks.agreement import ROUNDING
+from comparisons.estimates.external import GivenEstimate
+from ekf_reference.core.geometry import wrap_angle
+
+Grade = Literal["equal", "like", "plausible", "wrong"]
+GRADES: tuple[Grade, ...] = ("wrong", "plausible", "like", "equal")
+"""From the lowest to the highest."""
+LIKE_SIGMA = 0.05
+"""Like: no entry of a mean is off by more of the reference's standard deviation."""
+LIKE_VARIANCE = 0.05
+"""Like: no direction's variance differs by a larger share."""
+_MOST_LATE_S = 0.5
+"""A path that begins or ends so much inside the log's is not all of it."""
+_ROUNDED = 4.0
+"""Times the rounding of the reference to single precision that is still equal to it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reference:
+    """Another estimate of the log, at the external estimate's own times.
+
+    name: as in "equal to NAME". time_s: (K,). known: (K,) whether it speaks of the pose at that
+    time. pose: (K, 3). pose_covariance: (K, 3, 3). landmark_id: (L,). landmark: (L, 2).
+    joint_covariance: (3 + 2 L, 3 + 2 L) of the pose at joint_s and these. span_s: begin and end of
+    the log. smoothed: its poses have seen the future.
+    """
+
+    name: str
+    time_s: Array
+    known: NDArray[np.bool_]
+    pose: Array
+    pose_covariance: Array
+    landmark_id: NDArray[np.int64]
+    landmark: Array
+    joint_covariance: Array
+    joint_s: float
+    span_s: tuple[float, float]
+    smoothed: bool = False
+
+
+class Part(NamedTuple):
+    """One part of an estimate against the reference's.
+
+    sigma: (N,) of each pose or landmark, the largest difference of an entry by the reference's
+    standard deviation. least, largest: (N,) generalised eigenvalues of the covariance pair, NaN
+    where none was handed in. rounding: what single precision may change of these, where the
+    estimate is stored so, of means and of covariances.
+    """
+
+    name: str
+    sigma: Array
+    least: Array
+    largest: Array
+    rounding: tuple[float, float] = (0.0, 0.0)
+
+    def within(self, sigma: float, variance: float) -> bool:
+        """Means and covariances differ by no more."""
+        by_mean, by_variance = self.rounding
+        near = self.sigma <= sigma + by_mean
+        spread = np.maximum(np.abs(self.least - 1.0), np.abs(self.largest - 1.0))
+        alike = np.isnan(spread) | (spread <= variance + by_variance)
+        return bool(near.all() and alike.all())
+
+
+@dataclass(frozen=True, kw_only=True)
+class Likeness:
+    """An estimate against a reference.
+
+    grade: `equal` or `like`, None for neither. parts: of poses, and of landmarks, last pose and
+    map together where handed in. missing: what of the reference's the estimate has not, in words.
+    ours, theirs: rows of the estimate's and of the reference's landmarks that are the same.
+    """
+
+    reference: Reference
+    grade: Literal["equal", "like"] | None
+    parts: tuple[Part, ...]
+    missing: tuple[str, ...]
+    ours: Index
+    theirs: Index
+
+    @property
+    def single(self) -> bool:
+        """Whether some of the estimate is stored in single precision."""
+        return any(max(part.rounding) > 0.0 for part in self.parts)
+
+    @property
+    def sigma(self) -> float:
+        """The largest difference of a mean's entry."""
+        return max(float(part.sigma.max(initial=0.0)) for part in self.parts)
+
+    @property
+    def farthest(self) -> float:
+        """The largest difference, of means in sigma and of covariances in their logarithm."""
+        low, high = self.variances or (1.0, 1.0)
+        spread = max(abs(np.log(max(low, 1e-300))), abs(np.log(max(high, 1e-300))))
+        return max(self.sigma, float(spread))
+
+    @property
+    def variances(self) -> tuple[float, float] | None:
+        """The least and largest generalised eigenvalue; None without covariances."""
+        least = np.concatenate([part.least for part in self.parts])
+        largest = np.concatenate([part.largest for part in self.parts])
+        if np.isnan(least).all():
+            return None
+        return float(np.nanmin(least)), float(np.nanmax(largest))
+
+
+def likeness(given: GivenEstimate, reference: Reference, *, labelled: bool) -> Likeness:
+    """Compare every pose, every landmark, and the last pose and map together.
+
+    given: its poses at the reference's times, and no others. labelled: ids are the log's.
+    """
+    ours, theirs = match_map(given, reference, labelled=labelled)
+    missing = _missing(given, reference, ours)
+    parts = [_poses(given, reference)]
+    if given.landmark is not None:
+        parts.append(_landmarks(given, reference, (ours, theirs)))
+    if given.joint_covariance is not None:
+        parts.append(_joint(given, reference, (ours, theirs)))
+    grade: Literal["equal", "like"] | None = None
+    if not missing and all(part.within(LIKE_SIGMA, LIKE_VARIANCE) for part in parts):
+        equal = all(part.within(ROUNDING, ROUNDING) for part in parts)
+        grade = "equal" if equal else "like"
+    return Likeness(
+        reference=reference,
+        grade=grade,
+        parts=tuple(parts),
+        missing=tuple(missing),
+        ours=ours,
+        theirs=theirs,
+    )
+
+
+def match_map(given: GivenEstimate, reference: Reference, *, labelled: bool) -> tuple[Index, Index]:
+    """Return the rows of the landmarks that both have. labelled: ids are the log's."""
+    if given.landmark is None or given.landmark_id is None:
+        none = np.zeros(0, dtype=np.intp)
+        return none, none
+    return match_landmarks(
+        (given.landmark_id, given.landmark),
+        (reference.landmark_id, reference.landmark),
+        labelled=labelled,
+    )
+
+
+def eigenvalues(first: Array, second: Array) -> tuple[Array, Array]:
+    """Return least and largest generalised eigenvalues (K,) of covariance pairs (K, n, n).
+
+    (-inf, inf) where the second are not all positive definite, for no such comparison may pass.
+    Asymmetry of the first, in the second's sigma squared, counts as if it were an eigenvalue
+    beyond one.
+    """
+    try:
+        inverse = np.linalg.inv(np.linalg.cholesky(second))
+    except np.linalg.LinAlgError:
+        return np.full(len(first), -np.inf), np.full(len(first), np.inf)
+    whitened = inverse @ first @ inverse.transpose(0, 2, 1)
+    values = np.linalg.eigvalsh(0.5 * (whitened + whitened.transpose(0, 2, 1)))
+    skew = np.abs(whitened - whitened.transpose(0, 2, 1)).max(axis=(1, 2))
+    least, largest = np.asarray(values[:, 0], dtype=float), np.asarray(values[:, -1], dtype=float)
+    return least, np.where(skew > ROUNDING, np.fmax(largest, 1.0 + skew), largest)
+
+
+def in_sigma(difference: Array, covariance: Array) -> Array:
+    """Return the largest entry (K,) of differences (K, n) in standard deviations."""
+    found: Array = (np.abs(difference) / np.sqrt(np.diagonal(covariance, 0, 1, 2))).max(axis=1)
+    return found
+
+
+def pose_difference(first: Array, second: Array) -> Array:
+    """Return first - second (K, 3), headings wrapped."""
+    difference: Array = first - second
+    difference[:, 2] = wrap_angle(difference[:, 2])
+    return difference
+
+
+def joint_rows(landmarks: Index) -> Index:
+    """Return the entries of the last pose and some landmarks (m,) in a joint covariance."""
+    return np.concatenate((np.arange(3), (3 + 2 * landmarks[:, None] + np.arange(2)).ravel()))
+
+
+def _poses(given: GivenEstimate, reference: Reference) -> Part:
+    at = reference.known
+    own = reference.pose_covariance[at]
+    difference = pose_difference(given.pose[at], reference.pose[at])
+    cover = None if given.pose_covariance is None else given.pose_covariance[at]
+    rounding = (
+        _mean_rounding(given.pose[:, :2], reference.pose[at], own),
+        _covariance_rounding(cover, own),
+    )
+    return Part("poses", in_sigma(difference, own), *_ratios(cover, own), rounding)
+
+
+def _landmarks(given: GivenEstimate, reference: Reference, rows: tuple[Index, Index]) -> Part:
+    ours, theirs = rows
+    which = 3 + 2 * theirs[:, None] + np.arange(2)
+    own = reference.joint_covariance[which[:, :, None], which[:, None]]
+    theirs_at = reference.landmark[theirs]
+    at = np.zeros((0, 2)) if given.landmark is None else given.landmark[ours]
+    cover = None if given.landmark_covariance is None else given.landmark_covariance[ours]
+    rounding = _mean_rounding(at, theirs_at, own), _covariance_rounding(cover, own)
+    return Part("landmarks", in_sigma(at - theirs_at, own), *_ratios(cover, own), rounding)
+
+
+def _joint(given: GivenEstimate, reference: Reference, rows: tuple[Index, Index]) -> Part:
+    ours, theirs = map(joint_rows, rows)
+    if abs(reference.time_s[-1] - reference.joint_s) > CLOCK_S:  # of other poses
+        ours, theirs = ours[3:], theirs[3:]
+    if given.joint_covariance is None or not len(ours):
+        none = np.zeros(0)
+        return Part("last pose and landmarks", none, none, none)
+    joint = given.joint_covariance
+    first = joint[np.ix_(ours, ours)]
+    second = reference.joint_covariance[np.ix_(theirs, theirs)]
+    first = first[None]
+    ratios = eigenvalues(first, second[None])
+    rounding = 0.0, _covariance_rounding(first, second[None])
+    return Part("last pose and landmarks", np.zeros(1), *ratios, rounding)
+
+
+def _ratios(given: Array | None, own: Array) -> tuple[Array, Array]:
+    if given is None:
+        none = np.full(len(own), np.nan)
+        return none, none
+    return eigenvalues(given, own)
+
+
+def _mean_rounding(stored: Array, mean: Array, covariance: Array) -> float:
+    """Return what single precision changes of means (K, n) [sigma], where they are stored so."""
+    if not stored.size or not np.array_equal(stored, _rounded(stored)):
+        return 0.0
+    return _ROUNDED * float(in_sigma(mean - _rounded(mean), covariance).max())
+
+
+def _covariance_rounding(stored: Array | None, covariance: Array) -> float:
+    """Return what it changes of the eigenvalues of covariances (K, n, n), as above."""
+    if stored is None or not stored.size or not np.array_equal(stored, _rounded(stored)):
+        return 0.0
+    low, high = eigenvalues(_rounded(covariance), covariance)
+    return _ROUNDED * float(max(np.abs(low - 1.0).max(), np.abs(high - 1.0).max()))
+
+
+def _rounded(array: Array) -> Array:
+    found: Array = array.astype(np.float32).astype(float)
+    return found
+
+
+def _missing(given: GivenEstimate, reference: Reference, ours: Index) -> Sequence[str]:
+    """What the reference has and the estimate has not, or the other way about."""
+    (begin, end), missing = reference.span_s, []
+    if reference.time_s[0] - begin > max(_MOST_LATE_S, 0.05 * (end - begin)):
+        missing.append(f"the path begins at {reference.time_s[0]:.1f} s, the log at {begin:.1f} s")
+    if end - reference.time_s[-1] > _MOST_LATE_S:
+        missing.append(f"the path ends at {reference.time_s[-1]:.1f} s, the log at {end:.1f} s")
+    if given.landmark is not None:
+        lacking, more = len(reference.landmark) - len(ours), len(given.landmark) - len(ours)
+        if lacking:
+            missing.append(f"{lacking} of {len(reference.landmark)} landmarks are not in the map")
+        if more:
+            missing.append(f"{more} landmarks of the map are not those of {reference.name}")
+    if not reference.known.any():
+        missing.append("no pose lies at an instant of the log's observations")
+    return missing

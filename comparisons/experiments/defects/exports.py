@@ -1,0 +1,388 @@
+"""Faults of external estimates that leave no trace: of the export, and of what a filter was fed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.arrays import Array
+from comparisons.checks.grade import joint_rows
+from comparisons.estimates.estimate import landmark_blocks
+from comparisons.estimates.external import GivenEstimate
+from comparisons.logs.log import Log
+from comparisons.logs.odometry import RelativePoses
+
+Export = Callable[[GivenEstimate], GivenEstimate]
+Feed = Callable[[Log], Log]
+
+
+def _held(given: GivenEstimate) -> tuple[Array, Array]:
+    """The covariances of an estimate that has them all."""
+    if given.pose_covariance is None or given.joint_covariance is None:
+        raise ValueError("the estimate has no covariances")
+    return given.pose_covariance, given.joint_covariance
+
+
+def _map(given: GivenEstimate) -> Array:
+    if given.landmark is None:
+        raise ValueError("the estimate has no map")
+    return given.landmark
+
+
+def with_joint(given: GivenEstimate, joint: Array) -> GivenEstimate:
+    """The same with another joint covariance, and the landmarks' own from it."""
+    return replace(given, joint_covariance=joint, landmark_covariance=landmark_blocks(joint))
+
+
+def scaled(factor: float) -> Export:
+    """All covariances times a factor."""
+
+    def change(given: GivenEstimate) -> GivenEstimate:
+        poses, joint = _held(given)
+        return replace(with_joint(given, factor * joint), pose_covariance=factor * poses)
+
+    return change
+
+
+def of_poses(change: Callable[[Array], Array]) -> Export:
+    """Other covariances of the poses (K, 3, 3), those of the map left alone."""
+    return lambda given: replace(given, pose_covariance=change(_held(given)[0]))
+
+
+def of_joint(change: Callable[[Array], Array]) -> Export:
+    """Another covariance (n, n) of last pose and map."""
+    return lambda given: with_joint(given, change(_held(given)[1].copy()))
+
+
+def of_path(change: Callable[[Array], Array]) -> Export:
+    """Other poses (K, 3)."""
+    return lambda given: replace(given, pose=change(given.pose.copy()))
+
+
+def of_map(change: Callable[[Array], Array]) -> Export:
+    """Other landmarks (L, 2)."""
+    return lambda given: replace(given, landmark=change(_map(given).copy()))
+
+
+def cut(rows: Callable[[int], slice]) -> Export:
+    """Some of the poses only."""
+
+    def change(given: GivenEstimate) -> GivenEstimate:
+        part = rows(len(given.time_s))
+        poses = _held(given)[0][part]
+        return replace(
+            given, time_s=given.time_s[part], pose=given.pose[part], pose_covariance=poses
+        )
+
+    return change
+
+
+def late(delay_s: float) -> Export:
+    """Stamps that are late."""
+    return lambda given: replace(given, time_s=given.time_s + delay_s)
+
+
+def turned(angle: float, shift_m: float) -> Export:
+    """Path and map in another frame."""
+
+    def change(given: GivenEstimate) -> GivenEstimate:
+        cos, sin = np.cos(angle), np.sin(angle)
+        rotation = np.array(((cos, sin), (-sin, cos)))
+        start = given.pose[0, :2]
+        place = (given.pose[:, :2] - start) @ rotation + start + shift_m
+        landmark = (_map(given) - start) @ rotation + start + shift_m
+        pose = np.column_stack((place, given.pose[:, 2] + angle))
+        return replace(given, pose=pose, landmark=landmark)
+
+    return change
+
+
+def grown(factor: float) -> Export:
+    """Path and map too large, about the start."""
+
+    def change(given: GivenEstimate) -> GivenEstimate:
+        start = given.pose[0, :2]
+        pose, landmark = given.pose.copy(), _map(given)
+        pose[:, :2] = start + factor * (pose[:, :2] - start)
+        return replace(given, pose=pose, landmark=start + factor * (landmark - start))
+
+    return change
+
+
+def body_frame(given: GivenEstimate) -> GivenEstimate:
+    """Pose covariances in the body's frame, as gtsam's marginals are."""
+    poses = _held(given)[0]
+    turn = np.tile(np.eye(3), (len(poses), 1, 1))
+    cos, sin = np.cos(given.pose[:, 2]), np.sin(given.pose[:, 2])
+    turn[:, 0, 0], turn[:, 0, 1], turn[:, 1, 0], turn[:, 1, 1] = cos, -sin, sin, cos
+    return replace(given, pose_covariance=turn.transpose(0, 2, 1) @ poses @ turn)
+
+
+def fewer_landmarks(given: GivenEstimate) -> GivenEstimate:
+    """The last third of the map is missing."""
+    count = 2 * len(_map(given)) // 3
+    rows = joint_rows(np.arange(count))
+    if given.landmark_id is None:
+        raise ValueError("the estimate has no map")
+    return with_joint(
+        replace(given, landmark_id=given.landmark_id[:count], landmark=_map(given)[:count]),
+        _held(given)[1][np.ix_(rows, rows)],
+    )
+
+
+def _all_but_last(poses: Array, factor: float) -> Array:
+    found = factor * poses
+    found[-1] = poses[-1]
+    return found
+
+
+def _permuted(poses: Array, order: list[int]) -> Array:
+    found: Array = poses[:, order][:, :, order]
+    return found
+
+
+def _deviations(poses: Array) -> Array:
+    found: Array = np.sqrt(np.diagonal(poses, 0, 1, 2))[:, :, None] * np.eye(poses.shape[1])
+    return found
+
+
+def _alone(joint: Array, *, pose: bool, landmarks: bool) -> Array:
+    """Without the covariances of the pose with landmarks, of landmarks with each other."""
+    where = np.concatenate(([0, 0, 0], 1 + np.arange(len(joint) - 3) // 2))
+    other = where[:, None] != where
+    vehicle = (where == 0)[:, None] | (where == 0)
+    joint[(other & vehicle & pose) | (other & ~vehicle & landmarks)] = 0.0
+    return joint
+
+
+def _inverse(covariance: Array) -> Array:
+    return np.asarray(np.linalg.inv(covariance), dtype=float)
+
+
+def _opposite(joint: Array) -> Array:
+    joint[:3, 3:] *= -1.0
+    joint[3:, :3] *= -1.0
+    return joint
+
+
+def _reordered(joint: Array) -> Array:
+    rows = joint_rows(np.roll(np.arange((len(joint) - 3) // 2), 1))
+    found: Array = joint[np.ix_(rows, rows)]
+    return found
+
+
+def _averaged(pose: Array) -> Array:
+    kernel = np.ones(5) / 5.0
+    padded = np.pad(pose, ((2, 2), (0, 0)), mode="edge")
+    return np.column_stack([np.convolve(padded[:, i], kernel, "valid") for i in range(3)])
+
+
+def _course(pose: Array) -> Array:
+    step = np.diff(pose[:, :2], axis=0, append=pose[-1:, :2] + np.diff(pose[-2:, :2], axis=0))
+    pose[:, 2] = np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
+    return pose
+
+
+def _at_axle(pose: Array) -> Array:
+    pose[:, :2] -= 0.3 * np.column_stack((np.cos(pose[:, 2]), np.sin(pose[:, 2])))
+    return pose
+
+
+def _glitch(pose: Array) -> Array:
+    pose[len(pose) // 2, 0] += 0.5
+    return pose
+
+
+def _added(pose: Array, column: int, value: float) -> Array:
+    pose[:, column] += value
+    return pose
+
+
+def _wander(pose: Array) -> Array:
+    rng = np.random.default_rng(0)
+    pose[:, :2] += 0.02 * rng.standard_normal((len(pose), 2))
+    return pose
+
+
+def _exchanged(landmark: Array) -> Array:
+    landmark[[1, 4]] = landmark[[4, 1]]
+    return landmark
+
+
+def _one_off(landmark: Array) -> Array:
+    landmark[2] += (0.2, 0.0)
+    return landmark
+
+
+EXPORTS: dict[str, Export] = {
+    "all covariances 3 times": scaled(3.0),
+    "all covariances a third": scaled(1.0 / 3.0),
+    "all covariances 1.5 times": scaled(1.5),
+    "all covariances two thirds": scaled(1.0 / 1.5),
+    "all covariances 1.1 times": scaled(1.1),
+    "pose covariances 3 times": of_poses(lambda p: 3.0 * p),
+    "pose covariances a third": of_poses(lambda p: p / 3.0),
+    "pose covariances in the body's frame": body_frame,
+    "pose covariances 10 times, all but the last": of_poses(lambda p: _all_but_last(p, 10.0)),
+    "pose covariances a tenth, all but the last": of_poses(lambda p: _all_but_last(p, 0.1)),
+    "pose covariances without correlations": of_poses(lambda p: p * np.eye(3)),
+    "sigmas for variances of poses": of_poses(_deviations),
+    "variances of poses squared": of_poses(lambda p: _deviations(p) ** 4),
+    "information of poses": of_poses(_inverse),
+    "pose covariances in the order heading, x, y": of_poses(lambda p: _permuted(p, [2, 0, 1])),
+    "pose covariances in the order y, x, heading": of_poses(lambda p: _permuted(p, [1, 0, 2])),
+    "heading's covariance in degrees": of_poses(
+        lambda p: p * np.outer((1.0, 1.0, 57.2958), (1.0, 1.0, 57.2958))
+    ),
+    "heading's variance 4 times": of_poses(
+        lambda p: p * np.outer((1.0, 1.0, 2.0), (1.0, 1.0, 2.0))
+    ),
+    "pose covariances one scan late": of_poses(lambda p: np.concatenate((p[:1], p[:-1]))),
+    "pose covariances ten scans late": of_poses(lambda p: np.concatenate((p[:10], p[:-10]))),
+    "the last covariance for all poses": of_poses(lambda p: np.repeat(p[-1:], len(p), axis=0)),
+    "the first covariance for all poses": of_poses(lambda p: np.repeat(p[:1], len(p), axis=0)),
+    "every tenth pose covariance held": of_poses(lambda p: p[np.arange(len(p)) // 10 * 10]),
+    "pose covariances with a floor": of_poses(lambda p: p + np.diag((1e-3, 1e-3, 1e-5))),
+    "pose covariances' upper triangle": of_poses(np.triu),
+    "pose covariances negative": of_poses(np.negative),
+    "landmark covariances 3 times": of_joint(
+        lambda p: p * np.outer(*[np.where(np.arange(len(p)) < 3, 1.0, 3.0**0.5)] * 2)
+    ),
+    "covariances of pose and map dropped": of_joint(
+        lambda p: _alone(p, pose=True, landmarks=False)
+    ),
+    "covariances between landmarks dropped": of_joint(
+        lambda p: _alone(p, pose=False, landmarks=True)
+    ),
+    "all cross-covariances dropped": of_joint(lambda p: _alone(p, pose=True, landmarks=True)),
+    "covariances of pose and map negated": of_joint(_opposite),
+    "landmark covariances in another order": of_joint(_reordered),
+    "sigmas for variances of the map": of_joint(lambda p: np.diag(np.sqrt(np.diag(p)))),
+    "information of the map": of_joint(_inverse),
+    "correlations for covariances": of_joint(
+        lambda p: p / np.sqrt(np.outer(np.diag(p), np.diag(p)))
+    ),
+    "frame shifted by 0.1 m": turned(0.0, 0.1),
+    "frame turned by 0.5 degrees": turned(np.deg2rad(0.5), 0.0),
+    "headings off by 1 degree": of_path(lambda p: _added(p, 2, np.deg2rad(1.0))),
+    "headings clockwise": of_path(lambda p: p * (1.0, 1.0, -1.0)),
+    "headings from the course": of_path(_course),
+    "x and y exchanged": of_path(lambda p: p[:, [1, 0, 2]]),
+    "mirrored path": of_path(lambda p: p * (1.0, -1.0, -1.0)),
+    "stamps one sample late": late(0.025),
+    "stamps one scan late": late(0.2),
+    "path 0.5 % too large": grown(1.005),
+    "path 0.1 % too large": grown(1.001),
+    "path of another point": of_path(_at_axle),
+    "path averaged over five poses": of_path(_averaged),
+    "path rounded to 0.1 m": of_path(lambda p: np.round(p, 1)),
+    "path in half precision": of_path(lambda p: p.astype(np.float16).astype(float)),
+    "one pose off by 0.5 m": of_path(_glitch),
+    "2 cm of noise on the path": of_path(_wander),
+    "path cut at 60 %": cut(lambda n: slice(0, 6 * n // 10)),
+    "path begun at 40 %": cut(lambda n: slice(4 * n // 10, n)),
+    "two landmarks exchanged": of_map(_exchanged),
+    "landmarks' ids off by one": of_map(lambda m: np.roll(m, 1, axis=0)),
+    "one landmark off by 0.2 m": of_map(_one_off),
+    "map shifted by 0.1 m": of_map(lambda m: m + 0.1),
+    "a third of the map missing": fewer_landmarks,
+}
+"""What exports do to a sound filter's estimate."""
+
+
+def sightings(**columns: Callable[[Array], Array]) -> Feed:
+    """Other columns of the sightings."""
+
+    def change(log: Log) -> Log:
+        own: dict[str, Any] = {
+            name: of(getattr(log.sightings, name)) for name, of in columns.items()
+        }
+        return replace(log, sightings=replace(log.sightings, **own))
+
+    return change
+
+
+def kept(rows: Callable[[Log], NDArray[Any]]) -> Feed:
+    """Some of the sightings only."""
+
+    def change(log: Log) -> Log:
+        which, seen = rows(log), vars(log.sightings)
+        own: dict[str, Any] = {
+            name: column[which] for name, column in seen.items() if isinstance(column, np.ndarray)
+        }
+        return replace(log, sightings=replace(log.sightings, **own))
+
+    return change
+
+
+def odometry(**columns: Callable[[Array], Array]) -> Feed:
+    """Other speeds or turns of the wheel odometry; `turn` is of steering angles or yaw rates."""
+
+    def change(log: Log) -> Log:
+        own: dict[str, Any] = vars(log.odometry)
+        second = "steering_rad" if "steering_rad" in own else "yaw_rate_radps"
+        names = {"speed": "speed_mps", "turn": second}
+        changed: dict[str, Any] = {names[key]: of(own[names[key]]) for key, of in columns.items()}
+        return replace(log, odometry=replace(log.odometry, **changed))
+
+    return change
+
+
+def noise(**factors: float) -> Feed:
+    """Other noise of the odometry, by factors on its figures."""
+
+    def change(log: Log) -> Log:
+        if isinstance(log.odometry, RelativePoses):
+            raise ValueError(f"{log.name}: has no wheel odometry")
+        own = {name: f * getattr(log.odometry.noise, name) for name, f in factors.items()}
+        changed = replace(log.odometry.noise, **own)
+        return replace(log, odometry=replace(log.odometry, noise=changed))
+
+    return change
+
+
+def _of_one(log: Log) -> NDArray[np.bool_]:
+    landmark = log.sightings.landmark
+    others: NDArray[np.bool_] = landmark != np.unique(landmark)[0]
+    return others
+
+
+def _delayed(column: Array) -> Array:
+    return np.concatenate((column[:1], column[:1], column[:-2]))
+
+
+FEEDS: dict[str, Feed] = {
+    "R 3 times": sightings(
+        sigma_range_m=lambda s: 3.0**0.5 * s, sigma_bearing_rad=lambda s: 3.0**0.5 * s
+    ),
+    "R a third": sightings(
+        sigma_range_m=lambda s: s / 3.0**0.5, sigma_bearing_rad=lambda s: s / 3.0**0.5
+    ),
+    "the range's sigma doubled": sightings(sigma_range_m=lambda s: 2.0 * s),
+    "Q 3 times": noise(sigma_speed_mps=3.0**0.5, sigma_turn=3.0**0.5),
+    "Q a third": noise(sigma_speed_mps=3.0**-0.5, sigma_turn=3.0**-0.5),
+    "every second sighting left out": kept(lambda log: np.arange(len(log.sightings.time_s))[::2]),
+    "one landmark ignored": kept(_of_one),
+    "sightings of the last 5 s left out": kept(
+        lambda log: log.sightings.time_s < log.sightings.time_s[-1] - 5.0
+    ),
+    "sightings beyond 15 m left out": kept(lambda log: log.sightings.range_m < 15.0),
+    "range 1 % too long": sightings(range_m=lambda r: 1.01 * r),
+    "range 5 cm too long": sightings(range_m=lambda r: r + 0.05),
+    "bearing off by 0.5 degrees": sightings(bearing_rad=lambda b: b + np.deg2rad(0.5)),
+    "speed 1 % too high": odometry(speed=lambda v: 1.01 * v),
+    "turn 2 % too strong": odometry(turn=lambda t: 1.02 * t),
+    "turn off by 0.2 degrees": odometry(turn=lambda t: t + np.deg2rad(0.2)),
+    "odometry two samples late": odometry(speed=_delayed, turn=_delayed),
+    "prior's covariance 100 times": lambda log: replace(
+        log, prior=replace(log.prior, covariance=100.0 * log.prior.covariance)
+    ),
+    "prior's heading off by 1 degree": lambda log: replace(
+        log, prior=replace(log.prior, pose=log.prior.pose + (0.0, 0.0, np.deg2rad(1.0)))
+    ),
+}
+"""What a sound filter may be fed in place of the log."""

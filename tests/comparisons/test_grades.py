@@ -1,0 +1,322 @@
+"""Grades of external estimates: what is equal to a filter, like it, plausible, or wrong."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from comparisons.adapters.ekf_factory import settle
+from comparisons.adapters.filter_variants import (
+    BackwardEkf,
+    IteratedEkf,
+    SequentialEkf,
+    UnscentedEkf,
+    unscented,
+)
+from comparisons.adapters.reference_filter import run_reference
+from comparisons.adapters.timeline import build_timeline
+from comparisons.arrays import Array
+from comparisons.checks.grade import Part, eigenvalues
+from comparisons.choices import Required
+from comparisons.config import EkfConfig
+from comparisons.estimates.external import GivenEstimate, read_given
+from comparisons.estimates.folder import write_estimate
+from comparisons.experiments.defects.exports import EXPORTS, FEEDS
+from comparisons.logs.log import Log
+from comparisons.logs.simulate.drive import Drive, simulate
+from comparisons.pipeline.check import GivenCheck, judge_given
+from comparisons.pipeline.solve import Solution, solve
+from ekf_reference.core.ekf import Ekf
+from tests.comparisons.test_cli import slamcheck
+
+
+@pytest.fixture(scope="module")
+def solution() -> Solution:
+    return solve(simulate(np.random.default_rng(0), Drive(noise_scale=0.3, loop_s=15.0)))
+
+
+def filtered(log: Log, solution: Solution, kind: type[Ekf] = Ekf) -> GivenEstimate:
+    """What a filter that was fed a log knew at the solution's instants."""
+    run = run_reference(log, build_timeline(log), settle(EkfConfig(), log), kind=kind)
+    assert run is not None
+    time_s = solution.estimate.time_s
+    pose, covariance = run.at(time_s)
+    joint = run.map.joint_covariance
+    return GivenEstimate(
+        time_s=time_s,
+        pose=pose,
+        landmark_id=run.map.landmark_id,
+        landmark=run.map.landmark,
+        pose_covariance=covariance,
+        landmark_covariance=np.array(
+            [joint[i : i + 2, i : i + 2] for i in range(3, len(joint), 2)]
+        ),
+        joint_covariance=joint,
+        information="filtered",
+    )
+
+
+@pytest.fixture(scope="module")
+def right(solution: Solution) -> GivenEstimate:
+    return filtered(solution.log, solution)
+
+
+def nearest(found: GivenCheck) -> str:
+    assert found.grade.by is not None
+    return found.grade.by.reference.name
+
+
+def evidence(found: GivenCheck) -> str:
+    return " ".join([*(one.evidence for one in found.causes), *found.remarks])
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [
+        (Ekf, "the reference EKF"),
+        (IteratedEkf, "an iterated EKF"),
+        (SequentialEkf, "an EKF that updates by one landmark after the other"),
+        (BackwardEkf, "an EKF that updates by one landmark after the other, the last first"),
+        (UnscentedEkf, "an unscented Kalman filter"),
+    ],
+)
+def test_a_sound_filter_is_equal_to_its_own_kind(
+    solution: Solution, kind: type[Ekf], name: str
+) -> None:
+    found = judge_given(filtered(solution.log, solution, kind), solution, "equal")
+    assert (found.grade.value, nearest(found), found.outcome) == ("equal", name, "agree")
+    assert not found.causes
+
+
+class Once(IteratedEkf):
+    most_iterations = 1
+
+
+def test_one_iteration_is_the_ekf(solution: Solution, right: GivenEstimate) -> None:
+    once = filtered(solution.log, solution, Once)
+    assert np.allclose(once.pose, right.pose, rtol=0.0, atol=1e-10)
+    assert not np.allclose(filtered(solution.log, solution, IteratedEkf).pose, right.pose)
+
+
+def quadratic(x: Array) -> Array:
+    return x**2 + 3.0 * x
+
+
+def test_the_unscented_transform_is_exact_to_second_order() -> None:
+    """Of x^2 + 3 x: mean m^2 + s^2 + 3 m, slope 2 m + 3, and 2 s^4 that the slope leaves over."""
+    m, variance = 0.7, 0.04
+    y = unscented(np.array([m]), np.array([[variance]]), quadratic, alpha=1e-2)
+    assert y.mean[0] == pytest.approx(m**2 + variance + 3.0 * m)
+    assert y.slope[0, 0] == pytest.approx(2.0 * m + 3.0)
+    assert y.rest[0, 0] == pytest.approx(2.0 * variance**2, rel=1e-6)
+    assert y.mean[0] != pytest.approx(quadratic(np.array([m]))[0])  # as without the shift
+
+
+def test_the_reference_speaks_of_any_instant(solution: Solution) -> None:
+    """Half way into a step as the filter that stops there; not as at the step's beginning."""
+    log = solution.log
+    config, plain = settle(EkfConfig(), log), build_timeline(log)
+    run = run_reference(log, plain, config)
+    assert run is not None
+    at = np.array([5.0125])
+    stopping = run_reference(log, build_timeline(log, None, at), config)
+    assert stopping is not None
+    row = int(np.argmin(np.abs(stopping.time_s - at)))
+    pose, covariance = run.at(at)
+    assert np.allclose(pose[0], stopping.pose[row], atol=1e-12)
+    assert np.allclose(covariance[0], stopping.covariance[row], rtol=1e-9)
+    assert not np.allclose(pose[0], run.at(np.array([5.0]))[0][0], atol=1e-4)
+
+
+NAMED = {
+    "all covariances 3 times": "your covariance is 3.0 times that of the reference EKF on this log",
+    "all covariances a third": "your covariance is 0.33 times",
+    "pose covariances in the body's frame": "in the body's frame instead of the log's",
+    "pose covariances 10 times, all but the last": "10.0 times those of the reference EKF, in all "
+    "directions, all but the last",
+    "pose covariances without correlations": "without the correlations",
+    "sigmas for variances of poses": "standard deviations where variances belong",
+    "information of poses": "which is information",
+    "pose covariances in the order heading, x, y": "in the order heading, x, y",
+    "heading's covariance in degrees": "the heading is in degrees",
+    "pose covariances one scan late": "those of the pose before",
+    "the last covariance for all poses": "one and the same for all poses",
+    "pose covariances' upper triangle": "not symmetric",
+    "pose covariances negative": "not positive definite",
+    "landmark covariances 3 times": "your landmark covariances are 3.0 times",
+    "covariances of pose and map dropped": "without the covariances between pose and landmarks",
+    "all cross-covariances dropped": "without the covariances of one with another",
+    "covariances of pose and map negated": "of opposite sign",
+    "landmark covariances in another order": "those of other landmarks",
+    "frame shifted by 0.1 m": "shifted by 0.14 m",
+    "headings off by 1 degree": "all headings are off by 1.0 degrees",
+    "headings clockwise": "clockwise",
+    "mirrored path": "mirror image",
+    "stamps one scan late": "0.2",
+    "path of another point": "-0.300 m forward",
+    "one pose off by 0.5 m": "1 of 76 poses",
+    "path cut at 60 %": "the path ends at",
+    "path begun at 40 %": "the path begins at",
+    "two landmarks exchanged": "2 landmarks lie where another is",
+    "a third of the map missing": "landmarks are not in the map",
+}
+"""Faults of exports, and what the report has to say of them."""
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_a_fault_is_not_like_a_filter_and_is_named(
+    solution: Solution, right: GivenEstimate, name: str
+) -> None:
+    found = judge_given(EXPORTS[name](right), solution, "like")
+    assert found.grade.value in ("plausible", "wrong")
+    assert found.outcome == "disagree"
+    assert NAMED[name] in evidence(found)
+
+
+@pytest.mark.parametrize("name", ["R a third", "Q 3 times", "bearing off by 0.5 degrees"])
+def test_a_filter_that_was_fed_something_else_is_not_like_one(
+    solution: Solution, name: str
+) -> None:
+    found = judge_given(filtered(FEEDS[name](solution.log), solution), solution, "like")
+    assert found.outcome == "disagree"
+
+
+@pytest.mark.parametrize(
+    ("factor", "require", "outcome"),
+    [
+        (1.0, "equal", "agree"),
+        (1.04, "equal", "disagree"),
+        (1.04, "like", "agree"),
+        (1.5, "like", "disagree"),
+        (1.5, "plausible", "agree"),
+        (3.0, "plausible", "disagree"),
+        (1.0 / 3.0, "plausible", "disagree"),
+    ],
+)
+def test_the_required_grade_decides(
+    solution: Solution, right: GivenEstimate, factor: float, require: Required, outcome: str
+) -> None:
+    assert right.pose_covariance is not None
+    other = replace(right, pose_covariance=factor * right.pose_covariance)
+    found = judge_given(other, solution, require)
+    assert found.outcome == outcome
+    assert bool(found.causes) == (outcome == "disagree")
+
+
+def test_what_calls_itself_an_ekf_has_to_be_like_one(
+    solution: Solution, right: GivenEstimate
+) -> None:
+    half_right = EXPORTS["all covariances 1.5 times"](right)
+    assert judge_given(half_right, solution).outcome == "agree"
+    claimed = judge_given(replace(half_right, estimator="ekf"), solution)
+    assert (claimed.grade.required, claimed.outcome) == ("like", "disagree")
+
+
+@pytest.fixture
+def unverified(solution: Solution) -> Solution:
+    optimality = solution.result.optimality
+    test = replace(optimality.chi_square, chi2=1e9)
+    result = replace(
+        solution.result, optimality=replace(optimality, agreeing=("tracked",), chi_square=test)
+    )
+    assert not result.optimality.verified
+    return replace(solution, result=result)
+
+
+def test_an_optimum_that_is_not_verified_leaves_open_what_needs_it(
+    unverified: Solution, right: GivenEstimate
+) -> None:
+    assert judge_given(right, unverified, "like").outcome == "agree"
+    assert judge_given(EXPORTS["all covariances 1.5 times"](right), unverified).outcome == (
+        "unverified"
+    )
+    three_times = judge_given(EXPORTS["all covariances 3 times"](right), unverified, "like")
+    assert (three_times.grade.value, three_times.outcome) == (None, "disagree")
+    smoothed = judge_given(of_smoother(unverified), unverified)
+    assert smoothed.outcome == "unverified"
+
+
+def of_smoother(solution: Solution) -> GivenEstimate:
+    estimate = solution.estimate
+    return GivenEstimate(
+        time_s=estimate.time_s,
+        pose=estimate.pose,
+        landmark_id=estimate.landmark_id,
+        landmark=estimate.landmark,
+        pose_covariance=estimate.pose_covariance,
+        landmark_covariance=estimate.landmark_covariances(),
+        joint_covariance=estimate.joint_covariance,
+        information="smoothed",
+    )
+
+
+def test_a_smoother_is_compared_with_the_smoother(solution: Solution) -> None:
+    found = judge_given(of_smoother(solution), solution, "equal")
+    assert (found.outcome, nearest(found)) == ("agree", "the smoother")
+    as_filter = judge_given(
+        replace(of_smoother(solution), information="filtered"), solution, "like"
+    )
+    assert as_filter.outcome == "disagree"
+    assert "have seen the future" in evidence(as_filter)
+    bare = GivenEstimate(time_s=solution.estimate.time_s, pose=solution.estimate.pose)
+    assert judge_given(bare, solution, "like").outcome == "agree"
+    tripled = EXPORTS["all covariances 3 times"](of_smoother(solution))
+    assert "3.0 times that of the smoother" in evidence(judge_given(tripled, solution, "like"))
+
+
+def test_single_precision_is_allowed_for(solution: Solution, right: GivenEstimate) -> None:
+    names = ("pose", "landmark", "pose_covariance", "landmark_covariance", "joint_covariance")
+    stored = {name: getattr(right, name).astype(np.float32).astype(float) for name in names}
+    found = judge_given(replace(right, **stored), solution, "equal")
+    assert found.outcome == "agree"
+    assert "single precision" in evidence(found)
+    assert right.pose_covariance is not None
+    nudged = replace(right, pose_covariance=right.pose_covariance * (1.0 + 1e-5))
+    assert judge_given(nudged, solution, "equal").outcome == "disagree"
+
+
+def test_eigenvalues_are_those_of_the_pair() -> None:
+    second = np.array([[[2.0, 0.5], [0.5, 1.0]]])
+    low, high = eigenvalues(3.0 * second, second)
+    assert (low[0], high[0]) == (pytest.approx(3.0), pytest.approx(3.0))
+    skewed = second + np.array([[0.0, 0.2], [0.0, 0.0]])
+    assert eigenvalues(skewed, second)[1][0] > 1.1
+    low, high = eigenvalues(second, -second)
+    assert (low[0], high[0]) == (-np.inf, np.inf)
+
+
+def test_what_is_not_a_number_is_not_like_anything() -> None:
+    none = np.full(2, np.nan)
+    assert Part("poses", np.zeros(2), none, none).within(0.05, 0.05)
+    assert not Part("poses", none, none, none).within(0.05, 0.05)
+    assert not Part("poses", np.zeros(2), np.zeros(2), np.full(2, np.inf)).within(0.05, 0.05)
+
+
+@pytest.mark.slow
+def test_the_command_takes_what_is_required(tmp_path: Path, solution: Solution) -> None:
+    """Of an estimate folder that calls itself an EKF, but is 1.5 times as uncertain."""
+    from comparisons.adapters.ekf_run import run_ekf
+    from comparisons.logs.bundled import open_log
+
+    log = open_log("simulated-loop")
+    right = run_ekf(log, build_timeline(log), settle(EkfConfig(), log)).estimate
+    wide = replace(
+        right,
+        pose_covariance=1.5 * right.pose_covariance,
+        joint_covariance=1.5 * right.joint_covariance,
+    )
+    (tmp_path / "mine").mkdir()
+    write_estimate(wide, tmp_path / "mine")
+    arguments = ("check", "simulated-loop", "--estimate", "mine", "--out")
+    assert slamcheck(*arguments, "a", cwd=tmp_path).returncode == 0
+    strict = slamcheck(*arguments, "b", "--require", "like", cwd=tmp_path)
+    assert strict.returncode == 1, strict.stderr
+    assert "your covariance is 1.5 times that of the reference EKF" in strict.stdout
+    meta = tmp_path / "mine" / "estimate.toml"
+    meta.write_text('estimator = "ekf"\n' + meta.read_text())
+    assert read_given(tmp_path / "mine").estimator == "ekf"
+    assert slamcheck(*arguments, "c", cwd=tmp_path).returncode == 1
+    assert slamcheck(*arguments, "d", "--require", "some", cwd=tmp_path).returncode == 2
