@@ -113,8 +113,8 @@ def lagged(f: Foreign, k: int, lag: int) -> Array:
         return np.zeros(2)
     if not isinstance(log, SteeringOdometry):
         raise TypeError("no car")
-    both = [log.speed_mps, log.steering_rad]
-    return np.array([column[min(at, len(column) - 1)] for column in both])
+    at = min(at, len(log.time_s) - 1)
+    return np.array([log.speed_mps[at], log.steering_rad[at]])
 
 
 def sensor_at(forward: float, left: float) -> Plant:
@@ -122,7 +122,8 @@ def sensor_at(forward: float, left: float) -> Plant:
 
     def moved(pose: Array) -> Array:
         c, s = np.cos(pose[2]), np.sin(pose[2])
-        return pose + np.array([c * forward - s * left, s * forward + c * left, 0.0])
+        there: Array = pose + np.array([c * forward - s * left, s * forward + c * left, 0.0])
+        return there
 
     def by_state(f: Foreign, pose: Array, at: Array) -> Array:
         h = own.by_state(f, moved(pose), at)
