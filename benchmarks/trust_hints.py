@@ -58,7 +58,12 @@ def case(name: str, log: Log, choices: EkfConfig, *kinds: str) -> Case:
     prepared: Prepared[SolveConfig] = prepare(log, CheckConfig(gps=choices.gps), choices)
     p = prepared
     slot = run_ekf(p.log, p.timeline, p.ekf, p.positions).slot
-    return Case(name, p, Foreign(p.log, p.timeline, slot, p.positions), ("any", *kinds))
+    return Case(
+        name,
+        p,
+        Foreign(log=p.log, timeline=p.timeline, slot=slot, positions=p.positions),
+        ("any", *kinds),
+    )
 
 
 def simulated(seed: int = 4) -> Case:

@@ -29,7 +29,7 @@ def ready() -> Ready:
     log, choices = open_case("positions", seed=4, loop_s=30.0)
     p: Prepared[SolveConfig] = prepare(log, CheckConfig(gps=choices.gps), choices)
     slot = run_ekf(p.log, p.timeline, p.ekf, p.positions).slot
-    return p, Foreign(p.log, p.timeline, slot, p.positions)
+    return p, Foreign(log=p.log, timeline=p.timeline, slot=slot, positions=p.positions)
 
 
 def checked(one: Foreign, ready: Ready, folder: Path, *, stored: bool = False) -> TraceCheck:
@@ -64,7 +64,7 @@ def test_storing_in_single_precision_is_no_fault(ready: Ready, tmp_path: Path) -
 
 @pytest.mark.slow
 def test_computing_in_single_precision_is_named(ready: Ready, tmp_path: Path) -> None:
-    single = replace(ready[1], dtype=np.float32, positions=None)
+    single = replace(ready[1], dtype=np.float32)
     parts = said(checked(single, ready, tmp_path))
     assert all("computes in single precision" in p or "filtered in single" in p for p in parts)
 

@@ -184,7 +184,7 @@ def arm(f: Foreign, pose: Array) -> Array:
     return f.cast([turned.real, turned.imag])
 
 
-@dataclass
+@dataclass(kw_only=True)
 class Foreign:
     """The filter. slot: (M,) which landmark each sighting is of, negative to leave it out.
 
