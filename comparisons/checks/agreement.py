@@ -43,6 +43,30 @@ class Gaussian:
 
 
 @dataclass(frozen=True)
+class Allowed:
+    """The largest gap that rounding explains, in sigma and in covariance.
+
+    stored: the rounding is that of a filter's records, which were stored in single precision.
+    """
+
+    sigma: float = ROUNDING
+    covariance: float = ROUNDING
+    stored: bool = False
+
+    def times(self, factor: float) -> Allowed:
+        """Return so many times as much."""
+        return Allowed(factor * self.sigma, factor * self.covariance, self.stored)
+
+    def plus(self, other: Allowed) -> Allowed:
+        """Return what both explain together; it is of storing."""
+        return Allowed(self.sigma + other.sigma, self.covariance + other.covariance, stored=True)
+
+
+EXACT = Allowed()
+"""What rounding explains where everything is done and stored in double precision."""
+
+
+@dataclass(frozen=True)
 class Gap:
     """The distance of two Gaussians.
 
@@ -62,6 +86,10 @@ class Gap:
     def within(self, tolerance: float) -> bool:
         """Both are at most the tolerance; never true for NaN."""
         return self.sigma <= tolerance and self.covariance <= tolerance
+
+    def explained_by(self, allowed: Allowed) -> bool:
+        """Neither is more than allowed; never true for NaN."""
+        return self.sigma <= allowed.sigma and self.covariance <= allowed.covariance
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,12 @@ import numpy as np
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.arrays import Array
 from comparisons.checks.agreement import (
+    EXACT,
     LARGEST_DISTANCE,
     LEAST_VARIANCE_RATIO,
     ROUNDING,
     Agreement,
+    Allowed,
     BlockAgreement,
     Gap,
     block_agrees,
@@ -46,15 +48,28 @@ class Cause:
     hint: str
 
 
-def _apart(gap: Gap) -> str:
+def _apart(gap: Gap, allowed: Allowed) -> str:
+    limit = f"rounding allows {ROUNDING:g}"
+    if allowed.stored:
+        limit = (
+            f"storing in single precision allows {allowed.sigma:.2g} and {allowed.covariance:.2g}"
+        )
     return (
         f"differ by {gap.sigma:.2g} sigma in the mean and by {gap.covariance:.2g} in the "
-        f"covariance, where rounding allows {ROUNDING:g}"
+        f"covariance, where {limit}"
     )
 
 
-def algebra(gap: Gap, operations: Sequence[AlgebraDifference]) -> Cause:
-    """E against F1. operations: those found wrong, the first to break first."""
+def algebra(
+    gap: Gap,
+    operations: Sequence[AlgebraDifference],
+    allowed: Allowed = EXACT,
+    single: str = "",
+) -> Cause:
+    """E against F1. operations: those found wrong, the first to break first.
+
+    single: how the gap grows, if computing in single precision explains it.
+    """
     named = "; ".join(map(str, operations[:_NAMED]))
     hint = (
         "look for a covariance block that is dropped, stale or not transposed: prediction, update, "
@@ -62,13 +77,20 @@ def algebra(gap: Gap, operations: Sequence[AlgebraDifference]) -> Cause:
     )
     return Cause(
         "algebra",
-        f"the filter and the solution of its own linear equations {_apart(gap)}"
+        f"the filter and the solution of its own linear equations {_apart(gap, allowed)}"
         + (f"; {named}" if named else ""),
-        f"look at {operations[0].operation}: {operations[0].block}" if operations else hint,
+        f"look at {operations[0].operation}: {operations[0].block}"
+        if operations
+        else single or hint,
     )
 
 
-def model(gap: Gap, differences: Sequence[ModelDifference], explanations: Sequence[str]) -> Cause:
+def model(
+    gap: Gap,
+    differences: Sequence[ModelDifference],
+    explanations: Sequence[str],
+    allowed: Allowed = EXACT,
+) -> Cause:
     """F1 against F2. explanations: known mistakes that reproduce what was recorded."""
     named = "; ".join(map(str, differences[:_NAMED]))
     hint = (
@@ -85,7 +107,7 @@ def model(gap: Gap, differences: Sequence[ModelDifference], explanations: Sequen
     return Cause(
         "model",
         "the filter's and the smoother's equations, linearised at the same points, "
-        f"{_apart(gap)}" + (f"; {named}" if named else ""),
+        f"{_apart(gap, allowed)}" + (f"; {named}" if named else ""),
         hint,
     )
 

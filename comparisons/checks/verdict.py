@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.checks import causes as cause
-from comparisons.checks.agreement import ROUNDING, Agreement, Gap, block_agrees
+from comparisons.checks.agreement import EXACT, ROUNDING, Agreement, Allowed, Gap, block_agrees
 from comparisons.checks.causes import Cause
 from comparisons.checks.consistency.innovations import SensorInnovations
 from comparisons.checks.diagnosis.bookkeeping import Misuse
@@ -56,6 +56,8 @@ class Diagnosis:
     explanations: known mistakes that reproduce the records. growth: where linearising cost
     something. dropouts: stretches without observations. sensors: the filter's innovations. The
     last two explain a disagreement, or an optimum that is not verified, and never make one.
+    single: how the algebra gap grows, if computing in single precision explains it. algebra,
+    model: the gaps that rounding explains.
     """
 
     differences: Callable[[], Sequence[ModelDifference]] = tuple
@@ -64,6 +66,9 @@ class Diagnosis:
     growth: Callable[[], LinearisationGrowth | None] = lambda: None
     dropouts: Callable[[], Dropouts | None] = lambda: None
     sensors: Sequence[SensorInnovations] = ()
+    single: str = ""
+    algebra: Allowed = EXACT
+    model: Allowed = EXACT
 
 
 def judge(
@@ -114,11 +119,12 @@ def _red(
     """What is wrong with the filter whatever the smoother found."""
     found = [Cause("data", misuse.evidence, misuse.hint) for misuse in misuses]
     algebra = agreement.algebra
-    if not (_conservative(algebra) if conservative else algebra.within(ROUNDING)):
-        found.append(cause.algebra(algebra, diagnosis.operations()))
-    if not agreement.model.within(ROUNDING):
-        known = diagnosis.differences()
-        found.append(cause.model(agreement.model, known, diagnosis.explanations()))
+    if not (_conservative(algebra) if conservative else algebra.explained_by(diagnosis.algebra)):
+        known = diagnosis.operations()
+        found.append(cause.algebra(algebra, known, diagnosis.algebra, diagnosis.single))
+    if not agreement.model.explained_by(diagnosis.model):
+        differences, known_faults = diagnosis.differences(), diagnosis.explanations()
+        found.append(cause.model(agreement.model, differences, known_faults, diagnosis.model))
     if run.breakdown and not found:
         found.append(
             Cause(

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from comparisons.archive import read_arrays
 from comparisons.arrays import Array, Index
 from comparisons.errors import InputError
+from comparisons.estimates.stored_precision import stored_rounding
 from comparisons.logs.validation import LARGEST, LARGEST_ID
 from ekf_reference.core.landmark_types import POINT, POSE
 from ekf_reference.core.trace import (
@@ -68,12 +69,14 @@ class TraceFile:
     """A filter's trace with the time (N,) at which each step ends, and where it was read.
 
     Slots are places in the estimate's list of landmarks. Headings are unwrapped along the trace;
-    `spread` and `whitened` are zero, for no gap needs them.
+    `spread` and `whitened` are zero, for no gap needs them. rounding: what storing has done to
+    the numbers, relative to them: 2^-24 where all are of single precision, else nothing.
     """
 
     path: Path
     step_time_s: Array
     trace: TraceArrays
+    rounding: float = 0.0
 
 
 def write_trace(run: EkfRun, path: Path) -> None:
@@ -140,7 +143,8 @@ def read_trace(path: Path, landmark_id: NDArray[np.int64]) -> TraceFile:
             if name not in found:
                 raise InputError(f"{path}: holds no {name}")
             _check(path, name, found[name], (count, *shape))
-    _check_contents(path, found)
+    rounding = stored_rounding(*(array for name, array in found.items() if _is_figure(name)))
+    _check_contents(path, found, rounding)
     _unwrap(found)
     slot, count = _slots(path, found, landmark_id), len(found["position_step"])
     none_of_poses = stack_records([], POSE, POSE)
@@ -166,7 +170,13 @@ def read_trace(path: Path, landmark_id: NDArray[np.int64]) -> TraceFile:
             merges=none_of_poses,
             removals=removal_records([]),
         ),
+        rounding,
     )
+
+
+def _is_figure(name: str) -> bool:
+    """Of what was computed: no time, weight or number."""
+    return name.partition("_")[2] not in (*_WHOLE, "weight", "time_s")
 
 
 def _records(
@@ -206,8 +216,8 @@ def _check(path: Path, name: str, array: Array, shape: tuple[int, ...]) -> None:
         raise InputError(f"{path}: {name} holds a value that is no whole number from 0 on")
 
 
-def _check_contents(path: Path, found: dict[str, Array]) -> None:
-    """Orders, ranges, covariances and weights."""
+def _check_contents(path: Path, found: dict[str, Array], rounding: float) -> None:
+    """Orders, ranges, covariances and weights; what is all but symmetric is made so."""
     count = len(found["step_time_s"])
     if not count:
         raise InputError(f"{path}: holds no steps")
@@ -224,13 +234,15 @@ def _check_contents(path: Path, found: dict[str, Array]) -> None:
         matrices = found[name].reshape(-1, *found[name].shape[-2:])
         least = np.linalg.eigvalsh(matrices)[:, 0] if len(matrices) else np.zeros(0)
         scale = np.abs(matrices).max(axis=(1, 2), initial=0.0)
-        positive = least >= -1e-9 * scale if name == "step_q" else least > 0.0
+        close = 1e-9 + 64.0 * rounding
+        positive = least >= -close * scale if name == "step_q" else least > 0.0
         skew = np.abs(matrices - matrices.transpose(0, 2, 1)).max(axis=(1, 2), initial=0.0)
-        bad = np.flatnonzero(~positive | (skew > 1e-9 * scale))
+        bad = np.flatnonzero(~positive | (skew > close * scale))
         if len(bad):
             raise InputError(
                 f"{path}: {name}, row {bad[0]}, is not symmetric and positive definite"
             )
+        found[name] = 0.5 * (found[name] + np.swapaxes(found[name], -1, -2))
 
 
 def _unwrap(found: dict[str, Array]) -> None:

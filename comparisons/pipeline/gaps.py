@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -51,13 +51,16 @@ class Gaps:
     smoothed: Estimate
     agreement: Agreement
 
-    def model_differences(self) -> tuple[ModelDifference, ...]:
-        """Return where F1's and F2's equations differ."""
+    def model_differences(
+        self, stored: Mapping[tuple[str, str], float] | None = None
+    ) -> tuple[ModelDifference, ...]:
+        """Return where F1's and F2's equations differ by more than rounding, and storing."""
         from comparisons.checks.diagnosis.model_differences import model_differences
 
         weight = self.run.trace.initialisations[POINT].weight
         initialised = int(np.count_nonzero(weight > 0.0))
-        return tuple(model_differences(self.recorded, self.model, ROUNDING, initialised))
+        found = model_differences(self.recorded, self.model, ROUNDING, initialised, stored or {})
+        return tuple(found)
 
     def linearisation_growth(self) -> LinearisationGrowth:
         """Return where linearising cost something."""

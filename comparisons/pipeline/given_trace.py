@@ -7,23 +7,40 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from comparisons.adapters.ekf_run import EkfRun
+from comparisons.adapters.smoother_input import (
+    model_system_of,
+    recorded_system_of,
+    solve_model,
+    solve_recorded,
+)
 from comparisons.adapters.timeline import Timeline
 from comparisons.arrays import Array
-from comparisons.checks.agreement import Agreement, Gap
+from comparisons.checks.agreement import EXACT, Agreement, Gap, Gaussian
 from comparisons.checks.diagnosis.bookkeeping import Misuse, misuses
 from comparisons.checks.diagnosis.explanations import explain
+from comparisons.checks.diagnosis.model_differences import model_differences
+from comparisons.checks.diagnosis.single_precision import (
+    FACTOR,
+    OPERATIONS,
+    allowed_gap,
+    allowed_of_estimate,
+    computed_in_single,
+    restored_traces,
+)
 from comparisons.checks.verdict import Diagnosis, Verdict, judge
 from comparisons.config import SolveConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import GivenEstimate
+from comparisons.estimates.stored_precision import stored_rounding
 from comparisons.estimates.trace_file import TraceFile
 from comparisons.logs.log import Log, Positions
-from comparisons.pipeline.gaps import compute_gaps
+from comparisons.pipeline.gaps import Gaps, compute_gaps
 from comparisons.pipeline.prepare import Clock, Prepared, no_progress
 from ekf_reference.core.ekf import PoseReading
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.measurements import REJECTED
+from ekf_reference.core.trace import TraceArrays
 from graphslam.smoother import SmootherOptions
 
 _CLOCK_S = 0.5e-4
@@ -65,6 +82,7 @@ def check_trace(
         gaps = compute_gaps(
             log, run, options, Clock(), no_progress, timeline=own, covariance_known=known
         )
+        diagnosis = _diagnosis(log, run, gaps, file.rounding, same_steps=theirs is own)
     except np.linalg.LinAlgError:
         raise InputError(
             f"{file.path}: its noise, composed between sightings, is singular; "
@@ -77,10 +95,7 @@ def check_trace(
         gaps.agreement,
         gaps.result,
         run,
-        Diagnosis(
-            differences=gaps.model_differences,
-            explanations=(lambda: explain(log, run)) if theirs is own else tuple,
-        ),
+        diagnosis,
         misuses=misused,
     )
     trace = run.trace
@@ -93,6 +108,70 @@ def check_trace(
         begun=len(trace.initialisations[POINT].step),
         fixes=len(trace.positions.step),
     )
+
+
+def _diagnosis(
+    log: Log, run: EkfRun, gaps: Gaps, rounding: float, *, same_steps: bool
+) -> Diagnosis:
+    """What explains the gaps, and what storing in single precision does.
+
+    rounding: of the trace.
+    """
+
+    def explanations() -> tuple[str, ...]:
+        return explain(log, run, rounding, same_steps=same_steps)
+
+    ekf, sigma = run.estimate, np.sqrt(np.diag(gaps.smoothed.joint_covariance))
+    algebra = model = EXACT
+    covariance = stored_rounding(ekf.joint_covariance) > 0.0
+    if rounding or covariance:
+        algebra = algebra.plus(
+            allowed_of_estimate(
+                Gaussian(ekf.joint_mean, ekf.joint_covariance), sigma, covariance=covariance
+            )
+        )
+    if not rounding:
+        return Diagnosis(
+            differences=gaps.model_differences, explanations=explanations, algebra=algebra
+        )
+
+    def again(trace: TraceArrays) -> Gaussian:
+        other = replace(run, trace=trace)
+        return Gaussian(*solve_recorded(recorded_system_of(other), other))
+
+    def model_again(trace: TraceArrays) -> Gaussian:
+        until = run.timeline.steps_until()
+        departed, arrived = run.departed.copy(), run.arrived.copy()
+        left = until < len(trace.departed)
+        departed[left] = trace.departed[until[left]]
+        arrived[until > 0] = trace.arrived[until[until > 0] - 1]
+        other = replace(run, trace=trace, departed=departed, arrived=arrived)
+        return Gaussian(*solve_model(model_system_of(gaps.problem, other), other))
+
+    from_trace = allowed_gap(again, run.trace, sigma)
+    algebra = algebra.plus(from_trace)
+    single = ""
+    if not gaps.agreement.algebra.explained_by(algebra):
+        single = computed_in_single(run, gaps.agreement.algebra, sigma)
+    model = model.plus(from_trace).plus(allowed_gap(model_again, run.trace, sigma))
+    return Diagnosis(
+        differences=lambda: gaps.model_differences(_stored_differences(run, gaps)),
+        explanations=explanations,
+        single=single,
+        algebra=algebra,
+        model=model.times(OPERATIONS) if single else model,
+    )
+
+
+def _stored_differences(run: EkfRun, gaps: Gaps) -> dict[tuple[str, str], float]:
+    """What storing explains of single relations, by relation and quantity."""
+    found: dict[tuple[str, str], float] = {}
+    for trace in restored_traces(run.trace):
+        other = recorded_system_of(replace(run, trace=trace))
+        for one in model_differences(other, gaps.recorded, 0.0):
+            key = one.relation, one.quantity
+            found[key] = max(found.get(key, 0.0), FACTOR * one.largest)
+    return found
 
 
 def _last(given: GivenEstimate) -> Estimate:

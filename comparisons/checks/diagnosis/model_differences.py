@@ -9,6 +9,7 @@ columns, places to their sigma, covariances as generalised eigenvalues.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +27,7 @@ from graphslam.linear_problem import (
 )
 
 _PLACES = ("position", "heading")
+_EXACT: Mapping[tuple[str, str], float] = {}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,9 +62,15 @@ class _Places:
 
 
 def model_differences(
-    recorded: LinearProblem, own: LinearProblem, tolerance: float, begun: int = 0
+    recorded: LinearProblem,
+    own: LinearProblem,
+    tolerance: float,
+    begun: int = 0,
+    stored: Mapping[tuple[str, str], float] = _EXACT,
 ) -> tuple[ModelDifference, ...]:
     """What differs by more than the tolerance, the largest first; what is missing before that.
+
+    stored: by relation and quantity, what storing the records explains besides.
 
     begun: so many sightings, the last ones, begin a landmark; they are named apart where the others
     do not differ.
@@ -90,7 +98,8 @@ def model_differences(
     found = _priors(recorded.prior, own.prior, tolerance)
     for kind, place, said, meant in kinds:
         for quantity, unit, difference, absent in _compare(place, said, meant):
-            relation, off = kind, ~(difference <= tolerance)
+            relation, limit = kind, tolerance + stored.get((kind, quantity), 0.0)
+            off = ~(difference <= limit)
             if off.any():
                 uses = len(off) - begun
                 if relation == "uses of sightings" and not off[:uses].any():

@@ -1,0 +1,197 @@
+"""Mistakes as formulas with figures to be fitted, and accepted where they leave nothing over.
+
+A quantity is what a filter recorded beside what it should have been. A hypothesis predicts what a
+mistake would have recorded, given its figures; these are fitted by Gauss and Newton's method, which
+is linear least squares where the formula is linear. It is named only when all records that deviate
+are then reproduced to rounding.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.arrays import Array, Index
+from ekf_reference.core.geometry import wrap_angle
+
+_FITTED = 300
+"""So many records are fitted, spread over those that deviate; all of them are then compared."""
+_ITERATIONS = 8
+_SPARE = 2
+"""More records than figures, so many at least, for a fit to be evidence."""
+_LEAST_SPLIT = 3
+"""So many records at least on either side of a bound that tells those that deviate."""
+_DETERMINED = 1e-6
+"""Smallest singular value, relative to the largest, of figures that are told apart."""
+
+Predict = Callable[..., Array]
+"""Of rows (R,) and a mistake's figures: what would have been recorded, (R, ...)."""
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """One mistake. text: from its figures, what to say. start: figures to begin the fit with."""
+
+    text: Callable[..., str]
+    predict: Predict
+    start: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quantity:
+    """M records of one quantity.
+
+    have, meant: (M, ...). tolerance: what rounding explains, of a shape that broadcasts to theirs.
+    records: what they are of. angle: which entries differ the short way round. features: (M,)
+    each, by which records that deviate may be told from the others; of whole numbers, if they are
+    names.
+    """
+
+    have: Array
+    meant: Array
+    tolerance: Array
+    records: str
+    angle: bool | NDArray[np.bool_] = False
+    features: Mapping[str, Array | Index] = field(default_factory=dict)
+
+    def apart(self, rows: Index, expected: Array) -> Array:
+        """Return (R, n) how far records are from these, in units of the tolerance."""
+        difference = self.have[rows] - expected
+        if np.any(self.angle):
+            difference = np.where(self.angle, wrap_angle(difference), difference)
+        limit = np.broadcast_to(self.tolerance, self.have.shape)[rows]
+        return (difference / limit).reshape(len(rows), -1)
+
+    def off(self) -> NDArray[np.bool_]:
+        """Return (M,) which records deviate."""
+        every = np.arange(len(self.have))
+        apart = np.abs(self.apart(every, self.meant))
+        result: NDArray[np.bool_] = ~(apart.max(axis=1, initial=0.0) <= 1.0)
+        return result
+
+
+def named(quantity: Quantity, hypotheses: Iterable[Hypothesis]) -> str | None:
+    """Return the first hypothesis that reproduces all that deviates, with its figures and counts.
+
+    None where nothing deviates, or nothing explains it.
+    """
+    found = best(quantity, hypotheses)
+    if found is None:
+        return None
+    hypothesis, figures = found
+    return f"{hypothesis.text(*figures)}, {counted(quantity)}"
+
+
+def best(
+    quantity: Quantity, hypotheses: Iterable[Hypothesis]
+) -> tuple[Hypothesis, tuple[float, ...]] | None:
+    """Return the first hypothesis that reproduces all that deviates, and its figures."""
+    rows = np.flatnonzero(quantity.off())
+    if not len(rows):
+        return None
+    spread = np.unique(np.linspace(0, len(rows) - 1, _FITTED).astype(np.intp))
+    for hypothesis in hypotheses:
+        figures = _fit(quantity, hypothesis, rows[spread])
+        if figures is not None and _holds(quantity, hypothesis, figures, rows):
+            return hypothesis, figures
+    return None
+
+
+def counted(quantity: Quantity) -> str:
+    """Return in how many records, and in which, if a bound or a name tells."""
+    off = quantity.off()
+    count = int(np.count_nonzero(off))
+    told = f"in {count} of {len(off)} {quantity.records}"
+    if min(count, len(off) - count) < _LEAST_SPLIT:
+        return told
+    for name, values in quantity.features.items():
+        inside, outside = values[off], values[~off]
+        if values.dtype.kind == "i":
+            names = np.unique(inside)
+            if len(names) == 1 and names[0] not in outside:
+                return f"{told}, all of {name} {names[0]}"
+        elif inside.min() > outside.max():
+            return f"{told}, all with {name} from {inside.min():.4g} on"
+        elif inside.max() < outside.min():
+            return f"{told}, all with {name} up to {inside.max():.4g}"
+    return told
+
+
+def _holds(
+    quantity: Quantity, hypothesis: Hypothesis, figures: tuple[float, ...], rows: Index
+) -> bool:
+    apart = quantity.apart(rows, hypothesis.predict(rows, *figures))
+    return bool(np.abs(apart).max() <= 1.0)
+
+
+def _fit(quantity: Quantity, hypothesis: Hypothesis, rows: Index) -> tuple[float, ...] | None:
+    """Figures that fit the rows, None where they do not decide on them."""
+    figures = np.array(hypothesis.start)
+    if len(rows) < len(figures) + _SPARE and len(figures):
+        return None
+    for _ in range(_ITERATIONS if len(figures) else 0):
+        base = hypothesis.predict(rows, *figures)
+        apart, columns = quantity.apart(rows, base).ravel(), []
+        for i, value in enumerate(figures):
+            step = 1e-6 * max(1.0, abs(value))
+            other = figures.copy()
+            other[i] += step
+            change = hypothesis.predict(rows, *other) - base
+            limit = np.broadcast_to(quantity.tolerance, quantity.have.shape)[rows]
+            columns.append((change / limit / step).ravel())
+        by_figures = np.column_stack(columns)
+        size = np.linalg.norm(by_figures, axis=0)
+        if not (np.isfinite(by_figures).all() and np.isfinite(apart).all() and (size > 0.0).all()):
+            return None
+        moved, _, _, values = np.linalg.lstsq(by_figures / size, apart, rcond=None)
+        if values[-1] < _DETERMINED * values[0]:
+            return None
+        figures = figures + moved / size
+        if np.abs(moved / size).max() <= 1e-13 * max(1.0, float(np.abs(figures).max())):
+            break
+    told = tuple(np.where(np.abs(figures) < 1e-12, 0.0, figures).tolist())
+    if not len(told):
+        return told
+    with np.errstate(invalid="ignore"):
+        return told if _holds(quantity, hypothesis, told, rows) else None
+
+
+def says(text: str) -> Callable[..., str]:
+    """Return a text's maker that puts figures into it."""
+    return lambda *figures: text.format(*figures)
+
+
+def times(what: str, of: str = "what it should be") -> Callable[[float], str]:
+    """Return the text of a factor, signs and zeros named as such."""
+
+    def text(factor: float) -> str:
+        if abs(factor + 1.0) < 1e-6:
+            return f"{what} has the opposite sign"
+        if abs(factor) < 1e-6:
+            return f"{what} is zero"
+        unit = ""
+        for size, named in ((np.degrees(1.0), "degrees, not radians"),
+                            (np.radians(1.0), "degrees converted twice")):  # fmt: skip
+            if abs(factor / size - 1.0) < 1e-6:
+                unit = f" ({named})"
+        return f"{what} is {factor:.6g} times {of}{unit}"
+
+    return text
+
+
+def scaled(what: str, array: Array, mask: Array | float = 1.0) -> Hypothesis:
+    """Return the hypothesis that the entries of an array (M, ...) in a mask have a factor."""
+
+    def predict(rows: Index, factor: float) -> Array:
+        result: Array = array[rows] * (1.0 + (factor - 1.0) * np.asarray(mask))
+        return result
+
+    return Hypothesis(times(what), predict, (1.0,))
+
+
+def instead(text: str, array: Array) -> Hypothesis:
+    """Return the hypothesis that other figures (M, ...) stand where the right ones belong."""
+    return Hypothesis(says(text), lambda rows: array[rows])

@@ -1,0 +1,657 @@
+"""What a filter may have made of its odometry: steps, their Jacobian and their noise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.adapters.ekf_factory import motion_model
+from comparisons.adapters.ekf_run import EkfRun
+from comparisons.adapters.timeline import Timeline, resolved
+from comparisons.arrays import Array, Index
+from comparisons.checks.diagnosis.hypotheses import (
+    Hypothesis,
+    Quantity,
+    best,
+    counted,
+    instead,
+    named,
+    says,
+    scaled,
+    times,
+)
+from comparisons.logs.log import Log
+from comparisons.logs.odometry import (
+    Odometry,
+    RelativePoses,
+    SteeringOdometry,
+    VelocityOdometry,
+)
+from ekf_reference.models.motion import AckermannModel, MotionModel, MotionStep
+
+EQUAL = 1e-7
+"""Figures that differ by less, relative to their size, are the same."""
+_LAGS = (1, -1, *(sign * k for k in range(2, 11) for sign in (1, -1)))
+_SHIFTS_S = tuple(sign * 0.01 * k for k in range(1, 101) for sign in (1, -1))
+
+
+@dataclass(frozen=True)
+class _Drive:
+    """N steps of a model: departing poses (N, 3), controls (N, m), intervals (N,)."""
+
+    model: MotionModel
+    departed: Array
+    control: Array
+    duration_s: Array
+
+    def steps(self, rows: Index) -> tuple[Array, Array]:
+        """Return moves (R, 3), ahead, left and turned, and B (R, 3, m) in the map."""
+        each: list[MotionStep] = [
+            self.model.step(pose, control, float(s))
+            for pose, control, s in zip(
+                self.departed[rows], self.control[rows], self.duration_s[rows], strict=True
+            )
+        ]
+        by_control = np.array([one.jacobian_control for one in each])
+        arrived = np.array([one.pose for one in each])
+        return in_own_axes(self.departed[rows], arrived), by_control
+
+
+Wheels = SteeringOdometry | VelocityOdometry
+Altered = Callable[..., _Drive]
+"""Of a mistake's figures: the drive as it then goes."""
+
+
+def in_own_axes(departed: Array, arrived: Array) -> Array:
+    """Return moves (N, 3) ahead, left and turned."""
+    apart = arrived - departed
+    return np.column_stack((_turned(apart[:, :2], -departed[:, 2]), apart[:, 2]))
+
+
+def _turned(place: Array, by: Array) -> Array:
+    cos, sin = np.cos(by), np.sin(by)
+    return np.column_stack(
+        (cos * place[:, 0] - sin * place[:, 1], sin * place[:, 0] + cos * place[:, 1])
+    )
+
+
+def motion_hints(log: Log, run: EkfRun, rounding: float) -> Iterator[str]:
+    """Yield what was done to the odometry."""
+    trace, timeline = run.trace, run.timeline
+    if len(trace.departed) != len(timeline.control):
+        yield f"{len(trace.departed)} predictions for {len(timeline.control)} intervals"
+        return
+    drive = _Drive(motion_model(log), trace.departed, timeline.control, timeline.step_duration_s)
+    every = np.arange(len(trace.departed))
+    meant, by_control = drive.steps(every)
+    moves = Quantity(
+        have=in_own_axes(trace.departed, trace.arrived),
+        meant=meant,
+        tolerance=EQUAL * np.maximum(1e-6, np.abs(meant).max())
+        + rounding * 8.0 * max(float(np.abs(trace.departed).max()), np.pi),
+        records="steps",
+        features=_features(run),
+    )
+    odometry = log.odometry
+    found, used = _moved(odometry, moves, drive, timeline)
+    if found is not None:
+        yield found
+    yield from _jacobian(run, moves)
+    if not isinstance(odometry, RelativePoses):
+        others = [] if used is None else [used, _faster(used, timeline.step_duration_s)]
+        ways = [by_control, *(other.steps(every)[1] for other in others)]
+        yield from _step_noise(odometry, run, ways, moves, rounding)
+    else:
+        yield from _displacement_noise(run, moves)
+
+
+def _faster(drive: _Drive, duration_s: Array) -> _Drive:
+    """The same way, by another speed in place of another interval."""
+    control = drive.control.copy()
+    control[:, 0] *= drive.duration_s / duration_s
+    return replace(drive, control=control, duration_s=duration_s)
+
+
+def _features(run: EkfRun) -> Mapping[str, Array | Index]:
+    timeline = run.timeline
+    named_controls = {f"control {k + 1}": u for k, u in enumerate(timeline.control.T)}
+    return {
+        "a time [s]": timeline.step_begin_s(),
+        "an interval [s]": timeline.step_duration_s,
+        **named_controls,
+    }
+
+
+def _moved(
+    odometry: Odometry, moves: Quantity, drive: _Drive, timeline: Timeline
+) -> tuple[str | None, _Drive | None]:
+    """What leads elsewhere, and the drive that goes there, if it is one."""
+    if not moves.off().any():
+        return None, None
+    for text, altered, start in _altered(odometry, moves, drive, timeline):
+
+        def predict(rows: Index, *figures: float, altered: Altered = altered) -> Array:
+            return altered(*figures).steps(rows)[0]
+
+        found = best(moves, (Hypothesis(text, predict, start),))
+        if found is not None:
+            used = _where(moves.off(), altered(*found[1]), drive)
+            return f"{text(*found[1])}, {counted(moves)}", used
+    return named(moves, _bent(moves, drive)), None
+
+
+def _where(off: NDArray[np.bool_], there: _Drive, elsewhere: _Drive) -> _Drive:
+    """One drive in some steps, the other in the rest; the model cannot change in between."""
+    if off.all() or there.model is not elsewhere.model:
+        return there
+    return replace(
+        there,
+        control=np.where(off[:, None], there.control, elsewhere.control),
+        duration_s=np.where(off, there.duration_s, elsewhere.duration_s),
+    )
+
+
+def _altered(
+    odometry: Odometry, moves: Quantity, drive: _Drive, timeline: Timeline
+) -> Iterator[tuple[Callable[..., str], Altered, tuple[float, ...]]]:
+    """Other controls, intervals and vehicles."""
+    if isinstance(odometry, RelativePoses):
+        yield from _other_displacements(drive)
+        return
+    u, s = drive.control, drive.duration_s
+    turn = "steering" if isinstance(drive.model, AckermannModel) else "turn"
+    unit = "rad" if isinstance(drive.model, AckermannModel) else "rad/s"
+
+    def controlled(change: Callable[..., Array]) -> Altered:
+        return lambda *figures: replace(drive, control=change(*figures))
+
+    def lasting(change: Callable[..., Array]) -> Altered:
+        return lambda *figures: replace(drive, duration_s=change(*figures))
+
+    yield says(f"the {turn} has the opposite sign"), controlled(lambda: u * (1.0, -1.0)), ()
+    yield says("the speed has the opposite sign"), controlled(lambda: u * (-1.0, 1.0)), ()
+    yield says("a step lasts the previous step's interval"), lasting(lambda: np.roll(s, 1)), ()
+    yield (
+        says("the control is applied twice"),
+        lambda: replace(drive, model=_Twice(drive.model)),
+        (),
+    )
+    yield from _vehicles(drive)
+    yield (
+        says("the speed is always {0:.4g} m/s"),
+        controlled(lambda c: np.column_stack((np.full(len(u), c), u[:, 1]))),
+        (0.0,),
+    )
+    yield (
+        says(f"the {turn} is always {{0:.4g}} {unit}"),
+        controlled(lambda c: np.column_stack((u[:, 0], np.full(len(u), c)))),
+        (0.0,),
+    )
+    both = (
+        "the speed is {0:.4g} times the log's, or every control acts for {0:.4g} times its interval"
+    )
+    if isinstance(drive.model, AckermannModel):
+        yield says(both), lasting(lambda k: k * s), (1.0,)
+    else:
+        yield (
+            says("every control acts for {0:.4g} times its interval"),
+            lasting(lambda k: k * s),
+            (1.0,),
+        )
+        yield (
+            says("the speed is {0:.4g} times the log's"),
+            controlled(lambda k: u * (k, 1.0)),
+            (1.0,),
+        )
+    always = _always(moves, drive)
+    yield (
+        says(f"the interval is always {always:.4g} s"),
+        lasting(lambda: np.full(len(s), always)),
+        (),
+    )
+    yield says("the speed has a bias of {0:+.4g} m/s"), controlled(lambda b: u + (b, 0.0)), (0.0,)
+    yield times(f"the {turn}", "the log's"), controlled(lambda k: u * (1.0, k)), (1.0,)
+    yield (
+        says(f"the {turn} has a bias of {{0:+.3g}} {unit}"),
+        controlled(lambda b: u + (0.0, b)),
+        (0.0,),
+    )
+    yield (
+        says(f"the speed is {{0:.4g}} times the log's and the {turn} {{1:.4g}} times"),
+        controlled(lambda k, j: u * (k, j)),
+        (1.0, 1.0),
+    )
+    yield (
+        says("the speed is {0:.4g} times the log's {1:+.4g} m/s"),
+        controlled(lambda k, b: u * (k, 1.0) + (b, 0.0)),
+        (1.0, 0.0),
+    )
+    yield (
+        says(f"the {turn} is {{0:.4g}} times the log's {{1:+.3g}} {unit}"),
+        controlled(lambda k, b: u * (1.0, k) + (0.0, b)),
+        (1.0, 0.0),
+    )
+    yield from _other_samples(odometry, drive, timeline, turn)
+
+
+def _always(moves: Quantity, drive: _Drive) -> float:
+    """The interval [s] by which the moves would be as long as they are, if it is one."""
+    far, meant = (np.linalg.norm(m[:, :2], axis=1) for m in (moves.have, moves.meant))
+    driven = meant > 1e-6
+    return float(np.median((far[driven] / meant[driven]) * drive.duration_s[driven])) if (
+        driven.any()
+    ) else 0.0  # fmt: skip
+
+
+def _vehicles(drive: _Drive) -> Iterator[tuple[Callable[..., str], Altered, tuple[float, ...]]]:
+    """Measures of a car that are left out, of opposite sign, or others."""
+    model = drive.model
+    if not isinstance(model, AckermannModel):
+        return
+
+    def of(*parts: str, factor: float | None = None) -> Altered:
+        def altered(*figures: float) -> _Drive:
+            values = figures or [float(factor or 0.0) * getattr(model, part) for part in parts]
+            return replace(drive, model=replace(model, **dict(zip(parts, values, strict=True))))
+
+        return altered
+
+    sensor, every = ("sensor_forward_m", "sensor_left_m"), (
+        "encoder_offset_m", "sensor_forward_m", "sensor_left_m",
+    )  # fmt: skip
+    for part in every:
+        if getattr(model, part):
+            yield says(f"{part} of the vehicle is left out"), of(part, factor=0.0), ()
+            yield says(f"{part} of the vehicle has the opposite sign"), of(part, factor=-1.0), ()
+    yield says("the sensor's place on the vehicle is left out"), of(*sensor, factor=0.0), ()
+    length = f"the wheelbase is {{0:.3f}} m, where the log says {model.wheelbase_m:.3f} m"
+    yield says(length), of("wheelbase_m"), (model.wheelbase_m,)
+    for part in every:
+        own = getattr(model, part)
+        text = f"{part} of the vehicle is {{0:.4g}}, where the log says {own:.4g}"
+        yield says(text), of(part), (own,)
+    yield (
+        says("the sensor's place on the vehicle is ({0:.4g}, {1:.4g}) m, where the log says "
+             f"({model.sensor_forward_m:.4g}, {model.sensor_left_m:.4g}) m"),
+        of(*sensor),
+        (model.sensor_forward_m, model.sensor_left_m),
+    )  # fmt: skip
+
+
+def _other_samples(
+    odometry: Wheels, drive: _Drive, timeline: Timeline, turn: str
+) -> Iterator[tuple[Callable[..., str], Altered, tuple[float, ...]]]:
+    """Controls of other samples of the log: before, after, between, at another time."""
+    u = drive.control
+    second = odometry.steering_rad if isinstance(odometry, SteeringOdometry) else (
+        odometry.yaw_rate_radps
+    )  # fmt: skip
+    recorded = np.vstack((np.zeros(2), np.column_stack((odometry.speed_mps, second))))
+    times_s, begin_s = resolved(odometry.time_s), timeline.step_begin_s() + 1e-6
+
+    def at(seconds: float, lag: int = 0) -> Array:
+        sample = np.searchsorted(times_s, begin_s - seconds, side="right") - lag
+        controls: Array = recorded[np.clip(sample, 0, len(times_s))]
+        return controls
+
+    def taken(control: Array) -> Altered:
+        return lambda: replace(drive, control=control)
+
+    for lag in _LAGS:
+        side, other = "late" if lag > 0 else "early", at(0.0, lag)
+        count = f"{abs(lag)} sample{'s' * (abs(lag) > 1)}"
+        yield says(f"the odometry is used {count} {side}"), taken(other), ()
+        for k, name in enumerate(("speed", turn)):
+            mixed = u.copy()
+            mixed[:, k] = other[:, k]
+            yield says(f"the {name} is used {count} {side}"), taken(mixed), ()
+    for lag, which in ((1, "before"), (-1, "after")):
+        other = at(0.0, lag)
+        yield (
+            says(f"the control is the mean of a sample and the one {which}"),
+            taken(0.5 * (u + other)),
+            (),
+        )
+        yield (
+            says(f"the control lies between a sample and the one {which}, {{0:.4g}} of the way"),
+            lambda share, other=other: replace(drive, control=u + share * (other - u)),
+            (0.0,),
+        )
+    for seconds in _SHIFTS_S:
+        side = "late" if seconds > 0 else "early"
+        text = f"the odometry is used {abs(seconds):.4g} s {side}"
+        yield says(text), taken(at(seconds)), ()
+
+
+def _other_displacements(
+    drive: _Drive,
+) -> Iterator[tuple[Callable[..., str], Altered, tuple[float, ...]]]:
+    """Of measured displacements ahead, left and turned."""
+    u = drive.control
+
+    def controlled(change: Callable[..., Array]) -> Altered:
+        return lambda *figures: replace(drive, control=change(*figures))
+
+    for lag, which in ((1, "before"), (-1, "after")):
+        yield (
+            says(f"the displacement is the one {which}"),
+            controlled(lambda lag=lag: np.roll(u, lag, axis=0)),
+            (),
+        )
+    for name, mask in (
+        ("the displacement's length", (1, 1, 0)),
+        ("the displacement's turn", (0, 0, 1)),
+        ("the displacement ahead", (1, 0, 0)),
+        ("the displacement to the left", (0, 1, 0)),
+        ("the whole displacement", (1, 1, 1)),
+    ):
+        yield (
+            times(name, "the log's"),
+            controlled(lambda k, mask=mask: u * (1.0 + (k - 1.0) * np.array(mask))),
+            (1.0,),
+        )
+    for name, mask, unit in (
+        ("the displacement ahead", (1, 0, 0), "m"),
+        ("the displacement to the left", (0, 1, 0), "m"),
+        ("the displacement's turn", (0, 0, 1), "rad"),
+    ):
+        yield (
+            says(f"{name} has a bias of {{0:+.4g}} {unit}"),
+            controlled(lambda b, mask=mask: u + b * np.array(mask)),
+            (0.0,),
+        )
+
+
+def _bent(moves: Quantity, drive: _Drive) -> Iterator[Hypothesis]:
+    """Moves that no other control explains: another heading on the way, a slip."""
+    meant, s = moves.meant, drive.duration_s
+    turn = meant[:, 2]
+
+    def added(column: int) -> Callable[..., Array]:
+        def predict(rows: Index, rate: float) -> Array:
+            result = meant[rows].copy()
+            result[:, column] += rate * s[rows]
+            return result
+
+        return predict
+
+    def along(part: float, *, arc: bool = False) -> Array:
+        shrunk = np.sinc(0.5 * turn / np.pi) if arc else np.ones(len(turn))
+        ways = _turned(meant[:, :2], part * turn) * shrunk[:, None]
+        return np.column_stack((ways, turn))
+
+    car = isinstance(drive.model, AckermannModel)
+    yield Hypothesis(says("the turn has a bias of {0:.3g} rad/s"), added(2), (0.0,))
+    yield scaled("the turn", meant, np.array((0.0, 0.0, 1.0)))
+    if car:  # the model leads along the departing heading
+        yield instead("the step leads along the arc, not along the departing heading",
+                      along(0.5, arc=True))  # fmt: skip
+        yield instead("the step leads along the heading in its middle", along(0.5))
+        yield instead("the step leads along the arriving heading", along(1.0))
+    else:  # along the one in the middle
+        yield instead("the step leads along the departing heading", along(-0.5))
+        yield instead("the step leads along the arriving heading", along(0.5))
+        yield instead("the step leads along the arc, not along its chord",
+                      along(0.0, arc=True))  # fmt: skip
+    yield Hypothesis(says("the vehicle slips {0:+.4g} m/s to the left"), added(1), (0.0,))
+    yield Hypothesis(says("the vehicle slips {0:+.4g} m/s ahead"), added(0), (0.0,))
+    yield scaled("the way", meant, np.array((1.0, 1.0, 0.0)))
+
+    def turned_by(rows: Index, angle: float) -> Array:
+        ways = _turned(meant[rows, :2], np.full(len(rows), angle))
+        return np.column_stack((ways, meant[rows, 2]))
+
+    yield Hypothesis(says("the way is turned by {0:+.4g} rad"), turned_by, (0.0,))
+
+
+class _Twice:
+    """Two steps in one."""
+
+    def __init__(self, model: MotionModel) -> None:
+        self._model = model
+
+    def step(self, pose: Array, control: Array, duration_s: float) -> MotionStep:
+        one = self._model.step(pose, control, duration_s)
+        return self._model.step(one.pose, control, duration_s)
+
+
+def _by_pose(trace_move: Array) -> Array:
+    """F (N, 3, 3) of moves (N, 3) in the map."""
+    f = np.broadcast_to(np.eye(3), (len(trace_move), 3, 3)).copy()
+    f[:, 0, 2], f[:, 1, 2] = -trace_move[:, 1], trace_move[:, 0]
+    return f
+
+
+def _jacobian(run: EkfRun, moves: Quantity) -> Iterator[str]:
+    """F, of the moves that were made."""
+    trace = run.trace
+    want = _by_pose(trace.arrived - trace.departed)
+    quantity = replace(moves, have=trace.f, meant=want, tolerance=np.asarray(moves.tolerance))
+    turn = trace.arrived[:, 2] - trace.departed[:, 2]
+
+    def turned(part: float) -> Array:
+        f = want.copy()
+        f[:, :2, 2] = _turned(want[:, :2, 2], part * turn)
+        return f
+
+    heading, lower = np.zeros((3, 3)), np.zeros((3, 3))
+    heading[:2, 2], lower[2, 2] = 1.0, 1.0
+    found = named(
+        quantity,
+        (
+            instead("F is transposed", want.transpose(0, 2, 1)),
+            instead("F is the identity", np.broadcast_to(np.eye(3), want.shape)),
+            instead("F is taken at the arriving pose", turned(1.0)),
+            instead("F is taken at the heading in the step's middle", turned(0.5)),
+            instead("F is taken at the departing pose of a step along its middle", turned(-0.5)),
+            instead("F is that of the step before", np.roll(want, 1, axis=0)),
+            instead("F turns its position terms by a right angle",
+                    _quarter(want)),
+            scaled("F's position terms by heading", want, heading),
+            scaled("F's term of the heading", want, lower),
+            scaled("F", want),
+        ),
+    )  # fmt: skip
+    if found is not None:
+        yield found.replace("terms by heading has the", "terms by heading have the")
+
+
+def _quarter(want: Array) -> Array:
+    f = want.copy()
+    f[:, 0, 2], f[:, 1, 2] = want[:, 1, 2], -want[:, 0, 2]
+    return f
+
+
+def _step_noise(
+    wheels: Wheels, run: EkfRun, used: list[Array], moves: Quantity, rounding: float
+) -> Iterator[str]:
+    """Q is B S B^T and what every step adds. used: B (N, 3, 2) by any control it may be of."""
+    quantities = [_control_noise(wheels, run, b, moves, rounding) for b in used]
+    quantity, b = min(
+        zip(quantities, used, strict=True), key=lambda pair: np.count_nonzero(pair[0].off())
+    )
+    found = named(quantity, _of_step_noise(wheels, run, b))
+    if found is not None:
+        yield found
+
+
+def _sizes(full: Array) -> Array:
+    """(N, 3, 3) products of sigmas."""
+    sigma = np.sqrt(full[:, (0, 1, 2), (0, 1, 2)])
+    place = np.maximum(sigma[:, :1], sigma[:, 1:2])
+    sigma = np.maximum(np.column_stack((place, place, sigma[:, 2])), 1e-30)
+    size: Array = sigma[:, :, None] * sigma[:, None, :]
+    return size
+
+
+def _rates(wheels: Wheels, run: EkfRun) -> tuple[Array, Array]:
+    """What every step adds (N, 3, 3): to the position, to the heading."""
+    noise, s = wheels.noise, run.timeline.step_duration_s[:, None, None]
+    place: Array = s * np.diag((noise.variance_rate_position,) * 2 + (0.0,))
+    heading: Array = s * np.diag((0.0, 0.0, noise.variance_rate_heading))
+    return place, heading
+
+
+def _spread(b: Array, covariance: Array) -> Array:
+    total: Array = b @ covariance @ b.transpose(0, 2, 1)
+    return total
+
+
+def _control_noise(
+    wheels: Wheels, run: EkfRun, b: Array, moves: Quantity, rounding: float
+) -> Quantity:
+    place, heading = _rates(wheels, run)
+    full = _spread(b, run.timeline.control_covariance) + place + heading
+    size = _sizes(full)
+    return replace(
+        moves,
+        have=run.trace.q / size,
+        meant=full / size,
+        tolerance=np.asarray(EQUAL + 32.0 * rounding * max(1.0, np.abs(run.trace.departed).max())),
+    )
+
+
+def _of_step_noise(wheels: Wheels, run: EkfRun, b: Array) -> Iterator[Hypothesis]:
+    trace, stated = run.trace, run.timeline.control_covariance
+    place, heading = _rates(wheels, run)
+    added, s = place + heading, run.timeline.step_duration_s[:, None, None]
+    own = _spread(b, stated)
+    full = own + added
+    size = _sizes(full)
+    turn = "steering" if isinstance(wheels, SteeringOdometry) else "turn"
+
+    def other(text: str, control: Array, rates: Array = added) -> Hypothesis:
+        return instead(text, (control + rates) / size)
+
+    yield other("the Jacobian by the control is not multiplied by the interval", own / s**2)
+    yield other("Q's part by the control grows with the interval, not with its square", own / s)
+    yield other("Q's part by the control is multiplied by the interval once more", own * s)
+    yield other("the stabilisation's rates are not multiplied by the interval", own, added / s)
+    yield other("the stabilisation's rates are left out", own, 0.0 * added)
+    yield other("Q is the stabilisation alone, without the control's noise", 0.0 * own)
+    parts = [stated * np.diag(unit) for unit in np.eye(stated.shape[1])]
+    yield from _sigmas(b, stated, parts, other, turn)
+    yield from _frames(run, own, other)
+    split = [_spread(b, part) / size for part in parts]
+    names = ("speed", turn)
+    whole = {
+        "Q": (own, added),
+        **{f"Q's part by the {name}": (split[k] * size, full - split[k] * size)
+           for k, name in enumerate(names)},
+        "Q with the stabilisation": (full, 0.0 * full),
+        "the stabilisation": (added, own),
+        "the stabilisation of the position": (place, full - place),
+        "the stabilisation of the heading": (heading, full - heading),
+    }  # fmt: skip
+    for name, (varied, kept) in whole.items():
+        yield Hypothesis(times(name), _varied(varied / size, kept / size), (1.0,))
+    rest = added / size
+    yield Hypothesis(
+        says(f"Q's part by the speed is {{0:.4g}} times and that by the {turn} {{1:.4g}} times "
+             "what it should be"),
+        lambda rows, k, j: k * split[0][rows] + j * split[1][rows] + rest[rows],
+        (1.0, 1.0),
+    )  # fmt: skip
+    middle = np.median(trace.q, axis=0)
+    yield instead("Q is the same in every step", np.broadcast_to(middle, full.shape) / size)
+    at_rate = middle / float(np.median(s))
+    yield instead("Q is the same in every step but for the interval", at_rate * s / size)
+
+
+def _varied(varied: Array, kept: Array) -> Callable[..., Array]:
+    def predict(rows: Index, factor: float) -> Array:
+        result: Array = factor * varied[rows] + kept[rows]
+        return result
+
+    return predict
+
+
+def _sigmas(
+    b: Array,
+    stated: Array,
+    parts: list[Array],
+    other: Callable[[str, Array], Hypothesis],
+    turn: str,
+) -> Iterator[Hypothesis]:
+    """Sigmas for variances, and variances squared, in all of the control or one of it."""
+    yield other("Q holds sigma where its square belongs", _spread(b, np.sqrt(stated)))
+    yield other("Q holds variances that were squared twice", _spread(b, stated**2))
+    for k, name in enumerate(("speed", turn)):
+        rest = stated - parts[k]
+        for text, covariance in (
+            ("sigma where its square belongs", np.sqrt(parts[k])),
+            ("a variance that was squared twice", parts[k] ** 2),
+        ):
+            yield other(f"Q's part by the {name} holds {text}", _spread(b, covariance + rest))
+
+
+def _frames(
+    run: EkfRun, own: Array, other: Callable[[str, Array], Hypothesis]
+) -> Iterator[Hypothesis]:
+    """The control's noise (N, 3, 3), turned by something else than it should be."""
+    departed, arrived = run.trace.departed[:, 2], run.trace.arrived[:, 2]
+    for text, by in (
+        ("Q is not turned: it is left in the vehicle's axes", -departed),
+        ("Q is turned by the arriving heading", arrived - departed),
+        ("Q is turned by the heading in the step's middle", 0.5 * (arrived - departed)),
+        ("Q is turned by the opposite heading", -2.0 * departed),
+    ):
+        turned = _rotations(by)
+        yield other(text, turned @ own @ turned.transpose(0, 2, 1))
+
+
+def _rotations(by: Array) -> Array:
+    """(N, 3, 3) in the plane."""
+    full = np.zeros((len(by), 3, 3))
+    full[:, 0, 0] = full[:, 1, 1] = np.cos(by)
+    full[:, 1, 0], full[:, 0, 1] = np.sin(by), -np.sin(by)
+    full[:, 2, 2] = 1.0
+    return full
+
+
+def _displacement_noise(run: EkfRun, moves: Quantity) -> Iterator[str]:
+    """Q of measured displacements: their covariance, turned from the frame of arrival."""
+    trace, stated = run.trace, run.timeline.control_covariance
+    departed, arrived = trace.departed[:, 2], trace.arrived[:, 2]
+
+    def turned(by: Array, covariance: Array = stated) -> Array:
+        r = _rotations(by)
+        result: Array = r @ covariance @ r.transpose(0, 2, 1)
+        return result
+
+    meant = turned(arrived)
+    size = _sizes(meant)
+    quantity = replace(
+        moves, have=trace.q / size, meant=meant / size,
+        tolerance=EQUAL + np.asarray(moves.tolerance),
+    )  # fmt: skip
+    diagonal = stated * np.eye(3)
+    found = named(
+        quantity,
+        (
+            instead("Q is not turned: it is left in the frame of arrival", stated / size),
+            instead("Q is turned by the departing heading", turned(departed) / size),
+            instead("Q is turned by the opposite heading", turned(-arrived) / size),
+            instead("Q holds sigma where its square belongs",
+                    turned(arrived, np.sqrt(diagonal)) / size),
+            instead("Q holds variances that were squared twice",
+                    turned(arrived, diagonal**2) / size),
+            scaled("Q", quantity.meant),
+            *(
+                Hypothesis(
+                    times(f"Q's part by the {name}"),
+                    _varied(
+                        turned(arrived, stated * np.diag(mask)) / size,
+                        turned(arrived, stated - stated * np.diag(mask)) / size,
+                    ),
+                    (1.0,),
+                )
+                for name, mask in (("place", (1.0, 1.0, 0.0)), ("turn", (0.0, 0.0, 1.0)))
+            ),
+        ),
+    )  # fmt: skip
+    if found is not None:
+        yield found

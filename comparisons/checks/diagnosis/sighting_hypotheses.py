@@ -1,0 +1,597 @@
+"""What a filter may have made of its sightings: values, Jacobians, noise, new landmarks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.adapters.ekf_run import EkfRun
+from comparisons.arrays import Array, Index
+from comparisons.checks.diagnosis.hypotheses import (
+    Hypothesis,
+    Quantity,
+    best,
+    counted,
+    instead,
+    named,
+    says,
+    scaled,
+    times,
+)
+from comparisons.logs.log import Log
+from ekf_reference.core.geometry import wrap_angle
+from ekf_reference.core.landmark_types import POINT
+from ekf_reference.core.trace import MeasurementRecords
+
+EQUAL = 1e-7
+"""Figures that differ by less, relative to their size, are the same."""
+_COLUMNS = ("range", "bearing")
+_TWO = np.eye(2)
+_BEARING: NDArray[np.bool_] = np.array([False, True])
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Seen:
+    """Uses of sightings, (M,) each.
+
+    z, sigma: (M, 2) as the log has them. z_hat, by_pose, by_landmark: what is to be expected.
+    slack: (M, 2) what storing explains, in range and bearing. poses, points: by where, other
+    places to linearise at, (M, 3) and (M, 2).
+    """
+
+    r: MeasurementRecords
+    z: Array
+    sigma: Array
+    z_hat: Array
+    by_pose: Array
+    by_landmark: Array
+    slack: Array
+    others: Mapping[str, Array]
+    poses: Mapping[str, Array]
+    points: Mapping[str, Array]
+    velocity: Array
+    features: Mapping[str, Array | Index]
+
+
+def sighting_hints(log: Log, run: EkfRun, rounding: float) -> Iterator[str]:
+    """Yield what was done to sightings of point landmarks, those that begin them included."""
+    told: list[str] = []
+    updates, starts = run.trace.measurements[POINT], run.trace.initialisations[POINT]
+    if len(updates.step):
+        seen = _seen(log, run, updates, rounding)
+        yield from _innovations(seen)
+        told = list(noise_hints("R", *_noise(seen), "sightings", seen.features))
+        yield from told
+        yield from _jacobians(seen)
+    starts = starts.rows(np.flatnonzero((starts.number >= 0) & (starts.weight > 0.0)))
+    if len(starts.step):
+        new = _seen(log, run, starts, rounding)
+        yield from _places(new)
+        yield from _jacobians_of_new(new)
+        alike = [text.partition(",")[0] for text in told]
+        for text in noise_hints("R of new landmarks", *_noise(new), "new landmarks", new.features):
+            if text.partition(",")[0].replace(" of new landmarks", "") not in alike:
+                yield text
+
+
+def _seen(log: Log, run: EkfRun, r: MeasurementRecords, rounding: float) -> _Seen:
+    sightings, trace = log.sightings, run.trace
+    every = np.column_stack((sightings.range_m, sightings.bearing_rad))
+    sigma = np.column_stack((sightings.sigma_range_m, sightings.sigma_bearing_rad))
+    z_hat, by_pose, by_landmark = rays(r.pose, r.landmark)
+    last = np.maximum(r.step - 1, 0)
+    scans, which = np.unique(r.step, return_inverse=True)
+    before = r.pose[np.searchsorted(r.step, scans)][np.maximum(which - 1, 0)]
+    updates, starts = trace.measurements[POINT], trace.initialisations[POINT]
+    first = np.zeros((int(starts.slot.max(initial=0)) + 1, 2))
+    first[starts.slot] = starts.landmark
+    towards = r.pose[:, 2] + every[r.number, 1]
+    ray = every[r.number, :1] * np.column_stack((np.cos(towards), np.sin(towards)))
+    updated = {int(step): pose for step, pose in zip(updates.step[::-1], updates.pose[::-1],
+                                                     strict=True)}  # fmt: skip
+    place = rounding * 4.0 * max(np.abs(r.pose[:, :2]).max(), np.abs(r.landmark).max())
+    angle = rounding * 4.0 * max(np.pi, float(np.abs(r.pose[:, 2]).max()))
+    velocity = trace.arrived[last] - trace.departed[last]
+    return _Seen(
+        r=r,
+        z=every[r.number],
+        sigma=sigma[r.number],
+        z_hat=z_hat,
+        by_pose=by_pose,
+        by_landmark=by_landmark,
+        slack=np.column_stack((np.full(len(z_hat), place), place / z_hat[:, 0] + angle)),
+        others={
+            "of the sighting before": every[np.maximum(r.number - 1, 0)],
+            "of the sighting after": every[np.minimum(r.number + 1, len(every) - 1)],
+        },
+        poses={
+            "at the pose of the scan before": before,
+            "before the last prediction": trace.departed[last],
+            "before the update": np.array(
+                [updated.get(int(s), own) for s, own in zip(r.step, r.pose, strict=True)]
+            ),
+        },
+        points={
+            "where the landmark began": first[r.slot],
+            "where the sighting puts the landmark": r.pose[:, :2] + ray,
+        },
+        velocity=velocity / run.timeline.step_duration_s[last, None],
+        features={
+            "a time [s]": sightings.time_s[r.number],
+            "a range [m]": every[r.number, 0],
+            "a bearing [rad]": every[r.number, 1],
+            "landmark": run.estimate.landmark_id[r.slot].astype(np.int64),
+        },
+    )
+
+
+def rays(pose: Array, landmark: Array) -> tuple[Array, Array, Array]:
+    """Return expected sightings (N, 2), H_v (N, 2, 3) and H_l (N, 2, 2)."""
+    dx, dy = (landmark - pose[:, :2]).T
+    q = dx * dx + dy * dy
+    root = np.sqrt(q)
+    z = np.column_stack((root, np.arctan2(dy, dx) - pose[:, 2]))
+    by_landmark = np.stack(
+        (np.column_stack((dx / root, dy / root)), np.column_stack((-dy / q, dx / q))), axis=1
+    )
+    by_pose = np.concatenate((-by_landmark, np.zeros((len(q), 2, 1))), axis=2)
+    by_pose[:, 1, 2] = -1.0
+    return z, by_pose, by_landmark
+
+
+def moved(pose: Array, forward: float, left: float) -> Array:
+    """Return poses (N, 3) so far ahead and to the left."""
+    cos, sin = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+    result: Array = pose + np.column_stack(
+        (cos * forward - sin * left, sin * forward + cos * left, np.zeros(len(pose)))
+    )
+    return result
+
+
+def _innovations(seen: _Seen) -> Iterator[str]:
+    r, nu = seen.r, seen.z - seen.z_hat
+    nu[:, 1] = wrap_angle(nu[:, 1])
+    turns = (r.innovation[:, 1] - nu[:, 1]) / np.pi
+    limit = EQUAL + seen.slack[:, 1] / np.pi
+    whole = np.round(turns)
+    off = (whole != 0.0) & (np.abs(np.abs(nu[:, 1]) - np.pi) > limit)
+    if off.any() and (np.abs(turns - whole) <= limit).all():
+        how = "not wrapped" if (whole % 2 == 0).all() else "half a turn off: a quadrant"
+        yield f"{np.count_nonzero(off)} bearing innovations are {how}"
+        if (whole % 2).any():
+            return
+    both = Quantity(
+        have=r.innovation,
+        meant=nu,
+        tolerance=EQUAL * np.maximum(1.0, np.abs(nu)) + seen.slack,
+        records="sightings",
+        angle=_BEARING,
+        features=seen.features,
+    )
+    found = named(both, _of_both(seen, nu))
+    if found is not None:
+        yield found
+        return
+    # What was taken for the sighting, if the expected one is right; the bearing up to whole turns.
+    yield from _by_column(replace(both, have=r.innovation + seen.z_hat, meant=seen.z), seen, "the")
+
+
+def _of_both(seen: _Seen, nu: Array) -> Iterator[Hypothesis]:
+    """Mistakes that show in range and bearing together."""
+    yield instead("the innovation is expected minus measured", -nu)
+    r = seen.r
+    for where, pose in seen.poses.items():
+        yield instead(f"the sighting is expected {where}", seen.z - rays(pose, r.landmark)[0])
+    for where, point in seen.points.items():
+        yield instead(f"the sighting is expected {where}", seen.z - rays(r.pose, point)[0])
+    for which, other in seen.others.items():
+        yield instead(f"the range and the bearing are those {which}", other - seen.z_hat)
+    yield instead("range and bearing are exchanged", seen.z[:, ::-1] - seen.z_hat)
+
+    def from_place(rows: Index, forward: float, left: float) -> Array:
+        pose = moved(r.pose[rows], forward, left)
+        z: Array = seen.z[rows] - rays(pose, r.landmark[rows])[0]
+        return z
+
+    def late(rows: Index, seconds: float) -> Array:
+        pose = r.pose[rows] + seconds * seen.velocity[rows]
+        z: Array = seen.z[rows] - rays(pose, r.landmark[rows])[0]
+        return z
+
+    yield Hypothesis(says("the sighting is expected {0:.4g} s after its time"), late, (0.0,))
+    yield Hypothesis(
+        says("the sensor is taken to stand ({0:.4g}, {1:.4g}) m ahead and left of the pose"),
+        from_place,
+        (0.0, 0.0),
+    )
+
+
+def _by_column(both: Quantity, seen: _Seen, article: str) -> Iterator[str]:
+    """Of range and bearing (M, 2) that were used, each by itself."""
+    for column, name in enumerate(_COLUMNS):
+        one = replace(
+            both,
+            have=both.have[:, column],
+            meant=both.meant[:, column],
+            tolerance=both.tolerance[:, column],
+            angle=bool(column),
+        )
+        found = named(one, _of_column(one, seen, column, f"{article} {name}"))
+        if found is not None:
+            yield found
+
+
+def _of_column(one: Quantity, seen: _Seen, column: int, name: str) -> Iterator[Hypothesis]:
+    z, expected = one.meant, seen.z_hat[:, column]
+    unit, log = ("m", "rad")[column], "the log's"
+    if column:
+        yield instead(f"{name} is taken without its sign", np.abs(z))
+        yield instead("bearings are counted clockwise", -z)
+        yield instead("the heading is not taken off the expected bearing", z - seen.r.pose[:, 2])
+    for which, other in seen.others.items():
+        yield instead(f"{name} is that {which}", other[:, column])
+    yield Hypothesis(
+        says(f"{name} has a bias of {{0:+.4g}} {unit}"), lambda rows, b: z[rows] + b, (0.0,)
+    )
+    yield Hypothesis(times(name, log), lambda rows, k: k * z[rows], (1.0,))
+    yield Hypothesis(
+        times(f"the expected {_COLUMNS[column]}"),
+        lambda rows, k: z[rows] - (k - 1.0) * expected[rows],
+        (1.0,),
+    )
+    yield Hypothesis(
+        says(f"{name} is {{0:.6g}} times {log} {{1:+.4g}} {unit}"),
+        lambda rows, k, b: k * z[rows] + b,
+        (1.0, 0.0),
+    )
+    if not column:
+        yield Hypothesis(
+            says("the range's square differs from the log's by {0:+.4g} m^2, as by a height"),
+            lambda rows, h: np.sqrt(np.maximum(z[rows] ** 2 + h, 1e-12)),
+            (0.0,),
+        )
+        largest = float(one.have.max())
+        yield instead(f"the range is cut at {largest:.4g} m", np.minimum(z, largest))
+    yield from _rounded(one, name, unit)
+
+
+def _rounded(one: Quantity, name: str, unit: str) -> Iterator[Hypothesis]:
+    """Multiples of a smallest unit, rounded or cut."""
+    limit = 10.0 * float(np.median(np.broadcast_to(one.tolerance, one.have.shape)))
+    used = one.have - 2.0 * np.pi * np.round((one.have - one.meant) / (2.0 * np.pi)) * bool(
+        one.angle
+    )
+    levels = np.unique(np.round(used / limit)) * limit
+    gaps = np.diff(levels)
+    gaps = gaps[gaps > 3.0 * limit]
+    if not len(gaps) or len(levels) > 0.7 * len(used):
+        return
+    step = float(gaps.min())
+    step = _refined(used, step)
+    whole = np.round(used / step) * step
+    near = np.abs(whole - one.meant) <= (0.5 + 1e-6) * step  # halves go either way
+    nearest = np.where(near, whole, np.round(one.meant / step) * step)
+    for how, levels in (
+        ("rounded to", nearest),
+        ("cut to", np.floor(one.meant / step + 1e-9) * step),
+        ("cut to", np.trunc(one.meant / step * (1.0 + 1e-12)) * step),
+    ):
+        yield instead(f"{name} is {how} multiples of {step:.4g} {unit}", levels)
+
+
+def _refined(used: Array, step: float) -> float:
+    """A smallest unit, by all its multiples."""
+    for _ in range(3):
+        count = np.round(used / step)
+        if not count.any():
+            return step
+        step = float(count @ used / (count @ count))
+    return step
+
+
+def _noise(seen: _Seen) -> tuple[Array, Array, Array]:
+    """R (M, 2, 2) of the whole information, sigmas (M, 2), and ranges (M,)."""
+    return seen.r.noise * seen.r.weight[:, None, None], seen.sigma, seen.z[:, 0]
+
+
+def noise_hints(
+    name: str,
+    have: Array,
+    sigma: Array,
+    range_m: Array,
+    records: str,
+    features: Mapping[str, Array | Index],
+) -> Iterator[str]:
+    """Yield what a measurement's R (M, 2, 2) was made of, by sigmas (M, 2)."""
+    size = sigma[:, :, None] * sigma[:, None, :]
+    quantity = Quantity(
+        have=have / size,
+        meant=np.broadcast_to(_TWO, have.shape),
+        tolerance=np.asarray(EQUAL),
+        records=records,
+        features=features,
+    )
+    degrees = np.degrees(1.0)
+
+    def diagonal(text: str, variance: Array) -> Hypothesis:
+        return instead(text.format(name), variance[:, :, None] * _TWO / size)
+
+    whole = (
+        diagonal("{} holds sigma where its square belongs", sigma),
+        diagonal("{} holds variances that were squared twice", sigma**4),
+        scaled(name, quantity.meant),
+        diagonal("{} takes degrees for radians", (sigma * (1.0, degrees)) ** 2),
+        diagonal("{} takes radians for degrees", (sigma * (1.0, 1.0 / degrees)) ** 2),
+        diagonal("{} exchanges range and bearing", sigma[:, ::-1] ** 2),
+    )
+    found = named(quantity, whole)
+    if found is not None:
+        yield found
+        return
+    for k, column in enumerate(_COLUMNS):
+        one = replace(quantity, have=quantity.have[:, k, k], meant=quantity.meant[:, k, k])
+        found = named(one, _variances(f"{name} of the {column}", sigma[:, k], range_m))
+        if found is not None:
+            yield found
+    side = replace(quantity, have=quantity.have[:, 0, 1], meant=quantity.meant[:, 0, 1])
+    found = named(
+        side,
+        (
+            Hypothesis(
+                says(f"{name} has a correlation of {{0:.4g}} between range and bearing"),
+                lambda rows, c: np.full(len(rows), c),
+                (0.0,),
+            ),
+        ),
+    )
+    if found is not None:
+        yield found
+
+
+def _variances(name: str, sigma: Array, range_m: Array) -> Iterator[Hypothesis]:
+    """Of one column: its variance (M,) over sigma^2."""
+    yield instead(f"{name} holds sigma where its square belongs", 1.0 / sigma)
+    yield instead(f"{name} holds a variance that was squared twice", sigma**2)
+    yield scaled(name, np.ones(len(sigma)))
+    yield Hypothesis(
+        says(f"{name} is always {{0:.4g}}"), lambda rows, c: c / sigma[rows] ** 2, (0.0,)
+    )
+    yield Hypothesis(
+        says(f"{name} has {{0:.4g}} added"), lambda rows, c: 1.0 + c / sigma[rows] ** 2, (0.0,)
+    )
+    for power, grows in ((2, "the range squared"), (1, "the range"), (-2, "1 / range squared")):
+        shape = range_m**power / sigma**2
+        yield Hypothesis(
+            says(f"{name} grows as {grows}: it is {{0:.4g}} times that"),
+            partial(_proportional, shape),
+            (0.0,),
+        )
+        yield Hypothesis(
+            says(f"{name} has {{0:.4g}} times {grows} added"),
+            partial(_added, shape),
+            (0.0,),
+        )
+
+
+def _proportional(shape: Array, rows: Index, factor: float) -> Array:
+    result: Array = factor * shape[rows]
+    return result
+
+
+def _added(shape: Array, rows: Index, factor: float) -> Array:
+    result: Array = 1.0 + factor * shape[rows]
+    return result
+
+
+def _jacobians(seen: _Seen) -> Iterator[str]:
+    r = seen.r
+    have = np.concatenate((r.jacobian_pose, r.jacobian_other), axis=2)
+    want = np.concatenate((seen.by_pose, seen.by_landmark), axis=2)
+    quantity = Quantity(
+        have=have,
+        meant=want,
+        tolerance=EQUAL * np.maximum(1e-6, np.abs(want).max(axis=(0, 2), keepdims=True))
+        + 4.0 * seen.slack[:, :, None] / seen.z_hat[:, :1, None],
+        records="sightings",
+        features=seen.features,
+    )
+    found = named(quantity, _of_jacobians(seen, want))
+    if found is not None:
+        yield found
+        return
+    rows_off = []
+    for k, name in enumerate(_COLUMNS):
+        row = replace(quantity, have=have[:, k], meant=want[:, k],
+                      tolerance=quantity.tolerance[:, k])  # fmt: skip
+        if row.off().any():
+            rows_off.append(name)
+    if len(rows_off) == 1:
+        yield f"the {rows_off[0]} row of H is wrong, the other is right"
+
+
+_POSITION, _HEADING, _LANDMARK = (0, 1), (2,), (3, 4)
+_PARTS = (
+    ("the bearing row is zero: only ranges inform", (1,), (0, 1, 2, 3, 4), 0.0),
+    ("H's column by heading is zero", (0, 1), _HEADING, 0.0),
+    ("the bearing row's position terms have their signs exchanged", (1,), (0, 1, 3, 4), -1.0),
+)
+_ALL = (0, 1, 2, 3, 4)
+_BLOCKS: tuple[tuple[str, tuple[int, ...], tuple[int, ...]], ...] = (
+    ("H", (0, 1), _ALL),
+    ("H's range row", (0,), _ALL),
+    ("H's bearing row", (1,), _ALL),
+    ("H's column by heading", (0, 1), _HEADING),
+    ("H's part by the landmark", (0, 1), _LANDMARK),
+    ("H's part by the vehicle's position", (0, 1), _POSITION),
+    ("H's part by the pose", (0, 1), (0, 1, 2)),
+    ("H's range row by position", (0,), _POSITION),
+    ("H's range row by the landmark", (0,), _LANDMARK),
+    ("H's bearing row by position", (1,), _POSITION),
+    ("H's bearing row by the landmark", (1,), _LANDMARK),
+    ("H's bearing row by place", (1,), (0, 1, 3, 4)),
+)
+
+
+def _mask(rows: tuple[int, ...], columns: tuple[int, ...]) -> Array:
+    mask = np.zeros((2, 5))
+    mask[np.ix_(rows, columns)] = 1.0
+    return mask
+
+
+def _of_jacobians(seen: _Seen, want: Array) -> Iterator[Hypothesis]:
+    for text, rows, columns, factor in _PARTS:
+        yield instead(text, want * np.where(_mask(rows, columns) > 0.0, factor, 1.0))
+    r = seen.r
+    for where, pose in seen.poses.items():
+        yield instead(
+            f"H is linearised {where}", np.concatenate(rays(pose, r.landmark)[1:], axis=2)
+        )
+    for where, point in seen.points.items():
+        yield instead(f"H is linearised {where}", np.concatenate(rays(r.pose, point)[1:], axis=2))
+    place = _mask((1,), (0, 1, 3, 4)) > 0.0
+    for text, ranges in (
+        ("not divided by the range", seen.z_hat[:, 0]),
+        ("divided by the range twice", 1.0 / seen.z_hat[:, 0]),
+    ):
+        changed = np.where(place, want * ranges[:, None, None], want)
+        yield instead(f"the bearing row's position terms are {text}", changed)
+    turned = want.copy()
+    turned[:, :, 3:] = want[:, :, 3:].transpose(0, 2, 1)
+    yield instead("H's part by the landmark is transposed", turned)
+    for name, which, parts in _BLOCKS:
+        yield scaled(name, want, _mask(which, parts))
+
+    def from_place(rows: Index, forward: float, left: float) -> Array:
+        pose = moved(r.pose[rows], forward, left)
+        _, by_pose, by_landmark = rays(pose, r.landmark[rows])
+        arm = pose - r.pose[rows]
+        by_pose[:, :, 2] += by_pose[:, :, 1] * arm[:, :1] - by_pose[:, :, 0] * arm[:, 1:2]
+        return np.concatenate((by_pose, by_landmark), axis=2)
+
+    yield Hypothesis(
+        says("H is that of a sensor ({0:.4g}, {1:.4g}) m ahead and left of the pose"),
+        from_place,
+        (0.0, 0.0),
+    )
+
+
+def _places(new: _Seen) -> Iterator[str]:
+    """Where landmarks began, as range and bearing from the recorded pose."""
+    r, z = new.r, new.z
+
+    def from_pose(pose: Array, seen: Array) -> Array:
+        towards = pose[:, 2] + seen[:, 1]
+        point = pose[:, :2] + seen[:, :1] * np.column_stack((np.cos(towards), np.sin(towards)))
+        polar: Array = rays(r.pose, point)[0]
+        return polar
+
+    quantity = Quantity(
+        have=new.z_hat,
+        meant=z,
+        tolerance=EQUAL * np.maximum(1.0, np.abs(z)) + new.slack,
+        records="new landmarks",
+        angle=_BEARING,
+        features=new.features,
+    )
+    others = [
+        instead(f"landmarks begin from the pose {where.removeprefix('at the pose ')}",
+                from_pose(pose, z))
+        for where, pose in reversed(list(new.poses.items()))
+    ]  # fmt: skip
+    found = named(
+        quantity,
+        (
+            *others,
+            Hypothesis(
+                says("landmarks begin ({0:.4g}, {1:.4g}) m ahead and left of where they are seen"),
+                lambda rows, a, b: rays(
+                    r.pose[rows],
+                    moved(r.pose, a, b)[rows, :2] + _ray(r.pose[rows], z[rows]),
+                )[0],
+                (0.0, 0.0),
+            ),
+        ),
+    )
+    if found is None:
+        behind = _behind(quantity)
+        found = None if behind is None else behind
+    if found is not None:
+        yield found
+        return
+    yield from _by_column(quantity, new, "new landmarks'")
+
+
+def _ray(pose: Array, z: Array) -> Array:
+    towards = pose[:, 2] + z[:, 1]
+    ray: Array = z[:, :1] * np.column_stack((np.cos(towards), np.sin(towards)))
+    return ray
+
+
+def _behind(quantity: Quantity) -> str | None:
+    other = instead(
+        "landmarks begin behind the vehicle: their direction lost its quadrant",
+        quantity.meant + (0.0, np.pi),
+    )
+    return named(quantity, (other,))
+
+
+def _jacobians_of_new(new: _Seen) -> Iterator[str]:
+    r = new.r
+    have = np.concatenate((r.jacobian_pose, r.jacobian_other), axis=2)
+    quantities = []
+    for z in (new.z, new.z_hat):  # of what was seen, or of what was made of it
+        want = _by_new(r.pose, z)
+        quantities.append(
+            Quantity(
+                have=have,
+                meant=want,
+                tolerance=EQUAL * np.maximum(1.0, np.abs(want).max(axis=(0, 1), keepdims=True))
+                + 4.0 * (new.slack[:, :1] + new.slack[:, 1:] * z[:, :1])[:, :, None],
+                records="new landmarks",
+                features=new.features,
+            )
+        )
+    quantity = min(quantities, key=lambda one: np.count_nonzero(one.off()))
+    want = quantity.meant
+    found = best(quantity, _of_new(new, want))
+    if found is not None:
+        yield f"{found[0].text(*found[1])}, {counted(quantity)}"
+
+
+def _by_new(pose: Array, z: Array) -> Array:
+    """G_x and G_z (N, 2, 5)."""
+    cos, sin = np.cos(pose[:, 2] + z[:, 1]), np.sin(pose[:, 2] + z[:, 1])
+    full = np.zeros((len(z), 2, 5))
+    full[:, 0, 0] = full[:, 1, 1] = 1.0
+    full[:, 0, 3], full[:, 1, 3] = cos, sin
+    full[:, 0, 4], full[:, 1, 4] = -z[:, 0] * sin, z[:, 0] * cos
+    full[:, :, 2] = full[:, :, 4]
+    return full
+
+
+def _of_new(new: _Seen, want: Array) -> Iterator[Hypothesis]:
+    plain = want.copy()
+    plain[:, :, 3:] = _TWO
+    yield instead("G_z is the identity: R is not rotated when a landmark begins", plain)
+    turned = want.copy()
+    turned[:, :, 3:] = want[:, :, 3:].transpose(0, 2, 1)
+    yield instead("G_z is transposed", turned)
+    for where, pose in new.poses.items():
+        yield instead(f"G_x and G_z are taken {where}", _by_new(pose, new.z))
+    for text, column in (("G_z's column by bearing", 4), ("G_x's column by heading", 2)):
+        changed = want.copy()
+        changed[:, :, column] /= new.z_hat[:, :1]
+        yield instead(f"{text} lacks the range", changed)
+    for name, columns in (
+        ("G_x's column by heading", (2,)),
+        ("G_z's column by bearing", (4,)),
+        ("G_z's column by range", (3,)),
+        ("G_z", (3, 4)),
+        ("G_x", (0, 1, 2)),
+        ("G_x's part by position", (0, 1)),
+    ):
+        yield scaled(name, want, _mask((0, 1), columns))

@@ -1,0 +1,201 @@
+"""Filters in single precision: what storing explains, and whether they compute in it, too.
+
+Storing rounds every record once. What this does to the solution is measured: the records are moved
+within what storing left open, and solved again. A filter that computes in single precision rounds
+its covariance at every operation: its gap to its own equations grows along the run, as that of a
+replay of these equations in single precision does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from comparisons.adapters.ekf_run import EkfRun
+from comparisons.arrays import Array, Index
+from comparisons.checks.agreement import Allowed, Gap, Gaussian, gap
+from comparisons.estimates.stored_precision import SINGLE, restored
+from ekf_reference.core.landmark_types import POINT
+from ekf_reference.core.trace import MeasurementRecords, TraceArrays
+
+_DRAWS = 5
+FACTOR = 3.0
+"""What storing did may be so many times the largest of what the draws did."""
+OPERATIONS = 4.0
+"""A formula computed in single precision is off by so many times what storing its result does."""
+_ALIKE = 10.0
+"""A gap is that of a computation in single precision up to so many times a replay's."""
+_ROUNDED = ("pose", "landmark", "innovation", "jacobian_pose", "jacobian_other", "noise")
+_STEPS = ("prior_pose", "prior_covariance", "departed", "arrived", "f", "q")
+_BATCHES: tuple[Callable[[TraceArrays], MeasurementRecords], ...] = (
+    lambda trace: trace.measurements[POINT],
+    lambda trace: trace.initialisations[POINT],
+    lambda trace: trace.positions,
+)
+
+
+def _restored(trace: TraceArrays, rng: np.random.Generator) -> TraceArrays:
+    batches = [records(trace) for records in _BATCHES]
+    arrays = [getattr(trace, name) for name in _STEPS]
+    arrays += [getattr(records, name) for records in batches for name in _ROUNDED]
+    moved = iter(restored(arrays, rng))
+    steps: dict[str, Any] = {name: next(moved) for name in _STEPS}
+    seen, begun, fixes = (replace(records, **_named(moved)) for records in batches)
+    return replace(
+        trace,
+        **steps,
+        measurements={**trace.measurements, POINT: seen},
+        initialisations={**trace.initialisations, POINT: begun},
+        positions=fixes,
+    )
+
+
+def restored_traces(trace: TraceArrays) -> Iterator[TraceArrays]:
+    """Yield traces as this one may have been before it was stored in single precision."""
+    rng = np.random.default_rng(0)
+    for _ in range(_DRAWS):
+        yield _restored(trace, rng)
+
+
+def allowed_gap(
+    solve: Callable[[TraceArrays], Gaussian], trace: TraceArrays, sigma: Array
+) -> Allowed:
+    """Return what storing a trace in single precision explains of a gap to a solution of it.
+
+    Args:
+        solve: F1 or F2 of a trace.
+        trace: as it was stored.
+        sigma: (n,) units of the means, S's.
+    """
+    stored = solve(trace)
+    return _widest([gap(solve(other), stored, sigma) for other in restored_traces(trace)])
+
+
+def _named(moved: Iterator[Array]) -> dict[str, Any]:
+    return {name: next(moved) for name in _ROUNDED}
+
+
+def allowed_of_estimate(ekf: Gaussian, sigma: Array, *, covariance: bool) -> Allowed:
+    """Return what storing an estimate in single precision explains; its covariance, too, if so."""
+    rng, mean = np.random.default_rng(1), float(np.max(SINGLE * np.abs(ekf.mean) / sigma))
+    if not covariance:
+        return Allowed(sigma=mean, covariance=0.0)
+    others = [replace(ekf, covariance=restored([ekf.covariance], rng)[0]) for _ in range(_DRAWS)]
+    found = _widest([gap(other, ekf, sigma) for other in others])
+    return replace(found, sigma=mean)
+
+
+def _widest(gaps: list[Gap]) -> Allowed:
+    return Allowed(
+        sigma=FACTOR * max(one.sigma for one in gaps),
+        covariance=FACTOR * max(one.covariance for one in gaps),
+    )
+
+
+@dataclass(frozen=True)
+class Replay:
+    """A trace's linear equations, filtered again.
+
+    pose: (K, 3) at each epoch, with covariance (K, 3, 3). last: the joint one at the end.
+    """
+
+    pose: Array
+    covariance: Array
+    last: Gaussian
+
+
+def replay(trace: TraceArrays, until: Index, landmarks: int, dtype: type) -> Replay:
+    """Filter the recorded equations in a precision. until: (K,) steps made at each epoch."""
+    n = 3 + 2 * landmarks
+    x: Array = np.zeros(n, dtype)
+    p: Array = np.zeros((n, n), dtype)
+    x[:3], p[:3, :3] = trace.prior_pose, trace.prior_covariance
+    poses, spreads = [], []
+    batches = [records(trace) for records in _BATCHES]
+    next_row = [0, 0, 0]
+    step = 0
+    for end in until.tolist():
+        while step < end:
+            f, q = trace.f[step].astype(dtype), trace.q[step].astype(dtype)
+            apart = x[:3] - trace.departed[step].astype(dtype)
+            x[:3] = trace.arrived[step].astype(dtype) + f @ apart
+            p[:3] = f @ p[:3]
+            p[:, :3] = p[:, :3] @ f.T
+            p[:3, :3] += q
+            step += 1
+        for kind, records in enumerate(batches):
+            last = int(np.searchsorted(records.step, step, side="right"))
+            for row in range(next_row[kind], last):
+                x, p = (_augmented if kind == 1 else _updated)(x, p, records, row)
+            next_row[kind] = last
+        poses.append(x[:3].astype(np.float64))
+        spreads.append(p[:3, :3].astype(np.float64))
+    return Replay(
+        np.array(poses), np.array(spreads), Gaussian(x.astype(np.float64), p.astype(np.float64))
+    )
+
+
+def _updated(x: Array, p: Array, r: MeasurementRecords, row: int) -> tuple[Array, Array]:
+    at = 3 + 2 * int(r.slot[row])
+    columns = np.array([0, 1, 2, at, at + 1] if r.slot[row] >= 0 else [0, 1, 2])
+    point = np.concatenate((r.pose[row], r.landmark[row])).astype(x.dtype)
+    h = np.concatenate((r.jacobian_pose[row], r.jacobian_other[row]), axis=1).astype(x.dtype)
+    nu = r.innovation[row].astype(x.dtype) - h @ (x[columns] - point)
+    ph = p[:, columns] @ h.T
+    s = h @ ph[columns] + r.noise[row].astype(x.dtype)
+    w = np.linalg.solve(s, ph.T).T
+    return x + w @ nu, p - w @ ph.T
+
+
+def _augmented(x: Array, p: Array, r: MeasurementRecords, row: int) -> tuple[Array, Array]:
+    at = 3 + 2 * int(r.slot[row])
+    new = slice(at, at + 2)
+    g_x, g_z, noise = (
+        array[row].astype(x.dtype) for array in (r.jacobian_pose, r.jacobian_other, r.noise)
+    )
+    x[new] = r.landmark[row] + g_x @ (x[:3] - r.pose[row].astype(x.dtype))
+    p[new] = g_x @ p[:3]
+    p[:, new] = p[new].T
+    p[new, new] = g_x @ p[:3, :3] @ g_x.T + g_z @ noise @ g_z.T
+    return x, p
+
+
+def computed_in_single(run: EkfRun, algebra: Gap, sigma: Array) -> str:
+    """Return how a gap grows that a computation in single precision explains, "" where it is none.
+
+    Args:
+        run: the filter's, its records all of single precision.
+        algebra: its gap to the solution of its own equations.
+        sigma: (n,) units of the means, S's.
+    """
+    trace, until, count = run.trace, run.timeline.steps_until(), len(run.estimate.landmark)
+    exact, single = (replay(trace, until, count, dtype) for dtype in (np.float64, np.float32))
+    like = gap(single.last, exact.last, sigma)
+    near = algebra.sigma <= _ALIKE * like.sigma and algebra.covariance <= _ALIKE * like.covariance
+    first, last = _grown(run, exact)
+    if not near:
+        return ""
+    how = f"grows from {first:.2g} in the first tenth of the run to {last:.2g} in the last"
+    if last <= first:
+        how = f"stays near {max(first, last):.2g}"
+    return (
+        f"the filter computes in single precision: its pose's gap {how} (medians); its own "
+        f"equations, filtered in single precision, end {like.sigma:.2g} sigma and "
+        f"{like.covariance:.2g} in the covariance off"
+    )
+
+
+def _grown(run: EkfRun, exact: Replay) -> tuple[float, float]:
+    """The pose's gap, of mean in sigma or covariance, early and late."""
+    sigma = np.sqrt(exact.covariance[:, (0, 1, 2), (0, 1, 2)])
+    apart = run.departed - exact.pose
+    apart[:, 2] = (apart[:, 2] + np.pi) % (2.0 * np.pi) - np.pi
+    size = np.abs(apart / sigma).max(axis=1)
+    have = run.estimate.pose_covariance
+    spread = np.abs(have - exact.covariance) / (sigma[:, :, None] * sigma[:, None, :])
+    size = np.fmax(size, spread.max(axis=(1, 2)))
+    part = max(1, len(size) // 10)
+    return float(np.median(size[1 : 1 + part])), float(np.median(size[-part:]))

@@ -1,0 +1,43 @@
+"""Whether numbers were stored in single precision, and what that does to them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from comparisons.arrays import Array
+
+SINGLE = 2.0**-24
+"""What storing in single precision does to a number, relative to it, at the most."""
+
+
+def stored_rounding(*arrays: Array) -> float:
+    """Return SINGLE where every number is exactly one of single precision, else 0.
+
+    Arrays of numbers that half of it could hold, such as zeros and ones, are no evidence.
+    """
+    values = np.concatenate([np.ravel(array) for array in arrays])
+    values = values[np.isfinite(values)]
+    with np.errstate(over="ignore"):
+        if not (values == values.astype(np.float32)).all():
+            return 0.0
+        plain = values == values.astype(np.float16)
+    return 0.0 if plain.all() else SINGLE
+
+
+def restored(arrays: list[Array], rng: np.random.Generator) -> list[Array]:
+    """Return arrays of single precision as they may have been before they were stored.
+
+    Every number moves within half of its last place, equal ones together, so that what is symmetric
+    stays so. Numbers that half the precision could hold, such as zeros and ones, stay.
+    """
+    flat = np.concatenate([array.ravel() for array in arrays])
+    size, which = np.unique(np.abs(flat), return_inverse=True)
+    with np.errstate(over="ignore"):
+        plain = size == size.astype(np.float16)
+    place = np.spacing(size.astype(np.float32)).astype(np.float64)
+    moved = np.where(plain, 0.0, 0.5 * place * rng.uniform(-1.0, 1.0, len(size)))
+    flat = flat + np.sign(flat) * moved[which]
+    ends = np.cumsum([array.size for array in arrays])[:-1]
+    return [
+        part.reshape(array.shape) for part, array in zip(np.split(flat, ends), arrays, strict=True)
+    ]
