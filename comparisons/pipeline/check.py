@@ -113,7 +113,9 @@ def judge_given(
         causes = _with_trace(causes, traced.verdict.causes)
     outcome = _outcome(grade, causes, verified=verified)
     if outcome == "unverified":
-        causes = (cause.unverified(solution.result.optimality), *causes)
+        optimality = solution.result.optimality
+        if optimality.lacks:
+            causes = (cause.unverified(optimality), *causes)
     elif outcome == "agree":
         causes = ()
     return GivenCheck(
