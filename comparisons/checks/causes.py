@@ -41,11 +41,15 @@ _GREW = 3.0
 
 @dataclass(frozen=True)
 class Cause:
-    """One reason for the outcome: the gap it shows in, the numbers, and what to look at."""
+    """One reason for the outcome: the gap it shows in, the numbers, and what to look at.
+
+    alone: it holds whether the smoother's optimum is verified or not.
+    """
 
     gap: str
     evidence: str
     hint: str
+    alone: bool = False
 
 
 def _apart(gap: Gap, allowed: Allowed) -> str:

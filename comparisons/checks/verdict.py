@@ -145,7 +145,8 @@ def _by_optimum(
 ) -> tuple[Outcome, list[Cause]]:
     """The filter against the smoother's optimum."""
     if not optimality.verified:
-        return "unverified", [cause.unverified(optimality)]
+        alone = [one for one in causes if one.alone]
+        return ("disagree" if alone else "unverified"), [*alone, cause.unverified(optimality)]
     blocks = (agreement.pose, *agreement.landmarks, *agreement.oriented, agreement.whole)
     found = []
     if not all(map(block_agrees, blocks)):
