@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,10 @@ EXCESS = 6.0
 """Places that add more error than this per measurement of the landmark are not tried."""
 WINDING_EXCESS = 25.0
 """Turns whose increments alone add more error than this are not tried."""
+LOOSE_RAD = 0.3
+"""Directions are hardly measured where most bearings, or a stretch's turns, are known no better."""
+TAILS = 4
+"""A path is mirrored from so many poses on."""
 _STEPS = 8
 _SAME = 1.0
 """Two places of a landmark are one when they differ by less than this many sigma of its range."""
@@ -45,6 +50,8 @@ def alternatives(problem: SlamProblem, poses: Array, landmarks: Array) -> list[A
         for i in np.flatnonzero(modes.excess <= EXCESS * (modes.count + 1)).tolist()
     ]
     found += windings(problem, poses, landmarks)
+    if loose(problem):
+        found += mirrors(problem, poses, landmarks)
     better = np.flatnonzero(modes.excess < 0.0)
     _, first = np.unique(modes.landmark[better], return_index=True)
     if len(first) > 1:
@@ -54,16 +61,66 @@ def alternatives(problem: SlamProblem, poses: Array, landmarks: Array) -> list[A
     return sorted(found, key=lambda one: one.excess)
 
 
-def windings(problem: SlamProblem, poses: Array, landmarks: Array) -> Iterator[Alternative]:
-    """The heading wound by a turn more or less in a stretch without measurements.
+def loose(problem: SlamProblem) -> bool:
+    """Whether directions are hardly measured: by most bearings, the prior, or a blind stretch.
 
-    The turn is shared by the stretch's increments as their variances are, its path is integrated
-    anew and shifted to end where it did.
+    Then a path and its mirror image, or its rotation, explain the measurements nearly as well.
     """
+    variance = problem.increment_covariance[:, 2, 2]
+    blind = max((float(variance[a:b].sum()) for a, b in _stretches(problem)), default=0.0)
+    bearing = float(np.median(problem.sigma[:, 1])) if len(problem.sigma) else 0.0
+    prior = float(np.sqrt(problem.prior_covariance[2, 2]))
+    return max(bearing, prior, float(np.sqrt(blind))) > LOOSE_RAD
+
+
+def mirrors(problem: SlamProblem, poses: Array, landmarks: Array) -> Iterator[Alternative]:
+    """The path with its landmarks mirrored, whole or from a pose on.
+
+    The whole is mirrored about its first heading, about its chord, and about the line through the
+    surveyed landmarks; from a pose on, about the heading there. Surveyed landmarks stay.
+    """
+    axes = [(poses[0, :2], float(poses[0, 2]), 0)]
+    chord = poses[-1, :2] - poses[0, :2]
+    axes.append((poses[0, :2], float(np.arctan2(chord[1], chord[0])), 0))
+    if len(problem.surveyed) > 1:
+        middle = problem.surveyed.mean(axis=0)
+        along = np.linalg.svd(problem.surveyed - middle)[2][0]
+        axes.append((middle, float(np.arctan2(along[1], along[0])), 0))
+    tails = np.linspace(0, problem.pose_count - 1, TAILS + 2)[1:-1].astype(np.intp)
+    axes += [(poses[k, :2], float(poses[k, 2]), k) for k in np.unique(tails).tolist() if k]
+    first = np.full(problem.landmark_count, problem.pose_count)
+    np.minimum.at(first, problem.sighting_landmark, problem.sighting_pose)
+    first[: len(problem.surveyed)] = -1
+    for origin, angle, k in axes:
+        other, moved = poses.copy(), landmarks.copy()
+        other[k:, :2] = _reflected(poses[k:, :2], origin, angle)
+        other[k:, 2] = 2.0 * angle - poses[k:, 2]
+        if k:
+            other[k, 2] = poses[k, 2]
+        free = first >= k
+        moved[free] = _reflected(landmarks[free], origin, angle)
+        yield Alternative(0.0, other, moved)
+
+
+def _reflected(points: Array, origin: Array, angle: float) -> Array:
+    """Points (N, 2) on the other side of a line."""
+    cos, sin = np.cos(2.0 * angle), np.sin(2.0 * angle)
+    mirrored: Array = (points - origin) @ np.array(((cos, sin), (sin, -cos))) + origin
+    return mirrored
+
+
+def _stretches(problem: SlamProblem) -> list[tuple[int, int]]:
+    """First and last poses of stretches between those that something else fixes.
+
+    A landmark that is seen from one pose only fixes nothing.
+    """
+    pairs = np.unique(np.column_stack((problem.sighting_landmark, problem.sighting_pose)), axis=0)
+    views = np.bincount(pairs[:, 0].astype(np.intp), minlength=problem.landmark_count)
+    views[: len(problem.surveyed)] = 2
     known = np.unique(
         np.concatenate(
             (
-                problem.sighting_pose,
+                problem.sighting_pose[views[problem.sighting_landmark] > 1],
                 problem.position_pose,
                 problem.oriented.pose,
                 problem.closures.first,
@@ -71,9 +128,18 @@ def windings(problem: SlamProblem, poses: Array, landmarks: Array) -> Iterator[A
             )
         )
     )
+    return list(pairwise(known.tolist()))
+
+
+def windings(problem: SlamProblem, poses: Array, landmarks: Array) -> Iterator[Alternative]:
+    """The heading wound by a turn more or less in a stretch without measurements.
+
+    The turn is shared by the stretch's increments as their variances are, its path is integrated
+    anew and shifted to end where it did.
+    """
     variance = problem.increment_covariance[:, 2, 2]
     turned = np.diff(poses[:, 2]) - problem.increment[:, 2]
-    for first, last in zip(known[:-1].tolist(), known[1:].tolist(), strict=True):
+    for first, last in _stretches(problem):
         share = variance[first:last] / max(float(variance[first:last].sum()), 1e-300)
         total, residual = float(variance[first:last].sum()), float(turned[first:last].sum())
         for turn in (-2.0 * np.pi, 2.0 * np.pi):

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import gtsam
 import numpy as np
 
-from graphslam.ambiguity import Alternative, alternatives
+from graphslam.ambiguity import Alternative, alternatives, loose
 from graphslam.arrays import Array
 from graphslam.graph_builder import (
     LANDMARK_KEY,
@@ -34,16 +34,19 @@ BUDGET_SHARE = 4
 """It may take so many times the iterations of the starts more."""
 MISSED = 0.05
 """Random starts go on until a basin as wide as the best one's is missed with this chance."""
-MOST_DRAWS = 40
+LEAST_DRAWS, MOST_DRAWS = 8, 40
 _SAME = 1e-2
 """Two ends are one minimum when the quadratic model at one gives the other no more error."""
+_GLANCE = 6
+_HOPELESS = 2.0
+"""A hop or a random start is given up when its error is so many times the best so soon ..."""
 _TRIAL = 20
 """Iterations after which a hop or a random start must have come near the best error ..."""
 _NEAR = 0.05
 """... by this, relative to 1 + error, to be followed to its end."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Attempt:
     """One start and where it ended. kind: `relaxed`, `sequential` or `random`."""
 
@@ -71,6 +74,7 @@ class MinimumSearch:
         self._spent, self._budget, self._hops, self._cut = 0, BUDGET, 0, False
         self._beside: list[Attempt] = []  # where hops ended that did not lead below
         self._settled: list[Attempt] = []  # no alternative of these leads below
+        self._together: dict[tuple[Attempt, Attempt], bool] = {}
         self.attempts: list[Attempt] = []
 
     @property
@@ -115,7 +119,7 @@ class MinimumSearch:
         return len({"relaxed", "sequential"}.intersection(kinds)) + kinds.count("random") >= 2
 
     def explore(self) -> Exploration:
-        """Hop from the best; where starts disagree, draw starts, and hop from the others, too.
+        """Hop from the best; where starts disagree or directions are loose, draw starts, too.
 
         Stops without completing when the budget is spent.
         """
@@ -123,7 +127,7 @@ class MinimumSearch:
         self._budget = BUDGET + BUDGET_SHARE * sum(one.iterations for one in self.attempts)
         lower = self._descend(lowest)
         draws, missed = 0, 0.0
-        if not agreed or lower is not lowest:
+        if not agreed or lower is not lowest or loose(self._problem):
             draws, missed = self._draw()
             if not self.agreed:
                 for other in [a for a in self.attempts if a.kind == "sequential"]:
@@ -139,7 +143,7 @@ class MinimumSearch:
     def _draw(self) -> tuple[int, float]:
         """Start from relaxed problems that are drawn: how many, and the chance left."""
         missed, draws = 1.0, 0
-        while missed > MISSED and draws < MOST_DRAWS and self._afford():
+        while draws < MOST_DRAWS and (missed > MISSED or draws < LEAST_DRAWS) and self._afford():
             draws += 1
             rng = np.random.default_rng(draws)
             try:
@@ -197,8 +201,11 @@ class MinimumSearch:
     def _rough(self, start: Attempt) -> Attempt:
         """Optimise in few iterations, and to the end only what comes near the best by then."""
         try:
-            end, spent, converged = levenberg_marquardt(self._graph, start.values, 1e-4, _TRIAL)
+            end, spent, converged = levenberg_marquardt(self._graph, start.values, 1e-2, _GLANCE)
             error, more = self._graph.error(end), 0
+            if error < _HOPELESS * (1.0 + self.best.error):
+                end, more, converged = levenberg_marquardt(self._graph, end, 1e-4, _TRIAL)
+                error, spent, more = self._graph.error(end), spent + more, 0
             if error < self.best.error + _NEAR * (1.0 + self.best.error):
                 end, more, converged = optimise(self._graph, end)
                 end, error, last = polish(self._graph, end)
@@ -214,9 +221,13 @@ class MinimumSearch:
             return True
         if not np.isfinite(one.error) or not same_error(one.error, other.error):
             return False
-        apart = one.values.localCoordinates(other.values)
-        linear = self._graph.linearize(one.values)
-        return abs(linear.error(apart) - linear.error(one.values.zeroVectors())) <= _SAME
+        known = self._together.get((one, other))
+        if known is None:
+            apart = one.values.localCoordinates(other.values)
+            linear = self._graph.linearize(one.values)
+            added = linear.error(apart) - linear.error(one.values.zeroVectors())
+            known = self._together[one, other] = abs(added) <= _SAME
+        return known
 
     def _minima(self) -> tuple[Minimum, ...]:
         """The distinct minima, lowest first, and where the others differ most from it."""
@@ -264,7 +275,8 @@ def draw(problem: SlamProblem, rng: np.random.Generator) -> SlamProblem:
         drawn: Array = np.einsum("...ij,...j->...i", vectors, scaled)
         return drawn
 
-    seen = problem.oriented
+    seen, closed = problem.oriented, problem.closures
+    merged = seen.merges
     z = problem.z + problem.sigma * rng.standard_normal(problem.z.shape)
     return replace(
         problem,
@@ -272,5 +284,11 @@ def draw(problem: SlamProblem, rng: np.random.Generator) -> SlamProblem:
         increment=problem.increment + noise(problem.increment_covariance),
         z=np.column_stack((np.abs(z[:, 0]), z[:, 1])),
         position=problem.position + noise(problem.position_covariance),
-        oriented=replace(seen, measured=seen.measured + noise(seen.covariance)),
+        surveyed=problem.surveyed + noise(problem.surveyed_covariance),
+        oriented=replace(
+            seen,
+            measured=seen.measured + noise(seen.covariance),
+            merges=replace(merged, measured=merged.measured + noise(merged.covariance)),
+        ),
+        closures=replace(closed, motion=closed.motion + noise(closed.covariance)),
     )
