@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple, SupportsFloat, SupportsIndex, SupportsInt
 
 import gtsam
@@ -202,7 +203,14 @@ def run_fixed_lag(problem: SlamProblem, graph: gtsam.NonlinearFactorGraph, lag: 
             poses[k] = pose.x(), pose.y(), pose.theta()
             covariance[k] = smoother.marginalCovariance(POSE_KEY + k)
 
-    for piece in _pieces(problem, graph, _Known(smoother.calculateEstimatePose2)):
+    # A stretch without observations must not be longer than what is held.
+    known = np.unique(
+        np.concatenate((problem.sighting_pose, problem.position_pose, [0, count - 1]))
+    )
+    stops = [
+        stop for first, last in pairwise(known.tolist()) for stop in range(first + lag, last, lag)
+    ]
+    for piece in _pieces(problem, graph, _Known(smoother.calculateEstimatePose2), stops):
         leave(piece.end - lag - 1)  # these the update is going to drop
         left = max(left, piece.end - lag - 1)
         added = list(piece.new.keys())

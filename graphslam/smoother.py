@@ -176,6 +176,8 @@ def smooth(
     if options.method == "fixed-lag" and reach > options.lag:
         raise ValueError(f"lag is {options.lag}, expected {reach} at least: so far closures reach")
     rejected = NOTHING_REJECTED
+    if options.robust == "gnc" and problem.lever_m != (0.0, 0.0) and len(problem.position):
+        raise ValueError("robust is gnc, which cannot weigh positions of an antenna off the pose")
     if options.robust == "gnc":
         progress("smoother, wild observations")
         graph = build_graph(problem)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -14,6 +14,7 @@ from comparisons.adapters.motion import composed_motion
 from comparisons.adapters.recorded import measurement_points, merge_points, recorded
 from comparisons.adapters.timeline import Timeline
 from comparisons.arrays import Array, Index
+from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.transforms.known_landmarks import surveyed
@@ -158,9 +159,26 @@ def run_smoother(
     options: SmootherOptions,
     progress: Callable[[str], None] = lambda stage: None,
 ) -> SmootherResult:
-    """The relinearised smoother, the EKF's estimate being one of its starts."""
-    guess = (run.departed, run.estimate.landmark)
-    return smooth(problem, {"ekf": guess}, progress, options)
+    """The relinearised smoother, the EKF's estimate being one of its starts.
+
+    Raises InputError for options that the problem does not allow.
+    """
+    return smooth_problem(
+        problem, {"ekf": (run.departed, run.estimate.landmark)}, progress, options
+    )
+
+
+def smooth_problem(
+    problem: SlamProblem,
+    guesses: Mapping[str, tuple[Array, Array]],
+    progress: Callable[[str], None],
+    options: SmootherOptions,
+) -> SmootherResult:
+    """Call smooth; raise InputError for options that the problem does not allow."""
+    try:
+        return smooth(problem, guesses, progress, options)
+    except ValueError as error:
+        raise InputError(f"smoother: {error}") from None
 
 
 def smoothed_estimate(

@@ -7,7 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from comparisons.adapters.smoother_association import OwnAssociation, OwnAssociator
-from comparisons.adapters.smoother_input import assemble, position_rows, smoothed_estimate
+from comparisons.adapters.smoother_input import (
+    assemble,
+    position_rows,
+    smooth_problem,
+    smoothed_estimate,
+)
 from comparisons.arrays import Array, Index
 from comparisons.checks.accuracy import Accuracy, assess, assess_trajectory
 from comparisons.checks.association import AssociationScore, score_association
@@ -19,7 +24,7 @@ from comparisons.logs.log import Log
 from comparisons.logs.transforms.known_landmarks import slots_by_label
 from comparisons.pipeline.prepare import Prepared, Progress, Required, no_progress, prepare
 from graphslam.increments import dead_reckoned
-from graphslam.smoother import SmootherOptions, SmootherResult, smooth
+from graphslam.smoother import SmootherOptions, SmootherResult
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +94,7 @@ def solve(
         raise InputError(f"{log.name}: no sighting could be used, so there is no map to solve for")
     with clock.stage("smoother"):
         options = SmootherOptions(**config.smoother.model_dump())
-        result = smooth(problem, guesses, lambda stage: progress(stage, 0, 0), options)
+        result = smooth_problem(problem, guesses, lambda stage: progress(stage, 0, 0), options)
     with clock.stage("marginals"):
         progress("marginals", 0, 0)
         name = "known" if known else "own"

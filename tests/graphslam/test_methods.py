@@ -262,3 +262,14 @@ def test_oriented_landmarks_are_solved_for(problem: SlamProblem) -> None:
     before, after = (r.pose_covariances()[:, 2, 2] for r in (plain, result))
     assert np.all(after < before * (1.0 + 1e-9))
     assert len(more.prefix(50).oriented.pose) == np.count_nonzero(pose < 50)
+
+
+@pytest.mark.parametrize("lag", [1, 5])
+def test_a_blind_stretch_may_be_longer_than_the_lag(lag: int) -> None:
+    """What leaves the lag has come in before."""
+    problem = worlds.loop(1, poses=40).problem
+    blind = problem.keep(
+        (problem.sighting_pose < 8) | (problem.sighting_pose > 30), np.zeros(0, dtype=np.bool_)
+    )
+    result = smooth(blind, {}, options=SmootherOptions("fixed-lag", lag=lag))
+    assert np.isfinite(result.poses).all()
