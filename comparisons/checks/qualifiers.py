@@ -180,7 +180,7 @@ def qualified(
 
     unchecked: why nobody has checked the association; empty where somebody has, or need not.
     """
-    found, failed = list[str](), list[FailOn]()
+    found = []
     causes, remarks = verdict.causes, verdict.remarks
     if gap is not None and gap.stands:
         found.append(TRUTH_GAP)
@@ -197,13 +197,12 @@ def qualified(
         "consistency": INCONSISTENT,
         "association": UNCHECKED,
     }
-    failed = [one for one in fail_on if of[one] in found]
     return replace(
         verdict,
         causes=causes,
         remarks=remarks,
         qualifiers=tuple(found),
-        failed_on=tuple(dict.fromkeys(failed)),
+        failed_on=tuple(one for one in dict.fromkeys(fail_on) if of[one] in found),
     )
 
 

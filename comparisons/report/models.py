@@ -106,7 +106,10 @@ class SmootherResult(Model):
 
 
 class BlockResult(Model):
-    """EKF against smoother in one block. See comparisons.checks.agreement.BlockAgreement."""
+    """An estimate against the smoother's in one block of the state.
+
+    See comparisons.checks.agreement.BlockAgreement; of `slamcheck check`, given_agreement.Block.
+    """
 
     difference_m: float
     distance_sigma: float
