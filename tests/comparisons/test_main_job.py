@@ -18,7 +18,7 @@ def test_victoria_park_disagrees_through_linearisation(victoria_park: Comparison
     assert len(c.ekf.estimate.landmark) == 151
     assert abs(c.smoother.error - 3173.49) < 0.01
     assert c.smoother.optimality.verified
-    assert set(c.smoother.optimality.agreeing) == {"ekf", "tracked"}
+    assert set(c.smoother.optimality.agreeing) == {"ekf", "relaxed"}
     assert c.agreement.algebra.within(1e-6)
     assert c.agreement.model.within(1e-6)
     assert c.agreement.linearisation.sigma > 3.0
