@@ -198,8 +198,9 @@ class TruthDistanceResult(Model):
 class TruthGapResult(Model):
     """The smoother against truth, or against labels. See comparisons.checks.qualifiers.TruthGap.
 
-    stands: it is far by its covariance, and by more than sighting_m, what one sighting errs by.
-    lost: no landmark is near a true one. reference: where it should be, in words.
+    stands: it is far, by its covariance or by what labels reach, and by more than sighting_m, what
+    one sighting errs by; or it is lost: no landmark is near a true one. reference: where it should
+    be, in words.
     """
 
     stands: bool
@@ -241,7 +242,7 @@ class DisputeResult(Model):
 
 
 class AssociationCheckResult(Model):
-    """Whether an association hangs on how it was made. disputes: the largest first."""
+    """Whether an association depends on how it was made. disputes: the largest first."""
 
     verified: bool
     variants: list[AssociationVariantResult]
