@@ -42,6 +42,7 @@ from comparisons.estimates.estimate import Estimate, landmark_blocks
 from comparisons.estimates.external import GivenEstimate, read_given
 from comparisons.estimates.trajectory_files import FORMATS, Trajectory, write_trajectory
 from comparisons.experiments.defects.catalogue import CATALOGUE
+from comparisons.experiments.defects.defect import with_state
 from comparisons.experiments.defects.exports import EXPORTS, FEEDS, with_joint
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
@@ -239,10 +240,7 @@ class Cases:
 
     def _filters(self) -> Iterator[Case]:
         def kept_in(state: type[KalmanState]) -> Callable[[], GivenEstimate]:
-            def plant(ekf: Ekf) -> None:
-                ekf.state = state(ekf.state.pose, np.array(ekf.state.covariance))
-
-            return lambda: self._filtered(plant)
+            return partial(self._filtered, with_state(state))
 
         yield Case("the reference EKF", True, lambda: self.right, True)
         yield Case("compressed", True, lambda: self._filtered(filter="compressed"), True)

@@ -33,7 +33,7 @@ from comparisons.choices import (
     Method,
     Optimiser,
     PictureFormat,
-    Required,
+    RequiredGrade,
     Robust,
     SolverAssociation,
 )
@@ -269,7 +269,7 @@ class CheckConfig(SolveConfig):
     job: Literal["check"] = "check"  # type: ignore[assignment]
     estimate: str = Field("", description="a trajectory file, or an estimate folder")
     times: str | None = Field(None, description="times of a KITTI file")
-    require: Required | None = Field(
+    require: RequiredGrade | None = Field(
         None,
         description="least grade that agrees: like an EKF where the estimate calls itself one, "
         "else plausible, if absent",

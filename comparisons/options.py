@@ -236,7 +236,7 @@ REPORT = (
     ),
 )
 REQUIRE = Flag(
-    option="--require", field="require", choices=choices.Required,
+    option="--require", field="require", choices=choices.RequiredGrade,
     help="Least grade that exits with 0: equal to the reference EKF, like it (5 %), or as near "
     "to the optimum as that is certain. [like where estimate.toml says estimator = \"ekf\", "
     "else plausible]",

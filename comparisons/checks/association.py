@@ -113,9 +113,7 @@ SHARE = 0.1
 
 def compare_partitions(first: NDArray[np.intp], second: NDArray[np.intp]) -> PartitionAgreement:
     """Slots (M,) of the same sightings by two associations, negative for unused."""
-    both = (first >= 0) & (second >= 0)
-    table = np.zeros((first.max(initial=-1) + 1, second.max(initial=-1) + 1), dtype=np.int64)
-    np.add.at(table, (first[both], second[both]), 1)
+    table = _shared(first, second)
     together = _pairs(table.ravel())
     own = [_pairs(np.bincount(slot[slot >= 0])) for slot in (first, second)]
     return PartitionAgreement(
@@ -133,15 +131,21 @@ def counterparts(
     first: NDArray[np.intp], second: NDArray[np.intp]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Landmarks of two associations that share most of each other's sightings, one to one."""
-    both = (first >= 0) & (second >= 0)
-    table = np.zeros((first.max(initial=-1) + 1, second.max(initial=-1) + 1), dtype=np.int64)
-    np.add.at(table, (first[both], second[both]), 1)
+    table = _shared(first, second)
     if not table.size:
         return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
     best = table.argmax(axis=1)
     rows = np.arange(len(table))
     mutual = (table[rows, best] > 0) & (table.argmax(axis=0)[best] == rows)
     return rows[mutual], best[mutual]
+
+
+def _shared(first: Slots, second: Slots) -> Ids:
+    """How many sightings each landmark of one association shares with each of another."""
+    both = (first >= 0) & (second >= 0)
+    table = np.zeros((first.max(initial=-1) + 1, second.max(initial=-1) + 1), dtype=np.int64)
+    np.add.at(table, (first[both], second[both]), 1)
+    return table
 
 
 def _divided(table: Ids) -> int:

@@ -1,4 +1,4 @@
-"""Whether an association made without labels hangs on how it was made.
+"""Whether an association made without labels depends on how it was made.
 
 The same sightings, associated backwards in time, with other borders of the pieces and with other
 settings, give other partitions and other optima. Two partitions differ where it matters when the
@@ -130,7 +130,7 @@ class AssociationCheck:
         )
         more = f"; and of {len(found) - _NAMED} more landmarks" if len(found) > _NAMED else ""
         return (
-            f"the association hangs on how it was made: with {one.name} the poses are "
+            f"the association depends on how it was made: with {one.name} the poses are "
             f"{one.apart_m:.2f} m ({one.apart_sigma:.1f} sigma) elsewhere; sightings in dispute: "
             f"{named}{more}"
         )

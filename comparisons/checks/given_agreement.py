@@ -19,6 +19,7 @@ from comparisons.checks.agreement import (
 )
 from comparisons.checks.diagnosis.diagnosis import rms
 from comparisons.checks.grade import (
+    MOST_LATE_S,
     Reference,
     eigenvalues,
     joint_rows,
@@ -32,7 +33,6 @@ from comparisons.estimates.external import GivenEstimate
 _SURE = 0.999
 _MOST_OUTSIDE = 0.01
 """Share of poses that may lie beyond their 99.9 % region, or beyond any other bound."""
-_MOST_LATE_S = 0.5
 _GENEROUS = 2.0
 _FLOOR_M = 0.05
 """Differences that one estimate may have from another of its kind, in RMS over all poses, where
@@ -125,7 +125,7 @@ def compare_given(
     rows, outside, end = match_map(given, smoothed, labelled=labelled), None, None
     if given.pose_covariance is not None:
         outside = _outside(difference, given.pose_covariance)
-    if smoothed.span_s[1] - given.time_s[-1] <= _MOST_LATE_S:
+    if smoothed.span_s[1] - given.time_s[-1] <= MOST_LATE_S:
         cover = None if given.pose_covariance is None else given.pose_covariance[-1]
         end = _block(difference[-1], smoothed.joint_covariance[:3, :3], cover)
     band, trusted = Band(_NARROW, 1.0 / _NARROW), {}

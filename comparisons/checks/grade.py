@@ -14,6 +14,7 @@ from comparisons.arrays import Array, Index
 from comparisons.checks.accuracy import match_landmarks
 from comparisons.checks.agreement import ROUNDING
 from comparisons.estimates.external import GivenEstimate
+from comparisons.estimates.stored_precision import stored_rounding
 from ekf_reference.core.geometry import wrap_angle
 
 Grade = Literal["equal", "like", "plausible", "wrong"]
@@ -23,7 +24,7 @@ LIKE_SIGMA = 0.05
 """Like: no entry of a mean is off by more of the reference's standard deviation."""
 LIKE_VARIANCE = 0.05
 """Like: no direction's variance differs by a larger share."""
-_MOST_LATE_S = 0.5
+MOST_LATE_S = 0.5
 """A path that begins or ends so much inside the log's is not all of it."""
 _ROUNDED = 4.0
 """Times the rounding of the reference to single precision that is still equal to it."""
@@ -50,6 +51,12 @@ class Reference:
     joint_s: float
     span_s: tuple[float, float]
     smoothed: bool = False
+
+    def landmark_covariances(self, landmarks: Index) -> Array:
+        """Return (m, 2, 2) of some landmarks (m,)."""
+        rows = 3 + 2 * landmarks[:, None] + np.arange(2)
+        found: Array = self.joint_covariance[rows[:, :, None], rows[:, None]]
+        return found
 
 
 class Part(NamedTuple):
@@ -193,6 +200,25 @@ def joint_rows(landmarks: Index) -> Index:
     return np.concatenate((np.arange(3), (3 + 2 * landmarks[:, None] + np.arange(2)).ravel()))
 
 
+def joint_pair(
+    given: GivenEstimate, reference: Reference, rows: tuple[Index, Index]
+) -> tuple[Array, Array] | None:
+    """Return the joint covariances (n, n) of an estimate and a reference, None without any.
+
+    Of the last pose and the landmarks that both have, of these alone where the poses are of
+    different times. rows: of these landmarks in either.
+    """
+    ours, theirs = map(joint_rows, rows)
+    if abs(reference.time_s[-1] - reference.joint_s) > CLOCK_S:
+        ours, theirs = ours[3:], theirs[3:]
+    if given.joint_covariance is None or not len(ours):
+        return None
+    return (
+        given.joint_covariance[np.ix_(ours, ours)],
+        reference.joint_covariance[np.ix_(theirs, theirs)],
+    )
+
+
 def _poses(given: GivenEstimate, reference: Reference) -> Part:
     at = reference.known
     own = reference.pose_covariance[at]
@@ -207,8 +233,7 @@ def _poses(given: GivenEstimate, reference: Reference) -> Part:
 
 def _landmarks(given: GivenEstimate, reference: Reference, rows: tuple[Index, Index]) -> Part:
     ours, theirs = rows
-    which = 3 + 2 * theirs[:, None] + np.arange(2)
-    own = reference.joint_covariance[which[:, :, None], which[:, None]]
+    own = reference.landmark_covariances(theirs)
     theirs_at = reference.landmark[theirs]
     at = np.zeros((0, 2)) if given.landmark is None else given.landmark[ours]
     cover = None if given.landmark_covariance is None else given.landmark_covariance[ours]
@@ -217,19 +242,13 @@ def _landmarks(given: GivenEstimate, reference: Reference, rows: tuple[Index, In
 
 
 def _joint(given: GivenEstimate, reference: Reference, rows: tuple[Index, Index]) -> Part:
-    ours, theirs = map(joint_rows, rows)
-    if abs(reference.time_s[-1] - reference.joint_s) > CLOCK_S:  # of other poses
-        ours, theirs = ours[3:], theirs[3:]
-    if given.joint_covariance is None or not len(ours):
+    pair = joint_pair(given, reference, rows)
+    if pair is None:
         none = np.zeros(0)
         return Part("last pose and landmarks", none, none, none)
-    joint = given.joint_covariance
-    first = joint[np.ix_(ours, ours)]
-    second = reference.joint_covariance[np.ix_(theirs, theirs)]
-    first = first[None]
-    ratios = eigenvalues(first, second[None])
-    rounding = 0.0, _covariance_rounding(first, second[None])
-    return Part("last pose and landmarks", np.zeros(1), *ratios, rounding)
+    first, second = pair[0][None], pair[1][None]
+    rounding = 0.0, _covariance_rounding(first, second)
+    return Part("last pose and landmarks", np.zeros(1), *eigenvalues(first, second), rounding)
 
 
 def _ratios(given: Array | None, own: Array) -> tuple[Array, Array]:
@@ -241,14 +260,14 @@ def _ratios(given: Array | None, own: Array) -> tuple[Array, Array]:
 
 def _mean_rounding(stored: Array, mean: Array, covariance: Array) -> float:
     """Return what single precision changes of means (K, n) [sigma], where they are stored so."""
-    if not stored.size or not np.array_equal(stored, _rounded(stored)):
+    if not stored_rounding(stored):
         return 0.0
     return _ROUNDED * float(in_sigma(mean - _rounded(mean), covariance).max())
 
 
 def _covariance_rounding(stored: Array | None, covariance: Array) -> float:
     """Return what it changes of the eigenvalues of covariances (K, n, n), as above."""
-    if stored is None or not stored.size or not np.array_equal(stored, _rounded(stored)):
+    if stored is None or not stored_rounding(stored):
         return 0.0
     low, high = eigenvalues(_rounded(covariance), covariance)
     return _ROUNDED * float(max(np.abs(low - 1.0).max(), np.abs(high - 1.0).max()))
@@ -262,9 +281,9 @@ def _rounded(array: Array) -> Array:
 def _missing(given: GivenEstimate, reference: Reference, ours: Index) -> Sequence[str]:
     """What the reference has and the estimate has not, or the other way about."""
     (begin, end), missing = reference.span_s, []
-    if reference.time_s[0] - begin > max(_MOST_LATE_S, 0.05 * (end - begin)):
+    if reference.time_s[0] - begin > max(MOST_LATE_S, 0.05 * (end - begin)):
         missing.append(f"the path begins at {reference.time_s[0]:.1f} s, the log at {begin:.1f} s")
-    if end - reference.time_s[-1] > _MOST_LATE_S:
+    if end - reference.time_s[-1] > MOST_LATE_S:
         missing.append(f"the path ends at {reference.time_s[-1]:.1f} s, the log at {end:.1f} s")
     if given.landmark is not None:
         lacking, more = len(reference.landmark) - len(ours), len(given.landmark) - len(ours)

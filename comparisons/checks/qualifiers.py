@@ -180,7 +180,7 @@ def qualified(
 
     unchecked: why nobody has checked the association; empty where somebody has, or need not.
     """
-    found, failed = list[str](), list[FailOn]()
+    found = []
     causes, remarks = verdict.causes, verdict.remarks
     if gap is not None and gap.stands:
         found.append(TRUTH_GAP)
@@ -197,13 +197,12 @@ def qualified(
         "consistency": INCONSISTENT,
         "association": UNCHECKED,
     }
-    failed = [one for one in fail_on if of[one] in found]
     return replace(
         verdict,
         causes=causes,
         remarks=remarks,
         qualifiers=tuple(found),
-        failed_on=tuple(dict.fromkeys(failed)),
+        failed_on=tuple(one for one in dict.fromkeys(fail_on) if of[one] in found),
     )
 
 
@@ -219,7 +218,7 @@ def _cause(gap: TruthGap) -> Cause:
         parts.append("none of its landmarks stands near a true one")
     hint = "EKF and smoother share what is wrong: look at the stated noise, the model and the start"
     if gap.association is not None:
-        pairs = gap.association.clusters or gap.association.landmarks
+        pairs = gap.association.landmarks
         parts.append(
             f"of the pairs of sightings put together {100.0 * pairs.precision:.1f} % belong "
             f"together by the log's labels, and {100.0 * pairs.recall:.1f} % of those that do were "
@@ -227,7 +226,7 @@ def _cause(gap: TruthGap) -> Cause:
         )
         hint = (
             "EKF and smoother share the association: take the log's labels, or a stricter "
-            "association (agreed), and see --smoother-association own"
+            "association, and see --smoother-association own"
         )
     about = "a single sighting errs by" if not gap.lost else "one sighting's sigma is"
     return Cause(

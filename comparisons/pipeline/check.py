@@ -15,7 +15,7 @@ from comparisons.checks.diagnosis.estimate_facts import Clues, facts
 from comparisons.checks.given_agreement import GivenAgreement, compare_given, within_log
 from comparisons.checks.grade import GRADES, Grade, Likeness, Reference, likeness
 from comparisons.checks.verdict import Outcome
-from comparisons.choices import Required
+from comparisons.choices import RequiredGrade
 from comparisons.config import CheckConfig
 from comparisons.estimates.external import GivenEstimate
 from comparisons.logs.log import Log
@@ -38,7 +38,7 @@ class Graded:
     """
 
     value: Grade | None
-    required: Required
+    required: RequiredGrade
     by: Likeness | None
 
     @property
@@ -90,7 +90,7 @@ def check(
 def judge_given(
     given: GivenEstimate,
     solution: Solution,
-    require: Required | None = None,
+    require: RequiredGrade | None = None,
     progress: Progress = no_progress,
 ) -> GivenCheck:
     """Grade an estimate of a log that is solved. Raises InputError for one of another time."""
@@ -141,7 +141,7 @@ def _on_association(solution: Solution) -> list[str]:
     return [] if checked is None else checked.remarks
 
 
-def _expected(given: GivenEstimate) -> Required:
+def _expected(given: GivenEstimate) -> RequiredGrade:
     """What is asked of an estimate by what it calls itself."""
     return "like" if given.estimator == "ekf" else "plausible"
 
@@ -190,7 +190,7 @@ def _better(first: Likeness | None, second: Likeness) -> Likeness:
 
 
 def _grade(
-    required: Required, near: Likeness | None, found: GivenAgreement, *, verified: bool
+    required: RequiredGrade, near: Likeness | None, found: GivenAgreement, *, verified: bool
 ) -> Graded:
     value: Grade | None = near.grade if near else None
     if value is None and verified:
@@ -202,7 +202,13 @@ def _causes(grade: Graded, known: list[Cause], found: GivenAgreement) -> tuple[C
     """Why the grade is not higher."""
     causes = list(known)
     if found.against and grade.value in ("wrong", None):
-        hint = "see above" if known else "look first at associations, signs and noise"
+        hint = (
+            "look at the causes before this one"
+            if known
+            else "look first at associations, signs and noise"
+        )
+        if known:
+            hint = "look at the causes before this one"
         causes.append(Cause("optimum", "; ".join(found.against), hint))
     if not causes and not grade.enough and grade.by is not None:
         name, sigma = grade.by.reference.name, grade.by.sigma

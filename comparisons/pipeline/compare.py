@@ -203,7 +203,9 @@ def _truth_gap(
         return gap
     from comparisons.pipeline.second_association import labels_gap, with_labels
 
-    return labels_gap(compared) if gap is None else with_labels(compared, gap)
+    if gap is None:
+        return labels_gap(compared, assessment.association)
+    return with_labels(compared, gap)
 
 
 class Modified(Extension):

@@ -9,10 +9,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from comparisons.adapters.smoother_input import assemble, position_rows
+from comparisons.arrays import Array
 from comparisons.checks.accuracy import assess_trajectory, match_landmarks
-from comparisons.checks.association import score_association
+from comparisons.checks.association import AssociationScore
 from comparisons.checks.association_variants import poses_apart
 from comparisons.checks.qualifiers import Distance, TruthGap, sighting_scale
 from comparisons.errors import InputError
@@ -22,6 +24,8 @@ from comparisons.pipeline.gaps import Compared
 from graphslam.graph_builder import build_graph, from_values
 from graphslam.initialisation import track
 from graphslam.optimisers import optimise
+from graphslam.optimum import ChiSquareTest, chi_square_test
+from graphslam.problem import SlamProblem
 from graphslam.recognition import Options
 from graphslam.smoother import smooth
 
@@ -83,18 +87,13 @@ def with_labels(compared: Compared, gap: TruthGap) -> TruthGap:
 
     A robust kernel keeps misread labels from spoiling it; where it has no solution, the gap stays.
     """
-    log, run = compared.prepared.log, compared.ekf
-    slot, ids = slots_by_label(log)
-    rows = position_rows(run.timeline, run.positions)
-    problem = assemble(log, run.timeline, slot[: len(run.slot)], len(ids), rows)
-    problem = replace(problem, oriented=run.oriented)
-    graph = build_graph(problem, "cauchy")
-    try:
-        poses, places = from_values(optimise(graph, track(problem, graph)[0])[0], problem)
-    except RuntimeError:  # gtsam's indeterminate linear system
+    problem, ids = _labelled(compared)
+    found = _tracked_optimum(problem, "cauchy")
+    if found is None:
         return gap
-    judged, table = compared.prepared.judged, log.truth.landmarks
-    reached = assess_trajectory(run.timeline.epoch_time_s, poses, judged)
+    poses, places, _ = found
+    judged, table = compared.prepared.judged, compared.prepared.log.truth.landmarks
+    reached = assess_trajectory(compared.ekf.timeline.epoch_time_s, poses, judged)
     errors = {"poses": None if reached is None else reached.ate_m}
     if table is not None:
         true = (table.id, table.position_m)
@@ -106,15 +105,17 @@ def with_labels(compared: Compared, gap: TruthGap) -> TruthGap:
     return replace(gap, distances=distances)
 
 
-def labels_gap(compared: Compared) -> TruthGap | None:
+def labels_gap(compared: Compared, association: AssociationScore | None) -> TruthGap | None:
     """Return how far S is from the smoother with the log's labels, which stand for the truth.
 
     None where that smoother is not verified, or its chi-square says that the labels do not fit.
+    association: the filter's, by these labels.
     """
-    log, run, gaps = compared.prepared.log, compared.ekf, compared.gaps
-    slot, ids = slots_by_label(log)
-    rows = position_rows(run.timeline, run.positions)
-    problem = assemble(log, run.timeline, slot[: len(run.slot)], len(ids), rows)
+    gaps, (problem, _) = compared.gaps, _labelled(compared)
+    if gaps.result.options.robust == "none":  # else chi-square is of what the kernel leaves
+        found = _tracked_optimum(problem, "none")
+        if found is None or found[2].reading == "too high":
+            return None  # before a search for the lowest minimum of what does not fit
     labelled = smooth(problem, {}, options=gaps.result.options)
     test = labelled.optimality.chi_square
     if not labelled.optimality.verified or test.reading == "too high":
@@ -122,7 +123,32 @@ def labels_gap(compared: Compared) -> TruthGap | None:
     sigma, metres = poses_apart(gaps.smoothed.pose, labelled.poses, labelled.pose_covariances())
     return TruthGap(
         distances=(Distance("poses", 3, sigma, metres),),
-        sighting_m=sighting_scale(log.sightings, np.zeros((0, 2, 2))),
-        association=score_association(run.slot, run.estimate.landmark, log),
+        sighting_m=sighting_scale(compared.prepared.log.sightings, np.zeros((0, 2, 2))),
+        association=association,
         reference="the log's labels put it",
     )
+
+
+def _labelled(compared: Compared) -> tuple[SlamProblem, NDArray[np.int64]]:
+    """Return the filter's observations with the log's labels, and the landmarks' ids (L,)."""
+    log, run = compared.prepared.log, compared.ekf
+    slot, ids = slots_by_label(log)
+    rows = position_rows(run.timeline, run.positions)
+    problem = assemble(log, run.timeline, slot[: len(run.slot)], len(ids), rows)
+    return replace(problem, oriented=run.oriented), ids
+
+
+def _tracked_optimum(
+    problem: SlamProblem, kernel: str
+) -> tuple[Array, Array, ChiSquareTest] | None:
+    """Return poses, landmarks and chi-square where tracking leads, no other minimum searched.
+
+    Chi-square tells nothing with a kernel. None where the problem has no solution.
+    """
+    graph = build_graph(problem, kernel)
+    try:
+        values = optimise(graph, track(problem, graph)[0])[0]
+    except RuntimeError:  # gtsam's indeterminate linear system
+        return None
+    dof = problem.residual_dimension - problem.state_dimension
+    return *from_values(values, problem), chi_square_test(float(graph.error(values)), dof)

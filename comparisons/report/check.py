@@ -16,12 +16,15 @@ from comparisons.report.folder import JobFolder
 from comparisons.report.model import Model, finite
 from comparisons.report.models import (
     AccuracyResult,
+    BlockResult,
     CauseResult,
     LogResult,
     SmootherResult,
 )
 from comparisons.report.rows import (
     accuracy_rows,
+    gap_row,
+    last_pose_row,
     log_rows,
     print_rows,
     print_verdict,
@@ -56,7 +59,7 @@ def build_check_result(check: GivenCheck, read_s: float = 0.0) -> CheckResult:
         outside=found.outside,
         last_pose=None
         if found.last is None
-        else GivenBlockResult.model_validate(_block(found, found.last)),
+        else BlockResult.model_validate(_block(found, found.last)),
         landmarks=[
             GivenLandmarkResult.model_validate({"id": int(number), **_block(found, block)})
             for number, block in zip(found.landmark_id, found.landmarks, strict=True)
@@ -114,14 +117,7 @@ def _agreement_rows(result: CheckResult) -> list[Row]:
         )
     ]
     if result.last_pose is not None:
-        rows.append(
-            Row(
-                "last pose",
-                f"{'agrees' if result.last_pose.agrees else 'disagrees'}: "
-                f"{result.last_pose.difference_m:.3f} m apart, "
-                f"{result.last_pose.distance_sigma:.2g} sigma",
-            )
-        )
+        rows.append(last_pose_row(result.last_pose))
     if result.landmarks:
         agreeing = sum(row.agrees for row in result.landmarks)
         rows.append(Row("landmarks", f"{agreeing} of {len(result.landmarks)} agree"))
@@ -157,8 +153,7 @@ def _gap_rows(trace: TraceResult) -> list[Row]:
             rows.append(Row("algebra gap", "not judged, there is no joint covariance"))
             continue
         sigma, spread = (getattr(trace, f"{name}_gap_{part}") for part in ("sigma", "covariance"))
-        shown = [f"{value:.2g}" if value is not None else "none" for value in (sigma, spread)]
-        rows.append(Row(f"{name} gap", f"{shown[0]} sigma, {shown[1]} in covariance"))
+        rows.append(gap_row(f"{name} gap", sigma, spread))
     return rows
 
 
@@ -204,17 +199,7 @@ def _block(found: GivenAgreement, block: Block) -> dict[str, float | bool | None
     }
 
 
-class GivenBlockResult(Model):
-    """See comparisons.checks.given_agreement.Block."""
-
-    difference_m: float
-    distance_sigma: float
-    variance_ratio_least: float | None
-    variance_ratio_largest: float | None
-    agrees: bool
-
-
-class GivenLandmarkResult(GivenBlockResult):
+class GivenLandmarkResult(BlockResult):
     """One landmark of both."""
 
     id: int
@@ -270,7 +255,7 @@ class CheckResult(Model):
     rms_m: float
     rms_heading_rad: float
     outside: float | None
-    last_pose: GivenBlockResult | None
+    last_pose: BlockResult | None
     landmarks: list[GivenLandmarkResult]
     accuracy: AccuracyResult | None
     smoother_accuracy: AccuracyResult | None

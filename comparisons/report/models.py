@@ -106,7 +106,10 @@ class SmootherResult(Model):
 
 
 class BlockResult(Model):
-    """EKF against smoother in one block. See comparisons.checks.agreement.BlockAgreement."""
+    """An estimate against the smoother's in one block of the state.
+
+    See comparisons.checks.agreement.BlockAgreement; of `slamcheck check`, given_agreement.Block.
+    """
 
     difference_m: float
     distance_sigma: float
@@ -195,8 +198,9 @@ class TruthDistanceResult(Model):
 class TruthGapResult(Model):
     """The smoother against truth, or against labels. See comparisons.checks.qualifiers.TruthGap.
 
-    stands: it is far by its covariance, and by more than sighting_m, what one sighting errs by.
-    lost: no landmark is near a true one. reference: where it should be, in words.
+    stands: it is far, by its covariance or by what labels reach, and by more than sighting_m, what
+    one sighting errs by; or it is lost: no landmark is near a true one. reference: where it should
+    be, in words.
     """
 
     stands: bool
@@ -238,7 +242,7 @@ class DisputeResult(Model):
 
 
 class AssociationCheckResult(Model):
-    """Whether an association hangs on how it was made. disputes: the largest first."""
+    """Whether an association depends on how it was made. disputes: the largest first."""
 
     verified: bool
     variants: list[AssociationVariantResult]

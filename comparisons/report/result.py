@@ -22,6 +22,8 @@ from comparisons.report.rows import (
     accuracy_rows,
     association_rows,
     ekf_rows,
+    gap_row,
+    last_pose_row,
     log_rows,
     print_rows,
     print_verdict,
@@ -91,7 +93,7 @@ def run_rows(comparison: Comparison, result: Result) -> list[Row]:
 def gap_rows(gaps: AgreementResult) -> list[Row]:
     """Return the gaps, and how many landmarks agree."""
     rows = [
-        Row(name, f"{shown(sigma, '.2g')} sigma, {shown(covariance, '.2g')} in covariance")
+        gap_row(name, sigma, covariance)
         for name, sigma, covariance in (
             ("algebra gap", gaps.algebra_gap_sigma, gaps.algebra_gap_covariance),
             ("model gap", gaps.model_gap_sigma, gaps.model_gap_covariance),
@@ -111,11 +113,7 @@ def gap_rows(gaps: AgreementResult) -> list[Row]:
             f"{agreeing} of {len(gaps.landmarks)} agree; EKF and smoother "
             f"{gaps.landmark_difference_rms_m:.3f} m apart (rms)",
         ),
-        Row(
-            "last pose",
-            f"{'agrees' if gaps.pose.agrees else 'disagrees'}: {gaps.pose.difference_m:.3f} m "
-            f"apart, {gaps.pose.distance_sigma:.2g} sigma",
-        ),
+        last_pose_row(gaps.pose),
     ]
 
 

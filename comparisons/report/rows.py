@@ -14,6 +14,7 @@ from comparisons.report.models import (
     AccuracyResult,
     AssociationCheckResult,
     AssociationResult,
+    BlockResult,
     CauseResult,
     EkfResult,
     LogResult,
@@ -181,6 +182,20 @@ def accuracy_rows(name: str, accuracy: AccuracyResult | None) -> list[Row]:
 def seconds_rows(seconds: Mapping[str, float]) -> list[Row]:
     """The time of each stage."""
     return [Row("seconds", ", ".join(f"{stage} {s:.2f}" for stage, s in seconds.items()))]
+
+
+def gap_row(name: str, sigma: float | None, covariance: float | None) -> Row:
+    """Return a gap between two estimates, None being infinite."""
+    return Row(name, f"{shown(sigma, '.2g')} sigma, {shown(covariance, '.2g')} in covariance")
+
+
+def last_pose_row(pose: BlockResult) -> Row:
+    """Return how two estimates agree in the last pose."""
+    return Row(
+        "last pose",
+        f"{'agrees' if pose.agrees else 'disagrees'}: {pose.difference_m:.3f} m apart, "
+        f"{pose.distance_sigma:.2g} sigma",
+    )
 
 
 def shown(value: float | None, form: str) -> str:

@@ -66,6 +66,7 @@ def test_storing_in_single_precision_is_no_fault(ready: Ready, tmp_path: Path) -
 def test_computing_in_single_precision_is_named(ready: Ready, tmp_path: Path) -> None:
     single = replace(ready[1], dtype=np.float32)
     parts = said(checked(single, ready, tmp_path))
+    assert parts
     assert all("computes in single precision" in p or "filtered in single" in p for p in parts)
 
 

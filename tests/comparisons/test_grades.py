@@ -20,7 +20,7 @@ from comparisons.adapters.reference_filter import run_reference
 from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array
 from comparisons.checks.grade import Part, eigenvalues
-from comparisons.choices import Required
+from comparisons.choices import RequiredGrade
 from comparisons.config import EkfConfig
 from comparisons.estimates.external import GivenEstimate, read_given
 from comparisons.estimates.folder import write_estimate
@@ -197,7 +197,7 @@ def test_a_filter_that_was_fed_something_else_is_not_like_one(
     ],
 )
 def test_the_required_grade_decides(
-    solution: Solution, right: GivenEstimate, factor: float, require: Required, outcome: str
+    solution: Solution, right: GivenEstimate, factor: float, require: RequiredGrade, outcome: str
 ) -> None:
     assert right.pose_covariance is not None
     other = replace(right, pose_covariance=factor * right.pose_covariance)

@@ -107,11 +107,14 @@ def of_landmarks(given: Array, expected: Array, heading: float, name: str) -> st
 
 
 def of_all(given: Array, expected: Array, name: str) -> str:
-    """Say how the covariance (n, n) of last pose and landmarks differs, each of which is right."""
+    """Say how the covariance of last pose and landmarks differs, each of which is right.
+
+    given, expected: (3 + 2 L, 3 + 2 L), or (2 L, 2 L) of landmarks alone.
+    """
     if wrong := invalid(given[None]):
         return f"the covariance of last pose and landmarks is {wrong.removeprefix('all are ')}"
     n = len(given)
-    where = np.concatenate(([0, 0, 0], 1 + np.arange(n - 3) // 2))
+    where = np.concatenate((np.zeros(3 * (n % 2)), 1 + np.arange(n - 3 * (n % 2)) // 2))
     same, pose = where[:, None] == where, (where == 0)[:, None] | (where == 0)
     flipped = np.where(pose & ~same, -1.0, 1.0)
     for words, other in (

@@ -17,7 +17,7 @@ from comparisons.checks.grade import (
     Likeness,
     Part,
     in_sigma,
-    joint_rows,
+    joint_pair,
     pose_difference,
 )
 from comparisons.estimates.external import GivenEstimate
@@ -165,19 +165,16 @@ def _covariances(given: GivenEstimate, found: Likeness, clues: Clues) -> list[Ca
 
 def _pairs(given: GivenEstimate, found: Likeness) -> dict[str, tuple[Array, Array]]:
     """Covariances (N, n, n) of the parts that were handed in, and the reference's."""
-    reference, ours, theirs = found.reference, found.ours, found.theirs
-    pairs, at = {}, reference.known
+    reference, pairs = found.reference, {}
+    at = reference.known
     if given.pose_covariance is not None:
         pairs["poses"] = given.pose_covariance[at], reference.pose_covariance[at]
     if given.landmark_covariance is not None:
-        which = 3 + 2 * theirs[:, None] + np.arange(2)
-        own = reference.joint_covariance[which[:, :, None], which[:, None]]
-        pairs["landmarks"] = given.landmark_covariance[ours], own
-    if given.joint_covariance is not None:
-        rows, columns = joint_rows(ours), joint_rows(theirs)
-        first = given.joint_covariance[np.ix_(rows, rows)]
-        second = reference.joint_covariance[np.ix_(columns, columns)]
-        pairs["last pose and landmarks"] = first[None], second[None]
+        own = reference.landmark_covariances(found.theirs)
+        pairs["landmarks"] = given.landmark_covariance[found.ours], own
+    joint = joint_pair(given, reference, (found.ours, found.theirs))
+    if joint is not None:
+        pairs["last pose and landmarks"] = joint[0][None], joint[1][None]
     return pairs
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +39,9 @@ _LAGS = (1, -1, *(sign * k for k in range(2, 11) for sign in (1, -1)))
 _SHIFTS_S = tuple(sign * 0.01 * k for k in range(1, 101) for sign in (1, -1))
 
 
+Words = str | Callable[..., str]
+
+
 @dataclass(frozen=True)
 class _Drive:
     """N steps of a model: departing poses (N, 3), controls (N, m), intervals (N,)."""
@@ -59,10 +63,34 @@ class _Drive:
         arrived = np.array([one.pose for one in each])
         return in_own_axes(self.departed[rows], arrived), by_control
 
+    def by_control(self, text: Words, change: Callable[..., Array], *start: float) -> _Mistake:
+        """Return the mistake of other controls (N, m), made of its figures."""
+        return _Mistake(_words(text), lambda *fit: replace(self, control=change(*fit)), start)
+
+    def by_interval(self, text: Words, change: Callable[..., Array], *start: float) -> _Mistake:
+        """Return the mistake of other intervals (N,)."""
+        return _Mistake(_words(text), lambda *fit: replace(self, duration_s=change(*fit)), start)
+
+    def by_vehicle(
+        self, text: Words, change: Callable[..., MotionModel], *start: float
+    ) -> _Mistake:
+        """Return the mistake of another vehicle."""
+        return _Mistake(_words(text), lambda *fit: replace(self, model=change(*fit)), start)
+
+
+def _words(text: Words) -> Callable[..., str]:
+    return says(text) if isinstance(text, str) else text
+
+
+class _Mistake(NamedTuple):
+    """altered: of its figures, the drive as it then goes. text, start: as of a hypothesis."""
+
+    text: Callable[..., str]
+    altered: Callable[..., _Drive]
+    start: tuple[float, ...]
+
 
 Wheels = SteeringOdometry | VelocityOdometry
-Altered = Callable[..., _Drive]
-"""Of a mistake's figures: the drive as it then goes."""
 
 
 def in_own_axes(departed: Array, arrived: Array) -> Array:
@@ -131,15 +159,15 @@ def _moved(
     """What leads elsewhere, and the drive that goes there, if it is one."""
     if not moves.off().any():
         return None, None
-    for text, altered, start in _altered(odometry, moves, drive, timeline):
+    for mistake in _altered(odometry, moves, drive, timeline):
 
-        def predict(rows: Index, *figures: float, altered: Altered = altered) -> Array:
-            return altered(*figures).steps(rows)[0]
+        def predict(rows: Index, *figures: float, one: _Mistake = mistake) -> Array:
+            return one.altered(*figures).steps(rows)[0]
 
-        found = best(moves, (Hypothesis(text, predict, start),))
+        found = best(moves, (Hypothesis(mistake.text, predict, mistake.start),))
         if found is not None:
-            used = _where(moves.off(), altered(*found[1]), drive)
-            return f"{text(*found[1])}, {counted(moves)}", used
+            used = _where(moves.off(), mistake.altered(*found[1]), drive)
+            return f"{mistake.text(*found[1])}, {counted(moves)}", used
     return named(moves, _bent(moves, drive)), None
 
 
@@ -156,83 +184,49 @@ def _where(off: NDArray[np.bool_], there: _Drive, elsewhere: _Drive) -> _Drive:
 
 def _altered(
     odometry: Odometry, moves: Quantity, drive: _Drive, timeline: Timeline
-) -> Iterator[tuple[Callable[..., str], Altered, tuple[float, ...]]]:
+) -> Iterator[_Mistake]:
     """Other controls, intervals and vehicles."""
     if isinstance(odometry, RelativePoses):
         yield from _other_displacements(drive)
         return
-    u, s = drive.control, drive.duration_s
-    turn = "steering" if isinstance(drive.model, AckermannModel) else "turn"
-    unit = "rad" if isinstance(drive.model, AckermannModel) else "rad/s"
-
-    def controlled(change: Callable[..., Array]) -> Altered:
-        return lambda *figures: replace(drive, control=change(*figures))
-
-    def lasting(change: Callable[..., Array]) -> Altered:
-        return lambda *figures: replace(drive, duration_s=change(*figures))
-
-    yield says(f"the {turn} has the opposite sign"), controlled(lambda: u * (1.0, -1.0)), ()
-    yield says("the speed has the opposite sign"), controlled(lambda: u * (-1.0, 1.0)), ()
-    yield says("a step lasts the previous step's interval"), lasting(lambda: np.roll(s, 1)), ()
-    yield (
-        says("the control is applied twice"),
-        lambda: replace(drive, model=_Twice(drive.model)),
-        (),
-    )
+    u, s, model = drive.control, drive.duration_s, drive.model
+    car = isinstance(model, AckermannModel)
+    turn, unit = ("steering", "rad") if car else ("turn", "rad/s")
+    control, interval = drive.by_control, drive.by_interval
+    yield control(f"the {turn} has the opposite sign", lambda: u * (1.0, -1.0))
+    yield control("the speed has the opposite sign", lambda: u * (-1.0, 1.0))
+    yield interval("a step lasts the previous step's interval", lambda: np.roll(s, 1))
+    yield drive.by_vehicle("the control is applied twice", lambda: _Twice(model))
     yield from _vehicles(drive)
-    yield (
-        says("the speed is always {0:.4g} m/s"),
-        controlled(lambda c: np.column_stack((np.full(len(u), c), u[:, 1]))),
-        (0.0,),
+    yield control(
+        "the speed is always {0:.4g} m/s", lambda c: np.column_stack((0.0 * s + c, u[:, 1])), 0.0
     )
-    yield (
-        says(f"the {turn} is always {{0:.4g}} {unit}"),
-        controlled(lambda c: np.column_stack((u[:, 0], np.full(len(u), c)))),
-        (0.0,),
+    yield control(
+        f"the {turn} is always {{0:.4g}} {unit}",
+        lambda c: np.column_stack((u[:, 0], 0.0 * s + c)),
+        0.0,
     )
-    both = (
-        "the speed is {0:.4g} times the log's, or every control acts for {0:.4g} times its interval"
+    faster, longer = (
+        "the speed is {0:.4g} times the log's",
+        "every control acts for {0:.4g} times its interval",
     )
-    if isinstance(drive.model, AckermannModel):
-        yield says(both), lasting(lambda k: k * s), (1.0,)
+    if car:  # whose turn goes with the speed
+        yield interval(f"{faster}, or {longer}", lambda k: k * s, 1.0)
     else:
-        yield (
-            says("every control acts for {0:.4g} times its interval"),
-            lasting(lambda k: k * s),
-            (1.0,),
-        )
-        yield (
-            says("the speed is {0:.4g} times the log's"),
-            controlled(lambda k: u * (k, 1.0)),
-            (1.0,),
-        )
+        yield interval(longer, lambda k: k * s, 1.0)
+        yield control(faster, lambda k: u * (k, 1.0), 1.0)
     always = _always(moves, drive)
-    yield (
-        says(f"the interval is always {always:.4g} s"),
-        lasting(lambda: np.full(len(s), always)),
-        (),
-    )
-    yield says("the speed has a bias of {0:+.4g} m/s"), controlled(lambda b: u + (b, 0.0)), (0.0,)
-    yield times(f"the {turn}", "the log's"), controlled(lambda k: u * (1.0, k)), (1.0,)
-    yield (
-        says(f"the {turn} has a bias of {{0:+.3g}} {unit}"),
-        controlled(lambda b: u + (0.0, b)),
-        (0.0,),
-    )
-    yield (
-        says(f"the speed is {{0:.4g}} times the log's and the {turn} {{1:.4g}} times"),
-        controlled(lambda k, j: u * (k, j)),
-        (1.0, 1.0),
-    )
-    yield (
-        says("the speed is {0:.4g} times the log's {1:+.4g} m/s"),
-        controlled(lambda k, b: u * (k, 1.0) + (b, 0.0)),
-        (1.0, 0.0),
-    )
-    yield (
-        says(f"the {turn} is {{0:.4g}} times the log's {{1:+.3g}} {unit}"),
-        controlled(lambda k, b: u * (1.0, k) + (0.0, b)),
-        (1.0, 0.0),
+    yield interval(f"the interval is always {always:.4g} s", lambda: 0.0 * s + always)
+    yield control("the speed has a bias of {0:+.4g} m/s", lambda b: u + (b, 0.0), 0.0)
+    yield control(times(f"the {turn}", "the log's"), lambda k: u * (1.0, k), 1.0)
+    yield control(f"the {turn} has a bias of {{0:+.3g}} {unit}", lambda b: u + (0.0, b), 0.0)
+    yield control(f"{faster} and the {turn} {{1:.4g}} times", lambda k, j: u * (k, j), 1.0, 1.0)
+    yield control(f"{faster} {{1:+.4g}} m/s", lambda k, b: u * (k, 1.0) + (b, 0.0), 1.0, 0.0)
+    yield control(
+        f"the {turn} is {{0:.4g}} times the log's {{1:+.3g}} {unit}",
+        lambda k, b: u * (1.0, k) + (0.0, b),
+        1.0,
+        0.0,
     )
     yield from _other_samples(odometry, drive, timeline, turn)
 
@@ -246,49 +240,44 @@ def _always(moves: Quantity, drive: _Drive) -> float:
     ) else 0.0  # fmt: skip
 
 
-def _vehicles(drive: _Drive) -> Iterator[tuple[Callable[..., str], Altered, tuple[float, ...]]]:
+def _vehicles(drive: _Drive) -> Iterator[_Mistake]:
     """Measures of a car that are left out, of opposite sign, or others."""
     model = drive.model
     if not isinstance(model, AckermannModel):
         return
+    sensor = "sensor_forward_m", "sensor_left_m"
 
-    def of(*parts: str, factor: float | None = None) -> Altered:
-        def altered(*figures: float) -> _Drive:
-            values = figures or [float(factor or 0.0) * getattr(model, part) for part in parts]
-            return replace(drive, model=replace(model, **dict(zip(parts, values, strict=True))))
+    def other(text: str, *parts: str) -> _Mistake:
+        own = [getattr(model, part) for part in parts]
+        said = text + f", where the log says {text.partition(' is ')[2]}".format(*own)
+        return drive.by_vehicle(
+            said, lambda *fit: replace(model, **dict(zip(parts, fit, strict=True))), *own
+        )
 
-        return altered
+    def without(text: str, factor: float, *parts: str) -> _Mistake:
+        changed = {part: factor * getattr(model, part) for part in parts}
+        return drive.by_vehicle(text, lambda: replace(model, **changed))
 
-    sensor, every = ("sensor_forward_m", "sensor_left_m"), (
-        "encoder_offset_m", "sensor_forward_m", "sensor_left_m",
-    )  # fmt: skip
-    for part in every:
+    for part in ("encoder_offset_m", *sensor):
         if getattr(model, part):
-            yield says(f"{part} of the vehicle is left out"), of(part, factor=0.0), ()
-            yield says(f"{part} of the vehicle has the opposite sign"), of(part, factor=-1.0), ()
-    yield says("the sensor's place on the vehicle is left out"), of(*sensor, factor=0.0), ()
-    length = f"the wheelbase is {{0:.3f}} m, where the log says {model.wheelbase_m:.3f} m"
-    yield says(length), of("wheelbase_m"), (model.wheelbase_m,)
-    for part in every:
-        own = getattr(model, part)
-        text = f"{part} of the vehicle is {{0:.4g}}, where the log says {own:.4g}"
-        yield says(text), of(part), (own,)
-    yield (
-        says("the sensor's place on the vehicle is ({0:.4g}, {1:.4g}) m, where the log says "
-             f"({model.sensor_forward_m:.4g}, {model.sensor_left_m:.4g}) m"),
-        of(*sensor),
-        (model.sensor_forward_m, model.sensor_left_m),
-    )  # fmt: skip
+            yield without(f"{part} of the vehicle is left out", 0.0, part)
+            yield without(f"{part} of the vehicle has the opposite sign", -1.0, part)
+    yield without("the sensor's place on the vehicle is left out", 0.0, *sensor)
+    yield other("the wheelbase is {0:.3f} m", "wheelbase_m")
+    for part in ("encoder_offset_m", *sensor):
+        yield other(f"{part} of the vehicle is {{0:.4g}}", part)
+    yield other("the sensor's place on the vehicle is ({0:.4g}, {1:.4g}) m", *sensor)
 
 
 def _other_samples(
     odometry: Wheels, drive: _Drive, timeline: Timeline, turn: str
-) -> Iterator[tuple[Callable[..., str], Altered, tuple[float, ...]]]:
+) -> Iterator[_Mistake]:
     """Controls of other samples of the log: before, after, between, at another time."""
     u = drive.control
-    second = odometry.steering_rad if isinstance(odometry, SteeringOdometry) else (
-        odometry.yaw_rate_radps
-    )  # fmt: skip
+    if isinstance(odometry, SteeringOdometry):
+        second = odometry.steering_rad
+    else:
+        second = odometry.yaw_rate_radps
     recorded = np.vstack((np.zeros(2), np.column_stack((odometry.speed_mps, second))))
     times_s, begin_s = resolved(odometry.time_s), timeline.step_begin_s() + 1e-6
 
@@ -297,71 +286,58 @@ def _other_samples(
         controls: Array = recorded[np.clip(sample, 0, len(times_s))]
         return controls
 
-    def taken(control: Array) -> Altered:
-        return lambda: replace(drive, control=control)
+    def taken(text: str, control: Array) -> _Mistake:
+        return drive.by_control(text, lambda: control)
 
     for lag in _LAGS:
         side, other = "late" if lag > 0 else "early", at(0.0, lag)
         count = f"{abs(lag)} sample{'s' * (abs(lag) > 1)}"
-        yield says(f"the odometry is used {count} {side}"), taken(other), ()
+        yield taken(f"the odometry is used {count} {side}", other)
         for k, name in enumerate(("speed", turn)):
             mixed = u.copy()
             mixed[:, k] = other[:, k]
-            yield says(f"the {name} is used {count} {side}"), taken(mixed), ()
+            yield taken(f"the {name} is used {count} {side}", mixed)
     for lag, which in ((1, "before"), (-1, "after")):
-        other = at(0.0, lag)
-        yield (
-            says(f"the control is the mean of a sample and the one {which}"),
-            taken(0.5 * (u + other)),
-            (),
-        )
-        yield (
-            says(f"the control lies between a sample and the one {which}, {{0:.4g}} of the way"),
-            lambda share, other=other: replace(drive, control=u + share * (other - u)),
-            (0.0,),
+        other, pair = at(0.0, lag), f"a sample and the one {which}"
+        yield taken(f"the control is the mean of {pair}", 0.5 * (u + other))
+        yield drive.by_control(
+            f"the control lies between {pair}, {{0:.4g}} of the way",
+            lambda share, other=other: u + share * (other - u),
+            0.0,
         )
     for seconds in _SHIFTS_S:
         side = "late" if seconds > 0 else "early"
-        text = f"the odometry is used {abs(seconds):.4g} s {side}"
-        yield says(text), taken(at(seconds)), ()
+        yield taken(f"the odometry is used {abs(seconds):.4g} s {side}", at(seconds))
 
 
-def _other_displacements(
-    drive: _Drive,
-) -> Iterator[tuple[Callable[..., str], Altered, tuple[float, ...]]]:
+def _other_displacements(drive: _Drive) -> Iterator[_Mistake]:
     """Of measured displacements ahead, left and turned."""
-    u = drive.control
-
-    def controlled(change: Callable[..., Array]) -> Altered:
-        return lambda *figures: replace(drive, control=change(*figures))
-
+    u, control = drive.control, drive.by_control
     for lag, which in ((1, "before"), (-1, "after")):
-        yield (
-            says(f"the displacement is the one {which}"),
-            controlled(lambda lag=lag: np.roll(u, lag, axis=0)),
-            (),
+        yield control(
+            f"the displacement is the one {which}", lambda lag=lag: np.roll(u, lag, axis=0)
         )
-    for name, mask in (
-        ("the displacement's length", (1, 1, 0)),
-        ("the displacement's turn", (0, 0, 1)),
-        ("the displacement ahead", (1, 0, 0)),
-        ("the displacement to the left", (0, 1, 0)),
-        ("the whole displacement", (1, 1, 1)),
+    for name, part in (
+        ("the displacement's length", (1.0, 1.0, 0.0)),
+        ("the displacement's turn", (0.0, 0.0, 1.0)),
+        ("the displacement ahead", (1.0, 0.0, 0.0)),
+        ("the displacement to the left", (0.0, 1.0, 0.0)),
+        ("the whole displacement", (1.0, 1.0, 1.0)),
     ):
-        yield (
+        yield control(
             times(name, "the log's"),
-            controlled(lambda k, mask=mask: u * (1.0 + (k - 1.0) * np.array(mask))),
-            (1.0,),
+            lambda k, part=part: u * (1.0 + (k - 1.0) * np.array(part)),
+            1.0,
         )
-    for name, mask, unit in (
-        ("the displacement ahead", (1, 0, 0), "m"),
-        ("the displacement to the left", (0, 1, 0), "m"),
-        ("the displacement's turn", (0, 0, 1), "rad"),
+    for name, column, unit in (
+        ("the displacement ahead", 0, "m"),
+        ("the displacement to the left", 1, "m"),
+        ("the displacement's turn", 2, "rad"),
     ):
-        yield (
-            says(f"{name} has a bias of {{0:+.4g}} {unit}"),
-            controlled(lambda b, mask=mask: u + b * np.array(mask)),
-            (0.0,),
+        yield control(
+            f"{name} has a bias of {{0:+.4g}} {unit}",
+            lambda b, column=column: u + b * np.eye(3)[column],
+            0.0,
         )
 
 
