@@ -19,6 +19,7 @@ from comparisons.adapters.filter_variants import (
 from comparisons.adapters.reference_filter import run_reference
 from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array
+from comparisons.checks.diagnosis.covariance_signatures import fit
 from comparisons.checks.grade import Part, eigenvalues
 from comparisons.choices import RequiredGrade
 from comparisons.config import EkfConfig
@@ -286,6 +287,16 @@ def test_eigenvalues_are_those_of_the_pair() -> None:
     assert eigenvalues(skewed, second)[1][0] > 1.1
     low, high = eigenvalues(second, -second)
     assert (low[0], high[0]) == (-np.inf, np.inf)
+
+
+def test_a_factor_is_fitted_where_one_covariance_is_negative() -> None:
+    expected = np.tile(np.diag((1.0, 2.0)), (60, 1, 1))
+    given = 3.0 * expected
+    given[0] *= -1.0  # a broken variant takes the root of it
+    found = fit(given, expected)
+    assert found is not None
+    assert found.factor == pytest.approx(3.0)
+    assert np.flatnonzero(found.exceptions).tolist() == [0]
 
 
 def test_what_is_not_a_number_is_not_like_anything() -> None:

@@ -30,13 +30,19 @@ def fit(given: Array, expected: Array, *, scaled: bool = True) -> Fit | None:
     low, high = eigenvalues(given, expected)
     if not (low > 0.0).any():
         return None
-    middle = np.sqrt(np.maximum(low, 1e-300) * high)
+    middle = _middle(low, high)
     factor = float(np.median(middle)) if scaled else 1.0
     if abs(factor - 1.0) <= LIKE_VARIANCE:
         factor = 1.0
     bad = (low * _FITS < factor) | (high > factor * _FITS)
     most = max(1.0, _MOST_EXCEPTIONS * len(bad)) if len(bad) > 1 else 0.0
     return Fit(factor, bad) if bad.sum() <= most else None
+
+
+def _middle(low: Array, high: Array) -> Array:
+    """Return (N,) geometric means of eigenvalues; nearly 0 where one is not positive."""
+    middle: Array = np.sqrt(np.maximum(low, 1e-300) * np.maximum(high, 1e-300))
+    return middle
 
 
 def invalid(given: Array) -> str:
@@ -194,7 +200,7 @@ def _shuffled(given: Array, expected: Array) -> str:
 
 def _varying(begin: str, given: Array, expected: Array, name: str, what: tuple[str, str]) -> str:
     low, high = eigenvalues(given, expected)
-    middle = float(np.median(np.sqrt(np.maximum(low, 1e-300) * high)))
+    middle = float(np.median(_middle(low, high)))
     off = (low * _FITS < 1.0) | (high > _FITS)
     even = " in all directions alike," if (high <= low * _FITS**2).all() else ""
     worst = int(np.argmax(np.maximum(high, 1.0 / np.maximum(low, 1e-300))))
