@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -128,7 +127,7 @@ def _stretches(problem: SlamProblem) -> list[tuple[int, int]]:
             )
         )
     )
-    return list(pairwise(known.tolist()))
+    return list(zip(known[:-1].tolist(), known[1:].tolist(), strict=True))
 
 
 def windings(problem: SlamProblem, poses: Array, landmarks: Array) -> Iterator[Alternative]:

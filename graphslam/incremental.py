@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import NamedTuple, SupportsFloat, SupportsIndex, SupportsInt
 
 import gtsam
@@ -208,7 +207,9 @@ def run_fixed_lag(problem: SlamProblem, graph: gtsam.NonlinearFactorGraph, lag: 
         np.concatenate((problem.sighting_pose, problem.position_pose, [0, count - 1]))
     )
     stops = [
-        stop for first, last in pairwise(known.tolist()) for stop in range(first + lag, last, lag)
+        stop
+        for first, last in zip(known[:-1].tolist(), known[1:].tolist(), strict=True)
+        for stop in range(first + lag, last, lag)
     ]
     for piece in _pieces(problem, graph, _Known(smoother.calculateEstimatePose2), stops):
         leave(piece.end - lag - 1)  # these the update is going to drop

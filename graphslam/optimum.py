@@ -84,7 +84,7 @@ def stationarity(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Sta
     return Stationarity(linear.error(values.zeroVectors()) - linear.error(step), definite=True)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Minimum:
     """One of the minima that were found.
 
@@ -126,7 +126,7 @@ def same_error(one: float, other: float) -> bool:
     return abs(one - other) <= AGREEMENT * (1.0 + min(one, other))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Optimality:
     """The evidence that a result is the global optimum; evidence, not a certificate.
 

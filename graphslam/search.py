@@ -46,7 +46,7 @@ _NEAR = 0.05
 """... by this, relative to 1 + error, to be followed to its end."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Attempt:
     """One start and where it ended. kind: `relaxed`, `sequential` or `random`."""
 
@@ -91,7 +91,16 @@ class MinimumSearch:
             iterations += more
         except RuntimeError:  # gtsam's indeterminate linear system
             end, error, iterations, converged = values, float("inf"), 0, False
-        self.attempts.append(Attempt(name, kind, error, spent + iterations, converged, end))
+        self.attempts.append(
+            Attempt(
+                name=name,
+                kind=kind,
+                error=error,
+                iterations=spent + iterations,
+                converged=converged,
+                values=end,
+            )
+        )
         return self.attempts[-1]
 
     def values(self, poses: Array, landmarks: Array) -> gtsam.Values:
@@ -150,7 +159,16 @@ class MinimumSearch:
                 start = relaxed_values(draw(self._problem, rng))
             except RuntimeError:
                 continue
-            drawn = self._rough(Attempt(f"random {draws}", "random", np.inf, 0, False, start))
+            drawn = self._rough(
+                Attempt(
+                    name=f"random {draws}",
+                    kind="random",
+                    error=float("inf"),
+                    iterations=0,
+                    converged=False,
+                    values=start,
+                )
+            )
             self.attempts.append(drawn)
             if drawn is self.best:
                 self._descend(drawn)
@@ -253,7 +271,14 @@ class MinimumSearch:
         known = np.flatnonzero(np.isfinite(shifted))
         landmark = int(known[shifted[known].argmax()]) if len(known) else -1
         far = float(shifted[landmark]) if len(known) else 0.0
-        return Minimum(end.error, count, pose, float(moved[pose]), landmark, far)
+        return Minimum(
+            error=end.error,
+            starts=count,
+            pose=pose,
+            pose_m=float(moved[pose]),
+            landmark=landmark,
+            landmark_m=far,
+        )
 
 
 def relaxed_values(problem: SlamProblem) -> gtsam.Values:

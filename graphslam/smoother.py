@@ -207,9 +207,9 @@ def smooth(
         converged=best.converged,
         starts=tuple(Start(a.name, a.error, a.iterations, a.converged) for a in search.attempts),
         optimality=Optimality(
-            stationarity(graph, best.values),
-            chi_square_test(best.error, _degrees_of_freedom(problem, options.kernel)),
-            tuple(attempt.name for attempt in search.agreeing()),
+            stationarity=stationarity(graph, best.values),
+            chi_square=chi_square_test(best.error, _degrees_of_freedom(problem, options.kernel)),
+            agreeing=tuple(attempt.name for attempt in search.agreeing()),
             agreed=search.agreed,
             exploration=exploration,
             accept_misfit=options.accept_misfit,

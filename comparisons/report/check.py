@@ -33,6 +33,7 @@ from comparisons.report.rows import (
 )
 from comparisons.report.sections import (
     accuracy_result,
+    cause_result,
     log_result,
     package_versions,
     smoother_result,
@@ -71,7 +72,7 @@ def build_check_result(check: GivenCheck, read_s: float = 0.0) -> CheckResult:
         required=check.grade.required,
         nearest=_nearest(check.grade.by),
         verdict=check.outcome,
-        causes=[CauseResult(**vars(cause)) for cause in check.causes],
+        causes=[cause_result(cause) for cause in check.causes],
         remarks=list(check.remarks),
         seconds={"read": read_s, **solution.prepared.clock.seconds},
         versions=package_versions(),

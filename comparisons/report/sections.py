@@ -14,6 +14,7 @@ from comparisons.arrays import Array
 from comparisons.checks.accuracy import Accuracy
 from comparisons.checks.agreement import BlockAgreement, block_agrees
 from comparisons.checks.association import AssociationScore
+from comparisons.checks.causes import Cause
 from comparisons.config import EkfConfig
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.hashing import log_hash
@@ -24,6 +25,7 @@ from comparisons.report.models import (
     AssociationCheckResult,
     AssociationResult,
     AssociationVariantResult,
+    CauseResult,
     DisputeResult,
     EkfResult,
     LogResult,
@@ -123,6 +125,11 @@ def smoother_result(result: smoother.SmootherResult, estimate: Estimate) -> Smoo
         random_starts=explored.draws,
         chance_missed=explored.missed,
     )
+
+
+def cause_result(cause: Cause) -> CauseResult:
+    """What a report says of a cause."""
+    return CauseResult(gap=cause.gap, evidence=cause.evidence, hint=cause.hint)
 
 
 def accuracy_result(accuracy: Accuracy | None) -> AccuracyResult | None:

@@ -77,7 +77,12 @@ def test_block_limits(distance: float, least: float, largest: float, agrees: boo
 def test_without_proof_there_is_no_agreement(comparison: Comparison) -> None:
     assert comparison.verdict.outcome == "agree"
     plausible = chi_square_test(50.0, 100)
-    unverified = Optimality(Stationarity(0.0, definite=True), plausible, ("ekf",), agreed=False)
+    unverified = Optimality(
+        stationarity=Stationarity(0.0, definite=True),
+        chi_square=plausible,
+        agreeing=("ekf",),
+        agreed=False,
+    )
     result = replace(comparison.smoother, optimality=unverified)
     verdict = judge(comparison.agreement, result, comparison.ekf, Diagnosis())
     assert verdict.outcome == "unverified"
@@ -87,7 +92,10 @@ def test_without_proof_there_is_no_agreement(comparison: Comparison) -> None:
 
 def test_a_red_algebra_gap_needs_no_oracle(comparison: Comparison) -> None:
     unverified = Optimality(
-        Stationarity(1.0, definite=False), chi_square_test(9e9, 100), (), agreed=False
+        stationarity=Stationarity(1.0, definite=False),
+        chi_square=chi_square_test(9e9, 100),
+        agreeing=(),
+        agreed=False,
     )
     a = comparison.agreement
     red = replace(a, algebra=replace(a.algebra, covariance=float("inf")))

@@ -245,7 +245,12 @@ def test_alignments_are_compared_where_both_have_one_and_none_has_begun() -> Non
     filters_ = told([(0, 0, 1.0), (1, 0, 2.0), (2, 0, 3.0), (2, 1, 9.0), (3, 0, 4.0)], 0.3)
     own = told([(0, 0, 7.0), (1, 0, 2.5), (3, 0, 4.0), (2, 1, 9.0), (4, 0, 1.0)], 0.4)
     test = ChiSquareTest(1.0, 1, 0.0, 2.0)
-    optimality = Optimality(Stationarity(0.0, definite=True), test, ("a", "b"), agreed=True)
+    optimality = Optimality(
+        stationarity=Stationarity(0.0, definite=True),
+        chi_square=test,
+        agreeing=("a", "b"),
+        agreed=True,
+    )
     some = frames(np.zeros((2, 3)), 1.0)
     found = check_own_matching((filters_, own), some, some, some, optimality)
     assert found.sightings == (3, 3, 2)

@@ -41,7 +41,10 @@ def test_where_dead_reckoning_leads_is_not_believed(problem: SlamProblem) -> Non
     assert dof == 6978
     assert error > 10 * 3173.49
     optimality = Optimality(
-        stationarity(graph, end), chi_square_test(error, dof), ("dead-reckoning",), agreed=False
+        stationarity=stationarity(graph, end),
+        chi_square=chi_square_test(error, dof),
+        agreeing=("dead-reckoning",),
+        agreed=False,
     )
     assert not optimality.verified
     # Even were it a strict local minimum that others reach, its chi-square would give it away.

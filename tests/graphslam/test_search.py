@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from graphslam.ambiguity import alternatives, landmark_modes
+from graphslam.ambiguity import alternatives, landmark_modes, loose, mirrors, windings
 from graphslam.graph_builder import build_graph, to_values
 from graphslam.optimisers import optimise, polish
 from graphslam.problem import SlamProblem
@@ -159,14 +159,41 @@ def blind_loop(sigma_turn: float) -> tuple[SlamProblem, Array, Array]:
 def test_a_poor_gyro_may_have_lost_a_turn() -> None:
     """The alternative keeps the poses outside the loop, one turn apart, and is a minimum."""
     problem, poses, posts = blind_loop(sigma_turn=0.3)
-    found = alternatives(problem, poses, posts)
+    found = list(windings(problem, poses, posts))
     turns = [round(float(one.poses[-1, 2] - poses[-1, 2]) / (2.0 * np.pi)) for one in found]
     assert sorted(turns) == [-1, 1]
     for one in found:
         assert np.allclose(one.poses[:4], poses[:4])
         assert np.allclose(one.poses[39:, :2], poses[39:, :2], atol=1e-9)
         assert np.isclose(one.excess, (2.0 * np.pi) ** 2 / (2.0 * 36 * 0.09))
-    assert alternatives(blind_loop(sigma_turn=0.02)[0], poses, posts) == []
+    assert list(windings(blind_loop(sigma_turn=0.02)[0], poses, posts)) == []
+    assert loose(problem)
+    assert not loose(blind_loop(sigma_turn=0.02)[0])
+
+
+def test_a_path_may_be_mirrored_where_directions_are_loose() -> None:
+    """Surveyed posts on a line and ranges alone: the mirror image about them is as good."""
+    problem, poses, posts = two_sided(0)
+    line = posts * (1.0, 0.0)
+    beside = poses + (0.0, 2.0, 0.0)
+    offset = line[problem.sighting_landmark] - beside[problem.sighting_pose, :2]
+    told = replace(
+        problem,
+        prior_pose=beside[0],
+        prior_covariance=np.diag((9.0, 9.0, 0.01)),
+        increment=np.diff(beside, axis=0),
+        z=np.column_stack((np.hypot(*offset.T), np.zeros(len(problem.z)))),
+        sigma=np.tile((0.05, 3.0), (len(problem.z), 1)),
+        surveyed=line,
+        surveyed_covariance=np.tile(np.eye(2) * 1e-4, (6, 1, 1)),
+    )
+    assert loose(told)
+    images = [one.poses for one in mirrors(told, beside, line)]
+    about_line = beside * (1.0, -1.0, -1.0)
+    assert min(np.abs(image - about_line).max() for image in images) < 1e-9
+    assert all(np.array_equal(one.landmarks, line) for one in mirrors(told, beside, line))
+    minima = smooth(told, {}).optimality.exploration.minima
+    assert max(one.pose_m for one in minima) > 3.5  # the image was found and weighed
 
 
 def test_other_minima_are_told_with_where_they_differ() -> None:

@@ -210,8 +210,13 @@ def test_chi_square_has_two_sides(error: float, reading: str) -> None:
 
 
 SOUND = Optimality(
-    Stationarity(0.0, definite=True), chi_square_test(50.0, 100), ("ekf", "relaxed"), agreed=True
+    stationarity=Stationarity(0.0, definite=True),
+    chi_square=chi_square_test(50.0, 100),
+    agreeing=("ekf", "relaxed"),
+    agreed=True,
 )
+LOWEST = Minimum(error=50.0, starts=3, pose=0, pose_m=0.0, landmark=0, landmark_m=0.0)
+AS_LOW = replace(LOWEST, starts=1, pose=2, pose_m=1.5, landmark=4, landmark_m=3.0)
 
 
 def test_an_optimum_with_all_evidence_is_verified() -> None:
@@ -229,11 +234,7 @@ def test_an_optimum_with_all_evidence_is_verified() -> None:
         ({"distance_sigma": 0.2}, "0.2 sigma from the optimum"),
         ({"exploration": Exploration(complete=False, hops=3)}, "by 3 hops"),
         (
-            {
-                "exploration": Exploration(
-                    (Minimum(50.0, 3, 0, 0.0, 0, 0.0), Minimum(50.0, 1, 2, 1.5, 4, 3.0))
-                )
-            },
+            {"exploration": Exploration((LOWEST, AS_LOW))},
             "another minimum, 3 m away, has the same error",
         ),
     ],
