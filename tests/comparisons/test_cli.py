@@ -112,7 +112,7 @@ def test_bad_input_is_one_line_and_exit_2(tmp_path: Path) -> None:
             "simulated-loop",
             "--noise-scale",
             "0",
-        ): "log.noise_scale is 0: input should be greater than 0",
+        ): "log.noise_scale is 0.0: input should be greater than 0",
         ("run", "simulated-loop", "--out", "."): ".: is the current folder or holds it",
         ("run", "simulated-loop", "--filter", "ukf"): "'--filter': 'ukf' is not one of 'full',",
         ("run", "simulated-loop", "--gps", "on"): "holds no positions to fuse; use --gps off",

@@ -219,7 +219,7 @@ def test_the_commands_write_and_tell(tmp_path: Path) -> None:
     for name in ("dynamic.png", "dynamic-map.png"):
         assert (folder / name).read_bytes().startswith(b"\x89PNG")
     assert len((folder / "dynamic.pgw").read_text().splitlines()) == 6
-    arguments = ("run", "dynamic-lanes", "--dynamic", "on", "--out", "run")
+    arguments = ("run", "dynamic-lanes", "--dynamic", "on", "--accept-misfit", "--out", "run")
     done = slamcheck(*arguments, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     ekf = json.loads((tmp_path / "run" / "result.json").read_text())["ekf"]

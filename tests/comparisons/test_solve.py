@@ -60,7 +60,7 @@ def test_solving_leaves_a_whole_folder(tmp_path: Path) -> None:
     result = SolutionResult.model_validate_json((folder / "solution.json").read_text())
     assert set(result.files) == names
     assert result.smoother.verified
-    assert result.smoother.starts[0].name == "tracked"
+    assert result.smoother.starts[0].name == "relaxed"
     assert result.accuracy is not None
     again, graph = read_estimate(folder / "smoother"), read_g2o(folder / "graph.g2o")
     assert np.allclose(again.landmark, graph.landmarks)

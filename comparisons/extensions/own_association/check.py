@@ -89,7 +89,7 @@ def check_own_association(
 
 
 def association_cause(own: OwnAssociationCheck, run: EkfRun) -> Cause:
-    """S against S'."""
+    """S against S', whose optimum is verified: it stands where S misfits by this association."""
     p = own.partition
     return Cause(
         "association",
@@ -99,6 +99,7 @@ def association_cause(own: OwnAssociationCheck, run: EkfRun) -> Cause:
         f"and {p.merges} of the smoother's" + _costliest(own, run),
         "look at the sightings where the two differ: a wrong closure, or landmarks too near to "
         "tell apart",
+        alone=True,
     )
 
 
