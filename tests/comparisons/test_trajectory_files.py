@@ -109,7 +109,7 @@ def test_the_commands(tmp_path: Path) -> None:
         assert done.stdout.startswith(f"{place}: ")
     (tmp_path / "kitti" / "times.txt").rename(tmp_path / "clock")
     right = [
-        (("csv/poses",), "every pose by its own covariance"),
+        (("csv/poses",), "every pose with covariance"),
         (("kitti/poses", "--times", "clock"), "the path as a whole"),
     ]
     for words, told in right:
