@@ -110,7 +110,7 @@ def test_the_commands(tmp_path: Path) -> None:
     (tmp_path / "kitti" / "times.txt").rename(tmp_path / "clock")
     right = [
         (("csv/poses",), "every pose with covariance"),
-        (("kitti/poses", "--times", "clock"), "the path as a whole"),
+        (("kitti/poses", "--times", "clock"), "every pose's place"),
     ]
     for words, told in right:
         done = slamcheck(
