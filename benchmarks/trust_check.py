@@ -38,7 +38,7 @@ from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array
 from comparisons.config import EkfConfig, SmootherConfig, SolveConfig
 from comparisons.errors import InputError
-from comparisons.estimates.estimate import Estimate, landmark_blocks
+from comparisons.estimates.estimate import landmark_blocks
 from comparisons.estimates.external import GivenEstimate, read_given
 from comparisons.estimates.trajectory_files import FORMATS, Trajectory, write_trajectory
 from comparisons.experiments.defects.catalogue import CATALOGUE
@@ -80,20 +80,6 @@ class Outcome:
     grade: str
     by: str
     reason: str
-
-
-def handed_in(estimate: Estimate) -> GivenEstimate:
-    """An estimate as somebody else's."""
-    return GivenEstimate(
-        time_s=estimate.time_s,
-        pose=estimate.pose,
-        landmark_id=estimate.landmark_id,
-        landmark=estimate.landmark,
-        pose_covariance=estimate.pose_covariance,
-        landmark_covariance=estimate.landmark_covariances(),
-        joint_covariance=estimate.joint_covariance,
-        information=estimate.information,
-    )
 
 
 def of_run(run: FilterRun | None, time_s: Array) -> GivenEstimate:
@@ -200,7 +186,7 @@ class Cases:
         self.shown = ("loop", "closing") if log.end_s > QUICK_S else ("loop",)
         self.log, self.config = log, settle(EkfConfig(), log)
         self.timeline = build_timeline(log)
-        self.right = handed_in(run_ekf(log, self.timeline, self.config).estimate)
+        self.right = GivenEstimate.of(run_ekf(log, self.timeline, self.config).estimate)
 
     def all(self) -> Iterator[Case]:
         """Faults, then sound ones."""
@@ -226,7 +212,7 @@ class Cases:
             run = run_ekf(self.log, self.timeline, config, None, setup)
         except TypeError as error:  # a defect of another vehicle
             raise InputError(str(error)) from None
-        return handed_in(run.estimate)
+        return GivenEstimate.of(run.estimate)
 
     def _fed(self, feed: Callable[[Log], Log]) -> GivenEstimate:
         log = feed(self.log)
@@ -321,7 +307,7 @@ class Cases:
     def _smoothers(self) -> Iterator[Case]:
         def smoothed(**settings: str) -> GivenEstimate:
             config = SolveConfig(smoother=SmootherConfig.of(**settings))
-            return handed_in(solve(self.log, config).estimate)
+            return GivenEstimate.of(solve(self.log, config).estimate)
 
         yield Case("smoother", True, smoothed, True)
         yield Case(

@@ -126,6 +126,11 @@ class SlamProblem:
         return len(self.increment) + 1
 
     @property
+    def seen_landmarks(self) -> Index:
+        """Point landmarks that something is known of: measured, or surveyed."""
+        return np.union1d(self.sighting_landmark, np.arange(len(self.surveyed)))
+
+    @property
     def residual_dimension(self) -> int:
         """Scalar measurements, the prior's three included."""
         pairs = len(self.z) + len(self.position) + len(self.surveyed)

@@ -81,7 +81,7 @@ def relax(problem: SlamProblem) -> RelaxedStart:
     headings = _Equations()
     _relative(headings, problem, turned=None)
     _absolute(headings, problem, turned=None)
-    landmarks = _seen(problem)
+    landmarks = problem.seen_landmarks
     free = headings.solve(2 * nodes + len(landmarks))[:nodes]
     length = np.abs(free)
     # A heading that no measurement tells keeps the odometry's.
@@ -95,11 +95,6 @@ def relax(problem: SlamProblem) -> RelaxedStart:
     place = np.full((problem.landmark_count, 2), np.nan)
     place[landmarks] = np.column_stack((found[nodes:].real, found[nodes:].imag))
     return RelaxedStart(pose[:k], place, pose[k:])
-
-
-def _seen(problem: SlamProblem) -> Index:
-    """Landmarks that have an equation."""
-    return np.union1d(problem.sighting_landmark, np.arange(len(problem.surveyed)))
 
 
 def _relative(equations: _Equations, problem: SlamProblem, turned: Complex | None) -> None:
@@ -124,7 +119,7 @@ def _relative(equations: _Equations, problem: SlamProblem, turned: Complex | Non
     sigma = np.hypot(problem.sigma[:, 0], problem.z[:, 0] * np.minimum(problem.sigma[:, 1], 1.0))
     nodes = k + seen.count
     pose = problem.sighting_pose
-    landmark = np.searchsorted(_seen(problem), problem.sighting_landmark)
+    landmark = np.searchsorted(problem.seen_landmarks, problem.sighting_landmark)
     if turned is None:
         zero = np.zeros(len(first), dtype=complex)
         turn = np.exp(1j * motion[:, 2])

@@ -105,8 +105,8 @@ class MinimumSearch:
 
     def values(self, poses: Array, landmarks: Array) -> gtsam.Values:
         """Of poses (K, 3) and landmarks (L, 2); pose landmarks stand where first measured."""
-        known = np.union1d(self._problem.sighting_landmark, np.arange(len(self._problem.surveyed)))
-        return to_values(poses, landmarks, known, self._problem.oriented)
+        problem = self._problem
+        return to_values(poses, landmarks, problem.seen_landmarks, problem.oriented)
 
     def attempt_relaxed(self) -> None:
         """Start from the relaxed problem's solution; a problem that it does not fix has none."""
@@ -284,8 +284,7 @@ class MinimumSearch:
 def relaxed_values(problem: SlamProblem) -> gtsam.Values:
     """The relaxed problem's solution. Raises RuntimeError where its equations do not fix it."""
     start = relax(problem)
-    seen = np.flatnonzero(np.isfinite(start.landmarks[:, 0]))
-    values = to_values(start.poses, start.landmarks, seen)
+    values = to_values(start.poses, start.landmarks, problem.seen_landmarks)
     for key, place in enumerate(start.frames, start=POSE_LANDMARK_KEY):
         values.insert(key, gtsam.Pose2(*place))
     return values

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from comparisons.archive import read_arrays
 from comparisons.arrays import Array
 from comparisons.errors import InputError
-from comparisons.estimates.estimate import landmark_blocks
+from comparisons.estimates.estimate import Estimate, landmark_blocks
 from comparisons.estimates.folder import (
     SCAN_LANDMARKS,
     read_landmarks,
@@ -51,6 +51,20 @@ class GivenEstimate:
     information: Information | None = None
     estimator: Estimator = "other"
     trace: TraceFile | None = None
+
+    @classmethod
+    def of(cls, estimate: Estimate) -> GivenEstimate:
+        """Return an estimate with all it has, as somebody else would hand it in."""
+        return cls(
+            time_s=estimate.time_s,
+            pose=estimate.pose,
+            landmark_id=estimate.landmark_id,
+            landmark=estimate.landmark,
+            pose_covariance=estimate.pose_covariance,
+            landmark_covariance=estimate.landmark_covariances(),
+            joint_covariance=estimate.joint_covariance,
+            information=estimate.information,
+        )
 
     def may_be(self, information: Information) -> bool:
         """Whether its poses may know so much of the log; an EKF's know what is past."""

@@ -39,15 +39,7 @@ def right(log: Log) -> Estimate:
 
 @pytest.fixture(scope="module")
 def whole(right: Estimate) -> GivenEstimate:
-    return GivenEstimate(
-        time_s=right.time_s,
-        pose=right.pose,
-        landmark_id=right.landmark_id,
-        landmark=right.landmark,
-        pose_covariance=right.pose_covariance,
-        landmark_covariance=right.landmark_covariances(),
-        joint_covariance=right.joint_covariance,
-    )
+    return replace(GivenEstimate.of(right), information=None)
 
 
 def bare(given: GivenEstimate) -> GivenEstimate:

@@ -236,35 +236,21 @@ def test_an_optimum_that_is_not_verified_leaves_open_what_needs_it(
     )
     three_times = judge_given(EXPORTS["all covariances 3 times"](right), unverified, "like")
     assert (three_times.grade.value, three_times.outcome) == (None, "disagree")
-    smoothed = judge_given(of_smoother(unverified), unverified)
+    smoothed = judge_given(GivenEstimate.of(unverified.estimate), unverified)
     assert smoothed.outcome == "unverified"
 
 
-def of_smoother(solution: Solution) -> GivenEstimate:
-    estimate = solution.estimate
-    return GivenEstimate(
-        time_s=estimate.time_s,
-        pose=estimate.pose,
-        landmark_id=estimate.landmark_id,
-        landmark=estimate.landmark,
-        pose_covariance=estimate.pose_covariance,
-        landmark_covariance=estimate.landmark_covariances(),
-        joint_covariance=estimate.joint_covariance,
-        information="smoothed",
-    )
-
-
 def test_a_smoother_is_compared_with_the_smoother(solution: Solution) -> None:
-    found = judge_given(of_smoother(solution), solution, "equal")
+    found = judge_given(GivenEstimate.of(solution.estimate), solution, "equal")
     assert (found.outcome, nearest(found)) == ("agree", "the smoother")
     as_filter = judge_given(
-        replace(of_smoother(solution), information="filtered"), solution, "like"
+        replace(GivenEstimate.of(solution.estimate), information="filtered"), solution, "like"
     )
     assert as_filter.outcome == "disagree"
     assert "have seen the future" in evidence(as_filter)
     bare = GivenEstimate(time_s=solution.estimate.time_s, pose=solution.estimate.pose)
     assert judge_given(bare, solution, "like").outcome == "agree"
-    tripled = EXPORTS["all covariances 3 times"](of_smoother(solution))
+    tripled = EXPORTS["all covariances 3 times"](GivenEstimate.of(solution.estimate))
     assert "3.0 times that of the smoother" in evidence(judge_given(tripled, solution, "like"))
 
 
