@@ -33,6 +33,7 @@ from comparisons.choices import (
     Method,
     Optimiser,
     PictureFormat,
+    Preset,
     RequiredGrade,
     Robust,
     SolverAssociation,
@@ -187,7 +188,22 @@ class JobConfig(Section):
     """A job's configuration, whichever the job."""
 
     job: str
+    preset: Preset = Field(
+        "recommended",
+        description="what settings are where none is given; as-published: every constant that a "
+        "document states (docs/settings.md)",
+    )
     log: LogSection = LogSection()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _published(cls, given: Any) -> Any:
+        """Put the documents' values where nothing was given."""
+        if not isinstance(given, Mapping) or given.get("preset") != "as-published":
+            return given
+        from comparisons.documented.preset import published
+
+        return published(given, tuple(cls.model_fields))
 
     def at_log(self, sha256: str, source: str | None = None) -> Self:
         """The same with the log's hash, and its full path where it is a path."""
@@ -207,12 +223,21 @@ class Configured(JobConfig):
         found = dict(self.extensions)
         for section in (self.ekf, *self.extensions.values()):
             for name, fields in section.needs().items():
-                kept = found.get(name) or config_class(name)()
+                kept = found.get(name) or self._default(name)
                 found[name] = kept.model_copy(update=dict(fields))
         object.__setattr__(self, "extensions", found)
         for extension in found.values():
             extension.check_with(self)
         return self
+
+    def _default(self, name: str) -> ExtensionConfig:
+        """An extension's settings by the preset."""
+        given: dict[str, Any] = {"extensions": {name: {}}}
+        if self.preset == "as-published":
+            from comparisons.documented.preset import published
+
+            given = published({"ekf": self.ekf.model_dump(), **given}, ("ekf",))
+        return config_class(name).model_validate(given["extensions"][name])
 
 
 def _listed(value: Any) -> Any:

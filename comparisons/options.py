@@ -73,7 +73,13 @@ class Flag:
 
 
 # fmt: off
+PRESET = Flag(
+    option="--preset", field="preset", choices=choices.Preset,
+    help="Settings where none is given: ours, or every constant as the documents state it "
+    "(docs/settings.md). [recommended]",
+)
 LOG = (
+    PRESET,
     Flag(
         option="--format", field="log.format", metavar="F",
         help="The log's format; recognised if left out.",

@@ -11,7 +11,7 @@ from comparisons.config import RunConfig, Section, merge, shown
 from comparisons.errors import InputError
 from comparisons.extensions.registry import EXTENSIONS
 from comparisons.logs.table import read_toml
-from comparisons.options import RUN, Flag, lay_over, options
+from comparisons.options import PRESET, RUN, Flag, lay_over, options
 
 C = TypeVar("C", bound=Section)
 
@@ -37,6 +37,10 @@ def configure(
         _check_sections(job, given, source)
     recorded = dict(found.get("log", {})) if "log" in job.model_fields else {}
     found = merge(found, over or {})
+    if any(flag is PRESET for flag, _ in flags):  # over a file, which may hold every setting
+        from comparisons.documented.preset import without_documented
+
+        found = without_documented(found)
     lay_over(found, flags)
     for setting in settings:
         found = merge(found, _nested(job, setting))

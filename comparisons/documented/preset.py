@@ -1,0 +1,81 @@
+"""`--preset as-published`: every setting that a document states, at the document's value."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from comparisons.config import merge
+from comparisons.documented.row import Documented, same, setting_default
+from comparisons.documented.rows import ROWS
+from comparisons.extensions.registry import EXTENSIONS
+
+SETTINGS: tuple[Documented, ...] = tuple(row for row in ROWS if row.is_setting)
+
+
+def published(given: Mapping[str, Any], sections: tuple[str, ...]) -> dict[str, Any]:
+    """Return given settings with the documents' values where nothing was given.
+
+    sections: those that the job has; an extension's only where it takes part.
+    """
+    found = dict(given)
+    for row in SETTINGS:
+        keys = _keys(row.at)
+        there = keys[0] in sections if len(keys) == 2 else keys[1] in found.get("extensions", {})
+        if there and read(found, row.at) is None and applies(row, found):
+            below: Any = row.value
+            for key in reversed(keys):
+                below = {key: below}
+            found = merge(found, below)
+    return found
+
+
+def without_documented(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return given settings without those that a preset decides."""
+    found = merge({}, given)
+    for row in SETTINGS:
+        *sections, key = _keys(row.at)
+        below: Any = found
+        for name in sections:
+            below = below.get(name, {}) if isinstance(below, Mapping) else {}
+        if isinstance(below, dict):
+            below.pop(key, None)
+    return found
+
+
+def differing(config: Mapping[str, Any]) -> list[tuple[Documented, Any]]:
+    """Return the documented settings of a run's configuration at another value, with that value."""
+    found = []
+    for row in SETTINGS:
+        value = read(config, row.at)
+        there = _keys(row.at)[0] != "extensions" or _keys(row.at)[1] in config.get("extensions", {})
+        if there and applies(row, config) and not same(row.value, _plain(value)):
+            found.append((row, value))
+    return found
+
+
+def applies(row: Documented, given: Mapping[str, Any]) -> bool:
+    """Whether the settings that a row depends on have one of the values that it asks for."""
+    for path, values in row.when.items():
+        asked = read(given, path)
+        asked = setting_default(path) if asked is None else _plain(asked)
+        if not any(same(asked, one) for one in values):
+            return False
+    return True
+
+
+def read(given: Mapping[str, Any], path: str) -> Any:
+    """Return a setting of nested mappings, None where it is absent."""
+    found: Any = given
+    for key in _keys(path):
+        found = found.get(key) if isinstance(found, Mapping) else None
+    return found
+
+
+def _keys(path: str) -> list[str]:
+    section, _, key = path.partition(".")
+    return ["extensions", section, key] if section in EXTENSIONS else [section, key]
+
+
+def _plain(value: Any) -> Any:
+    return tuple(value) if isinstance(value, list) else value
