@@ -23,7 +23,8 @@ class Documented:
     a setting of a run, as `dense_maps.longest_edge_m`, which `--preset as-published` sets to the
     document's value; or code, as `package.module:Class.field` or `package.module:function().name`.
     when: settings, each with the values under which the preset sets this one. reason: why runs use
-    another value, with the measured figure; empty exactly where they use the document's.
+    another value, with the measured figure; empty exactly where they use the document's. also:
+    further code that has the document's value.
     """
 
     place: str
@@ -33,6 +34,7 @@ class Documented:
     unit: str = ""
     when: Mapping[str, tuple[Value, ...]] = field(default_factory=dict)
     reason: str = ""
+    also: tuple[str, ...] = ()
 
     @property
     def is_setting(self) -> bool:
@@ -90,3 +92,14 @@ def _member(holder: Any, name: str) -> Any:
         if name in fields and fields[name].default is not dataclasses.MISSING:
             return fields[name].default
     return getattr(holder, name)
+
+
+def shown(value: Any) -> str:
+    """Return a value as a reader writes it."""
+    if value is None:
+        return "by the log"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, tuple):
+        return ", ".join(map(shown, value))
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

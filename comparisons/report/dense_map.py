@@ -38,6 +38,7 @@ from comparisons.report.sections import (
     log_result,
     package_versions,
 )
+from comparisons.report.settings import SettingsResult, settings_result, settings_rows
 from ekf_reference.dense.dense_map import DenseMap
 from ekf_reference.dense.dynamic import places
 from graphslam.scan.clouds import write_cloud
@@ -97,6 +98,7 @@ class MapResult(Model):
     """`map.json`: a dense map between the filter's landmarks, points and pieces of scans."""
 
     config: dict[str, Any]
+    settings: SettingsResult
     log: LogResult
     ekf: EkfResult
     accuracy: AccuracyResult | None
@@ -120,6 +122,7 @@ def build_map_result(mapping: DenseMapping, read_s: float = 0.0) -> MapResult:
     before = m.dense.before
     return MapResult(
         config=m.prepared.config.model_dump(mode="json"),
+        settings=settings_result(m.prepared.config, m.prepared.ekf),
         log=log_result(m.log),
         ekf=ekf_result(m.ekf, m.prepared.ekf),
         accuracy=accuracy_result(assess(m.ekf.estimate, m.log, labelled=m.prepared.labelled)),
@@ -153,6 +156,7 @@ def print_map(result: MapResult, console: Console) -> None:
     returns = result.returns
     rows = [
         *log_rows(result.log),
+        *settings_rows(result.settings),
         *ekf_rows(result.ekf),
         *accuracy_rows("accuracy", result.accuracy),
     ]

@@ -7,6 +7,7 @@ from typing import Any, Literal
 from pydantic import ConfigDict, Field
 
 from comparisons.report.model import Model
+from comparisons.report.settings import SettingsResult
 
 
 class LogResult(Model):
@@ -374,6 +375,7 @@ class Result(Model):
 
     schema_version: int = Field(alias="schema", default=1)
     config: dict[str, Any] = Field(default_factory=dict)
+    settings: SettingsResult | None = None
     log: LogResult
     ekf: EkfResult
     smoother: SmootherResult

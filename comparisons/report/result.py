@@ -41,6 +41,7 @@ from comparisons.report.sections import (
     smoother_result,
     truth_gap_result,
 )
+from comparisons.report.settings import settings_result, settings_rows
 
 
 def build_result(comparison: Comparison, read_s: float = 0.0) -> Result:
@@ -50,6 +51,7 @@ def build_result(comparison: Comparison, read_s: float = 0.0) -> Result:
     return Result(
         schema_version=SCHEMA,
         config=c.prepared.config.model_dump(mode="json"),
+        settings=settings_result(c.prepared.config, c.prepared.ekf),
         log=log_result(c.log),
         ekf=ekf_result(c.ekf, c.prepared.ekf),
         smoother=smoother_result(c.smoother, c.smoothed),
@@ -80,6 +82,7 @@ def run_rows(comparison: Comparison, result: Result) -> list[Row]:
         figures += accuracy_rows("dead reckoning", accuracy.dead_reckoning)
     return [
         *log_rows(result.log),
+        *(settings_rows(result.settings) if result.settings else ()),
         *ekf_rows(result.ekf),
         *smoother_rows(result.smoother),
         *gap_rows(result.agreement),

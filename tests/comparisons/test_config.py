@@ -111,7 +111,8 @@ def test_a_configuration_survives_its_file(config: JobConfig, tmp_path: Path) ->
 def test_defaults_are_written_out() -> None:
     written = tomllib.loads(run_config().toml())
     assert written["smoother"]["lag"] == 100
-    assert set(written) == {"job", "fail_on", "log", "ekf", "smoother", "report", "extensions"}
+    core = {"job", "preset", "fail_on", "log", "ekf", "smoother", "report", "extensions"}
+    assert set(written) == core
 
 
 def test_flags_lie_over_a_file_and_settings_over_flags(tmp_path: Path) -> None:
@@ -153,7 +154,7 @@ def test_another_log_than_the_files_drops_its_hash(tmp_path: Path) -> None:
     [
         ("ekf.filter=ukf", "ekf.filter is 'ukf': input should be 'full', 'compressed'"),
         ("ekf.filtre=full", "ekf.filtre: is unknown, expected one of filter, association"),
-        ("kalman.filter=full", "kalman is unknown, expected one of log, ekf, smoother"),
+        ("kalman.filter=full", "kalman is unknown, expected one of preset, log, ekf, smoother"),
         ("dense_maps.layers=[]", "dense_maps.layers: empty, expected some of points"),
         ("dense_maps.size=1", "extensions.dense_maps.size: is unknown, expected one of layers"),
         ("dense_maps.resolution_m=0", "extensions.dense_maps.resolution_m is 0: input should be"),

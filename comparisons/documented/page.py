@@ -1,0 +1,119 @@
+"""`docs/settings.md`, generated: `python -m comparisons.documented.page > docs/settings.md`."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import inspect
+import math
+import pkgutil
+import sys
+from collections.abc import Iterator
+from importlib import import_module
+from types import ModuleType
+from typing import Any
+
+import ekf_reference
+from comparisons.documented.row import Documented, Value, shown
+from comparisons.documented.rows import GROUPS, ROWS
+
+_HEAD = """\
+# Settings
+
+Generated from the code by `make settings`; `tests/comparisons/test_documented.py` fails when this
+page is old, when a run's value differs from the document's without a reason, or when a reason
+stands where nothing differs.
+
+- **document**: the value that G (Guivant 2002), M (Misono 2007) or N (Nieto 2005) states.
+- **runs use**: the value under `--preset recommended`, the default.
+- **where**: a setting of a run (`--set NAME=VALUE`), or the code that has the constant. `--preset
+  as-published` gives every setting the document's value; constants in code have no switch.
+
+"""
+_SPLIT = """
+## What differs
+
+"""
+_OURS = """
+## Constants that no document states
+
+All other numbers of `ekf_reference`: defaults of fields and constants of modules. They are ours.
+
+| where | value |
+|---|---|
+"""
+
+
+def markdown() -> str:
+    """Return the page."""
+    different = [row for row in ROWS if row.differs]
+    lines = [_HEAD]
+    lines.append(
+        f"{len(ROWS)} constants; runs use another value than the document's for {len(different)}."
+    )
+    lines += [_SPLIT, *_table(different, why=True)]
+    for title, rows in GROUPS.items():
+        lines += [f"\n## {title}\n", *_table([row for row in rows if not row.differs], why=False)]
+    lines += [_OURS.rstrip("\n")]
+    lines += [f"| `{at}` | {_by_name(at, value)} |" for at, value in undocumented()]
+    return "\n".join(lines).replace("\n\n\n", "\n\n") + "\n"
+
+
+def _table(rows: list[Documented], *, why: bool) -> Iterator[str]:
+    yield "| place | constant | document |" + (" runs use | where | why |" if why else " where |")
+    yield "|---|---|---|---|" + ("---|---|" if why else "")
+    for row in rows:
+        cells = [row.place, row.what + _under(row), _with_unit(row.value, row)]
+        cells += [_with_unit(row.used, row)] if why else []
+        cells += [f"`{row.at}`"] + ([row.reason] if why else [])
+        yield "| " + " | ".join(one.replace("|", "\\|") for one in cells) + " |"
+
+
+def _under(row: Documented) -> str:
+    words = [f"{path} {' or '.join(map(shown, values))}" for path, values in row.when.items()]
+    return f" ({'; '.join(words)})" if words else ""
+
+
+def _with_unit(value: Value, row: Documented) -> str:
+    if row.unit == "rad" and isinstance(value, int | float) and math.isfinite(value):
+        return f"{math.degrees(value):.6g} degrees"
+    return f"{shown(value)} {row.unit}".rstrip()
+
+
+def _by_name(at: str, value: float) -> str:
+    return f"{math.degrees(value):.6g} degrees" if at.endswith("_rad") else shown(value)
+
+
+def undocumented() -> list[tuple[str, float]]:
+    """Return numbers of `ekf_reference` that no row is about, with their values."""
+    known = {row.at for row in ROWS} | {one for row in ROWS for one in row.also}
+    found = []
+    for info in pkgutil.walk_packages(ekf_reference.__path__, "ekf_reference."):
+        module = import_module(info.name)
+        found += [(at, value) for at, value in _numbers(module) if at not in known]
+    return found
+
+
+def _numbers(module: ModuleType) -> Iterator[tuple[str, float]]:
+    """Numbers that a module itself defines; zero and below, and infinity, set nothing."""
+    name = module.__name__
+    for node in ast.parse(inspect.getsource(module)).body:
+        if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
+            key = node.targets[0].id
+            if key.isupper() and _is_number(value := getattr(module, key)):
+                yield f"{name}:{key}", value
+        elif isinstance(node, ast.ClassDef) and dataclasses.is_dataclass(
+            kind := getattr(module, node.name)
+        ):
+            for one in dataclasses.fields(kind):
+                if _is_number(default := one.default):
+                    yield f"{name}:{node.name}.{one.name}", float(default)  # type: ignore[arg-type]
+
+
+def _is_number(value: Any) -> bool:
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    return number and 0 < value < math.inf
+
+
+if __name__ == "__main__":
+    sys.stdout.write(markdown())

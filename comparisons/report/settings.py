@@ -1,0 +1,60 @@
+"""Which of a run's settings are not the documents', as a row and an entry of the result."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from comparisons.config import EkfConfig, JobConfig
+from comparisons.documented.preset import differing
+from comparisons.documented.row import Value, shown
+from comparisons.extensions.contract import Row
+from comparisons.report.model import Model
+
+_LISTED = 4
+"""Settings in the row; the result has all."""
+
+
+class DifferingSetting(Model):
+    """A setting of the run, and what the document at `place` states in its place."""
+
+    setting: str
+    value: Any
+    document: Value
+    place: str
+
+
+class SettingsResult(Model):
+    """How the run was set. differing: settings that a document states at another value."""
+
+    preset: str
+    differing: list[DifferingSetting]
+
+
+def settings_result(config: JobConfig, ekf: EkfConfig | None = None) -> SettingsResult:
+    """Return how a run was set. ekf: the filter's settings once nothing is left open."""
+    given = config.model_dump(mode="python")
+    if ekf is not None:
+        given["ekf"] = ekf.model_dump(mode="python")
+    found = [
+        DifferingSetting(setting=row.at, value=value, document=row.value, place=row.place)
+        for row, value in differing(given)
+    ]
+    return SettingsResult(preset=config.preset, differing=found)
+
+
+def settings_rows(settings: SettingsResult) -> list[Row]:
+    """Return a row where there is something to say."""
+    shown_ones = [
+        f"{one.setting} {shown(one.value)} ({one.place}: {shown(one.document)})"
+        for one in settings.differing
+    ]
+    if not shown_ones:
+        text = "no setting differs from a document's"
+        return [] if settings.preset == "recommended" else [Row("settings", _line(settings, text))]
+    more = len(shown_ones) - _LISTED
+    listed = ", ".join(shown_ones[:_LISTED]) + (f" and {more} more" if more > 0 else "")
+    return [Row("settings", _line(settings, f"not as documented: {listed}"))]
+
+
+def _line(settings: SettingsResult, text: str) -> str:
+    return f"{settings.preset}; {text}"

@@ -1,0 +1,132 @@
+"""Every constant of a document has a row: its value, or why runs use another."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+
+from comparisons.config import RunConfig
+from comparisons.documented.page import markdown, undocumented
+from comparisons.documented.preset import SETTINGS, applies, differing, read
+from comparisons.documented.row import Documented, in_code, same, setting_default
+from comparisons.documented.rows import ROWS
+from comparisons.errors import InputError
+from comparisons.extensions.registry import EXTENSIONS
+from comparisons.report.settings import settings_result, settings_rows
+from comparisons.settings import configure, run_config, run_options
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "settings.md"
+
+
+def wrong(row: Documented) -> str:
+    """What is wrong with a row, empty where nothing is."""
+    if row.differs and not any(map(str.isdigit, row.reason)):
+        return f"{row.at} is {row.used}, {row.place} says {row.value}: no measured reason"
+    if row.reason and not row.differs:
+        return f"{row.at} is as in {row.place}: the reason is stale"
+    strange = [one for one in row.also if not same(in_code(one), row.value)]
+    return f"{strange[0]} is not as in {row.place}" if strange else ""
+
+
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: f"{row.place}: {row.at}")
+def test_runs_use_the_document_s_value_or_a_row_says_why_not(row: Documented) -> None:
+    assert wrong(row) == ""
+
+
+def test_a_value_that_moved_away_is_found() -> None:
+    equal = next(row for row in ROWS if not row.differs and isinstance(row.value, float))
+    assert wrong(dataclasses.replace(equal, value=2.0 * float(str(equal.value)) + 1.0))
+    assert wrong(dataclasses.replace(equal, reason="measured: 3 % better"))
+    other = next(row for row in ROWS if row.differs)
+    assert wrong(dataclasses.replace(other, reason="it is better"))
+    assert wrong(dataclasses.replace(other, also=(other.at,))) if not other.is_setting else True
+
+
+def test_the_page_is_generated_from_the_code() -> None:
+    assert PAGE.read_text() == markdown(), "docs/settings.md is old: make settings"
+
+
+def test_no_two_rows_set_one_setting() -> None:
+    paths = [(row.at, tuple(sorted(row.when.items()))) for row in SETTINGS]
+    assert len(set(paths)) == len(paths)
+
+
+def test_what_no_document_states_is_listed() -> None:
+    listed = dict(undocumented())
+    assert listed["ekf_reference.filters.compressed:LocalAreas.half_m"] == 25.0
+    assert not {row.at for row in ROWS} & set(listed)
+
+
+def published_run(**flags: object) -> RunConfig:
+    """A run as published, with every extension that goes with points."""
+    return run_config(preset="as-published", **flags)
+
+
+@pytest.mark.parametrize(
+    "flags",
+    [
+        {},
+        {"filter": "misono"},
+        {"dense": ["points", "occupancy"], "high_level": "on", "dynamic": "on"},
+        {"landmarks": "scans"},
+        {"landmarks": "both", "dense": ["sog"]},
+    ],
+    ids=str,
+)
+def test_as_published_sets_every_setting_that_applies(flags: dict[str, object]) -> None:
+    config = published_run(**flags).model_dump(mode="python")
+    assert differing(config) == []
+    recommended = run_config(**flags).model_dump(mode="python")
+    moved = [row for row in SETTINGS if row.differs and _there(row, recommended)]
+    assert {row.at for row, _ in differing(recommended)} >= {
+        row.at for row in moved if applies(row, recommended)
+    }
+
+
+def _there(row: Documented, config: dict[str, object]) -> bool:
+    section = row.at.partition(".")[0]
+    return section not in EXTENSIONS or section in config["extensions"]  # type: ignore[operator]
+
+
+def test_what_is_given_lies_over_the_preset() -> None:
+    config = configure(
+        RunConfig,
+        flags=run_options({"preset": "as-published", "dense": ["points"]}),
+        settings=["dense_maps.known_apart_m=0.3"],
+    )
+    found = config.model_dump(mode="python")
+    assert read(found, "dense_maps.known_apart_m") == 0.3
+    assert [row.at for row, _ in differing(found)] == ["dense_maps.known_apart_m"]
+
+
+def test_a_recorded_run_can_be_repeated_and_turned(tmp_path: Path) -> None:
+    file = tmp_path / "config.toml"
+    first = published_run(dense=["points"])
+    file.write_text(first.toml())
+    assert configure(RunConfig, file) == first
+    turned = configure(RunConfig, file, run_options({"preset": "recommended"}))
+    assert turned == run_config(dense=["points"])
+    file.write_text(turned.toml())
+    assert configure(RunConfig, file, run_options({"preset": "as-published"})) == first
+
+
+def test_an_unknown_preset_is_refused() -> None:
+    with pytest.raises(InputError, match=r"preset is 'mine'.*'recommended' or 'as-published'"):
+        run_config(preset="mine")
+
+
+def test_extensions_that_are_needed_are_as_published_too() -> None:
+    config = published_run(dynamic="on").model_dump(mode="python")
+    assert read(config, "dense_maps.known_apart_m") == 0.0
+    assert setting_default("dense_maps.known_apart_m") == 0.5
+
+
+def test_a_result_says_which_settings_are_not_the_documents() -> None:
+    ours = settings_result(run_config(dense=["points"]))
+    assert "dense_maps.known_apart_m" in [one.setting for one in ours.differing]
+    assert "dense_maps.known_apart_m 0.5 (N 3.5" in settings_rows(ours)[0].text
+    theirs = settings_result(published_run(dense=["points"]))
+    assert settings_rows(theirs)[0].text == "as-published; no setting differs from a document's"
+    assert settings_rows(settings_result(run_config())) == []
