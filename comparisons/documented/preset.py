@@ -47,8 +47,8 @@ def differing(config: Mapping[str, Any]) -> list[tuple[Documented, Any]]:
     """Return the documented settings of a run's configuration at another value, with that value."""
     found = []
     for row in SETTINGS:
-        value = read(config, row.at)
-        there = _keys(row.at)[0] != "extensions" or _keys(row.at)[1] in config.get("extensions", {})
+        value, keys = read(config, row.at), _keys(row.at)
+        there = keys[0] in config if len(keys) == 2 else keys[1] in config.get("extensions", {})
         if there and applies(row, config) and not same(row.value, _plain(value)):
             found.append((row, value))
     return found

@@ -38,6 +38,7 @@ from comparisons.report.sections import (
     package_versions,
     smoother_result,
 )
+from comparisons.report.settings import SettingsResult, settings_result, settings_rows
 
 NOT_STATED = "not stated"
 """In place of what an estimate's poses know of the log."""
@@ -48,6 +49,7 @@ def build_check_result(check: GivenCheck, read_s: float = 0.0) -> CheckResult:
     found, solution = check.agreement, check.solution
     return CheckResult(
         config=solution.prepared.config.model_dump(mode="json"),
+        settings=settings_result(solution.prepared.config),
         log=log_result(solution.log),
         smoother=smoother_result(solution.result, solution.estimate),
         association_by=solution.association_by,
@@ -83,6 +85,7 @@ def print_check(result: CheckResult, console: Console) -> None:
     """Print what was compared, and the verdict."""
     rows = [
         *log_rows(result.log),
+        *settings_rows(result.settings),
         *smoother_rows(result.smoother),
         *_agreement_rows(result),
         *([] if result.trace is None else _gap_rows(result.trace)),
@@ -246,6 +249,7 @@ class CheckResult(Model):
     """
 
     config: dict[str, Any]
+    settings: SettingsResult
     log: LogResult
     smoother: SmootherResult
     association_by: str

@@ -406,6 +406,7 @@ class SolutionResult(Model):
     """
 
     config: dict[str, Any]
+    settings: SettingsResult
     log: LogResult
     association_by: str
     landmarks: int

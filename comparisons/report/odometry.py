@@ -40,6 +40,7 @@ from comparisons.report.sections import (
     package_versions,
     smoother_result,
 )
+from comparisons.report.settings import SettingsResult, settings_result, settings_rows
 from graphslam.g2o import G2oContents, holds, write_g2o
 from graphslam.scan.clouds import write_cloud
 
@@ -56,6 +57,7 @@ class FrontEndResult(Model):
     """`odometry.json`: the scan front end alone."""
 
     config: dict[str, Any]
+    settings: SettingsResult
     log: LogResult
     odometry: ScanOdometryResult
     loops: LoopResult
@@ -78,6 +80,7 @@ def build_front_end_result(front_end: FrontEnd, read_s: float = 0.0) -> FrontEnd
     f, how = front_end, front_end.prepared.config.front_end
     return FrontEndResult(
         config=f.prepared.config.model_dump(mode="json"),
+        settings=settings_result(f.prepared.config),
         log=log_result(f.log),
         odometry=scan_odometry_result(
             f.motion, guess=how.guess == "wheels", seconds=f.prepared.clock.seconds["odometry"]
@@ -105,6 +108,7 @@ def print_front_end(result: FrontEndResult, console: Console) -> None:
     """Print log, evidence, accuracy and verdict."""
     rows = [
         *log_rows(result.log),
+        *settings_rows(result.settings),
         *scan_odometry_rows(result.odometry, result.increments),
         Row("loops", f"{result.loops.closed} closed of {result.loops.tried} tried"),
         *smoother_rows(result.graph),

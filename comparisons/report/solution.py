@@ -29,6 +29,7 @@ from comparisons.report.sections import (
     package_versions,
     smoother_result,
 )
+from comparisons.report.settings import settings_result, settings_rows
 from graphslam.g2o import G2oContents, holds, write_g2o
 
 LARGEST_DRAWN = 150
@@ -45,6 +46,7 @@ def build_solution_result(solution: Solution, read_s: float = 0.0) -> SolutionRe
         remarks += s.association_check.remarks
     return SolutionResult(
         config=s.prepared.config.model_dump(mode="json"),
+        settings=settings_result(s.prepared.config),
         log=log_result(s.log),
         association_by=s.association_by,
         landmarks=len(s.estimate.landmark),
@@ -67,6 +69,7 @@ def print_solution(result: SolutionResult, console: Console) -> None:
     total = result.log.records["sightings"]
     rows = [
         *log_rows(result.log),
+        *settings_rows(result.settings),
         Row(
             "map",
             f"{result.landmarks} landmarks from {result.sightings_used:,} of {total:,} sightings "
