@@ -49,7 +49,7 @@ def drive(name: str, seed: int) -> Log:
     """One simulated log."""
     rng = np.random.default_rng(seed)
     if name == "simulated-loop":
-        return simulate_landmarks(rng, Drive(max_range_m=25.0, extra_s=10.0))
+        return simulate_landmarks(rng, Drive(extra_s=10.0))
     made = {"scan-loop": dense_slam, "scan-loop-fine": dense_slam_fine, "occupancy-loop": occupancy}
     return simulate(rng, made[name]())
 
