@@ -30,13 +30,15 @@ from comparisons.experiments.reproduction.neglected_change import NeglectedChang
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.drive import Drive
 from comparisons.logs.simulate.drive import simulate as simulate_landmarks
-from comparisons.logs.simulate.scan_drive import dense_slam, occupancy, simulate
+from comparisons.logs.simulate.scan_drive import dense_slam, dense_slam_fine, occupancy, simulate
 from comparisons.report.picture import save
 
 SICK = (0.02, math.radians(0.1))
+TABLE_3_1 = (0.15, math.radians(1.5))
 TABLE_4_1 = (0.10, math.radians(1.0))
 ROWS = {
-    "scan-loop": ("scan-loop", SICK),
+    "scan-loop": ("scan-loop", TABLE_3_1),
+    "scan-loop-fine": ("scan-loop-fine", SICK),
     "occupancy-loop": ("occupancy-loop", SICK),
     "its noisy beams": ("occupancy-loop", TABLE_4_1),
     "simulated-loop": ("simulated-loop", SICK),
@@ -47,8 +49,9 @@ def drive(name: str, seed: int) -> Log:
     """One simulated log."""
     rng = np.random.default_rng(seed)
     if name == "simulated-loop":
-        return simulate_landmarks(rng, Drive(max_range_m=25.0, extra_s=10.0))
-    return simulate(rng, dense_slam() if name == "scan-loop" else occupancy())
+        return simulate_landmarks(rng, Drive(extra_s=10.0))
+    made = {"scan-loop": dense_slam, "scan-loop-fine": dense_slam_fine, "occupancy-loop": occupancy}
+    return simulate(rng, made[name]())
 
 
 def pooled(each: list[NeglectedChange]) -> NeglectedChange:

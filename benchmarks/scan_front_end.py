@@ -2,7 +2,8 @@
 
     python benchmarks/scan_front_end.py [--seeds 50] [--seeds-3d 12] [--log path/to/acfr_car_park]
 
-Simulated drives come with the package (`scan-loop`, `scan-loop-3d`). NEES has three degrees of
+Simulated drives come with the package (`scan-loop-fine`, `scan-loop` with the
+beams of Nieto's Table 3.1, `scan-loop-3d`). NEES has three degrees of
 freedom; the band is that of an average over as many runs as there are seeds.
 """
 
@@ -37,6 +38,8 @@ from graphslam.scan.registration import ScanError
 from graphslam.scan.surfaces import SurfaceMap
 
 Array = NDArray[np.float64]
+
+PLANAR = ("scan-loop-fine", "scan-loop")
 
 
 class Stopwatch:
@@ -152,12 +155,13 @@ def main() -> None:
     parser.add_argument("--seeds-3d", type=int, default=12)
     parser.add_argument("--log", type=Path)
     arguments = parser.parse_args()
-    logs = [open_log("scan-loop")]
+    logs = [open_log(name) for name in PLANAR]
     if arguments.log is not None:
         logs.append(read_log(arguments.log))
     for log in logs:
         speed(log)
-    honesty("scan-loop", arguments.seeds)
+    for name in PLANAR:
+        honesty(name, arguments.seeds)
     if arguments.seeds_3d:
         honesty("scan-loop-3d", arguments.seeds_3d)
     for log in logs:

@@ -82,8 +82,9 @@ def test_smoother_benchmark_runs() -> None:
 @pytest.mark.slow
 def test_scan_front_end_benchmark_runs() -> None:
     lines = run("benchmarks/scan_front_end.py", "--seeds", "2", "--seeds-3d", "0")
-    assert lines[0].startswith("scan-loop: ")
-    assert any(line.startswith("scan-loop, 2 seeds: NEES ") for line in lines)
+    assert lines[0].startswith("scan-loop-fine: ")
+    for name in ("scan-loop-fine", "scan-loop"):
+        assert any(line.startswith(f"{name}, 2 seeds: NEES ") for line in lines)
 
 
 @pytest.mark.slow
@@ -103,6 +104,7 @@ def test_neglected_change_benchmark_runs(tmp_path: Path) -> None:
     lines = run("benchmarks/neglected_change.py", "--seeds", "1", "--figures", str(tmp_path))
     assert [line.split()[0] for line in lines[1:]] == [
         "scan-loop",
+        "scan-loop-fine",
         "occupancy-loop",
         "its",
         "simulated-loop",

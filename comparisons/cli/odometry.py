@@ -14,7 +14,7 @@ def odometry(given: Given) -> None:
 
     \b
     Examples:
-      slamcheck odometry scan-loop                    simulated scans, with truth
+      slamcheck odometry scan-loop-fine               simulated scans, with truth
       slamcheck odometry path/to/acfr_car_park --cloud pcd
     """
     with guarded(verbose=given.verbose, log_file=given.log_file):

@@ -94,6 +94,11 @@ NAMED: dict[str, NamedLog] = {
         "--noise-scale)",
         _scans("dense_slam"),
     ),
+    "scan-loop-fine": NamedLog(
+        "simulated",
+        "the same drive with a laser as exact as a Sick's (--seed, --loops, --noise-scale)",
+        _scans("dense_slam_fine"),
+    ),
     "scan-loop-3d": NamedLog(
         "simulated",
         "the same drive with a scanner of 16 rings (--seed, --loops, --noise-scale)",

@@ -41,7 +41,7 @@ REACH_M = 18.0
 @cache
 def log() -> Log:
     """Twenty seconds of a loop, by sensors that do not see far."""
-    made = scenario("scan-loop", seed=3, seconds=20.0)
+    made = scenario("scan-loop-fine", seed=3, seconds=20.0)
     assert made.scans is not None
     near = np.where(made.scans.range_m < REACH_M, made.scans.range_m, np.nan)
     seen = made.sightings.chosen(made.sightings.range_m < AREAS[1])

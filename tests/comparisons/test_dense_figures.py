@@ -25,7 +25,7 @@ from tests.helpers import simulated
 
 @cache
 def example() -> DecorrelationExample:
-    return decorrelation_example(simulated(2, max_range_m=25.0, extra_s=10.0))
+    return decorrelation_example(simulated(2, extra_s=10.0))
 
 
 def legend(axis: Axes) -> set[str]:
@@ -59,7 +59,7 @@ def test_the_change_of_place_is_drawn_as_in_fig_3_12(tmp_path: Path) -> None:
 
 
 def test_what_regions_neglect_is_drawn(tmp_path: Path) -> None:
-    log = simulated(2, max_range_m=25.0, extra_s=10.0)
+    log = simulated(2, extra_s=10.0)
     found = neglected_change(log, (0.02, math.radians(0.1)), np.random.default_rng(0))
     figure = neglected_figure(found)
     assert [axis.get_title().split()[0] for axis in figure.axes[:2]] == ["correlation"] * 2

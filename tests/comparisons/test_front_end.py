@@ -38,7 +38,7 @@ from tests.helpers import compared
 
 @pytest.fixture(scope="module")
 def scan_loop() -> Log:
-    return open_log("scan-loop")
+    return open_log("scan-loop-fine")
 
 
 def with_speed_scaled(log: Log, factor: float) -> Log:
@@ -59,7 +59,7 @@ def three_of(c: Comparison) -> ThreeWay:
 
 @pytest.mark.slow
 def test_the_front_end_leaves_a_whole_folder(tmp_path: Path) -> None:
-    done = slamcheck("odometry", "scan-loop", "--out", "scans", cwd=tmp_path)
+    done = slamcheck("odometry", "scan-loop-fine", "--out", "scans", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "verdict: verified" in done.stdout
     assert "248 of 248 scans used" in done.stdout
@@ -99,7 +99,7 @@ def test_the_front_end_leaves_a_whole_folder(tmp_path: Path) -> None:
 def test_the_map_as_a_cloud(suffix: str, tmp_path: Path) -> None:
     from graphslam.scan.clouds import read_cloud
 
-    arguments = ("scan-loop", "--cloud", suffix, "--loop-closure", "off", "--out", "scans")
+    arguments = ("scan-loop-fine", "--cloud", suffix, "--loop-closure", "off", "--out", "scans")
     done = slamcheck("odometry", *arguments, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     points = read_cloud(tmp_path / f"scans/map.{suffix}")
@@ -112,14 +112,14 @@ def test_the_map_as_a_cloud(suffix: str, tmp_path: Path) -> None:
     ("arguments", "message"),
     [
         (("odometry", "simulated-loop"), "simulated-loop: holds no scans"),
-        (("odometry", "scan-loop", "--guess", "gps"), "'--guess': 'gps' is not one of"),
+        (("odometry", "scan-loop-fine", "--guess", "gps"), "'--guess': 'gps' is not one of"),
         (
-            ("odometry", "scan-loop", "--matcher", "x"),
+            ("odometry", "scan-loop-fine", "--matcher", "x"),
             "'--matcher': 'x' is not one of 'surface', 'kiss'",
         ),
-        (("odometry", "scan-loop", "--cloud", "las"), "'--cloud': 'las' is not one of"),
+        (("odometry", "scan-loop-fine", "--cloud", "las"), "'--cloud': 'las' is not one of"),
         (("run", "scan-slam"), "holds no sightings of landmarks"),
-        (("run", "scan-loop", "--motion", "x"), "'--motion': 'x' is not one of 'wheel'"),
+        (("run", "scan-loop-fine", "--motion", "x"), "'--motion': 'x' is not one of 'wheel'"),
         (("run", "simulated-loop", "--motion", "scan"), "simulated-loop: holds no scans"),
     ],
 )
@@ -144,7 +144,7 @@ def test_loops_are_closed_without_wheels_and_without_loops_nothing_is(scan_loop:
 
 @pytest.mark.slow
 def test_three_estimates_leave_three_folders(tmp_path: Path) -> None:
-    done = slamcheck("run", "scan-loop", "--motion", "both", "--out", "three", cwd=tmp_path)
+    done = slamcheck("run", "scan-loop-fine", "--motion", "both", "--out", "three", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "EKF on wheels agrees with the smoother on scans" in " ".join(done.stdout.split())
     ids = [

@@ -46,7 +46,7 @@ _SADDLE = Stationarity(0.0, definite=False)
 @cache
 def short() -> Log:
     """The beginning of the simulated loop with scans."""
-    log = open_log("scan-loop")
+    log = open_log("scan-loop-fine")
     odometry = log.odometry
     assert isinstance(odometry, SteeringOdometry)
     assert log.scans is not None
@@ -193,7 +193,7 @@ def test_scans_too_sure_of_themselves_are_told_of(monkeypatch: pytest.MonkeyPatc
         return replace(motion, displacement=motion.displacement + wrong)
 
     monkeypatch.setattr("comparisons.extensions.scan_motion.extension.run_scan_odometry", boasting)
-    c = compared(open_log("scan-loop"), motion="both")
+    c = compared(open_log("scan-loop-fine"), motion="both")
     assert three_of(c).chi_square.reading == "too high"
     assert any(remark.startswith("on scans, chi-square") for remark in c.verdict.remarks)
 

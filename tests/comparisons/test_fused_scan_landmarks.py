@@ -36,7 +36,7 @@ CARELESS = ScanSlamOptions(
 """Begins landmarks where there are some: duplicates, and many of them."""
 
 
-log = partial(scenario, "scan-loop", seed=3, seconds=9.0)
+log = partial(scenario, "scan-loop-fine", seed=3, seconds=9.0)
 
 
 def source() -> ScanSlamSource:

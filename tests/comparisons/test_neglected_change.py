@@ -29,7 +29,7 @@ DRIVES = ("scan-loop", "occupancy-loop", "landmarks")
 
 def drive(name: str, seed: int) -> Log:
     if name == "landmarks":
-        return simulated(seed, max_range_m=25.0, extra_s=10.0)
+        return simulated(seed, extra_s=10.0)
     experiment = dense_slam() if name == "scan-loop" else occupancy()
     return simulate(np.random.default_rng(seed), experiment)
 

@@ -21,7 +21,7 @@ from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.readers import read_log
 from comparisons.logs.simulate.scan_drive import (
     ScanExperiment,
-    dense_slam,
+    dense_slam_fine,
     dense_slam_in_space,
     simulate,
 )
@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 SEEDS = 50
 
 
-def scan_loop(seed: int = 0, name: str = "scan-loop") -> Log:
+def scan_loop(seed: int = 0, name: str = "scan-loop-fine") -> Log:
     return open_log(name, choices=SimulationChoices(seed))
 
 
@@ -66,7 +66,7 @@ def beginning(experiment: ScanExperiment, seed: int, seconds: float) -> Log:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("make", "seconds"), [(dense_slam, 14.0), (dense_slam_in_space, 7.0)])
+@pytest.mark.parametrize(("make", "seconds"), [(dense_slam_fine, 14.0), (dense_slam_in_space, 7.0)])
 def test_increments_are_as_exact_as_they_say(
     make: Callable[[], ScanExperiment], seconds: float
 ) -> None:
@@ -84,7 +84,7 @@ def test_increments_are_as_exact_as_they_say(
 @pytest.mark.slow
 def test_errors_of_whole_drives_are_as_large_as_the_covariances_say() -> None:
     """On seeds that no calibration was found on."""
-    logs = [simulate(np.random.default_rng(seed), dense_slam()) for seed in (10, 11, 12)]
+    logs = [simulate(np.random.default_rng(seed), dense_slam_fine()) for seed in (10, 11, 12)]
     total = np.concatenate([squared_errors(log)[1] for log in logs])
     low, high = chi2.ppf((0.005, 0.995), 3 * len(total)) / len(total)
     assert low < total.mean() < high
@@ -93,7 +93,7 @@ def test_errors_of_whole_drives_are_as_large_as_the_covariances_say() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["scan-loop", "scan-loop-3d"])
+@pytest.mark.parametrize("name", ["scan-loop-fine", "scan-loop-3d"])
 def test_drift_stays_below_one_percent(name: str) -> None:
     log = scan_loop(name=name)
     assert log.truth.poses is not None

@@ -100,7 +100,7 @@ def test_solve_and_a_trace_without_it(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("motion", ["scan", "both"])
 def test_motion_from_scans_without_it(motion: str) -> None:
-    c = compared(with_rates(first_seconds(open_log("scan-loop"), 20.3)), motion=motion)
+    c = compared(with_rates(first_seconds(open_log("scan-loop-fine"), 20.3)), motion=motion)
     assert c.verdict.outcome == "agree", c.verdict.causes
     assert c.agreement.algebra.within(1e-6)
 

@@ -23,14 +23,16 @@ from ekf_reference.dense.decorrelation import (
 class Cast(NamedTuple):
     """Landmarks by order of incorporation, and when the point is last seen.
 
-    The defaults suit our simulation of the thesis' section 2.9 with 25 m of reach: a point within
-    a triangle that the three conditions of section 3.5 permit, and one landmark 15 m away.
+    The defaults suit our simulation of the thesis' section 2.9 with Table 2.2's 20 m of reach: of
+    the triangles around a landmark that the three conditions of section 3.5 permit on all of ten
+    drives when it is last seen, in the later half of the loop, the one most correlated with it;
+    and the landmark nearest to 15 m away.
     """
 
-    point: int = 38
-    base: tuple[int, int, int] = (35, 37, 40)
-    distant: int = 33
-    fused_s: float = 52.0
+    point: int = 43
+    base: tuple[int, int, int] = (41, 44, 45)
+    distant: int = 40
+    fused_s: float = 62.4
 
 
 @dataclass(frozen=True)

@@ -18,11 +18,12 @@ from comparisons.logs.scans import Clouds, Scans
 from comparisons.logs.simulate.scan_drive import (
     ScanExperiment,
     dense_slam,
+    dense_slam_fine,
     dense_slam_in_space,
     occupancy,
     scan_slam,
 )
-from comparisons.logs.simulate.scanners import Rings
+from comparisons.logs.simulate.scanners import Planar, Rings
 from ekf_reference.models.motion import AckermannModel
 from tests.comparisons.logs.test_log_folder import assert_same
 from tests.comparisons.logs.test_scanners import exact, in_bounds, log_of, short
@@ -123,9 +124,20 @@ def test_settings_are_the_tables(name: str) -> None:
         assert sensor.max_range_m == reach_m
     assert drive.sigma_range_m == range_m
     assert np.isclose(np.rad2deg(drive.sigma_bearing_rad), bearing_deg)
-    if name != "scan-loop":  # there the table's sigmas are the sightings', beams are a Sick's
-        assert laser.sigma_range_m == range_m
-        assert np.isclose(np.rad2deg(laser.sigma_beam_rad), bearing_deg)
+    assert laser.sigma_range_m == range_m
+    assert np.isclose(np.rad2deg(laser.sigma_beam_rad), bearing_deg)
+
+
+def test_a_finer_laser_changes_nothing_but_the_beams() -> None:
+    table, fine = (short(make()) for make in (dense_slam, dense_slam_fine))
+    laser = fine.scanner
+    assert isinstance(laser, Planar)
+    assert laser.max_range_m == fine.drive.max_range_m == table.drive.max_range_m
+    assert (laser.sigma_range_m, laser.sigma_beam_rad) == (0.02, np.deg2rad(0.1))
+    rough, exact_beams = log_of(table, 3), log_of(fine, 3)
+    without = [replace(log, scans=None, name="", provenance={}) for log in (rough, exact_beams)]
+    assert_same(*without)
+    assert not np.array_equal(scans_of(rough)[0], scans_of(exact_beams)[0], equal_nan=True)
 
 
 @pytest.mark.parametrize("make", [dense_slam, dense_slam_in_space, scan_slam])
@@ -153,7 +165,7 @@ def scans_of(log: Log) -> list[Array]:
     return data + ([log.clouds.point_m] if log.clouds is not None else [])
 
 
-@pytest.mark.parametrize("name", [*TABLES, "scan-loop-3d"])
+@pytest.mark.parametrize("name", [*TABLES, "scan-loop-fine", "scan-loop-3d"])
 def test_logs_by_name(name: str) -> None:
     log = open_log(name, choices=SimulationChoices(seed=2))
     assert log.name == name
