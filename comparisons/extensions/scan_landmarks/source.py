@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -70,8 +70,22 @@ def scan_slam_options(config: ScanLandmarksConfig, *, mapped: bool) -> ScanSlamO
     """Return what is asked for. mapped: a dense map is anchored to the landmarks."""
     richer = config.templates == "enriched"
     # A map's regions need landmarks that stand among objects.
-    pieces = config.pieces or ("single" if richer or mapped else "joined")
-    return ScanSlamOptions(extraction=PIECES[pieces])
+    usual = PIECES[config.pieces or ("single" if richer or mapped else "joined")]
+    trial = replace(
+        usual.segmentation,
+        residual=config.residual,
+        open_directions=config.open_directions,
+        trials=config.trials,
+    )
+    asked = replace(
+        usual,
+        segmentation=trial,
+        every=config.every or usual.every,
+        share=config.in_view or usual.share,
+    ).asking_for(config.least_returns or usual.least_returns)
+    if isinstance(asked, SingleSegments):
+        asked = replace(asked, tried=config.tried)
+    return ScanSlamOptions(extraction=asked, aligned=config.aligned, gate=config.gate)
 
 
 class LogScans:
@@ -170,9 +184,9 @@ class ScanSlamSource:
         return self._slam.found
 
     @property
-    def pieces(self) -> str:
-        """Of PIECES."""
-        return self._slam.options.extraction.name
+    def options(self) -> ScanSlamOptions:
+        """Of templates and their observation."""
+        return self._slam.options
 
     @property
     def merged(self) -> int:
