@@ -11,6 +11,7 @@ import math
 from comparisons.documented.row import Documented
 
 _TRIAL = "ekf_reference.scan_landmarks.template_extraction:TRIAL"
+_SEGMENTS = "ekf_reference.scan_landmarks.segmentation:SegmentationOptions"
 _SEARCH = "ekf_reference.scan_landmarks.high_level:SearchOptions"
 _CAR_PARK = {"log.format": ("acfr-car-park",)}
 _OTHERS = {"log.format": (None,)}
@@ -35,14 +36,14 @@ _TEMPLATES = (
         what="range between neighbours at which a segment ends",
         value=5.0,
         unit="m",
-        at=f"{_TRIAL}.range_m",
+        at=f"{_SEGMENTS}.range_m",
     ),
     Documented(
         place="N 5.7",
         what="bearing between neighbours at which a segment ends",
         value=math.radians(3.0),
         unit="rad",
-        at=f"{_TRIAL}.bearing_rad",
+        at=f"{_SEGMENTS}.bearing_rad",
     ),
     Documented(
         place="N 5.2.2, 5.7",

@@ -87,6 +87,8 @@ class ScanLandmarksConfig(ExtensionConfig):
 
     def build(self, config: Configured) -> ScanLandmarksExtension:
         """Return the extension."""
+        from comparisons.extensions.dense_maps.config import DenseMapsConfig
         from comparisons.extensions.scan_landmarks.extension import ScanLandmarksExtension
 
-        return ScanLandmarksExtension(self, mapped=_MAPPED in config.extensions)
+        dense = DenseMapsConfig.of(**config.by_preset(_MAPPED).model_dump())
+        return ScanLandmarksExtension(self, mapped=_MAPPED in config.extensions, dense=dense)
