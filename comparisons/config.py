@@ -223,15 +223,15 @@ class Configured(JobConfig):
         found = dict(self.extensions)
         for section in (self.ekf, *self.extensions.values()):
             for name, fields in section.needs().items():
-                kept = found.get(name) or self._default(name)
+                kept = found.get(name) or self.by_preset(name)
                 found[name] = kept.model_copy(update=dict(fields))
         object.__setattr__(self, "extensions", found)
         for extension in found.values():
             extension.check_with(self)
         return self
 
-    def _default(self, name: str) -> ExtensionConfig:
-        """An extension's settings by the preset."""
+    def by_preset(self, name: str) -> ExtensionConfig:
+        """Return an extension's settings where nothing of it is given."""
         given: dict[str, Any] = {"extensions": {name: {}}}
         if self.preset == "as-published":
             from comparisons.documented.preset import published

@@ -61,10 +61,10 @@ class MeasurementSink(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class ScanSlamOptions:
-    """Settings of Scan-SLAM; the thesis gives none of these but the gate.
+    """Settings of Scan-SLAM.
 
-    aligned: most templates that one scan is aligned with. extraction: which returns become
-    templates. floor_m, floor_rad: least sigma of the prior of an alignment.
+    aligned: most templates that one scan is aligned with, 0 for all in view. extraction: which
+    returns become templates. floor_m, floor_rad: least sigma of the prior of an alignment.
     """
 
     aligned: int = 5
@@ -186,8 +186,9 @@ class ScanSlam:
             else:
                 self.found.reasons[OUT_OF_VIEW if len(scan) else BLANK] += 1
         rows.sort(key=lambda row: self._last_seen[int(predicted.slot[row])])
-        self.found.reasons[LEFT_OUT] += max(len(rows) - o.aligned, 0)
-        return rows[: o.aligned]
+        most = o.aligned or len(rows)
+        self.found.reasons[LEFT_OUT] += max(len(rows) - most, 0)
+        return rows[:most]
 
     def _share(self, slot: int, z: Array, scan: SumOfGaussians) -> float:
         """Of a landmark's template that should be seen; of a blank scan nothing is."""

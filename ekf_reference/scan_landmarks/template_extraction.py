@@ -1,10 +1,10 @@
 """Which returns of a scan become templates (Nieto 2005, sections 5.2.2, 5.2.3 and 5.7).
 
-The thesis makes a template of each segment. With the noise of Table 5.1 the segment of one object
-gives a heading to a degree and often nothing along its wall: a scan's segments, each aligned alone,
-give about a twentieth of the information that they give together. `JoinedSegments` makes one
-template of all. `SingleSegments` keeps them apart, so that regions of a dense map can be anchored
-to objects.
+The thesis makes a template of each segment of 100 returns. With the noise of Table 5.1 the segment
+of one object gives a heading to a degree and often nothing along its wall: a scan's segments, each
+aligned alone, give about a twentieth of the information that they give together. `JoinedSegments`
+makes one template of all. `SingleSegments` keeps them apart, so that regions of a dense map can be
+anchored to objects.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -46,6 +46,15 @@ class TemplateExtraction(ABC):
     visible: bool
     segmentation: SegmentationOptions
 
+    @property
+    @abstractmethod
+    def least_returns(self) -> int:
+        """Returns that a template must have."""
+
+    @abstractmethod
+    def asking_for(self, returns: int) -> Self:
+        """Return the same with another least number of returns of a template."""
+
     @abstractmethod
     def due(self, scans: int, begun: int, used: int) -> bool:
         """Whether the scan of number `scans` may begin some: the last that did was `begun`.
@@ -63,7 +72,7 @@ class TemplateExtraction(ABC):
         """
 
 
-_TRIAL = SegmentationOptions(
+TRIAL = SegmentationOptions(
     displacement_m=1.5,
     displacement_rad=np.deg2rad(20.0),
     trials=2,
@@ -71,7 +80,8 @@ _TRIAL = SegmentationOptions(
     interleaved=False,
     open_directions=2,
 )
-_JOINED, _SINGLE = (replace(_TRIAL, least_points=least) for least in (8, 15))
+"""Of a candidate."""
+_JOINED, _SINGLE = (replace(TRIAL, least_points=least) for least in (8, 15))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,6 +102,15 @@ class JoinedSegments(TemplateExtraction):
     share: float = 0.5
     visible: bool = True
     segmentation: SegmentationOptions = _JOINED
+
+    @property
+    def least_returns(self) -> int:
+        """See TemplateExtraction."""
+        return self.least
+
+    def asking_for(self, returns: int) -> Self:
+        """See TemplateExtraction."""
+        return replace(self, least=returns)
 
     def due(self, scans: int, begun: int, used: int) -> bool:
         """See TemplateExtraction."""
@@ -116,11 +135,11 @@ class JoinedSegments(TemplateExtraction):
 class SingleSegments(TemplateExtraction):
     """A landmark for each segment that no other one explains, the longest first.
 
-    tried: most segments of a scan whose quality is tried. ahead_m: a segment must stay in view when
-    the vehicle moves so far. apart_m: least distance of a new landmark's axis to all others.
-    explained_m, explained: a return so near to a template's point belongs to that landmark, and a
-    segment with a larger share of such returns is no new one. The landmark's uncertainty is added
-    to both distances. share: the thesis' 90 %.
+    tried: most segments of a scan whose quality is tried, 0 for all. ahead_m: a segment must stay
+    in view when the vehicle moves so far. apart_m: least distance of a new landmark's axis to all
+    others. explained_m, explained: a return so near to a template's point belongs to that landmark,
+    and a segment with a larger share of such returns is no new one. The landmark's uncertainty is
+    added to both distances. share: the thesis' 90 %.
     """
 
     name: ClassVar[str] = "single"
@@ -134,6 +153,15 @@ class SingleSegments(TemplateExtraction):
     visible: bool = False
     segmentation: SegmentationOptions = _SINGLE
 
+    @property
+    def least_returns(self) -> int:
+        """See TemplateExtraction."""
+        return self.segmentation.least_points
+
+    def asking_for(self, returns: int) -> Self:
+        """See TemplateExtraction."""
+        return replace(self, segmentation=replace(self.segmentation, least_points=returns))
+
     def due(self, scans: int, begun: int, used: int) -> bool:
         """See TemplateExtraction."""
         return self.every == 1 or scans % self.every == 1
@@ -144,7 +172,7 @@ class SingleSegments(TemplateExtraction):
         """See TemplateExtraction."""
         in_view, tried = known(), 0
         for rows in sorted(segments(scan, self.segmentation), key=len, reverse=True):
-            if tried >= self.tried:
+            if self.tried and tried >= self.tried:
                 return
             segment = scan.take(rows)
             if self._passing(segment, scan, view, ahead) or self._explained(segment, in_view):

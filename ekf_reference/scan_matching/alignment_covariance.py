@@ -39,6 +39,8 @@ _DIRECTIONS = np.array(
     ]
 ) / math.hypot(1.0, _GOLDEN)
 """(12, 3) corners of an icosahedron: samples on all sides that fix six unknowns equally well."""
+LEAST_SAMPLES = 6
+"""Unknowns of eq. 5.17."""
 _ROWS, _COLUMNS = np.triu_indices(3)
 _TWICE = np.where(_ROWS == _COLUMNS, 1.0, 2.0)
 _ASIDE = 7.0
@@ -237,8 +239,8 @@ def quadratic_form(apart: Array, drop: Array) -> Array:
 
     Least squares by singular values, N at least 6. Raises ValueError for fewer.
     """
-    if len(apart) < 6:
-        raise ValueError(f"{len(apart)} samples, expected at least 6")
+    if len(apart) < LEAST_SAMPLES:
+        raise ValueError(f"{len(apart)} samples, expected at least {LEAST_SAMPLES}")
     scale = np.abs(apart).max(axis=0)
     x = apart / scale
     design = _TWICE * x[:, _ROWS] * x[:, _COLUMNS]

@@ -17,9 +17,10 @@ from comparisons.adapters.oriented_sightings import NoOrientedSource, OrientedSo
 from comparisons.adapters.timeline import build_timeline
 from comparisons.config import EkfConfig, RunConfig
 from comparisons.errors import InputError
+from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.extension import DenseMapsFinding
 from comparisons.extensions.high_level.config import HighLevelConfig
-from comparisons.extensions.high_level.extension import HighLevelFinding
+from comparisons.extensions.high_level.extension import HighLevel, HighLevelFinding
 from comparisons.extensions.high_level.result import HighLevelResult
 from comparisons.extensions.high_level.source import SEARCHED, HighLevelOptions, HighLevelSource
 from comparisons.logs.bundled import SimulationChoices, open_log
@@ -166,6 +167,31 @@ def test_usual_settings_are_those_of_the_options_and_others_arrive() -> None:
     nieto = HighLevelOptions.of(config)
     assert (nieto.kept.resolution_m, nieto.kept.d_min_m, nieto.search.cell_m) == (0.5, 0.5, 0.5)
     assert (nieto.search.pair_m, nieto.search.least, nieto.every_s) == (7.0, 50, 60.0)
+
+
+def test_the_preset_reaches_the_map_that_is_searched() -> None:
+    def searched(preset: str) -> DenseMapsConfig:
+        config = run_config(high_level="on", preset=preset)
+        found = config.extensions["high_level"].build(config)
+        assert isinstance(found, HighLevel)
+        return found.options.kept
+
+    assert searched("as-published").known_apart_m == 0.0  # N 3.5, its first condition
+    assert searched("recommended") == HighLevelOptions().kept  # broken: the same for both
+    assert searched("recommended").known_apart_m > 0.0
+
+
+def test_the_car_park_has_its_own_pairs_and_cells_by_the_preset() -> None:
+    def asked(log_format: str | None) -> HighLevelConfig:
+        log = {} if log_format is None else {"format": log_format}
+        config = RunConfig.of(preset="as-published", log=log, extensions={"high_level": {}})
+        found = config.extensions["high_level"]
+        assert isinstance(found, HighLevelConfig)
+        return found
+
+    there, elsewhere = asked("acfr-car-park"), asked(None)
+    assert (there.pair_m, there.cell_m, there.every_s) == (7.0, 0.5, 60.0)
+    assert (elsewhere.pair_m, elsewhere.cell_m, elsewhere.every_s) == (12.0, 0.2, 60.0)
 
 
 @pytest.mark.slow

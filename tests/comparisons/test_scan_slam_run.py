@@ -15,23 +15,35 @@ from comparisons.adapters.beam_noise import sensor_of
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.timeline import build_timeline
+from comparisons.config import RunConfig
 from comparisons.errors import InputError
 from comparisons.estimates.trace_file import write_trace
 from comparisons.extensions.contract import Extension
+from comparisons.extensions.scan_landmarks.config import ScanLandmarksConfig
 from comparisons.extensions.scan_landmarks.extension import ScanLandmarksFinding
 from comparisons.extensions.scan_landmarks.figure import template_points
-from comparisons.extensions.scan_landmarks.source import LogScans, ScanSlamSource
+from comparisons.extensions.scan_landmarks.result import (
+    TemplateRule,
+    rule_text,
+    template_rule,
+)
+from comparisons.extensions.scan_landmarks.source import (
+    LogScans,
+    ScanSlamSource,
+    scan_slam_options,
+)
 from comparisons.logs.log import Log
 from comparisons.pipeline.compare import Comparison, Modified, run_filter
 from comparisons.pipeline.prepare import Prepared, prepare
 from comparisons.report.folder import write_job_folder
 from comparisons.report.result import build_result
 from comparisons.report.run import run_folder
-from comparisons.settings import run_config
+from comparisons.settings import configure, run_config, run_options
 from ekf_reference.association.dynamic_rejection import DynamicGuard
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.models.motion import MotionModel, MotionStep
-from ekf_reference.scan_landmarks.scan_slam import USED, ScanLandmarks
+from ekf_reference.scan_landmarks.scan_slam import USED, ScanLandmarks, ScanSlamOptions
+from ekf_reference.scan_landmarks.template_extraction import SingleSegments
 from ekf_reference.scan_landmarks.templates import BLANK
 from tests.helpers import Array, compared, first_seconds, simulated
 from tests.scenarios import scenario
@@ -60,6 +72,53 @@ def nees(c: Comparison, factor: float = 1.0) -> float:
     error = e.pose - c.log.truth.poses.at(e.time_s)
     inverse = np.linalg.inv(factor * e.pose_covariance[5:])
     return float(np.einsum("ki,kij,kj->k", error[5:], inverse, error[5:]).mean() / 3.0)
+
+
+def test_settings_left_alone_are_those_of_scan_slam() -> None:
+    usual = ScanLandmarksConfig()
+    assert scan_slam_options(usual, mapped=False) == ScanSlamOptions()
+    assert scan_slam_options(usual, mapped=True) == ScanSlamOptions(extraction=SingleSegments())
+
+
+def test_as_published_is_the_thesis_form() -> None:
+    """One segment of 100 returns, tried once within 10 %, nine tenths in view, all aligned."""
+    config = run_config(landmarks="scans", preset="as-published").extensions["scan_landmarks"]
+    assert isinstance(config, ScanLandmarksConfig)
+    rule = template_rule(scan_slam_options(config, mapped=False))
+    assert rule == TemplateRule(
+        pieces="single",
+        least_returns=100,
+        in_view=0.9,
+        residual=0.1,
+        open_directions=0,
+        trials=1,
+        tried=0,
+        every=1,
+        aligned=0,
+        gate=7.815,
+    )
+    assert rule_text(rule) == (
+        "one segment, 100 returns, trial within 10% with no direction open, 90% in view, "
+        "all aligned, gate 7.815 (Nieto 2005, sections 5.5 and 5.7)"
+    )
+    # broken: a rule that is not the thesis' must not pass for it
+    assert "(Nieto 2005, sections 5.5 and 5.7)" not in rule_text(
+        rule.model_copy(update={"trials": 2})
+    )
+
+
+def test_what_is_given_stands_beside_the_preset() -> None:
+    given = ["scan_landmarks.least_returns=15"]
+    flags = run_options({"landmarks": "scans", "preset": "as-published"})
+    config = configure(RunConfig, flags=flags, settings=given)
+    found = config.extensions["scan_landmarks"].model_dump()
+    assert (found["least_returns"], found["in_view"]) == (15, 0.9)
+
+
+def test_the_rule_of_runs_names_the_thesis() -> None:
+    said = rule_text(template_rule(ScanSlamOptions()))
+    assert said.startswith("whole scan, 50 returns, trial within 15% with 2 directions open")
+    assert "(Nieto 2005, sections 5.5 and 5.7: one segment, 100 returns" in said
 
 
 @pytest.mark.slow

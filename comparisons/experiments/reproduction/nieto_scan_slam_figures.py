@@ -26,14 +26,21 @@ _BESIDE_M = 4.0
 
 
 def draw_5_8(canvas: Canvas, found: ScanDrives) -> None:
-    """Before the loop closes, and at the end."""
-    left, right = canvas.subplots(1, 2, sharex=True, sharey=True)
-    d = found.shown
+    """Before the loop closes, and at the end; the end by the thesis' settings."""
+    left, right, thesis = canvas.subplots(1, 3, sharex=True, sharey=True)
+    d, other = found.shown, found.shown_published
     _draw(left, d, d.before, d.path_before)
     _draw(right, d, d.after, d.path)
     then, now = d.errors_m
     plan(left, f"(a) before the loop closes, {d.closing_s:.0f} s; landmarks off by {then:.1f} m")
     plan(right, f"(b) after; the same landmarks off by {now:.1f} m (RMS)")
+    _draw(thesis, other, other.after, other.path)
+    ends = "closed" if other.closed else "missed"
+    plan(
+        thesis,
+        f"(c) by the thesis' settings, {len(other.after.slot)} landmarks, loop {ends}; "
+        f"off by {other.after.rms_m:.1f} m",
+    )
     canvas.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=6,
                   fontsize=9)  # fmt: skip
 
@@ -85,7 +92,7 @@ FIGURES: tuple[AnyFigure, ...] = (
         experiment=EXPERIMENT,
         draw=draw_5_8,
         claims=claim.claims_5_8,
-        size=(15.0, 7.6),
+        size=(21.0, 7.6),
     ),
     Figure(
         name="N5.9",

@@ -30,6 +30,8 @@ class HighLevelConfig(ExtensionConfig):
 
     def build(self, config: Configured) -> HighLevel:
         """Return the extension."""
+        from comparisons.extensions.dense_maps.config import DenseMapsConfig
         from comparisons.extensions.high_level.extension import HighLevel
 
-        return HighLevel(self)
+        dense = DenseMapsConfig.of(**config.by_preset("dense_maps").model_dump())
+        return HighLevel(self, dense)

@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.extensions.contract import Extension, Finding, Row
+from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.source import DenseWatcher
 from comparisons.extensions.high_level.config import HighLevelConfig
 from comparisons.extensions.high_level.result import high_level_result, high_level_text
@@ -28,18 +29,18 @@ class HighLevel(Extension):
 
     name = "high_level"
 
-    def __init__(self, config: HighLevelConfig) -> None:
-        """config: how landmarks are searched."""
-        self._options = HighLevelOptions.of(config)
+    def __init__(self, config: HighLevelConfig, dense: DenseMapsConfig) -> None:
+        """config: how landmarks are searched. dense: the map's settings by the preset."""
+        self.options = HighLevelOptions.of(config, dense)
 
     def attach(self, setup: FilterSetup, prepared: Prepared[Any]) -> None:
         """Search the map that is there, if it is alike, else one of its own."""
         shared = setup.find(DenseWatcher)
-        if shared is not None and self._options.served_by(shared.options):
+        if shared is not None and self.options.served_by(shared.options):
             shared.keep_also(SEARCHED)
         else:
             shared = None
-        setup.source = HighLevelSource(prepared.log, self._options, shared)
+        setup.source = HighLevelSource(prepared.log, self.options, shared)
         setup.offers.append(setup.source)
 
     def check(self, compared: Compared) -> HighLevelFinding | None:

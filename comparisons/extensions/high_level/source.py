@@ -38,6 +38,8 @@ _APART_S = 0.05
 class HighLevelOptions:
     """every_s: between two searches. resolution_m: of the occupancy layer. d_min_m: of the sum's.
 
+    dense: settings of the map but for its layers and cells.
+
     Nieto 2005, section 6.1.3, searches every minute; in the worlds here a loop takes 77 s, and an
     object stays within reach for less than half of a minute.
     """
@@ -46,22 +48,23 @@ class HighLevelOptions:
     search: SearchOptions = field(default_factory=SearchOptions)
     resolution_m: float = 0.2
     d_min_m: float = 0.2
+    dense: DenseMapsConfig = field(default_factory=DenseMapsConfig)
 
     @classmethod
-    def of(cls, config: HighLevelConfig) -> HighLevelOptions:
+    def of(cls, config: HighLevelConfig, dense: DenseMapsConfig | None = None) -> HighLevelOptions:
         """Return what was chosen; d_min follows the cells, as in Nieto 2005, section 6.5."""
         usual, cell_m = SearchOptions(), config.cell_m
         looked = replace(
             usual, cell_m=max(usual.cell_m, cell_m), pair_m=config.pair_m, least=config.least
         )
-        return cls(config.every_s, looked, resolution_m=cell_m, d_min_m=cell_m)
+        dense = dense or DenseMapsConfig()
+        return cls(config.every_s, looked, resolution_m=cell_m, d_min_m=cell_m, dense=dense)
 
     @property
     def kept(self) -> DenseMapsConfig:
         """The dense map that is searched."""
-        return DenseMapsConfig(
-            layers=SEARCHED, resolution_m=self.resolution_m, d_min_m=self.d_min_m
-        )
+        cells = {"resolution_m": self.resolution_m, "d_min_m": self.d_min_m}
+        return self.dense.model_copy(update={"layers": SEARCHED, **cells})
 
     def served_by(self, options: DenseMapsConfig) -> bool:
         """Whether a map with these options has the cells that are searched."""

@@ -30,6 +30,36 @@ class ScanLandmarksConfig(ExtensionConfig):
         "bare", description="enriched: align with what the dense map holds around, too"
     )
     fuse: bool = Field(False, description="fuse landmarks that turn out to be one")
+    least_returns: int | None = Field(
+        None, ge=3, le=10**6, description="of a template; if absent, 50 joined, 15 single"
+    )
+    residual: float = Field(
+        0.15, gt=0.0, le=1.0, description="greatest error of a trial over its displacement"
+    )
+    open_directions: int = Field(
+        2, ge=0, le=2, description="of x, y and heading, that a template may leave open"
+    )
+    trials: int = Field(2, ge=1, le=100, description="copies that a candidate is tried with")
+    tried: int = Field(
+        2, ge=0, le=10**4, description="single segments of a scan that are tried, 0 for all"
+    )
+    every: int | None = Field(
+        None,
+        ge=1,
+        le=10**6,
+        description="scans from one that may begin landmarks to the next; if absent, 5 joined, "
+        "2 single",
+    )
+    in_view: float | None = Field(
+        None,
+        gt=0.0,
+        le=1.0,
+        description="share of a template that must be in view; if absent, 0.5 joined, 0.9 single",
+    )
+    aligned: int = Field(
+        5, ge=0, le=10**6, description="templates that a scan is aligned with, 0 for all in view"
+    )
+    gate: float = Field(11.345, gt=0.0, le=1e6, description="of measurements, chi-square of three")
 
     def check_with(self, config: Configured) -> None:
         """Raise ValueError for what does not go together."""
@@ -57,6 +87,8 @@ class ScanLandmarksConfig(ExtensionConfig):
 
     def build(self, config: Configured) -> ScanLandmarksExtension:
         """Return the extension."""
+        from comparisons.extensions.dense_maps.config import DenseMapsConfig
         from comparisons.extensions.scan_landmarks.extension import ScanLandmarksExtension
 
-        return ScanLandmarksExtension(self, mapped=_MAPPED in config.extensions)
+        dense = DenseMapsConfig.of(**config.by_preset(_MAPPED).model_dump())
+        return ScanLandmarksExtension(self, mapped=_MAPPED in config.extensions, dense=dense)

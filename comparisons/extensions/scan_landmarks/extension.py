@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.errors import InputError
 from comparisons.extensions.contract import Extension, Finding, Row
+from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.source import DenseWatcher
 from comparisons.extensions.scan_landmarks.config import ScanLandmarksConfig
 from comparisons.extensions.scan_landmarks.result import (
@@ -37,8 +38,11 @@ class ScanLandmarksExtension(Extension):
 
     name = "scan_landmarks"
 
-    def __init__(self, config: ScanLandmarksConfig, *, mapped: bool) -> None:
-        """mapped: a dense map is anchored to the landmarks."""
+    def __init__(
+        self, config: ScanLandmarksConfig, *, mapped: bool, dense: DenseMapsConfig
+    ) -> None:
+        """mapped: a dense map is anchored to the landmarks. dense: its settings by the preset."""
+        self._dense = dense.model_copy(update=ENRICHING)
         self._config, self.options = config, scan_slam_options(config, mapped=mapped)
         self.brings_landmarks = config.landmarks == "scans"
         self._scans: LogScans | None = None
@@ -59,7 +63,7 @@ class ScanLandmarksExtension(Extension):
         setup.kinds = LANDMARKS[self._config.landmarks]
         enriching = None
         if self._config.templates == "enriched":
-            enriching = DenseWatcher(prepared.log, ENRICHING, kinds=setup.kinds)
+            enriching = DenseWatcher(prepared.log, self._dense, kinds=setup.kinds)
         fusing = FusingOptions() if self._config.fuse else None
         setup.source = ScanSlamSource(self._scans, self.options, enriching, fusing)
         setup.offers.append(setup.source)

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.contract import Row
-from comparisons.extensions.scan_landmarks.source import ScanSlamSource
+from comparisons.extensions.scan_landmarks.config import ScanLandmarksConfig
+from comparisons.extensions.scan_landmarks.source import ScanSlamSource, scan_slam_options
 from comparisons.pipeline.gaps import Gaps
 from comparisons.report.model import Model
 from comparisons.report.models import LandmarkResult
 from comparisons.report.sections import block_fields
+from ekf_reference.scan_landmarks.scan_slam import ScanSlamOptions
+from ekf_reference.scan_landmarks.template_extraction import SingleSegments
+
+_PLACE = "Nieto 2005, sections 5.5 and 5.7"
 
 
 def scan_slam_result(source: ScanSlamSource, ekf: Estimate, gaps: Gaps) -> ScanSlamResult:
@@ -33,9 +38,36 @@ def scan_slam_result(source: ScanSlamSource, ekf: Estimate, gaps: Gaps) -> ScanS
         dynamic=found.dynamic,
         fused=source.merged,
         enriched=source.enriched,
-        pieces=source.pieces,
+        pieces=source.options.extraction.name,
+        rule=template_rule(source.options),
         sightings=dict(found.reasons),
     )
+
+
+def template_rule(options: ScanSlamOptions) -> TemplateRule:
+    """Return the rule by which templates were made and observed."""
+    extraction = options.extraction
+    trial = extraction.segmentation
+    return TemplateRule(
+        pieces=extraction.name,
+        least_returns=extraction.least_returns,
+        in_view=extraction.share,
+        residual=trial.residual,
+        open_directions=trial.open_directions,
+        trials=trial.trials,
+        tried=extraction.tried if isinstance(extraction, SingleSegments) else 1,
+        every=extraction.every,
+        aligned=options.aligned,
+        gate=options.gate,
+    )
+
+
+def published_rule() -> TemplateRule:
+    """Return the thesis' rule, as `--preset as-published` has it."""
+    from comparisons.documented.preset import published
+
+    given = published({"extensions": {"scan_landmarks": {}}}, ())["extensions"]["scan_landmarks"]
+    return template_rule(scan_slam_options(ScanLandmarksConfig.of(**given), mapped=False))
 
 
 def scan_slam_rows(result: ScanSlamResult) -> list[Row]:
@@ -51,8 +83,30 @@ def scan_slam_rows(result: ScanSlamResult) -> list[Row]:
             + (f", {result.dynamic:,} returns left out that move" if result.dynamic else "")
             + (f", {result.enriched:,} alignments enriched" if result.enriched else ""),
         ),
+        *([Row("their templates", rule_text(result.rule))] if result.rule else ()),
         Row("their sightings", ", ".join(told) or "none"),
     ]
+
+
+def rule_text(rule: TemplateRule) -> str:
+    """Return the rule in words, and the thesis' where that is another."""
+    thesis = published_rule()
+    if rule == thesis:
+        return f"{in_words(rule)} ({_PLACE})"
+    if (words := in_words(thesis)) == in_words(rule):
+        return f"{words} ({_PLACE}; in part by other settings)"
+    return f"{in_words(rule)} ({_PLACE}: {words})"
+
+
+def in_words(rule: TemplateRule) -> str:
+    """Return a rule in words."""
+    aligned = f"{rule.aligned} aligned a scan" if rule.aligned else "all aligned"
+    return (
+        f"{'one segment' if rule.pieces == 'single' else 'whole scan'}, "
+        f"{rule.least_returns} returns, trial within {rule.residual:.0%} with "
+        f"{rule.open_directions or 'no'} direction{'s' if rule.open_directions > 1 else ''} open, "
+        f"{rule.in_view:.0%} in view, {aligned}, gate {rule.gate:g}"
+    )
 
 
 class ScanLandmarkResult(LandmarkResult):
@@ -64,13 +118,35 @@ class ScanLandmarkResult(LandmarkResult):
     points: int
 
 
+class TemplateRule(Model):
+    """How templates are made and observed (Nieto 2005, sections 5.5 and 5.7).
+
+    pieces: joined, all segments of a scan in one template; single, each its own. least_returns: of
+    a template. in_view: least share of it. residual, open_directions, trials: greatest error of a
+    trial over its displacement, directions that it may leave open, copies. tried: most candidates
+    of a scan, 0 for all. every: scans from one that may begin landmarks to the next. aligned: most
+    templates a scan, 0 for all in view. gate: chi-square.
+    """
+
+    pieces: str
+    least_returns: int
+    in_view: float
+    residual: float
+    open_directions: int
+    trials: int
+    tried: int
+    every: int
+    aligned: int
+    gate: float
+
+
 class ScanSlamResult(Model):
     """Scan-SLAM. scans: looked at. rejected: segments that failed their trial.
 
     dynamic: returns left out since something moves there.
-    pieces: whether all segments of a scan are one landmark, or each its own. fused: landmarks
-    found to be others. enriched: alignments that began where what stands around fits. sightings:
-    how often a landmark near the scanner was used, or why not.
+    pieces: whether all segments of a scan are one landmark, or each its own. rule: of templates.
+    fused: landmarks found to be others. enriched: alignments that began where what stands around
+    fits. sightings: how often a landmark near the scanner was used, or why not.
     """
 
     scans: int
@@ -80,4 +156,5 @@ class ScanSlamResult(Model):
     fused: int = 0
     enriched: int = 0
     pieces: str = "single"
+    rule: TemplateRule | None = None
     sightings: dict[str, int]

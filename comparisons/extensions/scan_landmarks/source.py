@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +14,6 @@ from comparisons.adapters.planar_scans import PlanarScans, view_to
 from comparisons.adapters.timeline import resolved
 from comparisons.arrays import Array, Index, Mask
 from comparisons.errors import InputError
-from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.source import DenseWatcher
 from comparisons.extensions.scan_landmarks.config import ScanLandmarksConfig
 from comparisons.logs.log import Log
@@ -42,7 +43,7 @@ PIECES: dict[str, TemplateExtraction] = {
 """Which returns of a scan become one landmark."""
 ENRICH_M = 1.0
 """Sigma of where a landmark should be seen, from which on its template alone may be fragile."""
-ENRICHING = DenseMapsConfig(layers=("occupancy", "sog"), known_m=0.5)
+ENRICHING: Mapping[str, Any] = {"layers": ("occupancy", "sog"), "known_m": 0.5}
 """What templates are enriched from: a scan from a vehicle that does not know where it is among a
 region's landmarks would draw there what it is to be compared with."""
 _MARGIN_M = 0.01
@@ -70,8 +71,22 @@ def scan_slam_options(config: ScanLandmarksConfig, *, mapped: bool) -> ScanSlamO
     """Return what is asked for. mapped: a dense map is anchored to the landmarks."""
     richer = config.templates == "enriched"
     # A map's regions need landmarks that stand among objects.
-    pieces = config.pieces or ("single" if richer or mapped else "joined")
-    return ScanSlamOptions(extraction=PIECES[pieces])
+    usual = PIECES[config.pieces or ("single" if richer or mapped else "joined")]
+    trial = replace(
+        usual.segmentation,
+        residual=config.residual,
+        open_directions=config.open_directions,
+        trials=config.trials,
+    )
+    asked = replace(
+        usual,
+        segmentation=trial,
+        every=config.every or usual.every,
+        share=config.in_view or usual.share,
+    ).asking_for(config.least_returns or usual.least_returns)
+    if isinstance(asked, SingleSegments):
+        asked = replace(asked, tried=config.tried)
+    return ScanSlamOptions(extraction=asked, aligned=config.aligned, gate=config.gate)
 
 
 class LogScans:
@@ -170,9 +185,9 @@ class ScanSlamSource:
         return self._slam.found
 
     @property
-    def pieces(self) -> str:
-        """Of PIECES."""
-        return self._slam.options.extraction.name
+    def options(self) -> ScanSlamOptions:
+        """Of templates and their observation."""
+        return self._slam.options
 
     @property
     def merged(self) -> int:

@@ -119,6 +119,7 @@ def scan_drives() -> nieto_scan_slam.ScanDrives:
     path = true[:, :2] + (0.0, -8.0)
     one = nieto_scan_slam.ScanDrive(
         seed=0,
+        templates="made up",
         path=path,
         true_path=path,
         closing_s=5.0,
@@ -127,9 +128,11 @@ def scan_drives() -> nieto_scan_slam.ScanDrives:
         after=after,
         ate_m=0.5,
         wheels_m=5.0,
+        end_m=0.1,
+        again=3,
         segment=wall,
     )
-    return nieto_scan_slam.ScanDrives("made up", (one,))
+    return nieto_scan_slam.ScanDrives("made up", (one,), (one,))
 
 
 def high_level_drives() -> nieto_high_level.HighLevelDrives:

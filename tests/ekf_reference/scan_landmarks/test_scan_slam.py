@@ -13,7 +13,7 @@ from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.landmark_types import POSE
 from ekf_reference.models.motion import RelativePoseModel
 from ekf_reference.scan_landmarks.map_aided_matching import MapAidedObserver
-from ekf_reference.scan_landmarks.scan_slam import GATED, USED, ScanSlam, ScanSlamOptions
+from ekf_reference.scan_landmarks.scan_slam import GATED, LEFT_OUT, USED, ScanSlam, ScanSlamOptions
 from ekf_reference.scan_landmarks.segmentation import SegmentationOptions
 from ekf_reference.scan_landmarks.template_extraction import SingleSegments
 from ekf_reference.scan_landmarks.templates import (
@@ -163,6 +163,19 @@ def test_of_two_identical_templates_each_keeps_its_own_sightings() -> None:
     assert told.slot == [NEW, 0]
     assert USED in slam.found.reasons
     assert slam.found.sightings == {0: 2}
+
+
+@pytest.mark.parametrize(("aligned", "seen"), [(1, 1), (5, 2), (0, 2)])
+def test_a_scan_is_aligned_with_so_many_templates_and_with_all_for_0(
+    aligned: int, seen: int
+) -> None:
+    slam, ekf, told = begun(replace(EVERY, aligned=aligned))
+    ekf.observe_known(told.z[0][None], PRIOR[None], np.array([NEW]))
+    slam.found.template[1] = slam.found.template[0]
+    slam._last_seen[1] = 0
+    slam.step(ekf, scan_from(np.zeros(3), 2), told)
+    assert slam.found.reasons[USED] == seen
+    assert slam.found.reasons[LEFT_OUT] == 2 - seen
 
 
 def test_templates_are_enriched_from_a_sigma_on() -> None:

@@ -76,6 +76,15 @@ def test_single_segments_are_the_objects_but_those_about_to_be_passed() -> None:
     assert [len(rows) for rows in both] == sorted((len(rows) for rows in both), reverse=True)
     assert len(both) == 2
     assert len(found(SingleSegments(ahead_m=0.0, tried=1))) == 1
+    assert len(found(SingleSegments(ahead_m=0.0, tried=0))) == 2  # 0: all
+
+
+def test_a_template_has_the_returns_that_are_asked_for() -> None:
+    for extraction in (JoinedSegments(), SingleSegments(ahead_m=0.0)):
+        some = max(len(rows) for rows in found(extraction))
+        assert [len(rows) for rows in found(extraction.asking_for(some))] == [some]
+        assert all(len(rows) > some for rows in found(extraction.asking_for(some + 1)))
+        assert extraction.asking_for(some).least_returns == some
 
 
 def test_a_known_segment_is_no_new_landmark_and_an_unknown_one_is() -> None:
