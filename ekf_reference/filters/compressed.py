@@ -16,7 +16,7 @@ from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.layout import ABSENT, Layout
 from ekf_reference.core.measurements import Association
-from ekf_reference.core.state import Correction, KalmanState, LocalMap, MapSnapshot
+from ekf_reference.core.state import STRIP_COST, Correction, KalmanState, LocalMap, MapSnapshot
 from ekf_reference.core.trace import Trace
 from ekf_reference.models.motion import MotionModel
 
@@ -216,6 +216,8 @@ class CompressedState(KalmanState):
         little[self._columns] = False
         spared = np.flatnonzero(little)
         size, active = self._layout.size, len(self._columns)
+        if STRIP_COST * ((size - active) ** 2 - len(spared) ** 2) > size**2:
+            spared = spared[:0]  # sparing so few costs more than the exact update
         self.updates.append(GlobalUpdate(size - active, active, len(spared)))
         self.merge(self._columns, self._local, self._phi, root, before @ self._theta, spared)
         columns = np.concatenate((self._columns, np.arange(size, self._layout.size)))

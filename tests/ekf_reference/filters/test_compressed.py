@@ -12,7 +12,7 @@ from ekf_reference.association.nearest_neighbour import NearestNeighbour
 from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.measurements import Association
-from ekf_reference.core.state import Correction, KalmanState
+from ekf_reference.core.state import STRIP, Correction, KalmanState, subtract
 from ekf_reference.core.trace import RecordedTrace, TraceArrays
 from ekf_reference.filters.compressed import CompressedState, LocalAreas
 from tests.ekf_reference.numerics import relative_error
@@ -211,3 +211,89 @@ def test_sparing_the_cross_covariance_too_is_not_conservative() -> None:
     """Guivant 2002: P12 and P21 have to be updated; the eigenvalues tell when they are not."""
     state = CrossSpared(PRIOR_POSE, PRIOR_COVARIANCE, LocalAreas(8.0, 12.0, 1e-4))
     assert optimism(run(circuit(seed=3, duration_s=2 * LOOP_S), state)) > 1e-4
+
+
+def without(changed: Index, covariance: Array, root: Array) -> Array:
+    """P - Delta P* of eq. 23 in one product: the rows and columns `changed` only."""
+    delta, expected = root @ root.T, covariance.copy()
+    expected[changed] -= delta[changed]
+    expected[:, changed] = expected[changed].T
+    return expected
+
+
+def assert_only_changed(
+    change: Callable[[Array, Array, Index, Index], None], share: float, seed: int
+) -> None:
+    """On more states than some strips hold, spared ones scattered: equal to one product."""
+    rng, n = np.random.default_rng(seed), 3 * STRIP + 41
+    root = rng.standard_normal((n, 20))
+    covariance = np.asarray(root @ root.T) + np.eye(n)
+    spared = np.flatnonzero(rng.random(n) < share)
+    changed = np.setdiff1d(np.arange(n), spared)
+    p = np.zeros((n + 7, n + 7))
+    p[:n, :n] = covariance
+    change(p, 0.5 * root, changed, spared)
+    expected = without(changed, covariance, 0.5 * root)
+    assert np.max(np.abs(p[:n, :n] - expected)) < 1e-12 * np.abs(covariance).max()
+    assert np.array_equal(p[np.ix_(spared, spared)], covariance[np.ix_(spared, spared)])
+    assert np.all(p[n:] == 0.0)
+
+
+@pytest.mark.parametrize("share", [0.01, 0.5, 0.95])
+def test_strips_change_what_is_not_spared(share: float) -> None:
+    for seed in range(3):
+        assert_only_changed(subtract, share, seed)
+
+
+def no_left(p: Array, root: Array, changed: Index, spared: Index) -> None:
+    """Broken: a strip goes rightward only, so that spared entries to its left keep P12."""
+    after = p.copy()
+    subtract(after, root, changed, spared)
+    for first in range(0, len(changed), STRIP):
+        rows = changed[first : first + STRIP]
+        before = spared[spared < rows[0]]
+        after[np.ix_(rows, before)] = p[np.ix_(rows, before)]
+    p[:] = after
+
+
+def twice(p: Array, root: Array, changed: Index, spared: Index) -> None:
+    """Broken: a strip changes all of its rows, the pairs with earlier strips a second time."""
+    n = len(root)
+    for first in range(0, len(changed), STRIP):
+        rows = changed[first : first + STRIP]
+        p[rows, :n] -= root[rows] @ root.T
+        p[:n, rows] = p[rows, :n].T
+
+
+@pytest.mark.parametrize("broken", [no_left, twice])
+def test_broken_strips_are_seen(broken: Callable[[Array, Array, Index, Index], None]) -> None:
+    with pytest.raises(AssertionError):
+        assert_only_changed(broken, 0.5, 0)
+
+
+def passive_map(landmarks: int, c1: float) -> CompressedState:
+    """Far landmarks correlated through the vehicle, and an area that learnt of 10 near ones."""
+    rng = np.random.default_rng(1)
+    state = CompressedState(PRIOR_POSE, np.eye(3), LocalAreas(8.0, 12.0, c1))
+    for place, count in ((0.0, 10), (1000.0, landmarks)):
+        point = place + rng.uniform(-5.0, 5.0, (count, 2))
+        by_pose = np.tile(np.eye(2, 3), (count, 1, 1))
+        weak = rng.uniform(0.1, 40.0, (count, 1, 1)) * np.eye(2)
+        state.augment(point, by_pose, np.tile(np.eye(2), (count, 1, 1)), weak)
+    state.leave()
+    columns = state.layout.columns(np.arange(10))
+    h = rng.standard_normal((6, len(columns)))
+    state.update(columns, h, 0.1 * rng.standard_normal(6), 0.01 * np.eye(6))
+    return state
+
+
+def test_where_little_is_spared_the_update_is_the_exact_one() -> None:
+    """Of the two ways the cheaper: exact to the bit where few states gain less than c1."""
+    exact = passive_map(150, 0.0)
+    before = exact.part(np.arange(323)).covariance.diagonal()[23:]  # as the last update left them
+    gained = 1.0 - exact.covariance.diagonal()[23:] / before
+    for share, count in ((0.3, 0), (0.8, 240)):
+        state = passive_map(150, float(np.quantile(gained, share)))
+        assert np.array_equal(state.mean, exact.mean)
+        assert state.updates[-1].spared == count
+        assert np.array_equal(state.covariance, exact.covariance) == (count == 0)
