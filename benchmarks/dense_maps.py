@@ -1,12 +1,13 @@
 """Dense maps: time per scan, cost against the size of the map, errors on drives that close loops.
 
-    python benchmarks/dense_maps.py [--only layers size drives] [--scans 200]
+    python benchmarks/dense_maps.py [--only layers size drives rules] [--scans 200]
                                     [--sizes 10 30 100 300 1000] [--seeds 5] [--loops 3]
 
 layers: scans of 361 returns in a room, 40 regions in view, the map saturated by several passes.
 size: one patch of regions around the vehicle, all others out of reach; the same scans for all
 sizes. Times are of the processor, not of the wall: what else runs here is left out. drives:
-`occupancy-loop` (Nieto 2005, section 4.1.3), all seeds together.
+`occupancy-loop` (Nieto 2005, section 4.1.3), all seeds together. rules: the documents' settings
+beside those that runs use, and each of them alone, on the drives of the README's table.
 """
 
 from __future__ import annotations
@@ -18,8 +19,9 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +37,7 @@ from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.simulate.ray_casting import Solids, cast
 from comparisons.pipeline.dense_map import DenseMapping, map_log
 from ekf_reference.dense.dense_map import DenseMap
-from ekf_reference.dense.layers.layer import Hits, Layer
+from ekf_reference.dense.layers.layer import Hits, Layer, Samples
 from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.scan import Scan, Sensor
 from ekf_reference.dense.view import FilterView
@@ -43,6 +45,17 @@ from ekf_reference.dense.view import FilterView
 Array = NDArray[np.float64]
 
 CONFIG = DenseMapsConfig(layers=SURFACES)
+FIRST_LOOPS = {"scan-loop": 6, "occupancy-loop": 8}
+"""Drives of one loop, from seed 0."""
+ALONE: Mapping[str, Mapping[str, Any]] = {
+    "known_apart_m=0": {"known_apart_m": 0.0},
+    "longest_edge_m=inf": {"longest_edge_m": math.inf},
+    "flip_test=ellipses": {"flip_test": "ellipses"},
+    "delayed=false": {"delayed": False},
+    "virtual_landmarks=false": {"virtual_landmarks": False},
+    "p_occupied=0.9, p_free=0.3": {"p_occupied": 0.9, "p_free": 0.3},
+}
+"""Settings of the documents, each alone."""
 SENSOR = Sensor(0.05, math.radians(0.25), math.radians(1.0))
 BEARING = np.linspace(-math.pi, math.pi, 361, endpoint=False)
 MRPT = "MRPT's C++, one scan into a grid, no regions, on another machine: 0.041 (widened 0.113)"
@@ -272,6 +285,64 @@ def errors_of_drives(seeds: int, loops: int) -> None:
     )
 
 
+def errors_by_rule(seeds: int | None) -> None:
+    """What each of the documents' settings does to the occupancy layer, after the first loop."""
+    print("means over drives of one loop; distances of occupied cells to the surfaces [m], median")
+    print("/ 95 %; aligned: after the landmarks' motion onto the true ones; regions: when made")
+    for name, table in FIRST_LOOPS.items():
+        drives = seeds or table
+        print(f"{name}, {drives} drives")
+        print(f"{'':28} {RULE_COLUMNS}")
+        logs = [open_log(name, None, 1, SimulationChoices(seed)) for seed in range(drives)]
+        for title, preset, fields in (
+            ("recommended", "recommended", {}),
+            ("as-published", "as-published", {}),
+            ("as-published, correlation 0.5", "as-published", {"least_correlation": 0.5}),
+            *((title, "recommended", fields) for title, fields in ALONE.items()),
+        ):
+            config = MapConfig.of(
+                preset=preset,
+                log={"source": name},
+                extensions={"dense_maps": {"layers": ("occupancy",), **fields}},
+            )
+            print(f"{title:28} {rule_row([map_log(log, config) for log in logs])}", flush=True)
+
+
+RULE_COLUMNS = (
+    "dense map    aligned      one grid     aligned      regions  correlated  at once  late  never"
+)
+
+
+def rule_row(mapped: Sequence[DenseMapping]) -> str:
+    """Figures of drives, in the order of RULE_COLUMNS."""
+    told = []
+    for layer in ("occupancy", "classic"):
+        for which in range(2):
+            each = [inside_regions(one, layer)[which] for one in mapped]
+            quantiles = [np.percentile(d, (50.0, 95.0)) for d in each if len(d)]
+            median, most = np.mean(quantiles, axis=0) if quantiles else (math.nan, math.nan)
+            told.append(f"{median:5.3f} / {most:4.2f}")
+    regions = [one.dense.dense.regions for one in mapped]
+    tallies = [one.dense.dense.tally for one in mapped]
+    total = sum(t.returns for t in tallies)
+    at_once, late = sum(t.fused for t in tallies) / total, sum(t.late for t in tallies) / total
+    correlated = sum(int(r.by_correlation.sum()) for r in regions)
+    return (
+        f"{' '.join(told)} {sum(len(r.base) for r in regions):8d} {correlated:11d} "
+        f"{at_once:8.1%} {late:5.1%} {1.0 - at_once - late:6.1%}"
+    )
+
+
+def inside_regions(one: DenseMapping, layer: str) -> tuple[Array, Array]:
+    """As `distances`, of what lies in a region of the dense map; (N,) and (N,)."""
+    if layer != "classic":
+        return distances(one, layer)
+    held = one.classic
+    kept = np.flatnonzero(one.placed.locate(held.point).region >= 0)
+    there = Samples(held.point[kept], held.occupancy[kept], held.region[kept])
+    return distances(replace(one, classic=there), layer)
+
+
 def distances(one: DenseMapping, name: str) -> tuple[Array, Array]:
     """(N,) of occupied samples to the surfaces: as they are, and landmarks on the true ones."""
     samples = one.classic if name == "classic" else one.layers[name]
@@ -311,12 +382,12 @@ def nearest_shares(one: DenseMapping, least: float) -> tuple[NDArray[np.bool_], 
 
 def main() -> None:
     """Measure and print."""
-    parts = ("layers", "size", "drives")
+    parts = ("layers", "size", "drives", "rules")
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--only", nargs="+", choices=parts, default=parts)
     parser.add_argument("--scans", type=int, default=200, help="timed, after as many untimed ones")
     parser.add_argument("--sizes", type=int, nargs="+", default=[10, 30, 100, 300, 1000])
-    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--seeds", type=int, help="5; of rules, those of the README")
     parser.add_argument("--loops", type=int, default=3)
     choices = parser.parse_args()
     if "layers" in choices.only:
@@ -324,7 +395,9 @@ def main() -> None:
     if "size" in choices.only:
         cost_against_size(choices.sizes, choices.scans)
     if "drives" in choices.only:
-        errors_of_drives(choices.seeds, choices.loops)
+        errors_of_drives(choices.seeds or 5, choices.loops)
+    if "rules" in choices.only:
+        errors_by_rule(choices.seeds)
 
 
 if __name__ == "__main__":

@@ -236,7 +236,8 @@ class Configured(JobConfig):
         if self.preset == "as-published":
             from comparisons.documented.preset import published
 
-            given = published({"ekf": self.ekf.model_dump(), **given}, ("ekf",))
+            stated = {"log": self.log.model_dump(), "ekf": self.ekf.model_dump()}
+            given = published({**stated, **given}, ("ekf",))
         return config_class(name).model_validate(given["extensions"][name])
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from comparisons.documented.row import Documented
 
 ROWS = (
@@ -11,6 +13,113 @@ ROWS = (
         value=0.0,
         unit="m",
         at="dense_maps.known_apart_m",
-        reason="",
+        reason="TBD",
+    ),
+    Documented(
+        place="N 3.5",
+        what="longest edge of a region (its three conditions have none)",
+        value=math.inf,
+        unit="m",
+        at="dense_maps.longest_edge_m",
+        reason="TBD",
+    ),
+    Documented(
+        place="N 3.5, second condition, Fig. 3.10 (a)",
+        what="how it is tested that a region cannot flip over",
+        value="ellipses",
+        at="dense_maps.flip_test",
+        reason="TBD",
+    ),
+    Documented(
+        place="N 3.9, Fig. 3.17",
+        what="sigmas of a landmark's uncertainty bound",
+        value=3.0,
+        at="ekf_reference.dense.conditions:Conditions.flip_sigmas",
+    ),
+    Documented(
+        place="N 3.9",
+        what="returns wait for their region (3.7.3; the thesis' experiments leave it out)",
+        value=False,
+        at="dense_maps.delayed",
+        reason="TBD",
+    ),
+    Documented(
+        place="N 3.9, 4.1.3 (3.10 has them on the car park)",
+        what="regions with a virtual corner (3.5.1) in the simulations",
+        value=False,
+        at="dense_maps.virtual_landmarks",
+        when={"log.source": ("scan-loop", "occupancy-loop")},
+        reason="TBD",
+    ),
+    Documented(
+        place="N 4.1.1, eq. 4.4",
+        what="p_max, occupancy where a return comes from (named without a number; 0.9 is ours)",
+        value=0.9,
+        at="dense_maps.p_occupied",
+        reason="TBD",
+    ),
+    Documented(
+        place="N 4.1.1, eq. 4.4",
+        what="p_min, occupancy before a return (named without a number; 0.3 is ours)",
+        value=0.3,
+        at="dense_maps.p_free",
+        reason="TBD",
+    ),
+    Documented(
+        place="N 4.1.2, eq. 4.7; 4.2.2, eq. 4.12",
+        what="occupancy of what nothing is known of",
+        value=0.5,
+        at="ekf_reference.dense.layers.grid_update:PRIOR",
+    ),
+    Documented(
+        place="N 4.1.3, Fig. 4.6",
+        what="size of cells",
+        value=0.2,
+        unit="m",
+        at="dense_maps.resolution_m",
+    ),
+    Documented(
+        place="N 4.1.3, Fig. 4.6",
+        what="size of cells in almost empty regions",
+        value=0.5,
+        unit="m",
+        at="ekf_reference.dense.layers.occupancy:Coarsening.resolution_m",
+    ),
+    Documented(
+        place="N 4.1.3",
+        what="cellsPercent: share of a region's cells that is empty in an almost empty one",
+        value=0.99,
+        at="ekf_reference.dense.layers.occupancy:Coarsening.share",
+    ),
+    Documented(
+        place="N 4.1.3",
+        what="minProb: occupancy below which a cell is empty",
+        value=0.2,
+        at="ekf_reference.dense.layers.occupancy:Coarsening.least",
+    ),
+    Documented(
+        place="N 4.1.3, Fig. 4.3; 4.2.3",
+        what="occupancy above which cells and particles are drawn and counted",
+        value=0.8,
+        at="comparisons.extensions.dense_maps.accuracy:OCCUPIED",
+    ),
+    Documented(
+        place="N 4.1.3, Fig. 4.5",
+        what="rounds after which one grid is shown",
+        value=(1.0, 2.0, 3.0, 4.0, 5.0, 10.0),
+        at="comparisons.experiments.reproduction.nieto_dense:ROUNDS",
+    ),
+    Documented(
+        place="N 4.2.3, 4.3.3",
+        what="d_min of particles and of Gaussians",
+        value=0.2,
+        unit="m",
+        at="dense_maps.d_min_m",
+    ),
+    Documented(
+        place="N 4.3.3, eq. 4.18",
+        what="k, of the widest Gaussian in d_min",
+        value=0.8,
+        at="ekf_reference.dense.layers.gaussians:Gaussians().widest",
     ),
 )

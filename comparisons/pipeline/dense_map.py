@@ -11,7 +11,7 @@ from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.config import MapConfig
 from comparisons.extensions.dense_maps.accuracy import SurfaceError, surface_error
-from comparisons.extensions.dense_maps.source import GRID_MODEL, DenseRun, DenseWatcher
+from comparisons.extensions.dense_maps.source import DenseRun, DenseWatcher, grid_model
 from comparisons.logs.log import Log
 from comparisons.pipeline.prepare import (
     Prepared,
@@ -70,7 +70,7 @@ def map_log(
     watcher = setup.find(DenseWatcher)
     if watcher is None:
         raise ValueError("no dense map among the extensions")
-    classic = ClassicGrid(watcher.options.resolution_m, GRID_MODEL)
+    classic = ClassicGrid(watcher.options.resolution_m, grid_model(watcher.options))
     watcher.feed(classic)
     with prepared.clock.stage("filter and map"):
         run = run_ekf(

@@ -14,7 +14,10 @@ from comparisons.checks.accuracy import assess
 from comparisons.extensions.contract import Row
 from comparisons.extensions.dense_maps.accuracy import OCCUPIED
 from comparisons.extensions.dense_maps.result import (
+    FirstConditionResult,
     SurfaceErrorResult,
+    first_condition_result,
+    first_condition_row,
     surface_error_results,
     surface_error_rows,
 )
@@ -104,6 +107,7 @@ class MapResult(Model):
     accuracy: AccuracyResult | None
     scan_landmarks: int
     regions: int
+    first_condition: FirstConditionResult
     resolution_m: float
     returns: ReturnsResult
     layers: dict[str, LayerResult]
@@ -128,6 +132,7 @@ def build_map_result(mapping: DenseMapping, read_s: float = 0.0) -> MapResult:
         accuracy=accuracy_result(assess(m.ekf.estimate, m.log, labelled=m.prepared.labelled)),
         scan_landmarks=len(m.ekf.estimate.oriented),
         regions=len(m.placed.triangle),
+        first_condition=first_condition_result(m.dense),
         resolution_m=m.dense.options.resolution_m,
         returns=_returns(m.dense.dense),
         layers={
@@ -162,6 +167,7 @@ def print_map(result: MapResult, console: Console) -> None:
     ]
     if result.scan_landmarks:
         rows.append(Row("scan landmarks", f"{result.scan_landmarks:,}"))
+    rows.append(first_condition_row(result.first_condition))
     rows.append(
         Row(
             "returns",
@@ -285,7 +291,10 @@ def _remarks(m: DenseMapping) -> list[str]:
     if m.ekf.breakdown:
         remarks.append(m.ekf.breakdown)
     if not len(m.placed.triangle):
-        remarks.append("no three landmarks meet the conditions of a region, so the map is empty")
+        remarks.append(
+            "no three landmarks meet the conditions of a region "
+            f"({m.dense.options.first_condition}), so the map is empty"
+        )
     if m.dense.before is not None:
         remarks.append(
             f"the update at {m.dense.before.time_s:.1f} s moved the regions by "

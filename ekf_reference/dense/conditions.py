@@ -121,10 +121,15 @@ class Conditions:
         return close
 
     def correlated(self, covariance: Array) -> Mask:
-        """Which points (2 m, 2 m) [m^2] hang together enough, by the first condition; (m, m)."""
-        alike = coordinate_correlation(covariance) >= self.least_correlation
+        """Which points (2 m, 2 m) [m^2] meet the first condition, either way; (m, m)."""
+        alike = self.highly_correlated(covariance)
         if self.known_apart_m > 0.0:
             alike |= relative_sigma(covariance) <= self.known_apart_m
+        return alike
+
+    def highly_correlated(self, covariance: Array) -> Mask:
+        """Which points (2 m, 2 m) [m^2] meet it as the thesis has it, by correlation; (m, m)."""
+        alike: Mask = coordinate_correlation(covariance) >= self.least_correlation
         return alike
 
     def well_conditioned(self, triangle: Array, covariance: Array) -> Mask:

@@ -40,7 +40,9 @@ class DenseMap:
     At each instant call `predicted`, the filter's update, `updated`, `insert`.
 
     layers: by name; all are given the same scans. waiting: for returns outside all regions; None to
-    leave these out, as the thesis' simulations do. reach_m: of the landmarks that may form regions.
+    leave these out, as the thesis' simulations do. delayed: fuse what has waited into its region
+    (section 3.7.3); else it only shows where virtual corners are wanted. virtual: make these
+    (section 3.5.1). reach_m: of the landmarks that may form regions.
     least_points: returns that are overdue before a region with a virtual corner is made for them.
     seek_every: scans after which regions are sought again, as with every new landmark. neglected:
     how far what the map leaves out may still move a region's data (section 3.6). dynamic: where
@@ -57,6 +59,8 @@ class DenseMap:
     seek_every: int = 4
     dynamic: DynamicLayer | None = None
     known_m: float = math.inf
+    delayed: bool = True
+    virtual: bool = True
     tally: Tally = field(default_factory=Tally)
     neglected: NeglectedCorrelation = field(init=False)
     landmark: Array = field(default_factory=lambda: np.empty((0, 2)))
@@ -169,9 +173,12 @@ class DenseMap:
 
     def _make_virtual(self, view: FilterView, slot: Index, waiting: DelayedInitialisation) -> Index:
         """Regions with virtual corners for what has waited too long."""
+        none = np.empty(0, dtype=np.intp)
+        if not self.virtual:
+            return none
         overdue = waiting.overdue(view, self.tally.scans)
         if len(overdue) < self.least_points:
-            return np.empty(0, dtype=np.intp)
+            return none
         return self.regions.extend_virtual(
             self.landmark, slot, view.pose, view.joint(slot), overdue, self.least_points
         )
@@ -179,6 +186,9 @@ class DenseMap:
     def _fuse_late(self, view: FilterView, waiting: DelayedInitialisation) -> None:
         placed = self.place(view)
         out = waiting.release(view, placed)
+        if not self.delayed:
+            self.tally.outside += len(out.region)
+            return
         if not len(out.region):
             return
         self.tally.late += len(out.region)

@@ -43,13 +43,16 @@ class LocalRegions:
 
     depths: that virtual landmarks may have behind their pair, as shares of its length; the first
     is equilateral. base: (R, 3) places of L1, L2, L3 among `corners`, counter-clockwise when the
-    region was made; -1 - k is virtual landmark k.
+    region was made; -1 - k is virtual landmark k. by_correlation: (R,) whether, when the region was
+    made, all its pairs met the first condition by correlation, as the thesis asks; the others met
+    it by their relative sigma. The vehicle counts where there is a virtual landmark.
     """
 
     conditions: Conditions = field(default_factory=Conditions)
     depths: tuple[float, ...] = (math.sqrt(0.75), 1.3, 2.0)
     base: Index = field(default_factory=lambda: np.empty((0, 3), dtype=np.intp))
     virtual: VirtualLandmarks = field(default_factory=VirtualLandmarks)
+    by_correlation: Mask = field(default_factory=lambda: np.empty(0, dtype=bool))
     _order: Index = field(default_factory=lambda: np.empty(0, dtype=np.intp))
     _tiled: int = 0
     _last: tuple[Array, Index, RegionsAtMap] | None = field(default=None, repr=False, compare=False)
@@ -81,7 +84,9 @@ class LocalRegions:
         slot, covariance = _in_the_map(landmark, slot, covariance)
         pair = self._open(landmark, slot, self.conditions.pairs(landmark[slot], covariance))
         base = self._triples(landmark, slot, covariance, pair)
-        return self._append(base[_apart(landmark[base])], landmark)
+        base = base[_apart(landmark[base])]
+        alike = self.conditions.highly_correlated(covariance)
+        return self._append(base, landmark, _all_pairs(alike, slot, base))
 
     def extend_virtual(
         self,
@@ -116,7 +121,11 @@ class LocalRegions:
         number = len(self.virtual.depth) + np.arange(len(chosen))
         self.virtual = self.virtual.joined(new[chosen])
         base = np.column_stack((new.pair[chosen], -1 - number))
-        return self._append(_counter_clockwise(base, self.corners(landmark)), landmark)
+        alike = self.conditions.highly_correlated(covariance[position[:, None], position])
+        with_vehicle = np.column_stack((new.pair[chosen], np.full(len(chosen), -1)))
+        by_correlation = _all_pairs(alike, np.append(-1, slot), with_vehicle)
+        base = _counter_clockwise(base, self.corners(landmark))
+        return self._append(base, landmark, by_correlation)
 
     def potential(self, landmark: Array, slot: Index, pose: Array, covariance: Array) -> Potential:
         """Triangles that meet the second and third condition, whether or not the first.
@@ -189,7 +198,8 @@ class LocalRegions:
         fit[kept[placed.meeting(triangle[kept])[0]]] = False
         return fit
 
-    def _append(self, base: Index, landmark: Array) -> Index:
+    def _append(self, base: Index, landmark: Array, by_correlation: Mask) -> Index:
+        self.by_correlation = np.concatenate((self.by_correlation, by_correlation))
         number = np.arange(len(self.base), len(self.base) + len(base))
         self.base = np.concatenate((self.base, base))
         self._order = np.concatenate((self._order, number))
@@ -203,6 +213,14 @@ def _counter_clockwise(base: Index, landmark: Array) -> Index:
     """Triples (C, 3) with the second and third exchanged where they run clockwise."""
     clockwise = determinant(landmark[base]) > 0.0
     return np.where(clockwise[:, None], base[:, (0, 2, 1)], base)
+
+
+def _all_pairs(alike: Mask, slot: Index, triple: Index) -> Mask:
+    """(C,) whether all pairs of triples (C, 3) of slots (m,) are among `alike` (m, m)."""
+    order = np.argsort(slot)
+    row = order[np.searchsorted(slot[order], triple)]
+    pairs: Mask = alike[row, np.roll(row, 1, axis=1)]
+    return pairs.all(axis=1)
 
 
 def _in_the_map(landmark: Array, slot: Index, covariance: Array) -> tuple[Index, Array]:

@@ -14,15 +14,46 @@ from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.planar_scans import PlanarScans
 from comparisons.adapters.timeline import build_timeline
 from comparisons.choices import Filter
-from comparisons.config import EkfConfig, RunConfig
+from comparisons.config import EkfConfig, MapConfig, RunConfig
 from comparisons.errors import InputError
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
-from comparisons.extensions.dense_maps.source import DenseRun, DenseWatcher
+from comparisons.extensions.dense_maps.source import DenseRun, DenseWatcher, build_map
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log, Sightings
 from comparisons.logs.scans import Clouds, Scans
+from ekf_reference.dense.conditions import ellipse_margin, flip_margin
 from ekf_reference.dense.virtual_landmarks import VirtualLandmarks
 from tests.helpers import Array
+
+
+@pytest.mark.parametrize(
+    ("source", "virtual"), [("scan-loop", False), ("occupancy-loop", False), ("other", True)]
+)
+def test_as_published_the_regions_are_the_thesis_own(source: str, virtual: bool) -> None:
+    """Section 3.5 as printed; 3.9 and 4.1.3 had no virtual corners, 3.10 had."""
+    config = MapConfig.of(
+        preset="as-published",
+        log={"source": source},
+        extensions={"dense_maps": {"layers": ["points"]}},
+    )
+    options = config.extensions["dense_maps"]
+    assert isinstance(options, DenseMapsConfig)
+    made = build_map(options)
+    rule = made.regions.conditions
+    assert (rule.known_apart_m, rule.least_correlation) == (0.0, 0.9)
+    assert rule.longest_edge_m == np.inf
+    assert rule.margin is ellipse_margin
+    assert not made.delayed
+    assert made.virtual == virtual == (made.waiting is not None)
+    assert build_map(DenseMapsConfig()).regions.conditions.margin is flip_margin
+
+
+def test_regions_between_scan_landmarks_say_their_own_bound() -> None:
+    """Three times the bound between points; none stays none."""
+    assert "relative sigma <= 1.5 m" in DenseMapsConfig().spread_out().first_condition
+    literal = DenseMapsConfig(known_apart_m=0.0, longest_edge_m=np.inf).spread_out()
+    assert literal.first_condition == "pairs with correlation >= 0.9 (N 3.5)"
+    assert literal.longest_edge_m == np.inf
 
 
 @pytest.fixture(scope="module")

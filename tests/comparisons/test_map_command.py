@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from html import unescape
 from pathlib import Path
 
 import numpy as np
@@ -45,6 +46,42 @@ def test_the_map_leaves_a_whole_folder(tmp_path: Path) -> None:
     assert not (folder / "points.png").exists()
 
 
+LITERAL = ("occupancy-loop", "--preset", "as-published")
+
+
+@pytest.mark.slow
+def test_as_published_a_map_follows_the_thesis_rule_and_says_so(tmp_path: Path) -> None:
+    """Correlation alone, nothing waits, no virtual corner (Nieto 2005, sections 3.5, 3.9)."""
+    done = slamcheck("map", *LITERAL, "--layer", "occupancy", "--out", "map", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "pairs with correlation >= 0.9 (N 3.5)" in " ".join(done.stdout.split())
+    written = (tmp_path / "map" / "map.json").read_text()
+    result = MapResult.model_validate_json(written)
+    first = result.first_condition
+    assert first.rule == "pairs with correlation >= 0.9 (N 3.5)"
+    assert first.by_correlation == first.regions == result.regions > 5
+    assert first.by_relative_sigma == 0
+    assert result.returns.late == result.returns.waiting == 0 < result.returns.fused
+    settings = json.loads(written)["config"]["extensions"]["dense_maps"]
+    assert (settings["known_apart_m"], settings["flip_test"]) == (0.0, "ellipses")
+    assert (settings["p_occupied"], settings["p_free"]) == (0.9, 0.3)
+    corners = (tmp_path / "map" / "regions.csv").read_text().splitlines()[1:]
+    assert not any("+" in row for row in corners)
+
+
+@pytest.mark.slow
+def test_one_setting_off_the_thesis_is_no_longer_its_rule(tmp_path: Path) -> None:
+    """What the test above rejects."""
+    off = ("--set", "dense_maps.known_apart_m=0.5", "--layer", "occupancy", "--out", "map")
+    done = slamcheck("map", *LITERAL, *off, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    result = MapResult.model_validate_json((tmp_path / "map" / "map.json").read_text())
+    assert result.first_condition.rule == (
+        "pairs with correlation >= 0.9 or relative sigma <= 0.5 m (N 3.5: correlation alone)"
+    )
+    assert result.first_condition.by_relative_sigma > result.first_condition.by_correlation
+
+
 @pytest.mark.slow
 def test_a_run_takes_the_dense_maps_into_its_verdict(tmp_path: Path) -> None:
     done = slamcheck("run", "occupancy-loop", "--dense", "points", "--out", "run", cwd=tmp_path)
@@ -52,6 +89,9 @@ def test_a_run_takes_the_dense_maps_into_its_verdict(tmp_path: Path) -> None:
     assert "dense points" in done.stdout
     result = json.loads((tmp_path / "run" / "result.json").read_text())
     assert result["dense"]["agrees"] is True
+    first = result["dense"]["first_condition"]
+    assert first["by_correlation"] + first["by_relative_sigma"] == first["regions"] > 20
+    assert first["rule"] in unescape((tmp_path / "run" / "report.html").read_text())
     assert (tmp_path / "run" / "dense.png").stat().st_size > 10_000
 
 

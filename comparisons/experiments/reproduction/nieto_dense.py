@@ -1,8 +1,13 @@
-"""Nieto 2005, sections 3.9 and 4.1.3 to 4.3: dense maps in simulation."""
+"""Nieto 2005, sections 3.9 and 4.1.3 to 4.3: dense maps in simulation.
+
+Every experiment is run twice on the same logs: by the settings that runs use, and by the thesis'
+(`literal`, `--preset as-published`).
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,17 +16,17 @@ from comparisons.adapters.ekf_factory import build_ekf, settle
 from comparisons.adapters.filter_loop import Beside, drive
 from comparisons.adapters.timeline import build_timeline
 from comparisons.arrays import Array
-from comparisons.choices import Layer
-from comparisons.config import EkfConfig, MapConfig
+from comparisons.choices import Layer, Preset
+from comparisons.config import MapConfig
 from comparisons.errors import InputError
 from comparisons.experiments.reproduction.contract import Experiment, Sources
 from comparisons.experiments.reproduction.watched_run import truth_in_order
 from comparisons.extensions.dense_maps.accuracy import SurfaceError, surface_error
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.source import (
-    GRID_MODEL,
     BeforeClosing,
     DenseWatcher,
+    grid_model,
 )
 from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
@@ -79,11 +84,15 @@ class ClosedMap:
 
 @dataclass(frozen=True)
 class Maps:
-    """Of several drives. all_drives: also those whose loop closed gently; the first is drawn."""
+    """Of several drives. all_drives: also those whose loop closed gently; the first is drawn.
+
+    literal: the same drives by the thesis' settings.
+    """
 
     log: str
     closed: tuple[ClosedMap, ...]
     all_drives: tuple[DenseMapping, ...]
+    literal: Maps | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,11 +113,12 @@ class Round:
 
 @dataclass(frozen=True)
 class Rounds:
-    """One long drive. segment: (S, 4) true surfaces."""
+    """One long drive. segment: (S, 4) true surfaces. literal: by the thesis' settings."""
 
     log: str
     each: tuple[Round, ...]
     segment: Array
+    literal: Rounds | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,6 +127,7 @@ class Coarsened:
 
     triangle: (R, 3, 2). cell_m: (R,) of each region, NaN where nothing was seen. cells, cells_even:
     how many. emptiest: largest share of a region's cells that is empty, by the rule's measure.
+    literal: by the thesis' settings.
     """
 
     log: str
@@ -129,25 +140,38 @@ class Coarsened:
     error: SurfaceError
     error_even: SurfaceError
     segment: Array
+    literal: Coarsened | None = None
 
 
 def _maps(name: str, layers: tuple[Layer, ...], sources: Sources) -> Maps:
-    drives, closed = list[DenseMapping](), list[ClosedMap]()
-    while len(drives) < sources.drives or not closed:
-        if len(drives) == sources.drives + _MORE:
+    logs, ours = list[Log](), list[DenseMapping]()
+    while len(ours) < sources.drives or not _closed(ours):
+        if len(ours) == sources.drives + _MORE:
             raise InputError(f"{name}: no drive's loop is closed by a shift of {_CLOSING_M} m")
-        log = open_log(name, choices=SimulationChoices(len(drives)))
-        mapping = _mapped(log, DenseMapsConfig(layers=layers))
-        drives.append(mapping)
-        before = mapping.dense.before
-        if before is not None and before.shift_m > _CLOSING_M:
-            closed.append(ClosedMap(mapping, before, truth_in_order(log)[1]))
-    told = f"{name}, {len(drives)} drives from seed 0"
-    return Maps(f"{told}, {len(closed)} of them corrected at once", tuple(closed), tuple(drives))
+        logs.append(open_log(name, choices=SimulationChoices(len(logs))))
+        ours.append(map_log(logs[-1], _config(name, "recommended", layers=layers)))
+    literal = [map_log(log, _config(name, "as-published", layers=layers)) for log in logs]
+    told = f"{name}, {len(ours)} drives from seed 0, {{}} of them corrected at once"
+    found = [_of_drives(told, drives) for drives in (ours, literal)]
+    return replace(found[0], literal=found[1])
 
 
-def _mapped(log: Log, config: DenseMapsConfig) -> DenseMapping:
-    return map_log(log, MapConfig(extensions={"dense_maps": config}))
+def _of_drives(told: str, drives: list[DenseMapping]) -> Maps:
+    closed = _closed(drives)
+    return Maps(told.format(len(closed)), closed, tuple(drives))
+
+
+def _closed(drives: list[DenseMapping]) -> tuple[ClosedMap, ...]:
+    return tuple(
+        ClosedMap(mapping, before, truth_in_order(mapping.log)[1])
+        for mapping in drives
+        if (before := mapping.dense.before) is not None and before.shift_m > _CLOSING_M
+    )
+
+
+def _config(name: str, preset: Preset, **fields: Any) -> MapConfig:
+    """Settings of a named log by a preset, and of the dense map."""
+    return MapConfig.of(preset=preset, log={"source": name}, extensions={"dense_maps": fields})
 
 
 def raw_maps(sources: Sources) -> Maps:
@@ -163,12 +187,19 @@ def layered_maps(sources: Sources) -> Maps:
 def rounds(sources: Sources) -> Rounds:
     """Section 4.1.3: ten rounds, one grid beside the dense map."""
     log = open_log("occupancy-loop", choices=SimulationChoices(0, ROUNDS[-1]))
+    return replace(_rounds(log, "recommended"), literal=_rounds(log, "as-published"))
+
+
+def _rounds(log: Log, preset: Preset) -> Rounds:
     segment, true = _segment(log), truth_in_order(log)[1]
-    config = DenseMapsConfig(layers=("occupancy",))
-    classic = ClassicGrid(config.resolution_m, GRID_MODEL)
+    settings = _config(log.name, preset, layers=("occupancy",))
+    config = settings.extensions["dense_maps"]
+    if not isinstance(config, DenseMapsConfig):
+        raise TypeError(f"{type(config).__name__} is no DenseMapsConfig")
+    classic = ClassicGrid(config.resolution_m, grid_model(config))
     watcher = DenseWatcher(log, config)
     watcher.feed(classic)
-    ekf = build_ekf(log, settle(EkfConfig(), log), Trace())
+    ekf = build_ekf(log, settle(settings.ekf, log), Trace())
     loop_s, due, each = occupancy().drive.loop_s, list(ROUNDS), list[Round]()
     for stop in drive(ekf, log, build_timeline(log), beside=Beside(watching=watcher)):
         if due and stop.time_s >= due[0] * loop_s:
@@ -198,9 +229,13 @@ def _round(
 def coarsened(sources: Sources) -> Coarsened:
     """Section 4.1.3, Fig. 4.6: 0.2 m, and 0.5 m where a region is almost empty."""
     log = open_log("occupancy-loop", choices=SimulationChoices(0, _COARSE_ROUNDS))
+    return replace(_coarsened(log, "recommended"), literal=_coarsened(log, "as-published"))
+
+
+def _coarsened(log: Log, preset: Preset) -> Coarsened:
     segment = _segment(log)
     maps = [
-        _mapped(log, DenseMapsConfig(layers=("occupancy",), coarsening=rule))
+        map_log(log, _config(log.name, preset, layers=("occupancy",), coarsening=rule))
         for rule in (Coarsening(), None)
     ]
     coarse, even = (_grid(m) for m in maps)
@@ -219,7 +254,8 @@ def coarsened(sources: Sources) -> Coarsened:
         cells=cells,
         cells_even=cells_even,
         emptiest=max(
-            float(np.mean(g.odds < log_odds(Coarsening().least))) for g in even.grids.values()
+            (float(np.mean(g.odds < log_odds(Coarsening().least))) for g in even.grids.values()),
+            default=np.nan,
         ),
         error=surface_error(samples[0], segment),
         error_even=surface_error(samples[1], segment),

@@ -22,7 +22,7 @@ from comparisons.extensions.dense_maps.accuracy import (
     error_of_points,
     surface_error,
 )
-from comparisons.extensions.dense_maps.source import GRID_MODEL, DenseRun
+from comparisons.extensions.dense_maps.source import DenseRun, grid_model
 from comparisons.logs.log import Log
 from ekf_reference.dense.layers.classic_grid import ClassicGrid
 from ekf_reference.dense.layers.layer import Samples
@@ -95,7 +95,7 @@ def compare_dense(log: Log, dense: DenseRun, smoothed: Estimate) -> DenseAgreeme
     regions = dense.dense.regions
     by_filter = regions.placed(dense.landmark)
     by_smoother = regions.placed(dense.landmarks_of(smoothed))
-    grid = ClassicGrid(dense.options.resolution_m, GRID_MODEL)
+    grid = ClassicGrid(dense.options.resolution_m, grid_model(dense.options))
     other = _returns(log, dense, smoothed, by_smoother, grid)
     layers, rows, errors = {}, [], {}
     surfaces = log.truth.surfaces

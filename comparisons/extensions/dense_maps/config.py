@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field, field_validator
 
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from comparisons.extensions.dense_maps.extension import DenseMaps
 
 _Cell = Annotated[float, Field(ge=0.01, le=10.0)]
+FlipTest = Literal["joint", "ellipses"]
 
 
 class DenseMapsConfig(ExtensionConfig):
@@ -27,11 +28,25 @@ class DenseMapsConfig(ExtensionConfig):
 
     layers: tuple[Layer, ...] = Field((), description="kept, and compared with the smoother's")
     resolution_m: _Cell = Field(0.2, description="size of cells")
-    d_min_m: _Cell = Field(0.2, description="least distance of two Gaussians")
+    d_min_m: _Cell = Field(0.2, description="least distance of two Gaussians, of two particles")
+    p_occupied: float = Field(
+        0.65, gt=0.5, lt=1.0, description="of a grid's cell, given one return from it"
+    )
+    p_free: float = Field(
+        0.45, gt=0.0, lt=0.5, description="of occupancy of a grid's cell, given one look past it"
+    )
+    least_correlation: float = Field(
+        0.9, ge=-1.0, le=1.0, description="of each two landmarks of a region"
+    )
     known_apart_m: float = Field(
-        0.5, description="relative sigma up to which two landmarks make a region"
+        0.5, ge=0.0, description="relative sigma up to which any correlation will do; 0: none"
     )
     longest_edge_m: float = Field(35.0, description="of a region")
+    flip_test: FlipTest = Field(
+        "joint",
+        description="whether a region may turn over: by its corners' joint covariance, or by the "
+        "ellipse of each alone",
+    )
     coarsening: Coarsening | None = Field(
         None, description="of the occupancy layer's almost empty regions"
     )
@@ -39,6 +54,8 @@ class DenseMapsConfig(ExtensionConfig):
         math.inf, description="the vehicle's relative sigma up to which its scans are taken in"
     )
     reach_m: float = Field(35.0, description="how far from the vehicle returns are taken in")
+    delayed: bool = Field(True, description="keep returns until there is a region for them")
+    virtual_landmarks: bool = Field(True, description="allow regions with a virtual corner")
     patience: int = Field(16, description="scans that returns wait for a third landmark")
     capacity: int = Field(5_000, description="returns that may wait")
     detect_motion: bool = Field(False, description="look for what moves")
@@ -54,6 +71,16 @@ class DenseMapsConfig(ExtensionConfig):
         """All that the map holds, for whomever."""
         values = ("values",) if self.attribute_values else ()
         return tuple(dict.fromkeys((*self.layers, *values)))
+
+    @property
+    def first_condition(self) -> str:
+        """Return the rule by which pairs of landmarks may share a region, in words."""
+        correlated = f"pairs with correlation >= {self.least_correlation:g}"
+        if self.known_apart_m <= 0.0:
+            return f"{correlated} (N 3.5)"
+        return (
+            f"{correlated} or relative sigma <= {self.known_apart_m:g} m (N 3.5: correlation alone)"
+        )
 
     def check_with(self, config: Configured) -> None:
         """A map that keeps nothing is a mistake."""

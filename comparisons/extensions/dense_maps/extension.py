@@ -56,12 +56,13 @@ class DenseMapsFinding(Finding):
         """Maps that are apart are a reason to disagree."""
         self.dense, self.agreement, self._log = dense, agreement, log
         if agreement is None:
-            count = len(dense.dense.regions.base)
+            count, rule = len(dense.dense.regions.base), dense.options.first_condition
             self.remarks = [
-                f"no return fell into one of {count} regions, so no dense maps could be compared"
+                f"no return fell into one of {count} regions ({rule}), so no dense maps could be "
+                "compared"
             ]
             return
-        self.result = dense_result(agreement)
+        self.result = dense_result(agreement, dense)
         self.entries = {"dense": self.result}
         if not agreement.agrees:
             self.causes = [dense_cause(agreement)]

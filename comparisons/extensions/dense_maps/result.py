@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
+
 from comparisons.extensions.contract import Row
 from comparisons.extensions.dense_maps.accuracy import SurfaceError
 from comparisons.extensions.dense_maps.check import DenseAgreement
+from comparisons.extensions.dense_maps.source import DenseRun
 from comparisons.report.model import Model, finite
 
 _LISTED = 20
 
 
-def dense_result(check: DenseAgreement) -> DenseResult:
-    """Return the check's figures."""
+def dense_result(check: DenseAgreement, dense: DenseRun) -> DenseResult:
+    """Return the check's figures, and by which rule the filter's map got its regions."""
     return DenseResult(
         agrees=check.agrees,
+        first_condition=first_condition_result(dense),
         layers={
             name: DenseLayerResult(
                 samples=len(layer.point),
@@ -31,6 +35,26 @@ def dense_result(check: DenseAgreement) -> DenseResult:
     )
 
 
+def first_condition_result(dense: DenseRun) -> FirstConditionResult:
+    """Return the first condition of regions, and how many met it in which way."""
+    regions = dense.dense.regions
+    return FirstConditionResult(
+        rule=dense.options.first_condition,
+        regions=len(regions.base),
+        by_correlation=int(np.count_nonzero(regions.by_correlation)),
+        by_relative_sigma=int(np.count_nonzero(~regions.by_correlation)),
+    )
+
+
+def first_condition_row(found: FirstConditionResult) -> Row:
+    """Return the rule and both shares."""
+    return Row(
+        "regions",
+        f"{found.rule}; of {found.regions} regions {found.by_correlation} met it by correlation "
+        f"when made, {found.by_relative_sigma} only by relative sigma",
+    )
+
+
 def surface_error_results(errors: Mapping[str, SurfaceError]) -> dict[str, SurfaceErrorResult]:
     """Errors by name."""
     return {
@@ -43,7 +67,8 @@ def surface_error_results(errors: Mapping[str, SurfaceError]) -> dict[str, Surfa
 
 def dense_rows(dense: DenseResult) -> list[Row]:
     """Return how far the maps are apart."""
-    rows = [
+    rows = [first_condition_row(dense.first_condition)]
+    rows += [
         Row(
             f"dense {name}",
             f"{layer.samples:,} occupied, {layer.median_m:.3f} m from the smoother's returns "
@@ -98,6 +123,20 @@ class DenseRegionResult(Model):
     distance_m: float
 
 
+class FirstConditionResult(Model):
+    """The first condition of regions (Nieto 2005, section 3.5) as the run had it.
+
+    regions: how many were made. by_correlation: of these, at birth all pairs met it by their
+    correlation, the vehicle's position among them where a corner is virtual; by_relative_sigma:
+    the others, which the thesis' rule refuses.
+    """
+
+    rule: str
+    regions: int
+    by_correlation: int
+    by_relative_sigma: int
+
+
 class DenseResult(Model):
     """Dense maps of filter and smoother. regions: the worst first, at most twenty.
 
@@ -105,6 +144,7 @@ class DenseResult(Model):
     """
 
     agrees: bool
+    first_condition: FirstConditionResult
     layers: dict[str, DenseLayerResult]
     occupancy_share: float | None
     regions: list[DenseRegionResult]

@@ -22,7 +22,7 @@ from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import POINT, POSE
-from ekf_reference.dense.conditions import Conditions
+from ekf_reference.dense.conditions import Conditions, ellipse_margin, flip_margin
 from ekf_reference.dense.delayed_initialisation import DelayedInitialisation
 from ekf_reference.dense.dense_map import DenseMap
 from ekf_reference.dense.dynamic import Counters, DynamicLayer
@@ -37,9 +37,7 @@ from ekf_reference.dense.scan import Scan
 from ekf_reference.dense.sensor_model import InverseSensorModel
 from ekf_reference.dense.view import FilterView, by_number
 
-GRID_MODEL = InverseSensorModel(p_occupied=0.65, p_free=0.45)
-"""Of grids: several looks, not one noisy return, make a cell occupied, and what stands is often
-looked past."""
+MARGINS = {"joint": flip_margin, "ellipses": ellipse_margin}
 _TELLING_M = 0.05
 """Least shift of the regions by one update that is worth a picture (root mean square)."""
 _MARGIN_M = 0.5
@@ -56,23 +54,38 @@ class GlobalMap(Protocol):
         ...
 
 
+def grid_model(config: DenseMapsConfig) -> InverseSensorModel:
+    """Return what one return says of a grid's cells (Nieto 2005, eq. 4.4)."""
+    return InverseSensorModel(p_occupied=config.p_occupied, p_free=config.p_free)
+
+
+def conditions(config: DenseMapsConfig) -> Conditions:
+    """Return when three landmarks may define a region (Nieto 2005, section 3.5)."""
+    return Conditions(
+        least_correlation=config.least_correlation,
+        known_apart_m=config.known_apart_m,
+        longest_edge_m=config.longest_edge_m,
+        margin=MARGINS[config.flip_test],
+    )
+
+
 def build_map(config: DenseMapsConfig, also: Sequence[str] = ()) -> DenseMap:
     """Return an empty map. also: more layers."""
     size = config.resolution_m
     made: Mapping[str, Layer] = {
         "points": Points(size),
-        "occupancy": OccupancyGrid(size, GRID_MODEL, coarsening=config.coarsening),
-        "particles": Particles(np.random.default_rng(0)),
+        "occupancy": OccupancyGrid(size, grid_model(config), coarsening=config.coarsening),
+        "particles": Particles(np.random.default_rng(0), d_min_m=config.d_min_m),
         "sog": Gaussians(config.d_min_m),
         "values": Values(),
     }
-    conditions = Conditions(
-        known_apart_m=config.known_apart_m, longest_edge_m=config.longest_edge_m
-    )
+    waiting = DelayedInitialisation(capacity=config.capacity, patience=config.patience)
     return DenseMap(
         layers={name: made[name] for name in dict.fromkeys((*config.kept_layers, *also))},
-        regions=LocalRegions(conditions=conditions),
-        waiting=DelayedInitialisation(capacity=config.capacity, patience=config.patience),
+        regions=LocalRegions(conditions=conditions(config)),
+        waiting=waiting if config.delayed or config.virtual_landmarks else None,
+        delayed=config.delayed,
+        virtual=config.virtual_landmarks,
         reach_m=config.reach_m,
         dynamic=DynamicLayer(size) if config.detect_motion else None,
         known_m=config.known_m,

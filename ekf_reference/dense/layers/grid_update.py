@@ -10,6 +10,8 @@ from ekf_reference.core.geometry import Index
 from ekf_reference.dense.scan import Scan, Single
 from ekf_reference.dense.sensor_model import InverseSensorModel, log_odds
 
+PRIOR = 0.5
+"""Of every cell; its log-odds are zero, the last term of eq. 4.7."""
 _ROUGHNESS = 0.5
 """Standard deviation of where in a cell a surface lies, in cells."""
 _FAR = 4.0
@@ -65,7 +67,7 @@ class GridUpdate:
 
 def unknown(count: int) -> Single:
     """Log-odds (N,) of cells that nothing is known of."""
-    return np.zeros(count, dtype=np.float32)
+    return np.full(count, log_odds(PRIOR), dtype=np.float32)
 
 
 def known(odds: Single) -> Index:

@@ -139,6 +139,23 @@ def test_two_landmarks_get_regions_with_virtual_corners_only_after_a_wait() -> N
     assert not len(never.regions.base)
 
 
+def test_waiting_and_virtual_corners_can_be_left_out_each() -> None:
+    """Returns that may not wait are outside in the end; what waits still shows where corners go."""
+    dense, neither, real = (
+        replace(dense_map("points", waiting=room()), delayed=delayed, virtual=virtual)
+        for delayed, virtual in ((True, True), (False, True), (True, False))
+    )
+    for each in (dense, neither, real):
+        drive(each, view(SQUARE[:2]), *[wall()] * (PATIENCE + 6))
+    assert accounted(dense)
+    assert len(neither.regions.base) == len(dense.regions.base) > 0
+    assert neither.tally.late == 0 < dense.tally.late
+    assert neither.tally.fused == dense.tally.fused == held(neither) > 0
+    assert neither.tally.outside == dense.tally.outside + dense.tally.late
+    assert not len(real.regions.base)
+    assert real.tally.fused == real.tally.late == 0
+
+
 def test_collinear_landmarks_get_no_region_of_their_own() -> None:
     """Virtual corners stand behind every pair of neighbours, more of them than landmarks."""
     line = np.column_stack((np.full(4, 6.0), (-9.0, -3.0, 3.0, 9.0)))

@@ -158,6 +158,32 @@ def test_first_condition_refuses_landmarks_that_hang_together_too_little() -> No
     assert added(Conditions(), THREE, one_loose) == 0  # two out of three are not enough
 
 
+def test_a_region_keeps_by_which_form_of_the_first_condition_it_was_made() -> None:
+    """All pairs by correlation, or one by its relative sigma alone; later covariances are late."""
+    landmark = np.vstack((THREE, THREE + (40.0, 0.0), THREE + (80.0, 0.0)))
+    covariance = np.zeros((18, 18))
+    covariance[:6, :6] = covariance[12:, 12:] = shared(0.3, 0.01)
+    covariance[6:12, 6:12] = loose = shared(0.02, 0.1)
+    covariance[14:16, 14:16] += 0.1 * np.eye(2)  # one of three correlates too little
+    regions = LocalRegions(conditions=Conditions(known_apart_m=0.5))
+    slot = np.array((3, 0, 1, 2, 5, 4, 8, 7, 6))
+    columns = (2 * slot[:, None] + np.arange(2)).ravel()
+    regions.extend(landmark, slot, covariance[columns[:, None], columns])
+    first = (regions.base.min(axis=1) // 3).tolist()
+    assert dict(zip(first, regions.by_correlation.tolist(), strict=True)) == {
+        0: True,
+        1: False,
+        2: False,
+    }
+    assert Conditions().highly_correlated(shared(0.3, 0.01)).all()
+    assert not Conditions(known_apart_m=0.5).highly_correlated(loose)[0, 1]
+    regions.extend(landmark, np.arange(9), np.kron(np.eye(9), np.eye(2)))
+    assert len(regions.base) == len(regions.by_correlation) == 3
+    literal = LocalRegions()
+    literal.extend(landmark, slot, covariance[columns[:, None], columns])
+    assert literal.by_correlation.tolist() == [True]
+
+
 @pytest.mark.parametrize("order", list(permutations(range(3))))
 def test_every_edge_is_bounded(order: tuple[int, ...]) -> None:
     """Two edges of 20 m and one of 30 m, whichever landmark comes first."""

@@ -64,6 +64,19 @@ def test_not_while_the_vehicle_is_poorly_correlated() -> None:
     assert len(lax.extend_virtual(*given, loose, BEHIND[None])) == 1
 
 
+def test_the_vehicle_counts_among_the_pairs_by_correlation() -> None:
+    """Landmarks that correlate, and a vehicle that is near them but correlates too little."""
+    state = at_a_wall(0.3, 0.01)
+    made = LocalRegions()
+    assert len(extended(made, state, BEHIND[None])) == 1
+    assert made.by_correlation.tolist() == [True]
+    loose = state.covariance.copy()
+    loose[:2, :2] += 0.1 * np.eye(2)
+    known = LocalRegions(conditions=Conditions(known_apart_m=0.5))
+    assert len(known.extend_virtual(state.landmarks, BOTH, POSE, loose, BEHIND[None])) == 1
+    assert known.by_correlation.tolist() == [False]
+
+
 def test_not_without_points_to_cover() -> None:
     state = at_a_wall(2.0, 0.1)
     assert not len(extended(LocalRegions(), state, np.empty((0, 2))))
