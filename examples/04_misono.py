@@ -28,7 +28,7 @@ def main() -> dict[str, float]:
     rng = np.random.default_rng(5)
     landmarks = np.column_stack((rng.uniform(-14, 14, 15), rng.uniform(-4, 24, 15)))
     motion, sensor = UnicycleModel(), RangeBearing()
-    whole = DirectionCosineOptions(full_jacobian=True, renormalise=True)
+    whole = DirectionCosineOptions(full_jacobian=True, renormalise=True, stacked=True)
     filters = {
         "x, y, heading": Ekf(motion, KnownAssociation(), *PRIOR),
         "direction cosines, as published": DirectionCosineEkf(motion, KnownAssociation(), *PRIOR),

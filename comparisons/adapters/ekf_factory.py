@@ -35,6 +35,10 @@ Common = tuple[MotionModel, Association, Array, Array, Stabilisation, Trace]
 """What every filter is made of: motion, association, prior, its covariance, noise, trace."""
 LEAST_GAIN = 1e-4
 """c1 of the suboptimal global update, the example of Guivant 2002, eq. 22."""
+NO_GATE = float("inf")
+"""Of labels and positions in Misono's published filter, which rejects nothing."""
+WIDER = 2.0
+"""Misono 2007, section 3.4: d_min is larger than the way of one sample; so many times, at least."""
 
 
 def settle(config: EkfConfig, log: Log) -> EkfConfig:
@@ -94,11 +98,22 @@ def _misono(choices: EkfConfig, common: Common, antenna: tuple[float, float]) ->
         DirectionCosinePosition,
     )
 
-    complete = choices.filter == "misono-full"
-    options = DirectionCosineOptions(full_jacobian=complete, renormalise=complete)
+    ours = choices.filter == "misono-full"
+    options = DirectionCosineOptions(full_jacobian=ours, renormalise=ours, stacked=ours)
     ekf = DirectionCosineEkf(*common, options=options)
-    ekf.fixes = PositionFixes(DirectionCosinePosition(antenna))
+    gate = PositionFixes.gate if ours else NO_GATE
+    ekf.fixes = PositionFixes(DirectionCosinePosition(antenna), gate)
     return ekf
+
+
+def longest_sample_m(log: Log) -> float:
+    """The longest way that the vehicle goes in one sample of its odometry."""
+    odometry = log.odometry
+    if isinstance(odometry, RelativePoses):
+        way = np.hypot(*odometry.displacement[:, :2].T)
+    else:
+        way = np.abs(odometry.speed_mps[:-1]) * np.diff(odometry.time_s)
+    return float(way.max(initial=0.0))
 
 
 def motion_model(log: Log) -> MotionModel:
@@ -140,8 +155,9 @@ def build_association(
 ) -> Association:
     """The rule; detections that need confirmation pass as candidates first.
 
-    Sightings of surveyed landmarks go by their labels in any case. layer: of the map that is kept
-    beside the filter. Raises ValueError where attributes are to come from one and there is none.
+    Sightings of surveyed landmarks go by their labels in any case. Misono's published filter has
+    no gate for labels. layer: of the map that is kept beside the filter.
+    Raises ValueError where attributes are to come from one and there is none.
     """
     slot_of, _, _ = surveyed(log)
     rule: Association
@@ -154,18 +170,21 @@ def build_association(
 
         told = LayerAttributes(memory, layer, BRIGHTNESS)
     if choices.association == "known":
-        rule = KnownAssociation(log.sightings.label_gate, first_slot=len(slot_of))
+        gate = NO_GATE if choices.filter == "misono" else log.sightings.label_gate
+        rule = KnownAssociation(gate, first_slot=len(slot_of))
     else:
-        rule = _rule(choices.association, told)
+        rule = _rule(choices.association, told, log)
         if log.sightings.needs_confirmation:
             from ekf_reference.association.landmark_initiation import LandmarkInitiation
 
             rule = LandmarkInitiation(rule=rule)
-    rule = SurveyedLandmarks(rule, slot_of) if slot_of else rule
+    if slot_of:
+        gate = NO_GATE if choices.filter == "misono" else SurveyedLandmarks.gate
+        rule = SurveyedLandmarks(rule, slot_of, gate)
     return rule if memory is None else RememberedAttributes(rule, memory)
 
 
-def _rule(name: str | None, attributes: Attributes) -> Association:
+def _rule(name: str | None, attributes: Attributes, log: Log) -> Association:
     """A rule that needs no labels, by name."""
     if name == "jcbb":
         from ekf_reference.association.joint_compatibility import JointCompatibility
@@ -176,5 +195,5 @@ def _rule(name: str | None, attributes: Attributes) -> Association:
 
         return ConsensusAssociation()
     if name == "euclidean":
-        return EuclideanNeighbour()
+        return EuclideanNeighbour(max(EuclideanNeighbour.d_min_m, WIDER * longest_sample_m(log)))
     return NearestNeighbour(attributes=attributes)

@@ -16,7 +16,7 @@ from ekf_reference.core import trace as records
 from ekf_reference.core.ekf import Ekf, PoseReading, Stabilisation, StepNoise
 from ekf_reference.core.geometry import Array, Index, rotation
 from ekf_reference.core.landmark_types import POINT, POSE, NewLandmarks, PredictedMeasurements
-from ekf_reference.core.measurements import Association
+from ekf_reference.core.measurements import Association, Measurements
 from ekf_reference.core.state import Correction, FilterDivergedError, KalmanState
 from ekf_reference.models.motion import MotionModel, MotionStep
 from ekf_reference.models.position import PositionFixes
@@ -227,10 +227,11 @@ class PairStabilisation:
 
 @dataclass(frozen=True)
 class DirectionCosineOptions:
-    """Additions to the published filter: see OwnAxesObservation and CircleState."""
+    """Additions to the published filter. stacked: an instant's measurements are fused together."""
 
     full_jacobian: bool = False
     renormalise: bool = False
+    stacked: bool = False
 
 
 class DirectionCosineEkf(Ekf):
@@ -252,7 +253,7 @@ class DirectionCosineEkf(Ekf):
     ) -> None:
         """prior_pose: (3,) and prior_covariance: (3, 3) of x, y, heading, as in Ekf."""
         options = options or DirectionCosineOptions()
-        self.renormalise = options.renormalise
+        self.renormalise, self.stacked = options.renormalise, options.stacked
         self._unwrapped = UnwrappedPose(float(prior_pose[2]))
         radial_variance = 0.0 if self.renormalise else RADIAL_VARIANCE
         pose = from_heading(prior_pose)
@@ -275,6 +276,10 @@ class DirectionCosineEkf(Ekf):
         """Return the pose now, against the trace's."""
         read = self.read_pose()
         return PoseReading(read.pose, read.pose, np.eye(3)) if self.renormalise else read
+
+    def _fuse(self, seen: Measurements, slots: Index, rows: Index) -> None:
+        for some in [rows] if self.stacked else rows[:, None]:  # 12 to 15, repeated M times
+            super()._fuse(seen, slots, some)
 
 
 @dataclass(frozen=True)

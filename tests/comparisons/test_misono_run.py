@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from comparisons.adapters.ekf_factory import build_association, build_ekf, longest_sample_m
 from comparisons.checks.agreement import ROUNDING
+from comparisons.config import EkfConfig
 from comparisons.experiments.defects.defect import with_state
+from comparisons.experiments.reproduction.misono import d_min_exceeds_way
 from comparisons.logs.log import Log
+from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.simulate.waypoints import WaypointRun, simulate
 from comparisons.pipeline.compare import Comparison, Modified
+from comparisons.settings import run_config
+from ekf_reference.association.known import KnownAssociation
+from ekf_reference.association.nearest_neighbour import EuclideanNeighbour
 from ekf_reference.core.state import KalmanState
+from ekf_reference.core.trace import Trace
 from tests.ekf_reference.filters.test_misono import CovarianceLeftBehind, DividedByLength
 from tests.helpers import compared, simulated
 
@@ -57,3 +67,29 @@ def test_a_waypoint_run_with_positions_has_no_gap() -> None:
 def test_other_ways_back_to_the_circle_are_rejected(log: Log, state: type[KalmanState]) -> None:
     comparison = compared(log, Modified(with_state(state)), filter="misono-full")
     assert not comparison.agreement.algebra.within(ROUNDING)
+
+
+@pytest.mark.parametrize(("name", "gated"), [("misono", False), ("misono-full", True)])
+def test_the_published_filter_has_no_gate(log: Log, name: str, gated: bool) -> None:
+    log = replace(log, sightings=replace(log.sightings, label_gate=50.0))
+    ekf = build_ekf(log, EkfConfig(filter=name, association="known"), Trace())
+    assert isinstance(ekf.association, KnownAssociation)
+    assert np.isfinite([ekf.association.gate, ekf.fixes.gate]).tolist() == [gated, gated]
+
+
+def test_eq_17_reaches_farther_than_one_sample(log: Log) -> None:
+    """Misono 2007, section 3.4: d_min is larger than the way of one sampling time."""
+    choices = EkfConfig(filter="misono", association="euclidean")
+    for displacement, d_min_m in ((0.1, 1.0), (1.5, 3.0)):
+        way = RelativePoses(np.ones(1), np.array([[displacement, 0.0, 0.0]]), np.eye(3)[None])
+        rule = build_association(replace(log, odometry=way), choices)
+        assert isinstance(rule, EuclideanNeighbour)
+        assert rule.d_min_m == d_min_m
+    assert longest_sample_m(log) < 1.0
+    assert d_min_exceeds_way()
+
+
+def test_as_published_takes_eq_17() -> None:
+    chosen = run_config(preset="as-published", filter="misono")
+    assert chosen.ekf.association == "euclidean"
+    assert run_config(preset="as-published").ekf.association is None

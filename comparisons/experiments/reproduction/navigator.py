@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
+from comparisons.adapters.ekf_factory import NO_GATE
 from comparisons.arrays import Array
 from ekf_reference.association.known import KnownAssociation
+from ekf_reference.association.nearest_neighbour import EuclideanNeighbour
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.filters.misono import DirectionCosineEkf, DirectionCosineOptions
 from ekf_reference.models.motion import RelativePoseModel
@@ -34,7 +38,7 @@ class FilterNavigator:
             self.path[-1] = self.pose()
 
     def fixed(self, position: Array, covariance: Array) -> None:
-        """Fuse the position, gated."""
+        """Fuse the position."""
         if self.use_fixes:
             self.ekf.fix_position(position, covariance)
             self.path[-1] = self.pose()
@@ -44,13 +48,23 @@ class FilterNavigator:
         return self.ekf.read_pose().pose
 
 
-def direction_cosine_navigator(*, complete: bool, slam: bool) -> FilterNavigator:
-    """Misono's filter at the base, as published or complete; without `slam` it dead reckons."""
+def direction_cosine_navigator(
+    *, complete: bool, slam: bool = True, aided: bool = False
+) -> FilterNavigator:
+    """Misono's filter at the base, as published or complete; without `slam` it dead reckons.
+
+    aided: it is given labels and positions; else landmarks go by eq. 17, and there are none.
+    """
+    rule = KnownAssociation() if aided else EuclideanNeighbour()
     ekf = DirectionCosineEkf(
         RelativePoseModel(),
-        KnownAssociation(),
+        rule,
         np.zeros(3),
         1e-10 * np.eye(3),
-        options=DirectionCosineOptions(full_jacobian=complete, renormalise=complete),
+        options=DirectionCosineOptions(
+            full_jacobian=complete, renormalise=complete, stacked=complete
+        ),
     )
-    return FilterNavigator(ekf, use_sightings=slam, use_fixes=slam)
+    if not complete:
+        ekf.fixes = replace(ekf.fixes, gate=NO_GATE)
+    return FilterNavigator(ekf, use_sightings=slam, use_fixes=slam and aided)

@@ -121,10 +121,10 @@ def test_slam_cancels_what_dead_reckoning_accumulates(filter_name: str) -> None:
 
 @pytest.mark.parametrize("complete", [False, True])
 def test_slam_returns_to_the_base_and_dead_reckoning_does_not(complete: bool) -> None:
-    """M Fig. 6: steered by its own estimate the robot comes home, by dead reckoning it does not."""
+    """M Fig. 6: by its own estimate, with labels and GPS, the robot comes home, else not."""
     ends = {}
     for slam in (True, False):
-        pilot = direction_cosine_navigator(complete=complete, slam=slam)
+        pilot = direction_cosine_navigator(complete=complete, slam=slam, aided=True)
         log = simulate(np.random.default_rng(0), RUN, pilot)
         ends[slam] = end_from_base(log)
         assert len(pilot.path) == len(log.odometry.time_s) + 1

@@ -9,6 +9,7 @@ from ekf_reference.association.known import KnownAssociation
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.landmark_types import POINT, NewLandmarks, PredictedMeasurements
+from ekf_reference.core.measurements import Measurements
 from ekf_reference.core.state import Correction, FilterDivergedError, KalmanState
 from ekf_reference.core.trace import RecordedTrace
 from ekf_reference.filters.misono import (
@@ -57,7 +58,7 @@ def on_circle(trace: RecordedTrace | None = None) -> DirectionCosineEkf:
         np.array([1.0, 2.0, 3.0]),
         np.diag((0.1, 0.2, 0.05)),
         trace=trace,
-        options=DirectionCosineOptions(full_jacobian=True, renormalise=True),
+        options=DirectionCosineOptions(full_jacobian=True, renormalise=True, stacked=True),
     )
 
 
@@ -166,3 +167,73 @@ def test_a_pair_without_length_stops_the_filter() -> None:
     with pytest.raises(FilterDivergedError, match=r"length 0\.05 in place of 1"):
         ekf.observe(*seen)
     assert np.array_equal(ekf.state.covariance, before)
+
+
+class FixedAxes(OwnAxesObservation):
+    """Landmarks in axes that do not turn with the vehicle: a linear measurement."""
+
+    def predict(self, pose: Array, landmarks: Array) -> PredictedMeasurements:
+        return super().predict(np.concatenate((pose[:2], (0.6, 0.8))), landmarks)
+
+    def invert(self, pose: Array, z: Array) -> NewLandmarks:
+        new = super().invert(np.concatenate((pose[:2], (0.6, 0.8))), z)
+        by_pose = np.array(new.jacobian_pose)
+        by_pose[:, :, 2:] = 0.0
+        return new._replace(jacobian_pose=by_pose)
+
+
+class PredictedOnce(DirectionCosineEkf):
+    """Every measurement of an instant predicted from x(k|k-1), as eq. 12 reads without `repeated`.
+
+    The covariance goes on, the innovation does not.
+    """
+
+    def _fuse(self, seen: Measurements, slots: Index, rows: Index) -> None:
+        model, found = self.models[seen.width], []
+        for row in rows:
+            local = self.state.map_of(slots[[row]])
+            z, by_pose, by_landmark = model.predict(local.pose, local.landmark)
+            jacobian = np.concatenate((by_pose[0], by_landmark[0]), axis=1)
+            found.append((local.columns, jacobian, (seen.z[row] - z[0]), seen.noise[row]))
+        for columns, jacobian, innovation, noise in found:
+            self.state.update(columns, jacobian, innovation, noise)
+
+
+def driven(
+    axes: OwnAxesObservation, make: type[DirectionCosineEkf] = DirectionCosineEkf, **options: bool
+) -> KalmanState:
+    """The state after a drive by which all measurements are fused as points in some axes."""
+    ekf = make(
+        UnicycleModel(),
+        KnownAssociation(),
+        np.array([1.0, 2.0, 3.0]),
+        np.diag((0.1, 0.2, 0.05)),
+        options=DirectionCosineOptions(**options),
+    )
+    ekf.models[POINT] = axes
+    drive(ekf, np.random.default_rng(0))
+    return ekf.state
+
+
+def apart(first: KalmanState, second: KalmanState) -> float:
+    return max(
+        relative_error(first.mean, second.mean), relative_error(first.covariance, second.covariance)
+    )
+
+
+def test_one_after_the_other_equals_together_where_the_measurement_is_linear() -> None:
+    """Steps 2 and 3, repeated M times (Misono 2007, section 3.3), against one stacked update."""
+    assert apart(driven(FixedAxes(full_jacobian=False)), driven(FixedAxes(False), stacked=True)) < (
+        1e-10
+    )
+
+
+def test_predictions_that_do_not_go_on_are_rejected() -> None:
+    once = driven(FixedAxes(full_jacobian=False), PredictedOnce)
+    assert apart(once, driven(FixedAxes(full_jacobian=False), stacked=True)) > 1e-3
+
+
+def test_published_is_one_after_the_other() -> None:
+    """Eq. 9 turns with the pair, so the order of fusing shows."""
+    axes = OwnAxesObservation(full_jacobian=False)
+    assert apart(driven(axes), driven(axes, stacked=True)) > 1e-3
