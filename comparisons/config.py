@@ -99,6 +99,12 @@ class EkfConfig(Section):
     )
     attributes: Attributes = Field("off", description="diameters and intensities in association")
     gps: Gps = Field("off", description="absolute positions to fuse; half holds every second back")
+    gps_recovery: int | None = Field(
+        None,
+        ge=2,
+        description="rejected positions in a row, alike in where they lie from the vehicle, after "
+        "which those that follow are fused; never if absent",
+    )
     split_turn_rad: float | None = Field(
         None, gt=0.0, description="an update that turns the vehicle by more is made in parts"
     )

@@ -78,7 +78,8 @@ def build_ekf(log: Log, choices: EkfConfig, trace: Trace, layer: LayerValues | N
     }
     given = {name: bound for name, bound in bounds.items() if bound is not None}
     ekf.splitter = replace(ekf.splitter, **given)
-    ekf.fixes = replace(ekf.fixes, splitter=replace(ekf.fixes.splitter, **given))
+    splitter = replace(ekf.fixes.splitter, **given)
+    ekf.fixes = replace(ekf.fixes, splitter=splitter, recovery=choices.gps_recovery)
     return ekf
 
 

@@ -51,7 +51,7 @@ def build_result(comparison: Comparison, read_s: float = 0.0) -> Result:
         schema_version=SCHEMA,
         config=c.prepared.config.model_dump(mode="json"),
         log=log_result(c.log),
-        ekf=ekf_result(c.ekf, c.prepared.ekf),
+        ekf=ekf_result(c.ekf, c.prepared.ekf, c.assessment.fixes),
         smoother=smoother_result(c.smoother, c.smoothed),
         agreement=_agreement(c),
         consistency=consistency_result(c.consistency),
