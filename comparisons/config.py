@@ -99,6 +99,13 @@ class EkfConfig(Section):
     )
     attributes: Attributes = Field("off", description="diameters and intensities in association")
     gps: Gps = Field("off", description="absolute positions to fuse; half holds every second back")
+    least_gain: float | None = Field(
+        None,
+        ge=0.0,
+        lt=1.0,
+        description="share of its variance below which compressed-suboptimal spares a state; 1e-4 "
+        "if absent",
+    )
     gps_recovery: int | None = Field(
         None,
         ge=2,

@@ -91,8 +91,9 @@ def _of_headings(choices: EkfConfig, common: Common, antenna: tuple[float, float
     else:
         from ekf_reference.filters.compressed import CompressedEkf, LocalAreas
 
-        gain = LEAST_GAIN if choices.conservative else 0.0
-        ekf = CompressedEkf(*common, LocalAreas(least_gain=gain))
+        gain = LEAST_GAIN if choices.least_gain is None else choices.least_gain
+        areas = LocalAreas(least_gain=gain if choices.conservative else 0.0)
+        ekf = CompressedEkf(*common, areas)
     ekf.fixes = PositionFixes(PositionModel(antenna))
     return ekf
 
