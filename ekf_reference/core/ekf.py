@@ -190,11 +190,11 @@ class Ekf:
 
         at, fixes = linearise(), self.fixes
         inside = at.normalised_squared(covariance) <= fixes.gate
-        count = 0 if inside else self._beyond.count_with(at.innovation, covariance, fixes.gate)
-        if fused := inside or (fixes.recovery is not None and count > fixes.recovery):
+        length = 0 if inside else self._beyond.length_with(at.innovation, covariance, fixes.gate)
+        if fused := inside or (fixes.recovery is not None and length > fixes.recovery):
             slot = np.array([VEHICLE])
             self.fuse(linearise, covariance[None], number, slot, splitter=fixes.splitter)
-        self._beyond = Streak(count, linearise().innovation, covariance)
+        self._beyond = Streak(length, linearise().innovation, covariance)
         return fused
 
     def fuse(

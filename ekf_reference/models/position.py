@@ -38,19 +38,19 @@ class PositionModel:
 class Streak(NamedTuple):
     """Fixes beyond the gate, each as far off as the one before: the filter may be what is wrong.
 
-    count: of them. innovation: (2,) of the last once it was fused or rejected. covariance: (2, 2),
+    length: of it. innovation: (2,) of the last once it was fused or rejected. covariance: (2, 2),
     its R.
     """
 
-    count: int = 0
+    length: int = 0
     innovation: Array = np.zeros(2)
     covariance: Array = np.eye(2)
 
-    def count_with(self, innovation: Array, covariance: Array, gate: float) -> int:
-        """Return the count with one fix more, which is the first where it differs from the last."""
+    def length_with(self, innovation: Array, covariance: Array, gate: float) -> int:
+        """Return the length with one fix more, the first of a streak where it differs."""
         apart = innovation - self.innovation
         agrees = apart @ np.linalg.solve(covariance + self.covariance, apart) <= gate
-        return self.count + 1 if agrees else 1
+        return self.length + 1 if agrees else 1
 
 
 @dataclass(frozen=True)

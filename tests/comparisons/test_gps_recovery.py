@@ -87,9 +87,9 @@ def test_wild_positions_that_disagree_are_not_admitted() -> None:
 
 def test_a_recovery_that_only_counts_would_be_seen(monkeypatch: pytest.MonkeyPatch) -> None:
     def counted(self: Streak, innovation: EkfArray, covariance: EkfArray, gate: float) -> int:
-        return self.count + 1
+        return self.length + 1
 
-    monkeypatch.setattr(Streak, "count_with", counted)
+    monkeypatch.setattr(Streak, "length_with", counted)
     with pytest.raises(AssertionError):
         test_wild_positions_that_disagree_are_not_admitted()
 
@@ -98,8 +98,8 @@ def test_a_streak_needs_fixes_that_are_alike() -> None:
     noise, streak = 0.25 * np.eye(2), Streak()
     for count, off in ((1, (3.0, 0.0)), (2, (3.3, 0.4)), (3, (3.0, 0.9)), (1, (-3.0, 0.0))):
         innovation = np.array(off)
-        streak = Streak(streak.count_with(innovation, noise, 13.82), innovation, noise)
-        assert streak.count == count
+        streak = Streak(streak.length_with(innovation, noise, 13.82), innovation, noise)
+        assert streak.length == count
 
 
 def found_at_truth(log: Log) -> RejectedFixes:
