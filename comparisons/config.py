@@ -99,6 +99,31 @@ class EkfConfig(Section):
     )
     attributes: Attributes = Field("off", description="diameters and intensities in association")
     gps: Gps = Field("off", description="absolute positions to fuse; half holds every second back")
+    least_gain: float | None = Field(
+        None,
+        ge=0.0,
+        lt=1.0,
+        description="share of its variance below which compressed-suboptimal spares a state; 1e-4 "
+        "if absent",
+    )
+    gps_recovery: int | None = Field(
+        None,
+        ge=2,
+        description="rejected positions in a row, alike in where they lie from the vehicle, after "
+        "which those that follow are fused; never if absent",
+    )
+    split_turn_rad: float | None = Field(
+        None, gt=0.0, description="an update that turns the vehicle by more is made in parts"
+    )
+    split_move_m: float | None = Field(
+        None, gt=0.0, description="an update that moves the vehicle by more is made in parts"
+    )
+    split_shrink: float | None = Field(
+        None,
+        gt=0.0,
+        lt=1.0,
+        description="an update that takes a larger share of a variance is made in parts",
+    )
 
     @model_validator(mode="after")
     def _take_attributes(self) -> Self:

@@ -231,7 +231,7 @@ def test_a_large_positional_dataclass_is_found() -> None:
 
 
 def test_nothing_stands_on_experiments() -> None:
-    """But the commands that run them, and rows that name the place of a figure's constant."""
+    """But the commands that run them, and rows that say where a constant stands."""
     commands = {"cli/reproduce.py", "cli/montecarlo.py"}
     for path in (ROOT / "comparisons").rglob("*.py"):
         name = path.relative_to(ROOT / "comparisons").as_posix()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -73,7 +74,17 @@ def build_ekf(log: Log, choices: EkfConfig, trace: Trace, layer: LayerValues | N
     common = (motion_model(log), rule, prior.pose, prior.covariance, stabilisation, trace)
     antenna = log.positions.antenna_m if log.positions is not None else (0.0, 0.0)
     make = _misono if choices.own_axes else _of_headings
-    return make(choices, common, antenna)
+    ekf = make(choices, common, antenna)
+    bounds = {
+        "largest_turn_rad": choices.split_turn_rad,
+        "largest_move_m": choices.split_move_m,
+        "largest_shrink": choices.split_shrink,
+    }
+    given = {name: bound for name, bound in bounds.items() if bound is not None}
+    ekf.splitter = replace(ekf.splitter, **given)
+    splitter = replace(ekf.fixes.splitter, **given)
+    ekf.fixes = replace(ekf.fixes, splitter=splitter, recovery=choices.gps_recovery)
+    return ekf
 
 
 def _of_headings(choices: EkfConfig, common: Common, antenna: tuple[float, float]) -> Ekf:
@@ -84,8 +95,9 @@ def _of_headings(choices: EkfConfig, common: Common, antenna: tuple[float, float
     else:
         from ekf_reference.filters.compressed import CompressedEkf, LocalAreas
 
-        gain = LEAST_GAIN if choices.conservative else 0.0
-        ekf = CompressedEkf(*common, LocalAreas(least_gain=gain))
+        gain = LEAST_GAIN if choices.least_gain is None else choices.least_gain
+        areas = LocalAreas(least_gain=gain if choices.conservative else 0.0)
+        ekf = CompressedEkf(*common, areas)
     ekf.fixes = PositionFixes(PositionModel(antenna))
     return ekf
 

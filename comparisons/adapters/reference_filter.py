@@ -140,7 +140,7 @@ def run_reference(
     """
     plain = build_ekf(log, config, Trace())
     ekf = kind(plain.motion, plain.association, log.prior.pose, log.prior.covariance)
-    ekf.stabilisation, ekf.fixes = plain.stabilisation, plain.fixes
+    ekf.stabilisation, ekf.fixes, ekf.splitter = plain.stabilisation, plain.fixes, plain.splitter
     slot_of, *known = surveyed(log)
     ekf.insert_surveyed(*known)
     recorder, label = _Recorder(map_s), dict(zip(slot_of.values(), slot_of, strict=True))

@@ -1,15 +1,72 @@
-"""Constants of Guivant, Masson and Nebot (2002)."""
+"""Constants of Guivant, Masson and Nebot (2002).
+
+Its sigmas, gates and bounds on an update (section 4.2) are given without numbers.
+"""
 
 from __future__ import annotations
 
+import math
+
 from comparisons.documented.row import Documented
 
+_FIGURES = "comparisons.experiments.reproduction.guivant"
+
 ROWS = (
+    Documented(
+        place="G 2, eq. 2",
+        what="bearing that the sensor reads straight ahead; readers take it off",
+        value=math.pi / 2.0,
+        unit="rad",
+        at="comparisons.logs.readers.victoria_park:STRAIGHT_AHEAD_RAD",
+    ),
+    Documented(
+        place="G 3.1, eq. 11",
+        what="returns of a scan over 180 degrees (NR + 1)",
+        value=361,
+        at="comparisons.logs.simulate.scanners:half_degrees().size",
+    ),
+    Documented(
+        place="G 3.1, after eq. 12",
+        what="farthest range of trunks outdoors (from 3 m on)",
+        value=40.0,
+        unit="m",
+        at="ekf_reference.features.tree_detection:TrunkModel.range_limit_m",
+    ),
     Documented(
         place="G 4.1, after eq. 22",
         what="c1: least share of its variance that a passive state gains, else it is spared "
         "(the paper's example)",
         value=1e-4,
         at="comparisons.adapters.ekf_factory:LEAST_GAIN",
+    ),
+    Documented(
+        place="G 5",
+        what="accuracy of the RTK GPS at its best",
+        value=0.02,
+        unit="m",
+        at=f"{_FIGURES}:RTK_M",
+        reason="the figures take what it reported for short periods in this experiment (next row)",
+    ),
+    Documented(
+        place="G 5, Fig. 6",
+        what="accuracy that the GPS reported for short periods, between the trees",
+        value=0.1,
+        unit="m",
+        at=f"{_FIGURES}:RTK_M",
+    ),
+    Documented(
+        place="G 5, Fig. 6",
+        what="the same, of Victoria Park's log",
+        value=0.1,
+        unit="m",
+        at="comparisons.logs.readers.victoria_park:SIGMA_GPS_M",
+        reason="TO BE MEASURED",
+    ),
+    Documented(
+        place="G 5, Fig. 9",
+        what="SLAM without GPS before the loop is closed by GPS",
+        value=200.0,
+        unit="s",
+        at=f"{_FIGURES}:ALONE_S",
     ),
 )

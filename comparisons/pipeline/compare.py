@@ -36,6 +36,7 @@ from graphslam.smoother import SmootherOptions, SmootherResult
 if TYPE_CHECKING:
     from comparisons.checks.diagnosis.algebra_differences import AlgebraDifference
     from comparisons.checks.diagnosis.dropouts import Dropouts
+    from comparisons.checks.position_gate import RejectedFixes
 
 F = TypeVar("F", bound=Finding)
 
@@ -50,7 +51,8 @@ class Assessment:
     """Each estimate against truth or held-back positions; None where the log has no reference.
 
     association: how it compares with the log's labels, where it was made without them.
-    truth_gap: the smoother against truth, or else against labels that it has not used.
+    truth_gap: the smoother against truth, or else against labels that it has not used. fixes: what
+    the filter's gate rejected, None where no positions were given.
     """
 
     ekf: Accuracy | None
@@ -58,6 +60,7 @@ class Assessment:
     dead_reckoned: Accuracy | None
     association: AssociationScore | None
     truth_gap: TruthGap | None = None
+    fixes: RejectedFixes | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,6 +158,8 @@ def compare_prepared(prepared: Prepared[RunConfig]) -> Comparison:
         reckoned = dead_reckoned(gaps.problem.prior_pose, gaps.problem.increment)
         assessment = _assess(prepared, run, smoothed, reckoned)
         gap = _truth_gap(compared, assessment, consistency)
+        if assessment.fixes is not None:
+            remarks += assessment.fixes.remarks
         return Comparison(
             prepared=prepared,
             ekf=run,
@@ -294,4 +299,13 @@ def _assess(
         smoother=assess(smoothed, judged, labelled=labelled),
         dead_reckoned=assess_trajectory(run.timeline.epoch_time_s, reckoned, judged),
         association=score,
+        fixes=_rejected_fixes(run, smoothed),
     )
+
+
+def _rejected_fixes(run: EkfRun, smoothed: Estimate) -> RejectedFixes | None:
+    if run.positions is None:
+        return None
+    from comparisons.checks.position_gate import rejected_fixes
+
+    return rejected_fixes(run, smoothed)

@@ -28,7 +28,9 @@ class EkfResult(Model):
     were discarded since something moves there; retired: landmarks that are used no more, since they
     stand in such a place. global_updates: of a compressed filter, and the share of the passive
     covariance that they left alone (set I). attributes: whether diameters and intensities entered
-    association.
+    association. fixes_in_streaks: rejected positions that are one of five or more in a row;
+    longest_streak: of rejected positions; fixes_rejected_by_smoother: of the rejected ones, those
+    that the same gate rejects at the smoother's optimum.
     """
 
     filter: str
@@ -43,6 +45,9 @@ class EkfResult(Model):
     gps: str
     fixes_fused: int
     fixes_rejected: int
+    fixes_in_streaks: int = 0
+    longest_streak: int = 0
+    fixes_rejected_by_smoother: int = 0
     global_updates: int
     global_update_spared: float
 

@@ -53,7 +53,7 @@ def build_result(comparison: Comparison, read_s: float = 0.0) -> Result:
         config=c.prepared.config.model_dump(mode="json"),
         settings=settings_result(c.prepared.config, c.prepared.ekf),
         log=log_result(c.log),
-        ekf=ekf_result(c.ekf, c.prepared.ekf),
+        ekf=ekf_result(c.ekf, c.prepared.ekf, c.assessment.fixes),
         smoother=smoother_result(c.smoother, c.smoothed),
         agreement=_agreement(c),
         consistency=consistency_result(c.consistency),

@@ -95,7 +95,13 @@ def ekf_rows(ekf: EkfResult) -> list[Row]:
         spared = f"sparing {100 * ekf.global_update_spared:.0f} % of the passive covariance"
         rows.append(Row("global updates", f"{ekf.global_updates}, {spared}"))
     if ekf.gps != "off":
-        rows.append(Row("positions", f"{ekf.fixes_fused} fused, {ekf.fixes_rejected} rejected"))
+        used = f"{ekf.fixes_fused} fused, {ekf.fixes_rejected} rejected"
+        if ekf.fixes_rejected:
+            used += (
+                f" ({ekf.fixes_in_streaks} in streaks of 5 or more, longest {ekf.longest_streak}; "
+                f"{ekf.fixes_rejected_by_smoother} by the smoother, too)"
+            )
+        rows.append(Row("positions", used))
     return rows
 
 

@@ -42,6 +42,7 @@ from graphslam import smoother
 if TYPE_CHECKING:
     from comparisons.checks.association_variants import AssociationCheck
     from comparisons.checks.map_agreement import Pair
+    from comparisons.checks.position_gate import RejectedFixes
     from comparisons.checks.qualifiers import TruthGap
 
 
@@ -61,8 +62,15 @@ def log_result(log: Log) -> LogResult:
     )
 
 
-def ekf_result(run: EkfRun, config: EkfConfig) -> EkfResult:
-    """The filter and what it used."""
+def ekf_result(run: EkfRun, config: EkfConfig, fixes: RejectedFixes | None) -> EkfResult:
+    """The filter and what it used. fixes: what its gate rejected."""
+    streaks = {}
+    if fixes is not None:
+        streaks = {
+            "fixes_in_streaks": fixes.in_streaks,
+            "longest_streak": fixes.longest,
+            "fixes_rejected_by_smoother": fixes.unfit_count,
+        }
     return EkfResult(
         filter=config.filter,
         association=str(config.association),
@@ -73,6 +81,7 @@ def ekf_result(run: EkfRun, config: EkfConfig) -> EkfResult:
         gps=config.gps,
         fixes_fused=len(run.fix_number),
         fixes_rejected=run.rejected_fixes,
+        **streaks,
         global_updates=run.spared[0],
         global_update_spared=run.spared[1],
     )

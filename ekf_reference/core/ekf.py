@@ -23,7 +23,7 @@ from ekf_reference.core.measurements import (
 from ekf_reference.core.state import KalmanState
 from ekf_reference.core.trace import VEHICLE, MeasurementRecord, RemovalRecord, StepRecord, Trace
 from ekf_reference.models.motion import MotionModel
-from ekf_reference.models.position import PositionFixes
+from ekf_reference.models.position import PositionFixes, Streak
 from ekf_reference.models.range_bearing import RangeBearing
 from ekf_reference.models.relative_pose import RelativePose
 
@@ -98,6 +98,7 @@ class Ekf:
         self.trace: Trace = trace or Trace()
         self.state: KalmanState = KalmanState(prior_pose, prior_covariance)
         self._count: Counter[str | int] = Counter()
+        self._beyond = Streak()
         self.trace.prior(prior_pose, prior_covariance)
 
     def step(self, control: Control, seen: Measurements) -> Index:
@@ -179,7 +180,7 @@ class Ekf:
         return slots
 
     def fix_position(self, z: Array, covariance: Array) -> bool:
-        """Fuse an absolute position (2,) with covariance (2, 2); False when the gate rejects it."""
+        """Fuse an absolute position (2,) with covariance (2, 2); False when it is rejected."""
         number = self.take_numbers("position")
 
         def linearise() -> Linearised:
@@ -187,10 +188,14 @@ class Ekf:
             expected, jacobian = self.fixes.model.predict(local.pose)
             return Linearised(local, jacobian, z - expected)
 
-        if linearise().normalised_squared(covariance) > self.fixes.gate:
-            return False
-        self.fuse(linearise, covariance[None], number, np.array([-1]), splitter=self.fixes.splitter)
-        return True
+        at, fixes = linearise(), self.fixes
+        inside = at.normalised_squared(covariance) <= fixes.gate
+        length = 0 if inside else self._beyond.length_with(at.innovation, covariance, fixes.gate)
+        if fused := inside or (fixes.recovery is not None and length > fixes.recovery):
+            slot = np.array([VEHICLE])
+            self.fuse(linearise, covariance[None], number, slot, splitter=fixes.splitter)
+        self._beyond = Streak(length, linearise().innovation, covariance)
+        return fused
 
     def fuse(
         self,

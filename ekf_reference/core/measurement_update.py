@@ -17,6 +17,7 @@ from ekf_reference.core.geometry import Array
 from ekf_reference.core.state import LocalMap
 
 _WEAKEST = 2.0**-40
+_UNBOUNDED = (float("inf"), float("inf"), 1.0)
 
 
 class Linearised(NamedTuple):
@@ -38,10 +39,15 @@ class Linearised(NamedTuple):
 
 @dataclass(frozen=True)
 class UpdateSplitter:
-    """How far one update may move the vehicle before it is split into `most` parts or fewer."""
+    """What one update may do before it is split into `most` parts or fewer.
+
+    largest_turn_rad, largest_move_m: of the vehicle. largest_shrink: share of its variance that the
+    direction loses that learns most, in the space of the pose and what is measured; 1 for any.
+    """
 
     largest_turn_rad: float = float("inf")
     largest_move_m: float = float("inf")
+    largest_shrink: float = 1.0
     most: int = 64
 
     def split(
@@ -50,8 +56,8 @@ class UpdateSplitter:
         """Yield weights 1 / K_i, of sum one, and the measurement linearised anew for each.
 
         The caller fuses each part with noise / weight before it takes the next. noise: (m, m), R.
-        A weight is halved until the predicted correction of the pose is within the bounds, so that
-        a strong correction starts with very weak parts. The last part takes what is left.
+        A weight is halved until the predicted correction is within the bounds, so that a strong
+        correction starts with very weak parts. The last part takes what is left.
         """
         left = 1.0
         for remaining in range(self.most, 0, -1):
@@ -64,10 +70,13 @@ class UpdateSplitter:
                 return
 
     def _within(self, at: Linearised, noise: Array) -> bool:
-        if self.largest_turn_rad == self.largest_move_m == float("inf"):
+        if (self.largest_turn_rad, self.largest_move_m, self.largest_shrink) == _UNBOUNDED:
             return True
         gain_left = at.local.covariance @ at.jacobian.T
         s = at.jacobian @ gain_left + noise
         step = gain_left[: len(at.local.pose)] @ np.linalg.solve(s, at.innovation)
         turn, move = np.linalg.norm(step[2:]), np.hypot(step[0], step[1])
-        return bool(turn <= self.largest_turn_rad and move <= self.largest_move_m)
+        if turn > self.largest_turn_rad or move > self.largest_move_m:
+            return False
+        kept = np.linalg.eigvals(np.linalg.solve(s, noise)).real.min()  # of S^-1 R = I - S^-1 HPH^T
+        return bool(1.0 - kept <= self.largest_shrink)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -35,14 +35,35 @@ class PositionModel:
         return p_antenna_world, np.array([[1.0, 0.0, -north], [0.0, 1.0, east]])
 
 
+class Streak(NamedTuple):
+    """Fixes beyond the gate, each as far off as the one before: the filter may be what is wrong.
+
+    length: of it. innovation: (2,) of the last once it was fused or rejected. covariance: (2, 2),
+    its R.
+    """
+
+    length: int = 0
+    innovation: Array = np.zeros(2)
+    covariance: Array = np.eye(2)
+
+    def length_with(self, innovation: Array, covariance: Array, gate: float) -> int:
+        """Return the length with one fix more, the first of a streak where it differs."""
+        apart = innovation - self.innovation
+        agrees = apart @ np.linalg.solve(covariance + self.covariance, apart) <= gate
+        return self.length + 1 if agrees else 1
+
+
 @dataclass(frozen=True)
 class PositionFixes:
     """How absolute positions are fused.
 
     gate: normalised innovation squared (2 degrees of freedom) beyond which a fix is rejected; a
-    wrong fix fused in silence is worse than none. splitter: how far one part may move the vehicle.
+    wrong fix fused in silence is worse than none. recovery: so many rejected fixes in a streak
+    re-admit those that continue it, None for never. splitter: how far one part may move the
+    vehicle.
     """
 
     model: AbsolutePosition = PositionModel()
     gate: float = 13.82  # 99.9 %
     splitter: UpdateSplitter = POSITION_SPLITTER
+    recovery: int | None = None

@@ -51,6 +51,20 @@ def test_the_configuration_builds_it() -> None:
     assert isinstance(ekf.state, CompressedState)
 
 
+def test_the_configuration_sets_what_it_spares() -> None:
+    """c1 of the suboptimal filter; the exact one spares nothing whatever is given."""
+    log = simulated(seed=1, loop_s=2.0)
+    for name, given, expected in (
+        ("compressed-suboptimal", None, 1e-4),
+        ("compressed-suboptimal", 0.01, 0.01),
+        ("compressed", 0.01, 0.0),
+    ):
+        choices = EkfConfig.of(filter=name, association="known", least_gain=given)
+        state = build_ekf(log, choices, Trace()).state
+        assert isinstance(state, CompressedState)
+        assert state.areas.least_gain == expected
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["acfr_car_park", "mrclam/MRCLAM_Dataset6"])
 def test_equals_the_full_filter_on_real_logs(name: str, shared_data: Path) -> None:

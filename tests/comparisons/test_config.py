@@ -163,6 +163,9 @@ def test_another_log_than_the_files_drops_its_hash(tmp_path: Path) -> None:
         ("smoother.lag", "--set smoother.lag: expected SECTION.KEY=VALUE"),
         ("log.seed=-1", "log.seed is -1: input should be greater than or equal to 0"),
         ("log=1", "log is 1: input should be"),
+        ("ekf.split_turn_rad=0", "ekf.split_turn_rad is 0: input should be greater than 0"),
+        ("ekf.split_move_m=-1", "ekf.split_move_m is -1: input should be greater than 0"),
+        ("ekf.split_shrink=1", "ekf.split_shrink is 1: input should be less than 1"),
     ],
 )
 def test_what_is_wrong_is_named_in_one_line(setting: str, words: str) -> None:

@@ -15,7 +15,7 @@ from comparisons.errors import InputError
 
 AT_MOST: Literal["at most"] = "at most"
 AT_LEAST: Literal["at least"] = "at least"
-DATA_FOLDERS = ("victoria_park", "acfr_car_park")
+DATA_FOLDERS = ("victoria_park", "acfr_car_park", "mrclam")
 """Of --data: public logs that are no part of this project."""
 
 
@@ -40,7 +40,7 @@ class Sources:
             raise InputError(f"{self.data}: is no folder, expected one with the real logs")
         if not any((self.data / name).is_dir() for name in DATA_FOLDERS):
             wanted = " or ".join(f"{name}/" for name in DATA_FOLDERS)
-            raise InputError(f"{self.data}: holds neither of the real logs, expected {wanted}")
+            raise InputError(f"{self.data}: holds none of the real logs, expected {wanted}")
 
     def folder(self, name: str) -> Path | None:
         """One of DATA_FOLDERS, None where it is not given."""

@@ -31,7 +31,7 @@ from ekf_reference.core.trace import RecordedTrace, Trace
 ALONE_S, AFTER_S = 200.0, 30.0
 """How long the filter goes without positions (Fig. 9), and how long it is watched with them."""
 SLOW = Drive(speed_mps=1.15, loop_s=255.0 / 1.15)
-_RTK_M = 0.1
+RTK_M = 0.1
 """Sigma of simulated positions: "10 cm accuracy for short periods"."""
 NEAR_M = 20.0
 _GAP_S, _CLOCK_S = 2.0, 1e-6
@@ -98,8 +98,8 @@ def aided(sources: Sources) -> Aided:
     log = simulate(np.random.default_rng(0), SLOW)
     poses = truth_in_order(log)[0]
     time = np.arange(ALONE_S, log.end_s, 1.0)
-    noise = _RTK_M * np.random.default_rng(1).standard_normal((len(time), 2))
-    spread = np.broadcast_to(_RTK_M**2 * np.eye(2), (len(time), 2, 2))
+    noise = RTK_M * np.random.default_rng(1).standard_normal((len(time), 2))
+    spread = np.broadcast_to(RTK_M**2 * np.eye(2), (len(time), 2, 2))
     return aid(replace(log, positions=Positions(time, poses.at(time)[:, :2] + noise, spread)))
 
 

@@ -14,6 +14,7 @@ from comparisons.experiments.reproduction.contract import (
 )
 from comparisons.experiments.reproduction.drawing import TRUE_PATH_COLOUR, chart, mark, plan
 from comparisons.experiments.reproduction.guivant import AIDED, COVERED, NEAR_M, Aided, Covered
+from comparisons.experiments.reproduction.update_split import SPLIT, claims, draw
 from comparisons.report.figures.style import (
     EKF_COLOUR,
     SCANS_COLOUR,
@@ -194,6 +195,17 @@ FIGURES: tuple[AnyFigure, ...] = (
         experiment=AIDED,
         draw=draw_9,
         claims=claims_9,
+        size=(11.0, 4.8),
+    ),
+    Figure(
+        name="G4.2",
+        title="Updates made in parts",
+        source="Guivant et al. 2002, section 4.2",
+        says="A sequence of weaker updates, each linearised anew, works better than one large "
+        "update, as in closing a loop.",
+        experiment=SPLIT,
+        draw=draw,
+        claims=claims,
         size=(11.0, 4.8),
     ),
 )

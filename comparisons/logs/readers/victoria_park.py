@@ -20,6 +20,8 @@ NOISE = OdometryNoise(np.hypot(0.2, 0.2), np.deg2rad(3.0), 1e-5, 1e-6)
 """Of its wheel and steering encoders."""
 SIGMA_GPS_M = 0.5
 """Of its GPS, per axis."""
+STRAIGHT_AHEAD_RAD = np.pi / 2
+"""A bearing straight ahead, as the files have it."""
 
 _SIGMA_RANGE_M = 0.5
 _SIGMA_BEARING_RAD = np.deg2rad(2.0)
@@ -45,7 +47,7 @@ def read(path: Path) -> Log:
         sightings = Sightings(
             time_s=seen["time"],
             range_m=seen["range"],
-            bearing_rad=seen["bearing"] - np.pi / 2,
+            bearing_rad=seen["bearing"] - STRAIGHT_AHEAD_RAD,
             sigma_range_m=np.full(count, _SIGMA_RANGE_M),
             sigma_bearing_rad=np.full(count, _SIGMA_BEARING_RAD),
             landmark=np.full(count, NO_LANDMARK),

@@ -18,7 +18,8 @@ PoseAt = Callable[[Array], Array]
 """Poses (N, 3) of the vehicle at times (N,)."""
 
 
-def _half_degrees() -> Array:
+def half_degrees() -> Array:
+    """Angles (361,) of a laser that looks ahead over 180 degrees."""
     return np.deg2rad(np.linspace(-90.0, 90.0, 361))
 
 
@@ -39,7 +40,7 @@ class Planar:
     max_range_m: float
     sigma_range_m: float
     sigma_beam_rad: float
-    angle_rad: Array = field(default_factory=_half_degrees)
+    angle_rad: Array = field(default_factory=half_degrees)
     min_range_m: float = 0.5
     dropout: float = 0.0
     beam_s: float = 0.0

@@ -20,6 +20,7 @@ from comparisons.experiments.reproduction import (
     nieto_scan_slam,
     nieto_scans,
     nieto_slam,
+    update_split,
 )
 from comparisons.experiments.reproduction.contract import Sources
 from comparisons.experiments.reproduction.dynamic_accuracy import DynamicScore
@@ -55,6 +56,16 @@ def round_of(number: int, classic: Samples, dense: Samples) -> nieto_dense.Round
         classic_error=surface_error(classic, WALL),
         dense_error=surface_error(dense, WALL),
     )
+
+
+def splits() -> update_split.Split:
+    """Each finer splitting is a little better."""
+    runs = {
+        name: update_split.SplitRun(gap=0.5 - 0.1 * k, optimism=0.5 + 0.1 * k, parts=1.0 + k)
+        for k, name in enumerate(update_split.SPLITS)
+    }
+    each = tuple(update_split.SplitLog(name, runs) for name in ("a loop", "another"))
+    return update_split.Split("made up", each)
 
 
 def rounds() -> nieto_dense.Rounds:
@@ -155,6 +166,7 @@ SMALL: dict[str, Callable[[], Any]] = {
     "Misono's Fig. 6": lambda: misono.journeys(Sources(drives=1)),
     "Guivant's Figs. 8 and 9": lambda: guivant.aided(Sources()),
     "Guivant's Fig. 7": covered,
+    "Guivant's updates in parts": splits,
     "section 3.9": lambda: nieto_dense.raw_maps(Sources(drives=1)),
     "chapter 4": lambda: nieto_dense.layered_maps(Sources(drives=1)),
     "section 4.1.3, ten rounds": rounds,

@@ -163,7 +163,7 @@ def test_faults_are_told_with_the_figure(tmp_path: Path) -> None:
         reproduce(("A1",), Sources(), workers=0)
     with pytest.raises(InputError, match="--drives is 0"):
         Sources(drives=0)
-    with pytest.raises(InputError, match="neither of the real logs"):
+    with pytest.raises(InputError, match="none of the real logs"):
         Sources(tmp_path)
     (tmp_path / "acfr_car_park").mkdir()
     assert [type(r) for r in reproduce(("A2",), Sources(tmp_path))] == [Reproduced]

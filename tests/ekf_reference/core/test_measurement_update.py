@@ -141,3 +141,88 @@ def test_a_large_update_at_loop_closing_is_split_too() -> None:
     assert set(updates.number.tolist()) == {1}
     assert np.isclose(updates.weight.sum(), 1.0)
     assert np.all(np.abs(np.diff(updates.pose[:, 2])) < 0.015)
+
+
+class Offset:
+    """A linear model of points: where they lie east and north of the vehicle."""
+
+    def predict(self, pose: Array, landmark: Array) -> tuple[Array, Array, Array]:
+        m = len(landmark)
+        by_pose = np.tile(-np.eye(2, 3), (m, 1, 1))
+        return landmark - pose[:2], by_pose, np.tile(np.eye(2), (m, 1, 1))
+
+    def innovation(self, z: Array, expected: Array) -> Array:
+        return z - expected
+
+
+BOUNDS = {
+    "turn": UpdateSplitter(largest_turn_rad=0.01),
+    "move": UpdateSplitter(largest_move_m=0.1),
+    "shrink": UpdateSplitter(largest_shrink=0.3),
+}
+
+
+def at_known_landmarks(splitter: UpdateSplitter) -> Ekf:
+    """Two landmarks of known place are measured by a vehicle that is lost by metres."""
+    rng = np.random.default_rng(4)
+    ekf = ekf_at(np.zeros(3), 9.0 * random_covariance(rng, 3), PositionFixes())
+    known = np.array(((5.0, 2.0), (-3.0, 8.0)))
+    ekf.insert_surveyed(known, np.tile(1e-4 * np.eye(2), (2, 1, 1)))
+    ekf.models[POINT] = Offset()  # type: ignore[assignment]
+    ekf.splitter = splitter
+    z = known - (2.0, -1.5) + 0.05 * rng.standard_normal((2, 2))
+    ekf.observe_known(z, np.tile(0.01 * np.eye(2), (2, 1, 1)), np.arange(2))
+    return ekf
+
+
+@pytest.mark.parametrize("bound", BOUNDS)
+def test_known_landmarks_are_fused_in_parts_that_equal_one_update(bound: str) -> None:
+    """Guivant 2002, section 4.2: absolute information of landmarks whose position is known."""
+    single, parts = at_known_landmarks(UpdateSplitter()), at_known_landmarks(BOUNDS[bound])
+    trace = parts.trace
+    assert isinstance(trace, RecordedTrace)
+    weight = trace.arrays().measurements[POINT].weight
+    assert len(weight) >= 4 * 2
+    assert np.isclose(weight.sum(), 2.0, rtol=0, atol=1e-12)
+    assert_equal_states(parts, single)
+
+
+def assert_equal_states(first: Ekf, second: Ekf) -> None:
+    assert relative_error(first.state.mean, second.state.mean) < 1e-10
+    sigma = np.sqrt(np.diag(second.state.covariance))
+    apart = first.state.covariance - second.state.covariance
+    assert np.max(np.abs(apart) / np.outer(sigma, sigma)) < 1e-9
+
+
+def test_no_part_takes_more_of_a_variance_than_allowed() -> None:
+    """Guivant 2002, section 4.2: innovations may be small and updates of the covariance strong."""
+    state, noise = KalmanState(np.zeros(3), np.diag((9.0, 4.0, 0.1))), 0.01 * np.eye(2)
+    parts = 0
+    for weight, at in UpdateSplitter(largest_shrink=0.5).split(
+        lambda: of_position(state, np.zeros(2)), noise
+    ):
+        before = np.diag(state.covariance)[:2].copy()
+        state.update(np.arange(3), at.jacobian, at.innovation, noise / weight)
+        assert np.all(np.diag(state.covariance)[:2] >= (0.5 - 1e-9) * before)
+        parts += 1
+    assert 8 <= parts <= 16  # each doubles the information: log2 of 900, and a half more
+    exact = np.array((1 / (1 / 9.0 + 100.0), 1 / (1 / 4.0 + 100.0), 0.1))
+    assert relative_error(np.diag(state.covariance), exact) < 1e-12
+
+
+class Careless(UpdateSplitter):
+    """Broken: every part but the first counts in full, so that weights do not sum to one."""
+
+    def split(self, linearise, noise):  # type: ignore[no-untyped-def]
+        for k, (weight, at) in enumerate(super().split(linearise, noise)):
+            yield (weight if k == 0 else 1.0), at
+
+
+@pytest.mark.parametrize("bound", BOUNDS)
+def test_weights_that_do_not_sum_to_one_are_rejected(bound: str) -> None:
+    sound = BOUNDS[bound]
+    broken = Careless(sound.largest_turn_rad, sound.largest_move_m, sound.largest_shrink)
+    single, parts = at_known_landmarks(UpdateSplitter()), at_known_landmarks(broken)
+    with pytest.raises(AssertionError):
+        assert_equal_states(parts, single)
+    assert parts.state.covariance[0, 0] < 0.6 * single.state.covariance[0, 0]

@@ -1,0 +1,161 @@
+"""Guivant, Masson and Nebot 2002, section 4.2: updates made in parts, and what comes of them.
+
+"A gradual equivalent update will work better than a single large update": measured by the distance
+of the filter to the smoother that linearises anew, on simulated loops, on the Victoria Park log
+that comes with gtsam, and with --data on MR.CLAM.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.figure import Figure as Canvas
+
+from comparisons.config import EkfConfig, RunConfig
+from comparisons.experiments.reproduction.contract import (
+    Claim,
+    Experiment,
+    Sources,
+    at_least,
+    at_most,
+)
+from comparisons.experiments.reproduction.drawing import chart
+from comparisons.logs.bundled import SimulationChoices, open_log
+from comparisons.logs.log import Log
+from comparisons.pipeline.compare import compare
+from comparisons.report.figures.style import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR
+from ekf_reference.core.landmark_types import POINT
+
+ONE = "one update"
+SPLITS: Mapping[str, Mapping[str, float]] = {
+    ONE: {},
+    "1 degree, 1 m": {"split_turn_rad": float(np.deg2rad(1.0)), "split_move_m": 1.0},
+    "0.1 degree, 0.05 m": {"split_turn_rad": float(np.deg2rad(0.1)), "split_move_m": 0.05},
+    "half of a variance": {"split_shrink": 0.5},
+}
+NOISY = 3.0
+"""Factor on the noise of the second kind of simulated loops, which close with larger errors."""
+_COLOURS = (TRUTH_COLOUR, EKF_COLOUR, SMOOTHER_COLOUR, SCANS_COLOUR)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SplitRun:
+    """A filter with one splitting of its updates. gap: linearisation gap [smoother's sigma].
+
+    optimism: its variance over the smoother's in the worst direction. parts: of an update, mean
+    over the sightings that were fused.
+    """
+
+    gap: float
+    optimism: float
+    parts: float
+
+
+@dataclass(frozen=True)
+class SplitLog:
+    """Medians over one or more drives, by splitting."""
+
+    name: str
+    runs: Mapping[str, SplitRun]
+
+
+@dataclass(frozen=True)
+class Split:
+    """Every kind of log."""
+
+    log: str
+    each: tuple[SplitLog, ...]
+
+
+def split(sources: Sources) -> Split:
+    """Run every splitting on every log."""
+    found = tuple(_median(name, [runs(log) for log in logs]) for name, logs in _logs(sources))
+    return Split("; ".join(one.name for one in found), found)
+
+
+def _logs(sources: Sources) -> Iterator[tuple[str, list[Log]]]:
+    for name, scale in (("simulated loops", 1.0), (f"loops of {NOISY:g} times the noise", NOISY)):
+        drives = [
+            open_log("simulated-loop", choices=SimulationChoices(seed, noise_scale=scale))
+            for seed in range(sources.drives)
+        ]
+        yield f"{name} ({sources.drives})", drives
+    yield "Victoria Park (gtsam)", [open_log("victoria-park")]
+    folder = sources.folder("mrclam")
+    for path in () if folder is None else sorted(folder.glob("MRCLAM_Dataset*")):
+        yield path.name.replace("MRCLAM_Dataset", "MR.CLAM "), [open_log(str(path))]
+
+
+def runs(log: Log) -> dict[str, SplitRun]:
+    """Run every splitting on one log."""
+    found: dict[str, SplitRun] = {}
+    for name, bounds in SPLITS.items():
+        c = compare(log, RunConfig(ekf=EkfConfig.of(**bounds)))
+        number = c.ekf.trace.measurements[POINT].number
+        found[name] = SplitRun(
+            gap=c.agreement.linearisation.sigma,
+            optimism=c.agreement.whole.least,
+            parts=len(number) / len(np.unique(number)),
+        )
+    return found
+
+
+def _median(name: str, drives: list[dict[str, SplitRun]]) -> SplitLog:
+    runs = {
+        split: SplitRun(
+            **{
+                field: float(np.median([getattr(drive[split], field) for drive in drives]))
+                for field in ("gap", "optimism", "parts")
+            }
+        )
+        for split in SPLITS
+    }
+    return SplitLog(name, runs)
+
+
+def claims(found: Split) -> list[Claim]:
+    """Parts work better than one update."""
+    result = []
+    for one in found.each:
+        whole = one.runs[ONE]
+        for name, run in one.runs.items():
+            if name == ONE:
+                continue
+            result += [
+                at_most(
+                    f"a gradual update works better: {one.name}, parts of {name} (linearisation "
+                    "gap over that of one update)",
+                    run.gap / whole.gap,
+                    1.0,
+                    why=f"{run.gap:.2f} sigma, {whole.gap:.2f} in one update: a part linearises "
+                    "the new measurement anew, what went before stays as it was",
+                ),
+                at_least(
+                    f"and is less optimistic: {one.name}, parts of {name} (least variance over the "
+                    "smoother's, over that of one update)",
+                    run.optimism / whole.optimism,
+                    1.0,
+                    why=f"{run.optimism:.3f}, {whole.optimism:.3f} in one update",
+                ),
+            ]
+    return result
+
+
+def draw(canvas: Canvas, found: Split) -> None:
+    """Gap and optimism by log and splitting."""
+    axes = canvas.subplots(1, 2)
+    place = np.arange(len(found.each))
+    for number, (name, colour) in enumerate(zip(SPLITS, _COLOURS, strict=True)):
+        at = place + 0.2 * (number - 1.5)
+        for axis, field in zip(axes, ("gap", "optimism"), strict=True):
+            values = [getattr(one.runs[name], field) for one in found.each]
+            axis.bar(at, values, 0.18, color=colour, label=name)
+    for axis, title in zip(axes, ("linearisation gap [sigma]", "optimism (1: none)"), strict=True):
+        chart(axis, title, "", "")
+        axis.set_yscale("log")
+        axis.set_xticks(place, [one.name for one in found.each], fontsize=7, rotation=12)
+
+
+SPLIT = Experiment("Guivant's updates in parts", split)

@@ -1,0 +1,144 @@
+"""Positions beyond the gate: what is said of them, and how a filter that is locked out recovers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from comparisons.adapters.ekf_factory import settle
+from comparisons.adapters.ekf_run import EkfRun, run_ekf
+from comparisons.adapters.timeline import build_timeline
+from comparisons.checks.position_gate import RejectedFixes, rejected_fixes, streaks
+from comparisons.config import EkfConfig, RunConfig
+from comparisons.logs.log import Log, Positions
+from comparisons.logs.odometry import SteeringOdometry
+from comparisons.pipeline.compare import compare
+from comparisons.report.result import build_result, run_rows
+from ekf_reference.core.geometry import Array as EkfArray
+from ekf_reference.models.position import Streak
+from tests.comparisons.test_positions import with_fixes
+from tests.helpers import Array, simulated
+
+SLIP_S, SLIP_M = 20.0, 10.0
+
+
+def blind_after(log: Log, time_s: float) -> Log:
+    """A log without sightings from some time on."""
+    return replace(log, sightings=log.sightings.chosen(log.sightings.time_s < time_s))
+
+
+def slipped() -> Log:
+    """Wheels that spin once, with nothing but positions afterwards."""
+    log = blind_after(with_fixes(simulated(seed=3, loop_s=60.0), (0.0, 0.0)), SLIP_S)
+    odometry = log.odometry
+    assert isinstance(odometry, SteeringOdometry)
+    speed, at = odometry.speed_mps.copy(), int(np.searchsorted(odometry.time_s, SLIP_S + 0.5))
+    speed[at] += SLIP_M / float(np.median(np.diff(odometry.time_s)))
+    return replace(log, odometry=replace(odometry, speed_mps=speed))
+
+
+def scattered() -> Log:
+    """Twenty positions in a row that are wild, each in its own way."""
+    log = blind_after(with_fixes(simulated(seed=3, loop_s=60.0), (0.0, 0.0)), SLIP_S)
+    given = log.positions
+    assert given is not None
+    position, wild = given.position_m.copy(), np.flatnonzero(given.time_s > SLIP_S)[:20]
+    angle = 2.4 * np.arange(20)
+    position[wild] += 30.0 * np.column_stack((np.cos(angle), np.sin(angle)))
+    return replace(
+        log, positions=Positions(given.time_s, position, given.covariance, given.antenna_m)
+    )
+
+
+def run(log: Log, recovery: int | None, name: str = "full") -> EkfRun:
+    choices = settle(EkfConfig.of(filter=name, gps="on", gps_recovery=recovery), log)
+    return run_ekf(log, build_timeline(log, log.positions), choices, log.positions)
+
+
+def error_m(log: Log, found: EkfRun) -> Array:
+    """Distances (K,) from the truth."""
+    assert log.truth.poses is not None
+    estimate = found.estimate
+    apart = estimate.pose[:, :2] - log.truth.poses.at(estimate.time_s)[:, :2]
+    distance: Array = np.linalg.norm(apart, axis=1)
+    return distance
+
+
+@pytest.mark.parametrize("name", ["full", "compressed", "misono-full"])
+def test_a_filter_that_is_locked_out_recovers_with_the_option_only(name: str) -> None:
+    log = slipped()
+    locked, freed = run(log, None, name), run(log, 5, name)
+    late = locked.estimate.time_s > SLIP_S + 20.0
+    late &= locked.estimate.time_s < SLIP_S + 35.0
+    assert np.all(error_m(log, locked)[late] > 5.0)
+    assert np.all(error_m(log, freed)[late] < 1.5)
+    assert locked.rejected_fixes > 25
+    assert freed.rejected_fixes == 5
+
+
+def test_wild_positions_that_disagree_are_not_admitted() -> None:
+    log = scattered()
+    without, offered = run(log, None), run(log, 2)
+    assert without.rejected_fixes == offered.rejected_fixes == 20
+    assert np.array_equal(without.estimate.pose, offered.estimate.pose)
+
+
+def test_a_recovery_that_only_counts_would_be_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    def counted(self: Streak, innovation: EkfArray, covariance: EkfArray, gate: float) -> int:
+        return self.length + 1
+
+    monkeypatch.setattr(Streak, "length_with", counted)
+    with pytest.raises(AssertionError):
+        test_wild_positions_that_disagree_are_not_admitted()
+
+
+def test_a_streak_needs_fixes_that_are_alike() -> None:
+    noise, streak = 0.25 * np.eye(2), Streak()
+    for count, off in ((1, (3.0, 0.0)), (2, (3.3, 0.4)), (3, (3.0, 0.9)), (1, (-3.0, 0.0))):
+        innovation = np.array(off)
+        streak = Streak(streak.length_with(innovation, noise, 13.82), innovation, noise)
+        assert streak.length == count
+
+
+def found_at_truth(log: Log) -> RejectedFixes:
+    """What is found where the smoother is at the truth, sure to 0.1 m."""
+    filtered = run(log, None)
+    assert log.truth.poses is not None
+    estimate = filtered.estimate
+    smoothed = replace(
+        estimate,
+        pose=log.truth.poses.at(estimate.time_s),
+        pose_covariance=np.tile(0.01 * np.eye(3), (len(estimate.time_s), 1, 1)),
+    )
+    found = rejected_fixes(filtered, smoothed)
+    assert found is not None
+    return found
+
+
+def test_lock_out_and_bad_positions_are_told_apart() -> None:
+    """By the smoother's optimum: it accepts what a filter that is locked out rejects."""
+    locked, bad = found_at_truth(slipped()), found_at_truth(scattered())
+    assert locked.unfit_count == 0
+    assert locked.in_streaks == locked.longest == len(locked.number) > 25
+    assert "fit the smoother's optimum" in locked.remarks[0]
+    assert bad.unfit_count == len(bad.number) == bad.longest == 20
+
+
+def test_streaks_are_counted() -> None:
+    number = np.array((0, 3, 4, 5, 9, 10))
+    assert streaks(number).tolist() == [1, 3, 3, 3, 2, 2]
+    assert streaks(number[:0]).tolist() == []
+    found = RejectedFixes(20, number, streaks(number), np.zeros(6, dtype=bool))
+    assert (found.longest, found.in_streaks, found.remarks) == (3, 0, [])
+
+
+def test_the_report_says_what_was_rejected_in_streaks() -> None:
+    log = slipped()
+    c = compare(log, RunConfig(ekf=EkfConfig.of(gps="on")))
+    result = build_result(c)
+    assert result.ekf.longest_streak == result.ekf.fixes_in_streaks == result.ekf.fixes_rejected
+    assert any("in streaks of 5 or more" in remark for remark in result.remarks)
+    row = next(row for row in run_rows(c, result) if row[0] == "positions")
+    assert "in streaks of 5 or more, longest" in row[1]
