@@ -18,8 +18,8 @@ ROWS = (
         reason="0 leaves 60 % of the returns of scan-loop (6 drives of one loop) without a region "
         "instead of 29 %, 53 % instead of 29 % on occupancy-loop (8), and the map is no "
         "closer to the surfaces (median 0.20 m instead of 0.18, 0.28 instead of 0.24): "
-        "landmarks near a well known vehicle are known to centimetres against each other and "
-        "correlate little" + _BY,
+        "landmarks near a well known vehicle are well known against each other and correlate "
+        "little" + _BY,
     ),
     Documented(
         place="N 3.5",
