@@ -292,7 +292,7 @@ def errors_by_rule(seeds: int | None) -> None:
     for name, table in FIRST_LOOPS.items():
         drives = seeds or table
         print(f"{name}, {drives} drives")
-        print(f"{'':28} {RULE_COLUMNS}")
+        print(f"{'':30} {RULE_COLUMNS}")
         logs = [open_log(name, None, 1, SimulationChoices(seed)) for seed in range(drives)]
         for title, preset, fields in (
             ("recommended", "recommended", {}),
@@ -305,7 +305,7 @@ def errors_by_rule(seeds: int | None) -> None:
                 log={"source": name},
                 extensions={"dense_maps": {"layers": ("occupancy",), **fields}},
             )
-            print(f"{title:28} {rule_row([map_log(log, config) for log in logs])}", flush=True)
+            print(f"{title:30} {rule_row([map_log(log, config) for log in logs])}", flush=True)
 
 
 RULE_COLUMNS = (

@@ -140,6 +140,18 @@ def test_dense_maps_benchmark_drives() -> None:
 
 
 @pytest.mark.slow
+def test_dense_maps_benchmark_rules() -> None:
+    """By the thesis' settings all regions are made by correlation, and nothing is late."""
+    lines = run("benchmarks/dense_maps.py", "--only", "rules", "--seeds", "1")
+    rows = [line.replace(" / ", "/").split() for line in lines if line.startswith("as-published  ")]
+    assert len(rows) == 2
+    for row in rows:
+        regions, correlated, _, late, _ = row[-5:]
+        assert int(regions) == int(correlated) > 0
+        assert late == "0.0%"
+
+
+@pytest.mark.slow
 def test_high_level_benchmark_runs() -> None:
     few = ("--searches", "1", "--sizes", "11", "20", "--only", "size")
     lines = run("benchmarks/high_level.py", *few)

@@ -219,8 +219,8 @@ def _all_pairs(alike: Mask, slot: Index, triple: Index) -> Mask:
     """(C,) whether all pairs of triples (C, 3) of slots (m,) are among `alike` (m, m)."""
     order = np.argsort(slot)
     row = order[np.searchsorted(slot[order], triple)]
-    pairs: Mask = alike[row, np.roll(row, 1, axis=1)]
-    return pairs.all(axis=1)
+    every: Mask = np.all(alike[row, np.roll(row, 1, axis=1)], axis=1)
+    return every
 
 
 def _in_the_map(landmark: Array, slot: Index, covariance: Array) -> tuple[Index, Array]:

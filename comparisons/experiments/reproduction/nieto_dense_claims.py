@@ -6,7 +6,7 @@ dense maps are made twice, the second time of the same drives by the thesis' set
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Protocol, TypeVar
 
@@ -31,9 +31,10 @@ from ekf_reference.dense.layers.layer import Samples
 LITERALLY = "by the thesis' settings: "
 """How the text of a claim begins that is of the thesis' settings (--preset as-published)."""
 _FEW = (
-    "by correlation alone regions come late or never: landmarks near a well known vehicle are "
-    "known to centimetres against each other but correlate little: few returns find a region"
+    "by correlation alone regions come late or never: landmarks near a well known vehicle are well "
+    "known against each other but correlate little; and returns do not wait for their region"
 )
+_FEW_CELLS = "few returns find a region, so few cells are compared (N3.17)"
 _FAR_M = 0.5
 _CELLS = 2.0
 """Layers cover the same surfaces when so many cells apart or fewer."""
@@ -53,17 +54,20 @@ D = TypeVar("D", bound=_Twice)
 
 
 def _also_literally(
-    *why: str,
+    why: Mapping[int, str],
 ) -> Callable[[Callable[[D], list[Claim]]], Callable[[D], list[Claim]]]:
-    """Make claims a second time by the thesis' settings. why: of each that does not hold then."""
+    """Make claims a second time by the thesis' settings. why: by number, where another one."""
 
     def twice(claims: Callable[[D], list[Claim]]) -> Callable[[D], list[Claim]]:
         def both(found: D) -> list[Claim]:
             ours = claims(found)
             if found.literal is None:
                 return ours
-            theirs = zip(claims(found.literal), why, strict=True)  # type: ignore[arg-type]
-            return ours + [replace(c, text=LITERALLY + c.text, why=w) for c, w in theirs]
+            theirs = claims(found.literal)  # type: ignore[arg-type]
+            return ours + [
+                replace(claim, text=LITERALLY + claim.text, why=why.get(number, claim.why))
+                for number, claim in enumerate(theirs)
+            ]
 
         both.__doc__ = claims.__doc__
         return both
@@ -85,7 +89,7 @@ def _occupied(samples: Samples) -> Array:
     return samples.point[samples.occupancy > OCCUPIED]
 
 
-@_also_literally(_FEW, _FEW, _FEW)
+@_also_literally({2: _FEW})
 def claims_3_17(maps: Maps) -> list[Claim]:
     """The map errs most on the left, and closing the loop corrects all of it."""
     then = np.array([m.error_before("points").p95_m for m in maps.closed])
@@ -123,7 +127,7 @@ def claims_3_17(maps: Maps) -> list[Claim]:
     ]
 
 
-@_also_literally(_FEW)
+@_also_literally({})
 def claims_3_18(maps: Maps) -> list[Claim]:
     """Objects have the error of the landmarks around them."""
     ratios = []
@@ -172,7 +176,7 @@ def claims_4_2(maps: Maps) -> list[Claim]:
     ]
 
 
-@_also_literally(_FEW, _FEW, _FEW, _FEW)
+@_also_literally({0: _FEW_CELLS})
 def claims_4_3(maps: Maps) -> list[Claim]:
     """One grid keeps its errors, a dense map is corrected along with the landmarks."""
     dense = np.array([m.errors["occupancy"].p95_m for m in maps.all_drives])
@@ -222,7 +226,7 @@ def _off(point: Array, log: Log) -> float:
     return error_of_points(point, segment).p95_m
 
 
-@_also_literally(_FEW, _FEW)
+@_also_literally({})
 def claims_4_4(found: Rounds) -> list[Claim]:
     """Walls in one grid are wider, and shapes are lost."""
     last = found.each[-1]
@@ -250,7 +254,7 @@ def claims_4_4(found: Rounds) -> list[Claim]:
     ]
 
 
-@_also_literally(_FEW, _FEW)
+@_also_literally({})
 def claims_4_5(found: Rounds) -> list[Claim]:
     """One grid is never corrected."""
     first, last = found.each[0], found.each[-1]
@@ -270,7 +274,7 @@ def claims_4_5(found: Rounds) -> list[Claim]:
     ]
 
 
-@_also_literally(_FEW, _FEW, _FEW)
+@_also_literally({})
 def claims_4_6(found: Coarsened) -> list[Claim]:
     """Almost empty regions get larger cells at no loss."""
     coarse = int(np.count_nonzero(found.cell_m > _COARSE_M))
@@ -296,7 +300,7 @@ def claims_4_6(found: Coarsened) -> list[Claim]:
     ]
 
 
-@_also_literally(_FEW, _FEW, _FEW)
+@_also_literally({})
 def claims_4_10(maps: Maps) -> list[Claim]:
     """Most particles are likely occupied, and they are where the raw returns are."""
     weight = np.concatenate([m.layers["particles"].occupancy for m in maps.all_drives])
@@ -317,7 +321,7 @@ def claims_4_10(maps: Maps) -> list[Claim]:
     ]
 
 
-@_also_literally(_FEW, _FEW)
+@_also_literally({})
 def claims_4_12(maps: Maps) -> list[Claim]:
     """A sum of Gaussians follows the surfaces as raw returns do."""
     ratio = [m.errors["sog"].median_m / m.errors["points"].median_m for m in maps.all_drives]
@@ -332,7 +336,7 @@ def claims_4_12(maps: Maps) -> list[Claim]:
     ]
 
 
-@_also_literally(_FEW, _FEW)
+@_also_literally({})
 def claims_4_16(maps: Maps) -> list[Claim]:
     """Three layers of one run tell of the same surfaces."""
     reach = _CELLS * maps.all_drives[0].dense.options.resolution_m

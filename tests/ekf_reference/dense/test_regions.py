@@ -177,7 +177,7 @@ def test_a_region_keeps_by_which_form_of_the_first_condition_it_was_made() -> No
     }
     assert Conditions().highly_correlated(shared(0.3, 0.01)).all()
     assert not Conditions(known_apart_m=0.5).highly_correlated(loose)[0, 1]
-    regions.extend(landmark, np.arange(9), np.kron(np.eye(9), np.eye(2)))
+    regions.extend(landmark, np.arange(9), np.eye(18))
     assert len(regions.base) == len(regions.by_correlation) == 3
     literal = LocalRegions()
     literal.extend(landmark, slot, covariance[columns[:, None], columns])
