@@ -267,12 +267,16 @@ class Configured(JobConfig):
 
 
 def _listed(value: Any) -> Any:
-    """Words with commas between them, as a command line gives several."""
+    """Words with commas between them, as a command line gives several, `both` spelt out."""
     if isinstance(value, str):
         value = [part.strip() for part in value.split(",") if part.strip()]
     known = get_args(FailOn)
-    if isinstance(value, list | tuple) and (unknown := [one for one in value if one not in known]):
-        raise ValueError(f"fail_on is {shown(unknown[0])}: expected some of {', '.join(known)}")
+    if isinstance(value, list | tuple):
+        if unknown := [one for one in value if one not in known]:
+            some = ", ".join(known)
+            raise ValueError(f"fail_on is {shown(unknown[0])}: expected some of {some}")
+        both = ("disagreement", "consistency")
+        value = [word for one in value for word in (both if one == "both" else (one,))]
     return value
 
 
@@ -283,7 +287,9 @@ class RunConfig(Configured):
     smoother: SmootherConfig = SmootherConfig()
     report: ReportConfig = ReportConfig()
     fail_on: Annotated[tuple[FailOn, ...], BeforeValidator(_listed)] = Field(
-        (), description="what makes a run fail whatever its outcome"
+        (),
+        description="what makes a run fail, besides a disagreement, which always does: "
+        "consistency, truth, association; both is disagreement and consistency",
     )
 
     @model_validator(mode="after")

@@ -228,8 +228,9 @@ RUN_EXTENSIONS = (
 )
 FAIL_ON = Flag(
     option="--fail-on", field="fail_on", metavar="WHAT,...",
-    help="Exit with 1 on these, too: truth (the smoother is far from it), consistency (NEES, NIS "
-    "or filter against smoother outside their bands), association (nobody has checked it).",
+    help="Exit with 1 on these: disagreement (always does), consistency (NEES, NIS or filter "
+    "against smoother outside their bands), both (of these), truth (the smoother is far from it), "
+    "association (nobody has checked it).",
 )
 REPORT = (
     Flag(

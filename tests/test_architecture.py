@@ -243,7 +243,7 @@ LAYERS = {
     "arrays": 0, "errors": 0, "files": 0, "choices": 0, "atomic": 0, "archive": 0,
     "logs": 1, "options": 1,
     "config": 2, "estimates": 2,
-    "settings": 3, "adapters": 3, "logs.transforms": 3,
+    "documented": 3, "settings": 3, "adapters": 3, "logs.transforms": 3,
     "checks": 4,
     "pipeline": 5,
     "extensions": 6, "report": 6,

@@ -17,12 +17,15 @@ from comparisons.checks.accuracy import Accuracy
 from comparisons.checks.association import AssociationScore
 from comparisons.checks.causes import Cause
 from comparisons.checks.consistency.consistency import Consistency
+from comparisons.checks.consistency.filter_smoother import FilterAgainstSmoother
 from comparisons.checks.consistency.nees import TruthConsistency
+from comparisons.checks.consistency.normalised import mean_band
 from comparisons.checks.verdict import Verdict
 from comparisons.choices import FailOn
 from comparisons.logs.log import Sightings
 
-TRUTH_GAP, UNCHECKED, INCONSISTENT = "truth gap", "association unchecked", "inconsistent"
+TRUTH_GAP, UNCHECKED = "truth gap", "association unchecked"
+INCONSISTENT = "filter inconsistent"
 WORSE = 2.0
 """So many times the error with labels is a mistake of the association."""
 _SHARE = 0.999
@@ -30,6 +33,8 @@ _SHARE = 0.999
 the limit of one value, not of an average of independent ones."""
 _SURER = 0.05
 """Of the epochs: so many in which the filter is surer than the smoother make it inconsistent."""
+_OUTSIDE = 0.05
+"""Share of sound runs of which any NIS may leave its band."""
 _NONE_FOUND = 3
 """With so many landmarks, of which none is near a true one, the map is wrong as a whole."""
 
@@ -143,29 +148,56 @@ def sighting_scale(seen: Sightings, places: Array) -> float:
     return float(np.median(np.sqrt(np.trace(places, axis1=1, axis2=2)))) if len(places) else 0.0
 
 
-def inconsistent(consistency: Consistency) -> bool:
-    """Whether NIS, filter against smoother or the filter's NEES are outside their bands.
+def inconsistencies(consistency: Consistency) -> tuple[str, ...] | None:
+    """Return what is outside its band: the filter's NEES, filter against smoother, NIS.
+
+    None where there is none of these.
 
     An association that leaves out large innovations makes the NIS too low, which does not count.
-    The bands of NIS are of 95 % for each component and for both; a filter surer than the smoother
-    counts from one epoch in twenty on, the NEES from the limit of the truth gap.
+    The bands of NIS, for each component and for both of every sensor, are such that all of them
+    hold in 95 % of sound runs (Bonferroni); a filter surer than the smoother counts from one epoch
+    in twenty on, the NEES from the limit of the truth gap.
     """
     against, smoothed = consistency.ekf, consistency.smoothed
-    readings = {nis.reading for sensor in consistency.sensors for nis in sensor.nis}
-    outside = readings - {"plausible", "too low" if consistency.gated else "plausible"}
-    far = []
+    if against is None and smoothed is None and not consistency.sensors:
+        return None
+    far, found = [], []
     if against is not None and against.poses is not None:
-        far.append(against.poses.pose)
+        far.append(("poses", against.poses.pose))
     if against is not None and against.map is not None:
-        far.append(against.map.landmarks)
-    return (
-        bool(outside)
-        or (smoothed is not None and len(smoothed.surer) > _SURER * len(smoothed.time_s))
-        or any(
-            errors.mean is not None and errors.mean / errors.dof > limit(errors.dof) ** 2
-            for errors in far
+        far.append(("landmarks", against.map.landmarks))
+    for what, errors in far:
+        if errors.mean is not None and errors.mean / errors.dof > limit(errors.dof) ** 2:
+            found.append(
+                f"NEES of the {what} {errors.mean / errors.dof:.2g} per degree of freedom, limit "
+                f"{limit(errors.dof) ** 2:.2g}"
+            )
+    if smoothed is not None:
+        found += _against_smoother(smoothed)
+    every = [nis for sensor in consistency.sensors for nis in sensor.nis]
+    for nis in every:
+        low, high = mean_band(nis.count, nis.dof, _OUTSIDE / len(every))
+        if nis.mean > high or (nis.mean < low and not consistency.gated):
+            found.append(
+                f"NIS of {nis.name} {nis.mean / nis.dof:.3g} per degree of freedom, band "
+                f"{low / nis.dof:.3g} to {high / nis.dof:.3g}"
+            )
+    return tuple(found)
+
+
+def _against_smoother(smoothed: FilterAgainstSmoother) -> list[str]:
+    found, mean, band = [], smoothed.mean_per_dof, smoothed.band
+    if mean is not None and band is not None and not band.holds(mean):
+        found.append(
+            f"filter against smoother {mean:.2g} per degree of freedom, band {band.low:.2g} to "
+            f"{band.high:.2g}"
         )
-    )
+    if len(smoothed.surer) > _SURER * len(smoothed.time_s):
+        found.append(
+            f"filter surer than the smoother at {len(smoothed.surer)} of "
+            f"{len(smoothed.time_s)} epochs"
+        )
+    return found
 
 
 def qualified(
@@ -190,19 +222,22 @@ def qualified(
     if unchecked:
         found.append(UNCHECKED)
         remarks = (*remarks, unchecked)
-    if "consistency" in fail_on and inconsistent(consistency):
+    outside = inconsistencies(consistency)
+    if outside:
         found.append(INCONSISTENT)
-    of: dict[FailOn, str] = {
-        "truth": TRUTH_GAP,
-        "consistency": INCONSISTENT,
-        "association": UNCHECKED,
+    of: dict[FailOn, bool] = {
+        "disagreement": verdict.outcome == "disagree",
+        "consistency": bool(outside),
+        "truth": TRUTH_GAP in found,
+        "association": UNCHECKED in found,
     }
     return replace(
         verdict,
         causes=causes,
         remarks=remarks,
         qualifiers=tuple(found),
-        failed_on=tuple(one for one in dict.fromkeys(fail_on) if of[one] in found),
+        inconsistent=outside,
+        failed_on=tuple(one for one in dict.fromkeys(fail_on) if of[one]),
     )
 
 

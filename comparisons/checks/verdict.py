@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 SPARED_SIGMA = 0.05
 """Largest difference of the means that sparing part of the covariance may cause, in sigma."""
 
+_SHOWN = 2
+"""Figures outside their bands that a summary names."""
+
 Outcome = Literal["agree", "disagree", "unverified"]
 
 
@@ -32,20 +35,33 @@ Outcome = Literal["agree", "disagree", "unverified"]
 class Verdict:
     """The outcome, its causes (worst kind first), and remarks that change nothing.
 
-    qualifiers: what a reader of the outcome must know as well. failed_on: those of `--fail-on`
-    that the run fails on, whatever the outcome. See checks.qualifiers.
+    qualifiers: what a reader of the outcome must know as well. inconsistent: what of the filter's
+    consistency is outside its band, None where nothing tells. failed_on: those of `--fail-on` that
+    the run fails on, whatever the outcome. See checks.qualifiers.
     """
 
     outcome: Outcome
     causes: tuple[Cause, ...]
     remarks: tuple[str, ...]
     qualifiers: tuple[str, ...] = ()
+    inconsistent: tuple[str, ...] | None = None
     failed_on: tuple[FailOn, ...] = ()
 
     @property
     def headline(self) -> str:
         """The outcome with its qualifiers."""
         return ", ".join((self.outcome, *self.qualifiers))
+
+    @property
+    def summary(self) -> str:
+        """The outcome with its qualifiers, and whether the filter is consistent, with figures."""
+        found = self.inconsistent
+        if not found:
+            return f"{self.headline}; filter {'consistent' if found == () else 'not judged'}"
+        *others, last = (self.outcome, *self.qualifiers)
+        more = len(found) - _SHOWN
+        shown = "; ".join(found[:_SHOWN]) + (f"; {more} more" if more > 0 else "")
+        return f"{', '.join(others)}; {last} ({shown})"
 
 
 @dataclass(frozen=True, kw_only=True)

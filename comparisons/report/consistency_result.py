@@ -92,6 +92,7 @@ def _smoothed(f: FilterAgainstSmoother | None) -> FilterAgainstSmootherResult | 
     return FilterAgainstSmootherResult(
         epochs=len(f.time_s),
         squared_per_dof=f.mean_per_dof,
+        band=f.band,
         inside=f.inside,
         least_ratio=None if worst is None else float(f.ratio[worst]),
         least_ratio_s=None if worst is None else float(f.time_s[worst]),
@@ -117,8 +118,9 @@ def consistency_rows(c: ConsistencyResult) -> list[tuple[str, str]]:
     f = c.filter_against_smoother
     if f is not None and f.squared_per_dof is not None and f.least_ratio is not None:
         shown_here = (
-            f"poses' difference squared {f.squared_per_dof:.3g} per dof, of 1 (P_EKF - P_smoother);"
-            f" least variance ratio {f.least_ratio:.3g} at {f.least_ratio_s:.1f} s"
+            f"poses' difference squared {f.squared_per_dof:.3g} per dof, of 1 (P_EKF - P_smoother"
+            + (f"; band {f.band[0]:.2g}-{f.band[1]:.3g}" if f.band else "")
+            + f"); least variance ratio {f.least_ratio:.3g} at {f.least_ratio_s:.1f} s"
         )
         rows.append(("EKF - smoother", shown_here))
     return rows

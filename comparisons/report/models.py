@@ -337,13 +337,15 @@ class InnovationResult(Model):
 class FilterAgainstSmootherResult(Model):
     """Filtered poses against smoothed ones. See comparisons.checks.consistency.filter_smoother.
 
-    squared_per_dof: 1 is right; inside: share of the epochs in their single 95 % band. least_ratio:
-    smallest variance of the filter over the smoother's, at least_ratio_s; surer_epochs: how many
-    have one clearly below 1, from surer_since_s on.
+    squared_per_dof: 1 is right; band: 95 % of it, for correlated epochs; inside: share of the
+    epochs in their single 95 % band. least_ratio: smallest variance of the filter over the
+    smoother's, at least_ratio_s; surer_epochs: how many have one clearly below 1, from
+    surer_since_s on.
     """
 
     epochs: int
     squared_per_dof: float | None
+    band: tuple[float, float] | None = None
     inside: float | None
     least_ratio: float | None
     least_ratio_s: float | None
@@ -374,7 +376,11 @@ SCHEMA = 3
 
 
 class Result(Model):
-    """The whole file, and one entry for each extension that ran. config: of the run."""
+    """The whole file, and one entry for each extension that ran. config: of the run.
+
+    summary: verdict, qualifiers and the filter's consistency in one line. inconsistent: what of
+    the latter is outside its band; None where nothing tells.
+    """
 
     model_config = ConfigDict(extra="allow", serialize_by_alias=True, populate_by_name=True)
 
@@ -390,7 +396,9 @@ class Result(Model):
     association: AssociationResult | None
     truth_gap: TruthGapResult | None = None
     verdict: Literal["agree", "disagree", "unverified"]
+    summary: str = ""
     qualifiers: list[str] = Field(default_factory=list)
+    inconsistent: list[str] | None = None
     failed_on: list[str] = Field(default_factory=list)
     causes: list[CauseResult]
     remarks: list[str]

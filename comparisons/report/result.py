@@ -61,7 +61,9 @@ def build_result(comparison: Comparison, read_s: float = 0.0) -> Result:
         association=association_result(c.assessment.association),
         truth_gap=truth_gap_result(c.assessment.truth_gap),
         verdict=c.verdict.outcome,
+        summary=c.verdict.summary,
         qualifiers=list(c.verdict.qualifiers),
+        inconsistent=None if c.verdict.inconsistent is None else list(c.verdict.inconsistent),
         failed_on=list(c.verdict.failed_on),
         causes=[cause_result(cause) for cause in c.verdict.causes],
         remarks=list(c.verdict.remarks),
@@ -129,6 +131,7 @@ def print_run(comparison: Comparison, result: Result, console: Console) -> None:
         result.causes,
         result.remarks,
         qualifiers=result.qualifiers,
+        summary=result.summary,
         failed_on=result.failed_on,
     )
 

@@ -46,11 +46,12 @@ def print_verdict(
     remarks: Sequence[str] = (),
     *,
     qualifiers: Sequence[str] = (),
+    summary: str = "",
     failed_on: Sequence[str] = (),
 ) -> None:
-    """Print the outcome with its qualifiers, why, and what else there is to know."""
+    """Print the outcome, why, and what else there is to know. summary: in the outcome's place."""
     style = "bold yellow" if qualifiers and verdict == "agree" else _STYLE[verdict]
-    headline = ", ".join((verdict, *qualifiers))
+    headline = escape(summary or verdict)
     failed = f" (fails on {', '.join(failed_on)})" if failed_on else ""
     console.print(f"verdict: [{style}]{headline}[/]{failed}", highlight=False)
     for cause in causes:

@@ -6,12 +6,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from scipy.spatial.distance import mahalanobis
 from scipy.stats import chi2
 
 from comparisons.checks.consistency.filter_smoother import (
     FilterAgainstSmoother,
     filter_against_smoother,
+    independent,
 )
 from comparisons.checks.consistency.innovations import (
     Nis,
@@ -257,6 +259,26 @@ def test_filter_minus_smoother_has_the_difference_of_their_covariances(turns: in
         assert mean_band(RUNS, dof).holds(float(np.mean([f.squared[k] for f in found])))
     assert found[0].dof[-1] == 0
     assert len(found[0].surer) == 0
+
+
+@pytest.mark.parametrize(("factor", "holds"), [(1.0, True), (0.2, False)])
+def test_the_mean_against_the_smoother_stays_in_its_band(factor: float, holds: bool) -> None:
+    """Of a sound filter in most runs; not of one five times too sure."""
+    runs = simulate(RUNS)
+    found = [against_smoother(runs, run) for run in range(RUNS)]
+    inside = [f.band.holds(f.mean_per_dof / factor) for f in found if f.band and f.mean_per_dof]
+    assert len(inside) == RUNS
+    assert bool(np.mean(inside) >= 0.9) is holds
+
+
+def test_correlated_numbers_count_for_fewer() -> None:
+    """Of x_k = a x_k-1 + e, n (1 - a) / (1 + a); a series of one number repeated counts once."""
+    rng = np.random.default_rng(0)
+    white = rng.standard_normal(20000)
+    assert independent(white) == pytest.approx(20000, rel=0.1)
+    red = lfilter((1.0,), (1.0, -0.8), white)
+    assert independent(red) == pytest.approx(20000 * 0.2 / 1.8, rel=0.2)
+    assert independent(np.ones(100)) < 2.0
 
 
 def test_the_identity_rejects_a_filter_that_is_not_sure_enough() -> None:

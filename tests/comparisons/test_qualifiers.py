@@ -11,12 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from comparisons.checks.consistency.consistency import Consistency
 from comparisons.checks.qualifiers import (
-    INCONSISTENT,
     TRUTH_GAP,
     UNCHECKED,
     Distance,
     TruthGap,
+    inconsistencies,
     limit,
     qualified,
     sighting_scale,
@@ -112,7 +113,7 @@ def test_no_truth_is_no_gap() -> None:
 
 
 def test_the_headline_says_what_qualifies_it(sound: Comparison) -> None:
-    assert sound.verdict.headline == "agree"
+    assert sound.verdict.summary == "agree; filter consistent"
     found = qualified(AGREE, gap(3.0, 0.4), unchecked="", consistency=sound.consistency, fail_on=())
     assert found.headline == "agree, truth gap"
     assert found.causes[0].gap == "truth"
@@ -130,27 +131,68 @@ def test_the_headline_says_what_qualifies_it(sound: Comparison) -> None:
     assert "the stated sigmas are too small" in found.remarks[0]
 
 
-def test_an_inconsistent_filter_qualifies_only_when_asked(sound: Comparison) -> None:
-    consistency = sound.consistency
-    sensor = consistency.sensors[0]
-    nis = tuple(replace(one, mean=10.0 * one.mean) for one in sensor.nis)
-    off = replace(consistency, sensors=(replace(sensor, nis=nis),))
-    silent = qualified(AGREE, None, unchecked="", consistency=off, fail_on=())
-    assert silent.headline == "agree"
-    asked = qualified(AGREE, None, unchecked="", consistency=off, fail_on=("consistency",))
-    assert (asked.headline, asked.failed_on) == ("agree, inconsistent", ("consistency",))
-    plausible = tuple(replace(one, mean=float(one.dof)) for one in sensor.nis)
-    inside = replace(consistency, sensors=(replace(sensor, nis=plausible),), smoothed=None)
+def off_the_band(c: Consistency, factor: float) -> Consistency:
+    """The same with innovations so many times as large, and nothing else to judge by."""
+    sensor = c.sensors[0]
+    nis = tuple(replace(one, mean=factor * one.dof) for one in sensor.nis)
+    return replace(c, ekf=None, smoothed=None, sensors=(replace(sensor, nis=nis),))
+
+
+def test_an_inconsistent_filter_is_said_and_fails_only_when_asked(sound: Comparison) -> None:
+    off = off_the_band(sound.consistency, 10.0)
+    told = "NIS of sightings 10 per degree of freedom, band "
+    for asked in ((), ("consistency",)):
+        found = qualified(AGREE, None, unchecked="", consistency=off, fail_on=asked)
+        assert found.outcome == "agree"
+        assert found.headline == "agree, filter inconsistent"
+        assert found.summary.startswith(f"agree; filter inconsistent ({told}")
+        assert found.summary.endswith("; 1 more)")
+        assert found.failed_on == asked
+    inside = off_the_band(sound.consistency, 1.0)
     right = qualified(AGREE, None, unchecked="", consistency=inside, fail_on=("consistency",))
-    assert INCONSISTENT not in right.qualifiers
+    assert (right.summary, right.failed_on) == ("agree; filter consistent", ())
+    nothing = replace(inside, sensors=())
+    none = qualified(AGREE, None, unchecked="", consistency=nothing, fail_on=("consistency",))
+    assert (none.summary, none.failed_on) == ("agree; filter not judged", ())
+
+
+@pytest.mark.parametrize("fail_on", ["", "disagreement", "consistency", "both"])
+@pytest.mark.parametrize("outcome", ["agree", "disagree"])
+def test_each_word_fails_on_what_it_names(sound: Comparison, fail_on: str, outcome: str) -> None:
+    verdict = replace(AGREE, outcome=outcome)
+    asked = run_config(fail_on=fail_on).fail_on
+    for factor, apart in ((1.0, False), (10.0, True)):
+        found = qualified(
+            verdict,
+            None,
+            unchecked="",
+            consistency=off_the_band(sound.consistency, factor),
+            fail_on=asked,
+        )
+        expected = {
+            "disagreement": outcome == "disagree" and fail_on in ("disagreement", "both"),
+            "consistency": apart and fail_on in ("consistency", "both"),
+        }
+        assert found.failed_on == tuple(word for word, fails in expected.items() if fails)
+
+
+def test_the_filter_against_the_smoother_has_a_band(sound: Comparison) -> None:
+    """A filter that is half as certain as it says is outside by that alone."""
+    smoothed = sound.consistency.smoothed
+    assert smoothed is not None
+    alone = replace(sound.consistency, ekf=None, sensors=())
+    assert inconsistencies(alone) == ()
+    wrong = replace(smoothed, squared=4.0 * smoothed.squared)
+    [told] = inconsistencies(replace(alone, smoothed=wrong)) or ()
+    assert told.startswith("filter against smoother ")
 
 
 def test_a_shared_mistake_shows_in_verdict_and_result(sound: Comparison) -> None:
     wrong = compared(shifted_truth(sound.log, 1.0))
     assert wrong.verdict.outcome == "agree"
-    assert wrong.verdict.qualifiers == (TRUTH_GAP,)
+    assert TRUTH_GAP in wrong.verdict.qualifiers
     result = build_result(wrong)
-    assert result.headline == "agree, truth gap"
+    assert result.headline.startswith("agree, truth gap")
     assert result.truth_gap is not None
     assert result.truth_gap.stands
     assert result.truth_gap.distances[0].error_m == pytest.approx(1.0, abs=0.5)
@@ -227,7 +269,9 @@ def test_fail_on_takes_words_with_commas(text: str) -> None:
 
 
 def test_an_unknown_word_is_one_line() -> None:
-    with pytest.raises(InputError, match=r"fail_on is 'time': expected some of truth, consis"):
+    with pytest.raises(
+        InputError, match=r"fail_on is 'time': expected some of disagreement, consis"
+    ):
         run_config(fail_on="truth,time")
 
 
@@ -272,6 +316,6 @@ def test_a_truth_gap_has_an_exit_code_on_request(tmp_path: Path) -> None:
     assert "verdict: agree, truth gap (fails on truth)" in failed.stdout
     result = json.loads((tmp_path / "failed" / "result.json").read_text())
     assert result["verdict"] == "agree"
-    assert result["qualifiers"] == ["truth gap"]
+    assert result["qualifiers"][0] == "truth gap"
     assert result["failed_on"] == ["truth"]
     assert "agree, truth gap" in (tmp_path / "failed" / "report.html").read_text()

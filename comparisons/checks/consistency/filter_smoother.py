@@ -15,7 +15,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from comparisons.arrays import Array, Index
-from comparisons.checks.consistency.normalised import counted, faults
+from comparisons.checks.consistency.normalised import Band, counted, faults, mean_band
 from ekf_reference.core.geometry import wrap_angle
 
 CLEAR = 0.05
@@ -50,6 +50,16 @@ class FilterAgainstSmoother:
         return float(self.squared.sum() / self.dof.sum()) if self.dof.any() else None
 
     @property
+    def band(self) -> Band | None:
+        """95 % of mean_per_dof, by as many independent epochs as these, correlated, are worth."""
+        clear = self.dof > 0
+        if not clear.any():
+            return None
+        dof = float(self.dof[clear].mean())
+        band = mean_band(independent(self.squared[clear] / self.dof[clear] - 1.0), dof)
+        return Band(band.low / dof, band.high / dof)
+
+    @property
     def inside(self) -> float | None:
         """Share of the epochs with clear directions in their single 95 % band."""
         squared, dof = self.squared[self.dof > 0], self.dof[self.dof > 0]
@@ -62,6 +72,23 @@ class FilterAgainstSmoother:
     def surer(self) -> Index:
         """Epochs at which the filter is clearly surer than the smoother."""
         return np.flatnonzero(self.ratio < LEAST_RATIO)
+
+
+def independent(values: Array) -> float:
+    """Return how many independent numbers have a mean as certain as that of a series (n,).
+
+    n over 1 + 2 sum r_k with autocorrelations about zero, which is where the series belongs, summed
+    until two neighbours cancel (Geyer 1992, section 3.3, initial positive sequence).
+    """
+    n = len(values)
+    spectrum = np.fft.rfft(values, 2 * n)
+    r = np.fft.irfft(spectrum * spectrum.conj(), 2 * n)[:n]
+    if not r[0] > 0.0:
+        return float(n)
+    pairs = r[: n - n % 2].reshape(-1, 2).sum(axis=1) / r[0]
+    cancelled = np.flatnonzero(pairs <= 0.0)
+    lasting = pairs[: cancelled[0]] if len(cancelled) else pairs
+    return n / max(2.0 * float(lasting.sum()) - 1.0, 1.0)
 
 
 def filter_against_smoother(

@@ -12,7 +12,8 @@ from scipy.stats import chi2
 
 from comparisons.arrays import Array, Index
 
-_TAILS = (0.025, 0.975)
+_OUTSIDE = 0.05
+"""Of the figures that a band is for, as many lie outside, half of them on either side."""
 _SKEW = 1e-6
 """Largest asymmetry of a covariance, in units of its sigmas, that rounding explains."""
 _LEAST_EIGENVALUE = 1e-13
@@ -30,7 +31,7 @@ class Band(NamedTuple):
         return self.low <= value <= self.high
 
 
-def mean_band(count: int, dof: int) -> Band:
+def mean_band(count: float, dof: float, outside: float = _OUTSIDE) -> Band:
     """Of the mean of `count` independent chi-square variables with `dof` degrees of freedom.
 
     chi2.ppf(q, R d) / R (Bar-Shalom, Li and Kirubarajan 2001, section 5.4.2). Everything lies in
@@ -38,7 +39,7 @@ def mean_band(count: int, dof: int) -> Band:
     """
     if count * dof == 0:
         return Band(0.0, float("inf"))
-    low, high = chi2.ppf(_TAILS, count * dof) / count
+    low, high = chi2.ppf((0.5 * outside, 1.0 - 0.5 * outside), count * dof) / count
     return Band(float(low), float(high))
 
 

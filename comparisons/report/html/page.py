@@ -37,7 +37,7 @@ def page(
     }
     parts = [
         f"<header><h1>{name}</h1><p>"
-        f'<span class="verdict {result.verdict}">{result.headline}</span> '
+        f'<span class="verdict {result.verdict}">{escape(result.summary)}</span> '
         f"{escape(result.log.format)}, {result.log.duration_s:,.0f} s</p></header>",
         _causes(result),
         '<noscript><p class="note">Curves, layers and sorting need JavaScript; the same curves '
