@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,7 +80,7 @@ def build_ekf(log: Log, choices: EkfConfig, trace: Trace, layer: LayerValues | N
         "largest_move_m": choices.split_move_m,
         "largest_shrink": choices.split_shrink,
     }
-    given = {name: bound for name, bound in bounds.items() if bound is not None}
+    given: dict[str, Any] = {name: bound for name, bound in bounds.items() if bound is not None}
     ekf.splitter = replace(ekf.splitter, **given)
     splitter = replace(ekf.fixes.splitter, **given)
     ekf.fixes = replace(ekf.fixes, splitter=splitter, recovery=choices.gps_recovery)

@@ -62,7 +62,7 @@ def log_result(log: Log) -> LogResult:
     )
 
 
-def ekf_result(run: EkfRun, config: EkfConfig, fixes: RejectedFixes | None) -> EkfResult:
+def ekf_result(run: EkfRun, config: EkfConfig, fixes: RejectedFixes | None = None) -> EkfResult:
     """The filter and what it used. fixes: what its gate rejected."""
     streaks = {}
     if fixes is not None:
