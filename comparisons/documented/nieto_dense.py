@@ -11,10 +11,19 @@ _BY = " (benchmarks/dense_maps.py --only rules)"
 ROWS = (
     Documented(
         place="N 3.5, first condition",
+        what="correlation of each pair of a region's landmarks: high",
+        value=0.9,
+        named=True,
+        at="dense_maps.least_correlation",
+        also=("ekf_reference.dense.conditions:Conditions.least_correlation",),
+    ),
+    Documented(
+        place="N 3.5, first condition",
         what="relative sigma that lets a pair into a region whatever its correlation (0: none)",
         value=0.0,
         unit="m",
         at="dense_maps.known_apart_m",
+        also=("ekf_reference.dense.conditions:Conditions.known_apart_m",),
         reason="0 leaves 60 % of the returns of scan-loop (6 drives of one loop) without a region "
         "instead of 29 %, 53 % instead of 29 % on occupancy-loop (8), and the map is no "
         "closer to the surfaces (median 0.20 m instead of 0.18, 0.28 instead of 0.24): "
@@ -67,16 +76,18 @@ ROWS = (
     ),
     Documented(
         place="N 4.1.1, eq. 4.4",
-        what="p_max, occupancy where a return comes from (named without a number; 0.9 is ours)",
+        what="p_max, occupancy where a return comes from",
         value=0.9,
+        named=True,
         at="dense_maps.p_occupied",
         reason="with 0.9 one noisy return makes a cell occupied: 95 % of the distances 0.52 m "
         "instead of 0.47 on scan-loop, 0.82 instead of 0.64 on occupancy-loop (p_free 0.3)" + _BY,
     ),
     Documented(
         place="N 4.1.1, eq. 4.4",
-        what="p_min, occupancy before a return (named without a number; 0.3 is ours)",
+        what="p_min, occupancy before a return",
         value=0.3,
+        named=True,
         at="dense_maps.p_free",
         reason="what stands is often looked past; measured with p_occupied 0.9: median of the "
         "distances 0.19 m instead of 0.18 on scan-loop, 0.29 m instead of 0.24 on "

@@ -63,7 +63,7 @@ def _table(rows: list[Documented], *, why: bool) -> Iterator[str]:
     yield "| place | constant | document |" + (" runs use | where | why |" if why else " where |")
     yield "|---|---|---|---|" + ("---|---|" if why else "")
     for row in rows:
-        cells = [row.place, row.what + _under(row), _with_unit(row.value, row)]
+        cells = [row.place, row.what + _under(row), _documented(row)]
         cells += [_with_unit(row.used, row)] if why else []
         cells += [f"`{row.at}`"] + ([row.reason] if why else [])
         yield "| " + " | ".join(one.replace("|", "\\|") for one in cells) + " |"
@@ -72,6 +72,11 @@ def _table(rows: list[Documented], *, why: bool) -> Iterator[str]:
 def _under(row: Documented) -> str:
     words = [f"{path} {' or '.join(map(shown, values))}" for path, values in row.when.items()]
     return f" ({'; '.join(words)})" if words else ""
+
+
+def _documented(row: Documented) -> str:
+    value = _with_unit(row.value, row)
+    return f"named, no number; preset {value}" if row.named else value
 
 
 def _with_unit(value: Value, row: Documented) -> str:

@@ -24,7 +24,8 @@ class Documented:
     document's value; or code, as `package.module:Class.field` or `package.module:function().name`.
     when: settings, each with the values under which the preset sets this one. reason: why runs use
     another value, with the measured figure; empty exactly where they use the document's. also:
-    further code that has the document's value.
+    further code that has the document's value. named: the document names the constant and gives no
+    number; the value is a usual one, and what the preset sets.
     """
 
     place: str
@@ -35,6 +36,7 @@ class Documented:
     when: Mapping[str, tuple[Value, ...]] = field(default_factory=dict)
     reason: str = ""
     also: tuple[str, ...] = ()
+    named: bool = False
 
     @property
     def is_setting(self) -> bool:
