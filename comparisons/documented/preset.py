@@ -44,12 +44,13 @@ def without_documented(given: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def differing(config: Mapping[str, Any]) -> list[tuple[Documented, Any]]:
-    """Return the documented settings of a run's configuration at another value, with that value."""
+    """Return settings of a run that a document states at another value, with their own."""
     found = []
     for row in SETTINGS:
         value, keys = read(config, row.at), _keys(row.at)
         there = keys[0] in config if len(keys) == 2 else keys[1] in config.get("extensions", {})
-        if there and applies(row, config) and not same(row.value, _plain(value)):
+        known = there and not row.named
+        if known and applies(row, config) and not same(row.value, _plain(value)):
             found.append((row, value))
     return found
 

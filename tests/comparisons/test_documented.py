@@ -78,8 +78,10 @@ def published_run(**flags: object) -> RunConfig:
 def test_as_published_sets_every_setting_that_applies(flags: dict[str, object]) -> None:
     config = published_run(**flags).model_dump(mode="python")
     assert differing(config) == []
+    named = [row for row in SETTINGS if row.named and _there(row, config)]
+    assert [same(row.value, read(config, row.at)) for row in named] == [True] * len(named)
     recommended = run_config(**flags).model_dump(mode="python")
-    moved = [row for row in SETTINGS if row.differs and _there(row, recommended)]
+    moved = [row for row in SETTINGS if row.differs and not row.named and _there(row, recommended)]
     assert {row.at for row, _ in differing(recommended)} >= {
         row.at for row in moved if applies(row, recommended)
     }
