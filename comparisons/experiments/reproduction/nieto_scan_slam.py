@@ -254,12 +254,12 @@ def of_log(log: Log, seed: int = 0, settings: ScanLandmarksConfig | None = None)
         ate_m=ate_m,
         wheels_m=wheels_m,
         end_m=float(np.hypot(*off[:2])),
-        again=_seen_again(run),
+        again=seen_again(run),
         segment=log.truth.surfaces.segment,
     )
 
 
-def _seen_again(run: EkfRun) -> int:
+def seen_again(run: EkfRun) -> int:
     """Measurements of landmarks that were out of sight for CLOSED_S."""
     time_s = run.estimate.time_s[run.oriented.pose]
     order = np.lexsort((time_s, run.oriented.landmark))

@@ -4,13 +4,23 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache, partial
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from comparisons.errors import InputError
-from comparisons.experiments.reproduction.nieto_scan_slam import ScanDrive, of_log
+from comparisons.experiments.reproduction.nieto_scan_slam import (
+    OURS,
+    ScanDrive,
+    of_log,
+    published_config,
+    seen_again,
+)
 from comparisons.extensions.dense_maps.accuracy import distance_to_segments
+from comparisons.extensions.scan_landmarks.result import published_rule, template_rule
+from comparisons.extensions.scan_landmarks.source import scan_slam_options
 from tests.scenarios import scenario
 
 log = partial(scenario, "scan-slam", seed=3, seconds=6.0)
@@ -46,3 +56,24 @@ def test_before_is_the_map_that_the_filter_had_at_that_instant() -> None:
 def test_a_log_without_truth_is_refused() -> None:
     with pytest.raises(InputError, match="true poses and surfaces are needed"):
         of_log(replace(log(), truth=replace(log().truth, surfaces=None)))
+
+
+def test_the_second_drive_is_by_the_thesis_rule() -> None:
+    thesis, ours = (
+        template_rule(scan_slam_options(one, mapped=False)) for one in (published_config(), OURS)
+    )
+    assert thesis == published_rule()
+    assert ours != published_rule()  # broken: both drives by the settings of runs
+
+
+def test_a_landmark_is_seen_again_after_a_minute_out_of_sight() -> None:
+    """The first is, once; the second was never out of sight for so long."""
+    time_s = np.array((0.0, 10.0, 30.0, 65.0, 80.0, 81.0, 90.0))
+    landmark = np.array((0, 0, 1, 1, 0, 0, 1))
+    run: Any = SimpleNamespace(
+        estimate=SimpleNamespace(time_s=time_s),
+        oriented=SimpleNamespace(pose=np.arange(7), landmark=landmark),
+    )
+    assert seen_again(run) == 1
+    run.oriented.landmark = np.zeros(7, dtype=int)
+    assert seen_again(run) == 0
