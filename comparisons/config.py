@@ -36,6 +36,7 @@ from comparisons.choices import (
     Preset,
     RequiredGrade,
     Robust,
+    Sigmas,
     SolverAssociation,
 )
 from comparisons.errors import InputError
@@ -87,6 +88,11 @@ class LogSection(Section):
         description="factor on the noise of a simulated log, added and stated alike",
     )
     features: Features = Field("log", description="the log's own, or trunks found in its scans")
+    sigmas: Sigmas = Field(
+        "calibrated",
+        description="of the real logs of Nieto's vehicle: found on the logs, or those of his Table "
+        "A.1; other logs have one set",
+    )
     sha256: str | None = Field(None, description="hash of the log; a run refuses another log")
 
 

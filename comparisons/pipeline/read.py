@@ -18,11 +18,15 @@ def load_log(section: LogSection) -> Log:
     """Return the log that a configuration names, with the features asked for. Raises InputError."""
     choices = SimulationChoices(section.seed, section.loops, section.noise_scale)
     log = open_log(section.source, section.format, section.robot, choices)
-    if section.features == "log":
-        return log
-    from comparisons.logs.transforms.tree_features import with_tree_features
+    if section.features == "trees":
+        from comparisons.logs.transforms.tree_features import with_tree_features
 
-    return with_tree_features(log)
+        log = with_tree_features(log)
+    if section.sigmas == "published":
+        from comparisons.logs.transforms.published_sigmas import with_published_sigmas
+
+        log = with_published_sigmas(log)
+    return log
 
 
 def read_for(config: C, *, allow_changed: bool = False) -> tuple[Log, C, float]:
