@@ -77,7 +77,7 @@ class Mower:
             UnicycleModel(), KnownAssociation(), *prior, Stabilisation(1e-6, 1e-8), areas=AREAS
         )
         ekf.state = Timed(*prior, AREAS)
-        landmark = SPACING_M * (grid[:count] + 0.5)
+        landmark: Array = np.asarray(SPACING_M * (grid[:count] + 0.5), dtype=np.float64)
         return cls(ekf, landmark, np.array(turn), np.zeros(3), np.random.default_rng(0))
 
     def drive(self, updates: int | None = None) -> None:

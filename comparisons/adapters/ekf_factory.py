@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from ekf_reference.association.attributes import NO_ATTRIBUTES, Attributes, Reme
 from ekf_reference.association.known import KnownAssociation, SurveyedLandmarks
 from ekf_reference.association.nearest_neighbour import EuclideanNeighbour, NearestNeighbour
 from ekf_reference.core.ekf import Ekf, Stabilisation
+from ekf_reference.core.measurement_update import UpdateSplitter
 from ekf_reference.core.measurements import Association
 from ekf_reference.core.trace import Trace
 from ekf_reference.models.motion import (
@@ -75,16 +76,20 @@ def build_ekf(log: Log, choices: EkfConfig, trace: Trace, layer: LayerValues | N
     antenna = log.positions.antenna_m if log.positions is not None else (0.0, 0.0)
     make = _misono if choices.own_axes else _of_headings
     ekf = make(choices, common, antenna)
-    bounds = {
-        "largest_turn_rad": choices.split_turn_rad,
-        "largest_move_m": choices.split_move_m,
-        "largest_shrink": choices.split_shrink,
-    }
-    given: dict[str, Any] = {name: bound for name, bound in bounds.items() if bound is not None}
-    ekf.splitter = replace(ekf.splitter, **given)
-    splitter = replace(ekf.fixes.splitter, **given)
+    splitter = _bounded(ekf.fixes.splitter, choices)
+    ekf.splitter = _bounded(ekf.splitter, choices)
     ekf.fixes = replace(ekf.fixes, splitter=splitter, recovery=choices.gps_recovery)
     return ekf
+
+
+def _bounded(splitter: UpdateSplitter, choices: EkfConfig) -> UpdateSplitter:
+    """A splitter with the bounds that were chosen in place of its own."""
+    return replace(
+        splitter,
+        largest_turn_rad=choices.split_turn_rad or splitter.largest_turn_rad,
+        largest_move_m=choices.split_move_m or splitter.largest_move_m,
+        largest_shrink=choices.split_shrink or splitter.largest_shrink,
+    )
 
 
 def _of_headings(choices: EkfConfig, common: Common, antenna: tuple[float, float]) -> Ekf:

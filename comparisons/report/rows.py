@@ -97,7 +97,7 @@ def ekf_rows(ekf: EkfResult) -> list[Row]:
         rows.append(Row("global updates", f"{ekf.global_updates}, {spared}"))
     if ekf.gps != "off":
         used = f"{ekf.fixes_fused} fused, {ekf.fixes_rejected} rejected"
-        if ekf.fixes_rejected:
+        if ekf.longest_streak:
             used += (
                 f" ({ekf.fixes_in_streaks} in streaks of 5 or more, longest {ekf.longest_streak}; "
                 f"{ekf.fixes_rejected_by_smoother} by the smoother, too)"

@@ -63,7 +63,7 @@ def log_result(log: Log) -> LogResult:
 
 
 def ekf_result(run: EkfRun, config: EkfConfig, fixes: RejectedFixes | None = None) -> EkfResult:
-    """The filter and what it used. fixes: what its gate rejected."""
+    """The filter and what it used. fixes: what its gate rejected, where a smoother judged it."""
     streaks = {}
     if fixes is not None:
         streaks = {
