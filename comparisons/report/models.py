@@ -174,10 +174,15 @@ class PartitionResult(Model):
 
 
 class AssociationResult(Model):
-    """An association made without labels against the log's. See comparisons.checks.association."""
+    """An association made without labels against the log's. See comparisons.checks.association.
+
+    used: landmarks that have sightings, for as many as are labelled.
+    """
 
     landmarks: PartitionResult
     clusters: PartitionResult | None
+    used: int | None = None
+    labelled: int | None = None
 
 
 class TruthDistanceResult(Model):

@@ -142,7 +142,12 @@ def association_result(score: AssociationScore | None) -> AssociationResult | No
     if score is None:
         return None
     clusters = None if score.clusters is None else PartitionResult(**vars(score.clusters))
-    return AssociationResult(landmarks=PartitionResult(**vars(score.landmarks)), clusters=clusters)
+    return AssociationResult(
+        landmarks=PartitionResult(**vars(score.landmarks)),
+        clusters=clusters,
+        used=score.used,
+        labelled=score.labelled,
+    )
 
 
 def truth_gap_result(gap: TruthGap | None) -> TruthGapResult | None:

@@ -13,6 +13,8 @@ from comparisons.checks.association import (
     score_partition,
 )
 from comparisons.logs.log import NO_LANDMARK, Landmarks, Truth
+from comparisons.report.rows import association_rows
+from comparisons.report.sections import association_result
 from tests.helpers import compared, simulated
 
 
@@ -53,7 +55,27 @@ def test_landmarks_too_near_to_tell_apart_count_as_one_cluster() -> None:
     assert score is not None
     assert score.clusters is not None
     assert score.landmarks.precision < 1.0
+    assert (score.used, score.labelled) == (3, 3)
     assert (score.clusters.precision, score.clusters.recall) == (1.0, 1.0)
+
+
+def test_a_clump_taken_for_one_landmark_shows_by_landmarks_alone() -> None:
+    """By clusters it scores in full, so these figures alone would hide it."""
+    log = simulated(loop_s=5.0)
+    count = len(log.sightings.time_s)
+    places = np.array(((0.0, 0.0), (0.3, 0.0), (5.0, 0.0)))
+    truth = Truth(landmarks=Landmarks(np.array((1, 2, 3)), places, np.zeros((3, 2, 2))))
+    label = np.resize((1, 2, 3), count)
+    log = replace(log, truth=truth, sightings=replace(log.sightings, landmark=label))
+    score = score_association(np.resize((0, 0, 1), count), places[1:], log)
+    result = association_result(score)
+    assert result is not None
+    assert result.clusters is not None
+    assert (result.clusters.precision, result.clusters.recall) == (1.0, 1.0)
+    assert (result.used, result.labelled) == (2, 3)
+    assert result.landmarks.precision < 0.8
+    [row] = association_rows(result)
+    assert row.text.startswith("landmarks (2 for 3): precision 0.")
 
 
 @pytest.mark.parametrize("rule", ["nn", "jcbb"])
