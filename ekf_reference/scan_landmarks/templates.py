@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ekf_reference.core.geometry import Array, Index, Mask
+from ekf_reference.core.geometry import Array, Index, Mask, rotation
 from ekf_reference.scan_matching.alignment_covariance import (
     CovarianceOptions,
     ScanAlignment,
@@ -51,6 +51,11 @@ class Template:
             )
         centre = part.centroid
         return cls(replace(part, mean=part.mean - centre), np.append(centre, 0.0))
+
+    def placed(self, axis: Array) -> Array:
+        """Return its points (N, 2) where its axis is at (3,)."""
+        points: Array = self.shape.mean @ rotation(float(axis[2])).T + axis[:2]
+        return points
 
 
 @dataclass(frozen=True)
