@@ -25,7 +25,8 @@ class EkfResult(Model):
 
     rejected, ambiguous, candidate: sightings that association did not use. dynamic: sightings that
     were discarded since something moves there; retired: landmarks that are used no more, since they
-    stand in such a place. global_updates: of a compressed filter, and the share of the passive
+    stand in such a place. cut_off: scans in which joint compatibility visited its most nodes and
+    took the best set so far. global_updates: of a compressed filter, and the share of the passive
     covariance that they left alone (set I). attributes: whether diameters and intensities entered
     association.
     """
@@ -38,6 +39,7 @@ class EkfResult(Model):
     candidate: int
     dynamic: int = 0
     retired: int = 0
+    cut_off: int = 0
     attributes: str = "off"
     gps: str
     fixes_fused: int

@@ -70,6 +70,7 @@ def ekf_result(run: EkfRun, config: EkfConfig) -> EkfResult:
         landmarks=len(run.estimate.landmark),
         **run.unused,
         retired=len(run.retired),
+        cut_off=run.cut_off,
         gps=config.gps,
         fixes_fused=len(run.fix_number),
         fixes_rejected=run.rejected_fixes,

@@ -13,8 +13,13 @@ from comparisons.checks.association import (
     score_partition,
 )
 from comparisons.logs.log import NO_LANDMARK, Landmarks, Truth
+from comparisons.pipeline.compare import Modified
+from comparisons.report.result import build_result
 from comparisons.report.rows import association_rows
 from comparisons.report.sections import association_result
+from ekf_reference.association.joint_compatibility import JointCompatibility
+from ekf_reference.association.known import SurveyedLandmarks
+from ekf_reference.core.ekf import Ekf
 from tests.helpers import compared, simulated
 
 
@@ -132,3 +137,20 @@ def test_counterparts_are_mutual() -> None:
     assert ours.tolist() == [0, 2]
     assert theirs.tolist() == [5, 3]
     assert counterparts(np.array([-1]), np.array([0]))[0].tolist() == []
+
+
+def test_searches_that_were_cut_off_are_counted_and_said() -> None:
+    """Joint compatibility stops at 4,000 nodes, here at two; that is no silent fallback."""
+    log, found = simulated(loop_s=10.0), {}
+    for nodes in (2, 4000):
+
+        def modify(ekf: Ekf, nodes: int = nodes) -> None:
+            rule = JointCompatibility(most_nodes=nodes)
+            ekf.association = SurveyedLandmarks(SurveyedLandmarks(rule, {}), {})
+
+        found[nodes] = compared(log, Modified(modify), association="jcbb")
+    told = {n: [r for r in c.verdict.remarks if "cut off at" in r] for n, c in found.items()}
+    assert found[4000].ekf.cut_off == 0 == len(told[4000])
+    assert found[2].ekf.cut_off > 10
+    assert f"in {found[2].ekf.cut_off:,} scans" in told[2][0]
+    assert build_result(found[2]).ekf.cut_off == found[2].ekf.cut_off
