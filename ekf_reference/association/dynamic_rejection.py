@@ -26,16 +26,6 @@ class DynamicGuard(Protocol):
         """Return which points (N, 2) of the world [m] lie in a dynamic region (N,)."""
 
 
-MOVING_SHARE = 0.2
-"""Of a pose landmark's template in dynamic regions; then it is deactivated. Of 22 templates
-(`dynamic-lanes`, car park) 11 had 0.07 or less, as at a region's edge, and 11 0.25 or more."""
-
-
-def template_moves(guard: DynamicGuard, template: Array) -> bool:
-    """Return whether a template's points (N, 2) of the world [m] are largely where things move."""
-    return bool(np.mean(guard.is_dynamic(template)) >= MOVING_SHARE)
-
-
 @dataclass
 class DynamicRejection:
     """Wraps an association rule: it sees neither dynamic measurements nor deactivated landmarks.

@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ekf_reference.association.dynamic_rejection import DynamicGuard, template_moves
 from ekf_reference.core.ekf import NEW, Ekf
 from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.landmark_types import POSE
@@ -26,6 +25,7 @@ from ekf_reference.scan_landmarks.scan_slam import GATE, MOVES, predicted_frames
 from ekf_reference.scan_landmarks.templates import (
     APART,
     BLANK,
+    DynamicPlaces,
     ObservationOptions,
     Template,
     TemplateMatching,
@@ -100,7 +100,7 @@ class HighLevelLandmarks:
     settled: tuple[float, float, float] = (0.3, 0.3, 0.05)
     landmark: list[HighLevelLandmark] = field(default_factory=list)
     counts: Counter[str] = field(default_factory=Counter)
-    guard: DynamicGuard | None = None
+    guard: DynamicPlaces | None = None
     moving: set[int] = field(default_factory=set)
 
     def take(self, found: Found, base: Index, point: Array) -> None:
@@ -159,8 +159,7 @@ class HighLevelLandmarks:
     def _moves(self, number: int, place: Array) -> bool:
         """Give up a landmark whose template lies where things move (Nieto 2005, section 6.5)."""
         if self.guard is not None and number not in self.moving:
-            template = self.landmark[number].template
-            if template_moves(self.guard, template.placed(place)):
+            if self.landmark[number].template.moves(place, self.guard):
                 self.moving.add(number)
         return number in self.moving
 

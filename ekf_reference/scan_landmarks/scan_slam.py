@@ -16,7 +16,6 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from ekf_reference.association.dynamic_rejection import DynamicGuard, template_moves
 from ekf_reference.core.ekf import NEW, Ekf
 from ekf_reference.core.geometry import Array, Index, rotation
 from ekf_reference.core.landmark_types import POSE
@@ -30,6 +29,7 @@ from ekf_reference.scan_landmarks.template_extraction import (
 from ekf_reference.scan_landmarks.templates import (
     BLANK,
     OUT_OF_VIEW,
+    DynamicPlaces,
     ObservationOptions,
     Template,
     TemplateMatching,
@@ -135,7 +135,7 @@ class ScanSlam:
             self.options.belief,
         )
         self.found = ScanLandmarks()
-        self.guard: DynamicGuard | None = None
+        self.guard: DynamicPlaces | None = None
         self._observer = observer or TemplateObserver()
         self._rng = np.random.default_rng(seed)
         self._last_seen: dict[int, int] = {}
@@ -156,7 +156,7 @@ class ScanSlam:
             return
         place = ekf.state.places(POSE)
         for slot in set(near.tolist()) - self.found.moving:
-            if template_moves(self.guard, self.found.template[slot].placed(place[slot])):
+            if self.found.template[slot].moves(place[slot], self.guard):
                 self.found.moving.add(slot)
 
     def _predict(self, ekf: Ekf) -> Predicted:
