@@ -123,6 +123,11 @@ def _misono(choices: EkfConfig, common: Common, antenna: tuple[float, float]) ->
     return ekf
 
 
+def d_min_exceeds_way() -> bool:
+    """Return whether d_min is larger than the way of one sample, whatever the log."""
+    return WIDER > 1.0
+
+
 def longest_sample_m(log: Log) -> float:
     """The longest way that the vehicle goes in one sample of its odometry."""
     odometry = log.odometry

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +45,7 @@ class EkfRun:
     departed: (K, 3) the pose when each epoch was done. arrived: (K, 3) as predicted there.
     final: the last pose, against the trace's. own_axes: the filter fuses sightings as points in
     the vehicle's axes, not as range and bearing.
+    cut_off: scans in which joint compatibility visited its most nodes, and took the best set.
     spared: what the global updates of a compressed filter left alone: (updates, mean share of the
     passive covariance). breakdown: what stopped the filter, None when it reached the end.
     oriented: sightings of landmarks with a direction, as the smoother takes them; their ids in the
@@ -61,6 +63,7 @@ class EkfRun:
     positions: Positions | None
     fix_number: NDArray[np.intp]
     rejected_fixes: int
+    cut_off: int = 0
     spared: tuple[int, float] = (0, 0.0)
     breakdown: str | None = None
     oriented: OrientedSightings = field(default_factory=OrientedSightings)
@@ -177,11 +180,20 @@ def run_ekf(
         positions=positions,
         fix_number=fused,
         rejected_fixes=rejected_fixes,
+        cut_off=_cut_off(ekf),
         spared=_spared(ekf),
         breakdown=breakdown,
         oriented=oriented,
         retired=np.array(sorted(retired), dtype=np.intp),
     )
+
+
+def _cut_off(ekf: Ekf) -> int:
+    """Return how often joint compatibility was cut off, whatever is wrapped around it."""
+    rule: Any = ekf.association
+    while rule is not None and not hasattr(rule, "most_nodes"):
+        rule = getattr(rule, "rule", None)
+    return 0 if rule is None else int(rule.counts["cut off"])
 
 
 def _check_counts(

@@ -33,13 +33,16 @@ class PartitionScore:
 class AssociationScore:
     """An association made without labels, scored by them.
 
-    landmarks: slots against labels. clusters: the same after merging, among the true landmarks
-    and among the estimated ones, those within CLUSTER_M of each other; None where the true places
-    are not known.
+    landmarks: slots against labels; used landmarks stand for as many as are labelled. clusters: the
+    same after merging, among the true landmarks and among the estimated ones, those within
+    CLUSTER_M of each other; None where the true places are not known. A clump taken for one
+    landmark scores in full by clusters, so both are reported.
     """
 
     landmarks: PartitionScore
     clusters: PartitionScore | None
+    used: int
+    labelled: int
 
 
 def score_association(
@@ -58,7 +61,8 @@ def score_association(
         merged, used = slot.copy(), slot >= 0
         merged[used] = _clusters(landmark)[slot[used]]
         clusters = score_partition(merged, np.array([group.get(i, -1 - i) for i in label.tolist()]))
-    return AssociationScore(score_partition(slot, label), clusters)
+    counts = len(np.unique(slot[slot >= 0])), len(np.unique(label))
+    return AssociationScore(score_partition(slot, label), clusters, *counts)
 
 
 def score_partition(slot: NDArray[np.intp], label: Ids) -> PartitionScore:

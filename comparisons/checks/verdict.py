@@ -211,6 +211,13 @@ def _remarks(optimality: Optimality, run: EkfRun) -> list[str]:
             f"{sum(unused.values())} of {len(run.slot)} sightings were not used: "
             + ", ".join(f"{count} {reason}" for reason, count in unused.items())
         )
+    if run.cut_off:
+        from ekf_reference.association.joint_compatibility import JointCompatibility
+
+        remarks.append(
+            f"joint compatibility was cut off at {JointCompatibility.most_nodes:,} nodes in "
+            f"{run.cut_off:,} scans: there the best set so far was taken"
+        )
     if len(run.retired):
         names = ", ".join(str(i) for i in run.estimate.landmark_id[run.retired].tolist())
         if len(run.retired) == len(run.estimate.landmark):

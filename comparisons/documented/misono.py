@@ -48,6 +48,6 @@ ROWS = (
         place="M 3.4, eq. 17",
         what="d_min is larger than the way of one sampling time",
         value=True,
-        at="comparisons.experiments.reproduction.misono:d_min_exceeds_way()",
+        at="comparisons.adapters.ekf_factory:d_min_exceeds_way()",
     ),
 )

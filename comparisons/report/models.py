@@ -26,7 +26,8 @@ class EkfResult(Model):
 
     rejected, ambiguous, candidate: sightings that association did not use. dynamic: sightings that
     were discarded since something moves there; retired: landmarks that are used no more, since they
-    stand in such a place. global_updates: of a compressed filter, and the share of the passive
+    stand in such a place. cut_off: scans in which joint compatibility visited its most nodes and
+    took the best set so far. global_updates: of a compressed filter, and the share of the passive
     covariance that they left alone (set I). attributes: whether diameters and intensities entered
     association. fixes_in_streaks: rejected positions that are one of five or more in a row;
     longest_streak: of rejected positions; fixes_rejected_by_smoother: of the rejected ones, those
@@ -41,6 +42,7 @@ class EkfResult(Model):
     candidate: int
     dynamic: int = 0
     retired: int = 0
+    cut_off: int = 0
     attributes: str = "off"
     gps: str
     fixes_fused: int
@@ -180,10 +182,15 @@ class PartitionResult(Model):
 
 
 class AssociationResult(Model):
-    """An association made without labels against the log's. See comparisons.checks.association."""
+    """An association made without labels against the log's. See comparisons.checks.association.
+
+    used: landmarks that have sightings, for as many as are labelled.
+    """
 
     landmarks: PartitionResult
     clusters: PartitionResult | None
+    used: int | None = None
+    labelled: int | None = None
 
 
 class TruthDistanceResult(Model):

@@ -162,7 +162,8 @@ def association_rows(association: AssociationResult | None) -> list[Row]:
     """How an association made without labels scores."""
     if association is None:
         return []
-    parts = [("landmarks", association.landmarks)]
+    count = "" if association.used is None else f" ({association.used} for {association.labelled})"
+    parts = [(f"landmarks{count}", association.landmarks)]
     if association.clusters is not None:
         parts.append(("clusters", association.clusters))
     scores = (f"{n}: precision {p.precision:.3f}, recall {p.recall:.3f}" for n, p in parts)

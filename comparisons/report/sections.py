@@ -78,6 +78,7 @@ def ekf_result(run: EkfRun, config: EkfConfig, fixes: RejectedFixes | None = Non
         landmarks=len(run.estimate.landmark),
         **run.unused,
         retired=len(run.retired),
+        cut_off=run.cut_off,
         gps=config.gps,
         fixes_fused=len(run.fix_number),
         fixes_rejected=run.rejected_fixes,
@@ -151,7 +152,12 @@ def association_result(score: AssociationScore | None) -> AssociationResult | No
     if score is None:
         return None
     clusters = None if score.clusters is None else PartitionResult(**vars(score.clusters))
-    return AssociationResult(landmarks=PartitionResult(**vars(score.landmarks)), clusters=clusters)
+    return AssociationResult(
+        landmarks=PartitionResult(**vars(score.landmarks)),
+        clusters=clusters,
+        used=score.used,
+        labelled=score.labelled,
+    )
 
 
 def truth_gap_result(gap: TruthGap | None) -> TruthGapResult | None:

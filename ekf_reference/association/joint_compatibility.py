@@ -7,6 +7,7 @@ joint nis, attributes included, among equals.
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -31,9 +32,10 @@ class JointCompatibility:
     """Each pairing within the chi-square gate of `probability`, all together within the joint one.
 
     new_gate: as in NearestNeighbour. most_nodes: branches visited at the most in one scan; beyond
-    that the best set so far is taken. Of a scan with more than `most_matched` to match, the nearest
-    neighbour decides. attributes: enter every gate with their degrees of freedom, and the joint
-    distance by how much less likely they make a pairing than the likeliest of its measurement.
+    that the best set so far is taken, and counted ("cut off"). Of a scan with more than
+    `most_matched` to match, the nearest neighbour decides. attributes: enter every gate with their
+    degrees of freedom, and the joint distance by how much less likely they make a pairing than the
+    likeliest of its measurement.
     """
 
     probability: float = 0.999
@@ -41,6 +43,7 @@ class JointCompatibility:
     most_nodes: int = 4000
     most_matched: int = 100
     attributes: Attributes = NO_ATTRIBUTES
+    counts: Counter[str] = field(default_factory=Counter, compare=False)
 
     def assign(self, state: KalmanState, model: MeasurementModel, seen: Measurements) -> Index:
         """Assign by position and attributes, all measurements of the scan together."""
@@ -59,7 +62,7 @@ class JointCompatibility:
             order = np.lexsort((n[row, landmark], row))
             row, landmark = pairs = row[order], landmark[order]
             least = np.where(compatible, added.n, np.inf).min(axis=1, keepdims=True)
-            chosen = _Search(
+            search = _Search(
                 row=row,
                 landmark=landmark.tolist(),
                 innovation=distances.innovation[pairs],
@@ -69,7 +72,9 @@ class JointCompatibility:
                 dof=dof[pairs].tolist(),
                 gates=gates,
                 left=self.most_nodes,
-            ).best()
+            )
+            chosen = search.best()
+            self.counts["cut off"] += search.cut_off
             column[row[chosen]] = landmark[chosen]
         far = nis > same_tail(self.new_gate, dof)
         return slots_of(column, far, local.slot, state.landmark_count)
@@ -93,7 +98,7 @@ class _Search:
 
     Of p pairs, by row. innovation: (p, 2). spread: (2 p, 2 p). nis, cost: of the attributes, the
     latter -2 ln of their density, none below 0. dof: position and attributes. gates: of the joint
-    nis by its dof. left: nodes that may still be visited.
+    nis by its dof. left: nodes that may still be visited; cut_off: more were asked for.
     """
 
     row: Index
@@ -105,6 +110,7 @@ class _Search:
     dof: list[int]
     gates: Array
     left: int
+    cut_off: bool = False
     _best: list[int] = field(default_factory=list)
     _best_cost: float = np.inf
 
@@ -130,7 +136,9 @@ class _Search:
         widest = self.gates[dof + self._dof_left[level]]  # that this branch may still meet
         taken = {self.landmark[pair] for pair in chosen}
         for pair in self._of_row[level]:
-            if self.left > 0 and self.landmark[pair] not in taken:
+            wanted = self.landmark[pair] not in taken
+            self.cut_off |= wanted and self.left == 0
+            if wanted and self.left > 0:
                 self.left -= 1
                 own, more = self._extend(chosen, pair), dof + self.dof[pair]
                 total, costs = nis + own + self.nis[pair], cost + own + self.cost[pair]

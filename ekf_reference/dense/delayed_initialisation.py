@@ -48,7 +48,7 @@ class Released(NamedTuple):
     region: (k,) number. local: (k, 2) coordinates in it. point: (k, 2) [m] in the world.
     covariance: (k, 2, 2) [m^2] in the world's directions, of the place *relative to the
     landmarks*: what the point shares with these is not in it, as local coordinates want it.
-    number: (k,) as `add` gave it.
+    number: (k,) as `add` gave it. scan: (k,). origin: (k, 2) [m] where it was seen from.
     """
 
     region: Index
@@ -56,13 +56,16 @@ class Released(NamedTuple):
     point: Array
     covariance: Array
     number: Index
+    scan: Index
+    origin: Array
 
 
 class Points(NamedTuple):
     """Points (N,), oldest first (Nieto 2005, eq. 3.26).
 
     group: (N,) which frame. point: (N, 2) [m] in it. variance: (N, 2) [m^2], the diagonal of
-    P_dd. cross: (N, 2, 3) P_dv with the vehicle's local pose. scan, number: (N,).
+    P_dd. cross: (N, 2, 3) P_dv with the vehicle's local pose. scan, number: (N,). back: (N, 2) [m]
+    from the point to where it was seen from, in the frame; what corrects one corrects both.
     """
 
     group: Index
@@ -71,12 +74,14 @@ class Points(NamedTuple):
     cross: Array
     scan: Index
     number: Index
+    back: Array
 
     @classmethod
     def none(cls) -> Points:
         """No points."""
         index = np.empty(0, dtype=np.intp)
-        return cls(index, np.empty((0, 2)), np.empty((0, 2)), np.empty((0, 2, 3)), index, index)
+        two = np.empty((0, 2))
+        return cls(index, two, two, np.empty((0, 2, 3)), index, index, two)
 
 
 @dataclass(kw_only=True)
@@ -133,7 +138,13 @@ class DelayedInitialisation:
         )
 
     def add(
-        self, view: FilterView, point: Array, noise: Array, scan: int, potential: Potential
+        self,
+        view: FilterView,
+        point: Array,
+        noise: Array,
+        scan: int,
+        potential: Potential,
+        origin: Array | None = None,
     ) -> Index:
         """Take in points outside all regions; returns their numbers, -1 where refused.
 
@@ -142,7 +153,8 @@ class DelayedInitialisation:
 
         view: as `updated` read it. point: (N, 2) [m] in the world, from the vehicle's estimated
         pose. noise: (N, 2, 2) [m^2] of the sightings, the pose's not included. potential: as of
-        now; a point joins the frame of the first of them that contains it.
+        now; a point joins the frame of the first of them that contains it. origin: (2,) of the
+        scanner; the vehicle's place by default.
         """
         region = potential.placed.locate(point).region
         known: Mask = np.isfinite(noise).all(axis=(1, 2)) & (region >= 0)
@@ -163,7 +175,9 @@ class DelayedInitialisation:
         self._taken += len(axis)
         self.counts.refused += len(point) - len(axis)
         when = np.full(len(axis), scan, dtype=np.intp)
-        new = Points(group, local, variance, cross, when, number[known])
+        seen_from = view.pose[:2] if origin is None else origin
+        back = frame.to_local(np.broadcast_to(seen_from, local.shape)) - local
+        new = Points(group, local, variance, cross, when, number[known], back)
         joined = zip(self.points, new, strict=True)
         self.points = Points(*(np.concatenate(pair) for pair in joined))
         excess = len(self.points.scan) - self.capacity
@@ -180,7 +194,13 @@ class DelayedInitialisation:
         turn, variance = frame.turn[out], self.points.variance[out]
         covariance = np.einsum("nij,nj,nkj->nik", turn, variance, turn)
         released = Released(
-            found.region[out], found.local[out], world[out], covariance, self.points.number[out]
+            found.region[out],
+            found.local[out],
+            world[out],
+            covariance,
+            self.points.number[out],
+            self.points.scan[out],
+            world[out] + np.einsum("nij,nj->ni", turn, self.points.back[out]),
         )
         if len(out):
             self.counts.released += len(out)

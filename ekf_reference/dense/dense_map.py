@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ekf_reference.core.geometry import Array, Index
-from ekf_reference.dense.delayed_initialisation import DelayedInitialisation
+from ekf_reference.dense.delayed_initialisation import DelayedInitialisation, Released
 from ekf_reference.dense.dynamic import DynamicLayer
-from ekf_reference.dense.layers.layer import Hits, Layer
+from ekf_reference.dense.layers.layer import Hits, LateScan, Layer
 from ekf_reference.dense.neglected_correlation import NeglectedCorrelation
 from ekf_reference.dense.regions import LocalRegions, Potential
 from ekf_reference.dense.regions_at_map import RegionsAtMap
-from ekf_reference.dense.scan import Scan
+from ekf_reference.dense.scan import Scan, Sensor
 from ekf_reference.dense.view import FilterView
 
 
@@ -67,6 +67,9 @@ class DenseMap:
     _sought_among: int = 0
     _sought_until: int = 0
     _potential: Potential | None = None
+    _sensor: Sensor | None = None
+    _regions_at: list[int] = field(default_factory=list)
+    _told: set[tuple[int, int]] = field(default_factory=set)
     _value: Array = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
@@ -109,6 +112,8 @@ class DenseMap:
             doubtful = (found.region >= 0) & ~np.isin(found.region, near)
         inside = np.flatnonzero((found.region >= 0) & ~doubtful)
         self.tally.scans += 1
+        self._sensor = scan.sensor
+        self._regions_at.append(len(self.regions.base))
         self.tally.returns += len(scan.range_m)
         self.tally.fused += len(inside)
         self.tally.outside += int(np.count_nonzero(doubtful))
@@ -159,7 +164,9 @@ class DenseMap:
         if self._potential is not None:
             self.waiting.predicted(view)  # a scan may come a little after the last epoch
             point, spread = scan.point[outside], scan.covariance[outside]
-            number = self.waiting.add(view, point, spread, self.tally.scans, self._potential)
+            number = self.waiting.add(
+                view, point, spread, self.tally.scans, self._potential, scan.origin
+            )
             self._note_values(number, outside, scan)
         self.tally.outside += int(np.count_nonzero(number < 0))
 
@@ -193,6 +200,27 @@ class DenseMap:
             return
         self.tally.late += len(out.region)
         value = self._value[out.number] if len(self._value) else None
-        hits = Hits(out.region, out.local, out.point, out.covariance, value)
+        late = tuple(self._late_scans(out, placed))
+        hits = Hits(out.region, out.local, out.point, out.covariance, value, late)
         for layer in self.layers.values():
             layer.fuse(hits, placed, None, np.unique(out.region))
+
+    def _late_scans(self, out: Released, placed: RegionsAtMap) -> Iterator[LateScan]:
+        """What each scan says by its late returns, in regions in which it has not spoken yet."""
+        if self._sensor is None:
+            return
+        for number in np.unique(out.scan).tolist():
+            rows = np.flatnonzero(out.scan == number)
+            origin = out.origin[rows].mean(axis=0)
+            ray = out.point[rows] - origin
+            scan = Scan.of_ranges(
+                np.append(origin, 0.0),
+                np.arctan2(ray[:, 1], ray[:, 0]),
+                np.hypot(ray[:, 0], ray[:, 1]),
+                self._sensor,
+            )
+            met = np.sort(placed.tree.meeting(scan.box()[None]).item).tolist()
+            since = self._regions_at[number - 1]
+            near = [r for r in met if r >= since and (number, r) not in self._told]
+            self._told.update((number, r) for r in near)
+            yield LateScan(scan, np.array(near, dtype=np.intp))

@@ -21,10 +21,11 @@ from ekf_reference.dense.local_pose import Frames, local_pose, read_local_poses
 from ekf_reference.dense.view import FilterView
 from ekf_reference.models.relative_pose import RelativePose
 from ekf_reference.scan_landmarks.high_level import Found, to_world
-from ekf_reference.scan_landmarks.scan_slam import GATE, predicted_frames
+from ekf_reference.scan_landmarks.scan_slam import GATE, MOVES, predicted_frames
 from ekf_reference.scan_landmarks.templates import (
     APART,
     BLANK,
+    DynamicPlaces,
     ObservationOptions,
     Template,
     TemplateMatching,
@@ -92,12 +93,15 @@ class HighLevelLandmarks:
     """All that were found.
 
     settled: sigmas [m, m, rad] of where the dense map holds a landmark within the frame of two
-    others. counts: of looks that came to nothing, by reason, and of `seen`.
+    others. counts: of looks that came to nothing, by reason, and of `seen`. guard: knows where
+    things move. moving: numbers of those that are deactivated because their template lies there.
     """
 
     settled: tuple[float, float, float] = (0.3, 0.3, 0.05)
     landmark: list[HighLevelLandmark] = field(default_factory=list)
     counts: Counter[str] = field(default_factory=Counter)
+    guard: DynamicPlaces | None = None
+    moving: set[int] = field(default_factory=set)
 
     def take(self, found: Found, base: Index, point: Array) -> None:
         """Keep a landmark by its region's longest side between landmarks of the filter.
@@ -134,10 +138,14 @@ class HighLevelLandmarks:
     def look(self, ekf: Ekf, scan: Glimpse) -> list[Sighting]:
         """Sightings of what should be in view, those within the gate."""
         view = FilterView.of(ekf)
-        near = np.linalg.norm(self.places(ekf)[:, :2] - view.pose[:2], axis=1) <= scan.view.reach_m
+        places = self.places(ekf)
+        near = np.linalg.norm(places[:, :2] - view.pose[:2], axis=1) <= scan.view.reach_m
         sightings = []
         for number in np.flatnonzero(near).tolist():
             one = self.landmark[number]
+            if self._moves(number, places[number]):
+                self.counts[MOVES] += 1
+                continue
             expected = self.expected(ekf, view, one)
             if expected is None:
                 self.counts["out of reach"] += 1
@@ -147,6 +155,13 @@ class HighLevelLandmarks:
             if made is not None:
                 sightings.append(Sighting(number, *made))
         return sightings
+
+    def _moves(self, number: int, place: Array) -> bool:
+        """Give up a landmark whose template lies where things move (Nieto 2005, section 6.5)."""
+        if self.guard is not None and number not in self.moving:
+            if self.landmark[number].template.moves(place, self.guard):
+                self.moving.add(number)
+        return number in self.moving
 
     def expected(self, ekf: Ekf, view: FilterView, one: HighLevelLandmark) -> Expected | None:
         """Its pose in the vehicle's frame; None where the covariance of what it hangs on is old."""

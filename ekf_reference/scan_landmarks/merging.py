@@ -88,6 +88,7 @@ class DuplicateMerging:
         """Pairs that are near each other for certain; the larger template is the first of each."""
         o, size = self.options, {s: len(t.shape) for s, t in self.found.template.items()}
         near = ekf.state.within(reach_m, POSE)
+        near = near[~np.isin(near, list(self.found.moving))]
         place = ekf.state.map_of(near, POSE).landmark
         away = np.hypot(*(place[:, None, :2] - place[None, :, :2]).transpose(2, 0, 1))
         pairs = []

@@ -29,6 +29,7 @@ from ekf_reference.scan_landmarks.template_extraction import (
 from ekf_reference.scan_landmarks.templates import (
     BLANK,
     OUT_OF_VIEW,
+    DynamicPlaces,
     ObservationOptions,
     Template,
     TemplateMatching,
@@ -44,6 +45,7 @@ USED = "used"
 GATED = "gated"
 LEFT_OUT = "left out"
 """In view, but others were longer out of sight and the scan's alignments were spent on them."""
+MOVES = "where something moves"
 GATE = 11.345
 """Chi-square, 99 % of three degrees of freedom."""
 
@@ -92,7 +94,8 @@ class ScanLandmarks:
     template: by landmark index. sightings: measurements used, by landmark index. begun: every
     template as it was initialised from one scan. reasons: how often a landmark near the scanner was
     USED, or why it was not. rejected: candidate templates that failed their trial. scans: processed
-    so far. dynamic: returns left out because something moves there.
+    so far. dynamic: returns left out because something moves there. moving: landmark indices that
+    are deactivated because their template lies where something moves.
     """
 
     template: dict[int, Template] = field(default_factory=dict)
@@ -102,6 +105,7 @@ class ScanLandmarks:
     rejected: int = 0
     scans: int = 0
     dynamic: int = 0
+    moving: set[int] = field(default_factory=set)
 
 
 class ScanSlam:
@@ -131,6 +135,7 @@ class ScanSlam:
             self.options.belief,
         )
         self.found = ScanLandmarks()
+        self.guard: DynamicPlaces | None = None
         self._observer = observer or TemplateObserver()
         self._rng = np.random.default_rng(seed)
         self._last_seen: dict[int, int] = {}
@@ -139,9 +144,20 @@ class ScanSlam:
     def step(self, ekf: Ekf, scan: SumOfGaussians, tell: MeasurementSink) -> None:
         """Process a scan, in the scanner's frame: predict, align, gate, update, augment."""
         self.found.scans += 1
-        used = self._update(ekf, self._predict(ekf), scan, tell)
+        predicted = self._predict(ekf)
+        self._deactivate(ekf, predicted.slot)
+        used = self._update(ekf, predicted, scan, tell)
         if self.options.extraction.due(self.found.scans, self._begun, used):
             self._augment(ekf, scan, tell)
+
+    def _deactivate(self, ekf: Ekf, near: Index) -> None:
+        """Give up the landmarks whose template lies where things move (Nieto 2005, section 6.5)."""
+        if self.guard is None:
+            return
+        place = ekf.state.places(POSE)
+        for slot in set(near.tolist()) - self.found.moving:
+            if self.found.template[slot].moves(place[slot], self.guard):
+                self.found.moving.add(slot)
 
     def _predict(self, ekf: Ekf) -> Predicted:
         """Z^ and H P H^T of all landmarks that may be within reach (Nieto 2005, eq. 5.15)."""
@@ -181,7 +197,9 @@ class ScanSlam:
         """Rows of the predicted that are in view, the longest unobserved first."""
         o, rows = self.options, []
         for row, slot in enumerate(predicted.slot.tolist()):
-            if self._share(slot, predicted.z[row], scan) >= self.view.share:
+            if slot in self.found.moving:
+                self.found.reasons[MOVES] += 1
+            elif self._share(slot, predicted.z[row], scan) >= self.view.share:
                 rows.append(row)
             else:
                 self.found.reasons[OUT_OF_VIEW if len(scan) else BLANK] += 1

@@ -13,6 +13,13 @@ from comparisons.checks.association import (
     score_partition,
 )
 from comparisons.logs.log import NO_LANDMARK, Landmarks, Truth
+from comparisons.pipeline.compare import Modified
+from comparisons.report.result import build_result
+from comparisons.report.rows import association_rows
+from comparisons.report.sections import association_result
+from ekf_reference.association.joint_compatibility import JointCompatibility
+from ekf_reference.association.known import SurveyedLandmarks
+from ekf_reference.core.ekf import Ekf
 from tests.helpers import compared, simulated
 
 
@@ -53,7 +60,27 @@ def test_landmarks_too_near_to_tell_apart_count_as_one_cluster() -> None:
     assert score is not None
     assert score.clusters is not None
     assert score.landmarks.precision < 1.0
+    assert (score.used, score.labelled) == (3, 3)
     assert (score.clusters.precision, score.clusters.recall) == (1.0, 1.0)
+
+
+def test_a_clump_taken_for_one_landmark_shows_by_landmarks_alone() -> None:
+    """By clusters it scores in full, so these figures alone would hide it."""
+    log = simulated(loop_s=5.0)
+    count = len(log.sightings.time_s)
+    places = np.array(((0.0, 0.0), (0.3, 0.0), (5.0, 0.0)))
+    truth = Truth(landmarks=Landmarks(np.array((1, 2, 3)), places, np.zeros((3, 2, 2))))
+    label = np.resize((1, 2, 3), count)
+    log = replace(log, truth=truth, sightings=replace(log.sightings, landmark=label))
+    score = score_association(np.resize((0, 0, 1), count), places[1:], log)
+    result = association_result(score)
+    assert result is not None
+    assert result.clusters is not None
+    assert (result.clusters.precision, result.clusters.recall) == (1.0, 1.0)
+    assert (result.used, result.labelled) == (2, 3)
+    assert result.landmarks.precision < 0.8
+    [row] = association_rows(result)
+    assert row.text.startswith("landmarks (2 for 3): precision 0.")
 
 
 @pytest.mark.parametrize("rule", ["nn", "jcbb"])
@@ -110,3 +137,20 @@ def test_counterparts_are_mutual() -> None:
     assert ours.tolist() == [0, 2]
     assert theirs.tolist() == [5, 3]
     assert counterparts(np.array([-1]), np.array([0]))[0].tolist() == []
+
+
+def test_searches_that_were_cut_off_are_counted_and_said() -> None:
+    """Joint compatibility stops at 4,000 nodes, here at two; that is no silent fallback."""
+    log, found = simulated(loop_s=10.0), {}
+    for nodes in (2, 4000):
+
+        def modify(ekf: Ekf, nodes: int = nodes) -> None:
+            rule = JointCompatibility(most_nodes=nodes)
+            ekf.association = SurveyedLandmarks(SurveyedLandmarks(rule, {}), {})
+
+        found[nodes] = compared(log, Modified(modify), association="jcbb")
+    told = {n: [r for r in c.verdict.remarks if "cut off at" in r] for n, c in found.items()}
+    assert found[4000].ekf.cut_off == 0 == len(told[4000])
+    assert found[2].ekf.cut_off > 10
+    assert f"in {found[2].ekf.cut_off:,} scans" in told[2][0]
+    assert build_result(found[2]).ekf.cut_off == found[2].ekf.cut_off

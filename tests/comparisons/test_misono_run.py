@@ -7,11 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from comparisons.adapters.ekf_factory import build_association, build_ekf, longest_sample_m
+from comparisons.adapters.ekf_factory import (
+    build_association,
+    build_ekf,
+    d_min_exceeds_way,
+    longest_sample_m,
+)
 from comparisons.checks.agreement import ROUNDING
 from comparisons.config import EkfConfig
 from comparisons.experiments.defects.defect import with_state
-from comparisons.experiments.reproduction.misono import d_min_exceeds_way
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.simulate.waypoints import WaypointRun, simulate

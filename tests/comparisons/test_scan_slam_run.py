@@ -42,7 +42,12 @@ from comparisons.settings import configure, run_config, run_options
 from ekf_reference.association.dynamic_rejection import DynamicGuard
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.models.motion import MotionModel, MotionStep
-from ekf_reference.scan_landmarks.scan_slam import USED, ScanLandmarks, ScanSlamOptions
+from ekf_reference.scan_landmarks.scan_slam import (
+    MOVES,
+    USED,
+    ScanLandmarks,
+    ScanSlamOptions,
+)
 from ekf_reference.scan_landmarks.template_extraction import SingleSegments
 from ekf_reference.scan_landmarks.templates import BLANK
 from tests.helpers import Array, compared, first_seconds, simulated
@@ -244,6 +249,29 @@ def test_returns_from_where_something_moves_are_left_out_and_counted() -> None:
         )
         assert (found.dynamic > 100) == (guard is not None)
     assert held[False][:, 1].max() < 3.0 < held[True][:, 1].max()
+
+
+class NorthMovesLater(NorthMoves):
+    """The same, but only from the fifth time that it is asked."""
+
+    def __init__(self) -> None:
+        self.asked = 0
+
+    def is_dynamic(self, point: Array) -> NDArray[np.bool_]:
+        self.asked += 1
+        return super().is_dynamic(point) & (self.asked > 4)
+
+
+@pytest.mark.slow
+def test_landmarks_where_something_moves_are_deactivated() -> None:
+    """Nieto 2005, section 6.5: those that were made before it was known are matched no more."""
+    run, found = driven(first_seconds(log(), 5.0), Guarded(NorthMovesLater()))
+    place = dict(zip(run.estimate.oriented_id.tolist(), run.estimate.oriented, strict=True))
+    north = {s: (t.placed(place[s])[:, 1] > 2.0).mean() for s, t in found.template.items()}
+    assert found.moving
+    assert all(north[slot] > 0.1 for slot in found.moving)
+    assert all(north[slot] < 0.3 for slot in set(north) - found.moving)
+    assert found.reasons[MOVES] > 0
 
 
 class Listener:

@@ -33,7 +33,6 @@ from comparisons.experiments.reproduction.watched_run import truth_in_order
 from comparisons.logs.log import Log
 from comparisons.logs.simulate.waypoints import WaypointRun, simulate
 from comparisons.report.figures.style import EKF_COLOUR, SMOOTHER_COLOUR, draw_trajectory
-from ekf_reference.association.nearest_neighbour import EuclideanNeighbour
 from ekf_reference.core.state import FilterDivergedError
 from graphslam.increments import dead_reckoned
 
@@ -62,11 +61,6 @@ _HEADING = (
     "same number is {:.2f} m, with labels and GPS {:.2f} m, as published with these {:.2f} m"
 )
 _BESIDE = ("misono-full", "misono-full, aided", "misono, aided")
-
-
-def d_min_exceeds_way() -> bool:
-    """Return whether eq. 17's d_min is larger than the way of one sample, as section 3.4 asks."""
-    return EuclideanNeighbour.d_min_m > WaypointRun.speed_mps * WaypointRun.sample_s
 
 
 @dataclass(frozen=True)

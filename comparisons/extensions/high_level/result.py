@@ -18,6 +18,7 @@ def high_level_result(run: HighLevelRun) -> HighLevelResult:
         poor=run.poor,
         found=len(run.slot),
         kept=int(np.count_nonzero(run.slot >= 0)),
+        deactivated=run.moving,
         looks=dict(sorted(run.looks.items())),
     )
 
@@ -27,8 +28,11 @@ def high_level_text(made: HighLevelResult) -> str:
     rest = ", ".join(f"{n} {name}" for name, n in made.looks.items() if name != "seen")
     return (
         f"{made.found} landmarks found in {made.searches} searches ({made.corners} corners, "
-        f"{made.pairs} pairs, {made.poor} with too few Gaussians), {made.kept} kept; "
-        f"{made.looks.get('seen', 0)} sightings" + (f" ({rest})" if rest else "")
+        f"{made.pairs} pairs, {made.poor} with too few Gaussians), {made.kept} kept"
+        + (f", {made.deactivated} deactivated where something moves" if made.deactivated else "")
+        + "; "
+        + f"{made.looks.get('seen', 0)} sightings"
+        + (f" ({rest})" if rest else "")
     )
 
 
@@ -36,8 +40,9 @@ class HighLevelResult(Model):
     """High level landmarks. See comparisons.extensions.high_level.source.HighLevelRun.
 
     corners, pairs: of all searches, None in results of before they were counted. found: accepted by
-    one. kept: seen again, and since then in the state. looks: at those within reach, by outcome,
-    `seen` among them.
+    one. kept: seen again, and since then in the state. deactivated: used no more, since their
+    template lies where something moves. looks: at those within reach, by outcome, `seen` among
+    them.
     """
 
     searches: int
@@ -47,4 +52,5 @@ class HighLevelResult(Model):
     poor: int
     found: int
     kept: int
+    deactivated: int = 0
     looks: dict[str, int]

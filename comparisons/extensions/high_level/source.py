@@ -19,6 +19,7 @@ from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.source import DenseWatcher
 from comparisons.extensions.high_level.config import HighLevelConfig
 from comparisons.logs.log import Log
+from ekf_reference.association.dynamic_rejection import DynamicGuard
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.dense.layers.gaussians import Gaussians
 from ekf_reference.scan_landmarks.high_level import Around, Search, SearchOptions, search, to_world
@@ -79,7 +80,8 @@ class HighLevelRun:
     searches: made. corners: in all of these, and pairs of them. candidates: rectangles that
     overlapped nothing known; poor: of these, with too few Gaussians. looks: at landmarks
     within reach, by outcome, `seen` among them. slot: (K,) of all that were found, among the
-    filter's landmarks with a direction; negative where one was never seen again. place: (K, 3) and
+    filter's landmarks with a direction; negative where one was never seen again. moving: how many
+    are used no more, since their template lies where something moves. place: (K, 3) and
     rectangle: (K, 4, 2), at the end, NaN where what it hung on has left the map.
     """
 
@@ -90,6 +92,7 @@ class HighLevelRun:
     poor: int
     looks: Mapping[str, int]
     slot: NDArray[np.intp]
+    moving: int
     place: Array
     rectangle: Array
 
@@ -164,6 +167,10 @@ class HighLevelSource:
             which = np.array(slot, dtype=np.intp)
             self.landmarks.begun(seen, ledger.observe(ekf, epoch, z, noise, which))
 
+    def keep_from(self, guard: DynamicGuard) -> None:
+        """Landmarks whose template lies where something moves are used no more."""
+        self.landmarks.guard = guard
+
     def run(self) -> HighLevelRun:
         """What came of it, once the filter has finished."""
         return HighLevelRun(
@@ -174,6 +181,7 @@ class HighLevelSource:
             poor=sum(one.poor for one in self._searches),
             looks=dict(self.landmarks.counts),
             slot=np.array([one.slot for one in self.landmarks.landmark], dtype=np.intp),
+            moving=len(self.landmarks.moving),
             place=self._place,
             rectangle=self._rectangle,
         )

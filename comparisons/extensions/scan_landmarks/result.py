@@ -36,6 +36,7 @@ def scan_slam_result(source: ScanSlamSource, ekf: Estimate, gaps: Gaps) -> ScanS
         ],
         rejected=found.rejected,
         dynamic=found.dynamic,
+        deactivated=len(found.moving),
         fused=source.merged,
         enriched=source.enriched,
         pieces=source.options.extraction.name,
@@ -81,6 +82,7 @@ def scan_slam_rows(result: ScanSlamResult) -> list[Row]:
             f"{result.pieces} segments, {result.rejected} rejected"
             + (f", {result.fused} landmarks fused with others" if result.fused else "")
             + (f", {result.dynamic:,} returns left out that move" if result.dynamic else "")
+            + (f", {result.deactivated} landmarks deactivated there" if result.deactivated else "")
             + (f", {result.enriched:,} alignments enriched" if result.enriched else ""),
         ),
         *([Row("their templates", rule_text(result.rule))] if result.rule else ()),
@@ -143,7 +145,8 @@ class TemplateRule(Model):
 class ScanSlamResult(Model):
     """Scan-SLAM. scans: looked at. rejected: segments that failed their trial.
 
-    dynamic: returns left out since something moves there.
+    dynamic: returns left out since something moves there; deactivated: landmarks that are matched
+    no more, since their template lies there.
     pieces: whether all segments of a scan are one landmark, or each its own. rule: of templates.
     fused: landmarks found to be others. enriched: alignments that began where what stands around
     fits. sightings: how often a landmark near the scanner was used, or why not.
@@ -153,6 +156,7 @@ class ScanSlamResult(Model):
     landmarks: list[ScanLandmarkResult]
     rejected: int
     dynamic: int = 0
+    deactivated: int = 0
     fused: int = 0
     enriched: int = 0
     pieces: str = "single"

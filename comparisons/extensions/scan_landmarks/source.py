@@ -200,8 +200,8 @@ class ScanSlamSource:
         return 0 if self._observer is None else self._observer.observed
 
     def keep_from(self, guard: DynamicGuard) -> None:
-        """Returns that lie where something moves are left out, and counted."""
-        self._guard = guard
+        """Returns and landmarks that lie where something moves are left out, and counted."""
+        self._guard = self._slam.guard = guard
 
     def _scan(self, ekf: Ekf) -> SumOfGaussians:
         """This epoch's, without what moves."""

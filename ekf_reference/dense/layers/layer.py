@@ -10,13 +10,21 @@ from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.scan import Scan
 
 
+class LateScan(NamedTuple):
+    """Those returns of a scan that waited. near: (r,) regions in which it has not spoken yet."""
+
+    scan: Scan
+    near: Index
+
+
 @dataclass(frozen=True)
 class Hits:
     """Returns in regions, from one scan or from several that waited for a region.
 
     region: (N,) never -1. local: (N, 2) alpha, beta. point: (N, 2) in the world [m] as the
     landmarks lie now. covariance: (N, 2, 2) of it within the region [m^2]. value: (N,) what else
-    was measured, NaN where it was not; None where it never is.
+    was measured, NaN where it was not; None where it never is. late: of returns that waited, the
+    scans that they are of.
     """
 
     region: Index
@@ -24,6 +32,7 @@ class Hits:
     point: Array
     covariance: Array
     value: Array | None = None
+    late: tuple[LateScan, ...] = ()
 
 
 class Samples(NamedTuple):
@@ -47,8 +56,8 @@ class Layer(Protocol):
     def fuse(self, hits: Hits, placed: RegionsAtMap, scan: Scan | None, near: Index) -> None:
         """Take in returns.
 
-        scan: whose they are, for what it says about free space; None for late returns, of which
-        only their places are known. near: (r,) regions that the scan may speak about.
+        scan: whose they are, for what it says about free space; None for late returns, whose scans
+        hits.late has. near: (r,) regions that the scan may speak about.
         """
         ...
 

@@ -82,9 +82,10 @@ class OccupancyGrid:
         self._scans = 0
 
     def fuse(self, hits: Hits, placed: RegionsAtMap, scan: Scan | None, near: Index) -> None:
-        """Occupied where returns come from, free before them."""
+        """Occupied where returns come from, free before them; late returns by the same rule."""
         if scan is None:
-            self._fuse_late(hits, placed)
+            for late in hits.late:
+                self._fuse_scan(placed, *late)
             return
         self._fuse_scan(placed, scan, near)
         self._scans += 1
@@ -106,14 +107,6 @@ class OccupancyGrid:
         change = self.update.change(scan, where[0], where[1])
         for grid, first, last in zip(grids, ends[:-1], ends[1:], strict=True):
             self.update.add(grid.odds, change[first:last])
-
-    def _fuse_late(self, hits: Hits, placed: RegionsAtMap) -> None:
-        most = log_odds(self.update.model.p_occupied)
-        for region in np.unique(hits.region).tolist():
-            grid = self._grid(region, placed)
-            cells = grid.cell(hits.local[hits.region == region])
-            count = np.bincount(cells, minlength=len(grid.odds))
-            self.update.add(grid.odds, (count * most).astype(np.float32))
 
     def samples(self, placed: RegionsAtMap, regions: Index | None = None) -> Samples:
         """The centres of all cells that were ever seen."""

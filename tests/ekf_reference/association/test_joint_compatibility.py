@@ -91,9 +91,27 @@ def test_a_crowded_scan_ends_within_its_bound() -> None:
     """Thirty sightings that fit every post: the search gives its best set, not an eternity."""
     state = row_of_posts(0.3)
     seen = seen_from(0.0, [(10.0, 0.02 * k) for k in range(30)])
-    slots = JointCompatibility(most_nodes=500).assign(state, MODEL, seen)
+    rule = JointCompatibility(most_nodes=500)
+    slots = rule.assign(state, MODEL, seen)
     used = slots[(slots >= 0) & (slots < 7)]
     assert len(used) == len(set(used.tolist())) > 0
+    assert rule.counts["cut off"] == 1
+    rule.assign(state, MODEL, seen_from(0.0, [(10.0, 0.0)]))  # within its bound
+    assert rule.counts["cut off"] == 1
+
+
+@pytest.mark.parametrize(("left", "cut"), [(0, 0), (-1, 1)])
+def test_a_search_that_ends_on_its_last_node_is_not_cut_off(left: int, cut: int) -> None:
+    state, seen = row_of_posts(0.001), seen_from(0.0, [(10.0, 0.0), (20.0, 5.0)])
+    needed = next(
+        n for n in range(1, 50) if not _cut(JointCompatibility(most_nodes=n), state, seen)
+    )
+    assert _cut(JointCompatibility(most_nodes=needed + left), state, seen) == cut
+
+
+def _cut(rule: JointCompatibility, state: KalmanState, seen: Measurements) -> int:
+    rule.assign(state, MODEL, seen)
+    return rule.counts["cut off"]
 
 
 def test_the_order_of_sightings_does_not_matter() -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import pickle
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from ekf_reference.dense.box_tree import BoxTree
 from ekf_reference.dense.conditions import Conditions
 from ekf_reference.dense.delayed_initialisation import DelayedInitialisation
 from ekf_reference.dense.dense_map import DenseMap
-from ekf_reference.dense.layers.layer import Layer
+from ekf_reference.dense.layers.layer import Hits, Layer
 from ekf_reference.dense.regions import LocalRegions
 from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.scan import Scan
@@ -359,3 +360,54 @@ def test_lost_returns_would_be_noticed() -> None:
     drive(dense, view(SQUARE), wall(range_m=30.0))
     dense.tally = replace(dense.tally, outside=0)
     assert not accounted(dense)
+
+
+def known_occupancy(dense: DenseMap, seen: FilterView) -> dict[tuple[float, ...], float]:
+    """The grid's cells by place."""
+    held = dense.layers["occupancy"].samples(dense.place(seen))
+    return dict(zip(map(tuple, held.point.round(6).tolist()), held.occupancy.tolist(), strict=True))
+
+
+def waited(scans: int = 1, again: int = 0) -> DenseMap:
+    """A map whose regions come after some scans. again: late returns are told as often more."""
+    dense = dense_map("occupancy", waiting=room())
+    two = np.where(np.arange(4)[:, None] < 2, np.roll(SQUARE, 1, axis=0), np.nan)
+    drive(dense, view(two), *[wall()] * scans)
+    assert not len(dense.regions.base)
+    assert dense.waiting is not None
+    assert len(dense.waiting.points.scan) > 30
+    grid = dense.layers["occupancy"]
+    first = grid.fuse
+
+    def fuse(hits: Hits, *rest: Any) -> None:
+        for _ in range(1 + again):
+            first(hits, *rest)
+
+    grid.fuse = fuse  # type: ignore[method-assign]
+    dense.updated(view(np.roll(SQUARE, 1, axis=0)))
+    assert dense.tally.late > 30
+    return dense
+
+
+def test_late_returns_change_cells_as_their_scan_would_have_done() -> None:
+    """Free space too, and each cell once a scan; told twice, cells pass what a scan may do."""
+    seen = view(np.roll(SQUARE, 1, axis=0))
+    at_once = dense_map("occupancy")
+    drive(at_once, seen, wall())
+    there, late = known_occupancy(at_once, seen), known_occupancy(waited(), seen)
+    shared = set(there) & set(late)
+    assert len(shared) > 0.9 * len(late) > 100
+    differing = [cell for cell in shared if abs(there[cell] - late[cell]) > 1e-6]
+    assert len(differing) < 0.05 * len(shared)
+    assert sum(p < 0.5 for p in late.values()) > 100  # nothing was free before
+    assert max(late.values()) <= max(there.values()) + 1e-6
+    twice = known_occupancy(waited(again=1), seen)
+    assert max(twice.values()) > max(there.values()) + 0.01
+
+
+def test_two_scans_that_waited_speak_twice() -> None:
+    seen = view(np.roll(SQUARE, 1, axis=0))
+    at_once = dense_map("occupancy")
+    drive(at_once, seen, wall(), wall())
+    there, late = known_occupancy(at_once, seen), known_occupancy(waited(2), seen)
+    assert max(late.values()) == pytest.approx(max(there.values()), abs=1e-6)

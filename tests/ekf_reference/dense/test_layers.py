@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from ekf_reference.core.geometry import Array
-from ekf_reference.dense.layers.layer import Layer
+from ekf_reference.dense.layers.layer import LateScan, Layer
 from ekf_reference.dense.regions_at_map import RegionsAtMap
 from ekf_reference.dense.scan import Scan
 from tests.ekf_reference.dense.scenes import (
@@ -116,12 +117,19 @@ def test_samples_only_of_the_regions_asked_for(name: str) -> None:
 
 def test_late_returns_are_taken_in_without_a_scan(name: str) -> None:
     made, placed = layer(name), place()
-    hits, _, scan, _ = told(placed, wall_scan(), late=True)
+    hits, _, scan, near = told(placed, wall_scan(), late=True)
     assert scan is None
+    hits = replace(hits, late=(LateScan(wall_scan(), near),))
     for _ in range(3):
         made.fuse(hits, placed, None, np.empty(0, dtype=np.intp))
     assert (made.occupancy(hits.point, placed) > 0.5).mean() > 0.9
     known = made.samples(placed)
+    if name == "occupancy":  # which knows free space, too, by the rule of any scan
+        at_once = layer(name)
+        for _ in range(3):
+            at_once.fuse(*told(placed, wall_scan()))
+        assert np.array_equal(known.occupancy, at_once.samples(placed).occupancy)
+        return
     assert (known.occupancy >= 0.5 - 1e-9).all()
     assert (np.abs(known.point[:, 0] - WALL_M) < 1.0).all()
 

@@ -10,7 +10,7 @@ import pytest
 
 from ekf_reference.association.known import KnownAssociation
 from ekf_reference.core.ekf import NEW, Ekf, Stabilisation
-from ekf_reference.core.geometry import Array
+from ekf_reference.core.geometry import Array, Mask
 from ekf_reference.dense.local_pose import local_pose
 from ekf_reference.dense.view import FilterView
 from ekf_reference.models.motion import UnicycleModel
@@ -167,3 +167,29 @@ def test_the_longest_side_between_real_landmarks_carries() -> None:
     landmarks.take(found()[0], np.array((2, 0, -1)), POINTS)
     landmarks.take(found()[0], np.array((0, 1, 2)), POINTS)
     assert [sorted(one.base.tolist()) for one in landmarks.landmark] == [[0, 2], [0, 1]]
+
+
+class Around:
+    """A guard: something moves within a radius of a place."""
+
+    def __init__(self, place: Array, radius_m: float) -> None:
+        self.place, self.radius_m = place, radius_m
+
+    def is_dynamic(self, point: Array) -> Mask:
+        near: Mask = np.linalg.norm(point - self.place, axis=1) <= self.radius_m
+        return near
+
+
+@pytest.mark.parametrize(("share", "used"), [(0.1, True), (0.3, False)])
+def test_one_whose_template_moves_is_used_no_more(share: float, used: bool) -> None:
+    """Nieto 2005, section 6.5; a template of which less than a fifth moves stays."""
+    ekf, landmarks = filter_at(START), kept()
+    points = landmarks.landmark[0].template.placed(landmarks.places(ekf)[0])
+    away = np.linalg.norm(points - points[0], axis=1)
+    landmarks.guard = Around(points[0], float(np.quantile(away, share)))
+    for _ in range(2):  # once found to move it stays so, whatever the guard says
+        seen = [one.number for one in landmarks.look(ekf, glimpse(START, np.zeros(3)))]
+        assert (0 in seen) is used
+        assert 2 in seen
+        assert landmarks.moving == (set() if used else {0})
+        landmarks.guard = Around(points[0], 0.0)
