@@ -45,7 +45,8 @@ ROWS = (
         value=0.02,
         unit="m",
         at=f"{_FIGURES}:RTK_M",
-        reason="the figures take what it reported for short periods in this experiment (next row)",
+        reason="the figures take the 0.1 m that it reported for short periods in this experiment "
+        "(next row)",
     ),
     Documented(
         place="G 5, Fig. 6",

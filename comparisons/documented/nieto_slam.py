@@ -160,6 +160,7 @@ ROWS = (
         place="N Table A.1", what="sigmas of the logs of the thesis' vehicle (car park, Victoria "
         "Park): those of the table",
         value="published", at="log.sigmas",
+        when={"log.format": ("acfr-car-park", "victoria-park", "aa3")},
         reason=f"{_CAR_PARK_A_1}; {_VICTORIA}",
     ),
     Documented(

@@ -58,8 +58,9 @@ def differing(config: Mapping[str, Any]) -> list[tuple[Documented, Any]]:
 def applies(row: Documented, given: Mapping[str, Any]) -> bool:
     """Whether the settings that a row depends on have one of the values that it asks for."""
     for path, values in row.when.items():
-        asked = read(given, path)
-        asked = setting_default(path) if asked is None else _plain(asked)
+        asked = _plain(read(given, path))
+        if asked is None:
+            asked = _format(given) if path == "log.format" else setting_default(path)
         if not any(same(asked, one) for one in values):
             return False
     return True
@@ -71,6 +72,14 @@ def read(given: Mapping[str, Any], path: str) -> Any:
     for key in _keys(path):
         found = found.get(key) if isinstance(found, Mapping) else None
     return found
+
+
+def _format(given: Mapping[str, Any]) -> str | None:
+    """The format of the log that is asked for, recognised where it is not named."""
+    from comparisons.logs.bundled import recognised_format
+
+    source = read(given, "log.source")
+    return recognised_format(source) if isinstance(source, str) else None
 
 
 def _keys(path: str) -> list[str]:

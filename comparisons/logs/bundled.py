@@ -134,6 +134,17 @@ NAMED: dict[str, NamedLog] = {
 }
 
 
+def recognised_format(name: str) -> str | None:
+    """The format in which a path would be read, None for a bundled name and for no log at all."""
+    path = Path(name)
+    try:
+        if not path.exists():
+            return None
+    except (OSError, ValueError):  # no name of a file
+        return None
+    return next((one for one, reader in READERS.items() if reader.recognises(path)), None)
+
+
 def open_log(
     name: str,
     format_name: str | None = None,

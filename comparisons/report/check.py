@@ -49,7 +49,7 @@ def build_check_result(check: GivenCheck, read_s: float = 0.0) -> CheckResult:
     found, solution = check.agreement, check.solution
     return CheckResult(
         config=solution.prepared.config.model_dump(mode="json"),
-        settings=settings_result(solution.prepared.config),
+        settings=settings_result(solution.prepared.config, solution.log.format),
         log=log_result(solution.log),
         smoother=smoother_result(solution.result, solution.estimate),
         association_by=solution.association_by,

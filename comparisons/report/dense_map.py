@@ -126,7 +126,7 @@ def build_map_result(mapping: DenseMapping, read_s: float = 0.0) -> MapResult:
     before = m.dense.before
     return MapResult(
         config=m.prepared.config.model_dump(mode="json"),
-        settings=settings_result(m.prepared.config, m.prepared.ekf),
+        settings=settings_result(m.prepared.config, m.log.format, m.prepared.ekf),
         log=log_result(m.log),
         ekf=ekf_result(m.ekf, m.prepared.ekf),
         accuracy=accuracy_result(assess(m.ekf.estimate, m.log, labelled=m.prepared.labelled)),

@@ -80,7 +80,7 @@ def build_front_end_result(front_end: FrontEnd, read_s: float = 0.0) -> FrontEnd
     f, how = front_end, front_end.prepared.config.front_end
     return FrontEndResult(
         config=f.prepared.config.model_dump(mode="json"),
-        settings=settings_result(f.prepared.config),
+        settings=settings_result(f.prepared.config, f.log.format),
         log=log_result(f.log),
         odometry=scan_odometry_result(
             f.motion, guess=how.guess == "wheels", seconds=f.prepared.clock.seconds["odometry"]

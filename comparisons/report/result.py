@@ -51,7 +51,7 @@ def build_result(comparison: Comparison, read_s: float = 0.0) -> Result:
     return Result(
         schema_version=SCHEMA,
         config=c.prepared.config.model_dump(mode="json"),
-        settings=settings_result(c.prepared.config, c.prepared.ekf),
+        settings=settings_result(c.prepared.config, c.log.format, c.prepared.ekf),
         log=log_result(c.log),
         ekf=ekf_result(c.ekf, c.prepared.ekf, c.assessment.fixes),
         smoother=smoother_result(c.smoother, c.smoothed),

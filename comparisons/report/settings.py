@@ -30,9 +30,15 @@ class SettingsResult(Model):
     differing: list[DifferingSetting]
 
 
-def settings_result(config: JobConfig, ekf: EkfConfig | None = None) -> SettingsResult:
-    """Return how a run was set. ekf: the filter's settings once nothing is left open."""
+def settings_result(
+    config: JobConfig, log_format: str | None = None, ekf: EkfConfig | None = None
+) -> SettingsResult:
+    """Return how a run was set.
+
+    log_format: in which the log was read. ekf: the filter's settings once nothing is left open.
+    """
     given = config.model_dump(mode="python")
+    given["log"]["format"] = log_format
     if ekf is not None:
         given["ekf"] = ekf.model_dump(mode="python")
     found = [

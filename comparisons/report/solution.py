@@ -46,7 +46,7 @@ def build_solution_result(solution: Solution, read_s: float = 0.0) -> SolutionRe
         remarks += s.association_check.remarks
     return SolutionResult(
         config=s.prepared.config.model_dump(mode="json"),
-        settings=settings_result(s.prepared.config),
+        settings=settings_result(s.prepared.config, s.log.format),
         log=log_result(s.log),
         association_by=s.association_by,
         landmarks=len(s.estimate.landmark),

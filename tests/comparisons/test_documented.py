@@ -14,6 +14,7 @@ from comparisons.documented.row import Documented, in_code, same, setting_defaul
 from comparisons.documented.rows import ROWS
 from comparisons.errors import InputError
 from comparisons.extensions.registry import EXTENSIONS
+from comparisons.logs.transforms.published_sigmas import FORMATS
 from comparisons.report.settings import settings_result, settings_rows
 from comparisons.settings import configure, run_config, run_options
 
@@ -132,3 +133,18 @@ def test_a_result_says_which_settings_are_not_the_documents() -> None:
     theirs = settings_result(published_run(dense=["points"]))
     assert settings_rows(theirs)[0].text == "as-published; no setting differs from a document's"
     assert settings_rows(settings_result(run_config())) == []
+
+
+def test_what_depends_on_the_format_of_the_log(tmp_path: Path) -> None:
+    row = next(row for row in SETTINGS if row.at == "log.sigmas")
+    assert row.when == {"log.format": FORMATS}
+    (tmp_path / "data_set.mat").write_bytes(b"")
+    found = configure(
+        RunConfig,
+        flags=run_options({"preset": "as-published"}),
+        over={"log": {"source": str(tmp_path)}},
+    )
+    assert (found.log.sigmas, found.log.format) == ("published", None)
+    assert published_run().log.sigmas == "calibrated"
+    named = [one.setting for one in settings_result(run_config(), "acfr-car-park").differing]
+    assert named == ["log.sigmas"]
