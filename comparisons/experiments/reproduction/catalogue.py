@@ -6,6 +6,7 @@ from comparisons.errors import InputError
 from comparisons.experiments.reproduction import (
     guivant_figures,
     misono,
+    nieto_car_park_figures,
     nieto_dense_figures,
     nieto_high_level_figures,
     nieto_motion,
@@ -28,6 +29,7 @@ FIGURES: tuple[AnyFigure, ...] = (
     *nieto_high_level_figures.FIGURES,
     *nieto_scan_maps_figures.FIGURES,
     *nieto_motion.FIGURES,
+    *nieto_car_park_figures.FIGURES,
 )
 
 

@@ -90,8 +90,9 @@ def _grid(canvas: Canvas, found: CarPark, samples: Samples, cell_m: float) -> Ax
     """All cells by their occupancy, in one subplot."""
     axis = canvas.add_subplot()
     order = np.argsort(samples.occupancy, kind="stable")
+    east, north = samples.point[order].T
     drawn = axis.scatter(
-        *samples.point[order].T, s=5.0, marker="s", linewidths=0, c=samples.occupancy[order],
+        east, north, s=5.0, marker="s", linewidths=0, c=samples.occupancy[order],
         cmap="viridis", vmin=0.0, vmax=1.0, rasterized=True,
     )  # fmt: skip
     canvas.colorbar(drawn, ax=axis, label="occupancy", shrink=0.8)

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from comparisons.arrays import Array
 from comparisons.experiments.reproduction import (
     guivant,
     misono,
+    nieto_car_park,
     nieto_dense,
     nieto_high_level,
     nieto_motion,
@@ -29,6 +32,7 @@ from comparisons.logs.bundled import SimulationChoices, open_log
 from ekf_reference.dense.layers.layer import Samples
 from tests.helpers import first_seconds
 
+SHARED = Path(__file__).resolve().parents[4] / "shared" / "data"
 WALL = np.array([(0.0, 0.0, 20.0, 0.0)])
 CORNERS = np.array([(0.0, -5.0), (20.0, -5.0), (10.0, 8.0)])
 
@@ -158,6 +162,12 @@ def scan_maps() -> nieto_scan_maps.ScanMaps:
     return nieto_scan_maps.of_logs([log], "the beginning of a drive")
 
 
+def car_park() -> nieto_car_park.CarPark:
+    if not SHARED.is_dir():
+        pytest.skip("the real logs (../shared/data) are not on this machine")
+    return nieto_car_park.car_park(Sources(SHARED))
+
+
 SMALL: dict[str, Callable[[], Any]] = {
     "section 2.9": lambda: nieto_slam.loops(Sources(drives=2)),
     "section 2.9 with positions": lambda: nieto_slam.fixed(Sources()),
@@ -176,6 +186,7 @@ SMALL: dict[str, Callable[[], Any]] = {
     "section 6.1.3, two pairs of corners": lambda: nieto_high_level.corner_pairs(Sources(drives=1)),
     "section 6.1.3": high_level_drives,
     "section 6.2.1": scan_maps,
+    "the car park, dense maps": car_park,
     "section 6.3.3, fast motion": lambda: motions(np.array([(np.nan, 5.0), (np.nan, -5.0)])),
     "section 6.3.3, slow motion": lambda: motions(np.array([(0.0, 0.0), (9.0, 0.0), (4.0, 8.0)])),
 }
