@@ -31,7 +31,7 @@ _SHOWN = 2
 Outcome = Literal["agree", "disagree", "unverified"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Verdict:
     """The outcome, its causes (worst kind first), and remarks that change nothing.
 
@@ -121,7 +121,7 @@ def judge(
         )
     if run.breakdown and found[0].gap != "breakdown":
         remarks.insert(0, f"{run.breakdown}; everything is compared up to there")
-    return Verdict(outcome, tuple(found), tuple(remarks))
+    return Verdict(outcome=outcome, causes=tuple(found), remarks=tuple(remarks))
 
 
 def _red(

@@ -23,7 +23,7 @@ from comparisons.checks.qualifiers import (
     sighting_scale,
     truth_gap,
 )
-from comparisons.checks.verdict import Verdict
+from comparisons.checks.verdict import Outcome, Verdict
 from comparisons.errors import InputError
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import NO_LANDMARK, Log, Truth
@@ -36,7 +36,7 @@ from comparisons.settings import run_config
 from tests.comparisons.test_cli import slamcheck
 from tests.helpers import compared, first_seconds, simulated
 
-AGREE = Verdict("agree", (), ())
+AGREE = Verdict(outcome="agree", causes=(), remarks=())
 
 
 def gap(sigma: float, error_m: float, sighting_m: float = 0.15) -> TruthGap:
@@ -158,7 +158,9 @@ def test_an_inconsistent_filter_is_said_and_fails_only_when_asked(sound: Compari
 
 @pytest.mark.parametrize("fail_on", ["", "disagreement", "consistency", "both"])
 @pytest.mark.parametrize("outcome", ["agree", "disagree"])
-def test_each_word_fails_on_what_it_names(sound: Comparison, fail_on: str, outcome: str) -> None:
+def test_each_word_fails_on_what_it_names(
+    sound: Comparison, fail_on: str, outcome: Outcome
+) -> None:
     verdict = replace(AGREE, outcome=outcome)
     asked = run_config(fail_on=fail_on).fail_on
     for factor, apart in ((1.0, False), (10.0, True)):
