@@ -124,7 +124,10 @@ class Told:
         found = placed.locate(scan.point)
         inside = np.flatnonzero(found.region >= 0)
         hits = Hits(
-            found.region[inside], found.local[inside], scan.point[inside], scan.covariance[inside]
+            region=found.region[inside],
+            local=found.local[inside],
+            point=scan.point[inside],
+            covariance=scan.covariance[inside],
         )
         return cls(hits, placed, scan, np.sort(placed.tree.meeting(scan.box()[None]).item))
 

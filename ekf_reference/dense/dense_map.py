@@ -118,11 +118,11 @@ class DenseMap:
         self.tally.fused += len(inside)
         self.tally.outside += int(np.count_nonzero(doubtful))
         hits = Hits(
-            found.region[inside],
-            found.local[inside],
-            scan.point[inside],
-            scan.covariance[inside],
-            None if scan.value is None else scan.value[inside],
+            region=found.region[inside],
+            local=found.local[inside],
+            point=scan.point[inside],
+            covariance=scan.covariance[inside],
+            value=None if scan.value is None else scan.value[inside],
         )
         for layer in self.layers.values():
             layer.fuse(hits, placed, scan, near)
@@ -201,7 +201,14 @@ class DenseMap:
         self.tally.late += len(out.region)
         value = self._value[out.number] if len(self._value) else None
         late = tuple(self._late_scans(out, placed))
-        hits = Hits(out.region, out.local, out.point, out.covariance, value, late)
+        hits = Hits(
+            region=out.region,
+            local=out.local,
+            point=out.point,
+            covariance=out.covariance,
+            value=value,
+            late=late,
+        )
         for layer in self.layers.values():
             layer.fuse(hits, placed, None, np.unique(out.region))
 

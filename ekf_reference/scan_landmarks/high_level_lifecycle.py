@@ -158,9 +158,8 @@ class HighLevelLandmarks:
 
     def _moves(self, number: int, place: Array) -> bool:
         """Give up a landmark whose template lies where things move (Nieto 2005, section 6.5)."""
-        if self.guard is not None and number not in self.moving:
-            if self.landmark[number].template.moves(place, self.guard):
-                self.moving.add(number)
+        if self.guard is not None and self.landmark[number].template.moves(place, self.guard):
+            self.moving.add(number)
         return number in self.moving
 
     def expected(self, ekf: Ekf, view: FilterView, one: HighLevelLandmark) -> Expected | None:

@@ -157,7 +157,12 @@ def one_region() -> RegionsAtMap:
 def test_a_layer_is_read_at_the_centres_of_cells() -> None:
     placed, layer = one_region(), Points(0.3)
     local = np.array([(0.375, 0.125)])
-    hits = Hits(np.zeros(1, dtype=np.intp), local, 4.0 * local, np.zeros((1, 2, 2)))
+    hits = Hits(
+        region=np.zeros(1, dtype=np.intp),
+        local=local,
+        point=4.0 * local,
+        covariance=np.zeros((1, 2, 2)),
+    )
     layer.fuse(hits, placed, None, np.zeros(1, dtype=np.intp))
     raster = rasterise(layer, placed, 1.0)
     assert raster.occupancy.shape == (4, 4)

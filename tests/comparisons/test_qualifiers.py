@@ -23,7 +23,7 @@ from comparisons.checks.qualifiers import (
     sighting_scale,
     truth_gap,
 )
-from comparisons.checks.verdict import Verdict
+from comparisons.checks.verdict import Outcome, Verdict
 from comparisons.errors import InputError
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import NO_LANDMARK, Log, Truth
@@ -158,8 +158,10 @@ def test_an_inconsistent_filter_is_said_and_fails_only_when_asked(sound: Compari
 
 @pytest.mark.parametrize("fail_on", ["", "disagreement", "consistency", "both"])
 @pytest.mark.parametrize("outcome", ["agree", "disagree"])
-def test_each_word_fails_on_what_it_names(sound: Comparison, fail_on: str, outcome: str) -> None:
-    verdict = replace(AGREE, outcome=outcome)  # type: ignore[arg-type]
+def test_each_word_fails_on_what_it_names(
+    sound: Comparison, fail_on: str, outcome: Outcome
+) -> None:
+    verdict = replace(AGREE, outcome=outcome)
     asked = run_config(fail_on=fail_on).fail_on
     for factor, apart in ((1.0, False), (10.0, True)):
         found = qualified(

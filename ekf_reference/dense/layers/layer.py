@@ -17,7 +17,7 @@ class LateScan(NamedTuple):
     near: Index
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Hits:
     """Returns in regions, from one scan or from several that waited for a region.
 

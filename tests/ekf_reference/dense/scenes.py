@@ -70,11 +70,11 @@ def told(
     found = placed.locate(scan.point)
     inside = np.flatnonzero(found.region >= 0)
     hits = Hits(
-        found.region[inside],
-        found.local[inside],
-        scan.point[inside],
-        scan.covariance[inside],
-        np.ones(len(inside)),
+        region=found.region[inside],
+        local=found.local[inside],
+        point=scan.point[inside],
+        covariance=scan.covariance[inside],
+        value=np.ones(len(inside)),
     )
     near = np.sort(placed.tree.meeting(scan.box()[None]).item)
     return hits, placed, None if late else scan, near

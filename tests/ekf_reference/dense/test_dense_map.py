@@ -383,7 +383,7 @@ def waited(scans: int = 1, again: int = 0) -> DenseMap:
         for _ in range(1 + again):
             first(hits, *rest)
 
-    grid.fuse = fuse  # type: ignore[method-assign]
+    grid.fuse = fuse  # type: ignore[method-assign, assignment]
     dense.updated(view(np.roll(SQUARE, 1, axis=0)))
     assert dense.tally.late > 30
     return dense

@@ -32,7 +32,7 @@ def hits(placed: RegionsAtMap, point: Array, sigma: tuple[float, float]) -> Hits
     """Returns with standard deviations [m] in east and north."""
     found = placed.locate(point)
     covariance = np.tile(np.diag(np.square(sigma)), (len(point), 1, 1))
-    return Hits(found.region, found.local, point, covariance)
+    return Hits(region=found.region, local=found.local, point=point, covariance=covariance)
 
 
 def fused(shift_m: float, prior: tuple[float, float], seen: tuple[float, float]) -> Gaussians:

@@ -23,8 +23,10 @@ NOWHERE = np.empty(0, dtype=np.intp)
 
 def hits(placed: RegionsAtMap, point: Array, value: Array) -> Hits:
     found = placed.locate(point)
-    return Hits(found.region, found.local, point, np.tile(1e-4 * np.eye(2), (len(point), 1, 1)),
-                value)  # fmt: skip
+    covariance = np.tile(1e-4 * np.eye(2), (len(point), 1, 1))
+    return Hits(
+        region=found.region, local=found.local, point=point, covariance=covariance, value=value
+    )
 
 
 @pytest.mark.parametrize("centre", [(7.0, 3.0), (10.0, 5.0)], ids=["inside", "at a corner"])

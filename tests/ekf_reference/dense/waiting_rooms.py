@@ -28,9 +28,15 @@ class NoCross(DelayedInitialisation):
     """A broken variant: the covariance with the vehicle is left out."""
 
     def add(
-        self, view: FilterView, point: Array, noise: Array, scan: int, potential: Potential
+        self,
+        view: FilterView,
+        point: Array,
+        noise: Array,
+        scan: int,
+        potential: Potential,
+        origin: Array | None = None,
     ) -> Index:
-        number = super().add(view, point, noise, scan, potential)
+        number = super().add(view, point, noise, scan, potential, origin)
         self.points.cross[:] = 0.0
         return number
 
