@@ -23,8 +23,8 @@ def has_table_a_1(log: Log) -> bool:
     assert isinstance(log.odometry, SteeringOdometry)
     noise, seen = log.odometry.noise, log.sightings
     return (
-        np.isclose(noise.sigma_speed_mps, 0.2)
-        and np.isclose(np.rad2deg(noise.sigma_turn), 2.0)
+        bool(np.isclose(noise.sigma_speed_mps, 0.2))
+        and bool(np.isclose(np.rad2deg(noise.sigma_turn), 2.0))
         and bool(np.allclose(seen.sigma_range_m, 0.15))
         and bool(np.allclose(np.rad2deg(seen.sigma_bearing_rad), 1.5))
     )
