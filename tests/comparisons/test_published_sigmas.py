@@ -22,12 +22,9 @@ def has_table_a_1(log: Log) -> bool:
     """Nieto 2005, Table A.1."""
     assert isinstance(log.odometry, SteeringOdometry)
     noise, seen = log.odometry.noise, log.sightings
-    return (
-        bool(np.isclose(noise.sigma_speed_mps, 0.2))
-        and bool(np.isclose(np.rad2deg(noise.sigma_turn), 2.0))
-        and bool(np.allclose(seen.sigma_range_m, 0.15))
-        and bool(np.allclose(np.rad2deg(seen.sigma_bearing_rad), 1.5))
-    )
+    wheels = (noise.sigma_speed_mps, np.rad2deg(noise.sigma_turn))
+    laser = np.column_stack((seen.sigma_range_m, np.rad2deg(seen.sigma_bearing_rad)))
+    return bool(np.allclose(wheels, (0.2, 2.0)) and np.allclose(laser, (0.15, 1.5)))
 
 
 @pytest.mark.parametrize("name", FORMATS)

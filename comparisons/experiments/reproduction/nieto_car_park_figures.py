@@ -106,16 +106,16 @@ def draw_4_15(canvas: Canvas, found: CarPark) -> None:
 
 
 def draw_6_1(canvas: Canvas, found: CarPark) -> None:
-    """The grid with corners, and a close-up of where most of them are."""
+    """The grid with corners, and a close-up of the upper part, as in the thesis."""
     left, right = canvas.subplots(1, 2)
     corner = found.searched_fine.corner
     for axis in (left, right):
         draw_occupied(axis, found.fine.layers["occupancy"])
         axis.plot(*corner.T, "+", color=EKF_COLOUR, markersize=7, label="corners")
     _frame(left, found, "(a) what the grid holds occupied, and corners")
-    middle = np.median(corner, axis=0)
-    plan(right, "(b) close-up")
-    right.set(xlim=middle[0] + np.array((-8, 8)), ylim=middle[1] + np.array((-8, 8)))
+    _frame(right, found, "(b) the upper part")
+    north = corner[:, 1].max()
+    right.set_ylim(north - 16.0, north + 3.0)
     left.legend(fontsize=8)
 
 

@@ -10,8 +10,18 @@ import numpy as np
 import pytest
 
 from comparisons.experiments.reproduction.catalogue import FIGURES
+<<<<<<< HEAD
 from comparisons.experiments.reproduction.contract import AnyFigure, Claim, at_least, at_most
 from comparisons.experiments.reproduction.nieto_dense_claims import LITERALLY
+=======
+from comparisons.experiments.reproduction.contract import (
+    DATA_FOLDERS,
+    AnyFigure,
+    Claim,
+    at_least,
+    at_most,
+)
+>>>>>>> logs
 from comparisons.report.picture import blank
 from tests.comparisons.reproduction.small import data, round_of, samples
 
@@ -440,6 +450,10 @@ def test_data_that_break_a_claim_are_not_let_through(
     figure = BY_NAME[name]
     claims: tuple[Claim, ...] = figure.judged(breaking(data(figure.experiment.name)))
     assert caught <= {i for i, claim in enumerate(claims) if not claim.holds}
+
+
+def test_every_real_log_that_is_asked_for_is_read() -> None:
+    assert {f.experiment.needs for f in FIGURES} - {None} == set(DATA_FOLDERS)
 
 
 def test_every_figure_has_a_broken_variant() -> None:
