@@ -10,10 +10,6 @@ import numpy as np
 import pytest
 
 from comparisons.experiments.reproduction.catalogue import FIGURES
-<<<<<<< HEAD
-from comparisons.experiments.reproduction.contract import AnyFigure, Claim, at_least, at_most
-from comparisons.experiments.reproduction.nieto_dense_claims import LITERALLY
-=======
 from comparisons.experiments.reproduction.contract import (
     DATA_FOLDERS,
     AnyFigure,
@@ -21,7 +17,7 @@ from comparisons.experiments.reproduction.contract import (
     at_least,
     at_most,
 )
->>>>>>> logs
+from comparisons.experiments.reproduction.nieto_dense_claims import LITERALLY
 from comparisons.report.picture import blank
 from tests.comparisons.reproduction.small import data, round_of, samples
 
