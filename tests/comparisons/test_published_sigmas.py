@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -51,8 +52,9 @@ def test_another_log_keeps_its_own() -> None:
 
 def test_the_preset_sets_it_and_what_is_given_stays() -> None:
     assert RunConfig().log.sigmas == "calibrated"
-    assert RunConfig.of(preset="as-published").log.sigmas == "published"
-    given = RunConfig.of(preset="as-published", log={"sigmas": "calibrated"})
+    car_park: dict[str, Any] = {"format": "acfr-car-park"}
+    assert RunConfig.of(preset="as-published", log=car_park).log.sigmas == "published"
+    given = RunConfig.of(preset="as-published", log=car_park | {"sigmas": "calibrated"})
     assert given.log.sigmas == "calibrated"
     with pytest.raises(InputError, match="calibrated"):
         RunConfig.of(log={"sigmas": "thesis"})

@@ -112,7 +112,7 @@ def test_the_filter_on_the_circle_equals_the_one_on_the_heading() -> None:
     traces = RecordedTrace(), RecordedTrace()
     script = Script(order="frames only", fuse_at=60, remove_at=75)
     heading = build(trace=traces[0])
-    complete = DirectionCosineOptions(full_jacobian=True, renormalise=True)
+    complete = DirectionCosineOptions(full_jacobian=True, renormalise=True, stacked=True)
     pair = build(make=lambda *a: DirectionCosineEkf(*a, options=complete), trace=traces[1])
     for ekf in (heading, pair):
         drive(ekf, 2, script)
