@@ -97,6 +97,21 @@ def test_verdict_and_causes_come_first(comparison: Comparison) -> None:
     assert text.count("<script") == 2
 
 
+def test_an_agreement_with_a_qualifier_is_no_plain_one(comparison: Comparison) -> None:
+    plain = build_result(comparison).model_copy(
+        update={"verdict": "agree", "qualifiers": [], "inconsistent": []}
+    )
+    told = plain.model_copy(
+        update={"qualifiers": ["filter inconsistent"], "inconsistent": ["NIS of <b> 3"]}
+    )
+    panels = consistency_panels(comparison)
+    before, after = (page(comparison, panels, one, []) for one in (plain, told))
+    assert '<span class="verdict agree">agree<' in before
+    assert "The filter is inconsistent" not in before
+    assert '<span class="verdict unverified">agree, filter inconsistent<' in after
+    assert "The filter is inconsistent: NIS of &lt;b&gt; 3." in after
+
+
 def test_figures_are_those_of_the_terminal(comparison: Comparison, report: Path) -> None:
     text = report.read_text(encoding="utf-8")
     rows = run_rows(comparison, build_result(comparison))

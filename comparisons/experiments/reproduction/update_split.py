@@ -155,6 +155,8 @@ def draw(canvas: Canvas, found: Split) -> None:
     for axis, title in zip(axes, ("linearisation gap [sigma]", "optimism (1: none)"), strict=True):
         chart(axis, title, "", "")
         axis.set_yscale("log")
+        axis.yaxis.set_major_formatter("{x:g}")
+        axis.yaxis.set_minor_formatter("{x:g}")
         axis.set_xticks(place, [one.name for one in found.each], fontsize=7, rotation=12)
 
 

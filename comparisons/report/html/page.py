@@ -37,8 +37,9 @@ def page(
     }
     parts = [
         f"<header><h1>{name}</h1><p>"
-        f'<span class="verdict {result.verdict}">{escape(result.summary)}</span> '
+        f'<span class="verdict {_colour(result)}">{escape(result.headline)}</span> '
         f"{escape(result.log.format)}, {result.log.duration_s:,.0f} s</p></header>",
+        _consistency(result),
         _causes(result),
         '<noscript><p class="note">Curves, layers and sorting need JavaScript; the same curves '
         "are in consistency.png.</p></noscript>",
@@ -77,3 +78,14 @@ def _embedded(pictures: Sequence[Path]) -> list[str]:
         title = file.stem.replace("-", " ").capitalize()
         shown.append(f"<h2>{title}</h2>{picture(title, file.read_bytes())}")
     return shown
+
+
+def _colour(result: Result) -> str:
+    """An agreement that is qualified is no plain one."""
+    return "unverified" if result.verdict == "agree" and result.qualifiers else result.verdict
+
+
+def _consistency(result: Result) -> str:
+    """What of the filter's consistency is outside its band."""
+    found = "; ".join(result.inconsistent or ())
+    return f'<p class="note">The filter is inconsistent: {escape(found)}.</p>' if found else ""
