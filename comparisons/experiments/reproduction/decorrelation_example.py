@@ -58,11 +58,10 @@ def rightmost(log: Log) -> Cast:
         if base is None:
             continue
         last = np.flatnonzero(view[:, [point, *base]].all(axis=1))[-1]
-        seen = view[: last + 1].any(axis=0)
-        seen[[point, *base]] = False
-        if seen.any():
-            off = np.abs(np.linalg.norm(true - true[point], axis=1) - DISTANT_M)
-            distant = int(np.argmin(np.where(seen, off, np.inf)))
+        seen = np.setdiff1d(np.flatnonzero(view[: last + 1].any(axis=0)), (point, *base))
+        if len(seen):
+            off = np.abs(np.linalg.norm(true[seen] - true[point], axis=1) - DISTANT_M)
+            distant = int(seen[np.argmin(off)])
             return Cast(point, base, distant, float(time_s[last]))
     raise InputError(f"{log.name}: no landmark is seen within three others")
 

@@ -54,12 +54,17 @@ _JOINED = "with joined segments (ours)"
 class Aligned:
     """A landmark seen again, in the vehicle's frame. template: (P, 2), scan: (R, 2) [m].
 
-    off_m: median distance of the template's points to the nearest return.
+    away_m: (P,) distances of the template's points to the nearest return.
     """
 
     template: Array
     scan: Array
-    off_m: float
+    away_m: Array
+
+    @property
+    def off_m(self) -> float:
+        """Their median."""
+        return float(np.median(self.away_m))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -175,8 +180,7 @@ def _aligned(run: EkfRun, scans: LogScans, source: ScanSlamSource) -> tuple[Alig
         points = source.found.template[int(seen.landmark[row])].shape.mean
         template = planar.moved(seen.measured[row], points)
         scan = scans.scan(int(number[row]), np.zeros(3)).point
-        away = cKDTree(scan).query(template)[0]
-        found.append(Aligned(template, scan, float(np.median(away))))
+        found.append(Aligned(template, scan, cKDTree(scan).query(template)[0]))
     return tuple(found)
 
 
@@ -238,8 +242,8 @@ def _consistent(text: str, run: CarParkRun) -> Claim:
         SIGMAS_2D,
         why=f"{OTHER_PART}: {np.count_nonzero(held.within)} of {len(held.slot)} landmarks, off by "
         f"{held.rms_m:.2f} m (RMS) with a sigma of {np.sqrt(np.mean(sigma**2)):.2f} m; of those "
-        f"first seen before {TURN_S:.0f} s, when a turn begins in which the steering reading saturates, "
-        f"{np.count_nonzero(held.within[early])} of {np.count_nonzero(early)}",
+        f"first seen before {TURN_S:.0f} s, when a turn begins in which the steering reading "
+        f"saturates, {np.count_nonzero(held.within[early])} of {np.count_nonzero(early)}",
     )
 
 
@@ -250,20 +254,22 @@ def claims_5_12(found: CarParkScans) -> list[Claim]:
         _on_the_scan(
             f"so it does {_JOINED}",
             found.joined,
-            "; half of a joined template need be in view, and the rest has no return beside it",
+            "; half of a joined template need be in view",
         ),
     ]
 
 
 def _on_the_scan(text: str, run: CarParkRun, besides: str = "") -> Claim:
-    off = [one.off_m for one in run.aligned]
+    off, limit_m = [one.off_m for one in run.aligned], SensorSigmas().range_m
+    near = np.median([np.mean(one.away_m <= limit_m) for one in run.aligned])
     return at_most(
         f"{text} (median distance of its points to the nearest return, median of all "
         "measurements used; limit: Table A.1's sigma of range)",
         float(np.median(off)) if off else float("nan"),
-        SensorSigmas().range_m,
+        limit_m,
         "m",
-        why=f"{OTHER_PART}: {len(off)} measurements{besides}",
+        why=f"{OTHER_PART}: {len(off)} measurements, {near:.0%} of the points have a return within "
+        f"the limit (median){besides}",
     )
 
 

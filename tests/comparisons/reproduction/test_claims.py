@@ -393,7 +393,7 @@ def six_landmarks(run: Any) -> Any:
         covariance=held.covariance[rows],
         points=tuple(held.points[k] for k in rows),
     )
-    near = tuple(replace(one, off_m=0.05) for one in run.aligned)
+    near = tuple(replace(one, away_m=0.0 * one.away_m) for one in run.aligned)
     return replace(run, held=held, first_s=run.first_s[rows], aligned=near)
 
 
@@ -421,7 +421,7 @@ def scans_exact(c: Any) -> Any:
 def elsewhere_and_sure(run: Any) -> Any:
     """The landmarks are off by more than their covariances tell, the templates off the scans."""
     held = replace(run.held, place=run.held.true + 1.0, covariance=1e-4 * run.held.covariance)
-    far = tuple(replace(one, off_m=1.0) for one in run.aligned)
+    far = tuple(replace(one, away_m=1.0 + one.away_m) for one in run.aligned)
     return replace(run, held=held, aligned=far)
 
 
