@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 from comparisons.documented.row import Documented, Value
 
 _DRIVES = "comparisons.logs.simulate.scan_drive"
+_CAR_PARK_FIGURES = "comparisons.experiments.reproduction.nieto_car_park"
 _CAR_PARK = "comparisons.logs.readers.acfr_car_park"
 _VICTORIA_PARK = "comparisons.logs.readers.victoria_park"
 _A_1 = "comparisons.logs.transforms.published_sigmas:SensorSigmas"
@@ -55,9 +56,6 @@ def _scanned(
         {"max_range_m": reach_m, "sigma_range_m": range_m, "sigma_beam_rad": bearing},
     )  # fmt: skip
 
-
-CAR_PARK_CELL_M, CAR_PARK_COARSE_M, CAR_PARK_PAIR_M = 0.4, 0.5, 7.0
-"""Of the car park's figures: cells of Fig. 4.15; cells, and distance of corners in section 6.5."""
 
 _CAR_PARK_A_1 = (
     "with Table A.1 chi-square of the car park falls from 0.35 to 0.18 of its degrees of freedom, "
@@ -149,15 +147,15 @@ ROWS = (
     ),
     Documented(
         place="N 6.5", what="resolution of the car park's occupancy layer", value=0.5, unit="m",
-        at="comparisons.documented.nieto_slam:CAR_PARK_COARSE_M",
+        at=f"{_CAR_PARK_FIGURES}:COARSE_M",
     ),
     Documented(
         place="N 6.5", what="greatest distance of two corners of a high level landmark", value=7.0,
-        unit="m", at="comparisons.documented.nieto_slam:CAR_PARK_PAIR_M",
+        unit="m", at=f"{_CAR_PARK_FIGURES}:PAIR_M",
     ),
     Documented(
         place="N 4.4, Fig. 4.15", what="resolution of the car park's occupancy grid", value=0.4,
-        unit="m", at="comparisons.documented.nieto_slam:CAR_PARK_CELL_M",
+        unit="m", at=f"{_CAR_PARK_FIGURES}:CELL_M",
     ),
     *_each(
         "N A.1", f"{_VICTORIA_PARK}:UTE",

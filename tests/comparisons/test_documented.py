@@ -23,6 +23,9 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "settings.md"
 
 def wrong(row: Documented) -> str:
     """What is wrong with a row, empty where nothing is."""
+    own = [one for one in (row.at, *row.also) if one.startswith("comparisons.documented")]
+    if own:
+        return f"{own[0]} is this list's own: {row.place} is compared with itself"
     if row.differs and not any(map(str.isdigit, row.reason)):
         return f"{row.at} is {row.used}, {row.place} says {row.value}: no measured reason"
     if row.reason and not row.differs:
@@ -43,6 +46,16 @@ def test_a_value_that_moved_away_is_found() -> None:
     other = next(row for row in ROWS if row.differs)
     assert wrong(dataclasses.replace(other, reason="it is better"))
     assert wrong(dataclasses.replace(other, also=(other.at,))) if not other.is_setting else True
+
+
+def test_a_row_that_is_compared_with_itself_is_found() -> None:
+    own = "comparisons.documented.nieto_slam:_A_1"
+    sound = next(row for row in ROWS if not row.differs and not row.is_setting)
+    assert wrong(sound) == ""
+    itself = dataclasses.replace(sound, value=in_code(own), at=own)
+    assert not itself.differs
+    assert "compared with itself" in wrong(itself)
+    assert "compared with itself" in wrong(dataclasses.replace(sound, also=(own,)))
 
 
 def test_the_page_is_generated_from_the_code() -> None:

@@ -104,12 +104,18 @@ class Experiment(Generic[D]):
     """One computation that several figures may share.
 
     run: computes and draws nothing; raises InputError. needs: one of DATA_FOLDERS without which
-    it cannot run.
+    it cannot run. takes: those that it reads besides, where they are given.
     """
 
     name: str
     run: Callable[[Sources], D]
     needs: str | None = None
+    takes: tuple[str, ...] = ()
+
+    @property
+    def reads(self) -> set[str]:
+        """All of DATA_FOLDERS that it may read."""
+        return {*self.takes, *(() if self.needs is None else (self.needs,))}
 
 
 @dataclass(frozen=True, kw_only=True)

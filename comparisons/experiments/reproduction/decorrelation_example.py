@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from comparisons.errors import InputError
-from comparisons.experiments.reproduction.watched_run import watched_run
+from comparisons.experiments.reproduction.watched_run import truth_in_order, watched_run
 from comparisons.logs.log import Log
 from ekf_reference.core.geometry import Array
 from ekf_reference.dense.decorrelation import (
@@ -18,21 +20,64 @@ from ekf_reference.dense.decorrelation import (
     correlations,
     displacements,
 )
+from ekf_reference.dense.triangles import contains, is_degenerate, to_local
+
+DISTANT_M = 15.0
+"""How far away the distant landmark is, as near as there is one; the thesis gives no number."""
 
 
 class Cast(NamedTuple):
-    """Landmarks by order of incorporation, and when the point is last seen.
+    """Landmarks by order of incorporation. fused_s: when the point is last seen."""
 
-    The defaults suit our simulation of the thesis' section 2.9 with Table 2.2's 20 m of reach: of
-    the triangles around a landmark that the three conditions of section 3.5 permit on all of ten
-    drives when it is last seen, in the later half of the loop, the one most correlated with it;
-    and the landmark nearest to 15 m away.
+    point: int
+    base: tuple[int, int, int]
+    distant: int
+    fused_s: float
+
+
+def rightmost(log: Log) -> Cast:
+    """Choose region, point and time by geometry alone. Raises InputError where there are none.
+
+    Example 3.1 takes three landmarks as a region, and one in it, in the rightmost part of the
+    environment, after "a few observations", and names neither the landmarks nor the time. So the
+    point is the easternmost landmark that lies within a triangle of three others and is in view
+    together with them in some scan; of such triangles the one with the smallest perimeter, since
+    correlation is high where landmarks are close. The point is last seen in the last scan that
+    shows all four. The rule reads true places and which landmarks each scan shows. It reads no
+    estimate, so all drives through one world have the same cast. The distant landmark is the one
+    nearest to DISTANT_M away from the point, of those seen until then.
     """
+    true, sightings = truth_in_order(log)[1], log.sightings
+    order = sightings.labels_in_order
+    time_s, scan = np.unique(sightings.time_s, return_inverse=True)
+    view = np.zeros((len(time_s), len(order)), dtype=bool)
+    rank = np.argsort(order)
+    view[scan, rank[np.searchsorted(order[rank], sightings.landmark)]] = True
+    for point in np.argsort(-true[:, 0]).tolist():
+        base = _around(point, true, view)
+        if base is None:
+            continue
+        last = np.flatnonzero(view[:, [point, *base]].all(axis=1))[-1]
+        seen = np.setdiff1d(np.flatnonzero(view[: last + 1].any(axis=0)), (point, *base))
+        if len(seen):
+            off = np.abs(np.linalg.norm(true[seen] - true[point], axis=1) - DISTANT_M)
+            distant = int(seen[np.argmin(off)])
+            return Cast(point, base, distant, float(time_s[last]))
+    raise InputError(f"{log.name}: no landmark is seen within three others")
 
-    point: int = 43
-    base: tuple[int, int, int] = (41, 44, 45)
-    distant: int = 40
-    fused_s: float = 62.4
+
+def _around(point: int, true: Array, view: NDArray[np.bool_]) -> tuple[int, int, int] | None:
+    """The smallest triangle around a landmark that some scan (N, L) shows with it."""
+    shown = view[view[:, point]]
+    others = np.setdiff1d(np.flatnonzero(shown.any(axis=0)), point).tolist()
+    base = np.array(list(combinations(others, 3)), dtype=np.intp).reshape(-1, 3)
+    base = base[shown[:, base].all(axis=2).any(axis=0) & ~is_degenerate(true[base])]
+    base = base[contains(to_local(true[base], true[point]))]
+    if not len(base):
+        return None
+    edges = np.linalg.norm(true[base] - np.roll(true[base], 1, axis=1), axis=2)
+    first, second, third = base[np.argmin(edges.sum(axis=1))].tolist()
+    return first, second, third
 
 
 @dataclass(frozen=True)
@@ -70,12 +115,9 @@ class DecorrelationExample:
     true_point: Array | None
 
 
-def decorrelation_example(log: Log, cast: Cast | None = None) -> DecorrelationExample:
-    """Drive a labelled log and follow the cast. Raises InputError where it is not on the log."""
-    cast = cast or Cast()
-    order = log.sightings.labels_in_order
-    if max(cast.point, cast.distant, *cast.base) >= len(order):
-        raise InputError(f"{log.name}: {len(order)} landmarks are too few for the example")
+def decorrelation_example(log: Log) -> DecorrelationExample:
+    """Drive a labelled log and follow its cast. Raises InputError where there is none."""
+    cast, order = rightmost(log), log.sightings.labels_in_order
     seen = list(fused_until(log, cast))
     triangle = np.stack([now.landmark[list(cast.base)] for now in seen])
     point = np.stack([now.landmark[cast.point] for now in seen])

@@ -18,11 +18,6 @@ from comparisons.adapters.motion import motion_between
 from comparisons.arrays import Array
 from comparisons.checks.accuracy import match_by_distance
 from comparisons.config import EkfConfig, MapConfig
-from comparisons.documented.nieto_slam import (
-    CAR_PARK_CELL_M,
-    CAR_PARK_COARSE_M,
-    CAR_PARK_PAIR_M,
-)
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import landmark_blocks
 from comparisons.experiments.reproduction.contract import (
@@ -51,7 +46,10 @@ from ekf_reference.scan_landmarks.high_level import (
 from graphslam.increments import dead_reckoned
 
 FOLDER = "acfr_car_park"
-CELL_M, COARSE_M, PAIR_M = CAR_PARK_CELL_M, CAR_PARK_COARSE_M, CAR_PARK_PAIR_M
+CELL_M, COARSE_M = 0.4, 0.5
+"""Cells, and d_min, of Fig. 4.15 and of section 6.5."""
+PAIR_M = 7.0
+"""Most between two corners of a high level landmark, section 6.5."""
 HIGH_LEVEL_COUNT = 9
 """High level landmarks in Fig. 6.18."""
 ERROR_BEFORE_M = 3.0
@@ -62,7 +60,7 @@ _WHOLE_MAP_M = 1e3
 _SIGMAS_2D = 0.989
 _SQUARED = 9.0
 _LAST = "returns of the last 15 s are put where the saturated steering leads"
-_OTHER_PART = "the log is another part of the drives than the thesis'"
+OTHER_PART = "the log is another part of the drives than the thesis'"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,9 +170,9 @@ def of_log(log: Log) -> CarPark:
         image=np.vstack(image),
         wheels=wheels[:, :2],
         gps=positions.position_m,
-        path_gps=_off_gps(log, time_s, fine.dense.scan_pose),
-        aided_gps=_off_gps(log, run.scan_time_s, run.scan_pose),
-        wheels_gps=_off_gps(log, time_s, wheels),
+        path_gps=off_gps(log, time_s, fine.dense.scan_pose),
+        aided_gps=off_gps(log, run.scan_time_s, run.scan_pose),
+        wheels_gps=off_gps(log, time_s, wheels),
         beacon=beacon,
         searched=_searched(coarse, COARSE_M),
         searched_fine=_searched(fine, CELL_M),
@@ -189,7 +187,8 @@ def _mapped(log: Log, cell_m: float, *, gps: bool = False) -> DenseMapping:
     return map_log(log, MapConfig(ekf=ekf, extensions={"dense_maps": maps}))
 
 
-def _off_gps(log: Log, time_s: Array, pose: Array) -> Array:
+def off_gps(log: Log, time_s: Array, pose: Array) -> Array:
+    """(G,) distances of a path to GPS at its times. Raises InputError for a log without."""
     fixes = log.positions
     if fixes is None:
         raise InputError(f"{log.name}: holds no positions")
@@ -317,7 +316,7 @@ def _closing_claims(found: CarPark, layer: str) -> list[Claim]:
             float(np.percentile(then, 95.0)),
             ERROR_BEFORE_M,
             "m",
-            why=f"{_OTHER_PART}: in a loop of 60 m only {b.shift_m:.2f} m of error come together",
+            why=f"{OTHER_PART}: in a loop of 60 m only {b.shift_m:.2f} m of error come together",
         ),
         at_most(
             "closing the loop corrects the map (RMS distance of its landmarks to the surveyed "
@@ -448,7 +447,7 @@ def claims_6_18(found: CarPark) -> list[Claim]:
             f"nine are accepted as high level landmarks (with at least {LEAST} Gaussians each)",
             len(s.found),
             HIGH_LEVEL_COUNT,
-            why=f"{_OTHER_PART}, and holds {len(found.ellipses.mean)} Gaussians in all; how many a "
+            why=f"{OTHER_PART}, and holds {len(found.ellipses.mean)} Gaussians in all; how many a "
             "landmark must have is not told",
         ),
     ]

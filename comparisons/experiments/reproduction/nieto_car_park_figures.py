@@ -279,7 +279,8 @@ FIGURES: tuple[AnyFigure, ...] = (
     ),
     _row(
         "6.14", "sum of Gaussians with d_min of 0.5 m",
-        "Gaussians, fused where nearer than d_min, represent the same environment.",
+        "Gaussians, observed ones fused with the map's where nearer than d_min, represent the same "
+        "environment.",
         draw_6_14, claim.claims_6_14,
     ),
     _row(

@@ -248,9 +248,9 @@ def of_log(log: Log, seed: int = 0, settings: ScanLandmarksConfig | None = None)
         path=estimate.pose[:, :2],
         true_path=log.truth.poses.pose[:, :2],
         closing_s=closing.time_s,
-        before=_map(found, run, true, old, closing.before[old], source.covariance[old, :2, :2]),
+        before=scan_map(found, run, true, old, closing.before[old], source.covariance[old, :2, :2]),
         path_before=estimate.pose[then, :2],
-        after=_map(found, run, true, slots, estimate.oriented, place_covariances(estimate)),
+        after=scan_map(found, run, true, slots, estimate.oriented, place_covariances(estimate)),
         ate_m=ate_m,
         wheels_m=wheels_m,
         end_m=float(np.hypot(*off[:2])),
@@ -267,10 +267,10 @@ def seen_again(run: EkfRun) -> int:
     return int(np.count_nonzero(same & (gap >= CLOSED_S)))
 
 
-def _map(
+def scan_map(
     found: ScanLandmarks, run: EkfRun, true: Array, slot: Index, place: Array, covariance: Array
 ) -> ScanMap:
-    """true: (N, 3) the vehicle's poses at all sightings."""
+    """Landmarks with where their axes are. true: (N, 3) the vehicle's poses at all sightings."""
     first = np.unique(run.oriented.landmark, return_index=True)[1][slot]
     seen = zip(true[first], run.oriented.measured[first], strict=True)
     return ScanMap(

@@ -66,7 +66,7 @@ def _draw(
     axis.plot(*d.true_path.T, "-", color=TRUTH_COLOUR, linewidth=1.0, label="true path")
     axis.plot(*path.T, "--", color=EKF_COLOUR, linewidth=1.0, label="estimated path")
     axis.plot(*held.placed.T, ".", color="#111111", markersize=dot, label="templates", zorder=3)
-    frames = LineCollection(list(_axes(held.place, axis_m)), colors=SMOOTHER_COLOUR)
+    frames = LineCollection(list(axes_at(held.place, axis_m)), colors=SMOOTHER_COLOUR)
     frames.set(label="axes", linewidths=1.2, zorder=4)
     axis.add_collection(frames)
     outline = LineCollection(list(ellipses(held.place[:, :2], held.covariance, SIGMAS)))
@@ -74,7 +74,7 @@ def _draw(
     axis.add_collection(outline)
 
 
-def _axes(place: Array, length_m: float) -> Array:
+def axes_at(place: Array, length_m: float) -> Array:
     """(Q, 3, 2) ahead's end, origin, left's end of axes at places (Q, 3)."""
     ends = length_m * np.array(((1.0, 0.0), (0.0, 0.0), (0.0, 1.0)))
     drawn = [ends @ rotation(float(at[2])).T + at[:2] for at in place]

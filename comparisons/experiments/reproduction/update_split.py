@@ -28,6 +28,7 @@ from comparisons.pipeline.compare import compare
 from comparisons.report.figures.style import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR, TRUTH_COLOUR
 from ekf_reference.core.landmark_types import POINT
 
+FOLDER = "mrclam"
 ONE = "one update"
 SPLITS: Mapping[str, Mapping[str, float]] = {
     ONE: {},
@@ -83,7 +84,7 @@ def _logs(sources: Sources) -> Iterator[tuple[str, list[Log]]]:
         ]
         yield f"{name} ({sources.drives})", drives
     yield "Victoria Park (gtsam)", [open_log("victoria-park")]
-    folder = sources.folder("mrclam")
+    folder = sources.folder(FOLDER)
     for path in () if folder is None else sorted(folder.glob("MRCLAM_Dataset*")):
         yield path.name.replace("MRCLAM_Dataset", "MR.CLAM "), [open_log(str(path))]
 
@@ -160,4 +161,4 @@ def draw(canvas: Canvas, found: Split) -> None:
         axis.set_xticks(place, [one.name for one in found.each], fontsize=7, rotation=12)
 
 
-SPLIT = Experiment("Guivant's updates in parts", split)
+SPLIT = Experiment("Guivant's updates in parts", split, takes=(FOLDER,))

@@ -15,6 +15,7 @@ from comparisons.experiments.reproduction import (
     guivant,
     misono,
     nieto_car_park,
+    nieto_car_park_scans,
     nieto_dense,
     nieto_high_level,
     nieto_motion,
@@ -168,6 +169,14 @@ def car_park() -> nieto_car_park.CarPark:
     return nieto_car_park.car_park(Sources(SHARED))
 
 
+def car_park_scans() -> nieto_car_park_scans.CarParkScans:
+    """The first seconds of the drive."""
+    if not SHARED.is_dir():
+        pytest.skip("the real logs (../shared/data) are not on this machine")
+    log = nieto_car_park.read_car_park(SHARED / nieto_car_park.FOLDER)
+    return nieto_car_park_scans.of_log(first_seconds(log, 25.0))
+
+
 SMALL: dict[str, Callable[[], Any]] = {
     "section 2.9": lambda: nieto_slam.loops(Sources(drives=2)),
     "section 2.9 with positions": lambda: nieto_slam.fixed(Sources()),
@@ -187,6 +196,7 @@ SMALL: dict[str, Callable[[], Any]] = {
     "section 6.1.3": high_level_drives,
     "section 6.2.1": scan_maps,
     "the car park, dense maps": car_park,
+    "the car park, Scan-SLAM": car_park_scans,
     "section 6.3.3, fast motion": lambda: motions(np.array([(np.nan, 5.0), (np.nan, -5.0)])),
     "section 6.3.3, slow motion": lambda: motions(np.array([(0.0, 0.0), (9.0, 0.0), (4.0, 8.0)])),
 }

@@ -129,14 +129,31 @@ def growing(d: Any) -> Any:
     return replace(d, first_landmark_m=d.first_landmark_m[::-1])
 
 
-def never_local(e: Any) -> Any:
+def as_the_thesis_says(e: Any) -> Any:
+    """An example of which all claims hold."""
+    c, world_m = e.correlations, np.linspace(0.0, 0.6, len(e.time_s))
+    return replace(
+        e,
+        with_base=np.full_like(e.with_base, 0.99),
+        correlations=c._replace(
+            world=np.full_like(c.world, 0.99),
+            local=np.full_like(c.local, 0.01),
+            sigma_local_m=0.1 * c.sigma_world_m,
+        ),
+        moved=e.moved._replace(world_m=world_m, local_m=np.full_like(world_m, 0.05)),
+    )
+
+
+def never_local(sound: Any) -> Any:
+    e = as_the_thesis_says(sound)
     c = e.correlations
     wrong = c._replace(local=c.world, sigma_local_m=c.sigma_world_m)
     moved = e.moved._replace(local_m=e.moved.world_m + e.time_s - e.time_s[0])
     return replace(e, correlations=wrong, moved=moved)
 
 
-def unmoved(e: Any) -> Any:
+def unmoved(sound: Any) -> Any:
+    e = as_the_thesis_says(sound)
     c = e.correlations
     return replace(
         e,
@@ -360,6 +377,58 @@ def layers_of_the_fine_map_apart(found: Any) -> Any:
     return replace(found, fine=layers_apart(replace(found, coarse=found.fine)).coarse)
 
 
+def both_forms(change: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    return lambda c: replace(c, published=change(c.published), joined=change(c.joined))
+
+
+def six_landmarks(run: Any) -> Any:
+    """As many as the thesis', where they truly are, on the path of GPS's worse half."""
+    rows = np.resize(np.arange(len(run.held.slot)), 6)
+    held = run.held
+    held = replace(
+        held,
+        slot=held.slot[rows],
+        place=held.true[rows],
+        true=held.true[rows],
+        covariance=held.covariance[rows],
+        points=tuple(held.points[k] for k in rows),
+    )
+    near = tuple(replace(one, away_m=0.0 * one.away_m) for one in run.aligned)
+    return replace(run, held=held, first_s=run.first_s[rows], aligned=near)
+
+
+def car_park_as_the_thesis_says(c: Any) -> Any:
+    """All claims of section 5.7 hold."""
+    published, joined = six_landmarks(c.published), six_landmarks(c.joined)
+    off = np.ones_like(c.feature_gps)
+    return replace(
+        c,
+        published=replace(published, path_gps=3.0 * off),
+        joined=replace(joined, path_gps=2.0 * off),
+        feature_gps=off,
+    )
+
+
+def scans_exact(c: Any) -> Any:
+    """Scan-SLAM is better than feature SLAM, joined segments are no help; many landmarks."""
+    sound = car_park_as_the_thesis_says(c)
+    held = replace(sound.published.held, slot=np.arange(50))
+    thesis = replace(sound.published, path_gps=0.2 * sound.feature_gps, held=held)
+    joined = replace(sound.joined, path_gps=0.3 * sound.feature_gps)
+    return replace(sound, published=thesis, joined=joined)
+
+
+def elsewhere_and_sure(run: Any) -> Any:
+    """The landmarks are off by more than their covariances tell, the templates off the scans."""
+    held = replace(run.held, place=run.held.true + 1.0, covariance=1e-4 * run.held.covariance)
+    far = tuple(replace(one, away_m=1.0 + one.away_m) for one in run.aligned)
+    return replace(run, held=held, aligned=far)
+
+
+def section_5_7_off(c: Any) -> Any:
+    return both_forms(elsewhere_and_sure)(car_park_as_the_thesis_says(c))
+
+
 BROKEN: list[tuple[str, Callable[[Any], Any], set[int]]] = [
     ("G7", lambda c: replace(c, heard=~c.heard), {0}),
     ("G7", lambda c: replace(c, heard=np.arange(len(c.heard)) != 150), {1}),
@@ -423,6 +492,9 @@ BROKEN: list[tuple[str, Callable[[Any], Any], set[int]]] = [
     ("N5.8", by_the_thesis(lambda d: replace(d, end_m=30.0)), {7}),
     ("N5.9", each(astray), {0, 1}),
     ("N5.9", by_the_thesis(astray), {2, 3}),
+    ("N5.10", scans_exact, {0, 1, 2, 3}),
+    ("N5.11", section_5_7_off, {0, 1}),
+    ("N5.12", section_5_7_off, {0, 1}),
     ("N6.4", each(cornerless), {0, 1, 2, 3}),
     ("N6.4", with_counts(500, 400), {1, 3}),
     ("N6.4", with_counts(50, 40), {1, 2}),
@@ -449,7 +521,7 @@ def test_data_that_break_a_claim_are_not_let_through(
 
 
 def test_every_real_log_that_is_asked_for_is_read() -> None:
-    assert {f.experiment.needs for f in FIGURES} - {None} == set(DATA_FOLDERS)
+    assert set().union(*(f.experiment.reads for f in FIGURES)) == set(DATA_FOLDERS)
 
 
 def test_every_figure_has_a_broken_variant() -> None:
@@ -490,6 +562,23 @@ def test_sound_data_are_let_through(name: str) -> None:
     claims = figure.judged(data(figure.experiment.name))
     ours = [claim.holds for claim in claims if not claim.text.startswith(LITERALLY)]
     assert ours == [True] * SOUND[name]
+
+
+SAID = {
+    "N3.5": (each(as_the_thesis_says), 4),
+    "N3.12": (each(as_the_thesis_says), 4),
+    "N5.10": (car_park_as_the_thesis_says, 4),
+    "N5.11": (car_park_as_the_thesis_says, 2),
+    "N5.12": (car_park_as_the_thesis_says, 2),
+}
+
+
+@pytest.mark.parametrize("name", SAID)
+def test_what_the_thesis_says_is_let_through(name: str) -> None:
+    """Of our data not all of these claims hold; what breaks them starts from what it says."""
+    figure, (sound, count) = BY_NAME[name], SAID[name]
+    claims = figure.judged(sound(data(figure.experiment.name)))
+    assert [claim.holds for claim in claims] == [True] * count
 
 
 @pytest.mark.slow

@@ -1,0 +1,276 @@
+"""Nieto 2005, section 5.7: Scan-SLAM on the car park, and what is claimed of it.
+
+The log is that of `nieto_car_park`, another part of the drives than the thesis'. Beside the thesis'
+form (`--landmarks scans --preset as-published`, Table A.1 included) stands ours: all segments of a
+scan joined in one template. Landmarks' errors are from where their axes are if the vehicle was
+where feature SLAM with GPS has it when it first saw them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from comparisons.adapters.ekf_run import EkfRun
+from comparisons.arrays import Array
+from comparisons.config import EkfConfig, RunConfig
+from comparisons.errors import InputError
+from comparisons.experiments.reproduction.contract import (
+    Claim,
+    Experiment,
+    Sources,
+    at_least,
+    at_most,
+)
+from comparisons.experiments.reproduction.nieto_car_park import (
+    FOLDER,
+    OTHER_PART,
+    off_gps,
+    read_car_park,
+)
+from comparisons.experiments.reproduction.nieto_scan_slam import SIGMAS_2D, ScanMap, scan_map
+from comparisons.extensions.scan_landmarks.figure import place_covariances
+from comparisons.extensions.scan_landmarks.result import in_words, template_rule
+from comparisons.extensions.scan_landmarks.source import LogScans, ScanSlamSource
+from comparisons.logs.log import Log, Poses
+from comparisons.logs.transforms.published_sigmas import SensorSigmas, with_published_sigmas
+from comparisons.pipeline.compare import run_filter
+from comparisons.pipeline.prepare import prepare
+from comparisons.settings import configure, run_options
+from graphslam.scan import planar
+
+LANDMARKS = 6
+"""That the thesis' run incorporated."""
+TURN_S = 90.0
+"""In the turn that begins here the steering reads 0.60 rad, its end: both paths leave GPS by metres
+from here on, until 110 s feature SLAM does not."""
+_JOINED = "with joined segments (ours)"
+
+
+@dataclass(frozen=True)
+class Aligned:
+    """A landmark seen again, in the vehicle's frame. template: (P, 2), scan: (R, 2) [m].
+
+    away_m: (P,) distances of the template's points to the nearest return.
+    """
+
+    template: Array
+    scan: Array
+    away_m: Array
+
+    @property
+    def off_m(self) -> float:
+        """Their median."""
+        return float(np.median(self.away_m))
+
+
+@dataclass(frozen=True, kw_only=True)
+class CarParkRun:
+    """One form of Scan-SLAM.
+
+    templates: the rule, in words. path: (K, 2). path_gps: (G',) distances to GPS at its times.
+    held: the map at the end. first_s: (Q,) when each of its landmarks was seen first. aligned: all
+    measurements used but each landmark's first.
+    """
+
+    templates: str
+    path: Array
+    path_gps: Array
+    held: ScanMap
+    first_s: Array
+    aligned: tuple[Aligned, ...]
+
+    @property
+    def shown(self) -> Aligned:
+        """The alignment that is as good as half of them are."""
+        order = sorted(self.aligned, key=lambda one: one.off_m)
+        if not order:
+            raise InputError("no landmark was seen again")
+        return order[len(order) // 2]
+
+
+@dataclass(frozen=True, kw_only=True)
+class CarParkScans:
+    """Both forms.
+
+    feature_gps: (G',) of feature SLAM. reference: (N, 2) path by it and GPS at scans. image:
+    (M, 2) laser image from there. gps: (G, 2).
+    """
+
+    log: str
+    published: CarParkRun
+    joined: CarParkRun
+    feature_gps: Array
+    reference: Array
+    image: Array
+    gps: Array
+
+
+def car_park_scans(sources: Sources) -> CarParkScans:
+    """Drive the log by reflectors, with GPS, and by both forms of Scan-SLAM. Raises InputError."""
+    folder = sources.folder(FOLDER)
+    if folder is None:
+        raise InputError(f"needs --data FOLDER with {FOLDER}/")
+    return of_log(read_car_park(folder))
+
+
+def of_log(log: Log) -> CarParkScans:
+    """The same of a car park's log. Raises InputError."""
+    if log.positions is None:
+        raise InputError(f"{log.name}: holds no positions")
+    feature, aided = (
+        run_filter(prepare(log, RunConfig(ekf=EkfConfig(gps=gps))))[0].estimate
+        for gps in ("off", "on")
+    )
+    reference, scans = Poses(aided.time_s, aided.pose), LogScans(log)
+    there = reference.at(scans.time_s)
+    published, joined = (_scan_slam(log, reference, scans, o) for o in (_PUBLISHED, {}))
+    rules = f"the thesis': {published.templates}; ours: {joined.templates}"
+    return CarParkScans(
+        log=f"{log.name}, {log.duration_s:.0f} s, another part of the drives than the thesis'; "
+        + rules,
+        published=published,
+        joined=joined,
+        feature_gps=off_gps(log, feature.time_s, feature.pose),
+        reference=there[:, :2],
+        image=np.vstack([scans.scan(k, pose).point for k, pose in enumerate(there)]),
+        gps=log.positions.position_m,
+    )
+
+
+_PUBLISHED = {"preset": "as-published"}
+
+
+def _scan_slam(
+    log: Log, reference: Poses, scans: LogScans, options: Mapping[str, str]
+) -> CarParkRun:
+    config = configure(
+        RunConfig,
+        flags=run_options({"landmarks": "scans", **options}),
+        over={"log": {"source": FOLDER, "format": log.format}},
+    )
+    read = with_published_sigmas(log) if config.log.sigmas == "published" else log
+    run, setup = run_filter(prepare(read, config))
+    source = setup.find(ScanSlamSource)
+    if source is None or run.breakdown is not None:
+        raise InputError(f"{log.name}: {run.breakdown or 'no scan was looked at'}")
+    estimate = run.estimate
+    slots = np.asarray(estimate.oriented_id, dtype=np.intp)
+    true = reference.at(estimate.time_s[run.oriented.pose])
+    covariance = place_covariances(estimate)
+    first = np.unique(run.oriented.landmark, return_index=True)[1][slots]
+    return CarParkRun(
+        templates=in_words(template_rule(source.options)),
+        path=estimate.pose[:, :2],
+        path_gps=off_gps(log, estimate.time_s, estimate.pose),
+        held=scan_map(source.found, run, true, slots, estimate.oriented, covariance),
+        first_s=estimate.time_s[run.oriented.pose[first]],
+        aligned=_aligned(run, scans, source),
+    )
+
+
+def _aligned(run: EkfRun, scans: LogScans, source: ScanSlamSource) -> tuple[Aligned, ...]:
+    seen, found = run.oriented, []
+    number = np.searchsorted(scans.time_s, run.estimate.time_s[seen.pose])
+    first = np.unique(seen.landmark, return_index=True)[1]
+    for row in np.setdiff1d(np.arange(len(seen.landmark)), first).tolist():
+        points = source.found.template[int(seen.landmark[row])].shape.mean
+        template = planar.moved(seen.measured[row], points)
+        scan = scans.scan(int(number[row]), np.zeros(3)).point
+        found.append(Aligned(template, scan, cKDTree(scan).query(template)[0]))
+    return tuple(found)
+
+
+def claims_5_10(found: CarParkScans) -> list[Claim]:
+    """How many landmarks, and how far the paths are from GPS."""
+    count = len(found.published.held.slot)
+    thesis, ours, feature = (
+        float(np.median(away))
+        for away in (found.published.path_gps, found.joined.path_gps, found.feature_gps)
+    )
+    why = (
+        f"{OTHER_PART}: from GPS {thesis:.2f} m, joined {ours:.2f} m, feature SLAM {feature:.2f} m"
+    )
+    return [
+        at_most(
+            "six landmarks are incorporated (difference from six)",
+            abs(count - LANDMARKS),
+            0,
+            why=f"{OTHER_PART}: {count} landmarks",
+        ),
+        at_least(
+            "the results are not as accurate as those of feature-based SLAM (median distance from "
+            "GPS over that of feature SLAM)",
+            thesis / feature,
+            1.0,
+            why=why,
+        ),
+        at_least(
+            f"so they are not {_JOINED} (the same)",
+            ours / feature,
+            1.0,
+            why=why,
+        ),
+        at_most(
+            "more information in the templates improves them (the same distance, joined segments, "
+            "ours, over the thesis' form)",
+            ours / thesis,
+            1.0,
+            why=why,
+        ),
+    ]
+
+
+def claims_5_11(found: CarParkScans) -> list[Claim]:
+    """Whether the landmarks are as well known as the filter says."""
+    return [
+        _consistent("the landmark covariances are consistent with the errors", found.published),
+        _consistent(f"so they are {_JOINED}", found.joined),
+    ]
+
+
+def _consistent(text: str, run: CarParkRun) -> Claim:
+    held, early = run.held, run.first_s < TURN_S
+    share = float(np.mean(held.within)) if len(held.slot) else float("nan")
+    sigma = np.sqrt(np.trace(held.covariance, axis1=1, axis2=2) / 2.0)
+    return at_least(
+        f"{text} (share of landmarks within 3 sigma of where SLAM with GPS saw them first)",
+        share,
+        SIGMAS_2D,
+        why=f"{OTHER_PART}: {np.count_nonzero(held.within)} of {len(held.slot)} landmarks, off by "
+        f"{held.rms_m:.2f} m (RMS) with a sigma of {np.sqrt(np.mean(sigma**2)):.2f} m; of those "
+        f"first seen before {TURN_S:.0f} s, when a turn begins in which the steering reading "
+        f"saturates, {np.count_nonzero(held.within[early])} of {np.count_nonzero(early)}",
+    )
+
+
+def claims_5_12(found: CarParkScans) -> list[Claim]:
+    """Where a template's points come to lie."""
+    return [
+        _on_the_scan("the alignment lays the template on the scan", found.published),
+        _on_the_scan(
+            f"so it does {_JOINED}",
+            found.joined,
+            "; half of a joined template need be in view",
+        ),
+    ]
+
+
+def _on_the_scan(text: str, run: CarParkRun, besides: str = "") -> Claim:
+    off, limit_m = [one.off_m for one in run.aligned], SensorSigmas().range_m
+    near = np.median([np.mean(one.away_m <= limit_m) for one in run.aligned])
+    return at_most(
+        f"{text} (median distance of its points to the nearest return, median of all "
+        "measurements used; limit: Table A.1's sigma of range)",
+        float(np.median(off)) if off else float("nan"),
+        limit_m,
+        "m",
+        why=f"{OTHER_PART}: {len(off)} measurements, {near:.0%} of the points have a return within "
+        f"the limit (median){besides}",
+    )
+
+
+EXPERIMENT = Experiment("the car park, Scan-SLAM", car_park_scans, FOLDER)
