@@ -254,14 +254,18 @@ class Configured(JobConfig):
         found = dict(self.extensions)
         for section in (self.ekf, *self.extensions.values()):
             for name, fields in section.needs().items():
-                kept = found.get(name) or self.by_preset(name)
+                kept = found.get(name) or self._by_preset(name)
                 found[name] = kept.model_copy(update=dict(fields))
         object.__setattr__(self, "extensions", found)
         for extension in found.values():
             extension.check_with(self)
         return self
 
-    def by_preset(self, name: str) -> ExtensionConfig:
+    def settings_of(self, name: str) -> ExtensionConfig:
+        """Return an extension's settings, the preset's where it takes no part."""
+        return self.extensions.get(name) or self._by_preset(name)
+
+    def _by_preset(self, name: str) -> ExtensionConfig:
         """Return an extension's settings where nothing of it is given."""
         given: dict[str, Any] = {"extensions": {name: {}}}
         if self.preset == "as-published":

@@ -61,17 +61,18 @@ def grid_model(config: DenseMapsConfig) -> InverseSensorModel:
 
 def conditions(config: DenseMapsConfig) -> Conditions:
     """Return when three landmarks may define a region (Nieto 2005, section 3.5)."""
+    bounds = config.bounds
     return Conditions(
         least_correlation=config.least_correlation,
-        known_apart_m=config.known_apart_m,
-        longest_edge_m=config.longest_edge_m,
+        known_apart_m=bounds.known_apart_m,
+        longest_edge_m=bounds.longest_edge_m,
         margin=MARGINS[config.flip_test],
     )
 
 
 def build_map(config: DenseMapsConfig, also: Sequence[str] = ()) -> DenseMap:
     """Return an empty map. also: more layers."""
-    size = config.resolution_m
+    size, bounds = config.resolution_m, config.bounds
     made: Mapping[str, Layer] = {
         "points": Points(size),
         "occupancy": OccupancyGrid(size, grid_model(config), coarsening=config.coarsening),
@@ -79,14 +80,14 @@ def build_map(config: DenseMapsConfig, also: Sequence[str] = ()) -> DenseMap:
         "sog": Gaussians(config.d_min_m),
         "values": Values(),
     }
-    waiting = DelayedInitialisation(capacity=config.capacity, patience=config.patience)
+    waiting = DelayedInitialisation(capacity=bounds.capacity, patience=bounds.patience)
     return DenseMap(
         layers={name: made[name] for name in dict.fromkeys((*config.kept_layers, *also))},
         regions=LocalRegions(conditions=conditions(config)),
         waiting=waiting if config.delayed or config.virtual_landmarks else None,
         delayed=config.delayed,
         virtual=config.virtual_landmarks,
-        reach_m=config.reach_m,
+        reach_m=bounds.reach_m,
         dynamic=DynamicLayer(size) if config.detect_motion else None,
         known_m=config.known_m,
     )
@@ -175,7 +176,7 @@ class DenseWatcher:
             raise InputError(
                 f"{log.name}: its scans hold no intensities, which the layer of values is made of"
             )
-        self.options, self._kinds = options if POINT in kinds else options.spread_out(), kinds
+        self.options, self._kinds = options.settled(points=POINT in kinds), kinds
         self._dense = build_map(self.options)
         self._beside: list[GlobalMap] = []
         self._motion, self._relative = motion_model(log), isinstance(log.odometry, RelativePoses)
