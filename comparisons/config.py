@@ -105,6 +105,9 @@ class EkfConfig(Section):
     )
     attributes: Attributes = Field("off", description="diameters and intensities in association")
     gps: Gps = Field("off", description="absolute positions to fuse; half holds every second back")
+    nn_gate: float = Field(
+        13.82, gt=0.0, description="of nearest neighbour association, chi-square of two"
+    )
     least_gain: float | None = Field(
         None,
         ge=0.0,

@@ -6,6 +6,9 @@ import math
 
 from comparisons.documented.row import Documented
 
+_CAR_PARK = {"log.format": ("acfr-car-park",)}
+_OTHERS = {"log.format": (None, "simulated")}
+_FIGURES = "comparisons.experiments.reproduction.nieto_car_park"
 _BY = " (benchmarks/dense_maps.py --only rules)"
 
 ROWS = (
@@ -37,6 +40,7 @@ ROWS = (
         value=math.inf,
         unit="m",
         at="dense_maps.longest_edge_m",
+        defaults=("ekf_reference.dense.conditions:Conditions.longest_edge_m",),
         absent="35 m, 60 m on scan landmarks alone",
         reason="a bound that keeps regions small, with little effect: without it 95 % of the "
         "distances are 0.60 m as with it on scan-loop, 0.65 instead of 0.64 on "
@@ -82,6 +86,7 @@ ROWS = (
         value=0.9,
         named=True,
         at="dense_maps.p_occupied",
+        also=("ekf_reference.dense.sensor_model:InverseSensorModel.p_occupied",),
         reason="with 0.9 one noisy return makes a cell occupied: 95 % of the distances 0.86 m "
         "instead of 0.60 on scan-loop, 0.82 instead of 0.64 on occupancy-loop (p_free 0.3)" + _BY,
     ),
@@ -91,6 +96,7 @@ ROWS = (
         value=0.3,
         named=True,
         at="dense_maps.p_free",
+        also=("ekf_reference.dense.sensor_model:InverseSensorModel.p_free",),
         reason="what stands is often looked past; measured with p_occupied 0.9: median of the "
         "distances 0.29 m instead of 0.23 on scan-loop, 0.29 m instead of 0.24 on "
         "occupancy-loop" + _BY,
@@ -107,6 +113,20 @@ ROWS = (
         value=0.2,
         unit="m",
         at="dense_maps.resolution_m",
+        when=_OTHERS,
+        also=("ekf_reference.dense.layers.grid_update:GridUpdate.resolution_m",),
+    ),
+    Documented(
+        place="N 4.4, Fig. 4.15",
+        what="size of cells of the car park's occupancy grid",
+        value=0.4,
+        unit="m",
+        at="dense_maps.resolution_m",
+        when=_CAR_PARK,
+        reason="runs use section 4.1.3's 0.2 m everywhere, which shows finer shapes: 27,134 cells "
+        "instead of 7,128, 556 of them occupied instead of 287 "
+        "(slamcheck map acfr_car_park --layer occupancy)",
+        also=(f"{_FIGURES}:CELL_M",),
     ),
     Documented(
         place="N 4.1.3, Fig. 4.6",
@@ -145,6 +165,18 @@ ROWS = (
         value=0.2,
         unit="m",
         at="dense_maps.d_min_m",
+        when=_OTHERS,
+    ),
+    Documented(
+        place="N 6.5, Fig. 6.14",
+        what="d_min of the car park's Gaussians",
+        value=0.5,
+        unit="m",
+        at="dense_maps.d_min_m",
+        when=_CAR_PARK,
+        reason="runs use section 4.3.3's 0.2 m everywhere, which shows finer shapes: 1,458 "
+        "Gaussians instead of 412 (slamcheck map acfr_car_park --layer sog)",
+        also=(f"{_FIGURES}:COARSE_M",),
     ),
     Documented(
         place="N 4.3.3, eq. 4.18",

@@ -92,7 +92,7 @@ def _by_name(at: str, value: float) -> str:
 
 def undocumented() -> list[tuple[str, float]]:
     """Return numbers of `ekf_reference` that no row is about, with their values."""
-    known = {row.at for row in ROWS} | {one for row in ROWS for one in row.also}
+    known = {row.at for row in ROWS} | {one for row in ROWS for one in (*row.also, *row.defaults)}
     found = []
     for info in pkgutil.walk_packages(ekf_reference.__path__, "ekf_reference."):
         module = import_module(info.name)

@@ -24,8 +24,9 @@ class Documented:
     document's value; or code, as `package.module:Class.field` or `package.module:function().name`.
     when: settings, each with the values under which the preset sets this one. reason: why runs use
     another value, with the measured figure; empty exactly where they use the document's. absent:
-    what runs use where the setting is absent, in words, exactly where it may be. also: further code
-    that has the document's value. named: the document names the constant and gives no number; the
+    what runs use where the setting is absent, in words, exactly where it may be. defaults: code
+    with a default of the same constant, which runs replace. also: further code that has the
+    document's value. named: the document names the constant and gives no number; the
     value is a usual one, and what the preset sets.
     """
 
@@ -37,6 +38,7 @@ class Documented:
     when: Mapping[str, tuple[Value, ...]] = field(default_factory=dict)
     reason: str = ""
     absent: str = ""
+    defaults: tuple[str, ...] = ()
     also: tuple[str, ...] = ()
     named: bool = False
 

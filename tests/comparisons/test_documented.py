@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from comparisons.adapters.ekf_factory import build_association
 from comparisons.config import RunConfig
 from comparisons.documented.page import markdown, undocumented
 from comparisons.documented.preset import SETTINGS, applies, differing, read
@@ -15,9 +16,11 @@ from comparisons.documented.row import Documented, in_code, same, setting_defaul
 from comparisons.documented.rows import ROWS
 from comparisons.errors import InputError
 from comparisons.extensions.registry import EXTENSIONS
+from comparisons.logs.bundled import open_log
 from comparisons.logs.transforms.published_sigmas import FORMATS
 from comparisons.report.settings import settings_result, settings_rows
 from comparisons.settings import configure, run_config, run_options
+from ekf_reference.association.nearest_neighbour import NearestNeighbour
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "settings.md"
 
@@ -98,6 +101,16 @@ def _there(row: Documented, config: dict[str, object]) -> bool:
     return section not in EXTENSIONS or section in config["extensions"]  # type: ignore[operator]
 
 
+def test_the_gate_reaches_the_association() -> None:
+    log = open_log("simulated-loop")
+    for preset, gate in (("recommended", NearestNeighbour.gate), ("as-published", 5.991464547)):
+        config = run_config(preset=preset, association="nn").ekf
+        rule = build_association(log, config)
+        assert isinstance(rule, NearestNeighbour)
+        assert rule.gate == pytest.approx(gate)
+    assert setting_default("ekf.nn_gate") == NearestNeighbour.gate
+
+
 def test_what_is_given_lies_over_the_preset() -> None:
     config = configure(
         RunConfig,
@@ -160,7 +173,8 @@ def test_a_result_says_which_settings_are_not_the_documents() -> None:
     assert '"document": "Infinity"' in written  # of the longest edge, which JSON cannot hold
     theirs = settings_result(published_run(dense=["points"]))
     assert settings_rows(theirs)[0].text == "as-published; no setting differs from a document's"
-    assert settings_rows(settings_result(run_config())) == []
+    assert settings_rows(settings_result(run_config(association="known"))) == []
+    assert "ekf.nn_gate" in settings_rows(settings_result(run_config(association="nn")))[0].text
 
 
 def test_what_depends_on_the_format_of_the_log(tmp_path: Path) -> None:
@@ -174,5 +188,6 @@ def test_what_depends_on_the_format_of_the_log(tmp_path: Path) -> None:
     )
     assert (found.log.sigmas, found.log.format) == ("published", None)
     assert published_run().log.sigmas == "calibrated"
-    named = [one.setting for one in settings_result(run_config(), "acfr-car-park").differing]
+    ours = settings_result(run_config(association="known"), "acfr-car-park")
+    named = [one.setting for one in ours.differing]
     assert named == ["log.sigmas"]

@@ -18,11 +18,6 @@ from comparisons.adapters.motion import motion_between
 from comparisons.arrays import Array
 from comparisons.checks.accuracy import match_by_distance
 from comparisons.config import EkfConfig, MapConfig
-from comparisons.documented.nieto_slam import (
-    CAR_PARK_CELL_M,
-    CAR_PARK_COARSE_M,
-    CAR_PARK_PAIR_M,
-)
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import landmark_blocks
 from comparisons.experiments.reproduction.contract import (
@@ -51,7 +46,8 @@ from ekf_reference.scan_landmarks.high_level import (
 from graphslam.increments import dead_reckoned
 
 FOLDER = "acfr_car_park"
-CELL_M, COARSE_M, PAIR_M = CAR_PARK_CELL_M, CAR_PARK_COARSE_M, CAR_PARK_PAIR_M
+CELL_M, COARSE_M, PAIR_M = 0.4, 0.5, 7.0
+"""Cells of Fig. 4.15; cells, and greatest distance of two corners, in section 6.5."""
 HIGH_LEVEL_COUNT = 9
 """High level landmarks in Fig. 6.18."""
 ERROR_BEFORE_M = 3.0

@@ -25,7 +25,7 @@ from ekf_reference.core.landmark_types import POINT, POSE
 from ekf_reference.dense.conditions import Conditions, ellipse_margin, flip_margin
 from ekf_reference.dense.delayed_initialisation import DelayedInitialisation
 from ekf_reference.dense.dense_map import DenseMap
-from ekf_reference.dense.dynamic import Counters, DynamicLayer
+from ekf_reference.dense.dynamic import Counters, Differencing, DynamicLayer
 from ekf_reference.dense.layers.gaussians import Gaussians
 from ekf_reference.dense.layers.layer import Layer, Samples
 from ekf_reference.dense.layers.occupancy import OccupancyGrid
@@ -70,8 +70,10 @@ def conditions(config: DenseMapsConfig) -> Conditions:
     )
 
 
-def build_map(config: DenseMapsConfig, also: Sequence[str] = ()) -> DenseMap:
-    """Return an empty map. also: more layers."""
+def build_map(
+    config: DenseMapsConfig, also: Sequence[str] = (), rule: Differencing | None = None
+) -> DenseMap:
+    """Return an empty map. also: more layers. rule: of what moves."""
     size, bounds = config.resolution_m, config.bounds
     made: Mapping[str, Layer] = {
         "points": Points(size),
@@ -88,7 +90,7 @@ def build_map(config: DenseMapsConfig, also: Sequence[str] = ()) -> DenseMap:
         delayed=config.delayed,
         virtual=config.virtual_landmarks,
         reach_m=bounds.reach_m,
-        dynamic=DynamicLayer(size) if config.detect_motion else None,
+        dynamic=DynamicLayer(size, rule or Differencing()) if config.detect_motion else None,
         known_m=config.known_m,
     )
 
@@ -176,11 +178,13 @@ class DenseWatcher:
             raise InputError(
                 f"{log.name}: its scans hold no intensities, which the layer of values is made of"
             )
+        self._next = 0
         self.options, self._kinds = options.settled(points=POINT in kinds), kinds
-        self._dense = build_map(self.options)
+        self._also: tuple[str, ...] = ()
+        self._rule = Differencing()
+        self._dense = self._empty()
         self._beside: list[GlobalMap] = []
         self._motion, self._relative = motion_model(log), isinstance(log.odometry, RelativePoses)
-        self._next = 0
         self._pose: list[Array] = []
         self._before: BeforeClosing | None = None
         self._moved_most = 0.0
@@ -189,9 +193,18 @@ class DenseWatcher:
 
     def keep_also(self, layers: Sequence[str]) -> None:
         """Keep more layers, for whoever needs them. Raises ValueError once the map is not empty."""
+        self._also = (*self._also, *layers)
+        self._dense = self._empty()
+
+    def difference_by(self, rule: Differencing) -> None:
+        """Find what moves by another rule. Raises ValueError once the map is not empty."""
+        self._rule = rule
+        self._dense = self._empty()
+
+    def _empty(self) -> DenseMap:
         if self._next:
             raise ValueError("the map has taken in scans")
-        self._dense = build_map(self.options, layers)
+        return build_map(self.options, self._also, self._rule)
 
     def feed(self, other: GlobalMap) -> None:
         """Give the same scans from the same poses to another map as well."""

@@ -65,7 +65,7 @@ class HighLevelOptions:
     def kept(self) -> DenseMapsConfig:
         """The dense map that is searched."""
         own = {"layers": SEARCHED, "resolution_m": self.resolution_m, "d_min_m": self.d_min_m}
-        return self.dense.settled().model_copy(update=BARE | own)
+        return self.dense.settled().model_copy(update={**BARE, **own})
 
     def served_by(self, options: DenseMapsConfig) -> bool:
         """Whether a map with these options has the cells that are searched."""
