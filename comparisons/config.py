@@ -224,8 +224,8 @@ class JobConfig(Section):
     job: str
     preset: Preset = Field(
         "recommended",
-        description="what settings are where none is given; as-published: every constant that a "
-        "document states (docs/settings.md)",
+        description="what settings are where none is given; as-published: at a document's value "
+        "where it states one (docs/settings.md)",
     )
     log: LogSection = LogSection()
 

@@ -6,8 +6,8 @@ import math
 
 from comparisons.documented.row import Documented
 
-_CAR_PARK = {"log.format": ("acfr-car-park",)}
-_OTHERS = {"log.format": (None, "simulated")}
+CAR_PARK = {"log.format": ("acfr-car-park",)}
+OTHERS = {"log.format": (None, "simulated")}
 _FIGURES = "comparisons.experiments.reproduction.nieto_car_park"
 _BY = " (benchmarks/dense_maps.py --only rules)"
 
@@ -113,7 +113,7 @@ ROWS = (
         value=0.2,
         unit="m",
         at="dense_maps.resolution_m",
-        when=_OTHERS,
+        when=OTHERS,
         also=("ekf_reference.dense.layers.grid_update:GridUpdate.resolution_m",),
     ),
     Documented(
@@ -122,7 +122,7 @@ ROWS = (
         value=0.4,
         unit="m",
         at="dense_maps.resolution_m",
-        when=_CAR_PARK,
+        when=CAR_PARK,
         reason="runs use section 4.1.3's 0.2 m everywhere, which shows finer shapes: 27,134 cells "
         "instead of 7,128, 556 of them occupied instead of 287 "
         "(slamcheck map acfr_car_park --layer occupancy)",
@@ -165,7 +165,7 @@ ROWS = (
         value=0.2,
         unit="m",
         at="dense_maps.d_min_m",
-        when=_OTHERS,
+        when=OTHERS,
     ),
     Documented(
         place="N 6.5, Fig. 6.14",
@@ -173,7 +173,7 @@ ROWS = (
         value=0.5,
         unit="m",
         at="dense_maps.d_min_m",
-        when=_CAR_PARK,
+        when=CAR_PARK,
         reason="runs use section 4.3.3's 0.2 m everywhere, which shows finer shapes: 1,458 "
         "Gaussians instead of 412 (slamcheck map acfr_car_park --layer sog)",
         also=(f"{_FIGURES}:COARSE_M",),

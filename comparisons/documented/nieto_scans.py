@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 
+from comparisons.documented.nieto_dense import CAR_PARK, OTHERS
 from comparisons.documented.row import Documented
 
 _EXTRACTION = "ekf_reference.scan_landmarks.template_extraction"
@@ -16,8 +17,6 @@ _FIGURES = "comparisons.experiments.reproduction.nieto_car_park"
 _TRIAL = "ekf_reference.scan_landmarks.template_extraction:TRIAL"
 _SEGMENTS = "ekf_reference.scan_landmarks.segmentation:SegmentationOptions"
 _SEARCH = "ekf_reference.scan_landmarks.high_level:SearchOptions"
-_CAR_PARK = {"log.format": ("acfr-car-park",)}
-_OTHERS = {"log.format": (None, "simulated")}
 
 _TEMPLATES = (
     Documented(
@@ -186,7 +185,7 @@ _HIGH_LEVEL = (
         value=12.0,
         unit="m",
         at="high_level.pair_m",
-        when=_OTHERS,
+        when=OTHERS,
         defaults=(f"{_SEARCH}.pair_m",),
     ),
     Documented(
@@ -209,7 +208,7 @@ _HIGH_LEVEL = (
         value=0.2,
         unit="m",
         at="high_level.cell_m",
-        when=_OTHERS,
+        when=OTHERS,
         defaults=(f"{_SEARCH}.cell_m",),
     ),
     Documented(
@@ -218,7 +217,7 @@ _HIGH_LEVEL = (
         value=7.0,
         unit="m",
         at="high_level.pair_m",
-        when=_CAR_PARK,
+        when=CAR_PARK,
         also=(f"{_FIGURES}:PAIR_M",),
         reason=_SPARSE,
     ),
@@ -228,7 +227,7 @@ _HIGH_LEVEL = (
         value=0.5,
         unit="m",
         at="high_level.cell_m",
-        when=_CAR_PARK,
+        when=CAR_PARK,
         also=(f"{_FIGURES}:COARSE_M",),
         reason=_SPARSE,
     ),

@@ -53,8 +53,11 @@ class DynamicFinding(Finding):
         self.remarks = [found if count else "nothing was seen to move"]
         moves = watcher.moves
         if moves.compared <= moves.deformed:
-            self.remarks.append(
-                f"whether anything moves is hardly known: of {moves.compared + moves.deformed} "
-                f"pairs of maps {moves.deformed} could not be compared, since their region had "
-                "changed its shape; it takes three landmarks that stand still"
+            pairs = moves.compared + moves.deformed
+            why = (
+                f"of {pairs} pairs of maps {moves.deformed} could not be compared, since their "
+                "region had changed its shape; it takes three landmarks that stand still"
+                if pairs
+                else "no region had two maps to compare; it takes three landmarks that make one"
             )
+            self.remarks.append(f"whether anything moves is hardly known: {why}")
