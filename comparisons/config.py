@@ -105,6 +105,9 @@ class EkfConfig(Section):
     )
     attributes: Attributes = Field("off", description="diameters and intensities in association")
     gps: Gps = Field("off", description="absolute positions to fuse; half holds every second back")
+    nn_gate: float = Field(
+        13.82, gt=0.0, description="of nearest neighbour association, chi-square of two"
+    )
     least_gain: float | None = Field(
         None,
         ge=0.0,
@@ -221,8 +224,8 @@ class JobConfig(Section):
     job: str
     preset: Preset = Field(
         "recommended",
-        description="what settings are where none is given; as-published: every constant that a "
-        "document states (docs/settings.md)",
+        description="what settings are where none is given; as-published: at a document's value "
+        "where it states one (docs/settings.md)",
     )
     log: LogSection = LogSection()
 
@@ -254,14 +257,18 @@ class Configured(JobConfig):
         found = dict(self.extensions)
         for section in (self.ekf, *self.extensions.values()):
             for name, fields in section.needs().items():
-                kept = found.get(name) or self.by_preset(name)
+                kept = found.get(name) or self._by_preset(name)
                 found[name] = kept.model_copy(update=dict(fields))
         object.__setattr__(self, "extensions", found)
         for extension in found.values():
             extension.check_with(self)
         return self
 
-    def by_preset(self, name: str) -> ExtensionConfig:
+    def settings_of(self, name: str) -> ExtensionConfig:
+        """Return an extension's settings, the preset's where it takes no part."""
+        return self.extensions.get(name) or self._by_preset(name)
+
+    def _by_preset(self, name: str) -> ExtensionConfig:
         """Return an extension's settings where nothing of it is given."""
         given: dict[str, Any] = {"extensions": {name: {}}}
         if self.preset == "as-published":

@@ -75,8 +75,8 @@ class Flag:
 # fmt: off
 PRESET = Flag(
     option="--preset", field="preset", choices=choices.Preset,
-    help="Settings where none is given: ours, or every constant as the documents state it "
-    "(docs/settings.md). [recommended]",
+    help="Settings where none is given: ours, or those that a document states at its values "
+    "(docs/settings.md); over a file, what was set beside its preset stays. [recommended]",
 )
 LOG = (
     PRESET,

@@ -37,7 +37,8 @@ def configure(
         _check_sections(job, given, source)
     recorded = dict(found.get("log", {})) if "log" in job.model_fields else {}
     found = merge(found, over or {})
-    if any(flag is PRESET for flag, _ in flags):  # over a file, which may hold every setting
+    named = {setting.partition("=")[0].strip() for setting in settings}
+    if "preset" in named or any(flag is PRESET for flag, _ in flags):  # over a file with them all
         from comparisons.documented.preset import without_documented
 
         found = without_documented(found)

@@ -195,7 +195,7 @@ def build_association(
         gate = NO_GATE if choices.filter == "misono" else log.sightings.label_gate
         rule = KnownAssociation(gate, first_slot=len(slot_of))
     else:
-        rule = _rule(choices.association, told, log)
+        rule = _rule(choices, told, log)
         if log.sightings.needs_confirmation:
             from ekf_reference.association.landmark_initiation import LandmarkInitiation
 
@@ -206,8 +206,9 @@ def build_association(
     return rule if memory is None else RememberedAttributes(rule, memory)
 
 
-def _rule(name: str | None, attributes: Attributes, log: Log) -> Association:
+def _rule(choices: EkfConfig, attributes: Attributes, log: Log) -> Association:
     """A rule that needs no labels, by name."""
+    name = choices.association
     if name == "jcbb":
         from ekf_reference.association.joint_compatibility import JointCompatibility
 
@@ -218,4 +219,4 @@ def _rule(name: str | None, attributes: Attributes, log: Log) -> Association:
         return ConsensusAssociation()
     if name == "euclidean":
         return EuclideanNeighbour(max(EuclideanNeighbour.d_min_m, WIDER * longest_sample_m(log)))
-    return NearestNeighbour(attributes=attributes)
+    return NearestNeighbour(choices.nn_gate, attributes=attributes)

@@ -57,7 +57,7 @@ ROWS = (
     ),
     Documented(
         place="G 5, Fig. 6",
-        what="the same, of Victoria Park's log",
+        what="accuracy of the positions in Victoria Park's log",
         value=0.1,
         unit="m",
         at="comparisons.logs.readers.victoria_park:SIGMA_GPS_M",

@@ -29,7 +29,7 @@ ROWS = (
     ),
     Documented(
         place="M 3.3",
-        what="gate beyond which a measurement is rejected: none (`misono`; other filters have one)",
+        what="gate beyond which a measurement is rejected (`misono`; other filters have one)",
         value=float("inf"),
         at="comparisons.adapters.ekf_factory:NO_GATE",
     ),
@@ -39,6 +39,7 @@ ROWS = (
         value="euclidean",
         at="ekf.association",
         when={"ekf.filter": ("misono", "misono-full")},
+        absent="the log's labels, else nearest neighbour",
         reason="labels are taken where the log has them, so that filter and smoother are compared "
         "by their algebra and not by mistaken landmarks; by eq. 17 without GPS the published "
         "filter errs by 0.61 m, with labels and GPS by 0.48 m (median of 10 drives, "

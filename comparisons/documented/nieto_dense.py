@@ -6,6 +6,9 @@ import math
 
 from comparisons.documented.row import Documented
 
+CAR_PARK = {"log.format": ("acfr-car-park",)}
+OTHERS = {"log.format": (None, "simulated")}
+_FIGURES = "comparisons.experiments.reproduction.nieto_car_park"
 _BY = " (benchmarks/dense_maps.py --only rules)"
 
 ROWS = (
@@ -23,6 +26,7 @@ ROWS = (
         value=0.0,
         unit="m",
         at="dense_maps.known_apart_m",
+        absent="0.5 m, 1.5 m on scan landmarks alone",
         also=("ekf_reference.dense.conditions:Conditions.known_apart_m",),
         reason="0 leaves 61 % of the returns of scan-loop (6 drives of one loop) without a region "
         "instead of 31 %, 53 % instead of 29 % on occupancy-loop (8), and the map is no "
@@ -32,10 +36,12 @@ ROWS = (
     ),
     Documented(
         place="N 3.5",
-        what="longest edge of a region (its three conditions have none)",
+        what="longest edge of a region (none in its three conditions)",
         value=math.inf,
         unit="m",
         at="dense_maps.longest_edge_m",
+        defaults=("ekf_reference.dense.conditions:Conditions.longest_edge_m",),
+        absent="35 m, 60 m on scan landmarks alone",
         reason="a bound that keeps regions small, with little effect: without it 95 % of the "
         "distances are 0.60 m as with it on scan-loop, 0.65 instead of 0.64 on "
         "occupancy-loop, and 29 and 29 % of the returns in no region, with it 31 and 29 %" + _BY,
@@ -69,7 +75,7 @@ ROWS = (
         what="regions with a virtual corner (3.5.1) in the simulations",
         value=False,
         at="dense_maps.virtual_landmarks",
-        when={"log.source": ("scan-loop", "occupancy-loop")},
+        when={"log.source": ("scan-loop", "scan-loop-fine", "scan-loop-3d", "occupancy-loop")},
         reason="without them 82 % of the returns of scan-loop are in no region instead of 31 %, "
         "63 % instead of 29 % on occupancy-loop; distances are alike (95 %: 0.58 m instead of "
         "0.60, 0.63 instead of 0.64)" + _BY,
@@ -80,6 +86,7 @@ ROWS = (
         value=0.9,
         named=True,
         at="dense_maps.p_occupied",
+        also=("ekf_reference.dense.sensor_model:InverseSensorModel.p_occupied",),
         reason="with 0.9 one noisy return makes a cell occupied: 95 % of the distances 0.86 m "
         "instead of 0.60 on scan-loop, 0.82 instead of 0.64 on occupancy-loop (p_free 0.3)" + _BY,
     ),
@@ -89,6 +96,7 @@ ROWS = (
         value=0.3,
         named=True,
         at="dense_maps.p_free",
+        also=("ekf_reference.dense.sensor_model:InverseSensorModel.p_free",),
         reason="what stands is often looked past; measured with p_occupied 0.9: median of the "
         "distances 0.29 m instead of 0.23 on scan-loop, 0.29 m instead of 0.24 on "
         "occupancy-loop" + _BY,
@@ -105,6 +113,20 @@ ROWS = (
         value=0.2,
         unit="m",
         at="dense_maps.resolution_m",
+        when=OTHERS,
+        also=("ekf_reference.dense.layers.grid_update:GridUpdate.resolution_m",),
+    ),
+    Documented(
+        place="N 4.4, Fig. 4.15",
+        what="size of cells of the car park's occupancy grid",
+        value=0.4,
+        unit="m",
+        at="dense_maps.resolution_m",
+        when=CAR_PARK,
+        reason="runs use section 4.1.3's 0.2 m everywhere, which shows finer shapes: 27,134 cells "
+        "instead of 7,128, 556 of them occupied instead of 287 "
+        "(slamcheck map acfr_car_park --layer occupancy)",
+        also=(f"{_FIGURES}:CELL_M",),
     ),
     Documented(
         place="N 4.1.3, Fig. 4.6",
@@ -143,6 +165,18 @@ ROWS = (
         value=0.2,
         unit="m",
         at="dense_maps.d_min_m",
+        when=OTHERS,
+    ),
+    Documented(
+        place="N 6.5, Fig. 6.14",
+        what="d_min of the car park's Gaussians",
+        value=0.5,
+        unit="m",
+        at="dense_maps.d_min_m",
+        when=CAR_PARK,
+        reason="runs use section 4.3.3's 0.2 m everywhere, which shows finer shapes: 1,458 "
+        "Gaussians instead of 412 (slamcheck map acfr_car_park --layer sog)",
+        also=(f"{_FIGURES}:COARSE_M",),
     ),
     Documented(
         place="N 4.3.3, eq. 4.18",

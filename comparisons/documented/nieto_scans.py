@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import math
 
+from comparisons.documented.nieto_dense import CAR_PARK, OTHERS
 from comparisons.documented.row import Documented
 
+_EXTRACTION = "ekf_reference.scan_landmarks.template_extraction"
+_SLAM = "ekf_reference.scan_landmarks.scan_slam"
+_FIGURES = "comparisons.experiments.reproduction.nieto_car_park"
 _TRIAL = "ekf_reference.scan_landmarks.template_extraction:TRIAL"
 _SEGMENTS = "ekf_reference.scan_landmarks.segmentation:SegmentationOptions"
 _SEARCH = "ekf_reference.scan_landmarks.high_level:SearchOptions"
-_CAR_PARK = {"log.format": ("acfr-car-park",)}
-_OTHERS = {"log.format": (None,)}
 
 _TEMPLATES = (
     Documented(
@@ -22,6 +24,7 @@ _TEMPLATES = (
         what="what becomes one landmark: each segment of a scan",
         value="single",
         at="scan_landmarks.pieces",
+        absent="joined (all segments of a scan), single under a dense map",
         reason="a segment alone tells too little: by all settings of the thesis 11 or 12 "
         "landmarks a drive, a path 0.94 as wrong as odometry's (median of seeds 0 to 2 of"
         " scan-slam) and one loop of three closed; joined 0.08 and all three. On the car "
@@ -32,8 +35,10 @@ _TEMPLATES = (
         what="least returns of a segment",
         value=100,
         at="scan_landmarks.least_returns",
-        reason="4 segments have 100 in the first 60 s of Table 5.1's drive, seed 0; joined, 100 "
-        "returns for 50 give an ATE of 0.43 m for 0.34",
+        defaults=(f"{_SEGMENTS}.least_points", f"{_EXTRACTION}:JoinedSegments.least"),
+        absent="50 joined, 15 single",
+        reason="4 segments have 100 in the first 60 s of Table 5.1's drive, seed 0; joined, the "
+        "ATE is 0.43 m with 100 returns instead of 0.34 with 50",
     ),
     Documented(
         place="N 5.7",
@@ -54,15 +59,18 @@ _TEMPLATES = (
         what="scans from one whose segments are tried to the next: each new frame",
         value=1,
         at="scan_landmarks.every",
-        reason="a landmark in each scan is one too many: joined, 56 for 43 and an ATE of 0.75 m "
-        "for 0.34 (the first 60 s of Table 5.1's drive, seed 0)",
+        defaults=(f"{_EXTRACTION}:JoinedSegments.every", f"{_EXTRACTION}:SingleSegments.every"),
+        absent="5 joined, 2 single",
+        reason="a landmark in each scan is one too many: joined, 56 instead of 43 and an ATE of "
+        "0.75 m instead of 0.34 (the first 60 s of Table 5.1's drive, seed 0)",
     ),
     Documented(
         place="N 5.2.2",
         what="segments of a scan that are tried (0: each)",
         value=0,
         at="scan_landmarks.tried",
-        reason="for time alone: single, the same 26 landmarks with all tried (the first 60 s of "
+        defaults=(f"{_EXTRACTION}:SingleSegments.tried",),
+        reason="to save time: single, the same 26 landmarks with all tried (the first 60 s of "
         "Table 5.1's drive, seed 0)",
     ),
     Documented(
@@ -70,9 +78,10 @@ _TEMPLATES = (
         what="displaced copies that a segment is tried with",
         value=1,
         at="scan_landmarks.trials",
+        defaults=(f"{_SEGMENTS}.trials",),
         reason="the worse of 2 is asked for, so that one lucky displacement lets nothing in; "
-        "joined it rejects 4 as 1 does (the first 60 s of Table 5.1's drive, seed 0: ATE "
-        "0.20 m with 1, 0.34 with 2, which one drive cannot tell apart)",
+        "joined, 4 scans are rejected with 2 as with 1 (the first 60 s of Table 5.1's drive, "
+        "seed 0: ATE 0.20 m with 1, 0.34 with 2, which one drive cannot tell apart)",
     ),
     Documented(
         place="N 5.2.2",
@@ -85,19 +94,20 @@ _TEMPLATES = (
         what="greatest error of a trial's alignment over its displacement",
         value=0.1,
         at="scan_landmarks.residual",
-        reason="joined it decides nothing, 4 rejected by 0.15 and by 0.1; single, 40 for 27 and "
-        "an ATE of 1.42 m for 2.02, in one drive: the thesis' may be the better one there"
-        " (the first 60 s of Table 5.1's drive, seed 0)",
+        defaults=(f"{_SEGMENTS}.residual",),
+        reason="joined it decides nothing, 4 rejected by 0.15 and by 0.1; single, 0.1 rejects 40 "
+        "instead of 27 with an ATE of 1.42 m instead of 2.02, in one drive: the thesis' may be "
+        "the better one there (the first 60 s of Table 5.1's drive, seed 0)",
     ),
     Documented(
         place="N 5.7",
         what="directions that a segment may leave open: the error is that of the whole pose",
         value=0,
         at="scan_landmarks.open_directions",
-        reason="a wall tells two directions, which its R keeps; joined it decides nothing, 4 "
-        "rejected by both; single, 77 for 27 and an ATE of 1.64 m for 2.02, in one drive:"
-        " the thesis' may be the better one there (the first 60 s of Table 5.1's drive, "
-        "seed 0)",
+        reason="a wall alone tells its distance and its heading, and R says that it tells no more; "
+        "joined it decides nothing, 4 rejected by both; single, 0 rejects 77 instead of 27 with an "
+        "ATE of 1.64 m instead of 2.02, in one drive: the thesis' may be the better one there (the "
+        "first 60 s of Table 5.1's drive, seed 0)",
     ),
 )
 _OBSERVATION = (
@@ -106,8 +116,14 @@ _OBSERVATION = (
         what="share of a template that must be in view",
         value=0.9,
         at="scan_landmarks.in_view",
-        reason="the view changes sooner than one object's: joined, 0.9 for 0.5 gives 56 "
-        "landmarks for 43 and an ATE of 0.51 m for 0.34 (the first 60 s of Table 5.1's "
+        defaults=(
+            f"{_EXTRACTION}:JoinedSegments.share",
+            f"{_EXTRACTION}:SingleSegments.share",
+            "ekf_reference.scan_landmarks.templates:View.share",
+        ),
+        absent="0.5 joined, 0.9 single",
+        reason="the view changes sooner than one object's: joined, 0.9 gives 56 "
+        "landmarks and an ATE of 0.51 m, 0.5 gives 43 and 0.34 m (the first 60 s of Table 5.1's "
         "drive, seed 0)",
     ),
     Documented(
@@ -121,16 +137,18 @@ _OBSERVATION = (
         what="templates in view that a scan is aligned with (0: all)",
         value=0,
         at="scan_landmarks.aligned",
-        reason="for time alone: joined, 1,180 measurements for 1,179 (the first 60 s of Table "
-        "5.1's drive, seed 0)",
+        defaults=(f"{_SLAM}:ScanSlamOptions.aligned",),
+        reason="to save time: joined, all give 1,180 measurements, 5 give 1,179 (the first 60 s "
+        "of Table 5.1's drive, seed 0)",
     ),
     Documented(
         place="N 5.5, with 2.4",
         what="gate of an alignment: chi-square of three at 95 %, section 2.4's example",
         value=7.815,
         at="scan_landmarks.gate",
-        reason="99 %, as 95 % rejects good ones: 27 for 10 of 1,200, with an ATE of 0.34 m in "
-        "both (the first 60 s of Table 5.1's drive, seed 0)",
+        defaults=(f"{_SLAM}:ScanSlamOptions.gate", f"{_SLAM}:GATE"),
+        reason="99 %, as 95 % rejects good ones: 27 of 1,200 instead of 10, with an ATE of 0.34 m "
+        "in both (the first 60 s of Table 5.1's drive, seed 0)",
     ),
     Documented(
         place="N 5.3.1, Fig. 5.6",
@@ -145,6 +163,10 @@ _OBSERVATION = (
         at="ekf_reference.scan_matching.alignment_covariance:LEAST_SAMPLES",
     ),
 )
+_SPARSE = (
+    "runs use section 6.1.3's everywhere; with this section's 7 m and 0.5 m no landmark of the car "
+    "park has 200 Gaussians; where 20 are enough 5 are found, and 2 are kept"
+)
 _HIGH_LEVEL = (
     Documented(
         place="N 6.1.3",
@@ -152,6 +174,7 @@ _HIGH_LEVEL = (
         value=60.0,
         unit="s",
         at="high_level.every_s",
+        also=("comparisons.experiments.reproduction.nieto_high_level:EVERY_S",),
         reason="a loop of occupancy-loop takes 77 s: every 20 s 8 landmarks are kept in ten drives "
         "of two loops and the vehicle's error falls from 0.741 to 0.732 m; every minute 3 are in "
         "three drives of three loops, and it is 0.006 m larger than without",
@@ -162,7 +185,8 @@ _HIGH_LEVEL = (
         value=12.0,
         unit="m",
         at="high_level.pair_m",
-        when=_OTHERS,
+        when=OTHERS,
+        defaults=(f"{_SEARCH}.pair_m",),
     ),
     Documented(
         place="N 6.1.3",
@@ -176,6 +200,7 @@ _HIGH_LEVEL = (
         what="least Gaussians of a high level landmark",
         value=200,
         at="high_level.least",
+        defaults=(f"{_SEARCH}.least",),
     ),
     Documented(
         place="N 6.1.3, with 4.1.3 and 4.3.2",
@@ -183,7 +208,8 @@ _HIGH_LEVEL = (
         value=0.2,
         unit="m",
         at="high_level.cell_m",
-        when=_OTHERS,
+        when=OTHERS,
+        defaults=(f"{_SEARCH}.cell_m",),
     ),
     Documented(
         place="N 6.5, car park",
@@ -191,9 +217,9 @@ _HIGH_LEVEL = (
         value=7.0,
         unit="m",
         at="high_level.pair_m",
-        when=_CAR_PARK,
-        reason="runs use section 6.1.3's everywhere; with this section's 7 m and 0.5 m the car "
-        "park gives no landmark of 200 Gaussians, and 5 of 20, of which 2 are kept",
+        when=CAR_PARK,
+        also=(f"{_FIGURES}:PAIR_M",),
+        reason=_SPARSE,
     ),
     Documented(
         place="N 6.5, car park",
@@ -201,9 +227,9 @@ _HIGH_LEVEL = (
         value=0.5,
         unit="m",
         at="high_level.cell_m",
-        when=_CAR_PARK,
-        reason="runs use section 6.1.3's everywhere; with this section's 7 m and 0.5 m the car "
-        "park gives no landmark of 200 Gaussians, and 5 of 20, of which 2 are kept",
+        when=CAR_PARK,
+        also=(f"{_FIGURES}:COARSE_M",),
+        reason=_SPARSE,
     ),
     Documented(
         place="N 6.2.1, Fig. 6.7 (c)",

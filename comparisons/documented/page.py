@@ -27,7 +27,8 @@ stands where nothing differs.
 - **document**: the value that G (Guivant 2002), M (Misono 2007) or N (Nieto 2005) states.
 - **runs use**: the value under `--preset recommended`, the default.
 - **where**: a setting of a run (`--set NAME=VALUE`), or the code that has the constant. `--preset
-  as-published` gives every setting the document's value; constants in code have no switch.
+  as-published` gives every setting the document's value; constants in code have no switch, so those
+  below that differ differ under this preset, too.
 
 """
 _SPLIT = """
@@ -64,7 +65,7 @@ def _table(rows: list[Documented], *, why: bool) -> Iterator[str]:
     yield "|---|---|---|---|" + ("---|---|" if why else "")
     for row in rows:
         cells = [row.place, row.what + _under(row), _documented(row)]
-        cells += [_with_unit(row.used, row)] if why else []
+        cells += [row.absent or _with_unit(row.used, row)] if why else []
         cells += [f"`{row.at}`"] + ([row.reason] if why else [])
         yield "| " + " | ".join(one.replace("|", "\\|") for one in cells) + " |"
 
@@ -82,7 +83,7 @@ def _documented(row: Documented) -> str:
 def _with_unit(value: Value, row: Documented) -> str:
     if row.unit == "rad" and isinstance(value, int | float) and math.isfinite(value):
         return f"{math.degrees(value):.6g} degrees"
-    return f"{shown(value)} {row.unit}".rstrip()
+    return shown(value) if value == math.inf else f"{shown(value)} {row.unit}".rstrip()
 
 
 def _by_name(at: str, value: float) -> str:
@@ -91,7 +92,7 @@ def _by_name(at: str, value: float) -> str:
 
 def undocumented() -> list[tuple[str, float]]:
     """Return numbers of `ekf_reference` that no row is about, with their values."""
-    known = {row.at for row in ROWS} | {one for row in ROWS for one in row.also}
+    known = {row.at for row in ROWS} | {one for row in ROWS for one in (*row.also, *row.defaults)}
     found = []
     for info in pkgutil.walk_packages(ekf_reference.__path__, "ekf_reference."):
         module = import_module(info.name)

@@ -31,15 +31,22 @@ def published(given: Mapping[str, Any], sections: tuple[str, ...]) -> dict[str, 
 
 
 def without_documented(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return given settings without those that a preset decides."""
+    """Return given settings without those that are as the preset that they name has them.
+
+    A file that a run wrote holds every setting; what was asked for beside the preset stays.
+    """
     found = merge({}, given)
+    literal = given.get("preset") == "as-published"
     for row in SETTINGS:
         *sections, key = _keys(row.at)
         below: Any = found
         for name in sections:
             below = below.get(name, {}) if isinstance(below, Mapping) else {}
-        if isinstance(below, dict):
-            below.pop(key, None)
+        if isinstance(below, dict) and key in below:
+            rules = [one.value for one in SETTINGS if one.at == row.at and applies(one, given)]
+            usual = rules[0] if literal and rules else setting_default(row.at)
+            if same(_plain(below[key]), usual):
+                del below[key]
     return found
 
 

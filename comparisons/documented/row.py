@@ -23,9 +23,11 @@ class Documented:
     a setting of a run, as `dense_maps.longest_edge_m`, which `--preset as-published` sets to the
     document's value; or code, as `package.module:Class.field` or `package.module:function().name`.
     when: settings, each with the values under which the preset sets this one. reason: why runs use
-    another value, with the measured figure; empty exactly where they use the document's. also:
-    further code that has the document's value. named: the document names the constant and gives no
-    number; the value is a usual one, and what the preset sets.
+    another value, with the measured figure; empty exactly where they use the document's. absent:
+    what runs use where the setting is absent, in words, exactly where it may be. defaults: code
+    with a default of the same constant, which runs replace. also: further code that has the
+    document's value. named: the document names the constant and gives no number; the
+    value is a usual one, and what the preset sets.
     """
 
     place: str
@@ -35,6 +37,8 @@ class Documented:
     unit: str = ""
     when: Mapping[str, tuple[Value, ...]] = field(default_factory=dict)
     reason: str = ""
+    absent: str = ""
+    defaults: tuple[str, ...] = ()
     also: tuple[str, ...] = ()
     named: bool = False
 
@@ -99,7 +103,9 @@ def _member(holder: Any, name: str) -> Any:
 def shown(value: Any) -> str:
     """Return a value as a reader writes it."""
     if value is None:
-        return "by the log"
+        return "not given"
+    if value in (math.inf, "Infinity"):
+        return "none"
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, tuple):

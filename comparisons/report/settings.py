@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from comparisons.config import EkfConfig, JobConfig
@@ -15,7 +16,10 @@ _LISTED = 4
 
 
 class DifferingSetting(Model):
-    """A setting of the run, and what the document at `place` states in its place."""
+    """A setting of the run, and what the document at `place` states in its place.
+
+    value: in words where it follows from other settings.
+    """
 
     setting: str
     value: Any
@@ -42,23 +46,33 @@ def settings_result(
     if ekf is not None:
         given["ekf"] = ekf.model_dump(mode="python")
     found = [
-        DifferingSetting(setting=row.at, value=value, document=row.value, place=row.place)
+        DifferingSetting(
+            setting=row.at,
+            value=row.absent if value is None else _in_json(value),
+            document=_in_json(row.value),
+            place=row.place,
+        )
         for row, value in differing(given)
     ]
     return SettingsResult(preset=config.preset, differing=found)
 
 
+def _in_json(value: Any) -> Any:
+    """JSON has no infinity; a configuration in it has this word, too."""
+    return "Infinity" if value == math.inf else value
+
+
 def settings_rows(settings: SettingsResult) -> list[Row]:
     """Return a row where there is something to say."""
     shown_ones = [
-        f"{one.setting} {shown(one.value)} ({one.place}: {shown(one.document)})"
+        f"{one.setting} = {shown(one.value)} ({one.place}: {shown(one.document)})"
         for one in settings.differing
     ]
     if not shown_ones:
         text = "no setting differs from a document's"
         return [] if settings.preset == "recommended" else [Row("settings", _line(settings, text))]
     more = len(shown_ones) - _LISTED
-    listed = ", ".join(shown_ones[:_LISTED]) + (f" and {more} more" if more > 0 else "")
+    listed = "; ".join(shown_ones[:_LISTED]) + (f" and {more} more" if more > 0 else "")
     return [Row("settings", _line(settings, f"not as documented: {listed}"))]
 
 

@@ -27,7 +27,7 @@ from ekf_reference.core.measurements import Measurements
 from ekf_reference.core.state import KalmanState, LocalMap
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class JointCompatibility:
     """Each pairing within the chi-square gate of `probability`, all together within the joint one.
 

@@ -49,11 +49,22 @@ def test_as_published_the_regions_are_the_thesis_own(source: str, virtual: bool)
 
 
 def test_regions_between_scan_landmarks_say_their_own_bound() -> None:
-    """Three times the bound between points; none stays none."""
-    assert "relative sigma <= 1.5 m" in DenseMapsConfig().spread_out().first_condition
-    literal = DenseMapsConfig(known_apart_m=0.0, longest_edge_m=np.inf).spread_out()
+    """Three times the bound between points."""
+    usual = DenseMapsConfig()
+    assert "relative sigma <= 1.5 m" in usual.settled(points=False).first_condition
+    assert "relative sigma <= 0.5 m" in usual.settled().first_condition == usual.first_condition
+    assert usual.settled(points=False).bounds == (1.5, 60.0, 50.0, 64, 20_000)
+
+
+def test_settings_that_are_given_hold_between_scan_landmarks_too() -> None:
+    """Also where they are smaller than the usual ones between scan landmarks."""
+    given = (0.2, 20.0, 30.0, 3, 100)
+    names = ("known_apart_m", "longest_edge_m", "reach_m", "patience", "capacity")
+    options = DenseMapsConfig.of(**dict(zip(names, given, strict=True)))
+    assert options.settled(points=False).bounds == options.bounds == given
+    literal = DenseMapsConfig(known_apart_m=0.0, longest_edge_m=np.inf).settled(points=False)
     assert literal.first_condition == "pairs with correlation >= 0.9 (N 3.5)"
-    assert literal.longest_edge_m == np.inf
+    assert literal.bounds.longest_edge_m == np.inf
 
 
 @pytest.fixture(scope="module")

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from pathlib import Path
 
 import pytest
 
+from comparisons.adapters.ekf_factory import build_association
 from comparisons.config import RunConfig
 from comparisons.documented.page import markdown, undocumented
 from comparisons.documented.preset import SETTINGS, applies, differing, read
@@ -14,9 +16,11 @@ from comparisons.documented.row import Documented, in_code, same, setting_defaul
 from comparisons.documented.rows import ROWS
 from comparisons.errors import InputError
 from comparisons.extensions.registry import EXTENSIONS
+from comparisons.logs.bundled import open_log
 from comparisons.logs.transforms.published_sigmas import FORMATS
 from comparisons.report.settings import settings_result, settings_rows
 from comparisons.settings import configure, run_config, run_options
+from ekf_reference.association.nearest_neighbour import NearestNeighbour
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "settings.md"
 
@@ -30,6 +34,8 @@ def wrong(row: Documented) -> str:
         return f"{row.at} is {row.used}, {row.place} says {row.value}: no measured reason"
     if row.reason and not row.differs:
         return f"{row.at} is as in {row.place}: the reason is stale"
+    if row.is_setting and (row.used is None) != bool(row.absent):
+        return f"{row.at}: it is not said what runs use where it is absent"
     strange = [one for one in row.also if not same(in_code(one), row.value)]
     return f"{strange[0]} is not as in {row.place}" if strange else ""
 
@@ -43,6 +49,8 @@ def test_a_value_that_moved_away_is_found() -> None:
     equal = next(row for row in ROWS if not row.differs and isinstance(row.value, float))
     assert wrong(dataclasses.replace(equal, value=2.0 * float(str(equal.value)) + 1.0))
     assert wrong(dataclasses.replace(equal, reason="measured: 3 % better"))
+    open_one = next(row for row in ROWS if row.absent)
+    assert wrong(dataclasses.replace(open_one, absent=""))
     other = next(row for row in ROWS if row.differs)
     assert wrong(dataclasses.replace(other, reason="it is better"))
     assert wrong(dataclasses.replace(other, also=(other.at,))) if not other.is_setting else True
@@ -106,6 +114,16 @@ def _there(row: Documented, config: dict[str, object]) -> bool:
     return section not in EXTENSIONS or section in config["extensions"]  # type: ignore[operator]
 
 
+def test_the_gate_reaches_the_association() -> None:
+    log = open_log("simulated-loop")
+    for preset, gate in (("recommended", NearestNeighbour.gate), ("as-published", 5.991464547)):
+        config = run_config(preset=preset, association="nn").ekf
+        rule = build_association(log, config)
+        assert isinstance(rule, NearestNeighbour)
+        assert rule.gate == pytest.approx(gate)
+    assert setting_default("ekf.nn_gate") == NearestNeighbour.gate
+
+
 def test_what_is_given_lies_over_the_preset() -> None:
     config = configure(
         RunConfig,
@@ -128,6 +146,25 @@ def test_a_recorded_run_can_be_repeated_and_turned(tmp_path: Path) -> None:
     assert configure(RunConfig, file, run_options({"preset": "as-published"})) == first
 
 
+def test_a_preset_is_the_same_as_a_flag_and_as_a_setting(tmp_path: Path) -> None:
+    file = tmp_path / "config.toml"
+    file.write_text(run_config(dense=["points"]).toml())
+    turned = configure(RunConfig, file, settings=["preset=as-published"])
+    assert turned == published_run(dense=["points"])
+    assert differing(turned.model_dump(mode="python")) == []
+
+
+def test_what_was_asked_for_beside_a_preset_stays_under_another(tmp_path: Path) -> None:
+    file = tmp_path / "config.toml"
+    asked = ["dense_maps.known_apart_m=0.3", "dense_maps.p_free=0.4"]
+    for first, then in (("recommended", "as-published"), ("as-published", "recommended")):
+        flags = run_options({"preset": first, "dense": ["points"]})
+        file.write_text(configure(RunConfig, flags=flags, settings=asked).toml())
+        turned = configure(RunConfig, file, run_options({"preset": then}))
+        flags = run_options({"preset": then, "dense": ["points"]})
+        assert turned == configure(RunConfig, flags=flags, settings=asked)
+
+
 def test_an_unknown_preset_is_refused() -> None:
     with pytest.raises(InputError, match=r"preset is 'mine'.*'recommended' or 'as-published'"):
         run_config(preset="mine")
@@ -136,16 +173,21 @@ def test_an_unknown_preset_is_refused() -> None:
 def test_extensions_that_are_needed_are_as_published_too() -> None:
     config = published_run(dynamic="on").model_dump(mode="python")
     assert read(config, "dense_maps.known_apart_m") == 0.0
-    assert setting_default("dense_maps.known_apart_m") == 0.5
+    assert setting_default("dense_maps.known_apart_m") is None
 
 
 def test_a_result_says_which_settings_are_not_the_documents() -> None:
     ours = settings_result(run_config(dense=["points"]))
     assert "dense_maps.known_apart_m" in [one.setting for one in ours.differing]
-    assert "dense_maps.known_apart_m 0.5 (N 3.5" in settings_rows(ours)[0].text
+    assert "dense_maps.known_apart_m = 0.5 m, 1.5 m on scan landmarks alone (N 3.5" in (
+        settings_rows(ours)[0].text
+    )
+    written = json.dumps(ours.model_dump(mode="json"), allow_nan=False)
+    assert '"document": "Infinity"' in written  # of the longest edge, which JSON cannot hold
     theirs = settings_result(published_run(dense=["points"]))
     assert settings_rows(theirs)[0].text == "as-published; no setting differs from a document's"
-    assert settings_rows(settings_result(run_config())) == []
+    assert settings_rows(settings_result(run_config(association="known"))) == []
+    assert "ekf.nn_gate" in settings_rows(settings_result(run_config(association="nn")))[0].text
 
 
 def test_what_depends_on_the_format_of_the_log(tmp_path: Path) -> None:
@@ -159,5 +201,6 @@ def test_what_depends_on_the_format_of_the_log(tmp_path: Path) -> None:
     )
     assert (found.log.sigmas, found.log.format) == ("published", None)
     assert published_run().log.sigmas == "calibrated"
-    named = [one.setting for one in settings_result(run_config(), "acfr-car-park").differing]
+    ours = settings_result(run_config(association="known"), "acfr-car-park")
+    named = [one.setting for one in ours.differing]
     assert named == ["log.sigmas"]

@@ -32,7 +32,7 @@ from comparisons.logs.simulate.scan_worlds import Mover
 from comparisons.pipeline.compare import Comparison
 from comparisons.pipeline.dense_map import DenseMapping, map_log
 from comparisons.report.dense_map import MapResult
-from ekf_reference.dense.dynamic import DynamicLayer
+from ekf_reference.dense.dynamic import Differencing, DynamicLayer
 from tests.comparisons.test_cli import slamcheck
 from tests.helpers import compared
 
@@ -43,11 +43,26 @@ def shortened(experiment: ScanExperiment, seconds: float) -> ScanExperiment:
     return replace(experiment, drive=replace(experiment.drive, loop_s=seconds))
 
 
-def mapped(experiment: ScanExperiment, seed: int = 0) -> tuple[DenseMapping, DynamicLayer]:
+def mapped(
+    experiment: ScanExperiment, seed: int = 0, preset: str = "recommended"
+) -> tuple[DenseMapping, DynamicLayer]:
     log = simulate(np.random.default_rng(seed), experiment)
-    mapping = map_log(log, MapConfig.of(extensions={"dynamic": {}}))
+    mapping = map_log(log, MapConfig.of(preset=preset, extensions={"dynamic": {}}))
     assert mapping.dense.dense.dynamic is not None
     return mapping, mapping.dense.dense.dynamic
+
+
+@pytest.mark.parametrize(
+    ("preset", "rule"),
+    [
+        ("recommended", Differencing()),
+        ("as-published", Differencing(look_s=1.0, threshold=0.5, slow_threshold=0.5)),
+    ],
+)
+def test_the_preset_reaches_the_rule_of_what_moves(preset: str, rule: Differencing) -> None:
+    """Section 6.3.3: every second, cells whose occupancy differs by more than 0.5."""
+    _, layer = mapped(shortened(dynamic_lanes(), 1.0), preset=preset)
+    assert layer.rule == rule
 
 
 @pytest.mark.slow

@@ -27,7 +27,7 @@ from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.result import build_result
-from comparisons.settings import run_config
+from comparisons.settings import configure, run_config, run_options
 from ekf_reference.scan_landmarks.high_level import SearchOptions
 from tests.comparisons.test_cli import slamcheck
 from tests.helpers import Array, compared, first_seconds
@@ -178,7 +178,21 @@ def test_the_preset_reaches_the_map_that_is_searched() -> None:
 
     assert searched("as-published").known_apart_m == 0.0  # N 3.5, its first condition
     assert searched("recommended") == HighLevelOptions().kept  # broken: the same for both
-    assert searched("recommended").known_apart_m > 0.0
+    assert searched("recommended").bounds.known_apart_m > 0.0
+
+
+def test_settings_of_dense_maps_reach_the_map_that_is_searched() -> None:
+    config = configure(
+        RunConfig,
+        flags=run_options({"high_level": "on", "dense": ["points"], "dynamic": "on"}),
+        settings=["dense_maps.known_apart_m=0.2"],
+    )
+    found = config.extensions["high_level"].build(config)
+    assert isinstance(found, HighLevel)
+    assert (found.options.kept.known_apart_m, found.options.kept.detect_motion) == (0.2, False)
+    dense = config.extensions["dense_maps"]
+    assert isinstance(dense, DenseMapsConfig)
+    assert found.options.served_by(dense)
 
 
 def test_the_car_park_has_its_own_pairs_and_cells_by_the_preset() -> None:

@@ -15,6 +15,8 @@ from comparisons.errors import InputError
 
 AT_MOST: Literal["at most"] = "at most"
 AT_LEAST: Literal["at least"] = "at least"
+SHARE_WITHIN_3_SIGMA, THREE_SIGMA_SQUARED = 0.989, 9.0
+"""Of a Gaussian in the plane: the share within 3 sigma, and the squared distance there."""
 DATA_FOLDERS = ("victoria_park", "acfr_car_park", "mrclam")
 """Of --data: public logs that are no part of this project."""
 

@@ -21,6 +21,8 @@ from comparisons.config import EkfConfig, MapConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import landmark_blocks
 from comparisons.experiments.reproduction.contract import (
+    SHARE_WITHIN_3_SIGMA,
+    THREE_SIGMA_SQUARED,
     Claim,
     Experiment,
     Sources,
@@ -46,10 +48,8 @@ from ekf_reference.scan_landmarks.high_level import (
 from graphslam.increments import dead_reckoned
 
 FOLDER = "acfr_car_park"
-CELL_M, COARSE_M = 0.4, 0.5
-"""Cells, and d_min, of Fig. 4.15 and of section 6.5."""
-PAIR_M = 7.0
-"""Most between two corners of a high level landmark, section 6.5."""
+CELL_M, COARSE_M, PAIR_M = 0.4, 0.5, 7.0
+"""Cells of Fig. 4.15; cells, and greatest distance of two corners, in section 6.5."""
 HIGH_LEVEL_COUNT = 9
 """High level landmarks in Fig. 6.18."""
 ERROR_BEFORE_M = 3.0
@@ -57,8 +57,6 @@ ERROR_BEFORE_M = 3.0
 LEAST = 20
 """Gaussians of a high level landmark: section 6.5 names no number; with 200 there are none."""
 _WHOLE_MAP_M = 1e3
-_SIGMAS_2D = 0.989
-_SQUARED = 9.0
 _LAST = "returns of the last 15 s are put where the saturated steering leads"
 OTHER_PART = "the log is another part of the drives than the thesis'"
 
@@ -241,8 +239,8 @@ def claims_3_20(found: CarPark) -> list[Claim]:
         ),
         at_least(
             "the landmarks' surveyed places are within the 3-sigma ellipses (share)",
-            float(np.mean(squared <= _SQUARED)),
-            _SIGMAS_2D,
+            float(np.mean(squared <= THREE_SIGMA_SQUARED)),
+            SHARE_WITHIN_3_SIGMA,
         ),
         at_least(
             "landmarks far from the start are the most uncertain (mean sigma of the farther half "

@@ -19,6 +19,7 @@ from comparisons.arrays import Array
 from comparisons.config import EkfConfig, RunConfig
 from comparisons.errors import InputError
 from comparisons.experiments.reproduction.contract import (
+    SHARE_WITHIN_3_SIGMA,
     Claim,
     Experiment,
     Sources,
@@ -31,7 +32,7 @@ from comparisons.experiments.reproduction.nieto_car_park import (
     off_gps,
     read_car_park,
 )
-from comparisons.experiments.reproduction.nieto_scan_slam import SIGMAS_2D, ScanMap, scan_map
+from comparisons.experiments.reproduction.nieto_scan_slam import ScanMap, scan_map
 from comparisons.extensions.scan_landmarks.figure import place_covariances
 from comparisons.extensions.scan_landmarks.result import in_words, template_rule
 from comparisons.extensions.scan_landmarks.source import LogScans, ScanSlamSource
@@ -239,7 +240,7 @@ def _consistent(text: str, run: CarParkRun) -> Claim:
     return at_least(
         f"{text} (share of landmarks within 3 sigma of where SLAM with GPS saw them first)",
         share,
-        SIGMAS_2D,
+        SHARE_WITHIN_3_SIGMA,
         why=f"{OTHER_PART}: {np.count_nonzero(held.within)} of {len(held.slot)} landmarks, off by "
         f"{held.rms_m:.2f} m (RMS) with a sigma of {np.sqrt(np.mean(sigma**2)):.2f} m; of those "
         f"first seen before {TURN_S:.0f} s, when a turn begins in which the steering reading "

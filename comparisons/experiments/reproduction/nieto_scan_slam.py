@@ -19,6 +19,8 @@ from comparisons.config import RunConfig
 from comparisons.documented.preset import published
 from comparisons.errors import InputError
 from comparisons.experiments.reproduction.contract import (
+    SHARE_WITHIN_3_SIGMA,
+    THREE_SIGMA_SQUARED,
     Claim,
     Experiment,
     Sources,
@@ -50,9 +52,6 @@ END_M = 2.0
 OURS = ScanLandmarksConfig(landmarks="scans")
 CORNER_M = (-22.0, 90.0)
 """Left of the one and above the other is the left top of Fig. 5.9."""
-SIGMAS_2D = 0.989
-"""Of a Gaussian in the plane within 3 sigma."""
-_SQUARED = 9.0
 
 
 @dataclass(frozen=True)
@@ -92,7 +91,7 @@ class ScanMap:
         squared = np.einsum(
             "qi,qi->q", error, np.linalg.solve(self.covariance, error[:, :, None])[:, :, 0]
         )
-        inside: NDArray[np.bool_] = squared <= _SQUARED
+        inside: NDArray[np.bool_] = squared <= THREE_SIGMA_SQUARED
         return inside
 
     def at(self, rows: NDArray[np.bool_]) -> ScanMap:
@@ -406,9 +405,9 @@ def _within(maps: list[ScanMap]) -> tuple[float, float, str, str]:
     """Of all landmarks: the share within 3 sigma, its limit, no unit, and the shares by map."""
     each = [m.within for m in maps if len(m.slot)]
     if not each:
-        return float("nan"), SIGMAS_2D, "", "there are none"
+        return float("nan"), SHARE_WITHIN_3_SIGMA, "", "there are none"
     why = f"by drive {_each([float(np.mean(one)) for one in each])}: where the filter has drifted "
-    return float(np.mean(np.concatenate(each))), SIGMAS_2D, "", why + "it is too sure"
+    return float(np.mean(np.concatenate(each))), SHARE_WITHIN_3_SIGMA, "", why + "it is too sure"
 
 
 def _each(value: list[float]) -> str:

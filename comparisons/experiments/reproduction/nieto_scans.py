@@ -22,6 +22,7 @@ from comparisons.experiments.reproduction.contract import (
 )
 from comparisons.logs.simulate.ray_casting import Solids, cast
 from comparisons.logs.simulate.scan_worlds import PlacedShape, ScanWorld, placed_shapes
+from comparisons.logs.simulate.scanners import half_degrees
 from comparisons.report.figures.style import EKF_COLOUR, TRUTH_COLOUR
 from ekf_reference.dense.scan import Sensor
 from ekf_reference.scan_landmarks.templates import ObservationOptions
@@ -33,7 +34,7 @@ from graphslam.scan.open3d_matchers import PointToPointMatcher
 from graphslam.scan.points import planar_points
 from graphslam.scan.registration import ScanError
 
-BEAMS = np.deg2rad(np.linspace(-90.0, 90.0, 361))
+BEAMS = half_degrees()
 SICK = Sensor(0.02, float(np.deg2rad(0.1)), float(np.deg2rad(0.5)), float(np.deg2rad(5.0)))
 """Half a circle in half degrees; the noise is that of the simulated dense maps' scanner."""
 OFF_M, OFF_RAD = 1.0, float(np.deg2rad(15.0))

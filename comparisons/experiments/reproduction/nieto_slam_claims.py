@@ -12,13 +12,17 @@ from numpy.typing import NDArray
 
 from comparisons.arrays import Array
 from comparisons.checks.consistency.normalised import mean_band
-from comparisons.experiments.reproduction.contract import Claim, at_least, at_most
+from comparisons.experiments.reproduction.contract import (
+    SHARE_WITHIN_3_SIGMA,
+    THREE_SIGMA_SQUARED,
+    Claim,
+    at_least,
+    at_most,
+)
 from comparisons.experiments.reproduction.nieto_slam import Fixed, LoopDrive, Loops, Moment
 
 NEAR_M, FAR_M = 12.0, 50.0
 """Landmarks nearer than that are close to each other; farther ones are not."""
-_ELLIPSE = 9.0
-"""Three sigmas, squared."""
 _TOO_SURE = "EKF-SLAM grows too sure as its heading errs; see `slamcheck montecarlo`"
 
 
@@ -65,7 +69,7 @@ def claims_2_9(loops: Loops) -> list[Claim]:
     """Of the far part of the map: errors lie within the ellipses, and both shrink."""
     drives = loops.drives
     far = _far(drives, lambda d: d.before)
-    inside = [d.before.squared[f] <= _ELLIPSE for d, f in zip(drives, far, strict=True)]
+    inside = [d.before.squared[f] <= THREE_SIGMA_SQUARED for d, f in zip(drives, far, strict=True)]
     farthest = [
         d.before.squared[np.argmax(np.linalg.norm(d.before.true - d.true_path[0], axis=1))]
         for d in drives
@@ -102,7 +106,7 @@ def claims_2_9(loops: Loops) -> list[Claim]:
             "and over all drives as many far landmarks lie within their ellipses as of a Gaussian "
             "(share)",
             float(np.mean(np.concatenate(inside))),
-            0.989,
+            SHARE_WITHIN_3_SIGMA,
             why="the landmarks of one drive share their error, so that one drive in ten decides "
             "this number; the NEES above takes one landmark a drive",
         ),

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated, Literal
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field, field_validator
 
@@ -16,6 +17,26 @@ if TYPE_CHECKING:
 
 _Cell = Annotated[float, Field(ge=0.01, le=10.0)]
 FlipTest = Literal["joint", "ellipses"]
+
+
+class Bounds(NamedTuple):
+    """Bounds of regions and of what waits for one, where they depend on the landmarks."""
+
+    known_apart_m: float
+    longest_edge_m: float
+    reach_m: float
+    patience: int
+    capacity: int
+
+
+AMONG_POINTS = Bounds(0.5, 35.0, 35.0, 16, 5_000)
+AMONG_SCANS = Bounds(1.5, 60.0, 50.0, 64, 20_000)
+"""Of regions anchored to scan landmarks alone, which stand 20 m apart and more where points stand
+5 m apart: regions are larger, and it takes longer until there are three landmarks."""
+
+
+BARE: Mapping[str, Any] = {"detect_motion": False, "attribute_values": False, "coarsening": None}
+"""Of a map that another extension keeps for itself."""
 
 
 class DenseMapsConfig(ExtensionConfig):
@@ -38,10 +59,15 @@ class DenseMapsConfig(ExtensionConfig):
     least_correlation: float = Field(
         0.9, ge=-1.0, le=1.0, description="of each two landmarks of a region"
     )
-    known_apart_m: float = Field(
-        0.5, ge=0.0, description="relative sigma up to which any correlation will do; 0: none"
+    known_apart_m: float | None = Field(
+        None,
+        ge=0.0,
+        description="relative sigma up to which any correlation will do, 0 for none; if absent, "
+        "0.5, on scan landmarks alone 1.5",
     )
-    longest_edge_m: float = Field(35.0, description="of a region")
+    longest_edge_m: float | None = Field(
+        None, description="of a region; if absent, 35, on scan landmarks alone 60"
+    )
     flip_test: FlipTest = Field(
         "joint",
         description="whether a region may turn over: by its corners' joint covariance, or by the "
@@ -53,11 +79,22 @@ class DenseMapsConfig(ExtensionConfig):
     known_m: float = Field(
         math.inf, description="the vehicle's relative sigma up to which its scans are taken in"
     )
-    reach_m: float = Field(35.0, description="how far from the vehicle returns are taken in")
+    reach_m: float | None = Field(
+        None,
+        description="how far from the vehicle returns are taken in; if absent, 35, on scan "
+        "landmarks alone 50",
+    )
     delayed: bool = Field(True, description="keep returns until there is a region for them")
     virtual_landmarks: bool = Field(True, description="allow regions with a virtual corner")
-    patience: int = Field(16, description="scans that returns wait for a third landmark")
-    capacity: int = Field(5_000, description="returns that may wait")
+    patience: int | None = Field(
+        None,
+        description="scans that returns wait for a third landmark; if absent, 16, on scan "
+        "landmarks alone 64",
+    )
+    capacity: int | None = Field(
+        None,
+        description="returns that may wait; if absent, 5,000, on scan landmarks alone 20,000",
+    )
     detect_motion: bool = Field(False, description="look for what moves")
     attribute_values: bool = Field(False, description="keep values for association")
 
@@ -76,11 +113,16 @@ class DenseMapsConfig(ExtensionConfig):
     def first_condition(self) -> str:
         """Return the rule by which pairs of landmarks may share a region, in words."""
         correlated = f"pairs with correlation >= {self.least_correlation:g}"
-        if self.known_apart_m <= 0.0:
+        apart_m = self.bounds.known_apart_m
+        if apart_m <= 0.0:
             return f"{correlated} (N 3.5)"
-        return (
-            f"{correlated} or relative sigma <= {self.known_apart_m:g} m (N 3.5: correlation alone)"
-        )
+        return f"{correlated} or relative sigma <= {apart_m:g} m (N 3.5: correlation alone)"
+
+    @property
+    def bounds(self) -> Bounds:
+        """Return what was given, where nothing was that of regions among points."""
+        found = self.settled().model_dump(include=set(Bounds._fields))
+        return Bounds(**found)
 
     def check_with(self, config: Configured) -> None:
         """A map that keeps nothing is a mistake."""
@@ -90,21 +132,14 @@ class DenseMapsConfig(ExtensionConfig):
                 "values (--dense)"
             )
 
-    def spread_out(self) -> DenseMapsConfig:
-        """Suited to regions that are anchored to scan landmarks alone.
+    def settled(self, *, points: bool = True) -> DenseMapsConfig:
+        """Return the same with nothing left open.
 
-        These stand 20 m apart and more, where points stand 5 m apart: regions are larger, and it
-        takes longer until there are three landmarks.
+        points: regions are anchored to points, not to scan landmarks alone.
         """
-        return self.model_copy(
-            update={
-                "known_apart_m": 3.0 * self.known_apart_m,
-                "longest_edge_m": max(self.longest_edge_m, 60.0),
-                "reach_m": max(self.reach_m, 50.0),
-                "patience": 4 * self.patience,
-                "capacity": 4 * self.capacity,
-            }
-        )
+        usual = AMONG_POINTS if points else AMONG_SCANS
+        left_open = {k: v for k, v in usual._asdict().items() if getattr(self, k) is None}
+        return self.model_copy(update=left_open)
 
     def build(self, config: Configured) -> DenseMaps:
         """Return the extension."""

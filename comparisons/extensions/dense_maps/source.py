@@ -25,7 +25,7 @@ from ekf_reference.core.landmark_types import POINT, POSE
 from ekf_reference.dense.conditions import Conditions, ellipse_margin, flip_margin
 from ekf_reference.dense.delayed_initialisation import DelayedInitialisation
 from ekf_reference.dense.dense_map import DenseMap
-from ekf_reference.dense.dynamic import Counters, DynamicLayer
+from ekf_reference.dense.dynamic import Counters, Differencing, DynamicLayer
 from ekf_reference.dense.layers.gaussians import Gaussians
 from ekf_reference.dense.layers.layer import Layer, Samples
 from ekf_reference.dense.layers.occupancy import OccupancyGrid
@@ -61,17 +61,20 @@ def grid_model(config: DenseMapsConfig) -> InverseSensorModel:
 
 def conditions(config: DenseMapsConfig) -> Conditions:
     """Return when three landmarks may define a region (Nieto 2005, section 3.5)."""
+    bounds = config.bounds
     return Conditions(
         least_correlation=config.least_correlation,
-        known_apart_m=config.known_apart_m,
-        longest_edge_m=config.longest_edge_m,
+        known_apart_m=bounds.known_apart_m,
+        longest_edge_m=bounds.longest_edge_m,
         margin=MARGINS[config.flip_test],
     )
 
 
-def build_map(config: DenseMapsConfig, also: Sequence[str] = ()) -> DenseMap:
-    """Return an empty map. also: more layers."""
-    size = config.resolution_m
+def build_map(
+    config: DenseMapsConfig, also: Sequence[str] = (), rule: Differencing | None = None
+) -> DenseMap:
+    """Return an empty map. also: more layers. rule: of what moves."""
+    size, bounds = config.resolution_m, config.bounds
     made: Mapping[str, Layer] = {
         "points": Points(size),
         "occupancy": OccupancyGrid(size, grid_model(config), coarsening=config.coarsening),
@@ -79,15 +82,15 @@ def build_map(config: DenseMapsConfig, also: Sequence[str] = ()) -> DenseMap:
         "sog": Gaussians(config.d_min_m),
         "values": Values(),
     }
-    waiting = DelayedInitialisation(capacity=config.capacity, patience=config.patience)
+    waiting = DelayedInitialisation(capacity=bounds.capacity, patience=bounds.patience)
     return DenseMap(
         layers={name: made[name] for name in dict.fromkeys((*config.kept_layers, *also))},
         regions=LocalRegions(conditions=conditions(config)),
         waiting=waiting if config.delayed or config.virtual_landmarks else None,
         delayed=config.delayed,
         virtual=config.virtual_landmarks,
-        reach_m=config.reach_m,
-        dynamic=DynamicLayer(size) if config.detect_motion else None,
+        reach_m=bounds.reach_m,
+        dynamic=DynamicLayer(size, rule or Differencing()) if config.detect_motion else None,
         known_m=config.known_m,
     )
 
@@ -175,11 +178,13 @@ class DenseWatcher:
             raise InputError(
                 f"{log.name}: its scans hold no intensities, which the layer of values is made of"
             )
-        self.options, self._kinds = options if POINT in kinds else options.spread_out(), kinds
-        self._dense = build_map(self.options)
+        self._next = 0
+        self.options, self._kinds = options.settled(points=POINT in kinds), kinds
+        self._also: tuple[str, ...] = ()
+        self._rule = Differencing()
+        self._dense = self._empty()
         self._beside: list[GlobalMap] = []
         self._motion, self._relative = motion_model(log), isinstance(log.odometry, RelativePoses)
-        self._next = 0
         self._pose: list[Array] = []
         self._before: BeforeClosing | None = None
         self._moved_most = 0.0
@@ -188,9 +193,18 @@ class DenseWatcher:
 
     def keep_also(self, layers: Sequence[str]) -> None:
         """Keep more layers, for whoever needs them. Raises ValueError once the map is not empty."""
+        self._also = (*self._also, *layers)
+        self._dense = self._empty()
+
+    def difference_by(self, rule: Differencing) -> None:
+        """Find what moves by another rule. Raises ValueError once the map is not empty."""
+        self._rule = rule
+        self._dense = self._empty()
+
+    def _empty(self) -> DenseMap:
         if self._next:
             raise ValueError("the map has taken in scans")
-        self._dense = build_map(self.options, layers)
+        return build_map(self.options, self._also, self._rule)
 
     def feed(self, other: GlobalMap) -> None:
         """Give the same scans from the same poses to another map as well."""

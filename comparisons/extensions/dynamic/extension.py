@@ -7,9 +7,10 @@ from typing import Any
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.extensions.contract import Extension, Finding
 from comparisons.extensions.dense_maps.source import DenseWatcher
+from comparisons.extensions.dynamic.config import DynamicConfig
 from comparisons.pipeline.gaps import Compared
 from comparisons.pipeline.prepare import Prepared
-from ekf_reference.dense.dynamic import places
+from ekf_reference.dense.dynamic import Differencing, places
 
 
 class Dynamic(Extension):
@@ -17,9 +18,20 @@ class Dynamic(Extension):
 
     name = "dynamic"
 
+    def __init__(self, config: DynamicConfig) -> None:
+        """config: what counts as a change."""
+        self._rule = Differencing(
+            look_s=config.look_s,
+            threshold=config.threshold,
+            slow_threshold=config.slow_threshold,
+        )
+
     def attach(self, setup: FilterSetup, prepared: Prepared[Any]) -> None:
         """The map, which comes before, knows where things move."""
-        setup.guard = setup.find(DenseWatcher)
+        watcher = setup.find(DenseWatcher)
+        if watcher is not None:
+            watcher.difference_by(self._rule)
+        setup.guard = watcher
 
     def check(self, compared: Compared) -> DynamicFinding | None:
         """Report what was found, and whether most of it could be looked at."""
@@ -41,8 +53,11 @@ class DynamicFinding(Finding):
         self.remarks = [found if count else "nothing was seen to move"]
         moves = watcher.moves
         if moves.compared <= moves.deformed:
-            self.remarks.append(
-                f"whether anything moves is hardly known: of {moves.compared + moves.deformed} "
-                f"pairs of maps {moves.deformed} could not be compared, since their region had "
-                "changed its shape; it takes three landmarks that stand still"
+            pairs = moves.compared + moves.deformed
+            why = (
+                f"of {pairs} pairs of maps {moves.deformed} could not be compared, since their "
+                "region had changed its shape; it takes three landmarks that stand still"
+                if pairs
+                else "no region had two maps to compare; it takes three landmarks that make one"
             )
+            self.remarks.append(f"whether anything moves is hardly known: {why}")

@@ -33,5 +33,5 @@ class HighLevelConfig(ExtensionConfig):
         from comparisons.extensions.dense_maps.config import DenseMapsConfig
         from comparisons.extensions.high_level.extension import HighLevel
 
-        dense = DenseMapsConfig.of(**config.by_preset("dense_maps").model_dump())
+        dense = DenseMapsConfig.of(**config.settings_of("dense_maps").model_dump())
         return HighLevel(self, dense)

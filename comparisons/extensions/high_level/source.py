@@ -15,7 +15,7 @@ from comparisons.adapters.oriented_sightings import OrientedLedger
 from comparisons.adapters.planar_scans import PlanarScans, view_to
 from comparisons.arrays import Array
 from comparisons.choices import Layer
-from comparisons.extensions.dense_maps.config import DenseMapsConfig
+from comparisons.extensions.dense_maps.config import BARE, DenseMapsConfig
 from comparisons.extensions.dense_maps.source import DenseWatcher
 from comparisons.extensions.high_level.config import HighLevelConfig
 from comparisons.logs.log import Log
@@ -64,13 +64,13 @@ class HighLevelOptions:
     @property
     def kept(self) -> DenseMapsConfig:
         """The dense map that is searched."""
-        cells = {"resolution_m": self.resolution_m, "d_min_m": self.d_min_m}
-        return self.dense.model_copy(update={"layers": SEARCHED, **cells})
+        own = {"layers": SEARCHED, "resolution_m": self.resolution_m, "d_min_m": self.d_min_m}
+        return self.dense.settled().model_copy(update={**BARE, **own})
 
     def served_by(self, options: DenseMapsConfig) -> bool:
         """Whether a map with these options has the cells that are searched."""
         layers = {"layers": SEARCHED, "detect_motion": False, "attribute_values": False}
-        return options.model_copy(update=layers) == self.kept
+        return options.settled().model_copy(update=layers) == self.kept
 
 
 @dataclass(frozen=True, kw_only=True)

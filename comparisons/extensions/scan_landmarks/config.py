@@ -90,5 +90,5 @@ class ScanLandmarksConfig(ExtensionConfig):
         from comparisons.extensions.dense_maps.config import DenseMapsConfig
         from comparisons.extensions.scan_landmarks.extension import ScanLandmarksExtension
 
-        dense = DenseMapsConfig.of(**config.by_preset(_MAPPED).model_dump())
+        dense = DenseMapsConfig.of(**config.settings_of(_MAPPED).model_dump())
         return ScanLandmarksExtension(self, mapped=_MAPPED in config.extensions, dense=dense)

@@ -14,6 +14,7 @@ from comparisons.adapters.planar_scans import PlanarScans, view_to
 from comparisons.adapters.timeline import resolved
 from comparisons.arrays import Array, Index, Mask
 from comparisons.errors import InputError
+from comparisons.extensions.dense_maps.config import BARE
 from comparisons.extensions.dense_maps.source import DenseWatcher
 from comparisons.extensions.scan_landmarks.config import ScanLandmarksConfig
 from comparisons.logs.log import Log
@@ -43,7 +44,7 @@ PIECES: dict[str, TemplateExtraction] = {
 """Which returns of a scan become one landmark."""
 ENRICH_M = 1.0
 """Sigma of where a landmark should be seen, from which on its template alone may be fragile."""
-ENRICHING: Mapping[str, Any] = {"layers": ("occupancy", "sog"), "known_m": 0.5}
+ENRICHING: Mapping[str, Any] = {**BARE, "layers": ("occupancy", "sog"), "known_m": 0.5}
 """What templates are enriched from: a scan from a vehicle that does not know where it is among a
 region's landmarks would draw there what it is to be compared with."""
 _MARGIN_M = 0.01

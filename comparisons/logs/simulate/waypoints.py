@@ -20,6 +20,7 @@ from comparisons.logs.log import Landmarks, Log, Poses, Positions, Prior, Sighti
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.scans import Scans
 from comparisons.logs.simulate.ray_casting import Solids, cast
+from comparisons.logs.simulate.scanners import half_degrees
 
 
 class Navigator(Protocol):
@@ -107,7 +108,7 @@ class WaypointRun:
 
 
 _STABILISATION = 1e-8
-_BEAMS = np.deg2rad(np.linspace(-90.0, 90.0, 361))
+_BEAMS = half_degrees()
 _PRIOR = 1e-10
 
 
