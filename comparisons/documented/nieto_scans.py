@@ -165,7 +165,7 @@ _OBSERVATION = (
 )
 _SPARSE = (
     "runs use section 6.1.3's everywhere; with this section's 7 m and 0.5 m no landmark of the car "
-    "park has 200 Gaussians; where 20 are enough 5 are found, and 2 are kept"
+    "park has 200 Gaussians; where 20 are enough 6 are found, and 2 are kept"
 )
 _HIGH_LEVEL = (
     Documented(
