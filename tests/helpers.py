@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.adapters.oriented_sightings import OrientedSource
-from comparisons.config import EkfConfig
+from comparisons.config import EkfConfig, RunConfig
 from comparisons.extensions.contract import Extension
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import SteeringOdometry
 from comparisons.logs.simulate.drive import Drive, simulate
 from comparisons.pipeline.compare import REQUIRED, Comparison, compare_prepared
 from comparisons.pipeline.prepare import Prepared, prepare
-from comparisons.settings import run_config
+from comparisons.settings import configure, run_options
 from tests.ekf_reference.numerics import central_difference as central_difference
 from tests.ekf_reference.numerics import random_covariance as random_covariance
 from tests.ekf_reference.numerics import relative_error as relative_error
@@ -65,6 +65,6 @@ def compared(
     log: Log, *extensions: Extension, ekf: EkfConfig | None = None, **options: Any
 ) -> Comparison:
     """Run and compare, with extensions that no configuration names; options as of the command."""
-    given = {} if ekf is None else ekf.model_dump(exclude_none=True)
-    config = run_config(**given, **options)
+    over = {} if ekf is None else {"ekf": ekf.model_dump(exclude_none=True)}
+    config = configure(RunConfig, flags=run_options(options), over=over)
     return compare_prepared(prepare(log, config, required=REQUIRED, also=extensions))

@@ -47,7 +47,9 @@ def test_main_job_benchmark_runs() -> None:
 def test_waypoint_run_benchmark_runs(tmp_path: Path) -> None:
     picture = tmp_path / "run.png"
     lines = run("benchmarks/waypoint_run.py", "--seeds", "1", "--plot", str(picture))
-    assert [line.split()[0] for line in lines[1:]] == ["dead", "misono", "misono-full"]
+    names = [line.split("  ")[0].removesuffix(" median") for line in lines[1:]]
+    aided = ["misono, aided", "misono-full, aided"]
+    assert names == ["dead reckoning", "misono", "misono-full", *aided]
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 

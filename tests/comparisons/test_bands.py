@@ -87,6 +87,11 @@ def test_every_band_covers_its_nominal_share() -> None:
     assert names(table) == ""
 
 
+def another_level(count: int, dof: int) -> Band:
+    """80 % in place of 95."""
+    return mean_band(count, dof, outside=0.2)
+
+
 def one_more_dof(count: int, dof: int) -> Band:
     return mean_band(count, dof + 1)
 
@@ -123,7 +128,7 @@ def by_the_filters_alone(
 @pytest.mark.parametrize(
     ("module", "name", "broken", "told"),
     [
-        (normalised, "_TAILS", (0.1, 0.9), "EKF NEES, pose, share inside"),
+        (normalised, "mean_band", another_level, "EKF NEES, pose, share inside"),
         (normalised, "mean_band", one_more_dof, "smoother NEES, heading, share inside"),
         (innovations, "mean_band", as_if_independent, "sightings, NIS of range"),
         (innovations, "mean_band", as_if_independent, "positions, NIS of east"),

