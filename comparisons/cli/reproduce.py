@@ -19,7 +19,7 @@ def reproduce(
         Path | None,
         typer.Option(
             metavar="FOLDER",
-            help="Holds victoria_park/ or acfr_car_park/ or both, the real logs of some figures.",
+            help="Holds victoria_park/, acfr_car_park/ or mrclam/, the real logs of some figures.",
         ),
     ] = None,
     drives: Annotated[

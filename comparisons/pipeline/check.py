@@ -207,8 +207,6 @@ def _causes(grade: Graded, known: list[Cause], found: GivenAgreement) -> tuple[C
             if known
             else "look first at associations, signs and noise"
         )
-        if known:
-            hint = "look at the causes before this one"
         causes.append(Cause("optimum", "; ".join(found.against), hint))
     if not causes and not grade.enough and grade.by is not None:
         name, sigma = grade.by.reference.name, grade.by.sigma

@@ -189,12 +189,15 @@ class Ekf:
             return Linearised(local, jacobian, z - expected)
 
         at, fixes = linearise(), self.fixes
-        inside = at.normalised_squared(covariance) <= fixes.gate
-        length = 0 if inside else self._beyond.length_with(at.innovation, covariance, fixes.gate)
-        if fused := inside or (fixes.recovery is not None and length > fixes.recovery):
+        fused, length = at.normalised_squared(covariance) <= fixes.gate, 0
+        if fixes.recovery is not None and not fused:
+            length = self._beyond.length_with(at.innovation, covariance, fixes.gate)
+            fused = length > fixes.recovery
+        if fused:
             slot = np.array([VEHICLE])
             self.fuse(linearise, covariance[None], number, slot, splitter=fixes.splitter)
-        self._beyond = Streak(length, linearise().innovation, covariance)
+        if fixes.recovery is not None:
+            self._beyond = Streak(length, linearise().innovation, covariance)
         return fused
 
     def fuse(

@@ -69,7 +69,7 @@ class DenseMap:
     _potential: Potential | None = None
     _sensor: Sensor | None = None
     _regions_at: list[int] = field(default_factory=list)
-    _told: set[tuple[int, int]] = field(default_factory=set)
+    _spoken: set[tuple[int, int]] = field(default_factory=set)
     _value: Array = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
@@ -228,6 +228,6 @@ class DenseMap:
             )
             met = np.sort(placed.tree.meeting(scan.box()[None]).item).tolist()
             since = self._regions_at[number - 1]
-            near = [r for r in met if r >= since and (number, r) not in self._told]
-            self._told.update((number, r) for r in near)
+            near = [r for r in met if r >= since and (number, r) not in self._spoken]
+            self._spoken.update((number, r) for r in near)
             yield LateScan(scan, np.array(near, dtype=np.intp))

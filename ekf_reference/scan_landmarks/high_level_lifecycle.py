@@ -158,6 +158,8 @@ class HighLevelLandmarks:
 
     def _moves(self, number: int, place: Array) -> bool:
         """Give up a landmark whose template lies where things move (Nieto 2005, section 6.5)."""
+        if number in self.moving:
+            return True
         if self.guard is not None and self.landmark[number].template.moves(place, self.guard):
             self.moving.add(number)
         return number in self.moving

@@ -9,7 +9,6 @@ walls are drawn a second time, metres beside the first.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -134,14 +133,14 @@ class CarPark:
 
 def car_park(sources: Sources) -> CarPark:
     """Drive the log three times: cells of 0.4 m and 0.5 m, and with GPS. Raises InputError."""
+    return of_log(read_car_park(sources))
+
+
+def read_car_park(sources: Sources) -> Log:
+    """Return the log with calibrated sigmas. Raises InputError where it is not given."""
     folder = sources.folder(FOLDER)
     if folder is None:
         raise InputError(f"needs --data FOLDER with {FOLDER}/")
-    return of_log(read_car_park(folder))
-
-
-def read_car_park(folder: Path) -> Log:
-    """Return the log with the readers' calibrated sigmas."""
     return open_log(str(folder))
 
 

@@ -112,10 +112,7 @@ class CarParkScans:
 
 def car_park_scans(sources: Sources) -> CarParkScans:
     """Drive the log by reflectors, with GPS, and by both forms of Scan-SLAM. Raises InputError."""
-    folder = sources.folder(FOLDER)
-    if folder is None:
-        raise InputError(f"needs --data FOLDER with {FOLDER}/")
-    return of_log(read_car_park(folder))
+    return of_log(read_car_park(sources))
 
 
 def of_log(log: Log) -> CarParkScans:
