@@ -82,7 +82,7 @@ def read(path: Path) -> Log:
         inside = (time_s >= sample_s[0]) & (time_s <= sample_s[-1])
         if not inside.any():
             raise InputError(f"{path}: no {kind} line lies within the time of the ODOM lines")
-        outside, order, time_s = np.count_nonzero(~inside), order[inside], time_s[inside]
+        outside, order, time_s = int(np.count_nonzero(~inside)), order[inside], time_s[inside]
         pose, source = poses_at(time_s, sample_s, samples[:, 1:]), "ODOM lines"
     else:
         outside = 0
@@ -147,8 +147,8 @@ def _in_order(sweeps: Sweeps, clock: _Clock) -> tuple[Index, Array, int, int]:
     """Rows (K,) by time, their times (K,), how many of the same time were dropped, or moved."""
     if clock.column is None:
         return np.arange(len(sweeps.line)), np.arange(float(len(sweeps.line))), 0, 0
-    time = np.array(sweeps.times)[:, clock.column]
-    swapped = np.count_nonzero(time < np.maximum.accumulate(time))
+    time: Array = np.array(sweeps.times)[:, clock.column]
+    swapped = int(np.count_nonzero(time < np.maximum.accumulate(time)))
     order = np.argsort(time, kind="stable")
     order = order[np.diff(time[order], prepend=-np.inf) > 0]
     return order, time[order], len(time) - len(order), swapped

@@ -33,6 +33,7 @@ from comparisons.logs.readers.scan_odometry import (
 )
 from comparisons.logs.scans import Mount, Scans
 from comparisons.logs.table import number_or_fail, read_text, shorten
+from comparisons.logs.validation import whole_numbers
 from graphslam.increments import compose, relative_pose_samples
 
 _LEAST_STEP_S = 1e-3
@@ -303,7 +304,8 @@ def _truth(path: Path, drive: _Drive) -> Truth:
         if world.is_file():
             table = _table(world, _TRUTH_LANDMARK)
             try:
-                landmarks = Landmarks(table[:, 6], table[:, :2], np.zeros((len(table), 2, 2)))
+                ids = whole_numbers("landmarks", "id", table[:, 6])
+                landmarks = Landmarks(ids, table[:, :2], np.zeros((len(ids), 2, 2)))
             except RecordError as error:
                 raise InputError(f"{world}: {error}") from None
     return Truth(poses, landmarks)

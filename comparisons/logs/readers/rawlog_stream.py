@@ -318,7 +318,8 @@ def _gaussian(moved: Array, model: tuple[float, ...]) -> Array:
     a1, a2, a3, a4, least_m, least_rad = model
     sigma_m, sigma_rad = least_m + a1 * way + a2 * turn, least_rad + a3 * way + a4 * turn
     swing = np.array((-0.5 * moved[1], 0.5 * moved[0], 1.0))
-    return np.diag((sigma_m**2, sigma_m**2, 0.0)) + sigma_rad**2 * np.outer(swing, swing)
+    spread: Array = np.diag((sigma_m**2, sigma_m**2, 0.0)) + sigma_rad**2 * np.outer(swing, swing)
+    return spread
 
 
 def _thrun(moved: Array, model: tuple[float, ...]) -> Array:

@@ -244,7 +244,7 @@ SIX = "1.13486e+09"
 
 def steps(log: Log) -> list[float]:
     assert log.scans is not None
-    return np.diff(log.scans.time_s).round(6).tolist()
+    return [round(float(step), 6) for step in np.diff(log.scans.time_s)]
 
 
 def test_carmen_times_of_six_digits(tmp_path: Path) -> None:
