@@ -5,7 +5,8 @@ model it was recorded with (MRPT's Gaussian or Thrun's), each frame one instant.
 alone, each with its time: odometry as poses, with the covariance stated in `scan_odometry`.
 
 Beside `NAME.rawlog`, `NAME_ground_truth_robot_path.txt` (one pose a frame) and
-`NAME_ground_truth.txt` (landmarks) are the truth, as MRPT's simulator of landmarks writes them.
+`NAME_ground_truth.txt` (landmarks) are the truth, as MRPT's simulator of landmarks writes them, or
+`NAME.rawlog.GT.txt` (seconds since 1970, x, y, heading), as its simulator of grid maps does.
 """
 
 from __future__ import annotations
@@ -42,18 +43,24 @@ _LEVEL = np.cos(np.deg2rad(5.0))
 _FLAT_RAD = 1e-4
 _TICKS_PER_S = 10_000_000
 _EPOCH = datetime(1601, 1, 1, tzinfo=UTC)
+_UNIX_TICKS = 116_444_736_000_000_000
+_TIMED_TRUTH = ("time", "x", "y", "heading")
 _TRUTH_POSE = ("x", "y", "z", "yaw", "pitch", "roll")
 _TRUTH_LANDMARK = ("x", "y", "z", "type", "times seen", "time", "id")
 
 
 @dataclass(frozen=True)
 class _Drive:
-    """Instants (K,) with sightings or scans, what was observed then, and the motion between."""
+    """Instants (K,) with sightings or scans, what was observed then, and the motion between.
+
+    first_ticks: the first instant, where times are the file's.
+    """
 
     time_s: Array
     frames: Sequence[stream.Frame]
     odometry: RelativePoses
     provenance: dict[str, str]
+    first_ticks: int | None
 
 
 def recognises(path: Path) -> bool:
@@ -81,7 +88,9 @@ def read(path: Path) -> Log:
     scans, scanned = _scans(path, drive)
     sightings = _sightings(path, drive)
     truth = _truth(path, drive) if stepwise else Truth()
-    start = truth.poses.pose[0] if truth.poses is not None else np.zeros(3)
+    start = np.zeros(3)
+    if truth.poses is not None and len(truth.poses.time_s):
+        start = truth.poses.at(drive.time_s[:1])[0]
     return Log(
         name=path.stem,
         format="rawlog",
@@ -121,7 +130,7 @@ def _stepwise(path: Path, found: Sequence[stream.Movement | stream.Frame]) -> _D
             f"{path}: byte {frames[step + 1].at}: no motion since the frame before it, expected a "
             "CActionRobotMovement2D between two frames"
         )
-    time_s, provenance = _frame_times(frames)
+    time_s, first_ticks, provenance = _frame_times(frames)
     composed = compose(
         relative_pose_samples(
             np.reshape([moves[row].displacement for row in inside], (-1, 3)),
@@ -135,10 +144,12 @@ def _stepwise(path: Path, found: Sequence[stream.Movement | stream.Frame]) -> _D
     provenance["odometry"] = f"{len(inside)} CActionRobotMovement2D, covariances of their models"
     provenance["left_out"] = f"{len(moves) - len(inside)} motions before the first frame or after "
     provenance["left_out"] += "the last"
-    return _Drive(time_s, frames, odometry, provenance)
+    return _Drive(time_s, frames, odometry, provenance, first_ticks)
 
 
-def _frame_times(frames: Sequence[stream.Frame]) -> tuple[Array, dict[str, str]]:
+def _frame_times(
+    frames: Sequence[stream.Frame],
+) -> tuple[Array, int | None, dict[str, str]]:
     """(K,) of the frames; their numbers where their times are missing or do not increase."""
     ticks = [
         next(o.ticks for o in f.observations if isinstance(o, stream.Seen | stream.Sweep))
@@ -146,11 +157,15 @@ def _frame_times(frames: Sequence[stream.Frame]) -> tuple[Array, dict[str, str]]
     ]
     time_s = np.array([tick - ticks[0] for tick in ticks], dtype=float) / _TICKS_PER_S
     if all(ticks) and (np.diff(time_s) >= _LEAST_STEP_S).all():
-        return time_s, {"time_origin": _when(ticks[0])}
-    return np.arange(float(len(frames))), {
-        "times": "frame numbers in place of seconds, since the file's times do not increase by "
-        f"{_LEAST_STEP_S:g} s from frame to frame"
-    }
+        return time_s, ticks[0], {"time_origin": _when(ticks[0])}
+    return (
+        np.arange(float(len(frames))),
+        None,
+        {
+            "times": "frame numbers in place of seconds, since the file's times do not increase by "
+            f"{_LEAST_STEP_S:g} s from frame to frame"
+        },
+    )
 
 
 def _when(ticks: int) -> str:
@@ -192,13 +207,13 @@ def _timed(path: Path, found: Sequence[stream.Movement | stream.Frame]) -> _Driv
     }
     if not moving:
         none = RelativePoses(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3, 3)))
-        return _Drive(time_s, frames, none, provenance)
+        return _Drive(time_s, frames, none, provenance, ticks[0])
     sample_s = np.array([tick - ticks[0] for tick in sampled], dtype=float) / _TICKS_PER_S
     with _locating(path, lambda row: moving[sampled[row]].at):
         poses = Poses(sample_s, np.array([moving[tick].pose for tick in sampled]))
     with _locating(path, lambda row: frames[row + 1].at):
         odometry = displacements(time_s, poses_at(time_s, poses.time_s, poses.pose))
-    return _Drive(time_s, frames, odometry, provenance)
+    return _Drive(time_s, frames, odometry, provenance, ticks[0])
 
 
 def _sightings(path: Path, drive: _Drive) -> Sightings:
@@ -308,6 +323,14 @@ def _truth(path: Path, drive: _Drive) -> Truth:
                 landmarks = Landmarks(ids, table[:, :2], np.zeros((len(ids), 2, 2)))
             except RecordError as error:
                 raise InputError(f"{world}: {error}") from None
+    timed = path.with_name(f"{path.name}.GT.txt")
+    if poses is None and drive.first_ticks is not None and timed.is_file():
+        table = _table(timed, _TIMED_TRUTH)
+        since = table[:, 0] - (drive.first_ticks - _UNIX_TICKS) / _TICKS_PER_S
+        try:
+            poses = Poses(since, table[:, 1:])
+        except RecordError as error:
+            raise InputError(f"{timed}: {error}") from None
     return Truth(poses, landmarks)
 
 

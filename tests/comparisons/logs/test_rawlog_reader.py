@@ -10,6 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from comparisons.adapters.ekf_factory import settle
+from comparisons.adapters.ekf_run import run_ekf
+from comparisons.adapters.timeline import build_timeline
+from comparisons.config import EkfConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
@@ -183,6 +187,19 @@ def test_truth_beside_the_log(tmp_path: Path) -> None:
         read_log(path)
 
 
+def test_timed_truth_beside_the_log(tmp_path: Path) -> None:
+    """Seconds since 1970; a file whose frames have no times cannot use it."""
+    path = rawlog(tmp_path, drive(ticks=2_500_000))
+    first = (START - 116444736000000000) / 1e7
+    lines = "".join(f"{first + 0.25 * i:.6f} {i} 2 0.5\n" for i in range(4))
+    (tmp_path / "drive.rawlog.GT.txt").write_text(lines)
+    log = read_log(path)
+    assert log.truth.poses is not None
+    assert np.allclose(log.truth.poses.time_s, log.scans.time_s if log.scans else 0, atol=1e-6)
+    assert np.allclose(log.prior.pose, (0.0, 2.0, 0.5), atol=1e-5)
+    assert read_log(rawlog(tmp_path)).truth.poses is None
+
+
 ONE = seen([(1.0, 0.5, 0.0, 1)])
 BAD: dict[str, tuple[bytes, str]] = {
     "no object": (frame(ONE) + b"oops", f"byte {len(frame(ONE))}: no object starts here"),
@@ -269,6 +286,7 @@ def datasets() -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_the_demo_of_kf_slam(datasets: Path) -> None:
     """MRPT 0.9's simulation runs to a verdict; the filter finds the true map to millimetres."""
     log = read_log(datasets / "kf-slam_demo.rawlog")
@@ -285,6 +303,36 @@ def _rms(estimate: Estimate, log: Log) -> float:
     assert log.truth.landmarks is not None
     places = log.truth.landmarks.places_of(estimate.landmark_id)
     return float(np.sqrt(np.mean((estimate.landmark - places) ** 2)))
+
+
+def test_the_filter_of_mrpt(datasets: Path) -> None:
+    """From the second frame, where kf-slam starts, both filters are one and the same.
+
+    kf-slam of MRPT 2.5.8 with its EKF-SLAM_test_2d.ini, but std_sensor_range = 0.01 as in the file:
+    the first two lines are its last robot_pose and the roots of full_cov's first diagonal, the
+    third its mean, least and largest error of landmarks.
+    """
+    last = (8.4005094057197844, -0.0030954389275139188, 1.1774676343001191)
+    sigma = (0.00304155, 0.00320587, 0.0006487)
+    errors = (0.002193, 0.000263, 0.007301)
+    whole = read_log(datasets / "kf-slam_demo.rawlog")
+    assert isinstance(whole.odometry, RelativePoses)
+    moves = (whole.odometry.displacement[1:], whole.odometry.covariance[1:])
+    log = replace(
+        whole,
+        prior=replace(whole.prior, time_s=1.0),
+        odometry=RelativePoses(whole.odometry.time_s[1:], *moves),
+        sightings=whole.sightings.chosen(whole.sightings.time_s > 0),
+    )
+    estimate = run_ekf(log, build_timeline(log), settle(EkfConfig(), log)).estimate
+    apart = np.array([*estimate.pose[-1, :2], np.angle(np.exp(1j * estimate.pose[-1, 2]))]) - last
+    assert np.allclose(apart, 0, atol=2e-6)
+    assert np.allclose(np.sqrt(np.diag(estimate.pose_covariance[-1])), sigma, rtol=1e-4)
+    assert log.truth.landmarks is not None
+    missed = estimate.landmark - log.truth.landmarks.places_of(estimate.landmark_id)
+    distance = np.hypot(*missed.T)
+    found = (distance.mean(), distance.min(), distance.max())
+    assert np.allclose(found, errors, rtol=0, atol=2e-6)
 
 
 @pytest.mark.parametrize(
