@@ -31,6 +31,7 @@ from comparisons.report.models import Result
 from comparisons.report.result import build_result
 from comparisons.settings import configure, run_config, run_options
 from graphslam.g2o import G2oContents, write_g2o
+from tests.comparisons.logs.rawlogs import rawlog
 from tests.comparisons.logs.test_log_folder import full_log, velocity_log
 from tests.comparisons.logs.test_readers import car_park, graph, mrclam, victoria
 from tests.comparisons.logs.test_scan_readers import carmen, trio
@@ -228,6 +229,8 @@ SUBJECTS: dict[str, Subject] = {
     "ACFR car park": Subject(car_park, opened()),
     "aa3": Subject(trio, opened()),
     "CARMEN": Subject(carmen, named("drive.clf", "carmen")),
+    "rawlog": Subject(lambda folder: rawlog(folder, packed=False), named("drive.rawlog", "rawlog")),
+    "rawlog, packed": Subject(rawlog, named("drive.rawlog", "rawlog")),
     "TUM trajectory": trajectory_file("tum"),
     "KITTI trajectory": trajectory_file("kitti"),
     "CSV trajectory": trajectory_file("csv"),

@@ -56,6 +56,9 @@ READERS: dict[str, Reader] = {
         f"{_HERE}.rosbag",
         "ROS bags with LaserScan or PointCloud2: .mcap, .bag, rosbag2 folders (extra ros)",
     ),
+    "rawlog": Reader(
+        f"{_HERE}.rawlog", "MRPT .rawlog: range-bearing sightings, planar scans, 2D odometry"
+    ),
 }
 
 

@@ -8,15 +8,21 @@ FLASER lines name neither field of view nor maximum range. As CARMEN does, 181 a
 taken to be 1 degree apart and 361 and 360 half a degree, from -90 degrees on, and the maximum is
 80 m. Other counts need the resolution, and lie evenly about straight ahead. Ranges of zero, and
 those from the maximum on, are no returns.
+
+Times are IPC's; the logger's where most of IPC's repeat, as when they were written with six digits,
+or fall back too far; and the scans' numbers where most of both repeat. Lines out of order by up to
+0.1 s are sorted. ODOM lines of time 0, which gmapping writes, have no time and are left out.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
+from comparisons.arrays import Array, Index
 from comparisons.errors import InputError
 from comparisons.logs.log import Log
 from comparisons.logs.readers.carmen_lines import TAGS, LineReader, Sweeps
@@ -25,6 +31,15 @@ from comparisons.logs.scans import Mount, Scans
 from comparisons.logs.table import locate_rows, read_text, shorten
 
 _MOUNT_TOLERANCE = np.array([0.05, 0.05, 0.02])
+_LARGEST_FALL_S = 0.1
+_COLUMNS = ("IPC's", "the logger's")
+
+
+class _Clock(NamedTuple):
+    """column: of the times used, None for the order of lines. text: what the provenance says."""
+
+    column: int | None
+    text: str
 
 
 def recognises(path: Path) -> bool:
@@ -53,25 +68,30 @@ def read(path: Path) -> Log:
     if not sweeps.line:
         raise InputError(f"{path}: expected at least one FLASER or ROBOTLASER1 line")
     mount = _mount(path, sweeps)
-    start = sweeps.time[0]
-    time_s, pose = np.array(sweeps.time) - start, np.array(sweeps.robot)
-    inside = np.ones(len(time_s), dtype=bool)
+    clock = _clock(path, sweeps.line, np.array(sweeps.times))
+    order, time_s, repeated, swapped = _in_order(sweeps, clock)
+    start, pose = time_s[0], np.array(sweeps.robot)[order]
+    time_s = time_s - start
     source = f"the robot's pose in the {kind} lines"
+    untimed = sum(row[1] == 0 for row in reader.odometry)
+    if untimed > 1:
+        source += ", which a mapper may have corrected: gmapping writes ODOM lines of time 0"
     if reader.odometry and not np.ptp(pose, axis=0).any():
-        samples = np.array(reader.odometry)
+        samples = _odometry(path, np.array(reader.odometry), clock)
         sample_s = samples[:, 0] - start
         inside = (time_s >= sample_s[0]) & (time_s <= sample_s[-1])
         if not inside.any():
             raise InputError(f"{path}: no {kind} line lies within the time of the ODOM lines")
-        time_s = time_s[inside]
+        outside, order, time_s = int(np.count_nonzero(~inside)), order[inside], time_s[inside]
         pose, source = poses_at(time_s, sample_s, samples[:, 1:]), "ODOM lines"
-    kept = np.flatnonzero(inside)
-    with locate_rows(path, lambda row: sweeps.line[kept[row]]):
+    else:
+        outside = 0
+    with locate_rows(path, lambda row: sweeps.line[order[row]]):
         scans = Scans(
             time_s=time_s,
             angle_rad=sweeps.angle,
-            range_m=np.array(sweeps.ranges)[inside],
-            intensity=np.array(sweeps.remissions)[inside],
+            range_m=np.array(sweeps.ranges)[order],
+            intensity=np.array(sweeps.remissions)[order],
             mount=mount,
         )
     others = reader.skipped + Counter(
@@ -81,14 +101,82 @@ def read(path: Path) -> Log:
         "file": path.name,
         "scans": f"{kind} lines",
         "odometry": source,
+        "times": clock.text,
         "time_origin_s": f"{start:.3f}",
-        "left_out": f"{sweeps.repeated} repeated scans, {np.count_nonzero(~inside)} outside the "
-        "odometry",
+        "sorted": f"{swapped} {kind} lines that fell back by at most {_LARGEST_FALL_S:g} s",
+        "left_out": f"{repeated} repeated scans, {outside} outside the odometry",
         "lines_passed_over": ", ".join(
             f"{count} {shorten(tag)}" for tag, count in others.most_common(20) if count
         ),
     }
     return scan_log(path.stem, "carmen", time_s, pose, provenance, scans=scans)
+
+
+def _clock(path: Path, lines: list[int], times: Array) -> _Clock:
+    """Which of the two times (N, 2) are used. Raises InputError where both fall back."""
+    steps = np.diff(times, axis=0)
+    repeating = (steps == 0).mean(axis=0) if len(steps) else np.zeros(2)
+    coarse = (repeating > 0.5) | np.isnan(times).any(axis=0)
+    fall = np.maximum.accumulate(times) - times
+    usable = ~coarse & (fall <= _LARGEST_FALL_S).all(axis=0)
+    if usable[0]:
+        return _Clock(0, _COLUMNS[0])
+    why = f"IPC's repeat in {100 * repeating[0]:.0f} % of the scans"
+    if not coarse[0]:
+        row = int(np.flatnonzero(fall[:, 0] > _LARGEST_FALL_S)[0])
+        why = f"IPC's fall back by {fall[row, 0]:.6g} s in line {lines[row]}"
+        if not usable[1]:
+            raise InputError(_fallen(path, lines[row], times[row, 0], fall[row, 0]))
+    if usable[1]:
+        return _Clock(1, f"the logger's, since {why}")
+    if not coarse[1]:
+        row = int(np.flatnonzero(fall[:, 1] > _LARGEST_FALL_S)[0])
+        raise InputError(_fallen(path, lines[row], times[row, 1], fall[row, 1]))
+    return _Clock(None, f"scan numbers in place of seconds, since {why} and the logger's are no "
+                  "better")  # fmt: skip
+
+
+def _fallen(path: Path, line: int, time: float, fall: float) -> str:
+    return (
+        f"{path}:{line}: time {time:.6f} s follows {time + fall:.6f} s, expected times to increase "
+        f"but for {_LARGEST_FALL_S:g} s (cut the log where its clock was set)"
+    )
+
+
+def _in_order(sweeps: Sweeps, clock: _Clock) -> tuple[Index, Array, int, int]:
+    """Rows (K,) by time, their times (K,), how many of the same time were dropped, or moved."""
+    if clock.column is None:
+        return np.arange(len(sweeps.line)), np.arange(float(len(sweeps.line))), 0, 0
+    time: Array = np.array(sweeps.times)[:, clock.column]
+    swapped = int(np.count_nonzero(time < np.maximum.accumulate(time)))
+    order = np.argsort(time, kind="stable")
+    order = order[np.diff(time[order], prepend=-np.inf) > 0]
+    return order, time[order], len(time) - len(order), swapped
+
+
+def _odometry(path: Path, rows: Array, clock: _Clock) -> Array:
+    """(N, 4) time, x, y, heading of ODOM lines by time, without those of none.
+
+    rows: (M, 6) as read. Raises InputError where their times are no use.
+    """
+    if clock.column is None:
+        raise InputError(
+            f"{path}: times are {clock.text}; the robot stands still in the laser lines, so that "
+            "ODOM lines would move it, expected times that tell where these lie between the scans"
+        )
+    time = rows[:, 1 + clock.column]
+    lost = np.isnan(time) | (time == 0)
+    lost[0] &= np.count_nonzero(lost) > 1  # a log may start at zero
+    kept, time = rows[~lost], time[~lost]
+    if not len(kept) or np.isnan(time).any():
+        raise InputError(f"{path}: no ODOM line has a time ({_COLUMNS[clock.column]})")
+    fall = np.maximum.accumulate(time) - time
+    fallen = np.flatnonzero(fall > _LARGEST_FALL_S)
+    if len(fallen):
+        row = int(fallen[0])
+        raise InputError(_fallen(path, int(kept[row, 0]), time[row], fall[row]))
+    time, first = np.unique(time, return_index=True)
+    return np.column_stack((time, kept[first, 3:]))
 
 
 def _mount(path: Path, sweeps: Sweeps) -> Mount:
@@ -108,6 +196,6 @@ def _mount(path: Path, sweeps: Sweeps) -> Mount:
         raise InputError(
             f"{path}:{sweeps.line[far[0]]}: the laser's pose is {x:.4g} m forward, {y:.4g} m left, "
             f"{heading:.4g} rad of the robot's, expected {place[0]:.4g}, {place[1]:.4g}, "
-            f"{place[2]:.4g} as in most lines (a log with corrected poses?)"
+            f"{place[2]:.4g} as in most lines (corrected poses? take the log as recorded)"
         )
     return Mount(*place.tolist())

@@ -25,15 +25,19 @@ _MAXIMUM_M = 80.0
 _MOST_BEAMS = 100_000
 
 
+Times = tuple[float, float]
+"""IPC's and the logger's, the latter NaN where the line has none."""
+
+
 class Sweep(NamedTuple):
     """One laser line. line: its number from 1.
 
-    time_s: in the log's own seconds. angle_rad, range_m, remission: (B,). maximum_m: ranges from
+    times_s: in the log's own seconds. angle_rad, range_m, remission: (B,). maximum_m: ranges from
     there on are none. poses: (6,) x, y [m], heading [rad] of the laser, then of the robot.
     """
 
     line: int
-    time_s: float
+    times_s: Times
     angle_rad: Array
     range_m: Array
     maximum_m: float
@@ -45,24 +49,24 @@ class Sweep(NamedTuple):
 class Sweeps:
     """Laser lines of one kind, N so far with B beams each.
 
-    line: (N,) numbers from 1. time: (N,) in the log's own seconds. angle: (B,). ranges and
+    line: (N,) numbers from 1. times: (N,) in the log's own seconds. angle: (B,). ranges and
     remissions: N arrays (B,). laser, robot: N poses (3,) x, y [m], heading [rad].
     """
 
     line: list[int] = field(default_factory=list)
-    time: list[float] = field(default_factory=list)
+    times: list[Times] = field(default_factory=list)
     angle: Array = field(default_factory=lambda: np.zeros(0))
     ranges: list[Array] = field(default_factory=list)
     remissions: list[Array] = field(default_factory=list)
     laser: list[Array] = field(default_factory=list)
     robot: list[Array] = field(default_factory=list)
-    repeated: int = 0
 
 
 class LineReader:
     """What the lines so far have told.
 
-    odometry: rows of time, x, y, heading. skipped: how many lines of each name were passed over.
+    odometry: rows of line, both times, x, y, heading. skipped: how many lines of each name were
+    passed over.
     """
 
     def __init__(self, path: Path) -> None:
@@ -96,7 +100,7 @@ class LineReader:
         self._length(number, words, 2 + count + 7)
         ranges = self._numbers(number, words[2 : 2 + count], "range")
         poses = self._numbers(number, words[2 + count : 8 + count], "pose")
-        time = self._number(number, words[8 + count], "time")
+        times = self._times(number, words, 8 + count)
         step = _RESOLUTION_RAD.get(count)
         first = -np.pi / 2
         if step is None:
@@ -110,7 +114,7 @@ class LineReader:
             first = -step * (count - 1) / 2
         angle = first + step * np.arange(count, dtype=np.float64)
         nothing = np.zeros(count)
-        self._add("FLASER", Sweep(number, time, angle, ranges, self.maximum_m, nothing, poses))
+        self._add("FLASER", Sweep(number, times, angle, ranges, self.maximum_m, nothing, poses))
 
     def _robotlaser(self, number: int, words: list[str]) -> None:
         """Configuration, ranges, remissions, laser pose, robot pose, five more, time, host, ..."""
@@ -144,22 +148,16 @@ class LineReader:
             )
         remissions = self._numbers(number, words[10 + count : rest], "remission")
         poses = self._numbers(number, words[rest : rest + 6], "pose")
-        time = self._number(number, words[rest + 11], "time")
+        times = self._times(number, words, rest + 11)
         angle = first + step * np.arange(count, dtype=np.float64)
         shown = remissions if more else np.zeros(count)
-        self._add("ROBOTLASER1", Sweep(number, time, angle, ranges, maximum, shown, poses))
+        self._add("ROBOTLASER1", Sweep(number, times, angle, ranges, maximum, shown, poses))
 
     def _odom(self, number: int, words: list[str]) -> None:
         """Pose, tv, rv, accel, time, host, logger's time."""
         self._length(number, words, 8)
-        time = self._number(number, words[7], "time")
-        if self.odometry and time < self.odometry[-1][0]:
-            raise InputError(
-                f"{self.path}:{number}: odometry, time {time:.6f} s follows "
-                f"{self.odometry[-1][0]:.6f} s, expected times to increase"
-            )
-        if not self.odometry or time > self.odometry[-1][0]:
-            self.odometry.append([time, *self._numbers(number, words[1:4], "pose")])
+        times = self._times(number, words, 7)
+        self.odometry.append([number, *times, *self._numbers(number, words[1:4], "pose")])
 
     def _add(self, kind: str, sweep: Sweep) -> None:
         sweeps, number = self.sweeps[kind], sweep.line
@@ -176,11 +174,8 @@ class LineReader:
                 f"rad, expected {len(sweeps.angle)} from {sweeps.angle[0]:.4g} to "
                 f"{sweeps.angle[-1]:.4g} as in line {sweeps.line[0]}"
             )
-        if sweeps.time and sweep.time_s == sweeps.time[-1]:
-            sweeps.repeated += 1
-            return
         sweeps.line.append(number)
-        sweeps.time.append(sweep.time_s)
+        sweeps.times.append(sweep.times_s)
         measured = (ranges > 0) & (ranges < sweep.maximum_m)
         sweeps.ranges.append(np.where(measured, ranges, np.nan))
         sweeps.remissions.append(sweep.remission)
@@ -205,6 +200,15 @@ class LineReader:
                 f"{self.path}:{number}: {len(words)} words, expected {least} to {least + 2} for "
                 f"{words[0]} with these counts"
             )
+
+    def _times(self, number: int, words: list[str], at: int) -> Times:
+        """IPC's, the host between them, the logger's."""
+        try:
+            logger = float(words[at + 2])
+        except (ValueError, IndexError):
+            logger = np.nan
+        usable = abs(logger) <= LARGEST
+        return self._number(number, words[at], "time"), logger if usable else np.nan
 
     def _numbers(self, number: int, words: list[str], name: str) -> Array:
         try:

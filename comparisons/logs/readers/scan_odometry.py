@@ -21,7 +21,7 @@ SIGMA_RAD_PER_SQRT_M = 0.05
 SIGMA_RAD_PER_SQRT_RAD = 0.1
 """Of the heading: 10 % after one radian."""
 _LEAST_SIGMA = np.array([1e-3, 1e-3, 1e-3])
-_PRIOR_SIGMA = 1e-6
+PRIOR_SIGMA = 1e-6
 
 NOISE_TEXT = (
     f"stated: {SIGMA_M_PER_SQRT_M:g} m per root metre and {SIGMA_M_PER_SQRT_RAD:g} m per root "
@@ -92,7 +92,7 @@ def scan_log(
     return Log(
         name=name,
         format=format_name,
-        prior=Prior(float(time_s[0]), np.zeros(3), _PRIOR_SIGMA**2 * np.eye(3)),
+        prior=Prior(float(time_s[0]), np.zeros(3), PRIOR_SIGMA**2 * np.eye(3)),
         odometry=odometry,
         sightings=no_sightings(),
         scans=scans,

@@ -297,7 +297,7 @@ def test_unknown_paths_and_formats(tmp_path: Path) -> None:
         read_log(tmp_path, "hdf5")
     assert set(READERS) == {
         *("log-folder", "gtsam-2d", "g2o", "mrclam", "acfr-car-park", "victoria-park"),
-        *("aa3", "carmen", "rosbag"),
+        *("aa3", "carmen", "rosbag", "rawlog"),
     }
 
 

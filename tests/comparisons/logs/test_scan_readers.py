@@ -156,13 +156,19 @@ def test_damaged_trios(name: str, tmp_path: Path) -> None:
 
 
 def flaser(
-    time: float, x: float, heading: float = 0.0, laser: float = 0.2, beams: int = 180
+    time: float | str,
+    x: float,
+    heading: float = 0.0,
+    laser: float = 0.2,
+    beams: int = 180,
+    logger: float | str = 0.1,
 ) -> str:
     """The laser `laser` metres ahead of the robot."""
     ranges = " ".join(["2.50", "0.0", "81.91", *["3.00"] * (beams - 3)])
     ahead = f"{x + laser * np.cos(heading):.6f} {laser * np.sin(heading):.6f}"
     return (
-        f"FLASER {beams} {ranges} {ahead} {heading:.6f} {x:.6f} 0.0 {heading:.6f} {time} host 0.1\n"
+        f"FLASER {beams} {ranges} {ahead} {heading:.6f} {x:.6f} 0.0 {heading:.6f} {time} "
+        f"host {logger}\n"
     )
 
 
@@ -233,6 +239,73 @@ def test_carmen_takes_odometry_lines_where_scans_carry_no_pose(tmp_path: Path) -
     assert log.scans.time_s.tolist() == [0.0, 2.0]
 
 
+SIX = "1.13486e+09"
+
+
+def steps(log: Log) -> list[float]:
+    assert log.scans is not None
+    return [round(float(step), 6) for step in np.diff(log.scans.time_s)]
+
+
+def test_carmen_times_of_six_digits(tmp_path: Path) -> None:
+    """The logger's then, or the order of lines where these are as coarse; no scan is lost."""
+    text = "".join(flaser(SIX, 0.5 * i, logger=3.0 + 0.2 * i) for i in range(4))
+    log = read_log(carmen(tmp_path, text))
+    assert steps(log) == [0.2, 0.2, 0.2]
+    assert log.provenance["times"] == "the logger's, since IPC's repeat in 100 % of the scans"
+    log = read_log(carmen(tmp_path, "".join(flaser(SIX, 0.5 * i, logger=SIX) for i in range(4))))
+    assert steps(log) == [1.0, 1.0, 1.0]
+    assert log.provenance["times"].startswith("scan numbers in place of seconds, since IPC's")
+    assert isinstance(log.odometry, RelativePoses)
+    assert np.allclose(log.odometry.displacement[:, 0], 0.5)
+    # A line without the logger's time, too.
+    bare = "".join(flaser(SIX, 0.5 * i).rsplit(" ", 2)[0] + "\n" for i in range(4))
+    assert steps(read_log(carmen(tmp_path, bare))) == [1.0, 1.0, 1.0]
+
+
+def test_carmen_lines_out_of_order(tmp_path: Path) -> None:
+    """By milliseconds: sorted, each with its pose. By more: the logger's times, or refused."""
+    times = (100.0, 100.2, 100.197, 100.4)
+    text = "".join(flaser(t, 10 * (t - 100), logger=i) for i, t in enumerate(times))
+    log = read_log(carmen(tmp_path, text))
+    assert steps(log) == [0.197, 0.003, 0.2]
+    assert log.provenance["sorted"].startswith("1 FLASER lines")
+    assert isinstance(log.odometry, RelativePoses)
+    assert np.allclose(log.odometry.displacement[:, 0], (1.97, 0.03, 2.0))
+    log = read_log(carmen(tmp_path, text.replace("100.197", "99.9")))
+    assert steps(log) == [1.0, 1.0, 1.0]
+    assert log.provenance["times"] == "the logger's, since IPC's fall back by 0.3 s in line 3"
+    fallen = text.replace("100.197", "99.9").replace("host 3", "host 0.5")
+    with pytest.raises(InputError, match=r":3: time 99\.9\d* s follows 100\.2\d* s, expected"):
+        read_log(carmen(tmp_path, fallen))
+
+
+def test_carmen_as_gmapping_writes(tmp_path: Path) -> None:
+    """ODOM lines of time 0 after each FLASER line: without effect, but told."""
+    zero = "ODOM 7 7 0 0 0 0 0 host 0\n"
+    timed = "ODOM 0 0 0 0 0 0 100.0 host 0\n"
+    text = timed + "".join(flaser(100 + 0.2 * i, 0.5 * i) + zero for i in range(4))
+    log = read_log(carmen(tmp_path, text))
+    assert isinstance(log.odometry, RelativePoses)
+    assert np.allclose(log.odometry.displacement, ((0.5, 0, 0),) * 3)
+    assert "gmapping writes ODOM lines of time 0" in log.provenance["odometry"]
+    # Where ODOM lines do move it, those of time 0 would have it start elsewhere.
+    still = "".join(
+        flaser(100 + i, 0.0) + f"ODOM {i} 0 0 0 0 0 {100 + i} host 0\n" + zero for i in range(4)
+    )
+    log = read_log(carmen(tmp_path, still))
+    assert isinstance(log.odometry, RelativePoses)
+    assert np.allclose(log.odometry.displacement, ((1, 0, 0),) * 3)
+
+
+def test_carmen_odometry_lines_out_of_order(tmp_path: Path) -> None:
+    lines = [f"ODOM {x} 0 0 0 0 0 {100 + x} host 0\n" for x in (0.0, 0.5, 1.0, 0.98, 2.0)]
+    text = "".join(lines) + flaser(100.99, 0.0) + flaser(101.5, 0.0)
+    log = read_log(carmen(tmp_path, text))
+    assert isinstance(log.odometry, RelativePoses)
+    assert np.allclose(log.odometry.displacement, ((0.51, 0, 0),))
+
+
 def test_carmen_with_a_stated_resolution(tmp_path: Path) -> None:
     text = "PARAM laser_front_laser_resolution 0.25 host 0\n" + flaser(0.0, 0.0, beams=401)
     log = read_log(carmen(tmp_path, text))
@@ -264,10 +337,18 @@ BAD_CARMEN = {
     "word": (CARMEN.replace("2.50", "oops"), ":4: range is 'oops', expected a finite number"),
     "negative": (CARMEN.replace("2.50", "-1"), ":4: range is -1, expected from 0 on"),
     "huge": (CARMEN.replace("2.50", "1e300"), ":4: range is 1e+300, expected at most 1e+10"),
-    "backwards": (CARMEN.replace("100.4", "99.0"), ":9: time -1.000000 s follows 0.200000 s"),
+    "backwards": (CARMEN.replace("100.4", "99.0"), ":9: time 99.000000 s follows 100.200000 s"),
     "odometry": (
-        CARMEN + "ODOM 0 0 0 0 0 0 1.0 host 0\n",
-        ":10: odometry, time 1.000000 s follows",
+        flaser(1.0, 0.0) + "ODOM 0 0 0 0 0 0 2.0 host 0\nODOM 0 0 0 0 0 0 1.0 host 0\n",
+        ":3: time 1.000000 s follows 2.000000 s, expected times to increase but for 0.1 s",
+    ),
+    "no times": (
+        "".join(flaser(SIX, 0.0, logger=SIX) for _ in range(4)) + "ODOM 0 0 0 0 0 0 1 host 0\n",
+        "times are scan numbers in place of seconds, since IPC's repeat in 100 % of the scans and",
+    ),
+    "no odometry's": (
+        "".join(flaser(100.0 + t, 0.0) for t in range(4)) + "ODOM 0 0 0 0 0 0 0 host 0\n" * 2,
+        "no ODOM line has a time (IPC's)",
     ),
     "parameter": (
         CARMEN.replace("max 81.0", "max 0"),
