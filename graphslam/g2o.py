@@ -219,9 +219,7 @@ def _records(path: Path) -> Iterator[_Record]:
             yield _Record(f"{path}:{line}", tag, numbers, exact)
 
 
-def _prior(
-    records: list[_Record], first: Array, pose_of: dict[int, int]
-) -> tuple[Array, Array]:
+def _prior(records: list[_Record], first: Array, pose_of: dict[int, int]) -> tuple[Array, Array]:
     """Pose (3,) and covariance (3, 3), of the additive global error."""
     if not records:
         return first, _FREE_PRIOR * np.eye(3)
