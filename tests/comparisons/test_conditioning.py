@@ -139,8 +139,8 @@ def test_absurd_sigmas_end_in_a_verdict_or_a_line(
 ) -> None:
     log = first_seconds(simulated(), 5.0)
     count = len(log.sightings.time_s)
-    columns = dict(zip(("sigma_range_m", "sigma_bearing_rad"), sigmas, strict=True))
-    seen = replace(log.sightings, **{k: np.full(count, v) for k, v in columns.items()})
+    of_range, of_bearing = (np.full(count, sigma) for sigma in sigmas)
+    seen = replace(log.sightings, sigma_range_m=of_range, sigma_bearing_rad=of_bearing)
     if line:
         with pytest.raises(InputError, match=line):
             compared(replace(log, sightings=seen), smoother=smoother)
