@@ -84,7 +84,7 @@ class LogSection(Section):
     noise_scale: float = Field(
         1.0,
         gt=0.0,
-        allow_inf_nan=False,
+        le=1e6,
         description="factor on the noise of a simulated log, added and stated alike",
     )
     features: Features = Field("log", description="the log's own, or trunks found in its scans")

@@ -20,6 +20,7 @@ import numpy as np
 
 from graphslam.arrays import Array
 from graphslam.graph_builder import to_tangent
+from graphslam.marginals import SingularProblemError, inverse
 from graphslam.problem import Closures, SlamProblem
 
 _FREE_PRIOR = 1e-12
@@ -35,6 +36,13 @@ _NUMBERS = {
 }
 TAGS = tuple(_NUMBERS)
 """What is written and read."""
+_SETTINGS = {
+    "EDGE_SE2": "raise the odometry's sigmas or its stabilisation noise",
+    "EDGE_PRIOR_SE2": "lower the correlations of the log's prior",
+    "EDGE_PRIOR_SE2_XY": "lower the correlations of the log's positions",
+    "EDGE_PRIOR_XY": "give the known landmarks larger variances",
+}
+"""What in a log to change where an edge of a tag has no information."""
 
 
 class G2oContents(NamedTuple):
@@ -53,7 +61,8 @@ def holds(problem: SlamProblem) -> bool:
 def write_g2o(path: Path, contents: G2oContents) -> None:
     """Write a problem with a solution. Raises ValueError for an antenna off the pose's origin.
 
-    g2o has no edge for one; such positions would be taken for the pose's own.
+    g2o has no edge for one; such positions would be taken for the pose's own. Raises
+    SingularProblemError that names the edge whose covariance has no inverse.
     """
     problem, poses, landmarks = contents
     if problem.oriented.count:
@@ -80,8 +89,10 @@ def write_g2o(path: Path, contents: G2oContents) -> None:
         problem.sighting_pose, problem.sighting_landmark, problem.z, problem.sigma, strict=True
     ):
         cos, sin = math.cos(bearing), math.sin(bearing)
-        root = np.array([[cos, -r * sin], [sin, r * cos]]) * sigma
-        line = _edge("EDGE_SE2_XY", (k, count + j), np.array([r * cos, r * sin]), root @ root.T)
+        # Of the whitened point: its covariance would lose the smaller of two unlike sigmas.
+        root = np.array([[cos, sin], [-sin / r, cos / r]]) / sigma[:, None]
+        point = np.array([r * cos, r * sin])
+        line = _line("EDGE_SE2_XY", (k, count + j), point, root.T @ root)
         lines.append(f"{line} # {_text((r, bearing, *sigma))}")
     for k, z, spread in zip(
         problem.position_pose, problem.position, problem.position_covariance, strict=True
@@ -116,7 +127,7 @@ def read_g2o(path: Path) -> G2oContents:
     def place(record: _Record, position: int, table: dict[int, int], what: str) -> int:
         key = int(record.numbers[position])
         if key not in table:
-            raise ValueError(f"{path}:{record.line}: {record.tag} names {key}, which is no {what}")
+            raise ValueError(f"{record.place}: {record.tag} names {key}, which is no {what}")
         return table[key]
 
     chain: dict[int, _Record] = {}
@@ -124,7 +135,7 @@ def read_g2o(path: Path) -> G2oContents:
     for record in edges["EDGE_SE2"]:
         i, j = place(record, 0, pose_of, "pose"), place(record, 1, pose_of, "pose")
         if i == j:
-            raise ValueError(f"{path}:{record.line}: EDGE_SE2 from pose {i} to itself")
+            raise ValueError(f"{record.place}: EDGE_SE2 from pose {i} to itself")
         if j == i + 1 and i not in chain:
             chain[i] = record
         else:
@@ -141,7 +152,7 @@ def read_g2o(path: Path) -> G2oContents:
         raise ValueError(f"{path}: EDGE_PRIOR_XY must hold the first landmarks, each once")
     survey = [survey[i] for i in np.argsort(slots)] if slots else []
     polar = np.array([_polar(r) for r in seen]).reshape(-1, 4)
-    prior_pose, prior_covariance = _prior(path, edges["EDGE_PRIOR_SE2"], poses[0], pose_of)
+    prior_pose, prior_covariance = _prior(edges["EDGE_PRIOR_SE2"], poses[0], pose_of)
     return G2oContents(
         SlamProblem(
             prior_pose=prior_pose,
@@ -173,9 +184,9 @@ def read_g2o(path: Path) -> G2oContents:
 
 
 class _Record(NamedTuple):
-    """One line. numbers: in front of the `#`; exact: behind it."""
+    """One line. place: file and line. numbers: in front of the `#`; exact: behind it."""
 
-    line: int
+    place: str
     tag: str
     numbers: list[float]
     exact: list[float]
@@ -205,19 +216,17 @@ def _records(path: Path) -> Iterator[_Record]:
                 )
             if not np.isfinite(numbers + exact).all():
                 raise ValueError(f"{path}:{line}: {tag} holds a number that is not finite")
-            yield _Record(line, tag, numbers, exact)
+            yield _Record(f"{path}:{line}", tag, numbers, exact)
 
 
-def _prior(
-    path: Path, records: list[_Record], first: Array, pose_of: dict[int, int]
-) -> tuple[Array, Array]:
+def _prior(records: list[_Record], first: Array, pose_of: dict[int, int]) -> tuple[Array, Array]:
     """Pose (3,) and covariance (3, 3), of the additive global error."""
     if not records:
         return first, _FREE_PRIOR * np.eye(3)
     [record, *more] = records
     if more or pose_of.get(int(record.numbers[0])) != 0:
-        line = (more or records)[0].line
-        raise ValueError(f"{path}:{line}: EDGE_PRIOR_SE2, expected one only, of the first pose")
+        place = (more or records)[0].place
+        raise ValueError(f"{place}: EDGE_PRIOR_SE2, expected one only, of the first pose")
     pose = np.array(record.numbers[1:4])
     if record.exact:
         return pose, _covariance(record, 4)
@@ -232,8 +241,13 @@ def _covariance(record: _Record, start: int) -> Array:
     matrix = _symmetric(entries or record.numbers[start:], size)
     if entries is not None:
         return matrix
-    inverse = np.linalg.inv(matrix).astype(np.float64, copy=False)
-    return 0.5 * (inverse + inverse.T)
+    try:
+        covariance = inverse(matrix)
+    except np.linalg.LinAlgError:
+        raise ValueError(
+            f"{record.place}: {record.tag} has an information that is not positive definite"
+        ) from None
+    return 0.5 * (covariance + covariance.T)
 
 
 def _polar(record: _Record) -> list[float]:
@@ -242,19 +256,30 @@ def _polar(record: _Record) -> list[float]:
         return record.exact
     x, y = record.numbers[2:4]
     r, bearing = math.hypot(x, y), math.atan2(y, x)
+    if not r > 0.0:
+        raise ValueError(f"{record.place}: {record.tag} lies on its pose, which has no bearing")
     cos, sin = math.cos(bearing), math.sin(bearing)
     into = np.array([[cos, sin], [-sin / r, cos / r]])
     spread = into @ _covariance(record, 4) @ into.T
     return [r, bearing, *np.sqrt(np.diag(spread)).tolist()]
 
 
-def _edge(
-    tag: str, ids: tuple[int, ...], z: Array, covariance: Array, exact: Array | None = None
-) -> str:
-    information = np.linalg.inv(covariance).astype(np.float64, copy=False)
-    upper = np.triu_indices(len(covariance))
-    line = f"{tag} {' '.join(str(int(i)) for i in ids)} {_text(z)} {_text(information[upper])}"
-    return line if exact is None else f"{line} # {_text(exact[upper])}"
+def _edge(tag: str, ids: tuple[int, ...], z: Array, covariance: Array, exact: Array) -> str:
+    try:
+        line = _line(tag, ids, z, inverse(covariance))
+    except np.linalg.LinAlgError:
+        named = " ".join(str(int(i)) for i in ids)
+        sigmas = ", ".join(f"{v:.3g}" for v in np.sqrt(np.abs(np.diag(covariance))))
+        raise SingularProblemError(
+            f"graph.g2o: the covariance of {tag} {named} (sigmas {sigmas}) is singular to "
+            f"rounding, so that it has no information; {_SETTINGS[tag]}"
+        ) from None
+    return f"{line} # {_text(exact[np.triu_indices(len(exact))])}"
+
+
+def _line(tag: str, ids: tuple[int, ...], z: Array, information: Array) -> str:
+    upper = information[np.triu_indices(len(information))]
+    return f"{tag} {' '.join(str(int(i)) for i in ids)} {_text(z)} {_text(upper)}"
 
 
 def _symmetric(entries: list[float], size: int) -> Array:

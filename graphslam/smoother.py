@@ -188,7 +188,13 @@ def smooth(
         search.attempt(name, "sequential", search.values(*guess))
     search.attempt_relaxed()
     progress(f"smoother, {options.method}")
-    followed = _follow(problem, graph, options, search)
+    try:
+        followed = _follow(problem, graph, options, search)
+    except RuntimeError:  # gtsam's, of many lines
+        raise SingularProblemError(
+            f"{options.method} came to a system without a solution on its way; raise the smallest "
+            "sigmas of the log, or take the batch smoother"
+        ) from None
     if not search.attempts or not search.agreed:
         search.attempt("tracked", "sequential", *track(problem, graph))
     exploration = search.explore()

@@ -147,12 +147,12 @@ def poses_at(log: Log, estimate: Estimate, time_s: Array) -> Array:
     known, wanted = np.round(estimate.time_s, 4), np.round(time_s, 4)
     wanted = np.clip(wanted, known[0], known[-1])
     instants = np.union1d(known, wanted)
-    moved = _moved(log, instants)
+    motion = _moved(log, instants)
     pose = np.empty((len(instants), 3))
     row = np.minimum(np.searchsorted(known, instants), len(known) - 1)
     at_epoch = np.abs(known[row] - instants) < 0.5 * CLOCK_S
     for i in range(len(instants)):
-        at = estimate.pose[row[i]] if at_epoch[i] else planar.compose(pose[i - 1], moved[i - 1])
+        at = estimate.pose[row[i]] if at_epoch[i] else planar.compose(pose[i - 1], motion[i - 1])
         pose[i] = at
     found: Array = pose[np.searchsorted(instants, wanted)]
     return found

@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from comparisons.arrays import Array, Index
+from comparisons.errors import InputError
 from ekf_reference.core.trace import MeasurementRecords, TraceArrays
-from graphslam.graph_builder import POSE_LANDMARK
+from graphslam.graph_builder import POINT, POSE_LANDMARK
 from graphslam.linear_problem import LinearProblem
 from graphslam.model_system import RelationPoints
 from graphslam.recorded_system import (
@@ -19,6 +20,11 @@ from graphslam.recorded_system import (
     RecordedSteps,
     recorded_system,
 )
+
+_MOST_UNLIKE = 1e4
+"""Sigmas along and across the ray of which a new landmark's covariance keeps half its digits. From
+2.5e4 on the filter and the frozen smoother part by more than rounding may, from 1e8 on the
+covariance is singular."""
 
 
 def recorded(trace: TraceArrays, until: Index) -> LinearProblem:
@@ -101,8 +107,14 @@ def _measured(r: MeasurementRecords, until: Index) -> RecordedRelations:
 
 
 def _initialised(r: MeasurementRecords, until: Index) -> RecordedRelations:
-    """Landmark = point + G_x (x - pose) + G_z v, as a relation with residual zero."""
+    """Landmark = point + G_x (x - pose) + G_z v, as a relation with residual zero.
+
+    Raises InputError for a measurement whose sigmas the filter's covariance cannot hold together.
+    """
     r = r.rows(np.argsort(r.weight <= 0.0, kind="stable"))
+    covariance = r.jacobian_other @ r.noise @ r.jacobian_other.transpose(0, 2, 1)
+    measured = r.weight > 0.0
+    _check_spread(r.slot[measured], covariance[measured])
     return RecordedRelations(
         first=np.searchsorted(until, r.step),
         second=r.slot,
@@ -111,5 +123,21 @@ def _initialised(r: MeasurementRecords, until: Index) -> RecordedRelations:
         residual=r.innovation,
         jacobian_first=-r.jacobian_pose,
         jacobian_second=np.broadcast_to(np.eye(r.noise.shape[-1]), r.noise.shape),
-        covariance=r.jacobian_other @ r.noise @ r.jacobian_other.transpose(0, 2, 1),
+        covariance=covariance,
     )
+
+
+def _check_spread(slot: Index, covariance: Array) -> None:
+    """Raise InputError where a point was initialised with sigmas too unlike."""
+    if covariance.shape[-1] != POINT:
+        return
+    squared = np.linalg.eigvalsh(covariance)
+    bad = np.flatnonzero(~(squared[:, 1] <= _MOST_UNLIKE**2 * squared[:, 0]))
+    if len(bad):
+        least, largest = np.sqrt(np.maximum(squared[bad[0]], 0.0))
+        raise InputError(
+            f"sightings: landmark {slot[bad[0]]} of the map was initialised by one with sigmas of "
+            f"{least:.3g} m one way and {largest:.3g} m the other, expected no more than "
+            f"{_MOST_UNLIKE:g} between them, for an EKF's covariance loses the smaller: raise that "
+            "of sigma_range_m and sigma_bearing_rad, or lower the other"
+        )

@@ -135,7 +135,7 @@ def block_agrees(block: BlockAgreement) -> bool:
 
 
 def compare(ekf: Gaussian, recorded: Gaussian, own: Gaussian, smoother: Gaussian) -> Agreement:
-    """Compare E, F1, F2 and S. Raises ValueError when S's covariance is not positive definite."""
+    """Compare E, F1, F2 and S. Raises LinAlgError when S's covariance is not positive definite."""
     sigma = np.sqrt(np.diag(smoother.covariance))
     difference, points = _difference(ekf, smoother), len(sigma) - 3 * smoother.oriented
     landmarks = tuple(
@@ -192,11 +192,24 @@ def block_agreement(first: Gaussian, second: Gaussian) -> BlockAgreement:
 def _block(ekf: Gaussian, smoother: Gaussian, difference: Array, part: slice) -> BlockAgreement:
     d = difference[part]
     covariance = smoother.covariance[part, part]
-    if eigvalsh(covariance)[0] <= 0.0:
-        raise ValueError("the smoother's covariance is not positive definite")
+    other = ekf.covariance[part, part]
+    apart_m = float(np.hypot(d[0], d[1]))
+    if not _positive(covariance):  # perhaps only as metres and radians are far apart
+        unit = 1.0 / np.sqrt(np.abs(np.diag(covariance)))
+        d, covariance, other = (
+            d * unit,
+            covariance * np.outer(unit, unit),
+            other * np.outer(unit, unit),
+        )
+        if not _positive(covariance):
+            raise LinAlgError("the smoother's covariance is not positive definite to rounding")
     distance = float(np.sqrt(d @ np.linalg.solve(covariance, d) / len(d)))
-    low, high = eigenvalue_range(ekf.covariance[part, part], covariance)
-    return BlockAgreement(float(np.hypot(d[0], d[1])), distance, low, high)
+    low, high = eigenvalue_range(other, covariance)
+    return BlockAgreement(apart_m, distance, low, high)
+
+
+def _positive(covariance: Array) -> bool:
+    return bool(np.isfinite(covariance).all() and eigvalsh(covariance)[0] > 0.0)
 
 
 def _difference(first: Gaussian, second: Gaussian) -> Array:

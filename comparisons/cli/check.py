@@ -51,7 +51,7 @@ def check(given: Given) -> None:
         estimate = handed_in[0]
         with progress_bar() as progress:
             checked = check_estimate(job.log, estimate, job.config, progress)
-            result = build_check_result(checked, job.read_s)
+            result = build_check_result(checked, job.read)
             progress("report", 0, 0)
             write_job_folder(check_folder(checked, result), job.folder)
         print_result(lambda console: print_check(result, console), job.folder)

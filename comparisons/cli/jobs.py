@@ -13,18 +13,19 @@ from comparisons.errors import InputError
 if TYPE_CHECKING:
     from comparisons.config import JobConfig
     from comparisons.logs.log import Log
+    from comparisons.pipeline.prepare import Clock
 
 C = TypeVar("C", bound="JobConfig")
 
 
 @dataclass(frozen=True)
 class Job(Generic[C]):
-    """A job about to be done. read_s: seconds that reading the log took."""
+    """A job about to be done. read: the time that reading the log took."""
 
     log: Log
     config: C
     folder: Path
-    read_s: float
+    read: Clock
 
 
 def start_job(
@@ -40,11 +41,11 @@ def start_job(
     from comparisons.atomic import folder_name
     from comparisons.report.folder import check_free
 
-    log, config, read_s = read_job(given, kind, base, check)
+    log, config, read = read_job(given, kind, base, check)
     command = "" if config.job == "run" else f"{config.job}-"
     folder = given.out or Path(f"slamcheck-{command}{folder_name(log.name)}")
     check_free(folder)
-    return Job(log, config, folder, read_s)
+    return Job(log, config, folder, read)
 
 
 def read_job(
@@ -52,8 +53,8 @@ def read_job(
     kind: type[C],
     base: Mapping[str, Any] | None = None,
     check: Callable[[C], None] = lambda config: None,
-) -> tuple[Log, C, float]:
-    """Settle the configuration and read the log; the last is the seconds that took.
+) -> tuple[Log, C, Clock]:
+    """Settle the configuration and read the log; the last is the time that took.
 
     base: settings where there is no file. check: what must hold before the log is read. Raises
     InputError.

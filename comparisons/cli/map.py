@@ -33,7 +33,7 @@ def map_command(given: Given) -> None:
 
         with progress_bar() as progress:
             mapping = map_log(job.log, job.config, progress)
-            result = build_map_result(mapping, job.read_s)
+            result = build_map_result(mapping, job.read)
             progress("report", 0, 0)
             write_job_folder(map_folder(mapping, result), job.folder)
         print_result(lambda console: print_map(result, console), job.folder)

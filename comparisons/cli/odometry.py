@@ -31,7 +31,7 @@ def odometry(given: Given) -> None:
 
         with progress_bar() as progress:
             front_end = run_front_end(job.log, job.config, progress)
-            result = build_front_end_result(front_end, job.read_s)
+            result = build_front_end_result(front_end, job.read)
             progress("report", 0, 0)
             write_job_folder(front_end_folder(front_end, result), job.folder)
         print_result(lambda console: print_front_end(result, console), job.folder)

@@ -61,7 +61,7 @@ def run(given: Given) -> None:
 
         with progress_bar() as progress:
             comparison = compare(job.log, job.config, progress)
-            result = build_result(comparison, job.read_s)
+            result = build_result(comparison, job.read)
             progress("report", 0, 0)
             _record(comparison, record)  # first: where that fails, no folder is left
             content = run_folder(comparison, result)

@@ -31,7 +31,7 @@ def solve(given: Given) -> None:
 
         with progress_bar() as progress:
             solution = solve_log(job.log, job.config, progress)
-            result = build_solution_result(solution, job.read_s)
+            result = build_solution_result(solution, job.read)
             progress("report", 0, 0)
             write_job_folder(solution_folder(solution, result), job.folder)
         print_result(lambda console: print_solution(result, console), job.folder)

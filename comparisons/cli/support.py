@@ -67,6 +67,14 @@ def guarded(*, verbose: bool = False, log_file: Path | None = None) -> Iterator[
             error, "graphslam.scan.clouds", "CloudError"
         ):
             fail(str(error), UNUSABLE)
+        if isinstance(error, np.linalg.LinAlgError):
+            logging.getLogger("slamcheck").info("no decomposition", exc_info=error)
+            fail(
+                "unverified: a covariance is singular to rounding: sigmas and prior of the log "
+                f"lie too many powers of ten apart for double precision ({error}; --verbose "
+                "tells where)",
+                UNVERIFIED,
+            )
         raise
     finally:
         logging.captureWarnings(capture=False)

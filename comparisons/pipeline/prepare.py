@@ -28,20 +28,34 @@ Progress = Callable[[str, int, int], None]
 
 
 class Clock:
-    """seconds: by stage, in their order."""
+    """seconds: on the wall by stage, in their order. cpu_s: of the processor, by stage.
+
+    Processor time is that of this process, all its threads counted (time.process_time): more than
+    the wall's where several work, less where the machine was busy with others.
+    """
 
     def __init__(self) -> None:
         """Nothing has been measured."""
         self.seconds: dict[str, float] = {}
+        self.cpu_s: dict[str, float] = {}
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Measure what is done within."""
-        start = time.perf_counter()
+        start, cpu = time.perf_counter(), time.process_time()
         try:
             yield
         finally:
-            self.seconds[name] = time.perf_counter() - start
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+            self.cpu_s[name] = self.cpu_s.get(name, 0.0) + time.process_time() - cpu
+
+    def after(self, *others: Clock | None) -> dict[str, dict[str, float]]:
+        """Return `seconds` and `cpu_s` as result files have them, stages of others first."""
+        clocks = [*(one for one in others if one is not None), self]
+        return {
+            "seconds": {k: v for one in clocks for k, v in one.seconds.items()},
+            "cpu_s": {k: v for one in clocks for k, v in one.cpu_s.items()},
+        }
 
 
 def no_progress(stage: str, done: int, total: int) -> None:

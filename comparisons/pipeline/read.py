@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 from typing import TypeVar
 
@@ -10,6 +9,7 @@ from comparisons.config import JobConfig, LogSection, check_unchanged, full_path
 from comparisons.logs.bundled import NAMED, SimulationChoices, open_log
 from comparisons.logs.hashing import log_hash
 from comparisons.logs.log import Log
+from comparisons.pipeline.prepare import Clock
 
 C = TypeVar("C", bound=JobConfig)
 
@@ -29,18 +29,18 @@ def load_log(section: LogSection) -> Log:
     return log
 
 
-def read_for(config: C, *, allow_changed: bool = False) -> tuple[Log, C, float]:
-    """Return the log, the configuration with its hash and full path, and the seconds that took.
+def read_for(config: C, *, allow_changed: bool = False) -> tuple[Log, C, Clock]:
+    """Return the log, the configuration with its hash and full path, and the time that took.
 
     Raises InputError where the configuration has the hash of another log, unless that is allowed.
     """
-    start = time.perf_counter()
-    section = config.log
-    log = load_log(section)
-    found = log_hash(log)
+    section, clock = config.log, Clock()
+    with clock.stage("read"):
+        log = load_log(section)
+        found = log_hash(log)
     if not allow_changed:
         check_unchanged(section.source, found, section.sha256, "--allow-changed-log")
     path = Path(section.source)
     named = section.source in NAMED and section.format is None and not path.exists()
     full = section.source if named else full_path(path)
-    return log, config.at_log(found, full), time.perf_counter() - start
+    return log, config.at_log(found, full), clock

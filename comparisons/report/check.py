@@ -11,6 +11,7 @@ from comparisons.checks.grade import Likeness
 from comparisons.extensions.contract import Row
 from comparisons.pipeline.check import GivenCheck
 from comparisons.pipeline.given_trace import TraceCheck
+from comparisons.pipeline.prepare import Clock
 from comparisons.report.figures.check import check_figure
 from comparisons.report.folder import JobFolder
 from comparisons.report.model import Model, finite
@@ -44,8 +45,8 @@ NOT_STATED = "not stated"
 """In place of what an estimate's poses know of the log."""
 
 
-def build_check_result(check: GivenCheck, read_s: float = 0.0) -> CheckResult:
-    """The findings, read_s being the seconds that reading log and estimate took."""
+def build_check_result(check: GivenCheck, read: Clock | None = None) -> CheckResult:
+    """The findings, read being the time that reading log and estimate took."""
     found, solution = check.agreement, check.solution
     return CheckResult(
         config=solution.prepared.config.model_dump(mode="json"),
@@ -76,7 +77,7 @@ def build_check_result(check: GivenCheck, read_s: float = 0.0) -> CheckResult:
         verdict=check.outcome,
         causes=[cause_result(cause) for cause in check.causes],
         remarks=list(check.remarks),
-        seconds={"read": read_s, **solution.prepared.clock.seconds},
+        **solution.prepared.clock.after(read),
         versions=package_versions(),
     )
 
@@ -91,7 +92,7 @@ def print_check(result: CheckResult, console: Console) -> None:
         *([] if result.trace is None else _gap_rows(result.trace)),
         *accuracy_rows("accuracy", result.accuracy),
         *accuracy_rows("smoother's", result.smoother_accuracy),
-        *seconds_rows(result.seconds),
+        *seconds_rows(result.seconds, result.cpu_s),
     ]
     print_rows(rows, console)
     print_verdict(result.verdict, console, result.causes, result.remarks)
@@ -272,5 +273,6 @@ class CheckResult(Model):
     causes: list[CauseResult]
     remarks: list[str]
     seconds: dict[str, float]
+    cpu_s: dict[str, float] | None = None
     versions: dict[str, str]
     files: tuple[str, ...] = ()

@@ -22,6 +22,7 @@ from comparisons.extensions.dense_maps.result import (
     surface_error_rows,
 )
 from comparisons.pipeline.dense_map import DenseMapping
+from comparisons.pipeline.prepare import Clock
 from comparisons.report.figures.dense_map import dense_map_figure, dynamic_figure
 from comparisons.report.folder import JobFolder
 from comparisons.report.map_export import rasterise, write_image, write_ros_map
@@ -116,12 +117,13 @@ class MapResult(Model):
     dynamic: DynamicResult | None
     remarks: list[str]
     seconds: dict[str, float]
+    cpu_s: dict[str, float] | None = None
     versions: dict[str, str]
     files: tuple[str, ...] = ()
 
 
-def build_map_result(mapping: DenseMapping, read_s: float = 0.0) -> MapResult:
-    """The findings, read_s being the seconds that reading the log took."""
+def build_map_result(mapping: DenseMapping, read: Clock | None = None) -> MapResult:
+    """The findings, read being the time that reading the log took."""
     m = mapping
     before = m.dense.before
     return MapResult(
@@ -147,11 +149,7 @@ def build_map_result(mapping: DenseMapping, read_s: float = 0.0) -> MapResult:
         else ClosingResult(time_s=before.time_s, shift_m=before.shift_m),
         dynamic=_dynamic(m),
         remarks=_remarks(m),
-        seconds={
-            "read": read_s,
-            **m.prepared.clock.seconds,
-            **{k: float(v) for k, v in m.dense.seconds.items()},
-        },
+        **m.dense.clock.after(read, m.prepared.clock),
         versions=package_versions(),
     )
 
@@ -187,7 +185,7 @@ def print_map(result: MapResult, console: Console) -> None:
                 f"{len(result.dynamic.landmarks)} landmarks in them",
             )
         )
-    print_rows([*rows, *seconds_rows(result.seconds)], console)
+    print_rows([*rows, *seconds_rows(result.seconds, result.cpu_s)], console)
     print_remarks(result.remarks, console)
 
 

@@ -410,6 +410,7 @@ class Result(Model):
     causes: list[CauseResult]
     remarks: list[str]
     seconds: dict[str, float]
+    cpu_s: dict[str, float] | None = None
     versions: dict[str, str]
     files: tuple[str, ...] = ()
 
@@ -440,5 +441,6 @@ class SolutionResult(Model):
     verdict: Literal["verified", "unverified"]
     remarks: list[str]
     seconds: dict[str, float]
+    cpu_s: dict[str, float] | None = None
     versions: dict[str, str]
     files: tuple[str, ...] = ()

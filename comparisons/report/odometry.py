@@ -22,6 +22,7 @@ from comparisons.extensions.scan_motion.result import (
 )
 from comparisons.logs.transforms.scan_motion import sightings_kept
 from comparisons.pipeline.odometry import FrontEnd
+from comparisons.pipeline.prepare import Clock
 from comparisons.report.figures.odometry import front_end_figure
 from comparisons.report.folder import JobFolder
 from comparisons.report.model import Model
@@ -71,12 +72,13 @@ class FrontEndResult(Model):
     verdict: Literal["verified", "unverified"]
     remarks: list[str]
     seconds: dict[str, float]
+    cpu_s: dict[str, float] | None = None
     versions: dict[str, str]
     files: tuple[str, ...] = ()
 
 
-def build_front_end_result(front_end: FrontEnd, read_s: float = 0.0) -> FrontEndResult:
-    """The findings, read_s being the seconds that reading the log took."""
+def build_front_end_result(front_end: FrontEnd, read: Clock | None = None) -> FrontEndResult:
+    """The findings, read being the time that reading the log took."""
     f, how = front_end, front_end.prepared.config.front_end
     return FrontEndResult(
         config=f.prepared.config.model_dump(mode="json"),
@@ -99,7 +101,7 @@ def build_front_end_result(front_end: FrontEnd, read_s: float = 0.0) -> FrontEnd
         scan_graph=accuracy_result(f.accuracy_graph),
         verdict="verified" if f.graph.optimality.verified else "unverified",
         remarks=_remarks(f),
-        seconds={"read": read_s, **f.prepared.clock.seconds},
+        **f.prepared.clock.after(read),
         versions=package_versions(),
     )
 
@@ -115,7 +117,7 @@ def print_front_end(result: FrontEndResult, console: Console) -> None:
         *accuracy_rows("wheels", result.wheels),
         *accuracy_rows("scan odometry", result.scan_odometry),
         *accuracy_rows("scan graph", result.scan_graph),
-        *seconds_rows(result.seconds),
+        *seconds_rows(result.seconds, result.cpu_s),
     ]
     print_rows(rows, console)
     print_verdict(result.verdict, console, remarks=result.remarks)

@@ -6,6 +6,7 @@ from rich.console import Console
 
 from comparisons.extensions.contract import Row
 from comparisons.pipeline.compare import Comparison
+from comparisons.pipeline.prepare import Clock
 from comparisons.report.consistency_result import consistency_result, consistency_rows
 from comparisons.report.model import finite
 from comparisons.report.models import (
@@ -44,8 +45,8 @@ from comparisons.report.sections import (
 from comparisons.report.settings import settings_result, settings_rows
 
 
-def build_result(comparison: Comparison, read_s: float = 0.0) -> Result:
-    """Return the findings of a run, read_s being the seconds that reading the log took."""
+def build_result(comparison: Comparison, read: Clock | None = None) -> Result:
+    """Return the findings of a run, read being the time that reading the log took."""
     c = comparison
     entries = {key: entry for found in c.findings.values() for key, entry in found.entries.items()}
     return Result(
@@ -67,7 +68,7 @@ def build_result(comparison: Comparison, read_s: float = 0.0) -> Result:
         failed_on=list(c.verdict.failed_on),
         causes=[cause_result(cause) for cause in c.verdict.causes],
         remarks=list(c.verdict.remarks),
-        seconds={"read": read_s, **c.seconds},
+        **c.prepared.clock.after(read),
         versions=package_versions(),
         **entries,
     )
@@ -124,7 +125,9 @@ def gap_rows(gaps: AgreementResult) -> list[Row]:
 
 def print_run(comparison: Comparison, result: Result, console: Console) -> None:
     """Print the table, the verdict and its causes."""
-    print_rows([*run_rows(comparison, result), *seconds_rows(result.seconds)], console)
+    print_rows(
+        [*run_rows(comparison, result), *seconds_rows(result.seconds, result.cpu_s)], console
+    )
     print_verdict(
         result.verdict,
         console,

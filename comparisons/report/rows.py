@@ -187,9 +187,14 @@ def accuracy_rows(name: str, accuracy: AccuracyResult | None) -> list[Row]:
     return [] if accuracy is None else [Row(name, _accuracy(accuracy))]
 
 
-def seconds_rows(seconds: Mapping[str, float]) -> list[Row]:
-    """The time of each stage."""
-    return [Row("seconds", ", ".join(f"{stage} {s:.2f}" for stage, s in seconds.items()))]
+def seconds_rows(seconds: Mapping[str, float], cpu_s: Mapping[str, float] | None) -> list[Row]:
+    """The time of each stage on the wall, which a busy machine stretches, and of the processor."""
+    spent = {"seconds": seconds, "seconds of CPU": cpu_s or {}}
+    return [
+        Row(name, ", ".join(f"{stage} {s:.2f}" for stage, s in each.items()))
+        for name, each in spent.items()
+        if each
+    ]
 
 
 def gap_row(name: str, sigma: float | None, covariance: float | None) -> Row:

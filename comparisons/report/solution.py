@@ -7,6 +7,7 @@ from rich.console import Console
 
 from comparisons.checks.verdict import misfit_remarks
 from comparisons.extensions.contract import Row
+from comparisons.pipeline.prepare import Clock
 from comparisons.pipeline.solve import Solution
 from comparisons.report.figures.solution import solution_figure
 from comparisons.report.folder import JobFolder
@@ -36,8 +37,8 @@ LARGEST_DRAWN = 150
 """Variables of the largest graph that is drawn as dot."""
 
 
-def build_solution_result(solution: Solution, read_s: float = 0.0) -> SolutionResult:
-    """Return the findings, read_s being the seconds that reading the log took."""
+def build_solution_result(solution: Solution, read: Clock | None = None) -> SolutionResult:
+    """Return the findings, read being the time that reading the log took."""
     s, optimality = solution, solution.result.optimality
     remarks = misfit_remarks(optimality)
     if optimality.lacks and not remarks:
@@ -59,7 +60,7 @@ def build_solution_result(solution: Solution, read_s: float = 0.0) -> SolutionRe
         association_check=association_check_result(s.association_check),
         verdict="verified" if s.verified else "unverified",
         remarks=remarks,
-        seconds={"read": read_s, **s.prepared.clock.seconds},
+        **s.prepared.clock.after(read),
         versions=package_versions(),
     )
 
@@ -80,7 +81,7 @@ def print_solution(result: SolutionResult, console: Console) -> None:
         *accuracy_rows("dead reckoning", result.dead_reckoning),
         *association_rows(result.association),
         *association_check_rows(result.association_check),
-        *seconds_rows(result.seconds),
+        *seconds_rows(result.seconds, result.cpu_s),
     ]
     print_rows(rows, console)
     print_verdict(result.verdict, console, remarks=result.remarks)

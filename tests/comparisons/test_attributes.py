@@ -53,11 +53,11 @@ def test_landmarks_remember_what_their_sightings_told() -> None:
 def test_both_estimators_follow_an_association_by_attributes() -> None:
     log, _ = with_diameters(loop_s=10.0)
     comparison = compared(log, ekf=ON)
-    result = build_result(comparison, 0.0)
+    result = build_result(comparison)
     assert result.ekf.attributes == "on"
     gaps = result.agreement.algebra_gap_sigma, result.agreement.model_gap_sigma
     assert all(gap is not None and gap < 1e-6 for gap in gaps)
-    off = build_result(compared(log, association="nn"), 0.0)
+    off = build_result(compared(log, association="nn"))
     assert off.ekf.attributes == "off"
 
 

@@ -32,7 +32,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @pytest.fixture(scope="module")
 def result() -> Result:
-    return build_result(compared(simulated(loop_s=20.0)), 0.0)
+    return build_result(compared(simulated(loop_s=20.0)))
 
 
 @pytest.fixture
@@ -105,7 +105,7 @@ def test_repetitions_tell_the_noise_floor(result: Result) -> None:
 
 
 def test_another_log_is_not_compared(kept: Baseline) -> None:
-    other = build_result(compared(simulated(seed=1, loop_s=20.0)), 0.0)
+    other = build_result(compared(simulated(seed=1, loop_s=20.0)))
     with pytest.raises(InputError, match="save a new baseline"):
         compare_with(kept, other)
 

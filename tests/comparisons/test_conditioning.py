@@ -7,13 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from comparisons.errors import InputError
 from comparisons.logs.log import Log, Prior, Sightings
-from comparisons.logs.odometry import RelativePoses
+from comparisons.logs.odometry import OdometryNoise, RelativePoses
 from comparisons.pipeline.compare import Modified
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.state import Correction, KalmanState
-from tests.helpers import compared, simulated
+from graphslam.marginals import SingularProblemError
+from tests.helpers import compared, first_seconds, simulated
 
 
 @pytest.mark.parametrize("jitter_s", [0.02, 1e-3, 1e-4, 1e-6])
@@ -122,3 +124,34 @@ def test_a_filter_that_breaks_down_disagrees(state: type[KalmanState]) -> None:
     assert len(c.ekf.slot) < len(log.sightings.time_s)
     said = [*(cause.evidence for cause in c.verdict.causes), *c.verdict.remarks]
     assert any("broke down" in line for line in said)
+
+
+@pytest.mark.parametrize(
+    ("sigmas", "smoother", "line"),
+    [
+        ((1e6, 1e-7), "batch", "lower the other"),
+        ((1e6, 1e6), "isam2", ""),
+        ((1e6, 1e6), "batch", ""),
+    ],
+)
+def test_absurd_sigmas_end_in_a_verdict_or_a_line(
+    sigmas: tuple[float, float], smoother: str, line: str
+) -> None:
+    log = first_seconds(simulated(), 5.0)
+    count = len(log.sightings.time_s)
+    of_range, of_bearing = (np.full(count, sigma) for sigma in sigmas)
+    seen = replace(log.sightings, sigma_range_m=of_range, sigma_bearing_rad=of_bearing)
+    if line:
+        with pytest.raises(InputError, match=line):
+            compared(replace(log, sightings=seen), smoother=smoother)
+    else:
+        found = compared(replace(log, sightings=seen), smoother=smoother)
+        assert np.isfinite(found.agreement.whole.least)
+
+
+def test_a_smoother_that_gtsam_gives_up_on_is_told_in_one_line() -> None:
+    log = first_seconds(simulated(), 5.0)
+    exact = replace(log.odometry, noise=OdometryNoise(0.0, 0.0, 1e-12, 1e-300))  # type: ignore[arg-type]
+    with pytest.raises(SingularProblemError) as caught:
+        compared(replace(log, odometry=exact), smoother="fixed-lag")
+    assert "\n" not in str(caught.value)

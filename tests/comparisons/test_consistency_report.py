@@ -123,7 +123,7 @@ def never(name: str) -> float:
 
 
 def test_result_and_rows(comparison: Comparison) -> None:
-    result = build_result(comparison, 0.0)
+    result = build_result(comparison)
     found = json.loads(result.model_dump_json(), parse_constant=never)["consistency"]
     assert found["ekf"]["pose"]["dof"] == 3
     assert found["ekf"]["distances"]["dof"] == 60
@@ -147,7 +147,7 @@ def test_a_broken_covariance_gives_no_nan() -> None:
             self._covariance[0, 1] += 1e-3
 
     c = compared(first_seconds(simulated(seed=2), 10.0), Modified(ruin))
-    text = build_result(c, 0.0).model_dump_json()
+    text = build_result(c).model_dump_json()
     found = json.loads(text, parse_constant=never)["consistency"]
     for part in (found["ekf"]["pose"], found["filter_against_smoother"]):
         assert "asymmetric" in part["unusable"]

@@ -184,7 +184,7 @@ def test_scans_surer_than_they_may_be_are_remarked_upon(
         return replace(motion, covariance=0.1 * motion.covariance)
 
     monkeypatch.setattr("comparisons.extensions.scan_motion.extension.run_scan_odometry", boasting)
-    result = build_result(compared(scan_loop, motion="scan"), 0.0)
+    result = build_result(compared(scan_loop, motion="scan"))
     assert any("surer than they may be" in remark for remark in result.remarks)
 
 

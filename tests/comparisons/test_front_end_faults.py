@@ -373,7 +373,7 @@ def test_what_was_left_out_is_told() -> None:
         steering_rad=odometry.steering_rad[rows],
     )
     front_end = run_front_end(replace(log, odometry=cut))
-    remarks = build_front_end_result(front_end, 0.0).remarks
+    remarks = build_front_end_result(front_end).remarks
     assert log.scans is not None
     last_s = front_end.motion.time_s[-1]
     scans = np.count_nonzero(log.scans.time_s > last_s)

@@ -11,6 +11,9 @@ import pytest
 from matplotlib.image import imread
 
 from comparisons.errors import InputError
+from comparisons.extensions.dense_maps.config import DenseMapsConfig
+from comparisons.extensions.dense_maps.memory import Demand
+from comparisons.logs.bundled import open_log
 from comparisons.report.dense_map import MapResult
 from comparisons.report.map_export import (
     Raster,
@@ -181,3 +184,27 @@ def test_no_regions_no_window() -> None:
     placed = RegionsAtMap(nothing, BoxTree.pack(boxes(nothing), np.zeros(0, dtype=np.intp)))
     with pytest.raises(InputError, match="no region"):
         window(placed)
+
+
+@pytest.mark.parametrize("name", ["dynamic-places", "occupancy-loop"])
+def test_a_map_too_large_is_refused_with_a_resolution_that_fits(name: str) -> None:
+    """What is suggested fits, and what lies a quarter below does not: no more is asked than it
+    takes."""
+    log = open_log(name)
+
+    def demand(resolution_m: float) -> Demand:
+        given = {"layers": ["occupancy"], "resolution_m": resolution_m, "detect_motion": True}
+        return Demand(log, DenseMapsConfig.of(**given), points=True, mapped=True)
+
+    with pytest.raises(InputError, match=r"GiB of memory, the limit is 2 GiB; expected") as caught:
+        demand(0.01).check(name)
+    fits = float(str(caught.value).partition("expected --resolution ")[2].split()[0])
+    demand(fits).check(name)
+    with pytest.raises(InputError):
+        demand(0.75 * fits).check(name)
+
+
+def test_the_command_refuses_it_before_it_starts(tmp_path: Path) -> None:
+    done = slamcheck("map", "occupancy-loop", "--resolution", "0.01", "--dynamic", cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1

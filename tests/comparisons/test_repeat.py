@@ -21,7 +21,8 @@ def steady(path: Path) -> object:
     """What a file holds, without times."""
     if path.suffix == ".json":
         found = json.loads(path.read_text())
-        found.pop("seconds", None)
+        for name in ("seconds", "cpu_s"):
+            found.pop(name, None)
         for key in ("scan_odometry", "odometry"):
             if isinstance(found.get(key), dict):
                 found[key].pop("scans_per_second", None)

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import json
 import os
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,9 +17,12 @@ from comparisons.logs.hashing import log_hash
 from comparisons.logs.log import Positions
 from comparisons.logs.log_folder import read_log_folder, write_log_folder
 from comparisons.pipeline.compare import Comparison
+from comparisons.pipeline.prepare import Clock
 from comparisons.report.figures.run import map_figure
 from comparisons.report.figures.style import ellipses
+from comparisons.report.models import Result
 from comparisons.report.result import build_result
+from comparisons.report.rows import seconds_rows
 from tests.helpers import compared, random_covariance, simulated
 
 
@@ -78,7 +83,7 @@ def test_figures_that_do_not_exist_are_null(comparison: Comparison) -> None:
     broken = replace(
         comparison, gaps=replace(gaps, agreement=replace(gaps.agreement, algebra=algebra))
     )
-    text = build_result(broken, 0.1).model_dump_json()
+    text = build_result(broken).model_dump_json()
     assert '"algebra_gap_covariance":null' in text
     assert "Infinity" not in text
 
@@ -212,3 +217,20 @@ def test_estimates_read_back_and_faults_are_named(comparison: Comparison, tmp_pa
         with pytest.raises(InputError) as caught:
             read_estimate(tmp_path)
         assert message in str(caught.value)
+
+
+def test_processor_time_stands_beside_wall_time(comparison: Comparison) -> None:
+    """A stage that waits takes none; results from before have none."""
+    clock = Clock()
+    with clock.stage("waiting"):
+        time.sleep(0.2)
+    spent = clock.after()
+    assert spent["seconds"]["waiting"] >= 0.2
+    assert spent["cpu_s"]["waiting"] < 0.1
+    result = build_result(comparison, clock)
+    assert result.cpu_s is not None
+    assert list(result.cpu_s) == list(result.seconds)
+    old = json.loads(result.model_dump_json(by_alias=True))
+    del old["cpu_s"]
+    assert Result.model_validate(old).cpu_s is None
+    assert [row.name for row in seconds_rows(old["seconds"], None)] == ["seconds"]

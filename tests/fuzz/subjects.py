@@ -154,7 +154,7 @@ def trajectory_file(format_name: str) -> Subject:
 
 @functools.cache
 def small_result() -> str:
-    return build_result(compared(simulated(loop_s=10.0)), 0.0).model_dump_json(indent=1)
+    return build_result(compared(simulated(loop_s=10.0))).model_dump_json(indent=1)
 
 
 def result_file(folder: Path) -> None:

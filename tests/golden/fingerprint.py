@@ -16,9 +16,9 @@ RELATIVE = 1e-9
 """Numbers may differ by so much where the machine's BLAS rounds otherwise."""
 _ROUNDING = 1e-7
 """A number nearer to zero than that may be rounding: it counts in the plain sum only."""
-UNSTEADY = frozenset({"seconds", "versions", "schema", "config", "files"})
+UNSTEADY = frozenset({"seconds", "cpu_s", "versions", "schema", "config", "files"})
 """Keys of result files that are not results."""
-_TIMED = frozenset({"seconds", "scans_per_second"})
+_TIMED = frozenset({"seconds", "cpu_s", "scans_per_second"})
 """Keys of times, at any depth."""
 
 Fingerprint = dict[str, Any]

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from graphslam.g2o import G2oContents, read_g2o, write_g2o
+from graphslam.marginals import SingularProblemError, inverse
 from graphslam.problem import SlamProblem
 from graphslam.smoother import smooth
 from tests.graphslam import worlds
@@ -94,3 +95,37 @@ def test_faults_are_named_with_their_line(
         read_g2o(path)
     line = 1 + text[: text.index(change[0])].count("\n")
     assert f"{path}:{line}:" in str(caught.value)
+
+
+@pytest.mark.parametrize("sigma", [(1e-3, 1e6), (1e6, 1e-4), (1e-7, 1e-7), (1e6, 1e6)])
+def test_sigmas_far_apart_lose_no_digit(
+    contents: G2oContents, tmp_path: Path, sigma: tuple[float, float]
+) -> None:
+    """The covariance of such a point is singular to rounding, its information is not."""
+    problem = contents.problem
+    path = tmp_path / "graph.g2o"
+    unlike = replace(problem, sigma=np.tile(sigma, (len(problem.z), 1)))
+    write_g2o(path, contents._replace(problem=unlike))
+    lines = [line for line in path.read_text().splitlines() if line.startswith("EDGE_SE2_XY")]
+    for line, (r, bearing) in zip(lines, problem.z, strict=True):
+        xx, xy, yy = map(float, line.partition("#")[0].split()[-3:])
+        ray = np.array((np.cos(bearing), np.sin(bearing)))
+        size = max(1.0 / sigma[0], 1.0 / (r * sigma[1])) ** 2
+        along = ray @ np.array([[xx, xy], [xy, yy]]) @ ray
+        assert abs(along - sigma[0] ** -2) < 1e-12 * size
+
+
+def test_an_edge_without_information_is_named(contents: G2oContents, tmp_path: Path) -> None:
+    spread = contents.problem.increment_covariance.copy()
+    spread[3] = 1.0
+    singular = contents._replace(problem=replace(contents.problem, increment_covariance=spread))
+    with pytest.raises(SingularProblemError, match=r"EDGE_SE2 3 4 .*raise the odometry's sigmas"):
+        write_g2o(tmp_path / "graph.g2o", singular)
+
+
+def test_units_far_apart_cost_no_digit() -> None:
+    """The plain inverse, which this replaces, is wrong by far more."""
+    correlation = np.array([[1.0, 0.5, -0.3], [0.5, 1.0, 0.2], [-0.3, 0.2, 1.0]])
+    sigma = np.array([1e-12, 1e12, 3.0])
+    found = inverse(correlation * np.outer(sigma, sigma)) * np.outer(sigma, sigma)
+    assert relative_error(found, np.linalg.inv(correlation)) < 1e-14

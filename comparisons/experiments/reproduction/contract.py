@@ -152,6 +152,7 @@ AnyFigure = Figure[Any]
 class Reproduced:
     """A figure that was drawn. seconds: of the experiment, which `shared` figures have in common.
 
+    cpu_s: of the processor, all threads of the process that ran it (time.process_time).
     png, pdf: the pictures.
     """
 
@@ -159,6 +160,7 @@ class Reproduced:
     claims: tuple[Claim, ...]
     log: str
     seconds: float
+    cpu_s: float
     shared: tuple[str, ...]
     png: bytes
     pdf: bytes

@@ -39,10 +39,13 @@ def build_result(
         for r in found
         if isinstance(r, Skipped)
     ]
+    # Figures of one experiment share its time.
+    cpu_s = sum(r.cpu_s / (1 + len(r.shared)) for r in found if isinstance(r, Reproduced))
     return ReproductionResult(
         holds=all(figure.holds for figure in done),
         drives=drives,
         seconds=round(seconds, 3),
+        cpu_s=round(cpu_s, 3),
         figures=done,
         skipped=skipped,
         versions=package_versions(),
@@ -97,6 +100,7 @@ def _figure(found: Reproduced) -> FigureResult:
         says=figure.says,
         log=found.log,
         seconds=round(found.seconds, 3),
+        cpu_s=round(found.cpu_s, 3),
         shared=list(found.shared),
         holds=found.holds,
         claims=[_claim(claim) for claim in found.claims],

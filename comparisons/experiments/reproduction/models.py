@@ -23,7 +23,10 @@ class ClaimResult(Model):
 
 
 class FigureResult(Model):
-    """One figure. seconds: of its experiment, which the figures in `shared` have in common."""
+    """One figure. seconds: of its experiment, which the figures in `shared` have in common.
+
+    cpu_s: of the processor, all threads of the process that ran the experiment.
+    """
 
     name: str
     title: str
@@ -31,6 +34,7 @@ class FigureResult(Model):
     says: str
     log: str
     seconds: float
+    cpu_s: float | None = None
     shared: list[str]
     holds: bool
     claims: list[ClaimResult]
@@ -46,11 +50,15 @@ class SkippedResult(Model):
 
 
 class ReproductionResult(Model):
-    """The whole file. holds: every claim of every figure that was run. seconds: of it all."""
+    """The whole file. holds: every claim of every figure that was run. seconds: of it all.
+
+    cpu_s: of the processor, of all experiments, whichever process ran them.
+    """
 
     holds: bool
     drives: int
     seconds: float
+    cpu_s: float | None = None
     figures: list[FigureResult]
     skipped: list[SkippedResult]
     versions: dict[str, str]

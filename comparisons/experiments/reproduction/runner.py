@@ -51,16 +51,18 @@ def reproduce(
 def _experiment(names: tuple[str, ...], sources: Sources) -> list[Reproduced]:
     """One experiment and its figures; by name, which is how processes tell each other."""
     figures = chosen(names)
-    start = time.perf_counter()
+    start, cpu = time.perf_counter(), time.process_time()
     try:
         data = figures[0].experiment.run(sources)
     except (InputError, FilterDivergedError) as error:
         raise InputError(f"{', '.join(names)}: {error}") from None
-    seconds = time.perf_counter() - start
-    return [_drawn(figure, data, seconds, names) for figure in figures]
+    spent = time.perf_counter() - start, time.process_time() - cpu
+    return [_drawn(figure, data, spent, names) for figure in figures]
 
 
-def _drawn(figure: AnyFigure, data: Any, seconds: float, group: Sequence[str]) -> Reproduced:
+def _drawn(
+    figure: AnyFigure, data: Any, spent: tuple[float, float], group: Sequence[str]
+) -> Reproduced:
     canvas = blank(*figure.size)
     figure.draw(canvas, data)
     png, pdf = encoded(canvas)
@@ -69,7 +71,8 @@ def _drawn(figure: AnyFigure, data: Any, seconds: float, group: Sequence[str]) -
         figure=figure,
         claims=figure.judged(data),
         log=data.log,
-        seconds=seconds,
+        seconds=spent[0],
+        cpu_s=spent[1],
         shared=others,
         png=png,
         pdf=pdf,

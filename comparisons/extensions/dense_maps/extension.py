@@ -11,12 +11,14 @@ from comparisons.adapters.filter_setup import FilterSetup
 from comparisons.extensions.contract import Extension, Finding, Row
 from comparisons.extensions.dense_maps.check import DenseAgreement, compare_dense, dense_cause
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
+from comparisons.extensions.dense_maps.memory import Demand
 from comparisons.extensions.dense_maps.result import dense_result, dense_rows
 from comparisons.extensions.dense_maps.source import DenseRun, DenseWatcher
 from comparisons.logs.log import Log
 from comparisons.pipeline.gaps import Compared
 from comparisons.pipeline.prepare import Prepared
 from comparisons.report.html.drawing import Drawing
+from ekf_reference.core.landmark_types import POINT
 
 
 class DenseMaps(Extension):
@@ -29,7 +31,13 @@ class DenseMaps(Extension):
         self._config = config
 
     def attach(self, setup: FilterSetup, prepared: Prepared[Any]) -> None:
-        """Start an empty map, anchored to the landmarks that the filter will have."""
+        """Start an empty map, anchored to the landmarks that the filter will have.
+
+        Raises InputError where it may need more memory than is allowed.
+        """
+        mapped = prepared.config.job == "map"
+        demand = Demand(prepared.log, self._config, points=POINT in setup.kinds, mapped=mapped)
+        demand.check(prepared.log.name)
         watcher = DenseWatcher(prepared.log, self._config, setup.kinds)
         setup.observers.append(watcher)
         setup.offers.append(watcher)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol, cast
@@ -20,6 +19,7 @@ from comparisons.estimates.estimate import Estimate
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
+from comparisons.pipeline.prepare import Clock
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import POINT, POSE
 from ekf_reference.dense.conditions import Conditions, ellipse_margin, flip_margin
@@ -116,8 +116,8 @@ class DenseRun:
 
     kinds: of landmarks that its regions are anchored to, by width; places in the map are numbers
     (dense.view.numbered). scan_time_s: (N,) of all scans taken in, scan_pose: (N, 3) the vehicle
-    then. scans: the log's. landmark: (L, 2) where the filter has them in the end. seconds: spent
-    on regions and on scans.
+    then. scans: the log's. landmark: (L, 2) where the filter has them in the end. clock: of
+    regions and of scans.
     """
 
     kinds: tuple[int, ...]
@@ -128,7 +128,7 @@ class DenseRun:
     scan_pose: Array
     landmark: Array
     before: BeforeClosing | None
-    seconds: Mapping[str, float]
+    clock: Clock
 
     @property
     def layers(self) -> Mapping[str, Layer]:
@@ -188,7 +188,7 @@ class DenseWatcher:
         self._pose: list[Array] = []
         self._before: BeforeClosing | None = None
         self._moved_most = 0.0
-        self._seconds = {"regions": 0.0, "scans": 0.0}
+        self._clock = Clock()
         self._epoch_s = log.prior.time_s
 
     def keep_also(self, layers: Sequence[str]) -> None:
@@ -229,20 +229,18 @@ class DenseWatcher:
 
     def arrived(self, ekf: Ekf) -> None:
         """What waits follows the vehicle."""
-        start = time.perf_counter()
-        self._dense.predicted(FilterView.of(ekf, self._kinds))
-        self._seconds["regions"] += time.perf_counter() - start
+        with self._clock.stage("regions"):
+            self._dense.predicted(FilterView.of(ekf, self._kinds))
 
     def updated(self, ekf: Ekf) -> None:
         """Make the regions that are now possible; keep the map as it was if it moved a lot."""
-        start = time.perf_counter()
-        view = FilterView.of(ekf, self._kinds)
-        old = self._dense.landmark
-        self._dense.place(view)
-        if len(old):
-            self._note_shift(old, self._dense.landmark[: len(old)])
-        self._dense.updated(view)
-        self._seconds["regions"] += time.perf_counter() - start
+        with self._clock.stage("regions"):
+            view = FilterView.of(ekf, self._kinds)
+            old = self._dense.landmark
+            self._dense.place(view)
+            if len(old):
+                self._note_shift(old, self._dense.landmark[: len(old)])
+            self._dense.updated(view)
 
     def finished(self, ekf: Ekf, time_s: float) -> None:
         """Take in what was scanned at the very end."""
@@ -282,7 +280,7 @@ class DenseWatcher:
             scan_pose=np.array(self._pose).reshape(-1, 3),
             landmark=self._dense.landmark,
             before=self._before,
-            seconds=self._seconds,
+            clock=self._clock,
         )
 
     def _due(self, until_s: float) -> bool:
@@ -291,9 +289,8 @@ class DenseWatcher:
 
     def _insert(self, view: FilterView) -> None:
         scan = self._scans.scan(self._next, view.pose)
-        start = time.perf_counter()
-        self._dense.insert(view, scan, float(self._scans.time_s[self._next]))
-        self._seconds["scans"] += time.perf_counter() - start
+        with self._clock.stage("scans"):
+            self._dense.insert(view, scan, float(self._scans.time_s[self._next]))
         for other in self._beside:
             other.fuse(scan)
         self._pose.append(view.pose)

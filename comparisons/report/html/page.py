@@ -55,7 +55,7 @@ def page(
         *_embedded(pictures),
         *(section for one in comparison.findings.values() for section in one.sections()),
         landmarks(comparison, result),
-        f"<h2>Time</h2>{timing(result.seconds)}",
+        f"<h2>Time</h2>{timing(result.seconds, result.cpu_s or {})}",
         f"<h2>Versions</h2>{table(('package', 'version'), list(result.versions.items()))}",
         data_block(data),
     ]

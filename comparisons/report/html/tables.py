@@ -41,13 +41,18 @@ def _rows(comparison: Comparison, result: Result) -> list[tuple[str, str, Landma
     return points + [(f"s{row.id}", f"scan {row.id}", row) for row in others]
 
 
-def timing(seconds: Mapping[str, float]) -> str:
-    """A bar per stage."""
+def timing(seconds: Mapping[str, float], cpu_s: Mapping[str, float]) -> str:
+    """A bar per stage, of the wall's time, and the processor's beside it."""
     longest = max([*seconds.values(), 1e-9])
     rows = "".join(
-        f'<tr><td>{escape(name)}</td><td class="number">{value:.2f} s</td><td class="wide">'
+        f'<tr><td>{escape(name)}</td><td class="number">{value:.2f} s</td>'
+        f'<td class="number">{_cpu(cpu_s.get(name))}</td><td class="wide">'
         f'<svg class="bar"><rect width="{100.0 * value / longest:.1f}%" height="100%"/></svg></td>'
         "</tr>"
         for name, value in seconds.items()
     )
     return f'<table id="timing"><tbody>{rows}</tbody></table>'
+
+
+def _cpu(value: float | None) -> str:
+    return "" if value is None else f"processor {value:.2f} s"
