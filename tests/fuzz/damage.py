@@ -197,8 +197,9 @@ def _archive(data: bytes, damage: Damage) -> bytes:
 
 
 def _edited(array: np.ndarray, damage: Damage) -> np.ndarray:
-    if array.dtype.kind != "f":
-        array = array.astype(float)
+    if array.dtype.kind not in "fiub":
+        return array
+    array = array.astype(float)
     what = damage.what
     if what == "doubled":
         return np.concatenate((array, array))

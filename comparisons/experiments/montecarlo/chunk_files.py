@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import os
 import re
-import zipfile
 from pathlib import Path
 
 import numpy as np
 
+from comparisons.archive import read_entries
 from comparisons.atomic import UNFINISHED, write_whole
 from comparisons.errors import InputError
 from comparisons.experiments.montecarlo.runs import Records
@@ -19,6 +19,10 @@ not depend on how many there are, nor on who computes them."""
 
 CONFIG = "config.toml"
 _REPORTS = frozenset({CONFIG, "montecarlo.json", "curves.png"})
+_SHA256 = "sha256"
+_ENTRIES = (_SHA256, *Records._fields)
+_MOST_BYTES = 2**24
+"""Of a chunk: at most 500 steps are recorded, whichever the study, in less than a megabyte."""
 _NAME = re.compile(r"[a-z]+-\d{6}\.npz")
 
 
@@ -34,7 +38,7 @@ def check_folder(folder: Path) -> None:
             ours = (
                 known in _REPORTS if not inside else inside == "chunks" and _NAME.fullmatch(known)
             )
-            if not ours and name != "chunks":
+            if not (ours or name == "chunks") or path.is_dir() != (name == "chunks"):
                 raise InputError(
                     f"{folder}: already holds {name}; give a new folder or empty this one"
                 )
@@ -59,10 +63,10 @@ class ChunkFiles:
         Raises InputError where the file is whole but of another study.
         """
         try:
-            with np.load(self.path(name, chunk), allow_pickle=False) as file:
-                sha256 = str(file["sha256"])
-                records = Records(*(file[field] for field in Records._fields))
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+            found = read_entries(self.path(name, chunk), _ENTRIES, (_SHA256,), _MOST_BYTES)
+            sha256 = str(found.pop(_SHA256))
+            records = Records(**found)
+        except (InputError, KeyError, TypeError, ValueError):  # an entry is missing or no text
             return None
         if sha256 != self._sha256:
             raise InputError(
@@ -77,7 +81,7 @@ class ChunkFiles:
 
         def save(part: Path) -> None:
             with part.open("wb") as file:
-                np.savez(file, allow_pickle=False, sha256=self._sha256, **records._asdict())
+                np.savez(file, allow_pickle=False, **{_SHA256: self._sha256}, **records._asdict())
                 file.flush()
                 os.fsync(file.fileno())
 
