@@ -84,8 +84,8 @@ def _array(
         raise InputError(f"{name} is said to be {shape} and holds {info.file_size} bytes")
     with archive.open(info) as entry:
         content = entry.read(info.file_size)
-    order = "F" if column_major else "C"
-    return np.frombuffer(content, dtype, offset=start).reshape(shape, order=order)
+    values = np.frombuffer(content, dtype, offset=start)
+    return values.reshape(shape, order="F" if column_major else "C")
 
 
 def _header(begin: bytes, name: str) -> tuple[tuple[int, ...], bool, np.dtype[Any], int]:

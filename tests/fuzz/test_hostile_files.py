@@ -22,7 +22,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from comparisons.cli.app import main
+from comparisons.cli.app import STOPS, main
 from comparisons.cli.support import guarded
 from comparisons.logs.log_folder import write_log_folder
 from tests.fuzz.damage import Damage, damages
@@ -146,10 +146,11 @@ def test_commands_leave_all_or_nothing(name: str, data: st.DataObject) -> None:
 
 
 def run_main(arguments: list[str]) -> Any:
-    """The console script's entry point in this process; its handler of signals is undone."""
-    kept = signal.getsignal(signal.SIGTERM)
+    """The console script's entry point in this process; its handlers of signals are undone."""
+    kept = {number: signal.getsignal(number) for number in STOPS}
     try:
         with mock.patch.object(sys, "argv", ["slamcheck", *arguments]):
             main()
     finally:
-        signal.signal(signal.SIGTERM, kept)
+        for number, handler in kept.items():
+            signal.signal(number, handler)

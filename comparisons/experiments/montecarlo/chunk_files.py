@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from comparisons.archive import read_entries
-from comparisons.atomic import UNFINISHED, write_whole
+from comparisons.atomic import check_above, is_unfinished, write_whole
 from comparisons.errors import InputError
 from comparisons.experiments.montecarlo.runs import Records
 
@@ -31,19 +31,23 @@ def check_folder(folder: Path) -> None:
     try:
         if folder.exists() and not folder.is_dir():
             raise InputError(f"{folder}: is a file, expected a folder to write")
-        for path in sorted(folder.rglob("*")) if folder.exists() else []:
-            name = path.relative_to(folder).as_posix()
-            inside, _, last = name.rpartition("/")
-            known = last.removeprefix(UNFINISHED)  # a killed job may leave one
-            ours = (
-                known in _REPORTS if not inside else inside == "chunks" and _NAME.fullmatch(known)
-            )
-            if not (ours or name == "chunks") or path.is_dir() != (name == "chunks"):
+        check_above(folder / CONFIG)
+        chunks = folder / "chunks"
+        for path in (*_sorted(folder), *_sorted(chunks)):
+            inside, name = path.parent == chunks, path.name
+            ours = _NAME.fullmatch(name) if inside else name in _REPORTS
+            right = path.is_dir() if path == chunks else ours and not path.is_dir()
+            if not right and not is_unfinished(name):  # a killed job may leave one
                 raise InputError(
-                    f"{folder}: already holds {name}; give a new folder or empty this one"
+                    f"{folder}: already holds {path.relative_to(folder).as_posix()}; give a new "
+                    "folder or empty this one"
                 )
     except OSError as error:
         raise InputError(f"{folder}: cannot be read ({error.strerror or error})") from None
+
+
+def _sorted(folder: Path) -> list[Path]:
+    return sorted(folder.iterdir()) if folder.is_dir() else []
 
 
 class ChunkFiles:
