@@ -19,7 +19,7 @@ from comparisons.experiments.montecarlo.chunk_files import ChunkFiles
 from comparisons.experiments.montecarlo.runs import Records
 from tests.fuzz.damage import Damage
 from tests.fuzz.subjects import BAGS, SUBJECTS, chunk_files
-from tests.fuzz.test_hostile_files import assert_one_line, attempt, outcome
+from tests.fuzz.test_hostile_files import assert_one_line, attempt, outcome, run_main
 
 NEEDS_BAGS = pytest.mark.skipif(
     not importlib.util.find_spec("rosbags"), reason="the extra ros is missing"
@@ -283,6 +283,16 @@ def test_memory_that_is_short_is_not_a_damaged_file(
     monkeypatch.setattr(np, "frombuffer", short)
     code, told = outcome(lambda: archive.read_arrays(tmp_path / "a.npz", ("pose",)))
     assert (code, told) == (2, "slamcheck: not enough memory for this log\n")
+
+
+@pytest.mark.parametrize("command", [["montecarlo"], ["reproduce", "N3.5"]])
+@pytest.mark.parametrize("workers", ["0", "-1", "1001", "9223372036854775808"])
+def test_workers_beyond_every_machine(command: list[str], workers: str, tmp_path: Path) -> None:
+    words = [*command, "--workers", workers, "--out", str(tmp_path / "out")]
+    code, told = outcome(lambda: run_main(words))
+    assert code == 2
+    assert told == f"slamcheck: --workers is {workers}, expected 1 to 1000\n"
+    assert not list(tmp_path.iterdir())
 
 
 def twice(folder: Path) -> None:

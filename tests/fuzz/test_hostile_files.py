@@ -25,7 +25,7 @@ from hypothesis import strategies as st
 from comparisons.cli.app import STOPS, main
 from comparisons.cli.support import guarded
 from comparisons.logs.log_folder import write_log_folder
-from tests.fuzz.damage import Damage, damages
+from tests.fuzz.damage import Damage, cases, counted, damages
 from tests.fuzz.subjects import BAGS, SUBJECTS, Subject
 from tests.helpers import simulated
 
@@ -83,6 +83,7 @@ def test_a_sound_one_is_read(name: str) -> None:
 @settings(suppress_health_check=QUIET)
 @given(data=st.data())
 def test_damage_is_one_line(name: str, data: st.DataObject) -> None:
+    counted(f"damage: {name}")
     subject = SUBJECTS[name]
     attempt(subject, data.draw(damages(sorted(subject.files))))
 
@@ -92,6 +93,7 @@ def test_damage_is_one_line(name: str, data: st.DataObject) -> None:
 @settings(suppress_health_check=QUIET)
 @given(data=st.data())
 def test_damage_to_bags_is_one_line(name: str, data: st.DataObject) -> None:
+    counted(f"damage: {name}")
     subject = BAGS[name]
     attempt(subject, data.draw(damages(sorted(subject.files))))
 
@@ -123,6 +125,7 @@ COMMANDS = {
 @given(data=st.data())
 def test_commands_leave_all_or_nothing(name: str, data: st.DataObject) -> None:
     """Exit code 2 leaves nothing behind; another one a folder with finite figures."""
+    counted("damage under a command")
     words = COMMANDS[name].split()
     inputs = tuple(word.lower() for word in words if word.isupper() and word != "OUT")
     hurt = data.draw(damages([f for f in sorted(WHOLE.files) if f.startswith(inputs)]))

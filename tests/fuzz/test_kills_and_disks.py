@@ -265,7 +265,7 @@ TARGETS: dict[str, Callable[[Path], object]] = {
     "folder": lambda path: fresh_folder(path).__enter__(),
     "file, before": atomic.check_file,
     "folder, before": atomic.check_replaceable,
-    "study, before": lambda path: check_folder(Path(os.path.normpath(path))),
+    "study, before": check_folder,
     "log": lambda path: _start_log(False, path),
     "kitti": lambda path: write_trajectory(
         Trajectory(np.zeros(1), np.zeros((1, 3)), None), path, "kitti"

@@ -31,6 +31,8 @@ def check_folder(folder: Path) -> None:
     try:
         if folder.exists() and not folder.is_dir():
             raise InputError(f"{folder}: is a file, expected a folder to write")
+        if folder.name == ".." and not folder.exists():
+            raise InputError(f"{folder}: no such folder")
         check_above(folder / CONFIG)
         chunks = folder / "chunks"
         for path in (*_sorted(folder), *_sorted(chunks)):
