@@ -1,6 +1,6 @@
 """Damaged and hostile files of every kind: a clear line and exit code 2, or finite figures.
 
-Never a traceback, never half an output. HYPOTHESIS_PROFILE=nightly tries ten times as many.
+Never a traceback, never half an output. `make nightly` tries forty times as many.
 """
 
 from __future__ import annotations
@@ -29,8 +29,6 @@ from tests.fuzz.damage import Damage, cases, counted, damages
 from tests.fuzz.subjects import BAGS, SUBJECTS, Subject
 from tests.helpers import simulated
 
-FEW = max(4, settings().max_examples // 2)
-"""Of those that run a whole command."""
 QUIET = (HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much)
 
 
@@ -80,7 +78,7 @@ def test_a_sound_one_is_read(name: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SUBJECTS)
-@settings(suppress_health_check=QUIET)
+@settings(max_examples=cases(20, 820), suppress_health_check=QUIET)
 @given(data=st.data())
 def test_damage_is_one_line(name: str, data: st.DataObject) -> None:
     counted(f"damage: {name}")
@@ -90,7 +88,7 @@ def test_damage_is_one_line(name: str, data: st.DataObject) -> None:
 
 @pytest.mark.skipif(not importlib.util.find_spec("rosbags"), reason="the extra ros is missing")
 @pytest.mark.parametrize("name", BAGS)
-@settings(suppress_health_check=QUIET)
+@settings(max_examples=cases(20, 820), suppress_health_check=QUIET)
 @given(data=st.data())
 def test_damage_to_bags_is_one_line(name: str, data: st.DataObject) -> None:
     counted(f"damage: {name}")
@@ -121,7 +119,7 @@ COMMANDS = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", COMMANDS)
-@settings(max_examples=FEW, suppress_health_check=QUIET)
+@settings(max_examples=cases(10, 150), suppress_health_check=QUIET)
 @given(data=st.data())
 def test_commands_leave_all_or_nothing(name: str, data: st.DataObject) -> None:
     """Exit code 2 leaves nothing behind; another one a folder with finite figures."""

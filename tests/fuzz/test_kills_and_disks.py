@@ -288,7 +288,7 @@ def test_bad_targets_are_one_line(
 
 
 @pytest.mark.slow
-@settings(max_examples=cases(8, 200), suppress_health_check=(HealthCheck.too_slow,))
+@settings(max_examples=cases(8, 300), suppress_health_check=(HealthCheck.too_slow,))
 @given(
     kind=st.sampled_from(["file", "folder"]),
     number=st.sampled_from([signal.SIGTERM, signal.SIGHUP, signal.SIGKILL]),

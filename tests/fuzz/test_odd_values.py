@@ -92,29 +92,37 @@ def everything(folder: Path) -> None:
 WHOLE = Subject(everything, lambda folder: None)
 
 
-def numeric(kind: type[BaseModel], section: str = "") -> Iterator[str]:
-    """Dotted names of settings that take a number."""
+def numeric(kind: type[BaseModel], section: str = "") -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Dotted names of settings that take a number, and what lies at their limits."""
     for name, field in kind.model_fields.items():
         hint = field.annotation
         kinds = typing.get_args(hint) if isinstance(hint, types.UnionType) else (hint,)
         if any(one in (int, float) for one in kinds):
-            yield f"{section}{name}"
+            limits = [
+                getattr(one, word)
+                for one in field.metadata
+                for word in ("ge", "gt", "le", "lt")
+                if hasattr(one, word)
+            ]
+            near = [limit + step for limit in limits for step in (0, 1, -1, 1e-12, -1e-12)]
+            yield f"{section}{name}", tuple(map(repr, near))
         for one in kinds:
             if isinstance(one, type) and issubclass(one, BaseModel):
                 yield from numeric(one, f"{section}{name}.")
 
 
 @functools.cache
-def settable(command: str) -> tuple[str, ...]:
+def settable(command: str) -> dict[str, tuple[str, ...]]:
+    """What takes a number, by option or setting, with values at its limits."""
     job = command.partition(" ")[0]
     if job == "montecarlo":
-        return ("--runs", "--workers")
+        return dict.fromkeys(("--runs", "--workers"), ())
     if job == "convert":
-        return ("--robot", "--seed", "--loops", "--noise-scale")
+        return dict.fromkeys(("--robot", "--seed", "--loops", "--noise-scale"), ())
     found = [*numeric(JOBS[job])]
     for name in EXTENSIONS if "extensions" in JOBS[job].model_fields else ():
         found += numeric(config_class(name), f"extensions.{name}.")
-    return tuple(found)
+    return dict(found)
 
 
 def in_child(
@@ -220,7 +228,7 @@ def full_disk(command: str, file_bytes: int, earlier: bool) -> int:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("command", COMMANDS)
-@settings(max_examples=cases(1, 10), suppress_health_check=QUIET)
+@settings(max_examples=cases(1, 15), suppress_health_check=QUIET)
 @given(file_bytes=st.integers(0, 60_000), earlier=st.booleans())
 def test_a_full_disk_leaves_what_was_there(command: str, file_bytes: int, earlier: bool) -> None:
     counted("full disks under a command")
@@ -228,7 +236,7 @@ def test_a_full_disk_leaves_what_was_there(command: str, file_bytes: int, earlie
 
 
 @pytest.mark.slow
-@settings(max_examples=cases(2, 30), suppress_health_check=QUIET)
+@settings(max_examples=cases(2, 100), suppress_health_check=QUIET)
 @given(
     command=st.sampled_from(sorted(COMMANDS)),
     number=st.sampled_from([signal.SIGTERM, signal.SIGHUP, signal.SIGKILL]),
@@ -256,9 +264,12 @@ def test_a_killed_command_goes_again(command: str, number: int, delay_s: float) 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("command", COMMANDS)
-@settings(max_examples=cases(2, 50), suppress_health_check=QUIET)
+@settings(max_examples=cases(2, 100), suppress_health_check=QUIET)
 @given(data=st.data())
 def test_odd_values_end_cleanly(command: str, data: st.DataObject) -> None:
     counted("odd values of a command")
-    one = st.tuples(st.sampled_from(settable(command)), st.sampled_from(VALUES))
+    names = settable(command)
+    one = st.sampled_from(sorted(names)).flatmap(
+        lambda name: st.tuples(st.just(name), st.sampled_from((*names[name] * 2, *VALUES)))
+    )
     odd(command, data.draw(st.lists(one, min_size=1, max_size=2)))
