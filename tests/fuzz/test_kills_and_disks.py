@@ -23,7 +23,7 @@ from comparisons.cli.support import _start_log
 from comparisons.estimates.trajectory_files import Trajectory, write_trajectory
 from comparisons.experiments.montecarlo.chunk_files import check_folder
 from tests.fuzz.damage import cases, counted
-from tests.fuzz.test_hostile_files import assert_one_line, outcome
+from tests.fuzz.test_hostile_files import assert_one_line, outcome, run_main
 
 ROOT = Path(__file__).resolve().parents[2]
 HOUR_AGO_S = 3700.0
@@ -285,6 +285,39 @@ def test_bad_targets_are_one_line(
     assert code == 2
     assert_one_line(code, told, Path(target.replace("\0", "?")))
     assert [p.name for p in tmp_path.rglob("*")] == ["DIR", "mine.txt"]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["run", "no-such-log", "--out", "/"],
+        ["baseline", "save", "no-such-log", "/"],
+        ["baseline", "compare", "no-such-log", "no-such-baseline", "--junit", "/"],
+        ["convert", "no-such-log", "/"],
+        ["run", "no-such-log", "--log", "/"],
+    ],
+)
+def test_a_bad_target_is_told_before_the_work(words: list[str]) -> None:
+    code, told = outcome(lambda: run_main(words))
+    assert code == 2
+    assert told.startswith("slamcheck: /: is ")
+    assert told.count("\n") == 1
+
+
+@pytest.mark.parametrize("words", [["--version"], ["logs"], ["config"]])
+def test_a_full_standard_output_is_one_line(words: list[str]) -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            (sys.executable, "-c", "from comparisons.cli.app import main; main()", *words),
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            timeout=60,
+        )
+    assert done.returncode == 2
+    assert done.stderr.endswith(": No space left on device\n")
+    assert done.stderr.count("\n") == 1
 
 
 @pytest.mark.slow
