@@ -15,7 +15,7 @@ import pytest
 
 from comparisons import archive
 from comparisons.errors import InputError
-from comparisons.experiments.montecarlo.chunk_files import ChunkFiles
+from comparisons.experiments.montecarlo.chunk_files import ChunkFiles, check_folder
 from comparisons.experiments.montecarlo.runs import Records
 from tests.fuzz.damage import Damage
 from tests.fuzz.subjects import BAGS, SUBJECTS, chunk_files
@@ -244,6 +244,15 @@ def test_a_chunk_that_never_ends_is_computed_again(tmp_path: Path) -> None:
     path.parent.mkdir()
     os.mkfifo(path)
     assert chunk_files(tmp_path).read("ekf", 0) is None
+
+
+@pytest.mark.parametrize("kind", ["pipe", "link to a device", "folder"])
+def test_a_chunk_that_cannot_be_replaced_is_told_before_the_work(kind: str, tmp_path: Path) -> None:
+    SUBJECTS["Monte Carlo chunk"].write(tmp_path)
+    check_folder(tmp_path)
+    Damage(kind, "chunks/ekf-000000.npz").apply(tmp_path)
+    with pytest.raises(InputError, match=r"already holds chunks/ekf-000000\.npz"):
+        check_folder(tmp_path)
 
 
 def test_a_chunk_of_another_size_is_of_another_study(tmp_path: Path) -> None:

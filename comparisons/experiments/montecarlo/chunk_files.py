@@ -38,7 +38,7 @@ def check_folder(folder: Path) -> None:
         for path in (*_sorted(folder), *_sorted(chunks)):
             inside, name = path.parent == chunks, path.name
             ours = _NAME.fullmatch(name) if inside else name in _REPORTS
-            right = path.is_dir() if path == chunks else ours and not path.is_dir()
+            right = path.is_dir() if path == chunks else ours and path.is_file()
             if not right and not is_unfinished(name):  # a killed job may leave one
                 raise InputError(
                     f"{folder}: already holds {path.relative_to(folder).as_posix()}; give a new "
