@@ -31,9 +31,11 @@ lint: $(VENV)/installed-dev
 settings: $(VENV)/installed
 	$(BIN)/python -m comparisons.documented.page > docs/settings.md
 
-# Ten times as many damaged and hostile files as the tests try, drawn anew each time.
+# 20,000 damaged files, odd settings, kills and full disks, drawn anew each time; says how many of
+# each kind it has tried.
 nightly: $(VENV)/installed-dev
-	HYPOTHESIS_PROFILE=nightly OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest tests/fuzz
+	HYPOTHESIS_PROFILE=nightly OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 \
+		--dist worksteal tests/fuzz
 
 $(VENV)/bin/python:
 	@for p in $(CANDIDATES); do \

@@ -1,18 +1,30 @@
-"""Folders that appear whole or not at all."""
+"""Files and folders that appear whole or not at all.
+
+What is not finished lies in a hidden folder beside its place. Where a process was killed, the next
+one that writes there removes it: see `_sweep`.
+"""
 
 from __future__ import annotations
 
+import fcntl
+import functools
+import hashlib
 import os
+import platform
+import re
+import secrets
 import shutil
-import tempfile
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from comparisons.errors import InputError
 
-UNFINISHED = ".part-"
-"""Begins the name of a file that is being written."""
+_OLD_S = 3600.0
+_PREFIX = f".slamcheck-{hashlib.sha256(platform.node().encode()).hexdigest()[:8]}-"
+_NAME = re.compile(r"\.slamcheck-[0-9a-f]{8}-[0-9a-f]{16}")
+_NEW, _OLD = "new", "old"
 
 
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:
@@ -20,17 +32,11 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
 
     write: given the path to write. Folders above are made. Raises InputError.
     """
-    part = path.with_name(UNFINISHED + path.name)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+    check_file(path)
+    with _workplace(path) as place:
+        part = place / _NEW / path.name
         write(part)
         os.replace(part, path)
-    except BaseException as error:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
-        if isinstance(error, OSError):
-            raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None
-        raise
 
 
 @contextmanager
@@ -41,30 +47,23 @@ def fresh_folder(target: Path, replaceable: frozenset[str] = frozenset()) -> Ite
     check_replaceable. On any exception the target is as it was and nothing else is left behind.
     """
     target = check_replaceable(target, replaceable)
-    made = [p for p in (target.parent, *target.parent.parents) if not p.exists()]
-    work = old = None
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        work = Path(tempfile.mkdtemp(prefix=f".{target.name[:40]}-", dir=target.parent))
-        work.chmod(0o777 & ~_umask())
-        yield work
+    with _workplace(target) as place:
+        yield place / _NEW
         if target.exists():
-            old = Path(tempfile.mkdtemp(prefix=f".{target.name[:40]}-old-", dir=target.parent))
-            os.replace(target, old / "old")
-        os.replace(work, target)
-    except BaseException as error:
-        if old is not None and (old / "old").exists() and not target.exists():
-            os.replace(old / "old", target)
-        if work is not None:
-            shutil.rmtree(work, ignore_errors=True)
-        for folder in made:
-            _remove_if_empty(folder)
-        if isinstance(error, OSError):
-            raise InputError(f"{target}: cannot be written ({error.strerror or error})") from None
-        raise
-    finally:
-        if old is not None and target.exists():
-            shutil.rmtree(old, ignore_errors=True)
+            os.replace(target, place / _OLD / target.name)
+        os.replace(place / _NEW, target)
+
+
+def check_file(path: Path) -> None:
+    """Raises InputError where a file must not be written, before the work."""
+    try:
+        if path.is_dir() or path.name in ("", ".."):
+            raise InputError(f"{path}: is a folder, expected a file to write")
+        if path.exists() and not path.is_file():
+            raise InputError(f"{path}: is not a regular file")
+        check_above(path)
+    except (OSError, ValueError) as error:
+        raise _unwritable(path, error) from None
 
 
 def check_replaceable(target: Path, replaceable: frozenset[str] = frozenset()) -> Path:
@@ -77,21 +76,30 @@ def check_replaceable(target: Path, replaceable: frozenset[str] = frozenset()) -
         current = Path.cwd()
         if full == current or full in current.parents:
             raise InputError(f"{target}: is the current folder or holds it; give another one")
-        if not full.exists():
-            return full
-        if not full.is_dir():
+        check_above(full)
+        if full.exists() and not full.is_dir():
             raise InputError(f"{target}: is a file, expected a folder to write")
         files = {p.relative_to(full).as_posix() for p in full.rglob("*") if not _is_folder(p)}
         strange = sorted(files - replaceable)
     except (OSError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"{target}: cannot be written ({error})") from None
+        raise _unwritable(target, error) from None
     if strange:
         raise InputError(
             f"{target}: already holds {strange[0]}; give a new folder or empty this one"
         )
     return full
+
+
+def check_above(path: Path) -> None:
+    """Raises InputError where nothing can be written at a path, as far as can be told before."""
+    try:
+        with suppress(FileNotFoundError, NotADirectoryError):
+            os.lstat(path)  # refuses names that are none, or too long
+        above = next(p for p in path.absolute().parents if os.path.lexists(p))
+        if not (above.is_dir() and os.access(above, os.W_OK | os.X_OK)):
+            raise InputError(f"{path}: cannot be written into {above}")
+    except (OSError, ValueError) as error:
+        raise _unwritable(path, error) from None
 
 
 def folder_name(name: str) -> str:
@@ -100,18 +108,98 @@ def folder_name(name: str) -> str:
     return kept.strip(".-")[:80] or "log"
 
 
+def is_unfinished(name: str) -> bool:
+    """Whether a file or folder of this name is a process's that writes, or was killed."""
+    return _NAME.fullmatch(name) is not None
+
+
+@contextmanager
+def _workplace(target: Path) -> Iterator[Path]:
+    """Yield a hidden folder beside a target, locked, with two empty folders: new and old.
+
+    Folders above are made. What was moved to `old` goes back on an exception. Raises InputError.
+    """
+    above = target.absolute().parent
+    made = [p for p in (above, *above.parents) if not p.exists()]
+    place = above / f"{_PREFIX}{secrets.token_hex(8)}"  # known before it is made: a signal may come
+    try:
+        above.mkdir(parents=True, exist_ok=True)
+        _sweep(above)
+        place.mkdir(0o700)
+        with _locked(place):
+            for name in (_NEW, _OLD):
+                (place / name).mkdir()
+            yield place
+            _discard(place)
+    except BaseException as error:
+        _discard(place)
+        for folder in made:
+            with suppress(OSError):
+                folder.rmdir()
+        if isinstance(error, OSError):
+            raise _unwritable(target, error) from None
+        raise
+
+
+@functools.cache
+def _sweep(folder: Path) -> None:
+    """Remove what killed processes left in a folder more than an hour ago; once per process.
+
+    A process holds a lock on what it writes, which ends with it, whichever way, so that nobody
+    else's number is taken for its own. On a shared file system another machine may not see that
+    lock: only what was made on this one is judged, its name says so. The hour is for the moment
+    between the folder and its lock.
+    """
+    with suppress(OSError), os.scandir(folder) as entries:
+        for entry in entries:
+            if entry.name.startswith(_PREFIX) and _is_left(entry):
+                place = Path(entry.path)
+                with suppress(OSError), _locked(place, needed=True):
+                    _discard(place)
+
+
+def _is_left(entry: os.DirEntry[str]) -> bool:
+    """Whether it is old, and a folder of this user, nobody else's to write, with what is ours."""
+    with suppress(OSError):
+        about = entry.stat(follow_symlinks=False)
+        return (
+            is_unfinished(entry.name)
+            and entry.is_dir(follow_symlinks=False)
+            and about.st_uid == os.getuid()
+            and about.st_mode & 0o077 == 0
+            and time.time() - about.st_mtime > _OLD_S
+            and set(os.listdir(entry.path)) <= {_NEW, _OLD}
+        )
+    return False
+
+
+@contextmanager
+def _locked(folder: Path, *, needed: bool = False) -> Iterator[None]:
+    """Hold the lock of a folder. Raises OSError where it is needed and cannot be had."""
+    file = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    try:
+        with suppress(*(() if needed else (OSError,))):
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    finally:
+        os.close(file)
+
+
+def _discard(place: Path) -> None:
+    """Remove a workplace; what it took the place of goes back where that is free."""
+    with suppress(OSError):
+        for kept in (place / _OLD).glob("*"):
+            if not os.path.lexists(place.parent / kept.name):
+                os.replace(kept, place.parent / kept.name)
+        shutil.rmtree(place, ignore_errors=True)
+
+
+def _unwritable(path: Path, error: Exception) -> InputError:
+    if isinstance(error, InputError):
+        return error
+    reason = error.strerror if isinstance(error, OSError) else None
+    return InputError(f"{path}: cannot be written ({reason or error})")
+
+
 def _is_folder(path: Path) -> bool:
     return path.is_dir() and not path.is_symlink()
-
-
-def _remove_if_empty(folder: Path) -> None:
-    try:
-        folder.rmdir()
-    except OSError:
-        return
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

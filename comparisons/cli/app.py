@@ -6,8 +6,10 @@ import io
 import os
 import signal
 import sys
+import time
 import traceback
 from importlib import import_module
+from types import FrameType
 from typing import Annotated, Any
 
 import typer
@@ -30,6 +32,7 @@ COMMANDS = {
     "reproduce": "reproduce:reproduce",
 }
 """Names, and where each command is found in this package."""
+STOPS = (signal.SIGTERM, signal.SIGHUP)
 _USAGE: type[Any] = typer.BadParameter.__bases__[0]
 """What every misuse of the command line is raised as."""
 
@@ -76,7 +79,7 @@ def main() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")
-    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
+    _stop_on_signals()
     asked = sys.argv[1] if len(sys.argv) > 1 else ""
     try:
         code = build([asked] if asked in COMMANDS else list(COMMANDS))(standalone_mode=False)
@@ -90,6 +93,27 @@ def main() -> None:
             print(message)
             sys.exit(UNUSABLE)
         fail(f"{message} (see slamcheck --help)", UNUSABLE)
+    except OSError as error:  # of what a command prints outside of its own guard, such as help
+        fail(f"standard output: {error.strerror or error}", UNUSABLE)
     except Exception:
         traceback.print_exc()
         sys.exit(BROKEN)
+
+
+def _stop_on_signals() -> None:
+    """Clean up and exit with 128 and the signal's number; one that is ignored stays so (nohup).
+
+    A closing terminal sends its signal twice: what repeats within a second is the same request, and
+    must not cut short the cleaning up.
+    """
+    asked = -1.0
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        nonlocal asked
+        before, asked = asked, time.monotonic()
+        if before < 0.0 or asked - before > 1.0:
+            sys.exit(128 + number)
+
+    for number in STOPS:
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, stop)

@@ -40,12 +40,14 @@ def save(given: Given) -> None:
       slamcheck baseline save my-run/config.toml my-log.baseline.json
     """
     with guarded(verbose=given.verbose, log_file=given.log_file):
+        from comparisons.atomic import check_file
         from comparisons.baseline import build_baseline, write_baseline
         from comparisons.config import RunConfig
 
         runs, target = given.extra["runs"], given.extra["file"]
         if runs < 1:
             raise InputError(f"runs is {runs}, expected 1 or more")
+        check_file(target)
         log, config, _ = read_job(given, RunConfig)
         kept = build_baseline([_run(log, config) for _ in range(runs)], config)
         write_baseline(kept, target)
@@ -67,9 +69,12 @@ def compare(
       slamcheck baseline compare my-log my-log.baseline.json --junit report.xml
     """
     with guarded():
+        from comparisons.atomic import check_file
         from comparisons.baseline import compare_with, read_baseline, write_junit
         from comparisons.pipeline.read import read_for
 
+        if junit is not None:
+            check_file(junit)
         kept = read_baseline(file)
         try:
             source, config, _ = read_for(kept.config_at(log), allow_changed=True)

@@ -41,6 +41,8 @@ def start_job(
     from comparisons.atomic import folder_name
     from comparisons.report.folder import check_free
 
+    if given.out is not None:
+        check_free(given.out)
     log, config, read = read_job(given, kind, base, check)
     command = "" if config.job == "run" else f"{config.job}-"
     folder = given.out or Path(f"slamcheck-{command}{folder_name(log.name)}")

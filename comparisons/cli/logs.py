@@ -46,9 +46,11 @@ def convert(
       slamcheck convert path/to/acfr_car_park car-park
     """
     with guarded():
+        from comparisons.atomic import check_replaceable
         from comparisons.logs.bundled import SimulationChoices, open_log
         from comparisons.logs.log_folder import write_log_folder
 
+        check_replaceable(folder)
         source = open_log(log, format_name, robot, SimulationChoices(seed, loops, noise_scale))
         write_log_folder(source, folder)
         records = ", ".join(f"{n:,} {name}" for name, n in source.records.items())

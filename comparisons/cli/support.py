@@ -94,7 +94,11 @@ def _start_log(verbose: bool, file: Path | None) -> bool:
     if verbose:
         handlers.append(logging.StreamHandler(sys.stderr))
     if file is not None:
+        from comparisons.atomic import check_file
+
+        check_file(file)
         handlers.append(logging.FileHandler(file, mode="w", encoding="utf-8"))
+    logging.raiseExceptions = False  # a full disk or a closed terminal cuts the log short, no more
     logging.basicConfig(
         level=logging.INFO,
         format="%(asctime)s %(name)s %(levelname)s: %(message)s",

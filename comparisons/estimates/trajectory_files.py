@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from comparisons.arrays import Array
-from comparisons.atomic import write_whole
+from comparisons.atomic import check_file, write_whole
 from comparisons.errors import InputError
 from comparisons.estimates.folder import read_trajectory, tum_text
 from comparisons.logs.table import Table, read_text
@@ -63,6 +63,7 @@ def write_trajectory(trajectory: Trajectory, path: Path, format_name: str) -> No
     """Write a new file, with KITTI also `times.txt` beside it. Raises InputError."""
     if format_name not in FORMATS:
         raise InputError(f"format '{format_name}' is unknown, expected {', '.join(FORMATS)}")
+    check_file(path)
     texts = {path: _TEXTS[format_name](trajectory)}
     if format_name == "kitti":
         texts[path.with_name(TIMES)] = "".join(f"{t!r}\n" for t in trajectory.time_s.tolist())

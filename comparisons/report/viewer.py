@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import sys
 from importlib import import_module
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 
 from comparisons.adapters.scan_source import ScanSource
 from comparisons.arrays import Array
-from comparisons.atomic import write_whole
+from comparisons.atomic import check_file, write_whole
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log, Poses
@@ -41,12 +40,8 @@ def check_viewer(live: bool, record: Path | None) -> None:
     """Before the work: whether what is asked for can be done. Raises InputError."""
     if record is not None and record.suffix != SUFFIX:
         raise InputError(f"{record}: expected a file name that ends with {SUFFIX}")
-    if record is not None and record.is_dir():
-        raise InputError(f"{record}: is a folder, expected a file to write")
     if record is not None:
-        above = next(p for p in record.absolute().parents if p.exists())
-        if not (above.is_dir() and os.access(above, os.W_OK)):
-            raise InputError(f"{record}: cannot be written into {above}")
+        check_file(record)
     if live or record is not None:
         load_rerun()
 

@@ -7,12 +7,27 @@ import os
 import re
 import shutil
 import zipfile
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from hypothesis import strategies as st
+
+COUNT: Counter[str] = Counter()
+"""Cases of each kind that a test has tried; conftest.py adds them up."""
+
+
+def counted(kind: str) -> None:
+    """One more case of a kind."""
+    COUNT[kind] += 1
+
+
+def cases(each_time: int, at_night: int) -> int:
+    """How many hypothesis shall draw."""
+    return at_night if os.environ.get("HYPOTHESIS_PROFILE") == "nightly" else each_time
+
 
 HOSTILE = (
     *("", "nan", "inf", "-inf", "1e400", "-1e400", "1e200", "-1e200", "5e-324", "-0", "-0.0"),
@@ -197,8 +212,9 @@ def _archive(data: bytes, damage: Damage) -> bytes:
 
 
 def _edited(array: np.ndarray, damage: Damage) -> np.ndarray:
-    if array.dtype.kind != "f":
-        array = array.astype(float)
+    if array.dtype.kind not in "fiub":
+        return array
+    array = array.astype(float)
     what = damage.what
     if what == "doubled":
         return np.concatenate((array, array))

@@ -20,6 +20,8 @@ from comparisons.estimates.external import GivenEstimate, read_given
 from comparisons.estimates.folder import write_estimate
 from comparisons.estimates.trace_file import TRACE, write_trace
 from comparisons.estimates.trajectory_files import Trajectory, write_trajectory
+from comparisons.experiments.montecarlo.chunk_files import ChunkFiles
+from comparisons.experiments.montecarlo.runs import Records
 from comparisons.experiments.scenarios.scenario import read_scenario
 from comparisons.experiments.scenarios.world import World, build_world
 from comparisons.logs.log import Log
@@ -191,6 +193,26 @@ def build_scenario(folder: Path) -> World:
     return build_world(read_scenario(place), place)
 
 
+def chunk_files(folder: Path) -> ChunkFiles:
+    """Of a Monte Carlo study of four recorded steps."""
+    return ChunkFiles(folder, "0123456789abcdef" * 4, 4)
+
+
+def chunk_file(folder: Path) -> None:
+    """Packed, unlike those that a study writes, so that the unpacking is damaged as well."""
+    records = np.random.default_rng(0).normal(size=(len(Records._fields), 25, 4))
+    chunk_files(folder).write("ekf", 0, Records(*records))
+    path = chunk_files(folder).path("ekf", 0)
+    with np.load(path) as kept:
+        arrays = dict(kept)
+    np.savez_compressed(path, **arrays)
+
+
+def read_chunk(folder: Path) -> None:
+    """A damaged one counts as absent: no fault but that of another study's is ever told."""
+    chunk_files(folder).read("ekf", 0)
+
+
 def g2o_file(folder: Path) -> None:
     write_g2o(folder / "graph.g2o", small_solution()[1])
 
@@ -241,6 +263,7 @@ SUBJECTS: dict[str, Subject] = {
         lambda folder: (folder / "small.toml").write_text(SCENARIO), build_scenario
     ),
     "result": Subject(result_file, read_result),
+    "Monte Carlo chunk": Subject(chunk_file, read_chunk),
 }
 BAGS: dict[str, Subject] = {
     "rosbag2, MCAP": Subject(bag(mcap=True), opened(lambda folder: folder / "bag")),

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import importlib.util
+import io
 import os
 import tempfile
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,9 +14,12 @@ import numpy as np
 import pytest
 
 from comparisons import archive
+from comparisons.errors import InputError
+from comparisons.experiments.montecarlo.chunk_files import ChunkFiles, check_folder
+from comparisons.experiments.montecarlo.runs import Records
 from tests.fuzz.damage import Damage
-from tests.fuzz.subjects import BAGS, SUBJECTS
-from tests.fuzz.test_hostile_files import assert_one_line, attempt, outcome
+from tests.fuzz.subjects import BAGS, SUBJECTS, chunk_files
+from tests.fuzz.test_hostile_files import assert_one_line, attempt, outcome, run_main
 
 NEEDS_BAGS = pytest.mark.skipif(
     not importlib.util.find_spec("rosbags"), reason="the extra ros is missing"
@@ -153,6 +158,150 @@ def test_an_archive_larger_than_memory_is_not_unpacked(
     code, told = outcome(lambda: archive.read_arrays(tmp_path / "a.npz", ("pose",)))
     assert code == 2
     assert "bytes unpacked, expected 10000 at most" in told
+
+
+def patched(change: Callable[[bytearray, int, int], object]) -> Callable[[bytes], bytes]:
+    """An archive with something changed, given its first entry in the directory and its place."""
+
+    def damage(data: bytes) -> bytes:
+        changed = bytearray(data)
+        change(changed, data.index(b"PK\x01\x02"), data.index(b"PK\x03\x04"))
+        return bytes(changed)
+
+    return damage
+
+
+def packed_as(number: int) -> Callable[[bytes], bytes]:
+    def change(data: bytearray, directory: int, entry: int) -> None:
+        data[directory + 10] = data[entry + 8] = number
+
+    return patched(change)
+
+
+def torn(data: bytearray, directory: int, entry: int) -> None:
+    data[entry + 120 : entry + 130] = bytes(10)
+
+
+def encrypted(data: bytearray, directory: int, entry: int) -> None:
+    data[directory + 8] |= 1
+    data[entry + 6] |= 1
+
+
+def with_header(text: str, size: int = 0) -> Callable[[bytes], bytes]:
+    """The first array of a chunk with another header, and packed zeros for its values."""
+
+    def damage(data: bytes) -> bytes:
+        with np.load(io.BytesIO(data)) as kept:
+            arrays = dict(kept)
+        del arrays["pose_nees"]
+        target = io.BytesIO()
+        np.savez(target, **arrays)
+        line = text.encode("latin-1") + b"\n"
+        with zipfile.ZipFile(target, "a", zipfile.ZIP_DEFLATED) as archive:
+            header = b"\x93NUMPY\x01\x00" + len(line).to_bytes(2, "little") + line
+            archive.writestr("pose_nees.npy", header + bytes(size))
+        return target.getvalue()
+
+    return damage
+
+
+def header_of(descr: str, shape: str) -> str:
+    return f"{{'descr': {descr}, 'fortran_order': False, 'shape': {shape}}}"
+
+
+CHUNKS: dict[str, Callable[[bytes], bytes]] = {
+    "unknown packing": packed_as(99),
+    "LZMA": packed_as(14),
+    "bzip2": packed_as(12),
+    "torn": patched(torn),
+    "encrypted": patched(encrypted),
+    "open bracket": with_header("{'descr': '<f8', 'shape': ("),
+    "deep brackets": with_header("(" * 9000),
+    "huge": with_header(header_of("'<f8'", "(10000000000,)"), 800),
+    "negative": with_header(header_of("'<f8'", "(-25, -4)"), 800),
+    "no bytes each": with_header(header_of("'<U0'", "(25, 4)")),
+    "many of nothing": with_header(header_of("'<f8'", f"(0, {10**30})")),
+    "objects": with_header(header_of("'|O'", "(25, 4)"), 800),
+    "record": with_header(header_of("[('a', '<f8')]", "(25, 4)"), 800),
+    "bomb": with_header(header_of("'<f8'", "(3000000,)"), 24_000_000),
+    "too short": with_header(header_of("'<f8'", "(25, 4)"), 792),
+}
+
+
+@pytest.mark.parametrize("name", CHUNKS)
+def test_a_damaged_chunk_is_computed_again(name: str, tmp_path: Path) -> None:
+    subject = SUBJECTS["Monte Carlo chunk"]
+    subject.write(tmp_path)
+    files = chunk_files(tmp_path)
+    assert files.read("ekf", 0) is not None
+    path = files.path("ekf", 0)
+    path.write_bytes(CHUNKS[name](path.read_bytes()))
+    assert files.read("ekf", 0) is None
+
+
+def test_a_chunk_that_never_ends_is_computed_again(tmp_path: Path) -> None:
+    path = chunk_files(tmp_path).path("ekf", 0)
+    path.parent.mkdir()
+    os.mkfifo(path)
+    assert chunk_files(tmp_path).read("ekf", 0) is None
+
+
+@pytest.mark.parametrize("kind", ["pipe", "link to a device", "folder"])
+def test_a_chunk_that_cannot_be_replaced_is_told_before_the_work(kind: str, tmp_path: Path) -> None:
+    SUBJECTS["Monte Carlo chunk"].write(tmp_path)
+    check_folder(tmp_path)
+    Damage(kind, "chunks/ekf-000000.npz").apply(tmp_path)
+    with pytest.raises(InputError, match=r"already holds chunks/ekf-000000\.npz"):
+        check_folder(tmp_path)
+
+
+def test_a_chunk_of_another_size_is_of_another_study(tmp_path: Path) -> None:
+    other = ChunkFiles(tmp_path, "another", 500)
+    other.write("ekf", 0, Records(*np.zeros((len(Records._fields), 25, 500))))
+    with pytest.raises(InputError, match="another scenario"):
+        chunk_files(tmp_path).read("ekf", 0)
+
+
+def test_only_what_is_read_is_unpacked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Values are set aside memory for only where header and entry agree on their size."""
+    path = tmp_path / "a.npz"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as kept:
+        kept.writestr("pose.npy", bytes(10_000_000))
+    asked = list[int]()
+    read = zipfile.ZipExtFile.read
+
+    def watched(entry: zipfile.ZipExtFile, n: int | None = -1) -> bytes:
+        asked.append(10**9 if n is None or n < 0 else n)
+        return read(entry, n)
+
+    monkeypatch.setattr(zipfile.ZipExtFile, "read", watched)
+    code, told = outcome(lambda: archive.read_arrays(path, ("pose",)))
+    assert code == 2
+    assert "pose is not an array of numbers" in told
+    assert max(asked) <= 10_000
+
+
+def test_memory_that_is_short_is_not_a_damaged_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    np.savez(tmp_path / "a.npz", pose=np.zeros(10))
+
+    def short(*_: object, **__: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(np, "frombuffer", short)
+    code, told = outcome(lambda: archive.read_arrays(tmp_path / "a.npz", ("pose",)))
+    assert (code, told) == (2, "slamcheck: not enough memory for this log\n")
+
+
+@pytest.mark.parametrize("command", [["montecarlo"], ["reproduce", "N3.5"]])
+@pytest.mark.parametrize("workers", ["0", "-1", "1001", "9223372036854775808"])
+def test_workers_beyond_every_machine(command: list[str], workers: str, tmp_path: Path) -> None:
+    words = [*command, "--workers", workers, "--out", str(tmp_path / "out")]
+    code, told = outcome(lambda: run_main(words))
+    assert code == 2
+    assert told == f"slamcheck: --workers is {workers}, expected 1 to 1000\n"
+    assert not list(tmp_path.iterdir())
 
 
 def twice(folder: Path) -> None:

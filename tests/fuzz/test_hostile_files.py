@@ -1,6 +1,6 @@
 """Damaged and hostile files of every kind: a clear line and exit code 2, or finite figures.
 
-Never a traceback, never half an output. HYPOTHESIS_PROFILE=nightly tries ten times as many.
+Never a traceback, never half an output. `make nightly` tries forty times as many.
 """
 
 from __future__ import annotations
@@ -22,15 +22,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from comparisons.cli.app import main
+from comparisons.cli.app import STOPS, main
 from comparisons.cli.support import guarded
 from comparisons.logs.log_folder import write_log_folder
-from tests.fuzz.damage import Damage, damages
+from tests.fuzz.damage import Damage, cases, counted, damages
 from tests.fuzz.subjects import BAGS, SUBJECTS, Subject
 from tests.helpers import simulated
 
-FEW = max(4, settings().max_examples // 2)
-"""Of those that run a whole command."""
 QUIET = (HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much)
 
 
@@ -80,18 +78,20 @@ def test_a_sound_one_is_read(name: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SUBJECTS)
-@settings(suppress_health_check=QUIET)
+@settings(max_examples=cases(20, 820), suppress_health_check=QUIET)
 @given(data=st.data())
 def test_damage_is_one_line(name: str, data: st.DataObject) -> None:
+    counted(f"damage: {name}")
     subject = SUBJECTS[name]
     attempt(subject, data.draw(damages(sorted(subject.files))))
 
 
 @pytest.mark.skipif(not importlib.util.find_spec("rosbags"), reason="the extra ros is missing")
 @pytest.mark.parametrize("name", BAGS)
-@settings(suppress_health_check=QUIET)
+@settings(max_examples=cases(20, 820), suppress_health_check=QUIET)
 @given(data=st.data())
 def test_damage_to_bags_is_one_line(name: str, data: st.DataObject) -> None:
+    counted(f"damage: {name}")
     subject = BAGS[name]
     attempt(subject, data.draw(damages(sorted(subject.files))))
 
@@ -119,10 +119,11 @@ COMMANDS = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", COMMANDS)
-@settings(max_examples=FEW, suppress_health_check=QUIET)
+@settings(max_examples=cases(10, 150), suppress_health_check=QUIET)
 @given(data=st.data())
 def test_commands_leave_all_or_nothing(name: str, data: st.DataObject) -> None:
     """Exit code 2 leaves nothing behind; another one a folder with finite figures."""
+    counted("damage under a command")
     words = COMMANDS[name].split()
     inputs = tuple(word.lower() for word in words if word.isupper() and word != "OUT")
     hurt = data.draw(damages([f for f in sorted(WHOLE.files) if f.startswith(inputs)]))
@@ -146,10 +147,11 @@ def test_commands_leave_all_or_nothing(name: str, data: st.DataObject) -> None:
 
 
 def run_main(arguments: list[str]) -> Any:
-    """The console script's entry point in this process; its handler of signals is undone."""
-    kept = signal.getsignal(signal.SIGTERM)
+    """The console script's entry point in this process; its handlers of signals are undone."""
+    kept = {number: signal.getsignal(number) for number in STOPS}
     try:
         with mock.patch.object(sys, "argv", ["slamcheck", *arguments]):
             main()
     finally:
-        signal.signal(signal.SIGTERM, kept)
+        for number, handler in kept.items():
+            signal.signal(number, handler)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 import re
-import zipfile
 from pathlib import Path
 
 import numpy as np
 
-from comparisons.atomic import UNFINISHED, write_whole
+from comparisons.archive import read_entries
+from comparisons.atomic import check_above, is_unfinished, write_whole
 from comparisons.errors import InputError
 from comparisons.experiments.montecarlo.runs import Records
 
@@ -19,6 +19,10 @@ not depend on how many there are, nor on who computes them."""
 
 CONFIG = "config.toml"
 _REPORTS = frozenset({CONFIG, "montecarlo.json", "curves.png"})
+_SHA256 = "sha256"
+_ENTRIES = (_SHA256, *Records._fields)
+_MOST_BYTES = 2**24
+"""Of a chunk: at most 500 steps are recorded, whichever the study, in less than a megabyte."""
 _NAME = re.compile(r"[a-z]+-\d{6}\.npz")
 
 
@@ -27,19 +31,25 @@ def check_folder(folder: Path) -> None:
     try:
         if folder.exists() and not folder.is_dir():
             raise InputError(f"{folder}: is a file, expected a folder to write")
-        for path in sorted(folder.rglob("*")) if folder.exists() else []:
-            name = path.relative_to(folder).as_posix()
-            inside, _, last = name.rpartition("/")
-            known = last.removeprefix(UNFINISHED)  # a killed job may leave one
-            ours = (
-                known in _REPORTS if not inside else inside == "chunks" and _NAME.fullmatch(known)
-            )
-            if not ours and name != "chunks":
+        if folder.name == ".." and not folder.exists():
+            raise InputError(f"{folder}: no such folder")
+        check_above(folder / CONFIG)
+        chunks = folder / "chunks"
+        for path in (*_sorted(folder), *_sorted(chunks)):
+            inside, name = path.parent == chunks, path.name
+            ours = _NAME.fullmatch(name) if inside else name in _REPORTS
+            right = path.is_dir() if path == chunks else ours and path.is_file()
+            if not right and not is_unfinished(name):  # a killed job may leave one
                 raise InputError(
-                    f"{folder}: already holds {name}; give a new folder or empty this one"
+                    f"{folder}: already holds {path.relative_to(folder).as_posix()}; give a new "
+                    "folder or empty this one"
                 )
     except OSError as error:
         raise InputError(f"{folder}: cannot be read ({error.strerror or error})") from None
+
+
+def _sorted(folder: Path) -> list[Path]:
+    return sorted(folder.iterdir()) if folder.is_dir() else []
 
 
 class ChunkFiles:
@@ -59,10 +69,10 @@ class ChunkFiles:
         Raises InputError where the file is whole but of another study.
         """
         try:
-            with np.load(self.path(name, chunk), allow_pickle=False) as file:
-                sha256 = str(file["sha256"])
-                records = Records(*(file[field] for field in Records._fields))
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+            found = read_entries(self.path(name, chunk), _ENTRIES, (_SHA256,), _MOST_BYTES)
+            sha256 = str(found.pop(_SHA256))
+            records = Records(**found)
+        except (InputError, KeyError, TypeError, ValueError):  # an entry is missing or no text
             return None
         if sha256 != self._sha256:
             raise InputError(
@@ -77,7 +87,7 @@ class ChunkFiles:
 
         def save(part: Path) -> None:
             with part.open("wb") as file:
-                np.savez(file, allow_pickle=False, sha256=self._sha256, **records._asdict())
+                np.savez(file, allow_pickle=False, **{_SHA256: self._sha256}, **records._asdict())
                 file.flush()
                 os.fsync(file.fileno())
 

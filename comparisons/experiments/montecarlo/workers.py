@@ -11,6 +11,15 @@ from comparisons.errors import InputError
 Result = TypeVar("Result")
 
 
+_MOST_WORKERS = 1000
+
+
+def check_workers(workers: int) -> None:
+    """Raises InputError for a number of processes that no machine has a use for."""
+    if not 1 <= workers <= _MOST_WORKERS:
+        raise InputError(f"--workers is {workers}, expected 1 to {_MOST_WORKERS}")
+
+
 def spread(
     function: Callable[..., Result],
     tasks: Sequence[tuple[Any, ...]],
@@ -25,7 +34,7 @@ def spread(
 
     with ExitStack() as stack:
         if scheduler is None:
-            backend: dict[str, Any] = {"n_jobs": workers}
+            backend: dict[str, Any] = {"n_jobs": min(workers, max(len(tasks), 1))}
             if workers > 1:
                 backend |= {"backend": "loky", "inner_max_num_threads": 1}
         else:

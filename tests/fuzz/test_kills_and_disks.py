@@ -1,0 +1,334 @@
+"""Processes that are killed, and disks that are full: a target is whole, absent or the old one."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from comparisons import atomic
+from comparisons.atomic import fresh_folder, is_unfinished, write_whole
+from comparisons.cli.support import _start_log
+from comparisons.estimates.trajectory_files import Trajectory, write_trajectory
+from comparisons.experiments.montecarlo.chunk_files import check_folder
+from tests.fuzz.damage import cases, counted
+from tests.fuzz.test_hostile_files import assert_one_line, outcome, run_main
+
+ROOT = Path(__file__).resolve().parents[2]
+HOUR_AGO_S = 3700.0
+WRITER = """
+import sys, time
+from pathlib import Path
+from comparisons.cli.app import _stop_on_signals
+from comparisons.atomic import fresh_folder, write_whole
+
+_stop_on_signals()
+kind, target, wait = sys.argv[1], Path(sys.argv[2]), float(sys.argv[3])
+names = [f"{i}.txt" for i in range(20)]
+
+def fill(place, text):
+    for name in names:
+        (place / name).write_text(text)
+        time.sleep(wait)
+
+print("begins", flush=True)
+while True:
+    for text in ("a" * 1000, "b" * 1000):
+        if kind == "folder":
+            with fresh_folder(target, frozenset(names)) as work:
+                fill(work, text)
+        else:
+            write_whole(target, lambda part: (part.write_text(text), time.sleep(wait)))
+"""
+"""Writes the same target for ever."""
+
+
+@contextmanager
+def writing(kind: str, target: Path, wait_s: float) -> Iterator[subprocess.Popen[str]]:
+    """A process that writes a target again and again, killed in the end."""
+    job = subprocess.Popen(
+        (sys.executable, "-c", WRITER, kind, str(target), str(wait_s)),
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert job.stdout is not None
+        assert job.stdout.readline() == "begins\n"
+        yield job
+    finally:
+        job.kill()
+        job.communicate()
+
+
+def unfinished(folder: Path) -> list[Path]:
+    return [p for p in folder.iterdir() if is_unfinished(p.name)]
+
+
+def assert_whole(kind: str, target: Path) -> None:
+    """Of one text throughout, or not there."""
+    files = [target] if kind == "file" else [target / f"{i}.txt" for i in range(20)]
+    if target.exists():
+        texts = {path.read_text() for path in files}
+        assert len(texts) == 1
+        assert len(texts.pop()) == 1000
+
+
+def grow_old(folder: Path) -> None:
+    then = time.time() - HOUR_AGO_S
+    os.utime(folder, (then, then))
+
+
+def write_beside(folder: Path, name: str = "next") -> None:
+    """What a next process does: it writes beside."""
+    atomic._sweep.cache_clear()
+    write_whole(folder / name, lambda part: part.write_text("x"))
+
+
+def one_kill(kind: str, number: int, delay_s: float, folder: Path) -> None:
+    target = folder / "out"
+    with writing(kind, target, 0.0002) as job:
+        time.sleep(delay_s)
+        job.send_signal(number)
+        told = job.communicate(timeout=30)[1]
+    assert job.returncode == (-number if number == signal.SIGKILL else 128 + number)
+    assert not told
+    left = unfinished(folder)
+    if number != signal.SIGKILL:
+        assert not left
+    assert {p.name for p in folder.iterdir()} <= {"out", *(p.name for p in left)}
+    was_there = target.exists() or any((place / "old" / "out").exists() for place in left)
+    assert_whole(kind, target)
+    for place in left:
+        grow_old(place)
+    write_beside(folder)
+    assert not unfinished(folder)
+    assert target.exists() == was_there
+    assert_whole(kind, target)
+
+
+@pytest.mark.parametrize("kind", ["file", "folder"])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
+def test_a_target_outlives_its_writer(kind: str, number: int, tmp_path: Path) -> None:
+    one_kill(kind, number, 0.05, tmp_path)
+
+
+def left_behind(folder: Path, name: str = f"{atomic._PREFIX}0123456789abcdef") -> Path:
+    """As after a kill between the two moves, more than an hour ago."""
+    place = folder / name
+    place.mkdir(0o700)
+    (place / "new").mkdir()
+    (place / "new" / "half.txt").write_text("half")
+    (place / "old" / "out").mkdir(parents=True)
+    (place / "old" / "out" / "result.json").write_text("{}")
+    grow_old(place)
+    return place
+
+
+def test_an_output_that_was_moved_away_comes_back(tmp_path: Path) -> None:
+    left_behind(tmp_path)
+    write_beside(tmp_path)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["next", "out"]
+    assert (tmp_path / "out" / "result.json").read_text() == "{}"
+
+
+def test_an_output_that_was_replaced_does_not_come_back(tmp_path: Path) -> None:
+    left_behind(tmp_path)
+    (tmp_path / "out").mkdir()
+    write_beside(tmp_path)
+    assert sorted(p.name for p in tmp_path.rglob("*")) == ["next", "out"]
+
+
+def young(place: Path) -> None:
+    os.utime(place)
+
+
+def open_to_others(place: Path) -> None:
+    place.chmod(0o755)
+
+
+def with_a_thesis(place: Path) -> None:
+    (place / "thesis.tex").write_text("years of work")
+    grow_old(place)
+
+
+def of_somebody_else(place: Path) -> None:
+    if os.getuid() != 0:
+        pytest.skip("only root gives files away")
+    os.chown(place, 65534, 65534)
+
+
+def as_a_link(place: Path) -> None:
+    place.rename(place.with_name("elsewhere"))
+    place.symlink_to("elsewhere")
+
+
+NOT_OURS: dict[str, Callable[[Path], object]] = {
+    "young": young,
+    "open to others": open_to_others,
+    "with a thesis": with_a_thesis,
+    "of somebody else": of_somebody_else,
+    "as a link": as_a_link,
+    "of another machine": lambda place: place.rename(
+        place.with_name(".slamcheck-00000000-0123456789abcdef")
+    ),
+    "with a longer name": lambda place: place.rename(place.with_name(f"{place.name}-kept")),
+    "of another name": lambda place: place.rename(place.with_name(".out-abcdefgh")),
+}
+
+
+@pytest.mark.parametrize("name", NOT_OURS)
+def test_what_is_not_surely_ours_stays(name: str, tmp_path: Path) -> None:
+    NOT_OURS[name](left_behind(tmp_path))
+    before = sorted(tmp_path.rglob("*"))
+    write_beside(tmp_path)
+    (tmp_path / "next").unlink()
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_what_a_process_still_writes_stays(tmp_path: Path) -> None:
+    with writing("folder", tmp_path / "out", 1000.0):
+        while not unfinished(tmp_path):
+            time.sleep(0.01)
+        (place,) = unfinished(tmp_path)
+        time.sleep(0.1)
+        grow_old(place)
+        write_beside(tmp_path)
+        assert unfinished(tmp_path) == [place]
+    write_beside(tmp_path, "again")
+    assert not unfinished(tmp_path)
+
+
+def test_a_file_system_without_locks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Files are written; what is left there is not judged."""
+
+    def refuse(*_: object) -> None:
+        raise OSError(95, "Operation not supported")
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    place = left_behind(tmp_path)
+    write_beside(tmp_path)
+    assert unfinished(tmp_path) == [place]
+    assert (tmp_path / "next").read_text() == "x"
+
+
+@pytest.mark.parametrize("twice", [False, True])
+def test_a_closing_terminal_signals_twice(twice: bool, tmp_path: Path) -> None:
+    with writing("folder", tmp_path / "out", 0.01) as job:
+        time.sleep(0.1)
+        job.send_signal(signal.SIGHUP)
+        if twice:
+            job.send_signal(signal.SIGTERM)
+        job.wait(30)
+    assert job.returncode in (129, 143)
+    assert not unfinished(tmp_path)
+
+
+def test_an_ignored_signal_stays_ignored(tmp_path: Path) -> None:
+    """As nohup asks for."""
+    handler = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with writing("file", tmp_path / "out", 0.01) as job:
+            job.send_signal(signal.SIGHUP)
+            time.sleep(0.2)
+            assert job.poll() is None
+    finally:
+        signal.signal(signal.SIGHUP, handler)
+
+
+BAD_TARGETS = (
+    "/",
+    ".",
+    "..",
+    "",
+    "DIR",
+    "n" * 300,
+    "/dev/null/x",
+    "/dev/full",
+    "nowhere/..",
+    "a\0b",
+)
+TARGETS: dict[str, Callable[[Path], object]] = {
+    "file": lambda path: write_whole(path, lambda part: part.write_text("x")),
+    "folder": lambda path: fresh_folder(path).__enter__(),
+    "file, before": atomic.check_file,
+    "folder, before": atomic.check_replaceable,
+    "study, before": check_folder,
+    "log": lambda path: _start_log(False, path),
+    "kitti": lambda path: write_trajectory(
+        Trajectory(np.zeros(1), np.zeros((1, 3)), None), path, "kitti"
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", TARGETS)
+@pytest.mark.parametrize("target", BAD_TARGETS)
+def test_bad_targets_are_one_line(
+    kind: str, target: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "DIR").mkdir()
+    (tmp_path / "DIR" / "mine.txt").write_text("")
+    code, told = outcome(lambda: TARGETS[kind](Path(target)))
+    assert code == 2
+    assert_one_line(code, told, Path(target.replace("\0", "?")))
+    assert [p.name for p in tmp_path.rglob("*")] == ["DIR", "mine.txt"]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["run", "no-such-log", "--out", "/"],
+        ["baseline", "save", "no-such-log", "/"],
+        ["baseline", "compare", "no-such-log", "no-such-baseline", "--junit", "/"],
+        ["convert", "no-such-log", "/"],
+        ["run", "no-such-log", "--log", "/"],
+    ],
+)
+def test_a_bad_target_is_told_before_the_work(words: list[str]) -> None:
+    code, told = outcome(lambda: run_main(words))
+    assert code == 2
+    assert told.startswith("slamcheck: /: is ")
+    assert told.count("\n") == 1
+
+
+@pytest.mark.parametrize("words", [["--version"], ["logs"], ["config"]])
+def test_a_full_standard_output_is_one_line(words: list[str]) -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            (sys.executable, "-c", "from comparisons.cli.app import main; main()", *words),
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            timeout=60,
+        )
+    assert done.returncode == 2
+    assert done.stderr.endswith(": No space left on device\n")
+    assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.slow
+@settings(max_examples=cases(8, 300), suppress_health_check=(HealthCheck.too_slow,))
+@given(
+    kind=st.sampled_from(["file", "folder"]),
+    number=st.sampled_from([signal.SIGTERM, signal.SIGHUP, signal.SIGKILL]),
+    delay_s=st.floats(0.0, 0.1),
+)
+def test_killed_at_any_moment(
+    kind: str, number: int, delay_s: float, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    counted("kills of a writer")
+    one_kill(kind, number, delay_s, tmp_path_factory.mktemp("kill"))

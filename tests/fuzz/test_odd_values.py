@@ -1,0 +1,275 @@
+"""Whole commands with odd values of their settings, and with a disk that fills up."""
+
+from __future__ import annotations
+
+import functools
+import json
+import os
+import resource
+import signal
+import tempfile
+import time
+import types
+import typing
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from pydantic import BaseModel
+
+from comparisons.atomic import is_unfinished
+from comparisons.config import JOBS
+from comparisons.extensions.registry import EXTENSIONS, config_class
+from comparisons.logs.bundled import open_log
+from comparisons.logs.log import Log, Truth
+from comparisons.logs.log_folder import write_log_folder
+from comparisons.logs.odometry import SteeringOdometry
+from tests.fuzz.damage import cases, counted
+from tests.fuzz.subjects import SCENARIO, SUBJECTS, Subject
+from tests.fuzz.test_hostile_files import outcome, run_main
+from tests.helpers import simulated
+
+SECONDS, MEMORY_BYTES = 60, 2 * 2**30
+"""What a command may take for a log of ten seconds; a refusal for want of memory is allowed."""
+VALUES = (
+    *("0", "-0.0", "1", "-1", "2", "3", "0.5", "1e-3", "1e-9", "1e-30", "5e-324", "-1e-9"),
+    *("100", "1000", "1e3", "1e4", "1e5", "1e6", "1e9", "1e30", "1e300", "-1e300", "1e308"),
+    *("2147483648", "-2147483649", "9223372036854775808", "9" * 400, "nan", "inf", "-inf", "1.5"),
+    *("''", "[]", "[1]", "true", "null", "abc"),
+)  # fmt: skip
+COMMANDS = {
+    "run": "run LOG --out OUT",
+    "run on scans": "run SCANS --out OUT",
+    "solve": "solve LOG --out OUT",
+    "check": "check LOG --estimate MINE --out OUT",
+    "map": "map SCANS --out OUT",
+    "odometry": "odometry SCANS --out OUT",
+    "montecarlo": "montecarlo SMALL.TOML --runs 1 --filters ekf --out OUT",
+    "convert": "convert LOG OUT",
+}
+QUIET = (HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much)
+
+
+def few_scans(seconds: float = 12.0) -> Log:
+    """The beginning of a drive with a laser."""
+    log = open_log("occupancy-loop")
+    odometry, scans = log.odometry, log.scans
+    assert isinstance(odometry, SteeringOdometry)
+    assert scans is not None
+    n, m = (int(np.searchsorted(one.time_s, seconds)) for one in (odometry, scans))
+    return replace(
+        log,
+        odometry=replace(
+            odometry,
+            time_s=odometry.time_s[:n],
+            speed_mps=odometry.speed_mps[:n],
+            steering_rad=odometry.steering_rad[:n],
+        ),
+        sightings=log.sightings.chosen(log.sightings.time_s < seconds),
+        scans=replace(
+            scans,
+            time_s=scans.time_s[:m],
+            range_m=scans.range_m[:m],
+            intensity=scans.intensity[:m],
+        ),
+        truth=Truth(),
+    )
+
+
+def everything(folder: Path) -> None:
+    write_log_folder(simulated(2, loop_s=10.0), folder / "log")
+    write_log_folder(few_scans(), folder / "scans")
+    (folder / "mine").mkdir()
+    SUBJECTS["estimate folder"].write(folder / "mine")
+    (folder / "small.toml").write_text(SCENARIO)
+
+
+WHOLE = Subject(everything, lambda folder: None)
+
+
+def numeric(kind: type[BaseModel], section: str = "") -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Dotted names of settings that take a number, and what lies at their limits."""
+    for name, field in kind.model_fields.items():
+        hint = field.annotation
+        kinds = typing.get_args(hint) if isinstance(hint, types.UnionType) else (hint,)
+        if any(one in (int, float) for one in kinds):
+            limits = [
+                getattr(one, word)
+                for one in field.metadata
+                for word in ("ge", "gt", "le", "lt")
+                if hasattr(one, word)
+            ]
+            near = [limit + step for limit in limits for step in (0, 1, -1, 1e-12, -1e-12)]
+            yield f"{section}{name}", tuple(map(repr, near))
+        for one in kinds:
+            if isinstance(one, type) and issubclass(one, BaseModel):
+                yield from numeric(one, f"{section}{name}.")
+
+
+@functools.cache
+def settable(command: str) -> dict[str, tuple[str, ...]]:
+    """What takes a number, by option or setting, with values at its limits."""
+    job = command.partition(" ")[0]
+    if job == "montecarlo":
+        return dict.fromkeys(("--runs", "--workers"), ())
+    if job == "convert":
+        return dict.fromkeys(("--robot", "--seed", "--loops", "--noise-scale"), ())
+    found = [*numeric(JOBS[job])]
+    for name in EXTENSIONS if "extensions" in JOBS[job].model_fields else ():
+        found += numeric(config_class(name), f"extensions.{name}.")
+    return dict(found)
+
+
+def in_child(
+    action: Callable[[], tuple[int, str]],
+    file_bytes: int | None = None,
+    kill: tuple[int, float] | None = None,
+) -> tuple[int, str]:
+    """Exit code and standard error of an action in a process with bounds; 70 where it is killed.
+
+    file_bytes: no file may grow beyond. kill: a signal that is sent, and when.
+    """
+    out, into = os.pipe()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of threads that do not outlive a fork
+        child = os.fork()
+    if not child:
+        try:
+            signal.signal(signal.SIGALRM, signal.SIG_DFL)
+            signal.alarm(SECONDS)
+            now = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+            resource.setrlimit(resource.RLIMIT_AS, (now + MEMORY_BYTES, now + MEMORY_BYTES))
+            if file_bytes is not None:
+                resource.setrlimit(resource.RLIMIT_FSIZE, (file_bytes, file_bytes))
+            os.write(into, json.dumps(action()).encode()[-60_000:])
+        finally:
+            os._exit(0)
+    os.close(into)
+    if kill is not None:
+        time.sleep(kill[1])
+        os.kill(child, kill[0])
+    with os.fdopen(out, "rb") as told:
+        answer = told.read()
+    status = os.waitpid(child, 0)[1]
+    if not answer:
+        return 70, f"ended by {status} (14: took more than {SECONDS} s)"
+    code, text = json.loads(answer)
+    return code, text
+
+
+def assert_clean(code: int, told: str) -> None:
+    """A verdict without a word, or one line and exit code 2 or 3."""
+    assert code in (0, 1, 2, 3), told[-3000:]
+    assert told.count("\n") <= 1, told
+    if code == 2:
+        assert told.startswith("slamcheck: "), told
+        assert told[:-1].isprintable(), told
+        assert len(told) < 1000, told
+
+
+def arguments(command: str, folder: Path, given_values: list[tuple[str, str]]) -> list[str]:
+    words = [str(folder / w.lower()) if w.isupper() else w for w in COMMANDS[command].split()]
+    for name, value in given_values:
+        words += [name, value] if name.startswith("--") else ["--set", f"{name}={value}"]
+    return words
+
+
+def assert_whole_or_absent(folder: Path, given_in: set[str], code: int) -> None:
+    left = {path.name for path in folder.iterdir()} - given_in
+    assert left <= {"out"}
+    for path in folder.glob("out/*.json"):
+        json.loads(path.read_text(), parse_constant=pytest.fail)
+
+
+def odd(command: str, given_values: list[tuple[str, str]]) -> tuple[int, str]:
+    """A command with odd values, in a folder of its own."""
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        WHOLE.write(folder)
+        given_in = {path.name for path in folder.iterdir()}
+        words = arguments(command, folder, given_values)
+        code, told = in_child(lambda: outcome(lambda: run_main(words)))
+        assert_clean(code, f"{given_values}\n{told}" if code == 70 else told)
+        assert_whole_or_absent(folder, given_in, code)
+        return code, told
+
+
+def full_disk(command: str, file_bytes: int, earlier: bool) -> int:
+    """A command where no file can grow beyond some bytes, beside an earlier output or not."""
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        WHOLE.write(folder)
+        out = folder / "out"
+        if earlier and command != "convert":
+            assert (
+                in_child(lambda: outcome(lambda: run_main(arguments(command, folder, []))))[0] < 4
+            )
+        given_in = {path.name for path in folder.iterdir()}
+        before = {p: p.read_bytes() for p in out.rglob("*") if p.is_file()}
+        words = arguments(command, folder, [])
+        code, told = in_child(lambda: outcome(lambda: run_main(words)), file_bytes)
+        assert_clean(code, told)
+        if code == 2:
+            assert "File too large" in told
+            assert str(folder) in told
+        if code == 2 and command != "montecarlo":  # whose finished chunks stay
+            assert {path.name for path in folder.iterdir()} == given_in
+            assert {p: p.read_bytes() for p in out.rglob("*") if p.is_file()} == before
+        assert not [p for p in folder.rglob("*") if is_unfinished(p.name)]
+        again, told = in_child(lambda: outcome(lambda: run_main(words)))
+        assert (again, told) == (code, told) if code != 2 else again < 4, told
+        return code
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", COMMANDS)
+@settings(max_examples=cases(1, 15), suppress_health_check=QUIET)
+@given(file_bytes=st.integers(0, 60_000), earlier=st.booleans())
+def test_a_full_disk_leaves_what_was_there(command: str, file_bytes: int, earlier: bool) -> None:
+    counted("full disks under a command")
+    full_disk(command, file_bytes, earlier)
+
+
+@pytest.mark.slow
+@settings(max_examples=cases(2, 100), suppress_health_check=QUIET)
+@given(
+    command=st.sampled_from(sorted(COMMANDS)),
+    number=st.sampled_from([signal.SIGTERM, signal.SIGHUP, signal.SIGKILL]),
+    delay_s=st.floats(0.0, 1.5),
+)
+def test_a_killed_command_goes_again(command: str, number: int, delay_s: float) -> None:
+    """The target is whole or absent; the same command works, but no log is ever overwritten."""
+    counted("kills of a command")
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        WHOLE.write(folder)
+        words = arguments(command, folder, [])
+        code, told = in_child(lambda: outcome(lambda: run_main(words)), kill=(number, delay_s))
+        left = [p for p in folder.rglob("*") if is_unfinished(p.name)]
+        assert not left or number == signal.SIGKILL
+        assert code in (0, 1, 3, 70, 128 + number), told
+        out = folder / "out"
+        whole = {p.relative_to(out).as_posix() for p in out.rglob("*") if p.is_file()}
+        for path in out.glob("*.json"):
+            assert command == "montecarlo" or set(json.loads(path.read_text())["files"]) == whole
+        assert command in ("montecarlo", "convert") or not whole or list(out.glob("*.json"))
+        again, told = in_child(lambda: outcome(lambda: run_main(words)))
+        assert again in (0, 1, 3) or (again == 2 and command == "convert"), told
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", COMMANDS)
+@settings(max_examples=cases(2, 100), suppress_health_check=QUIET)
+@given(data=st.data())
+def test_odd_values_end_cleanly(command: str, data: st.DataObject) -> None:
+    counted("odd values of a command")
+    names = settable(command)
+    one = st.sampled_from(sorted(names)).flatmap(
+        lambda name: st.tuples(st.just(name), st.sampled_from((*names[name] * 2, *VALUES)))
+    )
+    odd(command, data.draw(st.lists(one, min_size=1, max_size=2)))
