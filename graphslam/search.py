@@ -305,7 +305,7 @@ def draw(problem: SlamProblem, rng: np.random.Generator) -> SlamProblem:
     return replace(
         problem,
         prior_pose=problem.prior_pose + noise(problem.prior_covariance),
-        increment=problem.increment + noise(problem.increment_covariance),
+        increment=problem.increment + noise(np.nan_to_num(problem.increment_covariance)),
         z=np.column_stack((np.abs(z[:, 0]), z[:, 1])),
         position=problem.position + noise(problem.position_covariance),
         surveyed=problem.surveyed + noise(problem.surveyed_covariance),
