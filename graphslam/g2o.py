@@ -14,14 +14,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from graphslam.arrays import Array
+from graphslam.arrays import Array, Index
 from graphslam.graph_builder import to_tangent
 from graphslam.increments import dead_reckoned
 from graphslam.problem import Closures, SlamProblem
@@ -155,7 +155,7 @@ class _Nodes:
         self.ids = sorted(self.values or set(named))
         self._number = {key: k for k, key in enumerate(self.ids)}
 
-    def of(self, records: Sequence[_Record], position: int) -> Array:
+    def of(self, records: Sequence[_Record], position: int) -> Index:
         """(N,) numbers of the vertices that lines name first (0) or second (1)."""
         for record in records:
             if record.ids[position] not in self._number:
@@ -198,14 +198,15 @@ def read_g2o(path: Path) -> G2oContents:
     spread = _covariances(path, moves, triangles, 3)
     count = len(nodes.ids)
     forward = np.flatnonzero(second == first + 1)
-    step, row = np.unique(first[forward], return_index=True)
-    chain = forward[row]
+    step, earliest = np.unique(first[forward], return_index=True)
+    chain = forward[earliest]
     closed = np.setdiff1d(np.arange(len(moves)), chain)
     start = np.array(nodes.values[nodes.ids[0]]) if nodes.values else np.zeros(3)
     increment, covariance = np.zeros((count - 1, 3)), np.full((count - 1, 3, 3), np.nan)
     if len(chain) < count - 1:
         guess = _spanned(path, nodes.ids, (first, second, motion), start)
-        increment = np.array([planar.wrapped(planar.between(*two)) for two in pairwise(guess)])
+        pairs = zip(guess[:-1], guess[1:], strict=True)
+        increment = np.array([planar.wrapped(planar.between(*pair)) for pair in pairs])
     increment[step], covariance[step] = motion[chain], spread[chain]
     prior_pose, prior_covariance = _prior(path, found, start, nodes)
     fixes, survey = found["EDGE_PRIOR_SE2_XY"], found["EDGE_PRIOR_XY"]
@@ -283,7 +284,7 @@ def _numbers(place: str, tag: str, words: list[str]) -> list[float]:
 
 
 def _spanned(
-    path: Path, ids: list[int], measured: tuple[Array, Array, Array], start: Array
+    path: Path, ids: list[int], measured: tuple[Index, Index, Array], start: Array
 ) -> Array:
     """(K, 3) poses along a tree of edges, breadth first: from (N,), to (N,), motion (N, 3)."""
     from scipy.sparse import coo_matrix
@@ -383,10 +384,10 @@ def _covariances(path: Path, records: Sequence[_Record], triangles: Array, size:
     return matrix
 
 
-def _regular(matrix: Array) -> Array:
+def _regular(matrix: Array) -> NDArray[np.bool_]:
     """(N,) whether symmetric matrices (N, n, n) are positive definite, whatever their units."""
     variance = np.einsum("nii->ni", matrix)
-    fine: Array = (variance > 0.0).all(axis=1)
+    fine: NDArray[np.bool_] = (variance > 0.0).all(axis=1)
     root = np.sqrt(np.where(fine[:, None], variance, 1.0))
     scaled = matrix / root[:, :, None] / root[:, None, :]
     fine &= np.isfinite(scaled).all(axis=(1, 2))
@@ -407,12 +408,12 @@ def _polar(path: Path, records: Sequence[_Record]) -> Array:
     spread = _covariances(path, points, _behind(points, 2), 2)
     for i, record, covariance in zip(bare, points, spread, strict=True):
         x, y = record.numbers[:2]
-        r, bearing = math.hypot(x, y), math.atan2(y, x)
-        if r == 0.0:
+        distance, bearing = math.hypot(x, y), math.atan2(y, x)
+        if distance == 0.0:
             raise ValueError(f"{path}:{record.line}: {record.written} at range 0 has no bearing")
         cos, sin = math.cos(bearing), math.sin(bearing)
-        into = np.array([[cos, sin], [-sin / r, cos / r]])
-        polar[i] = [r, bearing, *np.sqrt(np.diag(into @ covariance @ into.T)).tolist()]
+        into = np.array([[cos, sin], [-sin / distance, cos / distance]])
+        polar[i] = [distance, bearing, *np.sqrt(np.diag(into @ covariance @ into.T)).tolist()]
     wrong = np.flatnonzero(~(polar[:, [0, 2, 3]] > 0.0).all(axis=1))
     if len(wrong):
         record = records[int(wrong[0])]

@@ -122,7 +122,11 @@ class RelativePoses:
             covariance=(3, 3),
         )
         increasing("relative poses", self.time_s)
-        missing = np.isnan(self.covariance).all(axis=(1, 2))
+        unknown = np.asarray(np.isnan(self.covariance))
+        missing = unknown.all(axis=(1, 2))
+        partial = np.flatnonzero(unknown.any(axis=(1, 2)) & ~missing)
+        if len(partial):
+            raise RecordError("relative poses", int(partial[0]), "covariance is nan in part")
         positive_definite(
             "relative poses", np.where(missing[:, None, None], np.eye(3), self.covariance)
         )
