@@ -205,8 +205,8 @@ def read_g2o(path: Path) -> G2oContents:
     increment, covariance = np.zeros((count - 1, 3)), np.full((count - 1, 3, 3), np.nan)
     if len(chain) < count - 1:
         guess = _spanned(path, nodes.ids, (first, second, motion), start)
-        pairs = zip(guess[:-1], guess[1:], strict=True)
-        increment = np.array([planar.wrapped(planar.between(*pair)) for pair in pairs])
+        for k in range(count - 1):
+            increment[k] = planar.wrapped(planar.between(guess[k], guess[k + 1]))
     increment[step], covariance[step] = motion[chain], spread[chain]
     prior_pose, prior_covariance = _prior(path, found, start, nodes)
     fixes, survey = found["EDGE_PRIOR_SE2_XY"], found["EDGE_PRIOR_XY"]

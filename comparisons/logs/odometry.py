@@ -123,7 +123,7 @@ class RelativePoses:
         )
         increasing("relative poses", self.time_s)
         unknown = np.asarray(np.isnan(self.covariance))
-        missing = unknown.all(axis=(1, 2))
+        missing = np.asarray(unknown.all(axis=(1, 2)))
         partial = np.flatnonzero(unknown.any(axis=(1, 2)) & ~missing)
         if len(partial):
             raise RecordError("relative poses", int(partial[0]), "covariance is nan in part")

@@ -112,7 +112,7 @@ PUBLIC = [
 def optimum_of_gtsam(path: str, order: str) -> float:
     """Error of gtsam's own graph, its first pose held, from the file's vertices."""
     kind = getattr(gtsam.NoiseFormat, f"NoiseFormat{order}")
-    graph, values = gtsam.load2D(path, None, 0, False, False, kind)
+    graph, values = gtsam.load2D(path, noiseFormat=kind, smart=False)
     first = min(values.keys())
     held = gtsam.noiseModel.Isotropic.Sigma(3, 1e-6)
     graph.push_back(gtsam.PriorFactorPose2(first, values.atPose2(first), held))
@@ -125,7 +125,7 @@ def optimum_of_gtsam(path: str, order: str) -> float:
 
 @pytest.mark.parametrize(("name", "order"), PUBLIC)
 def test_public_files_have_the_optimum_of_gtsam(name: str, order: str) -> None:
-    path = gtsam.findExampleDataFile(name)
+    path = str(Path(gtsam.__file__).parent / "Data" / name)
     theirs = optimum_of_gtsam(path, order)
     result = smooth(read_g2o(Path(path)).problem, {})
     assert abs(result.error - theirs) < 1e-9 * theirs
