@@ -109,7 +109,7 @@ def _reflected(points: Array, origin: Array, angle: float) -> Array:
 
 
 def _stretches(problem: SlamProblem) -> list[tuple[int, int]]:
-    """First and last poses of stretches between those that something else fixes.
+    """First and last poses of stretches of odometry between those that something else fixes.
 
     A landmark that is seen from one pose only fixes nothing.
     """
@@ -127,18 +127,22 @@ def _stretches(problem: SlamProblem) -> list[tuple[int, int]]:
             )
         )
     )
-    return list(zip(known[:-1].tolist(), known[1:].tolist(), strict=True))
+    measured = np.isfinite(problem.increment_covariance[:, 0, 0])
+    between = zip(known[:-1].tolist(), known[1:].tolist(), strict=True)
+    return [(first, last) for first, last in between if measured[first:last].all()]
 
 
 def windings(problem: SlamProblem, poses: Array, landmarks: Array) -> Iterator[Alternative]:
     """The heading wound by a turn more or less in a stretch without measurements.
 
     The turn is shared by the stretch's increments as their variances are, its path is integrated
-    anew and shifted to end where it did.
+    anew and shifted to end where it did. One increment alone would come back to where it was.
     """
     variance = problem.increment_covariance[:, 2, 2]
     turned = np.diff(poses[:, 2]) - problem.increment[:, 2]
     for first, last in _stretches(problem):
+        if last == first + 1:
+            continue
         share = variance[first:last] / max(float(variance[first:last].sum()), 1e-300)
         total, residual = float(variance[first:last].sum()), float(turned[first:last].sum())
         for turn in (-2.0 * np.pi, 2.0 * np.pi):

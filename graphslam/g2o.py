@@ -4,7 +4,8 @@ Other programs read the usual tags: VERTEX_SE2, VERTEX_XY, EDGE_SE2, EDGE_SE2_XY
 point in the pose's frame), EDGE_PRIOR_SE2, EDGE_PRIOR_SE2_XY, EDGE_PRIOR_XY, each edge with the
 upper triangle of its information. What they would lose or round stands behind a `#` on the same
 line: range, bearing and sigmas, and covariances in place of informations. With it, reading gives
-back every bit that was written; files without it are read as well.
+back every bit that was written; files without it are read as well, and so are TORO's VERTEX2 and
+EDGE2, iSAM's EDGE2, gtsam's BR (bearing, range and their sigmas), FIX and PARAMS_SE2OFFSET.
 
 Poses are vertices 0 to K - 1 in driving order, landmarks follow.
 """
@@ -12,30 +13,48 @@ Poses are vertices 0 to K - 1 in driving order, landmarks follow.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from graphslam.arrays import Array
+from graphslam.arrays import Array, Index
 from graphslam.graph_builder import to_tangent
-from graphslam.marginals import SingularProblemError, inverse
+from graphslam.increments import dead_reckoned
+from graphslam.marginals import SingularProblemError
 from graphslam.problem import Closures, SlamProblem
+from graphslam.scan import planar
 
 _FREE_PRIOR = 1e-12
 """Variance of the first pose where a file has no prior."""
-_NUMBERS = {
-    "VERTEX_SE2": 4,
-    "VERTEX_XY": 3,
-    "EDGE_SE2": 11,
-    "EDGE_SE2_XY": 7,
-    "EDGE_PRIOR_SE2": 10,
-    "EDGE_PRIOR_SE2_XY": 6,
-    "EDGE_PRIOR_XY": 6,
+
+
+class _Tag(NamedTuple):
+    """ids: whole numbers that come first. numbers: what follows them. name: as g2o has it."""
+
+    ids: int
+    numbers: int
+    name: str
+
+
+_TAGS = {
+    "VERTEX_SE2": _Tag(1, 3, "VERTEX_SE2"),
+    "VERTEX2": _Tag(1, 3, "VERTEX_SE2"),
+    "VERTEX_XY": _Tag(1, 2, "VERTEX_XY"),
+    "EDGE_SE2": _Tag(2, 9, "EDGE_SE2"),
+    "EDGE2": _Tag(2, 9, "EDGE_SE2"),
+    "EDGE_SE2_XY": _Tag(2, 5, "EDGE_SE2_XY"),
+    "BR": _Tag(2, 4, "EDGE_SE2_XY"),
+    "EDGE_PRIOR_SE2": _Tag(1, 9, "EDGE_PRIOR_SE2"),
+    "EDGE_PRIOR_SE2_XY": _Tag(1, 5, "EDGE_PRIOR_SE2_XY"),
+    "EDGE_PRIOR_XY": _Tag(1, 5, "EDGE_PRIOR_XY"),
+    "FIX": _Tag(1, 0, "FIX"),
+    "PARAMS_SE2OFFSET": _Tag(1, 3, "PARAMS_SE2OFFSET"),
+    "EQUIV": _Tag(2, 0, "EQUIV"),
 }
-TAGS = tuple(_NUMBERS)
-"""What is written and read."""
 _SETTINGS = {
     "EDGE_SE2": "raise the odometry's sigmas or its stabilisation noise",
     "EDGE_PRIOR_SE2": "lower the correlations of the log's prior",
@@ -43,14 +62,30 @@ _SETTINGS = {
     "EDGE_PRIOR_XY": "give the known landmarks larger variances",
 }
 """What in a log to change where an edge of a tag has no information."""
+_SPATIAL = ("SE3", "XYZ", "VERTEX3", "EDGE3")
+_LARGEST_ID = 2**53
+_TORO = [0, 1, 4, 2, 5, 3]
+"""Where xx, xy, xh, yy, yh, hh stand in what TORO writes: xx, xy, yy, hh, xh, yh."""
+_SINGULAR = 1e-13
+"""Least eigenvalue of a definite matrix whose diagonal is near one."""
+
+
+def recognises(tag: str) -> bool:
+    """Whether a file's first word is one of a graph, be it one that is not read."""
+    return tag in _TAGS or tag.startswith(("VERTEX_", "EDGE_", "PARAMS_SE")) or _spatial(tag)
+
+
+def _spatial(tag: str) -> bool:
+    return tag.startswith(("VERTEX", "EDGE", "PARAMS")) and any(part in tag for part in _SPATIAL)
 
 
 class G2oContents(NamedTuple):
-    """A problem and its values: poses (K, 3), landmarks (L, 2)."""
+    """A problem and its values: poses (K, 3), landmarks (L, 2). notes: how a file was read."""
 
     problem: SlamProblem
     poses: Array
     landmarks: Array
+    notes: Mapping[str, str] = MappingProxyType({})
 
 
 def holds(problem: SlamProblem) -> bool:
@@ -64,7 +99,7 @@ def write_g2o(path: Path, contents: G2oContents) -> None:
     g2o has no edge for one; such positions would be taken for the pose's own. Raises
     SingularProblemError that names the edge whose covariance has no inverse.
     """
-    problem, poses, landmarks = contents
+    problem, poses, landmarks, _ = contents
     if problem.oriented.count:
         raise ValueError("oriented landmarks cannot be told from poses in g2o")
     if not holds(problem):
@@ -75,16 +110,12 @@ def write_g2o(path: Path, contents: G2oContents) -> None:
     turn = to_tangent(problem.prior_pose[2:3])[0]
     covariance = turn @ problem.prior_covariance @ turn.T
     prior = problem.prior_covariance
-    lines.append(_edge("EDGE_PRIOR_SE2", (0,), problem.prior_pose, covariance, prior))
-    for k, (move, spread) in enumerate(
-        zip(problem.increment, problem.increment_covariance, strict=True)
-    ):
-        lines.append(_edge("EDGE_SE2", (k, k + 1), move, spread, spread))
-    closed = problem.closures
-    for i, j, move, spread in zip(
-        closed.first, closed.second, closed.motion, closed.covariance, strict=True
-    ):
-        lines.append(_edge("EDGE_SE2", (i, j), move, spread, spread))
+    start, steps, closed = problem.prior_pose[None], problem.steps, problem.closures
+    lines += _edges("EDGE_PRIOR_SE2", [(0,)], start, covariance[None], prior[None])
+    chain, spread = list(zip(steps, steps + 1, strict=True)), problem.increment_covariance[steps]
+    lines += _edges("EDGE_SE2", chain, problem.increment[steps], spread, spread)
+    pairs, spread = list(zip(closed.first, closed.second, strict=True)), closed.covariance
+    lines += _edges("EDGE_SE2", pairs, closed.motion, spread, spread)
     for k, j, (r, bearing), sigma in zip(
         problem.sighting_pose, problem.sighting_landmark, problem.z, problem.sigma, strict=True
     ):
@@ -94,102 +125,128 @@ def write_g2o(path: Path, contents: G2oContents) -> None:
         point = np.array([r * cos, r * sin])
         line = _line("EDGE_SE2_XY", (k, count + j), point, root.T @ root)
         lines.append(f"{line} # {_text((r, bearing, *sigma))}")
-    for k, z, spread in zip(
-        problem.position_pose, problem.position, problem.position_covariance, strict=True
-    ):
-        lines.append(_edge("EDGE_PRIOR_SE2_XY", (k,), z, spread, spread))
-    for j, (z, spread) in enumerate(
-        zip(problem.surveyed, problem.surveyed_covariance, strict=True)
-    ):
-        lines.append(_edge("EDGE_PRIOR_XY", (count + j,), z, spread, spread))
+    at, spread = [(k,) for k in problem.position_pose], problem.position_covariance
+    lines += _edges("EDGE_PRIOR_SE2_XY", at, problem.position, spread, spread)
+    at, spread = [(count + j,) for j in range(len(problem.surveyed))], problem.surveyed_covariance
+    lines += _edges("EDGE_PRIOR_XY", at, problem.surveyed, spread, spread)
     path.write_text("\n".join(lines) + "\n", encoding="ascii")
 
 
-def read_g2o(path: Path) -> G2oContents:
-    """Read a planar graph of one chain of poses and of landmarks.
-
-    The first edge from a pose to the next is its increment, all others between poses are closures,
-    whose robust kernel g2o cannot tell. Raises ValueError naming the line at fault, for unknown
-    tags, and for numbers that are missing or not finite.
-    """
-    vertices: dict[str, dict[int, list[float]]] = {"VERTEX_SE2": {}, "VERTEX_XY": {}}
-    edges: dict[str, list[_Record]] = {tag: [] for tag in _NUMBERS if tag not in vertices}
-    for record in _records(path):
-        if record.tag in vertices:
-            vertices[record.tag][int(record.numbers[0])] = record.numbers[1:]
-        else:
-            edges[record.tag].append(record)
-    pose_of = {key: k for k, key in enumerate(sorted(vertices["VERTEX_SE2"]))}
-    slot_of = {key: j for j, key in enumerate(sorted(vertices["VERTEX_XY"]))}
-    if not pose_of:
-        raise ValueError(f"{path}: no VERTEX_SE2 line, expected poses")
-
-    def place(record: _Record, position: int, table: dict[int, int], what: str) -> int:
-        key = int(record.numbers[position])
-        if key not in table:
-            raise ValueError(f"{record.place}: {record.tag} names {key}, which is no {what}")
-        return table[key]
-
-    chain: dict[int, _Record] = {}
-    closed: list[tuple[int, int, _Record]] = []
-    for record in edges["EDGE_SE2"]:
-        i, j = place(record, 0, pose_of, "pose"), place(record, 1, pose_of, "pose")
-        if i == j:
-            raise ValueError(f"{record.place}: EDGE_SE2 from pose {i} to itself")
-        if j == i + 1 and i not in chain:
-            chain[i] = record
-        else:
-            closed.append((i, j, record))
-    missing = set(range(len(pose_of) - 1)) - set(chain)
-    if missing:
-        raise ValueError(f"{path}: no EDGE_SE2 departs from pose {min(missing)}")
-    moves = [chain[i] for i in range(len(chain))]
-    poses = np.array([vertices["VERTEX_SE2"][key] for key in pose_of])
-    landmarks = np.array([vertices["VERTEX_XY"][key] for key in slot_of]).reshape(-1, 2)
-    seen, fixes, survey = edges["EDGE_SE2_XY"], edges["EDGE_PRIOR_SE2_XY"], edges["EDGE_PRIOR_XY"]
-    slots = [place(r, 0, slot_of, "landmark") for r in survey]
-    if sorted(slots) != list(range(len(slots))):
-        raise ValueError(f"{path}: EDGE_PRIOR_XY must hold the first landmarks, each once")
-    survey = [survey[i] for i in np.argsort(slots)] if slots else []
-    polar = np.array([_polar(r) for r in seen]).reshape(-1, 4)
-    prior_pose, prior_covariance = _prior(edges["EDGE_PRIOR_SE2"], poses[0], pose_of)
-    return G2oContents(
-        SlamProblem(
-            prior_pose=prior_pose,
-            prior_covariance=prior_covariance,
-            increment=np.array([r.numbers[2:5] for r in moves]).reshape(-1, 3),
-            increment_covariance=np.array([_covariance(r, 5) for r in moves]).reshape(-1, 3, 3),
-            sighting_pose=np.array([place(r, 0, pose_of, "pose") for r in seen], dtype=np.intp),
-            sighting_landmark=np.array(
-                [place(r, 1, slot_of, "landmark") for r in seen], dtype=np.intp
-            ),
-            z=polar[:, :2],
-            sigma=polar[:, 2:],
-            landmark_count=len(slot_of),
-            position_pose=np.array([place(r, 0, pose_of, "pose") for r in fixes], dtype=np.intp),
-            position=np.array([r.numbers[1:3] for r in fixes]).reshape(-1, 2),
-            position_covariance=np.array([_covariance(r, 3) for r in fixes]).reshape(-1, 2, 2),
-            surveyed=np.array([r.numbers[1:3] for r in survey]).reshape(-1, 2),
-            surveyed_covariance=np.array([_covariance(r, 3) for r in survey]).reshape(-1, 2, 2),
-            closures=Closures(
-                np.array([i for i, _, _ in closed], dtype=np.intp),
-                np.array([j for _, j, _ in closed], dtype=np.intp),
-                np.array([r.numbers[2:5] for *_, r in closed]).reshape(-1, 3),
-                np.array([_covariance(r, 5) for *_, r in closed]).reshape(-1, 3, 3),
-            ),
-        ),
-        poses,
-        landmarks,
-    )
-
-
 class _Record(NamedTuple):
-    """One line. place: file and line. numbers: in front of the `#`; exact: behind it."""
+    """One line. tag: as g2o has it. ids, numbers: in front of the `#`; exact: behind it."""
 
-    place: str
+    line: int
+    written: str
     tag: str
+    ids: tuple[int, ...]
     numbers: list[float]
     exact: list[float]
+
+
+class _Nodes:
+    """Vertices of one kind, numbered from 0 in the order of their ids."""
+
+    def __init__(self, path: Path, what: str, given: list[_Record], named: Iterator[int]) -> None:
+        """given: their VERTEX lines; where there are none, those that edges name."""
+        self.path, self.what = path, what
+        self.values: dict[int, list[float]] = {}
+        for record in given:
+            if record.ids[0] in self.values:
+                raise ValueError(
+                    f"{path}:{record.line}: {record.written} {record.ids[0]} is there already"
+                )
+            self.values[record.ids[0]] = record.numbers
+        self.ids = sorted(self.values or set(named))
+        self._number = {key: k for k, key in enumerate(self.ids)}
+
+    def of(self, records: Sequence[_Record], position: int) -> Index:
+        """(N,) numbers of the vertices that lines name first (0) or second (1)."""
+        for record in records:
+            if record.ids[position] not in self._number:
+                raise ValueError(
+                    f"{self.path}:{record.line}: {record.written} names {record.ids[position]}, "
+                    f"which is no {self.what}"
+                )
+        return np.array([self._number[r.ids[position]] for r in records], dtype=np.intp)
+
+
+def read_g2o(path: Path) -> G2oContents:
+    """Read a planar graph of poses, in the order of their ids, and of landmarks.
+
+    The first edge from a pose to the next is its increment, all others between poses are closures,
+    whose robust kernel g2o cannot tell. Two poses that follow each other may have no such edge;
+    vertices may be missing. Raises ValueError naming the line at fault, for unknown tags, for
+    numbers that are missing or not finite, for information that is not positive definite, and for
+    poses that no edges connect.
+    """
+    found: dict[str, list[_Record]] = {tag.name: [] for tag in _TAGS.values()}
+    for record in _records(path):
+        found[record.tag].append(record)
+    moves, seen = found["EDGE_SE2"], found["EDGE_SE2_XY"]
+    pose_ids = (key for r in moves for key in r.ids)
+    nodes = _Nodes(path, "pose", found["VERTEX_SE2"], pose_ids)
+    marks = _Nodes(path, "landmark", found["VERTEX_XY"], (r.ids[1] for r in seen))
+    if not nodes.ids:
+        raise ValueError(f"{path}: no VERTEX_SE2 and no EDGE_SE2 line, expected poses")
+    both = sorted(set(nodes.ids) & set(marks.ids))
+    if both:
+        raise ValueError(f"{path}: {both[0]} is the number of a pose and of a landmark")
+    first, second = nodes.of(moves, 0), nodes.of(moves, 1)
+    for row in np.flatnonzero(first == second).tolist():
+        record = moves[row]
+        raise ValueError(
+            f"{path}:{record.line}: {record.written} from pose {record.ids[0]} to itself"
+        )
+    motion = np.array([r.numbers[:3] for r in moves]).reshape(-1, 3)
+    triangles, note = _informations(path, moves)
+    spread = _covariances(path, moves, triangles, 3)
+    count = len(nodes.ids)
+    forward = np.flatnonzero(second == first + 1)
+    step, earliest = np.unique(first[forward], return_index=True)
+    chain = forward[earliest]
+    closed = np.setdiff1d(np.arange(len(moves)), chain)
+    start = np.array(nodes.values[nodes.ids[0]]) if nodes.values else np.zeros(3)
+    increment, covariance = np.zeros((count - 1, 3)), np.full((count - 1, 3, 3), np.nan)
+    if len(chain) < count - 1:
+        guess = _spanned(path, nodes.ids, (first, second, motion), start)
+        for k in range(count - 1):
+            increment[k] = planar.wrapped(planar.between(guess[k], guess[k + 1]))
+    increment[step], covariance[step] = motion[chain], spread[chain]
+    prior_pose, prior_covariance = _prior(path, found, start, nodes)
+    fixes, survey = found["EDGE_PRIOR_SE2_XY"], found["EDGE_PRIOR_XY"]
+    slots = marks.of(survey, 0)
+    if sorted(slots) != list(range(len(slots))):
+        raise ValueError(f"{path}: EDGE_PRIOR_XY must hold the first landmarks, each once")
+    survey = [survey[i] for i in np.argsort(slots)]
+    polar = _polar(path, seen)
+    problem = SlamProblem(
+        prior_pose=prior_pose,
+        prior_covariance=prior_covariance,
+        increment=increment,
+        increment_covariance=covariance,
+        sighting_pose=nodes.of(seen, 0),
+        sighting_landmark=marks.of(seen, 1),
+        z=polar[:, :2],
+        sigma=polar[:, 2:],
+        landmark_count=len(marks.ids),
+        position_pose=nodes.of(fixes, 0),
+        position=np.array([r.numbers[:2] for r in fixes]).reshape(-1, 2),
+        position_covariance=_covariances(path, fixes, _behind(fixes, 2), 2),
+        surveyed=np.array([r.numbers[:2] for r in survey]).reshape(-1, 2),
+        surveyed_covariance=_covariances(path, survey, _behind(survey, 2), 2),
+        closures=Closures(first[closed], second[closed], motion[closed], spread[closed]),
+    )
+    poses = np.array([nodes.values[key] for key in nodes.ids]) if nodes.values else None
+    places = np.array([marks.values.get(key, (np.nan, np.nan)) for key in marks.ids])
+    notes = {"edges": note} if note else {}
+    if found["EQUIV"]:
+        notes["passed over"] = f"EQUIV on {len(found['EQUIV'])} lines"
+    return G2oContents(
+        problem,
+        dead_reckoned(prior_pose, increment) if poses is None else poses,
+        places.reshape(-1, 2),
+        notes,
+    )
 
 
 def _records(path: Path) -> Iterator[_Record]:
@@ -199,82 +256,195 @@ def _records(path: Path) -> Iterator[_Record]:
             words = front.split()
             if not words:
                 continue
-            tag = words[0]
-            if tag not in _NUMBERS:
+            place, tag = f"{path}:{line}", _TAGS.get(words[0])
+            if tag is None and _spatial(words[0]):
+                raise ValueError(f"{place}: {words[0][:40]}: 3D is not supported yet")
+            if tag is None:
                 raise ValueError(
-                    f"{path}:{line}: unknown tag '{tag[:40]}', expected one of "
-                    f"{', '.join(_NUMBERS)}"
+                    f"{place}: unknown tag '{words[0][:40]}', expected one of {', '.join(_TAGS)}"
                 )
-            try:
-                numbers = [float(word) for word in words[1:]]
-                exact = [float(word) for word in behind.split()]
-            except ValueError:
-                raise ValueError(f"{path}:{line}: {tag} holds what is no number") from None
-            if len(numbers) != _NUMBERS[tag]:
-                raise ValueError(
-                    f"{path}:{line}: {tag} has {len(numbers)} numbers, expected {_NUMBERS[tag]}"
-                )
-            if not np.isfinite(numbers + exact).all():
-                raise ValueError(f"{path}:{line}: {tag} holds a number that is not finite")
-            yield _Record(f"{path}:{line}", tag, numbers, exact)
+            numbers, exact = (_numbers(place, words[0], w) for w in (words[1:], behind.split()))
+            size = tag.ids + tag.numbers
+            if len(numbers) != size:
+                raise ValueError(f"{place}: {words[0]} has {len(numbers)} numbers, expected {size}")
+            ids = numbers[: tag.ids]
+            for key in ids:
+                if not (key.is_integer() and 0 <= key < _LARGEST_ID):
+                    raise ValueError(
+                        f"{place}: {words[0]} names {key:g}, expected a whole number from 0"
+                    )
+            whole = tuple(int(key) for key in ids)
+            yield _Record(line, words[0], tag.name, whole, numbers[tag.ids :], exact)
 
 
-def _prior(records: list[_Record], first: Array, pose_of: dict[int, int]) -> tuple[Array, Array]:
-    """Pose (3,) and covariance (3, 3), of the additive global error."""
-    if not records:
-        return first, _FREE_PRIOR * np.eye(3)
-    [record, *more] = records
-    if more or pose_of.get(int(record.numbers[0])) != 0:
-        place = (more or records)[0].place
-        raise ValueError(f"{place}: EDGE_PRIOR_SE2, expected one only, of the first pose")
-    pose = np.array(record.numbers[1:4])
-    if record.exact:
-        return pose, _covariance(record, 4)
-    back = to_tangent(pose[2:3])[0].T
-    return pose, back @ _covariance(record, 4) @ back.T
-
-
-def _covariance(record: _Record, start: int) -> Array:
-    """The exact covariance, or the inverse of the information that starts there."""
-    size = 3 if len(record.numbers) - start == 6 else 2
-    entries = record.exact if len(record.exact) == size * (size + 1) // 2 else None
-    matrix = _symmetric(entries or record.numbers[start:], size)
-    if entries is not None:
-        return matrix
+def _numbers(place: str, tag: str, words: list[str]) -> list[float]:
     try:
-        covariance = inverse(matrix)
-    except np.linalg.LinAlgError:
+        numbers = [float(word) for word in words]
+    except ValueError:
+        raise ValueError(f"{place}: {tag} holds what is no number") from None
+    if not all(map(math.isfinite, numbers)):
+        raise ValueError(f"{place}: {tag} holds a number that is not finite")
+    return numbers
+
+
+def _spanned(
+    path: Path, ids: list[int], measured: tuple[Index, Index, Array], start: Array
+) -> Array:
+    """(K, 3) poses along a tree of edges, breadth first: from (N,), to (N,), motion (N, 3)."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import breadth_first_order
+
+    first, second, motion = measured
+    count, nowhere = len(ids), np.zeros(3)
+    touching = coo_matrix((np.ones(len(first)), (first, second)), (count, count))
+    order, before = breadth_first_order(touching.tocsr(), 0, directed=False)
+    if len(order) < count:
+        lost = ids[int(np.setdiff1d(np.arange(count), order)[0])]
         raise ValueError(
-            f"{record.place}: {record.tag} has an information that is not positive definite"
-        ) from None
-    return 0.5 * (covariance + covariance.T)
+            f"{path}: no edges between poses connect pose {lost} with pose {ids[0]}, expected "
+            "one connected graph"
+        )
+    edges = list(zip(first.tolist(), second.tolist(), motion, strict=True))
+    known = {(j, i): planar.between(m, nowhere) for i, j, m in edges}
+    known |= {(i, j): m for i, j, m in edges}
+    poses = np.tile(start, (count, 1))
+    for k in order[1:].tolist():
+        poses[k] = planar.compose(poses[before[k]], known[before[k], k])
+    return poses
 
 
-def _polar(record: _Record) -> list[float]:
-    """Range, bearing and their sigmas; an information that mixes them loses the mixture."""
-    if len(record.exact) == 4:
-        return record.exact
-    x, y = record.numbers[2:4]
-    r, bearing = math.hypot(x, y), math.atan2(y, x)
-    if not r > 0.0:
-        raise ValueError(f"{record.place}: {record.tag} lies on its pose, which has no bearing")
-    cos, sin = math.cos(bearing), math.sin(bearing)
-    into = np.array([[cos, sin], [-sin / r, cos / r]])
-    spread = into @ _covariance(record, 4) @ into.T
-    return [r, bearing, *np.sqrt(np.diag(spread)).tolist()]
+def _prior(
+    path: Path, found: Mapping[str, list[_Record]], start: Array, nodes: _Nodes
+) -> tuple[Array, Array]:
+    """Pose (3,) and covariance (3, 3), of the additive global error."""
+    records, fixed = found["EDGE_PRIOR_SE2"], found["FIX"]
+    wrong = [r for r in (*fixed, *records) if r.ids[0] != nodes.ids[0]]
+    if wrong or len(records) > 1 or (records and fixed):
+        record = (wrong or [*fixed, *records][1:])[0]
+        raise ValueError(
+            f"{path}:{record.line}: {record.tag}, expected one only, of the first pose "
+            f"({nodes.ids[0]})"
+        )
+    if not records:
+        return start, _FREE_PRIOR * np.eye(3)
+    [record] = records
+    pose = np.array(record.numbers[:3])
+    [covariance] = _covariances(path, records, _behind(records, 3), 3)
+    if record.exact:
+        return pose, covariance
+    back = to_tangent(pose[2:3])[0].T
+    return pose, back @ covariance @ back.T
 
 
-def _edge(tag: str, ids: tuple[int, ...], z: Array, covariance: Array, exact: Array) -> str:
-    try:
-        line = _line(tag, ids, z, inverse(covariance))
-    except np.linalg.LinAlgError:
-        named = " ".join(str(int(i)) for i in ids)
-        sigmas = ", ".join(f"{v:.3g}" for v in np.sqrt(np.abs(np.diag(covariance))))
+def _behind(records: Sequence[_Record], start: int) -> Array:
+    """(N, 6) or (N, 3) upper triangles of informations, behind the measurement."""
+    size = {3: 6, 2: 3}[start]
+    return np.array([r.numbers[start:] for r in records]).reshape(-1, size)
+
+
+def _informations(path: Path, moves: Sequence[_Record]) -> tuple[Array, str]:
+    """(N, 6) upper triangles of EDGE_SE2 and EDGE2 lines, and a note where there is a choice.
+
+    TORO's EDGE2 holds xx, xy, yy, hh, xh, yh of the information, iSAM's the upper triangle of its
+    square root by rows. A file is of the program whose reading makes more lines regular, of TORO
+    where both do.
+    """
+    triangles = _behind(moves, 3)
+    rows = np.array([r.written == "EDGE2" and not r.exact for r in moves], dtype=bool)
+    if not rows.any():
+        return triangles, ""
+    toro = triangles[rows][:, _TORO]
+    root = np.zeros((len(toro), 3, 3))
+    root[:, *np.triu_indices(3)] = triangles[rows]
+    isam = (root.transpose(0, 2, 1) @ root)[:, *np.triu_indices(3)]
+    regular = [int(np.count_nonzero(inverses(_symmetric(one, 3))[1])) for one in (toro, isam)]
+    if regular[1] > regular[0]:
+        triangles[rows] = isam
+        return triangles, "EDGE2 as iSAM writes it: the square root of the information, by rows"
+    triangles[rows] = toro
+    return triangles, "EDGE2 as TORO writes it: the information as xx, xy, yy, hh, xh, yh"
+
+
+def _covariances(path: Path, records: Sequence[_Record], triangles: Array, size: int) -> Array:
+    """(N, n, n) the exact covariances, or inverses of the informations (N, n (n + 1) / 2).
+
+    Raises ValueError naming the first line whose matrix is not positive definite.
+    """
+    triangles, length = triangles.copy(), size * (size + 1) // 2
+    exact = np.array([len(r.exact) == length for r in records], dtype=bool)
+    if exact.any():
+        triangles[exact] = [r.exact for r in records if len(r.exact) == length]
+    matrix = _symmetric(triangles, size)
+    inverse, regular = inverses(matrix)
+    for row in np.flatnonzero(~regular)[:1].tolist():
+        what = "covariance" if exact[row] else "information"
+        raise ValueError(
+            f"{path}:{records[row].line}: {records[row].written}: the {what} is singular or not "
+            "positive definite"
+        )
+    matrix[~exact] = 0.5 * (inverse + inverse.transpose(0, 2, 1))[~exact]
+    return matrix
+
+
+def inverses(matrix: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Inverses of covariances or informations (N, n, n); (N,) which are positive definite.
+
+    The variances are scaled to near one first, by powers of two, which round nothing: sigmas as
+    far apart as 1e-12 and 1e12 cost no digits. The inverse of what is not definite is of no use.
+    """
+    variance = np.einsum("nii->ni", matrix)
+    regular: NDArray[np.bool_] = ((variance > 0.0) & np.isfinite(variance)).all(axis=1)
+    power = np.exp2(-np.round(0.5 * np.log2(np.where(regular[:, None], variance, 1.0))))
+    scale = power[:, :, None] * power[:, None, :]
+    scaled = matrix * scale
+    regular &= np.isfinite(scaled).all(axis=(1, 2))
+    scaled[~regular] = np.eye(matrix.shape[1])
+    regular &= np.linalg.eigvalsh(scaled)[:, 0] > _SINGULAR
+    scaled[~regular] = np.eye(matrix.shape[1])
+    return np.linalg.inv(scaled).astype(np.float64, copy=False) * scale, regular
+
+
+def _polar(path: Path, records: Sequence[_Record]) -> Array:
+    """(M, 4) range, bearing and sigmas; an information that mixes them loses the mixture."""
+    polar = np.array([r.exact if len(r.exact) == 4 else [0.0] * 4 for r in records])
+    polar = polar.reshape(-1, 4)
+    for row, r in enumerate(records):
+        if r.written == "BR":
+            polar[row] = [r.numbers[i] for i in (1, 0, 3, 2)]
+    bare = [i for i, r in enumerate(records) if r.written != "BR" and len(r.exact) != 4]
+    points = [records[i] for i in bare]
+    spread = _covariances(path, points, _behind(points, 2), 2)
+    for i, record, covariance in zip(bare, points, spread, strict=True):
+        x, y = record.numbers[:2]
+        distance, bearing = math.hypot(x, y), math.atan2(y, x)
+        if distance == 0.0:
+            raise ValueError(f"{path}:{record.line}: {record.written} at range 0 has no bearing")
+        cos, sin = math.cos(bearing), math.sin(bearing)
+        into = np.array([[cos, sin], [-sin / distance, cos / distance]])
+        polar[i] = [distance, bearing, *np.sqrt(np.diag(into @ covariance @ into.T)).tolist()]
+    wrong = np.flatnonzero(~(polar[:, [0, 2, 3]] > 0.0).all(axis=1))
+    if len(wrong):
+        record = records[int(wrong[0])]
+        raise ValueError(
+            f"{path}:{record.line}: {record.written}: range and sigmas must lie above 0"
+        )
+    return polar
+
+
+def _edges(
+    tag: str, ids: Sequence[tuple[int, ...]], z: Array, covariance: Array, exact: Array
+) -> list[str]:
+    information, regular = inverses(covariance)
+    for row in np.flatnonzero(~regular)[:1].tolist():
+        named = " ".join(str(int(i)) for i in ids[row])
+        sigmas = ", ".join(f"{v:.3g}" for v in np.sqrt(np.abs(np.diag(covariance[row]))))
         raise SingularProblemError(
             f"graph.g2o: the covariance of {tag} {named} (sigmas {sigmas}) is singular to "
             f"rounding, so that it has no information; {_SETTINGS[tag]}"
-        ) from None
-    return f"{line} # {_text(exact[np.triu_indices(len(exact))])}"
+        )
+    lines = [_line(tag, *edge) for edge in zip(ids, z, information, strict=True)]
+    upper = exact[:, *np.triu_indices(exact.shape[1])]
+    return [f"{line} # {_text(entries)}" for line, entries in zip(lines, upper, strict=True)]
 
 
 def _line(tag: str, ids: tuple[int, ...], z: Array, information: Array) -> str:
@@ -282,11 +452,11 @@ def _line(tag: str, ids: tuple[int, ...], z: Array, information: Array) -> str:
     return f"{tag} {' '.join(str(int(i)) for i in ids)} {_text(z)} {_text(upper)}"
 
 
-def _symmetric(entries: list[float], size: int) -> Array:
-    matrix = np.zeros((size, size))
-    upper = np.triu_indices(size)
-    matrix[upper] = entries
-    matrix.T[upper] = entries
+def _symmetric(entries: Array, size: int) -> Array:
+    """(N, n, n) from upper triangles (N, n (n + 1) / 2) by rows."""
+    matrix = np.zeros((len(entries), size, size))
+    row, column = np.triu_indices(size)
+    matrix[:, row, column] = matrix[:, column, row] = entries
     return matrix
 
 

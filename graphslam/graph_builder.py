@@ -106,8 +106,10 @@ def build_graph(problem: SlamProblem, kernel: str = "none") -> gtsam.NonlinearFa
     """
     graph = gtsam.NonlinearFactorGraph()
     graph.push_back(prior_factor(POSE_KEY, problem))
-    poses = list(range(POSE_KEY, POSE_KEY + problem.pose_count))
-    for between in increment_factors(poses[:-1], poses[1:], problem):
+    steps = problem.steps
+    moves = problem.increment[steps], problem.increment_covariance[steps]
+    departures = (POSE_KEY + steps).tolist()
+    for between in _between(departures, [key + 1 for key in departures], *moves):
         graph.push_back(between)
     for sighting in sighting_factors(
         (POSE_KEY + problem.sighting_pose).tolist(),
@@ -156,7 +158,8 @@ def last_poses(problem: SlamProblem) -> Index:
     """(F,) the last pose that each factor of build_graph touches, 0 for priors of landmarks."""
     return np.concatenate(
         (
-            np.arange(problem.pose_count),
+            [0],
+            problem.steps + 1,
             problem.sighting_pose,
             problem.position_pose,
             np.zeros(len(problem.surveyed), dtype=np.intp),

@@ -106,7 +106,13 @@ def _pieces(
     last = last[order]
     ends = np.unique(
         np.concatenate(
-            (problem.sighting_pose, problem.position_pose, stops, [problem.pose_count - 1])
+            (
+                problem.sighting_pose,
+                problem.position_pose,
+                problem.closures.last,
+                stops,
+                [problem.pose_count - 1],
+            )
         )
     ).astype(np.intp)
     done = 0

@@ -20,24 +20,6 @@ class SingularProblemError(ArithmeticError):
     """The measurements leave some direction of the state without information."""
 
 
-def inverse(matrix: Array) -> Array:
-    """Invert a covariance or an information (d, d), whatever its entries' units.
-
-    The variances are scaled to near one first, by powers of two, which round nothing: sigmas as
-    far apart as 1e-12 and 1e12 cost no digits. Raises numpy.linalg.LinAlgError where the matrix
-    is not positive definite to rounding.
-    """
-    variance = np.diag(matrix)
-    if not ((variance > 0.0) & np.isfinite(variance)).all():
-        raise np.linalg.LinAlgError("a variance is not above zero and finite")
-    scale = np.outer(*2 * [np.exp2(-np.round(0.5 * np.log2(variance)))])
-    scaled = matrix * scale
-    if not (np.linalg.eigvalsh(scaled)[0] > _ROUNDING):
-        raise np.linalg.LinAlgError("singular to rounding")
-    found: Array = np.linalg.inv(scaled).astype(np.float64, copy=False) * scale
-    return found
-
-
 class Marginal(NamedTuple):
     """Mean (n,) and covariance (n, n) of the last pose and all landmarks, points first."""
 

@@ -90,7 +90,8 @@ class SlamProblem:
 
     prior_pose: (3,), prior_covariance: (3, 3) of the additive global error of pose 0.
     increment: (K-1, 3) from pose k to k+1 in the frame of k; increment_covariance: (K-1, 3, 3)
-    of the right perturbation (frame of k+1).
+    of the right perturbation (frame of k+1), NaN where nothing measured the motion, so that the
+    increment is a guess and closures must connect the two poses.
     sighting_pose, sighting_landmark: (M,) indices. z: (M, 2) range and bearing; sigma: (M, 2).
     position_pose: (G,) indices. position: (G, 2) of an antenna at `lever_m` (forward, left) of
     the pose, with position_covariance: (G, 2, 2).
@@ -126,6 +127,11 @@ class SlamProblem:
         return len(self.increment) + 1
 
     @property
+    def steps(self) -> Index:
+        """(S,) the increments that were measured."""
+        return np.flatnonzero(np.isfinite(self.increment_covariance[:, 0, 0]))
+
+    @property
     def seen_landmarks(self) -> Index:
         """Point landmarks that something is known of: measured, or surveyed."""
         return np.union1d(self.sighting_landmark, np.arange(len(self.surveyed)))
@@ -135,7 +141,7 @@ class SlamProblem:
         """Scalar measurements, the prior's three included."""
         pairs = len(self.z) + len(self.position) + len(self.surveyed)
         seen = self.oriented
-        triples = self.pose_count + len(self.closures.motion)
+        triples = 1 + len(self.steps) + len(self.closures.motion)
         triples += len(seen.measured) + len(seen.merges.measured)
         return 3 * triples + 2 * pairs
 

@@ -105,12 +105,14 @@ def _relative(equations: _Equations, problem: SlamProblem, turned: Complex | Non
     """
     k, seen, closed = problem.pose_count, problem.oriented, problem.closures
     merged = seen.merges
-    step = np.arange(k - 1)
+    step = problem.steps
     first = np.concatenate((step, closed.first, seen.pose, k + merged.first))
     second = np.concatenate((step + 1, closed.second, k + seen.landmark, k + merged.second))
-    motion = np.concatenate((problem.increment, closed.motion, seen.measured, merged.measured))
+    motion = np.concatenate(
+        (problem.increment[step], closed.motion, seen.measured, merged.measured)
+    )
     spread = np.concatenate(
-        (problem.increment_covariance, closed.covariance, seen.covariance, merged.covariance)
+        (problem.increment_covariance[step], closed.covariance, seen.covariance, merged.covariance)
     )
     turn_weight = spread[:, 2, 2] ** -0.5
     weight = (0.5 * (spread[:, 0, 0] + spread[:, 1, 1])) ** -0.5

@@ -42,7 +42,7 @@ def reject_wild(
     parameters.setMaxIterations(20)
     parameters.setRelativeErrorTol(1e-4)
     settings = gtsam.GncLMParams(parameters)
-    first, count = problem.pose_count, len(problem.z) + len(problem.position)
+    first, count = 1 + len(problem.steps), len(problem.z) + len(problem.position)
     sound = [*range(first), *range(first + count, graph.size())]
     settings.setKnownInliers(sound)
     optimiser = gtsam.GncLMOptimizer(graph, values, settings)

@@ -32,6 +32,8 @@ BUDGET = 400
 """Iterations over the whole graph that exploring may take, beside those in BUDGET_SHARE."""
 BUDGET_SHARE = 4
 """It may take so many times the iterations of the starts more."""
+MOST_WORK = 10_000_000
+"""Iterations times factors that exploring may take: 160 iterations of 64,000 factors."""
 MISSED = 0.05
 """Random starts go on until a basin as wide as the best one's is missed with this chance."""
 LEAST_DRAWS, MOST_DRAWS = 8, 40
@@ -133,7 +135,8 @@ class MinimumSearch:
         Stops without completing when the budget is spent.
         """
         agreed, lowest = self.agreed, self.best
-        self._budget = BUDGET + BUDGET_SHARE * sum(one.iterations for one in self.attempts)
+        budget = BUDGET + BUDGET_SHARE * sum(one.iterations for one in self.attempts)
+        self._budget = min(budget, MOST_WORK // max(1, self._graph.size()))
         lower = self._descend(lowest)
         draws, missed = 0, 0.0
         if not agreed or lower is not lowest or loose(self._problem):
@@ -305,7 +308,7 @@ def draw(problem: SlamProblem, rng: np.random.Generator) -> SlamProblem:
     return replace(
         problem,
         prior_pose=problem.prior_pose + noise(problem.prior_covariance),
-        increment=problem.increment + noise(problem.increment_covariance),
+        increment=problem.increment + noise(np.nan_to_num(problem.increment_covariance)),
         z=np.column_stack((np.abs(z[:, 0]), z[:, 1])),
         position=problem.position + noise(problem.position_covariance),
         surveyed=problem.surveyed + noise(problem.surveyed_covariance),

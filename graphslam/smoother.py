@@ -19,7 +19,7 @@ from graphslam.graph_builder import (
     oriented_from,
 )
 from graphslam.incremental import LagEnd, run_fixed_lag, run_isam2
-from graphslam.initialisation import track
+from graphslam.initialisation import extension, track
 from graphslam.marginals import (
     Marginal,
     SingularProblemError,
@@ -113,6 +113,11 @@ class SmootherResult:
         """Unknowns that the measurements determine; a result is only had when they all are."""
         return int(self.values.dim())
 
+    def initial_error(self) -> float:
+        """The error where the increments lead, landmarks standing where they were first seen."""
+        start = extension(self.problem, gtsam.Values(), 0, self.problem.pose_count)
+        return float(self.graph.error(start))
+
     def oriented(self) -> Array:
         """(Q, 3) oriented landmarks: x, y, heading."""
         if self.lagged is not None:
@@ -169,13 +174,20 @@ def smooth(
     the relaxed start, which needs no guess, and the incremental method's end; tracking, where
     no guess agrees with the relaxed start; and the search for other minima. Raises
     SingularProblemError when every attempt fails for want of information, and ValueError for
-    closures that reach beyond a fixed lag.
+    closures that reach beyond a fixed lag and, but in a batch, for poses that only later ones fix.
     """
     options = options or SmootherOptions()
     reach = int(np.abs(problem.closures.first - problem.closures.second).max(initial=0))
     if options.method == "fixed-lag" and reach > options.lag:
         raise ValueError(f"lag is {options.lag}, expected {reach} at least: so far closures reach")
     rejected = NOTHING_REJECTED
+    reached = np.union1d(problem.steps + 1, problem.closures.last)
+    alone = np.setdiff1d(np.arange(1, problem.pose_count), reached)
+    if options.method != "batch" and len(alone):
+        raise ValueError(
+            f"method is {options.method}, expected batch: nothing connects pose {alone[0]} with "
+            "those before it"
+        )
     if options.robust == "gnc" and problem.lever_m != (0.0, 0.0) and len(problem.position):
         raise ValueError("robust is gnc, which cannot weigh positions of an antenna off the pose")
     if options.robust == "gnc":

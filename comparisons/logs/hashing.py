@@ -20,7 +20,9 @@ def log_hash(log: Log) -> str:
         log.known_landmarks,
         log.known_sightings,
     )
-    for record in records + tuple(s for s in (log.scans, log.clouds) if s is not None):
+    for record in records + tuple(
+        s for s in (log.scans, log.clouds, log.closures) if s is not None
+    ):
         if record is None:
             digest.update(b"absent")
             continue

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from comparisons.arrays import Array
 from comparisons.errors import InputError, RecordError, printable
-from comparisons.logs.odometry import Odometry
+from comparisons.logs.odometry import Odometry, RelativePoses
 from comparisons.logs.scans import Clouds, Scans
 from comparisons.logs.validation import (
     LARGEST,
@@ -125,6 +125,35 @@ class Positions:
 
 
 @dataclass(frozen=True)
+class Closures:
+    """Measured motions between poses that do not follow each other, such as closed loops.
+
+    from_s, to_s: (N,) times of the poses. displacement: (N, 3) dx, dy [m], dheading [rad] of the
+    second in the first's frame. covariance: (N, 3, 3) in the second's frame, as RelativePoses.
+    """
+
+    from_s: Array
+    to_s: Array
+    displacement: Array
+    covariance: Array
+
+    def __post_init__(self) -> None:
+        """Check the table."""
+        check(self, "closures", rows="from_s", displacement=(3,), covariance=(3, 3))
+        positive_definite("closures", self.covariance)
+        same = np.flatnonzero(self.from_s == self.to_s)
+        if len(same):
+            raise RecordError(
+                "closures", int(same[0]), f"from {self.from_s[same[0]]} s to the same pose"
+            )
+
+    @property
+    def time_s(self) -> Array:
+        """(N,) of the later pose of each."""
+        return np.maximum(self.from_s, self.to_s)
+
+
+@dataclass(frozen=True)
 class Landmarks:
     """A map. id: (L,), unique. position_m: (L, 2). covariance: (L, 2, 2), zero for exact."""
 
@@ -213,7 +242,8 @@ class Log:
 
     format: the reader's name. provenance: free text by key, for reports. known_landmarks and
     known_sightings: landmarks surveyed beforehand, and the sightings that refer to their ids.
-    Odometry and sightings may be empty only where there are scans.
+    closures: of relative poses, some of which they may stand for. Odometry and sightings may be
+    empty only where there are scans, sightings where there are closures, too.
     """
 
     name: str
@@ -222,6 +252,7 @@ class Log:
     odometry: Odometry
     sightings: Sightings
     positions: Positions | None = None
+    closures: Closures | None = None
     known_landmarks: Landmarks | None = None
     known_sightings: Sightings | None = None
     scans: Scans | None = None
@@ -238,11 +269,12 @@ class Log:
             self.prior.time_s,
             any(s is not None and len(s.time_s) for s in (self.scans, self.clouds)),
         )
-        for stream, times in (
-            ("odometry", self.odometry.time_s),
-            ("sightings", self.sightings.time_s),
+        self._check_closures()
+        for stream, times, optional in (
+            ("odometry", self.odometry.time_s, scanned),
+            ("sightings", self.sightings.time_s, scanned or self.closures is not None),
         ):
-            if not len(times) and not scanned:
+            if not len(times) and not optional:
                 raise InputError(f"{self.name}: no {stream}, expected at least one record")
             if len(times) and times[0] < start:
                 raise RecordError(stream, 0, f"time {times[0]} s lies before the prior's {start} s")
@@ -255,6 +287,27 @@ class Log:
                     "known sightings",
                     row,
                     f"landmark {self.known_sightings.landmark[row]} is not among the known ones",
+                )
+
+    def _check_closures(self) -> None:
+        """They are between poses of the odometry, and there where it lacks motions."""
+        poses = np.zeros(0)
+        if isinstance(self.odometry, RelativePoses):
+            poses = np.concatenate(([self.prior.time_s], self.odometry.time_s))
+            gaps = np.flatnonzero(np.isnan(self.odometry.covariance[:, 0, 0]))
+            if len(gaps) and self.closures is None:
+                raise RecordError(
+                    "relative poses", int(gaps[0]), "covariance is nan, and there are no closures"
+                )
+        if self.closures is not None:
+            ends = np.column_stack((self.closures.from_s, self.closures.to_s))
+            stray = np.argwhere(~np.isin(ends, poses))
+            if len(stray):
+                row, column = stray[0].tolist()
+                raise RecordError(
+                    "closures",
+                    row,
+                    f"time {ends[row, column]} s is no pose's, expected one of the relative poses'",
                 )
 
     @property
@@ -273,14 +326,18 @@ class Log:
 
     @property
     def records(self) -> dict[str, int]:
-        """Number of records in each stream that is present."""
+        """Number of records in each stream that is present, without those that hold a guess."""
         streams = {
             "odometry": self.odometry,
             "sightings": self.sightings,
             "positions": self.positions,
+            "closures": self.closures,
             "known sightings": self.known_sightings,
             "scans": self.scans,
             "clouds": self.clouds,
             "truth poses": self.truth.poses,
         }
-        return {name: len(s.time_s) for name, s in streams.items() if s is not None}
+        counts = {name: len(s.time_s) for name, s in streams.items() if s is not None}
+        if isinstance(self.odometry, RelativePoses):
+            counts["odometry"] -= int(np.isnan(self.odometry.covariance[:, 0, 0]).sum())
+        return counts

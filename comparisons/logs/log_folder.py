@@ -15,7 +15,17 @@ from comparisons.archive import read_archive
 from comparisons.arrays import Array
 from comparisons.atomic import fresh_folder
 from comparisons.errors import InputError, RecordError
-from comparisons.logs.log import Landmarks, Log, Poses, Positions, Prior, Sightings, Surfaces, Truth
+from comparisons.logs.log import (
+    Closures,
+    Landmarks,
+    Log,
+    Poses,
+    Positions,
+    Prior,
+    Sightings,
+    Surfaces,
+    Truth,
+)
 from comparisons.logs.log_meta import (
     MARK,
     LogModel,
@@ -61,6 +71,7 @@ _RELATIVE = (
     "dheading_rad",
     *(f"cov_{i}{j}" for i in range(3) for j in range(i, 3)),
 )
+_CLOSURES = ("from_s", "to_s", *_RELATIVE[1:])
 
 
 def recognises(path: Path) -> bool:
@@ -94,6 +105,7 @@ def read_log_folder(folder: Path) -> Log:
             odometry=_read_odometry(folder / "odometry.csv", meta),
             sightings=sightings,
             positions=_read_positions(folder / "positions.csv", meta.positions.antenna_m),
+            closures=_read_closures(folder / "closures.csv"),
             known_landmarks=_read_landmarks(folder / "known_landmarks.csv"),
             known_sightings=_read_sightings(folder / "known_sightings.csv"),
             scans=_read_scans(folder / "scans.npz", meta.scans),
@@ -120,6 +132,10 @@ def write_log_folder(log: Log, folder: Path) -> None:
             _write_csv(
                 work / "positions.csv", _POSITIONS, p.time_s, p.position_m, _upper(p.covariance)
             )
+        if log.closures is not None:
+            c = log.closures
+            upper = c.covariance[:, *np.triu_indices(3)]
+            _write_csv(work / "closures.csv", _CLOSURES, c.from_s, c.to_s, c.displacement, upper)
         for name, table in (
             ("known_landmarks", log.known_landmarks),
             ("truth_landmarks", log.truth.landmarks),
@@ -154,11 +170,9 @@ def write_log_folder(log: Log, folder: Path) -> None:
 def _read_odometry(path: Path, meta: LogModel) -> Odometry:
     settings = meta.odometry
     if isinstance(settings, RelativeModel):
-        table = Table(path, _RELATIVE, comma=True, header=True)
-        covariance = np.empty((len(table), 3, 3))
-        upper = np.triu_indices(3)
-        covariance[:, *upper] = covariance[:, *upper[::-1]] = table.data[:, 4:]
+        table = Table(path, _RELATIVE, comma=True, header=True, gaps=_RELATIVE[4:])
         with table.locating():
+            covariance = _spatial(table.data[:, 4:])
             return RelativePoses(table["time_s"], table.data[:, 1:4], covariance)
     noise = OdometryNoise(**settings.noise.model_dump())
     if isinstance(settings, SteeringModel):
@@ -215,6 +229,15 @@ def _read_positions(path: Path, antenna_m: tuple[float, float]) -> Positions | N
     with table.locating():
         covariance = _symmetric(table.data[:, 3:])
         return Positions(table["time_s"], table.data[:, 1:3], covariance, antenna_m)
+
+
+def _read_closures(path: Path) -> Closures | None:
+    if not path.exists():
+        return None
+    table = Table(path, _CLOSURES, comma=True, header=True)
+    with table.locating():
+        covariance = _spatial(table.data[:, 5:])
+        return Closures(table["from_s"], table["to_s"], table.data[:, 2:5], covariance)
 
 
 def _read_landmarks(path: Path) -> Landmarks | None:
@@ -276,6 +299,11 @@ def _naming(path: Path) -> Iterator[None]:
         yield
     except RecordError as error:
         raise InputError(f"{path}: {error}") from None
+
+
+def _spatial(upper: Array) -> Array:
+    """(N, 6) upper triangles by rows to (N, 3, 3)."""
+    return upper[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
 
 
 def _symmetric(upper: Array) -> Array:

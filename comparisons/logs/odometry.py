@@ -103,7 +103,8 @@ class RelativePoses:
     """Displacements between consecutive poses; the first departs from the prior.
 
     time_s: (N,) of arrival. displacement: (N, 3) dx, dy [m], dheading [rad] in the departing
-    frame. covariance: (N, 3, 3) in the arriving frame (the convention of g2o and gtsam).
+    frame. covariance: (N, 3, 3) in the arriving frame (the convention of g2o and gtsam), all NaN
+    where nothing measured the motion, the displacement being a guess and the log having closures.
     """
 
     time_s: Array
@@ -112,9 +113,23 @@ class RelativePoses:
 
     def __post_init__(self) -> None:
         """Check the stream."""
-        check(self, "relative poses", rows="time_s", displacement=(3,), covariance=(3, 3))
+        check(
+            self,
+            "relative poses",
+            rows="time_s",
+            gaps=("covariance",),
+            displacement=(3,),
+            covariance=(3, 3),
+        )
         increasing("relative poses", self.time_s)
-        positive_definite("relative poses", self.covariance)
+        unknown = np.asarray(np.isnan(self.covariance))
+        missing = np.asarray(unknown.all(axis=(1, 2)))
+        partial = np.flatnonzero(unknown.any(axis=(1, 2)) & ~missing)
+        if len(partial):
+            raise RecordError("relative poses", int(partial[0]), "covariance is nan in part")
+        positive_definite(
+            "relative poses", np.where(missing[:, None, None], np.eye(3), self.covariance)
+        )
 
 
 Odometry = SteeringOdometry | VelocityOdometry | RelativePoses

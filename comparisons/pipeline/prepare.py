@@ -117,10 +117,14 @@ class Prepared(Generic[C]):
 
 
 class Required(NamedTuple):
-    """What a job cannot do without, with a hint where the log lacks it; None to do without."""
+    """What a job cannot do without, with a hint where the log lacks it; None to do without.
+
+    closures: the job takes motions between poses that do not follow each other.
+    """
 
     sightings: str | None = None
     odometry: str | None = None
+    closures: bool = False
 
 
 def prepare(
@@ -156,12 +160,25 @@ def prepare(
 
 def _check_streams(prepared: Prepared[Any], required: Required) -> None:
     log, extensions = prepared.log, prepared.extensions
+    if log.closures is not None and not required.closures:
+        raise InputError(f"{log.name}: {_why_no_filter(log)} (slamcheck solve takes it)")
     landmarks = any(one.brings_landmarks for one in extensions)
     if required.sightings is not None and not landmarks and not len(log.sightings.time_s):
         raise InputError(f"{log.name}: holds no sightings of landmarks ({required.sightings})")
     motion = any(one.brings_motion for one in extensions)
     if required.odometry is not None and not motion and not len(log.odometry.time_s):
         raise InputError(f"{log.name}: holds no odometry; {required.odometry}")
+
+
+def _why_no_filter(log: Log) -> str:
+    """Why a filter of landmarks cannot serve a log with closures."""
+    closures = f"holds {log.records['closures']:,} closures from pose to pose"
+    if len(log.sightings.time_s):
+        return (
+            f"{closures} beside its sightings; a landmark EKF cannot fuse them, and without them "
+            "it would not read the same log as the smoother"
+        )
+    return f"{closures} and no landmarks; a landmark EKF has nothing to observe"
 
 
 def _extensions(config: Configured | None) -> list[Extension]:

@@ -73,8 +73,10 @@ def solve(
     """
     config = config or SolveConfig()
     known = log.sightings.labelled if config.association is None else config.association == "known"
+    if log.closures is not None and not known:
+        raise InputError(f"{log.name}: holds closures, expected sightings associated by labels")
     ekf = EkfConfig(association="known" if known else "nn", gps=config.gps)
-    required = Required(odometry="use slamcheck odometry for its scans")
+    required = Required(odometry="use slamcheck odometry for its scans", closures=True)
     prepared = prepare(log, config, ekf, progress, required)
     log, clock, timeline = prepared.log, prepared.clock, prepared.timeline
     guesses, own, associator = {}, None, None
@@ -90,7 +92,7 @@ def solve(
             slot, problem = own.slot, own.problem
             ids = np.arange(problem.landmark_count)
             guesses["association"] = (own.poses, own.landmarks)
-    if not len(ids):
+    if not len(ids) and log.closures is None:
         raise InputError(f"{log.name}: no sighting could be used, so there is no map to solve for")
     with clock.stage("smoother"):
         options = SmootherOptions(**config.smoother.model_dump())

@@ -420,10 +420,22 @@ class Result(Model):
         return ", ".join((self.verdict, *self.qualifiers))
 
 
+class PoseGraphResult(Model):
+    """A log with closures. unmeasured: pairs of poses in a row that no odometry connects.
+
+    initial_chi2: where odometry alone leads, and guesses where there is none.
+    """
+
+    closures: int
+    unmeasured: int
+    initial_chi2: float
+
+
 class SolutionResult(Model):
     """`solution.json`: the smoother alone. sightings_used: of the log's.
 
-    association_check: of the smoother's own, which must hold for `verified`, too.
+    association_check: of the smoother's own, which must hold for `verified`, too. pose_graph: of a
+    log with closures.
     """
 
     config: dict[str, Any]
@@ -438,6 +450,7 @@ class SolutionResult(Model):
     dead_reckoning: AccuracyResult | None
     association: AssociationResult | None
     association_check: AssociationCheckResult | None = None
+    pose_graph: PoseGraphResult | None = None
     verdict: Literal["verified", "unverified"]
     remarks: list[str]
     seconds: dict[str, float]

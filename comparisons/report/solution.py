@@ -11,7 +11,7 @@ from comparisons.pipeline.prepare import Clock
 from comparisons.pipeline.solve import Solution
 from comparisons.report.figures.solution import solution_figure
 from comparisons.report.folder import JobFolder
-from comparisons.report.models import SolutionResult
+from comparisons.report.models import PoseGraphResult, SolutionResult
 from comparisons.report.rows import (
     accuracy_rows,
     association_check_rows,
@@ -58,10 +58,22 @@ def build_solution_result(solution: Solution, read: Clock | None = None) -> Solu
         dead_reckoning=accuracy_result(s.accuracy_dead_reckoned),
         association=association_result(s.association),
         association_check=association_check_result(s.association_check),
+        pose_graph=_pose_graph(s),
         verdict="verified" if s.verified else "unverified",
         remarks=remarks,
         **s.prepared.clock.after(read),
         versions=package_versions(),
+    )
+
+
+def _pose_graph(solution: Solution) -> PoseGraphResult | None:
+    problem = solution.result.problem
+    if solution.log.closures is None:
+        return None
+    return PoseGraphResult(
+        closures=len(problem.closures.first),
+        unmeasured=problem.pose_count - 1 - len(problem.steps),
+        initial_chi2=2.0 * solution.result.initial_error(),
     )
 
 
@@ -76,6 +88,7 @@ def print_solution(result: SolutionResult, console: Console) -> None:
             f"{result.landmarks} landmarks from {result.sightings_used:,} of {total:,} sightings "
             f"({result.association_by})",
         ),
+        *_pose_graph_rows(result),
         *smoother_rows(result.smoother),
         *accuracy_rows("accuracy", result.accuracy),
         *accuracy_rows("dead reckoning", result.dead_reckoning),
@@ -85,6 +98,20 @@ def print_solution(result: SolutionResult, console: Console) -> None:
     ]
     print_rows(rows, console)
     print_verdict(result.verdict, console, remarks=result.remarks)
+
+
+def _pose_graph_rows(result: SolutionResult) -> list[Row]:
+    graph = result.pose_graph
+    if graph is None:
+        return []
+    gaps = f", {graph.unmeasured:,} steps without odometry" if graph.unmeasured else ""
+    return [
+        Row(
+            "pose graph",
+            f"{result.smoother.poses:,} poses, {graph.closures:,} closures{gaps}; chi2 "
+            f"{graph.initial_chi2:.6g} dead reckoned, {result.smoother.chi2:.6g} at the optimum",
+        )
+    ]
 
 
 def solution_folder(solution: Solution, result: SolutionResult) -> JobFolder:

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import gtsam
+import numpy as np
 import pytest
 
 from comparisons.errors import InputError
 from comparisons.logs.bundled import open_log
+from comparisons.logs.hashing import log_hash
+from comparisons.logs.log import Closures
+from comparisons.logs.log_folder import write_log_folder
+from comparisons.logs.odometry import RelativePoses
 from comparisons.pipeline.solve import solve
+from comparisons.report.folder import write_job_folder
+from comparisons.report.solution import build_solution_result, solution_folder
 from graphslam.g2o import G2oContents, write_g2o
 from tests.graphslam.g2o_files import CLOSED_ELSEWHERE, FAULTS, everything
 from tests.helpers import compared, simulated
@@ -46,14 +55,78 @@ def test_faults_are_input_errors(
         open_log(str(path), "g2o")
 
 
-def test_a_log_has_no_closures(tmp_path: Path) -> None:
-    """With a measurement of a landmark, which a log needs; without the closures it is read."""
-    lines = [*CLOSED_ELSEWHERE.splitlines(), "VERTEX_XY 40 1 1", "EDGE_SE2_XY 10 40 1 1 9 0 9"]
-    closed, sound = tmp_path / "closed.g2o", tmp_path / "sound.g2o"
-    closed.write_text("\n".join(lines))
-    closures = ("EDGE_SE2 30 10", "EDGE_SE2 10 20 1.1")
-    sound.write_text("\n".join(line for line in lines if not line.startswith(closures)))
-    assert open_log(str(sound), "g2o").records["odometry"] == 2
-    with pytest.raises(InputError, match="do not follow each other") as caught:
-        open_log(str(closed), "g2o")
+LANDMARK = "VERTEX_XY 40 1 1\nEDGE_SE2_XY 10 40 1 1 9 0 9\n"
+
+
+def pose_graph(path: Path, text: str = CLOSED_ELSEWHERE) -> Path:
+    path.write_text(text)
+    return path
+
+
+def test_closures_are_a_stream_of_the_log(tmp_path: Path) -> None:
+    log = open_log(str(pose_graph(tmp_path / "closed.g2o")))
+    assert log.records == {"odometry": 2, "sightings": 0, "closures": 2}
+    assert log.closures is not None
+    assert log.closures.from_s.tolist() == [2.0, 0.0]
+    without = replace(log, closures=None, sightings=simulated(3, loop_s=30.0).sightings)
+    assert log_hash(log) != log_hash(without)
+
+
+@pytest.mark.parametrize(
+    ("more", "why"),
+    [
+        ("", "2 closures from pose to pose and no landmarks; a landmark EKF has nothing to obs"),
+        (LANDMARK, "2 closures from pose to pose beside its sightings; a landmark EKF cannot"),
+    ],
+)
+def test_a_filter_of_landmarks_has_no_use_for_closures(tmp_path: Path, more: str, why: str) -> None:
+    log = open_log(str(pose_graph(tmp_path / "closed.g2o", CLOSED_ELSEWHERE + more)))
+    with pytest.raises(InputError, match=why) as caught:
+        compared(log)
+    assert "slamcheck solve takes it" in str(caught.value)
     assert "\n" not in str(caught.value)
+    solution = solve(log)
+    assert len(solution.result.problem.closures.first) == 2
+    assert len(solution.estimate.landmark) == (1 if more else 0)
+
+
+def test_a_solution_is_solved_again_to_the_bit(tmp_path: Path) -> None:
+    """From its own graph.g2o, and from a log folder; one pair of poses has no edge forward."""
+    text = CLOSED_ELSEWHERE.replace("EDGE_SE2 20 30 1 0 1.5", "EDGE_SE2 30 20 -0.1 1.1 -1.5")
+    first = solve(open_log(str(pose_graph(tmp_path / "closed.g2o", text + LANDMARK))))
+    result = build_solution_result(first)
+    assert result.pose_graph is not None
+    assert (result.pose_graph.closures, result.pose_graph.unmeasured) == (3, 1)
+    assert result.pose_graph.initial_chi2 > result.smoother.chi2
+    write_job_folder(solution_folder(first, result), tmp_path / "solved")
+    write_log_folder(first.log, tmp_path / "log")
+    for place in ("solved/graph.g2o", "log"):
+        again = solve(open_log(str(tmp_path / place)))
+        assert again.result.error == first.result.error, place
+        assert np.array_equal(again.estimate.pose, first.estimate.pose), place
+        assert np.array_equal(again.estimate.pose_covariance, first.estimate.pose_covariance)
+
+
+def test_only_closures_stand_for_odometry() -> None:
+    """A motion that nothing measured is refused where none are, and a closure between no poses."""
+    log = simulated(3, loop_s=30.0)
+    moves, spread = np.zeros((2, 3)), np.array([np.eye(3), np.full((3, 3), np.nan)])
+    start = log.prior.time_s
+    odometry = RelativePoses(start + np.array((1.0, 2.0)), moves, spread)
+    with pytest.raises(InputError, match="covariance is nan, and there are no closures"):
+        replace(log, odometry=odometry)
+    spread[1, 0, 0] = 1.0
+    with pytest.raises(InputError, match="covariance is nan in part"):
+        RelativePoses(start + np.array((1.0, 2.0)), moves, spread)
+    ends = np.array([start]), np.array([start + 1.5])
+    closures = Closures(*ends, np.zeros((1, 3)), np.eye(3)[None])
+    with pytest.raises(InputError, match=r"closures.*is no pose's"):
+        replace(log, odometry=odometry, closures=closures)
+    with pytest.raises(InputError, match="to the same pose"):
+        Closures(ends[0], ends[0], np.zeros((1, 3)), np.eye(3)[None])
+
+
+@pytest.mark.parametrize("name", ["Klaus3.g2o", "sphere2500.txt", "pose3example.txt"])
+def test_spatial_graphs_say_so(name: str) -> None:
+    with pytest.raises(InputError, match=r":1: .*3D is not supported yet"):
+        open_log(str(Path(gtsam.__file__).parent / "Data" / name))

@@ -37,6 +37,7 @@ from tests.comparisons.logs.rawlogs import rawlog
 from tests.comparisons.logs.test_log_folder import full_log, velocity_log
 from tests.comparisons.logs.test_readers import car_park, graph, mrclam, victoria
 from tests.comparisons.logs.test_scan_readers import carmen, trio
+from tests.graphslam.g2o_files import CLOSED_ELSEWHERE
 from tests.helpers import compared, simulated
 
 SCENARIO = """description = "small"
@@ -112,9 +113,13 @@ def log_files(log: Log) -> Callable[[Path], None]:
 
 def check_log(log: Log) -> None:
     """What every log promises, whoever wrote it: finite numbers, gaps where there may be some."""
+    gaps = ["diameter_m", "intensity", "range_m"]
+    if log.closures is not None:
+        assert np.isfinite(log.closures.covariance).all()
+        gaps.append("covariance")
     for stream in (log.odometry, log.sightings, log.positions, log.known_sightings, log.scans):
         for name, value in vars(stream).items() if stream is not None else ():
-            if isinstance(value, np.ndarray) and name not in ("diameter_m", "intensity", "range_m"):
+            if isinstance(value, np.ndarray) and name not in gaps:
                 assert np.isfinite(value).all(), name
     assert np.isfinite((log.end_s, log.duration_s)).all()
     assert log.records
@@ -217,6 +222,10 @@ def g2o_file(folder: Path) -> None:
     write_g2o(folder / "graph.g2o", small_solution()[1])
 
 
+def pose_graph_file(folder: Path) -> None:
+    (folder / "graph.g2o").write_text(CLOSED_ELSEWHERE)
+
+
 def bag(mcap: bool) -> Callable[[Path], None]:
     """A rosbag2 folder."""
 
@@ -245,6 +254,7 @@ SUBJECTS: dict[str, Subject] = {
         opened(lambda folder: folder / "log"),
     ),
     "g2o": Subject(g2o_file, named("graph.g2o", "g2o")),
+    "g2o, pose graph": Subject(pose_graph_file, named("graph.g2o", "g2o")),
     "gtsam text": Subject(graph, named("graph_file.txt", "gtsam-2d")),
     "MR.CLAM": Subject(mrclam, opened()),
     "Victoria Park detections": Subject(victoria, opened()),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -9,10 +10,10 @@ import gtsam
 import numpy as np
 import pytest
 
-from graphslam.g2o import G2oContents, read_g2o, write_g2o
-from graphslam.marginals import SingularProblemError, inverse
+from graphslam.g2o import G2oContents, inverses, read_g2o, write_g2o
+from graphslam.marginals import SingularProblemError
 from graphslam.problem import SlamProblem
-from graphslam.smoother import smooth
+from graphslam.smoother import SmootherOptions, smooth
 from tests.graphslam import worlds
 from tests.graphslam.g2o_files import FAULTS, everything
 from tests.graphslam.numerics import relative_error
@@ -127,5 +128,153 @@ def test_units_far_apart_cost_no_digit() -> None:
     """The plain inverse, which this replaces, is wrong by far more."""
     correlation = np.array([[1.0, 0.5, -0.3], [0.5, 1.0, 0.2], [-0.3, 0.2, 1.0]])
     sigma = np.array([1e-12, 1e12, 3.0])
-    found = inverse(correlation * np.outer(sigma, sigma)) * np.outer(sigma, sigma)
+    found = inverses((correlation * np.outer(sigma, sigma))[None])[0][0] * np.outer(sigma, sigma)
     assert relative_error(found, np.linalg.inv(correlation)) < 1e-14
+
+
+PUBLIC = [
+    ("noisyToyGraph.txt", "G2O"),
+    ("optimizedNoisyToyGraph.txt", "G2O"),
+    ("orientationsNoisyToyGraph.txt", "G2O"),
+    ("pose2example.txt", "G2O"),
+    ("w100_30.g2o", "G2O"),
+    ("w100.graph", "TORO"),
+    ("example.graph", "TORO"),
+]
+"""Files that come with gtsam, and the order of their informations."""
+
+
+def optimum_of_gtsam(path: str, order: str) -> float:
+    """Error of gtsam's own graph, its first pose held, from the file's vertices."""
+    kind = getattr(gtsam.NoiseFormat, f"NoiseFormat{order}")
+    graph, values = gtsam.load2D(path, noiseFormat=kind, smart=False)
+    first = min(values.keys())
+    held = gtsam.noiseModel.Isotropic.Sigma(3, 1e-6)
+    graph.push_back(gtsam.PriorFactorPose2(first, values.atPose2(first), held))
+    settings = gtsam.LevenbergMarquardtParams()
+    settings.setRelativeErrorTol(1e-15)
+    settings.setAbsoluteErrorTol(1e-15)
+    end = gtsam.LevenbergMarquardtOptimizer(graph, values, settings).optimize()
+    return float(graph.error(end))
+
+
+@pytest.mark.parametrize(("name", "order"), PUBLIC)
+def test_public_files_have_the_optimum_of_gtsam(name: str, order: str) -> None:
+    path = str(Path(gtsam.__file__).parent / "Data" / name)
+    theirs = optimum_of_gtsam(path, order)
+    result = smooth(read_g2o(Path(path)).problem, {})
+    assert abs(result.error - theirs) < 1e-9 * theirs
+
+
+SQUARE = """VERTEX2 7 1 2 0.1
+VERTEX2 3 0 0 0
+VERTEX2 9 2 2 1.4
+VERTEX2 4 1 0 0.2
+EDGE2 4 3 -1.1 0.2 -0.3 {}
+EDGE2 7 4 0.3 -2.1 0.2 {}
+EDGE2 7 9 1.1 0.1 1.2 {}
+EDGE2 3 9 2.2 2.1 1.3 {}
+"""
+"""Ids with gaps and in any order, and no edge forward from 3 to 4 and from 4 to 7."""
+TORO, ROWS = "20 1 5 9 1 3", "20 1 1 5 3 9"
+"""One information: xx, xy, yy, hh, xh, yh, and its upper triangle by rows."""
+
+
+def square(path: Path, information: str, rename: Callable[[str], str] = str) -> G2oContents:
+    path.write_text(rename(SQUARE.format(*[information] * 4)))
+    return read_g2o(path)
+
+
+def as_g2o(text: str) -> str:
+    return text.replace("VERTEX2", "VERTEX_SE2").replace("EDGE2", "EDGE_SE2")
+
+
+def test_toro_has_its_own_order(tmp_path: Path) -> None:
+    toro = square(tmp_path / "a.graph", TORO)
+    rows = square(tmp_path / "b.g2o", ROWS, as_g2o)
+    assert np.array_equal(toro.problem.closures.covariance, rows.problem.closures.covariance)
+    assert "TORO" in toro.notes["edges"]
+    assert not rows.notes
+    theirs = optimum_of_gtsam(str(tmp_path / "a.graph"), "TORO")
+    assert abs(smooth(toro.problem, {}).error - theirs) < 1e-9 * theirs
+    mistaken = square(tmp_path / "c.g2o", TORO, as_g2o)  # a reader that knows one order only
+    assert abs(smooth(mistaken.problem, {}).error - theirs) > 1e-2 * theirs
+
+
+def test_isam_has_square_roots(tmp_path: Path) -> None:
+    """Its upper triangles would be singular in TORO's order."""
+    contents = square(tmp_path / "a.txt", "2 0.5 0 3 0 5")
+    root = np.array(((2.0, 0.5, 0.0), (0.0, 3.0, 0.0), (0.0, 0.0, 5.0)))
+    information = np.linalg.inv(contents.problem.closures.covariance[0])
+    assert relative_error(information, root.T @ root) < 1e-12
+    assert "iSAM" in contents.notes["edges"]
+
+
+def test_poses_in_a_row_need_no_edge(tmp_path: Path) -> None:
+    """Edges backwards stay as they are; increments that nothing measured are guesses."""
+    problem = square(tmp_path / "a.graph", TORO).problem
+    assert problem.steps.tolist() == [2]
+    assert np.array_equal(problem.increment[2], (1.1, 0.1, 1.2))
+    assert np.isnan(problem.increment_covariance[:2]).all()
+    assert problem.closures.first.tolist() == [1, 2, 0]
+    assert problem.closures.second.tolist() == [0, 1, 3]
+    assert problem.residual_dimension == 3 * 5
+    result = smooth(problem, {})
+    assert result.optimality.chi_square.dof == 3
+    write_g2o(tmp_path / "b.g2o", G2oContents(problem, result.poses, np.zeros((0, 2))))
+    again = read_g2o(tmp_path / "b.g2o").problem
+    for name in ("motion", "covariance", "first", "second"):
+        assert np.array_equal(getattr(again.closures, name), getattr(problem.closures, name))
+    assert smooth(again, {}).error == result.error
+    late = replace(problem.closures, first=np.array([3, 2, 0]), second=np.array([1, 0, 3]))
+    isam2 = SmootherOptions(method="isam2")
+    with pytest.raises(ValueError, match="expected batch: nothing connects pose 1 "):
+        smooth(replace(problem, closures=late), {}, options=isam2)
+
+
+def test_iSAM2_takes_what_is_connected_along_the_way(tmp_path: Path) -> None:  # noqa: N802
+    problem = square(tmp_path / "a.graph", TORO).problem
+    batch, followed = (
+        smooth(problem, {}, options=SmootherOptions(method=m)) for m in ("batch", "isam2")
+    )
+    assert np.allclose(followed.poses, batch.poses, atol=1e-5)
+
+
+def test_vertices_may_be_missing(tmp_path: Path) -> None:
+    """Without any, the poses are those that edges name, led on along a tree of edges."""
+    with_them = square(tmp_path / "a.graph", TORO)
+    bare = square(
+        tmp_path / "b.graph",
+        TORO,
+        lambda text: "\n".join(line for line in text.splitlines() if "VERTEX" not in line),
+    )
+    assert bare.problem.pose_count == 4
+    assert np.array_equal(bare.poses[0], np.zeros(3))
+    assert np.allclose(bare.poses[3], (2.2, 2.1, 1.3))
+    errors = [smooth(c.problem, {}).error for c in (with_them, bare)]
+    assert abs(errors[0] - errors[1]) < 1e-9 * errors[0]
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        (("EDGE2 7 4 0.3", "EDGE2 7 9 0.3"), "no edges between poses connect pose 7 with pose 3"),
+        (("EDGE2 7 4 ", "EDGE2 7 7 "), r":6: EDGE2 from pose 7 to itself"),
+        (("EDGE2 7 4 ", "EDGE2 7 5 "), r":6: EDGE2 names 5, which is no pose"),
+        (("EDGE2 7 4 0.3", "FIX 4\nEDGE2 7 4 0.3"), r":6: FIX, expected one only"),
+    ],
+)
+def test_faults_of_pose_graphs(tmp_path: Path, change: tuple[str, str], complaint: str) -> None:
+    text = SQUARE if "connect" not in complaint else SQUARE.replace("EDGE2 3 9", "EDGE2 3 4")
+    path = tmp_path / "a.graph"
+    path.write_text(text.format(*[TORO] * 4).replace(*change))
+    with pytest.raises(ValueError, match=complaint):
+        read_g2o(path)
+
+
+def test_what_says_nothing_of_the_graph_is_passed_over(tmp_path: Path) -> None:
+    more = "PARAMS_SE2OFFSET 0 0 0 0\nFIX 3\nEQUIV 3 9\n"
+    contents = square(tmp_path / "a.graph", TORO, lambda text: more + text)
+    plain = square(tmp_path / "b.graph", TORO)
+    assert np.array_equal(contents.problem.prior_covariance, plain.problem.prior_covariance)
+    assert contents.notes["passed over"] == "EQUIV on 1 lines"

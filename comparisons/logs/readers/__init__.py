@@ -39,7 +39,9 @@ READERS: dict[str, Reader] = {
     "gtsam-2d": Reader(
         f"{_HERE}.gtsam_2d", "text with ODOMETRY and LANDMARK lines, as gtsam's victoria_park.txt"
     ),
-    "g2o": Reader(f"{_HERE}.g2o", "g2o text: one chain of poses, landmarks as points"),
+    "g2o": Reader(
+        f"{_HERE}.g2o", "g2o, TORO and iSAM text: planar poses, closures, landmarks as points"
+    ),
     "mrclam": Reader(f"{_HERE}.mrclam", "a UTIAS MR.CLAM folder; see --robot", robots=True),
     "acfr-car-park": Reader(
         f"{_HERE}.acfr_car_park", "the ACFR car park folder: data_set.mat and beac_juan3.mat"

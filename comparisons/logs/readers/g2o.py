@@ -1,4 +1,4 @@
-"""g2o graphs of one chain of poses and of landmarks, as graphslam.g2o reads them.
+"""g2o graphs of poses and of landmarks, as graphslam.g2o reads them.
 
 There are no times, so pose k gets k seconds; landmarks keep the order of their numbers.
 """
@@ -11,19 +11,20 @@ import numpy as np
 
 from comparisons.errors import InputError
 from comparisons.files import check_regular
-from comparisons.logs.log import Log, Positions, Prior, Sightings
+from comparisons.logs.log import Closures, Log, Positions, Prior, Sightings
 from comparisons.logs.odometry import RelativePoses
-from graphslam.g2o import TAGS, read_g2o
+from graphslam.g2o import read_g2o
+from graphslam.g2o import recognises as knows
 
 
 def recognises(path: Path) -> bool:
-    """A text file whose first record starts with one of g2o's tags."""
+    """A text file whose first record starts with one of g2o's tags, be it of a kind not read."""
     if not path.is_file():
         return False
     with path.open("rb") as file:
         for line in file.read(4096).splitlines():
             if line.strip() and not line.startswith(b"#"):
-                return line.split()[0].decode("ascii", "replace") in TAGS
+                return knows(line.split()[0].decode("ascii", "replace"))
     return False
 
 
@@ -31,20 +32,19 @@ def read(path: Path) -> Log:
     """Read the file. Raises InputError naming the line at fault."""
     check_regular(path)
     try:
-        problem = read_g2o(path).problem
+        problem, _, _, notes = read_g2o(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
     except (ValueError, ArithmeticError) as error:
         raise InputError(str(error)) from None
-    if not len(problem.increment) or not len(problem.z):
-        raise InputError(f"{path}: expected at least one EDGE_SE2 and one EDGE_SE2_XY line")
+    closed = problem.closures
+    if not len(problem.increment) or not (len(problem.z) or len(closed.first)):
+        raise InputError(
+            f"{path}: expected EDGE_SE2 lines, and EDGE_SE2_XY lines or EDGE_SE2 lines that close "
+            "loops"
+        )
     if len(problem.surveyed):
         raise InputError(f"{path}: EDGE_PRIOR_XY lines can be solved, but not read as a log")
-    if len(problem.closures.first):
-        raise InputError(
-            f"{path}: EDGE_SE2 lines between poses that do not follow each other can be solved, "
-            "but not read as a log"
-        )
     order = np.argsort(problem.sighting_pose, kind="stable")
     fixes = np.argsort(problem.position_pose, kind="stable")
     return Log(
@@ -70,5 +70,13 @@ def read(path: Path) -> Log:
         )
         if len(fixes)
         else None,
-        provenance={"times": "pose numbers in place of seconds"},
+        closures=Closures(
+            closed.first.astype(float),
+            closed.second.astype(float),
+            closed.motion,
+            closed.covariance,
+        )
+        if len(closed.first)
+        else None,
+        provenance={"times": "pose numbers in place of seconds", **notes},
     )
