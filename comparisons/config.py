@@ -84,6 +84,7 @@ class LogSection(Section):
     noise_scale: float = Field(
         1.0,
         gt=0.0,
+        le=1e6,
         allow_inf_nan=False,
         description="factor on the noise of a simulated log, added and stated alike",
     )
