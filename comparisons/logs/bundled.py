@@ -28,10 +28,8 @@ class SimulationChoices:
             raise InputError(f"--seed is {self.seed}, expected 0 or more")
         if not 1 <= self.loops <= 1000:
             raise InputError(f"--loops is {self.loops}, expected 1 to 1000")
-        if not 0.0 < self.noise_scale <= 1e6:
-            raise InputError(
-                f"--noise-scale is {self.noise_scale}, expected above 0 and at most 1e+06"
-            )
+        if not 0 < self.noise_scale <= 1e6:
+            raise InputError(f"--noise-scale is {self.noise_scale}, expected above 0, at most 1e6")
 
 
 class NamedLog(NamedTuple):

@@ -304,6 +304,17 @@ def test_workers_beyond_every_machine(command: list[str], workers: str, tmp_path
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("log", ["simulated-loop", "waypoint-run", "scan-slam"])
+@pytest.mark.parametrize("command", ["run", "convert"])
+def test_noise_beyond_every_number(command: str, log: str, tmp_path: Path) -> None:
+    out = str(tmp_path / "out")
+    target = ["--out", out] if command == "run" else [out]
+    code, told = outcome(lambda: run_main([command, log, "--noise-scale", "1e300", *target]))
+    assert code == 2
+    assert "is 1e+300" in told
+    assert told.count("\n") == 1
+
+
 def twice(folder: Path) -> None:
     path = folder / "landmarks.csv"
     lines = path.read_text().splitlines()
