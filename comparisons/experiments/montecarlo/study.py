@@ -21,7 +21,7 @@ from comparisons.experiments.montecarlo.statistics import (
     figures_of,
     tally,
 )
-from comparisons.experiments.montecarlo.workers import spread
+from comparisons.experiments.montecarlo.workers import check_workers, spread
 from comparisons.experiments.scenarios.scenario import Scenario, read_scenario
 from comparisons.experiments.scenarios.world import World, build_world, measure
 
@@ -84,8 +84,7 @@ def run_study(
     progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
 ) -> Outcome:
     """Compute what the folder does not hold yet; figures over all runs. Raises InputError."""
-    if workers < 1:
-        raise InputError(f"--workers is {workers}, expected 1 or more")
+    check_workers(workers)
     config, names = study.config, tuple[str, ...](study.config.filters)
     world = build_world(study.scenario, config.scenario)
     steps = recorded_steps(study.scenario.steps)

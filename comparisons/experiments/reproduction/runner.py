@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from comparisons.errors import InputError
-from comparisons.experiments.montecarlo.workers import spread
+from comparisons.experiments.montecarlo.workers import check_workers, spread
 from comparisons.experiments.reproduction.catalogue import chosen
 from comparisons.experiments.reproduction.contract import AnyFigure, Reproduced, Skipped, Sources
 from comparisons.report.picture import blank, encoded
@@ -26,8 +26,7 @@ def reproduce(
 
     Raises InputError for unknown names, unreadable data, or where nothing can be run.
     """
-    if workers < 1:
-        raise InputError(f"--workers is {workers}, expected 1 or more")
+    check_workers(workers)
     figures = chosen(names)
     results: dict[str, Reproduced | Skipped] = {}
     groups: dict[str, list[str]] = {}
