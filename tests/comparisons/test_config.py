@@ -253,3 +253,9 @@ def test_the_command_prints_settings_that_can_be_used(tmp_path: Path) -> None:
     assert "# resolution_m = 0.2" in printed.stdout
     schema = slamcheck("config", "--schema", cwd=tmp_path)
     assert json.loads(schema.stdout)["title"] == "RunConfig"
+
+
+@pytest.mark.parametrize("value", ["1e300", "inf", "nan", "0"])
+def test_noise_that_overflows_is_refused(value: str) -> None:
+    with pytest.raises(InputError, match=r"log\.noise_scale is"):
+        configure(RunConfig, settings=[f"log.noise_scale={value}"])

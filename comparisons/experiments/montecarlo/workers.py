@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 from comparisons.errors import InputError
 
 Result = TypeVar("Result")
+_MOST_WORKERS = 1000
 
 
 _MOST_WORKERS = 1000
@@ -43,6 +44,12 @@ def spread(
         stack.enter_context(joblib.parallel_config(**backend))
         jobs = (joblib.delayed(_placed)(function, i, task) for i, task in enumerate(tasks))
         yield from joblib.Parallel(return_as="generator_unordered", batch_size=1)(jobs)
+
+
+def check_workers(workers: int) -> None:
+    """Raise InputError for a number of processes that no machine has."""
+    if not 1 <= workers <= _MOST_WORKERS:
+        raise InputError(f"--workers is {str(workers)[:30]}, expected 1 to {_MOST_WORKERS}")
 
 
 def _placed(
