@@ -85,10 +85,6 @@ class LogSection(Section):
         1.0,
         gt=0.0,
         le=1e6,
-<<<<<<< HEAD
-=======
-        allow_inf_nan=False,
->>>>>>> i20a
         description="factor on the noise of a simulated log, added and stated alike",
     )
     features: Features = Field("log", description="the log's own, or trunks found in its scans")

@@ -12,15 +12,6 @@ Result = TypeVar("Result")
 _MOST_WORKERS = 1000
 
 
-_MOST_WORKERS = 1000
-
-
-def check_workers(workers: int) -> None:
-    """Raises InputError for a number of processes that no machine has a use for."""
-    if not 1 <= workers <= _MOST_WORKERS:
-        raise InputError(f"--workers is {workers}, expected 1 to {_MOST_WORKERS}")
-
-
 def spread(
     function: Callable[..., Result],
     tasks: Sequence[tuple[Any, ...]],
