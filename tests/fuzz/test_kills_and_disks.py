@@ -54,6 +54,14 @@ while True:
 """Writes the same target for ever."""
 
 
+@pytest.fixture(autouse=True)
+def hanging_up_stops() -> Iterator[None]:
+    """Also where these tests run under nohup, whose processes ignore it."""
+    handler = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, handler)
+
+
 @contextmanager
 def writing(kind: str, target: Path, wait_s: float) -> Iterator[subprocess.Popen[str]]:
     """A process that writes a target again and again, killed in the end."""
