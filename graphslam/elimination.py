@@ -13,13 +13,14 @@ from typing import NamedTuple
 
 import gtsam
 import numpy as np
+from scipy.linalg import qr
 
 from graphslam.arrays import Array
 from graphslam.graph_builder import POSE_KEY
 
 POSES = 1000
 """Poses of a part."""
-MOST_ROWS = 2.5
+MOST_ROWS = 1.5
 """Rows for each column beyond which they are decomposed; it takes less time than at once."""
 
 
@@ -40,15 +41,17 @@ def remaining_rows(graph: gtsam.GaussianFactorGraph, kept: Sequence[int]) -> tup
     place = {key: i for i, key in enumerate(kept)}
     parts = _parts(graph)
     uses = Counter(key for part in parts for key in set(part.keyVector()))
-    left = [_eliminated(parts.pop(0), place, uses) for _ in range(len(parts))]
-    while len(left) > 1:
-        left = [
-            _joined(left[i], left[i + 1], place, uses) if i + 1 < len(left) else left[i]
-            for i in range(0, len(left), 2)
-        ]
-    if left[0].keys != tuple(kept):
+    left: list[tuple[int, _Left]] = []  # with the joins behind it; few are as wide as the map
+    while parts or len(left) > 1:
+        if parts and not (len(left) > 1 and left[-1][0] == left[-2][0]):
+            left.append((0, _eliminated(parts.pop(0), place, uses)))
+            continue
+        (joins, second), (_, first) = left.pop(), left.pop()
+        left.append((joins + 1, _joined([first, second], place, uses)))
+    keys, _, rows = left[0][1]
+    if keys != tuple(kept):
         raise ValueError("a variable that is kept has no factor")
-    return left[0].rows[:, :-1], left[0].rows[:, -1]
+    return rows[:, :-1], rows[:, -1]
 
 
 def _parts(graph: gtsam.GaussianFactorGraph) -> list[gtsam.GaussianFactorGraph]:
@@ -80,37 +83,50 @@ def _eliminated(
     return _Left(outer, _widths(part, outer), _root(np.column_stack((jacobian, b))))
 
 
-def _joined(one: _Left, other: _Left, place: dict[int, int], uses: Counter[int]) -> _Left:
-    """Eliminate what no third part touches; uses counts both as one from then on."""
-    width = dict(zip(one.keys + other.keys, one.widths + other.widths, strict=True))
-    for key in set(one.keys) & set(other.keys):
+def _joined(both: list[_Left], place: dict[int, int], uses: Counter[int]) -> _Left:
+    """Eliminate what no third part touches; uses counts both as one from then on.
+
+    both: emptied as it goes, for the memory.
+    """
+    width = {k: w for one in both for k, w in zip(one.keys, one.widths, strict=True)}
+    for key in set(both[0].keys) & set(both[1].keys):
         uses[key] -= 1
     gone = [key for key in width if key not in place and uses[key] == 1]
-    keys = (*gone, *_ordered([key for key in width if key not in set(gone)], place))
-    first = dict(zip(keys, np.cumsum([0, *(width[key] for key in keys)]).tolist(), strict=False))
-    size = sum(width.values())
-    rows = np.zeros((len(one.rows) + len(other.rows), size + 1))
+    kept = _ordered([key for key in width if key not in set(gone)], place)
+    ends = np.cumsum([0, *(width[key] for key in (*gone, *kept))]).tolist()
+    first, size = dict(zip((*gone, *kept), ends, strict=False)), ends[-1]
+    done, columns, touched = sum(width[key] for key in gone), [], []
+    for one in both:
+        own = [first[key] + i for key in one.keys for i in range(width[key])]
+        columns.append(np.array([*own, size]))
+        touched.append(one.rows[:, columns[-1] < done].any(axis=1))
+    few = np.zeros((sum(int(rows.sum()) for rows in touched), size + 1))
     top = 0
-    for left in (one, other):
-        columns = [first[key] + i for key in left.keys for i in range(width[key])]
-        rows[top : top + len(left.rows), [*columns, size]] = left.rows
-        top += len(left.rows)
-    done = sum(width[key] for key in gone)
-    touched = rows[:, :done].any(axis=1)
-    root = _root(rows[touched])
+    for one, own, rows in zip(both, columns, touched, strict=True):
+        few[top : top + int(rows.sum()), own] = one.rows[rows]
+        top += int(rows.sum())
+    root = _root(few)
     if len(root) < done or not np.abs(np.diag(root[:done, :done])).all():
         raise RuntimeError("a variable that is eliminated has no information")
-    rest = np.concatenate((root[done:, done:], rows[~touched, done:]))
+    root = root[done:, done:]
+    top, count = len(root), len(root) + sum(int((~rows).sum()) for rows in touched)
+    rest = np.zeros((count, size + 1 - done), order="F")
+    rest[:top] = root
+    for own, rows in zip(columns, touched, strict=True):
+        added = both.pop(0).rows[~rows][:, own >= done]
+        rest[top : top + len(added), own[own >= done] - done] = added
+        top += len(added)
     if len(rest) > MOST_ROWS * rest.shape[1]:
         rest = _root(rest)
-    kept = keys[len(gone) :]
     return _Left(kept, tuple(width[key] for key in kept), rest)
 
 
 def _root(rows: Array) -> Array:
-    """Return R (k, n + 1), k at most n + 1, of rows (m, n + 1)."""
-    root: Array = np.linalg.qr(rows, mode="r")
-    return root
+    """Return R (k, n + 1), k at most n + 1, of rows (m, n + 1), which are overwritten."""
+    if not len(rows):
+        return rows
+    root: Array = qr(rows, overwrite_a=True, mode="r", check_finite=False)[0]
+    return root[: rows.shape[1]].copy()
 
 
 def _ordered(keys: list[int], place: dict[int, int]) -> tuple[int, ...]:
