@@ -102,8 +102,8 @@ def _joined(both: list[_Left], place: dict[int, int], uses: Counter[int]) -> _Le
         touched.append(one.rows[:, columns[-1] < done].any(axis=1))
     few = np.zeros((sum(int(rows.sum()) for rows in touched), size + 1))
     top = 0
-    for one, own, rows in zip(both, columns, touched, strict=True):
-        few[top : top + int(rows.sum()), own] = one.rows[rows]
+    for one, entries, rows in zip(both, columns, touched, strict=True):
+        few[top : top + int(rows.sum()), entries] = one.rows[rows]
         top += int(rows.sum())
     root = _root(few)
     if len(root) < done or not np.abs(np.diag(root[:done, :done])).all():
@@ -112,9 +112,10 @@ def _joined(both: list[_Left], place: dict[int, int], uses: Counter[int]) -> _Le
     top, count = len(root), len(root) + sum(int((~rows).sum()) for rows in touched)
     rest = np.zeros((count, size + 1 - done), order="F")
     rest[:top] = root
-    for own, rows in zip(columns, touched, strict=True):
-        added = both.pop(0).rows[~rows][:, own >= done]
-        rest[top : top + len(added), own[own >= done] - done] = added
+    for entries, rows in zip(columns, touched, strict=True):
+        stay = entries >= done
+        added = both.pop(0).rows[~rows][:, stay]
+        rest[top : top + len(added), entries[stay] - done] = added
         top += len(added)
     if len(rest) > MOST_ROWS * rest.shape[1]:
         rest = _root(rest)
