@@ -163,7 +163,7 @@ def run(arguments: list[str]) -> None:
             yield
         told(name)
 
-    Clock.stage = measured  # type: ignore[method-assign]
+    Clock.stage = measured  # type: ignore[method-assign, assignment]
     sys.argv = ["slamcheck", "run", *arguments]
     try:
         main()

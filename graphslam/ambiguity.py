@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -219,7 +218,8 @@ def _blocks(count: Index) -> list[slice]:
     """Landmarks, with so many measurements each (F,), in blocks of some MEASUREMENTS in all."""
     block = (np.cumsum(count) - count) // MEASUREMENTS
     first = np.concatenate(([0], np.flatnonzero(np.diff(block)) + 1))
-    return [slice(a, b) for a, b in pairwise([*first.tolist(), len(count)])]
+    ends = [*first[1:].tolist(), len(count)]
+    return [slice(a, b) for a, b in zip(first.tolist(), ends, strict=True)]
 
 
 def _modes(free: Index, place: Array, present: Array, seen: _Seen) -> LandmarkModes:
