@@ -6,7 +6,7 @@ Each alternative is a start for the optimiser, with an estimate of the error tha
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +24,8 @@ LOOSE_RAD = 0.3
 """Directions are hardly measured where most bearings, or a stretch's turns, are known no better."""
 TAILS = 4
 """A path is mirrored from so many poses on."""
+MEASUREMENTS = 500_000
+"""Landmarks with so many measurements are examined together; more would want gigabytes."""
 _STEPS = 8
 _SAME = 1.0
 """Two places of a landmark are one when they differ by less than this many sigma of its range."""
@@ -204,12 +206,33 @@ def landmark_modes(problem: SlamProblem, poses: Array, landmarks: Array) -> Land
     order = np.argsort(problem.sighting_landmark, kind="stable")
     rows = order[own[problem.sighting_landmark[order]] >= 0]
     slot = own[problem.sighting_landmark[rows]]
-    seen = _Seen(poses[problem.sighting_pose[rows]], problem.z[rows], problem.sigma[rows], slot)
+    found = []
+    for block in _blocks(np.bincount(slot, minlength=len(free))):
+        own_rows = rows[slice(*np.searchsorted(slot, (block.start, block.stop)))]
+        which = own[problem.sighting_landmark[own_rows]] - block.start
+        pose = poses[problem.sighting_pose[own_rows]]
+        seen = _Seen(pose, problem.z[own_rows], problem.sigma[own_rows], which)
+        found.append(_modes(free[block], place[block], landmarks[free[block]], seen))
+    return LandmarkModes(
+        *(np.concatenate([getattr(part, one.name) for part in found]) for one in fields(found[0]))
+    )
+
+
+def _blocks(count: Index) -> list[slice]:
+    """Landmarks, with so many measurements each (F,), in blocks of some MEASUREMENTS in all."""
+    block = (np.cumsum(count) - count) // MEASUREMENTS
+    first = np.concatenate(([0], np.flatnonzero(np.diff(block)) + 1))
+    ends = [*first[1:].tolist(), len(count)]
+    return [slice(a, b) for a, b in zip(first.tolist(), ends, strict=True)]
+
+
+def _modes(free: Index, place: Array, present: Array, seen: _Seen) -> LandmarkModes:
+    """Of landmarks (F,) at present places (F, 2), from candidates (F, D, 2)."""
     place, error = _refine(seen, place)
-    present = seen.linearise(landmarks[free][:, None])[0][:, 0]
+    now = seen.linearise(present[:, None])[0][:, 0]
     sigma = np.full(len(free), np.inf)
-    np.minimum.at(sigma, slot, seen.sigma[:, 0])
-    return _distinct(free, place, error - present[:, None], landmarks[free], sigma, seen)
+    np.minimum.at(sigma, seen.slot, seen.sigma[:, 0])
+    return _distinct(free, place, error - now[:, None], present, sigma, seen)
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,8 @@ from scipy.linalg import solve_triangular
 from graphslam.arrays import Array
 from graphslam.graph_builder import LANDMARK_KEY, POSE_KEY, POSE_LANDMARK_KEY, to_tangent
 
+PARTS_BEYOND = 2000
+"""Numbers to be kept beyond which a graph is eliminated in parts; see elimination."""
 _ROUNDING = 1e-13
 _UNFIXED = "the measurements do not fix the last pose and every landmark"
 
@@ -55,13 +57,13 @@ def joint_marginal(graph: gtsam.GaussianFactorGraph, kept: Sequence[int], size: 
     millisecond apart would cost half the digits. The result is in the coordinates of the graph's
     own increments. Raises SingularProblemError when some direction is left without information.
     """
-    wanted = set(kept)
-    eliminated = [key for key in graph.keyVector() if key not in wanted]
     try:
-        remaining = graph
-        if eliminated:
-            _, remaining = graph.eliminatePartialMultifrontal(eliminated, gtsam.EliminateQR)
-        jacobian, residual = remaining.jacobian(gtsam.Ordering(list(kept)))
+        if size > PARTS_BEYOND:
+            from graphslam.elimination import remaining_rows
+
+            jacobian, residual = remaining_rows(graph, kept)
+        else:
+            jacobian, residual = _remaining(graph, kept)
     except (RuntimeError, ValueError) as error:  # singular, or a landmark never seen
         raise SingularProblemError(_UNFIXED) from error
     if jacobian.shape[1] != size or len(jacobian) < size:
@@ -73,6 +75,17 @@ def joint_marginal(graph: gtsam.GaussianFactorGraph, kept: Sequence[int], size: 
         raise SingularProblemError(_UNFIXED)
     inverse = solve_triangular(r, np.eye(size))
     return Marginal(inverse @ d, inverse @ inverse.T)
+
+
+def _remaining(graph: gtsam.GaussianFactorGraph, kept: Sequence[int]) -> tuple[Array, Array]:
+    """Return J (m, n) and b (m,) of what remains of `kept`, all else eliminated at once."""
+    wanted = set(kept)
+    eliminated = [key for key in graph.keyVector() if key not in wanted]
+    remaining = graph
+    if eliminated:
+        _, remaining = graph.eliminatePartialMultifrontal(eliminated, gtsam.EliminateQR)
+    jacobian, residual = remaining.jacobian(gtsam.Ordering(list(kept)))
+    return jacobian, residual
 
 
 def to_global(covariance: Array, heading_rad: float, oriented_rad: Array | None = None) -> Array:

@@ -30,6 +30,8 @@ from graphslam.linear_problem import (
 )
 from graphslam.problem import SlamProblem
 
+BLOCK = 100_000
+"""Measurements that gtsam has as factors at once."""
 _Rows = tuple[Array, Array, Array]
 """Whitened a: (R, w, 3), c: (R, w, w) and b: (R, w), as in LinearRelations."""
 
@@ -190,7 +192,16 @@ def _increments(problem: SlamProblem, at: RelationPoints) -> _Rows:
 
 
 def _range_bearing(problem: SlamProblem, at: RelationPoints) -> _Rows:
-    """Measurements of points, as the filter fuses them."""
+    """Measurements of points, as the filter fuses them; gtsam linearises BLOCK at a time."""
+    if len(at.row) > BLOCK:
+        parts = [
+            _range_bearing(
+                problem, RelationPoints(*(column[i : i + BLOCK] for column in vars(at).values()))
+            )
+            for i in range(0, len(at.row), BLOCK)
+        ]
+        a, c, b = (np.concatenate(column) for column in zip(*parts, strict=True))
+        return a, c, b
     sigma = problem.sigma[at.row] / np.sqrt(at.weight)[:, None]
     used = replace(problem, z=problem.z[at.row], sigma=sigma)
     if problem.own_axes:

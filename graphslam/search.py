@@ -8,6 +8,7 @@ path, a heading wound by a turn.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -32,8 +33,12 @@ BUDGET = 400
 """Iterations over the whole graph that exploring may take, beside those in BUDGET_SHARE."""
 BUDGET_SHARE = 4
 """It may take so many times the iterations of the starts more."""
-MOST_WORK = 10_000_000
-"""Iterations times factors that exploring may take: 160 iterations of 64,000 factors."""
+MOST_WORK = 30_000_000
+"""Iterations times factors that exploring may take: 30 iterations of a million factors."""
+LOCAL_POSES = 8_000
+"""Of more poses a landmark's other place is tried among the poses that saw it first."""
+FOLLOWED = 100.0
+"""Such a trial is followed over the whole graph when it ends with no more error than this added."""
 MISSED = 0.05
 """Random starts go on until a basin as wide as the best one's is missed with this chance."""
 LEAST_DRAWS, MOST_DRAWS = 8, 40
@@ -73,8 +78,9 @@ class MinimumSearch:
         """optimiser: of optimisers.OPTIMISERS, for starts; hops take Levenberg-Marquardt."""
         self._problem, self._graph, self._optimiser = problem, graph, optimiser
         self._progress = progress
-        self._spent, self._budget, self._hops, self._cut = 0, BUDGET, 0, False
+        self._spent, self._budget, self._hops, self._cut = 0.0, float(BUDGET), 0, False
         self._beside: list[Attempt] = []  # where hops ended that did not lead below
+        self._back: Counter[Attempt] = Counter()  # hops that came back, found out nearby
         self._settled: list[Attempt] = []  # no alternative of these leads below
         self._together: dict[tuple[Attempt, Attempt], bool] = {}
         self.attempts: list[Attempt] = []
@@ -200,11 +206,32 @@ class MinimumSearch:
         for other in alternatives(self._problem, poses, landmarks):
             if not self._afford():
                 return None
+            if other.poses is poses and self._comes_to_nothing(attempt, other, landmarks):
+                continue
             end = self._trial(attempt, other, poses, landmarks)
             if end.error < attempt.error and not same_error(end.error, attempt.error):
                 return end
             self._beside.append(end)
         return None
+
+    def _comes_to_nothing(self, attempt: Attempt, other: Alternative, landmarks: Array) -> bool:
+        """Whether moved landmarks come back, or cost too much, as those nearby already tell.
+
+        Only of problems of more than LOCAL_POSES: in them a hop over everything takes too long.
+        """
+        moved = np.flatnonzero(np.abs(other.landmarks - landmarks).max(axis=1) > 0.0)
+        beyond = len(self._problem.closures.first) + self._problem.oriented.count
+        if self._problem.pose_count <= LOCAL_POSES or len(moved) > 1 or beyond:
+            return False
+        from graphslam.surroundings import Surroundings
+
+        near = Surroundings(self._problem, self._graph, attempt.values, int(moved[0]))
+        added, spent = near.settle(other.landmarks[moved[0]])
+        self._spent += spent * near.share
+        back = abs(added) <= _SAME
+        self._back[attempt] += back
+        self._hops += back or added > FOLLOWED
+        return back or added > FOLLOWED
 
     def _trial(
         self, attempt: Attempt, other: Alternative, poses: Array, landmarks: Array
@@ -261,6 +288,7 @@ class MinimumSearch:
                 distinct[-1] = distinct[-1][0], distinct[-1][1] + 1
             else:
                 distinct.append((end, 1))
+            distinct[-1] = distinct[-1][0], distinct[-1][1] + self._back[end]
         if not distinct:
             return ()
         poses, landmarks = from_values(distinct[0][0].values, self._problem)

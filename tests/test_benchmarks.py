@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
+STAGES = ("ekf", "frozen", "smoother", "marginals", "checks")
 
 
 def run(*arguments: str) -> list[str]:
@@ -209,3 +210,26 @@ def test_pieces_benchmark_runs() -> None:
     lines = run("benchmarks/pieces.py", "--repeat", "2")
     assert len(lines) == 2
     assert all("median" in line for line in lines)
+
+
+def scale(size: str) -> tuple[dict[str, tuple[float, float]], str]:
+    """Processor seconds and peak MiB by stage, and the rest of the last line."""
+    lines = [line.split(maxsplit=5) for line in run("benchmarks/scale.py", "--sizes", size)[1:]]
+    assert all(f"{line[0]}x{line[1]}" == size for line in lines)
+    return {line[2]: (float(line[3]), float(line[4])) for line in lines}, lines[-1][5]
+
+
+@pytest.mark.slow
+def test_scale_benchmark_runs() -> None:
+    stages, told = scale("300x30")
+    assert list(stages) == ["read", *STAGES, "report", "all"]
+    assert told.endswith(("agree", "disagree"))
+
+
+@pytest.mark.slow
+def test_a_log_of_ten_thousand_poses_comes_to_a_verdict() -> None:
+    """A correct filter agrees; 0.9 GiB are enough, and the page is small."""
+    stages, told = scale("10000x200")
+    assert told.endswith(", agree")
+    assert stages["all"][1] < 900.0
+    assert float(told.split()[1]) < 5.0

@@ -40,6 +40,8 @@ if TYPE_CHECKING:
 
 F = TypeVar("F", bound=Finding)
 
+ASKED_BEYOND = 50_000
+"""Records of a log beyond which a run asks first whether there is memory enough."""
 REQUIRED = Required(
     sightings="try --features trees, --landmarks scans, or slamcheck odometry for its scans",
     odometry="use --motion scan",
@@ -130,6 +132,10 @@ def compare(
 def compare_prepared(prepared: Prepared[RunConfig]) -> Comparison:
     """Do the same with a log that is prepared. Raises as `compare` does."""
     log, clock, progress = prepared.log, prepared.clock, prepared.progress
+    if sum(log.records.values()) > ASKED_BEYOND:
+        from comparisons.pipeline.size import check_size
+
+        check_size(prepared)
     options = SmootherOptions(**prepared.config.smoother.model_dump())
     with clock.stage("ekf"):
         run, setup = run_filter(prepared)

@@ -14,6 +14,8 @@ from ekf_reference.core.layout import Layout
 
 STRIP = 128
 """Rows that a suboptimal global update changes together."""
+WHOLE = 2048
+"""States up to which a global update has all of its product in memory at once."""
 STRIP_COST = 1.6
 """Processor time of an entry changed in strips over that of one of the whole matrix: 1.0 to 1.6 as
 measured on 250 to 2,000 landmarks (benchmarks/global_update.py)."""
@@ -262,7 +264,7 @@ class KalmanState:
         self._reserve(total)
         mean, p = self._mean, self._covariance
         cross = phi @ p[start, :n]  # P_ab = phi P_ab(0), all columns
-        if len(spared):
+        if len(spared) or n > WHOLE:
             subtract(p, root, np.setdiff1d(np.arange(n), np.concatenate((start, spared))), spared)
         else:
             p[:n, :n] -= root @ root.T
@@ -275,9 +277,12 @@ class KalmanState:
 
     def _reserve(self, size: int) -> None:
         """Grow the buffers geometrically, so that adding landmarks stays cheap."""
-        if size > len(self._mean):
-            more = (0, max(size - len(self._mean), len(self._mean), 64 - len(self._mean)))
-            self._mean, self._covariance = np.pad(self._mean, more), np.pad(self._covariance, more)
+        used = len(self._mean)
+        if size > used:
+            room = max(size, 2 * used, 64)
+            mean, covariance = np.zeros(room), np.zeros((room, room))  # memory once it is written
+            mean[:used], covariance[:used, :used] = self._mean, self._covariance
+            self._mean, self._covariance = mean, covariance
 
 
 def correlation_coefficients(covariance: Array) -> Array:

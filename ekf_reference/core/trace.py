@@ -147,17 +147,21 @@ class TraceArrays:
 
 Kept = list[tuple[int, MeasurementRecord]]
 """Records, with the steps made before each."""
+STACKED = 4096
+"""So many records are stacked together, which takes a third of the memory."""
 
 
 class RecordedTrace(Trace):
-    """Keeps everything, in memory."""
+    """Keeps everything, in memory: numbers by the thousand in one array, not each in its own."""
 
     def __init__(self) -> None:
         """Start empty."""
         self._prior = np.zeros(3), np.eye(3)
-        self._steps: list[StepRecord] = []
+        self._made, self._steps = 0, list[StepRecord]()
+        self._stacked_steps: list[StepRecord] = []
         self._removals: list[tuple[int, RemovalRecord]] = []
         self._records: defaultdict[tuple[str, int], Kept] = defaultdict(list)
+        self._stacked: defaultdict[tuple[str, int], list[MeasurementRecords]] = defaultdict(list)
 
     def prior(self, pose: Array, covariance: Array) -> None:
         """Keep the prior."""
@@ -165,7 +169,11 @@ class RecordedTrace(Trace):
 
     def step(self, step: StepRecord) -> None:
         """Keep one step."""
+        self._made += 1
         self._steps.append(step)
+        if len(self._steps) >= STACKED:
+            self._stacked_steps.append(self._stack_steps())
+            self._steps = []
 
     def measurement(self, used: MeasurementRecord) -> None:
         """Keep measurements of landmarks or positions, or a merge."""
@@ -177,27 +185,52 @@ class RecordedTrace(Trace):
 
     def removal(self, gone: RemovalRecord) -> None:
         """Keep which landmarks went."""
-        self._removals.append((len(self._steps), gone))
+        self._removals.append((self._made, gone))
 
     def arrays(self) -> TraceArrays:
         """Return everything so far, stacked."""
-        p, steps, records = len(self._prior[0]), self._steps, self._records
+        departed, arrived, f, q = (
+            np.concatenate(parts)
+            for parts in zip(*self._stacked_steps, self._stack_steps(), strict=True)
+        )
         return TraceArrays(
             prior_pose=self._prior[0],
             prior_covariance=self._prior[1],
-            departed=np.array([one.departed for one in steps]).reshape(-1, p),
-            arrived=np.array([one.arrived for one in steps]).reshape(-1, p),
-            f=np.array([one.f for one in steps]).reshape(-1, p, p),
-            q=np.array([one.q for one in steps]).reshape(-1, p, p),
-            measurements={w: stack_records(records["measurement", w], p, w) for w in WIDTHS},
-            initialisations={w: stack_records(records["initialisation", w], p, w) for w in WIDTHS},
-            positions=stack_records(records["measurement", 0], p, 0, POINT),
-            merges=stack_records(records["merge", POSE], POSE, POSE),
+            departed=departed,
+            arrived=arrived,
+            f=f,
+            q=q,
+            measurements={w: self._joined("measurement", w) for w in WIDTHS},
+            initialisations={w: self._joined("initialisation", w) for w in WIDTHS},
+            positions=self._joined("measurement", 0),
+            merges=self._joined("merge", POSE),
             removals=removal_records(self._removals),
         )
 
     def _keep(self, what: str, record: MeasurementRecord) -> None:
-        self._records[what, record.landmark.shape[1]].append((len(self._steps), record))
+        key = what, record.landmark.shape[1]
+        self._records[key].append((self._made, record))
+        if len(self._records[key]) >= STACKED:
+            self._stacked[key].append(self._stack(*key))
+            self._records[key] = []
+
+    def _stack(self, what: str, width: int) -> MeasurementRecords:
+        """Return what is not stacked yet; an absolute position has a point's entries."""
+        p = POSE if what == "merge" else len(self._prior[0])
+        return stack_records(self._records[what, width], p, width, width or POINT)
+
+    def _stack_steps(self) -> StepRecord:
+        """Return the steps that are not stacked yet: (N, p) poses, (N, p, p) matrices."""
+        p = len(self._prior[0])
+        shapes = (-1, p), (-1, p), (-1, p, p), (-1, p, p)
+        columns = zip(*self._steps, strict=True) if self._steps else ((), (), (), ())
+        return StepRecord(*(np.array(c).reshape(s) for c, s in zip(columns, shapes, strict=True)))
+
+    def _joined(self, what: str, width: int) -> MeasurementRecords:
+        parts = [vars(part) for part in (*self._stacked[what, width], self._stack(what, width))]
+        return MeasurementRecords(
+            **{name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+        )
 
 
 def stack_records(records: Kept, p: int, width: int, size: int = 0) -> MeasurementRecords:

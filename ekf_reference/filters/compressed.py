@@ -2,7 +2,9 @@
 
 While the vehicle stays in a local area only the active states a (the vehicle and the landmarks
 around it) are filtered. What they learn about the passive states b is kept in phi, psi and theta
-(derived in Guivant and Nebot 2001) and carried over in one global update.
+(derived in Guivant and Nebot 2001) and carried over in one global update. psi is kept as a square
+root: where all landmarks share an uncertainty that is large beside their distances', psi P_ab(0)
+cancels, and psi itself would cost half the digits.
 """
 
 from __future__ import annotations
@@ -19,6 +21,9 @@ from ekf_reference.core.measurements import Association
 from ekf_reference.core.state import STRIP_COST, Correction, KalmanState, LocalMap, MapSnapshot
 from ekf_reference.core.trace import Trace
 from ekf_reference.models.motion import MotionModel
+
+FOLDED = 8
+"""So many rows for each active state are folded together."""
 
 
 @dataclass(frozen=True)
@@ -53,8 +58,9 @@ class GlobalUpdate:
 class CompressedState(KalmanState):
     """Updates passive states late: on leaving the area, on removal, or to read mean or covariance.
 
-    What KalmanState keeps is all of it as of the last global update. phi: (a', a), psi: (a, a),
-    theta: (a,) as in section 4; a states at the area's start, a' now.
+    What KalmanState keeps is all of it as of the last global update. phi: (a', a), theta: (a,) as
+    in section 4; a states at the area's start, a' now. learnt: rows (m, a + 1) L^-1 (H phi, nu) of
+    the updates, S = L L^T: psi is the sum of their squares.
     """
 
     def __init__(self, pose: Array, covariance: Array, areas: LocalAreas) -> None:
@@ -73,7 +79,9 @@ class CompressedState(KalmanState):
         self._entry: Index = np.full(self._layout.size, ABSENT)  # of each state entry in `_local`
         self._entry[columns] = np.arange(len(columns))
         self._phi: Array = np.eye(len(columns))
-        self._psi, self._theta = np.zeros_like(self._phi), np.zeros(len(columns))
+        self._theta = np.zeros(len(columns))
+        self._learnt: list[Array] = []
+        self._learnt_rows = 0
         self._fresh = True
 
     @property
@@ -157,7 +165,7 @@ class CompressedState(KalmanState):
         local = self._local_entries(columns)
         done = self._local.update(local, jacobian, innovation, noise)
         seen = done.inverse_root @ (jacobian @ self._phi[local])  # L^-1 H phi
-        self._psi += seen.T @ seen  # psi + phi^T H^T S^-1 H phi
+        self._learn(np.column_stack((seen, done.whitened)))  # psi + phi^T H^T S^-1 H phi
         self._theta += seen.T @ done.whitened  # theta + phi^T H^T S^-1 nu
         self._phi -= done.gain_root.T @ seen  # (I - W H) phi
         self._fresh = False
@@ -199,6 +207,26 @@ class CompressedState(KalmanState):
         """Distance from the area's centre, east-west or north-south, whichever is more."""
         return float(np.abs(self._local.pose[:2] - self._centre).max())
 
+    def _learn(self, rows: Array) -> None:
+        """Add rows (m, a + 1) to psi; many are folded into as few as say the same."""
+        self._learnt.append(rows)
+        self._learnt_rows += len(rows)
+        if self._learnt_rows > FOLDED * rows.shape[1]:
+            self._learnt = [self._psi_root()]
+            self._learnt_rows = len(self._learnt[0])
+
+    def _psi_root(self) -> Array:
+        """Return R (k, a) with psi = R^T R, and d (k,) with theta = R^T d as the last column.
+
+        k is at most the number of active states that an update has touched.
+        """
+        rows = np.concatenate((np.zeros((0, len(self._columns) + 1)), *self._learnt))
+        touched = np.flatnonzero(rows[:, :-1].any(axis=0))
+        small = np.linalg.qr(rows[:, [*touched, -1]], mode="r")[: len(touched)]
+        root = np.zeros((len(small), rows.shape[1]))
+        root[:, [*touched, -1]] = small
+        return root
+
     def _global_update(self) -> None:
         """Set P_ab = phi P_ab(0), P_bb -= P_ba(0) psi P_ab(0), x_b += P_ba(0) theta.
 
@@ -207,10 +235,10 @@ class CompressedState(KalmanState):
         """
         if self._fresh:
             return
-        values, vectors = np.linalg.eigh(self._psi)
+        learnt = self._psi_root()
         whole = super().covariance
         before = whole[:, self._columns]  # P_ba(0), and P_aa(0) which is overwritten
-        root = before @ (vectors * np.sqrt(np.maximum(values, 0.0)))  # Delta P = root root^T, 18
+        root = before @ learnt[:, :-1].T  # Delta P = root root^T, 18
         gain = np.einsum("ij,ij->i", root, root)  # diagonal of Delta P
         little = gain < self.areas.least_gain * whole.diagonal()  # 22
         little[self._columns] = False
@@ -219,7 +247,7 @@ class CompressedState(KalmanState):
         if STRIP_COST * ((size - active) ** 2 - len(spared) ** 2) > size**2:
             spared = spared[:0]  # sparing so few costs more than the exact update
         self.updates.append(GlobalUpdate(size - active, active, len(spared)))
-        self.merge(self._columns, self._local, self._phi, root, before @ self._theta, spared)
+        self.merge(self._columns, self._local, self._phi, root, root @ learnt[:, -1], spared)
         columns = np.concatenate((self._columns, np.arange(size, self._layout.size)))
         self._activate(columns, self._centre, self._extent)
 

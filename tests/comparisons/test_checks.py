@@ -5,8 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from comparisons.checks import agreement
 from comparisons.checks.accuracy import aligned, assess, match_by_distance
-from comparisons.checks.agreement import BlockAgreement, Gaussian, block_agrees, compare, gap
+from comparisons.checks.agreement import (
+    BlockAgreement,
+    Gaussian,
+    block_agrees,
+    compare,
+    eigenvalue_range,
+    gap,
+)
 from comparisons.checks.verdict import Diagnosis, judge
 from comparisons.pipeline.compare import Comparison
 from graphslam.optimum import Optimality, Stationarity, chi_square_test
@@ -172,3 +180,22 @@ def test_no_reference_no_accuracy(comparison: Comparison) -> None:
 
     bare = replace(comparison.log, truth=Truth())
     assert assess(comparison.ekf.estimate, bare, labelled=True) is None
+
+
+@pytest.mark.parametrize("apart", [1e-9, 0.3])
+def test_the_ends_of_many_eigenvalues_are_those_of_all(
+    apart: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(5)
+    second = random_covariance(rng, 120)
+    root = np.linalg.cholesky(second)
+    turned = np.linalg.qr(rng.standard_normal((120, 120)))[0]
+    spread = 1.0 + apart * np.linspace(-0.7, 1.0, 120) ** 3
+    first = root @ (turned * spread) @ turned.T @ root.T
+    every = np.array(eigenvalue_range(first, second)) - 1.0
+    monkeypatch.setattr(agreement, "DENSE", 10)
+    ends = np.array(eigenvalue_range(first, second)) - 1.0
+    assert np.allclose(ends, every, rtol=1e-2, atol=0.0)
+    assert not np.allclose(0.9 * ends, every, rtol=1e-2, atol=0.0)
+    assert eigenvalue_range(first, -second) == (float("-inf"), float("inf"))
+    assert eigenvalue_range(second, second) == pytest.approx((1.0, 1.0))

@@ -12,14 +12,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from comparisons.estimates.estimate import Estimate
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.folder import write_job_folder
+from comparisons.report.html import map as map_page
 from comparisons.report.html.curves import data_block
 from comparisons.report.html.drawing import Drawing
 from comparisons.report.html.look import policy, script, style
 from comparisons.report.html.page import page
 from comparisons.report.models import CauseResult
-from comparisons.report.panels import consistency_panels
+from comparisons.report.panels import Panel, consistency_panels
 from comparisons.report.result import build_result, run_rows
 from comparisons.report.run import run_folder
 from tests.helpers import compared, simulated
@@ -129,6 +131,73 @@ def test_every_landmark_is_in_the_table_and_on_the_map(
     assert len(re.findall(r"<title>EKF, landmark \d+:", text)) == 2 * count
     for key in comparison.ekf.estimate.landmark_id.tolist():
         assert text.count(f'data-key="{key}"') == 4  # both estimates, the variance ratio, the row
+
+
+def test_of_many_landmarks_the_farthest_apart_are_shown(
+    comparison: Comparison, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(map_page, "MOST_LANDMARKS", 5)
+    blocks = comparison.agreement.landmarks
+    text = page(comparison, consistency_panels(comparison), build_result(comparison), [])
+    distance = np.array([block.distance for block in blocks])
+    farthest = comparison.ekf.estimate.landmark_id[np.argsort(-distance)[:5]].tolist()
+    rows = re.findall(r'<tr data-key="(\d+)"', text)
+    assert sorted(map(int, rows)) == sorted(farthest)
+    assert f"5 of {len(blocks)} landmarks" in text
+    assert len(re.findall(r"<polygon", text)) == 2 * 5
+
+
+def test_a_long_log_leaves_a_page_of_less_than_5_mb(comparison: Comparison) -> None:
+    """Of 100,000 poses and 1,500 landmarks, without pictures, which do not grow."""
+    c, many, poses = comparison, 1500, 100_000
+    which = np.arange(many) % len(c.ekf.estimate.landmark)
+    entries = np.concatenate((np.arange(3), (3 + 2 * which[:, None] + (0, 1)).ravel()))
+    row = np.arange(poses) % len(c.ekf.estimate.pose)
+
+    def long(e: Estimate) -> Estimate:
+        return replace(
+            e,
+            time_s=np.arange(float(poses)),
+            pose=e.pose[row],
+            pose_covariance=e.pose_covariance[row],
+            landmark_id=np.arange(many),
+            landmark=e.landmark[which],
+            joint_covariance=e.joint_covariance[np.ix_(entries, entries)],
+        )
+
+    blocks = tuple(c.agreement.landmarks[i] for i in which.tolist())
+    panels = consistency_panels(c)
+    panels = replace(panels, errors=tuple(_lengthened(panel, poses) for panel in panels.errors))
+    grown = replace(
+        c,
+        ekf=replace(c.ekf, estimate=long(c.ekf.estimate)),
+        gaps=replace(
+            c.gaps,
+            smoothed=long(c.smoothed),
+            agreement=replace(c.agreement, landmarks=blocks),
+        ),
+    )
+    text = page(grown, panels, build_result(grown), [])
+    assert len(text) < 4_000_000
+
+
+def _lengthened(panel: Panel, count: int) -> Panel:
+    """The panel with its curves and bands of `count` points."""
+    return replace(
+        panel,
+        curves=tuple(
+            replace(c, x=np.resize(c.x, count), y=np.resize(c.y, count)) for c in panel.curves
+        ),
+        bands=tuple(
+            replace(
+                b,
+                x=np.resize(b.x, count),
+                low=np.resize(b.low, count),
+                high=np.resize(b.high, count),
+            )
+            for b in panel.bands
+        ),
+    )
 
 
 def test_north_is_up() -> None:

@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
+from graphslam import search, surroundings
 from graphslam.ambiguity import alternatives, landmark_modes, loose, mirrors, windings
 from graphslam.graph_builder import build_graph, to_values
 from graphslam.optimisers import optimise, polish
@@ -260,3 +262,43 @@ def test_a_draw_differs_by_the_stated_noise() -> None:
     spread = np.cov(drawn.T) - problem.increment_covariance[0]
     scale = np.sqrt(np.outer(*(np.diag(problem.increment_covariance[0]),) * 2))
     assert np.abs(spread / scale).max() < 5.0 * np.sqrt(2.0 / 2000)
+
+
+def test_a_large_graph_is_searched_nearby(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same hops come back to the same minimum, none of them over the whole graph."""
+    world = worlds.loop(2)
+    guess = {"truth": (world.poses, world.landmarks)}
+    whole = smooth(world.problem, guess)
+    monkeypatch.setattr(search, "LOCAL_POSES", world.problem.pose_count - 1)
+    monkeypatch.setattr(MinimumSearch, "_trial", None)
+    nearby = smooth(world.problem, guess)
+    assert whole.optimality.exploration.hops > 0
+    for one, other in zip(*(r.optimality.exploration.minima for r in (nearby, whole)), strict=True):
+        assert one.starts == other.starts
+        assert one.error == pytest.approx(other.error)
+    assert nearby.optimality.exploration.hops == whole.optimality.exploration.hops
+    assert nearby.optimality.verified
+    # What is not pinned drifts away, and no hop comes back.
+    monkeypatch.setattr(surroundings, "PINNED", 10.0)
+    with pytest.raises(TypeError, match="not callable"):
+        smooth(world.problem, guess)
+
+
+def test_a_nearby_trial_that_leads_below_is_followed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One landmark of a straight drive with poor bearings is on the wrong side."""
+    problem, poses, posts = two_sided(0)
+    graph = build_graph(problem)
+    monkeypatch.setattr(search, "LOCAL_POSES", problem.pose_count - 1)
+
+    def hop() -> tuple[float, float]:
+        one = MinimumSearch(problem, graph, "levenberg-marquardt", silent)
+        aside = np.where(np.arange(6)[:, None] == 2, posts * (1.0, -1.0), posts)
+        wrong = one.attempt("wrong", "sequential", one.values(poses, aside))
+        lower = one._hop(wrong)
+        return wrong.error, wrong.error if lower is None else lower.error
+
+    before, after = hop()
+    assert after < before - 1.0
+    monkeypatch.setattr(search, "FOLLOWED", -np.inf)
+    before, after = hop()
+    assert after == before

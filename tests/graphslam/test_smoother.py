@@ -7,6 +7,7 @@ import gtsam
 import numpy as np
 import pytest
 
+from graphslam import elimination, marginals
 from graphslam.graph_builder import (
     LANDMARK_KEY,
     POSE_KEY,
@@ -127,7 +128,33 @@ def test_global_covariance_is_that_of_the_additive_error() -> None:
     assert np.allclose(turned, np.diag((1.0, 4.0, 0.5, 9.0, 9.0)))
 
 
-def test_missing_information_is_reported(problem: SlamProblem) -> None:
+@pytest.mark.parametrize("most_rows", [0.0, 1.5, np.inf])
+def test_elimination_in_parts_is_that_at_once(
+    problem: SlamProblem, monkeypatch: pytest.MonkeyPatch, most_rows: float
+) -> None:
+    result = smooth(problem, {})
+    linear = result.graph.linearize(result.values)
+    arguments = linear, problem.pose_count, problem.landmark_count
+    whole = last_pose_and_landmarks(*arguments)
+    monkeypatch.setattr(marginals, "PARTS_BEYOND", 0)
+    monkeypatch.setattr(elimination, "POSES", 17)
+    monkeypatch.setattr(elimination, "MOST_ROWS", most_rows)
+    parts = last_pose_and_landmarks(*arguments)
+    assert relative_error(parts.covariance, whole.covariance) < 1e-10
+    assert np.abs(parts.mean - whole.mean).max() < 1e-9
+    # A row too many or too few is seen.
+    root = elimination._root
+    monkeypatch.setattr(elimination, "_root", lambda rows: np.delete(root(rows), -2, axis=0))
+    with pytest.raises((AssertionError, SingularProblemError)):
+        assert relative_error(last_pose_and_landmarks(*arguments)[1], whole.covariance) < 1e-3
+
+
+@pytest.mark.parametrize("beyond", [0, marginals.PARTS_BEYOND], ids=["in parts", "at once"])
+def test_missing_information_is_reported(
+    problem: SlamProblem, beyond: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(marginals, "PARTS_BEYOND", beyond)
+    monkeypatch.setattr(elimination, "POSES", 17)
     graph = build_graph(problem)
     result = smooth(problem, {})
     linear = graph.linearize(result.values)

@@ -19,6 +19,9 @@ from comparisons.logs.readers.victoria_park import UTE
 from comparisons.logs.simulate.pursuit import pursue
 from comparisons.logs.simulate.worlds import World, nieto_loop
 
+PAIRS = 2_000_000
+"""Pairs of a scan and a landmark whose distances are held in memory at once."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Drive:
@@ -131,20 +134,47 @@ def point_sightings(
 
     landmark: (L, 2), or (N, L, 2) where they are in each scan, NaN for nowhere.
     """
+    parts = [
+        _in_view(
+            drive,
+            landmark if landmark.ndim == 2 else landmark[scans],
+            pose[scans],
+            None if hidden is None else hidden[scans],
+            scans.start,
+        )
+        for scans in _blocks(len(pose), landmark.shape[-2])
+    ]
+    scan, which, distance, bearing = (np.concatenate(column) for column in zip(*parts, strict=True))
+    count = len(scan)
+    noise, scale = drive.added_scale * rng.standard_normal((count, 2)), drive.noise_scale
+    return Sightings(
+        time_s=time[scan],
+        range_m=distance + drive.sigma_range_m * noise[:, 0],
+        bearing_rad=bearing + drive.sigma_bearing_rad * noise[:, 1],
+        sigma_range_m=np.full(count, scale * drive.sigma_range_m),
+        sigma_bearing_rad=np.full(count, scale * drive.sigma_bearing_rad),
+        landmark=which,
+        diameter_m=np.full(count, np.nan),
+    )
+
+
+def _blocks(scans: int, landmarks: int) -> list[slice]:
+    """Scans (N,) in blocks of at most PAIRS pairs with landmarks, one block at least."""
+    size = max(1, PAIRS // max(1, landmarks))
+    return [slice(first, min(first + size, scans)) for first in range(0, max(scans, 1), size)]
+
+
+def _in_view(
+    drive: Drive, landmark: Array, pose: Array, hidden: NDArray[np.bool_] | None, first: int
+) -> tuple[NDArray[np.intp], NDArray[np.intp], Array, Array]:
+    """Return the scan (M,), from `first` on, landmark, true range and bearing of what is in view.
+
+    landmark: (L, 2) or (N, L, 2). pose: (N, 3). hidden: (N, L).
+    """
     offset = landmark - pose[:, None, :2]
     distance = np.linalg.norm(offset, axis=2)
     bearing = np.arctan2(offset[..., 1], offset[..., 0]) - pose[:, None, 2]
     bearing = np.angle(np.exp(1j * bearing))
     seen = (distance <= drive.max_range_m) & (np.abs(bearing) <= 0.5 * drive.field_of_view_rad)
     scan, which = np.nonzero(seen if hidden is None else seen & ~hidden)
-    count = len(scan)
-    noise, scale = drive.added_scale * rng.standard_normal((count, 2)), drive.noise_scale
-    return Sightings(
-        time_s=time[scan],
-        range_m=distance[scan, which] + drive.sigma_range_m * noise[:, 0],
-        bearing_rad=bearing[scan, which] + drive.sigma_bearing_rad * noise[:, 1],
-        sigma_range_m=np.full(count, scale * drive.sigma_range_m),
-        sigma_bearing_rad=np.full(count, scale * drive.sigma_bearing_rad),
-        landmark=which,
-        diameter_m=np.full(count, np.nan),
-    )
+    return first + scan, which, distance[scan, which], bearing[scan, which]

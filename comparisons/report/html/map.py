@@ -6,12 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from comparisons.arrays import Array
+from comparisons.arrays import Array, Index
 from comparisons.estimates.estimate import Estimate
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.figures.style import EKF_COLOUR, SMOOTHER_COLOUR, ellipses
 from comparisons.report.html.drawing import MOST_LINES, Drawing, association_lines, kept
 
+MOST_LANDMARKS = 1000
+"""Landmarks that the page has, each with two ellipses, three marks and a row."""
 RATIO_LAYER = "variance ratio, least"
 _SIGMAS = 3.0
 _NO_RATIO = "#888888"
@@ -62,24 +64,30 @@ def run_map(c: Comparison) -> RunMap:
         f"landmark {i}: {b.difference_m:.3f} m apart, {b.distance:.2g} sigma"
         for i, b in zip(ekf.landmark_id.tolist(), c.agreement.landmarks, strict=True)
     ]
+    marked = shown_landmarks(c)
+    labels = [labels[i] for i in marked.tolist()]
+    if len(marked) < len(ekf.landmark):
+        drawing.dots("all landmarks", "#666666", ekf.landmark)
     for name, colour, estimate, dashes in (
         ("smoother", SMOOTHER_COLOUR, smoothed, ""),
         ("EKF", EKF_COLOUR, ekf, "5 3"),
     ):
         drawing.path(f"{name} trajectory", colour, estimate.pose[row, :2], dashes, name)
         told = [f"{name}, {label}" for label in labels]
-        outline = ellipses(estimate.landmark, estimate.landmark_covariances(), _SIGMAS, 32)
+        place, spread = estimate.landmark[marked], estimate.landmark_covariances()[marked]
+        outline = ellipses(place, spread, _SIGMAS, 32)
         drawing.outlines(f"{name} landmarks, 3 sigma", colour, outline, told)
-        drawing.marks(f"{name} landmarks", colour, estimate.landmark, told, _keys(estimate))
+        drawing.marks(f"{name} landmarks", colour, place, told, _keys(estimate, marked))
     for found in c.findings.values():
         found.layers(drawing)
-    drawing.links("differences", "#7b4fa3", ekf.landmark, smoothed.landmark)
-    ratio = np.array([b.least for b in c.agreement.landmarks])
+    drawing.links("differences", "#7b4fa3", ekf.landmark[marked], smoothed.landmark[marked])
+    ratio = np.array([b.least for b in c.agreement.landmarks])[marked]
     decades = _decades(ratio)
     told = [f"{a}; variance ratio {b:.3g}" for a, b in zip(labels, ratio.tolist(), strict=True)]
     colours = ratio_colours(ratio, decades)
     drawing.marks(
-        RATIO_LAYER, "#666666", ekf.landmark, told, _keys(ekf), colours, shown=False
+        RATIO_LAYER, "#666666", ekf.landmark[marked], told, _keys(ekf, marked), colours,
+        shown=False,
     )  # fmt: skip
     return RunMap(drawing, np.round(ekf.time_s[row], 3).tolist(), decades)
 
@@ -132,6 +140,15 @@ def _associations(drawing: Drawing, c: Comparison) -> None:
     association_lines(drawing, look, c.ekf.estimate, epoch[row], slot[row])
 
 
-def _keys(estimate: Estimate) -> list[int]:
-    keys: list[int] = estimate.landmark_id.tolist()
+def shown_landmarks(c: Comparison) -> Index:
+    """Return the landmarks (m,) that the page has: all, or those farthest apart in sigma."""
+    distance = np.array([block.distance for block in c.agreement.landmarks])
+    if len(distance) <= MOST_LANDMARKS:
+        return np.arange(len(distance))
+    farthest = np.argsort(-np.nan_to_num(distance, nan=np.inf), kind="stable")
+    return np.sort(farthest[:MOST_LANDMARKS])
+
+
+def _keys(estimate: Estimate, marked: Index) -> list[int]:
+    keys: list[int] = estimate.landmark_id[marked].tolist()
     return keys

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from html import escape
 
 from comparisons.pipeline.compare import Comparison
+from comparisons.report.html.map import shown_landmarks
 from comparisons.report.html.shell import number, sortable
 from comparisons.report.models import LandmarkResult, Result
 
@@ -27,16 +28,26 @@ def landmarks(comparison: Comparison, result: Result) -> str:
         )
         for key, name, row in _rows(comparison, result)
     ]
+    shown, every = len(shown_landmarks(comparison)), len(result.agreement.landmarks)
+    part = ""
+    if shown < every:
+        part = (
+            f"{shown:,} of {every:,} landmarks, those farthest apart in sigma, are here and on "
+            "the map; result.json has all. "
+        )
     return (
-        '<h2>Landmarks</h2><p class="note">A row finds its landmark on the map, and the other way '
-        "round. Variances are the filter's over the smoother's.</p>"
+        f'<h2>Landmarks</h2><p class="note">{part}A row finds its landmark on the map, and the '
+        "other way round. Variances are the filter's over the smoother's.</p>"
         f"{sortable('landmarks', head, rows)}"
     )
 
 
 def _rows(comparison: Comparison, result: Result) -> list[tuple[str, str, LandmarkResult]]:
     """Every landmark with its key on the map and its name."""
-    points = [(str(row.id), str(row.id), row) for row in result.agreement.landmarks]
+    points = [
+        (str(row.id), str(row.id), row)
+        for row in (result.agreement.landmarks[i] for i in shown_landmarks(comparison).tolist())
+    ]
     others = [row for found in comparison.findings.values() for row in found.landmarks()]
     return points + [(f"s{row.id}", f"scan {row.id}", row) for row in others]
 

@@ -107,12 +107,10 @@ def test_reading_the_state_midway_changes_nothing() -> None:
 class NoTheta(CompressedState):
     """Broken: the passive means' correction is forgotten."""
 
-    def update(
-        self, columns: Index, jacobian: Array, innovation: Array, noise: Array
-    ) -> Correction:
-        done = super().update(columns, jacobian, innovation, noise)
-        self._theta[:] = 0.0
-        return done
+    def _psi_root(self) -> Array:
+        root = super()._psi_root()
+        root[:, -1] = 0.0
+        return root
 
 
 class NoPsi(CompressedState):
@@ -122,7 +120,7 @@ class NoPsi(CompressedState):
         self, columns: Index, jacobian: Array, innovation: Array, noise: Array
     ) -> Correction:
         done = super().update(columns, jacobian, innovation, noise)
-        self._psi[:] = 0.0
+        self._learnt.clear()
         return done
 
 
@@ -149,6 +147,31 @@ def test_the_equality_rejects_a_broken_recursion(broken: type[CompressedState]) 
 def optimism(found: Run) -> float:
     """How far the covariance is below the exact solution's in some direction, as a share of it."""
     return 1.0 - eigenvalue_range(found.final.covariance, replay(found.trace).covariance)[0]
+
+
+class SquaredPsi(CompressedState):
+    """Broken: psi itself is kept, in place of its square root."""
+
+    def _psi_root(self) -> Array:
+        root = super()._psi_root()
+        values, vectors = np.linalg.eigh(root[:, :-1].T @ root[:, :-1])
+        learnt = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+        shift = np.linalg.lstsq(learnt.T, root[:, :-1].T @ root[:, -1])[0]
+        return np.column_stack((learnt, shift))
+
+
+@pytest.mark.parametrize(("kind", "holds"), [(CompressedState, True), (SquaredPsi, False)])
+def test_a_large_common_uncertainty_costs_no_digits(
+    kind: type[CompressedState], holds: bool
+) -> None:
+    """All landmarks may be 100 m away together, and are known to centimetres to each other."""
+    drive, wide = circuit(seed=1), PRIOR_COVARIANCE + np.diag((1e4, 1e4, 0.0))
+    exact, found = (
+        run(drive, state).final.covariance
+        for state in (KalmanState(PRIOR_POSE, wide), kind(PRIOR_POSE, wide, SMALL))
+    )
+    lacking = np.abs(np.array(eigenvalue_range(found, exact)) - 1.0).max()
+    assert (lacking < 1e-6) == holds, lacking
 
 
 @pytest.mark.parametrize("c1", [1e-4, 1e-2])

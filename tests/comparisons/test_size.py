@@ -1,0 +1,70 @@
+"""A log that is too large for the machine is refused before the work, and no other."""
+
+from __future__ import annotations
+
+import tracemalloc
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from comparisons.config import EkfConfig, RunConfig
+from comparisons.errors import InputError
+from comparisons.pipeline import size
+from comparisons.pipeline.compare import REQUIRED, run_filter
+from comparisons.pipeline.prepare import Prepared, prepare
+from comparisons.pipeline.size import GIB, check_size, needed
+from tests.helpers import simulated
+
+
+def prepared(kind: str = "compressed", loop_s: float = 20.0) -> Prepared[RunConfig]:
+    config = RunConfig(ekf=EkfConfig(filter=kind))
+    return prepare(simulated(loop_s=loop_s), config, required=REQUIRED)
+
+
+def test_what_fits_is_not_refused() -> None:
+    check_size(prepared())
+    check_size(prepared(), 4.0 * GIB)
+
+
+def test_what_does_not_fit_is_refused_in_one_line() -> None:
+    one = prepared()
+    with pytest.raises(InputError, match=r"poses.*landmarks need about 0\.3 GiB") as told:
+        check_size(one, 0.2 * GIB)
+    assert "\n" not in str(told.value)
+    assert "part of the log" in str(told.value)
+
+
+def test_nothing_is_refused_where_the_memory_is_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(size, "_limits", lambda: iter(()))
+    monkeypatch.setattr(size, "BASE", 1e18)
+    check_size(prepared())
+    monkeypatch.setattr(size, "_limits", lambda: iter((1.0,)))
+    with pytest.raises(InputError):
+        check_size(prepared())
+
+
+def test_the_need_is_linear_in_poses_and_square_in_landmarks() -> None:
+    base = needed(0, 0, 0)
+    one, two = (needed(n, 9 * n, 0) - base for n in (100_000, 200_000))
+    assert two == pytest.approx(2.0 * one)
+    few, many = (needed(0, 0, n) - base for n in (2_000, 4_000))
+    assert many == pytest.approx(4.0 * few, rel=0.01)
+    assert needed(10, 90, 2_000, full=True) > needed(10, 90, 2_000)
+
+
+@pytest.mark.parametrize("pairs", [False, True])
+def test_the_filters_memory_is_linear_in_poses(pairs: bool) -> None:
+    """From 200 to 400 poses its peak at most doubles, and some; a matrix over poses is seen."""
+    peaks = []
+    for loop_s in (40.0, 80.0):
+        one = prepared(loop_s=loop_s)
+        _ = one.timeline
+        tracemalloc.start()
+        run, _ = run_filter(replace(one))
+        if pairs:
+            kept = np.multiply.outer(run.departed, run.departed)
+            del kept
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert (peaks[1] < 2.5 * peaks[0]) != pairs, peaks
