@@ -49,7 +49,7 @@ def needed(poses: int, measurements: int, landmarks: int, *, full: bool = False)
     """Return about how many bytes a run takes at its peak."""
     states = 3.0 + 2.0 * landmarks
     matrices = 8.0 * (MATRICES_FULL if full else MATRICES) * states**2
-    return BASE + max(PER_POSE * poses + PER_MEASUREMENT * measurements, 0.0) + matrices
+    return BASE + PER_POSE * poses + PER_MEASUREMENT * measurements + matrices
 
 
 def available_bytes() -> float | None:
@@ -67,7 +67,10 @@ def _limits() -> Iterator[float]:
     ):
         most, now = _text(_CGROUP / limit).strip(), _text(_CGROUP / used).strip()
         if most.isdigit() and now.isdigit():
-            yield float(most) - float(now)
+            stated = dict(
+                map(str.split, _text((_CGROUP / used).with_name("memory.stat")).splitlines())
+            )
+            yield float(most) - float(now) + float(stated.get("inactive_file", 0.0))  # files' cache
     try:
         import resource
     except ImportError:  # not a Unix
