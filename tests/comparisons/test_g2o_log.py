@@ -75,8 +75,8 @@ def test_closures_are_a_stream_of_the_log(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("more", "why"),
     [
-        ("", "2 closures from pose to pose and no landmarks; a landmark EKF has nothing to obs"),
-        (LANDMARK, "2 closures from pose to pose beside its sightings; a landmark EKF cannot"),
+        ("", "2 closures from pose to pose and no landmarks; .* a landmark EKF has nothing to obs"),
+        (LANDMARK, "2 closures from pose to pose beside its sightings; .* a landmark EKF cannot"),
     ],
 )
 def test_a_filter_of_landmarks_has_no_use_for_closures(tmp_path: Path, more: str, why: str) -> None:

@@ -115,6 +115,17 @@ def test_motion_models(model: int, version: int, tmp_path: Path) -> None:
     assert not np.allclose(log.odometry.covariance[0], departing, atol=scale)
 
 
+def test_a_turn_on_the_spot_has_no_direction_of_way(tmp_path: Path) -> None:
+    """Nor has it one where the way is written as minus zero."""
+    spreads = []
+    for zero in (0.0, -0.0):
+        content = frame(seen([(1.0, 0.0, 0.0, 1)])) + action((zero, 0.0, 0.4), model=1)
+        log = read_log(rawlog(tmp_path, content + frame(seen([(1.0, 0.0, 0.0, 1)]))))
+        assert isinstance(log.odometry, RelativePoses)
+        spreads.append(log.odometry.covariance)
+    assert np.array_equal(*spreads)
+
+
 def test_frames_without_sightings_are_bridged(tmp_path: Path) -> None:
     one = [(1.0, 0.5, 0.0, 1)]
     content = frame(seen(one)) + action((1, 0, 0.5)) + frame(beacons()) + action((1, 0, 0.5))
