@@ -130,3 +130,9 @@ def test_only_closures_stand_for_odometry() -> None:
 def test_spatial_graphs_say_so(name: str) -> None:
     with pytest.raises(InputError, match=r":1: .*3D is not supported yet"):
         open_log(str(Path(gtsam.__file__).parent / "Data" / name))
+
+
+def test_a_small_chi_square_is_not_told_as_zero() -> None:
+    path = Path(gtsam.__file__).parent / "Data" / "noisyToyGraph.txt"
+    [remark] = build_solution_result(solve(open_log(str(path)))).remarks
+    assert remark.startswith("chi-square 0.14 for 6 degrees of freedom is too low (band 0.")
