@@ -26,6 +26,8 @@ from comparisons.extensions.own_association.extension import (
 from comparisons.extensions.own_association.page import association_differences
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import NO_LANDMARK, Log
+from comparisons.logs.readers.scan_odometry import no_sightings
+from comparisons.logs.scans import Scans
 from comparisons.pipeline.solve import solve
 from comparisons.report.folder import write_job_folder
 from comparisons.report.models import Result, SolutionResult
@@ -131,6 +133,14 @@ def test_too_little_to_make_a_map_of_is_said() -> None:
 
 
 @pytest.mark.slow
+def test_a_log_of_scans_alone_is_sent_to_odometry() -> None:
+    log = simulated(loop_s=10.0)
+    scans = Scans(log.odometry.time_s[:3], np.zeros(2), np.ones((3, 2)), np.zeros((3, 2)))
+    bare = replace(log, sightings=no_sightings(), scans=scans)
+    with pytest.raises(InputError, match="no sightings of landmarks"):
+        solve(bare)
+
+
 def test_surveyed_landmarks_keep_their_places() -> None:
     """Those known beforehand go by id, the others by the smoother's own reasoning."""
     log = with_survey(simulated(1))
