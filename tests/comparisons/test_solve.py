@@ -132,15 +132,20 @@ def test_too_little_to_make_a_map_of_is_said() -> None:
         solve(without_labels(first_seconds(simulated(1), 1.0)))
 
 
-@pytest.mark.slow
 def test_a_log_of_scans_alone_is_sent_to_odometry() -> None:
     log = simulated(loop_s=10.0)
-    scans = Scans(log.odometry.time_s[:3], np.zeros(2), np.ones((3, 2)), np.zeros((3, 2)))
+    scans = Scans(
+        time_s=log.odometry.time_s[:3],
+        angle_rad=np.array([0.0, 0.1]),
+        range_m=np.ones((3, 2)),
+        intensity=np.zeros((3, 2)),
+    )
     bare = replace(log, sightings=no_sightings(), scans=scans)
     with pytest.raises(InputError, match="no sightings of landmarks"):
         solve(bare)
 
 
+@pytest.mark.slow
 def test_surveyed_landmarks_keep_their_places() -> None:
     """Those known beforehand go by id, the others by the smoother's own reasoning."""
     log = with_survey(simulated(1))
