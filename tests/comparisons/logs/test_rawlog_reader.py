@@ -124,7 +124,7 @@ def test_a_turn_on_the_spot_has_no_direction_of_way(tmp_path: Path) -> None:
         log = read_log(rawlog(tmp_path, content + frame(seen([(1.0, 0.0, 0.0, 1)]))))
         assert isinstance(log.odometry, RelativePoses)
         spreads.append(log.odometry.covariance)
-    assert np.array_equal(*spreads)
+    assert np.array_equal(spreads[0], spreads[1])
 
 
 def test_frames_without_sightings_are_bridged(tmp_path: Path) -> None:
