@@ -55,11 +55,9 @@ def remaining_rows(graph: gtsam.GaussianFactorGraph, kept: Sequence[int]) -> tup
 
 
 def _parts(graph: gtsam.GaussianFactorGraph) -> list[gtsam.GaussianFactorGraph]:
-    """Return the factors by the last pose that they touch; those of no pose come first."""
-    last, found = (
-        POSE_KEY + (1 << 48),
-        defaultdict[int, gtsam.GaussianFactorGraph](gtsam.GaussianFactorGraph),
-    )
+    """Return the factors by the last pose that they touch; those of no pose are in the first."""
+    last = POSE_KEY + (1 << 48)
+    found = defaultdict[int, gtsam.GaussianFactorGraph](gtsam.GaussianFactorGraph)
     for i in range(graph.size()):
         factor = graph.at(i)
         if factor is None:
@@ -136,6 +134,6 @@ def _ordered(keys: list[int], place: dict[int, int]) -> tuple[int, ...]:
 
 
 def _widths(graph: gtsam.GaussianFactorGraph, keys: Sequence[int]) -> tuple[int, ...]:
-    """Return the numbers that each variable has."""
+    """Return of how many numbers each variable is."""
     zero = graph.gradientAtZero()
     return tuple(len(zero.at(key)) for key in keys)

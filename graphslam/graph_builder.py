@@ -107,7 +107,7 @@ def build_graph(problem: SlamProblem, kernel: str = "none") -> gtsam.NonlinearFa
 
     Pose k has key POSE_KEY + k, point landmark j LANDMARK_KEY + j, pose landmark j
     POSE_LANDMARK_KEY + j.
-    kernel: of KERNELS, for sightings and positions.
+    kernel: of KERNELS, for all but prior, increments and surveyed landmarks.
     """
     graph = gtsam.NonlinearFactorGraph()
     graph.push_back(prior_factor(POSE_KEY, problem))

@@ -197,10 +197,16 @@ def misfit_remarks(optimality: Optimality) -> list[str]:
     }[test.reading]
     if test.reading == "too high" and optimality.accept_misfit:
         meaning += "; accepted as --accept-misfit asks"
+    chi2, lower, upper = map(rounded, (test.chi2, test.lower, test.upper))
     return [
-        f"chi-square {test.chi2:.0f} for {test.dof} degrees of freedom is {test.reading} "
-        f"(band {test.lower:.0f} to {test.upper:.0f}): {meaning}"
+        f"chi-square {chi2} for {test.dof} degrees of freedom is {test.reading} "
+        f"(band {lower} to {upper}): {meaning}"
     ]
+
+
+def rounded(number: float) -> str:
+    """Without decimals, below 10 to two digits: a small graph's chi-square is not 0."""
+    return f"{number:.2g}" if abs(number) < 10.0 else f"{number:.0f}"
 
 
 def _remarks(optimality: Optimality, run: EkfRun) -> list[str]:

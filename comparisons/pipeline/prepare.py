@@ -161,7 +161,7 @@ def prepare(
 def _check_streams(prepared: Prepared[Any], required: Required) -> None:
     log, extensions = prepared.log, prepared.extensions
     if log.closures is not None and not required.closures:
-        raise InputError(f"{log.name}: {_why_no_filter(log)} (slamcheck solve takes it)")
+        raise InputError(f"{log.name}: {_why_no_filter(log)}")
     landmarks = any(one.brings_landmarks for one in extensions)
     if required.sightings is not None and not landmarks and not len(log.sightings.time_s):
         raise InputError(f"{log.name}: holds no sightings of landmarks ({required.sightings})")
@@ -173,12 +173,13 @@ def _check_streams(prepared: Prepared[Any], required: Required) -> None:
 def _why_no_filter(log: Log) -> str:
     """Why a filter of landmarks cannot serve a log with closures."""
     closures = f"holds {log.records['closures']:,} closures from pose to pose"
+    takes = "slamcheck solve takes it, and no other job that estimates"
     if len(log.sightings.time_s):
         return (
-            f"{closures} beside its sightings; a landmark EKF cannot fuse them, and without them "
-            "it would not read the same log as the smoother"
+            f"{closures} beside its sightings; {takes}: a landmark EKF cannot fuse them, and "
+            "without them it would not read the same log as the smoother"
         )
-    return f"{closures} and no landmarks; a landmark EKF has nothing to observe"
+    return f"{closures} and no landmarks; {takes}: a landmark EKF has nothing to observe"
 
 
 def _extensions(config: Configured | None) -> list[Extension]:

@@ -76,7 +76,8 @@ def solve(
     if log.closures is not None and not known:
         raise InputError(f"{log.name}: holds closures, expected sightings associated by labels")
     ekf = EkfConfig(association="known" if known else "nn", gps=config.gps)
-    required = Required(odometry="use slamcheck odometry for its scans", closures=True)
+    other = "use slamcheck odometry for its scans"
+    required = Required(None if log.closures is not None else other, other, closures=True)
     prepared = prepare(log, config, ekf, progress, required)
     log, clock, timeline = prepared.log, prepared.clock, prepared.timeline
     guesses, own, associator = {}, None, None

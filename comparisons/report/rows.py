@@ -9,6 +9,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from comparisons.checks.causes import GAPS
+from comparisons.checks.verdict import rounded
 from comparisons.extensions.contract import Row
 from comparisons.report.models import (
     AccuracyResult,
@@ -115,7 +116,7 @@ def smoother_rows(smoother: SmootherResult) -> list[Row]:
             "smoother",
             f"{smoother.poses:,} poses, error {smoother.error:.2f}, "
             f"{'optimum verified' if smoother.verified else 'optimum NOT verified'} "
-            f"(chi2 {smoother.chi2:.0f} {tested})",
+            f"(chi2 {rounded(smoother.chi2)} {tested})",
         ),
         Row("starts", _starts(smoother)),
     ]

@@ -26,6 +26,8 @@ from comparisons.extensions.own_association.extension import (
 from comparisons.extensions.own_association.page import association_differences
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import NO_LANDMARK, Log
+from comparisons.logs.readers.scan_odometry import no_sightings
+from comparisons.logs.scans import Scans
 from comparisons.pipeline.solve import solve
 from comparisons.report.folder import write_job_folder
 from comparisons.report.models import Result, SolutionResult
@@ -128,6 +130,19 @@ def test_own_association_needs_no_labels() -> None:
 def test_too_little_to_make_a_map_of_is_said() -> None:
     with pytest.raises(InputError, match="no sighting could be used"):
         solve(without_labels(first_seconds(simulated(1), 1.0)))
+
+
+def test_a_log_of_scans_alone_is_sent_to_odometry() -> None:
+    log = simulated(loop_s=10.0)
+    scans = Scans(
+        time_s=log.odometry.time_s[:3],
+        angle_rad=np.array([0.0, 0.1]),
+        range_m=np.ones((3, 2)),
+        intensity=np.zeros((3, 2)),
+    )
+    bare = replace(log, sightings=no_sightings(), scans=scans)
+    with pytest.raises(InputError, match="no sightings of landmarks"):
+        solve(bare)
 
 
 @pytest.mark.slow

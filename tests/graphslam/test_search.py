@@ -9,12 +9,13 @@ import pytest
 
 from graphslam import search, surroundings
 from graphslam.ambiguity import alternatives, landmark_modes, loose, mirrors, windings
-from graphslam.graph_builder import build_graph, to_values
+from graphslam.graph_builder import POSE_KEY, build_graph, to_values
 from graphslam.optimisers import optimise, polish
-from graphslam.problem import SlamProblem
+from graphslam.problem import Closures, SlamProblem
 from graphslam.relaxation import relax
-from graphslam.search import MinimumSearch, draw
+from graphslam.search import MinimumSearch, draw, relaxed_values
 from graphslam.smoother import smooth
+from graphslam.surroundings import Surroundings
 from tests.graphslam import worlds
 from tests.graphslam.numerics import Array, angle
 
@@ -302,3 +303,54 @@ def test_a_nearby_trial_that_leads_below_is_followed(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(search, "FOLLOWED", -np.inf)
     before, after = hop()
     assert after == before
+
+
+def test_surroundings_hold_every_factor_of_the_poses_that_saw_a_landmark() -> None:
+    """Prior, increments, sightings and positions; what is pinned adds nothing where it stands."""
+    world = worlds.loop(2)
+    some = np.arange(0, world.problem.pose_count, 3)
+    problem = replace(
+        world.problem,
+        position_pose=some,
+        position=world.poses[some, :2] + 0.1 * np.sin(some)[:, None],
+        position_covariance=np.tile(0.04 * np.eye(2), (len(some), 1, 1)),
+    )
+    graph, values = build_graph(problem), relaxed_values(problem)
+    for landmark in (problem.sighting_landmark[0], problem.sighting_landmark[-1]):
+        saw = POSE_KEY + problem.sighting_pose[problem.sighting_landmark == landmark]
+        factors = [graph.at(i) for i in range(graph.size())]
+        touching = [f for f in factors if set(saw.tolist()).intersection(f.keys())]
+        near = Surroundings(problem, graph, values, int(landmark))
+        expected = sum(f.error(values) for f in touching)
+        assert near._graph.error(near._values) == pytest.approx(expected)
+
+
+def test_a_step_that_nothing_measured_is_no_blind_stretch() -> None:
+    """The stretch behind it is one, which four turns of 0.3 rad leave loose."""
+    spread = np.tile(np.diag((1e-4, 1e-4, 0.09)), (7, 1, 1))
+    spread[1] = np.nan
+    tight = 1e-4 * np.eye(3)
+    problem = SlamProblem(
+        prior_pose=np.zeros(3),
+        prior_covariance=tight,
+        increment=np.tile((1.0, 0.0, 0.0), (7, 1)),
+        increment_covariance=spread,
+        sighting_pose=np.zeros(0, dtype=np.intp),
+        sighting_landmark=np.zeros(0, dtype=np.intp),
+        z=np.zeros((0, 2)),
+        sigma=np.zeros((0, 2)),
+        landmark_count=0,
+        closures=Closures(
+            np.array([0, 3]),
+            np.array([3, 7]),
+            np.array([[3.0, 0.0, 0.0], [4.0, 0.0, 0.0]]),
+            np.array([tight, tight]),
+        ),
+    )
+    assert loose(problem)
+    poses = np.column_stack((np.arange(8.0), np.zeros((8, 2))))
+    assert all(
+        np.isfinite(other.poses).all() for other in windings(problem, poses, np.zeros((0, 2)))
+    )
+    spread[3:, 2, 2] = 1e-6
+    assert not loose(problem)

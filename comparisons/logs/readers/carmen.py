@@ -132,8 +132,8 @@ def _clock(path: Path, lines: list[int], times: Array) -> _Clock:
     if not coarse[1]:
         row = int(np.flatnonzero(fall[:, 1] > _LARGEST_FALL_S)[0])
         raise InputError(_fallen(path, lines[row], times[row, 1], fall[row, 1]))
-    return _Clock(None, f"scan numbers in place of seconds, since {why} and the logger's are no "
-                  "better")  # fmt: skip
+    other = "are missing" if np.isnan(times[:, 1]).any() else "do so, too"
+    return _Clock(None, f"scan numbers in place of seconds, since {why} and the logger's {other}")
 
 
 def _fallen(path: Path, line: int, time: float, fall: float) -> str:
@@ -166,10 +166,13 @@ def _odometry(path: Path, rows: Array, clock: _Clock) -> Array:
         )
     time = rows[:, 1 + clock.column]
     lost = np.isnan(time) | (time == 0)
-    lost[0] &= np.count_nonzero(lost) > 1  # a log may start at zero
+    lost[0] &= np.isnan(time[0]) or np.count_nonzero(lost) > 1  # a log may start at zero
     kept, time = rows[~lost], time[~lost]
-    if not len(kept) or np.isnan(time).any():
-        raise InputError(f"{path}: no ODOM line has a time ({_COLUMNS[clock.column]})")
+    if not len(kept):
+        raise InputError(
+            f"{path}: no ODOM line has a time ({_COLUMNS[clock.column]}), expected some, since the "
+            "robot stands still in the laser lines"
+        )
     fall = np.maximum.accumulate(time) - time
     fallen = np.flatnonzero(fall > _LARGEST_FALL_S)
     if len(fallen):

@@ -69,7 +69,7 @@ def recognises(path: Path) -> bool:
 
 
 def read(path: Path) -> Log:
-    """Read the file; times count from the first frame, or are frame numbers where it has none.
+    """Read the file; times count from the first frame, or are frame numbers where its own fail.
 
     The log starts at its first frame: at the truth's first pose, or else the origin. Raises
     InputError naming the byte of the unpacked file at fault.

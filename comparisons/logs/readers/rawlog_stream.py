@@ -326,7 +326,7 @@ def _thrun(moved: Array, model: tuple[float, ...]) -> Array:
     """(3, 3) in the departing frame, of turn, way and turn (Thrun et al. 2005, 5.4), linearised."""
     a1, a2, a3, a4, least_m, least_rad = model
     way = np.hypot(moved[0], moved[1])
-    first = np.arctan2(moved[1], moved[0])
+    first = np.arctan2(moved[1], moved[0]) if way > 0.0 else 0.0
     second = np.angle(np.exp(1j * (moved[2] - first)))
     sigmas = (
         a1 * abs(first) + a2 * way,

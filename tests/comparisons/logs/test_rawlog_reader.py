@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import struct
 from dataclasses import replace
 from pathlib import Path
 
@@ -115,6 +116,17 @@ def test_motion_models(model: int, version: int, tmp_path: Path) -> None:
     assert not np.allclose(log.odometry.covariance[0], departing, atol=scale)
 
 
+def test_a_turn_on_the_spot_has_no_direction_of_way(tmp_path: Path) -> None:
+    """Nor has it one where the way is written as minus zero."""
+    spreads = []
+    for zero in (0.0, -0.0):
+        content = frame(seen([(1.0, 0.0, 0.0, 1)])) + action((zero, 0.0, 0.4), model=1)
+        log = read_log(rawlog(tmp_path, content + frame(seen([(1.0, 0.0, 0.0, 1)]))))
+        assert isinstance(log.odometry, RelativePoses)
+        spreads.append(log.odometry.covariance)
+    assert np.array_equal(spreads[0], spreads[1])
+
+
 def test_frames_without_sightings_are_bridged(tmp_path: Path) -> None:
     one = [(1.0, 0.5, 0.0, 1)]
     content = frame(seen(one)) + action((1, 0, 0.5)) + frame(beacons()) + action((1, 0, 0.5))
@@ -143,6 +155,23 @@ def test_scans(version: int, place: int, tmp_path: Path) -> None:
     assert log.provenance["scans"].endswith("(front), 1 of others left out")
     write_log_folder(log, tmp_path / "again")
     assert_same(read_log_folder(tmp_path / "again"), replace(log, format="log-folder"))
+
+
+def test_a_scanner_upside_down_and_eyes_that_look_aside(tmp_path: Path) -> None:
+    """Beams lie the other way round; bearings are those from the robot's ahead."""
+    half = struct.pack("<4d", 0.0, np.cos(0.25), np.sin(0.25), 0.0)  # yaw 0.5, then roll pi
+    hanging = thing("CPose3D", 2, struct.pack("<3d", 0.2, 0.1, 0.5) + half)
+    aside = pose_3d(yaw=3.0)
+    content = frame(sweep(RANGES), seen([(1.0, 0.5, 0.0, 1)]))
+    turned = frame(sweep(RANGES, sensor=hanging), seen([(1.0, 0.5, 0.0, 1)], sensor=aside))
+    upright, other = (
+        read_log(rawlog(tmp_path, one + action((1, 0, 0)) + one)) for one in (content, turned)
+    )
+    assert upright.scans is not None
+    assert other.scans is not None
+    assert np.allclose(other.scans.angle_rad, -upright.scans.angle_rad)
+    assert other.scans.mount.heading_rad == pytest.approx(0.5)
+    assert other.sightings.bearing_rad[0] == pytest.approx(3.5 - 2.0 * np.pi)
 
 
 def test_observations_alone(tmp_path: Path) -> None:

@@ -348,7 +348,7 @@ BAD_CARMEN = {
     ),
     "no odometry's": (
         "".join(flaser(100.0 + t, 0.0) for t in range(4)) + "ODOM 0 0 0 0 0 0 0 host 0\n" * 2,
-        "no ODOM line has a time (IPC's)",
+        "no ODOM line has a time (IPC's), expected some",
     ),
     "parameter": (
         CARMEN.replace("max 81.0", "max 0"),
