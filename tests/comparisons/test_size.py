@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tracemalloc
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -42,6 +43,22 @@ def test_nothing_is_refused_where_the_memory_is_unknown(monkeypatch: pytest.Monk
     monkeypatch.setattr(size, "_limits", lambda: iter((1.0,)))
     with pytest.raises(InputError):
         check_size(prepared())
+
+
+@pytest.mark.parametrize("most", ["3000", "max"])
+def test_a_control_group_leaves_its_limit_and_what_files_hold(
+    most: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, text in (
+        ("memory.max", most),
+        ("memory.current", "2500"),
+        ("memory.stat", "anon 1500\ninactive_file 1000"),
+    ):
+        (tmp_path / name).write_text(f"{text}\n")
+    monkeypatch.setattr(size, "_CGROUP", tmp_path)
+    available = size.available_bytes()
+    assert available is not None
+    assert (available == 1500.0) == (most == "3000")
 
 
 def test_the_need_is_linear_in_poses_and_square_in_landmarks() -> None:

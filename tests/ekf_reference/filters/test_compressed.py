@@ -83,6 +83,35 @@ def test_equals_the_full_filter_in_simulation(association: Association | None) -
     assert_equal(found, run(drive, full(), association))
 
 
+@pytest.mark.parametrize("limit", ["state.WHOLE", "compressed.FOLDED"])
+def test_what_long_logs_need_equals_the_full_filter(
+    limit: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Global updates in strips, and rows of psi folded at every update."""
+    module, _, name = limit.partition(".")
+    folder = {"state": "core", "compressed": "filters"}[module]
+    monkeypatch.setattr(f"ekf_reference.{folder}.{module}.{name}", 0)
+    drive = circuit(seed=1)
+    assert_equal(run(drive, compressed()), run(drive, full()))
+
+
+def test_records_stacked_in_parts_are_those_stacked_at_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    drive = circuit(seed=1, duration_s=20.0)
+    whole = run(drive, full()).trace
+    monkeypatch.setattr("ekf_reference.core.trace.STACKED", 7)
+    parts = run(drive, full()).trace
+    assert len(whole.departed) > 70
+    for name in ("departed", "arrived", "f", "q"):
+        assert np.array_equal(getattr(whole, name), getattr(parts, name)), name
+    for name in ("measurements", "initialisations"):
+        one, other = (vars(getattr(trace, name)[POINT]) for trace in (whole, parts))
+        assert len(one["slot"]) > 14
+        for field, value in one.items():
+            assert np.array_equal(value, other[field]), f"{name}: {field}"
+
+
 def test_areas_are_left_and_landmarks_added_inside() -> None:
     state = compressed()
     run(circuit(seed=1), state)
