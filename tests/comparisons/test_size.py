@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tracemalloc
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,8 +12,8 @@ import pytest
 
 from comparisons.config import EkfConfig, RunConfig
 from comparisons.errors import InputError
-from comparisons.pipeline import size
-from comparisons.pipeline.compare import REQUIRED, run_filter
+from comparisons.pipeline import compare, size
+from comparisons.pipeline.compare import REQUIRED, compare_prepared, run_filter
 from comparisons.pipeline.prepare import Prepared, prepare
 from comparisons.pipeline.size import GIB, check_size, needed
 from tests.helpers import simulated
@@ -34,6 +35,15 @@ def test_what_does_not_fit_is_refused_in_one_line() -> None:
         check_size(one, 0.2 * GIB)
     assert "\n" not in str(told.value)
     assert "part of the log" in str(told.value)
+
+
+@pytest.mark.parametrize("large", [False, True])
+def test_a_run_asks_where_its_log_is_large(large: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(size, "available_bytes", lambda: 1.0)
+    one = prepared()
+    monkeypatch.setattr(compare, "ASKED_BEYOND", sum(one.log.records.values()) - large)
+    with pytest.raises(InputError, match="GiB are free") if large else nullcontext():
+        compare_prepared(one)
 
 
 def test_nothing_is_refused_where_the_memory_is_unknown(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,7 +13,7 @@ from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.measurements import Association
 from ekf_reference.core.state import STRIP, Correction, KalmanState, subtract
-from ekf_reference.core.trace import RecordedTrace, TraceArrays
+from ekf_reference.core.trace import RecordedTrace, RemovalRecord, StepRecord, TraceArrays
 from ekf_reference.filters.compressed import CompressedState, LocalAreas
 from tests.ekf_reference.numerics import relative_error
 from tests.ekf_reference.replay import Gaussian, eigenvalue_range, replay
@@ -201,6 +201,17 @@ def test_a_large_common_uncertainty_costs_no_digits(
     )
     lacking = np.abs(np.array(eigenvalue_range(found, exact)) - 1.0).max()
     assert (lacking < 1e-6) == holds, lacking
+
+
+def test_removals_know_the_steps_before_them_once_these_are_stacked(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("ekf_reference.core.trace.STACKED", 2)
+    trace = RecordedTrace()
+    for number in range(5):
+        trace.step(StepRecord(np.zeros(3), np.zeros(3), np.eye(3), np.eye(3)))
+        trace.removal(RemovalRecord(np.array([number]), POINT, np.arange(2)))
+    assert trace.arrays().removals.step.tolist() == [1, 2, 3, 4, 5]
 
 
 @pytest.mark.parametrize("c1", [1e-4, 1e-2])
