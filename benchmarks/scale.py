@@ -1,6 +1,9 @@
 """Time and memory of `slamcheck run` against the size of the log.
 
-python benchmarks/scale.py [--sizes 1000x100 10000x200] [--largest 10000] [--keep DIR]
+python benchmarks/scale.py [--sizes 1000x100 10000x200] [--largest 10000] [--write DIR]
+
+Sizes of more poses than --largest are left out, also where --sizes names them. --write only writes
+the logs.
 """
 
 from __future__ import annotations

@@ -19,7 +19,6 @@ _MOST_BYTES = 2**32
 _MOST_TEXT = 1000
 _HEADER_BYTES = 10_000
 _HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
-_ENCRYPTED = 0x1
 
 
 def read_archive(path: Path, names: tuple[str, ...]) -> list[NDArray[np.float64]]:
@@ -72,9 +71,8 @@ def _array(
     archive: zipfile.ZipFile, info: zipfile.ZipInfo, name: str, *, is_text: bool
 ) -> NDArray[Any]:
     """One entry. Its header and its size must agree before the rest of it is unpacked."""
-    packing = info.compress_type
-    if info.flag_bits & _ENCRYPTED or packing not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise InputError(f"{name} is encrypted or packed otherwise than by numpy")
+    if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise InputError(f"{name} is packed otherwise than by numpy")
     with archive.open(info) as entry:
         shape, column_major, dtype, start = _header(entry.read(_HEADER_BYTES), name)
     allowed = _is_short_text(dtype, shape) if is_text else dtype.kind in "fiu"

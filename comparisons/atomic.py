@@ -20,6 +20,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from comparisons.errors import InputError
+from comparisons.files import check_regular
 
 _OLD_S = 3600.0
 _PREFIX = f".slamcheck-{hashlib.sha256(platform.node().encode()).hexdigest()[:8]}-"
@@ -59,8 +60,7 @@ def check_file(path: Path) -> None:
     try:
         if path.is_dir() or path.name in ("", ".."):
             raise InputError(f"{path}: is a folder, expected a file to write")
-        if path.exists() and not path.is_file():
-            raise InputError(f"{path}: is not a regular file")
+        check_regular(path)
         check_above(path)
     except (OSError, ValueError) as error:
         raise _unwritable(path, error) from None

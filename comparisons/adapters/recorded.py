@@ -128,7 +128,7 @@ def _initialised(r: MeasurementRecords, until: Index) -> RecordedRelations:
 
 
 def _check_spread(slot: Index, covariance: Array) -> None:
-    """Raise InputError where a point was initialised with sigmas too unlike."""
+    """Raise InputError where a point was initialised with sigmas of too large a ratio."""
     if covariance.shape[-1] != POINT:
         return
     squared = np.linalg.eigvalsh(covariance)
@@ -136,8 +136,8 @@ def _check_spread(slot: Index, covariance: Array) -> None:
     if len(bad):
         least, largest = np.sqrt(np.maximum(squared[bad[0]], 0.0))
         raise InputError(
-            f"sightings: landmark {slot[bad[0]]} of the map was initialised by one with sigmas of "
-            f"{least:.3g} m one way and {largest:.3g} m the other, expected no more than "
-            f"{_MOST_UNLIKE:g} between them, for an EKF's covariance loses the smaller: raise that "
-            "of sigma_range_m and sigma_bearing_rad, or lower the other"
+            f"sightings: landmark {slot[bad[0]]} of the map was initialised with sigmas of "
+            f"{least:.3g} m and {largest:.3g} m, expected a ratio of at most {_MOST_UNLIKE:g}, "
+            "since an EKF's covariance loses the smaller: raise one of sigma_range_m and "
+            "sigma_bearing_rad, or lower the other"
         )

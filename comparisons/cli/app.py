@@ -43,7 +43,7 @@ def build(names: list[str]) -> typer.Typer:
         name="slamcheck",
         help="Is my EKF-SLAM right? Runs an EKF and a smoother on one log and judges the EKF.",
         epilog="Exit codes: 0 agree, 1 disagree, 2 unusable input or usage, 3 unverified, "
-        "70 a fault of slamcheck itself, 130 interrupted.",
+        "70 a fault of slamcheck itself, 128 + n stopped by signal n (130 Ctrl-C).",
         no_args_is_help=True,
         rich_markup_mode=None,
         pretty_exceptions_enable=False,

@@ -6,6 +6,7 @@ a run is refused only where it needs more than the machine could give it.
 
 from __future__ import annotations
 
+import resource
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -35,7 +36,7 @@ def check_size(prepared: Prepared[Any], available: float | None = None) -> None:
     log, timeline = prepared.log, prepared.timeline
     poses, measurements = len(timeline.epoch_time_s), len(timeline.sighting_epoch)
     landmarks = len(np.unique(log.sightings.landmark)) if prepared.labelled else 0
-    need = needed(poses, measurements, landmarks, full=prepared.ekf.filter != "compressed")
+    need = needed(poses, measurements, landmarks, full=prepared.ekf.filter == "full")
     room = available_bytes() if available is None else available
     if room is not None and need > room:
         raise InputError(
@@ -71,17 +72,13 @@ def _limits() -> Iterator[float]:
                 map(str.split, _text((_CGROUP / used).with_name("memory.stat")).splitlines())
             )
             yield float(most) - float(now) + float(stated.get("inactive_file", 0.0))  # files' cache
-    try:
-        import resource
-    except ImportError:  # not a Unix
-        return
     soft = resource.getrlimit(resource.RLIMIT_AS)[0]
     if soft != resource.RLIM_INFINITY:
         yield float(soft)
 
 
 def _text(path: Path) -> str:
-    """What a file says, nothing where there is none."""
+    """Return what a file holds, nothing where it cannot be read."""
     try:
         return path.read_text(encoding="ascii")
     except OSError:

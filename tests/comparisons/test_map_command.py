@@ -11,6 +11,7 @@ import pytest
 from matplotlib.image import imread
 
 from comparisons.errors import InputError
+from comparisons.extensions.dense_maps import memory
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.memory import Demand
 from comparisons.logs.bundled import open_log
@@ -27,6 +28,7 @@ from ekf_reference.dense.layers.layer import Hits
 from ekf_reference.dense.layers.points import Points
 from ekf_reference.dense.regions_at_map import RegionsAtMap
 from tests.comparisons.test_cli import slamcheck
+from tests.fuzz.test_hostile_files import outcome, run_main
 
 
 @pytest.mark.slow
@@ -204,7 +206,13 @@ def test_a_map_too_large_is_refused_with_a_resolution_that_fits(name: str) -> No
         demand(0.75 * fits).check(name)
 
 
-def test_the_command_refuses_it_before_it_starts(tmp_path: Path) -> None:
-    done = slamcheck("map", "occupancy-loop", "--resolution", "0.01", "--dynamic", cwd=tmp_path)
-    assert done.returncode == 2
-    assert done.stderr.count("\n") == 1
+def test_the_command_refuses_it_before_it_starts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(memory, "MOST_BYTES", 1e8)
+    monkeypatch.chdir(tmp_path)
+    code, told = outcome(lambda: run_main(["map", "occupancy-loop", "--resolution", "0.8"]))
+    assert code == 2
+    assert told.endswith("the limit is 0.0931323 GiB; expected a shorter log\n")
+    assert told.count("\n") == 1
+    assert not list(tmp_path.iterdir())

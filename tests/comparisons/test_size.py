@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import tracemalloc
+from contextlib import nullcontext
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from comparisons.config import EkfConfig, RunConfig
 from comparisons.errors import InputError
-from comparisons.pipeline import size
-from comparisons.pipeline.compare import REQUIRED, run_filter
+from comparisons.pipeline import compare, size
+from comparisons.pipeline.compare import REQUIRED, compare_prepared, run_filter
 from comparisons.pipeline.prepare import Prepared, prepare
 from comparisons.pipeline.size import GIB, check_size, needed
 from tests.helpers import simulated
@@ -35,6 +37,15 @@ def test_what_does_not_fit_is_refused_in_one_line() -> None:
     assert "part of the log" in str(told.value)
 
 
+@pytest.mark.parametrize("large", [False, True])
+def test_a_run_asks_where_its_log_is_large(large: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(size, "available_bytes", lambda: 1.0)
+    one = prepared()
+    monkeypatch.setattr(compare, "ASKED_BEYOND", sum(one.log.records.values()) - large)
+    with pytest.raises(InputError, match="GiB are free") if large else nullcontext():
+        compare_prepared(one)
+
+
 def test_nothing_is_refused_where_the_memory_is_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(size, "_limits", lambda: iter(()))
     monkeypatch.setattr(size, "BASE", 1e18)
@@ -42,6 +53,22 @@ def test_nothing_is_refused_where_the_memory_is_unknown(monkeypatch: pytest.Monk
     monkeypatch.setattr(size, "_limits", lambda: iter((1.0,)))
     with pytest.raises(InputError):
         check_size(prepared())
+
+
+@pytest.mark.parametrize("most", ["3000", "max"])
+def test_a_control_group_leaves_its_limit_and_what_files_hold(
+    most: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, text in (
+        ("memory.max", most),
+        ("memory.current", "2500"),
+        ("memory.stat", "anon 1500\ninactive_file 1000"),
+    ):
+        (tmp_path / name).write_text(f"{text}\n")
+    monkeypatch.setattr(size, "_CGROUP", tmp_path)
+    available = size.available_bytes()
+    assert available is not None
+    assert (available == 1500.0) == (most == "3000")
 
 
 def test_the_need_is_linear_in_poses_and_square_in_landmarks() -> None:

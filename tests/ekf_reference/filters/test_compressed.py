@@ -13,7 +13,7 @@ from ekf_reference.core.geometry import Array, Index
 from ekf_reference.core.landmark_types import POINT
 from ekf_reference.core.measurements import Association
 from ekf_reference.core.state import STRIP, Correction, KalmanState, subtract
-from ekf_reference.core.trace import RecordedTrace, TraceArrays
+from ekf_reference.core.trace import RecordedTrace, RemovalRecord, StepRecord, TraceArrays
 from ekf_reference.filters.compressed import CompressedState, LocalAreas
 from tests.ekf_reference.numerics import relative_error
 from tests.ekf_reference.replay import Gaussian, eigenvalue_range, replay
@@ -81,6 +81,35 @@ def test_equals_the_full_filter_in_simulation(association: Association | None) -
     found = run(drive, compressed(), association)
     assert (found.slot >= 0).mean() > 0.9
     assert_equal(found, run(drive, full(), association))
+
+
+@pytest.mark.parametrize("limit", ["state.WHOLE", "compressed.FOLDED"])
+def test_what_long_logs_need_equals_the_full_filter(
+    limit: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Global updates in strips, and rows of psi folded at every update."""
+    module, _, name = limit.partition(".")
+    folder = {"state": "core", "compressed": "filters"}[module]
+    monkeypatch.setattr(f"ekf_reference.{folder}.{module}.{name}", 0)
+    drive = circuit(seed=1)
+    assert_equal(run(drive, compressed()), run(drive, full()))
+
+
+def test_records_stacked_in_parts_are_those_stacked_at_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    drive = circuit(seed=1, duration_s=20.0)
+    whole = run(drive, full()).trace
+    monkeypatch.setattr("ekf_reference.core.trace.STACKED", 7)
+    parts = run(drive, full()).trace
+    assert len(whole.departed) > 70
+    for name in ("departed", "arrived", "f", "q"):
+        assert np.array_equal(getattr(whole, name), getattr(parts, name)), name
+    for name in ("measurements", "initialisations"):
+        one, other = (vars(getattr(trace, name)[POINT]) for trace in (whole, parts))
+        assert len(one["slot"]) > 14
+        for field, value in one.items():
+            assert np.array_equal(value, other[field]), f"{name}: {field}"
 
 
 def test_areas_are_left_and_landmarks_added_inside() -> None:
@@ -172,6 +201,17 @@ def test_a_large_common_uncertainty_costs_no_digits(
     )
     lacking = np.abs(np.array(eigenvalue_range(found, exact)) - 1.0).max()
     assert (lacking < 1e-6) == holds, lacking
+
+
+def test_removals_know_the_steps_before_them_once_these_are_stacked(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("ekf_reference.core.trace.STACKED", 2)
+    trace = RecordedTrace()
+    for number in range(5):
+        trace.step(StepRecord(np.zeros(3), np.zeros(3), np.eye(3), np.eye(3)))
+        trace.removal(RemovalRecord(np.array([number]), POINT, np.arange(2)))
+    assert trace.arrays().removals.step.tolist() == [1, 2, 3, 4, 5]
 
 
 @pytest.mark.parametrize("c1", [1e-4, 1e-2])
