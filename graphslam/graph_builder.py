@@ -55,7 +55,7 @@ def sighting_factors(
 ) -> list[gtsam.BearingRangeFactor2D]:
     """One factor per sighting, between the keys given; gtsam wants the bearing first.
 
-    Those of equal sigmas share a noise model: a third of the memory of a long log's graph.
+    Those of equal sigmas share a noise model: a long log's graph takes 0.4 of the memory.
     """
     diagonal = gtsam.noiseModel.Diagonal.Sigmas
     sigmas, kind = np.unique(problem.sigma[:, ::-1], axis=0, return_inverse=True)
