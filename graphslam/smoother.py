@@ -180,8 +180,8 @@ def smooth(
     reach = int(np.abs(problem.closures.first - problem.closures.second).max(initial=0))
     if options.method == "fixed-lag" and reach > options.lag:
         raise ValueError(f"lag is {options.lag}, expected {reach} at least: so far closures reach")
-    rejected = NOTHING_REJECTED
-    reached = np.union1d(problem.steps + 1, problem.closures.last)
+    rejected, closed = NOTHING_REJECTED, problem.closures
+    reached = np.union1d(problem.steps + 1, closed.last)
     alone = np.setdiff1d(np.arange(1, problem.pose_count), reached)
     if options.method != "batch" and len(alone):
         raise ValueError(
@@ -190,6 +190,8 @@ def smooth(
         )
     if options.robust == "gnc" and problem.lever_m != (0.0, 0.0) and len(problem.position):
         raise ValueError("robust is gnc, which cannot weigh positions of an antenna off the pose")
+    if options.robust == "gnc" and len(closed.first) and closed.kernel == "none":
+        raise ValueError("robust is gnc, which does not weigh closures, expected huber or cauchy")
     if options.robust == "gnc":
         progress("smoother, wild observations")
         graph = build_graph(problem)

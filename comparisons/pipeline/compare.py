@@ -26,6 +26,7 @@ from comparisons.pipeline.prepare import (
     Prepared,
     Progress,
     Required,
+    check_memory,
     no_progress,
     prepare,
 )
@@ -40,8 +41,6 @@ if TYPE_CHECKING:
 
 F = TypeVar("F", bound=Finding)
 
-ASKED_BEYOND = 50_000
-"""Records of a log beyond which a run asks first whether there is memory enough."""
 REQUIRED = Required(
     sightings="try --features trees, --landmarks scans, or slamcheck odometry for its scans",
     odometry="use --motion scan",
@@ -132,10 +131,7 @@ def compare(
 def compare_prepared(prepared: Prepared[RunConfig]) -> Comparison:
     """Do the same with a log that is prepared. Raises as `compare` does."""
     log, clock, progress = prepared.log, prepared.clock, prepared.progress
-    if sum(log.records.values()) > ASKED_BEYOND:
-        from comparisons.pipeline.size import check_size
-
-        check_size(prepared)
+    check_memory(prepared)
     options = SmootherOptions(**prepared.config.smoother.model_dump())
     with clock.stage("ekf"):
         run, setup = run_filter(prepared)

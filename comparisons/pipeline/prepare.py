@@ -58,6 +58,10 @@ class Clock:
         }
 
 
+ASKED_BEYOND = 50_000
+"""Records of a log beyond which a job asks first whether there is memory enough."""
+
+
 def no_progress(stage: str, done: int, total: int) -> None:
     """Show nothing."""
 
@@ -156,6 +160,14 @@ def prepare(
     for extension in prepared.extensions:
         prepared = extension.prepare(prepared)
     return prepared
+
+
+def check_memory(prepared: Prepared[Any]) -> None:
+    """Raise InputError where the job needs more memory than the machine has; see size."""
+    if sum(prepared.log.records.values()) > ASKED_BEYOND:
+        from comparisons.pipeline.size import check_size
+
+        check_size(prepared)
 
 
 def _check_streams(prepared: Prepared[Any], required: Required) -> None:

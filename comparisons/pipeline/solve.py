@@ -22,7 +22,14 @@ from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
 from comparisons.logs.transforms.known_landmarks import slots_by_label
-from comparisons.pipeline.prepare import Prepared, Progress, Required, no_progress, prepare
+from comparisons.pipeline.prepare import (
+    Prepared,
+    Progress,
+    Required,
+    check_memory,
+    no_progress,
+    prepare,
+)
 from graphslam.increments import dead_reckoned
 from graphslam.smoother import SmootherOptions, SmootherResult
 
@@ -79,6 +86,7 @@ def solve(
     other = "use slamcheck odometry for its scans"
     required = Required(None if log.closures is not None else other, other, closures=True)
     prepared = prepare(log, config, ekf, progress, required)
+    check_memory(prepared)
     log, clock, timeline = prepared.log, prepared.clock, prepared.timeline
     guesses, own, associator = {}, None, None
     with clock.stage("association"):

@@ -12,10 +12,12 @@ import pytest
 
 from comparisons.config import EkfConfig, RunConfig
 from comparisons.errors import InputError
-from comparisons.pipeline import compare, size
+from comparisons.pipeline import prepare as prepare_module
+from comparisons.pipeline import size
 from comparisons.pipeline.compare import REQUIRED, compare_prepared, run_filter
 from comparisons.pipeline.prepare import Prepared, prepare
 from comparisons.pipeline.size import GIB, check_size, needed
+from comparisons.pipeline.solve import solve
 from tests.helpers import simulated
 
 
@@ -38,12 +40,14 @@ def test_what_does_not_fit_is_refused_in_one_line() -> None:
 
 
 @pytest.mark.parametrize("large", [False, True])
-def test_a_run_asks_where_its_log_is_large(large: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_jobs_ask_where_a_log_is_large(large: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(size, "available_bytes", lambda: 1.0)
     one = prepared()
-    monkeypatch.setattr(compare, "ASKED_BEYOND", sum(one.log.records.values()) - large)
+    monkeypatch.setattr(prepare_module, "ASKED_BEYOND", sum(one.log.records.values()) - large)
     with pytest.raises(InputError, match="GiB are free") if large else nullcontext():
         compare_prepared(one)
+    with pytest.raises(InputError, match="GiB are free") if large else nullcontext():
+        solve(one.log)
 
 
 def test_nothing_is_refused_where_the_memory_is_unknown(monkeypatch: pytest.MonkeyPatch) -> None:

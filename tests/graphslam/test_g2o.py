@@ -232,6 +232,12 @@ def test_poses_in_a_row_need_no_edge(tmp_path: Path) -> None:
         smooth(replace(problem, closures=late), {}, options=isam2)
 
 
+def test_gnc_does_not_pass_over_closures(tmp_path: Path) -> None:
+    problem = square(tmp_path / "a.graph", TORO).problem
+    with pytest.raises(ValueError, match="gnc, which does not weigh closures"):
+        smooth(problem, {}, options=SmootherOptions(robust="gnc"))
+
+
 def test_iSAM2_takes_what_is_connected_along_the_way(tmp_path: Path) -> None:  # noqa: N802
     problem = square(tmp_path / "a.graph", TORO).problem
     batch, followed = (
