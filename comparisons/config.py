@@ -85,6 +85,7 @@ class LogSection(Section):
         1.0,
         gt=0.0,
         le=1e6,
+        allow_inf_nan=False,
         description="factor on the noise of a simulated log, added and stated alike",
     )
     features: Features = Field("log", description="the log's own, or trunks found in its scans")
