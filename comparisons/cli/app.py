@@ -33,6 +33,8 @@ COMMANDS = {
 }
 """Names, and where each command is found in this package."""
 STOPS = (signal.SIGTERM, signal.SIGHUP)
+AGAIN_S = 10.0
+"""An exit that a signal asked for is tried again after so long."""
 _USAGE: type[Any] = typer.BadParameter.__bases__[0]
 """What every misuse of the command line is raised as."""
 
@@ -79,7 +81,7 @@ def main() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")
-    _stop_on_signals()
+    stopped = _stop_on_signals()
     asked = sys.argv[1] if len(sys.argv) > 1 else ""
     try:
         code = build([asked] if asked in COMMANDS else list(COMMANDS))(standalone_mode=False)
@@ -96,24 +98,34 @@ def main() -> None:
     except OSError as error:  # of what a command prints outside of its own guard, such as help
         fail(f"standard output: {error.strerror or error}", UNUSABLE)
     except Exception:
+        if stopped:  # a library made another fault of the exit
+            sys.exit(128 + stopped[0])
         traceback.print_exc()
         sys.exit(BROKEN)
 
 
-def _stop_on_signals() -> None:
+def _stop_on_signals() -> list[int]:
     """Clean up and exit with 128 and the signal's number; one that is ignored stays so (nohup).
 
     A closing terminal sends its signal twice: what repeats within a second is the same request, and
-    must not cut short the cleaning up.
+    must not cut short the cleaning up. An exit that was lost, as in a library's callback, is tried
+    again. Returns the list that gets the signal's number.
     """
-    asked = -1.0
+    asked: list[int] = []
+    last_s = 0.0
 
     def stop(number: int, frame: FrameType | None) -> None:
-        nonlocal asked
-        before, asked = asked, time.monotonic()
-        if before < 0.0 or asked - before > 1.0:
-            sys.exit(128 + number)
+        nonlocal last_s
+        before_s, last_s = last_s, time.monotonic()
+        if asked and number != signal.SIGALRM and last_s - before_s < 1.0:
+            return
+        if not asked:
+            asked.append(number)
+            signal.signal(signal.SIGALRM, stop)
+        signal.setitimer(signal.ITIMER_REAL, AGAIN_S)
+        sys.exit(128 + asked[0])
 
     for number in STOPS:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, stop)
+    return asked

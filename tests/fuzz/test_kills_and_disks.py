@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 
 from comparisons import atomic
 from comparisons.atomic import fresh_folder, is_unfinished, write_whole
+from comparisons.cli import app
 from comparisons.cli.support import _start_log
 from comparisons.estimates.trajectory_files import Trajectory, write_trajectory
 from comparisons.experiments.montecarlo.chunk_files import check_folder
@@ -250,6 +251,50 @@ def test_a_closing_terminal_signals_twice(twice: bool, tmp_path: Path) -> None:
         job.wait(30)
     assert job.returncode in (129, 143)
     assert not unfinished(tmp_path)
+
+
+def test_an_exit_that_is_lost_is_tried_again(tmp_path: Path) -> None:
+    """As in a library's callback, whose exceptions are dropped."""
+    lost = """
+import sys, time
+from comparisons.cli import app
+app.AGAIN_S = 0.2
+app._stop_on_signals()
+print("begins", flush=True)
+try:
+    time.sleep(60)
+except SystemExit:
+    print("lost", flush=True)
+time.sleep(60)
+"""
+    job = subprocess.Popen((sys.executable, "-c", lost), stdout=subprocess.PIPE, text=True,
+                           env={**os.environ, "PYTHONPATH": str(ROOT)})  # fmt: skip
+    try:
+        assert job.stdout is not None
+        assert job.stdout.readline() == "begins\n"
+        job.send_signal(signal.SIGTERM)
+        assert job.communicate(timeout=30)[0] == "lost\n"
+    finally:
+        job.kill()
+    assert job.returncode == 143
+
+
+def test_a_fault_that_an_exit_became_is_no_traceback(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def run(standalone_mode: bool) -> int:
+        try:
+            os.kill(os.getpid(), signal.SIGTERM)
+        except SystemExit:
+            raise SystemError("recursion depth mismatch") from None
+        return 0
+
+    monkeypatch.setattr(app, "build", lambda names: run)
+    with pytest.raises(SystemExit) as stop:
+        run_main(["run"])
+    signal.setitimer(signal.ITIMER_REAL, 0.0)
+    assert stop.value.code == 143
+    assert not capsys.readouterr().err
 
 
 def test_an_ignored_signal_stays_ignored(tmp_path: Path) -> None:
