@@ -260,8 +260,8 @@ import sys, time
 from comparisons.cli import app
 app.AGAIN_S = 0.2
 app._stop_on_signals()
-print("begins", flush=True)
 try:
+    print("begins", flush=True)
     time.sleep(60)
 except SystemExit:
     print("lost", flush=True)
