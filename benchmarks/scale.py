@@ -153,7 +153,7 @@ def run(arguments: list[str]) -> None:
 
     began, stage = [0.0], Clock.stage
 
-    def told(name: str) -> None:
+    def report(name: str) -> None:
         now = time.process_time()
         print(MARK + json.dumps((name, now - began[0], _peak_mib())), file=sys.stderr)
         began[0] = now
@@ -161,17 +161,17 @@ def run(arguments: list[str]) -> None:
     @contextmanager
     def measured(clock: Clock, name: str) -> Iterator[None]:
         if not clock.seconds:
-            told("read")
+            report("read")
         with stage(clock, name):
             yield
-        told(name)
+        report(name)
 
     Clock.stage = measured  # type: ignore[method-assign, assignment]
     sys.argv = ["slamcheck", "run", *arguments]
     try:
         main()
     finally:
-        told("report")
+        report("report")
 
 
 def _peak_mib() -> float:

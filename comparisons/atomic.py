@@ -91,7 +91,7 @@ def check_replaceable(target: Path, replaceable: frozenset[str] = frozenset()) -
 
 
 def check_above(path: Path) -> None:
-    """Raises InputError where nothing can be written at a path, as far as can be told before."""
+    """Raises InputError where nothing can be written at a path, as far as can be known before."""
     try:
         with suppress(FileNotFoundError, NotADirectoryError):
             os.lstat(path)  # refuses names that are none, or too long

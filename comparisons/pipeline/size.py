@@ -31,7 +31,7 @@ _CGROUP = Path("/sys/fs/cgroup")
 def check_size(prepared: Prepared[Any], available: float | None = None) -> None:
     """Raise InputError where a run needs more memory than there is.
 
-    available: bytes; asked of the machine unless told, and nothing is refused where it is unknown.
+    available: bytes, by default what the machine has free; where unknown, nothing is refused.
     """
     log, timeline = prepared.log, prepared.timeline
     poses, measurements = len(timeline.epoch_time_s), len(timeline.sighting_epoch)

@@ -60,7 +60,8 @@ class CompressedState(KalmanState):
 
     What KalmanState keeps is all of it as of the last global update. phi: (a', a), theta: (a,) as
     in section 4; a states at the area's start, a' now. learnt: rows (m, a + 1) L^-1 (H phi, nu) of
-    the updates, S = L L^T: psi is the sum of their squares.
+    the updates, S = L L^T: psi is the sum of their squares. theta repeats what their last column
+    says, for places that are asked between global updates.
     """
 
     def __init__(self, pose: Array, covariance: Array, areas: LocalAreas) -> None:

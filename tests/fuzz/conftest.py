@@ -1,4 +1,4 @@
-"""Cases that were tried, by kind, and the time that they took: told when the tests have ended."""
+"""Count the cases that were tried, by kind, with their time, and report them at the end."""
 
 from __future__ import annotations
 

@@ -86,7 +86,7 @@ def unfinished(folder: Path) -> list[Path]:
     return [p for p in folder.iterdir() if is_unfinished(p.name)]
 
 
-def begun(folder: Path) -> Path:
+def workplace(folder: Path) -> Path:
     """The only unfinished output, once its process holds the lock and has written a file."""
     deadline = time.monotonic() + 30.0
     while time.monotonic() < deadline:
@@ -94,7 +94,7 @@ def begun(folder: Path) -> Path:
             if (place / "new" / "0.txt").exists():
                 return place
         time.sleep(0.01)
-    raise AssertionError("nothing was begun")
+    raise AssertionError("nothing was written")
 
 
 def assert_whole(kind: str, target: Path) -> None:
@@ -220,7 +220,7 @@ def test_what_is_not_surely_ours_stays(name: str, tmp_path: Path) -> None:
 
 def test_what_a_process_still_writes_stays(tmp_path: Path) -> None:
     with writing("folder", tmp_path / "out", 1000.0):
-        place = begun(tmp_path)
+        place = workplace(tmp_path)
         grow_old(place)
         write_beside(tmp_path)
         assert unfinished(tmp_path) == [place]
@@ -244,7 +244,7 @@ def test_a_file_system_without_locks(tmp_path: Path, monkeypatch: pytest.MonkeyP
 @pytest.mark.parametrize("twice", [False, True])
 def test_a_closing_terminal_signals_twice(twice: bool, tmp_path: Path) -> None:
     with writing("folder", tmp_path / "out", 1000.0) as job:
-        begun(tmp_path)
+        workplace(tmp_path)
         job.send_signal(signal.SIGHUP)
         if twice:
             job.send_signal(signal.SIGTERM)

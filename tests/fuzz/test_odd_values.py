@@ -28,11 +28,10 @@ from comparisons.extensions.registry import EXTENSIONS, config_class
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log, Truth
 from comparisons.logs.log_folder import write_log_folder
-from comparisons.logs.odometry import SteeringOdometry
 from tests.fuzz.damage import cases, counted
 from tests.fuzz.subjects import SCENARIO, SUBJECTS, Subject
 from tests.fuzz.test_hostile_files import outcome, run_main
-from tests.helpers import simulated
+from tests.helpers import first_seconds, simulated
 
 SECONDS, MEMORY_BYTES = 60, 2 * 2**30
 """What a command may take for a log of ten seconds: of the processor, ten times that on the wall of
@@ -59,20 +58,12 @@ QUIET = (HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_to
 
 def few_scans(seconds: float = 12.0) -> Log:
     """The beginning of a drive with a laser."""
-    log = open_log("occupancy-loop")
-    odometry, scans = log.odometry, log.scans
-    assert isinstance(odometry, SteeringOdometry)
+    log = first_seconds(open_log("occupancy-loop"), seconds)
+    scans = log.scans
     assert scans is not None
-    n, m = (int(np.searchsorted(one.time_s, seconds)) for one in (odometry, scans))
+    m = int(np.searchsorted(scans.time_s, seconds))
     return replace(
         log,
-        odometry=replace(
-            odometry,
-            time_s=odometry.time_s[:n],
-            speed_mps=odometry.speed_mps[:n],
-            steering_rad=odometry.steering_rad[:n],
-        ),
-        sightings=log.sightings.chosen(log.sightings.time_s < seconds),
         scans=replace(
             scans,
             time_s=scans.time_s[:m],

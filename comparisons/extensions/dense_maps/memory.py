@@ -1,7 +1,7 @@
-"""What memory a dense map is going to take, told from the log before the filter starts.
+"""Estimate the memory of a dense map from the log, before the filter starts.
 
 The bounds were fitted to five logs (occupancy-loop, dynamic-places, scan-loop-fine, scan-slam-maps
-and the car park) at 0.2 and 0.1 m; there the whole process peaks at 0.6 to 0.95 of what is told.
+and the car park) at 0.2 and 0.1 m; there the whole process peaks at 0.6 to 0.95 of the estimate.
 """
 
 from __future__ import annotations
