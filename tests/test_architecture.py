@@ -70,6 +70,12 @@ def foreign(source: str, package: str) -> list[str]:
     )
 
 
+def test_nothing_in_the_house_imports_the_public_interface() -> None:
+    for package in sorted(HOUSE):
+        for path in (ROOT / package).rglob("*.py"):
+            assert "slamcheck" not in imported(path.read_text()), path
+
+
 def modules() -> dict[str, Path]:
     """Every module of the house by its dotted name."""
     found = {}
