@@ -1,10 +1,8 @@
-"""Baselines and the pytest plugin, as a gate in continuous integration."""
+"""Baselines, as a gate in continuous integration."""
 
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
@@ -41,8 +39,6 @@ from comparisons.report.side_by_side import read_results, side_by_side
 from comparisons.settings import run_config
 from tests.comparisons.test_cli import slamcheck
 from tests.helpers import compared, simulated
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="module")
@@ -438,27 +434,3 @@ def test_runs_stand_side_by_side(tmp_path: Path, result: Result) -> None:
     missing = slamcheck("compare", "a", "nowhere", cwd=tmp_path)
     assert missing.returncode == 2
     assert "nowhere" in missing.stderr
-
-
-@pytest.mark.slow
-def test_the_plugin_judges_every_log_of_a_folder(tmp_path: Path) -> None:
-    write_log_folder(simulated(loop_s=20.0), tmp_path / "logs" / "short")
-    write_log_folder(simulated(seed=1, loop_s=20.0), tmp_path / "logs" / "other")
-    (tmp_path / "pytest.ini").write_text("[pytest]\nslam_logs = logs\n")
-    (tmp_path / "test_gate.py").write_text(
-        "def test_log(slam_log, slam_check):\n"
-        "    assert slam_check(slam_log).outcome == 'agree'\n"
-        "    assert slam_log.name\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-v", "-p", "no:slamcheck", "-p", "no:cacheprovider",
-         "-p", "comparisons.pytest_plugin", "test_gate.py"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-        env={"PYTHONPATH": str(ROOT), "PATH": ""},
-    )  # fmt: skip
-    assert done.returncode == 0, done.stdout
-    assert "test_log[other] PASSED" in done.stdout
-    assert "test_log[short] PASSED" in done.stdout
