@@ -98,7 +98,7 @@ NOISE = 3.0
 
 _ROUNDED = ("algebra_gap", "model_gap")
 _EXACT = ("ekf.landmarks", "smoother.poses", "landmarks.count", "landmarks.agreeing")
-_ONE_SIDED = ("less", "more")
+_WHICH = ("source", "sha256")
 _APART = ("settings", "log", "consistency")
 """Parts of a check's result that hold no figures of the estimate, or are read on their own."""
 
@@ -167,8 +167,7 @@ class Change:
         told = f"{self.name}: {_told(self.then)} then, {_told(self.now)} now"
         if self.tolerance:
             told += f", tolerance {self.tolerance:.3g}"
-        side = None if isinstance(self.then, str) else judged_by(self.name)
-        return told + (f" ({side.side} is better)" if side and side.side in _ONE_SIDED else "")
+        return f"{told} ({_side_in_words(self)})"
 
 
 def judged_by(name: str) -> Judged | None:
@@ -369,10 +368,10 @@ def _all_words(one: Baseline | Found) -> dict[str, str | None]:
 
 
 def _kept_config(config: RunConfig | CheckConfig) -> dict[str, Any]:
-    """All settings but which estimate is judged, which each comparison is given."""
+    """All settings but which log and which estimate, which each comparison is given."""
     kept = config.model_dump(mode="json", exclude_none=True)
-    for name in ("estimate", "times"):
-        kept.pop(name, None)
+    for section, name in ((kept, "estimate"), (kept, "times"), *((kept["log"], n) for n in _WHICH)):
+        section.pop(name, None)
     return kept
 
 
@@ -392,9 +391,9 @@ def _of_landmarks(rows: Sequence[GivenLandmarkResult]) -> dict[str, float | None
     return found
 
 
-def _of_consistency(found: ConsistencyResult | None) -> dict[str, float | None]:
+def _of_consistency(found: object) -> dict[str, float | None]:
     """Averages of the filter's NEES and NIS, and of its poses against the smoother's."""
-    if found is None:
+    if not isinstance(found, ConsistencyResult):
         return {}
     kept: dict[str, float | None] = {}
     if found.ekf is not None:
@@ -414,6 +413,15 @@ def _of_consistency(found: ConsistencyResult | None) -> dict[str, float | None]:
 def _left_out(name: str) -> bool:
     judged = judged_by(name)
     return judged is not None and judged.side == "left out"
+
+
+def _side_in_words(change: Change) -> str:
+    if isinstance(change.then, str) or isinstance(change.now, str):
+        return "in order of grades" if change.name == "grade" else "any change counts"
+    judged = judged_by(change.name)
+    if judged is not None and judged.side in ("less", "more"):
+        return f"{judged.side} is better"
+    return "any change counts"
 
 
 def _told(value: float | str | None) -> str:

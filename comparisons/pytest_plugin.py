@@ -162,7 +162,7 @@ def slam_log(request: pytest.FixtureRequest) -> Log:
     """A log of the folder that the setting `slam_logs` names."""
     from comparisons.logs.bundled import open_log
 
-    return open_log(request.param)
+    return _plain(open_log)(request.param)
 
 
 @pytest.fixture(scope="session")

@@ -122,11 +122,10 @@ def compare(
             typer.echo(f"{file}: updated")
             raise SystemExit(AGREE)
         states = {change.state for change in changes}
-        if "broken" in states:
-            raise SystemExit(DISAGREE)
         if states != {"holds"}:
-            typer.echo(f"to keep what is better or new in {file}: --update")
-        raise SystemExit(AGREE)
+            meant = "if that is meant, keep it" if "broken" in states else "to keep it"
+            typer.echo(f"{meant} in {file}: --update")
+        raise SystemExit(DISAGREE if "broken" in states else AGREE)
 
 
 def side_by_side(

@@ -251,6 +251,7 @@ def test_a_check_holds_beside_itself(checked: CheckResult) -> None:
     assert [change.name for change in changes[:2]] == ["verdict", "grade"]
     assert {"rms_m", "accuracy.ate_m", "landmarks.agreeing", "outside"} <= set(kept.metrics)
     assert not {"estimate", "times"} & set(kept.config)
+    assert not {"source", "sha256"} & set(kept.config["log"])
     assert kept.of_estimate
     assert read_again(kept) == kept
 
@@ -350,7 +351,7 @@ def test_the_commands_on_an_estimate(tmp_path: Path, estimate: Estimate) -> None
     assert broken.returncode == 1
     assert "broken: grade: equal then, wrong now" in broken.stdout
     assert "cause: time: 0.200 s later" in broken.stdout
-    assert "--update" not in broken.stdout
+    assert "if that is meant, keep it in b.json: --update" in broken.stdout
     assert '<failure message="grade' in (tmp_path / "j.xml").read_text()
     before = (tmp_path / "b.json").read_text()
     kept = slamcheck(*compare, "--update", cwd=tmp_path)

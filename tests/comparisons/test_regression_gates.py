@@ -26,6 +26,7 @@ from tests.helpers import compared, simulated
 
 ROOT = Path(__file__).resolve().parents[2]
 WORKFLOW = ROOT / "examples" / "ci" / "slamcheck.yml"
+PAGE = ROOT / "docs" / "regression-gates.md"
 STRICT = """\
 [pytest]
 slam_logs = logs
@@ -195,6 +196,12 @@ def test_the_workflow_keeps_reports_of_a_failure() -> None:
     assert installed["cache"] == "pip"
 
 
+def snippet(kind: str) -> str:
+    """Return the only one of a kind on the documentation's page."""
+    (found,) = re.findall(rf"^```{kind}\n(.*?)^```", PAGE.read_text(), re.MULTILINE | re.DOTALL)
+    return str(found)
+
+
 def run_workflow(folder: Path) -> dict[str, subprocess.CompletedProcess[str]]:
     """Do every step but the installation with the shell that runs them in earnest."""
     yaml = pytest.importorskip("ruamel.yaml").YAML(typ="safe")
@@ -219,7 +226,7 @@ def run_workflow(folder: Path) -> dict[str, subprocess.CompletedProcess[str]]:
 
 
 @pytest.mark.slow
-def test_the_workflow_lets_a_right_filter_pass_and_stops_a_wrong_one(
+def test_workflow_and_tests_let_a_right_filter_pass_and_stop_a_wrong_one(
     tmp_path: Path, log: Log, right: Estimate
 ) -> None:
     """The filter is a stub that copies an estimate, as no filter of somebody's is here."""
@@ -245,12 +252,17 @@ def test_the_workflow_lets_a_right_filter_pass_and_stops_a_wrong_one(
     save = ("save", "logs/my-log", "baselines/my-log.json", "--estimate", "right")
     assert slamcheck("baseline", *save, cwd=tmp_path).returncode == 0
 
+    (tmp_path / "pytest.ini").write_text(snippet("ini"))
+    (tmp_path / "test_my_filter.py").write_text(snippet("python"))
+
     passing = run_workflow(tmp_path)
     assert {name: one.returncode for name, one in passing.items()} == {
         "Run the filter": 0,
         "Check the estimate": 0,
         "Compare with the baseline": 0,
     }, passing
+    done = run_pytest(tmp_path)
+    assert "2 passed" in done.stdout, done.stdout
     filter_file.write_text(stub.format("wrong"))
     failing = run_workflow(tmp_path)
     assert {name: one.returncode for name, one in failing.items()} == {
@@ -261,3 +273,6 @@ def test_the_workflow_lets_a_right_filter_pass_and_stops_a_wrong_one(
     assert "broken: grade: equal then, wrong now" in failing["Compare with the baseline"].stdout
     assert (tmp_path / "reports" / "check" / "check.json").exists()
     assert "<failure" in (tmp_path / "reports" / "baseline.xml").read_text()
+    done = run_pytest(tmp_path, "--slam-reports", "reports")
+    assert "2 failed" in done.stdout, done.stdout
+    assert (tmp_path / "reports/test_my_filter/test_my_filter-my-log/check.json").exists()
