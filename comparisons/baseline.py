@@ -23,7 +23,7 @@ from comparisons.errors import InputError
 from comparisons.logs.log_meta import first_fault
 from comparisons.logs.table import read_text
 from comparisons.report.check import CheckResult, GivenLandmarkResult
-from comparisons.report.models import ConsistencyResult, Result
+from comparisons.report.models import CauseResult, ConsistencyResult, Result
 from comparisons.report.result import metrics
 from comparisons.settings import configure, run_options
 
@@ -303,8 +303,14 @@ def write_baseline(baseline: Baseline, path: Path) -> None:
     write_whole(path, lambda part: part.write_text(text, encoding="utf-8"))
 
 
-def write_junit(changes: Sequence[Change], name: str, path: Path) -> None:
-    """A test case per metric, for continuous integration. Raises InputError."""
+def write_junit(
+    changes: Sequence[Change], name: str, path: Path, causes: Sequence[CauseResult] = ()
+) -> None:
+    """A test case per metric, for continuous integration. Raises InputError.
+
+    causes: of the verdict; they stand with what is worse in words.
+    """
+    why = "\n".join(f"{one.gap}: {one.evidence}; {one.hint}" for one in causes)
     failed = sum(not change.holds for change in changes)
     suite = ElementTree.Element(
         "testsuite",
@@ -316,7 +322,8 @@ def write_junit(changes: Sequence[Change], name: str, path: Path) -> None:
     for change in changes:
         case = ElementTree.SubElement(suite, "testcase", classname=name, name=change.name)
         if not change.holds:
-            ElementTree.SubElement(case, "failure", message=str(change))
+            failure = ElementTree.SubElement(case, "failure", message=str(change))
+            failure.text = why if isinstance(change.then, str) else ""
         elif change.state != "holds":
             ElementTree.SubElement(case, "system-out").text = f"{change.state}: {change}"
     text = ElementTree.tostring(suite, encoding="unicode", xml_declaration=True) + "\n"

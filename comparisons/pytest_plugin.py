@@ -81,6 +81,15 @@ class Judgement:
         """What else there is to know."""
         return list(self.result.remarks)
 
+    def __bool__(self) -> bool:
+        """`agree`, so that an assertion without a comparison is none that always holds."""
+        return self.outcome == "agree"
+
+    def __repr__(self) -> str:
+        """Return verdict and causes by name."""
+        causes = ", ".join(cause.gap for cause in self.result.causes)
+        return f"<{self.title}: {self.outcome}{causes and f' ({causes})'}>"
+
     def lines(self) -> list[str]:
         """Return verdict, first cause and the report's folder; pytest cuts what is long."""
         found, told = self.result, ""
@@ -141,12 +150,12 @@ def pytest_assertrepr_compare(op: str, left: object, right: object) -> list[str]
     return [f"{left!r} {op} {right!r}", *outcome.of.lines()]
 
 
-@pytest.hookimpl(wrapper=True, tryfirst=True)
+@pytest.hookimpl(hookwrapper=True, tryfirst=True)  # `wrapper` would stop pytest 7 at its start
 def pytest_runtest_makereport(
     item: pytest.Item, call: pytest.CallInfo[None]
-) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+) -> Generator[None, Any, None]:
     """Keep the reports of a test that failed."""
-    report = yield
+    report: pytest.TestReport = (yield).get_result()
     judged = item.stash.get(_JUDGED, [])
     if judged and report.failed:
         with _quiet():
@@ -154,7 +163,6 @@ def pytest_runtest_makereport(
         report.sections += told
     if judged and (report.failed or call.when == "teardown"):
         judged.clear()
-    return report
 
 
 @pytest.fixture

@@ -115,7 +115,7 @@ def compare(
         except InputError as error:
             raise InputError(f"{error} (compared with {file})") from None
         if junit is not None:
-            write_junit(changes, kept.log, junit)
+            write_junit(changes, kept.log, junit, found.causes)
         _print_changes(changes, found)
         if update:
             write_baseline(updated(kept, found, config), file)

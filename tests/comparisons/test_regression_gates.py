@@ -52,8 +52,10 @@ def test_right(slam_log, slam_check):
     found = slam_check(slam_log, estimate="mine", require="like")
     assert found.outcome == "agree"
     assert found.result.grade == "equal"
-    causes = slam_check(slam_log, estimate="late.tum").causes
-    assert "time" in [cause.gap for cause in causes]
+    wrong = slam_check(slam_log, estimate="late.tum")
+    assert found and not wrong
+    assert "time" in [cause.gap for cause in wrong.causes]
+    assert "short, estimate late.tum: disagree (" in repr(wrong)
 
 class TestGate:
     def test_late(self, slam_log, slam_check):
