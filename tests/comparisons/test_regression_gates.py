@@ -35,10 +35,12 @@ filterwarnings = error
 xfail_strict = true
 """
 COUNTING = """\
+import warnings
 from comparisons.pipeline import solve as module
 plain = module.solve
 
 def solve(*arguments):
+    warnings.warn("as of a library; would be an error in the test's own code")
     with open("solved.txt", "a") as file:
         file.write("solved\\n")
     return plain(*arguments)
