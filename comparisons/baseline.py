@@ -1,26 +1,93 @@
-"""Baselines: what a run of a log found, kept in a small file, and later runs held against it."""
+"""Baselines: what was found on a log, kept in a small file, and what is found later beside it."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any
+from types import UnionType
+from typing import Any, Literal, NamedTuple, Union, get_args, get_origin
 from xml.etree import ElementTree
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from comparisons.atomic import write_whole
 from comparisons.checks.agreement import ROUNDING
-from comparisons.config import RunConfig, merge
+from comparisons.checks.grade import GRADES
+from comparisons.config import CheckConfig, RunConfig, merge
 from comparisons.errors import InputError
 from comparisons.logs.log_meta import first_fault
 from comparisons.logs.table import read_text
-from comparisons.report.models import Result
+from comparisons.report.check import CheckResult, GivenLandmarkResult
+from comparisons.report.models import CauseResult, ConsistencyResult, Result
 from comparisons.report.result import metrics
 from comparisons.settings import configure, run_options
+
+Found = Result | CheckResult
+"""What `slamcheck run` or `slamcheck check` found."""
+Side = Literal["less", "more", "same", "count", "left out"]
+"""Which change of a figure is for the better: less, more, or neither. A count is the same as none
+where it is zero. Figures that are left out are in no baseline."""
+State = Literal["holds", "better", "new", "broken"]
+
+
+class Judged(NamedTuple):
+    """How a figure is judged, and why."""
+
+    side: Side
+    reason: str
+
+
+SIDES: Mapping[str, Judged] = {
+    # A name, or the end of one from a dot on; the longest that fits counts.
+    "smoother.distance_sigma": Judged("left out", "of incremental methods, by their settings"),
+    "smoother.error": Judged("same", "the optimum of the same log: any change is the smoother's"),
+    "chi2": Judged("same", "as the error"),
+    "rank": Judged("left out", "follows from the counts of poses and landmarks"),
+    "iterations": Judged("left out", "the way to the optimum, not the optimum"),
+    "newton_decrement": Judged("less", "distance that is left to the optimum"),
+    "chance_missed": Judged("less", "chance of a better minimum that was not found"),
+    "*_gap_sigma": Judged("less", "a difference that should not be there"),
+    "*_gap_covariance": Judged("less", "a difference that should not be there"),
+    "optimism": Judged("same", "smaller is too sure, larger is less sure than before"),
+    "pessimism": Judged("same", "as optimism"),
+    "variance_ratio_*": Judged("same", "as optimism"),
+    "mean": Judged("same", "NEES and NIS have an expected value, not a best one"),
+    "squared_per_dof": Judged("same", "as NEES"),
+    "landmark_difference_rms_m": Judged("less", "distance from the optimum"),
+    "rms_m": Judged("less", "distance from the optimum"),
+    "rms_heading_rad": Judged("less", "distance from the optimum"),
+    "difference_*": Judged("less", "distance from the optimum"),
+    "distance_sigma": Judged("less", "distance from the optimum"),
+    "largest_sigma": Judged("less", "distance from the nearest reference"),
+    "outside": Judged("less", "poses that contradict their own covariance"),
+    "ate_*": Judged("less", "an error"),
+    "rpe_*": Judged("less", "an error"),
+    "landmark_rmse_*": Judged("less", "an error"),
+    "gps_median_*": Judged("less", "an error"),
+    "gps_rms_*": Judged("less", "an error"),
+    "coverage": Judged("more", "share of the log that was estimated"),
+    "landmarks_found": Judged("more", "true landmarks that the map holds"),
+    "landmarks.agreeing": Judged("more", "landmarks that agree with the smoother's"),
+    "global_update_spared": Judged("same", "a setting's effect: less is exact, more is quick"),
+    **{
+        name: Judged("count", "other data were used, for better or worse")
+        for name in (
+            *("landmarks", "landmarks.count", "landmarks_true", "poses", "dof"),
+            *("rejected", "ambiguous", "candidate", "dynamic", "retired", "cut_off"),
+            *("fixes_fused", "fixes_rejected", "fixes_in_streaks", "longest_streak"),
+            *("fixes_rejected_by_smoother", "global_updates"),
+            *("rejected_sightings", "rejected_positions", "hops", "random_starts"),
+            *("trace.steps", "trace.updates", "trace.begun", "trace.positions"),
+        )
+    },
+}
+"""How each figure is judged. The verdict and all words are exact, but for the grade: whoever kept
+`disagree` kept a known fault, and `agree` in its place is to be looked at before it is kept."""
 
 RELATIVE = 0.02
 """Share of a value that it may change by, unless the noise floor is wider."""
@@ -30,7 +97,10 @@ NOISE = 3.0
 """A tolerance is at least so many times the range over repetitions."""
 
 _ROUNDED = ("algebra_gap", "model_gap")
-_EXACT = ("ekf.landmarks", "smoother.poses")
+_EXACT = ("ekf.landmarks", "smoother.poses", "landmarks.count", "landmarks.agreeing")
+_WHICH = ("source", "sha256")
+_APART = ("settings", "log", "consistency")
+"""Parts of a check's result that hold no figures of the estimate, or are read on their own."""
 
 
 class _Model(BaseModel):
@@ -45,50 +115,102 @@ class Metric(_Model):
 
 
 class Baseline(_Model):
-    """The file. config: of the run, all of which a comparison uses again.
+    """The file. config: of the run or check, all of which a comparison uses again.
 
     settings: in files of version 1, a few options by name, an empty text for one not given.
+    words: of a check, as its grade.
     """
 
-    version: int = 2
+    version: int = 3
     log: str
     sha256: str
     config: dict[str, Any] = Field(default_factory=dict)
     settings: dict[str, str | int | float] = Field(default_factory=dict, exclude=True)
     runs: int
     verdict: str
+    words: dict[str, str | None] = Field(default_factory=dict)
     metrics: dict[str, Metric]
     versions: dict[str, str]
 
-    def config_at(self, source: str) -> RunConfig:
-        """The run's configuration with the log that a name or a path gives. Raises InputError."""
+    @property
+    def of_estimate(self) -> bool:
+        """Whether it keeps what a check found of an estimate, not what a run found."""
+        return bool(self.config.get("job") == "check")
+
+    def config_at(self, source: str) -> RunConfig | CheckConfig:
+        """The configuration with the log that a name or a path gives. Raises InputError."""
         options = {name: value for name, value in self.settings.items() if value != ""}
         over = merge(self.config, {"log": {"source": source}})
         over.get("log", {}).pop("sha256", None)  # compared by compare_with, which names both logs
+        if self.of_estimate:
+            return configure(CheckConfig, over=over)
         return configure(RunConfig, flags=run_options(options), over=over)
 
 
 @dataclass(frozen=True)
 class Change:
-    """One metric then and now. holds: the change is within its tolerance."""
+    """One figure or word then and now. state: new is what the baseline does not have."""
 
     name: str
     then: float | str | None
     now: float | str | None
     tolerance: float
-    holds: bool
+    state: State
+
+    @property
+    def holds(self) -> bool:
+        """Nothing got worse."""
+        return self.state != "broken"
 
     def __str__(self) -> str:
         """In one line."""
-        return f"{self.name}: {_told(self.then)} then, {_told(self.now)} now" + (
-            "" if self.tolerance == 0.0 else f", tolerance {self.tolerance:.3g}"
-        )
+        told = f"{self.name}: {_told(self.then)} then, {_told(self.now)} now"
+        if self.tolerance:
+            told += f", tolerance {self.tolerance:.3g}"
+        return f"{told} ({_side_in_words(self)})"
 
 
-def build_baseline(results: Sequence[Result], config: RunConfig) -> Baseline:
+def judged_by(name: str) -> Judged | None:
+    """How a figure is judged by the table; None where it is not in it."""
+    parts = name.split(".")
+    for end in (".".join(parts[i:]) for i in range(len(parts))):
+        for pattern, judged in SIDES.items():
+            if fnmatchcase(end, pattern):
+                return judged
+    return None
+
+
+def figures(found: Found) -> dict[str, float | None]:
+    """What a baseline keeps, by name; None where a log or an estimate has no such figure."""
+    if isinstance(found, Result):
+        kept = metrics(found)
+    else:
+        kept = {}
+        for path in number_paths(CheckResult):
+            value: Any = found
+            for part in path:
+                value = getattr(value, part, None)
+            kept[".".join(path)] = value
+        kept |= _of_landmarks(found.landmarks)
+    kept |= _of_consistency(getattr(found, "consistency", None))
+    return {name: value for name, value in kept.items() if not _left_out(name)}
+
+
+def number_paths(kind: type[BaseModel], above: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+    """Return where a model has numbers, in models within it as well, but in no lists."""
+    for name, field in kind.model_fields.items():
+        union = get_origin(field.annotation) in (Union, UnionType)
+        for one in get_args(field.annotation) if union else (field.annotation,):
+            if one in (int, float):
+                yield (*above, name)
+            elif isinstance(one, type) and issubclass(one, BaseModel) and name not in _APART:
+                yield from number_paths(one, (*above, name))
+
+
+def build_baseline(results: Sequence[Found], config: RunConfig | CheckConfig) -> Baseline:
     """From repetitions of one run: the first one's values, the noise floor of all."""
     first = results[0]
-    every = [metrics(result) for result in results]
+    every = [figures(result) for result in results]
     kept = {}
     for name, value in every[0].items():
         values = [v for v in (run[name] for run in every) if v is not None]
@@ -97,32 +219,66 @@ def build_baseline(results: Sequence[Result], config: RunConfig) -> Baseline:
     return Baseline(
         log=first.log.name,
         sha256=first.log.sha256,
-        config=config.model_dump(mode="json", exclude_none=True),
+        config=_kept_config(config),
         runs=len(results),
         verdict=first.verdict,
+        words=_words(first),
         metrics=kept,
         versions=first.versions,
     )
 
 
-def compare_with(baseline: Baseline, result: Result) -> list[Change]:
-    """All metrics, the verdict first. Raises InputError where the log is another one.
+def updated(baseline: Baseline, found: Found, config: RunConfig | CheckConfig) -> Baseline:
+    """Return the baseline with what was found now.
 
-    A count that a baseline from before does not have may be there, as long as it is zero.
+    A tolerance that was computed from its value is computed from the new one; any other, by hand
+    or from repetitions, stays. config: for files that have none.
     """
-    if result.log.sha256 != baseline.sha256:
+    kept = {}
+    for name, value in figures(found).items():
+        old = baseline.metrics.get(name)
+        kept[name] = Metric(value=value, tolerance=_tolerance(name, value, 0.0))
+        if old is not None and old.tolerance != _tolerance(name, old.value, 0.0):
+            kept[name] = Metric(value=value, tolerance=old.tolerance)
+    return baseline.model_copy(
+        update={
+            "version": Baseline.model_fields["version"].default,
+            "config": baseline.config or _kept_config(config),
+            "settings": {},
+            "verdict": found.verdict,
+            "words": _words(found),
+            "metrics": kept,
+            "versions": found.versions,
+        }
+    )
+
+
+def compare_with(baseline: Baseline, found: Found) -> list[Change]:
+    """All figures, the verdict first. Raises InputError where log or job is another one.
+
+    What a baseline from before does not have is new, and so is what an estimate now has more than
+    then; but a count may only be there as long as it is zero.
+    """
+    if isinstance(found, CheckResult) != baseline.of_estimate:
+        jobs = ("slamcheck run", "an estimate")
+        then_of, now_of = jobs if not baseline.of_estimate else jobs[::-1]
+        raise InputError(f"{found.log.name}: is of {now_of}, expected {then_of}, as the baseline's")
+    if found.log.sha256 != baseline.sha256:
         raise InputError(
-            f"{result.log.name}: is not the log of the baseline ({baseline.log}): its streams "
+            f"{found.log.name}: is not the log of the baseline ({baseline.log}): its streams "
             "differ; save a new baseline"
         )
+    then, now = _all_words(baseline), _all_words(found)
     changes = [
-        Change("verdict", baseline.verdict, result.verdict, 0.0, baseline.verdict == result.verdict)
+        Change(name, then[name], now.get(name), 0.0, _word_state(name, then[name], now.get(name)))
+        for name in then
     ]
-    now = metrics(result)
+    values = figures(found)
     for name, kept in baseline.metrics.items():
-        value = now.pop(name, None)
-        changes.append(Change(name, kept.value, value, kept.tolerance, _holds(name, kept, value)))
-    changes += [Change(name, None, value, 0.0, not value) for name, value in now.items()]
+        value = values.pop(name, None)
+        changes.append(Change(name, kept.value, value, kept.tolerance, _state(name, kept, value)))
+    none = Metric(value=None, tolerance=0.0)
+    changes += [Change(name, None, v, 0.0, _state(name, none, v)) for name, v in values.items()]
     return changes
 
 
@@ -132,8 +288,8 @@ def read_baseline(path: Path) -> Baseline:
         kept = Baseline.model_validate_json(read_text(path))
     except ValidationError as error:
         raise InputError(f"{path}: not a baseline: {first_fault(error)}") from None
-    if kept.version not in (1, 2):
-        raise InputError(f"{path}: version {kept.version}, expected 1 or 2")
+    if kept.version not in (1, 2, 3):
+        raise InputError(f"{path}: version {kept.version}, expected 1, 2 or 3")
     try:
         kept.config_at(kept.log)
     except InputError as error:
@@ -147,8 +303,14 @@ def write_baseline(baseline: Baseline, path: Path) -> None:
     write_whole(path, lambda part: part.write_text(text, encoding="utf-8"))
 
 
-def write_junit(changes: Sequence[Change], name: str, path: Path) -> None:
-    """A test case per metric, for continuous integration. Raises InputError."""
+def write_junit(
+    changes: Sequence[Change], name: str, path: Path, causes: Sequence[CauseResult] = ()
+) -> None:
+    """A test case per metric, for continuous integration. Raises InputError.
+
+    causes: of the verdict; they stand with what is worse in words.
+    """
+    why = "\n".join(f"{one.gap}: {one.evidence}; {one.hint}" for one in causes)
     failed = sum(not change.holds for change in changes)
     suite = ElementTree.Element(
         "testsuite",
@@ -160,7 +322,10 @@ def write_junit(changes: Sequence[Change], name: str, path: Path) -> None:
     for change in changes:
         case = ElementTree.SubElement(suite, "testcase", classname=name, name=change.name)
         if not change.holds:
-            ElementTree.SubElement(case, "failure", message=str(change))
+            failure = ElementTree.SubElement(case, "failure", message=str(change))
+            failure.text = why if isinstance(change.then, str) else ""
+        elif change.state != "holds":
+            ElementTree.SubElement(case, "system-out").text = f"{change.state}: {change}"
     text = ElementTree.tostring(suite, encoding="unicode", xml_declaration=True) + "\n"
     write_whole(path, lambda part: part.write_text(text, encoding="utf-8"))
 
@@ -171,12 +336,99 @@ def _tolerance(name: str, value: float | None, spread: float) -> float:
     return max(RELATIVE * abs(value), LEAST, NOISE * spread)
 
 
-def _holds(name: str, kept: Metric, value: float | None) -> bool:
-    if kept.value is None or value is None:
-        return kept.value is value
-    if any(part in name for part in _ROUNDED) and kept.value <= ROUNDING:
-        return value <= ROUNDING  # either is rounding
-    return math.isfinite(value) and abs(value - kept.value) <= kept.tolerance
+def _state(name: str, kept: Metric, value: float | None) -> State:
+    judged = judged_by(name)
+    side = judged.side if judged else "same"
+    then = kept.value
+    if side == "count":
+        then, value = then or 0.0, value or 0.0
+    if then is None or value is None:
+        return "holds" if then is value else "broken" if value is None else "new"
+    if any(part in name for part in _ROUNDED) and then <= ROUNDING:
+        return "holds" if value <= ROUNDING else "broken"  # either is rounding
+    if not math.isfinite(value):
+        return "broken"
+    if abs(value - then) <= kept.tolerance:
+        return "holds"
+    return "better" if side == ("less" if value < then else "more") else "broken"
+
+
+def _word_state(name: str, then: str | None, now: str | None) -> State:
+    if then == now:
+        return "holds"
+    if name == "grade" and then in GRADES and now in GRADES:
+        return "better" if GRADES.index(now) > GRADES.index(then) else "broken"
+    return "broken"
+
+
+def _words(found: Found) -> dict[str, str | None]:
+    """What a check says in words, and what it was asked."""
+    if isinstance(found, Result):
+        return {}
+    names = ("grade", "required", "information", "association_by")
+    return {name: getattr(found, name) for name in names}
+
+
+def _all_words(one: Baseline | Found) -> dict[str, str | None]:
+    words = one.words if isinstance(one, Baseline) else _words(one)
+    return {"verdict": one.verdict, **words}
+
+
+def _kept_config(config: RunConfig | CheckConfig) -> dict[str, Any]:
+    """All settings but which log and which estimate, which each comparison is given."""
+    kept = config.model_dump(mode="json", exclude_none=True)
+    for section, name in ((kept, "estimate"), (kept, "times"), *((kept["log"], n) for n in _WHICH)):
+        section.pop(name, None)
+    return kept
+
+
+def _of_landmarks(rows: Sequence[GivenLandmarkResult]) -> dict[str, float | None]:
+    """Return figures of all landmarks together; those without any are None."""
+    found: dict[str, float | None] = {
+        "landmarks.count": len(rows),
+        "landmarks.agreeing": sum(row.agrees for row in rows),
+    }
+    least = [r.variance_ratio_least for r in rows if r.variance_ratio_least is not None]
+    largest = [r.variance_ratio_largest for r in rows if r.variance_ratio_largest is not None]
+    squares = [r.difference_m**2 for r in rows]
+    found["landmarks.difference_rms_m"] = float(np.sqrt(np.mean(squares))) if rows else None
+    found["landmarks.distance_sigma"] = max((r.distance_sigma for r in rows), default=None)
+    found["landmarks.variance_ratio_least"] = min(least, default=None)
+    found["landmarks.variance_ratio_largest"] = max(largest, default=None)
+    return found
+
+
+def _of_consistency(found: object) -> dict[str, float | None]:
+    """Averages of the filter's NEES and NIS, and of its poses against the smoother's."""
+    if not isinstance(found, ConsistencyResult):
+        return {}
+    kept: dict[str, float | None] = {}
+    if found.ekf is not None:
+        for name in type(found.ekf).model_fields:
+            mean = getattr(getattr(found.ekf, name), "mean", None)
+            kept |= {} if mean is None else {f"consistency.ekf.{name}.mean": mean}
+    for one in found.innovations:
+        kept |= {
+            f"consistency.innovations.{one.sensor}.{nis.name}.mean": nis.mean for nis in one.nis
+        }
+    if found.filter_against_smoother is not None:
+        squared = found.filter_against_smoother.squared_per_dof
+        kept["consistency.filter_against_smoother.squared_per_dof"] = squared
+    return kept
+
+
+def _left_out(name: str) -> bool:
+    judged = judged_by(name)
+    return judged is not None and judged.side == "left out"
+
+
+def _side_in_words(change: Change) -> str:
+    if isinstance(change.then, str) or isinstance(change.now, str):
+        return "in order of grades" if change.name == "grade" else "any change counts"
+    judged = judged_by(change.name)
+    if judged is not None and judged.side in ("less", "more"):
+        return f"{judged.side} is better"
+    return "any change counts"
 
 
 def _told(value: float | str | None) -> str:

@@ -296,6 +296,7 @@ MAP = (
 )
 # fmt: on
 RUN = (*EKF, ATTRIBUTES, *RUN_EXTENSIONS, *SMOOTHER, FAIL_ON, *REPORT, *LOG)
+CHECK = (*ESTIMATE, SOLVER_ASSOCIATION, FEATURES, GPS, ROBUST, ACCEPT_MISFIT, *LOG)
 
 
 def lay_over(config: dict[str, Any], flags: Sequence[tuple[Flag, Any]]) -> None:

@@ -1,27 +1,137 @@
-"""Fixtures for pytest: logs from a folder, and the verdict on each.
+"""Fixtures for pytest: logs from a folder, the verdict on each, and baselines.
 
 With `slam_logs = path/to/logs` among pytest's settings:
 
     def test_my_filter(slam_log, slam_check):
         assert slam_check(slam_log).outcome == "agree"
         assert slam_check(slam_log, estimate="output/mine.tum").outcome == "agree"
+
+A test that fails shows verdict, causes and the folder of its report (docs/regression-gates.md).
+Nothing heavy is imported before a test asks for it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import hashlib
+import re
+import warnings
+from collections.abc import Callable, Generator, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial, wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import pytest
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
+    from comparisons.baseline import Found
+    from comparisons.config import CheckConfig, RunConfig
     from comparisons.logs.log import Log
+    from comparisons.pipeline.prepare import Progress
+    from comparisons.pipeline.solve import Solution
+    from comparisons.report.folder import JobFolder
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+class Outcome(str):
+    """`agree`, `disagree` or `unverified`, and what it is the outcome of."""
+
+    of: Judgement
+
+    def __new__(cls, value: str, of: Judgement) -> Outcome:
+        """Return the word, which knows more."""
+        self = super().__new__(cls, value)
+        self.of = of
+        return self
+
+
+@dataclass(frozen=True, kw_only=True)
+class Judgement:
+    """What was found on a log.
+
+    title: log and estimate. result: as `result.json` or `check.json` has it. table: prints what the
+    command prints. content: what a report holds; folder: where it goes if the test fails; shown:
+    the same, as a reader is told.
+    """
+
+    title: str
+    result: Found
+    table: Callable[[Console], None]
+    content: Callable[[], JobFolder]
+    folder: Path
+    shown: str
+
+    @property
+    def outcome(self) -> Outcome:
+        """`agree`, `disagree` or `unverified`."""
+        return Outcome(self.result.verdict, self)
+
+    @property
+    def causes(self) -> list[Any]:
+        """Why, each with `gap`, `evidence` and `hint`."""
+        return list(self.result.causes)
+
+    @property
+    def remarks(self) -> list[str]:
+        """What else there is to know."""
+        return list(self.result.remarks)
+
+    def __bool__(self) -> bool:
+        """`agree`, so that an assertion without a comparison is none that always holds."""
+        return self.outcome == "agree"
+
+    def __repr__(self) -> str:
+        """Return verdict and causes by name."""
+        causes = ", ".join(cause.gap for cause in self.result.causes)
+        return f"<{self.title}: {self.outcome}{causes and f' ({causes})'}>"
+
+    def lines(self) -> list[str]:
+        """Return verdict, first cause and the report's folder; pytest cuts what is long."""
+        found, told = self.result, ""
+        if grade := getattr(found, "grade", None):
+            told = f", grade {grade}, required {getattr(found, 'required', None)}"
+        lines = [f"{self.title}: {found.verdict}{told}"]
+        for cause in found.causes[:1]:
+            lines += [f"{cause.gap}: {cause.evidence}", f"  {cause.hint}"]
+        if others := [cause.gap for cause in found.causes[1:]]:
+            lines.append(f"more causes: {', '.join(others)}")
+        return [*lines, f"report: {self.shown}"]
+
+    def write_report(self) -> str:
+        """Write the report. Return the table that the command prints, and the report's folder."""
+        import io
+
+        from rich.console import Console
+
+        from comparisons.errors import InputError
+        from comparisons.report.folder import write_job_folder
+
+        buffer = io.StringIO()
+        self.table(Console(file=buffer, width=100, color_system=None, soft_wrap=True))
+        table = "\n".join(line.rstrip() for line in buffer.getvalue().splitlines())
+        try:
+            write_job_folder(self.content(), self.folder)
+        except (InputError, OSError) as error:
+            return f"{table}\nno report: {error}"
+        return f"{table}\nreport: {self.shown}"
+
+
+_JUDGED = pytest.StashKey[list[Judgement]]()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Where the logs are."""
+    """Where the logs are, and where reports go."""
     parser.addini("slam_logs", "folder whose entries are logs, or names of bundled logs", "args")
+    told = "folder for the reports of failing tests"
+    parser.addini("slam_reports", told, default="slamcheck-reports")
+    parser.getgroup("slamcheck").addoption(
+        "--slam-reports", metavar="DIR", help=f"{told} (setting slam_reports)"
+    )
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
@@ -32,40 +142,221 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     metafunc.parametrize("slam_log", found, ids=[Path(n).name for n in found], indirect=True)
 
 
+def pytest_assertrepr_compare(op: str, left: object, right: object) -> list[str] | None:
+    """Say why an outcome is not the one that was asked for."""
+    outcome = left if isinstance(left, Outcome) else right
+    if not isinstance(outcome, Outcome):
+        return None
+    return [f"{left!r} {op} {right!r}", *outcome.of.lines()]
+
+
+@pytest.hookimpl(hookwrapper=True, tryfirst=True)  # `wrapper` would stop pytest 7 at its start
+def pytest_runtest_makereport(
+    item: pytest.Item, call: pytest.CallInfo[None]
+) -> Generator[None, Any, None]:
+    """Keep the reports of a test that failed."""
+    report: pytest.TestReport = (yield).get_result()
+    judged = item.stash.get(_JUDGED, [])
+    if judged and report.failed:
+        with _quiet():
+            told = [(f"slamcheck: {one.title}", one.write_report()) for one in judged]
+        report.sections += told
+    if judged and (report.failed or call.when == "teardown"):
+        judged.clear()
+
+
 @pytest.fixture
 def slam_log(request: pytest.FixtureRequest) -> Log:
     """A log of the folder that the setting `slam_logs` names."""
     from comparisons.logs.bundled import open_log
 
-    return open_log(request.param)
+    return _plain(open_log)(request.param)
+
+
+@pytest.fixture(scope="session")
+def _slam_kept() -> dict[str, Any]:
+    """Runs and solutions of this session, or of this worker of pytest-xdist."""
+    return {}
 
 
 @pytest.fixture
-def slam_check() -> Callable[..., Any]:
+def slam_check(
+    request: pytest.FixtureRequest, _slam_kept: dict[str, Any]
+) -> Callable[..., Judgement]:
     """Judge a log: the reference EKF's run, or the estimate of another system given as a path.
 
-    What it returns has `outcome`, `causes` and `remarks`. Settings are named as the options of
-    `slamcheck run`, as `filter="compressed"`; for an estimate `association`, `gps`, `require`
-    and `robust`.
+    What it returns has `outcome`, `causes`, `remarks` and `result`. Settings are named as the
+    options of `slamcheck run`, as `filter="compressed"`; for an estimate as those of `slamcheck
+    check`, as `require="like"`. The smoother of a log is solved once a session for each of its own
+    settings.
     """
 
-    def check(log: Log, estimate: str | Path | None = None, **settings: Any) -> Any:
-        if estimate is None:
-            from comparisons.pipeline.compare import compare
-            from comparisons.settings import run_config
-
-            return compare(log, run_config(**settings)).verdict
+    @_plain
+    def check(log: Log, estimate: str | Path | None = None, **settings: Any) -> Judgement:
         from comparisons.config import CheckConfig
-        from comparisons.estimates.external import read_given
-        from comparisons.options import GPS, REQUIRE, ROBUST, SOLVER_ASSOCIATION, options
-        from comparisons.pipeline.check import check as check_estimate
-        from comparisons.settings import configure
+        from comparisons.options import CHECK, options
+        from comparisons.settings import configure, run_config
 
-        given = read_given(Path(estimate))
-        flags = options((SOLVER_ASSOCIATION, GPS, REQUIRE, ROBUST), settings)
-        return check_estimate(log, given, configure(CheckConfig, flags=flags))
+        if estimate is None:
+            return _judge(request, _slam_kept, log, run_config(**settings))
+        table = [flag for flag in CHECK if not flag.field.startswith("log.")]
+        given = {name: str(v) if isinstance(v, Path) else v for name, v in settings.items()}
+        flags = options(table, {**given, "estimate": str(estimate)})
+        return _judge(request, _slam_kept, log, configure(CheckConfig, flags=flags))
 
     return check
+
+
+@pytest.fixture
+def slam_baseline(
+    request: pytest.FixtureRequest, _slam_kept: dict[str, Any]
+) -> Callable[..., Judgement]:
+    """Fail where a log, or an estimate given as a path, is worse than its baseline.
+
+    The file is one of `slamcheck baseline save`, whose settings are used.
+    """
+
+    @_plain
+    def compare(log: Log, file: str | Path, estimate: str | Path | None = None) -> Judgement:
+        from comparisons.baseline import compare_with, read_baseline
+        from comparisons.errors import InputError
+
+        kept = read_baseline(Path(file))
+        if kept.of_estimate != (estimate is not None):
+            told = "an estimate: give" if kept.of_estimate else "slamcheck run: leave out"
+            raise InputError(f"{file}: is of {told} estimate=PATH")
+        config = kept.config_at(kept.log)
+        if estimate is not None:
+            config = config.model_copy(update={"estimate": str(estimate)})
+        found = _judge(request, _slam_kept, log, config)
+        changes = compare_with(kept, found.result)
+        broken = [f"broken: {change}" for change in changes if not change.holds]
+        if broken:
+            first = f"{file}: {len(broken)} of {len(changes)} figures are worse"
+            pytest.fail("\n".join([first, *broken, f"report: {found.shown}"]))
+        return found
+
+    return compare
+
+
+def _judge(
+    request: pytest.FixtureRequest,
+    kept: dict[str, Any],
+    log: Log,
+    config: RunConfig | CheckConfig,
+) -> Judgement:
+    """Find what there is to find, and note it for the test's report."""
+    from comparisons.config import CheckConfig
+
+    judged = request.node.stash.setdefault(_JUDGED, [])
+    folder = _folder(request.config, request.node, len(judged))
+    root = request.config.rootpath
+    place = folder.relative_to(root) if folder.is_relative_to(root) else folder
+    make = partial(Judgement, folder=folder, shown=str(place))
+    if isinstance(config, CheckConfig):
+        from comparisons.estimates.external import read_given
+        from comparisons.pipeline.check import check
+        from comparisons.report.check import build_check_result, check_folder, print_check
+
+        times = None if config.times is None else Path(config.times)
+        given = read_given(Path(config.estimate), times)
+        checked = check(log, given, config, solver=partial(_solved, kept))
+        graded = build_check_result(checked)
+        found = make(
+            title=f"{log.name}, estimate {config.estimate}",
+            result=graded,
+            table=partial(print_check, graded),
+            content=partial(check_folder, checked, graded),
+        )
+    else:
+        from comparisons.pipeline.compare import compare
+        from comparisons.report.result import build_result, print_run
+        from comparisons.report.run import run_folder
+
+        comparison = _once(kept, log, config, lambda: compare(log, config))
+        result = build_result(comparison)
+        found = make(
+            title=log.name,
+            result=result,
+            table=partial(print_run, comparison, result),
+            content=partial(run_folder, comparison, result),
+        )
+    judged.append(found)
+    return found
+
+
+def _solved(kept: dict[str, Any], log: Log, config: CheckConfig, progress: Progress) -> Solution:
+    """Return a log's solution, made once for each of the smoother's settings."""
+    import copy
+    from dataclasses import replace
+
+    from comparisons.config import SolveConfig
+    from comparisons.pipeline.solve import solve
+
+    own = set(SolveConfig.model_fields) - {"job", "log"}
+    asked = SolveConfig.model_construct(**{name: getattr(config, name) for name in own})
+    found: Solution = _once(kept, log, asked, lambda: solve(log, asked, progress))
+    prepared = replace(
+        found.prepared,
+        config=config.model_copy(update={"log": found.prepared.config.log}),
+        clock=copy.deepcopy(found.prepared.clock),
+    )
+    return replace(found, prepared=prepared)
+
+
+def _once(kept: dict[str, Any], log: Log, config: Any, make: Callable[[], Any]) -> Any:
+    """Make what a log, truth and all, and settings decide, but once."""
+    import pickle
+
+    key = hashlib.sha256(pickle.dumps((log, config.model_dump_json()))).hexdigest()
+    if key not in kept:
+        kept[key] = make()
+    return kept[key]
+
+
+def _folder(config: pytest.Config, item: pytest.Item, number: int) -> Path:
+    """Return the folder of a test's report: module, class and test, by names that any system takes.
+
+    number: how many reports of the test come before.
+    """
+    from comparisons.atomic import folder_name
+
+    asked: str = config.getoption("slam_reports") or config.getini("slam_reports")
+    root = config.rootpath / asked
+    module, *names = item.nodeid.split("::", maxsplit=1)
+    name = "::".join(names)
+    end = folder_name(name.replace("[", "-").rstrip("]"))
+    if not re.fullmatch(r"(\w+::)*\w+(\[[\w.-]+\])?", name, re.ASCII) or len(name) > 80:
+        end += f"-{hashlib.sha256(name.encode()).hexdigest()[:8]}"
+    parts = [folder_name(part) for part in Path(module).with_suffix("").parts if part != ".."]
+    return root.joinpath(*parts, end if number == 0 else f"{end}-{number + 1}")
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Let no warning of a library fail somebody's test; see comparisons.cli.support.guarded."""
+    import numpy as np
+
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")
+        yield
+
+
+def _plain(function: Callable[P, T]) -> Callable[P, T]:
+    """Be quiet, and leave the way out of known faults that they took through this project."""
+
+    @wraps(function)
+    def call(*args: P.args, **values: P.kwargs) -> T:
+        __tracebackhide__ = True
+        from comparisons.errors import InputError
+
+        with _quiet():
+            try:
+                return function(*args, **values)
+            except (InputError, pytest.fail.Exception) as error:
+                raise error.with_traceback(None) from None
+
+    return call
 
 
 def _logs(config: pytest.Config) -> list[str]:

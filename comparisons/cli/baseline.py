@@ -1,9 +1,10 @@
-"""`slamcheck baseline`: keep what a run found, and compare later runs with it."""
+"""`slamcheck baseline`: keep what was found on a log, and compare what is found later with it."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -11,83 +12,120 @@ from comparisons.cli.flags import Given, from_flags
 from comparisons.cli.jobs import read_job
 from comparisons.cli.support import AGREE, DISAGREE, guarded, progress_bar
 from comparisons.errors import InputError
-from comparisons.options import RUN
+from comparisons.options import CHECK, ESTIMATE, RUN, Flag
 
 if TYPE_CHECKING:
-    from comparisons.config import RunConfig
+    from comparisons.baseline import Baseline, Change, Found
+    from comparisons.config import CheckConfig, RunConfig
     from comparisons.logs.log import Log
-    from comparisons.report.models import Result
 
 baseline = typer.Typer(
-    help="Keep what a run found, and compare later runs with it.",
+    help="Keep what was found on a log, and compare what is found later with it.",
     no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
 
 FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="The baseline, a JSON file.")]
-RunsOption = Annotated[int, typer.Option(help="Repetitions that measure the noise floor. [2]")]
+RunsOption = Annotated[
+    int | None,
+    typer.Option(help="Repetitions that measure the noise floor. [2]", show_default=False),
+]
 
 
 @baseline.command()
-@from_flags(RUN, file=(FileArgument,), runs=(RunsOption, 2))
+@from_flags((*RUN, *ESTIMATE), file=(FileArgument,), runs=(RunsOption, None))
 def save(given: Given) -> None:
-    """Run a log and write what was found, with a tolerance for each figure.
+    """Write what a run finds, or a check of --estimate, with a tolerance for each figure.
 
     \b
     Examples:
-      slamcheck baseline save my-log my-log.baseline.json
-      slamcheck baseline save my-run/config.toml my-log.baseline.json
+      slamcheck baseline save my-log my-log.json --estimate my-filter-output
+      slamcheck baseline save my-log my-log.json --estimate my-filter-output --require like
+      slamcheck baseline save my-log our-ekf.json
+      slamcheck baseline save our-run/config.toml our-ekf.json
     """
     with guarded(verbose=given.verbose, log_file=given.log_file):
         from comparisons.atomic import check_file
         from comparisons.baseline import build_baseline, write_baseline
-        from comparisons.config import RunConfig
+        from comparisons.config import CheckConfig, RunConfig
 
-        runs, target = given.extra["runs"], given.extra["file"]
-        if runs < 1:
-            raise InputError(f"runs is {runs}, expected 1 or more")
+        target = given.extra["file"]
+        estimate = any(flag.field == "estimate" for flag, _ in given.flags)
+        runs = _runs(given.extra["runs"], estimate=estimate)
         check_file(target)
-        log, config, _ = read_job(given, RunConfig)
-        kept = build_baseline([_run(log, config) for _ in range(runs)], config)
+        given = given._replace(flags=_fitting(given.flags, estimate=estimate))
+        kind: type[RunConfig | CheckConfig] = CheckConfig if estimate else RunConfig
+        log, config, _ = read_job(given, kind)
+        kept = build_baseline([_find(log, config) for _ in range(runs)], config)
         write_baseline(kept, target)
-        typer.echo(f"{target}: {len(kept.metrics)} figures of {kept.log}, verdict {kept.verdict}")
+        grade = f", grade {kept.words['grade']}" if estimate else ""
+        figures = f"{len(kept.metrics)} figures of {kept.log}"
+        typer.echo(f"{target}: {figures}, verdict {kept.verdict}{grade}")
 
 
 @baseline.command()
 def compare(
     log: Annotated[str, typer.Argument(metavar="LOG", help="The baseline's log, by name or path.")],
     file: FileArgument,
+    estimate: Annotated[
+        Path | None,
+        typer.Option(metavar="FOLDER|FILE", help="The estimate, if the baseline is of one."),
+    ] = None,
+    times: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Times of a KITTI file, else times.txt beside it."),
+    ] = None,
     junit: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write a JUnit report there.")
     ] = None,
+    update: Annotated[
+        bool, typer.Option("--update", help="Keep the new figures; exits with 0.")
+    ] = False,
 ) -> None:
-    """Run a log as its baseline was run. Exits with 0 when all figures hold, else with 1.
+    """Compare what is found now with a baseline, by its settings.
+
+    Exits with 0 where nothing is worse, else with 1. What is better by more than its tolerance is
+    reported, and fails nothing. --update keeps tolerances that were changed by hand.
 
     \b
-    Example:
-      slamcheck baseline compare my-log my-log.baseline.json --junit report.xml
+    Examples:
+      slamcheck baseline compare my-log my-log.json --estimate my-filter-output
+      slamcheck baseline compare my-log our-ekf.json --junit report.xml
     """
     with guarded():
         from comparisons.atomic import check_file
-        from comparisons.baseline import compare_with, read_baseline, write_junit
+        from comparisons.baseline import (
+            compare_with,
+            read_baseline,
+            updated,
+            write_baseline,
+            write_junit,
+        )
         from comparisons.pipeline.read import read_for
 
         if junit is not None:
             check_file(junit)
         kept = read_baseline(file)
         try:
-            source, config, _ = read_for(kept.config_at(log), allow_changed=True)
-            changes = compare_with(kept, _run(source, config))
+            wanted = kept.config_at(log).model_copy(update=_named(kept, file, estimate, times))
+            source, config, _ = read_for(wanted, allow_changed=True)
+            found = _find(source, config)
+            changes = compare_with(kept, found)
         except InputError as error:
             raise InputError(f"{error} (compared with {file})") from None
         if junit is not None:
-            write_junit(changes, kept.log, junit)
-        broken = [change for change in changes if not change.holds]
-        for change in broken:
-            typer.echo(str(change))
-        typer.echo(f"{len(changes) - len(broken)} of {len(changes)} figures hold")
-        raise SystemExit(DISAGREE if broken else AGREE)
+            write_junit(changes, kept.log, junit, found.causes)
+        _print_changes(changes, found)
+        if update:
+            write_baseline(updated(kept, found, config), file)
+            typer.echo(f"{file}: updated")
+            raise SystemExit(AGREE)
+        states = {change.state for change in changes}
+        if states != {"holds"}:
+            meant = "if that is meant, keep it" if "broken" in states else "to keep it"
+            typer.echo(f"{meant} in {file}: --update")
+        raise SystemExit(DISAGREE if "broken" in states else AGREE)
 
 
 def side_by_side(
@@ -110,9 +148,75 @@ def side_by_side(
         raise SystemExit(AGREE)
 
 
-def _run(log: Log, config: RunConfig) -> Result:
-    from comparisons.pipeline.compare import compare as compare_estimators
-    from comparisons.report.result import build_result
+def _print_changes(changes: Sequence[Change], found: Found) -> None:
+    """Print what is worse, with the causes that the verdict has, then what is better or new."""
+    counts = {}
+    for state in ("broken", "better", "new"):
+        some = [change for change in changes if change.state == state]
+        for change in some:
+            typer.echo(f"{state}: {change}")
+        if some:
+            counts[state] = f"{len(some)} {state}"
+    if "broken" in counts:
+        for cause in found.causes:
+            typer.echo(f"cause: {cause.gap}: {cause.evidence}; {cause.hint}")
+    holding = sum(change.state == "holds" for change in changes)
+    parts = [f"{holding} of {len(changes)} figures hold", *counts.values()]
+    typer.echo(", ".join(parts))
+
+
+def _runs(given: int | None, *, estimate: bool) -> int:
+    """How often the figures are made. Raises InputError."""
+    if estimate and given is not None:
+        raise InputError("--runs repeats a run; an estimate is as it is: leave --runs out")
+    runs = (1 if estimate else 2) if given is None else given
+    if runs < 1:
+        raise InputError(f"runs is {runs}, expected 1 or more")
+    return runs
+
+
+def _fitting(flags: Sequence[tuple[Flag, Any]], *, estimate: bool) -> list[tuple[Flag, Any]]:
+    """Return the flags as those of the job. Raises InputError for one that it does not have."""
+    known = {flag.option: flag for flag in (CHECK if estimate else RUN)}
+    for flag, _ in flags:
+        if flag.option not in known:
+            told = "is of a run, not of a check: leave it or --estimate out"
+            raise InputError(f"{flag.option} {told if estimate else 'goes with --estimate'}")
+    return [(known[flag.option], value) for flag, value in flags]
+
+
+def _named(
+    kept: Baseline, file: Path, estimate: Path | None, times: Path | None
+) -> dict[str, str | None]:
+    """Return the settings that say which estimate. Raises InputError where there must be another.
+
+    file: the baseline's.
+    """
+    if kept.of_estimate and estimate is None:
+        raise InputError(f"{file}: is of an estimate; give one with --estimate PATH")
+    if not kept.of_estimate and (estimate or times) is not None:
+        raise InputError(
+            f"{file}: is of slamcheck run, not of an estimate; make another one: slamcheck "
+            "baseline save LOG FILE --estimate PATH"
+        )
+    found = {"estimate": estimate, "times": times}
+    return {name: str(path) for name, path in found.items() if path is not None}
+
+
+def _find(log: Log, config: RunConfig | CheckConfig) -> Found:
+    """Run the log, or check the estimate that the configuration names."""
+    from comparisons.config import CheckConfig
 
     with progress_bar() as progress:
+        if isinstance(config, CheckConfig):
+            from comparisons.estimates.external import read_given
+            from comparisons.pipeline.check import check
+            from comparisons.report.check import build_check_result
+
+            times = None if config.times is None else Path(config.times)
+            given = read_given(Path(config.estimate), times)
+            return build_check_result(check(log, given, config, progress))
+        from comparisons.pipeline.compare import compare as compare_estimators
+        from comparisons.report.result import build_result
+
         return build_result(compare_estimators(log, config, progress))

@@ -8,18 +8,10 @@ from comparisons.cli.flags import Given, from_flags
 from comparisons.cli.jobs import start_job
 from comparisons.cli.support import VERDICTS, guarded, print_result, progress_bar
 from comparisons.errors import InputError
-from comparisons.options import (
-    ACCEPT_MISFIT,
-    ESTIMATE,
-    FEATURES,
-    GPS,
-    LOG,
-    ROBUST,
-    SOLVER_ASSOCIATION,
-)
+from comparisons.options import CHECK
 
 
-@from_flags((*ESTIMATE, SOLVER_ASSOCIATION, FEATURES, GPS, ROBUST, ACCEPT_MISFIT, *LOG))
+@from_flags(CHECK)
 def check(given: Given) -> None:
     """Grade another system's estimate: equal to a reference EKF, like it, plausible, or wrong.
 

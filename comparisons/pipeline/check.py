@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -81,10 +82,14 @@ def check(
     given: GivenEstimate,
     config: CheckConfig | None = None,
     progress: Progress = no_progress,
+    solver: Callable[[Log, CheckConfig, Progress], Solution] = solve,
 ) -> GivenCheck:
-    """Solve the log, run the reference EKF, grade. Raises InputError, and as `solve` does."""
+    """Solve the log, run the reference EKF, grade. Raises InputError, and as `solve` does.
+
+    solver: in the place of `solve`, as one that keeps what it has solved.
+    """
     config = config or CheckConfig()
-    return judge_given(given, solve(log, config, progress), config.require, progress)
+    return judge_given(given, solver(log, config, progress), config.require, progress)
 
 
 def judge_given(

@@ -1,38 +1,72 @@
-"""Baselines and the pytest plugin, as a gate in continuous integration."""
+"""Baselines, as a gate in continuous integration."""
 
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 
 from comparisons.baseline import (
+    SIDES,
     Baseline,
+    Change,
+    Metric,
     build_baseline,
     compare_with,
+    figures,
+    judged_by,
+    number_paths,
     read_baseline,
+    updated,
     write_baseline,
     write_junit,
 )
+from comparisons.config import CheckConfig, RunConfig
 from comparisons.errors import InputError
+from comparisons.estimates.estimate import Estimate
+from comparisons.estimates.external import GivenEstimate
+from comparisons.estimates.folder import tum_text, write_estimate
 from comparisons.logs.log_folder import write_log_folder
-from comparisons.report.models import Result
+from comparisons.pipeline.check import check
+from comparisons.pipeline.compare import Comparison
+from comparisons.report.check import CheckResult, build_check_result
+from comparisons.report.models import AccuracyResult, AgreementResult, EkfResult, Result
 from comparisons.report.result import build_result, metrics
 from comparisons.report.side_by_side import read_results, side_by_side
 from comparisons.settings import run_config
 from tests.comparisons.test_cli import slamcheck
 from tests.helpers import compared, simulated
 
-ROOT = Path(__file__).resolve().parents[2]
+
+@pytest.fixture(scope="module")
+def comparison() -> Comparison:
+    return compared(simulated(loop_s=20.0))
 
 
 @pytest.fixture(scope="module")
-def result() -> Result:
-    return build_result(compared(simulated(loop_s=20.0)))
+def result(comparison: Comparison) -> Result:
+    return build_result(comparison)
+
+
+@pytest.fixture(scope="module")
+def estimate(comparison: Comparison) -> Estimate:
+    """The reference EKF's, standing in for somebody's filter."""
+    return comparison.ekf.estimate
+
+
+@pytest.fixture(scope="module")
+def checked(estimate: Estimate) -> CheckResult:
+    return build_check_result(check(simulated(loop_s=20.0), GivenEstimate.of(estimate)))
+
+
+@pytest.fixture(scope="module")
+def bare(estimate: Estimate) -> CheckResult:
+    """The same without covariances and landmarks."""
+    given = GivenEstimate(time_s=estimate.time_s, pose=estimate.pose, information="filtered")
+    return build_check_result(check(simulated(loop_s=20.0), given))
 
 
 @pytest.fixture
@@ -119,8 +153,8 @@ def test_files_round_trip_and_damage_is_named(tmp_path: Path, kept: Baseline) ->
         path.write_text(damage)
         with pytest.raises(InputError, match="not a baseline"):
             read_baseline(path)
-    path.write_text(json.dumps({**data, "version": 3}))
-    with pytest.raises(InputError, match="version 3"):
+    path.write_text(json.dumps({**data, "version": 4}))
+    with pytest.raises(InputError, match="version 4"):
         read_baseline(path)
 
 
@@ -131,6 +165,7 @@ def test_a_file_of_version_1_is_read_with_its_settings(tmp_path: Path, kept: Bas
     path = tmp_path / "b.json"
     path.write_text(json.dumps({**data, "version": 1, "settings": settings}))
     config = read_baseline(path).config_at("simulated-loop")
+    assert isinstance(config, RunConfig)
     assert (config.ekf.filter, config.ekf.association, config.log.seed) == ("compressed", None, 3)
     assert config.log.source == "simulated-loop"
 
@@ -154,6 +189,204 @@ def test_names_of_figures_are_those_of_the_result(result: Result) -> None:
             assert isinstance(place, dict)
             place = place[part]
         assert place == value
+
+
+def states(changes: list[Change]) -> dict[str, str]:
+    """What does not just hold."""
+    return {change.name: change.state for change in changes if change.state != "holds"}
+
+
+@pytest.mark.parametrize(
+    ("name", "factor", "state"),
+    [
+        ("accuracy.ekf.ate_m", 0.9, "better"),
+        ("accuracy.ekf.ate_m", 1.1, "broken"),
+        ("accuracy.ekf.coverage", 0.9, "broken"),
+        ("accuracy.ekf.landmarks_found", 1.1, "better"),
+        ("agreement.optimism", 0.9, "broken"),
+        ("agreement.optimism", 1.1, "broken"),
+        ("agreement.linearisation_gap_sigma", 0.5, "better"),
+        ("consistency.ekf.pose.mean", 0.9, "broken"),
+        ("ekf.landmarks", 1.1, "broken"),
+    ],
+)
+def test_less_of_an_error_is_better_and_other_changes_are_not(
+    result: Result, kept: Baseline, name: str, factor: float, state: str
+) -> None:
+    was = kept.metrics[name]
+    assert was.value
+    then = kept.model_copy(
+        update={
+            "metrics": {**kept.metrics, name: was.model_copy(update={"value": was.value / factor})}
+        }
+    )
+    assert states(compare_with(then, result)) == {name: state}
+
+
+def test_every_figure_has_a_side_and_a_reason(result: Result, checked: CheckResult) -> None:
+    """Broken variant: a figure that nobody thought of."""
+    names = {".".join(path) for path in number_paths(CheckResult)}
+    for part, model in (("ekf", EkfResult), ("agreement", AgreementResult)):
+        names |= {".".join(path) for path in number_paths(model, (part,)) if len(path) == 2}
+    names |= {".".join(path) for path in number_paths(AccuracyResult, ("accuracy", "ekf"))}
+    names |= figures(result).keys() | figures(checked).keys()
+    assert len(names) > 90
+    assert [name for name in sorted(names) if judged_by(name) is None] == []
+    assert judged_by("accuracy.ekf.jerk") is None
+    assert all(judged.reason for judged in SIDES.values())
+    used = {id(judged_by(name)) for name in names | {"accuracy.rpe_m"}}
+    assert [name for name, judged in SIDES.items() if id(judged) not in used] == []
+
+
+def test_a_figure_of_no_side_is_two_sided(result: Result, kept: Baseline) -> None:
+    metrics_then = {**kept.metrics, "ekf.unheard_of": Metric(value=1.0, tolerance=0.0)}
+    then = kept.model_copy(update={"metrics": metrics_then})
+    assert states(compare_with(then, result)) == {"ekf.unheard_of": "broken"}
+
+
+def test_a_check_holds_beside_itself(checked: CheckResult) -> None:
+    kept = build_baseline([checked], CheckConfig(estimate="mine", times="times.txt"))
+    changes = compare_with(kept, checked)
+    assert states(changes) == {}
+    assert [change.name for change in changes[:2]] == ["verdict", "grade"]
+    assert {"rms_m", "accuracy.ate_m", "landmarks.agreeing", "outside"} <= set(kept.metrics)
+    assert not {"estimate", "times"} & set(kept.config)
+    assert not {"source", "sha256"} & set(kept.config["log"])
+    assert kept.of_estimate
+    assert read_again(kept) == kept
+
+
+def read_again(kept: Baseline) -> Baseline:
+    return Baseline.model_validate_json(json.dumps(kept.model_dump()))
+
+
+def test_a_worse_and_a_better_estimate(checked: CheckResult) -> None:
+    kept = build_baseline([checked], CheckConfig())
+    worse = checked.model_copy(
+        update={"rms_m": 2.0 * checked.rms_m, "grade": "like", "verdict": "disagree"}
+    )
+    broken = dict.fromkeys(("verdict", "grade", "rms_m"), "broken")
+    assert states(compare_with(kept, worse)) == broken
+    from_worse = states(compare_with(build_baseline([worse], CheckConfig()), checked))
+    assert from_worse == {"verdict": "broken", "grade": "better", "rms_m": "better"}
+
+
+def test_what_is_no_longer_handed_in_is_broken_and_what_is_more_is_new(
+    checked: CheckResult, bare: CheckResult
+) -> None:
+    less = states(compare_with(build_baseline([checked], CheckConfig()), bare))
+    assert less["outside"] == less["landmarks.agreeing"] == "broken"
+    more = compare_with(build_baseline([bare], CheckConfig()), checked)
+    found = {n: state for n, state in states(more).items() if not n.startswith("landmarks.")}
+    assert found["outside"] == "new"
+    assert "broken" not in found.values()
+
+
+def test_a_run_and_an_estimate_are_not_compared(
+    result: Result, checked: CheckResult, kept: Baseline
+) -> None:
+    with pytest.raises(InputError, match="is of an estimate, expected slamcheck run"):
+        compare_with(kept, checked)
+    with pytest.raises(InputError, match="is of slamcheck run, expected an estimate"):
+        compare_with(build_baseline([checked], CheckConfig()), result)
+
+
+def test_an_update_keeps_tolerances_made_by_hand(checked: CheckResult) -> None:
+    kept = build_baseline([checked], CheckConfig())
+    kept = kept.model_copy(
+        update={"metrics": {**kept.metrics, "rms_m": Metric(value=checked.rms_m, tolerance=0.5)}}
+    )
+    assert checked.accuracy is not None
+    accuracy = checked.accuracy.model_copy(update={"ate_m": 10.0})
+    worse = checked.model_copy(update={"rms_m": checked.rms_m + 0.4, "accuracy": accuracy})
+    assert states(compare_with(kept, worse)) == {"accuracy.ate_m": "broken"}
+    new = updated(kept, worse, CheckConfig())
+    assert new.metrics["rms_m"] == Metric(value=checked.rms_m + 0.4, tolerance=0.5)
+    assert new.metrics["accuracy.ate_m"] == Metric(value=10.0, tolerance=0.2)
+    assert states(compare_with(new, worse)) == {}
+
+
+def test_files_of_version_2_are_read_and_updated(
+    tmp_path: Path, result: Result, kept: Baseline
+) -> None:
+    data = kept.model_dump()
+    del data["words"]
+    data["metrics"] = {n: m for n, m in data["metrics"].items() if "consistency" not in n}
+    path = tmp_path / "b.json"
+    path.write_text(json.dumps({**data, "version": 2}))
+    older = read_baseline(path)
+    assert set(states(compare_with(older, result)).values()) == {"new"}
+    write_baseline(updated(older, result, run_config()), path)
+    assert read_baseline(path).version == 3
+    assert states(compare_with(read_baseline(path), result)) == {}
+
+
+def test_what_is_better_fails_no_junit_case(tmp_path: Path, result: Result, kept: Baseline) -> None:
+    assert result.agreement.linearisation_gap_sigma is not None
+    half = 0.5 * result.agreement.linearisation_gap_sigma
+    changes = compare_with(kept, changed(result, linearisation_gap_sigma=half))
+    write_junit(changes, "log", tmp_path / "report.xml")
+    suite = ElementTree.parse(tmp_path / "report.xml").getroot()  # noqa: S314
+    assert suite.get("failures") == "0"
+    (case,) = [case for case in suite if len(case)]
+    assert case[0].tag == "system-out"
+    assert str(case[0].text).startswith("better: agreement.linearisation_gap_sigma")
+
+
+@pytest.mark.slow
+def test_the_commands_on_an_estimate(tmp_path: Path, estimate: Estimate) -> None:
+    write_log_folder(simulated(loop_s=20.0), tmp_path / "log")
+    (tmp_path / "mine").mkdir()
+    write_estimate(estimate, tmp_path / "mine")
+    mine = ("--estimate", "mine")
+    saved = slamcheck("baseline", "save", "log", "b.json", *mine, cwd=tmp_path)
+    assert saved.returncode == 0, saved.stderr
+    assert "verdict agree, grade equal" in saved.stdout
+    same = slamcheck("baseline", "compare", "log", "b.json", *mine, cwd=tmp_path)
+    assert same.returncode == 0, same.stdout + same.stderr
+    late = replace(estimate, time_s=estimate.time_s + 0.2)
+    (tmp_path / "late.tum").write_text(tum_text(late.time_s, late.pose))
+    compare = ("baseline", "compare", "log", "b.json", "--estimate", "late.tum")
+    broken = slamcheck(*compare, "--junit", "j.xml", cwd=tmp_path)
+    assert broken.returncode == 1
+    assert "broken: grade: equal then, wrong now" in broken.stdout
+    assert "cause: time: 0.200 s later" in broken.stdout
+    assert "if that is meant, keep it in b.json: --update" in broken.stdout
+    cases = ElementTree.parse(tmp_path / "j.xml").getroot()  # noqa: S314
+    (grade,) = [case[0] for case in cases if case.get("name") == "grade"]
+    assert str(grade.get("message")).startswith("grade: equal then, wrong now")
+    assert "time: 0.200 s later" in str(grade.text)
+    before = (tmp_path / "b.json").read_text()
+    kept = slamcheck(*compare, "--update", cwd=tmp_path)
+    assert kept.returncode == 0, kept.stderr
+    assert "broken: grade" in kept.stdout
+    assert (tmp_path / "b.json").read_text() != before
+    assert slamcheck(*compare, cwd=tmp_path).returncode == 0
+
+
+@pytest.mark.slow
+def test_a_baseline_of_the_other_job_is_refused(
+    tmp_path: Path, estimate: Estimate, checked: CheckResult, kept: Baseline
+) -> None:
+    write_log_folder(simulated(loop_s=20.0), tmp_path / "log")
+    (tmp_path / "mine").mkdir()
+    write_estimate(estimate, tmp_path / "mine")
+    write_baseline(kept, tmp_path / "run.json")
+    write_baseline(build_baseline([checked], CheckConfig()), tmp_path / "mine.json")
+    mine = ("--estimate", "mine")
+    for words, message in (
+        (("compare", "log", "run.json", *mine), "run.json: is of slamcheck run"),
+        (("compare", "log", "mine.json"), "mine.json: is of an estimate; give one with --estimate"),
+        (("save", "log", "b.json", *mine, "--runs", "3"), "--runs repeats a run"),
+        (("save", "log", "b.json", *mine, "--filter", "full"), "--filter is of a run"),
+        (("save", "log", "b.json", "--require", "like"), "--require goes with --estimate"),
+        (("save", "log", "b.json", "--estimate", "nowhere"), "nowhere: no such file"),
+    ):
+        done = slamcheck("baseline", *words, cwd=tmp_path)
+        assert done.returncode == 2, words
+        assert message in done.stderr
+        assert len(done.stderr.strip().splitlines()) == 1
+    assert not (tmp_path / "b.json").exists()
 
 
 @pytest.mark.slow
@@ -205,27 +438,3 @@ def test_runs_stand_side_by_side(tmp_path: Path, result: Result) -> None:
     missing = slamcheck("compare", "a", "nowhere", cwd=tmp_path)
     assert missing.returncode == 2
     assert "nowhere" in missing.stderr
-
-
-@pytest.mark.slow
-def test_the_plugin_judges_every_log_of_a_folder(tmp_path: Path) -> None:
-    write_log_folder(simulated(loop_s=20.0), tmp_path / "logs" / "short")
-    write_log_folder(simulated(seed=1, loop_s=20.0), tmp_path / "logs" / "other")
-    (tmp_path / "pytest.ini").write_text("[pytest]\nslam_logs = logs\n")
-    (tmp_path / "test_gate.py").write_text(
-        "def test_log(slam_log, slam_check):\n"
-        "    assert slam_check(slam_log).outcome == 'agree'\n"
-        "    assert slam_log.name\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-v", "-p", "no:slamcheck", "-p", "no:cacheprovider",
-         "-p", "comparisons.pytest_plugin", "test_gate.py"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-        env={"PYTHONPATH": str(ROOT), "PATH": ""},
-    )  # fmt: skip
-    assert done.returncode == 0, done.stdout
-    assert "test_log[other] PASSED" in done.stdout
-    assert "test_log[short] PASSED" in done.stdout

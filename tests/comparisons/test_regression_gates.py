@@ -1,0 +1,282 @@
+"""The pytest plugin, and the workflow for continuous integration, in projects of their own."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from comparisons.baseline import build_baseline, write_baseline
+from comparisons.config import CheckConfig
+from comparisons.estimates.estimate import Estimate
+from comparisons.estimates.external import GivenEstimate
+from comparisons.estimates.folder import tum_text, write_estimate
+from comparisons.logs.log import Log
+from comparisons.logs.log_folder import write_log_folder
+from comparisons.pipeline.check import check
+from comparisons.report.check import build_check_result
+from tests.comparisons.test_cli import python, slamcheck
+from tests.helpers import compared, simulated
+
+ROOT = Path(__file__).resolve().parents[2]
+WORKFLOW = ROOT / "examples" / "ci" / "slamcheck.yml"
+PAGE = ROOT / "docs" / "regression-gates.md"
+STRICT = """\
+[pytest]
+slam_logs = logs
+addopts = --strict-markers --strict-config
+filterwarnings = error
+xfail_strict = true
+"""
+COUNTING = """\
+import warnings
+from comparisons.pipeline import solve as module
+plain = module.solve
+
+def solve(*arguments):
+    warnings.warn("as of a library; would be an error in the test's own code")
+    with open("solved.txt", "a") as file:
+        file.write("solved\\n")
+    return plain(*arguments)
+
+module.solve = solve
+"""
+TESTS = """\
+import pytest
+
+def test_right(slam_log, slam_check):
+    found = slam_check(slam_log, estimate="mine", require="like")
+    assert found.outcome == "agree"
+    assert found.result.grade == "equal"
+    wrong = slam_check(slam_log, estimate="late.tum")
+    assert found and not wrong
+    assert "time" in [cause.gap for cause in wrong.causes]
+    assert "short, estimate late.tum: disagree (" in repr(wrong)
+
+class TestGate:
+    def test_late(self, slam_log, slam_check):
+        assert slam_check(slam_log, estimate="late.tum").outcome == "agree"
+
+def test_baseline(slam_log, slam_baseline):
+    slam_baseline(slam_log, "mine.json", estimate="mine")
+    slam_baseline(slam_log, "mine.json", estimate="late.tum")
+
+def test_missing(slam_log, slam_check):
+    slam_check(slam_log, estimate="nowhere.tum")
+
+def test_other_settings(slam_log, slam_check):
+    assert slam_check(slam_log, estimate="mine", robust="huber").outcome == "agree"
+
+@pytest.mark.xfail
+def test_known_fault(slam_log, slam_check):
+    assert slam_check(slam_log, estimate="late.tum").outcome == "agree"
+"""
+
+
+@pytest.fixture(scope="module")
+def log() -> Log:
+    return replace(simulated(loop_s=20.0), name="short")
+
+
+@pytest.fixture(scope="module")
+def right(log: Log) -> Estimate:
+    """The reference EKF's, standing in for somebody's filter."""
+    return compared(log).ekf.estimate
+
+
+def late(right: Estimate) -> str:
+    return tum_text(right.time_s + 0.2, right.pose)
+
+
+def project(folder: Path, log: Log, right: Estimate) -> None:
+    """A log, a right and a wrong estimate, and the right one's baseline."""
+    write_log_folder(log, folder / "logs" / "short")
+    (folder / "mine").mkdir()
+    write_estimate(right, folder / "mine")
+    (folder / "late.tum").write_text(late(right))
+    result = build_check_result(check(log, GivenEstimate.of(right)))
+    write_baseline(build_baseline([result], CheckConfig()), folder / "mine.json")
+
+
+def run_pytest(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "pytest", "-p", "no:slamcheck", "-p", "no:cacheprovider",
+         "-p", "no:dash", "-p", "comparisons.pytest_plugin", *words],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+        env={"PYTHONPATH": str(ROOT), "PATH": "", "OPENBLAS_NUM_THREADS": "1"},
+    )  # fmt: skip
+
+
+@pytest.mark.slow
+def test_a_failure_shows_verdict_causes_and_report(
+    tmp_path: Path, log: Log, right: Estimate
+) -> None:
+    project(tmp_path, log, right)
+    (tmp_path / "pytest.ini").write_text(STRICT)
+    (tmp_path / "conftest.py").write_text(COUNTING)
+    (tmp_path / "test_gate.py").write_text(TESTS)
+    done = run_pytest(tmp_path)
+    assert "3 failed, 2 passed, 1 xfailed" in done.stdout, done.stdout + done.stderr
+    for line in (
+        "assert 'disagree' == 'agree'",
+        "E         short, estimate late.tum: disagree, grade wrong, required plausible",
+        "\n  time: 0.200 s later the path fits",
+        "E         report: slamcheck-reports/test_gate/TestGate--test_late-short",
+        "mine.json: ",
+        "E       broken: grade: equal then, wrong now",
+        "E       comparisons.errors.InputError: nowhere.tum: no such file or folder, expected",
+        "slamcheck: short, estimate late.tum",
+        "\nverdict: disagree\n",
+    ):
+        assert line in done.stdout, (line, done.stdout)
+    assert re.search(r"^E         (time|frame): ", done.stdout, re.MULTILINE)
+    assert "external.py" not in done.stdout
+    reports = tmp_path / "slamcheck-reports" / "test_gate"
+    assert sorted(path.name for path in reports.iterdir()) == [
+        "TestGate--test_late-short",
+        "test_baseline-short",
+        "test_baseline-short-2",
+    ]
+    assert (reports / "test_baseline-short-2" / "check.json").exists()
+    # Once for each of the smoother's settings, whatever the estimate and what is required of it.
+    assert (tmp_path / "solved.txt").read_text().count("solved") == 2
+
+
+@pytest.mark.slow
+def test_the_plugin_judges_every_log_of_a_folder_and_under_xdist(tmp_path: Path, log: Log) -> None:
+    write_log_folder(log, tmp_path / "logs" / "short")
+    other = replace(simulated(seed=1, loop_s=20.0), name="other")
+    write_log_folder(other, tmp_path / "logs" / "other")
+    (tmp_path / "pytest.ini").write_text(STRICT)
+    (tmp_path / "test_gate.py").write_text(
+        "def test_log(slam_log, slam_check):\n"
+        "    expected = 'agree' if slam_log.name == 'short' else 'unverified'\n"
+        "    assert slam_check(slam_log).outcome == expected\n"
+    )
+    done = run_pytest(tmp_path, "-v", "-n", "2", "--slam-reports", "kept")
+    assert "1 failed, 1 passed" in done.stdout, done.stdout + done.stderr
+    assert "PASSED test_gate.py::test_log[short]" in done.stdout
+    assert "assert 'agree' == 'unverified'" in done.stdout
+    report = tmp_path / "kept" / "test_gate" / "test_log-other" / "report.html"
+    assert report.exists()
+    assert [path.name for path in (tmp_path / "kept" / "test_gate").iterdir()] == ["test_log-other"]
+
+
+def test_the_plugin_loads_nothing_before_a_test_asks(tmp_path: Path) -> None:
+    """Broken variant: the module of the fixtures' work, which does load it."""
+    code = (
+        "import sys, pytest, {}\n"
+        "heavy = {{'numpy', 'gtsam', 'scipy', 'matplotlib', 'pydantic', 'rich'}}\n"
+        "assert not heavy & set(sys.modules), sorted(heavy & set(sys.modules))\n"
+    )
+    assert python(code.format("comparisons.pytest_plugin"), tmp_path).returncode == 0
+    assert python(code.format("comparisons.baseline"), tmp_path).returncode == 1
+
+
+def steps() -> list[dict[str, Any]]:
+    """The workflow's steps."""
+    yaml = pytest.importorskip("ruamel.yaml").YAML(typ="safe")
+    (job,) = yaml.load(WORKFLOW.read_text())["jobs"].values()
+    return list(job["steps"])
+
+
+def test_the_workflow_keeps_reports_of_a_failure() -> None:
+    found = {step.get("name"): step for step in steps()}
+    kept = found["Keep the reports"]
+    assert kept["if"] == "${{ !cancelled() }}"
+    assert kept["with"]["path"] == "reports/"
+    assert "reports/check" in found["Check the estimate"]["run"]
+    assert "reports/baseline.xml" in found["Compare with the baseline"]["run"]
+    installed = next(step["with"] for step in steps() if "setup-python" in step.get("uses", ""))
+    assert installed["cache"] == "pip"
+
+
+def snippet(kind: str) -> str:
+    """Return the only one of a kind on the documentation's page."""
+    (found,) = re.findall(rf"^```{kind}\n(.*?)^```", PAGE.read_text(), re.MULTILINE | re.DOTALL)
+    return str(found)
+
+
+def run_workflow(folder: Path) -> dict[str, subprocess.CompletedProcess[str]]:
+    """Do every step but the installation with the shell that runs them in earnest."""
+    yaml = pytest.importorskip("ruamel.yaml").YAML(typ="safe")
+    found = yaml.load(WORKFLOW.read_text())
+    environment = {
+        "PATH": f"{folder / 'bin'}:/usr/bin:/bin",
+        "PYTHONPATH": str(ROOT),
+        **{name: str(value) for name, value in found["env"].items()},
+    }
+    done = {}
+    for step in found["jobs"]["gate"]["steps"]:
+        if "run" in step and step["name"] != "Install":
+            done[step["name"]] = subprocess.run(
+                ["bash", "-e", "-c", step["run"]],
+                cwd=folder,
+                capture_output=True,
+                text=True,
+                check=False,
+                env=environment,
+            )
+    return done
+
+
+@pytest.mark.slow
+def test_workflow_and_tests_let_a_right_filter_pass_and_stop_a_wrong_one(
+    tmp_path: Path, log: Log, right: Estimate
+) -> None:
+    """The filter is a stub that copies an estimate, as no filter of somebody's is here."""
+    write_log_folder(log, tmp_path / "logs" / "my-log")
+    (tmp_path / "right").mkdir()
+    write_estimate(right, tmp_path / "right")
+    (tmp_path / "wrong").mkdir()
+    write_estimate(replace(right, time_s=right.time_s + 0.2), tmp_path / "wrong")
+    (tmp_path / "bin").mkdir()
+    for name, words in (
+        ("python", ""),
+        ("slamcheck", " -c 'from comparisons.cli import app; app.main()'"),
+    ):
+        shim = tmp_path / "bin" / name
+        shim.write_text(f'#!/bin/sh\nexec {sys.executable}{words} "$@"\n')
+        os.chmod(shim, 0o755)  # noqa: S103
+    stub = (
+        "import shutil, sys\nlog, out = sys.argv[1:]\n"
+        "shutil.copytree('{}', out, dirs_exist_ok=True)\n"
+    )
+    filter_file = tmp_path / "my_filter.py"
+    filter_file.write_text(stub.format("right"))
+    save = ("save", "logs/my-log", "baselines/my-log.json", "--estimate", "right")
+    assert slamcheck("baseline", *save, cwd=tmp_path).returncode == 0
+
+    (tmp_path / "pytest.ini").write_text(snippet("ini"))
+    (tmp_path / "test_my_filter.py").write_text(snippet("python"))
+
+    passing = run_workflow(tmp_path)
+    assert {name: one.returncode for name, one in passing.items()} == {
+        "Run the filter": 0,
+        "Check the estimate": 0,
+        "Compare with the baseline": 0,
+    }, passing
+    done = run_pytest(tmp_path)
+    assert "2 passed" in done.stdout, done.stdout
+    filter_file.write_text(stub.format("wrong"))
+    failing = run_workflow(tmp_path)
+    assert {name: one.returncode for name, one in failing.items()} == {
+        "Run the filter": 0,
+        "Check the estimate": 1,
+        "Compare with the baseline": 1,
+    }, failing
+    assert "broken: grade: equal then, wrong now" in failing["Compare with the baseline"].stdout
+    assert (tmp_path / "reports" / "check" / "check.json").exists()
+    assert "<failure" in (tmp_path / "reports" / "baseline.xml").read_text()
+    done = run_pytest(tmp_path, "--slam-reports", "reports")
+    assert "2 failed" in done.stdout, done.stdout
+    assert (tmp_path / "reports/test_my_filter/test_my_filter-my-log/check.json").exists()
