@@ -108,7 +108,8 @@ def build_baseline(results: Sequence[Result], config: RunConfig) -> Baseline:
 def compare_with(baseline: Baseline, result: Result) -> list[Change]:
     """All metrics, the verdict first. Raises InputError where the log is another one.
 
-    A count that a baseline from before does not have may be there, as long as it is zero.
+    A count that a baseline from before does not have may be there, as long as it is zero; a
+    measure that it does not have has nothing to be compared with.
     """
     if result.log.sha256 != baseline.sha256:
         raise InputError(
@@ -122,7 +123,10 @@ def compare_with(baseline: Baseline, result: Result) -> list[Change]:
     for name, kept in baseline.metrics.items():
         value = now.pop(name, None)
         changes.append(Change(name, kept.value, value, kept.tolerance, _holds(name, kept, value)))
-    changes += [Change(name, None, value, 0.0, not value) for name, value in now.items()]
+    changes += [
+        Change(name, None, value, 0.0, not value or isinstance(value, float))
+        for name, value in now.items()
+    ]
     return changes
 
 

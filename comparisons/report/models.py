@@ -152,10 +152,12 @@ class AgreementResult(Model):
 
 
 class AccuracyResult(Model):
-    """Against truth or GPS; None where the log has no such reference."""
+    """Against truth or GPS; None where the log has no such reference. See checks.accuracy."""
 
     ate_m: float | None
     ate_aligned_m: float | None
+    rpe_10m_m: float | None = None
+    rpe_10m_rad: float | None = None
     landmark_rmse_m: float | None
     landmark_rmse_aligned_m: float | None
     landmarks_found: int | None
