@@ -79,6 +79,19 @@ def assess_trajectory(time_s: Array, pose: Array, log: Log) -> Accuracy | None:
     return Accuracy(**figures) if figures else None  # type: ignore[arg-type]
 
 
+def landmark_errors(
+    landmark_id: NDArray[np.int64], landmark: Array, log: Log, *, labelled: bool
+) -> Array:
+    """Distances (L,) [m] of landmarks (L, 2) from the true ones, NaN where none is matched."""
+    found, table = np.full(len(landmark), np.nan), log.truth.landmarks
+    if table is not None:
+        ours, theirs = match_landmarks(
+            (landmark_id, landmark), (table.id, table.position_m), labelled=labelled
+        )
+        found[ours] = np.linalg.norm(landmark[ours] - table.position_m[theirs], axis=1)
+    return found
+
+
 def _of_trajectory(time_s: Array, pose: Array, log: Log) -> dict[str, float | int | None]:
     figures: dict[str, float | int | None] = {}
     truth, positions = log.truth, log.positions

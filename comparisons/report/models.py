@@ -372,6 +372,17 @@ class ConsistencyResult(Model):
     filter_against_smoother: FilterAgainstSmootherResult | None
 
 
+class GivenConsistencyResult(Model):
+    """Of an external estimate's covariances, by truth and by the smoother.
+
+    unjudged: why filter_against_smoother is None.
+    """
+
+    truth: TruthConsistencyResult | None
+    filter_against_smoother: FilterAgainstSmootherResult | None
+    unjudged: str
+
+
 class CauseResult(Model):
     """One reason for the verdict."""
 
