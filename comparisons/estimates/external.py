@@ -24,7 +24,7 @@ from comparisons.estimates.folder import (
     read_trajectory,
 )
 from comparisons.estimates.trace_file import TRACE, TraceFile, read_trace
-from comparisons.estimates.trajectory_files import read_trajectory_file
+from comparisons.estimates.trajectory_files import files_read, read_trajectory_file
 from comparisons.logs.validation import LARGEST
 
 Information = Literal["filtered", "smoothed", "fixed-lag"]
@@ -125,10 +125,8 @@ def read_given(path: Path, times: Path | None = None) -> GivenEstimate:
     time_s, pose, covariance = read_trajectory_file(path, times)
     if not len(pose):
         raise InputError(f"{path}: holds no poses")
-    files = (path,) if times is None else (path, times)
-    return GivenEstimate(
-        time_s=time_s, pose=pose, pose_covariance=covariance, sha256=_hashes(files)
-    )
+    hashes = _hashes(files_read(path, times))
+    return GivenEstimate(time_s=time_s, pose=pose, pose_covariance=covariance, sha256=hashes)
 
 
 def _hashes(files: Iterable[Path]) -> dict[str, str]:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from comparisons.estimates.estimate import Estimate
+from comparisons.extensions.contract import Finding
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.folder import write_job_folder
 from comparisons.report.html import map as map_page
@@ -149,6 +150,35 @@ def test_of_many_landmarks_the_farthest_apart_are_shown(
     assert sorted(map(int, rows)) == sorted(farthest)
     assert f"5 of {len(blocks)} landmarks" in text
     assert len(re.findall(r"<polygon", text)) == 2 * 5
+
+
+def test_every_estimate_of_an_extension_is_on_the_page(comparison: Comparison) -> None:
+    """As a layer of the map, and as a curve; landmarks by their ids."""
+    third = replace(
+        comparison.smoothed,
+        pose=comparison.smoothed.pose + (3.0, 4.0, 0.0),
+        landmark_id=np.append(comparison.smoothed.landmark_id[2:], 777),
+        landmark=comparison.smoothed.landmark[1:],
+        joint_covariance=comparison.smoothed.joint_covariance[2:, 2:],
+    )
+    found = Finding()
+    found.estimates = {"third": third, "plain": comparison.smoothed}
+    found.titles = {"third": "a third <i>"}
+    text = drawn(replace(comparison, findings={"x": found}), build_result(comparison))
+    assert 'data-name="a third &lt;i&gt; trajectory"' in text
+    assert 'data-name="plain landmarks"' in text
+    count = len(comparison.smoothed.landmark)
+    assert len(re.findall("<circle [^>]*><title>a third &lt;i&gt;, landmark", text)) == count - 2
+    block = re.search(r'id="data">(.*?)</script>', text)
+    assert block is not None
+    data = json.loads(block[1])
+    assert set(data["tracks"]) == {"smoother", "EKF", "a third <i>", "plain"}
+    panel = next(p for p in data["panels"] if p["title"] == "distance from the smoother [m]")
+    apart = {curve["name"]: curve["y"] for curve in panel["curves"]}
+    assert set(apart) == {"EKF", "a third <i>", "plain"}
+    assert set(apart["a third <i>"]) == {5}
+    assert set(apart["plain"]) == {0}
+    assert "distance from the smoother" not in drawn(comparison, build_result(comparison))
 
 
 def test_a_long_log_leaves_a_page_of_less_than_5_mb(comparison: Comparison) -> None:
