@@ -72,20 +72,21 @@ class GivenEstimate:
         )
 
     def padded(self) -> Estimate:
-        """Return it as an estimate with all parts: covariances NaN, and no map, where not given."""
-        whole = self.joint_covariance is not None and self.landmark is not None
+        """Return it as an estimate with all parts: no landmarks, and covariances NaN, if not given.
+
+        The joint covariance is then of the last pose alone, whatever landmarks there are.
+        """
         unknown = np.full((len(self.pose), 3, 3), np.nan)
-        cover = self.pose_covariance
         ids, places = self.landmark_id, self.landmark
         return Estimate(
             time_s=self.time_s,
             pose=self.pose,
-            pose_covariance=unknown if cover is None else cover,
-            landmark_id=ids if whole and ids is not None else np.zeros(0, dtype=np.int64),
-            landmark=places if whole and places is not None else np.zeros((0, 2)),
-            joint_covariance=self.joint_covariance
-            if whole and self.joint_covariance is not None
-            else unknown[-1],
+            pose_covariance=unknown if self.pose_covariance is None else self.pose_covariance,
+            landmark_id=np.zeros(0, dtype=np.int64) if ids is None else ids,
+            landmark=np.zeros((0, 2)) if places is None else places,
+            joint_covariance=unknown[-1]
+            if self.joint_covariance is None
+            else self.joint_covariance,
             information=self.information or "filtered",
         )
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.checks import causes as cause
-from comparisons.checks.accuracy import Accuracy, assess_trajectory
+from comparisons.checks.accuracy import Accuracy, assess
 from comparisons.checks.agreement import ROUNDING
 from comparisons.checks.causes import Cause
 from comparisons.checks.consistency.consistency import GivenConsistency, given_consistency
@@ -138,7 +138,7 @@ def judge_given(
             labelled=labelled,
             robust=solution.result.options.robust,
         ),
-        accuracy=assess_trajectory(given.time_s, given.pose, solution.log),
+        accuracy=assess(given.padded(), solution.log, labelled=labelled),
         trace=traced,
         grade=grade,
         outcome=outcome,

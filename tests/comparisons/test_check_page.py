@@ -159,8 +159,11 @@ def test_no_band_is_drawn_where_the_filter_is_surer(
 
 
 def test_without_labels_there_is_no_band(run: Comparison, filtered: GivenEstimate) -> None:
-    own = CheckConfig(association="own")
-    assert "different associations" in check(run.log, filtered, own).consistency.unjudged
+    found = check(run.log, filtered, CheckConfig(association="own"))
+    assert "different associations" in found.consistency.unjudged
+    text = html(found)
+    assert "(given as " in text
+    assert "different associations" in text
 
 
 def test_what_was_not_handed_in_is_left_out_with_a_word(
@@ -205,8 +208,12 @@ def test_landmarks_without_covariances_or_counterparts_are_drawn(
         landmark_id=np.append(filtered.landmark_id[:5], 999),
         landmark=np.vstack((filtered.landmark[:5], (3.0, 4.0))),
     )
-    text = html(check(run.log, own))
+    found = check(run.log, own)
+    text = html(found)
     assert text.count("<tr data-key=") == 5
+    assert found.accuracy is not None
+    assert found.accuracy.landmarks_found == 5
+    assert found.accuracy.landmark_rmse_m is not None
     assert "None were handed in, so there are no ratios." in text
     assert "given landmarks without a counterpart" in layers(text)
     assert "given landmarks, 3 sigma" not in layers(text)

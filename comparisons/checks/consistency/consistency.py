@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -125,12 +125,17 @@ def given_consistency(
             given.time_s[at], given.pose[at], given.pose_covariance[at],
             optimum.pose[at], optimum.pose_covariance[at],
         )  # fmt: skip
+    estimate = given.padded()
+    if given.joint_covariance is None:
+        estimate = replace(
+            estimate, landmark_id=estimate.landmark_id[:0], landmark=estimate.landmark[:0]
+        )
     difference = given.pose - optimum.pose
     difference[:, 2] = wrap_angle(difference[:, 2])
     return GivenConsistency(
         time_s=given.time_s,
         difference=difference,
-        truth=against_truth(given.padded(), log, labelled=labelled),
+        truth=against_truth(estimate, log, labelled=labelled),
         smoother=against_truth(smoothed, log, labelled=labelled),
         smoothed=compared,
         unjudged=reason,
