@@ -223,16 +223,16 @@ def _against_smoother(f: FilterAgainstSmoother, name: str) -> tuple[Panel, ...]:
     justified = np.where(f.ratio >= LEAST_RATIO, 1.0, np.nan)[:, None]
     name = f"{name} - smoother"
     panels = _errors(f.time_s, f.error, justified * f.sigma, name)
-    clear = np.flatnonzero(f.dof > 0)
-    if not clear.size:
+    if not (f.dof > 0).any():
         return panels
-    low, high = np.array([mean_band(1, dof) for dof in range(4)])[f.dof[clear]].T
-    at = f.time_s[clear]
+    none = (np.nan, np.nan)
+    low, high = np.array([none, *(mean_band(1, dof) for dof in (1, 2, 3))])[f.dof].T
+    squares = np.where(f.dof > 0, f.squared, np.nan)
     squared = Panel(
         title="pose's difference, squared",
         x_label="time [s]",
-        curves=(Curve(name, EKF_COLOUR, at, f.squared[clear]),),
-        bands=(Band("95 % band", "#999999", at, low, high),),
+        curves=(Curve(name, EKF_COLOUR, f.time_s, squares),),
+        bands=(Band("95 % band", "#999999", f.time_s, low, high),),
         logarithmic=True,
     )
     return (*panels, squared)

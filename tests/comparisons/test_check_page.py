@@ -150,12 +150,18 @@ def test_no_band_is_drawn_where_the_filter_is_surer(
     run: Comparison, filtered: GivenEstimate
 ) -> None:
     found = check(run.log, surer(filtered))
+    assert found.consistency.smoothed is not None
     told, panels = given_panels(found)
     high = named(panels, "given - smoother")[0].bands[0].high
     half = len(high) // 2
     assert np.isfinite(high[:half]).all()
     assert np.isnan(high[half + 2 : -2]).all()
     assert "but where the given covariance is the smaller one" in told
+    squared = named(panels, "given - smoother")[3]
+    clear = found.consistency.smoothed.dof > 0
+    assert not clear.all()
+    assert (np.isfinite(squared.curves[0].y) == clear).all()
+    assert (np.isfinite(squared.bands[0].high) == clear).all()
 
 
 def test_without_labels_there_is_no_band(run: Comparison, filtered: GivenEstimate) -> None:
