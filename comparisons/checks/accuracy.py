@@ -12,7 +12,12 @@ from scipy.optimize import linear_sum_assignment
 from comparisons.arrays import Array, Index
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
+from ekf_reference.core.geometry import wrap_angle
 
+RPE_M = 10.0
+"""Way between the two poses whose relative pose is judged, along the true path."""
+_RPE_SHARE = 0.1
+"""The way to the pose nearest to that may differ by such a share."""
 MATCH_M = 1.0
 """Unlabelled landmarks match true ones within this distance."""
 _COMPLEX = np.array([1.0, 1.0j])
@@ -23,7 +28,8 @@ _COMPLEX = np.array([1.0, 1.0j])
 class Accuracy:
     """Errors of one estimate; None where the log has no such reference.
 
-    ate_m: root mean square position error against true poses. gps_median_m: median distance to
+    ate_m: root mean square position error against true poses. rpe_10m_m, rpe_10m_rad: root mean
+    square error of relative poses, see relative_errors. gps_median_m: median distance to
     the absolute positions; gps_rms_aligned_m: root mean square, for positions without outliers.
     landmark_rmse_m: over the true landmarks found. `aligned` figures
     come after the rigid motion (no scale) that fits best: in least squares, but in least
@@ -33,6 +39,8 @@ class Accuracy:
 
     ate_m: float | None = None
     ate_aligned_m: float | None = None
+    rpe_10m_m: float | None = None
+    rpe_10m_rad: float | None = None
     landmark_rmse_m: float | None = None
     landmark_rmse_aligned_m: float | None = None
     landmarks_found: int | None = None
@@ -71,6 +79,19 @@ def assess_trajectory(time_s: Array, pose: Array, log: Log) -> Accuracy | None:
     return Accuracy(**figures) if figures else None  # type: ignore[arg-type]
 
 
+def landmark_errors(
+    landmark_id: NDArray[np.int64], landmark: Array, log: Log, *, labelled: bool
+) -> Array:
+    """Distances (L,) [m] of landmarks (L, 2) from the true ones, NaN where none is matched."""
+    found, table = np.full(len(landmark), np.nan), log.truth.landmarks
+    if table is not None:
+        ours, theirs = match_landmarks(
+            (landmark_id, landmark), (table.id, table.position_m), labelled=labelled
+        )
+        found[ours] = np.linalg.norm(landmark[ours] - table.position_m[theirs], axis=1)
+    return found
+
+
 def _of_trajectory(time_s: Array, pose: Array, log: Log) -> dict[str, float | int | None]:
     figures: dict[str, float | int | None] = {}
     truth, positions = log.truth, log.positions
@@ -89,7 +110,46 @@ def _of_trajectory(time_s: Array, pose: Array, log: Log) -> dict[str, float | in
         if len(at):
             figures["ate_m"] = _rms(at - true)
             figures["ate_aligned_m"] = _rms(aligned(at, true) - true)
+        inside = (truth.poses.time_s >= time_s[0]) & (truth.poses.time_s <= time_s[-1])
+        clock, true_pose = truth.poses.time_s[inside], truth.poses.pose[inside]
+        poses = np.column_stack([np.interp(clock, time_s, column) for column in pose.T])
+        apart, turned = relative_errors(poses, true_pose)
+        if len(apart):
+            figures["rpe_10m_m"] = float(np.sqrt(np.mean(apart**2)))
+            figures["rpe_10m_rad"] = float(np.sqrt(np.mean(turned**2)))
     return figures
+
+
+def relative_errors(pose: Array, true: Array, way_m: float = RPE_M) -> tuple[Array, Array]:
+    """Errors (P,) [m] and (P,) [rad] of the relative poses between pairs of poses (N, 3).
+
+    Of every pose and the one that lies way_m further along the true path (N, 3), or nearest to
+    that, by at most a tenth of it: neither a frame nor an error before the pair enters. It is the
+    RPE of evo over metres with all pairs, these taken from the reference.
+    """
+    first, second = _pairs(true[:, :2], way_m)
+    moved = [_relative(path[first], path[second]) for path in (pose, true)]
+    error = moved[0] - moved[1]
+    return np.hypot(error[:, 0], error[:, 1]), np.abs(wrap_angle(error[:, 2]))
+
+
+def _pairs(path: Array, way_m: float) -> tuple[Index, Index]:
+    """Rows of a path (N, 2) and of what lies way_m further on; of a stop its first row."""
+    steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    gone = np.concatenate(([0.0], np.cumsum(steps)))[: len(path)]
+    beyond = np.minimum(np.searchsorted(gone, gone + way_m), len(gone) - 1)
+    short = np.searchsorted(gone, gone[beyond - 1])
+    nearer = np.abs(gone[short] - gone - way_m) <= np.abs(gone[beyond] - gone - way_m)
+    second = np.where(nearer, short, beyond)
+    found = np.abs(gone[second] - gone - way_m) <= _RPE_SHARE * way_m
+    return np.flatnonzero(found), second[found]
+
+
+def _relative(first: Array, second: Array) -> Array:
+    """Poses (P, 3) as seen from others (P, 3)."""
+    x, y, turn = (second - first).T
+    cos, sin = np.cos(first[:, 2]), np.sin(first[:, 2])
+    return np.column_stack((cos * x + sin * y, cos * y - sin * x, turn))
 
 
 def aligned(points: Array, reference: Array, *, robust: bool = False) -> Array:

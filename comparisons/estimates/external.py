@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import hashlib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -14,6 +16,7 @@ from comparisons.arrays import Array
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate, landmark_blocks
 from comparisons.estimates.folder import (
+    FILES,
     SCAN_LANDMARKS,
     read_landmarks,
     read_meta,
@@ -21,7 +24,7 @@ from comparisons.estimates.folder import (
     read_trajectory,
 )
 from comparisons.estimates.trace_file import TRACE, TraceFile, read_trace
-from comparisons.estimates.trajectory_files import read_trajectory_file
+from comparisons.estimates.trajectory_files import files_read, read_trajectory_file
 from comparisons.logs.validation import LARGEST
 
 Information = Literal["filtered", "smoothed", "fixed-lag"]
@@ -39,6 +42,7 @@ class GivenEstimate:
     of the additive global error. information: as of Estimate, None where it was not said.
     estimator: what it calls itself.
     trace: what the filter linearised where.
+    sha256: of the files it was read from, by name.
     """
 
     time_s: Array
@@ -51,6 +55,7 @@ class GivenEstimate:
     information: Information | None = None
     estimator: Estimator = "other"
     trace: TraceFile | None = None
+    sha256: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def of(cls, estimate: Estimate) -> GivenEstimate:
@@ -64,6 +69,25 @@ class GivenEstimate:
             landmark_covariance=estimate.landmark_covariances(),
             joint_covariance=estimate.joint_covariance,
             information=estimate.information,
+        )
+
+    def padded(self) -> Estimate:
+        """Return it as an estimate with all parts: no landmarks, and covariances NaN, if not given.
+
+        The joint covariance is then of the last pose alone, whatever landmarks there are.
+        """
+        unknown = np.full((len(self.pose), 3, 3), np.nan)
+        ids, places = self.landmark_id, self.landmark
+        return Estimate(
+            time_s=self.time_s,
+            pose=self.pose,
+            pose_covariance=unknown if self.pose_covariance is None else self.pose_covariance,
+            landmark_id=np.zeros(0, dtype=np.int64) if ids is None else ids,
+            landmark=np.zeros((0, 2)) if places is None else places,
+            joint_covariance=unknown[-1]
+            if self.joint_covariance is None
+            else self.joint_covariance,
+            information=self.information or "filtered",
         )
 
     def may_be(self, information: Information) -> bool:
@@ -98,11 +122,19 @@ def read_given(path: Path, times: Path | None = None) -> GivenEstimate:
     if path.is_dir():
         if times is not None:
             raise InputError(f"{path}: is a folder; --times is for KITTI files")
-        return _read_folder(path)
+        return replace(_read_folder(path), sha256=_hashes(path / name for name in (*FILES, TRACE)))
     time_s, pose, covariance = read_trajectory_file(path, times)
     if not len(pose):
         raise InputError(f"{path}: holds no poses")
-    return GivenEstimate(time_s=time_s, pose=pose, pose_covariance=covariance)
+    hashes = _hashes(files_read(path, times))
+    return GivenEstimate(time_s=time_s, pose=pose, pose_covariance=covariance, sha256=hashes)
+
+
+def _hashes(files: Iterable[Path]) -> dict[str, str]:
+    """Of those files that are there, by name."""
+    return {
+        file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files if file.is_file()
+    }
 
 
 def _read_folder(path: Path) -> GivenEstimate:

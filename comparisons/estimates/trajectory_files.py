@@ -47,16 +47,27 @@ def read_trajectory_file(path: Path, times: Path | None = None) -> Trajectory:
 
     times: of a KITTI file; `times.txt` beside it by default. Raises InputError.
     """
-    lines = (line.strip() for line in read_text(path).splitlines())
-    first = next((line for line in lines if line and not line.startswith("#")), "")
-    kitti = len(first.split()) == len(_KITTI)
-    if times is not None and not kitti:
+    first = _first_record(path)
+    files = files_read(path, times)
+    if times is not None and times not in files:
         raise InputError(f"{path}: holds its own times; --times is for KITTI files")
-    if kitti:
-        return _read_kitti(path, times or path.with_name(TIMES))
+    if len(files) > 1:
+        return _read_kitti(*files)
     if first.startswith(_CSV[0] + ","):
         return _read_csv(path, first)
     return Trajectory(*read_trajectory(path))
+
+
+def files_read(path: Path, times: Path | None = None) -> tuple[Path, ...]:
+    """The file, and with KITTI the one that holds its times. Raises InputError."""
+    if len(_first_record(path).split()) != len(_KITTI):
+        return (path,)
+    return path, times or path.with_name(TIMES)
+
+
+def _first_record(path: Path) -> str:
+    lines = (line.strip() for line in read_text(path).splitlines())
+    return next((line for line in lines if line and not line.startswith("#")), "")
 
 
 def write_trajectory(trajectory: Trajectory, path: Path, format_name: str) -> None:

@@ -65,7 +65,9 @@ class Finding:
     remarks: Sequence[str] = ()
     """Sentences that change no verdict."""
     estimates: Mapping[str, Estimate] = {}
-    """Further estimates, by the folder that they are written to."""
+    """Further estimates, by the folder that they are written to; the page draws each."""
+    titles: Mapping[str, str] = {}
+    """What the page calls them, where the folder's name does not say it."""
 
     def rows(self) -> Sequence[Row]:
         """Return rows of the table."""

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.checks import causes as cause
-from comparisons.checks.accuracy import Accuracy, assess_trajectory
+from comparisons.checks.accuracy import Accuracy, assess
 from comparisons.checks.agreement import ROUNDING
 from comparisons.checks.causes import Cause
+from comparisons.checks.consistency.consistency import GivenConsistency, given_consistency
 from comparisons.checks.diagnosis.estimate_facts import Clues, facts
 from comparisons.checks.given_agreement import GivenAgreement, compare_given, within_log
 from comparisons.checks.grade import GRADES, Grade, Likeness, Reference, likeness
@@ -52,14 +53,18 @@ class Graded:
 class GivenCheck:
     """What the check found.
 
-    solution: the smoother's. agreement: with it. accuracy: of the given trajectory where the
-    log has truth or positions. trace: the filter's own gaps, where it left one. grade, outcome,
-    causes, remarks: the verdict.
+    solution: the smoother's; optimum: at the given times. peers: right estimates of the kinds that
+    it may be. agreement: with the smoother. consistency: errors and covariances. accuracy: of the
+    given estimate where the log has truth or positions. trace: the filter's own gaps, where it left
+    one. grade, outcome, causes, remarks: the verdict.
     """
 
     given: GivenEstimate
     solution: Solution
+    optimum: Reference
+    peers: tuple[Reference, ...]
     agreement: GivenAgreement
+    consistency: GivenConsistency
     accuracy: Accuracy | None
     trace: TraceCheck | None
     grade: Graded
@@ -126,8 +131,19 @@ def judge_given(
     return GivenCheck(
         given=given,
         solution=solution,
+        optimum=references.optimum,
+        peers=references.peers,
         agreement=found,
-        accuracy=assess_trajectory(given.time_s, given.pose, solution.log),
+        consistency=given_consistency(
+            inside,
+            references.optimum,
+            solution.estimate,
+            solution.log,
+            _information(given, near),
+            labelled=labelled,
+            robust=solution.result.options.robust,
+        ),
+        accuracy=assess(given.padded(), solution.log, labelled=labelled),
         trace=traced,
         grade=grade,
         outcome=outcome,
@@ -144,6 +160,16 @@ def _on_association(solution: Solution) -> list[str]:
     """What speaks against the smoother's own association."""
     checked = solution.association_check
     return [] if checked is None else checked.remarks
+
+
+def _information(given: GivenEstimate, near: Likeness | None) -> str | None:
+    """What its poses know of the log: as it says, or else as a reference does that it is like."""
+    filtered, smoothed = (given.may_be(kind) for kind in ("filtered", "smoothed"))
+    if filtered != smoothed or given.information is not None:
+        return given.information or ("filtered" if filtered else "smoothed")
+    if near is None or near.grade is None:
+        return None
+    return "smoothed" if near.reference.smoothed else "filtered"
 
 
 def _expected(given: GivenEstimate) -> RequiredGrade:

@@ -2,26 +2,49 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 from rich.console import Console
 
+from comparisons.arrays import Index
+from comparisons.checks.accuracy import landmark_errors
 from comparisons.checks.given_agreement import Block, GivenAgreement
-from comparisons.checks.grade import Likeness
+from comparisons.checks.grade import Likeness, match_map
 from comparisons.extensions.contract import Row
 from comparisons.pipeline.check import GivenCheck
 from comparisons.pipeline.given_trace import TraceCheck
 from comparisons.pipeline.prepare import Clock
+from comparisons.report.consistency_result import (
+    given_consistency_result,
+    nees_rows,
+    smoothed_rows,
+)
 from comparisons.report.figures.check import check_figure
+from comparisons.report.figures.style import EKF_COLOUR, SMOOTHER_COLOUR
 from comparisons.report.folder import JobFolder
+from comparisons.report.html.map import (
+    MapContent,
+    Track,
+    all_landmarks,
+    associations,
+    estimate_track,
+    farthest,
+)
+from comparisons.report.html.page import PageContent, page
+from comparisons.report.html.tables import LandmarkRow, landmarks_note
 from comparisons.report.model import Model, finite
 from comparisons.report.models import (
     AccuracyResult,
     BlockResult,
     CauseResult,
+    GivenConsistencyResult,
     LogResult,
     SmootherResult,
 )
+from comparisons.report.panels import REFERENCE_COLOUR, filters_compared, given_panels
 from comparisons.report.rows import (
     accuracy_rows,
     gap_row,
@@ -68,6 +91,8 @@ def build_check_result(check: GivenCheck, read: Clock | None = None) -> CheckRes
             GivenLandmarkResult.model_validate({"id": int(number), **_block(found, block)})
             for number, block in zip(found.landmark_id, found.landmarks, strict=True)
         ],
+        estimate_sha256=dict(check.given.sha256),
+        consistency=given_consistency_result(check.consistency),
         accuracy=accuracy_result(check.accuracy),
         smoother_accuracy=accuracy_result(solution.accuracy),
         trace=_trace(check.trace),
@@ -84,29 +109,157 @@ def build_check_result(check: GivenCheck, read: Clock | None = None) -> CheckRes
 
 def print_check(result: CheckResult, console: Console) -> None:
     """Print what was compared, and the verdict."""
-    rows = [
-        *log_rows(result.log),
-        *settings_rows(result.settings),
-        *smoother_rows(result.smoother),
-        *_agreement_rows(result),
-        *([] if result.trace is None else _gap_rows(result.trace)),
-        *accuracy_rows("accuracy", result.accuracy),
-        *accuracy_rows("smoother's", result.smoother_accuracy),
-        *seconds_rows(result.seconds, result.cpu_s),
-    ]
-    print_rows(rows, console)
+    print_rows([*_check_rows(result), *seconds_rows(result.seconds, result.cpu_s)], console)
     print_verdict(result.verdict, console, result.causes, result.remarks)
 
 
 def check_folder(check: GivenCheck, result: CheckResult) -> JobFolder:
     """Return what is to be written."""
+
+    def write_page(path: Path) -> None:
+        path.write_text(page(check_page(check, result)), encoding="utf-8")
+
     return JobFolder(
         name="check",
         result=result,
         config=check.solution.prepared.config,
         estimates={"smoother": check.solution.estimate},
         figures={"map": check_figure(check)},
+        files={"report.html": write_page},
     )
+
+
+def check_page(check: GivenCheck, result: CheckResult) -> PageContent:
+    """Return what stands on the page."""
+    given, solution = check.given, check.solution
+    told, panels = given_panels(check)
+    ours, theirs = match_map(given, check.optimum, labelled=solution.prepared.labelled)
+    map_content, marked = _map(check, ours, theirs)
+    rows, note = _landmark_table(check, result, ours, theirs[np.isin(theirs, marked)])
+    grade = "no grade" if result.grade is None else _grade_words(result)
+    source = Path(str(result.config.get("estimate") or "handed in")).name
+    return PageContent(
+        name=result.log.name,
+        headline=f"{result.verdict}, {grade}",
+        colour=result.verdict,
+        about=f"estimate {source} of {result.log.format}, {result.log.duration_s:,.0f} s",
+        notes=(),
+        causes=result.causes,
+        remarks=result.remarks,
+        map=map_content,
+        told=told,
+        panels=panels,
+        rows=_check_rows(result),
+        landmarks=rows,
+        landmarks_note=note,
+        seconds=result.seconds,
+        cpu_s=result.cpu_s or {},
+        versions=result.versions,
+    )
+
+
+def _landmark_table(
+    check: GivenCheck, result: CheckResult, ours: Index, shown: Index
+) -> tuple[list[LandmarkRow], str]:
+    """Rows of those landmarks that both have and the map marks, and a note.
+
+    ours: of all that both have. shown: rows (m,) of the smoother's.
+    """
+    given, optimum = check.given, check.optimum
+    if given.landmark is None or given.landmark_id is None:
+        return [], "No landmarks were handed in, so none are compared."
+    if not len(ours):
+        return [], "None of the landmarks handed in is one of the smoother's."
+    labelled = check.solution.prepared.labelled
+    errors = landmark_errors(
+        given.landmark_id, given.landmark, check.solution.log, labelled=labelled
+    )
+    shown_ids = set(optimum.landmark_id[shown].tolist())
+    rows = [
+        LandmarkRow(str(row.id), _both_names(row.id, int(given.landmark_id[i])), row, errors[i])
+        for row, i in zip(result.landmarks, ours.tolist(), strict=True)
+        if row.id in shown_ids
+    ]
+    note = landmarks_note(len(rows), len(ours), "check.json", "the given estimate's")
+    if given.landmark_covariance is None:
+        note += " None were handed in, so there are no ratios."
+    return rows, note
+
+
+def _both_names(own: int, given: int) -> str:
+    return str(own) if own == given else f"{own} (given as {given})"
+
+
+def _map(check: GivenCheck, ours: Index, theirs: Index) -> tuple[MapContent, Index]:
+    """The smoother's, the given estimate, and filters it was compared with.
+
+    ours, theirs: rows of the landmarks that both have. The smoother's that are marked come second.
+    """
+    solution, given, blocks = check.solution, check.given, check.agreement.landmarks
+    smoothed = solution.estimate
+    count = len(smoothed.landmark)
+    distance, ratio = np.full(count, np.nan), np.full(count, np.nan)
+    distance[theirs] = [block.distance for block in blocks]
+    ratio[theirs] = [np.nan if block.least is None else block.least for block in blocks]
+    marked = farthest(distance)
+    ids = smoothed.landmark_id[marked]
+    labels = {i: f"landmark {i}: not in the estimate" for i in ids.tolist()}
+    for row, block in zip(theirs.tolist(), blocks, strict=True):
+        labels[int(smoothed.landmark_id[row])] = (
+            f"landmark {smoothed.landmark_id[row]}: {block.difference_m:.3f} m apart, "
+            f"{block.distance:.2g} sigma"
+        )
+    beneath = [
+        associations(smoothed, solution.prepared.timeline.sighting_epoch, solution.slot),
+        *all_landmarks("all landmarks", smoothed.landmark, marked),
+    ]
+    own = Track(name="given", colour=EKF_COLOUR, dashes="5 3", time_s=given.time_s, pose=given.pose)
+    if given.landmark is not None:
+        place, spread = np.full((count, 2), np.nan), np.full((count, 2, 2), np.nan)
+        place[theirs] = given.landmark[ours]
+        own = replace(own, landmark=place[marked])
+        if given.landmark_covariance is not None:
+            spread[theirs] = given.landmark_covariance[ours]
+            own = replace(own, landmark_covariance=spread[marked])
+        others = np.delete(given.landmark, ours, axis=0)
+        beneath += all_landmarks("given landmarks without a counterpart", others, ours[:0])
+    return MapContent(
+        log=solution.log,
+        tracks=[
+            estimate_track("smoother", SMOOTHER_COLOUR, smoothed, ids),
+            own,
+            *(
+                Track(
+                    name=one.name.removeprefix("the ").removeprefix("an "),
+                    colour=REFERENCE_COLOUR,
+                    dashes="2 2",
+                    time_s=one.time_s,
+                    pose=one.pose,
+                )
+                for one in filters_compared(check)
+            ),
+        ],
+        keys=ids.tolist(),
+        labels=[labels[i] for i in ids.tolist()],
+        ratio=ratio[marked],
+        view=[smoothed.pose[:, :2], smoothed.landmark],
+        beneath=beneath,
+    ), marked
+
+
+def _check_rows(result: CheckResult) -> list[Row]:
+    """Log, smoother, agreement, consistency and accuracy."""
+    truth, f = result.consistency.truth, result.consistency.filter_against_smoother
+    return [
+        *log_rows(result.log),
+        *settings_rows(result.settings),
+        *smoother_rows(result.smoother),
+        *_agreement_rows(result),
+        *([] if result.trace is None else _gap_rows(result.trace)),
+        *(Row(*row) for row in (*nees_rows("NEES", truth), *smoothed_rows("given", f))),
+        *accuracy_rows("accuracy", result.accuracy),
+        *accuracy_rows("smoother accuracy", result.smoother_accuracy),
+    ]
 
 
 def _agreement_rows(result: CheckResult) -> list[Row]:
@@ -140,15 +293,19 @@ def _grade_rows(result: CheckResult) -> list[Row]:
             )
         far = "?" if nearest.largest_sigma is None else f"{nearest.largest_sigma:.2g}"
         rows.append(Row("nearest", f"{nearest.name}: up to {far} sigma, {covariances}"))
-    words = {
-        "equal": f"equal to {nearest.name if nearest else ''}",
-        "like": f"like {nearest.name if nearest else ''}",
+    rows.append(Row("grade", f"{_grade_words(result)} (required: {result.required})"))
+    return rows
+
+
+def _grade_words(result: CheckResult) -> str:
+    name = result.nearest.name if result.nearest else ""
+    return {
+        "equal": f"equal to {name}",
+        "like": f"like {name}",
         "plausible": "plausible",
         "wrong": "wrong",
         None: "none, for the optimum is not verified",
-    }
-    rows.append(Row("grade", f"{words[result.grade]} (required: {result.required})"))
-    return rows
+    }[result.grade]
 
 
 def _gap_rows(trace: TraceResult) -> list[Row]:
@@ -243,6 +400,7 @@ class TraceResult(Model):
 class CheckResult(Model):
     """`check.json`: an estimate from elsewhere against a filter like it and the smoother's.
 
+    estimate_sha256: of the files that were judged, by name; empty where none were read.
     grade: None where it is not like any reference, and the optimum is not verified. required: the
     least that agrees. nearest: of the references. absent: what was not handed in. outside: share
     of the poses beyond the 99.9 % region of their own covariance, None without covariances.
@@ -263,6 +421,8 @@ class CheckResult(Model):
     outside: float | None
     last_pose: BlockResult | None
     landmarks: list[GivenLandmarkResult]
+    estimate_sha256: dict[str, str]
+    consistency: GivenConsistencyResult
     accuracy: AccuracyResult | None
     smoother_accuracy: AccuracyResult | None
     trace: TraceResult | None

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from comparisons.checks.consistency.consistency import Consistency
+from comparisons.checks.consistency.consistency import Consistency, GivenConsistency
 from comparisons.checks.consistency.filter_smoother import FilterAgainstSmoother
 from comparisons.checks.consistency.innovations import SensorInnovations
 from comparisons.checks.consistency.nees import TruthConsistency
@@ -12,6 +14,7 @@ from comparisons.checks.consistency.normalised import Normalised
 from comparisons.report.models import (
     ConsistencyResult,
     FilterAgainstSmootherResult,
+    GivenConsistencyResult,
     InnovationResult,
     NeesResult,
     NisResult,
@@ -61,6 +64,19 @@ def _nees(n: Normalised) -> NeesResult | None:
     )
 
 
+def given_consistency_result(c: GivenConsistency) -> GivenConsistencyResult:
+    """An external estimate's."""
+    truth = c.truth
+    if truth is not None and truth.poses is not None and not len(truth.poses.pose.squared):
+        truth = replace(truth, poses=None)
+    none = truth is None or (truth.poses is None and truth.map is None)
+    return GivenConsistencyResult(
+        truth=None if none else _truth(truth),
+        filter_against_smoother=_smoothed(c.smoothed),
+        unjudged=c.unjudged,
+    )
+
+
 def _innovations(s: SensorInnovations) -> InnovationResult:
     return InnovationResult(
         sensor=s.sensor,
@@ -104,10 +120,7 @@ def _smoothed(f: FilterAgainstSmoother | None) -> FilterAgainstSmootherResult | 
 
 def consistency_rows(c: ConsistencyResult) -> list[tuple[str, str]]:
     """NEES of both estimators where there is truth, NIS per sensor, and filter against smoother."""
-    rows = []
-    for name, truth in (("EKF NEES", c.ekf), ("smoother NEES", c.smoother)):
-        if truth is not None:
-            rows.append((name, _nees_row(truth)))
+    rows = [*nees_rows("EKF NEES", c.ekf), *nees_rows("smoother NEES", c.smoother)]
     for sensor in c.innovations:
         shown = (
             f"{n.name} {n.mean:.3g} of {n.dof} (band {n.band[0]:.3g}-{n.band[1]:.3g})"
@@ -115,15 +128,24 @@ def consistency_rows(c: ConsistencyResult) -> list[tuple[str, str]]:
         )
         rows.append(("NIS", ", ".join(shown)))
         rows.append(("whiteness", _whiteness_row(sensor)))
-    f = c.filter_against_smoother
-    if f is not None and f.squared_per_dof is not None and f.least_ratio is not None:
-        shown_here = (
-            f"poses' difference squared {f.squared_per_dof:.3g} per dof, of 1 (P_EKF - P_smoother"
-            + (f"; band {f.band[0]:.2g}-{f.band[1]:.3g}" if f.band else "")
-            + f"); least variance ratio {f.least_ratio:.3g} at {f.least_ratio_s:.1f} s"
-        )
-        rows.append(("EKF - smoother", shown_here))
-    return rows
+    return [*rows, *smoothed_rows("EKF", c.filter_against_smoother)]
+
+
+def nees_rows(name: str, truth: TruthConsistencyResult | None) -> list[tuple[str, str]]:
+    """NEES of one estimator, where there is truth."""
+    return [] if truth is None else [(name, _nees_row(truth))]
+
+
+def smoothed_rows(name: str, f: FilterAgainstSmootherResult | None) -> list[tuple[str, str]]:
+    """A filter against the smoother, where that can be judged."""
+    if f is None or f.squared_per_dof is None or f.least_ratio is None:
+        return []
+    shown_here = (
+        f"poses' difference squared {f.squared_per_dof:.3g} per dof, of 1 (P_{name} - P_smoother"
+        + (f"; band {f.band[0]:.2g}-{f.band[1]:.3g}" if f.band else "")
+        + f"); least variance ratio {f.least_ratio:.3g} at {f.least_ratio_s:.1f} s"
+    )
+    return [(f"{name} - smoother", shown_here)]
 
 
 def _whiteness_row(sensor: InnovationResult) -> str:

@@ -152,10 +152,12 @@ class AgreementResult(Model):
 
 
 class AccuracyResult(Model):
-    """Against truth or GPS; None where the log has no such reference."""
+    """Against truth or GPS; None where the log has no such reference. See checks.accuracy."""
 
     ate_m: float | None
     ate_aligned_m: float | None
+    rpe_10m_m: float | None = None
+    rpe_10m_rad: float | None = None
     landmark_rmse_m: float | None
     landmark_rmse_aligned_m: float | None
     landmarks_found: int | None
@@ -368,6 +370,17 @@ class ConsistencyResult(Model):
     smoother: TruthConsistencyResult | None
     innovations: list[InnovationResult]
     filter_against_smoother: FilterAgainstSmootherResult | None
+
+
+class GivenConsistencyResult(Model):
+    """Of an external estimate's covariances, by truth and by the smoother.
+
+    unjudged: why filter_against_smoother is None.
+    """
+
+    truth: TruthConsistencyResult | None
+    filter_against_smoother: FilterAgainstSmootherResult | None
+    unjudged: str
 
 
 class CauseResult(Model):

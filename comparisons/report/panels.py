@@ -5,18 +5,29 @@ The picture and the page draw these panels, each in its way; nothing is computed
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from comparisons.arrays import Array
+from comparisons.checks.consistency.filter_smoother import LEAST_RATIO, FilterAgainstSmoother
 from comparisons.checks.consistency.innovations import SensorInnovations
+from comparisons.checks.consistency.nees import PoseErrors
 from comparisons.checks.consistency.normalised import mean_band
+from comparisons.estimates.estimate import Estimate
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.figures.style import EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR
 
+if TYPE_CHECKING:
+    from comparisons.checks.grade import Reference
+    from comparisons.pipeline.check import GivenCheck
+
+REFERENCE_COLOUR = "#5c6f2b"
+_FURTHER = (SCANS_COLOUR, "#6a3d9a", REFERENCE_COLOUR)
 _COMPONENTS = (("east [m]", 1.0), ("north [m]", 1.0), ("heading [deg]", 180.0 / np.pi))
-_COLOURS = (EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR, "#5c6f2b")
+_COLOURS = (EKF_COLOUR, SCANS_COLOUR, SMOOTHER_COLOUR, REFERENCE_COLOUR)
 
 
 @dataclass(frozen=True)
@@ -52,15 +63,25 @@ class Panel:
     level: float | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ConsistencyPanels:
-    """errors: east, north, heading. squared: NEES. nis: by sensor. told: whose error, by what."""
+    """errors: east, north, heading. squared: NEES. nis: by sensor. told: whose error, by what.
+
+    apart: where there are more than two estimates, the distance of each from the smoother's.
+    """
 
     told: str
     errors: tuple[Panel, ...]
     squared: Panel | None
     nis: tuple[Panel, ...]
     whiteness: Panel | None
+    apart: Panel | None = None
+
+    @property
+    def every(self) -> tuple[Panel, ...]:
+        """All panels there are, those over time first."""
+        panels = (*self.errors, self.squared, self.apart, *self.nis, self.whiteness)
+        return tuple(panel for panel in panels if panel is not None)
 
 
 def consistency_panels(comparison: Comparison) -> ConsistencyPanels:
@@ -68,57 +89,166 @@ def consistency_panels(comparison: Comparison) -> ConsistencyPanels:
     c = comparison.consistency
     told, errors, squared = _poses(comparison)
     nis = tuple(_nis(s, colour) for s, colour in zip(c.sensors, _COLOURS, strict=False))
-    return ConsistencyPanels(told, errors, squared, nis, _whiteness(c.sensors))
+    apart = None
+    if more := further_estimates(comparison):
+        estimates = [("EKF", EKF_COLOUR, comparison.ekf.estimate), *more]
+        paths = [(name, colour, e.time_s, e.pose) for name, colour, e in estimates]
+        apart = distance_panel(paths, comparison.smoothed.time_s, comparison.smoothed.pose)
+    return ConsistencyPanels(
+        told=told,
+        errors=errors,
+        squared=squared,
+        nis=nis,
+        whiteness=_whiteness(c.sensors),
+        apart=apart,
+    )
+
+
+def further_estimates(comparison: Comparison) -> list[tuple[str, str, Estimate]]:
+    """Name, colour and estimate of each that extensions found."""
+    found = [
+        (one.titles.get(folder, folder), estimate)
+        for one in comparison.findings.values()
+        for folder, estimate in one.estimates.items()
+    ]
+    return [
+        (name, _FURTHER[i % len(_FURTHER)], estimate) for i, (name, estimate) in enumerate(found)
+    ]
+
+
+def distance_panel(
+    paths: Sequence[tuple[str, str, Array, Array]], time_s: Array, smoothed: Array
+) -> Panel:
+    """How far paths, of name, colour, times (K,) and poses (K, 3), are from the smoother's.
+
+    Over the instants that both have, so that nothing is interpolated.
+    """
+    curves = []
+    for name, colour, at, pose in paths:
+        common, ours, theirs = np.intersect1d(
+            np.round(at, 4), np.round(time_s, 4), return_indices=True
+        )
+        apart = np.linalg.norm(pose[ours, :2] - smoothed[theirs, :2], axis=1)
+        curves.append(Curve(name, colour, common, apart))
+    return Panel(
+        title="distance from the smoother [m]",
+        x_label="time [s]",
+        curves=tuple(curves),
+        bands=(),
+        level=0.0,
+    )
+
+
+def given_panels(check: GivenCheck) -> tuple[str, tuple[Panel, ...]]:
+    """Errors of an external trajectory by truth and by the smoother; what they show, in words."""
+    c, told = check.consistency, []
+    panels: list[Panel] = []
+    by_truth = None if c.truth is None else c.truth.poses
+    if by_truth is None:
+        told.append("The log has no true poses in the estimate's time: no errors against truth.")
+    else:
+        panels += _errors(by_truth.time_s, by_truth.error, by_truth.sigma, "given - truth")
+        curves = [("given", EKF_COLOUR, by_truth)]
+        if c.smoother is not None and c.smoother.poses is not None:
+            curves.append(("smoother", SMOOTHER_COLOUR, c.smoother.poses))
+        if len(by_truth.pose.squared):
+            told.append("Against truth: 3 sigma of the covariances handed in.")
+            panels.append(_nees(curves))
+    if check.given.pose_covariance is None:
+        told.append("No pose covariances were handed in: no bands, and no NEES.")
+    if c.smoothed is None:
+        unknown = np.full_like(c.difference, np.nan)
+        panels += _errors(c.time_s, c.difference, unknown, "given - smoother")
+        if check.given.pose_covariance is not None:
+            told.append(f"Against the smoother there is no band: {c.unjudged}.")
+    else:
+        panels += _against_smoother(c.smoothed, "given")
+        surer = (
+            ", but where the given covariance is the smaller one" if len(c.smoothed.surer) else ""
+        )
+        told.append(
+            "Against the smoother: 3 sigma of P_given - P_smoother, the covariance of what a "
+            f"filter differs by from what knows the future{surer}."
+        )
+    paths = [(r.name, REFERENCE_COLOUR, r.time_s, r.pose) for r in filters_compared(check)]
+    if paths:
+        paths.append(("given", EKF_COLOUR, c.time_s, check.optimum.pose + c.difference))
+        panels.append(distance_panel(paths, check.optimum.time_s, check.optimum.pose))
+    return " ".join(told), tuple(panels)
+
+
+def filters_compared(check: GivenCheck) -> list[Reference]:
+    """Reference filters that the estimate was compared with: the EKF, and a nearer variant."""
+    nearest = [] if check.grade.by is None else [check.grade.by.reference]
+    found = {one.name: one for one in (*check.peers, *nearest) if not one.smoothed}
+    return list(found.values())
 
 
 def _poses(comparison: Comparison) -> tuple[str, tuple[Panel, ...], Panel | None]:
     c, f = comparison.consistency, comparison.consistency.smoothed
     if c.ekf is not None and (p := c.ekf.poses) is not None:
-        nees = p.pose
-        low, high = np.broadcast_to(np.array(nees.single_band)[:, None], (2, len(nees.row)))
-        at = p.time_s[nees.row]
-        curves = [Curve("EKF", EKF_COLOUR, at, nees.squared)]
+        curves = [("EKF", EKF_COLOUR, p)]
         if c.smoother is not None and (q := c.smoother.poses) is not None:
-            at_q = q.time_s[q.pose.row]
-            curves.append(Curve("smoother", SMOOTHER_COLOUR, at_q, q.pose.squared))
-        band = Band("95 % band", "#999999", at, low, high)
-        squared = Panel(
-            title="NEES of the pose (3 dof)",
-            x_label="time [s]",
-            curves=tuple(curves),
-            bands=(band,),
-            logarithmic=True,
-        )
+            curves.append(("smoother", SMOOTHER_COLOUR, q))
         told = "the EKF's pose against truth"
-        return told, _errors(p.time_s, p.error, p.sigma, "EKF - truth"), squared
+        return told, _errors(p.time_s, p.error, p.sigma, "EKF - truth"), _nees(curves)
     if f is None:
         return "no truth, and no smoother on the same data", (), None
     told = "the EKF's pose against the smoother's, 3 sigma of P_EKF - P_smoother"
-    clear, panel = np.flatnonzero(f.dof > 0), None
-    if clear.size:
-        low, high = np.array([mean_band(1, dof) for dof in range(4)])[f.dof[clear]].T
-        at = f.time_s[clear]
-        curve = Curve("EKF - smoother", EKF_COLOUR, at, f.squared[clear])
-        band = Band("95 % band", "#999999", at, low, high)
-        panel = Panel(
-            title="pose's difference, squared",
-            x_label="time [s]",
-            curves=(curve,),
-            bands=(band,),
-            logarithmic=True,
-        )
-    return told, _errors(f.time_s, f.error, f.sigma, "EKF - smoother"), panel
+    panels = _against_smoother(f, "EKF")
+    return told, panels[:3], panels[3] if len(panels) > 3 else None
+
+
+def _nees(poses: Sequence[tuple[str, str, PoseErrors]]) -> Panel:
+    """NEES of estimates of name and colour, with the band of one value of the first's."""
+    curves = [
+        Curve(name, colour, p.time_s[p.pose.row], p.pose.squared) for name, colour, p in poses
+    ]
+    at, nees = curves[0].x, poses[0][2].pose
+    low, high = np.broadcast_to(np.array(nees.single_band)[:, None], (2, len(at)))
+    return Panel(
+        title="NEES of the pose (3 dof)",
+        x_label="time [s]",
+        curves=tuple(curves),
+        bands=(Band("95 % band", "#999999", at, low, high),),
+        logarithmic=True,
+    )
+
+
+def _against_smoother(f: FilterAgainstSmoother, name: str) -> tuple[Panel, ...]:
+    """Differences, and their squares where a direction is clear.
+
+    No band where the filter is clearly surer than the smoother: P_filter - P_smoother is none.
+    """
+    justified = np.where(f.ratio >= LEAST_RATIO, 1.0, np.nan)[:, None]
+    name = f"{name} - smoother"
+    panels = _errors(f.time_s, f.error, justified * f.sigma, name)
+    if not (f.dof > 0).any():
+        return panels
+    none = (np.nan, np.nan)
+    low, high = np.array([none, *(mean_band(1, dof) for dof in (1, 2, 3))])[f.dof].T
+    squares = np.where(f.dof > 0, f.squared, np.nan)
+    squared = Panel(
+        title="pose's difference, squared",
+        x_label="time [s]",
+        curves=(Curve(name, EKF_COLOUR, f.time_s, squares),),
+        bands=(Band("95 % band", "#999999", f.time_s, low, high),),
+        logarithmic=True,
+    )
+    return (*panels, squared)
 
 
 def _errors(time_s: Array, error: Array, sigma: Array, name: str) -> tuple[Panel, ...]:
-    """Of errors (n, 3) and sigmas (n, 3)."""
+    """Of errors (n, 3) and sigmas (n, 3); no band where none of these is a number."""
     panels = []
     for i, (label, unit) in enumerate(_COMPONENTS):
         spread = 3.0 * unit * sigma[:, i]
         curve = Curve(name, EKF_COLOUR, time_s, unit * error[:, i])
-        band = Band("3 sigma", EKF_COLOUR, time_s, -spread, spread)
+        bands: tuple[Band, ...] = ()
+        if np.isfinite(spread).any():
+            bands = (Band("3 sigma", EKF_COLOUR, time_s, -spread, spread),)
         panels.append(
-            Panel(title=label, x_label="time [s]", curves=(curve,), bands=(band,), level=0.0)
+            Panel(title=label, x_label="time [s]", curves=(curve,), bands=bands, level=0.0)
         )
     return tuple(panels)
 

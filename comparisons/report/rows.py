@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 
 from rich.console import Console
@@ -219,8 +220,12 @@ def shown(value: float | None, form: str) -> str:
 
 def _accuracy(a: AccuracyResult) -> str:
     parts = []
+    if a.ate_m is not None:
+        parts.append(f"ATE {a.ate_m:.3f} m (aligned {shown(a.ate_aligned_m, '.3f')})")
+    if a.rpe_10m_m is not None and a.rpe_10m_rad is not None:
+        turned = math.degrees(a.rpe_10m_rad)
+        parts.append(f"RPE over 10 m {a.rpe_10m_m:.3f} m, {turned:.2f} degrees")
     for name, plain, aligned in (
-        ("ATE", a.ate_m, a.ate_aligned_m),
         ("landmarks", a.landmark_rmse_m, a.landmark_rmse_aligned_m),
         ("GPS median", a.gps_median_m, a.gps_median_aligned_m),
     ):

@@ -2,16 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import numpy as np
+
+from comparisons.arrays import Index
+from comparisons.checks.accuracy import landmark_errors
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.consistency_figure import consistency_figure
 from comparisons.report.figures.run import correlation_figure, map_figure
+from comparisons.report.figures.style import EKF_COLOUR, SMOOTHER_COLOUR
 from comparisons.report.folder import JobFolder
-from comparisons.report.html.page import page
+from comparisons.report.html.map import (
+    MapContent,
+    all_landmarks,
+    associations,
+    estimate_track,
+    farthest,
+)
+from comparisons.report.html.page import PageContent, page
+from comparisons.report.html.tables import LandmarkRow, landmarks_note
 from comparisons.report.models import Result
-from comparisons.report.panels import consistency_panels
+from comparisons.report.panels import (
+    ConsistencyPanels,
+    consistency_panels,
+    further_estimates,
+)
+from comparisons.report.result import run_rows
 
 
 def run_folder(comparison: Comparison, result: Result) -> JobFolder:
@@ -22,7 +40,7 @@ def run_folder(comparison: Comparison, result: Result) -> JobFolder:
 
     def write_page(path: Path) -> None:
         pictures = [path.with_name(f"{name}.png") for name in ("correlation", *own)]
-        path.write_text(page(comparison, panels, result, pictures), encoding="utf-8")
+        path.write_text(page(run_page(comparison, panels, result, pictures)), encoding="utf-8")
 
     files: dict[str, Callable[[Path], object]] = {"report.html": write_page}
     if config.report.trace:
@@ -45,4 +63,73 @@ def run_folder(comparison: Comparison, result: Result) -> JobFolder:
             **own,
         },
         files=files,
+    )
+
+
+def run_page(
+    comparison: Comparison, panels: ConsistencyPanels, result: Result, pictures: Sequence[Path]
+) -> PageContent:
+    """Return what stands on the page. pictures: files of those that have been drawn."""
+    c, a = comparison, result.agreement.landmarks
+    ekf, found = c.ekf.estimate, c.findings.values()
+    marked = farthest(np.array([block.distance for block in c.agreement.landmarks]))
+    labelled = c.prepared.labelled
+    errors = landmark_errors(ekf.landmark_id, ekf.landmark, c.log, labelled=labelled)
+    rows = [LandmarkRow(str(a[i].id), str(a[i].id), a[i], errors[i]) for i in marked.tolist()]
+    scan = [row for one in found for row in one.landmarks()]
+    rows += [LandmarkRow(f"s{row.id}", f"scan {row.id}", row) for row in scan]
+    inconsistent = "; ".join(result.inconsistent or ())
+    qualified = result.verdict == "agree" and result.qualifiers
+    return PageContent(
+        name=result.log.name,
+        headline=result.headline,
+        colour="unverified" if qualified else result.verdict,
+        about=f"{result.log.format}, {result.log.duration_s:,.0f} s",
+        notes=[f"The filter is inconsistent: {inconsistent}."] if inconsistent else (),
+        causes=result.causes,
+        remarks=result.remarks,
+        map=_map(comparison, marked),
+        told=panels.told,
+        panels=panels.every,
+        curves_file="consistency.png",
+        rows=run_rows(comparison, result),
+        pictures=pictures,
+        sections=[section for one in found for section in one.sections()],
+        landmarks=rows,
+        landmarks_note=landmarks_note(len(marked), len(a), "result.json", "the filter's"),
+        seconds=result.seconds,
+        cpu_s=result.cpu_s or {},
+        versions=result.versions,
+    )
+
+
+def _map(c: Comparison, marked: Index) -> MapContent:
+    """Both estimates and those of the extensions. marked: (m,) landmarks."""
+    ekf, smoothed = c.ekf.estimate, c.smoothed
+    ids = ekf.landmark_id[marked]
+    blocks = [c.agreement.landmarks[i] for i in marked.tolist()]
+    more = further_estimates(c)
+    return MapContent(
+        log=c.log,
+        tracks=[
+            estimate_track("smoother", SMOOTHER_COLOUR, smoothed, ids),
+            estimate_track("EKF", EKF_COLOUR, ekf, ids, "5 3"),
+            *(estimate_track(name, colour, one, ids, "2 2") for name, colour, one in more),
+        ],
+        keys=ids.tolist(),
+        labels=[
+            f"landmark {i}: {b.difference_m:.3f} m apart, {b.distance:.2g} sigma"
+            for i, b in zip(ids.tolist(), blocks, strict=True)
+        ],
+        ratio=np.array([b.least for b in blocks]),
+        view=[
+            place
+            for one in (ekf, smoothed, *(estimate for _, _, estimate in more))
+            for place in (one.pose[:, :2], one.landmark, one.oriented[:, :2])
+        ],
+        beneath=[
+            associations(ekf, c.ekf.timeline.sighting_epoch, c.ekf.slot),
+            *all_landmarks("all landmarks", ekf.landmark, marked),
+        ],
+        above=[one.layers for one in c.findings.values()],
     )

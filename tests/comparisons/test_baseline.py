@@ -118,6 +118,15 @@ def test_a_count_that_older_baselines_lack_may_be_zero(result: Result, kept: Bas
     assert [c.name for c in compare_with(older, retired) if not c.holds] == ["ekf.retired"]
 
 
+def test_a_measure_that_older_baselines_lack_is_not_compared(
+    result: Result, kept: Baseline
+) -> None:
+    without = {k: m for k, m in kept.metrics.items() if k != "accuracy.ekf.rpe_10m_m"}
+    assert len(without) == len(kept.metrics) - 1
+    changes = compare_with(kept.model_copy(update={"metrics": without}), result)
+    assert all(change.holds for change in changes)
+
+
 def test_results_of_older_runs_are_read(result: Result) -> None:
     data = result.model_dump()
     for name in ("dynamic", "retired", "attributes"):

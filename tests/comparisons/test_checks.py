@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from comparisons.checks import agreement
-from comparisons.checks.accuracy import aligned, assess, match_by_distance
+from comparisons.checks.accuracy import aligned, assess, match_by_distance, relative_errors
 from comparisons.checks.agreement import (
     BlockAgreement,
     Gaussian,
@@ -173,6 +173,26 @@ def test_accuracy_of_the_truth_is_perfect_and_coverage_counts(comparison: Compar
     assert lost is not None
     assert lost.coverage is not None
     assert 0.45 < lost.coverage < 0.55
+
+
+def test_relative_errors_know_neither_a_frame_nor_what_was_before() -> None:
+    """On a straight way of 50 m; a scale and a turn count over the 10 m of a pair alone."""
+    x = np.arange(0.0, 50.0, 0.5)
+    true = np.column_stack((x, 0.0 * x, 0.0 * x))
+    cos, sin = np.cos(0.7), np.sin(0.7)
+    moved = np.column_stack((cos * x + 5.0, sin * x - 3.0, 0.0 * x + 0.7 + 2.0 * np.pi))
+    apart, turned = relative_errors(moved, true)
+    assert len(apart) == 82  # the last two over 9.5 and 9 m
+    assert apart == pytest.approx(0.0, abs=1e-9)
+    assert turned == pytest.approx(0.0, abs=1e-9)
+    apart, turned = relative_errors(true * (1.01, 1.0, 1.0), true)
+    assert apart == pytest.approx(0.1, abs=0.0101)
+    late = true.copy()
+    late[x >= 30.0, 2] += 0.2
+    apart, turned = relative_errors(late, true)
+    assert np.count_nonzero(turned > 0.1) == 20
+    assert len(relative_errors(true[:15], true[:15])[0]) == 0
+    assert len(relative_errors(true[:0], true[:0])[0]) == 0
 
 
 def test_no_reference_no_accuracy(comparison: Comparison) -> None:

@@ -12,7 +12,7 @@ import pytest
 from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.timeline import build_timeline
-from comparisons.checks.accuracy import assess_trajectory
+from comparisons.checks.accuracy import RPE_M, assess_trajectory, relative_errors
 from comparisons.config import EkfConfig
 from comparisons.estimates.trajectory_files import Trajectory, write_trajectory
 from comparisons.logs.log import Poses
@@ -60,3 +60,42 @@ def test_evo_finds_the_same_errors(tmp_path: Path, evo: Any) -> None:
             found = error.get_statistic(metrics.StatisticsType.rmse)
             assert found == pytest.approx(expected, abs=1e-9)
             assert np.isfinite(found)
+        for relation, expected in (("translation_part", ours.rpe_10m_m),
+                                   ("rotation_angle_rad", ours.rpe_10m_rad)):  # fmt: skip
+            assert rpe(metrics, relation, reference, theirs) == pytest.approx(expected, abs=1e-9)
+
+
+def rpe(metrics: Any, relation: str, reference: Any, theirs: Any, way_m: float = RPE_M) -> float:
+    """The root mean square of evo's relative errors, over metres of the reference's path."""
+    error = metrics.RPE(
+        metrics.PoseRelation[relation],
+        delta=way_m,
+        delta_unit=metrics.Unit.meters,
+        all_pairs=True,
+        pairs_from_reference=True,
+    )
+    error.process_data((reference, theirs))
+    return float(error.get_statistic(metrics.StatisticsType.rmse))
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("way_m", [0.5, 3.0, 20.0])
+def test_evo_pairs_the_same_poses(tmp_path: Path, evo: Any, way_m: float) -> None:
+    """On a path with stops, of uneven steps, and with headings that turn through pi."""
+    metrics, file_interface = evo
+    rng = np.random.default_rng(4)
+    steps = rng.uniform(0.0, 1.0, 300) * (rng.random(300) > 0.3)
+    heading = np.cumsum(rng.normal(0.0, 0.4, 300))
+    true = np.column_stack(
+        (np.cumsum(steps * np.cos(heading)), np.cumsum(steps * np.sin(heading)), heading)
+    )
+    pose = true + rng.normal(0.0, 0.3, true.shape)
+    apart, turned = relative_errors(pose, true, way_m)
+    time_s = np.arange(300.0)
+    for name, path in (("true", true), ("ours", pose)):
+        write_trajectory(Trajectory(time_s, path), tmp_path / f"{name}.tum", "tum")
+    read = file_interface.read_tum_trajectory_file
+    reference, theirs = (read(str(tmp_path / f"{name}.tum")) for name in ("true", "ours"))
+    for relation, error in (("translation_part", apart), ("rotation_angle_rad", turned)):
+        expected = rpe(metrics, relation, reference, theirs, way_m)
+        assert float(np.sqrt(np.mean(error**2))) == pytest.approx(expected, abs=1e-9)

@@ -152,6 +152,10 @@ def test_three_estimates_leave_three_folders(tmp_path: Path) -> None:
         for name in ("ekf", "smoother", "scans")
     ]
     assert ids[0] == ids[1] == ids[2]
+    page = (tmp_path / "three" / "report.html").read_text()
+    for layer in ("trajectory", "landmarks"):
+        assert f'data-name="smoother on scans {layer}"' in page
+    assert '"title":"distance from the smoother [m]"' in page
 
 
 @pytest.mark.slow

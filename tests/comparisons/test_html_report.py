@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from comparisons.estimates.estimate import Estimate
+from comparisons.extensions.contract import Finding
 from comparisons.pipeline.compare import Comparison
 from comparisons.report.folder import write_job_folder
 from comparisons.report.html import map as map_page
@@ -20,10 +21,10 @@ from comparisons.report.html.curves import data_block
 from comparisons.report.html.drawing import Drawing
 from comparisons.report.html.look import policy, script, style
 from comparisons.report.html.page import page
-from comparisons.report.models import CauseResult
+from comparisons.report.models import CauseResult, Result
 from comparisons.report.panels import Panel, consistency_panels
 from comparisons.report.result import build_result, run_rows
-from comparisons.report.run import run_folder
+from comparisons.report.run import run_folder, run_page
 from tests.helpers import compared, simulated
 
 HOSTILE = """x"><script>document.title='owned'</script><img src=http://evil/ onerror=alert(1)>'&"""
@@ -63,6 +64,11 @@ class Reader(HTMLParser):
         assert self.open.pop() == tag
 
 
+def drawn(comparison: Comparison, result: Result) -> str:
+    """The page, without pictures."""
+    return page(run_page(comparison, consistency_panels(comparison), result, []))
+
+
 def read(path: Path) -> Reader:
     reader = Reader()
     reader.feed(path.read_text(encoding="utf-8"))
@@ -92,7 +98,7 @@ def test_verdict_and_causes_come_first(comparison: Comparison) -> None:
     result = build_result(comparison)
     cause = CauseResult(gap="<b>x</b>", evidence=HOSTILE, hint=HOSTILE)
     told = result.model_copy(update={"causes": [cause], "remarks": [HOSTILE]})
-    text = page(comparison, consistency_panels(comparison), told, [])
+    text = drawn(comparison, told)
     order = [text.index(part) for part in ('class="verdict', 'class="cause"', 'id="map"', "<table")]
     assert order == sorted(order)
     assert "<b>x</b>" not in text
@@ -106,8 +112,7 @@ def test_an_agreement_with_a_qualifier_is_no_plain_one(comparison: Comparison) -
     told = plain.model_copy(
         update={"qualifiers": ["filter inconsistent"], "inconsistent": ["NIS of <b> 3"]}
     )
-    panels = consistency_panels(comparison)
-    before, after = (page(comparison, panels, one, []) for one in (plain, told))
+    before, after = (drawn(comparison, one) for one in (plain, told))
     assert '<span class="verdict agree">agree<' in before
     assert "The filter is inconsistent" not in before
     assert '<span class="verdict unverified">agree, filter inconsistent<' in after
@@ -138,13 +143,42 @@ def test_of_many_landmarks_the_farthest_apart_are_shown(
 ) -> None:
     monkeypatch.setattr(map_page, "MOST_LANDMARKS", 5)
     blocks = comparison.agreement.landmarks
-    text = page(comparison, consistency_panels(comparison), build_result(comparison), [])
+    text = drawn(comparison, build_result(comparison))
     distance = np.array([block.distance for block in blocks])
     farthest = comparison.ekf.estimate.landmark_id[np.argsort(-distance)[:5]].tolist()
     rows = re.findall(r'<tr data-key="(\d+)"', text)
     assert sorted(map(int, rows)) == sorted(farthest)
     assert f"5 of {len(blocks)} landmarks" in text
     assert len(re.findall(r"<polygon", text)) == 2 * 5
+
+
+def test_every_estimate_of_an_extension_is_on_the_page(comparison: Comparison) -> None:
+    """As a layer of the map, and as a curve; landmarks by their ids."""
+    third = replace(
+        comparison.smoothed,
+        pose=comparison.smoothed.pose + (3.0, 4.0, 0.0),
+        landmark_id=np.append(comparison.smoothed.landmark_id[2:], 777),
+        landmark=comparison.smoothed.landmark[1:],
+        joint_covariance=comparison.smoothed.joint_covariance[2:, 2:],
+    )
+    found = Finding()
+    found.estimates = {"third": third, "plain": comparison.smoothed}
+    found.titles = {"third": "a third <i>"}
+    text = drawn(replace(comparison, findings={"x": found}), build_result(comparison))
+    assert 'data-name="a third &lt;i&gt; trajectory"' in text
+    assert 'data-name="plain landmarks"' in text
+    count = len(comparison.smoothed.landmark)
+    assert len(re.findall("<circle [^>]*><title>a third &lt;i&gt;, landmark", text)) == count - 2
+    block = re.search(r'id="data">(.*?)</script>', text)
+    assert block is not None
+    data = json.loads(block[1])
+    assert set(data["tracks"]) == {"smoother", "EKF", "a third <i>", "plain"}
+    panel = next(p for p in data["panels"] if p["title"] == "distance from the smoother [m]")
+    apart = {curve["name"]: curve["y"] for curve in panel["curves"]}
+    assert set(apart) == {"EKF", "a third <i>", "plain"}
+    assert set(apart["a third <i>"]) == {5}
+    assert set(apart["plain"]) == {0}
+    assert "distance from the smoother" not in drawn(comparison, build_result(comparison))
 
 
 def test_a_long_log_leaves_a_page_of_less_than_5_mb(comparison: Comparison) -> None:
@@ -177,7 +211,7 @@ def test_a_long_log_leaves_a_page_of_less_than_5_mb(comparison: Comparison) -> N
             agreement=replace(c.agreement, landmarks=blocks),
         ),
     )
-    text = page(grown, panels, build_result(grown), [])
+    text = page(run_page(grown, panels, build_result(grown), []))
     assert len(text) < 4_000_000
 
 
@@ -241,7 +275,7 @@ def test_what_broke_down_leaves_a_page(comparison: Comparison) -> None:
             ),
         ),
     )
-    text = page(broken, consistency_panels(broken), build_result(c), [])
+    text = drawn(broken, build_result(c))
     places = re.findall(r' (?:points|d|cx|cy|x1)="([^"]*)"', text)
     assert len(places) > 100
     assert not [place for place in places if re.search("nan|inf", place)]
@@ -250,7 +284,7 @@ def test_what_broke_down_leaves_a_page(comparison: Comparison) -> None:
     data = json.loads(block[1])
     track = re.search(r'points="([^"]*)" stroke-dasharray="5 3" data-track="EKF"', text)
     assert track is not None
-    assert len(track[1].split()) == len(data["track"]) == int(np.isfinite(gone).sum())
+    assert len(track[1].split()) == len(data["tracks"]["EKF"]) == int(np.isfinite(gone).sum())
     assert None in data["panels"][0]["curves"][0]["y"]
 
 

@@ -149,7 +149,7 @@ def test_it_is_reported(tmp_path: Path, open3d_library: ModuleType) -> None:
     page = (tmp_path / "out" / "report.html").read_text()
     assert "Alignments of two matchers" in page
     assert 'id="matching"' in page
-    assert "smoother trajectory, own matcher" in page
+    assert "smoother, own matcher trajectory" in page
     assert (tmp_path / "out" / "own-matcher" / "scan_landmarks.csv").exists()
 
 

@@ -16,8 +16,10 @@ RELATIVE = 1e-9
 """Numbers may differ by so much where the machine's BLAS rounds otherwise."""
 _ROUNDING = 1e-7
 """A number nearer to zero than that may be rounding: it counts in the plain sum only."""
-UNSTEADY = frozenset({"seconds", "cpu_s", "versions", "schema", "config", "files"})
-"""Keys of result files that are not results."""
+UNSTEADY = frozenset(
+    {"seconds", "cpu_s", "versions", "schema", "config", "files", "estimate_sha256"}
+)
+"""Keys of result files that are not results, or hash files whose last bits a BLAS decides."""
 _TIMED = frozenset({"seconds", "cpu_s", "scans_per_second"})
 """Keys of times, at any depth."""
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from comparisons.adapters.ekf_run import EkfRun
+from comparisons.arrays import Array
 from comparisons.checks.consistency.filter_smoother import (
     FilterAgainstSmoother,
     filter_against_smoother,
@@ -15,6 +17,11 @@ from comparisons.checks.consistency.innovations import Nis, SensorInnovations, c
 from comparisons.checks.consistency.nees import TruthConsistency, against_truth
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
+from ekf_reference.core.geometry import wrap_angle
+
+if TYPE_CHECKING:
+    from comparisons.checks.grade import Reference
+    from comparisons.estimates.external import GivenEstimate
 
 
 @dataclass(frozen=True)
@@ -71,6 +78,81 @@ def check_consistency(
         compared,
         not labelled,
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class GivenConsistency:
+    """How an external estimate errs, and whether it is as sure as it may be.
+
+    time_s: (K,) its poses in the log's time; difference: (K, 3) of these from the smoother's.
+    truth, smoother: the estimate and the smoother's against truth; where no covariances were handed
+    in, there are errors and no NEES. smoothed: the covariances handed in by the smoother; None
+    where Cov(difference) = P_given - P_smoother need not hold, for the reason unjudged.
+    """
+
+    time_s: Array
+    difference: Array
+    truth: TruthConsistency | None
+    smoother: TruthConsistency | None
+    smoothed: FilterAgainstSmoother | None
+    unjudged: str
+
+
+def given_consistency(
+    given: GivenEstimate,
+    optimum: Reference,
+    smoothed: Estimate,
+    log: Log,
+    information: str | None,
+    *,
+    labelled: bool,
+    robust: str,
+) -> GivenConsistency:
+    """Everything the log and the estimate allow.
+
+    given: its poses in the log's time. optimum: the smoother's at these. information: what its
+    poses know of the log, None where neither it says so nor a reference is like it. labelled: see
+    accuracy.assess. robust: the smoother's kernel.
+    """
+    reason, compared = _unjudged(given, optimum, information), None
+    if not reason and not labelled:
+        reason = "without labels the two may rest on different associations"
+    if not reason and (smoothed.information != "smoothed" or robust != "none"):
+        reason = "the smoother does not weight all data of the log as a filter does"
+    if not reason and given.pose_covariance is not None:
+        at = optimum.known
+        compared = filter_against_smoother(
+            given.time_s[at], given.pose[at], given.pose_covariance[at],
+            optimum.pose[at], optimum.pose_covariance[at],
+        )  # fmt: skip
+    estimate = given.padded()
+    if given.joint_covariance is None:
+        estimate = replace(
+            estimate, landmark_id=estimate.landmark_id[:0], landmark=estimate.landmark[:0]
+        )
+    difference = given.pose - optimum.pose
+    difference[:, 2] = wrap_angle(difference[:, 2])
+    return GivenConsistency(
+        time_s=given.time_s,
+        difference=difference,
+        truth=against_truth(estimate, log, labelled=labelled),
+        smoother=against_truth(smoothed, log, labelled=labelled),
+        smoothed=compared,
+        unjudged=reason,
+    )
+
+
+def _unjudged(given: GivenEstimate, optimum: Reference, information: str | None) -> str:
+    """Why the identity of a filter and a smoother on the same data says nothing here."""
+    if given.pose_covariance is None:
+        return "no pose covariances were handed in"
+    if information is None:
+        return "the estimate does not say whether its poses are filtered (estimate.toml)"
+    if information != "filtered":
+        return f"it holds for filtered poses, and these are {information}"
+    if not optimum.known.any():
+        return "no pose lies at an instant of the log's observations"
+    return ""
 
 
 def _outside(sensor: SensorInnovations, gated: bool) -> list[str]:

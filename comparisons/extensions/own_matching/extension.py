@@ -17,10 +17,7 @@ from comparisons.extensions.own_matching.result import own_matching_result, own_
 from comparisons.extensions.own_matching.source import own_sightings
 from comparisons.extensions.scan_landmarks.source import ScanSlamSource
 from comparisons.pipeline.gaps import Compared
-from comparisons.report.html.drawing import Drawing
 from graphslam.smoother import smooth
-
-_COLOUR = "#6a3d9a"
 
 
 class OwnMatching(Extension):
@@ -46,6 +43,7 @@ class OwnMatchingFinding(Finding):
         self.result = own_matching_result(own, compared.ekf.estimate.time_s)
         self.entries = {"own_matching": self.result}
         self.estimates = {"own-matcher": own.estimate}
+        self.titles = {"own-matcher": "smoother, own matcher"}
         if not own.optimality.verified:
             self.remarks = [
                 "the smoother with its own matcher is unverified: it has no say in the verdict"
@@ -56,11 +54,6 @@ class OwnMatchingFinding(Finding):
     def rows(self) -> Sequence[Row]:
         """Return how the alignments compare, and how good the smoother is with its own."""
         return own_matching_rows(self.result)
-
-    def layers(self, drawing: Drawing) -> None:
-        """Add the trajectory of S''."""
-        path = self.own.estimate.pose[:, :2]
-        drawing.path("smoother trajectory, own matcher", _COLOUR, path, "2 2")
 
     def sections(self) -> Sequence[str]:
         """Return the table of alignments by landmark."""

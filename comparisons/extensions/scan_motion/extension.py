@@ -90,6 +90,7 @@ class ScanMotionFinding(Finding):
         if three is not None:
             self._three = entries["three_way"] = three_way_result(three)
             self.estimates = {"scans": three.estimate}
+            self.titles = {"scans": "smoother on scans"}
             remarks += three.remarks
             if three.optimality.verified and not three.ekf.agrees:
                 self.causes = [motion_cause(three)]

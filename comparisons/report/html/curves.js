@@ -118,8 +118,7 @@
         make('line', { x1: left, x2: left + w, y1: y, y2: y, class: 'level' }, plot);
       }
       for (const band of panel.bands) {
-        const there = this.line(band.x, band.high), back = this.line(band.x, band.low, true);
-        if (there) make('path', { d: `${there}${back.replace('M', 'L')}Z`, fill: band.colour, class: 'band' }, plot);
+        make('path', { d: this.area(band), fill: band.colour, class: 'band' }, plot);
       }
       for (const c of panel.curves) {
         make('path', { d: this.line(c.x, c.y), stroke: c.colour, class: 'line' }, plot);
@@ -129,14 +128,25 @@
       if (panel.timed) this.at = pointed;
       this.point(this.at);
     }
-    line(x, y, backwards = false) {
+    spot(x, y) { return `${this.across(x).toFixed(1)},${this.scale(y).toFixed(1)}`; }
+    line(x, y) {
       const [i, j] = within(x, this.span), parts = [];
-      let pen = false;
-      for (let n = 0; n < j - i; n++) {
-        const k = backwards ? j - 1 - n : i + n;
-        if (y[k] === null) { pen = false; continue; }
-        parts.push(`${pen ? 'L' : 'M'}${this.across(x[k]).toFixed(1)},${this.scale(y[k]).toFixed(1)}`);
-        pen = true;
+      for (let k = i, pen = false; k < j; k++) {
+        if (y[k] !== null) parts.push(`${pen ? 'L' : 'M'}${this.spot(x[k], y[k])}`);
+        pen = y[k] !== null;
+      }
+      return parts.join('');
+    }
+    // What lies between low and high, in as many pieces as there are gaps between.
+    area({ x, low, high }) {
+      const [i, j] = within(x, this.span), parts = [];
+      for (let k = i, from = i; k <= j; k++) {
+        if (k < j && low[k] !== null && high[k] !== null) continue;
+        const rows = Array.from({ length: k - from }, (_, n) => from + n);
+        const there = rows.map(r => this.spot(x[r], high[r]));
+        const back = rows.reverse().map(r => this.spot(x[r], low[r]));
+        if (k > from) parts.push(`M${[...there, ...back].join('L')}Z`);
+        from = k + 1;
       }
       return parts.join('');
     }
@@ -147,7 +157,7 @@
         const y = this.scale(panel.log ? 10 ** v : v);
         make('line', { x1: LEFT, x2: right, y1: y, y2: y, class: 'grid' }, svg);
         make('text', { x: LEFT - 6, y: y + 3.5, class: 'tick side' }, svg).textContent =
-          panel.log ? round(10 ** v, 2) : v;
+          panel.log ? round(10 ** v, 2) : Math.abs(v) < 1e5 ? v : v.toExponential(1);
       }
       const shift = panel.timed ? data.start : 0, [a, b] = this.span;
       for (const t of ticks(a + shift, b + shift, this.width / 90)) {

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from comparisons.arrays import Array, Index
-from comparisons.report.panels import ConsistencyPanels, Panel
+from comparisons.report.panels import Panel
 
 MOST_POINTS = 2000
 _DIGITS = 4
@@ -65,10 +65,9 @@ def panel_data(panel: Panel, start_s: float) -> dict[str, Any]:
     }
 
 
-def curve_data(panels: ConsistencyPanels, start_s: float) -> list[dict[str, Any]]:
-    """All panels there are, those over time first."""
-    every = (*panels.errors, panels.squared, *panels.nis, panels.whiteness)
-    return [panel_data(panel, start_s) for panel in every if panel is not None]
+def curve_data(panels: Iterable[Panel], start_s: float) -> list[dict[str, Any]]:
+    """All panels, in order."""
+    return [panel_data(panel, start_s) for panel in panels]
 
 
 def data_block(data: object) -> str:

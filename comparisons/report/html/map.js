@@ -75,15 +75,14 @@
     const colour = line.parentNode.getAttribute('stroke');
     const now = make('circle', { class: 'now', fill: colour, visibility: 'hidden' }, world);
     now.dataset.of = line.dataset.track;
-    return { values, now };
+    return { values, now, times: data.tracks[line.dataset.track] };
   });
   hear('time', t => {
-    const times = data.track;
-    if (!times.length) return;
-    const i = Math.min(Math.max(first(times, t), 1), times.length - 1);
-    const share = times.length < 2 ? 0 : (t - times[i - 1]) / (times[i] - times[i - 1] || 1);
-    const part = Math.min(Math.max(share, 0), 1);
-    for (const { values, now } of tracks) {
+    for (const { values, now, times } of tracks) {
+      if (times.length < 2) continue;
+      const i = Math.min(Math.max(first(times, t), 1), times.length - 1);
+      const share = (t - times[i - 1]) / (times[i] - times[i - 1] || 1);
+      const part = Math.min(Math.max(share, 0), 1);
       const at = k => values[2 * i - 2 + k] + part * (values[2 * i + k] - values[2 * i - 2 + k]);
       now.setAttribute('cx', at(0)); now.setAttribute('cy', at(1));
       now.setAttribute('visibility', 'visible');

@@ -1,95 +1,174 @@
-"""The map of a run: both estimates, what is known of the truth, associations, variance ratios."""
+"""The map: estimates, what is known of the truth, associations, variance ratios."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from comparisons.arrays import Array, Index
 from comparisons.estimates.estimate import Estimate
-from comparisons.pipeline.compare import Comparison
-from comparisons.report.figures.style import EKF_COLOUR, SMOOTHER_COLOUR, ellipses
+from comparisons.logs.log import Log
+from comparisons.report.figures.style import ellipses
 from comparisons.report.html.drawing import MOST_LINES, Drawing, association_lines, kept
 
 MOST_LANDMARKS = 1000
 """Landmarks that the page has, each with two ellipses, three marks and a row."""
 RATIO_LAYER = "variance ratio, least"
 _SIGMAS = 3.0
+_FAR = 4.0
+"""Points that lie so many times the map's own size outside of it do not stretch it."""
 _NO_RATIO = "#888888"
 _RATIO_COLOURS = ("#7f3b08", "#e08214", "#fee0b6", "#f7f7f7", "#d8daeb", "#8073ac", "#2d004b")
 """From too sure to too careful; ColorBrewer's PuOr, which the colour-blind can read."""
 _LEAST_DECADES, _MOST_DECADES = 0.5, 3.0
 
+Draws = Callable[[Drawing], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Track:
+    """One estimate on the map.
+
+    time_s: (K,) and pose: (K, 2 or more), its trajectory. landmark: (m, 2) of the map's marked
+    landmarks, NaN where it has one not; landmark_covariance: (m, 2, 2). None without any.
+    """
+
+    name: str
+    colour: str
+    dashes: str = ""
+    time_s: Array
+    pose: Array
+    landmark: Array | None = None
+    landmark_covariance: Array | None = None
+
+
+def estimate_track(
+    name: str, colour: str, estimate: Estimate, ids: NDArray[np.int64], dashes: str = ""
+) -> Track:
+    """An estimate with those of the landmarks (m,) that it has."""
+    _, marked, own = np.intersect1d(ids, estimate.landmark_id, return_indices=True)
+    place, spread = np.full((len(ids), 2), np.nan), np.full((len(ids), 2, 2), np.nan)
+    place[marked], spread[marked] = estimate.landmark[own], estimate.landmark_covariances()[own]
+    return Track(
+        name=name,
+        colour=colour,
+        dashes=dashes,
+        time_s=estimate.time_s,
+        pose=estimate.pose,
+        landmark=place,
+        landmark_covariance=spread,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapContent:
+    """What the map shows.
+
+    tracks: at least two; the second, on top of all, is compared with the first. keys, labels,
+    ratio: (m,) of the marked landmarks: what tables know them by, what is told of them, and the
+    least variance of the second over the first's. view: points (N, 2) that must be seen; tracks
+    widen the map unless they are far away. beneath, above: what else is drawn.
+    """
+
+    log: Log
+    tracks: Sequence[Track]
+    keys: Sequence[object] = ()
+    labels: Sequence[str] = ()
+    ratio: Array
+    view: Sequence[Array]
+    beneath: Sequence[Draws] = ()
+    above: Sequence[Draws] = ()
+
 
 @dataclass(frozen=True)
-class RunMap:
+class DrawnMap:
     """The drawing, and what the script is told besides.
 
-    track_s: times [s] of the points of both trajectories. decades: the colours of the variance
-    ratio end at 10 to the power of so much, either way.
+    times: [s] of each track's points, by its name. decades: the colours of the variance ratio end
+    at 10 to the power of so much, either way. outside: tracks that lie off the map, in part.
     """
 
     drawing: Drawing
-    track_s: list[float]
+    times: dict[str, list[float]]
     decades: float
+    outside: list[str]
 
 
-def run_map(c: Comparison) -> RunMap:
+def draw_map(c: MapContent) -> DrawnMap:
     """Draw it. Layers come in the order in which they lie upon each other."""
-    ekf, smoothed = c.ekf.estimate, c.smoothed
-    truth, positions = c.log.truth, c.log.positions
-    walls = np.empty((0, 4)) if truth.surfaces is None else truth.surfaces.segment
-    drawing = Drawing.of(
-        ekf.pose[:, :2],
-        smoothed.pose[:, :2],
-        ekf.landmark,
-        smoothed.landmark,
-        walls[:, :2],
-        walls[:, 2:],
-        ekf.oriented[:, :2],
-        smoothed.oriented[:, :2],
-    )
+    drawing, outside = _bounded(c)
+    _known(drawing, c.log)
+    for draw in c.beneath:
+        draw(drawing)
+    times = {}
+    for track in (c.tracks[0], *c.tracks[2:], c.tracks[1]):
+        row = np.flatnonzero(np.isfinite(track.pose).all(axis=1))
+        row = row[kept(len(row))]
+        name, colour = track.name, track.colour
+        path = track.pose[row, :2]
+        drawing.path(f"{name} trajectory", colour, path, track.dashes, name)
+        times[name] = np.round(track.time_s[row], 3).tolist()
+        if track.landmark is not None and np.isfinite(track.landmark).any():
+            told = [f"{name}, {label}" for label in c.labels]
+            if track.landmark_covariance is not None:
+                outline = ellipses(track.landmark, track.landmark_covariance, _SIGMAS, 32)
+                drawing.outlines(f"{name} landmarks, 3 sigma", colour, outline, told)
+            drawing.marks(f"{name} landmarks", colour, track.landmark, told, c.keys)
+    for draw in c.above:
+        draw(drawing)
+    return DrawnMap(drawing, times, _differences(drawing, c), outside)
+
+
+def _bounded(c: MapContent) -> tuple[Drawing, list[str]]:
+    """An empty map over what must be seen and what is near it, and what is not."""
+    walls = _walls(c.log)
+    drawing = Drawing.of(*c.view, walls[:, :2], walls[:, 2:])
+    low, high = drawing.bounds[:2], drawing.bounds[2:]
+    reach = _FAR * float((high - low).max())
+    near, outside = [walls[:, :2], walls[:, 2:], *c.view], []
+    for track in c.tracks:
+        place = track.pose[np.isfinite(track.pose).all(axis=1), :2]
+        within = ((place >= low - reach) & (place <= high + reach)).all(axis=1)
+        near.append(place[within])
+        if not within.all():
+            outside.append(track.name)
+    return Drawing.of(*near), outside
+
+
+def _walls(log: Log) -> Array:
+    surfaces = log.truth.surfaces
+    return np.empty((0, 4)) if surfaces is None else surfaces.segment
+
+
+def _known(drawing: Drawing, log: Log) -> None:
+    """Truth and positions."""
+    truth, walls = log.truth, _walls(log)
     if len(walls):
         drawing.links("true surfaces", "#9a9a9a", walls[:, :2], walls[:, 2:])
     if truth.poses is not None:
         drawing.path("truth", "#9a9a9a", truth.poses.pose[:, :2])
-    if positions is not None:
-        drawing.dots("GPS", "#b08d57", positions.position_m)
-    _associations(drawing, c)
-    finite = np.isfinite(ekf.pose).all(axis=1) & np.isfinite(smoothed.pose).all(axis=1)
-    row = np.flatnonzero(finite)
-    row = row[kept(len(row))]
-    labels = [
-        f"landmark {i}: {b.difference_m:.3f} m apart, {b.distance:.2g} sigma"
-        for i, b in zip(ekf.landmark_id.tolist(), c.agreement.landmarks, strict=True)
-    ]
-    marked = shown_landmarks(c)
-    labels = [labels[i] for i in marked.tolist()]
-    if len(marked) < len(ekf.landmark):
-        drawing.dots("all landmarks", "#666666", ekf.landmark)
-    for name, colour, estimate, dashes in (
-        ("smoother", SMOOTHER_COLOUR, smoothed, ""),
-        ("EKF", EKF_COLOUR, ekf, "5 3"),
-    ):
-        drawing.path(f"{name} trajectory", colour, estimate.pose[row, :2], dashes, name)
-        told = [f"{name}, {label}" for label in labels]
-        place, spread = estimate.landmark[marked], estimate.landmark_covariances()[marked]
-        outline = ellipses(place, spread, _SIGMAS, 32)
-        drawing.outlines(f"{name} landmarks, 3 sigma", colour, outline, told)
-        drawing.marks(f"{name} landmarks", colour, place, told, _keys(estimate, marked))
-    for found in c.findings.values():
-        found.layers(drawing)
-    drawing.links("differences", "#7b4fa3", ekf.landmark[marked], smoothed.landmark[marked])
-    ratio = np.array([b.least for b in c.agreement.landmarks])[marked]
-    decades = _decades(ratio)
-    told = [f"{a}; variance ratio {b:.3g}" for a, b in zip(labels, ratio.tolist(), strict=True)]
-    colours = ratio_colours(ratio, decades)
-    drawing.marks(
-        RATIO_LAYER, "#666666", ekf.landmark[marked], told, _keys(ekf, marked), colours,
-        shown=False,
-    )  # fmt: skip
-    return RunMap(drawing, np.round(ekf.time_s[row], 3).tolist(), decades)
+    if truth.landmarks is not None:
+        drawing.dots("true landmarks", "#9a9a9a", truth.landmarks.position_m)
+    if log.positions is not None:
+        drawing.dots("GPS", "#b08d57", log.positions.position_m)
+
+
+def _differences(drawing: Drawing, c: MapContent) -> float:
+    """Lines between the landmarks of the first two, and variance ratios; return its decades."""
+    first, second = (track.landmark for track in c.tracks[:2])
+    decades = _decades(c.ratio)
+    if first is None or second is None:
+        return decades
+    drawing.links("differences", "#7b4fa3", second, first)
+    if np.isfinite(c.ratio).any():
+        pairs = zip(c.labels, c.ratio.tolist(), strict=True)
+        told = [f"{label}; variance ratio {ratio:.3g}" for label, ratio in pairs]
+        colours = ratio_colours(c.ratio, decades)
+        drawing.marks(RATIO_LAYER, "#666666", second, told, c.keys, colours, shown=False)
+    return decades
 
 
 def ratio_colours(ratio: Array, decades: float) -> list[str]:
@@ -131,24 +210,30 @@ def _decades(ratio: Array) -> float:
     return min(max(float(np.ceil(2.0 * most)) / 2.0, _LEAST_DECADES), _MOST_DECADES)
 
 
-def _associations(drawing: Drawing, c: Comparison) -> None:
-    """A line from the pose to the landmark for each sighting that is used."""
-    slot, epoch = c.ekf.slot, c.ekf.timeline.sighting_epoch
+def associations(estimate: Estimate, epoch: Index, slot: Index) -> Draws:
+    """A line from the pose to the landmark for each sighting that is used.
+
+    epoch, slot: (M,) of the sightings; a slot below 0 is not used.
+    """
     used = np.flatnonzero(slot >= 0)
     row = used[np.round(np.linspace(0, len(used) - 1, min(len(used), MOST_LINES))).astype(int)]
     look = ("associations", "#8a8a8a")
-    association_lines(drawing, look, c.ekf.estimate, epoch[row], slot[row])
+    return lambda drawing: association_lines(drawing, look, estimate, epoch[row], slot[row])
 
 
-def shown_landmarks(c: Comparison) -> Index:
-    """Return the landmarks (m,) that the page has: all, or those farthest apart in sigma."""
-    distance = np.array([block.distance for block in c.agreement.landmarks])
+def all_landmarks(name: str, place: Array, marked: Index) -> Sequence[Draws]:
+    """Landmarks (L, 2) as dots where there are more than those that are marked (m,)."""
+    if len(marked) >= len(place):
+        return ()
+    return (lambda drawing: drawing.dots(name, "#666666", place),)
+
+
+def farthest(distance: Array) -> Index:
+    """Return the landmarks (m,) that the page has: all of (L,), or those farthest apart in sigma.
+
+    distance: NaN where there is nothing to compare, which counts as far.
+    """
     if len(distance) <= MOST_LANDMARKS:
         return np.arange(len(distance))
-    farthest = np.argsort(-np.nan_to_num(distance, nan=np.inf), kind="stable")
-    return np.sort(farthest[:MOST_LANDMARKS])
-
-
-def _keys(estimate: Estimate, marked: Index) -> list[int]:
-    keys: list[int] = estimate.landmark_id[marked].tolist()
-    return keys
+    order = np.argsort(-np.nan_to_num(distance, nan=np.inf), kind="stable")
+    return np.sort(order[:MOST_LANDMARKS])

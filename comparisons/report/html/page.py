@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
-from comparisons.pipeline.compare import Comparison
+from comparisons.extensions.contract import Row
 from comparisons.report.html.curves import curve_data, data_block
 from comparisons.report.html.look import script
-from comparisons.report.html.map import RATIO_LAYER, ratio_legend, run_map
+from comparisons.report.html.map import RATIO_LAYER, MapContent, draw_map, ratio_legend
 from comparisons.report.html.shell import document, picture, table
-from comparisons.report.html.tables import landmarks, timing
-from comparisons.report.models import Result
-from comparisons.report.panels import ConsistencyPanels
-from comparisons.report.result import run_rows
+from comparisons.report.html.tables import LandmarkRow, landmarks, timing
+from comparisons.report.models import CauseResult
+from comparisons.report.panels import Panel
 
 _HINT = {
     "map": "Wheel to zoom, drag to move, double click for all; click a landmark to find its row.",
@@ -23,53 +23,84 @@ _HINT = {
 }
 
 
-def page(
-    comparison: Comparison, panels: ConsistencyPanels, result: Result, pictures: Sequence[Path]
-) -> str:
-    """The whole page. pictures: files of those that have been drawn, to be shown."""
-    name, drawn = escape(result.log.name), run_map(comparison)
-    start_s = float(comparison.ekf.estimate.time_s[0])
+@dataclass(frozen=True, kw_only=True)
+class PageContent:
+    """What a job puts on its page, in the order in which it stands there. Texts may hold anything.
+
+    name: of the log. headline: the verdict in full. colour: `agree`, `disagree` or `unverified`.
+    about: of log and estimate. told: what the curves show, and why others are not there.
+    curves_file: a picture with the same curves. pictures: files, to be embedded. sections: HTML of
+    ours. landmarks_note: above the table of landmarks, or in its place.
+    """
+
+    name: str
+    headline: str
+    colour: str
+    about: str
+    notes: Sequence[str]
+    causes: Sequence[CauseResult]
+    remarks: Sequence[str]
+    map: MapContent
+    told: str
+    panels: Sequence[Panel]
+    curves_file: str = ""
+    rows: Sequence[Row]
+    pictures: Sequence[Path] = ()
+    sections: Sequence[str] = ()
+    landmarks: Sequence[LandmarkRow]
+    landmarks_note: str
+    seconds: Mapping[str, float]
+    cpu_s: Mapping[str, float]
+    versions: Mapping[str, str]
+
+
+def page(content: PageContent) -> str:
+    """The whole page."""
+    c, drawn = content, draw_map(content.map)
+    start_s = min(float(track.time_s[0]) for track in c.map.tracks[:2])
     data = {
         "start": start_s,
-        "track": [round(t - start_s, 3) for t in drawn.track_s],
+        "tracks": {name: [round(t - start_s, 3) for t in at] for name, at in drawn.times.items()},
         "ratioLayer": RATIO_LAYER,
-        "panels": curve_data(panels, start_s),
+        "panels": curve_data(c.panels, start_s),
     }
+    same = f"; the same curves are in {c.curves_file}" if c.curves_file else ""
+    off = "".join(f"The {name} trajectory leaves the map. " for name in drawn.outside)
     parts = [
-        f"<header><h1>{name}</h1><p>"
-        f'<span class="verdict {_colour(result)}">{escape(result.headline)}</span> '
-        f"{escape(result.log.format)}, {result.log.duration_s:,.0f} s</p></header>",
-        _consistency(result),
-        _causes(result),
-        '<noscript><p class="note">Curves, layers and sorting need JavaScript; the same curves '
-        "are in consistency.png.</p></noscript>",
+        f"<header><h1>{escape(c.name)}</h1><p>"
+        f'<span class="verdict {c.colour}">{escape(c.headline)}</span> '
+        f"{escape(c.about)}</p></header>",
+        *(f'<p class="note">{escape(note)}</p>' for note in c.notes),
+        _causes(c.causes, c.remarks),
+        f'<noscript><p class="note">Curves, layers and sorting need JavaScript{same}.</p>'
+        "</noscript>",
         '<main><section id="where"><h2>Map</h2><div id="layers"></div>',
         f'<div id="frame">{drawn.drawing.svg()}<div id="scale"></div></div>',
         f'{ratio_legend(drawn.decades)}<p id="told" role="status"></p>',
-        f'<p class="note">{_HINT["map"]}</p></section>',
+        f'<p class="note">{escape(off)}{_HINT["map"]}</p></section>',
         f'<section id="when"><h2>Curves <span id="now"></span></h2>'
-        f'<p class="note">{escape(panels.told)}</p>',
+        f'<p class="note">{escape(c.told)}</p>',
         f'<div id="curves"></div><p class="note">{_HINT["curves"]}</p></section></main>',
         "<h2>Figures</h2>",
-        table(("", ""), run_rows(comparison, result)),
-        *_embedded(pictures),
-        *(section for one in comparison.findings.values() for section in one.sections()),
-        landmarks(comparison, result),
-        f"<h2>Time</h2>{timing(result.seconds, result.cpu_s or {})}",
-        f"<h2>Versions</h2>{table(('package', 'version'), list(result.versions.items()))}",
+        table(("", ""), c.rows),
+        *_embedded(c.pictures),
+        *c.sections,
+        landmarks(c.landmarks, c.landmarks_note),
+        f"<h2>Time</h2>{timing(c.seconds, c.cpu_s)}",
+        f"<h2>Versions</h2>{table(('package', 'version'), list(c.versions.items()))}",
         data_block(data),
     ]
-    return document(f"{result.log.name}: {result.headline}", parts, script())
+    return document(f"{c.name}: {c.headline}", parts, script())
 
 
-def _causes(result: Result) -> str:
+def _causes(causes: Sequence[CauseResult], remarks: Sequence[str]) -> str:
     shown = [
         f'<div class="cause"><b>{escape(c.gap)}</b>: {escape(c.evidence)}'
         f'<div class="hint">{escape(c.hint)}</div></div>'
-        for c in result.causes
+        for c in causes
     ]
-    remarks = "".join(f"<li>{escape(remark)}</li>" for remark in result.remarks)
-    return "".join(shown) + (f'<ul class="note">{remarks}</ul>' if remarks else "")
+    listed = "".join(f"<li>{escape(remark)}</li>" for remark in remarks)
+    return "".join(shown) + (f'<ul class="note">{listed}</ul>' if remarks else "")
 
 
 def _embedded(pictures: Sequence[Path]) -> list[str]:
@@ -78,14 +109,3 @@ def _embedded(pictures: Sequence[Path]) -> list[str]:
         title = file.stem.replace("-", " ").capitalize()
         shown.append(f"<h2>{title}</h2>{picture(title, file.read_bytes())}")
     return shown
-
-
-def _colour(result: Result) -> str:
-    """An agreement that is qualified is no plain one."""
-    return "unverified" if result.verdict == "agree" and result.qualifiers else result.verdict
-
-
-def _consistency(result: Result) -> str:
-    """What of the filter's consistency is outside its band."""
-    found = "; ".join(result.inconsistent or ())
-    return f'<p class="note">The filter is inconsistent: {escape(found)}.</p>' if found else ""

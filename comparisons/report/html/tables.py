@@ -2,54 +2,59 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from html import escape
+from typing import NamedTuple
 
-from comparisons.pipeline.compare import Comparison
-from comparisons.report.html.map import shown_landmarks
 from comparisons.report.html.shell import number, sortable
-from comparisons.report.models import LandmarkResult, Result
+from comparisons.report.models import BlockResult
 
 
-def landmarks(comparison: Comparison, result: Result) -> str:
-    """A table to sort; its rows' keys are those of the map's marks."""
-    head = ("landmark", "apart [m]", "sigma", "least variance", "largest variance", "")
-    rows = [
+class LandmarkRow(NamedTuple):
+    """One landmark: its key on the map, its name, how it agrees, and how far truth is [m]."""
+
+    key: str
+    name: str
+    block: BlockResult
+    error_m: float = math.nan
+
+
+def landmarks(rows: Sequence[LandmarkRow], note: str) -> str:
+    """A table to sort; its rows' keys are those of the map's marks. note: text of ours."""
+    true = any(math.isfinite(row.error_m) for row in rows)
+    head = ("landmark", "apart [m]", "sigma", "least variance", "largest variance")
+    cells = [
         (
-            f'data-key="{key}" tabindex="0" class="{"" if row.agrees else "bad"}"',
+            f'data-key="{row.key}" tabindex="0" class="{"" if row.block.agrees else "bad"}"',
             (
-                name,
-                f"{row.difference_m:.3f}",
-                f"{row.distance_sigma:.2f}",
-                number(row.variance_ratio_least),
-                number(row.variance_ratio_largest),
-                "agrees" if row.agrees else "disagrees",
+                row.name,
+                f"{row.block.difference_m:.3f}",
+                f"{row.block.distance_sigma:.2f}",
+                number(row.block.variance_ratio_least),
+                number(row.block.variance_ratio_largest),
+                *((number(row.error_m),) if true else ()),
+                "agrees" if row.block.agrees else "disagrees",
             ),
         )
-        for key, name, row in _rows(comparison, result)
+        for row in rows
     ]
-    shown, every = len(shown_landmarks(comparison)), len(result.agreement.landmarks)
+    shown = sortable("landmarks", (*head, *(("off truth [m]",) if true else ()), ""), cells)
+    return f'<h2>Landmarks</h2><p class="note">{escape(note)}</p>{shown if rows else ""}'
+
+
+def landmarks_note(shown: int, every: int, file: str, whose: str) -> str:
+    """What there is to know of the table. whose: the variances, in words."""
     part = ""
     if shown < every:
         part = (
             f"{shown:,} of {every:,} landmarks, those farthest apart in sigma, are here and on "
-            "the map; result.json has all. "
+            f"the map; {file} has all. "
         )
     return (
-        f'<h2>Landmarks</h2><p class="note">{part}A row finds its landmark on the map, and the '
-        "other way round. Variances are the filter's over the smoother's.</p>"
-        f"{sortable('landmarks', head, rows)}"
+        f"{part}A row finds its landmark on the map, and the other way round. Variances are {whose}"
+        " over the smoother's."
     )
-
-
-def _rows(comparison: Comparison, result: Result) -> list[tuple[str, str, LandmarkResult]]:
-    """Every landmark with its key on the map and its name."""
-    points = [
-        (str(row.id), str(row.id), row)
-        for row in (result.agreement.landmarks[i] for i in shown_landmarks(comparison).tolist())
-    ]
-    others = [row for found in comparison.findings.values() for row in found.landmarks()]
-    return points + [(f"s{row.id}", f"scan {row.id}", row) for row in others]
 
 
 def timing(seconds: Mapping[str, float], cpu_s: Mapping[str, float]) -> str:

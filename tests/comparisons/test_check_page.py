@@ -1,0 +1,323 @@
+"""The page of `slamcheck check`: as a run's, as far as what was handed in goes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from comparisons.config import CheckConfig
+from comparisons.estimates.external import GivenEstimate, read_given
+from comparisons.estimates.folder import write_estimate
+from comparisons.estimates.trajectory_files import Trajectory, write_trajectory
+from comparisons.pipeline.check import GivenCheck, check
+from comparisons.pipeline.compare import Comparison
+from comparisons.report.check import build_check_result, check_folder, check_page
+from comparisons.report.consistency_result import consistency_result, given_consistency_result
+from comparisons.report.folder import write_job_folder
+from comparisons.report.html.page import page
+from comparisons.report.panels import Panel, given_panels
+from tests.comparisons.browser import came_up, look
+from tests.comparisons.test_html_report import HOSTILE, read
+from tests.helpers import compared, simulated
+
+
+@pytest.fixture(scope="module")
+def run() -> Comparison:
+    """The reference EKF, standing in for somebody's filter, beside the smoother."""
+    return compared(simulated(loop_s=20.0))
+
+
+@pytest.fixture(scope="module")
+def filtered(run: Comparison) -> GivenEstimate:
+    return GivenEstimate.of(run.ekf.estimate)
+
+
+def bare(given: GivenEstimate) -> GivenEstimate:
+    return GivenEstimate(time_s=given.time_s, pose=given.pose)
+
+
+def surer(given: GivenEstimate) -> GivenEstimate:
+    """From half of the way on its pose covariances are a hundredth of what they should be."""
+    assert given.pose_covariance is not None
+    late = given.time_s > given.time_s[len(given.time_s) // 2]
+    return replace(
+        given, pose_covariance=given.pose_covariance * np.where(late, 0.01, 1.0)[:, None, None]
+    )
+
+
+def html(found: GivenCheck) -> str:
+    return page(check_page(found, build_check_result(found)))
+
+
+def data_of(text: str) -> dict[str, Any]:
+    block = re.search(r'id="data">(.*?)</script>', text)
+    assert block is not None
+    data: dict[str, Any] = json.loads(block[1])
+    return data
+
+
+def named(panels: tuple[Panel, ...], curve: str) -> list[Panel]:
+    return [panel for panel in panels if panel.curves[0].name == curve]
+
+
+def layers(text: str) -> list[str]:
+    return re.findall(r'data-name="([^"]*)"', text)
+
+
+def test_everything_that_was_handed_in_is_on_the_page(
+    run: Comparison, filtered: GivenEstimate
+) -> None:
+    text = html(check(run.log, filtered))
+    shown = layers(text)
+    for name in ("truth", "true landmarks", "smoother trajectory", "smoother landmarks",
+                 "given trajectory", "given landmarks", "given landmarks, 3 sigma",
+                 "reference EKF trajectory", "differences", "variance ratio, least"):  # fmt: skip
+        assert name in shown, name
+    assert shown.index("reference EKF trajectory") < shown.index("given trajectory")
+    order = [text.index(part) for part in ('class="verdict agree"', 'id="map"', "<table", "RPE")]
+    assert order == sorted(order)
+    assert text.count("<tr data-key=") == len(run.smoothed.landmark)
+    assert "off truth [m]" in text
+    data = data_of(text)
+    assert set(data["tracks"]) == {"smoother", "given", "reference EKF"}
+    titles = [panel["title"] for panel in data["panels"]]
+    assert len(titles) == 9
+    assert {"NEES of the pose (3 dof)", "pose's difference, squared"} < set(titles)
+
+
+def test_consistency_is_judged_as_the_run_judges_its_own_filter(
+    run: Comparison, filtered: GivenEstimate
+) -> None:
+    found, own = check(run.log, filtered), consistency_result(run.consistency)
+    given = given_consistency_result(found.consistency)
+    assert given.truth is not None
+    assert own.ekf is not None
+    assert given.truth.model_dump() == own.ekf.model_dump()
+    theirs, ours = (one.filter_against_smoother for one in (given, own))
+    assert theirs is not None
+    assert ours is not None
+    assert theirs.squared_per_dof == pytest.approx(ours.squared_per_dof, rel=1e-6)
+    assert (theirs.epochs, theirs.surer_epochs) == (ours.epochs, ours.surer_epochs)
+
+
+def test_the_band_is_what_the_future_took_away(run: Comparison, filtered: GivenEstimate) -> None:
+    found = check(run.log, filtered)
+    east = named(given_panels(found)[1], "given - smoother")[0]
+    gap = run.ekf.estimate.pose_covariance - run.smoothed.pose_covariance
+    sure = np.isfinite(east.bands[0].high)
+    assert np.count_nonzero(sure) > 90
+    expected = 3.0 * np.sqrt(np.maximum(gap[:, 0, 0], 0.0))
+    assert east.bands[0].high[sure] == pytest.approx(expected[sure], abs=1e-6)
+    assert east.bands[0].high[sure] != pytest.approx(
+        3.0 * np.sqrt(run.ekf.estimate.pose_covariance[sure, 0, 0]), rel=0.01
+    )
+
+
+@pytest.mark.parametrize(
+    ("given", "reason"),
+    [
+        ({"information": "smoothed"}, "it holds for filtered poses, and these are smoothed"),
+        ({"information": "fixed-lag"}, "these are fixed-lag"),
+        ({"information": None}, ""),
+        ({"information": None, "pose": 0.5}, "does not say whether its poses are filtered"),
+    ],
+)
+def test_no_band_is_drawn_where_none_is_justified(
+    run: Comparison, filtered: GivenEstimate, given: dict[str, Any], reason: str
+) -> None:
+    """One that says nothing is taken for what a reference is that it is like, if any."""
+    moved = replace(
+        filtered, information=given["information"], pose=filtered.pose + given.get("pose", 0.0)
+    )
+    found = check(run.log, moved)
+    told, panels = given_panels(found)
+    bands = [panel.bands for panel in named(panels, "given - smoother")]
+    assert len(bands) == (3 if reason else 4)
+    assert not any(bands) if reason else all(bands)
+    assert reason in told
+    assert reason in found.consistency.unjudged
+    assert all(panel.bands for panel in named(panels, "given - truth"))
+
+
+def test_no_band_is_drawn_where_the_filter_is_surer(
+    run: Comparison, filtered: GivenEstimate
+) -> None:
+    found = check(run.log, surer(filtered))
+    assert found.consistency.smoothed is not None
+    told, panels = given_panels(found)
+    high = named(panels, "given - smoother")[0].bands[0].high
+    half = len(high) // 2
+    assert np.isfinite(high[:half]).all()
+    assert np.isnan(high[half + 2 : -2]).all()
+    assert "but where the given covariance is the smaller one" in told
+    squared = named(panels, "given - smoother")[3]
+    clear = found.consistency.smoothed.dof > 0
+    assert not clear.all()
+    assert (np.isfinite(squared.curves[0].y) == clear).all()
+    assert (np.isfinite(squared.bands[0].high) == clear).all()
+
+
+def test_without_labels_there_is_no_band(run: Comparison, filtered: GivenEstimate) -> None:
+    found = check(run.log, filtered, CheckConfig(association="own"))
+    assert "different associations" in found.consistency.unjudged
+    text = html(found)
+    assert "(given as " in text
+    assert "different associations" in text
+
+
+def test_what_was_not_handed_in_is_left_out_with_a_word(
+    run: Comparison, filtered: GivenEstimate, tmp_path: Path
+) -> None:
+    found = check(run.log, bare(filtered))
+    result = build_check_result(found)
+    write_job_folder(check_folder(found, result), tmp_path / "out")
+    written = json.loads((tmp_path / "out" / "check.json").read_text())
+    assert {"map.png", "report.html"} < set(written["files"])
+    assert written["consistency"]["truth"] is None
+    text = (tmp_path / "out" / "report.html").read_text()
+    read(tmp_path / "out" / "report.html")
+    assert "No pose covariances were handed in: no bands, and no NEES." in text
+    assert "No landmarks were handed in" in text
+    assert "given landmarks" not in layers(text)
+    assert "variance ratio, least" not in layers(text)
+    panels = data_of(text)["panels"]
+    assert len(panels) == 7
+    assert not any(panel["bands"] for panel in panels)
+
+
+def test_without_truth_there_are_no_errors_against_it(
+    run: Comparison, filtered: GivenEstimate
+) -> None:
+    from comparisons.logs.log import Truth
+
+    text = html(check(replace(run.log, truth=Truth()), filtered))
+    assert "The log has no true poses in the estimate&#x27;s time" in text
+    assert "off truth" not in text
+    assert "truth" not in layers(text)
+    assert len(data_of(text)["panels"]) == 5
+
+
+def test_landmarks_without_covariances_or_counterparts_are_drawn(
+    run: Comparison, filtered: GivenEstimate
+) -> None:
+    assert filtered.landmark is not None
+    assert filtered.landmark_id is not None
+    own = replace(
+        bare(filtered),
+        landmark_id=np.append(filtered.landmark_id[:5], 999),
+        landmark=np.vstack((filtered.landmark[:5], (3.0, 4.0))),
+    )
+    found = check(run.log, own)
+    text = html(found)
+    assert text.count("<tr data-key=") == 5
+    assert found.accuracy is not None
+    assert found.accuracy.landmarks_found == 5
+    assert found.accuracy.landmark_rmse_m is not None
+    assert "None were handed in, so there are no ratios." in text
+    assert "given landmarks without a counterpart" in layers(text)
+    assert "given landmarks, 3 sigma" not in layers(text)
+    assert "not in the estimate" in text
+
+
+def test_one_far_away_does_not_hide_the_map(run: Comparison, filtered: GivenEstimate) -> None:
+    found = check(run.log, bare(filtered))
+    far = check(run.log, replace(bare(filtered), pose=filtered.pose + (5e5, 4e6, 0.0)))
+    metres = [re.search(r'data-metres="([^"]*)"', html(one)) for one in (found, far)]
+    assert metres[0] is not None
+    assert metres[1] is not None
+    assert float(metres[1][1]) == pytest.approx(float(metres[0][1]), rel=0.1)
+    assert "The given trajectory leaves the map." in html(far)
+    assert "leaves the map" not in html(found)
+
+
+def test_what_log_and_estimate_are_called_is_text(run: Comparison, filtered: GivenEstimate) -> None:
+    result = build_check_result(check(run.log, filtered))
+    hostile = result.model_copy(
+        update={
+            "config": {"estimate": HOSTILE},
+            "log": result.log.model_copy(update={"name": HOSTILE}),
+            "remarks": [HOSTILE],
+        }
+    )
+    text = page(check_page(check(run.log, filtered), hostile))
+    assert text.count("<script") == 2
+    assert "<img" not in text
+
+
+def test_a_long_estimate_leaves_a_page_of_less_than_5_mb(
+    run: Comparison, filtered: GivenEstimate
+) -> None:
+    """Of 60,000 poses, which the curves and the map thin out."""
+    found, poses = check(run.log, filtered), 60_000
+    row = np.arange(poses) % len(found.consistency.time_s)
+    time_s = np.arange(float(poses))
+    c = found.consistency
+    assert c.smoothed is not None
+    part = np.arange(poses) % len(c.smoothed.time_s)
+    smoothed = replace(
+        c.smoothed,
+        time_s=time_s,
+        **{n: getattr(c.smoothed, n)[part] for n in ("error", "sigma", "squared", "dof", "ratio")},
+    )
+    optimum, peers = (
+        [replace(r, time_s=time_s, pose=r.pose[row]) for r in some]
+        for some in ((found.optimum,), found.peers)
+    )
+    long = replace(
+        found,
+        given=replace(filtered, time_s=time_s, pose=filtered.pose[row]),
+        optimum=optimum[0],
+        peers=tuple(peers),
+        consistency=replace(c, time_s=time_s, difference=c.difference[row], smoothed=smoothed),
+    )
+    assert len(page(check_page(long, build_check_result(found)))) < 2_500_000
+
+
+def test_the_files_that_were_judged_are_named_by_their_hashes(
+    run: Comparison, filtered: GivenEstimate, tmp_path: Path
+) -> None:
+    folder = tmp_path / "ekf"
+    folder.mkdir()
+    write_estimate(run.ekf.estimate, folder)
+    (folder / "notes.txt").write_text("not read")
+    given = read_given(folder)
+    assert sorted(given.sha256) == [
+        "covariances.npz", "estimate.toml", "landmarks.csv", "trajectory.tum",
+    ]  # fmt: skip
+    for name, found in given.sha256.items():
+        assert found == hashlib.sha256((folder / name).read_bytes()).hexdigest()
+    assert build_check_result(check(run.log, given)).estimate_sha256 == given.sha256
+    assert build_check_result(check(run.log, filtered)).estimate_sha256 == {}
+    write_trajectory(Trajectory(given.time_s, given.pose), tmp_path / "a.txt", "kitti")
+    assert sorted(read_given(tmp_path / "a.txt").sha256) == ["a.txt", "times.txt"]
+
+
+@pytest.mark.slow
+@pytest.mark.browser
+@pytest.mark.parametrize(("made", "figures"), [(bare, 7), (surer, 9)])
+def test_a_browser_shows_it(
+    run: Comparison, filtered: GivenEstimate, tmp_path: Path, made: Any, figures: int
+) -> None:
+    """Where a band has a gap it is drawn in pieces, none of which spans the gap."""
+    path = tmp_path / "report.html"
+    path.write_text(html(check(run.log, made(filtered))), encoding="utf-8")
+    dom = look(f"{path.as_uri()}#time=10", tmp_path / "profile")
+    assert came_up(dom)
+    assert dom.count("<figure>") == figures
+    assert len(re.findall(r'<circle class="now"[^>]* visibility="visible"', dom)) == 3
+    bands = re.findall(r'<path d="([^"]*)"[^>]* class="band"', dom)
+    assert bool(bands) == (made is surer)
+    if made is surer:
+        widths = [
+            max(x) - min(x)
+            for x in ([float(v) for v in re.findall(r"[ML]([\d.]+),", band)] for band in bands[4:7])
+        ]
+        whole = [float(v) for v in re.findall(r"[ML]([\d.]+),", bands[0])]
+        assert max(widths) < 0.7 * (max(whole) - min(whole))
