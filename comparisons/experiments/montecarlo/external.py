@@ -197,6 +197,7 @@ def errors_of(given: GivenEstimate, world: World) -> Records:
 
     Of landmarks there is the final map alone, at the last step. Raises EstimatorError.
     """
+    _check_finite(given)
     row = _rows(given.time_s, world)
     steps = np.array(recorded_steps(len(world.control)))
     steps = steps[row[steps] >= 0]
@@ -248,6 +249,15 @@ def _rows(time_s: Array, world: World) -> np.ndarray[tuple[int], np.dtype[np.int
             f"at {100 * _LEAST_SHARE:.0f} %"
         )
     return np.where(near, row, -1)
+
+
+def _check_finite(given: GivenEstimate) -> None:
+    """What a folder's reader checks, of what a callable returns. Raises EstimatorError."""
+    if not len(given.time_s) or not (np.diff(given.time_s) > 0.0).all():
+        raise EstimatorError("times: expected some, each after the one before")
+    for what, values in vars(given).items():
+        if isinstance(values, np.ndarray) and not np.isfinite(values).all():
+            raise EstimatorError(f"{what} holds a value that is not a finite number")
 
 
 def _check_positive(what: str, covariance: Array, where: list[str]) -> None:

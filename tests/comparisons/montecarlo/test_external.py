@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import subprocess
 import sys
 import tempfile
@@ -36,7 +37,7 @@ from comparisons.logs.log import Log, Poses, Truth
 from comparisons.logs.log_folder import read_log_folder, write_log_folder
 from comparisons.pipeline.compare import run_filter
 from comparisons.pipeline.prepare import prepare
-from tests.comparisons.montecarlo.test_command import ENVIRONMENT, slamcheck
+from tests.comparisons.montecarlo.test_command import ENVIRONMENT, SLAMCHECK, slamcheck
 from tests.comparisons.montecarlo.worlds import short, short_world, study_of
 
 PROGRAM = """
@@ -311,6 +312,14 @@ BROKEN: dict[str, tuple[Callable[[Estimate], object], str]] = {
         lambda e: replace(e, landmark_id=e.landmark_id + 1000),
         "landmarks: none has an id of the log's",
     ),
+    "no number": (
+        lambda e: replace(e, pose=np.where(e.time_s[:, None] == 7.0, np.nan, e.pose)),
+        "pose holds a value that is not a finite number",
+    ),
+    "backwards": (
+        lambda e: rows(e, slice(None, None, -1)),
+        "times: expected some, each after the one before",
+    ),
     "nothing": (lambda e: None, "returned NoneType, expected an Estimate or a GivenEstimate"),
     "an exception": (lambda e: 1 / 0, "ZeroDivisionError: division by zero"),
 }  # fmt: skip
@@ -396,3 +405,25 @@ def test_the_page_shows_every_filter_and_every_two(scenario: Path, tmp_path: Pat
     rows = (tmp_path / "runs.csv").read_text().splitlines()
     assert len(rows) == 1 + 2 * 8
     assert "2,mine,,,,," in rows
+
+
+@pytest.mark.slow
+def test_a_study_that_is_ended_ends_the_command(
+    scenario: Path, program: Callable[[str], str], tmp_path: Path
+) -> None:
+    places, began, alive = (tmp_path / name for name in ("places", "began", "alive"))
+    places.mkdir()
+    body = f"import time; Path({str(began)!r}).touch(); time.sleep(5); Path({str(alive)!r}).touch()"
+    words = (str(scenario), "--runs", "1", "--out", str(tmp_path / "out"))
+    job = subprocess.Popen(
+        (*SLAMCHECK, *words, "--filters", "ekf", "--command", program(body)),
+        env={**ENVIRONMENT, "TMPDIR": str(places)},
+        stderr=subprocess.DEVNULL,
+    )
+    while not began.exists() and job.poll() is None:
+        time.sleep(0.02)
+    job.send_signal(signal.SIGTERM)
+    assert job.wait(30) == 143
+    assert list(places.iterdir()) == []
+    time.sleep(5.5)
+    assert not alive.exists()
