@@ -115,7 +115,7 @@ def tally(
     run_mean: list[Records] = []
     ends: list[Records] = []
     for whole in chunks:
-        records = Records(*(r[:, used] for r in whole))
+        records = Records(*(np.ascontiguousarray(r[:, used]) for r in whole))
         lost = _lost(records)
         total = [t + np.nansum(r[~lost], axis=0) for t, r in zip(total, records, strict=True)]
         count = [n + np.isfinite(r[~lost]).sum(axis=0) for n, r in zip(count, records, strict=True)]
