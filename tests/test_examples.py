@@ -3,13 +3,27 @@
 from __future__ import annotations
 
 import math
+import resource
 import runpy
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import nbformat
+import numpy as np
 import pytest
 from nbclient import NotebookClient
+
+from comparisons.config import CheckConfig
+from comparisons.estimates.external import read_given
+from comparisons.experiments.scenarios.scenario import read_scenario
+from comparisons.experiments.scenarios.world import build_world, log_of_run
+from comparisons.logs.log_folder import read_log_folder, write_log_folder
+from comparisons.pipeline.check import GivenCheck, check
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 
@@ -54,6 +68,157 @@ def test_a_bug_shows_in_its_gap() -> None:
     found = list(run("06_check_my_filter").values())
     assert [one.outcome for one in found] == ["agree", "disagree", "disagree"]
     assert [{cause.gap for cause in one.causes} for one in found] == [set(), {"algebra"}, {"model"}]
+
+
+@pytest.fixture(scope="module")
+def log_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What `slamcheck montecarlo nieto-loop --keep 0` leaves, the beginning of it."""
+    scenario = read_scenario("nieto-loop").model_copy(update={"steps": 400})
+    folder = tmp_path_factory.mktemp("own") / "log"
+    write_log_folder(log_of_run(build_world(scenario), 0, "nieto-loop-0"), folder)
+    return folder
+
+
+def checked(program: Path, log: Path) -> GivenCheck:
+    """What `slamcheck check --require like` finds of an own filter's output."""
+    out = program.parent / "out"
+    alone = (sys.executable, "-I", str(program), str(log), str(out))
+    subprocess.run(alone, check=True, cwd=program.parent, timeout=120)
+    return check(read_log_folder(log), read_given(out), CheckConfig(require="like"))
+
+
+def test_the_own_filter_is_like_ours(log_folder: Path, tmp_path: Path) -> None:
+    source = (EXAMPLES / "own_filter" / "my_ekf.py").read_text()
+    assert all(name not in source for name in ("import comparisons", "from comparisons", "gtsam"))
+    assert len([one for one in source.splitlines() if one.strip()]) < 120
+    program = tmp_path / "my_ekf.py"
+    program.write_text(source)
+    found = checked(program, log_folder)
+    assert (found.outcome, found.grade.value) == ("agree", "equal")
+    assert found.trace is not None
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "gap", "told"),
+    [
+        ('seen["bearing_rad"][k]', '-seen["bearing_rad"][k]', "model", "bearings are counted cl"),
+        ("self.p[:, :3] @ f.T", "self.p[:, :3] @ f", "algebra", ""),
+    ],
+)  # fmt: skip
+def test_a_broken_own_filter_is_wrong(
+    log_folder: Path, tmp_path: Path, old: str, new: str, gap: str, told: str
+) -> None:
+    source = (EXAMPLES / "own_filter" / "my_ekf.py").read_text()
+    assert old in source
+    program = tmp_path / "my_ekf.py"
+    program.write_text(source.replace(old, new))
+    found = checked(program, log_folder)
+    assert found.outcome == "disagree"
+    assert found.grade.value == "wrong"
+    assert found.causes[0].gap == gap
+    assert told in found.causes[0].hint
+
+
+COMPILER = shutil.which("c++") or shutil.which("g++")
+NEEDS_COMPILER = pytest.mark.skipif(COMPILER is None, reason="no C++ compiler (c++ or g++)")
+WRITER = """
+#include "estimate_writer.hpp"
+#include <iostream>
+int main(int count, char** words) try {
+  slamcheck::Estimate e;
+  for (int k = 0; k < 50; ++k) {
+    const double u = 1.0 / (k + 3);
+    e.time_s.push_back(1e9 + k + u);
+    e.pose.push_back({u, -1e5 * u, 0.25 * k});
+    e.pose_covariance.push_back({1 + u, u, 0, u, 2, -u, 0, -u, 3 - u});
+  }
+  e.landmark_id = {9007199254740991, 0};
+  e.landmark = {{1.0 / 3.0, -2e-300}, {1e9 + 0.1, 4}};
+  for (int i = 0; i < 49; ++i) e.joint_covariance.push_back(1.0 / (1 + i));
+  e.information = "smoothed";
+  if (count > 2) e.landmark.pop_back();
+  slamcheck::write_estimate(e, words[1]);
+} catch (const std::exception& error) {
+  std::cerr << error.what() << std::endl;
+  return 1;
+}
+"""
+
+
+@pytest.fixture
+def build(tmp_path: Path) -> Callable[..., str]:
+    """A program of a source, with a piece of the header replaced."""
+
+    def built(source: str, old: str = "", new: str = "") -> str:
+        assert COMPILER is not None
+        header = (EXAMPLES / "cpp" / "estimate_writer.hpp").read_text()
+        assert old in header
+        (tmp_path / "estimate_writer.hpp").write_text(header.replace(old, new) if old else header)
+        (tmp_path / "main.cpp").write_text(source)
+        strict = ("-std=c++17", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
+        words = (COMPILER, *strict, "-o", str(tmp_path / "main"), str(tmp_path / "main.cpp"))
+        subprocess.run(words, check=True, timeout=120)
+        return str(tmp_path / "main")
+
+    return built
+
+
+@NEEDS_COMPILER
+def test_what_cpp_writes_is_read_to_the_bit(build: Callable[..., str], tmp_path: Path) -> None:
+    program, out = build(WRITER), tmp_path / "out"
+    subprocess.run((program, str(out)), check=True, timeout=60)
+    given, k = read_given(out), np.arange(50)
+    u = 1.0 / (k + 3.0)
+    assert np.array_equal(given.time_s, 1e9 + k + u)
+    assert np.array_equal(given.pose[:, :2], np.column_stack((u, -1e5 * u)))
+    assert given.pose[:, 2] == pytest.approx(0.25 * k, abs=1e-14)
+    assert given.pose_covariance is not None
+    assert given.pose_covariance[7].ravel().tolist() == [
+        1 + u[7], u[7], 0, u[7], 2, -u[7], 0, -u[7], 3 - u[7]
+    ]  # fmt: skip
+    assert given.landmark_id is not None
+    assert given.landmark_id.tolist() == [9007199254740991, 0]
+    assert given.landmark is not None
+    assert given.landmark.tolist() == [[1.0 / 3.0, -2e-300], [1e9 + 0.1, 4.0]]
+    assert given.joint_covariance is not None
+    assert np.array_equal(given.joint_covariance.ravel(), 1.0 / np.arange(1.0, 50.0))
+    assert given.information == "smoothed"
+    assert sorted(path.name for path in tmp_path.iterdir() if "part" in path.name) == []
+    for words, told in (((str(out),), "already exists: "), ((f"{out}2", "x"), "landmark: expect")):
+        done = subprocess.run((program, *words), capture_output=True, text=True, timeout=60)
+        assert done.returncode == 1
+        assert told in done.stderr
+    assert not (tmp_path / "out2").exists()
+
+
+def _little_room() -> None:
+    """A file beyond 3000 bytes ends the process where it is, in the middle of its work."""
+    resource.setrlimit(resource.RLIMIT_FSIZE, (3000, 3000))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+
+@NEEDS_COMPILER
+@pytest.mark.parametrize("broken", [False, True])
+def test_a_killed_cpp_writer_leaves_no_half_folder(
+    build: Callable[..., str], tmp_path: Path, broken: bool
+) -> None:
+    part = 'target.parent_path() / ("." + target.filename().string() + ".part-" +'
+    program = build(WRITER, part, f"true ? target : {part}") if broken else build(WRITER)
+    words = (program, str(tmp_path / "out"))
+    done = subprocess.run(words, preexec_fn=_little_room, capture_output=True, timeout=60)
+    assert done.returncode == -signal.SIGXFSZ
+    assert (tmp_path / "out").exists() == broken
+
+
+@NEEDS_COMPILER
+def test_the_cpp_example_runs(build: Callable[..., str], log_folder: Path, tmp_path: Path) -> None:
+    program = build((EXAMPLES / "cpp" / "write_estimate.cpp").read_text())
+    log = read_log_folder(log_folder)
+    words = (program, str(log_folder), str(tmp_path / "out"), *map(str, log.prior.pose.tolist()))
+    subprocess.run(words, check=True, timeout=60)
+    given = read_given(tmp_path / "out")
+    assert np.array_equal(given.time_s, log.odometry.time_s)
+    assert given.absent == ["landmarks", "landmark covariances", "the joint covariance"]
 
 
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.ipynb")), ids=lambda path: path.stem)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_type_hints
 
 import typer
 
@@ -13,7 +14,9 @@ if TYPE_CHECKING:
     from comparisons.experiments.montecarlo.config import MonteCarloConfig
 
 
-def montecarlo(
+class _Given(NamedTuple):
+    """The command's parameters, as typer reads them."""
+
     scenario: Annotated[
         str | None,
         typer.Argument(
@@ -22,51 +25,87 @@ def montecarlo(
             "config.toml of an earlier study. [circle]",
             show_default=False,
         ),
-    ] = None,
+    ] = None
     runs: Annotated[
         int | None, typer.Option(metavar="N", help="Runs; a run's number is its seed. [50]")
-    ] = None,
+    ] = None
     filters: Annotated[
         str | None,
         typer.Option(
             metavar="NAMES", help="Some of ekf, fej, oc, riekf, ideal, with commas. [all]"
         ),
-    ] = None,
-    workers: Annotated[int, typer.Option(metavar="W", help="Processes on this machine.")] = 1,
+    ] = None
+    command: Annotated[
+        list[str],
+        typer.Option(
+            metavar="[NAME=]COMMAND",
+            help="Your filter: a program that reads the log folder {log} and writes the estimate "
+            "folder {out}; run without a shell, may be repeated. [NAME is mine]",
+            show_default=False,
+        ),
+    ] = []  # noqa: RUF012
+    timeout: Annotated[
+        float, typer.Option(metavar="S", help="Seconds that one run of a command may take.")
+    ] = 600.0
+    reuse: Annotated[
+        bool,
+        typer.Option(
+            "--reuse", help="Use a command's earlier results, if its words and files are the same."
+        ),
+    ] = False
+    keep: Annotated[
+        int | None,
+        typer.Option(metavar="SEED", min=0, help="Leave this run's log in logs/ to try it on."),
+    ] = None
+    workers: Annotated[int, typer.Option(metavar="W", help="Processes on this machine.")] = 1
     scheduler: Annotated[
         str | None,
         typer.Option(metavar="ADDRESS", help="A Dask scheduler's, to compute on its cluster."),
-    ] = None,
+    ] = None
     allow_changed_scenario: Annotated[
         bool,
         typer.Option(
             "--allow-changed-scenario", help="Use a scenario that is not the configuration's."
         ),
-    ] = False,
+    ] = False
     out: Annotated[
         Path | None,
         typer.Option(metavar="DIR", help="Folder to write [slamcheck-montecarlo-SCENARIO]."),
-    ] = None,
-) -> None:
-    """Run consistent variants of the EKF many times in simulation. Exits with 0.
+    ] = None
+
+
+def montecarlo(**values: Any) -> None:
+    """Run your filter and variants of our EKF many times in simulation. Exits with 0.
 
     A killed job goes on when the same command is given again; more runs or filters are added.
+    A filter of yours runs again each time, unless --reuse is given.
 
     \b
     Examples:
       slamcheck montecarlo circle                     50 runs, five filters
       slamcheck montecarlo my-scenario.toml --runs 1000 --filters ekf,fej --workers 8
+      slamcheck montecarlo nieto-loop --filters ekf --command 'python my_ekf.py {log} {out}'
       slamcheck montecarlo circle --runs 10000 --scheduler tcp://head:8786
       slamcheck montecarlo slamcheck-montecarlo-circle/config.toml --out again
     """
+    given = _Given(**values)
     with guarded():
         from comparisons.atomic import folder_name
         from comparisons.experiments.montecarlo.chunk_files import check_folder
-        from comparisons.experiments.montecarlo.study import read_study, run_study
+        from comparisons.experiments.montecarlo.external import parse_commands
+        from comparisons.experiments.montecarlo.study import (
+            External,
+            keep_log,
+            read_study,
+            record_commands,
+            run_study,
+        )
 
-        config = _configure(scenario, runs, filters)
-        study = read_study(config, allow_changed=allow_changed_scenario)
-        folder = out or Path(f"slamcheck-montecarlo-{folder_name(study.name)}")
+        commands = parse_commands(given.command, given.timeout)
+        config = _configure(given)
+        study = read_study(config, allow_changed=given.allow_changed_scenario)
+        study = record_commands(study, commands)
+        folder = given.out or Path(f"slamcheck-montecarlo-{folder_name(study.name)}")
         check_folder(folder)
         from comparisons.experiments.montecarlo.folder import (
             build_montecarlo_result,
@@ -75,12 +114,30 @@ def montecarlo(
         )
 
         with progress_bar() as progress:
-            outcome = run_study(study, folder, workers, scheduler, progress)
+            external = External(commands, given.reuse)
+            outcome = run_study(study, folder, given.workers, given.scheduler, progress, external)
             result = build_montecarlo_result(outcome)
             progress("report", 0, 0)
             write_montecarlo(outcome, result, folder)
+            if given.keep is not None:
+                keep_log(study, folder, given.keep)
         print_result(lambda console: print_montecarlo(outcome, console), folder)
         raise SystemExit(AGREE)
+
+
+_HINTS = get_type_hints(_Given, include_extras=True)
+montecarlo.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+    [
+        inspect.Parameter(
+            name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=_Given._field_defaults[name],
+            annotation=hint,
+        )
+        for name, hint in _HINTS.items()
+    ]
+)
+montecarlo.__annotations__ = _HINTS
 
 
 def config_class() -> type[MonteCarloConfig]:
@@ -90,11 +147,12 @@ def config_class() -> type[MonteCarloConfig]:
     return MonteCarloConfig
 
 
-def _configure(scenario: str | None, runs: int | None, filters: str | None) -> MonteCarloConfig:
+def _configure(given: _Given) -> MonteCarloConfig:
     """What was given over an earlier study's settings, if the scenario is such a file."""
     from comparisons.experiments.montecarlo.config import is_config
     from comparisons.settings import configure
 
+    scenario, runs, filters = given.scenario, given.runs, given.filters
     file, over = None, dict[str, Any]()
     if scenario is not None and is_config(scenario):
         file = Path(scenario)

@@ -18,12 +18,14 @@ CHUNK = 25
 not depend on how many there are, nor on who computes them."""
 
 CONFIG = "config.toml"
-_REPORTS = frozenset({CONFIG, "montecarlo.json", "curves.png"})
+LOGS = "logs"
+"""Folder of runs' logs that are kept, by seed, and of what failed filters said."""
+_REPORTS = frozenset({CONFIG, "montecarlo.json", "curves.png", "report.html", "runs.csv"})
 _SHA256 = "sha256"
 _ENTRIES = (_SHA256, *Records._fields)
 _MOST_BYTES = 2**24
 """Of a chunk: at most 500 steps are recorded, whichever the study, in less than a megabyte."""
-_NAME = re.compile(r"[a-z]+-\d{6}\.npz")
+_NAME = re.compile(r"[a-z][a-z0-9_-]*-\d{6}\.npz")
 
 
 def check_folder(folder: Path) -> None:
@@ -38,7 +40,8 @@ def check_folder(folder: Path) -> None:
         for path in (*_sorted(folder), *_sorted(chunks)):
             inside, name = path.parent == chunks, path.name
             ours = _NAME.fullmatch(name) if inside else name in _REPORTS
-            right = path.is_dir() if path == chunks else ours and path.is_file()
+            folders = (chunks, folder / LOGS)
+            right = path.is_dir() if path in folders else ours and path.is_file()
             if not right and not is_unfinished(name):  # a killed job may leave one
                 raise InputError(
                     f"{folder}: already holds {path.relative_to(folder).as_posix()}; give a new "
@@ -55,9 +58,9 @@ def _sorted(folder: Path) -> list[Path]:
 class ChunkFiles:
     """The chunks of one study. sha256: of what they were computed from."""
 
-    def __init__(self, folder: Path, sha256: str, records: int) -> None:
-        """folder: the study's. records: recorded steps of a run."""
-        self._folder, self._sha256, self._shape = folder / "chunks", sha256, (CHUNK, records)
+    def __init__(self, folder: Path, sha256: str, records: int, runs: int = CHUNK) -> None:
+        """folder: the study's. records: recorded steps of a run. runs: of a file."""
+        self._folder, self._sha256, self._shape = folder / "chunks", sha256, (runs, records)
 
     def path(self, name: str, chunk: int) -> Path:
         """Where a filter's chunk is kept."""

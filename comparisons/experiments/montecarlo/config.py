@@ -11,6 +11,7 @@ from comparisons.config import Section
 from comparisons.logs.table import read_toml
 
 FilterName = Literal["ekf", "fej", "oc", "riekf", "ideal"]
+FILTER_NAMES: tuple[str, ...] = get_args(FilterName)
 
 
 class MonteCarloConfig(Section):
@@ -25,6 +26,10 @@ class MonteCarloConfig(Section):
     filters: tuple[FilterName, ...] = Field(get_args(FilterName), description="what runs")
     sha256: str | None = Field(
         None, description="hash of the scenario; a study refuses another scenario"
+    )
+
+    commands: dict[str, str] = Field(
+        {}, description="external filters by name; recorded, but run only when --command gives them"
     )
 
     @field_validator("filters")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -10,13 +12,20 @@ from comparisons.experiments.montecarlo.statistics import DOF
 from comparisons.experiments.montecarlo.study import Outcome
 from comparisons.report.picture import blank
 
-_COLOURS = {
+COLOURS = {
     "ekf": "#d1495b",
     "fej": "#edae49",
     "oc": "#00798c",
     "riekf": "#6a4c93",
     "ideal": "#444444",
 }
+_OTHERS = ("#3a6ea5", "#8f5d2b", "#2a7d4f", "#b05f9e")
+
+
+def colour_of(name: str, names: Iterable[str]) -> str:
+    """A filter's colour; those of external ones in the order of the names."""
+    others = [one for one in names if one not in COLOURS]
+    return COLOURS.get(name) or _OTHERS[others.index(name) % len(_OTHERS)]
 
 
 def draw_anees(
@@ -31,7 +40,7 @@ def draw_curves(axis: Axes, time_s: Array, curves: dict[str, Array]) -> None:
     """One line per filter; the ideal one dashed, since it needs the truth."""
     for name, curve in curves.items():
         style = "--" if name == "ideal" else "-"
-        axis.plot(time_s, curve, style, color=_COLOURS[name], linewidth=0.9, label=name)
+        axis.plot(time_s, curve, style, color=colour_of(name, curves), linewidth=0.9, label=name)
     axis.set_ylim(bottom=0.0)
 
 

@@ -81,11 +81,11 @@ def _errors(filter_: BatchFilter, world: World, step: int) -> Records:
     landmark_nees = landmark_square = np.full(runs, np.nan)
     if len(filter_.label):
         missed = world.landmark[filter_.label] - state.landmarks
-        landmark_nees = _planar_nees(missed, state.landmark_covariance()).mean(axis=1)
+        landmark_nees = planar_nees(missed, state.landmark_covariance()).mean(axis=1)
         landmark_square = (missed**2).sum(axis=2).mean(axis=1)
     return Records(
         pose_nees,
-        _planar_nees(position, additive[:, :2, :2]),
+        planar_nees(position, additive[:, :2, :2]),
         heading**2 / additive[:, 2, 2],
         landmark_nees,
         (position**2).sum(axis=1),
@@ -94,7 +94,7 @@ def _errors(filter_: BatchFilter, world: World, step: int) -> Records:
     )
 
 
-def _planar_nees(error: Array, covariance: Array) -> Array:
+def planar_nees(error: Array, covariance: Array) -> Array:
     """e^T C^-1 e of errors (..., 2)."""
     x, y = error[..., 0], error[..., 1]
     a, b, c = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import stats
 
 from comparisons.arrays import Array
@@ -18,7 +19,7 @@ LEVEL = 0.95
 DOF = {"pose": 3, "position": 2, "heading": 1, "landmarks": 2}
 ERRORS = ("position", "heading", "landmarks")
 
-Place = Literal["below", "inside", "above"]
+Place = Literal["below", "inside", "above", "not given"]
 
 
 def anees_band(runs: int, dof: int, level: float = LEVEL) -> tuple[float, float]:
@@ -32,8 +33,9 @@ def anees_band(runs: int, dof: int, level: float = LEVEL) -> tuple[float, float]
 class Consistency:
     """Of one block of the state. curve: (T,) mean over the runs. mean: of the curve.
 
-    place: of the mean in the band of one step. A mean over steps (or landmarks) spreads less than
-    that, so outside is outside at the stated level, and inside is the weaker statement.
+    place: of the mean in the band of one step; not given: an external filter left no covariances.
+    A mean over steps (or landmarks) spreads less than that, so outside is outside at the stated
+    level, and inside is the weaker statement.
     share_above: of the steps whose own mean lies above the band.
     """
 
@@ -52,6 +54,7 @@ class FilterFigures:
     consistency: dict[str, Consistency]
     rmse: dict[str, float]
     rmse_curve: dict[str, Array]
+    kept: Tally
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,6 +62,9 @@ class Pair:
     """First filter minus second, per run, over the runs that neither lost.
 
     mean and interval: of the run's mean NEES of the pose, or of the run's RMSE, by Student's t.
+    lower, higher: runs in which the first has the lower or higher figure. family_interval and
+    sign_p: the interval, and the two-sided sign test's p, by Bonferroni over both tests of all
+    pairs, so that at the stated level none of them is wrong.
     """
 
     first: str
@@ -67,99 +73,173 @@ class Pair:
     mean: float
     interval: tuple[float, float]
     runs: int
+    lower: int
+    higher: int
+    family_interval: tuple[float, float]
+    sign_p: float
 
 
 @dataclass(frozen=True)
 class Tally:
     """What is kept of one filter's records.
 
-    step_mean: (T,) over the runs not lost. run_mean: (N,) over the steps, NaN for lost runs. Both
-    by field of Records.
+    step_mean: (T,) over the runs not lost. step_runs: how many of them have such a figure at the
+    last step. run_mean: (N,) over the steps, NaN for lost runs. last: (N,) at the last step. All
+    by field of Records. final_map: figures of landmarks are those of the last step alone.
     """
 
     step_mean: Records
+    step_runs: tuple[int, ...]
     run_mean: Records
+    last: Records
+    final_map: bool = False
 
     @property
     def lost(self) -> int:
         """Runs that broke down."""
-        return int(np.isnan(self.run_mean.pose_nees).sum())
+        return int(np.isnan(self.run_mean.position_square).sum())
 
 
-def tally(chunks: Iterable[Records]) -> Tally:
-    """Chunk by chunk, in order, so that only one is held at a time."""
+def tally(
+    chunks: Iterable[Records],
+    used: NDArray[np.bool_] | slice = slice(None),
+    *,
+    final_map: bool = False,
+) -> Tally:
+    """Chunk by chunk, in order, so that only one is held at a time.
+
+    used: (T,) recorded steps that count; the last is among them.
+    """
     total: list[Array] = [np.zeros(())] * len(Records._fields)
+    count: list[Array] = [np.zeros((), dtype=int)] * len(Records._fields)
     run_mean: list[Records] = []
-    for records in chunks:
-        lost = np.isnan(records.pose_nees).any(axis=1)
-        total = [t + r[~lost].sum(axis=0) for t, r in zip(total, records, strict=True)]
+    ends: list[Records] = []
+    for whole in chunks:
+        records = Records(*(np.ascontiguousarray(r[:, used]) for r in whole))
+        lost = _lost(records)
+        total = [t + np.nansum(r[~lost], axis=0) for t, r in zip(total, records, strict=True)]
+        count = [n + np.isfinite(r[~lost]).sum(axis=0) for n, r in zip(count, records, strict=True)]
         means = Records(*(_mean(r, axis=1) for r in records))
-        for values in means:
+        last = Records(*(r[:, -1].copy() for r in records))
+        for values in (*means, *last):
             values[lost] = np.nan
-        run_mean.append(means)
-    joined = Records(*(np.concatenate(parts) for parts in zip(*run_mean, strict=True)))
-    kept = int(np.isfinite(joined.pose_nees).sum())
-    step_mean = Records(*(t / kept if kept else np.nan * t for t in total))
-    return Tally(step_mean, joined)
+        run_mean.append(_with_map(means, last) if final_map else means)
+        ends.append(last)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        step_mean = Records(*(t / n for t, n in zip(total, count, strict=True)))
+    return Tally(
+        step_mean, tuple(int(n[-1]) for n in count), _joined(run_mean), _joined(ends), final_map
+    )
+
+
+def _lost(records: Records) -> NDArray[np.bool_]:
+    """Runs that broke down on the way; one without any covariances did not."""
+    nees = np.isnan(records.pose_nees)
+    partly = nees.any(axis=1) & ~nees.all(axis=1)
+    return np.asarray(np.isnan(records.position_square).any(axis=1) | partly)
+
+
+def _with_map(means: Records, last: Records) -> Records:
+    return means._replace(landmark_nees=last.landmark_nees, landmark_square=last.landmark_square)
+
+
+def _joined(parts: list[Records]) -> Records:
+    return Records(*(np.concatenate(one) for one in zip(*parts, strict=True)))
 
 
 def figures_of(kept: Tally) -> FilterFigures:
     """One filter's figures over all its runs."""
-    runs = len(kept.run_mean.pose_nees) - kept.lost
-    nees = dict(zip(DOF, kept.step_mean[:4], strict=True))
+    nees = zip(DOF, kept.step_mean[:4], kept.step_runs[:4], strict=True)
     square = dict(zip(ERRORS, kept.step_mean[4:], strict=True))
+
+    def counted(name: str, curve: Array) -> Array:
+        return curve[-1:] if kept.final_map and name == "landmarks" else curve
+
+    def consistency(name: str, curve: Array, runs: int) -> Consistency:
+        found = _consistency(curve, counted(name, curve), runs, DOF[name])
+        given = runs or kept.lost == len(kept.run_mean.pose_nees)
+        return found if given else replace(found, place="not given")
+
     return FilterFigures(
         kept.lost,
-        {name: _consistency(curve, runs, DOF[name]) for name, curve in nees.items()},
-        {name: float(np.sqrt(_mean(curve))) for name, curve in square.items()},
+        {name: consistency(name, curve, runs) for name, curve, runs in nees},
+        {name: float(np.sqrt(_mean(counted(name, curve)))) for name, curve in square.items()},
         {name: np.sqrt(curve) for name, curve in square.items()},
+        kept,
     )
 
 
 def compare_pairs(kept: dict[str, Tally]) -> list[Pair]:
     """Every two filters, in the order given."""
-    found = []
-    for first, second in combinations(kept, 2):
-        a, b = _per_run(kept[first]), _per_run(kept[second])
-        for what in a:
-            difference = a[what] - b[what]
-            difference = difference[np.isfinite(difference)]
-            mean, interval = _interval(difference)
-            found.append(
-                Pair(
-                    first=first,
-                    second=second,
-                    what=what,
-                    mean=mean,
-                    interval=interval,
-                    runs=len(difference),
-                )
-            )
-    return found
+    rows = [
+        (first, second, what, a - b)
+        for first, second in combinations(kept, 2)
+        for what, a, b in _matched(kept[first], kept[second])
+    ]
+    family = 2 * max(sum(bool(np.isfinite(row[-1]).any()) for row in rows), 1)
+    return [_pair(*row, family) for row in rows]
 
 
-def _per_run(kept: Tally) -> dict[str, Array]:
+def _matched(first: Tally, second: Tally) -> Iterator[tuple[str, Array, Array]]:
+    a, b = per_run(first), per_run(second)
+    return ((what, a[what], b[what]) for what in a)
+
+
+def _pair(first: str, second: str, what: str, difference: Array, family: int) -> Pair:
+    difference = difference[np.isfinite(difference)]
+    mean, interval = _interval(difference, LEVEL)
+    lower, higher = int((difference < 0).sum()), int((difference > 0).sum())
+    p = np.nan
+    if lower + higher:
+        p = min(family * float(stats.binomtest(lower, lower + higher).pvalue), 1.0)
+    return Pair(
+        first=first,
+        second=second,
+        what=what,
+        mean=mean,
+        interval=interval,
+        runs=len(difference),
+        lower=lower,
+        higher=higher,
+        family_interval=_interval(difference, 1.0 - (1.0 - LEVEL) / family)[1],
+        sign_p=p,
+    )
+
+
+def per_run(kept: Tally) -> dict[str, Array]:
+    """(N,) of each run: mean NEES of the pose, and RMSE; that of the position is the ATE."""
     square = zip(ERRORS, kept.run_mean[4:], strict=True)
     rmse = {f"{name}_rmse": np.sqrt(values) for name, values in square}
     return {"pose_nees": kept.run_mean.pose_nees} | rmse
 
 
-def _interval(difference: Array) -> tuple[float, tuple[float, float]]:
+def _interval(difference: Array, level: float) -> tuple[float, tuple[float, float]]:
     runs = len(difference)
     if runs < 2:
         return (float(difference[0]) if runs else np.nan), (np.nan, np.nan)
     mean = float(difference.mean())
-    spread = float(stats.sem(difference) * stats.t.ppf(0.5 + 0.5 * LEVEL, runs - 1))
+    spread = float(stats.sem(difference) * stats.t.ppf(0.5 + 0.5 * level, runs - 1))
     return mean, (mean - spread, mean + spread)
 
 
-def _consistency(curve: Array, runs: int, dof: int) -> Consistency:
-    mean = float(_mean(curve))
+def _consistency(curve: Array, counted: Array, runs: int, dof: int) -> Consistency:
+    mean = float(_mean(counted))
     band = anees_band(runs, dof) if runs else (np.nan, np.nan)
     place: Place = "above" if not mean <= band[1] else "below" if mean < band[0] else "inside"
-    told = curve[np.isfinite(curve)]
+    told = counted[np.isfinite(counted)]
     share = float((told > band[1]).mean()) if len(told) else np.nan
     return Consistency(curve, mean, band, place, share)
+
+
+def inside_at_end(kept: Tally) -> tuple[int, int, tuple[int, int]]:
+    """Runs whose last pose has its NEES in its band, runs that have one, and that count's band.
+
+    Both bands are exact: chi-square of 3, and the binomial of independent runs.
+    """
+    nees = kept.last.pose_nees[np.isfinite(kept.last.pose_nees)]
+    low, high = stats.chi2.ppf((0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL), DOF["pose"])
+    least, most = stats.binom.interval(LEVEL, len(nees), LEVEL) if len(nees) else (0, 0)
+    return int(((nees >= low) & (nees <= high)).sum()), len(nees), (int(least), int(most))
 
 
 def _mean(values: Array, axis: int | None = None) -> Array:

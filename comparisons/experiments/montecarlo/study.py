@@ -3,16 +3,26 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+import shlex
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from comparisons.config import check_unchanged, full_path
 from comparisons.errors import InputError
-from comparisons.experiments.montecarlo.chunk_files import CHUNK, ChunkFiles
+from comparisons.experiments.montecarlo.chunk_files import CHUNK, LOGS, ChunkFiles, check_folder
 from comparisons.experiments.montecarlo.config import MonteCarloConfig
+from comparisons.experiments.montecarlo.external import (
+    Command,
+    Estimator,
+    Failure,
+    check_names,
+    run_external,
+)
 from comparisons.experiments.montecarlo.runs import Records, recorded_steps, run_filter
 from comparisons.experiments.montecarlo.statistics import (
     FilterFigures,
@@ -23,8 +33,11 @@ from comparisons.experiments.montecarlo.statistics import (
 )
 from comparisons.experiments.montecarlo.workers import check_workers, spread
 from comparisons.experiments.scenarios.scenario import Scenario, read_scenario
-from comparisons.experiments.scenarios.world import World, build_world, measure
+from comparisons.experiments.scenarios.world import World, build_world, log_of_run, measure
+from comparisons.logs.log_folder import write_log_folder
 
+_KEPT_LOGS = 3
+"""Failed runs of one external filter whose logs are kept."""
 _EDITION = 1
 """Part of every chunk's origin; to be raised when a filter or the simulation changes."""
 
@@ -41,6 +54,10 @@ class Study:
         """The scenario's."""
         path = Path(self.config.scenario)
         return path.stem if path.suffix == ".toml" else path.name
+
+    def log_name(self, run: int) -> str:
+        """Of a run's log."""
+        return f"{self.name}-{run}"
 
     @property
     def sha256(self) -> str:
@@ -65,7 +82,11 @@ def read_study(config: MonteCarloConfig, *, allow_changed: bool = False) -> Stud
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """figures: by filter. computed: chunks that were not yet there. damaged: files replaced."""
+    """figures: by filter. computed: chunks that were not yet there. damaged: files replaced.
+
+    failures: of external filters, by name, in the order of seeds. reused: their runs that were not
+    computed again.
+    """
 
     study: Study
     time_s: np.ndarray[tuple[int], np.dtype[np.float64]]
@@ -74,6 +95,60 @@ class Outcome:
     pairs: list[Pair]
     computed: int
     damaged: int
+    failures: dict[str, tuple[Failure, ...]] = field(default_factory=dict)
+    reused: int = 0
+
+    @property
+    def final_map(self) -> bool:
+        """Whether figures of landmarks are those of the last step alone."""
+        return bool(self.failures)
+
+
+@dataclass(frozen=True)
+class External:
+    """Filters of the user's. estimators: by name.
+
+    reuse: take results that lie in the folder, of commands whose words and named files are the
+    same; what these import may have changed. A callable always runs again.
+    """
+
+    estimators: Mapping[str, Estimator] = field(default_factory=dict)
+    reuse: bool = False
+
+
+def montecarlo(
+    scenario: str = "circle",
+    runs: int = 50,
+    filters: Iterable[str] = ("ekf",),
+    *,
+    estimators: Mapping[str, Estimator],
+    folder: Path | None = None,
+    workers: int = 1,
+) -> Outcome:
+    """Run your filters beside variants of ours, over the same runs.
+
+    Args:
+        scenario: a bundled name, or the path of a scenario's TOML file.
+        runs: how many; a run's number is its seed.
+        filters: variants of our EKF to compare with.
+        estimators: by name; each is given a `Log` without truth and returns an `Estimate` or a
+            `GivenEstimate`. What it raises is counted as a failure of that run.
+        folder: where finished chunks stay, and logs of runs that failed; none is kept if absent.
+        workers: processes; more than one needs estimators that can be pickled.
+
+    Returns:
+        Figures of each filter and of each pair of filters.
+
+    Raises:
+        InputError: for a scenario or a name that is none, and where every run of one failed.
+    """
+    config = MonteCarloConfig.of(scenario=scenario, runs=runs, filters=tuple(filters))
+    if folder is not None:
+        check_folder(folder)
+    with tempfile.TemporaryDirectory(prefix="slamcheck-montecarlo-") as place:
+        return run_study(
+            read_study(config), folder or Path(place), workers, external=External(estimators)
+        )
 
 
 def run_study(
@@ -82,9 +157,14 @@ def run_study(
     workers: int = 1,
     scheduler: str | None = None,
     progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
+    external: External | None = None,
 ) -> Outcome:
     """Compute what the folder does not hold yet; figures over all runs. Raises InputError."""
     check_workers(workers)
+    external = external or External()
+    check_names(external.estimators)
+    if external.estimators and scheduler is not None:
+        raise InputError("--scheduler computes our filters only; give --workers with --command")
     config, names = study.config, tuple[str, ...](study.config.filters)
     world = build_world(study.scenario, config.scenario)
     steps = recorded_steps(study.scenario.steps)
@@ -104,15 +184,25 @@ def run_study(
         files.write(*wanted[place], records)
         done += 1
         progress("runs", done, total)
-    kept = {name: tally(_finished(files, name, config.runs)) for name in names}
+    job = _ExternalJob(study, world, folder, workers, progress)
+    theirs = {name: job.run(name, one, external) for name, one in external.estimators.items()}
+    used = np.logical_and.reduce(
+        [np.ones(len(steps), dtype=bool), *(t.used for t in theirs.values())]
+    )
+    final = bool(theirs)
+    kept = {
+        name: tally(_finished(files, name, config.runs), used, final_map=final) for name in names
+    } | {name: tally(one.records(), used, final_map=final) for name, one in theirs.items()}
     return Outcome(
         study=study,
-        time_s=study.scenario.step_s * np.array(steps, dtype=float),
+        time_s=study.scenario.step_s * np.array(steps, dtype=float)[used],
         landmarks=len(world.landmark),
         figures={name: figures_of(of_filter) for name, of_filter in kept.items()},
         pairs=compare_pairs(kept),
         computed=len(wanted),
         damaged=damaged,
+        failures={name: one.failures for name, one in theirs.items()},
+        reused=sum(one.reused for one in theirs.values()),
     )
 
 
@@ -130,3 +220,116 @@ def _finished(files: ChunkFiles, name: str, runs: int) -> Iterator[Records]:
         if records is None:
             raise InputError(f"{files.path(name, chunk)}: was changed while the study ran")
         yield Records(*(r[: runs - chunk * CHUNK] for r in records))
+
+
+@dataclass(frozen=True)
+class _ExternalRuns:
+    """One external filter's runs. used: (T,) recorded steps with a pose in every run."""
+
+    files: ChunkFiles
+    name: str
+    runs: int
+    used: NDArray[np.bool_]
+    failures: tuple[Failure, ...]
+    reused: int
+
+    def records(self) -> Iterator[Records]:
+        """Run by run, NaN where it failed."""
+        failed = {one.seed for one in self.failures}
+        empty = Records(*(np.full((1, len(self.used)), np.nan) for _ in Records._fields))
+        for run in range(self.runs):
+            found = empty if run in failed else self.files.read(self.name, run)
+            if found is None:
+                raise InputError(f"{self.files.path(self.name, run)}: was changed meanwhile")
+            yield found
+
+
+@dataclass(frozen=True)
+class _ExternalJob:
+    study: Study
+    world: World
+    folder: Path
+    workers: int
+    progress: Callable[[str, int, int], None]
+
+    def run(self, name: str, estimator: Estimator, external: External) -> _ExternalRuns:
+        """All runs through one filter, a file each. Raises InputError where every one fails."""
+        runs, steps = self.study.config.runs, recorded_steps(self.study.scenario.steps)
+        command = estimator.sha256 if isinstance(estimator, Command) else ""
+        origin = f"{self.study.sha256} {command}"
+        files = ChunkFiles(self.folder, hashlib.sha256(origin.encode()).hexdigest(), len(steps), 1)
+        reuse = external.reuse and command
+        wanted = [run for run in range(runs) if not (reuse and _is_there(files, name, run))]
+        done = runs - len(wanted)
+        self.progress(name, done, runs)
+        failures = []
+        tasks = [(estimator, self.world, run, self.study.log_name(run)) for run in wanted]
+        for place, found in spread(run_external, tasks, self.workers):
+            if isinstance(found, Failure):
+                failures.append(found)
+            else:
+                files.write(name, wanted[place], found)
+            done += 1
+            self.progress(name, done, runs)
+        failures.sort(key=lambda one: one.seed)
+        told = self._keep_logs(name, failures)
+        if len(told) == runs:
+            first = told[0]
+            raise InputError(
+                f"{name}: all {runs} runs failed; seed {first.seed}: {first.reason}; its log is "
+                f"{first.log}"
+            )
+        kept = _ExternalRuns(
+            files, name, runs, np.ones(len(steps), dtype=bool), tuple(told), runs - len(wanted)
+        )
+        used = kept.used
+        for run, records in enumerate(kept.records()):
+            if run not in {one.seed for one in told}:
+                used = used & np.isfinite(records.position_square[0])
+        return replace(kept, used=used)
+
+    def _keep_logs(self, name: str, failures: list[Failure]) -> list[Failure]:
+        """Leave the first few logs, with what was said; what was said earlier goes."""
+        for old in (self.folder / LOGS).glob(f"{name}-*.stderr"):
+            old.unlink()
+        told = []
+        for failure in failures[:_KEPT_LOGS]:
+            log = keep_log(self.study, self.folder, failure.seed)
+            said = log.parent / f"{name}-{log.name}.stderr"
+            said.write_text(failure.output, encoding="utf-8")
+            told.append(replace(failure, log=log))
+        return told + failures[_KEPT_LOGS:]
+
+
+def keep_log(study: Study, folder: Path, seed: int) -> Path:
+    """Leave a run's log in a study's folder, as an external filter is given it. Return where."""
+    place = folder / LOGS / f"{seed:06d}"
+    if not place.exists():
+        world = build_world(study.scenario, study.config.scenario)
+        write_log_folder(log_of_run(world, seed, study.log_name(seed)), place)
+    return place
+
+
+def _is_there(files: ChunkFiles, name: str, run: int) -> bool:
+    """Whether a run's result is of the same command and study."""
+    try:
+        return files.read(name, run) is not None
+    except InputError:
+        return False
+
+
+def record_commands(study: Study, commands: Mapping[str, Command]) -> Study:
+    """Return the study with what runs besides, for its config.toml.
+
+    Raises InputError for recorded commands that were not given again: a file names them, and only
+    the command line runs them.
+    """
+    missing = {k: v for k, v in study.config.commands.items() if k not in commands}
+    if missing:
+        name, words = next(iter(missing.items()))
+        raise InputError(
+            f"the configuration names the command '{name}', which is never run from a file; give "
+            f"--command {shlex.quote(f'{name}={words}')}"
+        )
+    named = {name: shlex.join(one.words) for name, one in commands.items()}
+    return Study(study.config.model_copy(update={"commands": named}), study.scenario)

@@ -29,11 +29,15 @@ from comparisons.experiments.variants.batch_models import (
     Sensor,
     unicycle,
 )
+from comparisons.logs.log import Log, Prior, Sightings
+from comparisons.logs.odometry import OdometryNoise, VelocityOdometry
 from comparisons.logs.simulate.worlds import nieto_loop
 from ekf_reference.core.geometry import wrap_angle
 
 _MOST_LOOKAHEADS = 100_000
 _FULL_TURN = 2.0 * math.pi
+_STABILISATION = (1e-12, 0.0)
+"""Of a log [m^2/s, rad^2/s]: makes one step's motion regular, and is far below every sensor."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,6 +124,47 @@ def measure(world: World, runs: range) -> Measurements:
         control[row] = world.control + world.robot.sigma_odometry * noise
         z[row] = exact + sigma * rng.standard_normal(exact.shape)
     return Measurements(control, tuple(np.split(z, ends[:-1], axis=1)))
+
+
+def log_of_run(world: World, run: int, name: str) -> Log:
+    """Return what one run measures as a log, without any truth.
+
+    Landmarks have the world's numbers as ids. Relative positions become range and bearing, with
+    their noise to first order at the true distance, which is where it is known. The last odometry
+    sample is repeated at the end, so that the log ends where the run does.
+    """
+    data, robot = measure(world, range(run, run + 1)), world.robot
+    time_s: Array = robot.step_s * np.arange(len(world.control) + 1, dtype=float)
+    control = data.control[0][[*range(len(world.control)), -1]]
+    sigma_speed_mps, sigma_turn = robot.sigma_odometry.tolist()
+    label, sigma = np.concatenate(world.seen), np.concatenate(world.sigma)
+    step = np.repeat(np.arange(1, len(time_s)), [len(which) for which in world.seen])
+    z = np.concatenate([one[0] for one in data.z])
+    if isinstance(robot.sensor, RelativePosition):
+        distance = np.linalg.norm(world.landmark[label] - world.pose[step, :2], axis=1)
+        sigma = np.column_stack((sigma[:, 0], sigma[:, 1] / distance))
+        z = np.column_stack((np.hypot(z[:, 0], z[:, 1]), np.arctan2(z[:, 1], z[:, 0])))
+    real = z[:, 0] > 0.0  # noise may make a short range negative, which no sensor says
+    return Log(
+        name=name,
+        format="log-folder",
+        prior=Prior(0.0, robot.pose, robot.covariance),
+        odometry=VelocityOdometry(
+            time_s,
+            control[:, 0],
+            control[:, 1],
+            OdometryNoise(sigma_speed_mps, sigma_turn, *_STABILISATION),
+        ),
+        sightings=Sightings(
+            time_s=time_s[step[real]],
+            range_m=z[real, 0],
+            bearing_rad=wrap_angle(z[real, 1]),
+            sigma_range_m=sigma[real, 0],
+            sigma_bearing_rad=sigma[real, 1],
+            landmark=label[real].astype(np.int64),
+            diameter_m=np.full(int(real.sum()), np.nan),
+        ),
+    )
 
 
 def _sensor(scenario: Scenario) -> Sensor:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+from collections.abc import Sequence
 from importlib.resources import files
 
 _SCRIPTS = ("common.js", "map.js", "curves.js", "tables.js")
@@ -14,9 +15,9 @@ def style() -> str:
     return _text("page.css")
 
 
-def script() -> str:
+def script(names: Sequence[str] = _SCRIPTS) -> str:
     """The page's only script: its parts, each a function of its own, in order."""
-    parts = "\n".join(_text(name) for name in _SCRIPTS)
+    parts = "\n".join(_text(name) for name in names)
     return f"'use strict';\n{parts}\ndocument.documentElement.dataset.ready = 'yes';\n"
 
 

@@ -75,7 +75,8 @@ def test_two_workers_give_the_same_bytes(scenario: Path, finished: Path, tmp_pat
     done = again(scenario, tmp_path / "two", "--workers", "2")
     assert done.returncode == 0, done.stderr
     assert contents(tmp_path / "two") == contents(finished)
-    assert set(contents(finished)) == {"config.toml", "montecarlo.json", "curves.png", *CHUNKS}
+    reports = {"config.toml", "montecarlo.json", "curves.png", "report.html", "runs.csv"}
+    assert set(contents(finished)) == {*reports, *CHUNKS}
 
 
 @pytest.mark.slow

@@ -61,6 +61,7 @@ def test_a_study_is_repeated_from_its_folder(
         "scenario": str(scenario.resolve()),
         "runs": 4,
         "filters": ["riekf", "ekf"],
+        "commands": {},
         "sha256": read_scenario(str(scenario)).sha256,
     }  # fmt: skip
     assert list(result["filters"]) == ["riekf", "ekf"]

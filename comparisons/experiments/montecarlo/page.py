@@ -1,0 +1,175 @@
+"""`report.html` of a study: consistency and errors by filter, curves, and every two filters."""
+
+from __future__ import annotations
+
+from html import escape
+
+import numpy as np
+
+from comparisons.arrays import Array
+from comparisons.experiments.montecarlo.plots import colour_of
+from comparisons.experiments.montecarlo.statistics import (
+    DOF,
+    LEVEL,
+    Pair,
+    inside_at_end,
+    per_run,
+)
+from comparisons.experiments.montecarlo.study import Outcome
+from comparisons.report.html.curves import data_block, panel_data
+from comparisons.report.html.look import script
+from comparisons.report.html.shell import document, number, sortable, table
+from comparisons.report.panels import Band, Curve, Panel
+
+_SCRIPTS = ("common.js", "curves.js", "tables.js")
+_UNITS = {"position": "m", "heading": "rad", "landmarks": "m"}
+_LEVEL = f"{100 * LEVEL:.0f} %"
+_WHAT = {
+    "pose_nees": "NEES of the pose",
+    "position_rmse": "ATE [m]",
+    "heading_rmse": "heading RMSE [rad]",
+    "landmarks_rmse": "landmark RMSE [m]",
+}
+
+
+def study_page(outcome: Outcome, remarks: list[str]) -> str:
+    """The whole page. remarks: what stands beside the figures."""
+    study = outcome.study
+    told = "".join(f"<li>{escape(remark.strip())}</li>" for remark in remarks)
+    rows = sum(pair.runs > 0 for pair in outcome.pairs)
+    parts = [
+        f"<header><h1>{escape(study.name)}</h1><p>{study.config.runs:,} runs of "
+        f"{study.scenario.steps:,} steps, {outcome.landmarks} landmarks</p></header>",
+        f'<p class="note">{escape(study.scenario.description)}</p>',
+        f'<ul class="note">{told}</ul>' if told else "",
+        "<h2>Consistency: mean NEES</h2>",
+        _consistency(outcome),
+        f'<p class="note">In brackets the exact {_LEVEL} band of the mean over the runs at one '
+        "step, by chi-square. A mean over steps, or over landmarks, spreads less: outside is "
+        "outside, inside is the weaker statement. The count of last poses within their own band "
+        "is exact, too, by the binomial.</p>",
+        "<h2>Errors</h2>",
+        _errors(outcome),
+        '<p class="note">ATE: root mean square of the position error over the steps of a run, '
+        "without alignment, for the start is known. Every run is in runs.csv.</p>",
+        '<section id="when"><h2>Over time <span id="now"></span></h2>'
+        '<noscript><p class="note">Curves need JavaScript; they are in curves.png, too.</p>'
+        '</noscript><div id="curves"></div></section>',
+        "<h2>Every two filters</h2>",
+        _pairs(outcome.pairs),
+        f'<p class="note">First minus second over the runs (seeds) that both have. Intervals are '
+        f"Student's t for the mean; p is the two-sided sign test's. A finding is by either, "
+        f"both tests of all {rows} rows corrected together (Bonferroni, {_LEVEL} for the whole "
+        "table). A lower error is better; a NEES is best near its degrees of freedom, 3.</p>",
+        data_block({"start": 0.0, "panels": [panel_data(one, 0.0) for one in _panels(outcome)]}),
+    ]
+    return document(f"{study.name}: Monte Carlo", parts, script(_SCRIPTS))
+
+
+def _consistency(outcome: Outcome) -> str:
+    rows: list[tuple[str, ...]] = []
+    bad: list[int] = []
+    for name, figures in outcome.figures.items():
+        inside, of, band = inside_at_end(figures.kept)
+        cells = [
+            "none"
+            if c.place == "not given"
+            else f"{number(c.mean)} ({number(c.band[0])} to {number(c.band[1])})"
+            for c in figures.consistency.values()
+        ]
+        last = f"{inside} of {of} ({band[0]} to {band[1]})" if of else "none"
+        place = figures.consistency["pose"].place
+        if place == "above":
+            bad.append(len(rows))
+        rows.append((name, *cells, last, _PLACES[place]))
+    head = ("filter", *(f"{block} ({dof} dof)" for block, dof in DOF.items()))
+    return _wide(table((*head, "last poses inside", "pose"), rows, bad))
+
+
+_PLACES = {
+    "above": "above: too certain",
+    "inside": "inside",
+    "below": "below: too cautious",
+    "not given": "no covariances",
+}
+
+
+def _errors(outcome: Outcome) -> str:
+    rows = []
+    for name, figures in outcome.figures.items():
+        ate = per_run(figures.kept)["position_rmse"]
+        runs = np.flatnonzero(np.isfinite(ate))
+        middle, worst = np.nan, "none"
+        if len(runs):
+            seed = int(runs[ate[runs].argmax()])
+            middle, worst = float(np.median(ate[runs])), f"{number(float(ate[seed]))} (seed {seed})"
+        others = [number(figures.rmse[what]) for what in ("heading", "landmarks")]
+        ours = (number(figures.rmse["position"]), number(middle), worst)
+        rows.append((name, f"{len(runs)} of {len(ate)}", *ours, *others))
+    head = ("ATE [m], all runs", "median run", "worst run", "heading [rad]", "landmarks [m]")
+    return _wide(table(("filter", "runs", *head), rows))
+
+
+def _pairs(pairs: list[Pair]) -> str:
+    rows = []
+    for pair in pairs:
+        if not pair.runs:
+            continue
+        low, high = pair.family_interval
+        found = "no difference shown"
+        if high < 0 or low > 0 or pair.sign_p < 1.0 - LEVEL:
+            found = "first lower" if pair.mean < 0 else "first higher"
+        interval = f"{number(low)} to {number(high)}" if np.isfinite(low) else "none"
+        counts = f"{pair.lower} / {pair.higher} of {pair.runs}"
+        cells = (pair.first, pair.second, _WHAT[pair.what], number(pair.mean), interval)
+        rows.append(("", (*cells, counts, number(pair.sign_p), found)))
+    head = ("first", "second", "of each run", "mean difference", "interval")
+    return _wide(sortable("pairs", (*head, "lower / higher", "sign test p", "finding"), rows))
+
+
+def _wide(content: str) -> str:
+    """A table to be moved sideways where the window is narrow."""
+    return f'<div class="sideways">{content}</div>'
+
+
+def _panels(outcome: Outcome) -> list[Panel]:
+    """NEES with its band, then RMSE."""
+    figures, time_s = outcome.figures, outcome.time_s
+    panels = []
+    for block, dof in DOF.items():
+        widest = max(
+            (f.consistency[block].band for f in figures.values()), key=lambda b: b[1] - b[0]
+        )
+        low, high = np.broadcast_to(np.array(widest)[:, None], (2, len(time_s)))
+        band = Band(f"{_LEVEL} band", "#999999", time_s, low, high)
+        panels.append(
+            Panel(
+                title=f"mean NEES of {block} ({dof} dof)",
+                x_label="time [s]",
+                curves=_curves(
+                    time_s, {name: f.consistency[block].curve for name, f in figures.items()}
+                ),
+                bands=(band,) if np.isfinite(widest).all() else (),
+                logarithmic=True,
+                level=float(dof),
+            )
+        )
+    for what, unit in _UNITS.items():
+        panels.append(
+            Panel(
+                title=f"RMSE of {what} [{unit}]",
+                x_label="time [s]",
+                curves=_curves(time_s, {name: f.rmse_curve[what] for name, f in figures.items()}),
+                bands=(),
+            )
+        )
+    return [panel for panel in panels if panel.curves]
+
+
+def _curves(time_s: Array, curves: dict[str, Array]) -> tuple[Curve, ...]:
+    """Those that are known at more than one instant."""
+    return tuple(
+        Curve(name, colour_of(name, curves), time_s, curve)
+        for name, curve in curves.items()
+        if np.isfinite(curve).sum() > 1
+    )
