@@ -253,5 +253,15 @@ def dropout(dropouts: Dropouts | None) -> list[Cause]:
     ]
 
 
+def coverage(evidence: str, least: float) -> Cause:
+    """Too little of the log's time in an external estimate. least: share that is asked for."""
+    return Cause(
+        "coverage",
+        f"{evidence}; asked for are {100.0 * least:.4g} %",
+        "look whether the filter stopped or lost poses; hand in the whole path, or give "
+        "--min-coverage",
+    )
+
+
 def _ratios(block: BlockAgreement) -> tuple[float, float]:
     return block.least, block.largest

@@ -12,11 +12,17 @@ from comparisons.checks.accuracy import Accuracy, assess_trajectory
 from comparisons.checks.agreement import ROUNDING
 from comparisons.checks.causes import Cause
 from comparisons.checks.diagnosis.estimate_facts import Clues, facts
-from comparisons.checks.given_agreement import GivenAgreement, compare_given, within_log
+from comparisons.checks.given_agreement import (
+    Coverage,
+    GivenAgreement,
+    compare_given,
+    coverage,
+    within_log,
+)
 from comparisons.checks.grade import GRADES, Grade, Likeness, Reference, likeness
 from comparisons.checks.verdict import Outcome
 from comparisons.choices import RequiredGrade
-from comparisons.config import CheckConfig
+from comparisons.config import MIN_COVERAGE, CheckConfig
 from comparisons.estimates.external import GivenEstimate
 from comparisons.logs.log import Log
 from comparisons.pipeline.given_trace import TraceCheck, check_trace
@@ -51,14 +57,15 @@ class Graded:
 class GivenCheck:
     """What the check found.
 
-    solution: the smoother's. agreement: with it. accuracy: of the given trajectory where the
-    log has truth or positions. trace: the filter's own gaps, where it left one. grade, outcome,
-    causes, remarks: the verdict.
+    solution: the smoother's. agreement: with it. coverage: of the log's time. accuracy: of the
+    given trajectory where the log has truth or positions. trace: the filter's own gaps, where it
+    left one. grade, outcome, causes, remarks: the verdict.
     """
 
     given: GivenEstimate
     solution: Solution
     agreement: GivenAgreement
+    coverage: Coverage
     accuracy: Accuracy | None
     trace: TraceCheck | None
     grade: Graded
@@ -84,7 +91,8 @@ def check(
 ) -> GivenCheck:
     """Solve the log, run the reference EKF, grade. Raises InputError, and as `solve` does."""
     config = config or CheckConfig()
-    return judge_given(given, solve(log, config, progress), config.require, progress)
+    solution = solve(log, config, progress)
+    return judge_given(given, solution, config.require, progress, min_coverage=config.min_coverage)
 
 
 def judge_given(
@@ -92,8 +100,13 @@ def judge_given(
     solution: Solution,
     require: RequiredGrade | None = None,
     progress: Progress = no_progress,
+    *,
+    min_coverage: float = MIN_COVERAGE,
 ) -> GivenCheck:
-    """Grade an estimate of a log that is solved. Raises InputError for one of another time."""
+    """Grade an estimate of a log that is solved. Raises InputError for one of another time.
+
+    min_coverage: share of the log's time below which no estimate agrees.
+    """
     clock, labelled = solution.prepared.clock, solution.prepared.labelled
     inside = _chosen(given, within_log(given, solution.estimate))
     with clock.stage("references"):
@@ -106,6 +119,10 @@ def judge_given(
     grade = _grade(require or _expected(given), near, found, verified=verified)
     first = near and likeness(inside, references.peers[0], labelled=labelled)
     known = facts(inside, first, references.clues) if first else []
+    covered = coverage(inside.time_s, solution.estimate.time_s)
+    short = covered.share < min_coverage
+    if short:
+        known = [one for one in known if one.gap != "coverage"]
     traced, causes = None, _causes(grade, known, found)
     if given.trace is not None:
         progress("trace", 0, 0)
@@ -118,20 +135,24 @@ def judge_given(
             causes = (cause.unverified(optimality), *causes)
     elif outcome == "agree":
         causes = ()
+    remarks = (
+        *_remarks(given, found),
+        *_beside(grade, known, found, outcome),
+        *_on_association(solution),
+    )
+    if short:
+        outcome, causes = "disagree", (cause.coverage(covered.evidence, min_coverage), *causes)
     return GivenCheck(
         given=given,
         solution=solution,
         agreement=found,
+        coverage=covered,
         accuracy=assess_trajectory(given.time_s, given.pose, solution.log),
         trace=traced,
         grade=grade,
         outcome=outcome,
         causes=causes,
-        remarks=(
-            *_remarks(given, found),
-            *_beside(grade, known, found, outcome),
-            *_on_association(solution),
-        ),
+        remarks=remarks,
     )
 
 

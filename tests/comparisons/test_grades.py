@@ -159,8 +159,8 @@ NAMED = {
     "stamps one scan late": "0.2",
     "path of another point": "-0.300 m forward",
     "one pose off by 0.5 m": "1 of 76 poses",
-    "path cut at 60 %": "the path ends at",
-    "path begun at 40 %": "the path begins at",
+    "path cut at 60 %": "of 15.0 s: it ends at",
+    "path begun at 40 %": "of 15.0 s: it begins at",
     "two landmarks exchanged": "2 landmarks lie where another is",
     "a third of the map missing": "landmarks are not in the map",
 }

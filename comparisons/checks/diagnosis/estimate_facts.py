@@ -48,9 +48,9 @@ def facts(given: GivenEstimate, found: Likeness, clues: Clues) -> list[Cause]:
     causes = _means(given, found, clues)
     causes += _covariances(given, found, clues)
     if found.missing:
-        causes.append(
-            Cause("coverage", "; ".join(found.missing), "hand in the whole path and the whole map")
-        )
+        causes.append(Cause("coverage", "; ".join(found.missing), "hand in the whole path"))
+    if found.unmapped:
+        causes.append(Cause("map", "; ".join(found.unmapped), "hand in the whole map"))
     return causes
 
 
