@@ -24,6 +24,7 @@ LIKE_SIGMA = 0.05
 """Like: no entry of a mean is off by more of the reference's standard deviation."""
 LIKE_VARIANCE = 0.05
 """Like: no direction's variance differs by a larger share."""
+SMOOTHER = "the smoother"
 MOST_LATE_S = 0.5
 """A path that begins or ends so much inside the log's is not all of it."""
 _ROUNDED = 4.0
