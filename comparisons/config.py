@@ -334,6 +334,10 @@ class SolveConfig(JobConfig):
     smoother: SmootherConfig = SmootherConfig()
 
 
+MIN_COVERAGE = 0.95
+"""Least share of a log's time that an external estimate has to cover."""
+
+
 class CheckConfig(SolveConfig):
     """`slamcheck check`: an external estimate against the smoother's."""
 
@@ -344,6 +348,12 @@ class CheckConfig(SolveConfig):
         None,
         description="least grade that agrees: like an EKF where the estimate calls itself one, "
         "else plausible, if absent",
+    )
+    min_coverage: float = Field(
+        MIN_COVERAGE,
+        ge=0.0,
+        le=1.0,
+        description="least share of the log's time that the estimate has to cover",
     )
 
 

@@ -248,6 +248,11 @@ REQUIRE = Flag(
     "to the optimum as that is certain. [like where estimate.toml says estimator = \"ekf\", "
     "else plausible]",
 )
+MIN_COVERAGE = Flag(
+    option="--min-coverage", field="min_coverage", kind=float, metavar="SHARE",
+    help="Least share of the log's time that the estimate covers; one that covers less disagrees. "
+    "[0.95]",
+)
 ESTIMATE = (
     Flag(
         option="--estimate", field="estimate", metavar="FOLDER|FILE",
@@ -259,6 +264,7 @@ ESTIMATE = (
         help="Times of a KITTI file, else times.txt beside it.",
     ),
     REQUIRE,
+    MIN_COVERAGE,
 )
 CLOUD = Flag(
     option="--cloud", field="cloud", choices=choices.CloudFormat,

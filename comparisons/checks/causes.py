@@ -21,7 +21,7 @@ from comparisons.checks.agreement import (
     Gap,
     block_agrees,
 )
-from comparisons.checks.consistency.innovations import SensorInnovations
+from comparisons.checks.consistency.consistency import Consistency
 from graphslam.optimum import DISTANCE_LIMIT, ChiSquareTest, Optimality
 
 if TYPE_CHECKING:
@@ -180,8 +180,7 @@ def linearisation(
     if np.isfinite(sigma).any():
         k = int(np.nanargmax(sigma))
         reached = (
-            f"the heading's sigma reached {np.degrees(sigma[k]):.1f} degrees at "
-            f"{run.estimate.time_s[k]:.1f} s; "
+            f"the heading's sigma reached {_degrees(sigma[k])} at {run.estimate.time_s[k]:.1f} s; "
         )
     if growth is not None and growth.total > 0.0:
         parts.append(_grew(growth, run, sigma))
@@ -193,6 +192,12 @@ def linearisation(
     )
 
 
+def _degrees(angle_rad: float) -> str:
+    """One decimal, below a degree two digits: never 0.0 of an angle that is there."""
+    angle = float(np.degrees(angle_rad))
+    return f"{angle:.1f} degrees" if abs(angle) >= 1.0 else f"{angle:.2g} degrees"
+
+
 def _grew(growth: LinearisationGrowth, run: EkfRun, sigma: Array) -> str:
     """When, by which relation, at which uncertainty of the heading (K,)."""
     time_s, at = run.estimate.time_s, growth.epoch
@@ -200,23 +205,25 @@ def _grew(growth: LinearisationGrowth, run: EkfRun, sigma: Array) -> str:
     if growth.slot >= 0:
         template = "template" in growth.kind  # whose landmark's id is its slot
         seen = f" of landmark {growth.slot if template else run.estimate.landmark_id[growth.slot]}"
-    around = float(np.degrees(sigma[max(at - 1, 0) : at + 1].max()))
+    around = _degrees(sigma[max(at - 1, 0) : at + 1].max())
     return (
         f"its equations miss the optimum's the most by {growth.kind}{seen} at {time_s[at]:.1f} s "
-        f"({growth.sigma:.1f} sigma of its noise; the heading's sigma was {around:.1f} degrees), "
+        f"({growth.sigma:.1f} sigma of its noise; the heading's sigma was {around}), "
         f"and half of all they miss had come together by {time_s[growth.reached(0.5)]:.1f} s"
     )
 
 
-def noise(test: ChiSquareTest, sensors: Sequence[SensorInnovations]) -> list[Cause]:
+def noise(test: ChiSquareTest, consistency: Consistency | None) -> list[Cause]:
     """The sensors whose innovations are too large, where the smoother's residuals are, too."""
+    if test.reading != "too high" or consistency is None:
+        return []
     off = [
         (nis, sensor.sensor)
-        for sensor in sensors
+        for sensor in consistency.sensors
         for nis in sensor.nis[1:]
-        if nis.reading == "too high"
+        if nis.worded(consistency.outside)[0] == "too high"
     ]
-    if test.reading != "too high" or not off:
+    if not off:
         return []
     worst, of = max(off, key=lambda pair: pair[0].mean)
     return [
@@ -238,19 +245,30 @@ def dropout(dropouts: Dropouts | None) -> list[Cause]:
     if dropouts is None or worst is None or worst.growth < _GREW:
         return []
     refused = f", {worst.refused} sightings refused" if worst.refused else ""
-    before, after = np.degrees(worst.sigma_heading_rad)
+    before, after = worst.sigma_heading_rad
     return [
         Cause(
             "dropout",
             f"no observation was used from {worst.begin_s:.1f} to {worst.end_s:.1f} s "
             f"({worst.way_m:.1f} m driven{refused}): the position's sigma grew from "
-            f"{worst.sigma_m[0]:.2g} to {worst.sigma_m[1]:.2g} m, the heading's from {before:.1f} "
-            f"to {after:.1f} degrees, and the filter arrived {worst.error_m:.2f} m from the "
-            f"smoother ({dropouts.error_outside_m:.2f} m RMS outside such stretches, which are "
+            f"{worst.sigma_m[0]:.2g} to {worst.sigma_m[1]:.2g} m, the heading's from "
+            f"{_degrees(before)} to {_degrees(after)}, and the filter arrived "
+            f"{worst.error_m:.2f} m from the smoother ({dropouts.error_outside_m:.2f} m RMS "
+            "outside such stretches, which are "
             f"{100.0 * (1.0 - dropouts.coverage):.0f} % of the time)",
             "look for a blind or silent sensor, lost messages, or a gate that refuses everything",
         )
     ]
+
+
+def coverage(evidence: str, least: float) -> Cause:
+    """Too little of the log's time in an external estimate. least: share that is asked for."""
+    return Cause(
+        "coverage",
+        f"{evidence}; asked for are {100.0 * least:.4g} %",
+        "look whether the filter stopped or lost poses; hand in the whole path, or give "
+        "--min-coverage",
+    )
 
 
 def _ratios(block: BlockAgreement) -> tuple[float, float]:

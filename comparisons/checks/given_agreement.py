@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from comparisons.adapters.motion import CLOCK_S
 from comparisons.arrays import Array, Index
 from comparisons.checks.accuracy import match_landmarks
 from comparisons.checks.agreement import (
@@ -37,6 +38,10 @@ _GENEROUS = 2.0
 _FLOOR_M = 0.05
 """Differences that one estimate may have from another of its kind, in RMS over all poses, where
 the reference filter is no measure."""
+_HOLE_S = (1.0, 10.0)
+"""Least and greatest length of a hole in a path, and most of the interval of its poses' ends."""
+_INTERVALS = 10.0
+"""A hole is longer than so many of the estimate's own intervals, within these."""
 _NARROW = 0.5
 """Least share of a justified variance that is plausible beyond what linearisation changes."""
 
@@ -71,6 +76,72 @@ class Block:
     def near(self) -> bool:
         """As near as the optimum itself is certain."""
         return self.distance <= LARGEST_DISTANCE
+
+
+@dataclass(frozen=True, kw_only=True)
+class Coverage:
+    """How much of the log's time an estimate speaks of.
+
+    span_s: begin and end of the smoother's path. first_s, last_s: of the poses given within it.
+    holes_s: (H, 2) begin and end of what is not covered, in order.
+    """
+
+    span_s: tuple[float, float]
+    first_s: float
+    last_s: float
+    holes_s: Array
+
+    @property
+    def share(self) -> float:
+        """Of the log's time; 1 of a log of one instant."""
+        whole = self.span_s[1] - self.span_s[0]
+        return 1.0 - self._missing_s / whole if whole > 0.0 else 1.0
+
+    @property
+    def _missing_s(self) -> float:
+        return float(np.sum(self.holes_s[:, 1] - self.holes_s[:, 0]))
+
+    @property
+    def evidence(self) -> str:
+        """How many seconds are covered, and where those that are not lie."""
+        where, inner = [], []
+        for start, stop in self.holes_s.tolist():
+            if self.first_s == self.last_s:
+                where = [f"it has one pose, at {self.first_s:.1f} s"]
+            elif stop <= self.first_s:
+                where.append(f"it begins at {self.first_s:.1f} s")
+            elif start >= self.last_s:
+                where.append(f"it ends at {self.last_s:.1f} s")
+            else:
+                inner.append((start, stop))
+        if inner:
+            start, stop = max(inner, key=lambda hole: hole[1] - hole[0])
+            what = "no poses" if len(inner) == 1 else f"{len(inner)} holes, the longest"
+            where.append(f"it has {what} from {start:.1f} to {stop:.1f} s")
+        whole = self.span_s[1] - self.span_s[0]
+        seconds = f"covers {whole - self._missing_s:.1f} of {whole:.1f} s"
+        return f"{seconds}: {', '.join(where)}" if where else seconds
+
+
+def coverage(time_s: Array, epoch_s: Array) -> Coverage:
+    """Return what poses at times (K,) cover of the smoother's at epochs (E,).
+
+    Covered is what lies between two successive poses that are no farther apart than ten of the
+    estimate's own intervals (median; at least 1 s, at most 10 s), or between which the smoother has
+    no pose, and one interval (at most 10 s) before the first and after the last.
+    """
+    begin, end = float(epoch_s[0]), float(epoch_s[-1])
+    t = np.unique(np.clip(time_s, begin, end))
+    own = min(float(np.median(np.diff(t))), _HOLE_S[1]) if len(t) > 1 else 0.0
+    longest = float(np.clip(_INTERVALS * own, *_HOLE_S))
+    between = np.searchsorted(epoch_s, t[1:] - CLOCK_S) - np.searchsorted(epoch_s, t[:-1] + CLOCK_S)
+    hole = (np.diff(t) > longest + CLOCK_S) & (between > 0)
+    holes = np.column_stack((t[:-1][hole], t[1:][hole]))
+    if (late := t[0] - own) > begin + CLOCK_S:
+        holes = np.vstack(((begin, late), holes))
+    if (early := t[-1] + own) < end - CLOCK_S:
+        holes = np.vstack((holes, (early, end)))
+    return Coverage(span_s=(begin, end), first_s=float(t[0]), last_s=float(t[-1]), holes_s=holes)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,6 +24,7 @@ LIKE_SIGMA = 0.05
 """Like: no entry of a mean is off by more of the reference's standard deviation."""
 LIKE_VARIANCE = 0.05
 """Like: no direction's variance differs by a larger share."""
+SMOOTHER = "the smoother"
 MOST_LATE_S = 0.5
 """A path that begins or ends so much inside the log's is not all of it."""
 _ROUNDED = 4.0
@@ -88,7 +89,8 @@ class Likeness:
     """An estimate against a reference.
 
     grade: `equal` or `like`, None for neither. parts: of poses, and of landmarks, last pose and
-    map together where handed in. missing: what of the reference's the estimate has not, in words.
+    map together where handed in. missing, unmapped: what of the reference's path and map the
+    estimate has not, or the other way about, in words.
     ours, theirs: rows of the estimate's and of the reference's landmarks that are the same.
     """
 
@@ -96,6 +98,7 @@ class Likeness:
     grade: Literal["equal", "like"] | None
     parts: tuple[Part, ...]
     missing: tuple[str, ...]
+    unmapped: tuple[str, ...]
     ours: Index
     theirs: Index
 
@@ -132,14 +135,18 @@ def likeness(given: GivenEstimate, reference: Reference, *, labelled: bool) -> L
     given: its poses at the reference's times, and no others. labelled: ids are the log's.
     """
     ours, theirs = match_map(given, reference, labelled=labelled)
-    missing = _missing(given, reference, ours)
+    missing, unmapped = _missing(reference), _unmapped(given, reference, ours)
     parts = [_poses(given, reference)]
     if given.landmark is not None:
         parts.append(_landmarks(given, reference, (ours, theirs)))
     if given.joint_covariance is not None:
         parts.append(_joint(given, reference, (ours, theirs)))
     grade: Literal["equal", "like"] | None = None
-    if not missing and all(part.within(LIKE_SIGMA, LIKE_VARIANCE) for part in parts):
+    if (
+        not missing
+        and not unmapped
+        and all(part.within(LIKE_SIGMA, LIKE_VARIANCE) for part in parts)
+    ):
         equal = all(part.within(ROUNDING, ROUNDING) for part in parts)
         grade = "equal" if equal else "like"
     return Likeness(
@@ -147,6 +154,7 @@ def likeness(given: GivenEstimate, reference: Reference, *, labelled: bool) -> L
         grade=grade,
         parts=tuple(parts),
         missing=tuple(missing),
+        unmapped=tuple(unmapped),
         ours=ours,
         theirs=theirs,
     )
@@ -278,19 +286,25 @@ def _rounded(array: Array) -> Array:
     return found
 
 
-def _missing(given: GivenEstimate, reference: Reference, ours: Index) -> Sequence[str]:
-    """What the reference has and the estimate has not, or the other way about."""
+def _missing(reference: Reference) -> Sequence[str]:
+    """What of the path the estimate has not, whose times the reference's are."""
     (begin, end), missing = reference.span_s, []
     if reference.time_s[0] - begin > max(MOST_LATE_S, 0.05 * (end - begin)):
         missing.append(f"the path begins at {reference.time_s[0]:.1f} s, the log at {begin:.1f} s")
     if end - reference.time_s[-1] > MOST_LATE_S:
         missing.append(f"the path ends at {reference.time_s[-1]:.1f} s, the log at {end:.1f} s")
+    if not reference.known.any():
+        missing.append("no pose lies at an instant of the log's observations")
+    return missing
+
+
+def _unmapped(given: GivenEstimate, reference: Reference, ours: Index) -> Sequence[str]:
+    """What the reference's map has and the estimate's has not, or the other way about."""
+    missing = []
     if given.landmark is not None:
         lacking, more = len(reference.landmark) - len(ours), len(given.landmark) - len(ours)
         if lacking:
             missing.append(f"{lacking} of {len(reference.landmark)} landmarks are not in the map")
         if more:
             missing.append(f"{more} landmarks of the map are not those of {reference.name}")
-    if not reference.known.any():
-        missing.append("no pose lies at an instant of the log's observations")
     return missing

@@ -10,7 +10,7 @@ from comparisons.adapters.ekf_run import EkfRun
 from comparisons.checks import causes as cause
 from comparisons.checks.agreement import EXACT, ROUNDING, Agreement, Allowed, Gap, block_agrees
 from comparisons.checks.causes import Cause
-from comparisons.checks.consistency.innovations import SensorInnovations
+from comparisons.checks.consistency.consistency import Consistency
 from comparisons.checks.diagnosis.bookkeeping import Misuse
 from comparisons.choices import FailOn
 from graphslam.optimum import Optimality
@@ -70,7 +70,7 @@ class Diagnosis:
 
     differences: where the models differ. operations: which operation of the filter is wrong.
     explanations: known mistakes that reproduce the records. growth: where linearising cost
-    something. dropouts: stretches without observations. sensors: the filter's innovations. The
+    something. dropouts: stretches without observations. consistency: of the innovations. The
     last two explain a disagreement, or an optimum that is not verified, and never make one.
     single: how the algebra gap grows, if computing in single precision explains it. algebra,
     model: the gaps that rounding explains.
@@ -81,7 +81,7 @@ class Diagnosis:
     explanations: Callable[[], Sequence[str]] = tuple
     growth: Callable[[], LinearisationGrowth | None] = lambda: None
     dropouts: Callable[[], Dropouts | None] = lambda: None
-    sensors: Sequence[SensorInnovations] = ()
+    consistency: Consistency | None = None
     single: str = ""
     algebra: Allowed = EXACT
     model: Allowed = EXACT
@@ -110,7 +110,7 @@ def judge(
     if not found:
         outcome, found = _by_optimum(agreement, result.optimality, run, diagnosis, causes)
         if outcome != "agree":
-            found += cause.noise(result.optimality.chi_square, diagnosis.sensors)
+            found += cause.noise(result.optimality.chi_square, diagnosis.consistency)
             found += cause.dropout(diagnosis.dropouts())
     remarks = _remarks(result.optimality, run) + _on_robust(result.options.robust)
     algebra = agreement.algebra

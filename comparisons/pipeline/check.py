@@ -14,11 +14,17 @@ from comparisons.checks.agreement import ROUNDING
 from comparisons.checks.causes import Cause
 from comparisons.checks.consistency.consistency import GivenConsistency, given_consistency
 from comparisons.checks.diagnosis.estimate_facts import Clues, facts
-from comparisons.checks.given_agreement import GivenAgreement, compare_given, within_log
+from comparisons.checks.given_agreement import (
+    Coverage,
+    GivenAgreement,
+    compare_given,
+    coverage,
+    within_log,
+)
 from comparisons.checks.grade import GRADES, Grade, Likeness, Reference, likeness
 from comparisons.checks.verdict import Outcome
 from comparisons.choices import RequiredGrade
-from comparisons.config import CheckConfig
+from comparisons.config import MIN_COVERAGE, CheckConfig
 from comparisons.estimates.external import GivenEstimate
 from comparisons.logs.log import Log
 from comparisons.pipeline.given_trace import TraceCheck, check_trace
@@ -54,9 +60,9 @@ class GivenCheck:
     """What the check found.
 
     solution: the smoother's; optimum: at the given times. peers: right estimates of the kinds that
-    it may be. agreement: with the smoother. consistency: errors and covariances. accuracy: of the
-    given estimate where the log has truth or positions. trace: the filter's own gaps, where it left
-    one. grade, outcome, causes, remarks: the verdict.
+    it may be. agreement: with the smoother. coverage: of the log's time. consistency: errors and
+    covariances. accuracy: of the given estimate where the log has truth or positions. trace: the
+    filter's own gaps, where it left one. grade, outcome, causes, remarks: the verdict.
     """
 
     given: GivenEstimate
@@ -64,6 +70,7 @@ class GivenCheck:
     optimum: Reference
     peers: tuple[Reference, ...]
     agreement: GivenAgreement
+    coverage: Coverage
     consistency: GivenConsistency
     accuracy: Accuracy | None
     trace: TraceCheck | None
@@ -94,7 +101,8 @@ def check(
     solver: in the place of `solve`, as one that keeps what it has solved.
     """
     config = config or CheckConfig()
-    return judge_given(given, solver(log, config, progress), config.require, progress)
+    solution = solver(log, config, progress)
+    return judge_given(given, solution, config.require, progress, min_coverage=config.min_coverage)
 
 
 def judge_given(
@@ -102,8 +110,13 @@ def judge_given(
     solution: Solution,
     require: RequiredGrade | None = None,
     progress: Progress = no_progress,
+    *,
+    min_coverage: float = MIN_COVERAGE,
 ) -> GivenCheck:
-    """Grade an estimate of a log that is solved. Raises InputError for one of another time."""
+    """Grade an estimate of a log that is solved. Raises InputError for one of another time.
+
+    min_coverage: share of the log's time below which no estimate agrees.
+    """
     clock, labelled = solution.prepared.clock, solution.prepared.labelled
     inside = _chosen(given, within_log(given, solution.estimate))
     with clock.stage("references"):
@@ -116,6 +129,10 @@ def judge_given(
     grade = _grade(require or _expected(given), near, found, verified=verified)
     first = near and likeness(inside, references.peers[0], labelled=labelled)
     known = facts(inside, first, references.clues) if first else []
+    covered = coverage(inside.time_s, solution.estimate.time_s)
+    short = covered.share < min_coverage
+    if short:
+        known = [one for one in known if one.gap != "coverage"]
     traced, causes = None, _causes(grade, known, found)
     if given.trace is not None:
         progress("trace", 0, 0)
@@ -128,12 +145,20 @@ def judge_given(
             causes = (cause.unverified(optimality), *causes)
     elif outcome == "agree":
         causes = ()
+    remarks = (
+        *_remarks(given, found),
+        *_beside(grade, known, found, outcome),
+        *_on_association(solution),
+    )
+    if short:
+        outcome, causes = "disagree", (cause.coverage(covered.evidence, min_coverage), *causes)
     return GivenCheck(
         given=given,
         solution=solution,
         optimum=references.optimum,
         peers=references.peers,
         agreement=found,
+        coverage=covered,
         consistency=given_consistency(
             inside,
             references.optimum,
@@ -148,11 +173,7 @@ def judge_given(
         grade=grade,
         outcome=outcome,
         causes=causes,
-        remarks=(
-            *_remarks(given, found),
-            *_beside(grade, known, found, outcome),
-            *_on_association(solution),
-        ),
+        remarks=remarks,
     )
 
 

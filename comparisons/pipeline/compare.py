@@ -268,7 +268,7 @@ def _diagnosis(compared: Compared, consistency: Consistency) -> Diagnosis:
         explanations=explanations,
         growth=gaps.linearisation_growth,
         dropouts=dropouts,
-        sensors=consistency.sensors,
+        consistency=consistency,
     )
 
 

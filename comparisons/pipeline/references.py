@@ -15,13 +15,13 @@ from comparisons.adapters.filter_variants import (
 from comparisons.adapters.motion import CLOCK_S, poses_at
 from comparisons.adapters.reference_filter import FilterRun, run_reference
 from comparisons.arrays import Array
-from comparisons.checks.grade import Reference
+from comparisons.checks.grade import SMOOTHER, Reference
 from comparisons.config import SolveConfig
 from comparisons.pipeline.prepare import Prepared
 from comparisons.pipeline.solve import Solution
 from ekf_reference.core.ekf import Ekf
 
-EKF, SMOOTHER = "the reference EKF", "the smoother"
+EKF = "the reference EKF"
 _VARIANTS: tuple[tuple[str, type[Ekf]], ...] = (
     ("an iterated EKF", IteratedEkf),
     ("an EKF that updates by one landmark after the other", SequentialEkf),

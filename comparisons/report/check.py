@@ -81,6 +81,8 @@ def build_check_result(check: GivenCheck, read: Clock | None = None) -> CheckRes
         estimator=check.given.estimator,
         absent=check.given.absent,
         poses=len(found.time_s),
+        coverage=check.coverage.share,
+        uncovered_s=check.coverage.holes_s.tolist(),
         rms_m=found.rms_m,
         rms_heading_rad=found.rms_heading_rad,
         outside=found.outside,
@@ -274,6 +276,7 @@ def _agreement_rows(result: CheckResult) -> list[Row]:
             f"{result.rms_heading_rad:.4f} rad from the smoother's (rms){own}",
         )
     ]
+    rows.append(Row("coverage", f"{100.0 * result.coverage:.1f} % of the log's time"))
     if result.last_pose is not None:
         rows.append(last_pose_row(result.last_pose))
     if result.landmarks:
@@ -347,7 +350,7 @@ def _nearest(found: Likeness | None) -> NearestResult | None:
         variance_ratio_least=low,
         variance_ratio_largest=None if high is None else finite(high),
         parts=[part.name for part in found.parts],
-        missing=list(found.missing),
+        missing=[*found.missing, *found.unmapped],
     )
 
 
@@ -404,6 +407,7 @@ class CheckResult(Model):
     grade: None where it is not like any reference, and the optimum is not verified. required: the
     least that agrees. nearest: of the references. absent: what was not handed in. outside: share
     of the poses beyond the 99.9 % region of their own covariance, None without covariances.
+    coverage: share of the log's time that the estimate covers; uncovered_s: where it does not.
     trace: None without one.
     """
 
@@ -416,6 +420,8 @@ class CheckResult(Model):
     estimator: str
     absent: list[str]
     poses: int
+    coverage: float
+    uncovered_s: list[tuple[float, float]]
     rms_m: float
     rms_heading_rad: float
     outside: float | None

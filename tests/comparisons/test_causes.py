@@ -6,6 +6,7 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+import pytest
 
 from comparisons.adapters.smoother_input import build_problem, model_system_at, model_system_of
 from comparisons.checks import causes
@@ -179,14 +180,22 @@ def test_sound_logs_have_neither_dropouts_nor_too_much_noise() -> None:
     assert not found.stretches
     assert found.coverage == 1.0
     assert causes.dropout(found) == []
-    assert causes.noise(c.smoother.optimality.chi_square, c.consistency.sensors) == []
+    assert causes.noise(c.smoother.optimality.chi_square, c.consistency) == []
+
+
+@pytest.mark.parametrize(
+    ("angle", "said"),
+    [(2e-4, "0.011 degrees"), (0.01, "0.57 degrees"), (0.1, "5.7 degrees"), (1.0, "57.3 degrees")],
+)
+def test_a_small_angle_is_not_zero(angle: float, said: str) -> None:
+    assert causes._degrees(angle) == said
 
 
 def test_an_understated_sigma_is_named() -> None:
     log = simulated(seed=3, loop_s=30.0)
     stated = replace(log.sightings, sigma_range_m=log.sightings.sigma_range_m / 3.0)
     c = compared(replace(log, sightings=stated))
-    (named,) = causes.noise(c.smoother.optimality.chi_square, c.consistency.sensors)
+    (named,) = causes.noise(c.smoother.optimality.chi_square, c.consistency)
     assert named.gap == "noise"
     assert named.gap not in GAPS
     assert "sightings' range" in named.hint

@@ -3,25 +3,32 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.timeline import build_timeline
-from comparisons.config import EkfConfig
+from comparisons.arrays import Array
+from comparisons.checks.diagnosis.diagnosis import Paths, diagnose
+from comparisons.checks.given_agreement import coverage
+from comparisons.config import CheckConfig, EkfConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import GivenEstimate, read_given
 from comparisons.estimates.folder import tum_text, write_estimate
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import Log
-from comparisons.pipeline.check import check
+from comparisons.pipeline.check import check, judge_given
+from comparisons.pipeline.solve import Solution, solve
 from comparisons.report.check import CheckResult
 from tests.comparisons.test_cli import slamcheck
 
@@ -29,6 +36,11 @@ from tests.comparisons.test_cli import slamcheck
 @pytest.fixture(scope="module")
 def log() -> Log:
     return open_log("simulated-loop")
+
+
+@pytest.fixture(scope="module")
+def solution(log: Log) -> Solution:
+    return solve(log, CheckConfig())
 
 
 @pytest.fixture(scope="module")
@@ -139,6 +151,147 @@ def test_a_bare_trajectory_is_enough(log: Log, whole: GivenEstimate, name: str) 
     assert found.causes[0].gap == name, [vars(cause) for cause in found.causes]
 
 
+def about_origin(pose: Array, angle: float, shift: tuple[float, float]) -> Array:
+    cos, sin = np.cos(angle), np.sin(angle)
+    place = pose[:, :2] @ np.array(((cos, sin), (-sin, cos))) + shift
+    return np.column_stack((place, pose[:, 2] + angle))
+
+
+def delayed(time_s: Array, pose: Array, delay: float) -> Array:
+    return np.column_stack([np.interp(time_s - delay, time_s, column) for column in pose.T])
+
+
+def of_point(pose: Array, forward: float, left: float) -> Array:
+    cos, sin = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+    arm = (forward * cos - left * sin, forward * sin + left * cos, np.zeros(len(pose)))
+    return pose + np.column_stack(arm)
+
+
+Move = Callable[[Array, Array], Array]
+MOTIONS: dict[str, tuple[Move, str, str]] = {
+    "nothing": (lambda t, p: p, "", ""),
+    "shift": (lambda t, p: p + (5.0, -3.0, 0.0), "frame", r"^shifted by \([45]\.\d+, -[23]"),
+    "small shift": (lambda t, p: p + (-1.5, 0.0, 0.0), "frame", r"^shifted by \(-1\."),
+    "turn": (lambda t, p: about_origin(p, 0.1, (0.0, 0.0)), "frame", "^turned by 5.* origin:"),
+    "turn and shift": (lambda t, p: about_origin(p, -0.3, (-6.0, 9.0)), "frame", "and shifted"),
+    "time": (lambda t, p: delayed(t, p, 0.2), "time", r"^stamps 0\.[12]\d+ s too late:"),
+    "time and shift": (lambda t, p: delayed(t, p, 0.4) + (5.0, -3.0, 0.0), "time", "shifted"),
+    "mirrored": (lambda t, p: p * (1.0, -1.0, -1.0), "mirrored", "mirror image, y of opposite"),
+    "scale": (lambda t, p: p * (1.05, 1.05, 1.0), "scale", r"^1\.0[45]"),
+    "centimetres": (lambda t, p: p * (100.0, 100.0, 1.0), "scale", r"^(99|100)\.\d+ times"),
+    "heading": (lambda t, p: p + (0.0, 0.0, np.pi / 2), "heading", r"off by (89|90)\.\d deg"),
+    "point": (lambda t, p: of_point(p, 0.8, 0.3), "lever", r"point 0\.[78]\d+ m forward"),
+    "shift without headings": (
+        lambda t, p: p * (1.0, 1.0, 0.0) + (5.0, -3.0, 0.0),
+        "frame",
+        "^shifted by",
+    ),
+}
+"""Motions of a path, the cause, and what its words have to match."""
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+@pytest.mark.parametrize("noisy", [False, True])
+@pytest.mark.parametrize("kind", ["filter", "smoother"])
+def test_the_simplest_motion_is_named(
+    solution: Solution, right: Estimate, kind: str, noisy: bool, name: str
+) -> None:
+    """Beside both references, of which each is 0.64 m off the other and turned by 0.7 degrees."""
+    smoothed, (move, gap, words) = solution.estimate, MOTIONS[name]
+    path = right.pose if kind == "filter" else smoothed.pose
+    if noisy:
+        sigma = (0.05, 0.05, 0.005)
+        path = path + np.random.default_rng(11).normal(0.0, sigma, path.shape)
+    moved, t = move(right.time_s, path), right.time_s
+    found = diagnose(
+        [
+            Paths(t, moved, other.pose, right.pose_covariance, other_name)
+            for other_name, other in (("the smoother", smoothed), ("the reference EKF", right))
+        ]
+    )
+    assert [one.gap for one in found] == ([gap] if gap else [])
+    if gap:
+        assert re.search(words, found[0].evidence), found[0].evidence
+        nearest = "the smoother" if kind == "smoother" else "the reference EKF"
+        assert f"{nearest}'s" in found[0].evidence
+
+
+def test_a_shift_is_no_turn(solution: Solution) -> None:
+    """Of a smoothed path that does not say what it is; beside the EKF's alone it was a turn."""
+    smoothed = solution.estimate
+    moved = GivenEstimate(time_s=smoothed.time_s, pose=smoothed.pose + (5.0, -3.0, 0.0))
+    found = judge_given(moved, solution)
+    assert [one.gap for one in found.causes] == ["frame", "optimum"]
+    assert found.causes[0].evidence.startswith(
+        "shifted by (5.000, -3.000) m: without that the path fits the smoother's to 0.000 m"
+    )
+
+
+def chosen(given: GivenEstimate, rows: NDArray[np.bool_]) -> GivenEstimate:
+    return GivenEstimate(time_s=given.time_s[rows], pose=given.pose[rows])
+
+
+INCOMPLETE: dict[str, tuple[Callable[[Array], NDArray[np.bool_]], str]] = {
+    "one pose": (lambda t: t == t[0], "covers 0.0 of 85.0 s: it has one pose, at 0.0 s"),
+    "first and last pose": (
+        lambda t: (t == t[0]) | (t == t[-1]),
+        "covers 0.0 of 85.0 s: it has no poses from 0.0 to 85.0 s",
+    ),
+    "stops": (lambda t: t < 30.0, "covers 30.0 of 85.0 s: it ends at 29.8 s"),
+    "hole": (
+        lambda t: (t < 30.0) | (t > 50.0),
+        "covers 64.6 of 85.0 s: it has no poses from 29.8 to 50.2 s",
+    ),
+    "starts late": (lambda t: t > 20.0, "covers 65.0 of 85.0 s: it begins at 20.2 s"),
+    "holes": (
+        lambda t: t % 20.0 > 5.0,
+        "it begins at 5.2 s, it ends at 79.8 s, it has 3 holes",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", INCOMPLETE)
+def test_an_incomplete_path_disagrees(solution: Solution, whole: GivenEstimate, name: str) -> None:
+    """Each is right as far as it goes."""
+    choose, said = INCOMPLETE[name]
+    part = chosen(whole, choose(whole.time_s))
+    found = judge_given(part, solution)
+    assert (found.grade.enough, found.outcome) == (True, "disagree")
+    assert [one.gap for one in found.causes] == ["coverage"]
+    assert said in found.causes[0].evidence
+    assert judge_given(part, solution, min_coverage=0.0).outcome == "agree"
+
+
+@pytest.mark.parametrize("every", [1, 5, 25])
+def test_a_regular_path_covers_the_log_at_any_rate(
+    solution: Solution, whole: GivenEstimate, every: int
+) -> None:
+    """5 Hz, 1 Hz, and a pose each 5 s; twice the last is a hole in between."""
+    found = judge_given(chosen(whole, np.arange(len(whole.time_s)) % every == 0), solution)
+    assert found.outcome == "agree"
+    assert found.coverage.share == pytest.approx(1.0)
+
+
+def test_a_map_that_was_lost_is_told(solution: Solution, whole: GivenEstimate) -> None:
+    assert whole.landmark_id is not None
+    assert whole.landmark is not None
+    one = replace(bare(whole), landmark_id=whole.landmark_id[:1], landmark=whole.landmark[:1])
+    found = judge_given(one, solution)
+    assert found.outcome == "agree"
+    assert any("59 of 60 landmarks are not in the map" in text for text in found.remarks)
+    claimed = judge_given(replace(one, estimator="ekf"), solution)
+    assert claimed.outcome == "disagree"
+    assert "map" in [cause.gap for cause in claimed.causes]
+
+
+def test_where_the_smoother_has_no_pose_there_is_no_hole() -> None:
+    """A log's own silence is nobody's fault; a hole of the same length elsewhere is."""
+    epochs = np.concatenate((np.arange(0.0, 20.0, 0.1), np.arange(50.0, 80.05, 0.1)))
+    assert coverage(epochs, epochs).share == 1.0
+    heard = np.arange(0.0, 80.05, 0.1)
+    assert coverage(epochs, heard).share == pytest.approx(1.0 - 30.1 / 80.0)
+
+
 def test_a_lost_filter_has_no_simple_cause(log: Log, whole: GivenEstimate) -> None:
     rng = np.random.default_rng(0)
     wander = np.cumsum(rng.normal(0.0, 0.15, whole.pose.shape), axis=0) * (1.0, 1.0, 0.01)
@@ -214,6 +367,12 @@ def test_the_command(tmp_path: Path, right: Estimate) -> None:
     result = CheckResult.model_validate_json((tmp_path / "c" / "check.json").read_text())
     assert result.verdict == "disagree"
     assert json.loads((tmp_path / "c" / "check.json").read_text())["outside"] is None
+    (tmp_path / "one.tum").write_text(tum_text(right.time_s[:1], right.pose[:1]))
+    one = slamcheck("check", "simulated-loop", "--estimate", "one.tum", cwd=tmp_path)
+    assert one.returncode == 1, one.stderr
+    assert "coverage: covers 0.0 of 85.0 s" in one.stdout
+    most = ("--estimate", "one.tum", "--min-coverage", "0")
+    assert slamcheck("check", "simulated-loop", *most, cwd=tmp_path).returncode == 0
     missing = slamcheck("check", "simulated-loop", "--estimate", "no.tum", cwd=tmp_path)
     assert missing.returncode == 2
     assert len(missing.stderr.strip().splitlines()) == 1
@@ -230,4 +389,4 @@ def test_the_example_is_found_out(tmp_path: Path, right: Estimate) -> None:
     assert good.returncode == 0, good.stderr
     late = slamcheck("check", "simulated-loop", "--estimate", "late.tum", cwd=tmp_path)
     assert late.returncode == 1, late.stderr
-    assert "time: 0.2" in late.stdout
+    assert "time: stamps 0.200 s too late" in late.stdout

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -89,6 +90,27 @@ def test_gaps_are_those_from_within(
     log, choices, comparison = case
     hand_in(comparison.ekf, tmp_path)
     assert_as_from_within(checked(tmp_path, log, choices), comparison)
+
+
+@pytest.mark.slow
+def test_a_right_trace_does_not_stand_for_a_path(
+    tmp_path: Path, case: tuple[Log, EkfConfig, Comparison]
+) -> None:
+    """Of a path of one pose, the last."""
+    log, choices, comparison = case
+    hand_in(comparison.ekf, tmp_path)
+    given = read_given(tmp_path)
+    assert given.pose_covariance is not None
+    one = replace(
+        given,
+        time_s=given.time_s[-1:],
+        pose=given.pose[-1:],
+        pose_covariance=given.pose_covariance[-1:],
+    )
+    found = check(log, one, CheckConfig(gps=choices.gps))
+    assert found.outcome == "disagree"
+    assert found.causes[0].gap == "coverage"
+    assert "it has one pose" in found.causes[0].evidence
 
 
 def wrapped(arrays: Arrays) -> None:

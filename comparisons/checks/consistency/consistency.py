@@ -15,6 +15,7 @@ from comparisons.checks.consistency.filter_smoother import (
 )
 from comparisons.checks.consistency.innovations import Nis, SensorInnovations, check_innovations
 from comparisons.checks.consistency.nees import TruthConsistency, against_truth
+from comparisons.checks.consistency.normalised import WORDS, Band
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
 from ekf_reference.core.geometry import wrap_angle
@@ -41,9 +42,22 @@ class Consistency:
     gated: bool
 
     @property
+    def bands(self) -> int:
+        """How many of NIS are judged: of every sensor together, and by component."""
+        return sum(len(sensor.nis) for sensor in self.sensors)
+
+    @property
+    def outside(self) -> float:
+        """Share of sound runs that leave one of these, such that all hold in 99.9 % (Bonferroni).
+
+        What words say rests on such bands; figures have the 95 % band of each.
+        """
+        return WORDS / max(self.bands, 1)
+
+    @property
     def remarks(self) -> list[str]:
         """What is out of its band, in words; nothing of this changes a verdict."""
-        told = [remark for sensor in self.sensors for remark in _outside(sensor, self.gated)]
+        told = [remark for sensor in self.sensors for remark in self._of(sensor)]
         told += [
             f"{sensor.unusable} of the {sensor.sensor} have no positive definite innovation "
             "covariance, and are not in its NIS"
@@ -59,6 +73,29 @@ class Consistency:
                 f"variance at {self.smoothed.time_s[worst]:.1f} s"
             )
         return told
+
+    def _of(self, sensor: SensorInnovations) -> list[str]:
+        """The components out of their bands, or both together where neither alone is."""
+        found = [(nis, *nis.worded(self.outside)) for nis in sensor.nis]
+        off = [one for one in found[1:] if one[1] != "plausible"] or [
+            one for one in found[:1] if one[1] != "plausible"
+        ]
+        return [self._remark(sensor.sensor, *one) for one in off]
+
+    def _remark(self, sensor: str, nis: Nis, reading: str, band: Band) -> str:
+        of = nis.name if nis.name == sensor else f"{sensor}, {nis.name}"
+        meaning = {
+            "too high": "larger than the filter expects: a sigma is too small, or the filter too "
+            "sure",
+            "too low": "smaller than the filter expects: a sigma is too large",
+        }[reading]
+        if self.gated and reading == "too low" and sensor == "sightings":
+            meaning += ", or association left out the large ones"
+        return (
+            f"NIS of {of} is {nis.mean:.3g} of {nis.dof} (all {self.bands} bands of a run hold "
+            f"with 99.9 %, this one from {band.low:.3g} to {band.high:.3g}, {nis.count:,} "
+            f"innovations): they are {meaning}"
+        )
 
 
 def check_consistency(
@@ -153,25 +190,3 @@ def _unjudged(given: GivenEstimate, optimum: Reference, information: str | None)
     if not optimum.known.any():
         return "no pose lies at an instant of the log's observations"
     return ""
-
-
-def _outside(sensor: SensorInnovations, gated: bool) -> list[str]:
-    """The components out of their bands, or both together where neither alone is."""
-    off = [nis for nis in sensor.nis[1:] if nis.reading != "plausible"] or [
-        nis for nis in sensor.nis[:1] if nis.reading != "plausible"
-    ]
-    return [_remark(nis, sensor.sensor, gated) for nis in off]
-
-
-def _remark(nis: Nis, sensor: str, gated: bool) -> str:
-    of = nis.name if nis.name == sensor else f"{sensor}, {nis.name}"
-    meaning = {
-        "too high": "larger than the filter expects: a sigma is too small, or the filter too sure",
-        "too low": "smaller than the filter expects: a sigma is too large",
-    }[nis.reading]
-    if gated and nis.reading == "too low" and sensor == "sightings":
-        meaning += ", or association left out the large ones"
-    return (
-        f"NIS of {of} is {nis.mean:.3g} of {nis.dof} (band {nis.band.low:.3g} to "
-        f"{nis.band.high:.3g}, {nis.count:,} innovations): they are {meaning}"
-    )

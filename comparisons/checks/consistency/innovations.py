@@ -46,9 +46,17 @@ class Nis:
     @property
     def reading(self) -> str:
         """`plausible`, `too high`: the filter is too sure, or `too low`."""
-        if self.band.holds(self.mean):
+        return self._reading(self.band)
+
+    def worded(self, outside: float) -> tuple[str, Band]:
+        """Return the reading by the band that so many sound runs leave, and that band."""
+        band = mean_band(self.count, self.dof, outside)
+        return self._reading(band), band
+
+    def _reading(self, band: Band) -> str:
+        if band.holds(self.mean):
             return "plausible"
-        return "too low" if self.mean < self.band.low else "too high"
+        return "too low" if self.mean < band.low else "too high"
 
 
 @dataclass(frozen=True, kw_only=True)

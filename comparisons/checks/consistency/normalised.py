@@ -14,6 +14,8 @@ from comparisons.arrays import Array, Index
 
 _OUTSIDE = 0.05
 """Of the figures that a band is for, as many lie outside, half of them on either side."""
+WORDS = 0.001
+"""Share of sound runs of which words say that they leave a band of NIS, whichever."""
 _SKEW = 1e-6
 """Largest asymmetry of a covariance, in units of its sigmas, that rounding explains."""
 _LEAST_EIGENVALUE = 1e-13

@@ -1,49 +1,150 @@
-"""What would make a trajectory fit: known ways for poses to be wrong, tried one after the other."""
+"""What would make a trajectory fit: the simplest known way for poses to be wrong that explains it.
+
+The path u (K,) is written as complex numbers, the reference as v. Ways are nested motions
+u = a v + b, with what they leave open as their parameters. One with more parameters is taken
+only where an F test says that it fits better, and not in what the reference itself leaves open:
+the start's frame is known no better than the prior and the first measurements say.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property, partial
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
+from scipy.stats import f as f_distribution
 
 from comparisons.arrays import Array
-from comparisons.checks.accuracy import aligned
 from comparisons.checks.causes import Cause
+
+Complex = NDArray[np.complex128]
+Fit = Callable[[Complex, Complex], tuple[complex, complex, str]]
+"""From paths u and v (K,): a and b of u = a v + b, in words as well."""
 
 _EXPLAINS = 0.35
 """A correction explains a difference when this share of it is left, or less."""
 _NO_MATTER_M = 0.01
 _LATEST_S = 2.0
+_LEAST_DELAY_S = 0.005
 _LEAST_SCALE = 0.005
 _LEAST_HEADING_RAD = np.deg2rad(3.0)
 _LEAST_ALONE_RAD = np.deg2rad(0.1)
 """Heading that is off where the positions are right."""
-_MOST_TURNED_RAD = 5e-3
-"""Another point of the vehicle has its heading; a path that is late at an even speed has not."""
+_NO_HEADINGS_RAD = 0.2
+"""A path whose headings differ by more has none that tell anything."""
+_CLEARLY_LESS = 0.5
+"""So much is left at most of what a motion leaves, where another is named in its place."""
+_INTERPOLATED = 0.7
+"""So much of white noise is left between two poses."""
+_FEWEST = 5
+"""With fewer poses some motion fits whatever is wrong."""
+_FLOOR_M = 0.05
+"""Standard deviation that a place has at least; a prior's is often next to nothing."""
+_INDEPENDENT = 20
+"""Of the numbers of a path, so many count in the F test: errors of its poses last."""
+_SURE = 0.999
+_EQUAL = 0.01**2
+"""Mean square [sigma^2] of what is left where an estimate is a reference's but for a motion."""
+_LIKE = 0.05**2
+"""What is open there, as a grade of `like` allows."""
+_FRAME_HINT = (
+    "look at the prior: both must begin at the log's pose, in the log's frame; or at the map's "
+    "first landmarks"
+)
+_TIME_HINT = (
+    "look at the clocks: stamps of odometry against sightings, the interval of a prediction"
+)
+_SCALE_HINT = "look at units and scale: metres, the speed's calibration, the wheel's radius"
+_MIRROR_HINT = "look at the sense of steering, yaw rate or bearing, and at the order of the axes"
+_LEVER_HINT = "look at which point of the vehicle is written: axle, sensor or antenna"
+_HEADING_HINT = "look at the heading's {}: counter-clockwise from east is expected"
 
 
 @dataclass(frozen=True)
 class Paths:
-    """A path and its reference at the same times (K,). pose, reference: (K, 3)."""
+    """A path and a reference at the same times (K,). pose, reference: (K, 3).
+
+    covariance: (K, 3, 3) of what the reference leaves open. name: the reference's.
+    """
 
     time_s: Array
     pose: Array
     reference: Array
+    covariance: Array
+    name: str
+
+    @cached_property
+    def u(self) -> Complex:
+        """The path's places (K,)."""
+        return _complex(self.pose)
+
+    @cached_property
+    def v(self) -> Complex:
+        """The reference's places (K,)."""
+        return _complex(self.reference)
 
     @property
     def rms_m(self) -> float:
         """Of the positions' difference."""
         return rms(self.pose[:, :2] - self.reference[:, :2])
 
+    @cached_property
+    def _information(self) -> Array:
+        spread: Array = self.covariance[:, :2, :2] + _FLOOR_M**2 * np.eye(2)
+        return np.asarray(np.linalg.inv(spread), dtype=np.float64)
 
-def diagnose(paths: Paths) -> list[Cause]:
-    """Corrections that take most of a difference away, the most telling first; may be none."""
-    tries = [_heading, _clockwise]
-    if paths.rms_m > _NO_MATTER_M:
-        tries += [_frame, _late, _mirrored, _scaled, _lever]
-    found = [cause for cause in (attempt(paths) for attempt in tries) if cause is not None]
-    return [cause for _, cause in sorted(found, key=lambda pair: pair[0])]
+    def square(self, left: Array) -> float:
+        """Mean square of what is left (K, 2), in the covariance, per degree of freedom."""
+        at = np.isfinite(left).all(axis=1)
+        each = np.einsum("ki,kij,kj->k", left[at], self._information[at], left[at])
+        return float(each.mean()) / 2.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Motion:
+    """A motion fitted to a path. free: its parameters. square, left_m: what is left.
+
+    turn_rad: by which it turns headings.
+    """
+
+    gap: str
+    free: int
+    said: str
+    hint: str
+    square: float
+    left_m: float
+    turn_rad: float = 0.0
+
+
+def diagnose(references: Sequence[Paths]) -> list[Cause]:
+    """Return the simplest motion that takes most of a difference away, and headings; may be none.
+
+    references: the same path beside each reference that it may be of, the first being preferred;
+    it is fitted to the one that fits best.
+    """
+    paths = references[0]
+    if len(paths.time_s) < _FEWEST:
+        return []
+    found: list[tuple[Paths, list[_Motion]]] = [(one, list(_motions(one))) for one in references]
+    paths, motions = min(found, key=lambda pair: min(m.square for m in pair[1]))
+    motion = _simplest(motions) if paths.rms_m > _NO_MATTER_M else motions[0]
+    if motion.gap in ("", "frame", "time"):
+        motion = _within(motions, motion)
+    causes = [*_headings(paths, motion)]
+    explains = paths.rms_m > _NO_MATTER_M and motion.left_m <= _EXPLAINS * paths.rms_m
+    if motion.gap and explains:
+        causes.append(
+            Cause(
+                motion.gap,
+                f"{motion.said}: without that the path fits {paths.name}'s to "
+                f"{motion.left_m:.3f} m (RMS), {paths.rms_m:.3f} m before",
+                motion.hint,
+            )
+        )
+    return causes
 
 
 def rms(error: Array) -> float:
@@ -51,118 +152,244 @@ def rms(error: Array) -> float:
     return float(np.sqrt(np.square(error).sum(axis=1).mean()))
 
 
-def _heading(paths: Paths) -> tuple[float, Cause] | None:
-    """Headings that are off by much the same everywhere, whatever the positions do."""
-    each = np.exp(1j * (paths.pose[:, 2] - paths.reference[:, 2]))
-    mean, together = float(np.angle(each.mean())), float(abs(each.mean()))
+def _complex(points: Array) -> Complex:
+    found: Complex = points[:, :2] @ np.array([1.0, 1.0j])
+    return found
+
+
+def _simplest(motions: Sequence[_Motion]) -> _Motion:
+    """The one with the fewest parameters that none with more fits better (F test).
+
+    What all of them leave adds to both: the covariance, unless one fits as only a path of the
+    same estimator does.
+    """
+    best = min(one.square for one in motions)
+    open_square = _LIKE if best <= _EQUAL else 1.0
+
+    def better(more: _Motion, one: _Motion) -> bool:
+        added, left = more.free - one.free, _INDEPENDENT - more.free
+        limit = 1.0 + added * float(f_distribution.ppf(_SURE, added, left)) / left
+        return one.square + open_square > limit * (more.square + open_square)
+
+    ranked = sorted(motions, key=lambda one: (one.free, one.square))
+    return next(
+        one
+        for one in ranked
+        if not any(more.free > one.free and better(more, one) for more in ranked)
+    )
+
+
+def _within(motions: Sequence[_Motion], found: _Motion) -> _Motion:
+    """Return what explains most by no frame at all, if it leaves less than what was found.
+
+    For that was found as if all that the covariance allows were open, and only a frame is.
+    motions: the first leaves all as it is.
+    """
+    alone = [one for one in motions if one.gap in ("time", "scale", "lever") and one.free <= 2]
+    for one in sorted(alone, key=lambda one: (one.free, one.left_m)):
+        explains = one.left_m <= _EXPLAINS * motions[0].left_m
+        if explains and one.left_m < _CLEARLY_LESS * found.left_m:
+            found = one
+    return found
+
+
+def _motions(paths: Paths) -> Iterator[_Motion]:
+    """All that are known, fitted, each in least squares."""
+
+    def motion(
+        gap: str, free: int, left: Complex, said: str, hint: str, turn: float = 0.0
+    ) -> _Motion:
+        error = np.column_stack((left.real, left.imag))
+        known = error[np.isfinite(error).all(axis=1)]
+        return _Motion(
+            gap=gap,
+            free=free,
+            said=said,
+            hint=hint,
+            square=paths.square(error),
+            left_m=rms(known),
+            turn_rad=turn,
+        )
+
+    u, v = paths.u, paths.v
+    yield motion("", 0, u - v, "", "")
+    for free, fit in _FRAMES:
+        a, b, said = fit(u, v)
+        gap, hint = ("frame", _FRAME_HINT)
+        if abs(abs(a) - 1.0) > _LEAST_SCALE:
+            gap, hint = "scale", _SCALE_HINT
+        elif "times" in said:
+            continue  # of a scale that is none
+        yield motion(gap, free, (u - a * v - b) / abs(a), said, hint, float(np.angle(a)))
+    for said, flipped in (
+        ("y of opposite sign", v.conj()),
+        ("x of opposite sign", -v.conj()),
+        ("x and y exchanged", 1j * v.conj()),
+    ):
+        yield motion("mirrored", 0, u - flipped, f"the mirror image, {said}", _MIRROR_HINT)
+    a, b, said = _rigid(u, v.conj())
+    said = f"the mirror image, {said}"
+    yield motion("mirrored", 3, u - a * v.conj() - b, said, _MIRROR_HINT)
+    late = list(_late(paths))
+    as_is, moved = _heading_spreads(paths, late[-1][1])
+    known = as_is <= _NO_HEADINGS_RAD
+    if not known or as_is >= _INTERPOLATED * moved:
+        for free, delay, left, turn, said in late:
+            if abs(delay) >= _LEAST_DELAY_S:
+                yield motion("time", 1 + free, left, said, _TIME_HINT, turn)
+    if known and moved >= _INTERPOLATED * as_is:
+        ahead = np.exp(1j * paths.reference[:, 2])
+        arm = complex(np.mean((u - v) / ahead))
+        said = f"the path of a point {arm.real:.3f} m forward and {arm.imag:.3f} m left"
+        yield motion("lever", 2, u - v - arm * ahead, said, _LEVER_HINT)
+
+
+def _heading_spreads(paths: Paths, delay: float) -> tuple[float, float]:
+    """Of the headings' differences as they are, and so late.
+
+    Another point of the vehicle has its heading; a late path has a late one.
+    """
+    t, heading = paths.time_s, np.unwrap(paths.pose[:, 2])
+    late = np.interp(t + delay, t, heading)
+    return _spread(heading - paths.reference[:, 2]), _spread(late - paths.reference[:, 2])
+
+
+def _spread(angle: Array) -> float:
+    """Standard deviation of angles (K,) about their mean."""
+    each = np.exp(1j * angle)
+    return float(np.std(np.angle(each * np.exp(-1j * np.angle(each.mean())))))
+
+
+def _shifted(u: Complex, v: Complex) -> tuple[complex, complex, str]:
+    b = complex(np.mean(u - v))
+    return 1.0 + 0.0j, b, f"shifted by {_place(b)} m"
+
+
+def _turned(about: str) -> Fit:
+    def fit(u: Complex, v: Complex) -> tuple[complex, complex, str]:
+        c = complex(v[0]) if about else 0.0j
+        a = np.exp(1j * np.angle(np.vdot(v - c, u - c)))
+        return complex(a), c - a * c, f"turned by {_degrees(a)} about the log's {about or 'origin'}"
+
+    return fit
+
+
+def _rigid(u: Complex, v: Complex) -> tuple[complex, complex, str]:
+    a = np.exp(1j * np.angle(np.vdot(v - v.mean(), u - u.mean())))
+    b = complex(u.mean() - a * v.mean())
+    return (
+        complex(a),
+        b,
+        f"turned by {_degrees(a)} about the log's origin and shifted by " + (f"{_place(b)} m"),
+    )
+
+
+def _grown(about: str) -> Fit:
+    def fit(u: Complex, v: Complex) -> tuple[complex, complex, str]:
+        c = complex(v[0]) if about else 0.0j
+        size = max(float(np.vdot(v - c, v - c).real), 1e-12)
+        a = float(np.vdot(v - c, u - c).real) / size
+        return complex(a), c - a * c, f"{a:.4f} times as large about the log's {about or 'origin'}"
+
+    return fit
+
+
+def _similar(u: Complex, v: Complex) -> tuple[complex, complex, str]:
+    w = v - v.mean()
+    a = complex(np.vdot(w, u - u.mean()) / max(float(np.vdot(w, w).real), 1e-12))
+    b = complex(u.mean() - a * v.mean())
+    return (
+        a,
+        b,
+        (
+            f"{abs(a):.4f} times as large, turned by {_degrees(a)} about the log's origin and "
+            f"shifted by {_place(b)} m"
+        ),
+    )
+
+
+_FRAMES: tuple[tuple[int, Fit], ...] = (
+    (1, _turned("")),
+    (1, _turned("start")),
+    (2, _shifted),
+    (3, _rigid),
+    (1, _grown("")),
+    (1, _grown("start")),
+    (4, _similar),
+)
+"""Parameters, and u = a v + b."""
+
+
+def _late(paths: Paths) -> Iterator[tuple[int, float, Complex, float, str]]:
+    """The same path some time too late or too early, alone, shifted, and in another frame.
+
+    Free parameters beside the delay [s], what is left (K,), the turn, and words.
+    """
+    t = paths.time_s
+    latest = min(_LATEST_S, 0.25 * float(t[-1] - t[0]))
+    delays = np.linspace(-latest, latest, 41)
+    step = float(delays[1] - delays[0])
+    for free, fit in ((0, _as_is), (2, _shifted), (3, _rigid)):
+        square = partial(_late_square, paths, fit)
+        coarse = float(delays[int(np.argmin([square(d) for d in delays]))])
+        best = minimize_scalar(square, bounds=(coarse - step, coarse + step), method="bounded")
+        left, turn, said = _at_delay(paths, fit, best.x)
+        when = f"stamps {abs(best.x):.3f} s too {'late' if best.x > 0 else 'early'}"
+        yield free, best.x, left, turn, f"{when}, {said}" if said else when
+
+
+def _late_square(paths: Paths, fit: Fit, delay: float) -> float:
+    return float(np.nanmean(np.abs(_at_delay(paths, fit, delay)[0]) ** 2))
+
+
+def _at_delay(paths: Paths, fit: Fit, delay: float) -> tuple[Complex, float, str]:
+    """What is left (K,) of a path that is so late, NaN beyond its ends; turn, and words."""
+    t, at = paths.time_s, paths.time_s + delay
+    inside = (at >= t[0]) & (at <= t[-1])
+    u = np.interp(at[inside], t, paths.u.real) + 1j * np.interp(at[inside], t, paths.u.imag)
+    v = paths.v[inside]
+    a, b, said = fit(u, v)
+    left = np.full(len(t), np.nan + 0.0j)
+    left[inside] = u - a * v - b
+    return left, float(np.angle(a)), said
+
+
+def _as_is(u: Complex, v: Complex) -> tuple[complex, complex, str]:
+    return 1.0 + 0.0j, 0.0j, ""
+
+
+def _headings(paths: Paths, motion: _Motion) -> Iterator[Cause]:
+    """Headings that are off by much the same everywhere, or counted the other way."""
     alone = paths.rms_m <= _NO_MATTER_M
-    if abs(mean) < (_LEAST_ALONE_RAD if alone else _LEAST_HEADING_RAD) or together < 0.98:
-        return None
-    varies = float(np.std(np.angle(each * np.exp(-1j * mean))))
-    if (alone and varies > _EXPLAINS * abs(mean)) or (not alone and _frame(paths) is not None):
-        return None
-    return 0.0, Cause(
-        "heading",
-        f"all headings are off by {np.degrees(mean):.1f} degrees, the positions by "
-        f"{paths.rms_m:.2f} m (RMS)",
-        "look at the heading's zero and sense: counter-clockwise from east is expected",
-    )
-
-
-def _clockwise(paths: Paths) -> tuple[float, Cause] | None:
-    """Headings counted the other way, from whatever direction."""
+    if motion.gap == "mirrored":
+        return
     both = np.exp(1j * (paths.pose[:, 2] + paths.reference[:, 2])).mean()
-    as_is = np.exp(1j * (paths.pose[:, 2] - paths.reference[:, 2])).mean()
-    if paths.rms_m > _NO_MATTER_M or abs(both) < 0.98 or abs(as_is) > 0.9:
-        return None
-    return 0.0, Cause(
+    each = np.exp(1j * (paths.pose[:, 2] - paths.reference[:, 2]))
+    if alone and abs(both) >= 0.98 and abs(each.mean()) <= 0.9:
+        yield Cause(
+            "heading",
+            f"all headings turn the other way: clockwise, from "
+            f"{np.degrees(float(np.angle(both))):.0f} degrees",
+            _HEADING_HINT.format("sense"),
+        )
+        return
+    each = each * np.exp(-1j * motion.turn_rad)
+    mean, together = float(np.angle(each.mean())), float(abs(each.mean()))
+    varies = _spread(np.angle(each))
+    least = _LEAST_ALONE_RAD if alone else _LEAST_HEADING_RAD
+    if abs(mean) < least or together < 0.98 or (alone and varies > _EXPLAINS * abs(mean)):
+        return
+    yield Cause(
         "heading",
-        "all headings turn the other way: clockwise, from "
-        f"{np.degrees(float(np.angle(both))):.0f} degrees",
-        "look at the heading's sense: counter-clockwise from east is expected",
+        f"all headings are off by {np.degrees(mean):.1f} degrees from {paths.name}'s, the "
+        f"positions by {motion.left_m:.2f} m (RMS)",
+        _HEADING_HINT.format("zero and sense"),
     )
 
 
-def _lever(paths: Paths) -> tuple[float, Cause] | None:
-    """The path of another point of the vehicle."""
-    off = (paths.pose[:, :2] - paths.reference[:, :2]) @ (1.0, 1.0j)
-    body = off * np.exp(-1j * paths.reference[:, 2])
-    left = float(np.sqrt(np.mean(np.abs(body - body.mean()) ** 2)))
-    turned = np.angle(np.exp(1j * (paths.pose[:, 2] - paths.reference[:, 2])))
-    if left > _EXPLAINS * paths.rms_m or np.sqrt(np.mean(turned**2)) > _MOST_TURNED_RAD:
-        return None
-    forward, side = float(body.mean().real), float(body.mean().imag)
-    return left / paths.rms_m, Cause(
-        "lever",
-        f"{forward:.3f} m forward and {side:.3f} m left of the log's point of the vehicle the path "
-        f"fits to {left:.3f} m (RMS), {paths.rms_m:.3f} m before",
-        "look at which point of the vehicle is written: axle, sensor or antenna",
-    )
+def _place(b: complex) -> str:
+    return f"({b.real:.3f}, {b.imag:.3f})"
 
 
-def _frame(paths: Paths) -> tuple[float, Cause] | None:
-    ours, theirs = paths.pose[:, :2], paths.reference[:, :2]
-    left = rms(aligned(ours, theirs) - theirs)
-    if left > _EXPLAINS * paths.rms_m:
-        return None
-    centred = (ours - ours.mean(axis=0)) @ (1.0, 1.0j)
-    turn = float(np.angle(np.vdot(centred, (theirs - theirs.mean(axis=0)) @ (1.0, 1.0j))))
-    shift = float(np.linalg.norm((theirs - ours).mean(axis=0)))
-    return left / paths.rms_m, Cause(
-        "frame",
-        f"turned by {np.degrees(turn):.2f} degrees and shifted by {shift:.2f} m the path fits to "
-        f"{left:.3f} m (RMS), {paths.rms_m:.3f} m before",
-        "look at the prior: both must begin at the log's pose, in the log's frame; or at the map's "
-        "first landmarks",
-    )
-
-
-def _late(paths: Paths) -> tuple[float, Cause] | None:
-    """The same path, some time too early or too late."""
-
-    def left(delay: float) -> float:
-        at = paths.time_s + delay
-        moved = [np.interp(at, paths.time_s, paths.pose[:, i]) for i in range(2)]
-        return rms(np.column_stack(moved) - paths.reference[:, :2])
-
-    delays = np.linspace(-_LATEST_S, _LATEST_S, 41)
-    coarse = float(delays[int(np.argmin([left(d) for d in delays]))])
-    best = minimize_scalar(left, bounds=(coarse - 0.1, coarse + 0.1), method="bounded")
-    if abs(best.x) < 0.005 or best.fun > _EXPLAINS * paths.rms_m:
-        return None
-    return best.fun / paths.rms_m, Cause(
-        "time",
-        f"{abs(best.x):.3f} s {'later' if best.x > 0 else 'earlier'} the path fits to "
-        f"{best.fun:.3f} m (RMS), {paths.rms_m:.3f} m before",
-        "look at the clocks: stamps of odometry against sightings, the interval of a prediction",
-    )
-
-
-def _mirrored(paths: Paths) -> tuple[float, Cause] | None:
-    flipped = paths.pose[:, :2] * (1.0, -1.0)
-    left = rms(aligned(flipped, paths.reference[:, :2]) - paths.reference[:, :2])
-    straight = rms(aligned(paths.pose[:, :2], paths.reference[:, :2]) - paths.reference[:, :2])
-    if left > _EXPLAINS * straight:
-        return None
-    return left / paths.rms_m, Cause(
-        "mirrored",
-        f"the path's mirror image fits to {left:.3f} m (RMS), the path itself to {straight:.3f} m",
-        "look at the sense of steering, yaw rate or bearing, and at the order of the axes",
-    )
-
-
-def _scaled(paths: Paths) -> tuple[float, Cause] | None:
-    ours, theirs = paths.pose[:, :2], paths.reference[:, :2]
-    a, b = ours - ours.mean(axis=0), theirs - theirs.mean(axis=0)
-    u, v = a @ (1.0, 1.0j), b @ (1.0, 1.0j)
-    factor = np.vdot(u, v) / max(np.vdot(u, u).real, 1e-12)
-    left = float(np.sqrt(np.mean(np.abs(factor * u - v) ** 2)))
-    straight = rms(aligned(ours, theirs) - theirs)
-    if abs(abs(factor) - 1.0) < _LEAST_SCALE or left > _EXPLAINS * straight:
-        return None
-    return left / paths.rms_m, Cause(
-        "scale",
-        f"{abs(factor):.4f} times as large the path fits to {left:.3f} m (RMS), {straight:.3f} m "
-        "as it is",
-        "look at units and scale: metres, the speed's calibration, the wheel's radius",
-    )
+def _degrees(a: complex) -> str:
+    return f"{np.degrees(np.angle(a)):.2f} degrees"

@@ -14,6 +14,7 @@ from comparisons.checks.diagnosis.diagnosis import Paths, diagnose, rms
 from comparisons.checks.grade import (
     LIKE_SIGMA,
     LIKE_VARIANCE,
+    SMOOTHER,
     Likeness,
     Part,
     in_sigma,
@@ -48,9 +49,9 @@ def facts(given: GivenEstimate, found: Likeness, clues: Clues) -> list[Cause]:
     causes = _means(given, found, clues)
     causes += _covariances(given, found, clues)
     if found.missing:
-        causes.append(
-            Cause("coverage", "; ".join(found.missing), "hand in the whole path and the whole map")
-        )
+        causes.append(Cause("coverage", "; ".join(found.missing), "hand in the whole path"))
+    if found.unmapped:
+        causes.append(Cause("map", "; ".join(found.unmapped), "hand in the whole map"))
     return causes
 
 
@@ -66,9 +67,15 @@ def _means(given: GivenEstimate, found: Likeness, clues: Clues) -> list[Cause]:
     if known is not None:
         causes.append(known)
     elif far_poses.any():
-        at = found.reference.known
-        paths = Paths(found.reference.time_s[at], given.pose[at], found.reference.pose[at])
-        causes += diagnose(paths)
+        reference, at = found.reference, found.reference.known
+        time_s, covariance = reference.time_s[at], reference.pose_covariance[at]
+        others = {SMOOTHER: clues.smoothed[0], reference.name: reference.pose}
+        causes += diagnose(
+            [
+                Paths(time_s, given.pose[at], other[at], covariance, name)
+                for name, other in others.items()
+            ]
+        )
     swapped = _swapped(given, found)
     if swapped is not None and not causes:  # another frame exchanges landmarks, too
         causes.append(swapped)
