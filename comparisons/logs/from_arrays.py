@@ -30,7 +30,7 @@ from comparisons.logs.odometry import (
     VelocityOdometry,
 )
 from comparisons.logs.readers.scan_odometry import NOISE_TEXT, displacements, poses_at
-from comparisons.logs.validation import standard_deviation
+from comparisons.logs.validation import standard_deviation, whole_numbers
 
 KINDS = {
     "velocity": ("speed_mps", "yaw_rate_radps"),
@@ -78,11 +78,17 @@ def log_from_arrays(
         seen["time_s"] = np.round(np.asarray(seen["time_s"], dtype=float), 4)
         if fixes is not None:
             fixes = Positions(np.round(fixes.time_s, 4), fixes.position_m, fixes.covariance)
+    time_s, range_m, bearing_rad, sigma_range_m, sigma_bearing_rad = (
+        np.asarray(seen[name], dtype=float) for name in _SIGHTINGS
+    )
+    names = numbers.of(seen["landmark"]) if "landmark" in seen else np.full(count, NO_LANDMARK)
     stream = Sightings(
-        **{name: np.asarray(seen[name], dtype=float) for name in _SIGHTINGS},
-        landmark=numbers.of(seen["landmark"])
-        if "landmark" in seen
-        else np.full(count, NO_LANDMARK),
+        time_s=time_s,
+        range_m=range_m,
+        bearing_rad=bearing_rad,
+        sigma_range_m=sigma_range_m,
+        sigma_bearing_rad=sigma_bearing_rad,
+        landmark=whole_numbers("sightings", "landmark", names),
         diameter_m=np.asarray(seen.get("diameter_m", np.full(count, np.nan)), dtype=float),
         intensity=np.asarray(seen.get("intensity", np.zeros(0)), dtype=float),
     )
@@ -146,13 +152,15 @@ def _motion(given: Columns, wanted_s: Array) -> Motion:
         *(_single(given, name) for name in ("sigma_speed_mps", "sigma_turn")),
         **{name: _single(given, name) for name in _NOISE if name in given},
     )
-    streams = [np.asarray(table[name], dtype=float) for name in ("time_s", *KINDS[kind])]
+    time_s, first, second = (
+        np.asarray(table[name], dtype=float) for name in ("time_s", *KINDS[kind])
+    )
     found: Odometry
     if kind == "steering":
         vehicle = Ackermann(**{name: _single(given, name) for name in _VEHICLE if name in given})
-        found = SteeringOdometry(*streams, vehicle, noise)
+        found = SteeringOdometry(time_s, first, second, vehicle, noise)
     else:
-        found = VelocityOdometry(*streams, noise)
+        found = VelocityOdometry(time_s, first, second, noise)
     return Motion(found, float(found.time_s[0]) if len(found.time_s) else 0.0, None)
 
 
@@ -248,7 +256,8 @@ def _landmarks(given: Columns, numbers: _Numbers) -> Landmarks:
     table = _columns("truth landmarks", given, ("id", "x_m", "y_m"))
     place = np.column_stack((table["x_m"], table["y_m"]))
     try:
-        return Landmarks(numbers.of(table["id"]), place, np.zeros((len(place), 2, 2)))
+        ids = whole_numbers("truth landmarks", "id", numbers.of(table["id"]))
+        return Landmarks(ids, place, np.zeros((len(place), 2, 2)))
     except RecordError as error:
         raise RecordError("truth landmarks", error.row, error.fault) from None
 

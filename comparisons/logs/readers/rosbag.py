@@ -71,7 +71,7 @@ def recognises(path: Path) -> bool:
     return recognise_bag(path) is not None
 
 
-def read(path: Path) -> Log:
+def read(path: Path, topics: tuple[str, ...] = ()) -> Log:
     """Read a bag; times count from the first scan, poses from the vehicle's there.
 
     Scans before and after the odometry are left out. Raises InputError naming topic, message, value
