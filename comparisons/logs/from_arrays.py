@@ -13,6 +13,7 @@ from comparisons.errors import InputError, RecordError
 from comparisons.logs.log import (
     NO_LANDMARK,
     Columns,
+    Ids,
     Landmarks,
     Log,
     Poses,
@@ -29,7 +30,12 @@ from comparisons.logs.odometry import (
     SteeringOdometry,
     VelocityOdometry,
 )
-from comparisons.logs.readers.scan_odometry import NOISE_TEXT, displacements, poses_at
+from comparisons.logs.readers.scan_odometry import (
+    NOISE_TEXT,
+    displacements,
+    instants_of,
+    poses_at,
+)
 from comparisons.logs.validation import standard_deviation, whole_numbers
 
 KINDS = {
@@ -44,7 +50,6 @@ PRIOR_VARIANCE = 1e-6
 _NOISE = ("variance_rate_position", "variance_rate_heading")
 _VEHICLE = ("wheelbase_m", "encoder_offset_m", "sensor_forward_m", "sensor_left_m")
 _SIGHTINGS = ("time_s", "range_m", "bearing_rad", "sigma_range_m", "sigma_bearing_rad")
-_LONGEST_S = 0.5
 
 
 class Motion(NamedTuple):
@@ -68,7 +73,7 @@ def log_from_arrays(
     """See Log.from_arrays."""
     seen = _columns("sightings", sightings, _SIGHTINGS, ("landmark", "diameter_m", "intensity"))
     count = len(seen["time_s"])
-    numbers = _Numbers(seen.get("landmark"), (truth_landmarks or {}).get("id"))
+    numbers = LandmarkNumbers(seen.get("landmark"), (truth_landmarks or {}).get("id"))
     fixes = None if positions is None else _positions(positions)
     poses = None
     if truth is not None:
@@ -81,14 +86,14 @@ def log_from_arrays(
     time_s, range_m, bearing_rad, sigma_range_m, sigma_bearing_rad = (
         np.asarray(seen[name], dtype=float) for name in _SIGHTINGS
     )
-    names = numbers.of(seen["landmark"]) if "landmark" in seen else np.full(count, NO_LANDMARK)
+    names = seen.get("landmark", np.full(count, NO_LANDMARK))
     stream = Sightings(
         time_s=time_s,
         range_m=range_m,
         bearing_rad=bearing_rad,
         sigma_range_m=sigma_range_m,
         sigma_bearing_rad=sigma_bearing_rad,
-        landmark=whole_numbers("sightings", "landmark", names),
+        landmark=numbers.of(names),
         diameter_m=np.asarray(seen.get("diameter_m", np.full(count, np.nan)), dtype=float),
         intensity=np.asarray(seen.get("intensity", np.zeros(0)), dtype=float),
     )
@@ -99,7 +104,7 @@ def log_from_arrays(
     where = prior or default_prior(motion.start_s, poses)
     provenance = {} if motion.noise is None else {"odometry_noise": motion.noise}
     if numbers.by_text:
-        provenance["labels"] = json.dumps(numbers.by_text, ensure_ascii=False)
+        provenance["labels"] = numbers.text()
     return Log(
         name=name,
         format="arrays",
@@ -169,11 +174,8 @@ def _between_poses(poses: Poses, table: dict[str, Any], wanted_s: Array) -> Moti
     time_s = poses.time_s
     if len(time_s) < 2:
         raise InputError(f"odometry: {len(time_s)} poses, expected two at least")
-    instants = np.unique(wanted_s[(wanted_s >= time_s[0]) & (wanted_s <= time_s[-1])])
-    cell = np.floor(time_s / _LONGEST_S)
-    first = np.unique(cell, return_index=True)[1]
-    lonely = time_s[first][~np.isin(cell[first], np.floor(instants / _LONGEST_S))]
-    instants = np.unique(np.concatenate((time_s[[0, -1]], instants, lonely)))
+    within = (wanted_s >= time_s[0]) & (wanted_s <= time_s[-1])
+    instants = instants_of(wanted_s[within], time_s)
     motion = displacements(instants, poses_at(instants, time_s, poses.pose))
     variance = _step_variances(table, len(time_s) - 1)
     if variance is None:
@@ -252,20 +254,21 @@ def _poses(stream: str, table: dict[str, Any]) -> Poses:
         raise RecordError(stream, error.row, error.fault) from None
 
 
-def _landmarks(given: Columns, numbers: _Numbers) -> Landmarks:
+def _landmarks(given: Columns, numbers: LandmarkNumbers) -> Landmarks:
     table = _columns("truth landmarks", given, ("id", "x_m", "y_m"))
     place = np.column_stack((table["x_m"], table["y_m"]))
     try:
-        ids = whole_numbers("truth landmarks", "id", numbers.of(table["id"]))
+        ids = numbers.of(table["id"], "truth landmarks", "id")
         return Landmarks(ids, place, np.zeros((len(place), 2, 2)))
     except RecordError as error:
         raise RecordError("truth landmarks", error.row, error.fault) from None
 
 
-class _Numbers:
+class LandmarkNumbers:
     """Whole numbers for landmarks' names: their own, or by the order in which they come."""
 
     def __init__(self, *given: Any) -> None:
+        """given: all columns of names; None for a column that is not there."""
         words = [word for column in given if column is not None for word in _words(column)]
         self.by_text: dict[str, int] = {}
         if any(_number(word) is None for word in words):
@@ -273,10 +276,14 @@ class _Numbers:
                 if _number(word) != NO_LANDMARK:
                     self.by_text.setdefault(word, len(self.by_text))
 
-    def of(self, column: Any) -> Array:
-        """(N,), NO_LANDMARK for no name."""
+    def of(self, column: Any, stream: str = "sightings", name: str = "landmark") -> Ids:
+        """(N,), NO_LANDMARK for no name. Raises RecordError for fractions."""
         found = [self.by_text.get(word, _number(word)) for word in _words(column)]
-        return np.array(found, dtype=float)
+        return whole_numbers(stream, name, np.array(found, dtype=float))
+
+    def text(self) -> str:
+        """Names and numbers as JSON."""
+        return json.dumps(self.by_text, ensure_ascii=False)
 
 
 def _words(column: Any) -> list[str]:
