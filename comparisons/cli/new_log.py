@@ -114,7 +114,9 @@ def _pose(text: str | None) -> tuple[float, float, float] | None:
 def _parameters() -> list[inspect.Parameter]:
     """The options as typer reads them."""
     argument = typer.Argument(metavar="FOLDER", help="The log folder to write, new or empty.")
-    found = [("folder", Annotated[Path, argument], inspect.Parameter.empty)]
+    found: list[tuple[str, Any, Any]] = [
+        ("folder", Annotated[Path, argument], inspect.Parameter.empty)
+    ]
     for name, (kind, metavar, text) in _OPTIONS.items():
         option = typer.Option(
             f"--{name.replace('_', '-')}", metavar=metavar or None, help=text, show_default=False

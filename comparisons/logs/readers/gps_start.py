@@ -98,4 +98,5 @@ def east_north(latitude: Array, longitude: Array, altitude: Array) -> Array:
     north = np.array(
         (-np.sin(phi[0]) * np.cos(lam[0]), -np.sin(phi[0]) * np.sin(lam[0]), np.cos(phi[0]))
     )
-    return moved @ np.column_stack((east, north))
+    plane: Array = moved @ np.column_stack((east, north))
+    return plane

@@ -178,7 +178,7 @@ def _register(store: Any, reader: Any) -> None:
         text = connection.msgdef.data
         if not str(connection.msgtype).startswith(_BROUGHT) or not text:
             continue
-        brought = {
+        brought: dict[str, Any] = {
             name: ([], fields)
             for name, (_, fields) in get_types_from_msg(text, connection.msgtype).items()
             if name.startswith(_BROUGHT) and name not in store.fielddefs

@@ -404,7 +404,7 @@ def _scan_stream(bag: Bag, provenance: dict[str, str]) -> _Stream | None:
                 f"{place}: {len(angle)} beams from {angle[0]:.4g} to {angle[-1]:.4g} rad, expected "
                 f"{len(expected)} from {expected[0]:.4g} to {expected[-1]:.4g} as in the first"
             )
-        return replace(found, angle_rad=expected)  # one array for all of them
+        return replace(found, angle_rad=expected)  # one array for all of them: bags are long
 
     return _stream(bag, LASER, convert, lambda m: m.header.frame_id, provenance)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +40,7 @@ def cut_log(log: Log, start_s: float | None = None, end_s: float | None = None) 
         )
     if isinstance(log.odometry, RelativePoses):
         poses = np.concatenate(([origin], log.odometry.time_s))
-        first_s = float(poses[min(np.searchsorted(poses, first_s), len(poses) - 1)])
+        first_s = float(poses[min(int(np.searchsorted(poses, first_s)), len(poses) - 1)])
     return replace(
         log,
         prior=_prior(log, first_s),
@@ -99,14 +99,15 @@ def _chosen(stream: S, first_s: float, last_s: float) -> S:
 def _rows(stream: S, rows: Rows) -> S:
     """The same with some of its rows; what is one for all of them stays."""
     count = len(stream.time_s)
-    columns = {
+    columns: dict[str, Any] = {
         one.name: value[rows]
         for one in fields(stream)
         if isinstance(value := getattr(stream, one.name), np.ndarray)
         and len(value) == count
         and one.name != "angle_rad"
     }
-    return replace(stream, **columns)
+    found: S = replace(stream, **columns)
+    return found
 
 
 def _closures(closures: Closures, first_s: float, last_s: float) -> Closures | None:

@@ -191,13 +191,13 @@ class Types:
     def detections(
         self, time: float, *points: tuple[str, str, float, float], **more: Any
     ) -> Message:
-        """Class, id, x and y of each; more: frame, covariance (6, 6)."""
+        """Class, id, x and y of each; more: frame, covariance (6, 6), one or of each."""
         name = "vision_msgs/msg/"
         header = self.header(time, more.get("frame", "base"))
         zero = self.make("geometry_msgs/msg/Vector3", 0.0, 0.0, 0.0)
         found = []
-        for kind, own, x, y in points:
-            spread = np.asarray(more.get("covariance", np.zeros((6, 6)))).ravel()
+        spreads = np.broadcast_to(more.get("covariance", np.zeros((6, 6))), (len(points), 6, 6))
+        for (kind, own, x, y), spread in zip(points, spreads.reshape(-1, 36), strict=True):
             place = self.make("geometry_msgs/msg/PoseWithCovariance", self.pose(x, y), spread)
             if self.is_ros1:
                 result = self.make(name + "ObjectHypothesisWithPose", int(kind), 0.5, place)

@@ -28,9 +28,13 @@ WHEELS = {"sigma_speed_mps": 0.1, "sigma_turn": 0.02}
 def files(folder: Path, odometry: str = VELOCITY, trees: str = TREES, **more: Any) -> UserFiles:
     (folder / "odo.csv").write_text(odometry)
     (folder / "trees.csv").write_text(trees)
-    stated = more.pop("stated", SIGMAS | WHEELS)
-    paths = {"odometry": folder / "odo.csv", "measurements": folder / "trees.csv"}
-    return UserFiles(name="mine", stated=stated, **paths, **more)
+    return UserFiles(
+        name="mine",
+        odometry=folder / "odo.csv",
+        measurements=folder / "trees.csv",
+        stated=more.pop("stated", SIGMAS | WHEELS),
+        **more,
+    )
 
 
 def test_columns_in_any_order_and_text_labels(tmp_path: Path) -> None:
