@@ -13,6 +13,7 @@ not told there, a scanner is taken to be at the pose, and points are refused.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -66,8 +67,8 @@ _MOST_POINTS = 50_000_000
 _ANGLE_TOLERANCE_RAD = 1e-3
 _LEVEL = np.cos(np.deg2rad(5.0))
 _LEAST_SIGMA = 1e-3
-_ALIGNED_SIGMAS = 20.0
-"""Fixes are laid onto as much of the odometry as is so many times their sigma long."""
+_ALIGNED_RAD = float(np.deg2rad(1.0))
+"""Fixes are laid onto as much of the odometry as shows the start's heading so well."""
 
 Times = NDArray[np.int64]
 _T = TypeVar("_T")
@@ -291,7 +292,11 @@ def _sightings(stream: _Stream, where: _Frame) -> Sightings:
 def _positions(
     stream: _Stream, where: _Frame, drive: _Drive, prior: Prior
 ) -> tuple[Prior, Positions | None]:
-    """Fixes laid onto the odometry's first part, and how well the start is known by that."""
+    """Fixes in the log's frame, and how well that is known.
+
+    As many of the first as show the start's heading to 1 degree are laid onto the odometry, and
+    spent on that: what they know is in the prior. Those behind them are left.
+    """
     rows, time_s = np.array(stream.items), where.seconds(stream)
     altitude = np.where(np.isfinite(rows[:, 2]), rows[:, 2], 0.0)
     covariance = rows[:, 3:].reshape(-1, 2, 2).copy()
@@ -304,28 +309,38 @@ def _positions(
     turned = np.exp(-1j * pose[0, 2])
     path = (pose[:, 0] + 1j * pose[:, 1]) * turned
     path = path + complex(*antenna) * np.exp(1j * pose[:, 2]) * turned
-    sigma = float(np.sqrt(np.median(np.trace(covariance, axis1=1, axis2=2) / 2)))
-    far = np.flatnonzero(np.abs(path - path[0]) >= _ALIGNED_SIGMAS * sigma)
-    until_s = float(drive.time_s[far[0] if len(far) else -1])
-    try:
-        start = lay_path(drive.time_s, path, plane, until_s)
-    except InputError as error:
-        where.provenance["positions"] = f"left out: {error}"
+    spent = bisect_left(range(len(time_s)), True, key=lambda last: _shows(path, drive, plane, last))
+    if spent + 1 >= len(time_s):
+        where.provenance["positions"] = (
+            f"left out: {len(time_s)} fixes along the odometry, expected more than show the "
+            f"heading to {np.degrees(_ALIGNED_RAD):.0f} degree"
+        )
         return prior, None
+    start = lay_path(drive.time_s, path, plane, float(time_s[spent]))
     x, y, heading = start.pose
     moved = (plane.position_m - (x, y)) @ np.array([1.0, 1j]) * np.exp(-1j * heading)
     c, s = np.cos(heading), np.sin(heading)
     turn = np.array(((c, s, 0.0), (-s, c, 0.0), (0.0, 0.0, 1.0)))  # east and north to the log's
     covariance = turn[:2, :2] @ covariance @ turn[:2, :2].T
     where.provenance["positions"] = (
-        f"WGS 84 about the first fix, laid onto the odometry of the first {until_s:g} s; "
-        f"{int(stated.sum())} of {len(rows)} without covariance, stated {ros_points.SIGMA_FIX_M:g} "
-        "m; the prior is as certain as that makes the start"
+        f"WGS 84 about the first fix; {spent + 1} fixes up to {time_s[spent]:g} s laid onto the "
+        f"odometry, their knowledge in the prior; {int(stated.sum())} of {len(rows)} without "
+        f"covariance, stated {ros_points.SIGMA_FIX_M:g} m"
     )
     prior = Prior(0.0, prior.pose, prior.covariance + turn @ start.covariance @ turn.T)
     placed = np.column_stack((moved.real, moved.imag))
     symmetric = (covariance + covariance.transpose(0, 2, 1)) / 2
-    return prior, Positions(time_s, placed, symmetric, tuple(antenna.tolist()))
+    positions = Positions(time_s, placed, symmetric, (float(antenna[0]), float(antenna[1])))
+    return prior, positions.chosen(np.arange(spent + 1, len(time_s)))
+
+
+def _shows(path: NDArray[np.complex128], drive: _Drive, plane: Positions, last: int) -> bool:
+    """Whether the fixes up to one of them show where the start heads."""
+    try:
+        start = lay_path(drive.time_s, path, plane, float(plane.time_s[last]))
+    except InputError:
+        return False
+    return bool(start.covariance[2, 2] <= _ALIGNED_RAD**2)
 
 
 def _stream(

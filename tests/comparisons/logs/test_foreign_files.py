@@ -67,7 +67,8 @@ def circle(count: int = 320) -> Circle:
             if abs(ray) < 8.0:
                 z = (abs(ray), np.angle(ray)) + rng.normal(0.0, (0.05, 0.01))
                 seen.append((k * STEP_S, post, *z.tolist()))
-    return Circle(STEP_S * np.arange(count), *told.T, reckoned, seen, truth)
+    time_s = STEP_S * np.arange(count)
+    return Circle(time_s, told[:, 0], told[:, 1], reckoned, seen, truth)
 
 
 DRIVE = circle()
