@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from comparisons.cli.flags import argument, set_parameters
 from comparisons.cli.support import guarded
 from comparisons.errors import InputError
 
@@ -111,21 +112,17 @@ def _pose(text: str | None) -> tuple[float, float, float] | None:
     return x, y, heading
 
 
-def _parameters() -> list[inspect.Parameter]:
-    """The options as typer reads them."""
-    argument = typer.Argument(metavar="FOLDER", help="The log folder to write, new or empty.")
-    found: list[tuple[str, Any, Any]] = [
-        ("folder", Annotated[Path, argument], inspect.Parameter.empty)
-    ]
-    for name, (kind, metavar, text) in _OPTIONS.items():
-        option = typer.Option(
-            f"--{name.replace('_', '-')}", metavar=metavar or None, help=text, show_default=False
-        )
-        default = {Path: inspect.Parameter.empty, bool: False}.get(kind)
-        found.append((name, Annotated[kind, option], default))
+def _option(name: str, kind: Any, metavar: str, text: str) -> inspect.Parameter:
+    option = typer.Option(
+        f"--{name.replace('_', '-')}", metavar=metavar or None, help=text, show_default=False
+    )
+    default = {Path: inspect.Parameter.empty, bool: False}.get(kind)
     keyword = inspect.Parameter.KEYWORD_ONLY
-    return [inspect.Parameter(n, keyword, default=d, annotation=a) for n, a, d in found]
+    return inspect.Parameter(name, keyword, default=default, annotation=Annotated[kind, option])
 
 
-new_log.__signature__ = inspect.Signature(_parameters())  # type: ignore[attr-defined]
-new_log.__annotations__ = {one.name: one.annotation for one in _parameters()}
+set_parameters(
+    new_log,
+    argument("folder", Path, "FOLDER", "The log folder to write, new or empty."),
+    *(_option(name, *words) for name, words in _OPTIONS.items()),
+)

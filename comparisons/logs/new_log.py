@@ -219,7 +219,7 @@ class _Reading:
     def _take(self, name: str) -> float:
         if name not in self.stated:
             column = f" or a column {name}" if name in NAMES else ""
-            raise InputError(f"{_OPTIONS[name]} is missing, expected it{column}; {SEE}")
+            raise InputError(f"{_OPTIONS[name]} is missing, expected a number{column}; {SEE}")
         return self.stated.pop(name)
 
     def _within(self, stream: str, table: PlainTable) -> PlainTable:

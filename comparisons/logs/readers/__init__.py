@@ -64,7 +64,7 @@ READERS: dict[str, Reader] = {
     "carmen": Reader(f"{_HERE}.carmen", "CARMEN text: FLASER or ROBOTLASER1 lines with raw scans"),
     "rosbag": Reader(
         f"{_HERE}.rosbag",
-        "ROS bags with LaserScan or PointCloud2: .mcap, .bag, rosbag2 folders (extra ros)",
+        "ROS bags of scans, clouds or detections: .mcap, .bag, rosbag2 folders (extra ros)",
         topics=True,
     ),
     "rawlog": Reader(

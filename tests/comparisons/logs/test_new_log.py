@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -190,7 +191,7 @@ def test_refused_with_place_and_expectation(name: str, tmp_path: Path) -> None:
 
 
 def test_sigmas_are_stated_once_and_where_they_are_needed(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="--sigma-range is missing, expected it or a column"):
+    with pytest.raises(InputError, match="--sigma-range is missing, expected a number or a column"):
         build(files(tmp_path, stated=WHEELS))
     with pytest.raises(InputError, match="--sigma-move: the velocity odometry here"):
         build(files(tmp_path, stated=SIGMAS | WHEELS | {"sigma_move_m": 0.1}))
@@ -268,3 +269,17 @@ def test_faults_of_a_log_folder_name_the_page(tmp_path: Path) -> None:
     (tmp_path / "log" / "odometry.csv").write_text("a,b\n")
     with pytest.raises(InputError, match=r"expected the header .* \(see docs/formats.md\)$"):
         read_log(tmp_path / "log")
+
+
+@pytest.mark.slow
+def test_the_page_can_be_followed(tmp_path: Path) -> None:
+    """Its commands in their order; its Python; and that its output is what a run prints."""
+    page = (Path(__file__).resolve().parents[3] / "docs" / "your-own-log.md").read_text()
+    blocks = dict(re.findall(r"```(sh|python)\n(.*?)```", page, re.DOTALL))
+    for command in blocks["sh"].splitlines():
+        done = slamcheck(*command.split()[1:], cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+    assert "verdict: agree; filter consistent" in done.stdout
+    space: dict[str, Any] = {}
+    exec(blocks["python"], space)  # noqa: S102
+    assert space["log"].provenance["labels"] == '{"oak": 0, "elm": 1}'
