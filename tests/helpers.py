@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -31,8 +32,9 @@ def simulated(seed: int = 0, **drive: float) -> Log:
 
 
 def first_seconds(log: Log, seconds: float) -> Log:
-    """The beginning of a log."""
-    return cut_log(log, end_s=seconds)
+    """The beginning of a log's odometry and sightings; scans and truth stay whole."""
+    part = cut_log(log, end_s=seconds)
+    return replace(log, odometry=part.odometry, sightings=part.sightings)
 
 
 class Source(Extension):
