@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
@@ -50,13 +50,16 @@ class Topic:
 class Bag:
     """An open bag."""
 
-    def __init__(self, path: Path, reader: Any, decode: Any, chosen: tuple[str, ...] = ()) -> None:
+    def __init__(
+        self, path: Path, reader: Any, decode: Any, types: Any, chosen: tuple[str, ...] = ()
+    ) -> None:
         """reader: one of the package's, open. decode: from bytes and a type's name to a message.
 
-        chosen: names of topics that a user asked for. Raises InputError where there is none of it.
+        types: those that can be decoded. chosen: names of topics that a user asked for. Raises
+        InputError where the bag has none of such a name.
         """
         self.path, self._reader, self._decode = path, reader, decode
-        self._chosen = chosen
+        self._types, self._chosen = types, chosen
         if not chosen:
             return
         known = {str(c.topic): str(c.msgtype) for c in reader.connections}
@@ -72,6 +75,10 @@ class Bag:
                 what = "is of the same type" if len(same) > 1 else f"is of type {known[name]}"
                 wanted = "one of each" if len(same) > 1 else f"one of {', '.join(READ)}"
                 raise InputError(f"{path}: topic {same[-1]} {what}, expected {wanted}")
+
+    def knows(self, kind: str) -> bool:
+        """Whether messages of a type can be decoded."""
+        return kind in self._types
 
     def is_chosen(self, topic: Topic) -> bool:
         """Whether a user asked for this topic by its name."""
@@ -165,30 +172,37 @@ def open_bag(path: Path, topics: tuple[str, ...] = ()) -> Iterator[Bag]:
     except Exception as error:  # the package and what it builds on fail in many ways
         raise InputError(f"{path}: not a readable ROS bag ({_cause(error)})") from None
     try:
-        yield Bag(path, reader, decode, topics)
+        yield Bag(path, reader, decode, store.types, topics)
     finally:
         reader.close()
 
 
 def _register(store: Any, reader: Any) -> None:
-    """Add the definitions of `vision_msgs` that a bag brings along, without their constants."""
+    """Add the definitions of `vision_msgs` that a bag brings along, as far as they are any."""
+    for connection in reader.connections:
+        if str(connection.msgtype).startswith(_BROUGHT) and connection.msgdef.data:
+            with suppress(Exception):  # the bag may hold what can be read all the same
+                store.register(_definitions(store, connection))
+
+
+def _definitions(store: Any, connection: Any) -> dict[str, Any]:
+    """A connection's own types without their constants. Raises ValueError for names that are none.
+
+    The package turns names into code.
+    """
     from rosbags.typesys import get_types_from_msg
 
-    for connection in reader.connections:
-        text = connection.msgdef.data
-        if not str(connection.msgtype).startswith(_BROUGHT) or not text:
-            continue
-        brought: dict[str, Any] = {
-            name: ([], fields)
-            for name, (_, fields) in get_types_from_msg(text, connection.msgtype).items()
-            if name.startswith(_BROUGHT) and name not in store.fielddefs
-        }
-        for name, (_, fields) in brought.items():
-            for word in (name, *(field for field, _ in fields)):
-                if not _PLAIN.fullmatch(word):
-                    raise ValueError(f"{word} is no name of a message or field")
-        if brought:
-            store.register(brought)
+    found = get_types_from_msg(connection.msgdef.data, connection.msgtype)
+    brought: dict[str, Any] = {
+        name: ([], fields)
+        for name, (_, fields) in found.items()
+        if name.startswith(_BROUGHT) and name not in store.fielddefs
+    }
+    for name, (_, fields) in brought.items():
+        for word in (name, *(field for field, _ in fields)):
+            if not _PLAIN.fullmatch(word):
+                raise ValueError(f"{word} is no name of a message or field")
+    return brought
 
 
 def _cause(error: Exception) -> str:

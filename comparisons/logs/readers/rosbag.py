@@ -432,6 +432,12 @@ def _point_stream(bag: Bag, provenance: dict[str, str]) -> _Stream | None:
         if (topics := bag.topics(kind)) and bag.is_chosen(topics[0])
     ]
     for kind in (*chosen, BOXES):
+        if bag.topics(kind) and not bag.knows(kind):
+            fault = f"{bag.topics(kind)[0].name}: the bag holds no usable definition of {kind}"
+            if kind in chosen:
+                raise InputError(f"{bag.path}: {fault}, expected one, as .mcap files have it")
+            provenance["sightings"] = f"left out: {fault}"
+            return None
         found = _stream(
             bag,
             kind,

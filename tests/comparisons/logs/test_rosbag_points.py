@@ -220,3 +220,25 @@ def test_growth_that_forgets_the_lever_is_refused() -> None:
     rows[:, 0] = np.arange(4.0)
     rows[:, 6:] = (np.arange(1, 5)[:, None, None] * np.diag((1e-4, 1e-4, 0.1))).reshape(4, 9)
     assert odometry_noise(np.arange(4.0), rows)[0] is None
+
+
+@pytest.mark.parametrize("name", ["x = 1", "detections) or exec('')"])
+def test_definitions_that_are_none_are_not_run(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The bag is read without them; detections that were asked for are refused."""
+    types = Types().with_detections()
+    seen = types.detections(EPOCH + 1.0, ("5", "", 3.0, 0.0))
+    scans = [types.laser(EPOCH + t) for t in (0.0, 1.0)]
+    path = types.write(tmp_path / "bag", [*moves(), seen, *scans])
+    assert len(read_log(path).sightings.time_s) == 1
+
+    def brought(text: str, kind: str) -> dict[str, Any]:
+        return {kind: ([], [(name, (1, ("string", 0)))])}
+
+    monkeypatch.setattr("rosbags.typesys.get_types_from_msg", brought)
+    log = read_log(path)
+    assert not len(log.sightings.time_s)
+    assert log.provenance["sightings"].startswith("left out: /detections: the bag holds no usable")
+    with pytest.raises(InputError, match="no usable definition of vision_msgs/msg/Detection3DArr"):
+        read_log(path, topics=("/detections",))
