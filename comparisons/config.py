@@ -79,6 +79,15 @@ class LogSection(Section):
     source: str = Field("victoria-park", description="a bundled name, or a path")
     format: str | None = Field(None, description="the log's format; recognised if absent")
     robot: int = Field(1, description="robot number, for MR.CLAM folders")
+    topics: tuple[str, ...] | None = Field(
+        None, description="of a ROS bag, which to read; of each type the one with most messages"
+    )
+    start_s: float | None = Field(
+        None, ge=0.0, allow_inf_nan=False, description="leave out what is before, from its start"
+    )
+    end_s: float | None = Field(
+        None, gt=0.0, allow_inf_nan=False, description="leave out what is after, from its start"
+    )
     seed: int = Field(0, ge=0, lt=2**64, description="seed of a simulated log")
     loops: int = Field(1, ge=1, le=1000, description="loops of a simulated log")
     noise_scale: float = Field(
@@ -95,6 +104,14 @@ class LogSection(Section):
         "A.1; other logs have one set",
     )
     sha256: str | None = Field(None, description="hash of the log; a run refuses another log")
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if self.end_s is not None and self.end_s <= (self.start_s or 0.0):
+            raise ValueError(
+                f"log.end_s is {self.end_s:g}: expected above start_s {self.start_s or 0.0:g}"
+            )
+        return self
 
 
 class EkfConfig(Section):

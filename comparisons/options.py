@@ -88,6 +88,19 @@ LOG = (
         option="--robot", field="log.robot", kind=int,
         help="Robot number, for MR.CLAM folders. [1]",
     ),
+    Flag(
+        option="--topic", field="log.topics", metavar="NAME", many=True,
+        help="Topic of a ROS bag to read; may be repeated. [of each type the one with most "
+        "messages]",
+    ),
+    Flag(
+        option="--start", field="log.start_s", kind=float, metavar="S",
+        help="Leave out the log's first seconds. [0]",
+    ),
+    Flag(
+        option="--end", field="log.end_s", kind=float, metavar="S",
+        help="Leave out what lies so many seconds after the log's start and later. [its end]",
+    ),
     Flag(option="--seed", field="log.seed", kind=int, help="Seed of a simulated log. [0]"),
     Flag(option="--loops", field="log.loops", kind=int, help="Loops of a simulated log. [1]"),
     Flag(

@@ -14,8 +14,8 @@ from comparisons.adapters.oriented_sightings import OrientedSource
 from comparisons.config import EkfConfig, RunConfig
 from comparisons.extensions.contract import Extension
 from comparisons.logs.log import Log
-from comparisons.logs.odometry import SteeringOdometry
 from comparisons.logs.simulate.drive import Drive, simulate
+from comparisons.logs.transforms.time_window import cut_log
 from comparisons.pipeline.compare import REQUIRED, Comparison, compare_prepared
 from comparisons.pipeline.prepare import Prepared, prepare
 from comparisons.settings import configure, run_options
@@ -32,21 +32,9 @@ def simulated(seed: int = 0, **drive: float) -> Log:
 
 
 def first_seconds(log: Log, seconds: float) -> Log:
-    """The beginning of a log with steering odometry."""
-    odometry, seen = log.odometry, log.sightings
-    assert isinstance(odometry, SteeringOdometry)
-    n = int(np.searchsorted(odometry.time_s, seconds))
-    m = int(np.searchsorted(seen.time_s, seconds))
-    return replace(
-        log,
-        odometry=replace(
-            odometry,
-            time_s=odometry.time_s[:n],
-            speed_mps=odometry.speed_mps[:n],
-            steering_rad=odometry.steering_rad[:n],
-        ),
-        sightings=seen.chosen(np.arange(len(seen.time_s)) < m),
-    )
+    """The beginning of a log's odometry and sightings; scans and truth stay whole."""
+    part = cut_log(log, end_s=seconds)
+    return replace(log, odometry=part.odometry, sightings=part.sightings)
 
 
 class Source(Extension):

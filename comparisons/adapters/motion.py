@@ -60,23 +60,45 @@ def check_regular(log: Log, timeline: Timeline) -> None:
     Over the samples of a curve all have some; where not, the error says how much stabilisation
     noise will do. Relative poses are regular one by one.
     """
-    if isinstance(log.odometry, RelativePoses):
+    odometry = log.odometry
+    if isinstance(odometry, RelativePoses):
         return
-    covariance = composed_motion(log, timeline).covariance
-    bad = np.flatnonzero(_least_eigenvalues(covariance) < LEAST_EIGENVALUE)
+    bad, count = _singular(log, timeline)
     if len(bad):
         begin_s, end_s = timeline.epoch_time_s[bad[0] : bad[0] + 2]
+        found, noise = _enough(log, odometry, timeline, bad), odometry.noise
+        p, h = found.variance_rate_position, found.variance_rate_heading
+        said = [f"variance_rate_position = {p:.0e} (m^2/s)"] * (p > noise.variance_rate_position)
+        said += [f"variance_rate_heading = {h:.0e} (rad^2/s)"] * (h > noise.variance_rate_heading)
         raise InputError(
             f"{log.name}: odometry noise: the covariance of the motion from {begin_s:.4f} to "
-            f"{end_s:.4f} s is singular, one of {len(bad)} among {len(covariance)}, for speed "
+            f"{end_s:.4f} s is singular, one of {len(bad)} among {count}, for speed "
             "and turn leave a direction without noise; expected stabilisation noise, such as "
-            + _enough(log, log.odometry, timeline, bad)
+            + " and ".join(said)
         )
+
+
+def with_regular_motion(log: Log) -> Log:
+    """The log with as much stabilisation noise as check_regular asks for, at least its own."""
+    odometry = log.odometry
+    if isinstance(odometry, RelativePoses):
+        return log
+    timeline = build_timeline(log, log.positions)
+    bad, _ = _singular(log, timeline)
+    if not len(bad):
+        return log
+    return replace(log, odometry=replace(odometry, noise=_enough(log, odometry, timeline, bad)))
+
+
+def _singular(log: Log, timeline: Timeline) -> tuple[Index, int]:
+    """Numbers of the motions whose covariance is singular, among how many."""
+    covariance = composed_motion(log, timeline).covariance
+    return np.flatnonzero(_least_eigenvalues(covariance) < LEAST_EIGENVALUE), len(covariance)
 
 
 def _enough(
     log: Log, odometry: SteeringOdometry | VelocityOdometry, timeline: Timeline, rows: Index
-) -> str:
+) -> OdometryNoise:
     """The least rates of stabilisation noise, powers of ten, that make increments (n,) regular."""
     noise = odometry.noise
 
@@ -96,9 +118,7 @@ def _enough(
             h = max(by_heading, noise.variance_rate_heading)
             total = controls + p * per_position + h * per_heading
             if (_least_eigenvalues(total) >= LEAST_EIGENVALUE).all():
-                said = [f"variance_rate_position = {p:.0e} (m^2/s)"] * (by_position > 0.0)
-                said += [f"variance_rate_heading = {h:.0e} (rad^2/s)"] * (by_heading > 0.0)
-                return " and ".join(said)
+                return replace(noise, variance_rate_position=p, variance_rate_heading=h)
     raise ValueError("no stabilisation noise makes the increments regular")
 
 

@@ -27,6 +27,7 @@ COMMANDS = {
     "config": "config:config",
     "logs": "logs:logs",
     "convert": "logs:convert",
+    "new-log": "new_log:new_log",
     "export": "export:export",
     "montecarlo": "montecarlo:montecarlo",
     "reproduce": "reproduce:reproduce",

@@ -58,20 +58,31 @@ def from_flags(
                 )
             )
 
-        parameters = [_LOG, *(_of_flag(flag) for flag in table)]
+        parameters = [_LOG, *(of_flag(flag) for flag in table)]
         parameters += [
             _parameter(name, annotation, *default) for name, (annotation, *default) in extra.items()
         ]
         parameters += _COMMON
-        command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-        command.__annotations__ = {one.name: one.annotation for one in parameters}
+        set_parameters(command, *parameters)
         command.__doc__, command.__name__ = job.__doc__, job.__name__
         return command
 
     return decorate
 
 
-def _of_flag(flag: Flag) -> inspect.Parameter:
+def set_parameters(command: Callable[..., None], *parameters: inspect.Parameter) -> None:
+    """Have typer read these parameters of a command."""
+    command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    command.__annotations__ = {one.name: one.annotation for one in parameters}
+
+
+def argument(name: str, kind: type, metavar: str, text: str) -> inspect.Parameter:
+    """Return a required argument as typer reads it."""
+    return _parameter(name, Annotated[kind, typer.Argument(metavar=metavar, help=text)])
+
+
+def of_flag(flag: Flag) -> inspect.Parameter:
+    """Return an option as typer reads it."""
     kind: Any = _words(flag) if flag.words else flag.kind
     option = typer.Option(
         flag.option,

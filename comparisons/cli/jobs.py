@@ -77,7 +77,17 @@ def _file_and_source(given: Given) -> tuple[Path | None, str | None]:
     """The configuration's file and the log's name, either of which the argument may be."""
     file, source = given.config, given.log
     if source is not None and Path(source).suffix == ".toml" and Path(source).is_file():
+        if _is_log(Path(source)):
+            return file, source
         if file is not None:
             raise InputError(f"{source}: a second configuration; give one of it and --config")
         return Path(source), None
     return file, source
+
+
+def _is_log(path: Path) -> bool:
+    """Whether a TOML file is a log folder's `log.toml`, by its name and content."""
+    from comparisons.logs.log_meta import MARK
+    from comparisons.logs.table import read_toml
+
+    return path.name == MARK and "job" not in (found := read_toml(path)) and "odometry" in found

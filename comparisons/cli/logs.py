@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Any
 
 import typer
 
+from comparisons.cli.flags import argument, of_flag, set_parameters
 from comparisons.cli.support import guarded
+from comparisons.options import LOG
 
 
 def logs() -> None:
@@ -23,35 +25,33 @@ def logs() -> None:
         typer.echo(f"  {name:16} {reader.what}")
 
 
-def convert(
-    log: Annotated[
-        str, typer.Argument(metavar="LOG", help="A bundled name (see `slamcheck logs`) or a path.")
-    ],
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="The log folder to write.")],
-    format_name: Annotated[
-        str | None,
-        typer.Option("--format", metavar="F", help="The log's format; recognised if left out."),
-    ] = None,
-    robot: Annotated[int, typer.Option(help="Robot number, for MR.CLAM folders.")] = 1,
-    seed: Annotated[int, typer.Option(help="Seed of a simulated log.")] = 0,
-    loops: Annotated[int, typer.Option(help="Loops of a simulated log.")] = 1,
-    noise_scale: Annotated[
-        float, typer.Option(help="Factor on the noise of a simulated log.")
-    ] = 1.0,
-) -> None:
+def convert(log: str, folder: Path, **given: Any) -> None:
     """Write any readable log as a log folder.
 
     \b
-    Example:
+    Examples:
       slamcheck convert path/to/acfr_car_park car-park
+      slamcheck convert drive.mcap drive --topic /markers --start 60 --end 180
     """
     with guarded():
         from comparisons.atomic import check_replaceable
-        from comparisons.logs.bundled import SimulationChoices, open_log
+        from comparisons.config import LogSection
         from comparisons.logs.log_folder import write_log_folder
+        from comparisons.pipeline.read import load_log
 
         check_replaceable(folder)
-        source = open_log(log, format_name, robot, SimulationChoices(seed, loops, noise_scale))
+        asked = {flag.field.removeprefix("log."): given[flag.name] for flag in _FLAGS}
+        chosen = {name: value for name, value in asked.items() if value not in (None, [])}
+        source = load_log(LogSection.of(source=log, **chosen))
         write_log_folder(source, folder)
         records = ", ".join(f"{n:,} {name}" for name, n in source.records.items())
         typer.echo(f"{folder}: {records}")
+
+
+_FLAGS = [flag for flag in LOG if flag.field.startswith("log.")]
+set_parameters(
+    convert,
+    argument("log", str, "LOG", "A bundled name (see `slamcheck logs`) or a path."),
+    argument("folder", Path, "FOLDER", "The log folder to write."),
+    *map(of_flag, _FLAGS),
+)

@@ -150,8 +150,14 @@ def open_log(
     format_name: str | None = None,
     robot: int = 1,
     choices: SimulationChoices | None = None,
+    topics: tuple[str, ...] = (),
 ) -> Log:
-    """A log by bundled name, unless a path of that name exists, or by path. Raises InputError."""
+    """A log by bundled name, unless a path of that name exists, or by path.
+
+    topics: of a ROS bag, which to read. Raises InputError.
+    """
     if format_name is None and name in NAMED and not Path(name).exists():
+        if topics:
+            raise InputError(f"--topic {topics[0]}: {name} is no ROS bag")
         return NAMED[name].open(choices or SimulationChoices())
-    return read_log(Path(name), format_name, robot)
+    return read_log(Path(name), format_name, robot, topics)

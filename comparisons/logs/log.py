@@ -7,7 +7,9 @@ RecordError naming stream, row, value and expectation.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +31,8 @@ from comparisons.logs.validation import (
 )
 
 Ids = NDArray[np.int64]
+Columns = Mapping[str, Any]
+"""Arrays (N,) by name; a single number holds for all rows."""
 
 NO_LANDMARK = -1
 """Landmark id of a sighting whose landmark the sensor did not name."""
@@ -288,6 +292,51 @@ class Log:
                     row,
                     f"landmark {self.known_sightings.landmark[row]} is not among the known ones",
                 )
+
+    @classmethod
+    def from_arrays(
+        cls,
+        odometry: Columns,
+        sightings: Columns,
+        *,
+        positions: Columns | None = None,
+        truth: Columns | None = None,
+        truth_landmarks: Columns | None = None,
+        prior: Prior | None = None,
+        name: str = "arrays",
+    ) -> Log:
+        """Return a log of a user's own arrays.
+
+        Args:
+            odometry: Arrays (N,) by name: `time_s` and either `speed_mps`, `yaw_rate_radps` or
+                `speed_mps`, `steering_rad` (each with `sigma_speed_mps`, `sigma_turn`; steering
+                with `wheelbase_m`), or `x_m`, `y_m`, `heading_rad` of dead reckoned poses, or
+                `dx_m`, `dy_m`, `dheading_rad` of motions (both optionally with `sigma_move_m` and
+                `sigma_turn` of each; motions with `cov_00` to `cov_22`). A single number holds for
+                all rows.
+            sightings: `time_s`, `range_m`, `bearing_rad`, `sigma_range_m`, `sigma_bearing_rad`;
+                optionally `landmark` (whole numbers or text; -1 or empty for unknown), `diameter_m`
+                and `intensity`.
+            positions: `time_s`, `x_m`, `y_m` and `sigma_m` or `var_x_m2`, `cov_xy_m2`, `var_y_m2`.
+            truth: `time_s`, `x_m`, `y_m`, `heading_rad`.
+            truth_landmarks: `id`, `x_m`, `y_m`.
+            prior: Where the vehicle starts; by default where the truth is then, else the origin.
+            name: The log's.
+
+        Raises:
+            InputError: names stream, row, value and expectation.
+        """
+        from comparisons.logs.from_arrays import log_from_arrays
+
+        return log_from_arrays(
+            odometry,
+            sightings,
+            positions=positions,
+            truth=truth,
+            truth_landmarks=truth_landmarks,
+            prior=prior,
+            name=name,
+        )
 
     def _check_closures(self) -> None:
         """They are between poses of the odometry, and there where it lacks motions."""

@@ -5,7 +5,7 @@ Numbers are written so that they read back to the same bits.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -48,6 +48,7 @@ from comparisons.logs.scans import Clouds, Mount, Scans
 from comparisons.logs.table import Table
 from comparisons.logs.validation import whole_numbers
 
+SEE = "see docs/formats.md"
 _SIGHTINGS = (
     "time_s",
     "range_m",
@@ -75,13 +76,20 @@ _CLOSURES = ("from_s", "to_s", *_RELATIVE[1:])
 
 
 def recognises(path: Path) -> bool:
-    """Whether a path is a log folder."""
-    return (path / MARK).is_file()
+    """Whether a path is a log folder, or its `log.toml`."""
+    return (_folder(path) / MARK).is_file()
 
 
 def read(path: Path) -> Log:
-    """See read_log_folder."""
-    return read_log_folder(path)
+    """Read the folder; faults of its content name the page on the format. Raises InputError."""
+    try:
+        return read_log_folder(_folder(path))
+    except InputError as error:
+        raise InputError(f"{error} ({SEE})") from None
+
+
+def _folder(path: Path) -> Path:
+    return path.parent if path.name == MARK and path.is_file() else path
 
 
 def read_log_folder(folder: Path) -> Log:
@@ -117,9 +125,10 @@ def read_log_folder(folder: Path) -> Log:
         raise InputError(f"{folder}: {error}") from None
 
 
-def write_log_folder(log: Log, folder: Path) -> None:
+def write_log_folder(log: Log, folder: Path, remarks: Mapping[str, str] | None = None) -> None:
     """Write a log into a new or empty folder, which appears whole or not at all.
 
+    remarks: comments in `log.toml`, by key.
     Raises InputError where something is there already: a log may be the only copy of its data.
     """
     with fresh_folder(folder) as work:
@@ -164,7 +173,7 @@ def write_log_folder(log: Log, folder: Path) -> None:
             )
         if log.clouds is not None:
             np.savez_compressed(work / "clouds.npz", **vars(log.clouds))
-        (work / MARK).write_text(meta_text(log), encoding="utf-8")
+        (work / MARK).write_text(meta_text(log, remarks), encoding="utf-8")
 
 
 def _read_odometry(path: Path, meta: LogModel) -> Odometry:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from comparisons.errors import InputError
+from comparisons.errors import InputError, printable
 from comparisons.logs.log import Log
 from comparisons.logs.odometry import Ackermann, OdometryNoise, RelativePoses, SteeringOdometry
 from comparisons.logs.scans import Mount
@@ -117,8 +118,11 @@ def first_fault(error: ValidationError) -> str:
     return f"{shorten(key, 100)}: {shorten(first['msg'].lower(), 200)}"
 
 
-def meta_text(log: Log) -> str:
-    """The TOML; its strings and numbers are spelt as JSON, which TOML shares."""
+def meta_text(log: Log, remarks: Mapping[str, str] | None = None) -> str:
+    """The TOML; its strings and numbers are spelt as JSON, which TOML shares.
+
+    remarks: comments behind the lines of some keys.
+    """
     prior, odometry = log.prior, log.odometry
     lines = [
         "version = 1",
@@ -153,6 +157,11 @@ def meta_text(log: Log) -> str:
         lines += ["", "[scans]"]
         lines += [f"{name} = {float(value)!r}" for name, value in settings.items()]
     lines += ["", "[provenance]"]
+    for key, words in (remarks or {}).items():
+        lines = [
+            f"{line}  # {printable(words)}" if line.startswith(f"{key} = ") else line
+            for line in lines
+        ]
     lines += [f"{_text(k)} = {_text(v)}" for k, v in log.provenance.items()]
     return "\n".join(lines) + "\n"
 

@@ -17,7 +17,12 @@ C = TypeVar("C", bound=JobConfig)
 def load_log(section: LogSection) -> Log:
     """Return the log that a configuration names, with the features asked for. Raises InputError."""
     choices = SimulationChoices(section.seed, section.loops, section.noise_scale)
-    log = open_log(section.source, section.format, section.robot, choices)
+    topics = tuple(section.topics or ())
+    log = open_log(section.source, section.format, section.robot, choices, topics)
+    if section.start_s is not None or section.end_s is not None:
+        from comparisons.logs.transforms.time_window import cut_log
+
+        log = cut_log(log, section.start_s, section.end_s)
     if section.features == "trees":
         from comparisons.logs.transforms.tree_features import with_tree_features
 

@@ -13,21 +13,29 @@ from comparisons.logs.log import Log
 class Reader(NamedTuple):
     """A format: the module that knows and reads it, and what it is.
 
-    The module is imported when it is asked. robots: the format holds several.
+    The module is imported when it is asked. robots: the format holds several. topics: the format
+    names its streams, so that a user may choose.
     """
 
     module: str
     what: str
     robots: bool = False
+    topics: bool = False
 
     def recognises(self, path: Path) -> bool:
         """Whether a path looks like this format."""
         return bool(import_module(self.module).recognises(path))
 
-    def read(self, path: Path, robot: int = 1) -> Log:
-        """Read a path. robot: number of the robot, where there are several. Raises InputError."""
+    def read(self, path: Path, robot: int = 1, topics: tuple[str, ...] = ()) -> Log:
+        """Read a path. Raises InputError.
+
+        robot: number of the robot, where there are several. topics: to read, where they have names.
+        """
+        if topics and not self.topics:
+            raise InputError(f"{path}: is no ROS bag, so --topic {topics[0]} names nothing in it")
         read = import_module(self.module).read
-        found: Log = read(path, robot) if self.robots else read(path)
+        more = (robot,) * self.robots + (topics,) * self.topics
+        found: Log = read(path, *more)
         return found
 
 
@@ -56,7 +64,8 @@ READERS: dict[str, Reader] = {
     "carmen": Reader(f"{_HERE}.carmen", "CARMEN text: FLASER or ROBOTLASER1 lines with raw scans"),
     "rosbag": Reader(
         f"{_HERE}.rosbag",
-        "ROS bags with LaserScan or PointCloud2: .mcap, .bag, rosbag2 folders (extra ros)",
+        "ROS bags of scans, clouds or detections: .mcap, .bag, rosbag2 folders (extra ros)",
+        topics=True,
     ),
     "rawlog": Reader(
         f"{_HERE}.rawlog", "MRPT .rawlog: range-bearing sightings, planar scans, 2D odometry"
@@ -64,7 +73,9 @@ READERS: dict[str, Reader] = {
 }
 
 
-def read_log(path: Path, format_name: str | None = None, robot: int = 1) -> Log:
+def read_log(
+    path: Path, format_name: str | None = None, robot: int = 1, topics: tuple[str, ...] = ()
+) -> Log:
     """Read a log of any known format, recognised unless it is named. Raises InputError."""
     try:
         found = path.exists()
@@ -86,7 +97,7 @@ def read_log(path: Path, format_name: str | None = None, robot: int = 1) -> Log:
     if format_name not in READERS:
         raise InputError(f"format '{format_name}' is unknown, expected {', '.join(READERS)}")
     try:
-        return READERS[format_name].read(path, robot)
+        return READERS[format_name].read(path, robot, topics)
     except InputError as error:
         if str(path) in str(error):
             raise

@@ -1,13 +1,15 @@
 """Opening ROS bags with the `rosbags` package, an optional extra; faults name topic and message.
 
-Messages are decoded by the package's own definitions of the standard types, never by those that a
-bag brings along, which the package would turn into code.
+Messages are decoded by the package's own definitions of the standard types. Those that a bag brings
+along the package turns into code; they are taken for `vision_msgs` alone, which it does not have,
+and there only plain fields with plain names.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
@@ -20,6 +22,18 @@ from comparisons.logs.table import shorten
 _MAGICS = {b"\x89MCAP0\r\n": "ros2", b"#ROSBAG V": "ros1", b"SQLite format 3\0": "ros2"}
 _METADATA = "metadata.yaml"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
+LASER, CLOUD, ODOMETRY, FIX, MARKERS, BOXES, IMAGE_BOXES = READ = (
+    "sensor_msgs/msg/LaserScan",
+    "sensor_msgs/msg/PointCloud2",
+    "nav_msgs/msg/Odometry",
+    "sensor_msgs/msg/NavSatFix",
+    "visualization_msgs/msg/MarkerArray",
+    "vision_msgs/msg/Detection3DArray",
+    "vision_msgs/msg/Detection2DArray",
+)
+"""The types that are read."""
+_BROUGHT = "vision_msgs/msg/"
+_PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*")
 _TRANSFORMS = "geometry_msgs/TransformStamped[] transforms\n"
 
 
@@ -36,14 +50,45 @@ class Topic:
 class Bag:
     """An open bag."""
 
-    def __init__(self, path: Path, reader: Any, decode: Any) -> None:
-        """reader: one of the package's, open. decode: from bytes and a type's name to a message."""
+    def __init__(
+        self, path: Path, reader: Any, decode: Any, types: Any, chosen: tuple[str, ...] = ()
+    ) -> None:
+        """reader: one of the package's, open. decode: from bytes and a type's name to a message.
+
+        types: those that can be decoded. chosen: names of topics that a user asked for. Raises
+        InputError where the bag has none of such a name.
+        """
         self.path, self._reader, self._decode = path, reader, decode
+        self._types, self._chosen = types, chosen
+        if not chosen:
+            return
+        known = {str(c.topic): str(c.msgtype) for c in reader.connections}
+        for name in chosen:
+            if name not in known:
+                told = ", ".join(f"{one} ({kind})" for one, kind in sorted(known.items()))
+                raise InputError(
+                    f"{path}: no topic {shorten(name)}, expected some of {shorten(told, 2000)}"
+                )
+        for name in chosen:
+            same = [one for one in chosen if known[one] == known[name]]
+            if len(same) > 1 or known[name] not in READ:
+                what = "is of the same type" if len(same) > 1 else f"is of type {known[name]}"
+                wanted = "one of each" if len(same) > 1 else f"one of {', '.join(READ)}"
+                raise InputError(f"{path}: topic {same[-1]} {what}, expected {wanted}")
+
+    def knows(self, kind: str) -> bool:
+        """Whether messages of a type can be decoded."""
+        return kind in self._types
+
+    def is_chosen(self, topic: Topic) -> bool:
+        """Whether a user asked for this topic by its name."""
+        return topic.name in self._chosen
 
     def topics(self, kind: str) -> list[Topic]:
-        """Topics of a type such as `sensor_msgs/msg/LaserScan`, the one with most messages first.
+        """Topics of a type such as `sensor_msgs/msg/LaserScan`, the one to read first.
 
-        Topics without messages are left out; equal ones stand by name.
+        That is the one chosen, else the one with most messages. Topics without messages are left
+        out; equal ones stand by name.
         """
         found: dict[str, list[Any]] = {}
         try:
@@ -56,7 +101,8 @@ class Bag:
             ]
         except Exception as error:  # what the bag's metadata hold may be of any type
             raise InputError(f"{self.path}: topics cannot be listed ({_cause(error)})") from None
-        return sorted((t for t in topics if t.count), key=lambda t: (-t.count, t.name))
+        kept = (t for t in topics if t.count)
+        return sorted(kept, key=lambda t: (not self.is_chosen(t), -t.count, t.name))
 
     def messages(self, topic: Topic) -> Iterator[tuple[str, int, Any]]:
         """Each message of a topic: where it is, for errors; when it was recorded [ns]; itself.
@@ -94,8 +140,11 @@ def recognise_bag(path: Path) -> str | None:
 
 
 @contextmanager
-def open_bag(path: Path) -> Iterator[Bag]:
-    """Open a bag. Raises InputError for what is no bag, and where the extra is not installed."""
+def open_bag(path: Path, topics: tuple[str, ...] = ()) -> Iterator[Bag]:
+    """Open a bag. Raises InputError for what is no bag, and where the extra is not installed.
+
+    topics: names of those that a user asked for.
+    """
     try:
         from rosbags.rosbag1 import Reader as Reader1
         from rosbags.rosbag2 import Reader as Reader2
@@ -116,14 +165,44 @@ def open_bag(path: Path) -> Iterator[Bag]:
             store.register(get_types_from_msg(_TRANSFORMS, TRANSFORMS))  # missing in that one
             reader, decode = Reader1(path), store.deserialize_ros1
         else:
-            reader, decode = Reader2(path), get_typestore(Stores.ROS2_HUMBLE).deserialize_cdr
+            store = get_typestore(Stores.ROS2_HUMBLE)
+            reader, decode = Reader2(path), store.deserialize_cdr
         reader.open()
+        _register(store, reader)
     except Exception as error:  # the package and what it builds on fail in many ways
         raise InputError(f"{path}: not a readable ROS bag ({_cause(error)})") from None
     try:
-        yield Bag(path, reader, decode)
+        yield Bag(path, reader, decode, store.types, topics)
     finally:
         reader.close()
+
+
+def _register(store: Any, reader: Any) -> None:
+    """Add the definitions of `vision_msgs` that a bag brings along, as far as they are any."""
+    for connection in reader.connections:
+        if str(connection.msgtype).startswith(_BROUGHT) and connection.msgdef.data:
+            with suppress(Exception):  # the bag may hold what can be read all the same
+                store.register(_definitions(store, connection))
+
+
+def _definitions(store: Any, connection: Any) -> dict[str, Any]:
+    """A connection's own types without their constants. Raises ValueError for names that are none.
+
+    The package turns names into code.
+    """
+    from rosbags.typesys import get_types_from_msg
+
+    found = get_types_from_msg(connection.msgdef.data, connection.msgtype)
+    brought: dict[str, Any] = {
+        name: ([], fields)
+        for name, (_, fields) in found.items()
+        if name.startswith(_BROUGHT) and name not in store.fielddefs
+    }
+    for name, (_, fields) in brought.items():
+        for word in (name, *(field for field, _ in fields)):
+            if not _PLAIN.fullmatch(word):
+                raise ValueError(f"{word} is no name of a message or field")
+    return brought
 
 
 def _cause(error: Exception) -> str:

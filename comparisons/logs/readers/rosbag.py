@@ -1,16 +1,19 @@
 """ROS bags: MCAP files, rosbag2 folders and `.bag` files, through the extra `ros`.
 
-LaserScan messages become scans, PointCloud2 messages clouds, and the poses of Odometry messages one
-displacement per scan. Poses rather than velocities, since every driver fills them in, in a known
-frame. Of several topics of one type the one with the most messages is read. Times are the headers',
-or the recording's where all headers of a topic say zero.
+LaserScan messages become scans, PointCloud2 messages clouds, detections and markers sightings,
+fixes positions, and the poses of Odometry messages one displacement from each of their times to the
+next. Poses rather than velocities, since every driver fills them in, in a known frame. Of several
+topics of one type the one that was asked for is read, else the one with the most messages. Markers
+are read only when asked for, since most are drawings. Times are the headers', or the recording's
+where all headers of a topic say zero.
 
-A scanner's place comes from `/tf_static`, seen from the frame that the odometry moves; where it is
-not told there, the scanner is taken to be at the pose.
+A sensor's place comes from `/tf_static`, seen from the frame that the odometry moves; where it is
+not told there, a scanner is taken to be at the pose, and points are refused.
 """
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -22,29 +25,50 @@ from numpy.typing import NDArray
 
 from comparisons.arrays import Array
 from comparisons.errors import InputError
-from comparisons.logs.log import Log
-from comparisons.logs.readers.ros_bag import TRANSFORMS, Bag, Topic, open_bag, recognise_bag
+from comparisons.logs.from_arrays import LandmarkNumbers
+from comparisons.logs.log import Log, Positions, Prior, Sightings
+from comparisons.logs.odometry import RelativePoses
+from comparisons.logs.readers import ros_points
+from comparisons.logs.readers.gps_start import east_north, lay_path
+from comparisons.logs.readers.ros_bag import (
+    BOXES,
+    CLOUD,
+    FIX,
+    IMAGE_BOXES,
+    LASER,
+    MARKERS,
+    ODOMETRY,
+    TRANSFORMS,
+    Bag,
+    Topic,
+    open_bag,
+    recognise_bag,
+)
 from comparisons.logs.readers.ros_messages import (
     Sweep,
     cloud,
     frame,
-    planar_pose,
     rigid_motion,
     stamp_ns,
     sweep,
 )
-from comparisons.logs.readers.scan_odometry import poses_at, scan_log
+from comparisons.logs.readers.scan_odometry import (
+    NOISE_TEXT,
+    PRIOR_SIGMA,
+    displacements,
+    instants_of,
+    no_sightings,
+    poses_at,
+)
 from comparisons.logs.scans import Clouds, Mount, Scans
 
-_LASER, _CLOUD, _ODOMETRY = (
-    "sensor_msgs/msg/LaserScan",
-    "sensor_msgs/msg/PointCloud2",
-    "nav_msgs/msg/Odometry",
-)
 _BASES = ("base_link", "base_footprint")
 _MOST_POINTS = 50_000_000
 _ANGLE_TOLERANCE_RAD = 1e-3
 _LEVEL = np.cos(np.deg2rad(5.0))
+_LEAST_SIGMA = 1e-3
+_ALIGNED_RAD = float(np.deg2rad(1.0))
+"""Fixes are laid onto as much of the odometry as shows the start's heading so well."""
 
 Times = NDArray[np.int64]
 _T = TypeVar("_T")
@@ -71,60 +95,266 @@ def recognises(path: Path) -> bool:
     return recognise_bag(path) is not None
 
 
-def read(path: Path) -> Log:
-    """Read a bag; times count from the first scan, poses from the vehicle's there.
+def read(path: Path, topics: tuple[str, ...] = ()) -> Log:
+    """Read a bag; times count from the first record, poses from the vehicle's there.
 
-    Scans before and after the odometry are left out. Raises InputError naming topic, message, value
-    and expectation, and where the package `rosbags` is not installed.
+    topics: names of those that a user asked for. Records before and after the odometry are left
+    out. Raises InputError naming topic, message, value and expectation, and where the package
+    `rosbags` is not installed.
     """
-    with open_bag(path) as bag:
+    with open_bag(path, topics) as bag:
         provenance = {"file": path.name}
-        laser = _scan_stream(bag, provenance)
-        points = _cloud_stream(bag, provenance)
-        moved = _stream(bag, _ODOMETRY, planar_pose, lambda m: m.child_frame_id, provenance)
+        read = {
+            "scans": _scan_stream(bag, provenance),
+            "clouds": _cloud_stream(bag, provenance),
+            "sightings": _point_stream(bag, provenance),
+            "positions": _stream(bag, FIX, ros_points.fix, lambda m: m.header.frame_id, provenance),
+        }
+        moved = _stream(bag, ODOMETRY, ros_points.moved, lambda m: m.child_frame_id, provenance)
         transforms = _static_transforms(bag)
-    found = [stream for stream in (laser, points) if stream is not None]
-    if not found:
-        raise InputError(f"{path}: no messages of type {_LASER} or {_CLOUD}, expected some")
-    if moved is not None:
-        first, last = moved.time_ns[[0, -1]].tolist()
-        laser, points = (s and s.within(first, last) for s in (laser, points))
-    kept = [stream for stream in (laser, points) if stream is not None]
-    if not kept:
-        raise InputError(f"{path}: no scan lies within the time of the odometry")
-    instants = np.unique(np.concatenate([stream.time_ns for stream in kept]))
-    start = int(instants[0])
-    time_s = (instants - start) / 1e9
-    pose = None
-    if moved is not None:
-        pose = poses_at(time_s, (moved.time_ns - start) / 1e9, np.array(moved.items))
+    found = {name: stream for name, stream in read.items() if stream is not None}
+    if moved is None:  # nothing says where the vehicle was
+        for name in ("sightings", "positions"):
+            if found.pop(name, None) is not None:
+                provenance[name] = f"left out: no messages of type {ODOMETRY}"
+    if not found.keys() - {"positions"}:
+        raise InputError(
+            f"{path}: no messages of type {LASER} or {CLOUD}, nor, with odometry, of {BOXES}, "
+            f"expected some ({MARKERS} is read when asked for by --topic)"
+        )
+    kept, start, time_s = _instants(path, found, moved, provenance)
     base = _base(moved, transforms)
-    scans = clouds = None
     try:
-        if laser is not None:
-            place = _place(laser, base, transforms, "scans_mount", provenance)
-            scans = _scans(laser, start, place)
-        if points is not None:
-            place = _place(points, base, transforms, "clouds_mount", provenance)
-            clouds = _clouds(points, start, place)
+        where = _Frame(start, base, transforms, provenance)
+        _check_placed(kept, where, topics)
+        return _log(path, kept, where, _Drive(moved, time_s))
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-    outside = sum(len(s.items) for s in found) - sum(len(s.items) for s in kept)
+
+
+def _instants(
+    path: Path, found: dict[str, _Stream], moved: _Stream | None, provenance: dict[str, str]
+) -> tuple[dict[str, _Stream], int, Array]:
+    """The streams within the odometry, the log's start [ns], and all their times after it [s]."""
+    kept = dict(found)
+    if moved is not None:
+        first, last = moved.time_ns[[0, -1]].tolist()
+        cut = {name: stream.within(first, last) for name, stream in found.items()}
+        kept = {name: stream for name, stream in cut.items() if stream is not None}
+    if not kept.keys() - {"positions"}:
+        raise InputError(f"{path}: no scan lies within the time of the odometry")
+    instants = np.unique(np.concatenate([stream.time_ns for stream in kept.values()]))
+    if moved is not None and "sightings" in kept:  # may be rare, while the vehicle drives on
+        start = int(moved.time_ns[0])
+        wanted, sampled = ((ns - start) / 1e9 for ns in (instants, moved.time_ns))
+        told = instants_of(wanted, sampled)
+        both = np.concatenate((instants, moved.time_ns))
+        instants = np.unique(both[np.isin(np.concatenate((wanted, sampled)), told)])
+    start = int(instants[0])
+    outside = sum(len(s.items) for s in found.values()) - sum(len(s.items) for s in kept.values())
     provenance |= {
         "time_origin_s": f"{start // 10**9}.{start % 10**9:09d}",
-        "left_out": f"{outside} scans outside the odometry",
+        "left_out": f"{outside} records outside the odometry",
     }
-    return scan_log(path.stem, "rosbag", time_s, pose, provenance, scans=scans, clouds=clouds)
+    time_s = np.asarray((instants - start) / 1e9, dtype=np.float64)
+    return kept, start, time_s
+
+
+def _check_placed(kept: dict[str, _Stream], where: _Frame, topics: tuple[str, ...]) -> None:
+    """Leave out points that nothing places on the vehicle; refuse those that were asked for."""
+    if (stream := kept.get("sightings")) is None or where.knows(stream):
+        return
+    fault = (
+        f"{stream.topic.name}: frame is {stream.frame or 'empty'}, expected the vehicle's "
+        f"{where.base or 'frame'} or one that /tf_static places on it"
+    )
+    if stream.topic.name in topics or not kept.keys() - {"sightings", "positions"}:
+        raise InputError(fault)
+    del kept["sightings"]
+    where.provenance["sightings"] = f"left out: {fault}"
+
+
+@dataclass(frozen=True)
+class _Frame:
+    """What places a stream: the log's start [ns], the frame it moves, and the bag's frames."""
+
+    start: int
+    base: str
+    transforms: dict[str, tuple[str, Array]]
+    provenance: dict[str, str]
+
+    def seconds(self, stream: _Stream) -> Array:
+        """(N,) after the log's start."""
+        return np.asarray((stream.time_ns - self.start) / 1e9, dtype=np.float64)
+
+    def knows(self, stream: _Stream) -> bool:
+        """Whether it is told where the stream's frame is."""
+        return _motion(stream.frame, self.base, self.transforms) is not None
+
+    def place(self, stream: _Stream, key: str) -> Array:
+        """(4, 4) from the stream's frame into the base's; the identity where that is not told."""
+        motion = _motion(stream.frame, self.base, self.transforms)
+        if motion is None:
+            told = f"unknown ({stream.frame} from {self.base or 'the base'}), taken as the pose"
+            self.provenance[key] = told
+            return np.eye(4)
+        self.provenance[key] = f"{stream.frame} seen from {self.base}"
+        return motion
+
+
+@dataclass(frozen=True)
+class _Drive:
+    """Odometry's messages, if any, and (N,) the instants at which a pose is needed."""
+
+    moved: _Stream | None
+    time_s: Array
+
+    def poses(self, start: int) -> Array:
+        """(N, 3) as the odometry tells them, the origin where there is none."""
+        if self.moved is None:
+            return np.zeros((len(self.time_s), 3))
+        sample_s = (self.moved.time_ns - start) / 1e9
+        return poses_at(self.time_s, sample_s, np.array(self.moved.items)[:, :3])
+
+    def motion(self, start: int) -> tuple[RelativePoses, str]:
+        """From each instant to the next, and where its covariances are from."""
+        if self.moved is None:
+            none = RelativePoses(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3, 3)))
+            return none, "no odometry"
+        stated = displacements(self.time_s, self.poses(start))
+        sample_s = (self.moved.time_ns - start) / 1e9
+        added, words = ros_points.odometry_noise(sample_s, np.array(self.moved.items))
+        if added is None:
+            return stated, f"{NOISE_TEXT}, for {words}"
+        total = np.concatenate((np.zeros((1, 9)), np.cumsum(added.reshape(-1, 9), axis=0)))
+        told = np.column_stack([np.interp(self.time_s, sample_s, one) for one in total.T])
+        covariance = np.diff(told, axis=0).reshape(-1, 3, 3) + _LEAST_SIGMA**2 * np.eye(3)
+        words += f", and {_LEAST_SIGMA:g} m and rad a motion"
+        return RelativePoses(stated.time_s, stated.displacement, covariance), words
+
+
+def _log(path: Path, kept: dict[str, _Stream], where: _Frame, drive: _Drive) -> Log:
+    odometry, noise = drive.motion(where.start)
+    prior = Prior(0.0, np.zeros(3), PRIOR_SIGMA**2 * np.eye(3))
+    scans = clouds = positions = None
+    sightings = no_sightings()
+    if "scans" in kept:
+        place = where.place(kept["scans"], "scans_mount")
+        scans = _scans(kept["scans"], where.start, place)
+    if "clouds" in kept:
+        place = where.place(kept["clouds"], "clouds_mount")
+        clouds = _clouds(kept["clouds"], where.start, place)
+    if "sightings" in kept:
+        sightings = _sightings(kept["sightings"], where)
+    if "positions" in kept:
+        prior, positions = _positions(kept["positions"], where, drive, prior)
+    return Log(
+        name=path.stem,
+        format="rosbag",
+        prior=prior,
+        odometry=odometry,
+        sightings=sightings,
+        positions=positions,
+        scans=scans,
+        clouds=clouds,
+        provenance={**where.provenance, "odometry_noise": noise},
+    )
+
+
+def _sightings(stream: _Stream, where: _Frame) -> Sightings:
+    """Points as ranges and bearings from the pose, with labels as whole numbers."""
+    place = where.place(stream, "sightings_mount")
+    messages: list[ros_points.Points] = stream.items
+    found, sigma = zip(*(ros_points.range_bearing(one, place) for one in messages), strict=True)
+    z, sigmas = np.concatenate(found), np.concatenate(sigma)
+    stated = np.isnan(sigmas[:, 0])
+    sigmas[stated] = (ros_points.SIGMA_RANGE_M, ros_points.SIGMA_BEARING_RAD)
+    if stated.any():
+        where.provenance["sightings_noise"] = (
+            f"stated for {int(stated.sum())} of {len(z)}: {ros_points.SIGMA_RANGE_M:g} m and "
+            f"{ros_points.SIGMA_BEARING_RAD:.4g} rad"
+        )
+    labels, message = ros_points.labels_of(messages)
+    numbers = LandmarkNumbers(labels)
+    if numbers.by_text:
+        where.provenance["labels"] = numbers.text()
+    return Sightings(
+        time_s=where.seconds(stream)[message],
+        range_m=z[:, 0],
+        bearing_rad=z[:, 1],
+        sigma_range_m=sigmas[:, 0],
+        sigma_bearing_rad=sigmas[:, 1],
+        landmark=numbers.of(labels),
+        diameter_m=np.full(len(z), np.nan),
+    )
+
+
+def _positions(
+    stream: _Stream, where: _Frame, drive: _Drive, prior: Prior
+) -> tuple[Prior, Positions | None]:
+    """Fixes in the log's frame, and how well that is known.
+
+    As many of the first as show the start's heading to 1 degree are laid onto the odometry, and
+    spent on that: what they know is in the prior. Those behind them are left.
+    """
+    rows, time_s = np.array(stream.items), where.seconds(stream)
+    altitude = np.where(np.isfinite(rows[:, 2]), rows[:, 2], 0.0)
+    covariance = rows[:, 3:].reshape(-1, 2, 2).copy()
+    stated = np.isnan(covariance[:, 0, 0])
+    covariance[stated] = ros_points.SIGMA_FIX_M**2 * np.eye(2)
+    plane = Positions(time_s, east_north(rows[:, 0], rows[:, 1], altitude), covariance)
+    antenna = where.place(stream, "antenna")[:2, 3]
+    pose = drive.poses(where.start)
+    pose -= (*pose[0, :2], 0.0)
+    turned = np.exp(-1j * pose[0, 2])
+    path = (pose[:, 0] + 1j * pose[:, 1]) * turned
+    path = path + complex(*antenna) * np.exp(1j * pose[:, 2]) * turned
+    spent = bisect_left(range(len(time_s)), True, key=lambda last: _shows(path, drive, plane, last))
+    if spent + 1 >= len(time_s):
+        where.provenance["positions"] = (
+            f"left out: {len(time_s)} fixes along the odometry, expected more than show the "
+            f"heading to {np.degrees(_ALIGNED_RAD):.0f} degree"
+        )
+        return prior, None
+    start = lay_path(drive.time_s, path, plane, float(time_s[spent]))
+    x, y, heading = start.pose
+    moved = (plane.position_m - (x, y)) @ np.array([1.0, 1j]) * np.exp(-1j * heading)
+    c, s = np.cos(heading), np.sin(heading)
+    turn = np.array(((c, s, 0.0), (-s, c, 0.0), (0.0, 0.0, 1.0)))  # east and north to the log's
+    covariance = turn[:2, :2] @ covariance @ turn[:2, :2].T
+    where.provenance["positions"] = (
+        f"WGS 84 about the first fix; {spent + 1} fixes up to {time_s[spent]:g} s laid onto the "
+        f"odometry, their knowledge in the prior; {int(stated.sum())} of {len(rows)} without "
+        f"covariance, stated {ros_points.SIGMA_FIX_M:g} m"
+    )
+    prior = Prior(0.0, prior.pose, prior.covariance + turn @ start.covariance @ turn.T)
+    placed = np.column_stack((moved.real, moved.imag))
+    symmetric = (covariance + covariance.transpose(0, 2, 1)) / 2
+    positions = Positions(time_s, placed, symmetric, (float(antenna[0]), float(antenna[1])))
+    return prior, positions.chosen(np.arange(spent + 1, len(time_s)))
+
+
+def _shows(path: NDArray[np.complex128], drive: _Drive, plane: Positions, last: int) -> bool:
+    """Whether the fixes up to one of them show where the start heads."""
+    try:
+        start = lay_path(drive.time_s, path, plane, float(plane.time_s[last]))
+    except InputError:
+        return False
+    return bool(start.covariance[2, 2] <= _ALIGNED_RAD**2)
 
 
 def _stream(
     bag: Bag,
     kind: str,
-    convert: Callable[[Any, str], _T],
+    convert: Callable[[Any, str], _T | None],
     frame_of: Callable[[Any], str],
     provenance: dict[str, str],
+    time_of: Callable[[Any], int] = stamp_ns,
 ) -> _Stream | None:
-    """The messages of the topic that has the most, repeated times left out."""
+    """The messages of the topic to read, repeated times left out.
+
+    convert: None for a message that holds nothing.
+    """
     topics = bag.topics(kind)
     if not topics:
         return None
@@ -132,15 +362,21 @@ def _stream(
     others = ", ".join(f"{t.name} ({t.count})" for t in topics[1:10])
     told = f"{topic.name}, {topic.count} messages" + (f"; not read: {others}" if others else "")
     items, stamps, recorded, frames = [], [], [], []
+    empty = 0
     for place, recorded_ns, message in bag.messages(topic):
-        items.append(convert(message, place))
-        stamps.append(stamp_ns(message))
+        if (item := convert(message, place)) is None:
+            empty += 1
+            continue
+        items.append(item)
+        stamps.append(time_of(message))
         recorded.append(recorded_ns)
         frames.append(frame(frame_of(message)))
         if frames[-1] != frames[0]:
             raise InputError(
                 f"{place}: frame is {frames[-1]}, expected {frames[0]} as in the first"
             )
+    told += f"; {empty} that hold nothing" if empty else ""
+    provenance[kind.rsplit("/", 1)[1]] = told
     if not items:
         return None
     if not any(stamps):
@@ -183,9 +419,40 @@ def _scan_stream(bag: Bag, provenance: dict[str, str]) -> _Stream | None:
                 f"{place}: {len(angle)} beams from {angle[0]:.4g} to {angle[-1]:.4g} rad, expected "
                 f"{len(expected)} from {expected[0]:.4g} to {expected[-1]:.4g} as in the first"
             )
-        return found
+        return replace(found, angle_rad=expected)  # one array for all of them: bags are long
 
-    return _stream(bag, _LASER, convert, lambda m: m.header.frame_id, provenance)
+    return _stream(bag, LASER, convert, lambda m: m.header.frame_id, provenance)
+
+
+def _point_stream(bag: Bag, provenance: dict[str, str]) -> _Stream | None:
+    """Detections, or markers that were asked for; what was asked for comes first."""
+    chosen = [
+        kind
+        for kind in (MARKERS, BOXES, IMAGE_BOXES)
+        if (topics := bag.topics(kind)) and bag.is_chosen(topics[0])
+    ]
+    for kind in (*chosen, BOXES):
+        if bag.topics(kind) and not bag.knows(kind):
+            fault = f"{bag.topics(kind)[0].name}: the bag holds no usable definition of {kind}"
+            if kind in chosen:
+                raise InputError(f"{bag.path}: {fault}, expected one, as .mcap files have it")
+            provenance["sightings"] = f"left out: {fault}"
+            return None
+        found = _stream(
+            bag,
+            kind,
+            ros_points.markers if kind == MARKERS else ros_points.detections,
+            ros_points.points_frame,
+            provenance,
+            ros_points.points_stamp_ns,
+        )
+        if found is not None:
+            return found
+        if kind in chosen:
+            raise InputError(
+                f"{bag.path}: {bag.topics(kind)[0].name}: no message holds a point with a position"
+            )
+    return None
 
 
 def _cloud_stream(bag: Bag, provenance: dict[str, str]) -> _Stream | None:
@@ -202,7 +469,7 @@ def _cloud_stream(bag: Bag, provenance: dict[str, str]) -> _Stream | None:
             )
         return found
 
-    return _stream(bag, _CLOUD, convert, lambda m: m.header.frame_id, provenance)
+    return _stream(bag, CLOUD, convert, lambda m: m.header.frame_id, provenance)
 
 
 def _scans(stream: _Stream, start: int, place: Array) -> Scans:
@@ -259,20 +526,12 @@ def _base(moved: _Stream | None, transforms: dict[str, tuple[str, Array]]) -> st
     return next((name for name in _BASES if name in known), "")
 
 
-def _place(
-    stream: _Stream,
-    base: str,
-    transforms: dict[str, tuple[str, Array]],
-    key: str,
-    provenance: dict[str, str],
-) -> Array:
-    """(4, 4) from the scanner's frame into the base's; the identity where that is not told."""
-    up, down = _upward(stream.frame, transforms), _upward(base, transforms)
+def _motion(name: str, base: str, transforms: dict[str, tuple[str, Array]]) -> Array | None:
+    """(4, 4) from a frame into the base's; None where that is not told."""
+    up, down = _upward(name, transforms), _upward(base, transforms)
     common = next((name for name in up if name in down), None)
     if common is None:
-        provenance[key] = f"unknown ({stream.frame} from {base or 'the base'}), taken as the pose"
-        return np.eye(4)
-    provenance[key] = f"{stream.frame} seen from {base}"
+        return None
     return np.asarray(np.linalg.solve(down[common], up[common]), dtype=np.float64)
 
 

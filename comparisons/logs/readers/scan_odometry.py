@@ -22,6 +22,7 @@ SIGMA_RAD_PER_SQRT_RAD = 0.1
 """Of the heading: 10 % after one radian."""
 _LEAST_SIGMA = np.array([1e-3, 1e-3, 1e-3])
 PRIOR_SIGMA = 1e-6
+_LONGEST_S = 0.5
 
 NOISE_TEXT = (
     f"stated: {SIGMA_M_PER_SQRT_M:g} m per root metre and {SIGMA_M_PER_SQRT_RAD:g} m per root "
@@ -53,6 +54,17 @@ def poses_at(time_s: Array, sample_s: Array, pose: Array) -> Array:
     """
     whole = np.column_stack((pose[:, :2], np.unwrap(pose[:, 2])))
     return np.column_stack([np.interp(time_s, sample_s, column) for column in whole.T])
+
+
+def instants_of(wanted_s: Array, sample_s: Array) -> Array:
+    """(N,) instants wanted, both ends of the samples, and one of them in each empty half second.
+
+    wanted_s: (M,) within the samples' time. Without the latter a trajectory would cut its corners.
+    """
+    cell = np.floor(sample_s / _LONGEST_S)
+    first = np.unique(cell, return_index=True)[1]
+    empty = ~np.isin(cell[first], np.floor(wanted_s / _LONGEST_S))
+    return np.unique(np.concatenate((wanted_s, sample_s[[0, -1]], sample_s[first[empty]])))
 
 
 def no_sightings() -> Sightings:

@@ -18,6 +18,35 @@ SECOND = 10**9
 EPOCH = 1_700_000_000.0
 
 
+VISION2 = [
+    ("string class_id\nfloat64 score\n", "ObjectHypothesis"),
+    (
+        "ObjectHypothesis hypothesis\ngeometry_msgs/PoseWithCovariance pose\n",
+        "ObjectHypothesisWithPose",
+    ),
+    ("geometry_msgs/Pose center\ngeometry_msgs/Vector3 size\n", "BoundingBox3D"),
+    (
+        "std_msgs/Header header\nObjectHypothesisWithPose[] results\nBoundingBox3D bbox\n"
+        "string id\n",
+        "Detection3D",
+    ),
+    ("std_msgs/Header header\nDetection3D[] detections\n", "Detection3DArray"),
+]
+VISION1 = [
+    (
+        "int64 id\nfloat64 score\ngeometry_msgs/PoseWithCovariance pose\n",
+        "ObjectHypothesisWithPose",
+    ),
+    VISION2[2],
+    (
+        "std_msgs/Header header\nObjectHypothesisWithPose[] results\nBoundingBox3D bbox\n",
+        "Detection3D",
+    ),
+    VISION2[4],
+]
+"""Definitions of vision_msgs, which the package does not have."""
+
+
 class Types:
     """Messages of one ROS version, and bags of them."""
 
@@ -64,14 +93,20 @@ class Types:
         turn = changes.pop("quaternion", None) or self.quaternion(yaw)
         pose = self.make(name + "Pose", point, turn)
         zero = self.make(name + "Vector3", 0.0, 0.0, 0.0)
+        spread = [np.zeros(36), np.zeros(36)]
+        for values, key in zip(spread, ("pose_covariance", "twist_variances"), strict=True):
+            told = np.asarray(changes.pop(key, np.zeros(3)), dtype=float)
+            six = np.zeros((6, 6))
+            six[np.ix_((0, 1, 5), (0, 1, 5))] = told if told.ndim == 2 else np.diag(told)
+            values[:] = six.ravel()
         kind = "nav_msgs/msg/Odometry"
         message = self.make(
             kind,
             self.header(time, "odom"),
             "base",
-            self.make(name + "PoseWithCovariance", pose, np.zeros(36)),
+            self.make(name + "PoseWithCovariance", pose, spread[0]),
             self.make(name + "TwistWithCovariance", self.make(name + "Twist", zero, zero),
-                      np.zeros(36)),
+                      spread[1]),
         )  # fmt: skip
         return "/odom", kind, time, message
 
@@ -93,6 +128,89 @@ class Types:
         ]
         kind = "tf2_msgs/msg/TFMessage"
         return "/tf_static", kind, 0.0, self.make(kind, stamped)
+
+    def fix(
+        self, time: float, latitude: float, longitude: float, status: int = 0, **changes: Any
+    ) -> Message:
+        kind = "sensor_msgs/msg/NavSatFix"
+        message = self.make(
+            kind,
+            self.header(time, "gps"),
+            self.make("sensor_msgs/msg/NavSatStatus", status, 1),
+            latitude,
+            longitude,
+            changes.get("altitude", 50.0),
+            np.diag(changes.get("variances", (0.04, 0.04, 0.1))).ravel(),
+            changes.get("kind", 2),
+        )
+        return "/fix", kind, time, message
+
+    def pose(self, x: float, y: float, z: float = 0.0) -> Any:
+        name = "geometry_msgs/msg/"
+        return self.make(name + "Pose", self.make(name + "Point", x, y, z), self.quaternion(0.0))
+
+    def markers(self, time: float, *points: tuple[int, float, float], **changes: Any) -> Message:
+        """Number, x and y of each sphere."""
+        kind = "visualization_msgs/msg/Marker"
+        empty = {field: self._empty(of) for field, of in self.store.fielddefs[kind][1]}
+        found = [
+            self.make(
+                kind,
+                **{
+                    **empty,
+                    "header": self.header(time, changes.get("frame", "base")),
+                    "ns": changes.get("ns", ""),
+                    "id": number,
+                    "type": changes.get("type", 2),
+                    "action": changes.get("action", 0),
+                    "pose": self.pose(x, y),
+                },
+            )
+            for number, x, y in points
+        ]
+        return "/markers", kind + "Array", time, self.make(kind + "Array", found)
+
+    def _empty(self, of: Any) -> Any:
+        """A value of a field that a test does not look at."""
+        kind, (inner, *_) = int(of[0]), of[1] if isinstance(of[1], tuple) else (of[1],)
+        if kind == 1:
+            return "" if inner == "string" else 0
+        if kind == 2:
+            name = str(of[1])
+            fields = self.store.fielddefs[name][1]
+            return self.make(name, **{field: self._empty(one) for field, one in fields})
+        return np.zeros(0, np.uint8) if of[1][0][1] == ("uint8", 0) else []
+
+    def with_detections(self) -> Types:
+        """The same with the types of vision_msgs, of ROS 2's or ROS 1's release."""
+        name = "vision_msgs/msg/"
+        for text, kind in VISION1 if self.is_ros1 else VISION2:
+            self.store.register(get_types_from_msg(text, name + kind))
+        return self
+
+    def detections(
+        self, time: float, *points: tuple[str, str, float, float], **more: Any
+    ) -> Message:
+        """Class, id, x and y of each; more: frame, covariance (6, 6), one or of each."""
+        name = "vision_msgs/msg/"
+        header = self.header(time, more.get("frame", "base"))
+        zero = self.make("geometry_msgs/msg/Vector3", 0.0, 0.0, 0.0)
+        found = []
+        spreads = np.broadcast_to(more.get("covariance", np.zeros((6, 6))), (len(points), 6, 6))
+        for (kind, own, x, y), spread in zip(points, spreads.reshape(-1, 36), strict=True):
+            place = self.make("geometry_msgs/msg/PoseWithCovariance", self.pose(x, y), spread)
+            if self.is_ros1:
+                result = self.make(name + "ObjectHypothesisWithPose", int(kind), 0.5, place)
+            else:
+                of = self.make(name + "ObjectHypothesis", kind, 0.5)
+                result = self.make(name + "ObjectHypothesisWithPose", of, place)
+            box = self.make(name + "BoundingBox3D", self.pose(x, y), zero)
+            named = {} if self.is_ros1 else {"id": own}
+            found.append(
+                self.make(name + "Detection3D", header=header, results=[result], bbox=box, **named)
+            )
+        kind = name + "Detection3DArray"
+        return "/detections", kind, time, self.make(kind, header, found)
 
     def cloud(self, time: float, records: np.ndarray, **changes: Any) -> Message:
         """A structured array as the message's points, one row."""

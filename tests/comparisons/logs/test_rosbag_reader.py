@@ -48,7 +48,7 @@ def test_laser_scans_with_odometry(kind: str, tmp_path: Path) -> None:
     expected = (0.5 * np.cos(0.1), -0.5 * np.sin(0.1), 0.25)
     assert np.allclose(log.odometry.displacement[0], expected)
     assert log.provenance["Odometry"] == "/odom, 4 messages; 1 with a repeated time left out"
-    assert log.provenance["left_out"] == "1 scans outside the odometry"
+    assert log.provenance["left_out"] == "1 records outside the odometry"
     assert log.provenance["scans_mount"] == "laser seen from base"
     assert_survives_a_folder(log, tmp_path / "again")
 
@@ -136,7 +136,7 @@ def test_scans_and_clouds_share_the_poses(tmp_path: Path) -> None:
     assert log.clouds is not None
     assert np.allclose(log.odometry.time_s, (0.25, 0.4, 0.8))
     assert np.allclose(log.clouds.time_s, 0.4)
-    assert log.provenance["left_out"] == "2 scans outside the odometry"
+    assert log.provenance["left_out"] == "2 records outside the odometry"
 
 
 def room(pose: np.ndarray, angle: np.ndarray, beam_s: float) -> np.ndarray:

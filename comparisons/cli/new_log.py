@@ -1,0 +1,128 @@
+"""`slamcheck new-log`: a log folder from a user's own CSV files."""
+
+from __future__ import annotations
+
+import inspect
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from comparisons.cli.flags import argument, set_parameters
+from comparisons.cli.support import guarded
+from comparisons.errors import InputError
+
+if TYPE_CHECKING:
+    from comparisons.logs.plain_csv import PlainTable
+
+_Number = float | None
+_File = Path | None
+_OPTIONS: dict[str, tuple[Any, str, str]] = {
+    "odometry": (Path, "FILE", "Speed and yaw rate, speed and steering angle, poses, or motions."),
+    "measurements": (Path, "FILE", "Range and bearing of landmarks, and their labels if known."),
+    "sigma_range": (_Number, "M", "Standard deviation of a range, unless a column says."),
+    "sigma_bearing": (_Number, "RAD", "Of a bearing, unless a column says."),
+    "sigma_speed": (_Number, "M/S", "Of a speed."),
+    "sigma_turn": (_Number, "RAD", "Of a yaw rate [rad/s], a steering angle, or a motion's turn."),
+    "sigma_move": (_Number, "M", "Of a motion, forward and sideways. [grows with the way]"),
+    "wheelbase": (_Number, "M", "Of the vehicle, for steering angles."),
+    "positions": (_File, "FILE", "Absolute positions, such as GPS, in the frame of the start."),
+    "sigma_position": (_Number, "M", "Of a position, unless columns say."),
+    "truth": (_File, "FILE", "True poses, as CSV or TUM."),
+    "truth_landmarks": (_File, "FILE", "True landmarks: id, x, y."),
+    "prior_pose": (str | None, "X,Y,RAD", "Where the vehicle starts. [truth, else 0,0,0]"),
+    "kind": (str | None, "KIND", "velocity, steering, poses or relative-poses. [by the columns]"),
+    "degrees": (bool, "", "Angles whose header names no unit are degrees."),
+}
+_STATED = {
+    "sigma_range": "sigma_range_m",
+    "sigma_bearing": "sigma_bearing_rad",
+    "sigma_speed": "sigma_speed_mps",
+    "sigma_turn": "sigma_turn",
+    "sigma_move": "sigma_move_m",
+    "wheelbase": "wheelbase_m",
+    "sigma_position": "sigma_m",
+}
+
+
+def new_log(folder: Path, **given: Any) -> None:
+    """Make a log folder of CSV files: columns in any order, text labels, units in the headers.
+
+    Names of columns: time, v, omega (or steering; x, y, yaw; dx, dy, dyaw); time, range,
+    bearing, label. Units: SI and radians, or bearing_deg, t_ns, range_mm, v_kmh, ...
+
+    \b
+    Example:
+      slamcheck new-log my-drive --odometry odo.csv --measurements trees.csv \\
+        --sigma-speed 0.1 --sigma-turn 0.02 --sigma-range 0.1 --sigma-bearing 0.01
+    """
+    with guarded():
+        from dataclasses import replace
+
+        from comparisons.adapters.motion import with_regular_motion
+        from comparisons.atomic import check_replaceable
+        from comparisons.logs.log_folder import read_log_folder, write_log_folder
+        from comparisons.logs.new_log import UserFiles, build
+
+        check_replaceable(folder)
+        stated = {_STATED[name]: given[name] for name in _STATED if given[name] is not None}
+        truth = given["truth"]
+        files = UserFiles(
+            name=folder.resolve().name,
+            stated=stated,
+            truth=None if truth is None else _read_truth(truth, degrees=given["degrees"]),
+            prior_pose=_pose(given["prior_pose"]),
+            **{name: given[name] for name in ("odometry", "measurements", "positions")},
+            **{name: given[name] for name in ("truth_landmarks", "kind", "degrees")},
+        )
+        found = build(files)
+        log = with_regular_motion(found.log)
+        write_log_folder(replace(log, format="new-log"), folder, found.remarks)
+        records = ", ".join(f"{n:,} {name}" for name, n in read_log_folder(folder).records.items())
+        for note in found.notes:
+            typer.echo(note)
+        typer.echo(f"{folder}: {records}; {log.duration_s:.1f} s; defaults in {folder}/log.toml")
+        typer.echo(f"next: slamcheck run {folder}")
+
+
+def _read_truth(path: Path, *, degrees: bool) -> PlainTable:
+    """Poses of a CSV file with a header, or of a file of numbers alone (TUM)."""
+    from comparisons.estimates.trajectory_files import read_trajectory_file
+    from comparisons.logs.from_arrays import KINDS
+    from comparisons.logs.plain_csv import PlainTable, read_plain
+    from comparisons.logs.table import read_text
+
+    names = ("time_s", *KINDS["poses"])
+    lines = [line for line in read_text(path).splitlines() if line.strip() and line[0] != "#"]
+    if not lines or not lines[0].split()[0][:1].isdigit():
+        return read_plain(path, names, degrees=degrees)
+    found = read_trajectory_file(path)
+    columns = dict(zip(names, (found.time_s, *found.pose.T), strict=True))
+    line = list(range(1, len(found.time_s) + 1))
+    return PlainTable(path=path, columns=columns, line=line, origin={}, headers=[])
+
+
+def _pose(text: str | None) -> tuple[float, float, float] | None:
+    if text is None:
+        return None
+    try:
+        x, y, heading = (float(word) for word in text.split(","))
+    except ValueError:
+        raise InputError(f"--prior-pose is {text!r}, expected x,y,heading in m and rad") from None
+    return x, y, heading
+
+
+def _option(name: str, kind: Any, metavar: str, text: str) -> inspect.Parameter:
+    option = typer.Option(
+        f"--{name.replace('_', '-')}", metavar=metavar or None, help=text, show_default=False
+    )
+    default = {Path: inspect.Parameter.empty, bool: False}.get(kind)
+    keyword = inspect.Parameter.KEYWORD_ONLY
+    return inspect.Parameter(name, keyword, default=default, annotation=Annotated[kind, option])
+
+
+set_parameters(
+    new_log,
+    argument("folder", Path, "FOLDER", "The log folder to write, new or empty."),
+    *(_option(name, *words) for name, words in _OPTIONS.items()),
+)

@@ -1,0 +1,213 @@
+"""ROS messages of points and of noise: markers, detections, fixes, and odometry's covariances."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.arrays import Array
+from comparisons.errors import InputError
+from comparisons.logs.readers.ros_messages import frame, planar_pose, stamp_ns
+from comparisons.logs.validation import LARGEST
+
+SIGMA_RANGE_M, SIGMA_BEARING_RAD = 0.1, float(np.deg2rad(1.0))
+"""Stated of points whose message has no covariance."""
+SIGMA_FIX_M = 3.0
+"""Stated of fixes without a covariance."""
+LARGEST_VARIANCE = 1e3
+"""Drivers write larger ones for what they do not measure."""
+_ADD, _SOLID = 0, (1, 2, 3)
+_PLANAR = [0, 1, 5]
+
+
+@dataclass(frozen=True)
+class Points:
+    """What one message holds. point_m: (P, 3) in its frame. covariance: (P, 3, 3), NaN for none.
+
+    label: of each point, "" for none; kind: what it is taken for, which may tell it from others.
+    """
+
+    point_m: Array
+    covariance: Array
+    label: list[str]
+    kind: list[str]
+
+
+def markers(message: Any, place: str) -> Points | None:
+    """A MarkerArray's cubes, spheres and cylinders, named by name space and number."""
+    found = [m for m in message.markers if int(m.action) == _ADD and int(m.type) in _SOLID]
+    for one in found:
+        if frame(one.header.frame_id) != frame(found[0].header.frame_id):
+            raise InputError(
+                f"{place}: frames are {found[0].header.frame_id} and {one.header.frame_id}, "
+                "expected one"
+            )
+    points = [_point(m.pose.position) for m in found]
+    label = [f"{m.ns}/{m.id}" if m.ns else str(m.id) for m in found]
+    return _points(points, [np.full((3, 3), np.nan)] * len(found), label, [""] * len(found), place)
+
+
+def detections(message: Any, place: str) -> Points | None:
+    """A Detection3DArray, or a Detection2DArray whose results have poses.
+
+    The best result's position where it is not zero, else the box's centre. Named by the
+    detection's own id, and told apart by the class of the best result.
+    """
+    points, covariances, labels, kinds = [], [], [], []
+    for one in message.detections:
+        best = max(one.results, key=_score, default=None)
+        position = np.zeros(3)
+        covariance = np.full((3, 3), np.nan)
+        if best is not None:
+            position = _point(best.pose.pose.position)
+            covariance = np.asarray(best.pose.covariance, dtype=float).reshape(6, 6)[:3, :3]
+        if not position.any() and hasattr(one.bbox.center, "orientation"):
+            position, covariance = _point(one.bbox.center.position), np.full((3, 3), np.nan)
+        if position.any():
+            points.append(position)
+            covariances.append(covariance)
+            labels.append(str(getattr(one, "tracking_id", "") or getattr(one, "id", "")))
+            kinds.append("" if best is None else _kind(best))
+    return _points(points, covariances, labels, kinds, place)
+
+
+def _points(
+    points: list[Array], covariances: list[Array], label: list[str], kind: list[str], place: str
+) -> Points | None:
+    if not points:
+        return None
+    stacked = np.array(points)
+    if not (np.abs(stacked) <= LARGEST).all():
+        raise InputError(f"{place}: a position is not finite, expected at most {LARGEST:g}")
+    return Points(stacked, np.array(covariances), label, kind)
+
+
+def _point(value: Any) -> Array:
+    return np.array((value.x, value.y, value.z), dtype=float)
+
+
+def _score(result: Any) -> float:
+    return float(getattr(result, "hypothesis", result).score)
+
+
+def _kind(result: Any) -> str:
+    hypothesis = getattr(result, "hypothesis", result)
+    return str(getattr(hypothesis, "class_id", getattr(hypothesis, "id", "")))
+
+
+def points_stamp_ns(message: Any) -> int:
+    """The header's time, a MarkerArray's first marker's."""
+    return stamp_ns(message.markers[0] if hasattr(message, "markers") else message)
+
+
+def points_frame(message: Any) -> str:
+    """The header's frame, a MarkerArray's first marker's."""
+    one = message.markers[0] if hasattr(message, "markers") else message
+    return str(one.header.frame_id)
+
+
+def range_bearing(points: Points, place: Array) -> tuple[Array, Array]:
+    """(P, 2) range and bearing in the vehicle's plane, and their sigmas (P, 2), NaN for none.
+
+    place: (4, 4) from the points' frame into the vehicle's. Height is dropped.
+    """
+    x, y, _ = (points.point_m @ place[:3, :3].T + place[:3, 3]).T
+    distance = np.hypot(x, y)
+    slope = np.array(((x / distance, y / distance), (-y / distance**2, x / distance**2)))
+    planar = (place[:3, :3] @ points.covariance @ place[:3, :3].T)[:, :2, :2]
+    variance = np.einsum("ijp,pjk,ikp->pi", slope, planar, slope)
+    with np.errstate(invalid="ignore"):
+        known = ((variance > 1e-14) & (variance < LARGEST_VARIANCE)).all(axis=1)
+    sigma = np.sqrt(np.where(known[:, None], variance, np.nan))
+    return np.column_stack((distance, np.arctan2(y, x))), sigma
+
+
+def fix(message: Any, place: str) -> Array | None:
+    """(7,) latitude, longitude [degrees], altitude [m], and variances xx, xy, yx, yy, or NaN."""
+    values = np.array((message.latitude, message.longitude, message.altitude), dtype=float)
+    if int(message.status.status) < 0 or not np.isfinite(values[:2]).all():
+        return None
+    if abs(values[0]) > 90.0 or abs(values[1]) > 360.0:
+        raise InputError(f"{place}: latitude and longitude are {values[:2].tolist()}")
+    covariance = np.asarray(message.position_covariance, dtype=float).reshape(3, 3)[:2, :2]
+    told = int(message.position_covariance_type) > 0 and np.isfinite(covariance).all()
+    if not told or not 0 < np.linalg.eigvalsh(covariance)[0] <= LARGEST_VARIANCE**2:
+        covariance = np.full((2, 2), np.nan)
+    return np.concatenate((values, ((covariance + covariance.T) / 2).ravel()))
+
+
+def moved(message: Any, place: str) -> Array:
+    """(15,) of an Odometry: pose (3), variances of vx, vy and yaw rate, covariance of the pose."""
+    twist = np.asarray(message.twist.covariance, dtype=float).reshape(6, 6).diagonal()[_PLANAR]
+    pose = np.asarray(message.pose.covariance, dtype=float).reshape(6, 6)[np.ix_(_PLANAR, _PLANAR)]
+    return np.concatenate((planar_pose(message, place), twist, pose.ravel()))
+
+
+def odometry_noise(time_s: Array, rows: Array) -> tuple[Array | None, str]:
+    """(M - 1, 3, 3) covariances of the motions between odometry's messages, and words on them.
+
+    time_s, rows: (M,), (M, 15) of `moved`. None where the messages hold no usable covariances:
+    those of poses must grow as poses that are reckoned do; those of velocities lie above zero.
+    In the arriving frame.
+    """
+    if not np.isfinite(rows[:, 3:]).all():
+        return None, "covariances of Odometry are not finite"
+    if len(rows) < 2:
+        return None, "one message of Odometry"
+    grown = _growth(rows[:, :3], rows[:, 6:].reshape(-1, 3, 3))
+    if grown is not None:
+        return grown, "the growth of Odometry's pose covariances"
+    variance = rows[:-1, 3:6]
+    if (
+        (variance[:, [0, 2]] > 0).all()
+        and (variance >= 0).all()
+        and (variance <= LARGEST_VARIANCE).all()
+    ):
+        steps = variance * np.diff(time_s)[:, None] ** 2
+        return steps[:, :, None] * np.eye(3), "Odometry's twist covariances, each sample's own"
+    return None, (
+        "Odometry's pose covariances do not grow as reckoned ones do, and its twist covariances "
+        f"are not above zero and at most {LARGEST_VARIANCE:g}"
+    )
+
+
+def _growth(pose: Array, covariance: Array) -> Array | None:
+    """What each motion adds, seen from where it arrives; None where any takes something away."""
+    if np.abs(covariance).max() > LARGEST_VARIANCE:
+        return None
+    step = np.diff(pose[:, :2], axis=0)
+    carry = np.broadcast_to(np.eye(3), (len(step), 3, 3)).copy()
+    carry[:, 0, 2], carry[:, 1, 2] = -step[:, 1], step[:, 0]
+    added = covariance[1:] - carry @ covariance[:-1] @ carry.transpose(0, 2, 1)
+    added = (added + added.transpose(0, 2, 1)) / 2
+    scale = np.abs(covariance).max(initial=0.0)
+    if not scale or np.linalg.eigvalsh(added)[:, 0].min() < -1e-9 * scale:
+        return None
+    moving = np.hypot(*step.T) > 1e-3
+    if not moving.any() or np.trace(added[moving], axis1=1, axis2=2).min() <= 0.0:
+        return None
+    c, s = np.cos(pose[1:, 2]), np.sin(pose[1:, 2])
+    turned = np.zeros((len(step), 3, 3))
+    turned[:, 0, 0] = turned[:, 1, 1] = c
+    turned[:, 0, 1], turned[:, 1, 0], turned[:, 2, 2] = s, -s, 1.0
+    found: Array = turned @ added @ turned.transpose(0, 2, 1)
+    return found
+
+
+def labels_of(messages: list[Points]) -> tuple[list[str], NDArray[np.intp]]:
+    """Labels of all points, and (P,) the message that each is of.
+
+    A class names a landmark where no message holds it twice: so it is of numbered tags, while
+    several trees are all of one class.
+    """
+    message = np.repeat(np.arange(len(messages)), [len(one.label) for one in messages])
+    twice = any(len(set(one.kind)) < len(one.kind) for one in messages)
+    found = [
+        label or ("" if twice else kind)
+        for one in messages
+        for label, kind in zip(one.label, one.kind, strict=True)
+    ]
+    return found, message

@@ -1,0 +1,136 @@
+"""A part of a log, by seconds from its start."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.adapters.motion import motion_between
+from comparisons.errors import InputError
+from comparisons.logs.log import Closures, Log, Poses, Positions, Prior, Sightings
+from comparisons.logs.odometry import Odometry, RelativePoses
+from comparisons.logs.scans import Clouds, Scans
+
+Rows = NDArray[np.bool_] | NDArray[np.intp]
+S = TypeVar("S", bound=Sightings | Positions | Scans | Odometry)
+
+
+def cut_log(log: Log, start_s: float | None = None, end_s: float | None = None) -> Log:
+    """Return what lies between two times, the second one excluded, counted from the log's start.
+
+    Times of the records stay. A sample of wheel odometry that holds at the new start begins there;
+    of relative poses the part starts at the first pose in it. The prior moves to the new start:
+    its pose is the truth's; without truth the one of dead reckoning, and its covariance grown by
+    it, where the log has positions or known landmarks, whose frame stays; else the prior's own
+    figures hold there, since the frame is free. Raises InputError where nothing is left.
+    """
+    if start_s is None and end_s is None:
+        return log
+    origin = log.prior.time_s
+    first_s = origin + (start_s or 0.0)
+    last_s = np.inf if end_s is None else origin + end_s
+    if first_s >= min(log.end_s, last_s):
+        until = "on" if end_s is None else f"to {end_s:g} s"
+        raise InputError(
+            f"{log.name}: nothing lies from {start_s or 0.0:g} s {until}, expected a part of its "
+            f"{log.duration_s:.3f} s"
+        )
+    if isinstance(log.odometry, RelativePoses):
+        poses = np.concatenate(([origin], log.odometry.time_s))
+        first_s = float(poses[min(int(np.searchsorted(poses, first_s)), len(poses) - 1)])
+    return replace(
+        log,
+        prior=_prior(log, first_s),
+        odometry=_odometry(log.odometry, first_s, last_s),
+        sightings=_chosen(log.sightings, first_s, last_s),
+        positions=log.positions and _chosen(log.positions, first_s, last_s),
+        known_sightings=log.known_sightings and _chosen(log.known_sightings, first_s, last_s),
+        closures=log.closures and _closures(log.closures, first_s, last_s),
+        scans=log.scans and _chosen(log.scans, first_s, last_s),
+        clouds=log.clouds and _clouds(log.clouds, first_s, last_s),
+        truth=replace(
+            log.truth, poses=log.truth.poses and _around(log.truth.poses, first_s, last_s)
+        ),
+        provenance={
+            **log.provenance,
+            "part": f"{first_s - origin:g} to {min(last_s, log.end_s) - origin:g} s of the log",
+        },
+    )
+
+
+def _prior(log: Log, first_s: float) -> Prior:
+    prior, truth = log.prior, log.truth.poses
+    if first_s <= prior.time_s:
+        return prior
+    if truth is not None and truth.time_s[0] <= first_s <= truth.time_s[-1]:
+        return Prior(first_s, truth.at(np.array([first_s]))[0], prior.covariance)
+    if log.positions is None and log.known_landmarks is None:
+        return Prior(first_s, prior.pose, prior.covariance)
+    motion = motion_between(log, np.array([first_s]))
+    c, s = np.cos(prior.pose[2]), np.sin(prior.pose[2])
+    turned = np.array(((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)))
+    step = turned @ motion.displacement[0]
+    pose = prior.pose + step
+    departed = np.eye(3)
+    departed[:2, 2] = (-step[1], step[0])
+    c, s = np.cos(pose[2]), np.sin(pose[2])  # the motion's covariance is of the arriving frame
+    arrived = np.array(((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)))
+    covariance = departed @ prior.covariance @ departed.T
+    covariance += arrived @ motion.covariance[0] @ arrived.T
+    return Prior(first_s, pose, (covariance + covariance.T) / 2)
+
+
+def _odometry(odometry: Odometry, first_s: float, last_s: float) -> Odometry:
+    time_s = odometry.time_s
+    if isinstance(odometry, RelativePoses):
+        return _rows(odometry, (time_s > first_s) & (time_s < last_s))
+    holding = max(int(np.searchsorted(time_s, first_s, side="right")) - 1, 0)
+    kept = _rows(odometry, np.arange(holding, int(np.searchsorted(time_s, last_s))))
+    return replace(kept, time_s=np.maximum(kept.time_s, first_s))
+
+
+def _chosen(stream: S, first_s: float, last_s: float) -> S:
+    return _rows(stream, (stream.time_s >= first_s) & (stream.time_s < last_s))
+
+
+def _rows(stream: S, rows: Rows) -> S:
+    """The same with some of its rows; what is one for all of them stays."""
+    count = len(stream.time_s)
+    columns: dict[str, Any] = {
+        one.name: value[rows]
+        for one in fields(stream)
+        if isinstance(value := getattr(stream, one.name), np.ndarray)
+        and len(value) == count
+        and one.name != "angle_rad"
+    }
+    found: S = replace(stream, **columns)
+    return found
+
+
+def _closures(closures: Closures, first_s: float, last_s: float) -> Closures | None:
+    """Those both of whose poses are left."""
+    ends = np.column_stack((closures.from_s, closures.to_s))
+    kept = ((ends >= first_s) & (ends < last_s)).all(axis=1)
+    if not kept.any():
+        return None
+    columns = (closures.from_s, closures.to_s, closures.displacement, closures.covariance)
+    return Closures(*(column[kept] for column in columns))
+
+
+def _clouds(clouds: Clouds, first_s: float, last_s: float) -> Clouds:
+    begin, end = np.searchsorted(clouds.time_s, (first_s, last_s)).tolist()
+    first = clouds.first[begin : end + 1]
+    points = slice(int(first[0]), int(first[-1]))
+    return Clouds(
+        clouds.time_s[begin:end], first - first[0], clouds.point_m[points], clouds.point_s[points]
+    )
+
+
+def _around(poses: Poses, first_s: float, last_s: float) -> Poses:
+    """With the poses next to both ends, between which the truth there is interpolated."""
+    begin = max(int(np.searchsorted(poses.time_s, first_s, side="right")) - 1, 0)
+    end = int(np.searchsorted(poses.time_s, last_s)) + 1
+    return Poses(poses.time_s[begin:end], poses.pose[begin:end])

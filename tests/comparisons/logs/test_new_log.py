@@ -1,0 +1,285 @@
+"""A log of a user's CSV files and arrays: what is read, what is refused, and the way to a run."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from comparisons.adapters.motion import check_regular, with_regular_motion
+from comparisons.adapters.timeline import build_timeline
+from comparisons.errors import InputError
+from comparisons.logs.log import Log
+from comparisons.logs.log_folder import read_log_folder
+from comparisons.logs.new_log import UserFiles, build
+from comparisons.logs.odometry import RelativePoses, SteeringOdometry, VelocityOdometry
+from comparisons.logs.readers import read_log
+from tests.comparisons.test_cli import slamcheck
+
+VELOCITY = "omega,t,v\n0.1,0.0,1.0\n0.1,0.5,1.0\n0.1,1.0,1.0\n"
+TREES = "label,range,bearing,time,note\ntree_7,5,0.5,0.2,a\n,4,0.1,0.2,b\ntree_2,3,-0.5,0.7,c\n"
+SIGMAS = {"sigma_range_m": 0.1, "sigma_bearing_rad": 0.01}
+WHEELS = {"sigma_speed_mps": 0.1, "sigma_turn": 0.02}
+
+
+def files(folder: Path, odometry: str = VELOCITY, trees: str = TREES, **more: Any) -> UserFiles:
+    (folder / "odo.csv").write_text(odometry)
+    (folder / "trees.csv").write_text(trees)
+    return UserFiles(
+        name="mine",
+        odometry=folder / "odo.csv",
+        measurements=folder / "trees.csv",
+        stated=more.pop("stated", SIGMAS | WHEELS),
+        **more,
+    )
+
+
+def test_columns_in_any_order_and_text_labels(tmp_path: Path) -> None:
+    log, _, notes = build(files(tmp_path))
+    assert isinstance(log.odometry, VelocityOdometry)
+    assert log.odometry.yaw_rate_radps.tolist() == [0.1, 0.1, 0.1]
+    assert log.sightings.landmark.tolist() == [0, -1, 1]
+    assert json.loads(log.provenance["labels"]) == {"tree_7": 0, "tree_2": 1}
+    assert log.sightings.sigma_range_m.tolist() == [0.1, 0.1, 0.1]
+    assert (log.prior.time_s, log.prior.pose.tolist()) == (0.0, [0.0, 0.0, 0.0])
+    assert any(note.endswith("not used: note") for note in notes)
+
+
+def test_decimal_commas_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"odo.csv:2: 'v_kmh' is '3,6', expected a finite number"):
+        build(files(tmp_path, "time_ns;v_kmh;omega [deg/s]\n0;3,6;1\n"))
+
+
+def test_a_header_behind_a_hash_as_numpy_writes_it(tmp_path: Path) -> None:
+    log = build(files(tmp_path, "# t,v,w\n0,1,0.1\n1,2,0.1\n")).log
+    assert isinstance(log.odometry, VelocityOdometry)
+    assert log.odometry.speed_mps.tolist() == [1.0, 2.0]
+
+
+@pytest.mark.parametrize("delimiter", [",", ";", "\t"])
+def test_units_by_header(delimiter: str, tmp_path: Path) -> None:
+    odometry = (
+        "v_kmh,omega [deg/s],stamp_ns\n"
+        "3.6,90,1700000000000000000\n3.6,90,1700000000500000000\n3.6,90,1700000001000000000\n"
+    ).replace(",", delimiter)
+    trees = "id,bearing_deg,distance [mm],t_ms\n3,-90,2500,1700000000250\n"
+    log = build(files(tmp_path, odometry, trees)).log
+    assert isinstance(log.odometry, VelocityOdometry)
+    assert np.allclose(log.odometry.speed_mps, 1.0)
+    assert np.allclose(log.odometry.yaw_rate_radps, np.pi / 2)
+    assert log.odometry.time_s.tolist() == [1700000000.0, 1700000000.5, 1700000001.0]
+    assert log.sightings.time_s.tolist() == [1700000000.25]
+    assert np.allclose((log.sightings.range_m, log.sightings.bearing_rad), [[2.5], [-np.pi / 2]])
+    assert log.sightings.landmark.tolist() == [3]
+    assert "labels" not in log.provenance
+
+
+def test_degrees_by_option(tmp_path: Path) -> None:
+    trees = "id,bearing,range,t\n3,45,2,0.5\n"
+    with pytest.raises(InputError, match=r"trees.csv:2: 'bearing' is 45 in radians, .* --degrees"):
+        build(files(tmp_path, trees=trees))
+    log = build(files(tmp_path, trees=trees, degrees=True)).log
+    assert np.allclose(log.sightings.bearing_rad, np.pi / 4)
+    assert isinstance(log.odometry, VelocityOdometry)
+    assert np.allclose(log.odometry.yaw_rate_radps, np.deg2rad(0.1))
+
+
+def test_steering_needs_a_wheelbase(tmp_path: Path) -> None:
+    odometry = "t,v,steering\n0,1,0.1\n1,1,0.1\n"
+    with pytest.raises(InputError, match="--wheelbase is missing"):
+        build(files(tmp_path, odometry))
+    given = files(tmp_path, odometry, stated=SIGMAS | WHEELS | {"wheelbase_m": 2.5})
+    log = build(given).log
+    assert isinstance(log.odometry, SteeringOdometry)
+    assert log.odometry.vehicle.wheelbase_m == 2.5
+
+
+POSES = "t,x,y,yaw\n" + "".join(
+    f"{0.1 * k:.1f},{0.1 * k:.1f},0,{0.02 * k:.2f}\n" for k in range(21)
+)
+
+
+def test_poses_become_motions(tmp_path: Path) -> None:
+    """With a pose wherever something is measured; the variance goes with the share of a motion."""
+    trees = "id,bearing,range,t\n3,0.1,2,0.25\n3,0.1,2,1.0\n3,0.1,2,9.0\n"
+    log, _, notes = build(files(tmp_path, POSES, trees, stated=SIGMAS))
+    assert isinstance(log.odometry, RelativePoses)
+    assert log.odometry.time_s.tolist() == [0.25, 0.5, 1.0, 1.5, 2.0]
+    assert np.allclose(log.odometry.displacement[0], (0.25, 0.0, 0.05))
+    assert log.provenance["odometry_noise"].startswith("stated: 0.1 m per root metre")
+    assert "left out: 1 of 3 measurements, before or after the odometry" in notes
+    sigmas = {"sigma_move_m": 0.02, "sigma_turn": 0.01}
+    told = build(files(tmp_path, POSES, trees, stated=SIGMAS | sigmas)).log.odometry
+    assert isinstance(told, RelativePoses)
+    assert np.allclose(told.covariance[0], 2.5 * np.diag((0.02, 0.02, 0.01)) ** 2)
+    assert np.allclose(told.covariance.sum(axis=0), 20 * np.diag((0.02, 0.02, 0.01)) ** 2)
+
+
+def test_motions_with_covariances(tmp_path: Path) -> None:
+    upper = ",".join(f"cov_{i}{j}" for i in range(3) for j in range(i, 3))
+    odometry = f"t,dx,dy,dyaw,{upper}\n1,1,0,0.1,0.1,0,0,0.2,0,0.3\n2,1,0,0.1,0.1,0,0,0.2,0,0.3\n"
+    log = build(files(tmp_path, odometry, "id,range,bearing,t\n1,5,0,2\n", stated=SIGMAS)).log
+    assert isinstance(log.odometry, RelativePoses)
+    assert log.odometry.covariance[1].diagonal().tolist() == [0.1, 0.2, 0.3]
+    assert log.prior.time_s == 0.0
+    with pytest.raises(InputError, match=r"trees.csv:2: time 1.5 s is no motion's"):
+        build(files(tmp_path, odometry, "id,range,bearing,t\n1,5,0,1.5\n", stated=SIGMAS))
+
+
+def test_truth_gives_the_prior_and_positions_their_sigma(tmp_path: Path) -> None:
+    (tmp_path / "gps.csv").write_text("t,x,y\n0,1,2\n0.5,1.5,2\n")
+    (tmp_path / "map.csv").write_text("label,x,y\ntree_7,5,6\ntree_9,1,1\n")
+    (tmp_path / "truth.tum").write_text("0 1 2 0 0 0 0 1\n2 3 2 0 0 0 0 1\n")
+    command = "new-log out --odometry odo.csv --measurements trees.csv --positions gps.csv "
+    command += "--sigma-position 0.5 --truth truth.tum --truth-landmarks map.csv "
+    command += "--sigma-range 0.1 --sigma-bearing 0.01 --sigma-speed 0.1 --sigma-turn 0.02"
+    files(tmp_path)
+    done = slamcheck(*command.split(), cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.endswith("next: slamcheck run out\n")
+    log = read_log_folder(tmp_path / "out")
+    assert log.prior.pose.tolist() == [1.0, 2.0, 0.0]
+    assert log.positions is not None
+    assert np.allclose(log.positions.covariance, 0.25 * np.eye(2))
+    assert log.truth.landmarks is not None
+    assert log.truth.landmarks.id.tolist() == [0, 2]
+    text = (tmp_path / "out" / "log.toml").read_text()
+    assert "pose = [1.0, 2.0, 0.0]  # the truth's then; --prior-pose gives another" in text
+    assert slamcheck(*command.split(), cwd=tmp_path).returncode == 2
+
+
+BAD: dict[str, tuple[str, str, str]] = {
+    "headerless": (
+        "0,1,0.1\n1,1,0.1\n", TREES,
+        r"odo.csv:1: no header, expected a line of names such as time_s,speed_mps",
+    ),
+    "twice": ("t,v,speed,w\n0,1,1,0\n", TREES, r"'v' and 'speed' both mean speed_mps"),
+    "no time": ("v,w\n1,0\n", TREES, r"no column for time_s, expected one named time or t or"),
+    "two kinds": ("t,v,w,x,y,yaw\n0,1,0,0,0,0\n", TREES, r"holds velocity and poses.*--kind"),
+    "no kind": ("t,a\n0,1\n", TREES, r"odo.csv: odometry: columns are .*speed_mps, yaw_rate_radps"),
+    "unit": ("t [h],v,w\n0,1,0\n", TREES, r"unit 'h' of column 't \[h\]' is unknown, expected s,"),
+    "ns": (
+        "t,v,w\n1700000000000000000,1,0\n", TREES,
+        r"odo.csv:2: 't' is 1700000000000000000, no time in seconds; name the column time_ns",
+    ),
+    "word": ("t,v,w\n0,1,0\n1,x,0\n", TREES, r"odo.csv:3: 'v' is 'x', expected a finite number"),
+    "short": ("t,v,w\n0,1,0\n1,0\n", TREES, r"odo.csv:3: 2 values, expected 3 as above"),
+    "backwards": ("t,v,w\n1,1,0\n\n0,1,0\n", TREES, r"odo.csv:4: time 0.0+ s follows 1.0+ s"),
+    "range": (
+        VELOCITY, "id,range,bearing,t\n1,5,0,0.1\n1,-5,0,0.2\n",
+        r"trees.csv:3: range_m is -5.0, expected above 0",
+    ),
+    "elsewhere": (
+        VELOCITY, "id,range,bearing,t\n1,5,0,50\n",
+        r"trees.csv: from 50.000 to 50.000 s, expected some within the odometry's 0.000 to 1.500",
+    ),
+    "empty": ("", TREES, r"odo.csv: holds no records"),
+    "header alone": ("t,v,w\n", TREES, r"odo.csv: holds no records"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_refused_with_place_and_expectation(name: str, tmp_path: Path) -> None:
+    odometry, trees, message = BAD[name]
+    with pytest.raises(InputError, match=message) as caught:
+        build(files(tmp_path, odometry, trees))
+    assert "\n" not in str(caught.value)
+
+
+def test_sigmas_are_stated_once_and_where_they_are_needed(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="--sigma-range is missing, expected a number or a column"):
+        build(files(tmp_path, stated=WHEELS))
+    with pytest.raises(InputError, match="--sigma-move: the velocity odometry here"):
+        build(files(tmp_path, stated=SIGMAS | WHEELS | {"sigma_move_m": 0.1}))
+    told = "id,range,bearing,t,sigma_range,sigma_bearing_deg\n1,5,0,0.1,0.2,1\n"
+    log = build(files(tmp_path, trees=told, stated=WHEELS)).log
+    assert log.sightings.sigma_range_m.tolist() == [0.2]
+    assert np.allclose(log.sightings.sigma_bearing_rad, np.deg2rad(1.0))
+
+
+def test_noise_is_raised_until_the_log_is_accepted() -> None:
+    """A fast vehicle with one sample a motion; without the raise it is refused."""
+    time_s = np.arange(0.0, 200.0, 10.0)
+    fast = {"time_s": time_s, "speed_mps": 300.0, "yaw_rate_radps": 0.0}
+    seen = {"time_s": time_s, "range_m": 5.0, "bearing_rad": 0.0, **SIGMAS}
+    log = Log.from_arrays({**fast, "sigma_speed_mps": 5.0, "sigma_turn": 1.0}, seen)
+    with pytest.raises(InputError, match="is singular"):
+        check_regular(log, build_timeline(log))
+    raised = with_regular_motion(log)
+    check_regular(raised, build_timeline(raised))
+
+
+ARRAYS = {"time_s": [0.0, 1.0], "speed_mps": [1.0, 1.0], "yaw_rate_radps": 0.1, **WHEELS}
+SEEN = {"time_s": [0.5], "range_m": [5.0], "bearing_rad": [0.1], **SIGMAS}
+
+
+def test_from_arrays() -> None:
+    log = Log.from_arrays(ARRAYS, {**SEEN, "landmark": ["a"]}, name="drive")
+    assert (log.name, log.sightings.landmark.tolist()) == ("drive", [0])
+    truth = {"time_s": [-1.0, 1.0], "x_m": [0.0, 2.0], "y_m": 3.0, "heading_rad": 0.0}
+    assert Log.from_arrays(ARRAYS, SEEN, truth=truth).prior.pose.tolist() == [1.0, 3.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("odometry", "sightings", "message"),
+    [
+        ({"speed": [1.0]}, {}, "odometry: speed is unknown, expected some of"),
+        ({}, {"range": 1.0}, "sightings: range is unknown, expected some of time_s"),
+        ({"speed_mps": [1.0]}, {}, r"odometry: speed_mps has shape \(1,\), expected \(2,\)"),
+        ({}, {"range_m": [-1.0]}, "sightings, row 0: range_m is -1.0, expected above 0"),
+        ({}, {"bearing_rad": ["a"]}, "sightings: bearing_rad is not numeric"),
+        ({}, {"landmark": [0.5]}, "sightings, row 0: landmark is 0.5, expected a whole number"),
+        ({"x_m": 0.0, "y_m": 0.0, "heading_rad": 0.0}, {}, "holds velocity and poses"),
+    ],
+)
+def test_arrays_refused(odometry: dict[str, Any], sightings: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        Log.from_arrays({**ARRAYS, **odometry}, {**SEEN, **sightings})
+
+
+def test_log_toml_is_its_folder(tmp_path: Path) -> None:
+    """Also for a run, which takes any other TOML file for a configuration."""
+    from comparisons.cli.flags import Given
+    from comparisons.cli.jobs import read_job
+    from comparisons.config import RunConfig
+    from comparisons.logs.log_folder import write_log_folder
+
+    write_log_folder(build(files(tmp_path)).log, tmp_path / "log")
+    path = tmp_path / "log" / "log.toml"
+    assert read_log(path).records == read_log(path.parent).records
+
+    def of(path: Path) -> Given:
+        return Given(str(path), (), None, (), False, None, False, None, {})
+
+    assert read_job(of(path), RunConfig)[0].records["odometry"] == 3
+    config = tmp_path / "other" / "log.toml"
+    config.parent.mkdir()
+    config.write_text(f'job = "run"\n[log]\nsource = "{path.parent}"\n')
+    assert read_job(of(config), RunConfig)[0].name == "mine"
+
+
+def test_faults_of_a_log_folder_name_the_page(tmp_path: Path) -> None:
+    from comparisons.logs.log_folder import write_log_folder
+
+    write_log_folder(build(files(tmp_path)).log, tmp_path / "log")
+    (tmp_path / "log" / "odometry.csv").write_text("a,b\n")
+    with pytest.raises(InputError, match=r"expected the header .* \(see docs/formats.md\)$"):
+        read_log(tmp_path / "log")
+
+
+@pytest.mark.slow
+def test_the_page_can_be_followed(tmp_path: Path) -> None:
+    """Its commands in their order; its Python; and that its output is what a run prints."""
+    page = (Path(__file__).resolve().parents[3] / "docs" / "your-own-log.md").read_text()
+    blocks = dict(re.findall(r"```(sh|python)\n(.*?)```", page, re.DOTALL))
+    for command in blocks["sh"].splitlines():
+        done = slamcheck(*command.split()[1:], cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+    assert "verdict: agree; filter consistent" in done.stdout
+    space: dict[str, Any] = {}
+    exec(blocks["python"], space)  # noqa: S102
+    assert space["log"].provenance["labels"] == '{"oak": 0, "elm": 1}'
