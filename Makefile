@@ -1,5 +1,5 @@
 # `make run` runs the main job, `make test` lint, types and the quick tests, `make test-all` every
-# test. All set everything up.
+# test. All set everything up: `run` without extras, tests with all of them (`scans` among them).
 VENV ?= .venv
 BIN := $(VENV)/bin
 CANDIDATES := $(PYTHON) python3 python3.13 python3.12 python3.11

@@ -19,7 +19,6 @@ from typing import Any
 from unittest import mock
 
 import numpy as np
-from kiss_icp.mapping import VoxelHashMap
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
@@ -32,12 +31,14 @@ from comparisons.logs.log import Log
 from comparisons.logs.readers import read_log
 from comparisons.pipeline.odometry import run_front_end
 from graphslam.scan import planar
+from graphslam.scan.libraries import kiss_icp
 from graphslam.scan.odometry import ScanOdometry
 from graphslam.scan.refinement import refine
 from graphslam.scan.registration import ScanError
 from graphslam.scan.surfaces import SurfaceMap
 
 Array = NDArray[np.float64]
+VoxelHashMap = kiss_icp().mapping.VoxelHashMap
 
 PLANAR = ("scan-loop-fine", "scan-loop")
 

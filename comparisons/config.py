@@ -208,6 +208,10 @@ class FrontEndConfig(Section):
 class ExtensionConfig(Section):
     """An extension's settings."""
 
+    def libraries(self) -> dict[str, str]:
+        """As of JobConfig."""
+        return {}
+
     def check_with(self, config: Configured) -> None:
         """Raise ValueError where this does not go with the other settings."""
 
@@ -257,6 +261,10 @@ class JobConfig(Section):
 
         return published(given, tuple(cls.model_fields))
 
+    def libraries(self) -> dict[str, str]:
+        """Return what the job needs of graphslam.scan.libraries, and what asks for each."""
+        return {}
+
     def at_log(self, sha256: str, source: str | None = None) -> Self:
         """The same with the log's hash, and its full path where it is a path."""
         named = {"sha256": sha256} | ({} if source is None else {"source": source})
@@ -281,6 +289,10 @@ class Configured(JobConfig):
         for extension in found.values():
             extension.check_with(self)
         return self
+
+    def libraries(self) -> dict[str, str]:
+        """Those of all extensions."""
+        return {k: v for one in self.extensions.values() for k, v in one.libraries().items()}
 
     def settings_of(self, name: str) -> ExtensionConfig:
         """Return an extension's settings, the preset's where it takes no part."""
@@ -339,6 +351,10 @@ class MapConfig(Configured):
     job: Literal["map"] = "map"
     cloud: CloudFormat | None = Field(None, description="write the map as a cloud, too")
 
+    def libraries(self) -> dict[str, str]:
+        """Clouds are written by Open3D."""
+        return super().libraries() | ({"open3d": "--cloud"} if self.cloud else {})
+
 
 class SolveConfig(JobConfig):
     """`slamcheck solve`: the smoother alone."""
@@ -380,6 +396,13 @@ class OdometryConfig(JobConfig):
     job: Literal["odometry"] = "odometry"
     front_end: FrontEndConfig = FrontEndConfig()
     cloud: CloudFormat | None = Field(None, description="write the map as a cloud, too")
+
+    def libraries(self) -> dict[str, str]:
+        """Odometry is KISS-ICP's; clouds and all other matchers but `surface` are Open3D's."""
+        found = {"kiss_icp": "odometry"}
+        if self.front_end.matcher not in ("surface", "kiss"):
+            found["open3d"] = f"--matcher {self.front_end.matcher}"
+        return found | ({"open3d": "--cloud"} if self.cloud else {})
 
 
 JOBS: dict[str, type[JobConfig]] = {

@@ -10,7 +10,9 @@ from hypothesis import Phase, settings
 
 from comparisons.logs.bundled import open_log
 from comparisons.pipeline.compare import Comparison, compare
-from graphslam.scan.open3d_library import Open3dMissingError, open3d
+from graphslam.scan.libraries import open3d
+from tests.graphslam.skips import pytest_runtest_call as pytest_runtest_call
+from tests.graphslam.skips import pytest_runtest_setup as pytest_runtest_setup
 
 # What is drawn in continuous integration is always the same; at night it is new, and more.
 COMMON = settings(
@@ -71,7 +73,4 @@ def victoria_park() -> Comparison:
 @pytest.fixture(scope="session")
 def open3d_library() -> ModuleType:
     """Open3D, for tests that need it."""
-    try:
-        return open3d()
-    except Open3dMissingError as error:
-        pytest.skip(str(error))
+    return open3d()

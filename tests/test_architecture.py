@@ -21,6 +21,7 @@ STANDARD = {
     "ctypes",
     "dataclasses",
     "functools",
+    "importlib",
     "math",
     "pathlib",
     "re",

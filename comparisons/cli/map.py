@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from comparisons.cli.flags import Given, from_flags
 from comparisons.cli.jobs import start_job
-from comparisons.cli.support import AGREE, guarded, need_clouds, print_result, progress_bar
+from comparisons.cli.support import AGREE, guarded, print_result, progress_bar
 from comparisons.options import EKF, LOG, MAP
 
 _DEFAULT = {"extensions": {"dense_maps": {"layers": ["occupancy"]}}}
@@ -26,9 +26,7 @@ def map_command(given: Given) -> None:
         from comparisons.report.dense_map import build_map_result, map_folder, print_map
         from comparisons.report.folder import write_job_folder
 
-        job = start_job(
-            given, MapConfig, base=_DEFAULT, check=lambda config: need_clouds(config.cloud)
-        )
+        job = start_job(given, MapConfig, base=_DEFAULT)
         from comparisons.pipeline.dense_map import map_log
 
         with progress_bar() as progress:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from comparisons.cli.flags import Given, from_flags
 from comparisons.cli.jobs import start_job
-from comparisons.cli.support import VERDICTS, guarded, need_clouds, print_result, progress_bar
+from comparisons.cli.support import VERDICTS, guarded, print_result, progress_bar
 from comparisons.options import FRONT_END, LOG
 
 
@@ -26,7 +26,7 @@ def odometry(given: Given) -> None:
             print_front_end,
         )
 
-        job = start_job(given, OdometryConfig, check=lambda config: need_clouds(config.cloud))
+        job = start_job(given, OdometryConfig)
         from comparisons.pipeline.odometry import run_front_end
 
         with progress_bar() as progress:

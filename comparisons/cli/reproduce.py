@@ -72,6 +72,7 @@ def _list() -> None:
     from comparisons.experiments.reproduction.catalogue import FIGURES
 
     for figure in FIGURES:
-        needs = figure.experiment.needs
+        needs, library = figure.experiment.needs, figure.experiment.library
         extra = f" (needs --data with {needs}/)" if needs else ""
+        extra += " (needs slamcheck[scans])" if library else ""
         typer.echo(f"{figure.name:6} {figure.source}: {figure.title}{extra}")

@@ -60,10 +60,14 @@ def guarded(*, verbose: bool = False, log_file: Path | None = None) -> Iterator[
         fail(f"{error.filename or 'a file'}: {error.strerror or error}", UNUSABLE)
     except MemoryError:
         fail("not enough memory for this log", UNUSABLE)
+    except ModuleNotFoundError as error:
+        if error.name != "gtsam":
+            raise
+        fail(str(error), UNUSABLE)
     except Exception as error:
         if _is(error, "graphslam.marginals", "SingularProblemError"):
             fail(f"unverified: {error}", UNVERIFIED)
-        if _is(error, "graphslam.scan.open3d_library", "Open3dMissingError") or _is(
+        if _is(error, "graphslam.scan.libraries", "MissingLibraryError") or _is(
             error, "graphslam.scan.clouds", "CloudError"
         ):
             fail(str(error), UNUSABLE)
@@ -138,11 +142,3 @@ def progress_bar() -> Iterator[Progress]:
             bar.update(task, description=stage, completed=done, total=total or None)
 
         yield show
-
-
-def need_clouds(cloud: str | None) -> None:
-    """Where Open3D is missing, say so before the work."""
-    if cloud is not None:
-        from graphslam.scan.open3d_library import open3d
-
-        open3d()

@@ -31,7 +31,7 @@ class Meta(BaseModel):
     """`estimate.toml`."""
 
     model_config = ConfigDict(extra="forbid")
-    version: Literal[1]
+    version: Literal[1] = 1
     information: Literal["filtered", "smoothed", "fixed-lag"]
     estimator: Literal["ekf", "smoother", "other"] = "other"
     provenance: dict[str, str] = {}

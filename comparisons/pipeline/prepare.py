@@ -22,6 +22,7 @@ from comparisons.extensions.registry import EXTENSIONS
 from comparisons.logs.hashing import log_hash
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.transforms.known_landmarks import join_known_sightings
+from graphslam.scan.libraries import require
 
 C = TypeVar("C", bound=JobConfig)
 Progress = Callable[[str, int, int], None]
@@ -153,8 +154,10 @@ def prepare(
     """Settle what is left open and let every extension change what the estimators are given.
 
     ekf: the filter's settings, where the job's configuration has none. also: extensions that no
-    configuration names; they come first. Raises InputError for what the log cannot serve.
+    configuration names; they come first. Raises InputError for what the log cannot serve, and
+    MissingLibraryError where the job needs what is not installed.
     """
+    require(config.libraries())
     if config.log.sha256 is None:
         config = config.at_log(log_hash(log), log.name)
     configured = config if isinstance(config, Configured) else None

@@ -10,6 +10,7 @@ from comparisons.logs.bundled import NAMED, SimulationChoices, open_log
 from comparisons.logs.hashing import log_hash
 from comparisons.logs.log import Log
 from comparisons.pipeline.prepare import Clock
+from graphslam.scan.libraries import require
 
 C = TypeVar("C", bound=JobConfig)
 
@@ -37,8 +38,10 @@ def load_log(section: LogSection) -> Log:
 def read_for(config: C, *, allow_changed: bool = False) -> tuple[Log, C, Clock]:
     """Return the log, the configuration with its hash and full path, and the time that took.
 
-    Raises InputError where the configuration has the hash of another log, unless that is allowed.
+    Raises InputError where the configuration has the hash of another log, unless that is allowed,
+    and MissingLibraryError where the job needs what is not installed.
     """
+    require(config.libraries())
     section, clock = config.log, Clock()
     with clock.stage("read"):
         log = load_log(section)

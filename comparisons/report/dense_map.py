@@ -192,7 +192,7 @@ def print_map(result: MapResult, console: Console) -> None:
 def map_folder(mapping: DenseMapping, result: MapResult) -> JobFolder:
     """Return what is to be written: the map, and each layer in several formats.
 
-    Layers as clouds need Open3D: raises Open3dMissingError. Without regions there are none.
+    Layers as clouds need Open3D: raises MissingLibraryError. Without regions there are none.
     """
     figures = {"map": dense_map_figure(mapping)}
     dynamic = mapping.dense.dense.dynamic

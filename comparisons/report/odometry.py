@@ -124,7 +124,7 @@ def print_front_end(result: FrontEndResult, console: Console) -> None:
 
 
 def front_end_folder(front_end: FrontEnd, result: FrontEndResult) -> JobFolder:
-    """Return what is to be written. A map as a cloud needs Open3D: raises Open3dMissingError."""
+    """Return what is to be written. A map as a cloud needs Open3D: raises MissingLibraryError."""
     f, cloud = front_end, front_end.prepared.config.cloud
     points, problem = f.map_points(), f.graph.problem
     files: dict[str, Callable[[Path], object]] = {"odometry.tum": _tum(f.time_s, f.odometry)}

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from graphslam.arrays import Array
-from graphslam.scan.open3d_library import open3d
+from graphslam.scan.libraries import open3d
 
 SUFFIXES = (".pcd", ".ply")
 
@@ -36,7 +36,7 @@ class CloudError(ValueError):
 def write_cloud(path: Path, points: Array) -> None:
     """Write points (N, 3) [m] in binary, as the path's suffix says; whole or not at all.
 
-    Raises CloudError, and Open3dMissingError where Open3D cannot be loaded.
+    Raises CloudError, and MissingLibraryError where Open3D cannot be loaded.
     """
     suffix = _suffix(path)
     cloud = np.ascontiguousarray(points, dtype=np.float64)
@@ -65,7 +65,7 @@ def write_cloud(path: Path, points: Array) -> None:
 def read_cloud(path: Path) -> Array:
     """(N, 3) points [m] of a file, rows that are no numbers among them.
 
-    Raises CloudError, and Open3dMissingError where Open3D cannot be loaded.
+    Raises CloudError, and MissingLibraryError where Open3D cannot be loaded.
     """
     _suffix(path)
     library = open3d()

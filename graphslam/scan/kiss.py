@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from graphslam.arrays import Array
+from graphslam.scan.libraries import kiss_icp
 
 if TYPE_CHECKING:
     from kiss_icp.mapping import VoxelHashMap
@@ -18,20 +19,18 @@ if TYPE_CHECKING:
 
 def registration(iterations: int, converged: float) -> Registration:
     """The aligner of points to a voxel map; converged: step that ends it."""
-    from kiss_icp.registration import Registration
-
-    return Registration(iterations, converged, max_num_threads=1)
+    aligner: Registration = kiss_icp().registration.Registration(
+        iterations, converged, max_num_threads=1
+    )
+    return aligner
 
 
 def voxel_map(voxel_m: float, reach_m: float, per_voxel: int) -> VoxelHashMap:
     """An empty map that forgets what lies beyond its reach."""
-    from kiss_icp.mapping import VoxelHashMap
-
-    return VoxelHashMap(voxel_m, reach_m, per_voxel)
+    empty: VoxelHashMap = kiss_icp().mapping.VoxelHashMap(voxel_m, reach_m, per_voxel)
+    return empty
 
 
 def thinned(points: Array, voxel_m: float) -> Array:
     """(M, 3) one of the points (N, 3) in each voxel, the first."""
-    from kiss_icp.voxelization import voxel_down_sample
-
-    return np.asarray(voxel_down_sample(points, voxel_m))
+    return np.asarray(kiss_icp().voxelization.voxel_down_sample(points, voxel_m))

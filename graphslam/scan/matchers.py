@@ -199,5 +199,5 @@ MATCHERS: dict[str, Callable[[], Matcher]] = {
 }
 """A matcher with its defaults, by the name that the command line uses.
 
-The last three raise Open3dMissingError where Open3D cannot be loaded.
+The last three raise MissingLibraryError where Open3D cannot be loaded.
 """

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from graphslam.arrays import Array
 from graphslam.scan import planar
+from graphslam.scan.libraries import open3d
 from graphslam.scan.matchers import JudgedMatcher, MatchOptions
-from graphslam.scan.open3d_library import open3d
 from graphslam.scan.surfaces import SurfaceMap
 
 _THIN = 1e-3
@@ -28,7 +28,7 @@ _BELOW_M = 2e2
 
 class _Open3dMatcher(JudgedMatcher):
     def __init__(self, options: MatchOptions | None = None) -> None:
-        """Without options the defaults hold. Raises Open3dMissingError."""
+        """Without options the defaults hold. Raises MissingLibraryError."""
         super().__init__(options)
         self._open3d = open3d()
 

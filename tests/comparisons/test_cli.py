@@ -13,6 +13,7 @@ import pytest
 from comparisons.estimates.folder import read_estimate
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.report.models import Result
+from tests.graphslam.skips import pass_on
 from tests.helpers import simulated
 
 
@@ -35,7 +36,9 @@ def python(
 
 
 def slamcheck(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return python("from comparisons.cli import app; app.main()", cwd, *arguments)
+    done = python("from comparisons.cli import app; app.main()", cwd, *arguments)
+    pass_on(done.stderr)
+    return done
 
 
 @pytest.mark.slow
@@ -289,7 +292,17 @@ def test_a_cloud_that_cannot_be_written_is_told_of_before_the_work(tmp_path: Pat
     )
     done = python(without, tmp_path, "odometry", "no-such-log", "--cloud", "pcd")
     assert done.returncode == 2
-    assert "Open3D is not installed" in done.stderr
+    assert done.stderr == "slamcheck: --cloud needs Open3D: pip install 'slamcheck[scans]'\n"
     done = slamcheck("odometry", "no-such-log", "--cloud", "", cwd=tmp_path)
     assert done.returncode == 2
     assert "'--cloud': '' is not one of 'pcd', 'ply'" in done.stderr
+
+
+def test_without_gtsam_one_line_says_where_it_is_to_be_had(tmp_path: Path) -> None:
+    without = "import sys; sys.modules['gtsam'] = None; "
+    done = python(f"{without}from comparisons.cli import app; app.main()", tmp_path, "run")
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 1
+    assert done.stderr.startswith("slamcheck: graphslam needs gtsam 4.3")
+    done = python(f"{without}import graphslam.smoother", tmp_path)
+    assert done.stderr.splitlines()[-1].startswith("ModuleNotFoundError: graphslam needs gtsam")

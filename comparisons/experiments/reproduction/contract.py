@@ -106,13 +106,15 @@ class Experiment(Generic[D]):
     """One computation that several figures may share.
 
     run: computes and draws nothing; raises InputError. needs: one of DATA_FOLDERS without which
-    it cannot run. takes: those that it reads besides, where they are given.
+    it cannot run. takes: those that it reads besides, where they are given. library: one of
+    graphslam.scan.libraries without which it cannot run.
     """
 
     name: str
     run: Callable[[Sources], D]
     needs: str | None = None
     takes: tuple[str, ...] = ()
+    library: str | None = None
 
     @property
     def reads(self) -> set[str]:

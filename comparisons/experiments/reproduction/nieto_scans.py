@@ -223,7 +223,7 @@ def _told(error: Array) -> str:
     return f"off by {np.hypot(*error[:2]):.2g} m, {np.rad2deg(abs(error[2])):.2g} deg"
 
 
-EXPERIMENT = Experiment("section 5.3.1, two scans", scans)
+EXPERIMENT = Experiment("section 5.3.1, two scans", scans, library="open3d")
 
 FIGURES: tuple[AnyFigure, ...] = (
     Figure(

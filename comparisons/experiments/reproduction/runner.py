@@ -12,6 +12,7 @@ from comparisons.experiments.reproduction.catalogue import chosen
 from comparisons.experiments.reproduction.contract import AnyFigure, Reproduced, Skipped, Sources
 from comparisons.report.picture import blank, encoded
 from ekf_reference.core.state import FilterDivergedError
+from graphslam.scan.libraries import MissingLibraryError, require
 
 Progress = Callable[[str, int, int], None]
 
@@ -31,13 +32,14 @@ def reproduce(
     results: dict[str, Reproduced | Skipped] = {}
     groups: dict[str, list[str]] = {}
     for figure in figures:
-        needs = figure.experiment.needs
-        if needs is not None and sources.folder(needs) is None:
-            results[figure.name] = Skipped(figure, f"needs --data FOLDER with {needs}/")
+        if reason := _lacking(figure, sources):
+            results[figure.name] = Skipped(figure, reason)
         else:
             groups.setdefault(figure.experiment.name, []).append(figure.name)
     if not groups:
-        reasons = [f"{f.name} needs --data FOLDER with {f.experiment.needs}/" for f in figures]
+        reasons = [
+            f"{r.figure.name} {r.reason}" for r in results.values() if isinstance(r, Skipped)
+        ]
         raise InputError(f"nothing to run: {', '.join(reasons)}")
     tasks = [(tuple(group), sources) for group in groups.values()]
     progress("figures", 0, len(tasks))
@@ -45,6 +47,18 @@ def reproduce(
         results |= {r.figure.name: r for r in found}
         progress(f"figures ({', '.join(tasks[place][0])} done)", done, len(tasks))
     return [results[figure.name] for figure in figures]
+
+
+def _lacking(figure: AnyFigure, sources: Sources) -> str:
+    """What a figure's experiment needs and has not got, empty where it can run."""
+    needs, library = figure.experiment.needs, figure.experiment.library
+    if needs is not None and sources.folder(needs) is None:
+        return f"needs --data FOLDER with {needs}/"
+    try:
+        require({} if library is None else {library: figure.name})
+    except MissingLibraryError as error:
+        return str(error).removeprefix(f"{figure.name} ")
+    return ""
 
 
 def _experiment(names: tuple[str, ...], sources: Sources) -> list[Reproduced]:

@@ -18,6 +18,10 @@ class OwnMatchingConfig(ExtensionConfig):
         if "scan_landmarks" not in config.extensions:
             raise ValueError("--smoother-matcher own goes with --landmarks scans or both")
 
+    def libraries(self) -> dict[str, str]:
+        """The matcher is Open3D's."""
+        return {"open3d": "--smoother-matcher own"}
+
     def build(self, config: Configured) -> OwnMatching:
         """Return the extension."""
         from comparisons.extensions.own_matching.extension import OwnMatching

@@ -38,7 +38,7 @@ def own_sightings(
     Of the filter it takes which returns of which scan a template was made of, and where its axis
     was put; none of its alignments, no pose, and not which landmarks it fused. templates: by slot,
     as they were begun. Raises ValueError for a log without planar scans, and
-    graphslam.scan.open3d_library.Open3dMissingError.
+    graphslam.scan.libraries.MissingLibraryError.
     """
     if log.scans is None:
         raise ValueError("the log has no planar scans")

@@ -20,6 +20,10 @@ class ScanMotionConfig(ExtensionConfig):
         description="scan: in place of the odometry; both: a third estimate, the smoother on scans",
     )
 
+    def libraries(self) -> dict[str, str]:
+        """Scan odometry is KISS-ICP's."""
+        return {"kiss_icp": f"--motion {self.motion}"}
+
     def build(self, config: Configured) -> ScanMotionExtension:
         """Return the extension."""
         from comparisons.extensions.scan_motion.extension import ScanMotionExtension

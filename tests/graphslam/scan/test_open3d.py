@@ -1,9 +1,10 @@
-"""Loading Open3D, and what is taken from it."""
+"""Loading Open3D and KISS-ICP, and what is taken from Open3D."""
 
 from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
@@ -11,7 +12,16 @@ import numpy as np
 import pytest
 
 from graphslam.scan import planar
-from graphslam.scan.open3d_library import PACKAGES, Open3dMissingError, explained, open3d
+from graphslam.scan.libraries import (
+    PACKAGES,
+    MissingLibraryError,
+    _load_kiss_icp,
+    _load_open3d,
+    kiss_icp,
+    open3d,
+    remedy,
+    require,
+)
 from tests.graphslam.numerics import Array
 from tests.graphslam.scan.shapes import box, seen_from
 
@@ -23,32 +33,47 @@ def test_a_missing_library_is_named_with_its_package(library: str, package: str)
     error = ImportError(
         f"{library}.so.1: cannot open shared object file: No such file or directory"
     )
-    message = explained(error)
-    assert message.startswith(f"Open3D lacks {library}: apt-get install {package},")
+    message = remedy("open3d", error)
+    assert message.startswith(f"it lacks {library}: apt-get install {package},")
     assert "\n" not in message
 
 
 def test_other_failures_are_one_line() -> None:
-    assert "pip install" in explained(ModuleNotFoundError("No module", name="open3d"))
-    assert explained(ImportError("bad\nsymbol")) == "Open3D cannot be loaded: bad symbol"
-    strange = explained(OSError("libodd.so.3: cannot open shared object file: No such file"))
-    assert strange == "Open3D cannot be loaded: it lacks libodd, a library of the system"
+    assert "pip install" in remedy("open3d", ModuleNotFoundError("No module", name="open3d"))
+    dash = ModuleNotFoundError("No module named 'dash'", name="dash")
+    assert remedy("open3d", dash) == "it cannot be loaded (No module named 'dash')"
+    assert remedy("open3d", ImportError("bad\nsymbol")) == "it cannot be loaded (bad symbol)"
+    strange = remedy("open3d", OSError("libodd.so.3: cannot open shared object file: No such file"))
+    assert strange == "it lacks libodd, a library of the system"
 
 
-def test_the_import_fails_with_that_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "open3d", None)
-    open3d.cache_clear()
+@pytest.mark.parametrize(
+    ("module", "name", "load"),
+    [("open3d", "Open3D", open3d), ("kiss_icp.mapping", "KISS-ICP", kiss_icp)],
+)
+def test_what_needs_a_library_that_is_not_there_says_so(
+    module: str, name: str, load: Callable[[], ModuleType], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, module, None)
+    monkeypatch.setitem(sys.modules, module.split(".")[0], None)
+    _load_open3d.cache_clear()
+    _load_kiss_icp.cache_clear()
     try:
-        with pytest.raises(Open3dMissingError, match="Open3D"):
-            open3d()
+        with pytest.raises(MissingLibraryError, match=f"needs {name}: pip install"):
+            load()
+        line = rf"^--this needs {name}: pip install 'slamcheck\[scans\]'$"
+        with pytest.raises(MissingLibraryError, match=line):
+            require({module.split(".")[0]: "--this"})
     finally:
-        open3d.cache_clear()
+        _load_open3d.cache_clear()
+        _load_kiss_icp.cache_clear()
 
 
-def test_nothing_loads_it_before_it_is_used() -> None:
+def test_nothing_loads_them_before_they_are_used() -> None:
     code = (
         "import sys, graphslam.scan.matchers as m, graphslam.scan.open3d_matchers, "
-        "graphslam.scan.clouds; m.MATCHERS['surface'](); assert 'open3d' not in sys.modules"
+        "graphslam.scan.clouds, graphslam.scan.odometry; m.MATCHERS['surface'](); "
+        "assert not {'open3d', 'kiss_icp'} & set(sys.modules)"
     )
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False

@@ -1,0 +1,168 @@
+"""slamcheck's wheel in an environment of its own, with what it depends on and nothing else."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tomllib
+import venv
+from collections.abc import Iterator
+from importlib.metadata import distribution, version
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.version import Version
+
+ROOT = Path(__file__).resolve().parents[1]
+BUILT = ("ekf_reference", "graphslam", "comparisons", "pyproject.toml", "README.md", "LICENSE")
+STRICT = """
+[tool.pytest.ini_options]
+addopts = ["--strict-markers", "--strict-config"]
+filterwarnings = ["error"]
+slam_logs = ["simulated-loop"]
+"""
+TEST = """
+def test_the_filter(slam_log, slam_check):
+    assert slam_check(slam_log).outcome == "agree"
+"""
+
+pytestmark = pytest.mark.slow
+
+
+def depends(requirements: list[str]) -> Iterator[str]:
+    """Names of all distributions that requirements lead to, as installed here."""
+    seen: set[str] = set()
+    while requirements:
+        one = Requirement(requirements.pop())
+        wanted = one.marker is None or one.marker.evaluate({"extra": ""})
+        if wanted and one.name.lower() not in seen:
+            seen.add(one.name.lower())
+            requirements += distribution(one.name).requires or []
+            yield one.name.lower()
+
+
+def link(name: str, folder: Path) -> None:
+    """Link all that a distribution has installed beside itself into a folder."""
+    found = distribution(name)
+    for top in {file.parts[0] for file in found.files or []} - {"..", "__pycache__"}:
+        if not (folder / top).exists():
+            (folder / top).symlink_to(Path(str(found.locate_file(top))).resolve())
+
+
+@pytest.fixture(scope="module")
+def scripts(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of programs of an environment with slamcheck's wheel, and no extra."""
+    if Version(version("setuptools")) < Version("77"):
+        pytest.skip("setuptools is older than 77, which builds the wheel")
+    work = tmp_path_factory.mktemp("fresh")
+    source, home = work / "source", work / "environment"
+    source.mkdir()
+    for name in BUILT:
+        copy = shutil.copytree if (ROOT / name).is_dir() else shutil.copy
+        copy(ROOT / name, source / name)
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check"]
+    build = ["wheel", "--quiet", "--no-deps", "--no-build-isolation", "--no-index", "-w", str(work)]
+    subprocess.run([*pip, *build, str(source)], check=True)
+    venv.create(home, with_pip=False, symlinks=True)
+    (site,) = home.glob("lib/python*/site-packages")
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    for name in depends([*project["dependencies"], "pytest"]):
+        link(name, site)
+    (wheel,) = work.glob("slamcheck-*.whl")
+    install = ["install", "--quiet", "--no-deps", "--no-index", str(wheel)]
+    subprocess.run([*pip, "--python", str(home / "bin/python"), *install], check=True)
+    return home / "bin"
+
+
+def done(
+    scripts: Path, cwd: Path, *command: str, path: Path | None = None
+) -> subprocess.CompletedProcess[str]:
+    """A program of the environment. path: a folder with further modules."""
+    program, *arguments = command
+    environment = {"PATH": os.defpath, "OPENBLAS_NUM_THREADS": "1", "COLUMNS": "100"}
+    if path is not None:
+        environment["PYTHONPATH"] = str(path)
+    return subprocess.run(
+        [scripts / program, *arguments],
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        check=False,
+        env=environment,
+        timeout=120,
+    )
+
+
+def strict_pytest(
+    scripts: Path, folder: Path, path: Path | None = None
+) -> subprocess.CompletedProcess[str]:
+    """Another's project with strict settings and a test of a filter."""
+    (folder / "pyproject.toml").write_text(STRICT)
+    (folder / "test_filter.py").write_text(TEST)
+    return done(scripts, folder, "python", "-m", "pytest", "-q", path=path)
+
+
+def test_no_dependency_brings_what_only_scans_need() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    names = set(depends(list(project["dependencies"])))
+    assert {"gtsam", "numpy", "contourpy"} <= names
+    assert not {"open3d", "open3d-cpu", "kiss-icp", "dash"} & names
+    scans = set(depends(list(project["optional-dependencies"]["scans"])))
+    assert {"kiss-icp", "dash"} <= scans
+
+
+def test_a_strict_project_passes(scripts: Path, tmp_path: Path) -> None:
+    tested = strict_pytest(scripts, tmp_path)
+    assert tested.returncode == 0, tested.stdout + tested.stderr
+    assert "1 passed" in tested.stdout
+
+
+def test_a_plugin_that_warns_would_be_found(scripts: Path, tmp_path: Path) -> None:
+    """As that of dash, which Open3D brings."""
+    path, project = tmp_path / "path", tmp_path / "project"
+    (path / "loud-1.0.dist-info").mkdir(parents=True)
+    project.mkdir()
+    (path / "loud.py").write_text("import warnings\n\nwarnings.warn('too loud')\n")
+    (path / "loud-1.0.dist-info/METADATA").write_text("Name: loud\nVersion: 1.0\n")
+    (path / "loud-1.0.dist-info/entry_points.txt").write_text("[pytest11]\nloud = loud\n")
+    tested = strict_pytest(scripts, project, path)
+    assert tested.returncode != 0
+    assert "too loud" in tested.stdout + tested.stderr
+    quiet = ("-m", "pytest", "-q", "--collect-only", "-p", "no:loud")
+    assert done(scripts, project, "python", *quiet, path=path).returncode == 0
+
+
+def test_a_run_leaves_its_folder(scripts: Path, tmp_path: Path) -> None:
+    run = done(scripts, tmp_path, "slamcheck", "run", "simulated-loop", "--out", "out")
+    assert run.returncode == 0, run.stderr
+    assert run.stderr == ""
+    versions = json.loads((tmp_path / "out/result.json").read_text())["versions"]
+    assert versions["slamcheck"] == version("slamcheck")
+    assert "gtsam" in versions
+    assert not {"kiss-icp", "open3d", "open3d-cpu"} & set(versions)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "needs"),
+    [
+        ("odometry scan-loop", "odometry needs KISS-ICP"),
+        ("run scan-loop --motion both", "--motion both needs KISS-ICP"),
+        (
+            "run scan-slam --landmarks scans --smoother-matcher own",
+            "--smoother-matcher own needs Open3D",
+        ),
+        ("map scan-loop --cloud pcd", "--cloud needs Open3D"),
+        ("reproduce N5.5", "nothing to run: N5.5 needs Open3D"),
+    ],
+)
+def test_what_needs_the_extra_says_so_before_the_work(
+    arguments: str, needs: str, scripts: Path, tmp_path: Path
+) -> None:
+    run = done(scripts, tmp_path, "slamcheck", *arguments.split())
+    assert run.returncode == 2
+    assert run.stderr == f"slamcheck: {needs}: pip install 'slamcheck[scans]'\n"
+    assert list(tmp_path.iterdir()) == []
