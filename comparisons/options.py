@@ -9,13 +9,21 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, get_args
+from typing import Any, NamedTuple, get_args
 
 from comparisons import choices
 from comparisons.errors import InputError
 
 ABSENT = None
 """A setting that takes its section away."""
+
+
+class Where(NamedTuple):
+    """Where a setting has an effect: a field of the configuration has a value, in words."""
+
+    field: str
+    value: Any
+    words: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,6 +34,7 @@ class Flag:
     repeated. settings: what each choice stands for, ABSENT to take the field away; without it
     the value itself. within: what must be asked for as well, for a field of a section that the
     flag alone does not add; neutral: the choice that is the default there, and needs nothing.
+    where: where another value than the default has an effect; see check_applies.
     """
 
     option: str
@@ -38,6 +47,7 @@ class Flag:
     settings: Mapping[Any, Any] | None = None
     within: str = ""
     neutral: str = ""
+    where: Where | None = None
     hidden: bool = False
 
     @property
@@ -70,6 +80,20 @@ class Flag:
             into[key].update(found)
         else:
             into[key] = dict(found) if isinstance(found, Mapping) else found
+
+    def read(self, config: Mapping[str, Any]) -> tuple[Any, frozenset[str]]:
+        """Return the value that nested mappings have, None for none, and the paths it stands at."""
+        found = _below(config, self.field)
+        if self.settings is None:
+            return found, frozenset({self.field})
+        for value, stands_for in self.settings.items():
+            if isinstance(found, Mapping) and isinstance(stands_for, Mapping):
+                if stands_for.items() <= found.items():
+                    below = (f"{self.field}.{key}" for key in stands_for)
+                    return value, frozenset({self.field, *below})
+            elif stands_for == found is not ABSENT:
+                return value, frozenset({self.field})
+        return None, frozenset()
 
 
 # fmt: off
@@ -136,10 +160,12 @@ SMOOTHER = (
     ),
     Flag(
         option="--lag", field="smoother.lag", kind=int, help="Poses that a fixed lag holds. [100]",
+        where=Where("smoother.method", "fixed-lag", "--smoother fixed-lag"),
     ),
     Flag(
         option="--optimiser", field="smoother.optimiser", choices=choices.Optimiser,
         help="Of the batch smoother. [levenberg-marquardt]",
+        where=Where("smoother.method", "batch", "--smoother batch"),
     ),
     ROBUST,
     ACCEPT_MISFIT,
@@ -276,6 +302,7 @@ FRONT_END = (
     Flag(
         option="--matcher", field="front_end.matcher", choices=choices.LoopMatcher,
         help="What aligns scans for loop closure; the last three are Open3D's. [surface]",
+        where=Where("front_end.loop_closure", True, "--loop-closure"),
     ),
     FRONT_END_GPS,
     CLOUD,
@@ -296,12 +323,27 @@ MAP = (
 )
 # fmt: on
 RUN = (*EKF, ATTRIBUTES, *RUN_EXTENSIONS, *SMOOTHER, FAIL_ON, *REPORT, *LOG)
+FLAGS = (*RUN, SOLVER_ASSOCIATION, GPS, *ESTIMATE, *FRONT_END, *MAP)
+"""Every command's."""
 
 
 def lay_over(config: dict[str, Any], flags: Sequence[tuple[Flag, Any]]) -> None:
     """Put flags that were given over nested mappings, sections before what lies within them."""
     for flag, value in sorted(flags, key=lambda one: bool(one[0].within)):
         flag.lay_over(config, value)
+
+
+def check_applies(config: Mapping[str, Any], usual: Mapping[str, Any]) -> None:
+    """Raise InputError for a setting that is not the usual one and has no effect beside the rest.
+
+    config, usual: whole configurations of one job as nested mappings, the latter all defaults.
+    """
+    for flag in FLAGS:
+        value = _below(config, flag.field)
+        if flag.where is None or value == _below(usual, flag.field):
+            continue
+        if _below(config, flag.where.field) != flag.where.value:
+            raise InputError(f"{flag.option} {value} goes with {flag.where.words}")
 
 
 def options(table: Iterable[Flag], values: Mapping[str, Any]) -> list[tuple[Flag, Any]]:

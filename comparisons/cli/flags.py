@@ -22,6 +22,7 @@ class Given(NamedTuple):
     settings: Sequence[str]
     allow_changed: bool
     out: Path | None
+    replace: bool
     verbose: bool
     log_file: Path | None
     extra: Mapping[str, Any]
@@ -52,6 +53,7 @@ def from_flags(
                     values["settings"],
                     values["allow_changed_log"],
                     values["out"],
+                    values["replace"],
                     values["verbose"],
                     values["log_file"],
                     {name: values[name] for name in extra},
@@ -151,10 +153,15 @@ _COMMON = (
             typer.Option(
                 "--out",
                 metavar="DIR",
-                help="Folder to write [slamcheck-LOG, or slamcheck-COMMAND-LOG].",
+                help="Folder to write. [slamcheck-COMMAND-LOG-SETTINGS, with what is not as usual]",
             ),
         ],
         None,
+    ),
+    _parameter(
+        "replace",
+        Annotated[bool, typer.Option("--replace", help="Replace a folder that holds another run.")],
+        False,
     ),
     _parameter(
         "verbose",

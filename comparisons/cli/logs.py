@@ -17,7 +17,8 @@ def logs() -> None:
 
     typer.echo("Logs by name:")
     for name, entry in NAMED.items():
-        typer.echo(f"  {name:16} {entry.kind}: {entry.what}")
+        options = f" ({', '.join(entry.takes)})" if entry.takes else ""
+        typer.echo(f"  {name:16} {entry.kind}: {entry.what}{options}")
     typer.echo("Formats of logs by path (--format):")
     for name, reader in READERS.items():
         typer.echo(f"  {name:16} {reader.what}")

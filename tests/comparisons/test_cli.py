@@ -119,6 +119,12 @@ def test_bad_input_is_one_line_and_exit_2(tmp_path: Path) -> None:
         ("run", "simulated-loop", "--attributes", "on"): "hold no diameter and no intensity; use",
         ("run", "simulated-loop", "--gps", "maybe"): "'--gps': 'maybe' is not one of 'off', 'on'",
         ("run", "simulated-loop", "--fuse-landmarks", "maybe"): "'--fuse-landmarks': 'maybe' is",
+        ("run", "victoria-park", "--seed", "5"): "--seed 5 does not apply; --seed is for simulated",
+        ("run", "simulated-loop", "--robot", "2"): "--robot 2 does not apply; it takes --seed, ",
+        ("run", "waypoint-run", "--loops", "2"): "--loops 2 does not apply; it takes --seed, --n",
+        ("solve", "--lag", "5"): "--lag 5 goes with --smoother fixed-lag",
+        ("run", "--smoother", "isam2", "--optimiser", "dogleg"): "goes with --smoother batch",
+        ("convert", "victoria-park", "out", "--loops", "2"): "--loops 2 does not apply",
         ("run", "n" * 300): "no such file or folder",
         ("run", "--bogus"): "No such option: --bogus",
         ("run", "--seed", "abc"): "--seed",
@@ -135,6 +141,27 @@ def test_bad_input_is_one_line_and_exit_2(tmp_path: Path) -> None:
         assert done.stderr.count("\n") == 1
     assert sorted(p.name for p in tmp_path.iterdir()) == ["empty", "file", "full"]
     assert [p.name for p in (tmp_path / "full").iterdir()] == ["mine.txt"]
+
+
+@pytest.mark.slow
+def test_a_folder_of_another_run_is_not_replaced_in_silence(tmp_path: Path) -> None:
+    write_log_folder(simulated(loop_s=5.0), tmp_path / "log")
+    run = ("run", "log")
+    for more in ((), (), ("--filter", "compressed"), ("slamcheck-simulated-loop/config.toml",)):
+        asked = more if more[:1] == ("slamcheck-simulated-loop/config.toml",) else ("log", *more)
+        assert slamcheck("run", *asked, cwd=tmp_path).returncode == 0, more
+    names = ["log", "slamcheck-simulated-loop", "slamcheck-simulated-loop-filter-compressed"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == names
+    other = (*run, "--association", "nn", "--out", "slamcheck-simulated-loop")
+    kept = (tmp_path / "slamcheck-simulated-loop" / "result.json").read_bytes()
+    refused = slamcheck(*other, cwd=tmp_path)
+    assert refused.returncode == 2
+    assert refused.stderr == (
+        "slamcheck: slamcheck-simulated-loop: holds another run (ekf.association unset, not nn); give "
+        "--replace, or another folder by --out\n"
+    )
+    assert (tmp_path / "slamcheck-simulated-loop" / "result.json").read_bytes() == kept
+    assert slamcheck(*other, "--replace", cwd=tmp_path).returncode == 0
 
 
 @pytest.mark.slow

@@ -17,6 +17,7 @@ from comparisons.config import (
     EkfConfig,
     JobConfig,
     MapConfig,
+    OdometryConfig,
     RunConfig,
     SolveConfig,
     choices_of,
@@ -195,6 +196,8 @@ def test_what_is_wrong_is_named_in_one_line(setting: str, words: str) -> None:
         ({"filter": "misono", "trace": True}, "--trace is for"),
         ({"attributes": "on", "association": "euclidean"}, "takes no attributes"),
         ({"resolution": 0.4}, "dense_maps.layers: empty"),
+        ({"lag": 5}, "--lag 5 goes with --smoother fixed-lag"),
+        ({"smoother": "isam2", "optimiser": "dogleg"}, "--optimiser dogleg goes with --smoother"),
         ({"kalman": "on"}, "option kalman: is unknown"),
     ],
 )
@@ -208,12 +211,28 @@ def test_what_does_not_go_together_is_refused(options: dict[str, object], words:
     [
         {"landmarks": "scans", "motion": "scan"},
         {"landmarks": "both", "motion": "both", "smoother_association": "own"},
+        {"lag": 100},
+        {"smoother": "fixed-lag", "lag": 5},
         {"templates": "bare", "fuse_landmarks": "off"},
         {"dynamic": "on", "resolution": 0.4},
     ],
 )
 def test_what_goes_together_is_not(options: dict[str, object]) -> None:
     run_config(**options)
+
+
+def test_what_has_no_effect_is_refused_in_a_file_too(tmp_path: Path) -> None:
+    """Where it differs from the default: a file holds every setting."""
+    path = tmp_path / "config.toml"
+    path.write_text(SolveConfig.of().toml())
+    configure(SolveConfig, path)
+    path.write_text(path.read_text().replace("lag = 100", "lag = 5"))
+    with pytest.raises(InputError, match=r"config\.toml: --lag 5 goes with --smoother fixed-lag"):
+        configure(SolveConfig, path)
+    matcher = ["front_end.matcher=kiss"]
+    assert configure(OdometryConfig, settings=matcher).front_end.matcher == "kiss"
+    with pytest.raises(InputError, match="--matcher kiss goes with --loop-closure"):
+        configure(OdometryConfig, settings=[*matcher, "front_end.loop_closure=false"])
 
 
 def test_an_extension_brings_what_it_needs() -> None:

@@ -46,7 +46,11 @@ def test_the_map_leaves_a_whole_folder(tmp_path: Path) -> None:
     assert result.resolution_m == 0.4
     assert result.returns.fused + result.returns.late > 10_000
     assert set(result.surface_errors) == {"points", "occupancy", "classic"}
-    again = slamcheck("map", "occupancy-loop", "--out", "map", cwd=tmp_path)
+    other = ("map", "occupancy-loop", "--out", "map")
+    refused = slamcheck(*other, cwd=tmp_path)
+    assert refused.returncode == 2
+    assert "map: holds another run (extensions.dense_maps.layers" in refused.stderr
+    again = slamcheck(*other, "--replace", cwd=tmp_path)
     assert again.returncode == 0, again.stderr
     assert not (folder / "points.png").exists()
 

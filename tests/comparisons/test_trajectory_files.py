@@ -114,7 +114,7 @@ def test_the_commands(tmp_path: Path) -> None:
     ]
     for words, told in right:
         done = slamcheck(
-            "check", "simulated-loop", "--estimate", *words, "--out", "c", cwd=tmp_path
+            "check", "simulated-loop", "--estimate", *words, "--out", "c", "--replace", cwd=tmp_path
         )
         assert done.returncode == 0, done.stderr + done.stdout
         assert told in done.stdout
