@@ -16,6 +16,8 @@ from comparisons.errors import InputError
 
 ABSENT = None
 """A setting that takes its section away."""
+_SWITCH: Mapping[Any, Any] = {True: {}, False: ABSENT}
+"""Of an extension that is there or not."""
 
 
 class Where(NamedTuple):
@@ -46,9 +48,8 @@ class Flag:
     many: bool = False
     settings: Mapping[Any, Any] | None = None
     within: str = ""
-    neutral: str = ""
+    neutral: Any = ""
     where: Where | None = None
-    hidden: bool = False
 
     @property
     def words(self) -> tuple[str, ...]:
@@ -69,7 +70,8 @@ class Flag:
         if self.within and _below(config, section) is None:
             if value == self.neutral:
                 return
-            raise InputError(f"{self.option} {value} goes with {self.within}")
+            given = self.option if value is True else f"{self.option} {value}"
+            raise InputError(f"{given} goes with {self.within}")
         into = config
         for part in section.split(".") if section else ():
             into = into.setdefault(part, {})
@@ -198,8 +200,8 @@ _DENSE_HELP = "Keep this layer of a dense map and compare it with the smoother's
 RUN_EXTENSIONS = (
     *SCAN_LANDMARKS,
     Flag(
-        option="--fuse-landmarks", field="extensions.scan_landmarks.fuse", choices=choices.Switch,
-        settings={"off": False, "on": True}, within=_LANDMARKS, neutral="off",
+        option="--fuse-landmarks", field="extensions.scan_landmarks.fuse", kind=bool,
+        within=_LANDMARKS, neutral=False,
         help="Fuse scan landmarks that turn out to be one. [off]",
     ),
     Flag(
@@ -226,30 +228,12 @@ RUN_EXTENSIONS = (
     ),
     RESOLUTION,
     Flag(
-        option="--dynamic", field="extensions.dynamic", choices=choices.Switch,
-        settings={"off": ABSENT, "on": {}},
+        option="--dynamic", field="extensions.dynamic", kind=bool, settings=_SWITCH,
         help="Find where things move in the scans, and let the filter ignore these places. [off]",
     ),
     Flag(
-        option="--high-level", field="extensions.high_level", choices=choices.Switch,
-        settings={"off": ABSENT, "on": {}},
+        option="--high-level", field="extensions.high_level", kind=bool, settings=_SWITCH,
         help="Landmarks made of what stands in the filter's dense map. [off]",
-    ),
-    *(
-        Flag(
-            option=f"--high-level-{name}",
-            field=f"extensions.high_level.{field}",
-            kind=kind,
-            within="--high-level on",
-            hidden=True,
-            help=f"Kept for one release; use --set high_level.{field}=VALUE.",
-        )
-        for name, field, kind in (
-            ("cell", "cell_m", float),
-            ("pair", "pair_m", float),
-            ("least", "least", int),
-            ("every", "every_s", float),
-        )
     ),
 )
 FAIL_ON = Flag(
@@ -296,8 +280,8 @@ FRONT_END = (
         help="Where the alignment of a scan starts. [wheels]",
     ),
     Flag(
-        option="--loop-closure", field="front_end.loop_closure", choices=choices.Switch,
-        settings={"off": False, "on": True}, help="Look for places seen before. [on]",
+        option="--loop-closure", field="front_end.loop_closure", kind=bool,
+        help="Look for places seen before. [on]",
     ),
     Flag(
         option="--matcher", field="front_end.matcher", choices=choices.LoopMatcher,
@@ -314,8 +298,7 @@ MAP = (
     ),
     RESOLUTION,
     Flag(
-        option="--dynamic", field="extensions.dynamic", kind=bool,
-        settings={True: {}, False: ABSENT},
+        option="--dynamic", field="extensions.dynamic", kind=bool, settings=_SWITCH,
         help="Find where things move, let the filter ignore these places, and write that layer.",
     ),
     *SCAN_LANDMARKS,

@@ -75,13 +75,8 @@ def from_flags(
 
 def _of_flag(flag: Flag) -> inspect.Parameter:
     kind: Any = _words(flag) if flag.words else flag.kind
-    option = typer.Option(
-        flag.option,
-        help=flag.help,
-        metavar=flag.metavar,
-        show_default=False,
-        hidden=flag.hidden,
-    )
+    names = f"{flag.option}/--no-{flag.option[2:]}" if kind is bool else flag.option
+    option = typer.Option(names, help=flag.help, metavar=flag.metavar, show_default=False)
     if flag.many:
         return _parameter(flag.name, Annotated[list[kind], option], [])
     return _parameter(flag.name, Annotated[kind | None, option], None)

@@ -41,9 +41,9 @@ def run(given: Given) -> None:
       slamcheck run scan-loop --dense sog --set dense_maps.d_min_m=0.1
       slamcheck run scan-slam --landmarks scans
       slamcheck run scan-slam --landmarks scans --smoother-matcher own
-      slamcheck run occupancy-loop --loops 2 --high-level on
+      slamcheck run occupancy-loop --loops 2 --high-level
       slamcheck run simulated-loop --figures pdf --record run.rrd
-      slamcheck run dynamic-lanes --dynamic on
+      slamcheck run dynamic-lanes --dynamic
     """
     with guarded(verbose=given.verbose, log_file=given.log_file):
         live, record = bool(given.extra["live"]), given.extra["record"]

@@ -118,7 +118,7 @@ def test_bad_input_is_one_line_and_exit_2(tmp_path: Path) -> None:
         ("run", "simulated-loop", "--gps", "on"): "holds no positions to fuse; use --gps off",
         ("run", "simulated-loop", "--attributes", "on"): "hold no diameter and no intensity; use",
         ("run", "simulated-loop", "--gps", "maybe"): "'--gps': 'maybe' is not one of 'off', 'on'",
-        ("run", "simulated-loop", "--fuse-landmarks", "maybe"): "'--fuse-landmarks': 'maybe' is",
+        ("run", "simulated-loop", "--fuse-landmarks"): "--fuse-landmarks goes with --landmarks",
         ("run", "victoria-park", "--seed", "5"): "--seed 5 does not apply; --seed is for simulated",
         ("run", "simulated-loop", "--robot", "2"): "--robot 2 does not apply; it takes --seed, ",
         ("run", "waypoint-run", "--loops", "2"): "--loops 2 does not apply; it takes --seed, --n",
@@ -157,8 +157,8 @@ def test_a_folder_of_another_run_is_not_replaced_in_silence(tmp_path: Path) -> N
     refused = slamcheck(*other, cwd=tmp_path)
     assert refused.returncode == 2
     assert refused.stderr == (
-        "slamcheck: slamcheck-simulated-loop: holds another run (ekf.association unset, not nn); give "
-        "--replace, or another folder by --out\n"
+        "slamcheck: slamcheck-simulated-loop: holds another run (ekf.association unset, not nn); "
+        "give --replace, or another folder by --out\n"
     )
     assert (tmp_path / "slamcheck-simulated-loop" / "result.json").read_bytes() == kept
     assert slamcheck(*other, "--replace", cwd=tmp_path).returncode == 0

@@ -99,7 +99,7 @@ def test_the_front_end_leaves_a_whole_folder(tmp_path: Path) -> None:
 def test_the_map_as_a_cloud(suffix: str, tmp_path: Path) -> None:
     from graphslam.scan.clouds import read_cloud
 
-    arguments = ("scan-loop-fine", "--cloud", suffix, "--loop-closure", "off", "--out", "scans")
+    arguments = ("scan-loop-fine", "--cloud", suffix, "--no-loop-closure", "--out", "scans")
     done = slamcheck("odometry", *arguments, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     points = read_cloud(tmp_path / f"scans/map.{suffix}")
