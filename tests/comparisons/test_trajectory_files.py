@@ -125,7 +125,7 @@ def test_the_commands(tmp_path: Path) -> None:
         assert told in done.stdout
     wrong: list[tuple[tuple[str, ...], str]] = [
         (("export", "solved", "x.csv"), "is no estimate; give solved/smoother"),
-        (("export", "csv/poses", "tum/poses"), "exists already"),
+        (("export", "csv/poses", "again/tum/poses.tum"), "exists already"),
         (("export", "csv/poses", "x", "--format", "xyz"), "format 'xyz' is unknown"),
         (("export", "csv/poses", "x"), "x: its suffix names no format, expected .tum"),
         (("export", "csv/poses", "x.tum", "--format", "csv"), "its suffix says tum, --format csv"),
