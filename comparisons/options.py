@@ -16,6 +16,8 @@ from comparisons.errors import InputError
 
 ABSENT = None
 """A setting that takes its section away."""
+FILTER_PANEL, SMOOTHER_PANEL, SCAN_PANEL = "Filter", "Smoother", "Scans and dense maps"
+LOG_PANEL, REPORT_PANEL = "Log", "Report"
 _SWITCH: Mapping[Any, Any] = {True: {}, False: ABSENT}
 """Of an extension that is there or not."""
 
@@ -36,7 +38,8 @@ class Flag:
     repeated. settings: what each choice stands for, ABSENT to take the field away; without it
     the value itself. within: what must be asked for as well, for a field of a section that the
     flag alone does not add; neutral: the choice that is the default there, and needs nothing.
-    where: where another value than the default has an effect; see check_applies.
+    where: where another value than the default has an effect; see check_applies. panel: of the
+    help that lists it; empty for what people use first. off: a switch that has a --no- form, too.
     """
 
     option: str
@@ -50,6 +53,8 @@ class Flag:
     within: str = ""
     neutral: Any = ""
     where: Where | None = None
+    panel: str = ""
+    off: bool = False
 
     @property
     def words(self) -> tuple[str, ...]:
@@ -107,22 +112,28 @@ PRESET = Flag(
 LOG = (
     PRESET,
     Flag(
-        option="--format", field="log.format", metavar="F",
+        option="--format", panel=LOG_PANEL, field="log.format", metavar="F",
         help="The log's format; recognised if left out.",
     ),
     Flag(
-        option="--robot", field="log.robot", kind=int,
+        option="--robot", panel=LOG_PANEL, field="log.robot", kind=int,
         help="Robot number, for MR.CLAM folders. [1]",
     ),
-    Flag(option="--seed", field="log.seed", kind=int, help="Seed of a simulated log. [0]"),
-    Flag(option="--loops", field="log.loops", kind=int, help="Loops of a simulated log. [1]"),
     Flag(
-        option="--noise-scale", field="log.noise_scale", kind=float,
+        option="--seed", panel=LOG_PANEL, field="log.seed", kind=int,
+        help="Seed of a simulated log. [0]",
+    ),
+    Flag(
+        option="--loops", panel=LOG_PANEL, field="log.loops", kind=int,
+        help="Loops of a simulated log. [1]",
+    ),
+    Flag(
+        option="--noise-scale", panel=LOG_PANEL, field="log.noise_scale", kind=float,
         help="Factor on the noise of a simulated log, added and stated. [1]",
     ),
 )
 FEATURES = Flag(
-    option="--features", field="log.features", choices=choices.Features,
+    option="--features", panel=FILTER_PANEL, field="log.features", choices=choices.Features,
     help="Sightings: the log's, or trunks found in its scans. [log]",
 )
 _GPS_HELP = "Fuse absolute positions; half holds every second one back. [off]"
@@ -139,7 +150,7 @@ EKF = (
     FEATURES,
 )
 ATTRIBUTES = Flag(
-    option="--attributes", field="ekf.attributes", choices=choices.Attributes,
+    option="--attributes", panel=FILTER_PANEL, field="ekf.attributes", choices=choices.Attributes,
     help="Let diameters and intensities tell landmarks apart, too (nn and jcbb); layer: "
     "intensities of the scans around them, from a dense map. [off]",
 )
@@ -148,24 +159,26 @@ SOLVER_ASSOCIATION = Flag(
     help="The log's labels, or the smoother's own association.",
 )
 ROBUST = Flag(
-    option="--robust", field="smoother.robust", choices=choices.Robust,
+    option="--robust", panel=SMOOTHER_PANEL, field="smoother.robust", choices=choices.Robust,
     help="Kernel against outliers in the smoother; changes its marginals. [none]",
 )
 ACCEPT_MISFIT = Flag(
-    option="--accept-misfit", field="smoother.accept_misfit", kind=bool,
+    option="--accept-misfit", panel=SMOOTHER_PANEL, field="smoother.accept_misfit", kind=bool,
     help="Verify the lowest minimum even where its chi-square is too high.",
 )
 SMOOTHER = (
     Flag(
-        option="--smoother", field="smoother.method", choices=choices.Method,
+        option="--smoother", panel=SMOOTHER_PANEL, field="smoother.method", choices=choices.Method,
         help="How the smoother works. [batch]",
     ),
     Flag(
-        option="--lag", field="smoother.lag", kind=int, help="Poses that a fixed lag holds. [100]",
+        option="--lag", panel=SMOOTHER_PANEL, field="smoother.lag",
+        kind=int, help="Poses that a fixed lag holds. [100]",
         where=Where("smoother.method", "fixed-lag", "--smoother fixed-lag"),
     ),
     Flag(
-        option="--optimiser", field="smoother.optimiser", choices=choices.Optimiser,
+        option="--optimiser", panel=SMOOTHER_PANEL, field="smoother.optimiser",
+        choices=choices.Optimiser,
         help="Of the batch smoother. [levenberg-marquardt]",
         where=Where("smoother.method", "batch", "--smoother batch"),
     ),
@@ -181,26 +194,29 @@ SCAN_LANDMARKS = (
         "[points]",
     ),
     Flag(
-        option="--pieces", field="extensions.scan_landmarks.pieces", choices=choices.Pieces,
+        option="--pieces", panel=SCAN_PANEL, field="extensions.scan_landmarks.pieces",
+        choices=choices.Pieces,
         within=_LANDMARKS,
         help="All segments of a scan make one scan landmark, or each its own. [joined, but single "
         "where a dense map is anchored to them]",
     ),
     Flag(
-        option="--templates", field="extensions.scan_landmarks.templates",
+        option="--templates", panel=SCAN_PANEL, field="extensions.scan_landmarks.templates",
         choices=choices.Templates, within=_LANDMARKS, neutral="bare",
         help="Enriched: align scan landmarks with what the dense map holds around, too. [bare]",
     ),
 )
 RESOLUTION = Flag(
-    option="--resolution", field="extensions.dense_maps.resolution_m", kind=float, metavar="M",
+    option="--resolution", panel=SCAN_PANEL, field="extensions.dense_maps.resolution_m",
+    kind=float, metavar="M",
     help="Size of the dense map's cells in metres. [0.2]",
 )
 _DENSE_HELP = "Keep this layer of a dense map and compare it with the smoother's; may be repeated."
 RUN_EXTENSIONS = (
     *SCAN_LANDMARKS,
     Flag(
-        option="--fuse-landmarks", field="extensions.scan_landmarks.fuse", kind=bool,
+        option="--fuse-landmarks", panel=SCAN_PANEL, field="extensions.scan_landmarks.fuse",
+        kind=bool, off=True,
         within=_LANDMARKS, neutral=False,
         help="Fuse scan landmarks that turn out to be one. [off]",
     ),
@@ -211,13 +227,15 @@ RUN_EXTENSIONS = (
         "the smoother on scans. [wheel]",
     ),
     Flag(
-        option="--smoother-association", field="extensions.own_association", choices=choices.Peer,
+        option="--smoother-association", panel=SMOOTHER_PANEL, field="extensions.own_association",
+        choices=choices.Peer,
         settings={"ekf": {"when": "never"}, "own": {"when": "always"}},
         help="Own: solve for a second time, with the smoother's own association. [own where the "
         "log has neither labels nor truth and this costs less than the run, else ekf]",
     ),
     Flag(
-        option="--smoother-matcher", field="extensions.own_matching", choices=choices.Peer,
+        option="--smoother-matcher", panel=SMOOTHER_PANEL, field="extensions.own_matching",
+        choices=choices.Peer,
         settings={"ekf": ABSENT, "own": {}},
         help="Own: solve for a second time, scan landmarks aligned by Open3D's generalised ICP. "
         "[ekf]",
@@ -228,27 +246,30 @@ RUN_EXTENSIONS = (
     ),
     RESOLUTION,
     Flag(
-        option="--dynamic", field="extensions.dynamic", kind=bool, settings=_SWITCH,
+        option="--dynamic", panel=SCAN_PANEL, field="extensions.dynamic",
+        kind=bool, off=True, settings=_SWITCH,
         help="Find where things move in the scans, and let the filter ignore these places. [off]",
     ),
     Flag(
-        option="--high-level", field="extensions.high_level", kind=bool, settings=_SWITCH,
+        option="--high-level", panel=SCAN_PANEL, field="extensions.high_level",
+        kind=bool, off=True, settings=_SWITCH,
         help="Landmarks made of what stands in the filter's dense map. [off]",
     ),
 )
 FAIL_ON = Flag(
-    option="--fail-on", field="fail_on", metavar="WHAT,...",
+    option="--fail-on", panel=REPORT_PANEL, field="fail_on", metavar="WHAT,...",
     help="Exit with 1 on these: disagreement (always does), consistency (NEES, NIS or filter "
     "against smoother outside their bands), both (of these), truth (the smoother is far from it), "
     "association (nobody has checked it).",
 )
 REPORT = (
     Flag(
-        option="--figures", field="report.figures", choices=choices.PictureFormat, many=True,
+        option="--figures", panel=REPORT_PANEL, field="report.figures",
+        choices=choices.PictureFormat, many=True,
         help="Write the pictures as PDF as well, with pdf; PNG is always written.",
     ),
     Flag(
-        option="--trace", field="report.trace", kind=bool,
+        option="--trace", panel=REPORT_PANEL, field="report.trace", kind=bool,
         help="Write ekf/trace.npz: what the EKF linearised where.",
     ),
 )
@@ -280,7 +301,7 @@ FRONT_END = (
         help="Where the alignment of a scan starts. [wheels]",
     ),
     Flag(
-        option="--loop-closure", field="front_end.loop_closure", kind=bool,
+        option="--loop-closure", field="front_end.loop_closure", kind=bool, off=True,
         help="Look for places seen before. [on]",
     ),
     Flag(
@@ -298,14 +319,15 @@ MAP = (
     ),
     RESOLUTION,
     Flag(
-        option="--dynamic", field="extensions.dynamic", kind=bool, settings=_SWITCH,
+        option="--dynamic", panel=SCAN_PANEL, field="extensions.dynamic",
+        kind=bool, off=True, settings=_SWITCH,
         help="Find where things move, let the filter ignore these places, and write that layer.",
     ),
     *SCAN_LANDMARKS,
     CLOUD,
 )
 # fmt: on
-RUN = (*EKF, ATTRIBUTES, *RUN_EXTENSIONS, *SMOOTHER, FAIL_ON, *REPORT, *LOG)
+RUN = (*EKF, ATTRIBUTES, *RUN_EXTENSIONS, *SMOOTHER, *LOG, FAIL_ON, *REPORT)
 FLAGS = (*RUN, SOLVER_ASSOCIATION, GPS, *ESTIMATE, *FRONT_END, *MAP)
 """Every command's."""
 

@@ -39,15 +39,15 @@ _USAGE: type[Any] = typer.BadParameter.__bases__[0]
 """What every misuse of the command line is raised as."""
 
 
-def build(names: list[str]) -> typer.Typer:
-    """Return the command line with some of the commands."""
+def build(names: list[str]) -> Any:
+    """Return the command line with some of the commands, to be called."""
     app = typer.Typer(
         name="slamcheck",
         help="Is my EKF-SLAM right? Runs an EKF and a smoother on one log and judges the EKF.",
         epilog="Exit codes: 0 agree, 1 disagree, 2 unusable input or usage, 3 unverified, "
         "70 a fault of slamcheck itself, 128 + n stopped by signal n (130 Ctrl-C).",
         no_args_is_help=True,
-        rich_markup_mode=None,
+        rich_markup_mode="rich",
         pretty_exceptions_enable=False,
     )
     app.callback(invoke_without_command=True)(_main)
@@ -58,7 +58,24 @@ def build(names: list[str]) -> typer.Typer:
             app.add_typer(command, name=name)
         else:
             app.command(name)(command)
-    return app
+    found = typer.main.get_command(app)
+    _tidy(found)
+    return found
+
+
+def _tidy(command: Any) -> None:
+    """Ready help texts for rich: brackets are no markup, and only examples keep their lines."""
+    paragraphs = (command.help or "").split("\n\n")
+    command.help = "\n\n".join(
+        one.removeprefix("\b\n") if one.startswith("\b") else " ".join(one.split())
+        for one in paragraphs
+    ).replace("[", r"\[")
+    for parameter in command.params:
+        parameter.help = parameter.help and parameter.help.replace("[", r"\[")
+        if getattr(parameter, "is_flag", False):
+            parameter.metavar = " "
+    for below in getattr(command, "commands", {}).values():
+        _tidy(below)
 
 
 def _main(
@@ -84,17 +101,18 @@ def main() -> None:
     stopped = _stop_on_signals()
     asked = sys.argv[1] if len(sys.argv) > 1 else ""
     try:
-        code = build([asked] if asked in COMMANDS else list(COMMANDS))(standalone_mode=False)
+        command = build([asked] if asked in COMMANDS else list(COMMANDS))
+        code = command(prog_name="slamcheck", standalone_mode=False)
         sys.exit(code if isinstance(code, int) else 0)
     except (KeyboardInterrupt, typer.Abort):
         sys.exit(INTERRUPTED)
     except _USAGE as error:
+        from typer.rich_utils import rich_format_error
+
         # An Enum's parser puts its own class of error in front.
-        message = error.format_message().replace("Value error, ", "")
-        if message.startswith("Usage:"):  # no command was given
-            print(message)
-            sys.exit(UNUSABLE)
-        fail(f"{message} (see slamcheck --help)", UNUSABLE)
+        error.message = error.message.replace("Value error, ", "")
+        rich_format_error(error)
+        sys.exit(UNUSABLE)
     except OSError as error:  # of what a command prints outside of its own guard, such as help
         fail(f"standard output: {error.strerror or error}", UNUSABLE)
     except Exception:

@@ -10,7 +10,10 @@ from typing import Annotated, Any, NamedTuple
 
 import typer
 
-from comparisons.options import Flag
+from comparisons.options import LOG_PANEL, REPORT_PANEL, Flag
+
+_WIDE = 12
+"""Characters of the choices that stand beside an option's name; longer ones end its help."""
 
 
 class Given(NamedTuple):
@@ -75,8 +78,14 @@ def from_flags(
 
 def _of_flag(flag: Flag) -> inspect.Parameter:
     kind: Any = _words(flag) if flag.words else flag.kind
-    names = f"{flag.option}/--no-{flag.option[2:]}" if kind is bool else flag.option
-    option = typer.Option(names, help=flag.help, metavar=flag.metavar, show_default=False)
+    names = f"{flag.option}/--no-{flag.option[2:]}" if flag.off else flag.option
+    short, listed = flag.metavar, "|".join(flag.words)
+    text = flag.help
+    if len(listed) > _WIDE:
+        short, text = "WORD", f"{text} ({', '.join(flag.words)})"
+    option = typer.Option(
+        names, help=text, metavar=short, show_default=False, rich_help_panel=flag.panel or None
+    )
     if flag.many:
         return _parameter(flag.name, Annotated[list[kind], option], [])
     return _parameter(flag.name, Annotated[kind | None, option], None)
@@ -99,6 +108,13 @@ def _parameter(
     return inspect.Parameter(name, keyword, default=default, annotation=annotation)
 
 
+def log_names(incomplete: str) -> list[str]:
+    """Return the logs by name that what was typed may become; the shell adds files."""
+    from comparisons.logs.bundled import NAMED
+
+    return [name for name in NAMED if name.startswith(incomplete)]
+
+
 _LOG = _parameter(
     "log",
     Annotated[
@@ -108,6 +124,7 @@ _LOG = _parameter(
             help="A bundled name (see `slamcheck logs`), a path, or the config.toml of an earlier "
             "run.",
             show_default=False,
+            autocompletion=log_names,
         ),
     ],
     None,
@@ -137,7 +154,11 @@ _COMMON = (
         "allow_changed_log",
         Annotated[
             bool,
-            typer.Option("--allow-changed-log", help="Use a log that is not the configuration's."),
+            typer.Option(
+                "--allow-changed-log",
+                help="Use a log that is not the configuration's.",
+                rich_help_panel=LOG_PANEL,
+            ),
         ],
         False,
     ),
@@ -155,19 +176,39 @@ _COMMON = (
     ),
     _parameter(
         "replace",
-        Annotated[bool, typer.Option("--replace", help="Replace a folder that holds another run.")],
+        Annotated[
+            bool,
+            typer.Option(
+                "--replace",
+                help="Replace a folder that holds another run.",
+                rich_help_panel=REPORT_PANEL,
+            ),
+        ],
         False,
     ),
     _parameter(
         "verbose",
-        Annotated[bool, typer.Option("--verbose", "-v", help="Show warnings of libraries.")],
+        Annotated[
+            bool,
+            typer.Option(
+                "--verbose",
+                "-v",
+                help="Show warnings of libraries.",
+                rich_help_panel=REPORT_PANEL,
+            ),
+        ],
         False,
     ),
     _parameter(
         "log_file",
         Annotated[
             Path | None,
-            typer.Option("--log", metavar="FILE", help="Keep these warnings in a file."),
+            typer.Option(
+                "--log",
+                metavar="FILE",
+                help="Keep these warnings in a file.",
+                rich_help_panel=REPORT_PANEL,
+            ),
         ],
         None,
     ),

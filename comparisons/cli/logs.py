@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from comparisons.cli.flags import log_names
 from comparisons.cli.support import guarded
 
 
@@ -26,7 +27,12 @@ def logs() -> None:
 
 def convert(
     log: Annotated[
-        str, typer.Argument(metavar="LOG", help="A bundled name (see `slamcheck logs`) or a path.")
+        str,
+        typer.Argument(
+            metavar="LOG",
+            help="A bundled name (see `slamcheck logs`) or a path.",
+            autocompletion=log_names,
+        ),
     ],
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="The log folder to write.")],
     format_name: Annotated[

@@ -10,17 +10,26 @@ import typer
 from comparisons.cli.flags import Given, from_flags
 from comparisons.cli.jobs import start_job
 from comparisons.cli.support import DISAGREE, VERDICTS, guarded, print_result, progress_bar
-from comparisons.options import RUN
+from comparisons.options import REPORT_PANEL, RUN
 
 if TYPE_CHECKING:
     from comparisons.pipeline.compare import Comparison
 
 LiveOption = Annotated[
-    bool, typer.Option("--live", help="Then replay the run in rerun's viewer; needs rerun.")
+    bool,
+    typer.Option(
+        "--live",
+        help="Then replay the run in rerun's viewer; needs rerun.",
+        rich_help_panel=REPORT_PANEL,
+    ),
 ]
 RecordOption = Annotated[
     Path | None,
-    typer.Option(metavar="FILE.rrd", help="Write that replay to a file for the viewer."),
+    typer.Option(
+        metavar="FILE.rrd",
+        help="Write that replay to a file for the viewer.",
+        rich_help_panel=REPORT_PANEL,
+    ),
 ]
 
 
@@ -30,7 +39,7 @@ def run(given: Given) -> None:
 
     \b
     Examples:
-      slamcheck run                                   the bundled Victoria Park log
+      slamcheck run                               the bundled Victoria Park log
       slamcheck run simulated-loop --loops 2 --seed 7
       slamcheck run slamcheck-simulated-loop/config.toml --out again
       slamcheck run path/to/MRCLAM_Dataset6 --robot 2
