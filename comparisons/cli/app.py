@@ -32,6 +32,7 @@ COMMANDS = {
     "reproduce": "reproduce:reproduce",
 }
 """Names, and where each command is found in this package."""
+PROGRAM = "slamcheck"
 STOPS = (signal.SIGTERM, signal.SIGHUP)
 AGAIN_S = 10.0
 """An exit that a signal asked for is tried again after so long."""
@@ -39,28 +40,37 @@ _USAGE: type[Any] = typer.BadParameter.__bases__[0]
 """What every misuse of the command line is raised as."""
 
 
-def build(names: list[str]) -> Any:
-    """Return the command line with some of the commands, to be called."""
+def build(name: str | None = None, *, whole: bool = False) -> Any:
+    """Return one command, or the command line with all of them, to be called.
+
+    whole: every command with its options, for the shell's completion; else with its first line
+    alone, without rich, which takes longer to load than all the rest of this help.
+    """
     app = typer.Typer(
-        name="slamcheck",
+        name=PROGRAM,
         help="Is my EKF-SLAM right? Runs an EKF and a smoother on one log and judges the EKF.",
         epilog="Exit codes: 0 agree, 1 disagree, 2 unusable input or usage, 3 unverified, "
         "70 a fault of slamcheck itself, 128 + n stopped by signal n (130 Ctrl-C).",
-        no_args_is_help=True,
-        rich_markup_mode="rich",
+        rich_markup_mode="rich" if name or whole else None,
         pretty_exceptions_enable=False,
     )
     app.callback(invoke_without_command=True)(_main)
-    for name in names:
-        module, _, attribute = COMMANDS[name].partition(":")
+    for one in COMMANDS if name is None else (name,):
+        module, _, attribute = COMMANDS[one].partition(":")
         command = getattr(import_module(f"comparisons.cli.{module}"), attribute)
-        if isinstance(command, typer.Typer):
-            app.add_typer(command, name=name)
+        several = isinstance(command, typer.Typer)
+        if name is None and not whole:
+            about = command.info.help if several else command.__doc__
+            app.command(one, help=about)(lambda: None)
+        elif several:
+            app.add_typer(command, name=one)
         else:
-            app.command(name)(command)
-    found = typer.main.get_command(app)
-    _tidy(found)
-    return found
+            app.command(one)(command)
+    found: Any = typer.main.get_command(app)
+    if name is None:
+        return found
+    _tidy(found.commands[name])
+    return found.commands[name]
 
 
 def _tidy(command: Any) -> None:
@@ -79,6 +89,7 @@ def _tidy(command: Any) -> None:
 
 
 def _main(
+    context: typer.Context,
     version: Annotated[bool, typer.Option("--version", help="Show the version and exit.")] = False,
 ) -> None:
     if version:
@@ -86,6 +97,9 @@ def _main(
 
         typer.echo(f"slamcheck {installed('slamcheck')}")
         raise typer.Exit
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+        raise typer.Exit(UNUSABLE)
 
 
 def main() -> None:
@@ -101,8 +115,12 @@ def main() -> None:
     stopped = _stop_on_signals()
     asked = sys.argv[1] if len(sys.argv) > 1 else ""
     try:
-        command = build([asked] if asked in COMMANDS else list(COMMANDS))
-        code = command(prog_name="slamcheck", standalone_mode=False)
+        if asked in COMMANDS:  # without the options of all, which take longer to load than help
+            name, command, words = f"{PROGRAM} {asked}", build(asked), sys.argv[2:]
+        else:
+            whole = f"_{PROGRAM.upper()}_COMPLETE" in os.environ
+            name, command, words = PROGRAM, build(whole=whole), sys.argv[1:]
+        code = command(args=words, prog_name=name, standalone_mode=False)
         sys.exit(code if isinstance(code, int) else 0)
     except (KeyboardInterrupt, typer.Abort):
         sys.exit(INTERRUPTED)
