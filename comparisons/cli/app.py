@@ -23,7 +23,7 @@ COMMANDS = {
     "odometry": "odometry:odometry",
     "map": "map:map_command",
     "baseline": "baseline:baseline",
-    "compare": "baseline:side_by_side",
+    "compare": "compare:compare",
     "config": "config:config",
     "logs": "logs:logs",
     "convert": "logs:convert",

@@ -90,26 +90,6 @@ def compare(
         raise SystemExit(DISAGREE if broken else AGREE)
 
 
-def side_by_side(
-    runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Folders that runs left.")],
-) -> None:
-    """Put several runs side by side: verdicts, causes, and the figures that differ.
-
-    \b
-    Example:
-      slamcheck compare report-full report-compressed
-    """
-    with guarded():
-        from rich.console import Console
-
-        from comparisons.report import side_by_side as report
-
-        results = report.read_results(runs)
-        titles = [folder.name or str(folder) for folder in runs]
-        report.print_side_by_side(titles, report.side_by_side(results), Console(soft_wrap=True))
-        raise SystemExit(AGREE)
-
-
 def _run(log: Log, config: RunConfig) -> Result:
     from comparisons.pipeline.compare import compare as compare_estimators
     from comparisons.report.result import build_result
