@@ -60,15 +60,15 @@ def run(given: Given) -> None:
             from comparisons.report.viewer import check_viewer
 
             check_viewer(live, record)
-        from comparisons.config import RunConfig
-        from comparisons.report.folder import write_job_folder
-        from comparisons.report.result import build_result, print_run
-        from comparisons.report.run import run_folder
-
-        job = start_job(given, RunConfig)
-        from comparisons.pipeline.compare import compare
-
         with progress_bar() as progress:
+            from comparisons.config import RunConfig
+            from comparisons.report.folder import write_job_folder
+            from comparisons.report.result import build_result, print_run
+            from comparisons.report.run import run_folder
+
+            job = start_job(given, RunConfig)
+            from comparisons.pipeline.compare import compare
+
             comparison = compare(job.log, job.config, progress)
             result = build_result(comparison, job.read)
             progress("report", 0, 0)

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import json
+import os
+import pty
 import re
+import struct
 import subprocess
 import sys
+import termios
 from dataclasses import replace
 from pathlib import Path
 
@@ -358,6 +364,93 @@ def test_the_shell_completes(typed: str, words: list[str], tmp_path: Path) -> No
     line = {"COMP_WORDS": f"slamcheck {typed}", "COMP_CWORD": str(len(typed.split(" ")))}
     done = python(code, tmp_path, _SLAMCHECK_COMPLETE="complete_bash", **line)
     assert done.stdout.split() == words
+
+
+STAGES = """
+import time
+from comparisons.cli import support
+support.QUIET_S = {quiet_s}
+with support.progress_bar() as progress:
+    time.sleep(0.3)
+    for i in range(3):
+        progress("first", i, 2)
+    time.sleep({rest_s})
+    progress("second", 0, 0)
+    time.sleep(0.3)
+print("done")
+"""
+
+
+def on_a_terminal(code: str, cwd: Path) -> str:
+    """What a program shows on a terminal of 80 columns."""
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
+    environment = {"PYTHONPATH": str(Path(__file__).resolve().parents[2]), "TERM": "xterm"}
+    child = subprocess.Popen(
+        [sys.executable, "-c", code],
+        cwd=cwd, stdin=theirs, stdout=theirs, stderr=theirs, env=environment,
+    )  # fmt: skip
+    os.close(theirs)
+    shown = b""
+    with contextlib.suppress(OSError):  # the terminal's other end is closed
+        while part := os.read(ours, 65536):
+            shown += part
+    os.close(ours)
+    assert child.wait(60) == 0, shown
+    return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", shown.decode())
+
+
+def frames(shown: str, stage: str) -> list[str]:
+    """The clock at each sight of a stage."""
+    return re.findall(rf"{stage} [^\r\n]*?(\d:\d\d:\d\d)", shown)
+
+
+@pytest.mark.slow
+def test_the_clock_goes_on_after_a_stage_has_ended(tmp_path: Path) -> None:
+    shown = on_a_terminal(STAGES.format(quiet_s=0.0, rest_s=2.5), tmp_path)
+    assert frames(shown, "reading")[0] == "0:00:00"  # from the first moment
+    assert frames(shown, "first")[-1] >= "0:00:02"
+    assert frames(shown, "second")[-1] >= "0:00:02"  # of the whole job
+    assert shown.rstrip().endswith("done")
+
+
+@pytest.mark.slow
+def test_a_clock_that_stops_would_be_found(tmp_path: Path) -> None:
+    """What the test above rejects: rich's own column, which freezes with a finished task."""
+    own = (
+        "import rich.progress as r\n"
+        "kept = r.Progress.__init__\n"
+        "def plain(self, *columns, **more):\n"
+        "    kept(self, *columns[:-1], r.TimeElapsedColumn(), **more)\n"
+        "r.Progress.__init__ = plain\n"
+    )
+    frozen = own + STAGES.format(quiet_s=0.0, rest_s=2.5)
+    shown = on_a_terminal(frozen, tmp_path)
+    assert frames(shown, "first")[-1] < "0:00:02"
+
+
+@pytest.mark.slow
+def test_a_run_shows_that_it_reads(tmp_path: Path) -> None:
+    code = (
+        "import sys\n"
+        "sys.argv[1:] = ['solve', 'simulated-loop']\n"
+        "from comparisons.cli.app import main\nmain()\n"
+    )
+    shown = on_a_terminal(code, tmp_path)
+    assert shown.index("reading ") < shown.index("report ") < shown.index("report: slamcheck-solve")
+
+
+def test_without_a_terminal_a_long_job_has_a_line_per_stage(tmp_path: Path) -> None:
+    long = python(STAGES.format(quiet_s=0.5, rest_s=0.5), tmp_path)
+    assert long.stdout == "done\n"
+    lines = [re.sub(r"[\d.]+ s$", "N s", line) for line in long.stderr.splitlines()]
+    assert lines == [f"slamcheck: {stage} N s" for stage in ("reading", "first", "second")]
+    closed = (
+        f"import os, sys\nos.close(2)\nsys.stderr = None\n{STAGES.format(quiet_s=0.5, rest_s=0.5)}"
+    )
+    assert python(closed, tmp_path).stdout == "done\n"
+    short = python(STAGES.format(quiet_s=60.0, rest_s=0.0), tmp_path)
+    assert (short.stdout, short.stderr) == ("done\n", "")
 
 
 @pytest.mark.slow
