@@ -61,16 +61,22 @@ def build(name: str | None = None, *, whole: bool = False) -> Any:
         several = isinstance(command, typer.Typer)
         if name is None and not whole:
             about = command.info.help if several else command.__doc__
-            app.command(one, help=about)(lambda: None)
+            app.command(one, help=about)(_unasked)
         elif several:
             app.add_typer(command, name=one)
         else:
             app.command(one)(command)
     found: Any = typer.main.get_command(app)
-    if name is None:
-        return found
-    _tidy(found.commands[name])
-    return found.commands[name]
+    if name is not None:
+        found = found.commands[name]
+    if name is not None or whole:
+        _tidy(found)
+    return found
+
+
+def _unasked() -> None:
+    """In place of a command that is not the first word, as in `slamcheck -- run`."""
+    raise typer.BadParameter("expected the command as the first word: slamcheck COMMAND ...")
 
 
 def _tidy(command: Any) -> None:

@@ -299,6 +299,7 @@ def test_without_a_command_the_help_is_shown(arguments: tuple[str, ...], tmp_pat
             "No such option: --associaton (Possible options: --association",
         ),
         (("run", "simulated-loop", "another"), "Got unexpected extra argument(s) (another)"),
+        (("--", "run"), "expected the command as the first word"),
         (("run", "--filter"), "Option '--filter' requires an argument."),
     ],
 )

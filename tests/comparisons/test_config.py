@@ -203,7 +203,7 @@ def test_what_is_wrong_is_named_in_one_line(setting: str, words: str) -> None:
         ({"landmarks": "both", "trace": True}, "--trace is for"),
         ({"filter": "misono", "trace": True}, "--trace is for"),
         ({"attributes": "on", "association": "euclidean"}, "takes no attributes"),
-        ({"resolution": 0.4}, "dense_maps.layers: empty"),
+        ({"resolution": 0.4}, "dense_maps.layers: empty, .*; --resolution alone asks for no map"),
         ({"lag": 5}, "--lag 5 goes with --smoother fixed-lag"),
         ({"smoother": "isam2", "optimiser": "dogleg"}, "--optimiser dogleg goes with --smoother"),
         ({"dynamic": "on"}, "--dynamic is 'on', expected True or False"),
