@@ -11,7 +11,7 @@ from comparisons.config import RunConfig, Section, merge, shown
 from comparisons.errors import InputError
 from comparisons.extensions.registry import EXTENSIONS
 from comparisons.logs.table import read_toml
-from comparisons.options import PRESET, RUN, Flag, lay_over, options
+from comparisons.options import PRESET, RUN, Flag, check_applies, lay_over, options
 
 C = TypeVar("C", bound=Section)
 
@@ -48,7 +48,9 @@ def configure(
     if "sha256" in recorded and _other_log(found["log"], recorded):
         found["log"].pop("sha256", None)
     try:
-        return job.of(**found)
+        config = job.of(**found)
+        check_applies(config.model_dump(), job.of().model_dump())
+        return config
     except InputError as error:
         raise InputError(f"{file}: {error}" if file is not None else str(error)) from None
 

@@ -23,7 +23,7 @@ COMMANDS = {
     "odometry": "odometry:odometry",
     "map": "map:map_command",
     "baseline": "baseline:baseline",
-    "compare": "baseline:side_by_side",
+    "compare": "compare:compare",
     "config": "config:config",
     "logs": "logs:logs",
     "convert": "logs:convert",
@@ -33,6 +33,7 @@ COMMANDS = {
     "reproduce": "reproduce:reproduce",
 }
 """Names, and where each command is found in this package."""
+PROGRAM = "slamcheck"
 STOPS = (signal.SIGTERM, signal.SIGHUP)
 AGAIN_S = 10.0
 """An exit that a signal asked for is tried again after so long."""
@@ -40,29 +41,62 @@ _USAGE: type[Any] = typer.BadParameter.__bases__[0]
 """What every misuse of the command line is raised as."""
 
 
-def build(names: list[str]) -> typer.Typer:
-    """Return the command line with some of the commands."""
+def build(name: str | None = None, *, whole: bool = False) -> Any:
+    """Return one command, or the command line with all of them, to be called.
+
+    whole: every command with its options, for the shell's completion; else with its first line
+    alone, without rich, which takes longer to load than all the rest of this help.
+    """
     app = typer.Typer(
-        name="slamcheck",
+        name=PROGRAM,
         help="Is my EKF-SLAM right? Runs an EKF and a smoother on one log and judges the EKF.",
         epilog="Exit codes: 0 agree, 1 disagree, 2 unusable input or usage, 3 unverified, "
         "70 a fault of slamcheck itself, 128 + n stopped by signal n (130 Ctrl-C).",
-        no_args_is_help=True,
-        rich_markup_mode=None,
+        rich_markup_mode="rich" if name or whole else None,
         pretty_exceptions_enable=False,
     )
     app.callback(invoke_without_command=True)(_main)
-    for name in names:
-        module, _, attribute = COMMANDS[name].partition(":")
+    for one in COMMANDS if name is None else (name,):
+        module, _, attribute = COMMANDS[one].partition(":")
         command = getattr(import_module(f"comparisons.cli.{module}"), attribute)
-        if isinstance(command, typer.Typer):
-            app.add_typer(command, name=name)
+        several = isinstance(command, typer.Typer)
+        if name is None and not whole:
+            about = command.info.help if several else command.__doc__
+            app.command(one, help=about)(_unasked)
+        elif several:
+            app.add_typer(command, name=one)
         else:
-            app.command(name)(command)
-    return app
+            app.command(one)(command)
+    found: Any = typer.main.get_command(app)
+    if name is not None:
+        found = found.commands[name]
+    if name is not None or whole:
+        _tidy(found)
+    return found
+
+
+def _unasked() -> None:
+    """In place of a command that is not the first word, as in `slamcheck -- run`."""
+    raise typer.BadParameter("expected the command as the first word: slamcheck COMMAND ...")
+
+
+def _tidy(command: Any) -> None:
+    """Ready help texts for rich: brackets are no markup, and only examples keep their lines."""
+    paragraphs = (command.help or "").split("\n\n")
+    command.help = "\n\n".join(
+        one.removeprefix("\b\n") if one.startswith("\b") else " ".join(one.split())
+        for one in paragraphs
+    ).replace("[", r"\[")
+    for parameter in command.params:
+        parameter.help = parameter.help and parameter.help.replace("[", r"\[")
+        if getattr(parameter, "is_flag", False):
+            parameter.metavar = " "
+    for below in getattr(command, "commands", {}).values():
+        _tidy(below)
 
 
 def _main(
+    context: typer.Context,
     version: Annotated[bool, typer.Option("--version", help="Show the version and exit.")] = False,
 ) -> None:
     if version:
@@ -70,6 +104,9 @@ def _main(
 
         typer.echo(f"slamcheck {installed('slamcheck')}")
         raise typer.Exit
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+        raise typer.Exit(UNUSABLE)
 
 
 def main() -> None:
@@ -85,17 +122,22 @@ def main() -> None:
     stopped = _stop_on_signals()
     asked = sys.argv[1] if len(sys.argv) > 1 else ""
     try:
-        code = build([asked] if asked in COMMANDS else list(COMMANDS))(standalone_mode=False)
+        if asked in COMMANDS:  # without the options of all, which take longer to load than help
+            name, command, words = f"{PROGRAM} {asked}", build(asked), sys.argv[2:]
+        else:
+            whole = f"_{PROGRAM.upper()}_COMPLETE" in os.environ
+            name, command, words = PROGRAM, build(whole=whole), sys.argv[1:]
+        code = command(args=words, prog_name=name, standalone_mode=False)
         sys.exit(code if isinstance(code, int) else 0)
     except (KeyboardInterrupt, typer.Abort):
         sys.exit(INTERRUPTED)
     except _USAGE as error:
+        from typer.rich_utils import rich_format_error
+
         # An Enum's parser puts its own class of error in front.
-        message = error.format_message().replace("Value error, ", "")
-        if message.startswith("Usage:"):  # no command was given
-            print(message)
-            sys.exit(UNUSABLE)
-        fail(f"{message} (see slamcheck --help)", UNUSABLE)
+        error.message = error.message.replace("Value error, ", "")
+        rich_format_error(error)
+        sys.exit(UNUSABLE)
     except OSError as error:  # of what a command prints outside of its own guard, such as help
         fail(f"standard output: {error.strerror or error}", UNUSABLE)
     except Exception:

@@ -55,6 +55,13 @@ def save(given: Given) -> None:
         runs = _runs(given.extra["runs"], estimate=estimate)
         check_file(target)
         given = given._replace(flags=_fitting(given.flags, estimate=estimate))
+        if given.out is not None:
+            raise InputError(f"--out {given.out}: baseline save writes {target} and no folder")
+        if target.exists() and not given.replace:
+            raise InputError(
+                f"{target}: holds a baseline; `slamcheck baseline compare --update` keeps its "
+                "tolerances, --replace makes it anew"
+            )
         kind: type[RunConfig | CheckConfig] = CheckConfig if estimate else RunConfig
         log, config, _ = read_job(given, kind)
         kept = build_baseline([_find(log, config) for _ in range(runs)], config)
@@ -126,26 +133,6 @@ def compare(
             meant = "if that is meant, keep it" if "broken" in states else "to keep it"
             typer.echo(f"{meant} in {file}: --update")
         raise SystemExit(DISAGREE if "broken" in states else AGREE)
-
-
-def side_by_side(
-    runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Folders that runs left.")],
-) -> None:
-    """Put several runs side by side: verdicts, causes, and the figures that differ.
-
-    \b
-    Example:
-      slamcheck compare report-full report-compressed
-    """
-    with guarded():
-        from rich.console import Console
-
-        from comparisons.report import side_by_side as report
-
-        results = report.read_results(runs)
-        titles = [folder.name or str(folder) for folder in runs]
-        report.print_side_by_side(titles, report.side_by_side(results), Console(soft_wrap=True))
-        raise SystemExit(AGREE)
 
 
 def _print_changes(changes: Sequence[Change], found: Found) -> None:

@@ -25,24 +25,25 @@ def check(given: Given) -> None:
       slamcheck check my-log --estimate my-filter-output --require like
     """
     with guarded(verbose=given.verbose, log_file=given.log_file):
-        from comparisons.config import CheckConfig
-        from comparisons.estimates.external import GivenEstimate, read_given
-        from comparisons.report.check import build_check_result, check_folder, print_check
-        from comparisons.report.folder import write_job_folder
-
-        handed_in: list[GivenEstimate] = []
-
-        def read_first(config: CheckConfig) -> None:
-            if not config.estimate:
-                raise InputError("--estimate is missing: give a trajectory or an estimate's folder")
-            handed_in.append(read_given(Path(config.estimate), _path(config.times)))
-
-        job = start_job(given, CheckConfig, check=read_first)
-        from comparisons.pipeline.check import check as check_estimate
-
-        estimate = handed_in[0]
         with progress_bar() as progress:
-            checked = check_estimate(job.log, estimate, job.config, progress)
+            from comparisons.config import CheckConfig
+            from comparisons.estimates.external import GivenEstimate, read_given
+            from comparisons.report.check import build_check_result, check_folder, print_check
+            from comparisons.report.folder import write_job_folder
+
+            handed_in: list[GivenEstimate] = []
+
+            def read_first(config: CheckConfig) -> None:
+                if not config.estimate:
+                    raise InputError(
+                        "--estimate is missing: give a trajectory or an estimate's folder"
+                    )
+                handed_in.append(read_given(Path(config.estimate), _path(config.times)))
+
+            job = start_job(given, CheckConfig, check=read_first)
+            from comparisons.pipeline.check import check as check_estimate
+
+            checked = check_estimate(job.log, handed_in[0], job.config, progress)
             result = build_check_result(checked, job.read)
             progress("report", 0, 0)
             write_job_folder(check_folder(checked, result), job.folder)

@@ -17,8 +17,13 @@ def export(
     ],
     file: Annotated[Path, typer.Argument(metavar="FILE", help="The new file to write.")],
     format_name: Annotated[
-        str, typer.Option("--format", metavar="tum|kitti|csv", help="What to write.")
-    ] = "csv",
+        str | None,
+        typer.Option(
+            "--format",
+            metavar="tum|kitti|csv",
+            help="What to write, where the file's suffix does not say.",
+        ),
+    ] = None,
     times: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Times of a KITTI file, else times.txt beside it."),
@@ -29,9 +34,11 @@ def export(
     \b
     Examples:
       slamcheck export slamcheck-simulated-loop/ekf ekf.csv
-      slamcheck export my-poses.txt mine.tum --format tum --times my-times.txt
+      slamcheck export my-poses.txt mine.tum --times my-times.txt
+      slamcheck export slamcheck-simulated-loop/smoother poses.txt --format kitti
     """
     with guarded():
+        kind = _format(file, format_name)
         from comparisons.estimates.external import read_given
         from comparisons.estimates.trajectory_files import Trajectory, write_trajectory
 
@@ -40,5 +47,18 @@ def export(
             raise InputError(f"{estimate}: is no estimate; give {' or '.join(parts)}")
         given = read_given(estimate, times)
         trajectory = Trajectory(given.time_s, given.pose, given.pose_covariance)
-        write_trajectory(trajectory, file, format_name)
+        write_trajectory(trajectory, file, kind)
         typer.echo(f"{file}: {len(given.pose):,} poses")
+
+
+def _format(file: Path, asked: str | None) -> str:
+    """The format that the suffix or, where that says nothing, the option names."""
+    from comparisons.estimates.trajectory_files import FORMATS
+
+    suffix = file.suffix.lower().removeprefix(".")
+    if suffix not in FORMATS and asked is None:
+        known = ", ".join(f".{one}" for one in FORMATS)
+        raise InputError(f"{file}: its suffix names no format, expected {known}, or --format")
+    if suffix in FORMATS and asked not in (None, suffix):
+        raise InputError(f"{file}: its suffix says {suffix}, --format {asked}; give one of them")
+    return asked or suffix

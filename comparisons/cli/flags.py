@@ -10,7 +10,10 @@ from typing import Annotated, Any, NamedTuple
 
 import typer
 
-from comparisons.options import Flag
+from comparisons.options import LOG_PANEL, REPORT_PANEL, Flag
+
+_WIDE = 12
+"""Characters of the choices that stand beside an option's name; longer ones end its help."""
 
 
 class Given(NamedTuple):
@@ -22,6 +25,7 @@ class Given(NamedTuple):
     settings: Sequence[str]
     allow_changed: bool
     out: Path | None
+    replace: bool
     verbose: bool
     log_file: Path | None
     extra: Mapping[str, Any]
@@ -52,6 +56,7 @@ def from_flags(
                     values["settings"],
                     values["allow_changed_log"],
                     values["out"],
+                    values["replace"],
                     values["verbose"],
                     values["log_file"],
                     {name: values[name] for name in extra},
@@ -76,20 +81,28 @@ def set_parameters(command: Callable[..., None], *parameters: inspect.Parameter)
     command.__annotations__ = {one.name: one.annotation for one in parameters}
 
 
-def argument(name: str, kind: type, metavar: str, text: str) -> inspect.Parameter:
-    """Return a required argument as typer reads it."""
-    return _parameter(name, Annotated[kind, typer.Argument(metavar=metavar, help=text)])
+def argument(
+    name: str,
+    kind: type,
+    metavar: str,
+    text: str,
+    complete: Callable[[str], list[str]] | None = None,
+) -> inspect.Parameter:
+    """Return a required argument as typer reads it. complete: what the shell offers for it."""
+    option = typer.Argument(metavar=metavar, help=text, autocompletion=complete)
+    return _parameter(name, Annotated[kind, option])
 
 
 def of_flag(flag: Flag) -> inspect.Parameter:
     """Return an option as typer reads it."""
     kind: Any = _words(flag) if flag.words else flag.kind
+    names = f"{flag.option}/--no-{flag.option[2:]}" if flag.off else flag.option
+    short, listed = flag.metavar, "|".join(flag.words)
+    text = flag.help
+    if len(listed) > _WIDE:
+        short, text = "WORD", f"{text} ({', '.join(flag.words)})"
     option = typer.Option(
-        flag.option,
-        help=flag.help,
-        metavar=flag.metavar,
-        show_default=False,
-        hidden=flag.hidden,
+        names, help=text, metavar=short, show_default=False, rich_help_panel=flag.panel or None
     )
     if flag.many:
         return _parameter(flag.name, Annotated[list[kind], option], [])
@@ -113,6 +126,13 @@ def _parameter(
     return inspect.Parameter(name, keyword, default=default, annotation=annotation)
 
 
+def log_names(incomplete: str) -> list[str]:
+    """Return the logs by name that what was typed may become; the shell adds files."""
+    from comparisons.logs.bundled import NAMED
+
+    return [name for name in NAMED if name.startswith(incomplete)]
+
+
 _LOG = _parameter(
     "log",
     Annotated[
@@ -122,6 +142,7 @@ _LOG = _parameter(
             help="A bundled name (see `slamcheck logs`), a path, or the config.toml of an earlier "
             "run.",
             show_default=False,
+            autocompletion=log_names,
         ),
     ],
     None,
@@ -151,7 +172,11 @@ _COMMON = (
         "allow_changed_log",
         Annotated[
             bool,
-            typer.Option("--allow-changed-log", help="Use a log that is not the configuration's."),
+            typer.Option(
+                "--allow-changed-log",
+                help="Use a log that is not the configuration's.",
+                rich_help_panel=LOG_PANEL,
+            ),
         ],
         False,
     ),
@@ -162,21 +187,46 @@ _COMMON = (
             typer.Option(
                 "--out",
                 metavar="DIR",
-                help="Folder to write [slamcheck-LOG, or slamcheck-COMMAND-LOG].",
+                help="Folder to write. [slamcheck-COMMAND-LOG-SETTINGS, with what is not as usual]",
             ),
         ],
         None,
     ),
     _parameter(
+        "replace",
+        Annotated[
+            bool,
+            typer.Option(
+                "--replace",
+                help="Replace a folder that holds another run.",
+                rich_help_panel=REPORT_PANEL,
+            ),
+        ],
+        False,
+    ),
+    _parameter(
         "verbose",
-        Annotated[bool, typer.Option("--verbose", "-v", help="Show warnings of libraries.")],
+        Annotated[
+            bool,
+            typer.Option(
+                "--verbose",
+                "-v",
+                help="Show warnings of libraries.",
+                rich_help_panel=REPORT_PANEL,
+            ),
+        ],
         False,
     ),
     _parameter(
         "log_file",
         Annotated[
             Path | None,
-            typer.Option("--log", metavar="FILE", help="Keep these warnings in a file."),
+            typer.Option(
+                "--log",
+                metavar="FILE",
+                help="Keep these warnings in a file.",
+                rich_help_panel=REPORT_PANEL,
+            ),
         ],
         None,
     ),

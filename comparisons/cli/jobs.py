@@ -34,19 +34,17 @@ def start_job(
     base: Mapping[str, Any] | None = None,
     check: Callable[[C], None] = lambda config: None,
 ) -> Job[C]:
-    """Settle the configuration, read the log, and see that the folder is free.
+    """Settle the configuration, read the log, and see that the folder is free or of the same run.
 
     base, check: see read_job. Raises InputError.
     """
-    from comparisons.atomic import folder_name
-    from comparisons.report.folder import check_free
+    from comparisons.report.folder import check_free, default_folder
 
     if given.out is not None:
         check_free(given.out)
     log, config, read = read_job(given, kind, base, check)
-    command = "" if config.job == "run" else f"{config.job}-"
-    folder = given.out or Path(f"slamcheck-{command}{folder_name(log.name)}")
-    check_free(folder)
+    folder = given.out or default_folder(config, log.name, base or {})
+    check_free(folder, config, replace=given.replace)
     return Job(log, config, folder, read)
 
 

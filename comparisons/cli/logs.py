@@ -7,7 +7,7 @@ from typing import Any
 
 import typer
 
-from comparisons.cli.flags import argument, of_flag, set_parameters
+from comparisons.cli.flags import argument, log_names, of_flag, set_parameters
 from comparisons.cli.support import guarded
 from comparisons.options import LOG
 
@@ -19,7 +19,8 @@ def logs() -> None:
 
     typer.echo("Logs by name:")
     for name, entry in NAMED.items():
-        typer.echo(f"  {name:16} {entry.kind}: {entry.what}")
+        options = f" ({', '.join(entry.takes)})" if entry.takes else ""
+        typer.echo(f"  {name:16} {entry.kind}: {entry.what}{options}")
     typer.echo("Formats of logs by path (--format):")
     for name, reader in READERS.items():
         typer.echo(f"  {name:16} {reader.what}")
@@ -51,7 +52,7 @@ def convert(log: str, folder: Path, **given: Any) -> None:
 _FLAGS = [flag for flag in LOG if flag.field.startswith("log.")]
 set_parameters(
     convert,
-    argument("log", str, "LOG", "A bundled name (see `slamcheck logs`) or a path."),
+    argument("log", str, "LOG", "A bundled name (see `slamcheck logs`) or a path.", log_names),
     argument("folder", Path, "FOLDER", "The log folder to write."),
     *map(of_flag, _FLAGS),
 )

@@ -22,14 +22,14 @@ def map_command(given: Given) -> None:
       slamcheck map scan-slam --landmarks scans --layer occupancy --layer sog
     """
     with guarded(verbose=given.verbose, log_file=given.log_file):
-        from comparisons.config import MapConfig
-        from comparisons.report.dense_map import build_map_result, map_folder, print_map
-        from comparisons.report.folder import write_job_folder
-
-        job = start_job(given, MapConfig, base=_DEFAULT)
-        from comparisons.pipeline.dense_map import map_log
-
         with progress_bar() as progress:
+            from comparisons.config import MapConfig
+            from comparisons.report.dense_map import build_map_result, map_folder, print_map
+            from comparisons.report.folder import write_job_folder
+
+            job = start_job(given, MapConfig, base=_DEFAULT)
+            from comparisons.pipeline.dense_map import map_log
+
             mapping = map_log(job.log, job.config, progress)
             result = build_map_result(mapping, job.read)
             progress("report", 0, 0)

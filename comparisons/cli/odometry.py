@@ -18,18 +18,18 @@ def odometry(given: Given) -> None:
       slamcheck odometry path/to/acfr_car_park --cloud pcd
     """
     with guarded(verbose=given.verbose, log_file=given.log_file):
-        from comparisons.config import OdometryConfig
-        from comparisons.report.folder import write_job_folder
-        from comparisons.report.odometry import (
-            build_front_end_result,
-            front_end_folder,
-            print_front_end,
-        )
-
-        job = start_job(given, OdometryConfig)
-        from comparisons.pipeline.odometry import run_front_end
-
         with progress_bar() as progress:
+            from comparisons.config import OdometryConfig
+            from comparisons.report.folder import write_job_folder
+            from comparisons.report.odometry import (
+                build_front_end_result,
+                front_end_folder,
+                print_front_end,
+            )
+
+            job = start_job(given, OdometryConfig)
+            from comparisons.pipeline.odometry import run_front_end
+
             front_end = run_front_end(job.log, job.config, progress)
             result = build_front_end_result(front_end, job.read)
             progress("report", 0, 0)

@@ -10,17 +10,26 @@ import typer
 from comparisons.cli.flags import Given, from_flags
 from comparisons.cli.jobs import start_job
 from comparisons.cli.support import DISAGREE, VERDICTS, guarded, print_result, progress_bar
-from comparisons.options import RUN
+from comparisons.options import REPORT_PANEL, RUN
 
 if TYPE_CHECKING:
     from comparisons.pipeline.compare import Comparison
 
 LiveOption = Annotated[
-    bool, typer.Option("--live", help="Then replay the run in rerun's viewer; needs rerun.")
+    bool,
+    typer.Option(
+        "--live",
+        help="Then replay the run in rerun's viewer; needs rerun.",
+        rich_help_panel=REPORT_PANEL,
+    ),
 ]
 RecordOption = Annotated[
     Path | None,
-    typer.Option(metavar="FILE.rrd", help="Write that replay to a file for the viewer."),
+    typer.Option(
+        metavar="FILE.rrd",
+        help="Write that replay to a file for the viewer.",
+        rich_help_panel=REPORT_PANEL,
+    ),
 ]
 
 
@@ -30,7 +39,7 @@ def run(given: Given) -> None:
 
     \b
     Examples:
-      slamcheck run                                   the bundled Victoria Park log
+      slamcheck run                               the bundled Victoria Park log
       slamcheck run simulated-loop --loops 2 --seed 7
       slamcheck run slamcheck-simulated-loop/config.toml --out again
       slamcheck run path/to/MRCLAM_Dataset6 --robot 2
@@ -41,9 +50,9 @@ def run(given: Given) -> None:
       slamcheck run scan-loop --dense sog --set dense_maps.d_min_m=0.1
       slamcheck run scan-slam --landmarks scans
       slamcheck run scan-slam --landmarks scans --smoother-matcher own
-      slamcheck run occupancy-loop --loops 2 --high-level on
+      slamcheck run occupancy-loop --loops 2 --high-level
       slamcheck run simulated-loop --figures pdf --record run.rrd
-      slamcheck run dynamic-lanes --dynamic on
+      slamcheck run dynamic-lanes --dynamic
     """
     with guarded(verbose=given.verbose, log_file=given.log_file):
         live, record = bool(given.extra["live"]), given.extra["record"]
@@ -51,15 +60,15 @@ def run(given: Given) -> None:
             from comparisons.report.viewer import check_viewer
 
             check_viewer(live, record)
-        from comparisons.config import RunConfig
-        from comparisons.report.folder import write_job_folder
-        from comparisons.report.result import build_result, print_run
-        from comparisons.report.run import run_folder
-
-        job = start_job(given, RunConfig)
-        from comparisons.pipeline.compare import compare
-
         with progress_bar() as progress:
+            from comparisons.config import RunConfig
+            from comparisons.report.folder import write_job_folder
+            from comparisons.report.result import build_result, print_run
+            from comparisons.report.run import run_folder
+
+            job = start_job(given, RunConfig)
+            from comparisons.pipeline.compare import compare
+
             comparison = compare(job.log, job.config, progress)
             result = build_result(comparison, job.read)
             progress("report", 0, 0)

@@ -18,18 +18,18 @@ def solve(given: Given) -> None:
       slamcheck solve path/to/MRCLAM_Dataset6 --robot 3 --robust gnc
     """
     with guarded(verbose=given.verbose, log_file=given.log_file):
-        from comparisons.config import SolveConfig
-        from comparisons.report.folder import write_job_folder
-        from comparisons.report.solution import (
-            build_solution_result,
-            print_solution,
-            solution_folder,
-        )
-
-        job = start_job(given, SolveConfig)
-        from comparisons.pipeline.solve import solve as solve_log
-
         with progress_bar() as progress:
+            from comparisons.config import SolveConfig
+            from comparisons.report.folder import write_job_folder
+            from comparisons.report.solution import (
+                build_solution_result,
+                print_solution,
+                solution_folder,
+            )
+
+            job = start_job(given, SolveConfig)
+            from comparisons.pipeline.solve import solve as solve_log
+
             solution = solve_log(job.log, job.config, progress)
             result = build_solution_result(solution, job.read)
             progress("report", 0, 0)

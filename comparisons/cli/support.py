@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -20,6 +21,10 @@ if TYPE_CHECKING:
 AGREE, DISAGREE, UNUSABLE, UNVERIFIED = 0, 1, 2, 3
 VERDICTS = {"agree": AGREE, "verified": AGREE, "disagree": DISAGREE, "unverified": UNVERIFIED}
 BROKEN, INTERRUPTED = 70, 130
+FIRST = "reading"
+"""The stage before a job names one."""
+QUIET_S = 5.0
+"""A job that takes less says nothing of its stages where no terminal shows them."""
 
 
 def print_result(summary: Callable[[Console], None], folder: Path) -> None:
@@ -127,18 +132,58 @@ def fail(message: str, code: int) -> NoReturn:
 
 @contextmanager
 def progress_bar() -> Iterator[Progress]:
-    """A progress bar on standard error, when that is a terminal."""
+    """Show stages on standard error: a bar on a terminal, else one line each of a long job."""
+    terminal = sys.stderr is not None and sys.stderr.isatty()  # None: closed by the caller
+    with _bar() if terminal else _lines() as show:
+        yield show
+
+
+@contextmanager
+def _bar() -> Iterator[Progress]:
+    """A bar for each stage beside the time since all began, which no stage's end stops."""
+    from datetime import timedelta
+
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn
+    from rich.text import Text
 
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    console = Console(stderr=True)
-    with Progress(
-        *columns, console=console, transient=True, disable=not console.is_terminal
-    ) as bar:
-        task = bar.add_task("reading", total=None)
+    start_s = time.monotonic()
 
-        def show(stage: str, done: int, total: int) -> None:
-            bar.update(task, description=stage, completed=done, total=total or None)
+    class SinceStart(ProgressColumn):
+        def render(self, task: Task) -> Text:
+            return Text(str(timedelta(seconds=int(time.monotonic() - start_s))))
+
+    columns = (TextColumn("{task.description}"), BarColumn(), SinceStart())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        stage, task = FIRST, bar.add_task(FIRST, total=None)
+
+        def show(name: str, done: int, total: int) -> None:
+            nonlocal stage, task
+            if name != stage:  # a new task, for rich takes no total away
+                bar.remove_task(task)
+                stage, task = name, bar.add_task(name, total=total or None)
+            bar.update(task, completed=done)
 
         yield show
+
+
+@contextmanager
+def _lines() -> Iterator[Progress]:
+    """A line for each stage that has ended, with its time, once the job takes QUIET_S."""
+    start_s = since_s = time.monotonic()
+    stage, waiting = FIRST, list[str]()
+
+    def show(name: str, done: int, total: int) -> None:
+        nonlocal stage, since_s
+        now_s = time.monotonic()
+        if name == stage:
+            return
+        waiting.append(f"slamcheck: {stage} {now_s - since_s:.1f} s")
+        stage, since_s = name, now_s
+        if now_s - start_s >= QUIET_S and sys.stderr is not None:
+            with suppress(OSError, ValueError):
+                print(*waiting, sep="\n", file=sys.stderr, flush=True)
+            waiting.clear()
+
+    yield show
+    show("", 0, 0)

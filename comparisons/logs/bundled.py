@@ -33,11 +33,12 @@ class SimulationChoices:
 
 
 class NamedLog(NamedTuple):
-    """A log by name: what it is, and how to get it."""
+    """A log by name: what it is, how to get it, and the options that it takes."""
 
     kind: str
     what: str
     open: Callable[[SimulationChoices], Log]
+    takes: tuple[str, ...] = ()
 
 
 def _victoria_park(choices: SimulationChoices) -> Log:
@@ -72,6 +73,9 @@ def _scans(experiment: str, **options: bool) -> Callable[[SimulationChoices], Lo
     return simulated
 
 
+_DRAWN = ("--seed", "--noise-scale")
+_SIMULATED = ("--seed", "--loops", "--noise-scale")
+
 NAMED: dict[str, NamedLog] = {
     "victoria-park": NamedLog(
         "bundled with gtsam",
@@ -80,56 +84,64 @@ NAMED: dict[str, NamedLog] = {
     ),
     "simulated-loop": NamedLog(
         "simulated",
-        "255 m loops among 60 landmarks, Nieto 2005 section 2.9 (--seed, --loops, --noise-scale)",
+        "255 m loops among 60 landmarks, Nieto 2005 section 2.9",
         _simulated_loop,
+        _SIMULATED,
     ),
     "waypoint-run": NamedLog(
         "simulated",
-        "along waypoints and back among obstacles, Misono 2007 section 4.1 (--seed, --noise-scale)",
+        "along waypoints and back among obstacles, Misono 2007 section 4.1",
         _waypoint_run,
+        _DRAWN,
     ),
     "scan-loop": NamedLog(
         "simulated",
-        "laser scans of objects and landmarks, Nieto 2005 Fig. 3.17 (--seed, --loops, "
-        "--noise-scale)",
+        "laser scans of objects and landmarks, Nieto 2005 Fig. 3.17",
         _scans("dense_slam"),
+        _SIMULATED,
     ),
     "scan-loop-fine": NamedLog(
         "simulated",
-        "the same drive with a laser as exact as a Sick's (--seed, --loops, --noise-scale)",
+        "the same drive with a laser as exact as a Sick's",
         _scans("dense_slam_fine"),
+        _SIMULATED,
     ),
     "scan-loop-3d": NamedLog(
         "simulated",
-        "the same drive with a scanner of 16 rings (--seed, --loops, --noise-scale)",
+        "the same drive with a scanner of 16 rings",
         _scans("dense_slam_in_space"),
+        _SIMULATED,
     ),
     "occupancy-loop": NamedLog(
         "simulated",
-        "laser scans for occupancy maps, Nieto 2005 Fig. 4.2 (--seed, --loops, --noise-scale)",
+        "laser scans for occupancy maps, Nieto 2005 Fig. 4.2",
         _scans("occupancy"),
+        _SIMULATED,
     ),
     "dynamic-lanes": NamedLog(
         "simulated",
-        "a standing scanner, traffic and a landmark on a vehicle, Nieto 2005 Fig. 6.9 (--seed, "
-        "--loops, --noise-scale)",
+        "a standing scanner, traffic and a landmark on a vehicle, Nieto 2005 Fig. 6.9",
         _scans("dynamic_lanes", carried=True),
+        _SIMULATED,
     ),
     "dynamic-places": NamedLog(
         "simulated",
-        "objects brought and taken away at 40 s of a loop of 34 s, Nieto 2005 Fig. 6.10 (--seed, "
-        "--loops + 1, --noise-scale)",
+        "objects brought and taken away at 40 s, driven once more than --loops of 34 s, Nieto 2005 "
+        "Fig. 6.10",
         _scans("dynamic_places"),
+        _SIMULATED,
     ),
     "scan-slam": NamedLog(
         "simulated",
-        "laser scans of objects alone, Nieto 2005 Fig. 5.8 (--seed, --loops, --noise-scale)",
+        "laser scans of objects alone, Nieto 2005 Fig. 5.8",
         _scans("scan_slam"),
+        _SIMULATED,
     ),
     "scan-slam-maps": NamedLog(
         "simulated",
-        "the same scanner in half the area, Nieto 2005 Fig. 6.7 (--seed, --loops, --noise-scale)",
+        "the same scanner in half the area, Nieto 2005 Fig. 6.7",
         _scans("scan_slam_with_maps"),
+        _SIMULATED,
     ),
 }
 
@@ -154,10 +166,28 @@ def open_log(
 ) -> Log:
     """A log by bundled name, unless a path of that name exists, or by path.
 
-    topics: of a ROS bag, which to read. Raises InputError.
+    topics: of a ROS bag, which to read. Raises InputError, also for an option beside its default
+    that the log does not take.
     """
+    choices = choices or SimulationChoices()
     if format_name is None and name in NAMED and not Path(name).exists():
+        _check_takes(name, NAMED[name].takes, robot, choices)
         if topics:
             raise InputError(f"--topic {topics[0]}: {name} is no ROS bag")
-        return NAMED[name].open(choices or SimulationChoices())
+        return NAMED[name].open(choices)
+    found = format_name or recognised_format(name)
+    if found in READERS:  # else the reader says what is wrong
+        _check_takes(name, ("--robot",) if READERS[found].robots else (), robot, choices)
     return read_log(Path(name), format_name, robot, topics)
+
+
+def _check_takes(name: str, takes: tuple[str, ...], robot: int, choices: SimulationChoices) -> None:
+    usual = vars(SimulationChoices())
+    asked = [
+        (f"--{key.replace('_', '-')}", value, usual[key]) for key, value in vars(choices).items()
+    ]
+    for option, value, default in (("--robot", robot, 1), *asked):
+        if value != default and option not in takes:
+            kind = "MR.CLAM folders" if option == "--robot" else "simulated logs"
+            known = f"it takes {', '.join(takes)}" if takes else f"{option} is for {kind}"
+            raise InputError(f"{name}: {option} {value} does not apply; {known}")

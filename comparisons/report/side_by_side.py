@@ -1,68 +1,190 @@
-"""Several runs side by side, from the folders they left."""
+"""Results of several jobs side by side, from the folders they left: printed, CSV, LaTeX, HTML."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import csv
+import html
+import io
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from pathlib import Path
+from typing import Any
 
 from pydantic import ValidationError
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
-from comparisons.errors import InputError
+from comparisons.atomic import check_file, write_whole
+from comparisons.errors import InputError, printable
 from comparisons.logs.log_meta import first_fault
 from comparisons.logs.table import read_text
 from comparisons.report.models import Result
 from comparisons.report.result import metrics
 
+Cell = str | float | None
+Row = tuple[str, list[Cell]]
 _SAME = 1e-9
 """Figures closer than this, relative, are one."""
+_TEXT = 16
+"""Characters after which a word of a cell goes on in the next line; figures never do."""
+_FILES: dict[str, tuple[str, dict[str, str]]] = {
+    "result": ("run", {}),
+    "solution": (
+        "solve",
+        {"accuracy": "accuracy.smoother", "dead_reckoning": "accuracy.dead_reckoning"},
+    ),
+    "check": ("check", {"accuracy": "accuracy.estimate", "smoother_accuracy": "accuracy.smoother"}),
+    "odometry": (
+        "odometry",
+        {
+            "graph": "smoother",
+            "scan_graph": "accuracy.smoother",
+            "scan_odometry": "accuracy.scan_odometry",
+            "wheels": "accuracy.wheels",
+        },
+    ),
+    "map": ("map", {"accuracy": "accuracy.ekf"}),
+    "montecarlo": ("montecarlo", {}),
+}
+"""The file of each job, and what its parts are called where a run has the same."""
+_ASIDE = ("config", "settings", "log", "seconds", "cpu_s", "versions", "level")
+_NOT_COMPARED = ("iterations", "rank", "distance_sigma", "schema")
 
 
-def read_results(folders: Sequence[Path]) -> list[Result]:
-    """`result.json` of run folders. Raises InputError."""
-    results = []
-    for folder in folders:
-        path = folder / "result.json"
+@dataclass(frozen=True)
+class Found:
+    """A result. words: what it is, by name. metrics: its figures, None where it has no such."""
+
+    words: Mapping[str, str]
+    metrics: Mapping[str, float | None]
+
+
+def read_results(folders: Sequence[Path]) -> list[Found]:
+    """Results of any job, from its folder. Raises InputError."""
+    return [_read(folder) for folder in folders]
+
+
+def side_by_side(results: Sequence[Found], only: Sequence[str] = ()) -> list[Row]:
+    """Names, and a cell per result: what they are, the verdicts, all figures that differ.
+
+    only: patterns of the figures that are wanted instead, whether they differ or not; one without
+    a wildcard is a part of the name. Raises InputError for one that none has.
+    """
+    names = dict.fromkeys(name for found in results for name in found.words)
+    rows: list[Row] = []
+    for name in names:
+        words = [found.words.get(name, "") for found in results]
+        if name != "job" or len(set(words)) > 1:
+            rows.append((name, list(words)))
+    figures = dict.fromkeys(name for found in results for name in found.metrics)
+    wanted = [pattern if "*" in pattern else f"*{pattern}*" for pattern in only]
+    for pattern, given in zip(wanted, only, strict=True):
+        if not any(fnmatchcase(name, pattern) for name in figures):
+            heads = (f"{name.partition('.')[0]}{'.*' if '.' in name else ''}" for name in figures)
+            known = ", ".join(dict.fromkeys(heads))
+            raise InputError(f"--only {given}: no figure is called so, expected some of {known}")
+    for name in figures:
+        values = [found.metrics.get(name) for found in results]
+        chosen = any(fnmatchcase(name, pattern) for pattern in wanted)
+        if chosen if wanted else not _alike(values):
+            rows.append((name, list(values)))
+    return [row for row in rows if _told(row[1])]
+
+
+def print_side_by_side(titles: Sequence[str], rows: Sequence[Row], console: Console) -> None:
+    """Print a column per result, in as many blocks as the width asks for."""
+    first = max(len(name) for name, _ in rows)
+    widths = [_width(title, [cells[i] for _, cells in rows]) for i, title in enumerate(titles)]
+    blocks = _blocks(widths, console.width - first - 2)
+    console.width = max(console.width, first + 4 + max(widths))  # of one figure, else rich cuts it
+    for block in blocks:
+        table = Table(box=None, padding=(0, 2, 0, 0))
+        table.add_column("", no_wrap=True, width=first)
+        for i in block:
+            table.add_column(Text(printable(titles[i])), overflow="fold", width=widths[i])
+        for name, cells in rows:
+            if _told([cells[i] for i in block]):
+                table.add_row(name, *(Text(printable(_short(cells[i]))) for i in block))
+        console.print(table)
+
+
+def check_table(path: Path) -> None:
+    """Raise InputError where a table may not be written, before the work."""
+    if path.suffix.lower() not in _TABLES:
+        known = ", ".join(_TABLES)
+        raise InputError(f"{path}: its suffix names no kind of table, expected {known}")
+    check_file(path)
+
+
+def write_table(titles: Sequence[str], rows: Sequence[Row], path: Path) -> None:
+    """Write CSV with every digit, or LaTeX or HTML as printed, by the suffix. Raises InputError."""
+    check_table(path)
+    text = _TABLES[path.suffix.lower()](titles, rows)
+    write_whole(path, lambda part: part.write_text(text, encoding="utf-8"))
+
+
+def _read(folder: Path) -> Found:
+    name = next((name for name in _FILES if (folder / f"{name}.json").is_file()), None)
+    if name is None:
+        known = ", ".join(f"{one}.json" for one in _FILES)
+        raise InputError(f"{folder}: holds no result of slamcheck, expected one of {known}")
+    path, (job, names) = folder / f"{name}.json", _FILES[name]
+    text = read_text(path)
+    if job == "run":
         try:
-            results.append(Result.model_validate_json(read_text(path)))
+            run = Result.model_validate_json(text)
         except ValidationError as error:
             raise InputError(f"{path}: not a run's result: {first_fault(error)}") from None
-    return results
+        return Found({**_words(run.model_dump(), job), "verdict": run.headline}, metrics(run))
+    try:
+        found = json.loads(text)
+    except (ValueError, RecursionError):
+        found = None
+    if not isinstance(found, dict):
+        raise InputError(f"{path}: not a result of slamcheck {job}")
+    figures: dict[str, Any] = {
+        str(names.get(key, key)): value for key, value in found.items() if key not in _ASIDE
+    }
+    return Found(_words(found, job), dict(_flat(figures)))
 
 
-def side_by_side(results: Sequence[Result]) -> list[tuple[str, list[str]]]:
-    """Names, and a cell per run: what they are, the verdicts, all figures that differ."""
-    rows: list[tuple[str, list[str]]] = [
-        ("log", [r.log.name for r in results]),
-        ("filter", [r.ekf.filter for r in results]),
-        ("association", [r.ekf.association for r in results]),
-        ("attributes", [r.ekf.attributes for r in results]),
-        ("gps", [r.ekf.gps for r in results]),
-        ("verdict", [r.headline for r in results]),
-        ("first cause", [r.causes[0].gap if r.causes else "" for r in results]),
-    ]
-    every = [metrics(r) for r in results]
-    names = dict.fromkeys(name for found in every for name in found)
-    for name in names:
-        values = [found.get(name) for found in every]
-        if not _alike(values):
-            rows.append((name, ["" if v is None else f"{v:.5g}" for v in values]))
-    return rows
+def _words(found: Mapping[str, Any], job: str) -> dict[str, str]:
+    """What a result is: rows that all have, and those that some jobs have."""
+    association = _at(found, "ekf", "association") or _at(found, "association_by")
+    gps = _at(found, "ekf", "gps") or _at(found, "gps")
+    causes = found.get("causes")
+    first = causes[0] if isinstance(causes, list) and causes else {}
+    words = {
+        "job": job,
+        "log": _at(found, "log", "name") or _at(found, "scenario"),
+        "filter": _at(found, "ekf", "filter"),
+        "association": association,
+        "attributes": _at(found, "ekf", "attributes"),
+        "gps": gps,
+        "grade": _at(found, "grade"),
+        "verdict": _at(found, "verdict"),
+        "first cause": _at(first, "gap"),
+    }
+    return {name: word for name, word in words.items() if word or name == "first cause"}
 
 
-def print_side_by_side(
-    titles: Sequence[str], rows: Sequence[tuple[str, list[str]]], console: Console
-) -> None:
-    """A table with a column per run."""
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    table.add_column("", no_wrap=True)
-    for title in titles:
-        table.add_column(escape(title), overflow="fold")
-    for name, cells in rows:
-        table.add_row(name, *(escape(cell) for cell in cells))
-    console.print(table)
+def _at(found: Any, *keys: str) -> str:
+    for key in keys:
+        found = found.get(key) if isinstance(found, Mapping) else None
+    return found if isinstance(found, str) else ""
+
+
+def _flat(values: Mapping[str, Any], below: str = "") -> Iterator[tuple[str, float | None]]:
+    """All figures by dotted name, without lists of them."""
+    for key, value in values.items():
+        name = f"{below}{key}"
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{name}.")
+        elif type(value) in (int, float) and key not in _NOT_COMPARED:
+            yield name, float(value) if abs(value) < 1e300 else None
 
 
 def _alike(values: Sequence[float | None]) -> bool:
@@ -73,3 +195,89 @@ def _alike(values: Sequence[float | None]) -> bool:
         value is not None and abs(value - first) <= _SAME * max(abs(first), 1e-3)
         for value in values
     )
+
+
+def _told(cells: Sequence[Cell]) -> bool:
+    return any(cell not in (None, "") for cell in cells)
+
+
+def _short(cell: Cell) -> str:
+    if cell is None:
+        return ""
+    return cell if isinstance(cell, str) else f"{cell:.5g}"
+
+
+def _width(title: str, cells: Sequence[Cell]) -> int:
+    """Of a column: its widest figure whole, titles and words up to a limit."""
+    words = [title, *(cell for cell in cells if isinstance(cell, str))]
+    figures = (len(_short(cell)) for cell in cells if not isinstance(cell, str))
+    return max(min(_TEXT, max(map(len, words))), *figures, 1)
+
+
+def _blocks(widths: Sequence[int], most: int) -> list[list[int]]:
+    """Columns that stand beside each other: as many as fit, at least one."""
+    blocks: list[list[int]] = [[]]
+    used = 0
+    for i, width in enumerate(widths):
+        if blocks[-1] and used + width + 2 > most:
+            blocks.append([])
+            used = 0
+        blocks[-1].append(i)
+        used += width + 2
+    return blocks
+
+
+def _csv(titles: Sequence[str], rows: Sequence[Row]) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["name", *titles])
+    writer.writerows([name, *("" if c is None else c for c in cells)] for name, cells in rows)
+    return text.getvalue()
+
+
+def _latex(titles: Sequence[str], rows: Sequence[Row]) -> str:
+    lines = [" & ".join(map(_latex_text, ("", *titles))) + r" \\ \hline"]
+    for name, cells in rows:
+        told = (_latex_text(c) if isinstance(c, str) else _latex_figure(_short(c)) for c in cells)
+        lines.append(" & ".join((_latex_text(name), *told)) + r" \\")
+    columns = "l" + "r" * len(titles)
+    return "\n".join((rf"\begin{{tabular}}{{{columns}}}", *lines, r"\end{tabular}", ""))
+
+
+_LATEX = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
+_LATEX |= {one: f"\\{one}" for one in "&%$#_{}"}
+
+
+def _latex_text(text: str) -> str:
+    return "".join(_LATEX.get(one, one) for one in printable(text))
+
+
+def _latex_figure(figure: str) -> str:
+    digits, e, power = figure.partition("e")
+    return rf"${digits} \times 10^{{{int(power)}}}$" if e else f"${figure}$" if figure else ""
+
+
+def _html(titles: Sequence[str], rows: Sequence[Row]) -> str:
+    def row(kind: str, name: str, cells: Sequence[str]) -> str:
+        columns = (f"<{kind}>{html.escape(cell)}</{kind}>" for cell in cells)
+        return f'<tr><th scope="row">{html.escape(name)}</th>{"".join(columns)}</tr>'
+
+    body = [row("td", name, [_short(cell) for cell in cells]) for name, cells in rows]
+    style = "td { text-align: right; padding-left: 2em } th[scope=row] { text-align: left }"
+    return "\n".join(
+        (
+            '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">',
+            f"<title>Results side by side</title>\n<style>{style}</style>\n</head>\n<body>",
+            f"<table>\n<thead>\n{row('th', '', titles)}\n</thead>",
+            "<tbody>",
+            *body,
+            "</tbody>\n</table>\n</body>\n</html>\n",
+        )
+    )
+
+
+_TABLES: dict[str, Callable[[Sequence[str], Sequence[Row]], str]] = {
+    ".csv": _csv,
+    ".tex": _latex,
+    ".html": _html,
+}

@@ -35,7 +35,6 @@ from comparisons.pipeline.compare import Comparison
 from comparisons.report.check import CheckResult, build_check_result
 from comparisons.report.models import AccuracyResult, AgreementResult, EkfResult, Result
 from comparisons.report.result import build_result, metrics
-from comparisons.report.side_by_side import read_results, side_by_side
 from comparisons.settings import run_config
 from tests.comparisons.test_cli import slamcheck
 from tests.helpers import compared, simulated
@@ -389,7 +388,9 @@ def test_a_baseline_of_the_other_job_is_refused(
         (("save", "log", "b.json", *mine, "--runs", "3"), "--runs repeats a run"),
         (("save", "log", "b.json", *mine, "--filter", "full"), "--filter is of a run"),
         (("save", "log", "b.json", "--require", "like"), "--require goes with --estimate"),
-        (("save", "log", "b.json", "--estimate", "nowhere"), "nowhere: no such file"),
+        (("save", "log", "b.json", "--estimate", "nowhere", "--replace"), "nowhere: no such file"),
+        (("save", "log", "b.json", *mine), "b.json: holds a baseline"),
+        (("save", "log", "c.json", *mine, "--out", "d"), "--out d: baseline save writes c.json"),
     ):
         done = slamcheck("baseline", *words, cwd=tmp_path)
         assert done.returncode == 2, words
@@ -428,22 +429,3 @@ def test_a_gate_of_a_run_with_extensions(tmp_path: Path) -> None:
     assert config["extensions"] == {"own_association": {"when": "always"}}
     same = slamcheck("baseline", "compare", "simulated-loop", "b.json", cwd=tmp_path)
     assert same.returncode == 0, same.stdout + same.stderr
-
-
-@pytest.mark.slow
-def test_runs_stand_side_by_side(tmp_path: Path, result: Result) -> None:
-    """Only what differs is shown; a folder that is none is named."""
-    other = changed(result, optimism=0.123)
-    for name, found in (("a", result), ("b", other)):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "result.json").write_text(found.model_dump_json())
-    rows = dict(side_by_side(read_results([tmp_path / "a", tmp_path / "b"])))
-    assert rows["agreement.optimism"][1] == "0.123"
-    assert "agreement.pessimism" not in rows
-    assert rows["verdict"] == [result.verdict] * 2
-    done = slamcheck("compare", "a", "b", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert "agreement.optimism" in done.stdout
-    missing = slamcheck("compare", "a", "nowhere", cwd=tmp_path)
-    assert missing.returncode == 2
-    assert "nowhere" in missing.stderr

@@ -176,13 +176,13 @@ def test_what_goes_beside_both_and_what_does_not() -> None:
         association="nn",
         landmarks="both",
         dense=["points"],
-        dynamic="on",
+        dynamic=True,
         smoother_association="own",
         motion="both",
     )
     assert mapped.verdict.outcome == "agree"
     assert mapped.agreement.model.within(1e-6)
-    with pytest.raises(InputError, match="--high-level on goes with --landmarks points only"):
-        compared(log(), landmarks="both", high_level="on")
+    with pytest.raises(InputError, match="--high-level goes with --landmarks points only"):
+        compared(log(), landmarks="both", high_level=True)
     with pytest.raises(InputError, match="holds no planar scans"):
         compared(simulated(), landmarks="both")

@@ -17,6 +17,7 @@ from comparisons.config import (
     EkfConfig,
     JobConfig,
     MapConfig,
+    OdometryConfig,
     RunConfig,
     SolveConfig,
     choices_of,
@@ -90,10 +91,11 @@ def everything() -> list[JobConfig]:
     return [
         run_config(),
         run_config(filter="compressed", association="jcbb", gps="half", seed=7, robust="gnc"),
-        run_config(motion="both", smoother_association="own", dense=["points"], dynamic="on"),
+        run_config(motion="both", smoother_association="own", dense=["points"], dynamic=True),
         run_config(landmarks="both", pieces="single", smoother_matcher="own", attributes="layer",
                    association="nn"),
-        run_config(high_level="on", high_level_cell=0.4, figures=["pdf"], trace=True),
+        RunConfig.of(extensions={"high_level": {"cell_m": 0.4}},
+                     report={"figures": ["pdf"], "trace": True}),
         MapConfig.of(extensions={"dense_maps": {"layers": ["values"], "known_m": 0.5}}),
         SolveConfig.of(association="own", smoother={"method": "isam2"}),
         CheckConfig.of(estimate="mine"),
@@ -141,6 +143,13 @@ def test_a_flag_takes_an_extension_of_the_file_away(tmp_path: Path) -> None:
     assert set(configure(RunConfig, path, flags).extensions) == {"own_association"}
 
 
+def test_a_switch_takes_an_extension_of_the_file_away(tmp_path: Path) -> None:
+    path = tmp_path / "config.toml"
+    path.write_text(run_config(high_level=True, landmarks="points").toml())
+    flags = [(flag, False) for flag in RUN if flag.option == "--high-level"]
+    assert set(configure(RunConfig, path, flags).extensions) == set()
+
+
 def test_another_log_than_the_files_drops_its_hash(tmp_path: Path) -> None:
     path = tmp_path / "config.toml"
     path.write_text(run_config(seed=1).at_log("0" * 64).toml())
@@ -181,20 +190,23 @@ def test_what_is_wrong_is_named_in_one_line(setting: str, words: str) -> None:
         ({"smoother_matcher": "own"}, "--smoother-matcher own goes with --landmarks scans or both"),
         ({"pieces": "single"}, "--pieces single goes with --landmarks scans or both"),
         ({"templates": "enriched"}, "--templates enriched goes with --landmarks"),
-        ({"fuse_landmarks": "on"}, "--fuse-landmarks on goes with --landmarks"),
+        ({"fuse_landmarks": True}, "--fuse-landmarks goes with --landmarks"),
         ({"landmarks": "scans", "motion": "both"}, "--motion both compares landmarks that are"),
         (
             {"landmarks": "scans", "smoother_association": "own"},
             "--smoother-association own compares landmarks that are points",
         ),
         ({"landmarks": "scans", "attributes": "on"}, "--attributes on tells points apart"),
-        ({"landmarks": "both", "high_level": "on"}, "--high-level on goes with --landmarks points"),
-        ({"landmarks": "both", "fuse_landmarks": "on", "dense": ["sog"]}, "hang on scan landmarks"),
-        ({"landmarks": "both", "fuse_landmarks": "on", "dynamic": "on"}, "hang on scan landmarks"),
+        ({"landmarks": "both", "high_level": True}, "--high-level goes with --landmarks points"),
+        ({"landmarks": "both", "fuse_landmarks": True, "dense": ["sog"]}, "hang on scan landmarks"),
+        ({"landmarks": "both", "fuse_landmarks": True, "dynamic": True}, "hang on scan landmarks"),
         ({"landmarks": "both", "trace": True}, "--trace is for"),
         ({"filter": "misono", "trace": True}, "--trace is for"),
         ({"attributes": "on", "association": "euclidean"}, "takes no attributes"),
-        ({"resolution": 0.4}, "dense_maps.layers: empty"),
+        ({"resolution": 0.4}, "dense_maps.layers: empty, .*; --resolution alone asks for no map"),
+        ({"lag": 5}, "--lag 5 goes with --smoother fixed-lag"),
+        ({"smoother": "isam2", "optimiser": "dogleg"}, "--optimiser dogleg goes with --smoother"),
+        ({"dynamic": "on"}, "--dynamic is 'on', expected True or False"),
         ({"kalman": "on"}, "option kalman: is unknown"),
     ],
 )
@@ -208,19 +220,35 @@ def test_what_does_not_go_together_is_refused(options: dict[str, object], words:
     [
         {"landmarks": "scans", "motion": "scan"},
         {"landmarks": "both", "motion": "both", "smoother_association": "own"},
-        {"templates": "bare", "fuse_landmarks": "off"},
-        {"dynamic": "on", "resolution": 0.4},
+        {"lag": 100},
+        {"smoother": "fixed-lag", "lag": 5},
+        {"templates": "bare", "fuse_landmarks": False},
+        {"dynamic": True, "resolution": 0.4},
     ],
 )
 def test_what_goes_together_is_not(options: dict[str, object]) -> None:
     run_config(**options)
 
 
+def test_what_has_no_effect_is_refused_in_a_file_too(tmp_path: Path) -> None:
+    """Where it differs from the default: a file holds every setting."""
+    path = tmp_path / "config.toml"
+    path.write_text(SolveConfig.of().toml())
+    configure(SolveConfig, path)
+    path.write_text(path.read_text().replace("lag = 100", "lag = 5"))
+    with pytest.raises(InputError, match=r"config\.toml: --lag 5 goes with --smoother fixed-lag"):
+        configure(SolveConfig, path)
+    matcher = ["front_end.matcher=kiss"]
+    assert configure(OdometryConfig, settings=matcher).front_end.matcher == "kiss"
+    with pytest.raises(InputError, match="--matcher kiss goes with --loop-closure"):
+        configure(OdometryConfig, settings=[*matcher, "front_end.loop_closure=false"])
+
+
 def test_an_extension_brings_what_it_needs() -> None:
     """What looks for motion needs a dense map, and a map that is there serves it."""
-    alone = run_config(dynamic="on").model_dump()["extensions"]["dense_maps"]
+    alone = run_config(dynamic=True).model_dump()["extensions"]["dense_maps"]
     assert (alone["layers"], alone["detect_motion"]) == ((), True)
-    beside = run_config(dynamic="on", dense=["sog"]).model_dump()["extensions"]["dense_maps"]
+    beside = run_config(dynamic=True, dense=["sog"]).model_dump()["extensions"]["dense_maps"]
     assert (beside["layers"], beside["detect_motion"]) == (("sog",), True)
     assert run_config(attributes="layer").extensions["dense_maps"] == config_class("dense_maps")(
         attribute_values=True

@@ -91,7 +91,7 @@ def published_run(**flags: object) -> RunConfig:
     [
         {},
         {"filter": "misono"},
-        {"dense": ["points", "occupancy"], "high_level": "on", "dynamic": "on"},
+        {"dense": ["points", "occupancy"], "high_level": True, "dynamic": True},
         {"landmarks": "scans"},
         {"landmarks": "both", "dense": ["sog"]},
     ],
@@ -171,7 +171,7 @@ def test_an_unknown_preset_is_refused() -> None:
 
 
 def test_extensions_that_are_needed_are_as_published_too() -> None:
-    config = published_run(dynamic="on").model_dump(mode="python")
+    config = published_run(dynamic=True).model_dump(mode="python")
     assert read(config, "dense_maps.known_apart_m") == 0.0
     assert setting_default("dense_maps.known_apart_m") is None
 

@@ -49,7 +49,7 @@ def driven(seed: int, source: HighLevelSource | None = None) -> EkfRun:
 
 @cache
 def with_them(seed: int) -> Comparison:
-    return compared(log(seed), high_level="on")
+    return compared(log(seed), high_level=True)
 
 
 def error_m(run: EkfRun, seed: int) -> float:
@@ -130,9 +130,9 @@ def test_blank_scans_show_no_landmark_and_leave_the_filter_alone() -> None:
 def test_one_dense_map_serves_the_search_and_the_report_and_changes_no_bit() -> None:
     """And one with other cells does not serve it: then there are two, and again no bit changes."""
     short = first_seconds(log(1), 32.0)
-    alone = compared(short, high_level="on")
-    both = compared(short, dense=["points"], high_level="on")
-    two = compared(short, dense=["points"], resolution=0.4, high_level="on")
+    alone = compared(short, high_level=True)
+    both = compared(short, dense=["points"], high_level=True)
+    two = compared(short, dense=["points"], resolution=0.4, high_level=True)
     for one in (both, two):
         assert list(one.find(DenseMapsFinding).dense.layers) == ["points"]
         for ours, theirs in zip(bits(one.ekf), bits(alone.ekf), strict=True):
@@ -156,13 +156,8 @@ def test_usual_settings_are_those_of_the_options_and_others_arrive() -> None:
     usual = HighLevelConfig(cell_m=0.2, pair_m=12.0, least=200, every_s=20.0)
     assert usual == HighLevelConfig()
     assert HighLevelOptions.of(usual) == HighLevelOptions()
-    config = run_config(
-        high_level="on",
-        high_level_cell=0.5,
-        high_level_pair=7.0,
-        high_level_least=50,
-        high_level_every=60.0,
-    ).extensions["high_level"]  # section 6.5
+    values = {"cell_m": 0.5, "pair_m": 7.0, "least": 50, "every_s": 60.0}  # section 6.5
+    config = RunConfig.of(extensions={"high_level": values}).extensions["high_level"]
     assert isinstance(config, HighLevelConfig)
     nieto = HighLevelOptions.of(config)
     assert (nieto.kept.resolution_m, nieto.kept.d_min_m, nieto.search.cell_m) == (0.5, 0.5, 0.5)
@@ -171,7 +166,7 @@ def test_usual_settings_are_those_of_the_options_and_others_arrive() -> None:
 
 def test_the_preset_reaches_the_map_that_is_searched() -> None:
     def searched(preset: str) -> DenseMapsConfig:
-        config = run_config(high_level="on", preset=preset)
+        config = run_config(high_level=True, preset=preset)
         found = config.extensions["high_level"].build(config)
         assert isinstance(found, HighLevel)
         return found.options.kept
@@ -184,7 +179,7 @@ def test_the_preset_reaches_the_map_that_is_searched() -> None:
 def test_settings_of_dense_maps_reach_the_map_that_is_searched() -> None:
     config = configure(
         RunConfig,
-        flags=run_options({"high_level": "on", "dense": ["points"], "dynamic": "on"}),
+        flags=run_options({"high_level": True, "dense": ["points"], "dynamic": True}),
         settings=["dense_maps.known_apart_m=0.2"],
     )
     found = config.extensions["high_level"].build(config)
@@ -213,14 +208,11 @@ def test_the_command_line(tmp_path: Path) -> None:
     from comparisons.logs.log_folder import write_log_folder
 
     write_log_folder(first_seconds(log(1), 45.0), tmp_path / "log")
-    run = ("run", "log", "--out", "out", "--high-level")
-    wrong = slamcheck(*run, "yes", cwd=tmp_path)
+    run = ("run", "log", "--out", "out", "--high-level", "--set")
+    wrong = slamcheck(*run, "high_level.pair_m=0", cwd=tmp_path)
     assert wrong.returncode == 2
-    assert "'--high-level': 'yes' is not one of 'off', 'on'" in wrong.stderr
-    wrong = slamcheck(*run, "on", "--high-level-pair", "0", cwd=tmp_path)
-    assert wrong.returncode == 2
-    assert "high_level.pair_m is 0.0: input should be greater than or equal to 1" in wrong.stderr
-    done = slamcheck(*run, "on", "--high-level-least", "190", cwd=tmp_path)
+    assert "high_level.pair_m is 0: input should be greater than or equal to 1" in wrong.stderr
+    done = slamcheck(*run, "high_level.least=190", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "high level" in done.stdout
     result = json.loads((tmp_path / "out" / "result.json").read_text())

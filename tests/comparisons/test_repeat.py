@@ -55,11 +55,11 @@ CASES: dict[str, tuple[str, Callable[[Path], None] | None]] = {
     "associations": ("run simulated-loop --seed 3 --smoother-association own", None),
     "motion": ("run log --motion both", write_loop),
     "dense": ("run log --dense points --dense occupancy --set dense_maps.d_min_m=0.3", write_loop),
-    "dynamic": ("run log --dynamic on --figures pdf", write_loop),
+    "dynamic": ("run log --dynamic --figures pdf", write_loop),
     "landmarks": ("run log --landmarks scans", write_scans),
     "solve": ("solve simulated-loop --seed 2 --association own --robust huber", None),
     "map": ("map log --layer occupancy --dynamic", write_loop),
-    "odometry": ("odometry log --loop-closure off", write_loop),
+    "odometry": ("odometry log --no-loop-closure", write_loop),
 }
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from comparisons.atomic import check_replaceable, folder_name, fresh_folder
+from comparisons.config import CheckConfig, MapConfig, RunConfig
 from comparisons.errors import InputError
 from comparisons.estimates.folder import read_estimate, write_estimate
 from comparisons.logs.bundled import open_log
@@ -20,9 +21,12 @@ from comparisons.pipeline.compare import Comparison
 from comparisons.pipeline.prepare import Clock
 from comparisons.report.figures.run import map_figure
 from comparisons.report.figures.style import ellipses
+from comparisons.report.folder import check_free, default_folder, write_job_folder
 from comparisons.report.models import Result
 from comparisons.report.result import build_result
 from comparisons.report.rows import seconds_rows
+from comparisons.report.run import run_folder
+from comparisons.settings import configure, run_config
 from tests.helpers import compared, random_covariance, simulated
 
 
@@ -182,6 +186,74 @@ def test_other_peoples_folders_are_safe(tmp_path: Path, monkeypatch: pytest.Monk
 def test_a_logs_name_is_no_path(name: str, folder: str) -> None:
     assert folder_name(name) == folder
     assert "/" not in folder_name(name)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({}, ""),
+        ({"figures": ["pdf"], "trace": True}, ""),
+        ({"seed": 7, "noise_scale": 0.5}, "-seed-7-noise-scale-0.5"),
+        ({"seed": 0, "filter": "full"}, ""),
+        ({"association": "jcbb", "gps": "half"}, "-association-jcbb-gps-half"),
+        ({"motion": "scan"}, "-motion-scan"),
+        ({"landmarks": "scans", "pieces": "single"}, "-landmarks-scans-pieces-single"),
+        ({"attributes": "layer"}, "-attributes-layer"),
+        ({"dense": ["points", "sog"], "resolution": 0.4}, "-dense-points-sog-resolution-0.4"),
+        ({"smoother_association": "ekf"}, "-smoother-association-ekf"),
+        ({"preset": "as-published"}, "-preset-as-published"),
+    ],
+)
+def test_a_folder_is_named_by_what_was_asked_for(options: dict[str, object], words: str) -> None:
+    config = run_config(**options)
+    assert default_folder(config, "my log").name == f"slamcheck-my-log{words}"
+    again = RunConfig.of(**config.model_dump())
+    assert default_folder(again, "my log").name == f"slamcheck-my-log{words}"
+
+
+def test_other_jobs_folders_are_named_too() -> None:
+    check = configure(CheckConfig, settings=["estimate=over/there/mine", "require=like"])
+    assert default_folder(check, "x").name == "slamcheck-check-x-estimate-mine-require-like"
+    base = {"extensions": {"dense_maps": {"layers": ["occupancy"]}}}
+    plain = configure(MapConfig, over=base)
+    assert default_folder(plain, "x", base).name == "slamcheck-map-x"
+    mapped = configure(MapConfig, over=base, settings=["dense_maps.d_min_m=0.1"])
+    assert default_folder(mapped, "x", base).name == "slamcheck-map-x-d-min-m-0.1"
+    long = [configure(RunConfig, settings=["fail_on=truth,association,consistency", "log.loops=3",
+                                           "smoother.robust=gnc", f"log.seed={seed}"])
+            for seed in (1, 2)]  # fmt: skip
+    names = [default_folder(one, "x").name for one in long]
+    assert names[0] != names[1]
+    assert all(len(name) <= len("slamcheck-x-") + 60 for name in names)
+
+
+def test_a_folder_of_another_run_is_refused(comparison: Comparison, tmp_path: Path) -> None:
+    """Settings, log and job decide; pictures and where the log lies do not."""
+    folder = tmp_path / "run"
+    config = run_config(seed=1).at_log("0" * 64)
+    write_job_folder(
+        replace(run_folder(comparison, build_result(comparison)), config=config), folder
+    )
+    same = run_config(seed=1, figures=["pdf"]).at_log("0" * 64, "elsewhere")
+    check_free(folder, same)
+    others = {
+        "log.seed 1, not 2": run_config(seed=2).at_log("1" * 64),
+        "the log's contents": run_config(seed=1).at_log("1" * 64),
+        "ekf.filter full, not compressed": run_config(seed=1, filter="compressed").at_log("0" * 64),
+        "of slamcheck 'run'": configure(CheckConfig, settings=["log.seed=1"]).at_log("0" * 64),
+    }
+    for words, other in others.items():
+        with pytest.raises(InputError, match=f"holds another run .{words}.*--replace") as caught:
+            check_free(folder, other)
+        assert "\n" not in str(caught.value)
+        check_free(folder, other, replace=True)
+    path = folder / "config.toml"
+    path.write_text(path.read_text().replace("[ekf]", "[kalman]"))
+    with pytest.raises(InputError, match="is not of this version"):
+        check_free(folder, same)
+    (folder / "mine.txt").write_text("keep")
+    with pytest.raises(InputError, match=r"already holds mine\.txt"):
+        check_free(folder, same, replace=True)
 
 
 ESTIMATE_FAULTS = {

@@ -107,6 +107,11 @@ def test_the_commands(tmp_path: Path) -> None:
         done = slamcheck("export", "solved/smoother", place, "--format", format_name, cwd=tmp_path)
         assert done.returncode == 0, done.stderr
         assert done.stdout.startswith(f"{place}: ")
+    for format_name in FORMATS:
+        place = f"again/{format_name}/poses.{format_name}"
+        done = slamcheck("export", "solved/smoother", place, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        assert (tmp_path / place).read_text() == (tmp_path / format_name / "poses").read_text()
     (tmp_path / "kitti" / "times.txt").rename(tmp_path / "clock")
     right = [
         (("csv/poses",), "every pose with covariance"),
@@ -114,15 +119,17 @@ def test_the_commands(tmp_path: Path) -> None:
     ]
     for words, told in right:
         done = slamcheck(
-            "check", "simulated-loop", "--estimate", *words, "--out", "c", cwd=tmp_path
+            "check", "simulated-loop", "--estimate", *words, "--out", "c", "--replace", cwd=tmp_path
         )
         assert done.returncode == 0, done.stderr + done.stdout
         assert told in done.stdout
     wrong: list[tuple[tuple[str, ...], str]] = [
         (("export", "solved", "x.csv"), "is no estimate; give solved/smoother"),
-        (("export", "csv/poses", "tum/poses"), "exists already"),
+        (("export", "csv/poses", "again/tum/poses.tum"), "exists already"),
         (("export", "csv/poses", "x", "--format", "xyz"), "format 'xyz' is unknown"),
-        (("export", "csv/poses", "x", "--times", "clock"), "--times is for KITTI"),
+        (("export", "csv/poses", "x"), "x: its suffix names no format, expected .tum"),
+        (("export", "csv/poses", "x.tum", "--format", "csv"), "its suffix says tum, --format csv"),
+        (("export", "csv/poses", "x.csv", "--times", "clock"), "--times is for KITTI"),
     ]
     for words, told in wrong:
         done = slamcheck(*words, cwd=tmp_path)

@@ -183,7 +183,7 @@ def baseline_file(folder: Path) -> None:
 
 def config_file(folder: Path) -> None:
     """With a section of everything that a run may hold."""
-    options = {"motion": "both", "landmarks": "both", "dense": ["points"], "dynamic": "on"}
+    options = {"motion": "both", "landmarks": "both", "dense": ["points"], "dynamic": True}
     (folder / "run.toml").write_text(run_config(**options).toml(), encoding="utf-8")
 
 

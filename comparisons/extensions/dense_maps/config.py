@@ -129,7 +129,7 @@ class DenseMapsConfig(ExtensionConfig):
         if not (self.layers or self.detect_motion or self.attribute_values):
             raise ValueError(
                 "dense_maps.layers: empty, expected some of points, occupancy, particles, sog, "
-                "values (--dense)"
+                "values (--dense); --resolution alone asks for no map"
             )
 
     def settled(self, *, points: bool = True) -> DenseMapsConfig:

@@ -77,11 +77,11 @@ class ScanLandmarksConfig(ExtensionConfig):
                 "or both"
             )
         if "high_level" in config.extensions:
-            raise ValueError("--high-level on goes with --landmarks points only")
+            raise ValueError("--high-level goes with --landmarks points only")
         if self.fuse and (_MAPPED in config.extensions or self.templates == "enriched"):
             # Regions anchored to a landmark that was fused would stay behind.
             raise ValueError(
-                "--fuse-landmarks on goes without --dense, --dynamic on, --attributes layer and "
+                "--fuse-landmarks goes without --dense, --dynamic, --attributes layer and "
                 "--templates enriched: regions of a map hang on scan landmarks for good"
             )
 

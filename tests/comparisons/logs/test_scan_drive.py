@@ -169,7 +169,7 @@ def scans_of(log: Log) -> list[Array]:
 def test_logs_by_name(name: str) -> None:
     log = open_log(name, choices=SimulationChoices(seed=2))
     assert log.name == name
-    assert "--seed" in NAMED[name].what
+    assert "--seed" in NAMED[name].takes
     assert log.truth.surfaces is not None
     assert len(log.sightings.time_s) == 0 if name == "scan-slam" else log.sightings.labelled
     record = log.clouds if name == "scan-loop-3d" else log.scans

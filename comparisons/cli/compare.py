@@ -1,0 +1,52 @@
+"""`slamcheck compare`: results of several jobs side by side."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from comparisons.cli.support import AGREE, guarded
+
+
+def compare(
+    folders: Annotated[
+        list[Path], typer.Argument(metavar="FOLDER...", help="Folders that jobs left.")
+    ],
+    only: Annotated[
+        list[str],
+        typer.Option(
+            metavar="PATTERN",
+            help="Figures of these names, as accuracy or agreement.*_sigma, whether they differ "
+            "or not; may be repeated.",
+        ),
+    ] = [],  # noqa: B006
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write the table as well: .csv, .tex or .html."),
+    ] = None,
+) -> None:
+    """Put results side by side: verdicts, causes, and the figures that differ. Exits with 0.
+
+    Takes the folders of run, solve, check, odometry, map and montecarlo, also mixed: what
+    different jobs call by the same name stands in one row.
+
+    \b
+    Examples:
+      slamcheck compare report-full report-compressed
+      slamcheck compare a b c --only accuracy --out table.tex
+    """
+    with guarded():
+        from rich.console import Console
+
+        from comparisons.report import side_by_side as report
+
+        if out is not None:
+            report.check_table(out)
+        rows = report.side_by_side(report.read_results(folders), only)
+        titles = [folder.name or str(folder) for folder in folders]
+        report.print_side_by_side(titles, rows, Console())
+        if out is not None:
+            report.write_table(titles, rows, out)
+        raise SystemExit(AGREE)
