@@ -83,14 +83,14 @@ def command_lines(snippet: Snippet) -> Iterator[str]:
     """Command lines of slamcheck in a snippet, those that go on after a backslash as one."""
     if snippet.language in ("python", "toml", "json"):
         return
-    for line in snippet.text.replace("\\\n", " ").splitlines():
+    for line in re.sub(r"\\+\n", " ", snippet.text).splitlines():  # two in a docstring's source
         if found := COMMAND.match(line):
             yield found[1]
 
 
 ALL = [one for path in (*PAGES, *HELP) for one in snippets(path)]
 LINES = [(one, line) for one in ALL for line in command_lines(one)]
-CONSOLE = build(list(COMMANDS))
+CONSOLE = build(whole=True)
 
 
 def written(language: str) -> list[Snippet]:
@@ -115,7 +115,7 @@ def check_arguments(arguments: list[str], *, open_ended: bool) -> None:
 
     open_ended: a sentence may leave out what must be given, and have a WORD for a value.
     """
-    command: Any = typer.main.get_command(CONSOLE)
+    command: Any = CONSOLE
     name, given = "slamcheck", [_number(word) for word in arguments]
     context = None
     try:

@@ -358,12 +358,12 @@ def test_the_commands_on_an_estimate(tmp_path: Path, estimate: Estimate) -> None
     broken = slamcheck(*compare, "--junit", "j.xml", cwd=tmp_path)
     assert broken.returncode == 1
     assert "broken: grade: equal then, wrong now" in broken.stdout
-    assert "cause: time: 0.200 s later" in broken.stdout
+    assert "cause: time: stamps 0.200 s too late" in broken.stdout
     assert "if that is meant, keep it in b.json: --update" in broken.stdout
     cases = ElementTree.parse(tmp_path / "j.xml").getroot()  # noqa: S314
     (grade,) = [case[0] for case in cases if case.get("name") == "grade"]
     assert str(grade.get("message")).startswith("grade: equal then, wrong now")
-    assert "time: 0.200 s later" in str(grade.text)
+    assert "time: stamps 0.200 s too late" in str(grade.text)
     before = (tmp_path / "b.json").read_text()
     kept = slamcheck(*compare, "--update", cwd=tmp_path)
     assert kept.returncode == 0, kept.stderr
@@ -389,7 +389,7 @@ def test_a_baseline_of_the_other_job_is_refused(
         (("save", "log", "b.json", *mine, "--filter", "full"), "--filter is of a run"),
         (("save", "log", "b.json", "--require", "like"), "--require goes with --estimate"),
         (("save", "log", "b.json", "--estimate", "nowhere", "--replace"), "nowhere: no such file"),
-        (("save", "log", "b.json", *mine), "b.json: holds a baseline"),
+        (("save", "log", "run.json", *mine), "run.json: holds a baseline"),
         (("save", "log", "c.json", *mine, "--out", "d"), "--out d: baseline save writes c.json"),
     ):
         done = slamcheck("baseline", *words, cwd=tmp_path)

@@ -239,7 +239,8 @@ def test_a_damaged_log_leaves_no_report(tmp_path: Path) -> None:
     done = slamcheck("run", "log", "--out", "report", cwd=tmp_path)
     assert done.returncode == 2
     assert done.stderr == (
-        "slamcheck: log/sightings.csv:4: range_m is 'nan', expected a finite number\n"
+        "slamcheck: log/sightings.csv:4: range_m is 'nan', expected a finite number "
+        "(see docs/formats.md)\n"
     )
     assert [p.name for p in tmp_path.iterdir()] == ["log"]
 

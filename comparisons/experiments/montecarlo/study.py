@@ -222,7 +222,7 @@ def _finished(files: ChunkFiles, name: str, runs: int) -> Iterator[Records]:
         yield Records(*(r[: runs - chunk * CHUNK] for r in records))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class _ExternalRuns:
     """One external filter's runs. used: (T,) recorded steps with a pose in every run."""
 
@@ -280,7 +280,12 @@ class _ExternalJob:
                 f"{first.log}"
             )
         kept = _ExternalRuns(
-            files, name, runs, np.ones(len(steps), dtype=bool), tuple(told), runs - len(wanted)
+            files=files,
+            name=name,
+            runs=runs,
+            used=np.ones(len(steps), dtype=bool),
+            failures=tuple(told),
+            reused=runs - len(wanted),
         )
         used = kept.used
         for run, records in enumerate(kept.records()):
