@@ -16,11 +16,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
-import typer
 from pydantic import BaseModel, ValidationError
 
 import comparisons.pytest_plugin
-from comparisons.cli.app import COMMANDS, build
+from comparisons.cli.app import build
 from comparisons.config import JOBS
 from comparisons.errors import InputError
 from comparisons.estimates.folder import Meta, read_meta
@@ -67,8 +66,10 @@ def snippets(path: Path) -> Iterator[Snippet]:
         return text.count("\n", 0, place) + 1
 
     if path.suffix == ".py":
-        for found in re.finditer(r"^ {6}(slamcheck .*?)(?:  .*)?$", text, re.MULTILINE):
-            yield Snippet(page, at(found.start()), "help", found[1])
+        for found in re.finditer(
+            r"^ {6}(slamcheck (?:.*\\\\\n)*.*?)(?:  .*)?$", text, re.MULTILINE
+        ):
+            yield Snippet(page, at(found.start()), "help", found[1].replace("\\\\\n", "\\\n"))
         return
     for found in BLOCK.finditer(text):
         yield Snippet(page, at(found.start()), found[2], found[3])
@@ -83,7 +84,7 @@ def command_lines(snippet: Snippet) -> Iterator[str]:
     """Command lines of slamcheck in a snippet, those that go on after a backslash as one."""
     if snippet.language in ("python", "toml", "json"):
         return
-    for line in re.sub(r"\\+\n", " ", snippet.text).splitlines():  # two in a docstring's source
+    for line in snippet.text.replace("\\\n", " ").splitlines():
         if found := COMMAND.match(line):
             yield found[1]
 
