@@ -1,15 +1,19 @@
-"""Hooks of the documentation's build: pages made from files above `docs`, links to code, formulas.
+"""Hooks of the documentation's build: generated pages, links to code, formulas.
 
-The README is the first page, the changelog one of its own. Links to files of the project that are
-no page become their path as code. Formulas become MathML, so that no script and no network is
+The README is the first page, the changelog one of its own; the pages on the command line, the
+configuration and the public interface are made from the code. Links to files of the project that
+are no page become their path as code. Formulas become MathML, so that no script and no network is
 needed.
 """
 
 from __future__ import annotations
 
+import contextlib
 import html
+import io
 import re
 from pathlib import Path
+from typing import Any
 
 from latex2mathml.converter import convert
 from mkdocs.config.defaults import MkDocsConfig
@@ -17,9 +21,14 @@ from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 import slamcheck
+from comparisons.cli.app import COMMANDS, build
+from comparisons.cli.config import JobName
+from comparisons.cli.config import config as print_config
+from comparisons.options import FLAGS
 
 ROOT = Path(__file__).parents[1]
 _LINK = re.compile(r"(?<!!)\[([^\]\[]*)\]\((?!https?:|#)([^)#]+)(#[^)]*)?\)")
+_CHOICES = {flag.option: flag.words for flag in FLAGS}
 _FORMULA = re.compile(r'<span class="arithmatex">\\\((.*?)\\\)</span>', re.DOTALL)
 
 
@@ -32,6 +41,55 @@ def _api() -> str:
     return "\n".join(parts)
 
 
+def _command_line() -> str:
+    """Return the page of all commands and their options."""
+    whole, parts = build(whole=True), ["# Command line"]
+    for name in COMMANDS:
+        command = whole.commands[name]
+        parts.append(f"## slamcheck {name}")
+        below = getattr(command, "commands", {})
+        parts += [_command(command)] if not below else [_text(command.help)]
+        for part in below.values():
+            parts += [f"### slamcheck {name} {part.name}", _command(part)]
+    return "\n\n".join(parts) + "\n"
+
+
+def _command(command: Any) -> str:
+    rows = ["| option | meaning |", "|---|---|"]
+    for one in command.params:
+        names = one.opts + one.secondary_opts if one.param_type_name == "option" else []
+        words = ", ".join(f"`{name}`" for name in names) or f"`{one.metavar or one.name.upper()}`"
+        value = (one.metavar or "\\|".join(_CHOICES.get(one.opts[0], ()))).strip()
+        value = value if names and not one.is_flag else ""
+        rows.append(f"| {words}{f' `{value}`' if value else ''} | {_cell(one.help or '')} |")
+    return f"{_text(command.help)}\n\n" + "\n".join(rows)
+
+
+def _text(text: str) -> str:
+    """A help text as Markdown, its examples as a block."""
+    prose, _, examples = text.replace("\\[", "[").partition("\n\nExample")
+    block = "\n".join(line.strip() for line in examples.splitlines()[1:])
+    return prose + (f"\n\n```\n{block}\n```" if block else "")
+
+
+def _cell(text: str) -> str:
+    return " ".join(text.replace("\\[", "[").replace("|", "\\|").split())
+
+
+def _configuration() -> str:
+    """Return the page of all settings."""
+    parts = [
+        "# Configuration",
+        "What `slamcheck config JOB` prints: every setting and its default.",
+    ]
+    for job in JobName:
+        printed = io.StringIO()
+        with contextlib.redirect_stdout(printed):
+            print_config(job, schema=False)
+        parts.append(f"## {job.value}\n\n```toml\n{printed.getvalue().strip()}\n```")
+    return "\n\n".join(parts) + "\n"
+
+
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the pages that are made from other files."""
     readme = (ROOT / "README.md").read_text(encoding="utf-8").replace("](docs/", "](")
@@ -39,6 +97,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         "index.md": readme.replace("](CHANGELOG.md)", "](changes.md)"),
         "changes.md": (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"),
         "api.md": _api(),
+        "command-line.md": _command_line(),
+        "configuration.md": _configuration(),
     }
     for name, text in made.items():
         files.append(File.generated(config, name, content=text))

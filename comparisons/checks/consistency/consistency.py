@@ -92,9 +92,9 @@ class Consistency:
         if self.gated and reading == "too low" and sensor == "sightings":
             meaning += ", or association left out the large ones"
         return (
-            f"NIS of {of} is {nis.mean:.3g} of {nis.dof} (all {self.bands} bands of a run hold "
-            f"with 99.9 %, this one from {band.low:.3g} to {band.high:.3g}, {nis.count:,} "
-            f"innovations): they are {meaning}"
+            f"NIS of {of} is {nis.mean:.3g} of {nis.dof} (band {band.low:.3g} to {band.high:.3g}, "
+            f"99.9 % for the run's {self.bands} bands together; {nis.count:,} innovations): they "
+            f"are {meaning}"
         )
 
 
