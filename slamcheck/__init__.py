@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from comparisons.estimates.external import GivenEstimate as GivenEstimate
     from comparisons.estimates.external import read_given as read_estimate
     from comparisons.estimates.folder import write_estimate as write_estimate
+    from comparisons.experiments.montecarlo.study import montecarlo as montecarlo
     from comparisons.logs.log import Log as Log
     from comparisons.logs.log_folder import write_log_folder as write_log
     from comparisons.pipeline.check import GivenCheck as GivenCheck
@@ -64,6 +65,7 @@ _PLACES = {
     "SolveConfig": "comparisons.config",
     "compare": "comparisons.pipeline.compare",
     "dense_map": "comparisons.pipeline.dense_map:map_log",
+    "montecarlo": "comparisons.experiments.montecarlo.study",
     "odometry": "comparisons.pipeline.odometry:run_front_end",
     "read_estimate": "comparisons.estimates.external:read_given",
     "run_config": "comparisons.settings",
@@ -95,6 +97,7 @@ __all__ = [
     "compare",
     "dense_map",
     "load_log",
+    "montecarlo",
     "odometry",
     "read_estimate",
     "run_config",
