@@ -233,7 +233,7 @@ def slam_baseline(
         broken = [f"broken: {change}" for change in changes if not change.holds]
         if broken:
             first = f"{file}: {len(broken)} of {len(changes)} figures are worse"
-            pytest.fail("\n".join([first, *broken, f"report: {found.shown}"]))
+            pytest.fail("\n".join([first, *found.lines()[:-1], *broken, f"report: {found.shown}"]))
         return found
 
     return compare

@@ -2,15 +2,18 @@ from __future__ import annotations
 
 import os
 from collections.abc import Generator
+from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 from hypothesis import Phase, settings
+from packaging.version import Version
 
 from comparisons.logs.bundled import open_log
 from comparisons.pipeline.compare import Comparison, compare
 from graphslam.scan.libraries import open3d
+from tests.fresh_environment import fresh_environment
 from tests.graphslam.skips import pytest_runtest_call as pytest_runtest_call
 from tests.graphslam.skips import pytest_runtest_setup as pytest_runtest_setup
 
@@ -74,3 +77,11 @@ def victoria_park() -> Comparison:
 def open3d_library() -> ModuleType:
     """Open3D, for tests that need it."""
     return open3d()
+
+
+@pytest.fixture(scope="session")
+def scripts(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of programs of an environment with slamcheck's wheel, and no extra."""
+    if Version(version("setuptools")) < Version("77"):
+        pytest.skip("setuptools is older than 77, which builds the wheel")
+    return fresh_environment(tmp_path_factory.mktemp("fresh"))

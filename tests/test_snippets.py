@@ -361,6 +361,35 @@ def absent(text: str, make: str, extras: set[str]) -> list[str]:
     return sorted({*found, *given - extras})
 
 
+def dead_links(text: str, folder: Path) -> list[str]:
+    """Relative links to files, or to headings of pages, that are not there. Formulas are none."""
+    found = []
+    for link in re.findall(r"\]\((?!https?:)([\w./-]*(?:#[\w-]+)?)\)", text):
+        file, _, anchor = link.partition("#")
+        page, is_path = folder / file, "." in file or "/" in file
+        if is_path and not (page.exists() and (not anchor or anchor in headings(page))):
+            found.append(link)
+    return found
+
+
+def headings(page: Path) -> set[str]:
+    """Anchors of a page's headings."""
+    lines = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w -]", "", line.lower()).replace(" ", "-") for line in lines}
+
+
+def test_relative_links_lead_somewhere() -> None:
+    for path in PAGES:
+        assert not dead_links(path.read_text(encoding="utf-8"), path.parent), path
+    wrong = "[a](none.md) [b](formats.md#no-such) [c](formats.md#trace) [d](../README.md) x](k+1)"
+    assert dead_links(wrong, ROOT / "docs") == ["none.md", "formats.md#no-such"]
+
+
+def test_every_page_is_in_the_navigation_of_the_site() -> None:
+    site = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    assert [page.name for page in PAGES[1:] if page.name not in site] == []
+
+
 def test_pages_name_files_extras_and_targets_that_exist() -> None:
     make = (ROOT / "Makefile").read_text(encoding="utf-8")
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]

@@ -62,7 +62,7 @@ def build(name: str | None = None, *, whole: bool = False) -> Any:
         several = isinstance(command, typer.Typer)
         if name is None and not whole:
             about = command.info.help if several else command.__doc__
-            app.command(one, help=about)(_unasked)
+            app.command(one, help=about, short_help=(about or "").split("\n\n")[0])(_unasked)
         elif several:
             app.add_typer(command, name=one)
         else:
@@ -87,6 +87,9 @@ def _tidy(command: Any) -> None:
         one.removeprefix("\b\n") if one.startswith("\b") else " ".join(one.split())
         for one in paragraphs
     ).replace("[", r"\[")
+    command.help = command.help.replace(
+        "\n\n", "\n\n\n", 1
+    )  # else rich takes away examples' margin
     for parameter in command.params:
         parameter.help = parameter.help and parameter.help.replace("[", r"\[")
         if getattr(parameter, "is_flag", False):

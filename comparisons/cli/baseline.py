@@ -36,18 +36,18 @@ RunsOption = Annotated[
 @baseline.command()
 @from_flags((*RUN, *ESTIMATE), file=(FileArgument,), runs=(RunsOption, None))
 def save(given: Given) -> None:
-    """Write what a run finds, or a check of --estimate, with a tolerance for each figure.
+    """Keep the figures of a run, or of a check of --estimate, each with a tolerance.
 
     \b
     Examples:
-      slamcheck baseline save my-log my-log.json --estimate my-filter-output
-      slamcheck baseline save my-log my-log.json --estimate my-filter-output --require like
+      slamcheck baseline save my-log my-log.json --estimate mine
+      slamcheck baseline save my-log my-log.json --estimate mine --require like
       slamcheck baseline save my-log our-ekf.json
       slamcheck baseline save our-run/config.toml our-ekf.json
     """
     with guarded(verbose=given.verbose, log_file=given.log_file):
         from comparisons.atomic import check_file
-        from comparisons.baseline import build_baseline, write_baseline
+        from comparisons.baseline import build_baseline, compare_with, write_baseline
         from comparisons.config import CheckConfig, RunConfig
 
         target = given.extra["file"]
@@ -64,10 +64,11 @@ def save(given: Given) -> None:
             )
         kind: type[RunConfig | CheckConfig] = CheckConfig if estimate else RunConfig
         log, config, _ = read_job(given, kind)
-        kept = build_baseline([_find(log, config) for _ in range(runs)], config)
+        found = [_find(log, config) for _ in range(runs)]
+        kept = build_baseline(found, config)
         write_baseline(kept, target)
         grade = f", grade {kept.words['grade']}" if estimate else ""
-        figures = f"{len(kept.metrics)} figures of {kept.log}"
+        figures = f"{len(compare_with(kept, found[0]))} figures of {kept.log}"
         typer.echo(f"{target}: {figures}, verdict {kept.verdict}{grade}")
 
 

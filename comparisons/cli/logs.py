@@ -24,6 +24,7 @@ def logs() -> None:
     typer.echo("Formats of logs by path (--format):")
     for name, reader in READERS.items():
         typer.echo(f"  {name:16} {reader.what}")
+    typer.echo("CSV files of your own: slamcheck new-log")
 
 
 def convert(log: str, folder: Path, **given: Any) -> None:

@@ -82,7 +82,7 @@ def new_log(folder: Path, **given: Any) -> None:
         for note in found.notes:
             typer.echo(note)
         typer.echo(f"{folder}: {records}; {log.duration_s:.1f} s; defaults in {folder}/log.toml")
-        typer.echo(f"next: slamcheck run {folder}")
+        typer.echo(f"next: slamcheck run {folder}, or slamcheck check {folder} --estimate PATH")
 
 
 def _read_truth(path: Path, *, degrees: bool) -> PlainTable:

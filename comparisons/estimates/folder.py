@@ -125,7 +125,13 @@ def read_trajectory(path: Path) -> tuple[Array, Array]:
 
 def read_landmarks(path: Path) -> tuple[NDArray[np.int64], Array]:
     """Ids (L,) and places (L, 2) of a `landmarks.csv`. Raises InputError."""
-    return _read_table(path, "landmarks", _LANDMARKS)
+    try:
+        return _read_table(path, "landmarks", _LANDMARKS)
+    except InputError as error:
+        if ": id is " not in str(error):
+            raise
+        told = "by which the log's sightings.csv names the landmark (labels: in log.toml)"
+        raise InputError(f"{error} {told}") from None
 
 
 def read_scan_landmarks(path: Path) -> tuple[NDArray[np.int64], Array]:

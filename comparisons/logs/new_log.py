@@ -144,6 +144,9 @@ class _Reading:
         _need(table, ("time_s", "range_m", "bearing_rad"))
         self._check_angle(table, "bearing_rad")
         table = self._within("measurements", table)
+        if "landmark" not in table.columns:
+            names = " or ".join(NAMES["landmark"])
+            self.notes.append(f"landmarks are unknown and will be associated: no column {names}")
         sigmas = {}
         for name in ("sigma_range_m", "sigma_bearing_rad"):
             if name not in table.columns:

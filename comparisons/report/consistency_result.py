@@ -163,9 +163,10 @@ def _nees_row(t: TruthConsistencyResult) -> str:
                     ("distance", t.distance)):  # fmt: skip
         if n is not None and n.mean is not None and n.inside is not None:
             low, high = n.single_band
+            without = [f"; {count} {fault}" for fault, count in n.unusable.items()]
             parts.append(
                 f"{name} {n.mean:.3g} of {n.dof} ({100.0 * n.inside:.0f} % of {n.count} in "
-                f"{low:.2g}-{high:.3g})"
+                f"{low:.2g}-{high:.3g}{''.join(without)})"
             )
         elif n is not None:
             parts.append(f"{name} none ({', '.join(n.unusable)})")

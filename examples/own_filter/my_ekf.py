@@ -92,6 +92,8 @@ def main(log: Path, out: Path) -> None:
     """Run the filter over a log folder; write an estimate folder."""
     meta = tomllib.loads((log / "log.toml").read_text())
     odometry, seen = read(log / "odometry.csv"), read(log / "sightings.csv")
+    if "yaw_rate_radps" not in odometry or (seen["landmark"] < 0).any():
+        sys.exit(f"{log}: expected speeds and yaw rates, and a landmark named in each sighting")
     ekf, now = MyEkf(meta["prior"], meta["odometry"]["noise"]), meta["prior"]["time_s"]
     trace = {"prior_pose": ekf.x.copy(), "prior_covariance": ekf.p.copy()}
     path, spread = [], []

@@ -281,7 +281,8 @@ def test_a_map_that_was_lost_is_told(solution: Solution, whole: GivenEstimate) -
     assert any("59 of 60 landmarks are not in the map" in text for text in found.remarks)
     claimed = judge_given(replace(one, estimator="ekf"), solution)
     assert claimed.outcome == "disagree"
-    assert "map" in [cause.gap for cause in claimed.causes]
+    (hint,) = [cause.hint for cause in claimed.causes if cause.gap == "map"]
+    assert hint.endswith("by the ids of the log's sightings")
 
 
 def test_where_the_smoother_has_no_pose_there_is_no_hole() -> None:
@@ -335,6 +336,10 @@ def test_folders_and_files_are_read_as_far_as_they_go(tmp_path: Path, right: Est
         (lambda p: (p / "covariances.npz").write_bytes(b"PK"), "not an archive"),
         (lambda p: (p / "estimate.toml").write_text("version = 2\n"), "estimate.toml"),
         (lambda p: (p / "landmarks.csv").write_text("id,x\n"), "expected the header"),
+        (
+            lambda p: (p / "landmarks.csv").write_text("id,x_m,y_m\ntree_0,1,2\n"),
+            r"landmarks.csv:2: id is 'tree_0', .* by which the log's sightings.csv names",
+        ),
     ],
 )
 def test_damaged_estimates_are_named(

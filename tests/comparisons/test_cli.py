@@ -283,7 +283,12 @@ def test_lists_and_help(tmp_path: Path) -> None:
         assert f"\u2500 {panel} \u2500" in helped.stdout
     assert "Which EKF. [full] (full, compressed" in flat(helped.stdout)
     assert "\b" not in helped.stdout
-    assert "Exit codes" in slamcheck("--help", cwd=tmp_path).stdout
+    top = slamcheck("--help", cwd=tmp_path).stdout
+    assert "Exit codes" in top
+    assert "..." not in top.partition("Commands:")[2]  # no first line is cut
+    for command in ("convert", "check"):  # examples after one paragraph, and after two
+        assert f"\n   slamcheck {command} " in slamcheck(command, "--help", cwd=tmp_path).stdout
+    assert "slamcheck new-log" in listed.stdout
 
 
 @pytest.mark.parametrize("arguments", [(), ("baseline",)])

@@ -20,6 +20,8 @@ from comparisons.logs.bundled import SimulationChoices, open_log
 from comparisons.logs.log import Log, Positions
 from comparisons.pipeline.compare import Comparison, Modified
 from comparisons.report.consistency_figure import consistency_figure
+from comparisons.report.consistency_result import nees_rows
+from comparisons.report.models import NeesResult, TruthConsistencyResult
 from comparisons.report.panels import consistency_panels
 from comparisons.report.picture import save
 from comparisons.report.result import build_result, print_run
@@ -171,3 +173,16 @@ def test_without_truth_the_smoother_is_the_measure(short: Log, tmp_path: Path) -
     robust = compared(blind, robust="huber")
     assert robust.consistency.smoothed is None
     save(consistency_figure(robust, consistency_panels(robust)), tmp_path / "robust.png")
+
+
+@pytest.mark.parametrize(
+    ("unusable", "told"),
+    [({}, "9.35)"), ({"not positive definite": 4}, "9.35; 4 not positive definite)")],
+)
+def test_covariances_that_are_none_stand_beside_nees(unusable: dict[str, int], told: str) -> None:
+    pose = NeesResult(
+        dof=3, count=23, mean=2.0, last=2.0, single_band=(0.22, 9.35), inside=0.5, unusable=unusable
+    )
+    others = dict.fromkeys(set(TruthConsistencyResult.model_fields) - {"pose", "too_short"})
+    ((_, row),) = nees_rows("NEES", TruthConsistencyResult(pose=pose, too_short=0, **others))
+    assert row == f"pose 2 of 3 (50 % of 23 in 0.22-{told}"

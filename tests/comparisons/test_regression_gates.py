@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import subprocess
 import sys
@@ -21,7 +20,7 @@ from comparisons.logs.log import Log
 from comparisons.logs.log_folder import write_log_folder
 from comparisons.pipeline.check import check
 from comparisons.report.check import build_check_result
-from tests.comparisons.test_cli import python, slamcheck
+from tests.comparisons.test_cli import python
 from tests.helpers import compared, simulated
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -198,85 +197,3 @@ def test_the_workflow_keeps_reports_of_a_failure() -> None:
     assert "reports/baseline.xml" in found["Compare with the baseline"]["run"]
     installed = next(step["with"] for step in steps() if "setup-python" in step.get("uses", ""))
     assert installed["cache"] == "pip"
-
-
-def snippet(kind: str) -> str:
-    """Return the only one of a kind on the documentation's page."""
-    (found,) = re.findall(rf"^```{kind}\n(.*?)^```", PAGE.read_text(), re.MULTILINE | re.DOTALL)
-    return str(found)
-
-
-def run_workflow(folder: Path) -> dict[str, subprocess.CompletedProcess[str]]:
-    """Do every step but the installation with the shell that runs them in earnest."""
-    yaml = pytest.importorskip("ruamel.yaml").YAML(typ="safe")
-    found = yaml.load(WORKFLOW.read_text())
-    environment = {
-        "PATH": f"{folder / 'bin'}:/usr/bin:/bin",
-        "PYTHONPATH": str(ROOT),
-        **{name: str(value) for name, value in found["env"].items()},
-    }
-    done = {}
-    for step in found["jobs"]["gate"]["steps"]:
-        if "run" in step and step["name"] != "Install":
-            done[step["name"]] = subprocess.run(
-                ["bash", "-e", "-c", step["run"]],
-                cwd=folder,
-                capture_output=True,
-                text=True,
-                check=False,
-                env=environment,
-            )
-    return done
-
-
-@pytest.mark.slow
-def test_workflow_and_tests_let_a_right_filter_pass_and_stop_a_wrong_one(
-    tmp_path: Path, log: Log, right: Estimate
-) -> None:
-    """The filter is a stub that copies an estimate, as no filter of somebody's is here."""
-    write_log_folder(log, tmp_path / "logs" / "my-log")
-    (tmp_path / "right").mkdir()
-    write_estimate(right, tmp_path / "right")
-    (tmp_path / "wrong").mkdir()
-    write_estimate(replace(right, time_s=right.time_s + 0.2), tmp_path / "wrong")
-    (tmp_path / "bin").mkdir()
-    for name, words in (
-        ("python", ""),
-        ("slamcheck", " -c 'from comparisons.cli import app; app.main()'"),
-    ):
-        shim = tmp_path / "bin" / name
-        shim.write_text(f'#!/bin/sh\nexec {sys.executable}{words} "$@"\n')
-        os.chmod(shim, 0o755)  # noqa: S103
-    stub = (
-        "import shutil, sys\nlog, out = sys.argv[1:]\n"
-        "shutil.copytree('{}', out, dirs_exist_ok=True)\n"
-    )
-    filter_file = tmp_path / "my_filter.py"
-    filter_file.write_text(stub.format("right"))
-    save = ("save", "logs/my-log", "baselines/my-log.json", "--estimate", "right")
-    assert slamcheck("baseline", *save, cwd=tmp_path).returncode == 0
-
-    (tmp_path / "pytest.ini").write_text(snippet("ini"))
-    (tmp_path / "test_my_filter.py").write_text(snippet("python"))
-
-    passing = run_workflow(tmp_path)
-    assert {name: one.returncode for name, one in passing.items()} == {
-        "Run the filter": 0,
-        "Check the estimate": 0,
-        "Compare with the baseline": 0,
-    }, passing
-    done = run_pytest(tmp_path)
-    assert "2 passed" in done.stdout, done.stdout
-    filter_file.write_text(stub.format("wrong"))
-    failing = run_workflow(tmp_path)
-    assert {name: one.returncode for name, one in failing.items()} == {
-        "Run the filter": 0,
-        "Check the estimate": 1,
-        "Compare with the baseline": 1,
-    }, failing
-    assert "broken: grade: equal then, wrong now" in failing["Compare with the baseline"].stdout
-    assert (tmp_path / "reports" / "check" / "check.json").exists()
-    assert "<failure" in (tmp_path / "reports" / "baseline.xml").read_text()
-    done = run_pytest(tmp_path, "--slam-reports", "reports")
-    assert "2 failed" in done.stdout, done.stdout
-    assert (tmp_path / "reports/test_my_filter/test_my_filter-my-log/check.json").exists()

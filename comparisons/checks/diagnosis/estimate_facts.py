@@ -23,6 +23,7 @@ from comparisons.checks.grade import (
 )
 from comparisons.estimates.external import GivenEstimate
 
+_MAP_HINT = "hand in the whole map, by the ids of the log's sightings"
 _SWAPPED = 3.0
 """Names are taken for exchanged where another landmark is so many times nearer."""
 
@@ -51,7 +52,7 @@ def facts(given: GivenEstimate, found: Likeness, clues: Clues) -> list[Cause]:
     if found.missing:
         causes.append(Cause("coverage", "; ".join(found.missing), "hand in the whole path"))
     if found.unmapped:
-        causes.append(Cause("map", "; ".join(found.unmapped), "hand in the whole map"))
+        causes.append(Cause("map", "; ".join(found.unmapped), _MAP_HINT))
     return causes
 
 

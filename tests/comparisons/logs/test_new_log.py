@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -130,6 +132,13 @@ def test_motions_with_covariances(tmp_path: Path) -> None:
         build(files(tmp_path, odometry, "id,range,bearing,t\n1,5,0,1.5\n", stated=SIGMAS))
 
 
+def test_labels_in_a_column_of_another_name_are_missed_aloud(tmp_path: Path) -> None:
+    found = build(files(tmp_path, VELOCITY, TREES.replace("label", "tree")))
+    assert (
+        "landmarks are unknown and will be associated: no column landmark or id" in found.notes[-1]
+    )
+
+
 def test_truth_gives_the_prior_and_positions_their_sigma(tmp_path: Path) -> None:
     (tmp_path / "gps.csv").write_text("t,x,y\n0,1,2\n0.5,1.5,2\n")
     (tmp_path / "map.csv").write_text("label,x,y\ntree_7,5,6\ntree_9,1,1\n")
@@ -140,7 +149,8 @@ def test_truth_gives_the_prior_and_positions_their_sigma(tmp_path: Path) -> None
     files(tmp_path)
     done = slamcheck(*command.split(), cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.endswith("next: slamcheck run out\n")
+    assert done.stdout.endswith("next: slamcheck run out, or slamcheck check out --estimate PATH\n")
+    assert "landmarks are unknown" not in done.stdout
     log = read_log_folder(tmp_path / "out")
     assert log.prior.pose.tolist() == [1.0, 2.0, 0.0]
     assert log.positions is not None
@@ -274,9 +284,17 @@ def test_faults_of_a_log_folder_name_the_page(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_the_page_can_be_followed(tmp_path: Path) -> None:
     """Its commands in their order; its Python; and that its output is what a run prints."""
-    page = (Path(__file__).resolve().parents[3] / "docs" / "your-own-log.md").read_text()
+    root = Path(__file__).resolve().parents[3]
+    page = (root / "docs" / "your-own-log.md").read_text()
     blocks = dict(re.findall(r"```(sh|python)\n(.*?)```", page, re.DOTALL))
-    for command in blocks["sh"].splitlines():
+    drive, *commands = blocks["sh"].splitlines()
+    program, path = drive.split()
+    assert program == "python"
+    subprocess.run([sys.executable, root / path], cwd=tmp_path, check=True)
+    for name in ("odometry", "measurements"):  # as the page shows them
+        for line in (tmp_path / f"{name}.csv").read_text().splitlines()[:3]:
+            assert line in page, line
+    for command in commands:
         done = slamcheck(*command.split()[1:], cwd=tmp_path)
         assert done.returncode == 0, done.stderr
     assert "verdict: agree; filter consistent" in done.stdout
