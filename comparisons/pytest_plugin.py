@@ -15,7 +15,7 @@ from __future__ import annotations
 import hashlib
 import re
 import warnings
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial, wraps
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from comparisons.baseline import Found
     from comparisons.config import CheckConfig, RunConfig
     from comparisons.logs.log import Log
+    from comparisons.options import Flag
     from comparisons.pipeline.prepare import Progress
     from comparisons.pipeline.solve import Solution
     from comparisons.report.folder import JobFolder
@@ -200,14 +201,19 @@ def slam_check(
         from comparisons.options import CHECK, RUN, options
         from comparisons.settings import configure
 
-        kind, table = (RunConfig, RUN) if estimate is None else (CheckConfig, CHECK)
+        table: Sequence[Flag] = RUN if estimate is None else CHECK
         if isinstance(log, Log):  # read already
             table = [flag for flag in table if not flag.field.startswith("log.")]
         given = {name: str(v) if isinstance(v, Path) else v for name, v in settings.items()}
         if estimate is not None:
             given["estimate"] = str(estimate)
+        flags = options(table, given)
         over = {} if isinstance(log, Log) else {"log": {"source": str(log)}}
-        config = configure(kind, flags=options(table, given), over=over)
+        config: RunConfig | CheckConfig = (
+            configure(RunConfig, flags=flags, over=over)
+            if estimate is None
+            else configure(CheckConfig, flags=flags, over=over)
+        )
         return _judge(request, _slam_kept, log, config)
 
     return check
