@@ -111,7 +111,7 @@ class Metric(_Model):
     """value: of the first run; None where there was none. tolerance: largest change allowed."""
 
     value: float | None
-    tolerance: float
+    tolerance: float = Field(ge=0.0)
 
 
 class Baseline(_Model):

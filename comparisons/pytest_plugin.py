@@ -15,7 +15,7 @@ from __future__ import annotations
 import hashlib
 import re
 import warnings
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial, wraps
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from comparisons.baseline import Found
     from comparisons.config import CheckConfig, RunConfig
     from comparisons.logs.log import Log
+    from comparisons.options import Flag
     from comparisons.pipeline.prepare import Progress
     from comparisons.pipeline.solve import Solution
     from comparisons.report.folder import JobFolder
@@ -185,24 +186,35 @@ def slam_check(
 ) -> Callable[..., Judgement]:
     """Judge a log: the reference EKF's run, or the estimate of another system given as a path.
 
-    What it returns has `outcome`, `causes`, `remarks` and `result`. Settings are named as the
-    options of `slamcheck run`, as `filter="compressed"`; for an estimate as those of `slamcheck
-    check`, as `require="like"`. The smoother of a log is solved once a session for each of its own
-    settings.
+    The log is one that was read, as `slam_log`, or a name or path. What is returned has `outcome`,
+    `causes`, `remarks` and `result`. Settings are named as the options of `slamcheck run`, as
+    `filter="compressed"`; for an estimate as those of `slamcheck check`, as `require="like"`. The
+    smoother of a log is solved once a session for each of its own settings.
     """
 
     @_plain
-    def check(log: Log, estimate: str | Path | None = None, **settings: Any) -> Judgement:
-        from comparisons.config import CheckConfig
-        from comparisons.options import CHECK, options
-        from comparisons.settings import configure, run_config
+    def check(
+        log: Log | str | Path, estimate: str | Path | None = None, **settings: Any
+    ) -> Judgement:
+        from comparisons.config import CheckConfig, RunConfig
+        from comparisons.logs.log import Log
+        from comparisons.options import CHECK, RUN, options
+        from comparisons.settings import configure
 
-        if estimate is None:
-            return _judge(request, _slam_kept, log, run_config(**settings))
-        table = [flag for flag in CHECK if not flag.field.startswith("log.")]
+        table: Sequence[Flag] = RUN if estimate is None else CHECK
+        if isinstance(log, Log):  # read already
+            table = [flag for flag in table if not flag.field.startswith("log.")]
         given = {name: str(v) if isinstance(v, Path) else v for name, v in settings.items()}
-        flags = options(table, {**given, "estimate": str(estimate)})
-        return _judge(request, _slam_kept, log, configure(CheckConfig, flags=flags))
+        if estimate is not None:
+            given["estimate"] = str(estimate)
+        flags = options(table, given)
+        over = {} if isinstance(log, Log) else {"log": {"source": str(log)}}
+        config: RunConfig | CheckConfig = (
+            configure(RunConfig, flags=flags, over=over)
+            if estimate is None
+            else configure(CheckConfig, flags=flags, over=over)
+        )
+        return _judge(request, _slam_kept, log, config)
 
     return check
 
@@ -217,7 +229,9 @@ def slam_baseline(
     """
 
     @_plain
-    def compare(log: Log, file: str | Path, estimate: str | Path | None = None) -> Judgement:
+    def compare(
+        log: Log | str | Path, file: str | Path, estimate: str | Path | None = None
+    ) -> Judgement:
         from comparisons.baseline import compare_with, read_baseline
         from comparisons.errors import InputError
 
@@ -225,7 +239,7 @@ def slam_baseline(
         if kept.of_estimate != (estimate is not None):
             told = "an estimate: give" if kept.of_estimate else "slamcheck run: leave out"
             raise InputError(f"{file}: is of {told} estimate=PATH")
-        config = kept.config_at(kept.log)
+        config = kept.config_at(str(log) if isinstance(log, str | Path) else kept.log)
         if estimate is not None:
             config = config.model_copy(update={"estimate": str(estimate)})
         found = _judge(request, _slam_kept, log, config)
@@ -242,12 +256,13 @@ def slam_baseline(
 def _judge(
     request: pytest.FixtureRequest,
     kept: dict[str, Any],
-    log: Log,
+    log: Log | str | Path,
     config: RunConfig | CheckConfig,
 ) -> Judgement:
     """Find what there is to find, and note it for the test's report."""
     from comparisons.config import CheckConfig
 
+    log = _read(log, config)
     judged = request.node.stash.setdefault(_JUDGED, [])
     folder = _folder(request.config, request.node, len(judged))
     root = request.config.rootpath
@@ -283,6 +298,19 @@ def _judge(
         )
     judged.append(found)
     return found
+
+
+def _read(log: Log | str | Path, config: RunConfig | CheckConfig) -> Log:
+    """A log that was read as it is, another by the name or path that the settings have, too."""
+    from comparisons.errors import InputError
+    from comparisons.logs.log import Log
+    from comparisons.pipeline.read import load_log
+
+    if isinstance(log, Log):
+        return log
+    if isinstance(log, str | Path):
+        return load_log(config.log)
+    raise InputError(f"log: is a {type(log).__name__}, expected slam_log, a name or a path")
 
 
 def _solved(kept: dict[str, Any], log: Log, config: CheckConfig, progress: Progress) -> Solution:

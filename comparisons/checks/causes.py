@@ -261,12 +261,13 @@ def dropout(dropouts: Dropouts | None) -> list[Cause]:
     ]
 
 
-def coverage(evidence: str, least: float) -> Cause:
+def coverage(evidence: str, least: float, hint: str = "") -> Cause:
     """Too little of the log's time in an external estimate. least: share that is asked for."""
     return Cause(
         "coverage",
         f"{evidence}; asked for are {100.0 * least:.4g} %",
-        "look whether the filter stopped or lost poses; hand in the whole path, or give "
+        hint
+        or "look whether the filter stopped or lost poses; hand in the whole path, or give "
         "--min-coverage",
     )
 

@@ -42,6 +42,14 @@ _HOLE_S = (1.0, 10.0)
 """Least and greatest length of a hole in a path, and most of the interval of its poses' ends."""
 _INTERVALS = 10.0
 """A hole is longer than so many of the estimate's own intervals, within these."""
+_STEPS = 1.5
+"""Within so many of the estimate's own steps a vehicle stands, or is between two keyframes."""
+_STANDS = (0.1, 0.2)
+"""So far [m], or turned by so much [rad], it does anyhow."""
+_ENOUGH = 10
+"""With fewer poses, or instants of the smoother's, steps say nothing."""
+_SAME_LENGTH = 0.02
+"""Share of the log's time by which an estimate's may differ, where a constant offset is named."""
 _NARROW = 0.5
 """Least share of a justified variance that is plausible beyond what linearisation changes."""
 
@@ -83,13 +91,15 @@ class Coverage:
     """How much of the log's time an estimate speaks of.
 
     span_s: begin and end of the smoother's path. first_s, last_s: of the poses given within it.
-    holes_s: (H, 2) begin and end of what is not covered, in order.
+    holes_s: (H, 2) begin and end of what is not covered, in order. repeated: poses after last_s are
+    that one again.
     """
 
     span_s: tuple[float, float]
     first_s: float
     last_s: float
     holes_s: Array
+    repeated: bool = False
 
     @property
     def share(self) -> float:
@@ -111,7 +121,8 @@ class Coverage:
             elif stop <= self.first_s:
                 where.append(f"it begins at {self.first_s:.1f} s")
             elif start >= self.last_s:
-                where.append(f"it ends at {self.last_s:.1f} s")
+                ends = "its pose stays the same from" if self.repeated else "it ends at"
+                where.append(f"{ends} {self.last_s:.1f} s" + self.repeated * " on")
             else:
                 inner.append((start, stop))
         if inner:
@@ -123,15 +134,21 @@ class Coverage:
         return f"{seconds}: {', '.join(where)}" if where else seconds
 
 
-def coverage(time_s: Array, epoch_s: Array) -> Coverage:
+def coverage(
+    time_s: Array, epoch_s: Array, given: Array | None = None, smoothed: Array | None = None
+) -> Coverage:
     """Return what poses at times (K,) cover of the smoother's at epochs (E,).
 
     Covered is what lies between two successive poses that are no farther apart than ten of the
     estimate's own intervals (median; at least 1 s, at most 10 s), or between which the smoother has
-    no pose, and one interval (at most 10 s) before the first and after the last.
+    no pose, or stands; and one interval (at most 10 s) before the first and after the last.
+    given: (K, 3); poses that repeat the one before to the bit are none. smoothed: (E, 3).
     """
     begin, end = float(epoch_s[0]), float(epoch_s[-1])
-    t = np.unique(np.clip(time_s, begin, end))
+    new = np.ones(len(time_s), dtype=bool)
+    if given is not None:
+        new[1:] = (given[1:] != given[:-1]).any(axis=1)
+    t = np.unique(np.clip(time_s[new], begin, end))
     own = min(float(np.median(np.diff(t))), _HOLE_S[1]) if len(t) > 1 else 0.0
     longest = float(np.clip(_INTERVALS * own, *_HOLE_S))
     between = np.searchsorted(epoch_s, t[1:] - CLOCK_S) - np.searchsorted(epoch_s, t[:-1] + CLOCK_S)
@@ -141,7 +158,31 @@ def coverage(time_s: Array, epoch_s: Array) -> Coverage:
         holes = np.vstack(((begin, late), holes))
     if (early := t[-1] + own) < end - CLOCK_S:
         holes = np.vstack((holes, (early, end)))
-    return Coverage(span_s=(begin, end), first_s=float(t[0]), last_s=float(t[-1]), holes_s=holes)
+    if smoothed is not None and len(t) >= _ENOUGH:
+        moves = [not _stands(start, stop, t, epoch_s, smoothed) for start, stop in holes.tolist()]
+        holes = holes[np.array(moves, dtype=bool)]
+    return Coverage(
+        span_s=(begin, end),
+        first_s=float(t[0]),
+        last_s=float(t[-1]),
+        holes_s=holes,
+        repeated=not new[-1],
+    )
+
+
+def _stands(start: float, stop: float, time_s: Array, epoch_s: Array, smoothed: Array) -> bool:
+    """Whether the smoother (E, 3) stays within the steps that poses at times (K,) are apart."""
+    at = np.searchsorted(epoch_s, time_s + CLOCK_S, side="right") - 1
+    within = smoothed[(epoch_s >= start - CLOCK_S) & (epoch_s <= stop + CLOCK_S)]
+    if not len(within):
+        return False
+
+    def lengths(from_to: Array) -> Array:
+        return np.column_stack((np.linalg.norm(from_to[:, :2], axis=1), np.abs(from_to[:, 2])))
+
+    step = np.median(lengths(pose_difference(smoothed[at[1:]], smoothed[at[:-1]])), axis=0)
+    away = lengths(pose_difference(within, within[:1])).max(axis=0)
+    return bool((away <= np.maximum(_STANDS, _STEPS * step)).all())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -178,9 +219,23 @@ def within_log(given: GivenEstimate, smoothed: Estimate) -> NDArray[np.bool_]:
     if not inside.any():
         raise InputError(
             f"the estimate's times, {given.time_s[0]:.3f} to {given.time_s[-1]:.3f} s, lie outside "
-            f"the log's, {first:.3f} to {last:.3f} s; expected the log's own clock"
+            f"the log's, {first:.3f} to {last:.3f} s{clock_words(given.time_s, (first, last))}; "
+            "expected the log's own clock"
         )
     return inside
+
+
+def clock_words(time_s: Array, span_s: tuple[float, float]) -> str:
+    """What an estimate's times (K,) look like beside the log's, in words that follow them."""
+    first, last = span_s
+    whole, own = last - first, float(time_s[-1] - time_s[0])
+    for unit, factor in (("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9)):
+        if abs(own - factor * whole) <= _SAME_LENGTH * factor * whole:
+            return f", as if in {unit}"
+    if abs(own - whole) <= _SAME_LENGTH * whole:
+        offset = float(time_s[0]) - first
+        return f", as if all were {abs(offset):.1f} s too {'late' if offset > 0.0 else 'early'}"
+    return ""
 
 
 def compare_given(
@@ -257,6 +312,8 @@ def _map_faults(
 ) -> list[str]:
     """What is not plausible of the last pose and the map."""
     parts, blocks = [], found.landmarks
+    if found.unmatched and not blocks and len(smoothed.landmark):
+        parts.append(f"none of the {found.unmatched} landmarks given is one of the log's")
     far = [k for k, block in enumerate(blocks) if not block.near]
     if far:
         worst = max(far, key=lambda k: blocks[k].distance)
@@ -300,7 +357,8 @@ def _path_by_peer(given: GivenEstimate, peer: Reference, band: Band) -> list[str
     if far > _MOST_OUTSIDE:
         parts.append(
             f"{100.0 * far:.0f} % of the poses are more than a sigma from those of {peer.name}, "
-            f"{rms(difference[:, :2]):.2f} m (RMS)"
+            f"{rms(difference[:, :2]):.2f} m and "
+            f"{np.degrees(rms(difference[:, 2:])):.2f} degrees (RMS)"
         )
     if given.pose_covariance is not None:
         least, largest = eigenvalues(given.pose_covariance[at], own)

@@ -204,7 +204,8 @@ def _read_covariances(path: Path, poses: int, landmarks: int) -> _Covariances:
 def _check_covariance(name: str, array: Array, shape: tuple[int, ...]) -> None:
     if array.shape != shape:
         raise InputError(f"{name} has shape {array.shape}, expected {shape}")
-    if not np.isfinite(array).all():
-        raise InputError(f"{name} holds a value that is not a finite number")
+    if not (finite := np.isfinite(array)).all():
+        row, *_ = np.argwhere(~finite)[0].tolist()
+        raise InputError(f"{name}[{row}] holds a value that is not a finite number")
     if (np.abs(array) > LARGEST**2).any():
         raise InputError(f"{name} holds a value beyond {LARGEST**2:g}, expected a covariance")

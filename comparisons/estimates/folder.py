@@ -119,6 +119,8 @@ def read_trajectory(path: Path) -> tuple[Array, Array]:
         increasing("trajectory", tum["time_s"])
         norm = np.linalg.norm(tum.data[:, 4:], axis=1)
         within("trajectory", "quaternion's norm", norm, 0.99, 1.01)
+        up = 1.0 - 2.0 * (tum["qx"] ** 2 + tum["qy"] ** 2)
+        within("trajectory", "cosine of the tilt (of qx, qy, qz, qw, w last)", up, 0.5, 1.01)
     heading = np.unwrap(2.0 * np.arctan2(tum["qz"], tum["qw"]))
     return tum["time_s"], np.column_stack((tum["x"], tum["y"], heading))
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from comparisons.arrays import Array
 from comparisons.checks import causes as cause
 from comparisons.checks.accuracy import Accuracy, assess
 from comparisons.checks.agreement import ROUNDING
@@ -17,6 +18,7 @@ from comparisons.checks.diagnosis.estimate_facts import Clues, facts
 from comparisons.checks.given_agreement import (
     Coverage,
     GivenAgreement,
+    clock_words,
     compare_given,
     coverage,
     within_log,
@@ -129,7 +131,8 @@ def judge_given(
     grade = _grade(require or _expected(given), near, found, verified=verified)
     first = near and likeness(inside, references.peers[0], labelled=labelled)
     known = facts(inside, first, references.clues) if first else []
-    covered = coverage(inside.time_s, solution.estimate.time_s)
+    smoothed = solution.estimate
+    covered = coverage(inside.time_s, smoothed.time_s, inside.pose, smoothed.pose)
     short = covered.share < min_coverage
     if short:
         known = [one for one in known if one.gap != "coverage"]
@@ -151,7 +154,7 @@ def judge_given(
         *_on_association(solution),
     )
     if short:
-        outcome, causes = "disagree", (cause.coverage(covered.evidence, min_coverage), *causes)
+        outcome, causes = "disagree", (_short(given, inside, covered, min_coverage), *causes)
     return GivenCheck(
         given=given,
         solution=solution,
@@ -175,6 +178,19 @@ def judge_given(
         causes=causes,
         remarks=remarks,
     )
+
+
+def _short(given: GivenEstimate, inside: GivenEstimate, covered: Coverage, least: float) -> Cause:
+    """Too little is covered, which may be the clock's fault."""
+    outside, (first, last) = len(given.time_s) - len(inside.time_s), covered.span_s
+    if outside <= (1.0 - least) * len(given.time_s):
+        return cause.coverage(covered.evidence, least)
+    evidence = (
+        f"{outside} of {len(given.time_s)} poses lie outside the log's time: the estimate's is "
+        f"{given.time_s[0]:.1f} to {given.time_s[-1]:.1f} s, the log's {first:.1f} to {last:.1f} s"
+        f"{clock_words(given.time_s, covered.span_s)}; so it {covered.evidence}"
+    )
+    return cause.coverage(evidence, least, "look at the clock before any other cause")
 
 
 def _on_association(solution: Solution) -> list[str]:
@@ -210,7 +226,13 @@ def _references(given: GivenEstimate, solution: Solution) -> _References:
     peers: tuple[Reference, ...] = () if ekf is None else (ekf[0],)
     if given.may_be("smoothed"):
         peers += (optimum,)
-    return _References(optimum, peers, Clues(before=ekf and ekf[1], smoothed=smoothed))
+
+    def filtered() -> tuple[Array, Array] | None:
+        run = ekf or reference_ekf(solution.prepared, given.time_s)
+        return run and (run[0].pose, run[0].pose_covariance)
+
+    clues = Clues(before=ekf and ekf[1], smoothed=smoothed, filtered=filtered)
+    return _References(optimum, peers, clues)
 
 
 def _nearest(given: GivenEstimate, references: _References, solution: Solution) -> Likeness | None:

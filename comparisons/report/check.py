@@ -307,7 +307,7 @@ def _grade_words(result: CheckResult) -> str:
         "like": f"like {name}",
         "plausible": "plausible",
         "wrong": "wrong",
-        None: "none, for the optimum is not verified",
+        None: "none, for optimum or association is not verified",
     }[result.grade]
 
 

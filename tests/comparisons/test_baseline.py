@@ -429,3 +429,12 @@ def test_a_gate_of_a_run_with_extensions(tmp_path: Path) -> None:
     assert config["extensions"] == {"own_association": {"when": "always"}}
     same = slamcheck("baseline", "compare", "simulated-loop", "b.json", cwd=tmp_path)
     assert same.returncode == 0, same.stdout + same.stderr
+
+
+def test_a_negative_tolerance_is_refused(tmp_path: Path, checked: CheckResult) -> None:
+    """With it no figure would hold, not even the same."""
+    path = tmp_path / "kept.json"
+    write_baseline(build_baseline([checked], CheckConfig()), path)
+    path.write_text(path.read_text().replace('"tolerance": 0.0\n', '"tolerance": -1.0\n'))
+    with pytest.raises(InputError, match="tolerance: input should be greater than"):
+        read_baseline(path)

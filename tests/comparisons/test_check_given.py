@@ -285,6 +285,38 @@ def test_a_map_that_was_lost_is_told(solution: Solution, whole: GivenEstimate) -
     assert hint.endswith("by the ids of the log's sightings")
 
 
+def test_a_map_of_other_ids_is_wrong(solution: Solution, whole: GivenEstimate) -> None:
+    """Were it not, none of its landmarks would be judged, and the verdict be `agree`."""
+    assert whole.landmark_id is not None
+    found = judge_given(replace(whole, landmark_id=whole.landmark_id + 100), solution)
+    assert (found.grade.value, found.outcome) == ("wrong", "disagree")
+    assert found.causes[0].gap == "map"
+    assert "60 lie where another id is, 101 at 1" in found.causes[0].hint
+
+
+def test_a_filter_that_repeats_its_pose_has_stopped(
+    solution: Solution, whole: GivenEstimate
+) -> None:
+    stuck = np.where(whole.time_s[:, None] > 30.0, whole.pose[whole.time_s <= 30.0][-1], whole.pose)
+    found = judge_given(replace(bare(whole), pose=stuck), solution)
+    assert found.outcome == "disagree"
+    assert found.causes[0].gap == "coverage"
+    assert "its pose stays the same from 30.0 s on" in found.causes[0].evidence
+
+
+def test_keyframes_by_distance_leave_no_hole_where_the_vehicle_stands() -> None:
+    """30 s of standing without a keyframe; a vehicle that drives on there leaves a hole."""
+    t = np.arange(0.0, 90.05, 0.1)
+    way = np.where(t < 30.0, t, np.where(t < 60.0, 30.0, t - 30.0))
+    path = np.column_stack((way, np.zeros((len(t), 2))))
+    moving = np.column_stack((t, np.zeros((len(t), 2))))
+    frames = np.unique(np.searchsorted(way, np.arange(0.0, 60.0, 2.0)))
+    assert coverage(t[frames], t, path[frames], path).share > 0.97
+    assert coverage(t[frames], t, moving[frames], moving).share < 0.7
+    still = coverage(t, t, path, path)  # standing, it repeats its pose
+    assert (still.share, still.repeated) == (1.0, False)
+
+
 def test_where_the_smoother_has_no_pose_there_is_no_hole() -> None:
     """A log's own silence is nobody's fault; a hole of the same length elsewhere is."""
     epochs = np.concatenate((np.arange(0.0, 20.0, 0.1), np.arange(50.0, 80.05, 0.1)))
@@ -332,7 +364,12 @@ def test_folders_and_files_are_read_as_far_as_they_go(tmp_path: Path, right: Est
         (lambda p: (p / "trajectory.tum").unlink(), "no such file"),
         (lambda p: (p / "trajectory.tum").write_text("0 1 2\n"), "trajectory.tum:1"),
         (lambda p: (p / "trajectory.tum").write_text(""), "no poses"),
+        (lambda p: (p / "trajectory.tum").write_text("0 1 2 0 1 0 0 0\n"), "w last"),
         (lambda p: np.savez(p / "covariances.npz", pose=np.eye(3)), "pose has shape"),
+        (
+            lambda p: np.savez(p / "covariances.npz", pose=np.full((426, 3, 3), np.nan)),
+            r"pose\[0\] holds a value that is not",
+        ),
         (lambda p: (p / "covariances.npz").write_bytes(b"PK"), "not an archive"),
         (lambda p: (p / "estimate.toml").write_text("version = 2\n"), "estimate.toml"),
         (lambda p: (p / "landmarks.csv").write_text("id,x\n"), "expected the header"),
@@ -355,6 +392,55 @@ def test_damaged_estimates_are_named(
 def test_another_clock_is_told(log: Log, whole: GivenEstimate) -> None:
     with pytest.raises(InputError, match="expected the log's own clock"):
         check(log, replace(whole, time_s=whole.time_s + 1.6e9))
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda t: t + 10.0, "as if all were 10.0 s too late"),
+        (lambda t: t - 10.0, "as if all were 10.0 s too early"),
+        (lambda t: 1000.0 * t, "as if in milliseconds"),
+    ],
+)
+def test_a_clock_that_is_off_is_the_first_cause(
+    solution: Solution, whole: GivenEstimate, change: Callable[[Array], Array], said: str
+) -> None:
+    found = judge_given(replace(whole, time_s=change(whole.time_s)), solution)
+    assert found.outcome == "disagree"
+    assert said in found.causes[0].evidence
+    assert "clock" in found.causes[0].hint
+
+
+def as_degrees(heading: Array) -> Array:
+    return np.degrees(heading)
+
+
+HEADINGS: dict[str, tuple[Callable[[Array], Array], str]] = {
+    "degrees": (as_degrees, "degrees were written where radians belong"),
+    "degrees to 180": (lambda h: as_degrees(np.angle(np.exp(1j * h))), "degrees were written"),
+    "none": (lambda h: 0.0 * h, "all headings are 0 degrees"),
+    "not halved": (lambda h: 2.0 * h, "angle was not halved"),
+}
+
+
+@pytest.mark.parametrize("name", HEADINGS)
+def test_headings_that_are_none_are_the_first_cause(
+    solution: Solution, whole: GivenEstimate, name: str
+) -> None:
+    """Right positions: nothing is 0.000 m off by 1e5 sigma."""
+    change, said = HEADINGS[name]
+    pose = np.column_stack((whole.pose[:, :2], change(whole.pose[:, 2])))
+    found = judge_given(replace(bare(whole), pose=pose), solution)
+    assert found.outcome == "disagree"
+    assert found.causes[0].gap == "heading"
+    assert said in found.causes[0].evidence
+
+
+def test_a_filter_that_is_called_smoothed_is_told(solution: Solution, whole: GivenEstimate) -> None:
+    found = judge_given(replace(whole, information="smoothed"), solution)
+    assert found.outcome == "disagree"
+    assert found.causes[0].gap == "information"
+    assert "have not seen the future" in found.causes[0].evidence
 
 
 @pytest.mark.slow

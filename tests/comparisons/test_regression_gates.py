@@ -170,6 +170,33 @@ def test_the_plugin_judges_every_log_of_a_folder_and_under_xdist(tmp_path: Path,
     assert [path.name for path in (tmp_path / "kept" / "test_gate").iterdir()] == ["test_log-other"]
 
 
+@pytest.mark.slow
+def test_a_log_by_name_path_or_nothing_that_is_one(
+    tmp_path: Path, log: Log, right: Estimate
+) -> None:
+    """As a name the settings of reading hold; a log that was read is not read again."""
+    project(tmp_path, log, right)
+    (tmp_path / "pytest.ini").write_text(STRICT)
+    (tmp_path / "test_gate.py").write_text(
+        "from pathlib import Path\n"
+        "def test_path(slam_check, slam_baseline):\n"
+        "    assert slam_check(Path('logs/short'), estimate='mine').outcome == 'agree'\n"
+        "    slam_baseline('logs/short', 'mine.json', estimate='mine')\n"
+        "def test_seed(slam_check):\n"
+        "    found = [slam_check('simulated-loop', seed=n).result.log.sha256 for n in (0, 1)]\n"
+        "    assert found[0] != found[1]\n"
+        "def test_number(slam_check):\n"
+        "    slam_check(3)\n"
+        "def test_read(slam_log, slam_check):\n"
+        "    slam_check(slam_log, seed=5)\n"
+    )
+    done = run_pytest(tmp_path)
+    assert "2 failed, 2 passed" in done.stdout, done.stdout + done.stderr
+    assert "InputError: log: is a int, expected slam_log, a name or a path" in done.stdout
+    assert "InputError: option seed: is unknown" in done.stdout
+    assert "AttributeError" not in done.stdout
+
+
 def test_the_plugin_loads_nothing_before_a_test_asks(tmp_path: Path) -> None:
     """Broken variant: the module of the fixtures' work, which does load it."""
     code = (

@@ -282,7 +282,7 @@ time.sleep(60)
 def test_a_fault_that_an_exit_became_is_no_traceback(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def run(standalone_mode: bool) -> int:
+    def run(**_: object) -> int:
         try:
             os.kill(os.getpid(), signal.SIGTERM)
         except SystemExit:

@@ -35,6 +35,8 @@ _LEAST_ALONE_RAD = np.deg2rad(0.1)
 """Heading that is off where the positions are right."""
 _NO_HEADINGS_RAD = 0.2
 """A path whose headings differ by more has none that tell anything."""
+_SAME_HEADINGS = 0.9
+"""Mean cosine of the differences from what headings are taken for."""
 _CLEARLY_LESS = 0.5
 """So much is left at most of what a motion leaves, where another is named in its place."""
 _INTERPOLATED = 0.7
@@ -363,6 +365,9 @@ def _headings(paths: Paths, motion: _Motion) -> Iterator[Cause]:
     alone = paths.rms_m <= _NO_MATTER_M
     if motion.gap == "mirrored":
         return
+    if alone and (told := _no_heading(paths)):
+        yield Cause("heading", *told)
+        return
     both = np.exp(1j * (paths.pose[:, 2] + paths.reference[:, 2])).mean()
     each = np.exp(1j * (paths.pose[:, 2] - paths.reference[:, 2]))
     if alone and abs(both) >= 0.98 and abs(each.mean()) <= 0.9:
@@ -385,6 +390,28 @@ def _headings(paths: Paths, motion: _Motion) -> Iterator[Cause]:
         f"positions by {motion.left_m:.2f} m (RMS)",
         _HEADING_HINT.format("zero and sense"),
     )
+
+
+def _no_heading(paths: Paths) -> tuple[str, str] | None:
+    """Evidence and hint where what is written is none: one value, degrees, or not halved."""
+    own, right = paths.pose[:, 2], paths.reference[:, 2]
+    if _spread(right) <= _NO_HEADINGS_RAD:
+        return None
+    if _spread(own) < _LEAST_ALONE_RAD:
+        angle = np.degrees(float(np.angle(np.exp(1j * own).mean())))
+        return (
+            f"all headings are {angle:.0f} degrees, those of {paths.name} are not",
+            "write them: in TUM qx, qy, qz, qw is 0, 0, sin(h/2), cos(h/2), with qw last",
+        )
+    wrapped = np.angle(np.exp(1j * right))
+    for factor, said in (
+        (180.0 / np.pi, "degrees were written where radians belong"),
+        (2.0, "the quaternion's angle was not halved: sin(h), cos(h)"),
+    ):
+        for of in (right, wrapped, wrapped % (2.0 * np.pi)):
+            if np.exp(1j * (own - factor * of)).mean().real >= _SAME_HEADINGS:
+                return f"the headings are as if {said}", "write sin(h/2), cos(h/2), h in radians"
+    return None
 
 
 def _place(b: complex) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +27,8 @@ from comparisons.estimates.external import GivenEstimate
 _MAP_HINT = "hand in the whole map, by the ids of the log's sightings"
 _SWAPPED = 3.0
 """Names are taken for exchanged where another landmark is so many times nearer."""
+_AT_M = 0.5
+"""A landmark so near is the one of another name."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,11 +36,13 @@ class Clues:
     """What poses (K, 3) and covariances (K, 3, 3) might be in place of the reference's.
 
     before: those before each instant's measurements, if the reference is a filter. smoothed: the
-    smoother's, NaN where it has none.
+    smoother's, NaN where it has none. filtered: makes those of the reference EKF, None where it
+    breaks down.
     """
 
     before: tuple[Array, Array] | None
     smoothed: tuple[Array, Array]
+    filtered: Callable[[], tuple[Array, Array] | None]
 
 
 def facts(given: GivenEstimate, found: Likeness, clues: Clues) -> list[Cause]:
@@ -52,8 +57,25 @@ def facts(given: GivenEstimate, found: Likeness, clues: Clues) -> list[Cause]:
     if found.missing:
         causes.append(Cause("coverage", "; ".join(found.missing), "hand in the whole path"))
     if found.unmapped:
-        causes.append(Cause("map", "; ".join(found.unmapped), _MAP_HINT))
+        causes.append(Cause("map", "; ".join(found.unmapped), _map_hint(given, found)))
     return causes
+
+
+def _map_hint(given: GivenEstimate, found: Likeness) -> str:
+    """Hand it in, or under the log's ids where it lies at landmarks of others."""
+    others = np.setdiff1d(np.arange(len(found.reference.landmark)), found.theirs)
+    if given.landmark is None or given.landmark_id is None or not len(others):
+        return _MAP_HINT
+    more = np.setdiff1d(np.arange(len(given.landmark)), found.ours)
+    place, ids = found.reference.landmark[others], found.reference.landmark_id[others]
+    pairs = []
+    for row in more:
+        apart = np.linalg.norm(place - given.landmark[row], axis=1)
+        if apart.min() <= _AT_M:
+            pairs.append(f"{given.landmark_id[row]} at {ids[apart.argmin()]}")
+    if not pairs:
+        return _MAP_HINT
+    return f"use the log's ids: {len(pairs)} lie where another id is, {', '.join(pairs[:4])}"
 
 
 def _means(given: GivenEstimate, found: Likeness, clues: Clues) -> list[Cause]:
@@ -99,6 +121,13 @@ def _known_path(given: GivenEstimate, found: Likeness, clues: Clues) -> Cause | 
             "the poses are the smoother's, which have seen the future",
             'state information = "smoothed" in estimate.toml',
         )
+    filtered = clues.filtered() if found.reference.smoothed else None
+    if filtered is not None and _fits(given, found, filtered):
+        return Cause(
+            "information",
+            "the poses are those of the reference EKF, which have not seen the future",
+            'state information = "filtered" in estimate.toml, or hand in the smoothed path',
+        )
     return None
 
 
@@ -116,12 +145,13 @@ def _apart(
     reference, limit, parts = found.reference, f"{100 * LIKE_SIGMA:.0f} % of sigma", []
     if poses.any():
         at = reference.known
-        difference = given.pose[at] - reference.pose[at]
+        difference = pose_difference(given.pose[at], reference.pose[at])
         sigma, worst = found.parts[0].sigma, int(np.argmax(found.parts[0].sigma))
+        turned = np.degrees(rms(difference[:, 2:]))
         parts.append(
             f"{poses.sum()} of {len(poses)} poses are more than {limit} from those of "
-            f"{reference.name}, {rms(difference[:, :2]):.3f} m (RMS), the one at "
-            f"{reference.time_s[at][worst]:.2f} s {sigma[worst]:.2g} sigma"
+            f"{reference.name}, {rms(difference[:, :2]):.3f} m and {turned:.2f} degrees (RMS), the "
+            f"one at {reference.time_s[at][worst]:.2f} s {sigma[worst]:.2g} sigma"
         )
     if landmarks.any() and given.landmark is not None:
         sigma = found.parts[1].sigma
