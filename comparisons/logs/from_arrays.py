@@ -47,6 +47,8 @@ KINDS = {
 """Kinds of odometry, and the columns that each needs besides `time_s`."""
 COVARIANCE = tuple(f"cov_{i}{j}" for i in range(3) for j in range(i, 3))
 PRIOR_VARIANCE = 1e-6
+_UNKNOWN = ("", "nan", "na", "none", "null", "unknown")
+"""What stands, in either case, for a landmark that is not known."""
 _NOISE = ("variance_rate_position", "variance_rate_heading")
 _VEHICLE = ("wheelbase_m", "encoder_offset_m", "sensor_forward_m", "sensor_left_m")
 _SIGHTINGS = ("time_s", "range_m", "bearing_rad", "sigma_range_m", "sigma_bearing_rad")
@@ -292,7 +294,7 @@ def _words(column: Any) -> list[str]:
 
 def _number(word: str) -> float | None:
     """A landmark's number, NO_LANDMARK for no name; None for text."""
-    if word in ("", "nan", "None"):
+    if word.lower() in _UNKNOWN:
         return NO_LANDMARK
     try:
         return float(word)

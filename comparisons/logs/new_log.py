@@ -11,9 +11,8 @@ import numpy as np
 from comparisons.errors import InputError, RecordError
 from comparisons.logs.from_arrays import COVARIANCE, KINDS, odometry_kind
 from comparisons.logs.log import Log, Prior
-from comparisons.logs.plain_csv import NAMES, PlainTable, read_plain
+from comparisons.logs.plain_csv import NAMES, SEE, PlainTable, read_plain
 
-SEE = "see docs/your-own-log.md"
 _MOTION = tuple(dict.fromkeys(name for needed in KINDS.values() for name in needed))
 _SIGHTINGS = (
     "time_s",
@@ -119,8 +118,6 @@ class _Reading:
         _need(table, needed)
         covariances = COVARIANCE if self.kind == "relative-poses" else ()
         table = self.tables["odometry"] = _only(table, (*needed, *covariances))
-        if not table.line:
-            raise InputError(f"{table.path}: holds no records, expected rows below the header")
         for name in ("yaw_rate_radps", "steering_rad"):
             self._check_angle(table, name)
         times = table.columns["time_s"]
@@ -143,7 +140,7 @@ class _Reading:
         table = self._read("measurements", self.files.measurements, _SIGHTINGS)
         _need(table, ("time_s", "range_m", "bearing_rad"))
         self._check_angle(table, "bearing_rad")
-        table = self._within("measurements", table)
+        table = self._within("measurements", self._once("measurements", table))
         sigmas = {}
         for name in ("sigma_range_m", "sigma_bearing_rad"):
             if name not in table.columns:
@@ -156,7 +153,7 @@ class _Reading:
             return None
         table = self._read("positions", self.files.positions, (*_PLACE, *_VARIANCES))
         _need(table, _PLACE)
-        table = self._within("positions", table)
+        table = self._within("positions", self._once("positions", table))
         if set(_VARIANCES) <= table.columns.keys():
             return table.columns
         self.tables["positions"] = table = _only(table, _PLACE)
@@ -187,7 +184,8 @@ class _Reading:
         if table is None:
             return error
         place = table.path if error.row is None else f"{table.path}:{table.line[error.row]}"
-        return InputError(f"{place}: {error.fault}")
+        mend = "; sort the file by time" if "expected times to increase" in error.fault else ""
+        return InputError(f"{place}: {error.fault}{mend}")
 
     def check_instants(self, log: Log) -> None:
         """Measurements must be at the times of motions told one by one, for nothing is between."""
@@ -206,8 +204,26 @@ class _Reading:
                 )
 
     def _read(self, stream: str, path: Path, wanted: tuple[str, ...]) -> PlainTable:
-        self.tables[stream] = read_plain(path, wanted, degrees=self.files.degrees)
-        return self.tables[stream]
+        table = self.tables[stream] = read_plain(path, wanted, degrees=self.files.degrees)
+        if table.columns and not table.line:
+            raise InputError(
+                f"{path}: holds no records, expected rows below the header (a line that begins "
+                "with # is a comment)"
+            )
+        return table
+
+    def _once(self, stream: str, table: PlainTable) -> PlainTable:
+        """Without repeated records, which would count twice as information."""
+        told = zip(*(np.asarray(column).tolist() for column in table.columns.values()), strict=True)
+        seen: set[Any] = set()
+        kept = np.array([not (one in seen or seen.add(one)) for one in map(str, told)])
+        if not kept.all():
+            lost = int((~kept).sum())
+            line = table.line[int(np.argmin(kept))]
+            self.notes.append(
+                f"left out: {lost} of {len(kept)} {stream}, told before (first at line {line})"
+            )
+        return table.rows(kept)
 
     def _kind(self, table: PlainTable) -> str:
         try:
@@ -277,7 +293,7 @@ def _origins(table: PlainTable, *, limits: bool) -> str:
             text += f" ({np.nanmin(column):{digits}} to {np.nanmax(column):{digits}})"
         told.append(text)
     used = {table.origin.get(name) for name in table.columns}
-    unused = [header for header in table.headers if header not in used]
+    unused = [header for header in table.headers if header and header not in used]
     text = f"{table.path.name}, {len(table.line)} rows: {', '.join(told)}"
     return text + (f"; not used: {', '.join(unused)}" if unused else "")
 
