@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -73,6 +73,9 @@ def log_from_arrays(
     name: str = "arrays",
 ) -> Log:
     """See Log.from_arrays."""
+    for stream, given in (("odometry", odometry), ("sightings", sightings)):
+        if not isinstance(given, Mapping):
+            raise InputError(f"{stream}: is a {type(given).__name__}, expected columns by name")
     seen = _columns("sightings", sightings, _SIGHTINGS, ("landmark", "diameter_m", "intensity"))
     count = len(seen["time_s"])
     numbers = LandmarkNumbers(seen.get("landmark"), (truth_landmarks or {}).get("id"))
@@ -314,7 +317,10 @@ def _columns(
     count = np.size(given["time_s"]) if "time_s" in given else np.size(given["x_m"])
     found: dict[str, Any] = {}
     for name, value in given.items():
-        column = np.asarray(value)
+        try:
+            column = np.asarray(value)
+        except ValueError:
+            raise RecordError(stream, None, f"{name} is no column of {count} values") from None
         if column.ndim == 0:
             column = np.full(count, value)
         if column.shape != (count,):

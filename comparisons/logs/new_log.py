@@ -28,6 +28,8 @@ _VARIANCES = ("var_x_m2", "cov_xy_m2", "var_y_m2")
 _PLACE = ("time_s", "x_m", "y_m")
 _LARGEST = {"bearing_rad": 2 * np.pi, "steering_rad": 1.55, "yaw_rate_radps": 20.0}
 """Larger angles and rates than a vehicle has are degrees, or wrong."""
+_SHARP = ("sigma_range_m", "sigma_bearing_rad", "sigma_m", "wheelbase_m")
+"""What is stated above zero."""
 _OPTIONS = {
     "sigma_speed_mps": "--sigma-speed",
     "sigma_turn": "--sigma-turn",
@@ -70,13 +72,20 @@ class Found(NamedTuple):
 
 def build(files: UserFiles) -> Found:
     """Read the files into a log. Raises InputError naming file, line, value and expectation."""
+    for name, value in files.stated.items():
+        least = 1e-7 if name in _SHARP else 0.0
+        if not least <= value <= 1e6:
+            raise InputError(f"{_OPTIONS[name]} is {value:g}, expected between {least:g} and 1e+06")
     reading = _Reading(files)
     odometry = reading.odometry()
     sightings, positions = reading.sightings(), reading.positions()
     truth, marks = reading.truth(), reading.truth_landmarks()
     if reading.stated:
         name = next(iter(reading.stated))
-        raise InputError(f"{_OPTIONS[name]}: the {reading.kind} odometry here does not need it")
+        why = f"the {reading.kind} odometry here does not need it"
+        if name == "sigma_m":
+            why = "no --positions whose columns leave it open"
+        raise InputError(f"{_OPTIONS[name]}: {why}")
     try:
         log = Log.from_arrays(
             odometry,
@@ -214,9 +223,11 @@ class _Reading:
 
     def _once(self, stream: str, table: PlainTable) -> PlainTable:
         """Without repeated records, which would count twice as information."""
-        told = zip(*(np.asarray(column).tolist() for column in table.columns.values()), strict=True)
-        seen: set[Any] = set()
-        kept = np.array([not (one in seen or seen.add(one)) for one in map(str, told)])
+        columns = [np.asarray(column).tolist() for column in table.columns.values()]
+        first: dict[str, int] = {}
+        for row, told in enumerate(zip(*columns, strict=True)):
+            first.setdefault(str(told), row)
+        kept = np.isin(np.arange(len(table.line)), list(first.values()))
         if not kept.all():
             lost = int((~kept).sum())
             line = table.line[int(np.argmin(kept))]

@@ -94,7 +94,7 @@ def lay_reckoned(moved: Reckoned, positions: Positions, until_s: float) -> Start
     for _ in range(_STEPS):
         information, vector = _shown(moved, fixes, pose)
         pose = pose + np.linalg.solve(information, vector)
-    return Start(pose, np.linalg.inv(information))
+    return Start(pose, np.asarray(np.linalg.inv(information), dtype=np.float64))
 
 
 def _shown(moved: Reckoned, fixes: Positions, start: Array) -> tuple[Array, Array]:

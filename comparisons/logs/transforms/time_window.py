@@ -58,9 +58,7 @@ def _part(log: Log, first_s: float, last_s: float, *, cut_s: float) -> Log:
         closures=log.closures and _closures(log.closures, cut_s, last_s),
         scans=log.scans and _chosen(log.scans, cut_s, last_s),
         clouds=log.clouds and _clouds(log.clouds, cut_s, last_s),
-        truth=replace(
-            log.truth, poses=log.truth.poses and _around(log.truth.poses, cut_s, last_s)
-        ),
+        truth=replace(log.truth, poses=log.truth.poses and _around(log.truth.poses, cut_s, last_s)),
         provenance={
             **log.provenance,
             "part": f"{first_s - log.prior.time_s:g} to "

@@ -55,9 +55,9 @@ def test_decimal_commas_beside_other_separators(tmp_path: Path) -> None:
     assert isinstance(log.odometry, VelocityOdometry)
     assert log.odometry.speed_mps.tolist() == [1.0, 2.0]
     assert log.odometry.time_s.tolist() == [0.0, 1.5]
-    for word in ("1.003,6", "1,000\n1;1.5"):
+    for rows in ("0;1.003,6;1", "0;1,000;1\n1;1.5;1"):
         with pytest.raises(InputError, match=r"odo.csv:2: 'v' is '1.*', expected a finite number"):
-            build(files(tmp_path, f"t;v;w\n0;{word};1\n".replace("1.5", "1.5;1")))
+            build(files(tmp_path, f"t;v;w\n{rows}\n"))
 
 
 def test_repeated_records_are_no_further_information(tmp_path: Path) -> None:
@@ -226,6 +226,11 @@ def test_sigmas_are_stated_once_and_where_they_are_needed(tmp_path: Path) -> Non
         build(files(tmp_path, stated=WHEELS))
     with pytest.raises(InputError, match="--sigma-move: the velocity odometry here"):
         build(files(tmp_path, stated=SIGMAS | WHEELS | {"sigma_move_m": 0.1}))
+    with pytest.raises(InputError, match="--sigma-position: no --positions whose"):
+        build(files(tmp_path, stated=SIGMAS | WHEELS | {"sigma_m": 0.1}))
+    for value in (0.0, float("nan")):
+        with pytest.raises(InputError, match=r"--sigma-range is .*, expected between 1e-07 and"):
+            build(files(tmp_path, stated=SIGMAS | WHEELS | {"sigma_range_m": value}))
     told = "id,range,bearing,t,sigma_range,sigma_bearing_deg\n1,5,0,0.1,0.2,1\n"
     log = build(files(tmp_path, trees=told, stated=WHEELS)).log
     assert log.sightings.sigma_range_m.tolist() == [0.2]
@@ -270,6 +275,13 @@ def test_from_arrays() -> None:
 def test_arrays_refused(odometry: dict[str, Any], sightings: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
         Log.from_arrays({**ARRAYS, **odometry}, {**SEEN, **sightings})
+
+
+def test_arrays_that_are_no_columns() -> None:
+    with pytest.raises(InputError, match="sightings: is a list, expected columns by name"):
+        Log.from_arrays(ARRAYS, [1.0])  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="odometry: speed_mps is no column of 2 values"):
+        Log.from_arrays({**ARRAYS, "speed_mps": [[1.0], [1.0, 2.0]]}, SEEN)
 
 
 def test_log_toml_is_its_folder(tmp_path: Path) -> None:
