@@ -73,9 +73,9 @@ def log_from_arrays(
     name: str = "arrays",
 ) -> Log:
     """See Log.from_arrays."""
-    for stream, given in (("odometry", odometry), ("sightings", sightings)):
+    for what, given in (("odometry", odometry), ("sightings", sightings)):
         if not isinstance(given, Mapping):
-            raise InputError(f"{stream}: is a {type(given).__name__}, expected columns by name")
+            raise InputError(f"{what}: is a {type(given).__name__}, expected columns by name")
     seen = _columns("sightings", sightings, _SIGHTINGS, ("landmark", "diameter_m", "intensity"))
     count = len(seen["time_s"])
     numbers = LandmarkNumbers(seen.get("landmark"), (truth_landmarks or {}).get("id"))

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from comparisons.arrays import Array
 from comparisons.errors import InputError
@@ -77,7 +78,7 @@ class PlainTable:
     origin: dict[str, str]
     headers: list[str]
 
-    def rows(self, kept: Array) -> PlainTable:
+    def rows(self, kept: NDArray[np.bool_]) -> PlainTable:
         """Those in some of the rows (N,), booleans."""
         columns = {name: np.asarray(column)[kept] for name, column in self.columns.items()}
         line = np.array(self.line, dtype=np.int64)[kept].tolist()

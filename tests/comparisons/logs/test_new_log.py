@@ -66,8 +66,8 @@ def test_repeated_records_are_no_further_information(tmp_path: Path) -> None:
     assert log.sightings.bearing_rad.tolist() == [0.0, 0.01]
     assert "left out: 1 of 3 measurements, told before (first at line 3)" in notes
     (tmp_path / "gps.csv").write_text("t,x,y\n0,1,2\n0,1,2\n1,2,2\n")
-    more = {"stated": SIGMAS | WHEELS | {"sigma_m": 0.5}, "positions": tmp_path / "gps.csv"}
-    positions = build(files(tmp_path, **more)).log.positions
+    stated = SIGMAS | WHEELS | {"sigma_m": 0.5}
+    positions = build(files(tmp_path, stated=stated, positions=tmp_path / "gps.csv")).log.positions
     assert positions is not None
     assert positions.time_s.tolist() == [0.0, 1.0]
 

@@ -113,7 +113,9 @@ def test_a_point_at_the_pose_and_a_fix_without_error_are_placeholders(tmp_path: 
     with pytest.raises(InputError, match="/markers: a point lies at the vehicle's pose"):
         read_log(bag, topics=("/markers",))
     sharp = T.fix(EPOCH, 48.0, 11.0, variances=(1e-12, 1e-12, 1.0))[3]
-    assert np.isnan(fix(sharp, "")[3:]).all()
+    found = fix(sharp, "")
+    assert found is not None
+    assert np.isnan(found[3:]).all()
 
 
 def test_east_and_north_by_radii_of_curvature() -> None:
