@@ -8,6 +8,7 @@ import signal
 import sys
 import time
 import traceback
+from contextlib import suppress
 from importlib import import_module
 from types import FrameType
 from typing import Annotated, Any
@@ -120,6 +121,9 @@ def main() -> None:
     known fault shows its traceback and exits with 70, never with a verdict's code.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    for stream in ("stdout", "stderr"):  # closed by the caller
+        if getattr(sys, stream) is None:
+            setattr(sys, stream, open(os.devnull, "w"))  # noqa: SIM115
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")
     stopped = _stop_on_signals()
@@ -139,7 +143,8 @@ def main() -> None:
 
         # An Enum's parser puts its own class of error in front.
         error.message = error.message.replace("Value error, ", "")
-        rich_format_error(error)
+        with suppress(OSError):  # nobody reads it; the exit code stays
+            rich_format_error(error)
         sys.exit(UNUSABLE)
     except OSError as error:  # of what a command prints outside of its own guard, such as help
         fail(f"standard output: {error.strerror or error}", UNUSABLE)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -82,7 +83,8 @@ def new_log(folder: Path, **given: Any) -> None:
         for note in found.notes:
             typer.echo(note)
         typer.echo(f"{folder}: {records}; {log.duration_s:.1f} s; defaults in {folder}/log.toml")
-        typer.echo(f"next: slamcheck run {folder}, or slamcheck check {folder} --estimate PATH")
+        name = shlex.quote(str(folder))
+        typer.echo(f"next: slamcheck run {name}, or slamcheck check {name} --estimate PATH")
 
 
 def _read_truth(path: Path, *, degrees: bool) -> PlainTable:

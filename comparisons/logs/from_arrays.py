@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -47,6 +47,8 @@ KINDS = {
 """Kinds of odometry, and the columns that each needs besides `time_s`."""
 COVARIANCE = tuple(f"cov_{i}{j}" for i in range(3) for j in range(i, 3))
 PRIOR_VARIANCE = 1e-6
+_UNKNOWN = ("", "nan", "na", "none", "null", "unknown")
+"""What stands, in either case, for a landmark that is not known."""
 _NOISE = ("variance_rate_position", "variance_rate_heading")
 _VEHICLE = ("wheelbase_m", "encoder_offset_m", "sensor_forward_m", "sensor_left_m")
 _SIGHTINGS = ("time_s", "range_m", "bearing_rad", "sigma_range_m", "sigma_bearing_rad")
@@ -71,6 +73,9 @@ def log_from_arrays(
     name: str = "arrays",
 ) -> Log:
     """See Log.from_arrays."""
+    for what, given in (("odometry", odometry), ("sightings", sightings)):
+        if not isinstance(given, Mapping):
+            raise InputError(f"{what}: is a {type(given).__name__}, expected columns by name")
     seen = _columns("sightings", sightings, _SIGHTINGS, ("landmark", "diameter_m", "intensity"))
     count = len(seen["time_s"])
     numbers = LandmarkNumbers(seen.get("landmark"), (truth_landmarks or {}).get("id"))
@@ -292,7 +297,7 @@ def _words(column: Any) -> list[str]:
 
 def _number(word: str) -> float | None:
     """A landmark's number, NO_LANDMARK for no name; None for text."""
-    if word in ("", "nan", "None"):
+    if word.lower() in _UNKNOWN:
         return NO_LANDMARK
     try:
         return float(word)
@@ -312,7 +317,10 @@ def _columns(
     count = np.size(given["time_s"]) if "time_s" in given else np.size(given["x_m"])
     found: dict[str, Any] = {}
     for name, value in given.items():
-        column = np.asarray(value)
+        try:
+            column = np.asarray(value)
+        except ValueError:
+            raise RecordError(stream, None, f"{name} is no column of {count} values") from None
         if column.ndim == 0:
             column = np.full(count, value)
         if column.shape != (count,):

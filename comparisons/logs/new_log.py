@@ -11,9 +11,8 @@ import numpy as np
 from comparisons.errors import InputError, RecordError
 from comparisons.logs.from_arrays import COVARIANCE, KINDS, odometry_kind
 from comparisons.logs.log import Log, Prior
-from comparisons.logs.plain_csv import NAMES, PlainTable, read_plain
+from comparisons.logs.plain_csv import NAMES, SEE, PlainTable, read_plain
 
-SEE = "see docs/your-own-log.md"
 _MOTION = tuple(dict.fromkeys(name for needed in KINDS.values() for name in needed))
 _SIGHTINGS = (
     "time_s",
@@ -29,6 +28,8 @@ _VARIANCES = ("var_x_m2", "cov_xy_m2", "var_y_m2")
 _PLACE = ("time_s", "x_m", "y_m")
 _LARGEST = {"bearing_rad": 2 * np.pi, "steering_rad": 1.55, "yaw_rate_radps": 20.0}
 """Larger angles and rates than a vehicle has are degrees, or wrong."""
+_SHARP = ("sigma_range_m", "sigma_bearing_rad", "sigma_m", "wheelbase_m")
+"""What is stated above zero."""
 _OPTIONS = {
     "sigma_speed_mps": "--sigma-speed",
     "sigma_turn": "--sigma-turn",
@@ -71,13 +72,20 @@ class Found(NamedTuple):
 
 def build(files: UserFiles) -> Found:
     """Read the files into a log. Raises InputError naming file, line, value and expectation."""
+    for name, value in files.stated.items():
+        least = 1e-7 if name in _SHARP else 0.0
+        if not least <= value <= 1e6:
+            raise InputError(f"{_OPTIONS[name]} is {value:g}, expected between {least:g} and 1e+06")
     reading = _Reading(files)
     odometry = reading.odometry()
     sightings, positions = reading.sightings(), reading.positions()
     truth, marks = reading.truth(), reading.truth_landmarks()
     if reading.stated:
         name = next(iter(reading.stated))
-        raise InputError(f"{_OPTIONS[name]}: the {reading.kind} odometry here does not need it")
+        why = f"the {reading.kind} odometry here does not need it"
+        if name == "sigma_m":
+            why = "no --positions whose columns leave it open"
+        raise InputError(f"{_OPTIONS[name]}: {why}")
     try:
         log = Log.from_arrays(
             odometry,
@@ -119,8 +127,6 @@ class _Reading:
         _need(table, needed)
         covariances = COVARIANCE if self.kind == "relative-poses" else ()
         table = self.tables["odometry"] = _only(table, (*needed, *covariances))
-        if not table.line:
-            raise InputError(f"{table.path}: holds no records, expected rows below the header")
         for name in ("yaw_rate_radps", "steering_rad"):
             self._check_angle(table, name)
         times = table.columns["time_s"]
@@ -143,7 +149,7 @@ class _Reading:
         table = self._read("measurements", self.files.measurements, _SIGHTINGS)
         _need(table, ("time_s", "range_m", "bearing_rad"))
         self._check_angle(table, "bearing_rad")
-        table = self._within("measurements", table)
+        table = self._within("measurements", self._once("measurements", table))
         if "landmark" not in table.columns:
             names = " or ".join(NAMES["landmark"])
             self.notes.append(f"landmarks are unknown and will be associated: no column {names}")
@@ -159,7 +165,7 @@ class _Reading:
             return None
         table = self._read("positions", self.files.positions, (*_PLACE, *_VARIANCES))
         _need(table, _PLACE)
-        table = self._within("positions", table)
+        table = self._within("positions", self._once("positions", table))
         if set(_VARIANCES) <= table.columns.keys():
             return table.columns
         self.tables["positions"] = table = _only(table, _PLACE)
@@ -190,7 +196,8 @@ class _Reading:
         if table is None:
             return error
         place = table.path if error.row is None else f"{table.path}:{table.line[error.row]}"
-        return InputError(f"{place}: {error.fault}")
+        mend = "; sort the file by time" if "expected times to increase" in error.fault else ""
+        return InputError(f"{place}: {error.fault}{mend}")
 
     def check_instants(self, log: Log) -> None:
         """Measurements must be at the times of motions told one by one, for nothing is between."""
@@ -209,8 +216,28 @@ class _Reading:
                 )
 
     def _read(self, stream: str, path: Path, wanted: tuple[str, ...]) -> PlainTable:
-        self.tables[stream] = read_plain(path, wanted, degrees=self.files.degrees)
-        return self.tables[stream]
+        table = self.tables[stream] = read_plain(path, wanted, degrees=self.files.degrees)
+        if table.columns and not table.line:
+            raise InputError(
+                f"{path}: holds no records, expected rows below the header (a line that begins "
+                "with # is a comment)"
+            )
+        return table
+
+    def _once(self, stream: str, table: PlainTable) -> PlainTable:
+        """Without repeated records, which would count twice as information."""
+        columns = [np.asarray(column).tolist() for column in table.columns.values()]
+        first: dict[str, int] = {}
+        for row, told in enumerate(zip(*columns, strict=True)):
+            first.setdefault(str(told), row)
+        kept = np.isin(np.arange(len(table.line)), list(first.values()))
+        if not kept.all():
+            lost = int((~kept).sum())
+            line = table.line[int(np.argmin(kept))]
+            self.notes.append(
+                f"left out: {lost} of {len(kept)} {stream}, told before (first at line {line})"
+            )
+        return table.rows(kept)
 
     def _kind(self, table: PlainTable) -> str:
         try:
@@ -280,7 +307,7 @@ def _origins(table: PlainTable, *, limits: bool) -> str:
             text += f" ({np.nanmin(column):{digits}} to {np.nanmax(column):{digits}})"
         told.append(text)
     used = {table.origin.get(name) for name in table.columns}
-    unused = [header for header in table.headers if header not in used]
+    unused = [header for header in table.headers if header and header not in used]
     text = f"{table.path.name}, {len(table.line)} rows: {', '.join(told)}"
     return text + (f"; not used: {', '.join(unused)}" if unused else "")
 

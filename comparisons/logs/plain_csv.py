@@ -14,11 +14,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from comparisons.arrays import Array
 from comparisons.errors import InputError
 from comparisons.logs.table import number_or_fail, read_text, shorten
 
+SEE = "see docs/your-own-log.md"
 _DEGREE = pi / 180
 UNITS: dict[str, dict[str, float]] = {
     "s": {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
@@ -59,6 +61,7 @@ NAMES: dict[str, tuple[str, ...]] = {
 }
 """What a header may be called, by column of a log folder."""
 _GAPS = ("diameter_m", "intensity")
+_DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 _WORDS = ("landmark", "id")
 
 
@@ -75,7 +78,7 @@ class PlainTable:
     origin: dict[str, str]
     headers: list[str]
 
-    def rows(self, kept: Array) -> PlainTable:
+    def rows(self, kept: NDArray[np.bool_]) -> PlainTable:
         """Those in some of the rows (N,), booleans."""
         columns = {name: np.asarray(column)[kept] for name, column in self.columns.items()}
         line = np.array(self.line, dtype=np.int64)[kept].tolist()
@@ -104,20 +107,26 @@ def read_plain(path: Path, wanted: tuple[str, ...], *, degrees: bool = False) ->
     names = [name.strip() for name in _split(path, [(first, header)], delimiter)[0]]
     origin, factor = _match(path, names, wanted, degrees)
     if not origin:
+        found = "" if _numeric(header, delimiter) else f" in '{shorten(header, 100)}'"
         raise InputError(
-            f"{path}:{first}: no header, expected a line of names such as "
+            f"{path}:{first}: no header{found}, expected a line of names such as "
             f"{','.join(wanted[:3])}, with commas, semicolons or tabs between them"
+            + (f"; name its columns so, {SEE}" if found else "")
         )
     body = records[begin:]
     rows = _split(path, body, delimiter)
     number = [one for one, _ in body]
     for row, line in zip(rows, number, strict=True):
+        while len(row) > len(names) and not row[-1].strip():
+            row.pop()
         if len(row) != len(names):
             raise InputError(f"{path}:{line}: {len(row)} values, expected {len(names)} as above")
     place = {name: names.index(header) for name, header in origin.items()}
     columns: dict[str, Any] = {}
     for name, index in place.items():
         words = [row[index].strip() for row in rows]
+        if delimiter != "," and name not in _WORDS:
+            words = _with_points(words)
         if name in _WORDS:
             columns[name] = np.array(words, dtype=str)
         elif name == "time_s":
@@ -125,6 +134,13 @@ def read_plain(path: Path, wanted: tuple[str, ...], *, degrees: bool = False) ->
         else:
             columns[name] = factor[name] * _numbers(path, words, number, name, origin[name])
     return PlainTable(path=path, columns=columns, line=number, origin=origin, headers=names)
+
+
+def _with_points(words: list[str]) -> list[str]:
+    """Numbers with decimal commas as ones with points; of a column without any points alone."""
+    if any("." in word for word in words):
+        return words
+    return [word.replace(",", ".") if _DECIMAL_COMMA.fullmatch(word) else word for word in words]
 
 
 def _match(

@@ -221,6 +221,26 @@ def test_a_closed_pipe_keeps_the_verdict(tmp_path: Path) -> None:
     assert (tmp_path / "report" / "result.json").exists()
 
 
+@pytest.mark.parametrize(
+    ("arguments", "redirected", "code"),
+    [
+        ("solve simulated-loop --end 20", ">&-", 0),
+        ("solve simulated-loop --end 20", "<&- >&- 2>&-", 0),
+        ("run --sede 2", "2>/dev/full", 2),
+    ],
+)
+def test_what_nobody_reads_changes_no_exit_code(
+    arguments: str, redirected: str, code: int, tmp_path: Path
+) -> None:
+    """Streams closed before the start, or full, are neither a fault nor a disagreement."""
+    program = f'exec {sys.executable} -c "$MAIN" {arguments} {redirected}'
+    main = "from comparisons.cli import app; app.main()"
+    root = str(Path(__file__).resolve().parents[2])
+    environment = {**os.environ, "MAIN": main, "PYTHONPATH": root}
+    done = subprocess.run(["sh", "-c", program], cwd=tmp_path, env=environment, check=False)
+    assert done.returncode == code
+
+
 @pytest.mark.slow
 def test_a_log_called_like_a_path_stays_here(tmp_path: Path) -> None:
     write_log_folder(replace(simulated(loop_s=5.0), name="$x/../../up$"), tmp_path / "log")

@@ -14,6 +14,8 @@ from comparisons.logs.odometry import SteeringOdometry
 from graphslam.increments import AckermannGeometry, Stabilisation, ackermann_samples
 
 _LEAST_MOTION_M = 0.5
+_STEPS = 5
+"""Of Gauss-Newton, from the path laid rigidly."""
 _EQUATOR_M, _FLATTENING = 6378137.0, 1.0 / 298.257223563
 
 
@@ -38,26 +40,37 @@ def start_from_gps(
     heading = np.concatenate(([0.0], np.cumsum(turn[:-1])))
     step = (forward + 1j * left) * np.exp(1j * heading)
     path = np.concatenate(([0.0], np.cumsum(step)))
-    return lay_path(odometry.time_s, path, positions, until_s).pose
+    return lay_path(odometry.time_s, path, positions, until_s)
 
 
 class Start(NamedTuple):
-    """pose: (3,) x, y [m], heading [rad]. covariance: (3, 3), as if the path were exact."""
+    """pose: (3,) x, y [m], heading [rad]. covariance: (3, 3) of its additive errors."""
 
     pose: Array
     covariance: Array
 
 
+class Reckoned(NamedTuple):
+    """Odometry from the origin at times (N,): pose (N, 3), antenna (N,) at those poses.
+
+    covariance: (N - 1, 3, 3) of each motion, in the frame where it arrives.
+    """
+
+    time_s: Array
+    pose: Array
+    antenna: NDArray[np.complex128]
+    covariance: Array
+
+
 def lay_path(
     time_s: Array, path: NDArray[np.complex128], positions: Positions, until_s: float
-) -> Start:
-    """Return the rigid motion that lays a path, from the origin, onto the fixes up to `until_s`.
+) -> Array:
+    """Return the rigid motion (3,) that lays a path, from the origin, onto the fixes up to until_s.
 
     time_s, path: (N,) of the antenna. Raises InputError where it has not moved enough by then.
     """
     early = (positions.time_s <= until_s) & (positions.time_s >= time_s[0])
-    times = positions.time_s[early]
-    at_fixes = np.interp(times, time_s, path.real) + 1j * np.interp(times, time_s, path.imag)
+    at_fixes = _at(positions.time_s[early], time_s, path)
     fixes = positions.position_m[early] @ np.array([1.0, 1j])
     if len(fixes) < 2 or np.ptp(np.abs(at_fixes - at_fixes[0])) < _LEAST_MOTION_M:
         raise InputError(
@@ -67,13 +80,59 @@ def lay_path(
     centre_path, centre_fixes = at_fixes.mean(), fixes.mean()
     start_heading = float(np.angle(np.vdot(at_fixes - centre_path, fixes - centre_fixes)))
     start = centre_fixes - np.exp(1j * start_heading) * centre_path
-    lever = np.exp(1j * start_heading) * at_fixes
-    slopes = np.zeros((len(fixes), 2, 3))
-    slopes[:, 0, 0] = slopes[:, 1, 1] = 1.0
+    return np.array([start.real, start.imag, start_heading])
+
+
+def lay_reckoned(moved: Reckoned, positions: Positions, until_s: float) -> Start:
+    """Return the start that fixes up to `until_s` show, with the odometry's noise on the way there.
+
+    Raises InputError where the vehicle has not moved enough by then.
+    """
+    pose = lay_path(moved.time_s, moved.antenna, positions, until_s)
+    early = (positions.time_s <= until_s) & (positions.time_s >= moved.time_s[0])
+    fixes = positions.chosen(early)
+    for _ in range(_STEPS):
+        information, vector = _shown(moved, fixes, pose)
+        pose = pose + np.linalg.solve(information, vector)
+    return Start(pose, np.asarray(np.linalg.inv(information), dtype=np.float64))
+
+
+def _shown(moved: Reckoned, fixes: Positions, start: Array) -> tuple[Array, Array]:
+    """Information matrix and vector on a change of the start, from the last fix back to it.
+
+    Errors are turns and shifts of the plane about the start, so that motions add noise and nothing
+    else: between two fixes an information L becomes (L^-1 + N)^-1, N what the motions add.
+    """
+    turn = np.exp(1j * start[2])
+    place = turn * (moved.pose[1:, :2] @ np.array([1.0, 1j]))
+    heading = np.exp(1j * moved.pose[1:, 2]) * turn
+    arrived = np.tile(np.eye(3), (len(place), 1, 1))
+    arrived[:, 0, 0] = arrived[:, 1, 1] = heading.real
+    arrived[:, 0, 1], arrived[:, 1, 0] = -heading.imag, heading.imag
+    arrived[:, 0, 2], arrived[:, 1, 2] = place.imag, -place.real
+    added = arrived @ moved.covariance @ arrived.transpose(0, 2, 1)
+    total = np.concatenate((np.zeros((1, 9)), np.cumsum(added.reshape(-1, 9), axis=0)))
+    told = np.column_stack([np.interp(fixes.time_s, moved.time_s, one) for one in total.T])
+    noise = np.diff(told, axis=0, prepend=np.zeros((1, 9))).reshape(-1, 3, 3)
+    lever = turn * _at(fixes.time_s, moved.time_s, moved.antenna)
+    slopes = np.tile(np.eye(2, 3), (len(lever), 1, 1))
     slopes[:, 0, 2], slopes[:, 1, 2] = -lever.imag, lever.real
-    weighted = np.linalg.solve(positions.covariance[early], slopes)
-    information = np.einsum("nij,nik->jk", slopes, weighted)
-    return Start(np.array([start.real, start.imag, start_heading]), np.linalg.inv(information))
+    missed = fixes.position_m - start[:2] - np.column_stack((lever.real, lever.imag))
+    weighted = np.linalg.solve(fixes.covariance, slopes).transpose(0, 2, 1)
+    own, vectors = weighted @ slopes, np.einsum("nij,nj->ni", weighted, missed)
+    information, vector = np.zeros((3, 3)), np.zeros(3)
+    for row in reversed(range(len(own))):
+        information, vector = information + own[row], vector + vectors[row]
+        kept = np.linalg.inv(np.eye(3) + information @ noise[row])
+        information, vector = kept @ information, kept @ vector
+    return (information + information.T) / 2, vector
+
+
+def _at(wanted_s: Array, time_s: Array, path: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    found: NDArray[np.complex128] = np.interp(wanted_s, time_s, path.real) + 1j * np.interp(
+        wanted_s, time_s, path.imag
+    )
+    return found
 
 
 def east_north(latitude: Array, longitude: Array, altitude: Array) -> Array:

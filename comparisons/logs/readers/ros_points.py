@@ -19,6 +19,8 @@ SIGMA_FIX_M = 3.0
 """Stated of fixes without a covariance."""
 LARGEST_VARIANCE = 1e3
 """Drivers write larger ones for what they do not measure."""
+_LEAST_VARIANCE = 1e-6
+"""A fix is not better than 1 mm: drivers write less, and zero, for what they do not know."""
 _ADD, _SOLID = 0, (1, 2, 3)
 _PLANAR = [0, 1, 5]
 
@@ -116,6 +118,8 @@ def range_bearing(points: Points, place: Array) -> tuple[Array, Array]:
     """
     x, y, _ = (points.point_m @ place[:3, :3].T + place[:3, 3]).T
     distance = np.hypot(x, y)
+    if not distance.all():
+        raise InputError("a point lies at the vehicle's pose, expected some way off")
     slope = np.array(((x / distance, y / distance), (-y / distance**2, x / distance**2)))
     planar = (place[:3, :3] @ points.covariance @ place[:3, :3].T)[:, :2, :2]
     variance = np.einsum("ijp,pjk,ikp->pi", slope, planar, slope)
@@ -131,10 +135,12 @@ def fix(message: Any, place: str) -> Array | None:
     if int(message.status.status) < 0 or not np.isfinite(values[:2]).all():
         return None
     if abs(values[0]) > 90.0 or abs(values[1]) > 360.0:
-        raise InputError(f"{place}: latitude and longitude are {values[:2].tolist()}")
+        raise InputError(
+            f"{place}: latitude and longitude are {values[:2].tolist()}, expected up to 90 and 360"
+        )
     covariance = np.asarray(message.position_covariance, dtype=float).reshape(3, 3)[:2, :2]
     told = int(message.position_covariance_type) > 0 and np.isfinite(covariance).all()
-    if not told or not 0 < np.linalg.eigvalsh(covariance)[0] <= LARGEST_VARIANCE**2:
+    if not told or not _LEAST_VARIANCE <= np.linalg.eigvalsh(covariance)[0] <= LARGEST_VARIANCE**2:
         covariance = np.full((2, 2), np.nan)
     return np.concatenate((values, ((covariance + covariance.T) / 2).ravel()))
 

@@ -29,7 +29,7 @@ from comparisons.logs.from_arrays import LandmarkNumbers
 from comparisons.logs.log import Log, Positions, Prior, Sightings
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.readers import ros_points
-from comparisons.logs.readers.gps_start import east_north, lay_path
+from comparisons.logs.readers.gps_start import Reckoned, Start, east_north, lay_reckoned
 from comparisons.logs.readers.ros_bag import (
     BOXES,
     CLOUD,
@@ -67,8 +67,10 @@ _MOST_POINTS = 50_000_000
 _ANGLE_TOLERANCE_RAD = 1e-3
 _LEVEL = np.cos(np.deg2rad(5.0))
 _LEAST_SIGMA = 1e-3
-_ALIGNED_RAD = float(np.deg2rad(1.0))
-"""Fixes are laid onto as much of the odometry as shows the start's heading so well."""
+_ALIGNED_RAD, _LARGEST_RAD = float(np.deg2rad(1.0)), float(np.deg2rad(15.0))
+"""Fixes are laid onto as much of the odometry as shows the start's heading so well, or at worst."""
+_ALL = 1.2
+"""Where all fixes do not show it, this times their variance is enough: the rest tells little."""
 
 Times = NDArray[np.int64]
 _T = TypeVar("_T")
@@ -265,7 +267,10 @@ def _sightings(stream: _Stream, where: _Frame) -> Sightings:
     """Points as ranges and bearings from the pose, with labels as whole numbers."""
     place = where.place(stream, "sightings_mount")
     messages: list[ros_points.Points] = stream.items
-    found, sigma = zip(*(ros_points.range_bearing(one, place) for one in messages), strict=True)
+    try:
+        found, sigma = zip(*(ros_points.range_bearing(one, place) for one in messages), strict=True)
+    except InputError as error:
+        raise InputError(f"{stream.topic.name}: {error}") from None
     z, sigmas = np.concatenate(found), np.concatenate(sigma)
     stated = np.isnan(sigmas[:, 0])
     sigmas[stated] = (ros_points.SIGMA_RANGE_M, ros_points.SIGMA_BEARING_RAD)
@@ -294,8 +299,8 @@ def _positions(
 ) -> tuple[Prior, Positions | None]:
     """Fixes in the log's frame, and how well that is known.
 
-    As many of the first as show the start's heading to 1 degree are laid onto the odometry, and
-    spent on that: what they know is in the prior. Those behind them are left.
+    As many of the first as show the start's heading are laid onto the odometry, and spent on that:
+    what they know, less the odometry's noise on the way, is in the prior. Those behind are left.
     """
     rows, time_s = np.array(stream.items), where.seconds(stream)
     altitude = np.where(np.isfinite(rows[:, 2]), rows[:, 2], 0.0)
@@ -305,20 +310,21 @@ def _positions(
     plane = Positions(time_s, east_north(rows[:, 0], rows[:, 1], altitude), covariance)
     antenna = where.place(stream, "antenna")[:2, 3]
     pose = drive.poses(where.start)
-    pose -= (*pose[0, :2], 0.0)
-    turned = np.exp(-1j * pose[0, 2])
+    pose -= pose[0]  # its heading, too: from the origin
+    turned = np.exp(-1j * drive.poses(where.start)[0, 2])
     path = (pose[:, 0] + 1j * pose[:, 1]) * turned
-    path = path + complex(*antenna) * np.exp(1j * pose[:, 2]) * turned
-    spent = bisect_left(range(len(time_s)), True, key=lambda last: _shows(path, drive, plane, last))
-    if spent + 1 >= len(time_s):
+    pose[:, :2] = np.column_stack((path.real, path.imag))
+    path = path + complex(*antenna) * np.exp(1j * pose[:, 2])
+    moved = Reckoned(drive.time_s, pose, path, drive.motion(where.start)[0].covariance)
+    spent, start = _spent(moved, plane)
+    if start is None:
         where.provenance["positions"] = (
             f"left out: {len(time_s)} fixes along the odometry, expected more than show the "
-            f"heading to {np.degrees(_ALIGNED_RAD):.0f} degree"
+            f"heading to {np.degrees(_LARGEST_RAD):.0f} degrees"
         )
         return prior, None
-    start = lay_path(drive.time_s, path, plane, float(time_s[spent]))
     x, y, heading = start.pose
-    moved = (plane.position_m - (x, y)) @ np.array([1.0, 1j]) * np.exp(-1j * heading)
+    laid = (plane.position_m - (x, y)) @ np.array([1.0, 1j]) * np.exp(-1j * heading)
     c, s = np.cos(heading), np.sin(heading)
     turn = np.array(((c, s, 0.0), (-s, c, 0.0), (0.0, 0.0, 1.0)))  # east and north to the log's
     covariance = turn[:2, :2] @ covariance @ turn[:2, :2].T
@@ -328,19 +334,29 @@ def _positions(
         f"covariance, stated {ros_points.SIGMA_FIX_M:g} m"
     )
     prior = Prior(0.0, prior.pose, prior.covariance + turn @ start.covariance @ turn.T)
-    placed = np.column_stack((moved.real, moved.imag))
+    placed = np.column_stack((laid.real, laid.imag))
     symmetric = (covariance + covariance.transpose(0, 2, 1)) / 2
     positions = Positions(time_s, placed, symmetric, (float(antenna[0]), float(antenna[1])))
     return prior, positions.chosen(np.arange(spent + 1, len(time_s)))
 
 
-def _shows(path: NDArray[np.complex128], drive: _Drive, plane: Positions, last: int) -> bool:
-    """Whether the fixes up to one of them show where the start heads."""
-    try:
-        start = lay_path(drive.time_s, path, plane, float(plane.time_s[last]))
-    except InputError:
-        return False
-    return bool(start.covariance[2, 2] <= _ALIGNED_RAD**2)
+def _spent(moved: Reckoned, plane: Positions) -> tuple[int, Start | None]:
+    """The last fix to spend on the start, and what it then is; None where no fix would be left."""
+    found: dict[int, Start | None] = {}
+
+    def variance(last: int) -> float:
+        try:
+            found[last] = start = lay_reckoned(moved, plane, float(plane.time_s[last]))
+        except InputError:
+            return np.inf
+        return float(start.covariance[2, 2])
+
+    whole = len(plane.time_s) - 1
+    enough = max(_ALIGNED_RAD**2, _ALL * variance(whole))
+    spent = bisect_left(range(whole), True, key=lambda last: variance(last) <= enough)
+    if enough > _LARGEST_RAD**2 or spent == whole:
+        return whole, None
+    return spent, found[spent]
 
 
 def _stream(

@@ -27,36 +27,42 @@ def cut_log(log: Log, start_s: float | None = None, end_s: float | None = None) 
     it, where the log has positions or known landmarks, whose frame stays; else the prior's own
     figures hold there, since the frame is free. Raises InputError where nothing is left.
     """
-    if start_s is None and end_s is None:
+    if not start_s and end_s is None:
         return log
     origin = log.prior.time_s
     first_s = origin + (start_s or 0.0)
+    part = f"{start_s or 0.0:g} s " + ("on" if end_s is None else f"to {end_s:g} s")
     last_s = np.inf if end_s is None else origin + end_s
     if first_s >= min(log.end_s, last_s):
-        until = "on" if end_s is None else f"to {end_s:g} s"
         raise InputError(
-            f"{log.name}: nothing lies from {start_s or 0.0:g} s {until}, expected a part of its "
-            f"{log.duration_s:.3f} s"
+            f"{log.name}: nothing lies from {part}, expected a part of its {log.duration_s:.3f} s"
         )
     if isinstance(log.odometry, RelativePoses):
         poses = np.concatenate(([origin], log.odometry.time_s))
         first_s = float(poses[min(int(np.searchsorted(poses, first_s)), len(poses) - 1)])
+    try:
+        return _part(log, first_s, last_s, cut_s=first_s if start_s else -np.inf)
+    except InputError as error:
+        raise InputError(f"{error} in the part from {part}") from None
+
+
+def _part(log: Log, first_s: float, last_s: float, *, cut_s: float) -> Log:
+    """The records from cut_s to last_s, with a prior at first_s."""
     return replace(
         log,
         prior=_prior(log, first_s),
-        odometry=_odometry(log.odometry, first_s, last_s),
-        sightings=_chosen(log.sightings, first_s, last_s),
-        positions=log.positions and _chosen(log.positions, first_s, last_s),
-        known_sightings=log.known_sightings and _chosen(log.known_sightings, first_s, last_s),
-        closures=log.closures and _closures(log.closures, first_s, last_s),
-        scans=log.scans and _chosen(log.scans, first_s, last_s),
-        clouds=log.clouds and _clouds(log.clouds, first_s, last_s),
-        truth=replace(
-            log.truth, poses=log.truth.poses and _around(log.truth.poses, first_s, last_s)
-        ),
+        odometry=_odometry(log.odometry, cut_s, last_s),
+        sightings=_chosen(log.sightings, cut_s, last_s),
+        positions=log.positions and _chosen(log.positions, cut_s, last_s),
+        known_sightings=log.known_sightings and _chosen(log.known_sightings, cut_s, last_s),
+        closures=log.closures and _closures(log.closures, cut_s, last_s),
+        scans=log.scans and _chosen(log.scans, cut_s, last_s),
+        clouds=log.clouds and _clouds(log.clouds, cut_s, last_s),
+        truth=replace(log.truth, poses=log.truth.poses and _around(log.truth.poses, cut_s, last_s)),
         provenance={
             **log.provenance,
-            "part": f"{first_s - origin:g} to {min(last_s, log.end_s) - origin:g} s of the log",
+            "part": f"{first_s - log.prior.time_s:g} to "
+            f"{min(last_s, log.end_s) - log.prior.time_s:g} s of the log",
         },
     )
 

@@ -51,9 +51,33 @@ def test_columns_in_any_order_and_text_labels(tmp_path: Path) -> None:
     assert any(note.endswith("not used: note") for note in notes)
 
 
-def test_decimal_commas_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"odo.csv:2: 'v_kmh' is '3,6', expected a finite number"):
-        build(files(tmp_path, "time_ns;v_kmh;omega [deg/s]\n0;3,6;1\n"))
+def test_decimal_commas_beside_other_separators(tmp_path: Path) -> None:
+    """Of a column without points: where both stand, one of them is not for decimals."""
+    log = build(files(tmp_path, "time_s;v_kmh;omega [deg/s]\n0;3,6;1\n1,5;7,2;1\n")).log
+    assert isinstance(log.odometry, VelocityOdometry)
+    assert log.odometry.speed_mps.tolist() == [1.0, 2.0]
+    assert log.odometry.time_s.tolist() == [0.0, 1.5]
+    for rows in ("0;1.003,6;1", "0;1,000;1\n1;1.5;1"):
+        with pytest.raises(InputError, match=r"odo.csv:2: 'v' is '1.*', expected a finite number"):
+            build(files(tmp_path, f"t;v;w\n{rows}\n"))
+
+
+def test_repeated_records_are_no_further_information(tmp_path: Path) -> None:
+    trees = "id,range,bearing,t\n1,5,0,0.1\n1,5,0,0.1\n1,5,0.01,0.1\n"
+    log, _, notes = build(files(tmp_path, trees=trees))
+    assert log.sightings.bearing_rad.tolist() == [0.0, 0.01]
+    assert "left out: 1 of 3 measurements, told before (first at line 3)" in notes
+    (tmp_path / "gps.csv").write_text("t,x,y\n0,1,2\n0,1,2\n1,2,2\n")
+    stated = SIGMAS | WHEELS | {"sigma_m": 0.5}
+    positions = build(files(tmp_path, stated=stated, positions=tmp_path / "gps.csv")).log.positions
+    assert positions is not None
+    assert positions.time_s.tolist() == [0.0, 1.0]
+
+
+def test_words_for_unknown_and_commas_at_the_end(tmp_path: Path) -> None:
+    trees = "id,range,bearing,t\nNA,5,0,0.1,\nUnknown,5,1,0.1,,\noak,4,0,0.2\n"
+    log = build(files(tmp_path, trees=trees)).log
+    assert log.sightings.landmark.tolist() == [-1, -1, 0]
 
 
 def test_a_header_behind_a_hash_as_numpy_writes_it(tmp_path: Path) -> None:
@@ -163,6 +187,13 @@ def test_truth_gives_the_prior_and_positions_their_sigma(tmp_path: Path) -> None
 
 
 BAD: dict[str, tuple[str, str, str]] = {
+    "ros": (
+        "field.header.stamp,field.twist.twist.linear.x\n0,1\n", TREES,
+        r"odo.csv:1: no header in 'field.header.stamp,.*'.*; name its columns so, see docs/",
+    ),
+    "hashes": (
+        VELOCITY, "id,range,bearing,t\n#1,5,0,0.1\n", r"trees.csv: holds no records, .* with # is",
+    ),
     "headerless": (
         "0,1,0.1\n1,1,0.1\n", TREES,
         r"odo.csv:1: no header, expected a line of names such as time_s,speed_mps",
@@ -178,7 +209,7 @@ BAD: dict[str, tuple[str, str, str]] = {
     ),
     "word": ("t,v,w\n0,1,0\n1,x,0\n", TREES, r"odo.csv:3: 'v' is 'x', expected a finite number"),
     "short": ("t,v,w\n0,1,0\n1,0\n", TREES, r"odo.csv:3: 2 values, expected 3 as above"),
-    "backwards": ("t,v,w\n1,1,0\n\n0,1,0\n", TREES, r"odo.csv:4: time 0.0+ s follows 1.0+ s"),
+    "backwards": ("t,v,w\n1,1,0\n\n0,1,0\n", TREES, r":4: time 0.0+ s follows 1.0+ s.*; sort the"),
     "range": (
         VELOCITY, "id,range,bearing,t\n1,5,0,0.1\n1,-5,0,0.2\n",
         r"trees.csv:3: range_m is -5.0, expected above 0",
@@ -205,6 +236,11 @@ def test_sigmas_are_stated_once_and_where_they_are_needed(tmp_path: Path) -> Non
         build(files(tmp_path, stated=WHEELS))
     with pytest.raises(InputError, match="--sigma-move: the velocity odometry here"):
         build(files(tmp_path, stated=SIGMAS | WHEELS | {"sigma_move_m": 0.1}))
+    with pytest.raises(InputError, match="--sigma-position: no --positions whose"):
+        build(files(tmp_path, stated=SIGMAS | WHEELS | {"sigma_m": 0.1}))
+    for value in (0.0, float("nan")):
+        with pytest.raises(InputError, match=r"--sigma-range is .*, expected between 1e-07 and"):
+            build(files(tmp_path, stated=SIGMAS | WHEELS | {"sigma_range_m": value}))
     told = "id,range,bearing,t,sigma_range,sigma_bearing_deg\n1,5,0,0.1,0.2,1\n"
     log = build(files(tmp_path, trees=told, stated=WHEELS)).log
     assert log.sightings.sigma_range_m.tolist() == [0.2]
@@ -249,6 +285,13 @@ def test_from_arrays() -> None:
 def test_arrays_refused(odometry: dict[str, Any], sightings: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
         Log.from_arrays({**ARRAYS, **odometry}, {**SEEN, **sightings})
+
+
+def test_arrays_that_are_no_columns() -> None:
+    with pytest.raises(InputError, match="sightings: is a list, expected columns by name"):
+        Log.from_arrays(ARRAYS, [1.0])  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="odometry: speed_mps is no column of 2 values"):
+        Log.from_arrays({**ARRAYS, "speed_mps": [[1.0], [1.0, 2.0]]}, SEEN)
 
 
 def test_log_toml_is_its_folder(tmp_path: Path) -> None:

@@ -244,7 +244,7 @@ BAD_FOLDERS: dict[str, tuple[Callable[[Path], Path], Callable[[Path], object], s
     "victoria binary": (
         victoria,
         lambda folder: (folder / "gps.dat").write_bytes(b"\xff\xfe\x00"),
-        "gps.dat: not a text file",
+        "gps.dat: not a text file in UTF-8",
     ),
     "car park truncated": (
         car_park,

@@ -8,8 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from comparisons.errors import InputError
+from comparisons.logs.log import Positions
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.readers import read_log
 from tests.comparisons.logs.test_scan_readers import assert_survives_a_folder
@@ -18,8 +20,8 @@ pytest.importorskip("rosbags")
 
 from rosbags.typesys import Stores
 
-from comparisons.logs.readers.gps_start import east_north
-from comparisons.logs.readers.ros_points import odometry_noise
+from comparisons.logs.readers.gps_start import Reckoned, east_north, lay_reckoned
+from comparisons.logs.readers.ros_points import fix, odometry_noise
 from tests.comparisons.logs.bags import EPOCH, Message, T, Types
 
 
@@ -106,6 +108,16 @@ def test_detections(kind: str, tmp_path: Path) -> None:
         assert json.loads(read_log(path).provenance["labels"]) == {"t1": 0, "t2": 1}
 
 
+def test_a_point_at_the_pose_and_a_fix_without_error_are_placeholders(tmp_path: Path) -> None:
+    bag = T.write(tmp_path / "bag", [*moves(), T.markers(EPOCH + 1, (1, 0.0, 0.0))])
+    with pytest.raises(InputError, match="/markers: a point lies at the vehicle's pose"):
+        read_log(bag, topics=("/markers",))
+    sharp = T.fix(EPOCH, 48.0, 11.0, variances=(1e-12, 1e-12, 1.0))[3]
+    found = fix(sharp, "")
+    assert found is not None
+    assert np.isnan(found[3:]).all()
+
+
 def test_east_and_north_by_radii_of_curvature() -> None:
     """The plane's own formula, to second order in the distance; a sphere is 0.3 % off."""
     phi, lam = np.deg2rad(-33.88), np.deg2rad(151.19)
@@ -129,7 +141,7 @@ def drive_with_fixes(**changes: Any) -> list[Message]:
     for k in range(41):
         turn = 0.04 * k
         x, y = 50 * np.sin(turn), 50 * (1 - np.cos(turn))
-        messages.append(T.odometry(EPOCH + k, x, turn, y=y))
+        messages.append(T.odometry(EPOCH + k, x, turn, y=y, twist_variances=np.full(3, 1e-8)))
         ahead, left = x + 2 * np.cos(turn), y + 2 * np.sin(turn)
         east, north = -left, ahead  # 90 degrees between the frames
         fix = T.fix(EPOCH + k + 0.0, 48 + north / 111200.6, 11 + east / 74692.7, **changes)
@@ -163,13 +175,52 @@ def test_fixes_are_laid_onto_the_odometry(tmp_path: Path) -> None:
 def test_fixes_without_covariance_or_motion(tmp_path: Path) -> None:
     scans = [T.laser(EPOCH + k) for k in range(3)]
     log = read_log(T.write(tmp_path / "bag", [*drive_with_fixes(kind=0), *scans]))
-    assert log.positions is None  # 3 m over the whole drive are 1.1 degrees
-    assert log.provenance["positions"].startswith("left out: 41 fixes along the odometry, expected")
+    assert log.positions is not None  # 3 m over the whole drive show it to 1.2 degrees, not to 1
+    assert np.deg2rad(1.1) < np.sqrt(log.prior.covariance[2, 2]) < np.deg2rad(1.4)
+    near = drive_with_fixes(kind=0)[:20]
+    log = read_log(T.write(tmp_path / "near", [*near, *scans]))
+    assert log.positions is None
+    assert log.provenance["positions"].startswith("left out: 9 fixes along the odometry, expected")
     still = [T.odometry(EPOCH + t, 0.0) for t in range(4)]
     fixes = [T.fix(EPOCH + t, 48.0, 11.0) for t in range(4)]
     log = read_log(T.write(tmp_path / "still", [*still, *fixes, *scans]))
     assert log.positions is None
     assert log.provenance["positions"].startswith("left out: 4 fixes along the odometry, expected")
+
+
+def test_the_start_that_fixes_show_is_as_certain_as_it_says() -> None:
+    """20 drives with noise on the way: NEES in its band, far off it where the way is held exact."""
+    count, steps, sigma = 20, 40, np.array((0.05, 0.05, 0.03))
+    rng = np.random.default_rng(5)
+    nees = np.zeros((count, 2))
+    for drive, row in enumerate(nees):
+        told = np.tile((1.0, 0.0, 0.05), (steps, 1))
+        true = _chained(told + sigma * rng.normal(size=(steps, 3)))
+        pose, place = _chained(told), true[:, :2] @ np.array([1.0, 1j])
+        heading = rng.uniform(-np.pi, np.pi)
+        fixes = np.exp(1j * heading) * (place + np.exp(1j * true[:, 2])) + complex(30, drive)
+        seen = np.column_stack((fixes.real, fixes.imag)) + 0.5 * rng.normal(size=(steps + 1, 2))
+        time_s = np.arange(steps + 1.0)
+        plane = Positions(time_s, seen, np.tile(0.25 * np.eye(2), (steps + 1, 1, 1)))
+        antenna = pose[:, :2] @ np.array([1.0, 1j]) + np.exp(1j * pose[:, 2])
+        for scale in (0, 1):
+            covariance = scale * np.tile(np.diag(sigma**2), (steps, 1, 1))
+            start = lay_reckoned(Reckoned(time_s, pose, antenna, covariance), plane, 20.0)
+            error = start.pose - (30, drive, heading)
+            error[2] = np.angle(np.exp(1j * error[2]))
+            row[scale] = error @ np.linalg.solve(start.covariance, error)
+    low, high = chi2.ppf((0.001, 0.999), 3 * count) / count
+    exact, honest = nees.mean(axis=0)
+    assert low < honest < high
+    assert exact > 3 * high
+
+
+def _chained(moved: np.ndarray) -> np.ndarray:
+    """(N + 1, 3) poses from the origin."""
+    heading = np.concatenate(([0.0], np.cumsum(moved[:, 2])))
+    step = (moved[:, 0] + 1j * moved[:, 1]) * np.exp(1j * heading[:-1])
+    place = np.concatenate(([0.0], np.cumsum(step)))
+    return np.column_stack((place.real, place.imag, heading))
 
 
 def noise(path: Path, messages: list[Message]) -> tuple[RelativePoses, str]:

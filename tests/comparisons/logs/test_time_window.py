@@ -26,6 +26,21 @@ def loop() -> Log:
 
 def test_without_limits_it_is_the_log(loop: Log) -> None:
     assert cut_log(loop) is loop
+    assert cut_log(loop, 0.0) is loop
+
+
+def test_what_lies_before_the_start_is_cut_by_a_start_alone(loop: Log) -> None:
+    fixes = Positions(np.array([-1.0, 5.0, 15.0]), np.zeros((3, 2)), np.array([np.eye(2)] * 3))
+    log = replace(loop, positions=fixes)
+    for start_s, kept in ((None, [-1.0, 5.0]), (0.0, [-1.0, 5.0]), (1.0, [5.0])):
+        positions = cut_log(log, start_s, 10.0).positions
+        assert positions is not None
+        assert positions.time_s.tolist() == kept
+
+
+def test_an_empty_part_is_named(loop: Log) -> None:
+    with pytest.raises(InputError, match=r"no sightings, .* in the part from 10.01 s to 10.011 s$"):
+        cut_log(loop, 10.01, 10.011)
 
 
 def test_a_part_of_wheel_odometry(loop: Log) -> None:
@@ -109,7 +124,7 @@ def test_the_settings_cut(loop: Log) -> None:
 def test_flags(tmp_path: Path) -> None:
     done = slamcheck("solve", "simulated-loop", "--start", "70", "--end", "80", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    text = (tmp_path / "slamcheck-solve-simulated-loop" / "config.toml").read_text()
+    text = (tmp_path / "slamcheck-solve-simulated-loop-start-70-end-80" / "config.toml").read_text()
     assert "start_s = 70.0\nend_s = 80.0" in text
     done = slamcheck("solve", "simulated-loop", "--topic", "/scan", cwd=tmp_path)
     assert done.returncode == 2
