@@ -23,7 +23,12 @@ from comparisons.errors import InputError
 from comparisons.logs.log_meta import first_fault
 from comparisons.logs.table import read_text
 from comparisons.report.check import CheckResult, GivenLandmarkResult
-from comparisons.report.models import CauseResult, ConsistencyResult, Result
+from comparisons.report.models import (
+    CauseResult,
+    ConsistencyResult,
+    GivenConsistencyResult,
+    Result,
+)
 from comparisons.report.result import metrics
 from comparisons.settings import configure, run_options
 
@@ -192,7 +197,7 @@ def figures(found: Found) -> dict[str, float | None]:
                 value = getattr(value, part, None)
             kept[".".join(path)] = value
         kept |= _of_landmarks(found.landmarks)
-    kept |= _of_consistency(getattr(found, "consistency", None))
+    kept |= _of_consistency(found.consistency)
     return {name: value for name, value in kept.items() if not _left_out(name)}
 
 
@@ -398,23 +403,23 @@ def _of_landmarks(rows: Sequence[GivenLandmarkResult]) -> dict[str, float | None
     return found
 
 
-def _of_consistency(found: object) -> dict[str, float | None]:
-    """Averages of the filter's NEES and NIS, and of its poses against the smoother's."""
-    if not isinstance(found, ConsistencyResult):
-        return {}
+def _of_consistency(found: ConsistencyResult | GivenConsistencyResult) -> dict[str, float | None]:
+    """Averages of the NEES and NIS, and of the estimate's poses against the smoother's."""
     kept: dict[str, float | None] = {}
-    if found.ekf is not None:
-        for name in type(found.ekf).model_fields:
-            mean = getattr(getattr(found.ekf, name), "mean", None)
-            kept |= {} if mean is None else {f"consistency.ekf.{name}.mean": mean}
-    for one in found.innovations:
-        kept |= {
-            f"consistency.innovations.{one.sensor}.{nis.name}.mean": nis.mean for nis in one.nis
-        }
+    if isinstance(found, ConsistencyResult):
+        name, truth = "ekf", found.ekf
+        for one in found.innovations:
+            kept |= {f"innovations.{one.sensor}.{nis.name}.mean": nis.mean for nis in one.nis}
+    else:
+        name, truth = "truth", found.truth
+    if truth is not None:
+        for part in type(truth).model_fields:
+            mean = getattr(getattr(truth, part), "mean", None)
+            kept |= {} if mean is None else {f"{name}.{part}.mean": mean}
     if found.filter_against_smoother is not None:
         squared = found.filter_against_smoother.squared_per_dof
-        kept["consistency.filter_against_smoother.squared_per_dof"] = squared
-    return kept
+        kept["filter_against_smoother.squared_per_dof"] = squared
+    return {f"consistency.{name}": value for name, value in kept.items()}
 
 
 def _left_out(name: str) -> bool:

@@ -334,9 +334,9 @@ def _solved(kept: dict[str, Any], log: Log, config: CheckConfig, progress: Progr
 
 def _once(kept: dict[str, Any], log: Log, config: Any, make: Callable[[], Any]) -> Any:
     """Make what a log, truth and all, and settings decide, but once."""
-    import pickle
+    import joblib
 
-    key = hashlib.sha256(pickle.dumps((log, config.model_dump_json()))).hexdigest()
+    key = joblib.hash((log, config.model_dump_json()))
     if key not in kept:
         kept[key] = make()
     return kept[key]
