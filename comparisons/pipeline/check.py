@@ -154,7 +154,10 @@ def judge_given(
         *_on_association(solution),
     )
     if short:
-        outcome, causes = "disagree", (_short(given, inside, covered, min_coverage), *causes)
+        own = tuple(one for one in causes if one.gap in _OWN)  # a wrong filter may have broken down
+        rest = tuple(one for one in causes if one.gap not in _OWN)
+        outcome = "disagree"
+        causes = (*own, _short(given, inside, covered, min_coverage), *rest)
     return GivenCheck(
         given=given,
         solution=solution,
