@@ -55,7 +55,7 @@ def study_page(outcome: Outcome, remarks: list[str]) -> str:
         '<section id="when"><h2>Over time <span id="now"></span></h2>'
         '<noscript><p class="note">Curves need JavaScript; they are in curves.png, too.</p>'
         '</noscript><div id="curves"></div></section>',
-        "<h2>Every two filters</h2>",
+        "<h2>Pairs of filters</h2>",
         _pairs(outcome.pairs),
         f'<p class="note">First minus second over the runs (seeds) that both have. Intervals are '
         f"Student's t for the mean; p is the two-sided sign test's. A finding is by either, "
