@@ -54,7 +54,15 @@ def test_a_log_is_run_checked_and_solved(tmp_path: Path) -> None:
     slamcheck.write_estimate(estimate, tmp_path)
     for handed_in in (estimate, slamcheck.GivenEstimate.of(estimate), tmp_path, str(tmp_path)):
         assert slamcheck.check(log, handed_in).outcome == "agree"
-    assert np.isfinite(slamcheck.solve(log).estimate.pose).all()
+    solution = slamcheck.solve(log)
+    assert np.isfinite(solution.estimate.pose).all()
+    counts = "3,400 odometry, 1,900 sightings, 3,401 truth poses"
+    assert repr(log) == f"<Log simulated-loop: {counts}; 85.0 s>"
+    assert repr(run) == f"<Comparison of simulated-loop: {run.verdict.summary}>"
+    assert repr(estimate) == "<Estimate: 426 filtered poses, 60 landmarks>"
+    checked = slamcheck.check(log, estimate)
+    assert repr(checked) == "<GivenCheck of simulated-loop: agree, grade equal>"
+    assert repr(solution).endswith(", verified>")
 
 
 def test_faults_are_input_errors() -> None:

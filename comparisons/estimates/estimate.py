@@ -35,6 +35,11 @@ class Estimate:
     oriented_id: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     oriented: Array = field(default_factory=lambda: np.zeros((0, 3)))
 
+    def __repr__(self) -> str:
+        """Return counts in one line."""
+        count = len(self.landmark) + len(self.oriented)
+        return f"<Estimate: {len(self.time_s):,} {self.information} poses, {count:,} landmarks>"
+
     @property
     def joint_mean(self) -> Array:
         """(n,) the last pose and all landmarks, n = 3 + 2 L + 3 Q."""

@@ -338,6 +338,11 @@ class Log:
             name=name,
         )
 
+    def __repr__(self) -> str:
+        """Return name, counts and duration in one line."""
+        counts = ", ".join(f"{count:,} {name}" for name, count in self.records.items())
+        return f"<Log {self.name}: {counts}; {self.duration_s:.1f} s>"
+
     def _check_closures(self) -> None:
         """They are between poses of the odometry, and there where it lacks motions."""
         poses = np.zeros(0)

@@ -81,6 +81,12 @@ class GivenCheck:
     causes: tuple[Cause, ...]
     remarks: tuple[str, ...]
 
+    def __repr__(self) -> str:
+        """Return log, outcome, grade and the causes' names in one line."""
+        gaps = ", ".join(one.gap for one in self.causes)
+        name, grade = self.solution.log.name, self.grade.value or "none"
+        return f"<GivenCheck of {name}: {self.outcome}, grade {grade}{gaps and f' ({gaps})'}>"
+
 
 @dataclass(frozen=True)
 class _References:

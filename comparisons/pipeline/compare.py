@@ -82,6 +82,10 @@ class Comparison:
     findings: Mapping[str, Finding]
     verdict: Verdict
 
+    def __repr__(self) -> str:
+        """Return log and verdict in one line."""
+        return f"<Comparison of {self.log.name}: {self.verdict.summary}>"
+
     @property
     def log(self) -> Log:
         """The log as the estimators read it."""

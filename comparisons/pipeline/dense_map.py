@@ -49,6 +49,10 @@ class DenseMapping:
     classic: Samples
     errors: Mapping[str, SurfaceError]
 
+    def __repr__(self) -> str:
+        """Return log and layers in one line."""
+        return f"<DenseMapping of {self.log.name}: {', '.join(self.layers)}>"
+
     @property
     def log(self) -> Log:
         """The log as the filter read it."""

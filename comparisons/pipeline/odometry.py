@@ -59,6 +59,10 @@ class FrontEnd:
     accuracy_odometry: Accuracy | None
     accuracy_graph: Accuracy | None
 
+    def __repr__(self) -> str:
+        """Return log and counts in one line."""
+        return f"<FrontEnd of {self.log.name}: {len(self.time_s):,} poses by scans>"
+
     @property
     def log(self) -> Log:
         """The log as it was read, surveyed landmarks' sightings among the others."""

@@ -53,6 +53,11 @@ class Solution:
     association: AssociationScore | None
     association_check: AssociationCheck | None
 
+    def __repr__(self) -> str:
+        """Return log, error and whether that is verified, in one line."""
+        word = "verified" if self.verified else "not verified"
+        return f"<Solution of {self.log.name}: error {self.result.error:.2f}, {word}>"
+
     @property
     def verified(self) -> bool:
         """The optimum is, and so is the association, where it is the smoother's own."""
