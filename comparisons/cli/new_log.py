@@ -35,15 +35,6 @@ _OPTIONS: dict[str, tuple[Any, str, str]] = {
     "kind": (str | None, "KIND", "velocity, steering, poses or relative-poses. [by the columns]"),
     "degrees": (bool, "", "Angles whose header names no unit are degrees."),
 }
-_STATED = {
-    "sigma_range": "sigma_range_m",
-    "sigma_bearing": "sigma_bearing_rad",
-    "sigma_speed": "sigma_speed_mps",
-    "sigma_turn": "sigma_turn",
-    "sigma_move": "sigma_move_m",
-    "wheelbase": "wheelbase_m",
-    "sigma_position": "sigma_m",
-}
 
 
 def new_log(folder: Path, **given: Any) -> None:
@@ -63,10 +54,11 @@ def new_log(folder: Path, **given: Any) -> None:
         from comparisons.adapters.motion import with_regular_motion
         from comparisons.atomic import check_replaceable
         from comparisons.logs.log_folder import read_log_folder, write_log_folder
-        from comparisons.logs.new_log import UserFiles, build
+        from comparisons.logs.new_log import OPTIONS, UserFiles, build
 
         check_replaceable(folder)
-        stated = {_STATED[name]: given[name] for name in _STATED if given[name] is not None}
+        by_option = {column: given[_parameter(option)] for column, option in OPTIONS.items()}
+        stated = {column: value for column, value in by_option.items() if value is not None}
         truth = given["truth"]
         files = UserFiles(
             name=folder.resolve().name,
@@ -112,6 +104,10 @@ def _pose(text: str | None) -> tuple[float, float, float] | None:
     except ValueError:
         raise InputError(f"--prior-pose is {text!r}, expected x,y,heading in m and rad") from None
     return x, y, heading
+
+
+def _parameter(option: str) -> str:
+    return option.removeprefix("--").replace("-", "_")
 
 
 def _option(name: str, kind: Any, metavar: str, text: str) -> inspect.Parameter:

@@ -24,7 +24,7 @@ from comparisons.estimates.folder import (
     read_trajectory,
 )
 from comparisons.estimates.trace_file import TRACE, TraceFile, read_trace
-from comparisons.estimates.trajectory_files import files_read, read_trajectory_file
+from comparisons.estimates.trajectory_files import read_with_files
 from comparisons.logs.validation import LARGEST
 
 Information = Literal["filtered", "smoothed", "fixed-lag"]
@@ -123,11 +123,12 @@ def read_given(path: Path, times: Path | None = None) -> GivenEstimate:
         if times is not None:
             raise InputError(f"{path}: is a folder; --times is for KITTI files")
         return replace(_read_folder(path), sha256=_hashes(path / name for name in (*FILES, TRACE)))
-    time_s, pose, covariance = read_trajectory_file(path, times)
+    (time_s, pose, covariance), files = read_with_files(path, times)
     if not len(pose):
         raise InputError(f"{path}: holds no poses")
-    hashes = _hashes(files_read(path, times))
-    return GivenEstimate(time_s=time_s, pose=pose, pose_covariance=covariance, sha256=hashes)
+    return GivenEstimate(
+        time_s=time_s, pose=pose, pose_covariance=covariance, sha256=_hashes(files)
+    )
 
 
 def _hashes(files: Iterable[Path]) -> dict[str, str]:

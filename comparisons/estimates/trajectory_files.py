@@ -47,27 +47,20 @@ def read_trajectory_file(path: Path, times: Path | None = None) -> Trajectory:
 
     times: of a KITTI file; `times.txt` beside it by default. Raises InputError.
     """
-    first = _first_record(path)
-    files = files_read(path, times)
-    if times is not None and times not in files:
-        raise InputError(f"{path}: holds its own times; --times is for KITTI files")
-    if len(files) > 1:
-        return _read_kitti(*files)
-    if first.startswith(_CSV[0] + ","):
-        return _read_csv(path, first)
-    return Trajectory(*read_trajectory(path))
+    return read_with_files(path, times)[0]
 
 
-def files_read(path: Path, times: Path | None = None) -> tuple[Path, ...]:
-    """The file, and with KITTI the one that holds its times. Raises InputError."""
-    if len(_first_record(path).split()) != len(_KITTI):
-        return (path,)
-    return path, times or path.with_name(TIMES)
-
-
-def _first_record(path: Path) -> str:
+def read_with_files(path: Path, times: Path | None = None) -> tuple[Trajectory, tuple[Path, ...]]:
+    """Do the same; the second is the files that were read. Raises InputError."""
     lines = (line.strip() for line in read_text(path).splitlines())
-    return next((line for line in lines if line and not line.startswith("#")), "")
+    first = next((line for line in lines if line and not line.startswith("#")), "")
+    if len(first.split()) == len(_KITTI):
+        clock = times or path.with_name(TIMES)
+        return _read_kitti(path, clock), (path, clock)
+    if times is not None:
+        raise InputError(f"{path}: holds its own times; --times is for KITTI files")
+    csv = first.startswith(_CSV[0] + ",")
+    return _read_csv(path, first) if csv else Trajectory(*read_trajectory(path)), (path,)
 
 
 def write_trajectory(trajectory: Trajectory, path: Path, format_name: str) -> None:

@@ -37,6 +37,7 @@ from comparisons.logs.readers.scan_odometry import (
     poses_at,
 )
 from comparisons.logs.validation import standard_deviation, whole_numbers
+from graphslam.increments import dead_reckoned
 
 KINDS = {
     "velocity": ("speed_mps", "yaw_rate_radps"),
@@ -204,18 +205,11 @@ def _relative(table: dict[str, Any]) -> Motion:
         return Motion(RelativePoses(time_s, moved, covariance), start_s, "the columns cov_00 to 22")
     variance = _step_variances(table, len(time_s))
     if variance is None:
-        path = np.concatenate((np.zeros((1, 3)), _composed(moved)))
+        path = dead_reckoned(np.zeros(3), moved)
         stated = displacements(np.concatenate(([start_s], time_s)), path).covariance
         return Motion(RelativePoses(time_s, moved, stated), start_s, NOISE_TEXT)
     covariance = variance[:, :, None] * np.eye(3)
     return Motion(RelativePoses(time_s, moved, covariance), start_s, "stated, of each motion")
-
-
-def _composed(moved: Array) -> Array:
-    """(N, 3) poses after each motion (N, 3), from the origin."""
-    heading = np.concatenate(([0.0], np.cumsum(moved[:, 2])))
-    place = np.cumsum((moved[:, 0] + 1j * moved[:, 1]) * np.exp(1j * heading[:-1]))
-    return np.column_stack((place.real, place.imag, heading[1:]))
 
 
 def _step_variances(table: dict[str, Any], count: int) -> Array | None:

@@ -30,7 +30,7 @@ _LARGEST = {"bearing_rad": 2 * np.pi, "steering_rad": 1.55, "yaw_rate_radps": 20
 """Larger angles and rates than a vehicle has are degrees, or wrong."""
 _SHARP = ("sigma_range_m", "sigma_bearing_rad", "sigma_m", "wheelbase_m")
 """What is stated above zero."""
-_OPTIONS = {
+OPTIONS = {
     "sigma_speed_mps": "--sigma-speed",
     "sigma_turn": "--sigma-turn",
     "sigma_move_m": "--sigma-move",
@@ -39,6 +39,7 @@ _OPTIONS = {
     "sigma_m": "--sigma-position",
     "wheelbase_m": "--wheelbase",
 }
+"""The option that states a column's number for all rows."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +76,7 @@ def build(files: UserFiles) -> Found:
     for name, value in files.stated.items():
         least = 1e-7 if name in _SHARP else 0.0
         if not least <= value <= 1e6:
-            raise InputError(f"{_OPTIONS[name]} is {value:g}, expected between {least:g} and 1e+06")
+            raise InputError(f"{OPTIONS[name]} is {value:g}, expected between {least:g} and 1e+06")
     reading = _Reading(files)
     odometry = reading.odometry()
     sightings, positions = reading.sightings(), reading.positions()
@@ -85,7 +86,7 @@ def build(files: UserFiles) -> Found:
         why = f"the {reading.kind} odometry here does not need it"
         if name == "sigma_m":
             why = "no --positions whose columns leave it open"
-        raise InputError(f"{_OPTIONS[name]}: {why}")
+        raise InputError(f"{OPTIONS[name]}: {why}")
     try:
         log = Log.from_arrays(
             odometry,
@@ -249,7 +250,7 @@ class _Reading:
     def _take(self, name: str) -> float:
         if name not in self.stated:
             column = f" or a column {name}" if name in NAMES else ""
-            raise InputError(f"{_OPTIONS[name]} is missing, expected a number{column}; {SEE}")
+            raise InputError(f"{OPTIONS[name]} is missing, expected a number{column}; {SEE}")
         return self.stated.pop(name)
 
     def _within(self, stream: str, table: PlainTable) -> PlainTable:

@@ -199,15 +199,13 @@ def errors_of(given: GivenEstimate, world: World) -> Records:
     """
     _check_finite(given)
     row = _rows(given.time_s, world)
-    steps = np.array(recorded_steps(len(world.control)))
-    steps = steps[row[steps] >= 0]
+    recorded = np.array(recorded_steps(len(world.control)))
+    columns = np.flatnonzero(row[recorded] >= 0)
+    steps = recorded[columns]
     at = row[steps]
-    columns = np.searchsorted(recorded_steps(len(world.control)), steps)
     error = world.pose[steps] - given.pose[at]
     error[:, 2] = wrap_angle(error[:, 2])
-    records = Records(
-        *(np.full((1, len(recorded_steps(len(world.control)))), np.nan) for _ in Records._fields)
-    )
+    records = Records(*(np.full((1, len(recorded)), np.nan) for _ in Records._fields))
     records.position_square[0, columns] = (error[:, :2] ** 2).sum(axis=1)
     records.heading_square[0, columns] = error[:, 2] ** 2
     if given.pose_covariance is not None:

@@ -61,6 +61,7 @@ from comparisons.logs.readers.scan_odometry import (
     poses_at,
 )
 from comparisons.logs.scans import Clouds, Mount, Scans
+from graphslam.scan.planar import rotation
 
 _BASES = ("base_link", "base_footprint")
 _MOST_POINTS = 50_000_000
@@ -310,8 +311,8 @@ def _positions(
     plane = Positions(time_s, east_north(rows[:, 0], rows[:, 1], altitude), covariance)
     antenna = where.place(stream, "antenna")[:2, 3]
     pose = drive.poses(where.start)
+    turned = np.exp(-1j * pose[0, 2])
     pose -= pose[0]  # its heading, too: from the origin
-    turned = np.exp(-1j * drive.poses(where.start)[0, 2])
     path = (pose[:, 0] + 1j * pose[:, 1]) * turned
     pose[:, :2] = np.column_stack((path.real, path.imag))
     path = path + complex(*antenna) * np.exp(1j * pose[:, 2])
@@ -325,8 +326,7 @@ def _positions(
         return prior, None
     x, y, heading = start.pose
     laid = (plane.position_m - (x, y)) @ np.array([1.0, 1j]) * np.exp(-1j * heading)
-    c, s = np.cos(heading), np.sin(heading)
-    turn = np.array(((c, s, 0.0), (-s, c, 0.0), (0.0, 0.0, 1.0)))  # east and north to the log's
+    turn = rotation(-heading)  # east and north to the log's
     covariance = turn[:2, :2] @ covariance @ turn[:2, :2].T
     where.provenance["positions"] = (
         f"WGS 84 about the first fix; {spent + 1} fixes up to {time_s[spent]:g} s laid onto the "

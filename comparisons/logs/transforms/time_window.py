@@ -13,6 +13,7 @@ from comparisons.errors import InputError
 from comparisons.logs.log import Closures, Log, Poses, Positions, Prior, Sightings
 from comparisons.logs.odometry import Odometry, RelativePoses
 from comparisons.logs.scans import Clouds, Scans
+from graphslam.scan.planar import compose, rotation
 
 Rows = NDArray[np.bool_] | NDArray[np.intp]
 S = TypeVar("S", bound=Sightings | Positions | Scans | Odometry)
@@ -76,14 +77,10 @@ def _prior(log: Log, first_s: float) -> Prior:
     if log.positions is None and log.known_landmarks is None:
         return Prior(first_s, prior.pose, prior.covariance)
     motion = motion_between(log, np.array([first_s]))
-    c, s = np.cos(prior.pose[2]), np.sin(prior.pose[2])
-    turned = np.array(((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)))
-    step = turned @ motion.displacement[0]
-    pose = prior.pose + step
+    pose = compose(prior.pose, motion.displacement[0])
     departed = np.eye(3)
-    departed[:2, 2] = (-step[1], step[0])
-    c, s = np.cos(pose[2]), np.sin(pose[2])  # the motion's covariance is of the arriving frame
-    arrived = np.array(((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)))
+    departed[:2, 2] = (prior.pose[1] - pose[1], pose[0] - prior.pose[0])
+    arrived = rotation(pose[2])  # the motion's covariance is of the arriving frame
     covariance = departed @ prior.covariance @ departed.T
     covariance += arrived @ motion.covariance[0] @ arrived.T
     return Prior(first_s, pose, (covariance + covariance.T) / 2)
