@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from comparisons.arrays import Array
-from comparisons.logs.log import Landmarks, Log, Poses, Prior, Sightings, Truth
+from comparisons.logs.log import LandmarkMeasurements, Landmarks, Log, Poses, Prior, Truth
 from comparisons.logs.odometry import OdometryNoise, VelocityOdometry
 
 _STEP_S = 0.25
@@ -84,7 +84,7 @@ def simulated_sensor(seed: int) -> Log:
         format="simulated",
         prior=Prior(0.0, pose[0], np.diag((0.01, 0.01, 0.01)) ** 2),
         odometry=odometry,
-        sightings=_sightings(rng, sensor, landmark, time, pose),
+        measurements=_measurements(rng, sensor, landmark, time, pose),
         truth=Truth(
             Poses(time, pose),
             Landmarks(np.arange(len(landmark)), landmark, np.zeros((len(landmark), 2, 2))),
@@ -142,9 +142,9 @@ def _goals(rng: np.random.Generator, s: Sensor) -> Array:
     return s.side_m * rng.uniform(0.1, 0.9, (40, 2))
 
 
-def _sightings(
+def _measurements(
     rng: np.random.Generator, s: Sensor, landmark: Array, time: Array, pose: Array
-) -> Sightings:
+) -> LandmarkMeasurements:
     offset = landmark - pose[:, None, :2]
     distance = np.linalg.norm(offset, axis=2)
     bearing = np.arctan2(offset[..., 1], offset[..., 0]) - pose[:, None, 2]
@@ -154,7 +154,7 @@ def _sightings(
     noise = s.excess * rng.standard_normal((len(scan), 2))
     count = len(scan)
     drawn = distance[scan, which] + s.sigma_range_m * noise[:, 0]
-    return Sightings(
+    return LandmarkMeasurements(
         time_s=time[scan],
         range_m=np.maximum(drawn, 0.1),
         bearing_rad=bearing[scan, which] + s.sigma_bearing_rad * noise[:, 1],
@@ -168,10 +168,10 @@ def _sightings(
 def piece(log: Log, begin_s: float, end_s: float, seed: int = 0, noise: float = 0.0) -> Log:
     """Return a stretch of a log with wheel odometry, its prior from the true poses.
 
-    noise: further noise on sightings and on the turns, in units of their sigmas; the stated ones
+    noise: further noise on measurements and on the turns, in units of their sigmas; the stated ones
     grow with it.
     """
-    rng, odometry, seen = np.random.default_rng((seed, 7)), log.odometry, log.sightings
+    rng, odometry, seen = np.random.default_rng((seed, 7)), log.odometry, log.measurements
     assert isinstance(odometry, VelocityOdometry)
     assert log.truth.poses is not None
     rows = (odometry.time_s >= begin_s) & (odometry.time_s <= end_s)
@@ -192,7 +192,7 @@ def piece(log: Log, begin_s: float, end_s: float, seed: int = 0, noise: float = 
             yaw_rate_radps=odometry.yaw_rate_radps[rows] + turned,
             noise=replace(odometry.noise, variance_rate_heading=spread),
         ),
-        sightings=replace(
+        measurements=replace(
             kept,
             range_m=np.maximum(kept.range_m + kept.sigma_range_m * drawn[0], 0.1),
             bearing_rad=kept.bearing_rad + kept.sigma_bearing_rad * drawn[1],

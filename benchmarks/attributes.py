@@ -4,7 +4,7 @@
 
 Simulated: pairs of trees 0.6 m apart along Nieto's loop, scored by the true landmarks. Victoria
 Park: what is recognised after blind stretches, what the diameters scatter by, the whole run without
-and with them, and with --blind runs without the sightings of the last seconds of every minute,
+and with them, and with --blind runs without the measurements of the last seconds of every minute,
 scored by the run that has them all. Car park: what intensities say.
 """
 
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from comparisons.adapters.attributes import sighted_attributes
+from comparisons.adapters.attributes import measured_attributes
 from comparisons.adapters.ekf_factory import build_association, build_ekf, settle
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.timeline import build_timeline
@@ -52,12 +52,12 @@ def paired_trees(seed: int, loops: float) -> Log:
     beside = world.landmark + APART_M * np.column_stack((np.cos(turn), np.sin(turn)))
     world = World(world.path, np.vstack((world.landmark, beside)))
     log = simulate(rng, Drive(loops=0, extra_s=loops * Drive.loop_s), world)
-    seen = log.sightings
+    seen = log.measurements
     diameter = rng.uniform(*DIAMETERS_M, len(world.landmark))[seen.landmark]
-    log = replace(log, sightings=replace(seen, diameter_m=diameter))
-    sigma = np.sqrt(sighted_attributes(log).variance[:, 0])
+    log = replace(log, measurements=replace(seen, diameter_m=diameter))
+    sigma = np.sqrt(measured_attributes(log).variance[:, 0])
     measured = rng.normal(diameter, sigma)
-    return replace(log, sightings=replace(seen, diameter_m=measured))
+    return replace(log, measurements=replace(seen, diameter_m=measured))
 
 
 def run(log: Log, filter_name: str, association: str, attributes: str) -> EkfRun:
@@ -77,7 +77,7 @@ def simulated(seeds: int, loops: float) -> None:
             for seed in range(seeds):
                 log = paired_trees(seed, loops)
                 done = run(log, "compressed", association, attributes)
-                score = score_partition(done.slot, log.sightings.landmark[: len(done.slot)])
+                score = score_partition(done.slot, log.measurements.landmark[: len(done.slot)])
                 accuracy = assess(done.estimate, log, labelled=False)
                 ate = np.nan if accuracy is None else accuracy.ate_m
                 rows.append((score.precision, score.recall, len(done.estimate.landmark), ate))
@@ -90,24 +90,25 @@ def simulated(seeds: int, loops: float) -> None:
 
 
 def scatter(log: Log, slot: Slots) -> None:
-    """Of diameters of one landmark, over pairs of sightings long apart (Guivant 2002, eq. 15)."""
+    """Diameter errors over pairs of distant measurements of one landmark (Guivant 2002, eq. 15)."""
     rng, used = np.random.default_rng(0), np.flatnonzero(slot >= 0)
     first, second = [], []
     for landmark in range(int(slot.max()) + 1):
         rows = used[slot[used] == landmark]
         a, b = rng.choice(rows, (2, 400))
-        apart = np.abs(log.sightings.time_s[a] - log.sightings.time_s[b]) > LONG_S
+        apart = np.abs(log.measurements.time_s[a] - log.measurements.time_s[b]) > LONG_S
         first.append(a[apart])
         second.append(b[apart])
     a, b = np.concatenate(first), np.concatenate(second)
-    seen = log.sightings
+    seen = log.measurements
     error = (seen.diameter_m[a] - seen.diameter_m[b]) ** 2
     by = np.column_stack((seen.range_m[a] ** 2 + seen.range_m[b] ** 2, np.full(len(a), 2.0)))
     width, shape = np.sqrt(nnls(by, error)[0])
-    variance = sighted_attributes(log).variance[:, 0]
+    variance = measured_attributes(log).variance[:, 0]
     share = error / (variance[a] + variance[b])
     print(
-        f"diameters over {len(a)} pairs of sightings more than {LONG_S:g} s apart: least squares "
+        f"diameters over {len(a)} pairs of measurements more than {LONG_S:g} s apart: least "
+        "squares "
         f"{width:.4f} rad and {shape:.3f} m; as stated, mean square {share.mean():.2f}, median "
         f"{np.median(share):.2f} (0.45 of a Gaussian)"
     )
@@ -120,14 +121,14 @@ def scatter(log: Log, slot: Slots) -> None:
         same &= seen.time_s[order[lag:]] - seen.time_s[order[:-lag]] < LAG_S * lag
         alike.append(float(np.corrcoef(off[lag:][same], off[:-lag][same])[0, 1]))
     print(
-        f"  autocorrelation over sightings in a row {alike[0]:.2f}, {alike[4]:.2f} (5), "
+        f"  autocorrelation over measurements in a row {alike[0]:.2f}, {alike[4]:.2f} (5), "
         f"{alike[19]:.2f} (20); 1 + twice its sum to {FARTHEST_LAG}: {1.0 + 2.0 * sum(alike):.1f}"
     )
 
 
 def withheld(log: Log, length_s: float, period_s: float, phase_s: float) -> NDArray[np.bool_]:
-    """Which sightings (M,) are left when the last part of every period is blind."""
-    since = log.sightings.time_s - log.prior.time_s - phase_s
+    """Which measurements (M,) are left when the last part of every period is blind."""
+    since = log.measurements.time_s - log.prior.time_s - phase_s
     kept: NDArray[np.bool_] = (since <= 0.0) | (np.mod(since, period_s) <= period_s - length_s)
     return kept
 
@@ -141,7 +142,7 @@ def park(log: Log, blind_s: list[float], phases_s: list[float]) -> None:
     for length in blind_s:
         for phase in phases_s if length else phases_s[:1]:
             kept = withheld(log, length, LONG_S, phase)
-            part = replace(log, sightings=log.sightings.chosen(kept))
+            part = replace(log, measurements=log.measurements.chosen(kept))
             for association in ("nn", "jcbb"):
                 for attributes in ("off", "on"):
                     done = run(part, "compressed", association, attributes)
@@ -165,15 +166,15 @@ class Course:
 
     def __init__(self, log: Log) -> None:
         """Stands before the first epoch."""
-        self.timeline, seen = build_timeline(log), log.sightings
+        self.timeline, seen = build_timeline(log), log.measurements
         self.time_s = self.timeline.epoch_time_s
-        self._until = self.timeline.steps_until(), self.timeline.sightings_until()
+        self._until = self.timeline.steps_until(), self.timeline.measurements_until()
         self._z = np.column_stack((seen.range_m, seen.bearing_rad))
         self._sigma = np.column_stack((seen.sigma_range_m, seen.sigma_bearing_rad))
-        self._label, self._told = seen.landmark, sighted_attributes(log)
+        self._label, self._told = seen.landmark, measured_attributes(log)
 
     def rows(self, epoch: int) -> Slots:
-        """The sightings of an epoch."""
+        """The measurements of an epoch."""
         return np.arange(self._until[1][epoch], self._until[1][epoch + 1])
 
     def move(self, ekf: Ekf, epoch: int) -> None:
@@ -198,9 +199,9 @@ class Course:
 
 
 class Stretch(NamedTuple):
-    """A blind stretch, and what was made of the sightings (S,) after it.
+    """A blind stretch, and what was made of the measurements (S,) after it.
 
-    attributes: `on` or `off`, for them. known: landmarks in the map before. rows: the sightings'
+    attributes: `on` or `off`, for them. known: landmarks in the map before. rows: the measurements'
     numbers. slots: the landmarks they were taken for, or -1.
     """
 
@@ -212,7 +213,7 @@ class Stretch(NamedTuple):
 
 
 def blindly(course: Course, ekf: Ekf, epoch: int, length_s: float) -> tuple[Slots, Slots]:
-    """Drive a filter on from an epoch without sightings, then look: their rows and slots."""
+    """Drive a filter on from an epoch without measurements, then look: their rows and slots."""
     slots, rows = [], []
     for j in range(epoch + 1, len(course.time_s)):
         since = course.time_s[j] - course.time_s[epoch]
@@ -229,7 +230,7 @@ def lost(log: Log, association: str, blind_s: list[float], every_s: float) -> No
     """Blind from here on for a while: is what is seen afterwards taken for what it is?
 
     At regular times the filter, which goes by position but remembers diameters, is copied twice;
-    both copies drive on without sightings, and only one of them uses diameters afterwards. The
+    both copies drive on without measurements, and only one of them uses diameters afterwards. The
     filter that was never blind says what is right.
     """
     choices = settle(EkfConfig(filter="compressed", association=association, attributes="on"), log)
@@ -238,7 +239,7 @@ def lost(log: Log, association: str, blind_s: list[float], every_s: float) -> No
     assert isinstance(using, RememberedAttributes)
     by_position = build_association(log, choices.model_copy(update={"attributes": "off"}))
     ekf.association = RememberedAttributes(by_position, using.memory)
-    true = np.full(len(log.sightings.time_s), -1, dtype=np.intp)
+    true = np.full(len(log.measurements.time_s), -1, dtype=np.intp)
     found: list[Stretch] = []
     begins = np.arange(
         log.prior.time_s + 2.0 * every_s, log.end_s - max(blind_s) - AFTER_S, every_s
@@ -262,12 +263,12 @@ def lost(log: Log, association: str, blind_s: list[float], every_s: float) -> No
 def print_stretches(
     log: Log, association: str, blind_s: list[float], found: list[Stretch], true: Slots
 ) -> None:
-    """How the sightings after blind stretches were taken, by length and use of attributes.
+    """How the measurements after blind stretches were taken, by length and use of attributes.
 
-    true: (M,) what the filter that was never blind took every sighting for.
+    true: (M,) what the filter that was never blind took every measurement for.
     """
     print(
-        f"{log.name}, blind for, {association}, attributes: sightings of known landmarks in the "
+        f"{log.name}, blind for, {association}, attributes: measurements of known landmarks in the "
         f"{AFTER_S:g} s after, taken for the right one, a wrong one, unused; stretches mostly right"
     )
     for length in blind_s:
@@ -314,7 +315,10 @@ def car_park(folder: Path) -> None:
         used = slot >= 0
         of_beacon = np.zeros(len(slot), dtype=bool)
         of_beacon[used] = beacon[slot[used]]
-        distance, lit = log.sightings.range_m[: len(slot)], log.sightings.intensity[: len(slot)]
+        distance, lit = (
+            log.measurements.range_m[: len(slot)],
+            log.measurements.intensity[: len(slot)],
+        )
         for low, high in ((0.0, 5.0), (5.0, 10.0), (10.0, 20.0)):
             near = used & (distance >= low) & (distance < high)
             cells = [
@@ -330,11 +334,11 @@ def car_park(folder: Path) -> None:
             f"median of all {np.median(lit):.0f}"
         )
 
-    reference, times = run(log, "full", "nn", "off").slot, np.unique(log.sightings.time_s)
-    scan = np.searchsorted(times, log.sightings.time_s)
+    reference, times = run(log, "full", "nn", "off").slot, np.unique(log.measurements.time_s)
+    scan = np.searchsorted(times, log.measurements.time_s)
     for every in (5, 10, 20, 40):
         kept = scan % every == 0
-        part, told = replace(log, sightings=log.sightings.chosen(kept)), []
+        part, told = replace(log, measurements=log.measurements.chosen(kept)), []
         for attributes in ("off", "on"):
             slot = run(part, "full", "nn", attributes).slot
             true = reference[kept][: len(slot)]

@@ -71,7 +71,7 @@ def equations(problem: SlamProblem) -> tuple[csc_matrix, int]:
     add(prior_place, (places, 1.0), (reference, -complex(x, y)))
     for i, (r, bearing) in enumerate(problem.z.tolist()):
         sigma = float(np.hypot(problem.sigma[i, 0], r * problem.sigma[i, 1]))
-        pose, landmark = int(problem.sighting_pose[i]), int(problem.sighting_landmark[i])
+        pose, landmark = int(problem.measurement_pose[i]), int(problem.measurement_landmark[i])
         add(
             1.0 / sigma,
             (points + landmark, 1.0),

@@ -39,7 +39,7 @@ from ekf_reference.scan_matching.sog import SumOfGaussians
 
 Array = NDArray[np.float64]
 
-SIGHTED = RelativePose()
+MEASURED = RelativePose()
 EVERY = 30
 """Scans between two searches."""
 LEAST_RETURNS = 25
@@ -86,15 +86,15 @@ def cases(seed: int) -> Iterator[Case]:
             count = np.array([np.count_nonzero(rows) for rows in inside])
             best = int(count.argmax())
             bare = Template.of_segment(shapes[best], np.flatnonzero(inside[best]))
-            place = SIGHTED.invert(pose[best], bare.pose[None]).landmark[0]
+            place = MEASURED.invert(pose[best], bare.pose[None]).landmark[0]
             away = np.linalg.norm(pose[:, :2] - pose[best, :2], axis=1) > APART_M
             other = np.flatnonzero(away & (count >= LEAST_RETURNS))
             for row in other[:: max(1, len(other) // SCANS)][:SCANS].tolist():
                 yield Case(
                     bare.shape,
-                    SIGHTED.predict(pose[row], place[None]).z[0],
+                    MEASURED.predict(pose[row], place[None]).z[0],
                     one.template.shape,
-                    SIGHTED.predict(pose[row], one.place[None]).z[0],
+                    MEASURED.predict(pose[row], one.place[None]).z[0],
                     shapes[row],
                 )
 

@@ -90,7 +90,7 @@ def run(log: Log, association: str, attributes: str) -> tuple[EkfRun, DenseWatch
 def simulated(seeds: int, loops: float) -> None:
     """Pairs of poles, by nearest neighbour and joint compatibility."""
     print(f"pairs of poles {APART_M} m apart, {seeds} drives, medians (worst):")
-    print("  pairs' precision and recall, sightings left out as ambiguous, landmarks, ATE,")
+    print("  pairs' precision and recall, measurements left out as ambiguous, landmarks, ATE,")
     print("  share of the landmarks that the layer knows")
     for association in ("nn", "jcbb"):
         for name, attributes in (("off", "off"), ("layer", "layer"), ("mixed", "layer")):
@@ -98,7 +98,7 @@ def simulated(seeds: int, loops: float) -> None:
             for seed in range(seeds):
                 log = coloured_poles(seed, loops, mixed=name == "mixed")
                 done, watcher = run(log, association, attributes)
-                score = score_partition(done.slot, log.sightings.landmark[: len(done.slot)])
+                score = score_partition(done.slot, log.measurements.landmark[: len(done.slot)])
                 accuracy = assess(done.estimate, log, labelled=False)
                 assert accuracy is not None
                 count = len(done.estimate.landmark)
@@ -143,11 +143,11 @@ def car_park(folder: Path) -> None:
                     f"  {name}: {rows.sum()} in the layer, intensity {mean.mean():.2f} +- "
                     f"{mean.std():.2f} between them, {within.mean():.2f} within"
                 )
-    reference, times = run(log, "nn", "off")[0].slot, np.unique(log.sightings.time_s)
-    scan = np.searchsorted(times, log.sightings.time_s)
+    reference, times = run(log, "nn", "off")[0].slot, np.unique(log.measurements.time_s)
+    scan = np.searchsorted(times, log.measurements.time_s)
     for every in (5, 10, 20, 40):
         kept = scan % every == 0
-        part, told = replace(log, sightings=log.sightings.chosen(kept)), []
+        part, told = replace(log, measurements=log.measurements.chosen(kept)), []
         for attributes in ("off", "layer"):
             slot = run(part, "nn", attributes)[0].slot
             true = reference[kept][: len(slot)]

@@ -69,8 +69,8 @@ def drive(
         prior_covariance=PRIOR,
         increment=increments + step * rng.standard_normal(increments.shape),
         increment_covariance=np.array([np.diag(s**2) for s in step]),
-        sighting_pose=pose,
-        sighting_landmark=landmark,
+        measurement_pose=pose,
+        measurement_landmark=landmark,
         z=z,
         sigma=np.tile(sensor, (len(z), 1)),
         landmark_count=len(seen),
@@ -184,9 +184,9 @@ def labels(seed: int) -> World:
     rng = np.random.default_rng((5, seed))
     world = quiet(seed + 1000) if seed % 2 else sides(seed + 1000)
     problem = world.problem
-    named = problem.sighting_landmark.copy()
+    named = problem.measurement_landmark.copy()
     swaps = rng.choice(len(named), int(rng.integers(1, 6)), replace=False)
-    seen_from = problem.sighting_pose[swaps]
+    seen_from = problem.measurement_pose[swaps]
     for row, pose in zip(swaps, seen_from, strict=True):
         near = np.linalg.norm(world.landmarks - world.poses[pose, :2], axis=1)
         near[named[row]] = np.inf
@@ -194,7 +194,9 @@ def labels(seed: int) -> World:
     kept = np.unique(named)
     if len(kept) < problem.landmark_count:
         return world
-    return replace(world, name=f"labels {seed}", problem=replace(problem, sighting_landmark=named))
+    return replace(
+        world, name=f"labels {seed}", problem=replace(problem, measurement_landmark=named)
+    )
 
 
 def kidnapped(seed: int) -> World:

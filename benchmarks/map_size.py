@@ -86,7 +86,7 @@ def measure(kind: str, count: int, scans: int) -> tuple[float, float]:
         slots = ekf.observe(z, sigma, labels)
         spent.append(middle - start + time.perf_counter() - begin)
         if (slots < 0).any() or (slots >= count).any():
-            raise SystemExit(f"{kind}, {count}: a sighting was not recognised")
+            raise SystemExit(f"{kind}, {count}: a measurement was not recognised")
     start = time.perf_counter()
     _ = ekf.state.mean
     return 1e3 * float(np.median(spent)), 1e3 * (time.perf_counter() - start)

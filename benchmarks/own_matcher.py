@@ -22,7 +22,7 @@ from comparisons.logs.simulate.scan_drive import scan_slam, simulate
 from comparisons.pipeline.compare import Comparison, compare
 from comparisons.settings import run_config
 from graphslam.graph_builder import to_tangent
-from graphslam.problem import OrientedSightings
+from graphslam.problem import OrientedMeasurements
 from graphslam.scan import planar
 
 Array = NDArray[np.float64]
@@ -75,10 +75,10 @@ def measured(c: Comparison) -> Row:
         alone,
         pose_nees(c.smoothed, truth),
         pose_nees(own.estimate, truth),
-        sighting_nees(c.ekf.oriented, own.alignments, truth),
-        sighting_nees(own.alignments, own.alignments, truth),
-        own.sightings[0],
-        own.sightings[1],
+        measurement_nees(c.ekf.oriented, own.alignments, truth),
+        measurement_nees(own.alignments, own.alignments, truth),
+        own.measurements[0],
+        own.measurements[1],
         math.sqrt(float(own.squared.mean()) / 3.0),
         c.seconds["ekf"],
         c.seconds["own matcher"],
@@ -93,8 +93,10 @@ def pose_nees(estimate: Estimate, truth: Array) -> float:
     return float(np.einsum("ki,kij,kj->k", error, inverse, error).mean() / 3.0)
 
 
-def sighting_nees(seen: OrientedSightings, begun: OrientedSightings, truth: Array) -> float:
-    """Mean over 3 of all sightings but the first of each landmark. begun: tells where it began."""
+def measurement_nees(
+    seen: OrientedMeasurements, begun: OrientedMeasurements, truth: Array
+) -> float:
+    """Mean over 3 of all measurements but each landmark's first, which `begun` holds."""
     axis: dict[int, Array] = {}
     for pose, slot, z in zip(
         begun.pose.tolist(), begun.landmark.tolist(), begun.measured, strict=True

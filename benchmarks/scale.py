@@ -34,7 +34,7 @@ from comparisons.logs.simulate.drive import (
     Drive,
     exact_landmarks,
     known_start,
-    point_sightings,
+    point_measurements,
     true_drive,
     wheel_odometry,
 )
@@ -122,7 +122,7 @@ def simulate(poses: int, landmarks: int, seed: int = 0) -> Log:
         format="simulated",
         prior=known_start(pose, 1.0),
         odometry=wheel_odometry(rng, drive, time, control),
-        sightings=point_sightings(rng, drive, world.landmark, time[scans], pose[scans]),
+        measurements=point_measurements(rng, drive, world.landmark, time[scans], pose[scans]),
         truth=Truth(Poses(time, pose), exact_landmarks(world.landmark)),
         provenance={"source": "benchmarks/scale.py"},
     )

@@ -42,8 +42,8 @@ def bare_graph(problem: SlamProblem) -> gtsam.NonlinearFactorGraph:
     for i in range(len(problem.z)):
         r, bearing = problem.z[i]
         noise = gtsam.noiseModel.Diagonal.Sigmas(problem.sigma[i, ::-1].copy())
-        pose = POSE_KEY + int(problem.sighting_pose[i])
-        landmark = LANDMARK_KEY + int(problem.sighting_landmark[i])
+        pose = POSE_KEY + int(problem.measurement_pose[i])
+        landmark = LANDMARK_KEY + int(problem.measurement_landmark[i])
         graph.add(gtsam.BearingRangeFactor2D(pose, landmark, gtsam.Rot2(bearing), r, noise))
     return graph
 
@@ -51,8 +51,8 @@ def bare_graph(problem: SlamProblem) -> gtsam.NonlinearFactorGraph:
 def bare_isam2(problem: SlamProblem, graph: gtsam.NonlinearFactorGraph) -> gtsam.Values:
     """One update per pose with gtsam's defaults."""
     isam = gtsam.ISAM2(gtsam.ISAM2Params())
-    order = np.argsort(problem.sighting_pose, kind="stable") + problem.pose_count
-    begin = np.searchsorted(np.sort(problem.sighting_pose), np.arange(problem.pose_count + 1))
+    order = np.argsort(problem.measurement_pose, kind="stable") + problem.pose_count
+    begin = np.searchsorted(np.sort(problem.measurement_pose), np.arange(problem.pose_count + 1))
     values = gtsam.Values()
     for k in range(problem.pose_count):
         piece, new = gtsam.NonlinearFactorGraph(), gtsam.Values()
@@ -65,7 +65,7 @@ def bare_isam2(problem: SlamProblem, graph: gtsam.NonlinearFactorGraph) -> gtsam
         new.insert(POSE_KEY + k, pose)
         for row in order[begin[k] : begin[k + 1]].tolist():
             piece.add(graph.at(row))
-            key = LANDMARK_KEY + int(problem.sighting_landmark[row - problem.pose_count])
+            key = LANDMARK_KEY + int(problem.measurement_landmark[row - problem.pose_count])
             if not values.exists(key):
                 r, bearing = problem.z[row - problem.pose_count]
                 place = np.array([r * np.cos(bearing), r * np.sin(bearing)])

@@ -34,7 +34,7 @@ from graphslam.marginals import SingularProblemError
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 _FIRST_TEST_SEED = 1000
-_FEWEST_SIGHTINGS = 40
+_FEWEST_MEASUREMENTS = 40
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ def tried(log: Log, robust: str = "none") -> Trial | None:
 
     robust: of the smoother with the labels, some of which may be misread.
     """
-    if len(log.sightings.time_s) < _FEWEST_SIGHTINGS:
+    if len(log.measurements.time_s) < _FEWEST_MEASUREMENTS:
         return None
     labelled = SolveConfig(association="known", smoother=SmootherConfig(robust=robust))
     try:
@@ -107,12 +107,12 @@ class SharedMistake:
     headline: str
     error_m: float
     labels_m: float
-    sighting_m: float
+    measurement_m: float
 
     @property
     def wrong(self) -> bool:
-        """More than twice as far off as with labels, and farther than one sighting errs."""
-        return self.error_m > max(2.0 * self.labels_m, self.sighting_m)
+        """More than twice as far off as with labels, and farther than one measurement errs."""
+        return self.error_m > max(2.0 * self.labels_m, self.measurement_m)
 
 
 def shared(log: Log, associations: Iterable[str]) -> Iterator[SharedMistake]:
@@ -124,7 +124,7 @@ def shared(log: Log, associations: Iterable[str]) -> Iterator[SharedMistake]:
         assert gap is not None
         headline = found.verdict.headline
         name = f"{log.name}, {association}"
-        yield SharedMistake(name, headline, _error(found), with_labels, gap.sighting_m)
+        yield SharedMistake(name, headline, _error(found), with_labels, gap.measurement_m)
 
 
 def _error(found: Comparison) -> float:
@@ -174,8 +174,8 @@ def shared_mistake_rows(data: Path, quick: bool) -> Iterator[Row]:
 def unchecked_row() -> Row:
     """Whether a run without truth and labels is checked by the own association, or says so."""
     log = simulate(np.random.default_rng(0), Drive())
-    seen = replace(log.sightings, landmark=np.full(len(log.sightings.time_s), NO_LANDMARK))
-    blind = replace(log, sightings=seen, truth=Truth())
+    seen = replace(log.measurements, landmark=np.full(len(log.measurements.time_s), NO_LANDMARK))
+    blind = replace(log, measurements=seen, truth=Truth())
     asked = compare(blind, run_config(association="nn"))
     declined = compare(blind, run_config(association="nn", smoother_association="ekf"))
     holds = "own_association" in asked.findings and UNCHECKED in declined.verdict.qualifiers

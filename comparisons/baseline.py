@@ -86,7 +86,7 @@ SIDES: Mapping[str, Judged] = {
             *("rejected", "ambiguous", "candidate", "dynamic", "retired", "cut_off"),
             *("fixes_fused", "fixes_rejected", "fixes_in_streaks", "longest_streak"),
             *("fixes_rejected_by_smoother", "global_updates"),
-            *("rejected_sightings", "rejected_positions", "hops", "random_starts"),
+            *("rejected_measurements", "rejected_positions", "hops", "random_starts"),
             *("trace.steps", "trace.updates", "trace.begun", "trace.positions"),
         )
     },

@@ -119,7 +119,7 @@ class EkfConfig(Section):
 
     filter: Filter = Field("full", description="which EKF")
     association: Association | None = Field(
-        None, description="how sightings find their landmarks; by the log if absent"
+        None, description="how measurements find their landmarks; by the log if absent"
     )
     attributes: Attributes = Field("off", description="diameters and intensities in association")
     gps: Gps = Field("off", description="absolute positions to fuse; half holds every second back")

@@ -147,7 +147,7 @@ LOG = (
 )
 FEATURES = Flag(
     option="--features", panel=FILTER_PANEL, field="log.features", choices=choices.Features,
-    help="Sightings: the log's, or trunks found in its scans. [log]",
+    help="Measurements: the log's, or trunks found in its scans. [log]",
 )
 _GPS_HELP = "Fuse absolute positions; half holds every second one back. [off]"
 GPS = Flag(option="--gps", field="gps", choices=choices.Gps, help=_GPS_HELP)
@@ -203,7 +203,7 @@ SCAN_LANDMARKS = (
     Flag(
         option="--landmarks", field="extensions.scan_landmarks", choices=choices.Landmarks,
         settings={"points": ABSENT, "scans": {"landmarks": "scans"}, "both": {"landmarks": "both"}},
-        help="Landmarks: the log's sightings, templates of its raw scans (Scan-SLAM), or both. "
+        help="Landmarks: the log's measurements, templates of its raw scans (Scan-SLAM), or both. "
         "[points]",
     ),
     Flag(

@@ -57,7 +57,7 @@ class MyEkf:
     def observe(self, row: int, label: int, z: Array, sigma: Array) -> None:
         """Fuse one range and bearing, or start a landmark with it."""
         r = np.diag(sigma if self.bug == BUGS[2] else sigma**2)
-        seen = {"step": len(self.trace["step_f"]), "sighting": row, "landmark": label}
+        seen = {"step": len(self.trace["step_f"]), "measurement": row, "landmark": label}
         pose = self.x[:3].copy()
         if label not in self.slot:
             c, s = math.cos(pose[2] + z[1]), math.sin(pose[2] + z[1])
@@ -68,8 +68,8 @@ class MyEkf:
             own = g_x @ self.p[:3, :3] @ g_x.T + g_z @ r @ g_z.T
             self.slot[label], self.x = len(self.x), np.append(self.x, point)
             self.p = np.hstack((new, np.vstack((self.p[:, :3] @ g_x.T, own))))
-            jacobians = {"jacobian_pose": g_x, "jacobian_sighting": g_z}
-            self.note("begin", **seen, pose=pose, point=point, noise=r, **jacobians)
+            jacobians = {"jacobian_pose": g_x, "jacobian_measurement": g_z}
+            self.note("initialise", **seen, pose=pose, point=point, noise=r, **jacobians)
             return
         i = self.slot[label]
         point = self.x[i : i + 2].copy()
@@ -96,9 +96,9 @@ class MyEkf:
 
 def run(log: Log, timeline: Timeline, bug: str, folder: Path) -> None:
     """Drive the filter through a log; write its estimate and its trace."""
-    ekf, seen, poses, spreads = MyEkf(log, bug), log.sightings, [], []
+    ekf, seen, poses, spreads = MyEkf(log, bug), log.measurements, [], []
     step_end_s = timeline.step_begin_s() + timeline.step_duration_s
-    steps, rows = timeline.steps_until(), timeline.sightings_until()
+    steps, rows = timeline.steps_until(), timeline.measurements_until()
     done = 0
     for k in range(len(timeline.epoch_time_s)):
         for i in range(done, steps[k]):

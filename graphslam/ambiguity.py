@@ -90,7 +90,7 @@ def mirrors(problem: SlamProblem, poses: Array, landmarks: Array) -> Iterator[Al
     tails = np.linspace(0, problem.pose_count - 1, TAILS + 2)[1:-1].astype(np.intp)
     axes += [(poses[k, :2], float(poses[k, 2]), k) for k in np.unique(tails).tolist() if k]
     first = np.full(problem.landmark_count, problem.pose_count)
-    np.minimum.at(first, problem.sighting_landmark, problem.sighting_pose)
+    np.minimum.at(first, problem.measurement_landmark, problem.measurement_pose)
     first[: len(problem.surveyed)] = -1
     for origin, angle, k in axes:
         other, moved = poses.copy(), landmarks.copy()
@@ -115,13 +115,15 @@ def _stretches(problem: SlamProblem) -> list[tuple[int, int]]:
 
     A landmark that is seen from one pose only fixes nothing.
     """
-    pairs = np.unique(np.column_stack((problem.sighting_landmark, problem.sighting_pose)), axis=0)
+    pairs = np.unique(
+        np.column_stack((problem.measurement_landmark, problem.measurement_pose)), axis=0
+    )
     views = np.bincount(pairs[:, 0].astype(np.intp), minlength=problem.landmark_count)
     views[: len(problem.surveyed)] = 2
     known = np.unique(
         np.concatenate(
             (
-                problem.sighting_pose[views[problem.sighting_landmark] > 1],
+                problem.measurement_pose[views[problem.measurement_landmark] > 1],
                 problem.position_pose,
                 problem.oriented.pose,
                 problem.closures.first,
@@ -193,24 +195,24 @@ def landmark_modes(problem: SlamProblem, poses: Array, landmarks: Array) -> Land
 
     Candidates on the circle of a measured range are refined by damped Gauss-Newton, all at once.
     """
-    free = np.setdiff1d(problem.sighting_landmark, np.arange(len(problem.surveyed)))
+    free = np.setdiff1d(problem.measurement_landmark, np.arange(len(problem.surveyed)))
     middle = _middle_measurement(problem, free)
     start = problem.z[middle, 0, None] * np.exp(
         2j * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
-        + 1j * (poses[problem.sighting_pose[middle], 2] + problem.z[middle, 1])[:, None]
+        + 1j * (poses[problem.measurement_pose[middle], 2] + problem.z[middle, 1])[:, None]
     )
-    origin = poses[problem.sighting_pose[middle], :2]
+    origin = poses[problem.measurement_pose[middle], :2]
     place = np.stack((start.real, start.imag), axis=2) + origin[:, None]
     own = np.full(problem.landmark_count, -1)
     own[free] = np.arange(len(free))
-    order = np.argsort(problem.sighting_landmark, kind="stable")
-    rows = order[own[problem.sighting_landmark[order]] >= 0]
-    slot = own[problem.sighting_landmark[rows]]
+    order = np.argsort(problem.measurement_landmark, kind="stable")
+    rows = order[own[problem.measurement_landmark[order]] >= 0]
+    slot = own[problem.measurement_landmark[rows]]
     found = []
     for block in _blocks(np.bincount(slot, minlength=len(free))):
         own_rows = rows[slice(*np.searchsorted(slot, (block.start, block.stop)))]
-        which = own[problem.sighting_landmark[own_rows]] - block.start
-        pose = poses[problem.sighting_pose[own_rows]]
+        which = own[problem.measurement_landmark[own_rows]] - block.start
+        pose = poses[problem.measurement_pose[own_rows]]
         seen = _Seen(pose, problem.z[own_rows], problem.sigma[own_rows], which)
         found.append(_modes(free[block], place[block], landmarks[free[block]], seen))
     return LandmarkModes(
@@ -310,8 +312,8 @@ def _distinct(
 
 def _middle_measurement(problem: SlamProblem, landmarks: Index) -> Index:
     """(F,) rows: of each landmark's measurements the one in the middle."""
-    order = np.argsort(problem.sighting_landmark, kind="stable")
-    ordered = problem.sighting_landmark[order]
+    order = np.argsort(problem.measurement_landmark, kind="stable")
+    ordered = problem.measurement_landmark[order]
     first = np.searchsorted(ordered, landmarks)
     last = np.searchsorted(ordered, landmarks, side="right")
     middle: Index = order[(first + last) // 2]

@@ -1,10 +1,10 @@
 """Who was seen, by the smoother's own reasoning, without a filter's help.
 
 The log is read in pieces. What a piece sees is judged against the smoother's joint covariance of
-the last pose and the whole map: a sighting is recognised when all likely joint hypotheses say the
-same of it. What nothing in the map explains waits; seen often enough in one place, it becomes a
+the last pose and the whole map: a measurement is recognised when all likely joint hypotheses say
+the same of it. What nothing in the map explains waits; seen often enough in one place, it becomes a
 landmark. After each piece everything is solved anew. In the end the finished map judges all
-sightings once more, landmarks that turn out to be one are merged, and rare ones are dropped.
+measurements once more, landmarks that turn out to be one are merged, and rare ones are dropped.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from graphslam.graph_builder import (
     POSE_KEY,
     from_values,
     increment_factors,
+    measurement_factors,
     position_factor,
     prior_factor,
-    sighting_factors,
 )
 from graphslam.marginals import joint_marginal, to_global
 from graphslam.optimisers import levenberg_marquardt
@@ -35,7 +35,7 @@ from graphslam.recognition import PENDING, UNSEEN, Options, extent, recognise
 
 @dataclass(frozen=True)
 class AssociationResult:
-    """slot: (M,) landmark of each sighting, numbered by first sighting, negative where unused.
+    """slot: (M,) landmark of each measurement, by first measurement, negative where unused.
 
     poses: (K, 3) and landmarks: (L, 2), where the association left them: a start for smoothing.
     """
@@ -50,7 +50,7 @@ class AssociationResult:
 class _Draft:
     """What is decided so far.
 
-    slot: (M,). values, graph: the smoother's, up to pose `solved`, with the sightings
+    slot: (M,). values, graph: the smoother's, up to pose `solved`, with the measurements
     `included`. belief: at the last pose known. count: landmarks.
     """
 
@@ -74,14 +74,14 @@ class _Draft:
 
 
 def associate(problem: SlamProblem, options: Options | None = None) -> AssociationResult:
-    """Decide for every sighting; the problem's sighting_landmark is not read."""
+    """Decide for every measurement; the problem's measurement_landmark is not read."""
     options = options or Options()
     values = gtsam.Values()
     values.insert(POSE_KEY, gtsam.Pose2(*problem.prior_pose))
     draft = _Draft(
         problem=problem,
         options=options,
-        order=np.argsort(problem.sighting_pose, kind="stable"),
+        order=np.argsort(problem.measurement_pose, kind="stable"),
         slot=np.full(len(problem.z), UNSEEN, dtype=np.intp),
         values=values,
         belief=Belief(problem.prior_pose, problem.prior_covariance),
@@ -102,15 +102,15 @@ def associate(problem: SlamProblem, options: Options | None = None) -> Associati
 
 
 def _rows(draft: _Draft, pose: int) -> Index:
-    """Sightings from a pose."""
-    seen = draft.problem.sighting_pose
+    """Measurements from a pose."""
+    seen = draft.problem.measurement_pose
     first = np.searchsorted(seen, pose, side="left", sorter=draft.order)
     last = np.searchsorted(seen, pose, side="right", sorter=draft.order)
     return draft.order[first:last]
 
 
 def _see(draft: _Draft, pose: int) -> None:
-    """Judge the sightings from a pose, and narrow the belief by what is recognised."""
+    """Judge the measurements from a pose, and narrow the belief by what is recognised."""
     rows = _rows(draft, pose)
     if len(rows):
         z, variance = draft.problem.z[rows], draft.problem.sigma[rows] ** 2
@@ -129,7 +129,7 @@ def _solve(draft: _Draft) -> None:
 
 
 def _extend_graph(draft: _Draft) -> None:
-    """Factors of the poses and of the recognised sightings that the graph does not have yet."""
+    """Factors of the poses and of the recognised measurements that the graph does not have yet."""
     p, graph, first = draft.problem, draft.graph, draft.solved
     if not graph.size():
         graph.push_back(prior_factor(POSE_KEY, p))
@@ -141,11 +141,11 @@ def _extend_graph(draft: _Draft) -> None:
     new: list[gtsam.NonlinearFactor] = list(
         increment_factors(departures, [key + 1 for key in departures], step)
     )
-    rows = np.flatnonzero((draft.slot >= 0) & ~draft.included & (p.sighting_pose < draft.known))
+    rows = np.flatnonzero((draft.slot >= 0) & ~draft.included & (p.measurement_pose < draft.known))
     draft.included[rows] = True
     seen = replace(p, z=p.z[rows], sigma=p.sigma[rows])
-    poses = (POSE_KEY + p.sighting_pose[rows]).tolist()
-    new += sighting_factors(poses, (LANDMARK_KEY + draft.slot[rows]).tolist(), seen)
+    poses = (POSE_KEY + p.measurement_pose[rows]).tolist()
+    new += measurement_factors(poses, (LANDMARK_KEY + draft.slot[rows]).tolist(), seen)
     fixes = np.flatnonzero((p.position_pose >= first) & (p.position_pose < draft.known))
     new += [
         position_factor(
@@ -159,11 +159,11 @@ def _extend_graph(draft: _Draft) -> None:
 
 
 def _places(draft: _Draft, rows: Index) -> Array:
-    """(m, 2) where sightings are in the smoothed frame."""
+    """(m, 2) where measurements are in the smoothed frame."""
     p = draft.problem
     result = np.empty((len(rows), 2))
     for i, row in enumerate(rows.tolist()):
-        pose = draft.values.atPose2(POSE_KEY + int(p.sighting_pose[row]))
+        pose = draft.values.atPose2(POSE_KEY + int(p.measurement_pose[row]))
         r, bearing = p.z[row]
         result[i] = pose.transformFrom(np.array([r * np.cos(bearing), r * np.sin(bearing)]))
     return result
@@ -173,9 +173,9 @@ def _promote(draft: _Draft) -> None:
     """Make landmarks of what is pending and seen often enough."""
     o, p = draft.options, draft.problem
     old = draft.known - 3 * o.piece
-    draft.slot[(draft.slot == PENDING) & (p.sighting_pose < old)] = UNSEEN
-    rows = np.flatnonzero((draft.slot == PENDING) & (p.sighting_pose < draft.known))
-    if len(rows) < o.sightings:
+    draft.slot[(draft.slot == PENDING) & (p.measurement_pose < old)] = UNSEEN
+    rows = np.flatnonzero((draft.slot == PENDING) & (p.measurement_pose < draft.known))
+    if len(rows) < o.measurements:
         return
     places = _places(draft, rows)
     cluster = fcluster(linkage(places, "average"), o.resolution_m, "distance")
@@ -183,8 +183,8 @@ def _promote(draft: _Draft) -> None:
         inside = cluster == number
         centre = places[inside].mean(axis=0)
         spread = float(np.sqrt(np.mean(np.sum((places[inside] - centre) ** 2, axis=1))))
-        instants = len(np.unique(p.sighting_pose[rows[inside]]))
-        if instants < o.sightings or spread > o.spread_m:
+        instants = len(np.unique(p.measurement_pose[rows[inside]]))
+        if instants < o.measurements or spread > o.spread_m:
             continue
         draft.slot[rows[inside]] = draft.count
         draft.values.insert(LANDMARK_KEY + draft.count, centre)
@@ -192,11 +192,11 @@ def _promote(draft: _Draft) -> None:
 
 
 def _finish(draft: _Draft) -> AssociationResult:
-    """Merge, judge all sightings once more by the finished map, drop what is rare, number."""
+    """Merge, judge all measurements once more by the finished map, drop what is rare, number."""
     _merge(draft)
     _judge_again(draft)
     counts = np.bincount(draft.slot[draft.slot >= 0], minlength=draft.count)
-    rare = np.flatnonzero(counts < draft.options.sightings)
+    rare = np.flatnonzero(counts < draft.options.measurements)
     draft.slot[np.isin(draft.slot, rare)] = UNSEEN
     used = draft.order[draft.slot[draft.order] >= 0]
     _, first = np.unique(draft.slot[used], return_index=True)
@@ -238,15 +238,15 @@ def _merge(draft: _Draft) -> None:
 
 
 def _judge_again(draft: _Draft) -> None:
-    """Nearest landmark of every sighting in the finished map, when no other comes near.
+    """Nearest landmark of every measurement in the finished map, when no other comes near.
 
-    By the sightings' own noise: pose and map, being solved together, err alike.
+    By the measurements' own noise: pose and map, being solved together, err alike.
     """
     o, p = draft.options, draft.problem
     if not draft.count:
         return
     poses, landmarks = draft.solution()
-    for pose in np.unique(p.sighting_pose).tolist():
+    for pose in np.unique(p.measurement_pose).tolist():
         rows = _rows(draft, pose)
         at = Belief(np.concatenate((poses[pose], landmarks.ravel())), np.zeros((0, 0)))
         near = at.near(float(p.z[rows, 0].max()) + 5.0)

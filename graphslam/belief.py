@@ -14,7 +14,7 @@ from graphslam.arrays import Array, Index, wrap_angle
 
 
 class Expected(NamedTuple):
-    """Sightings expected of n landmarks. z: (n, 2). jacobian: (n, 2, 5) by pose and landmark."""
+    """Measurements expected of n landmarks. z: (n, 2). jacobian: (n, 2, 5) by pose and landmark."""
 
     z: Array
     jacobian: Array
@@ -71,7 +71,7 @@ class Belief:
         return Expected(z, jacobian)
 
     def spread(self, slots: Index, jacobian: Array) -> Array:
-        """(2 n, 2 n) covariance of the expected sightings of landmarks (n,), noise left out."""
+        """(2 n, 2 n) covariance of the expected measurements of landmarks (n,), noise left out."""
         columns = np.concatenate(([0, 1, 2], (3 + 2 * slots[:, None] + (0, 1)).ravel()))
         stacked = np.zeros((len(slots), 2, len(columns)))
         stacked[:, :, :3] = jacobian[:, :, :3]
@@ -85,7 +85,7 @@ class Belief:
         return result
 
     def learn(self, slots: Index, z: Array, variance: Array) -> None:
-        """Narrow by sightings (m, 2) with variances (m, 2) of landmarks (m,)."""
+        """Narrow by measurements (m, 2) with variances (m, 2) of landmarks (m,)."""
         expected = self.expect(slots)
         h = np.zeros((len(slots), 2, len(self.mean)))
         which = np.arange(len(slots))

@@ -1,6 +1,6 @@
 """Graphs and solutions as g2o text, landmarks included.
 
-Other programs read the usual tags: VERTEX_SE2, VERTEX_XY, EDGE_SE2, EDGE_SE2_XY (a sighting as a
+Other programs read the usual tags: VERTEX_SE2, VERTEX_XY, EDGE_SE2, EDGE_SE2_XY (a measurement as a
 point in the pose's frame), EDGE_PRIOR_SE2, EDGE_PRIOR_SE2_XY, EDGE_PRIOR_XY, each edge with the
 upper triangle of its information. What they would lose or round stands behind a `#` on the same
 line: range, bearing and sigmas, and covariances in place of informations. With it, reading gives
@@ -117,7 +117,11 @@ def write_g2o(path: Path, contents: G2oContents) -> None:
     pairs, spread = list(zip(closed.first, closed.second, strict=True)), closed.covariance
     lines += _edges("EDGE_SE2", pairs, closed.motion, spread, spread)
     for k, j, (r, bearing), sigma in zip(
-        problem.sighting_pose, problem.sighting_landmark, problem.z, problem.sigma, strict=True
+        problem.measurement_pose,
+        problem.measurement_landmark,
+        problem.z,
+        problem.sigma,
+        strict=True,
     ):
         cos, sin = math.cos(bearing), math.sin(bearing)
         # Of the whitened point: its covariance would lose the smaller of two unlike sigmas.
@@ -224,8 +228,8 @@ def read_g2o(path: Path) -> G2oContents:
         prior_covariance=prior_covariance,
         increment=increment,
         increment_covariance=covariance,
-        sighting_pose=nodes.of(seen, 0),
-        sighting_landmark=marks.of(seen, 1),
+        measurement_pose=nodes.of(seen, 0),
+        measurement_landmark=marks.of(seen, 1),
         z=polar[:, :2],
         sigma=polar[:, 2:],
         landmark_count=len(marks.ids),

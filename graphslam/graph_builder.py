@@ -6,7 +6,7 @@ import gtsam
 import numpy as np
 
 from graphslam.arrays import Array, Index
-from graphslam.problem import OrientedSightings, SlamProblem
+from graphslam.problem import OrientedMeasurements, SlamProblem
 
 POSE_KEY = gtsam.symbol("x", 0)
 LANDMARK_KEY = gtsam.symbol("l", 0)
@@ -50,10 +50,10 @@ def _between(
     ]
 
 
-def sighting_factors(
+def measurement_factors(
     poses: list[int], landmarks: list[int], problem: SlamProblem, kernel: str = "none"
 ) -> list[gtsam.BearingRangeFactor2D]:
-    """One factor per sighting, between the keys given; gtsam wants the bearing first.
+    """One factor per measurement, between the keys given; gtsam wants the bearing first.
 
     Those of equal sigmas share a noise model: a long log's graph takes 0.4 of the memory.
     """
@@ -116,13 +116,13 @@ def build_graph(problem: SlamProblem, kernel: str = "none") -> gtsam.NonlinearFa
     departures = (POSE_KEY + steps).tolist()
     for between in _between(departures, [key + 1 for key in departures], *moves):
         graph.push_back(between)
-    for sighting in sighting_factors(
-        (POSE_KEY + problem.sighting_pose).tolist(),
-        (LANDMARK_KEY + problem.sighting_landmark).tolist(),
+    for measurement in measurement_factors(
+        (POSE_KEY + problem.measurement_pose).tolist(),
+        (LANDMARK_KEY + problem.measurement_landmark).tolist(),
         problem,
         kernel,
     ):
-        graph.push_back(sighting)
+        graph.push_back(measurement)
     for key, z, covariance in zip(
         (POSE_KEY + problem.position_pose).tolist(),
         problem.position,
@@ -165,7 +165,7 @@ def last_poses(problem: SlamProblem) -> Index:
         (
             [0],
             problem.steps + 1,
-            problem.sighting_pose,
+            problem.measurement_pose,
             problem.position_pose,
             np.zeros(len(problem.surveyed), dtype=np.intp),
             problem.oriented.pose,
@@ -197,23 +197,23 @@ def right_perturbation(measured: Array, covariance: Array) -> Array:
 
 
 def to_values(
-    poses: Array, landmarks: Array, seen: Index, oriented: OrientedSightings | None = None
+    poses: Array, landmarks: Array, seen: Index, oriented: OrientedMeasurements | None = None
 ) -> gtsam.Values:
     """Values of poses (K, 3) and of those landmarks (L, 2) that `seen` lists.
 
-    oriented: sightings of oriented landmarks, which are put where they were first seen.
+    oriented: measurements of oriented landmarks, which are put where they were first seen.
     """
     values = gtsam.Values()
     for key, pose in enumerate(poses.tolist(), start=POSE_KEY):
         values.insert(key, gtsam.Pose2(*pose))
     for slot in seen.tolist():
         values.insert(LANDMARK_KEY + slot, landmarks[slot])
-    sighted = oriented or OrientedSightings()
-    for row in np.argsort(sighted.pose, kind="stable").tolist():
-        key = POSE_LANDMARK_KEY + int(sighted.landmark[row])
+    measured = oriented or OrientedMeasurements()
+    for row in np.argsort(measured.pose, kind="stable").tolist():
+        key = POSE_LANDMARK_KEY + int(measured.landmark[row])
         if not values.exists(key):
-            pose = values.atPose2(POSE_KEY + int(sighted.pose[row]))
-            values.insert(key, pose.compose(gtsam.Pose2(*sighted.measured[row])))
+            pose = values.atPose2(POSE_KEY + int(measured.pose[row]))
+            values.insert(key, pose.compose(gtsam.Pose2(*measured.measured[row])))
     return values
 
 

@@ -107,7 +107,7 @@ def _pieces(
     ends = np.unique(
         np.concatenate(
             (
-                problem.sighting_pose,
+                problem.measurement_pose,
                 problem.position_pose,
                 problem.closures.last,
                 stops,
@@ -210,7 +210,7 @@ def run_fixed_lag(problem: SlamProblem, graph: gtsam.NonlinearFactorGraph, lag: 
 
     # A stretch without observations must not be longer than what is held.
     known = np.unique(
-        np.concatenate((problem.sighting_pose, problem.position_pose, [0, count - 1]))
+        np.concatenate((problem.measurement_pose, problem.position_pose, [0, count - 1]))
     )
     stops = [
         stop

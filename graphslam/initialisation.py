@@ -98,13 +98,13 @@ def extension(problem: SlamProblem, values: Placed, known: int, count: int) -> g
         if not values.exists(key) and not new.exists(key):
             measured = gtsam.Pose2(*seen.measured[row])
             new.insert(key, poses[int(seen.pose[row])].compose(measured))
-    fresh = np.flatnonzero((problem.sighting_pose >= known) & (problem.sighting_pose < count))
-    for row in fresh[np.argsort(problem.sighting_pose[fresh], kind="stable")].tolist():
-        key = LANDMARK_KEY + int(problem.sighting_landmark[row])
+    fresh = np.flatnonzero((problem.measurement_pose >= known) & (problem.measurement_pose < count))
+    for row in fresh[np.argsort(problem.measurement_pose[fresh], kind="stable")].tolist():
+        key = LANDMARK_KEY + int(problem.measurement_landmark[row])
         if not values.exists(key) and not new.exists(key):
             r, bearing = problem.z[row]
             place = np.array([r * np.cos(bearing), r * np.sin(bearing)])
-            new.insert(key, poses[int(problem.sighting_pose[row])].transformFrom(place))
+            new.insert(key, poses[int(problem.measurement_pose[row])].transformFrom(place))
     return new
 
 

@@ -53,7 +53,7 @@ def last_pose_and_landmarks(
 def joint_marginal(graph: gtsam.GaussianFactorGraph, kept: Sequence[int], size: int) -> Marginal:
     """Eliminate all other variables and invert what remains of `kept`, `size` numbers.
 
-    By QR: gtsam's default, Cholesky, squares the condition number, and two sightings a
+    By QR: gtsam's default, Cholesky, squares the condition number, and two measurements a
     millisecond apart would cost half the digits. The result is in the coordinates of the graph's
     own increments. Raises SingularProblemError when some direction is left without information.
     """

@@ -15,8 +15,8 @@ from graphslam.graph_builder import (
     POINT,
     POSE_LANDMARK,
     increment_factors,
+    measurement_factors,
     prior_factor,
-    sighting_factors,
     to_tangent,
 )
 from graphslam.linear_problem import (
@@ -164,7 +164,7 @@ def _measurement_models(problem: SlamProblem) -> dict[int, _Model]:
     seen = problem.oriented
     return {
         POINT: _Model(
-            problem.sighting_pose, problem.sighting_landmark, partial(_range_bearing, problem)
+            problem.measurement_pose, problem.measurement_landmark, partial(_range_bearing, problem)
         ),
         POSE_LANDMARK: _Model(
             seen.pose, seen.landmark, partial(_pose_in_pose, seen.measured, seen.covariance)
@@ -207,7 +207,7 @@ def _range_bearing(problem: SlamProblem, at: RelationPoints) -> _Rows:
     if problem.own_axes:
         return _in_own_axes(used, at)
     first = list(range(0, 2 * len(at.row), 2))
-    factors = sighting_factors(first, [key + 1 for key in first], used)
+    factors = measurement_factors(first, [key + 1 for key in first], used)
     rows = _linearised_pairs(factors, at.first, at.second)
     return rows[:, :, :3] @ to_tangent(at.first[:, 2]), rows[:, :, 3:5], rows[:, :, 5]
 

@@ -33,7 +33,7 @@ class Merges:
 
 
 @dataclass(frozen=True)
-class OrientedSightings:
+class OrientedMeasurements:
     """N measurements of pose landmarks (place and direction), such as templates of scans.
 
     pose: (N,) and landmark: (N,) indices, these landmarks being numbered apart from the others.
@@ -52,10 +52,10 @@ class OrientedSightings:
         """Number of landmarks."""
         return int(self.landmark.max(initial=-1)) + 1
 
-    def before(self, pose_count: int) -> OrientedSightings:
+    def before(self, pose_count: int) -> OrientedMeasurements:
         """Those from the first `pose_count` poses."""
         rows = self.pose < pose_count
-        return OrientedSightings(**_of(self, rows), merges=self.merges.before(pose_count))
+        return OrientedMeasurements(**_of(self, rows), merges=self.merges.before(pose_count))
 
 
 @dataclass(frozen=True)
@@ -86,19 +86,20 @@ class Closures:
 
 @dataclass(frozen=True, kw_only=True)
 class SlamProblem:
-    """Everything the smoother is told, for K poses, L landmarks and M sightings.
+    """Everything the smoother is told, for K poses, L landmarks and M measurements.
 
     prior_pose: (3,), prior_covariance: (3, 3) of the additive global error of pose 0.
     increment: (K-1, 3) from pose k to k+1 in the frame of k; increment_covariance: (K-1, 3, 3)
     of the right perturbation (frame of k+1), NaN where nothing measured the motion, so that the
     increment is a guess and closures must connect the two poses.
-    sighting_pose, sighting_landmark: (M,) indices. z: (M, 2) range and bearing; sigma: (M, 2).
+    measurement_pose, measurement_landmark: (M,) indices. z: (M, 2) range and bearing; sigma: (M,
+    2).
     position_pose: (G,) indices. position: (G, 2) of an antenna at `lever_m` (forward, left) of
     the pose, with position_covariance: (G, 2, 2).
-    own_axes: whether the filter fuses sightings as points in the vehicle's axes, not as range and
-    bearing; the frozen smoother then does, too, while the smoother keeps to range and bearing.
+    own_axes: whether the filter fuses measurements as points in the vehicle's axes, not as range
+    and bearing; the frozen smoother then does, too, while the smoother keeps to range and bearing.
     surveyed: (S, 2) positions of the first S landmarks, known beforehand with
-    surveyed_covariance: (S, 2, 2). oriented: sightings of landmarks that have a direction, too.
+    surveyed_covariance: (S, 2, 2). oriented: measurements of landmarks that have a direction, too.
     closures: motions between poses that do not follow each other.
     """
 
@@ -106,8 +107,8 @@ class SlamProblem:
     prior_covariance: Array
     increment: Array
     increment_covariance: Array
-    sighting_pose: Index
-    sighting_landmark: Index
+    measurement_pose: Index
+    measurement_landmark: Index
     z: Array
     sigma: Array
     landmark_count: int
@@ -118,7 +119,7 @@ class SlamProblem:
     surveyed: Array = field(default_factory=lambda: np.zeros((0, 2)))
     surveyed_covariance: Array = field(default_factory=lambda: np.zeros((0, 2, 2)))
     own_axes: bool = False
-    oriented: OrientedSightings = field(default_factory=OrientedSightings)
+    oriented: OrientedMeasurements = field(default_factory=OrientedMeasurements)
     closures: Closures = field(default_factory=Closures)
 
     @property
@@ -134,7 +135,7 @@ class SlamProblem:
     @property
     def seen_landmarks(self) -> Index:
         """Point landmarks that something is known of: measured, or surveyed."""
-        return np.union1d(self.sighting_landmark, np.arange(len(self.surveyed)))
+        return np.union1d(self.measurement_landmark, np.arange(len(self.surveyed)))
 
     @property
     def residual_dimension(self) -> int:
@@ -153,21 +154,21 @@ class SlamProblem:
     def prefix(self, pose_count: int) -> SlamProblem:
         """The same problem up to its first `pose_count` poses; landmark numbers are kept."""
         return replace(
-            self.keep(self.sighting_pose < pose_count, self.position_pose < pose_count),
+            self.keep(self.measurement_pose < pose_count, self.position_pose < pose_count),
             increment=self.increment[: pose_count - 1],
             increment_covariance=self.increment_covariance[: pose_count - 1],
             oriented=self.oriented.before(pose_count),
             closures=self.closures.before(pose_count),
         )
 
-    def keep(self, sightings: NDArray[np.bool_], positions: NDArray[np.bool_]) -> SlamProblem:
-        """The same with some of its sightings (M,) and positions (G,)."""
+    def keep(self, measurements: NDArray[np.bool_], positions: NDArray[np.bool_]) -> SlamProblem:
+        """The same with some of its measurements (M,) and positions (G,)."""
         return replace(
             self,
-            sighting_pose=self.sighting_pose[sightings],
-            sighting_landmark=self.sighting_landmark[sightings],
-            z=self.z[sightings],
-            sigma=self.sigma[sightings],
+            measurement_pose=self.measurement_pose[measurements],
+            measurement_landmark=self.measurement_landmark[measurements],
+            z=self.z[measurements],
+            sigma=self.sigma[measurements],
             position_pose=self.position_pose[positions],
             position=self.position[positions],
             position_covariance=self.position_covariance[positions],

@@ -1,4 +1,4 @@
-"""Which landmark of a map a scan's sightings are of, when all likely joint hypotheses agree."""
+"""Which landmark of a map a scan's measurements are of, when all likely joint hypotheses agree."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Options:
     gate, new_gate: normalised innovation squared up to which a pairing is possible, and beyond
     which a landmark is out of the question. odds: a joint hypothesis counts until the best is so
     many times likelier. new_density: landmarks expected that are not in the map, per m and rad.
-    resolution_m: what stands nearer together than this is one landmark. sightings, spread_m: so
+    resolution_m: what stands nearer together than this is one landmark. measurements, spread_m: so
     many within such a root mean square distance make a landmark. piece: poses between two
     solutions. most_hypotheses: that are followed at a time.
     """
@@ -31,7 +31,7 @@ class Options:
     odds: float = 60.0
     new_density: float = 1e-3
     resolution_m: float = 0.75
-    sightings: int = 5
+    measurements: int = 5
     spread_m: float = 0.5
     piece: int = 60
     first_piece: int = 60
@@ -39,9 +39,9 @@ class Options:
 
 
 def recognise(belief: Belief, z: Array, variance: Array, o: Options) -> Index:
-    """Slot (m,) of each sighting (m, 2) with variances (m, 2), else UNSEEN or PENDING.
+    """Slot (m,) of each measurement (m, 2) with variances (m, 2), else UNSEEN or PENDING.
 
-    The belief is narrowed by what is recognised. Sightings within the resolution of each other
+    The belief is narrowed by what is recognised. Measurements within the resolution of each other
     count as one, with the noise of one: what puts one of them wrong puts the next one wrong, too.
     """
     result = np.full(len(z), PENDING, dtype=np.intp)
@@ -76,7 +76,7 @@ def extent(z: Array, o: Options) -> Array:
 
 
 def _grouped(z: Array, within_m: float) -> tuple[Index, Array]:
-    """Group (m,) of each sighting, by the nearest first member within reach; means (g, 2)."""
+    """Group (m,) of each measurement, by the nearest first member within reach; means (g, 2)."""
     place = z[:, :1] * np.column_stack((np.cos(z[:, 1]), np.sin(z[:, 1])))
     group, first = np.zeros(len(z), dtype=np.intp), place[:1]
     for k in range(1, len(z)):
@@ -123,7 +123,7 @@ def _decide(
 
 
 def _cost(pairs: list[tuple[int, int]], nu: Array, spread: Array, noise: Array) -> float:
-    """Joint nis + ln |S| of pairings (sighting, landmark)."""
+    """Joint nis + ln |S| of pairings (measurement, landmark)."""
     rows, columns = (np.array(side) for side in zip(*pairs, strict=True))
     entries = (2 * columns[:, None] + (0, 1)).ravel()
     s = spread[np.ix_(entries, entries)] + np.diag(noise[rows].ravel())

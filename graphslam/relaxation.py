@@ -120,8 +120,8 @@ def _relative(equations: _Equations, problem: SlamProblem, turned: Complex | Non
     offset = problem.z[:, 0] * np.exp(1j * problem.z[:, 1])
     sigma = np.hypot(problem.sigma[:, 0], problem.z[:, 0] * np.minimum(problem.sigma[:, 1], 1.0))
     nodes = k + seen.count
-    pose = problem.sighting_pose
-    landmark = np.searchsorted(problem.seen_landmarks, problem.sighting_landmark)
+    pose = problem.measurement_pose
+    landmark = np.searchsorted(problem.seen_landmarks, problem.measurement_landmark)
     if turned is None:
         zero = np.zeros(len(first), dtype=complex)
         turn = np.exp(1j * motion[:, 2])

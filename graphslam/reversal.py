@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 
 from graphslam.arrays import Array
-from graphslam.problem import Closures, OrientedSightings, SlamProblem
+from graphslam.problem import Closures, OrientedMeasurements, SlamProblem
 
 
 def reversed_problem(problem: SlamProblem, last: Array, covariance: Array) -> SlamProblem:
     """Return the problem whose pose k is pose K - 1 - k of the one given.
 
     last: (3,) the last pose, which becomes the prior, with covariance: (3, 3) of its additive
-    global error. Sightings and positions keep their rows, so that an association of them stays
+    global error. Measurements and positions keep their rows, so that an association of them stays
     comparable. An increment T with perturbation xi on its right is undone by T^-1 with
     perturbation -Ad(T) xi. Closures and pose landmarks are left out.
     """
@@ -34,8 +34,8 @@ def reversed_problem(problem: SlamProblem, last: Array, covariance: Array) -> Sl
         prior_covariance=covariance,
         increment=undone,
         increment_covariance=0.5 * (spread + spread.transpose(0, 2, 1)),
-        sighting_pose=end - problem.sighting_pose,
+        measurement_pose=end - problem.measurement_pose,
         position_pose=end - problem.position_pose,
-        oriented=OrientedSightings(),
+        oriented=OrientedMeasurements(),
         closures=Closures(),
     )

@@ -1,4 +1,4 @@
-"""Sightings and positions that may be wild: robust kernels, and graduated non-convexity.
+"""Measurements and positions that may be wild: robust kernels, and graduated non-convexity.
 
 A kernel stays in the graph and lowers the weight of what fits badly, so that marginals, too, are
 those of the weighted problem. Graduated non-convexity decides which observations are wild; they
@@ -21,9 +21,9 @@ INLIER_PROBABILITY = 0.999
 
 @dataclass(frozen=True)
 class Rejected:
-    """What was left out: rows of the problem's sightings and of its positions."""
+    """What was left out: rows of the problem's measurements and of its positions."""
 
-    sightings: Index
+    measurements: Index
     positions: Index
 
 
@@ -36,7 +36,7 @@ def reject_wild(
     """The problem without wild observations (Yang et al. 2020, by gtsam).
 
     graph: build_graph(problem). values: a start. The prior, the increments and what was surveyed
-    are taken to be sound; every landmark keeps at least its best sighting.
+    are taken to be sound; every landmark keeps at least its best measurement.
     """
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setMaxIterations(20)
@@ -51,8 +51,8 @@ def reject_wild(
     weight = np.asarray(optimiser.getWeights())[first : first + count]
     kept = weight[: len(problem.z)] > 0.5
     error = np.array([graph.at(first + row).error(end) for row in range(len(problem.z))])
-    for slot in np.setdiff1d(problem.sighting_landmark, problem.sighting_landmark[kept]):
-        rows = np.flatnonzero(problem.sighting_landmark == slot)
+    for slot in np.setdiff1d(problem.measurement_landmark, problem.measurement_landmark[kept]):
+        rows = np.flatnonzero(problem.measurement_landmark == slot)
         kept[rows[np.argmin(error[rows])]] = True
     fixed = weight[len(problem.z) :] > 0.5
     rejected = Rejected(np.flatnonzero(~kept), np.flatnonzero(~fixed))

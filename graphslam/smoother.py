@@ -45,7 +45,8 @@ class SmootherOptions:
     """What a user may choose.
 
     method: of METHODS. lag: poses that a fixed lag holds. optimiser: of the batch, one of
-    OPTIMISERS. robust: against wild sightings and positions, one of ROBUST; it changes marginals.
+    OPTIMISERS. robust: against wild measurements and positions, one of ROBUST; it changes
+    marginals.
     accept_misfit: a minimum may be verified although its chi-square is too high.
     """
 

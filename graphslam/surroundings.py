@@ -32,20 +32,20 @@ class Surroundings:
         values: gtsam.Values,
         landmark: int,
     ) -> None:
-        """graph: as build_graph makes it: prior, increments, sightings and positions come first."""
-        count, sighted = problem.pose_count, problem.sighting_pose
+        """graph: from build_graph: prior, increments, measurements and positions come first."""
+        count, measured = problem.pose_count, problem.measurement_pose
         own = np.zeros(count, dtype=bool)
-        own[sighted[problem.sighting_landmark == landmark]] = True
+        own[measured[problem.measurement_landmark == landmark]] = True
         steps = np.flatnonzero(own[:-1] | own[1:])
-        rows = np.flatnonzero(own[sighted])
+        rows = np.flatnonzero(own[measured])
         poses = np.union1d(np.flatnonzero(own), np.concatenate((steps, steps + 1)))
-        others = np.setdiff1d(problem.sighting_landmark[rows], landmark)
+        others = np.setdiff1d(problem.measurement_landmark[rows], landmark)
         self._key = LANDMARK_KEY + landmark
         self._graph, self._values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         fixes = np.flatnonzero(own[problem.position_pose])
         prior = np.flatnonzero(own[:1])
         for index in np.concatenate(
-            (prior, 1 + steps, count + rows, count + len(sighted) + fixes)
+            (prior, 1 + steps, count + rows, count + len(measured) + fixes)
         ).tolist():
             self._graph.push_back(graph.at(index))
         pinned = gtsam.noiseModel.Isotropic.Sigma(3, PINNED)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.adapters.filter_setup import FilterSetup
-from comparisons.adapters.oriented_sightings import OrientedSource
+from comparisons.adapters.oriented_measurements import OrientedSource
 from comparisons.config import EkfConfig, RunConfig
 from comparisons.extensions.contract import Extension
 from comparisons.logs.log import Log
@@ -32,13 +32,13 @@ def simulated(seed: int = 0, **drive: float) -> Log:
 
 
 def first_seconds(log: Log, seconds: float) -> Log:
-    """The beginning of a log's odometry and sightings; scans and truth stay whole."""
+    """The beginning of a log's odometry and measurements; scans and truth stay whole."""
     part = cut_log(log, end_s=seconds)
-    return replace(log, odometry=part.odometry, sightings=part.sightings)
+    return replace(log, odometry=part.odometry, measurements=part.measurements)
 
 
 class Source(Extension):
-    """Puts a source of sightings of landmarks with a direction beside the filter."""
+    """Puts a source of measurements of landmarks with a direction beside the filter."""
 
     name = "source"
 

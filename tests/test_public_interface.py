@@ -56,7 +56,7 @@ def test_a_log_is_run_checked_and_solved(tmp_path: Path) -> None:
         assert slamcheck.check(log, handed_in).outcome == "agree"
     solution = slamcheck.solve(log)
     assert np.isfinite(solution.estimate.pose).all()
-    counts = "3,400 odometry, 1,900 sightings, 3,401 truth poses"
+    counts = "3,400 odometry, 1,900 measurements, 3,401 truth poses"
     assert repr(log) == f"<Log simulated-loop: {counts}; 85.0 s>"
     assert repr(run) == f"<Comparison of simulated-loop: {run.verdict.summary}>"
     assert repr(estimate) == "<Estimate: 426 filtered poses, 60 landmarks>"

@@ -1,4 +1,4 @@
-"""What a log's sightings tell of their landmarks besides where they are, and how surely."""
+"""What a log's measurements tell of their landmarks besides where they are, and how surely."""
 
 from __future__ import annotations
 
@@ -12,31 +12,32 @@ from ekf_reference.association.attributes import AttributeEstimates
 from ekf_reference.core.measurements import MeasuredAttributes
 
 AROUND_M = 0.3
-"""Returns so near to a landmark, or to a sighting, are taken to be of it."""
+"""Returns so near to a landmark, or to a measurement, are taken to be of it."""
 BRIGHTNESS = 1
 """Column of the intensity."""
 SIGMA_WIDTH_RAD = 0.006
 SIGMA_SHAPE_M = 0.05
-"""Of a diameter (Guivant 2002, eq. 15). Set by hand, so that differences between sightings of one
-tree, more than a minute apart on Victoria Park, have a mean normalised square of about one, near
-and far (0.96 to 1.33; benchmarks/attributes.py): least squares would follow the outliers, 0.15 m at
-any range. The first is 1.7 times what beams half a degree apart explain."""
+"""Of a diameter (Guivant 2002, eq. 15). Set by hand, so that differences between measurements of
+one tree, more than a minute apart on Victoria Park, have a mean normalised square of about one,
+near and far (0.96 to 1.33; benchmarks/attributes.py): least squares would follow the outliers, 0.15
+m at any range. The first is 1.7 times what beams half a degree apart explain."""
 SIGMA_INTENSITY = 0.45
 """Of an intensity, as a share of the median over the log, for its unit is the sensor's own; from
 the spread within the reflectors of the ACFR car park."""
 LEAST_SHARE = 0.05
-"""Of the median of what is around sightings: least sigma of one."""
+"""Of the median of what is around measurements: least sigma of one."""
 REPEATS = 12.0
-"""Sightings that are worth one independent one: the sum of the autocorrelation of what is left of
-diameters on Victoria Park, sighting by sighting."""
+"""Measurements that are worth one independent one: the sum of the autocorrelation of what is left
+of diameters on Victoria Park, measurement by measurement."""
 
 
-def sighted_attributes(log: Log, choice: str = "on") -> MeasuredAttributes:
-    """Diameter and intensity of each sighting (M, 2), NaN where the log has none.
+def measured_attributes(log: Log, choice: str = "on") -> MeasuredAttributes:
+    """Diameter and intensity of each measurement (M, 2), NaN where the log has none.
 
-    choice: `layer` for intensities that the scans show around a sighting; the log must have scans.
+    choice: `layer` for intensities that the scans show around a measurement; the log must have
+    scans.
     """
-    seen = log.sightings
+    seen = log.measurements
     variance = np.empty((len(seen.time_s), 2))
     variance[:, 0] = (seen.range_m * SIGMA_WIDTH_RAD) ** 2 + SIGMA_SHAPE_M**2
     intensity = seen.intensity
@@ -47,13 +48,13 @@ def sighted_attributes(log: Log, choice: str = "on") -> MeasuredAttributes:
 
 
 def _around(log: Log) -> tuple[Array, float]:
-    """What its scan shows around each sighting (M,), NaN where nothing, and the noise of one.
+    """What its scan shows around each measurement (M,), NaN where nothing, and the noise of one.
 
-    The mean over returns; their noise is what they differ by around one sighting, all in all.
+    The mean over returns; their noise is what they differ by around one measurement, all in all.
     """
     from comparisons.adapters.planar_scans import PlanarScans  # only for attributes of a layer
 
-    seen, scans = log.sightings, PlanarScans(log)
+    seen, scans = log.measurements, PlanarScans(log)
     number = np.searchsorted(scans.time_s, seen.time_s - CLOCK_S)
     there = np.flatnonzero(number < len(scans.time_s))
     there = there[np.abs(scans.time_s[number[there]] - seen.time_s[there]) <= CLOCK_S]
@@ -92,7 +93,7 @@ def check_attributes(log: Log, choice: str) -> None:
                 f"{log.name}: holds no scans with intensities; use --attributes on or off"
             )
         return
-    if np.isnan(log.sightings.diameter_m).all() and np.isnan(log.sightings.intensity).all():
+    if np.isnan(log.measurements.diameter_m).all() and np.isnan(log.measurements.intensity).all():
         raise InputError(
-            f"{log.name}: its sightings hold no diameter and no intensity; use --attributes off"
+            f"{log.name}: its measurements hold no diameter and no intensity; use --attributes off"
         )

@@ -51,11 +51,11 @@ def settle(config: EkfConfig, log: Log) -> EkfConfig:
     if config.gps != "off" and (log.positions is None or not len(log.positions.time_s)):
         raise InputError(f"{log.name}: holds no positions to fuse; use --gps off")
     if config.association is None:
-        known = log.sightings.labelled and config.attributes == "off"
+        known = log.measurements.labelled and config.attributes == "off"
         return settle(config.model_copy(update={"association": "known" if known else "nn"}), log)
-    if config.association == "known" and not log.sightings.labelled:
+    if config.association == "known" and not log.measurements.labelled:
         raise InputError(
-            f"{log.name}: its sightings do not all name their landmark; use --association nn"
+            f"{log.name}: its measurements do not all name their landmark; use --association nn"
         )
     check_attributes(log, config.attributes)
     return config
@@ -177,7 +177,7 @@ def build_association(
 ) -> Association:
     """The rule; detections that need confirmation pass as candidates first.
 
-    Sightings of surveyed landmarks go by their labels in any case. Misono's published filter has
+    Measurements of surveyed landmarks go by their labels in any case. Misono's published filter has
     no gate for labels. layer: of the map that is kept beside the filter.
     Raises ValueError where attributes are to come from one and there is none.
     """
@@ -192,11 +192,11 @@ def build_association(
 
         told = LayerAttributes(memory, layer, BRIGHTNESS)
     if choices.association == "known":
-        gate = NO_GATE if choices.filter == "misono" else log.sightings.label_gate
+        gate = NO_GATE if choices.filter == "misono" else log.measurements.label_gate
         rule = KnownAssociation(gate, first_slot=len(slot_of))
     else:
         rule = _rule(choices, told, log)
-        if log.sightings.needs_confirmation:
+        if log.measurements.needs_confirmation:
             from ekf_reference.association.landmark_initiation import LandmarkInitiation
 
             rule = LandmarkInitiation(rule=rule)

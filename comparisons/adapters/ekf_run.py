@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.adapters.attributes import sighted_attributes
+from comparisons.adapters.attributes import measured_attributes
 from comparisons.adapters.ekf_factory import build_ekf
 from comparisons.adapters.filter_loop import Beside, drive
 from comparisons.adapters.filter_setup import FilterSetup
-from comparisons.adapters.oriented_sightings import OrientedLedger
+from comparisons.adapters.oriented_measurements import OrientedLedger
 from comparisons.adapters.timeline import Timeline
 from comparisons.arrays import Array
 from comparisons.config import EkfConfig
@@ -26,7 +26,7 @@ from ekf_reference.core.landmark_types import POINT, POSE
 from ekf_reference.core.measurements import AMBIGUOUS, CANDIDATE, DYNAMIC, REJECTED
 from ekf_reference.core.trace import RecordedTrace, TraceArrays
 from ekf_reference.filters.compressed import CompressedState
-from graphslam.problem import OrientedSightings
+from graphslam.problem import OrientedMeasurements
 
 _FARTHEST_M = 1e6
 """A pose so far from the start has diverged; what follows is not worth comparing."""
@@ -40,16 +40,16 @@ class EkfRun:
     positions: those that were given. fix_number: (G,) which of them were fused. rejected_fixes:
     how many the gate rejected. retired: (R,) landmarks that were found to stand where things move;
     they stay in the state, and nothing is matched with them any more.
-    slot: (M,) landmark of each of the timeline's sightings, a negative code where unused (see
+    slot: (M,) landmark of each of the timeline's measurements, a negative code where unused (see
     ekf_reference.core.measurements).
     departed: (K, 3) the pose when each epoch was done. arrived: (K, 3) as predicted there.
-    final: the last pose, against the trace's. own_axes: the filter fuses sightings as points in
+    final: the last pose, against the trace's. own_axes: the filter fuses measurements as points in
     the vehicle's axes, not as range and bearing.
     cut_off: scans in which joint compatibility visited its most nodes, and took the best set.
     spared: what the global updates of a compressed filter left alone: (updates, mean share of the
     passive covariance). breakdown: what stopped the filter, None when it reached the end.
-    oriented: sightings of landmarks with a direction, as the smoother takes them; their ids in the
-    estimate are their slots.
+    oriented: measurements of landmarks with a direction, as the smoother takes them; their ids in
+    the estimate are their slots.
     """
 
     estimate: Estimate
@@ -66,7 +66,7 @@ class EkfRun:
     cut_off: int = 0
     spared: tuple[int, float] = (0, 0.0)
     breakdown: str | None = None
-    oriented: OrientedSightings = field(default_factory=OrientedSightings)
+    oriented: OrientedMeasurements = field(default_factory=OrientedMeasurements)
     retired: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
 
     @property
@@ -78,7 +78,7 @@ class EkfRun:
 
     @property
     def unused(self) -> dict[str, int]:
-        """Sightings that were not used, by reason."""
+        """Measurements that were not used, by reason."""
         codes = {
             "rejected": REJECTED,
             "ambiguous": AMBIGUOUS,
@@ -110,9 +110,9 @@ def run_ekf(
     epochs = len(timeline.epoch_time_s)
     departed, arrived = np.empty((epochs, 3)), np.empty((epochs, 3))
     covariance = np.empty((epochs, 3, 3))
-    slot = np.full(len(log.sightings.time_s), REJECTED, dtype=np.intp)
+    slot = np.full(len(log.measurements.time_s), REJECTED, dtype=np.intp)
     breakdown, rejected_fixes = None, 0
-    told = sighted_attributes(log, config.attributes)
+    told = measured_attributes(log, config.attributes)
     stops = drive(ekf, log, timeline, positions, Beside(watching, beside.source, ledger, told))
     for k, stop in enumerate(stops):
         slot[stop.rows], arrived[k] = stop.slots, stop.arrived
@@ -142,7 +142,7 @@ def run_ekf(
     arrays = trace.arrays()
     oriented = ledger.told()
     _check_counts(log, timeline, arrays, oriented)
-    slot = _as_used(slot[: len(timeline.sighting_epoch)], arrays)
+    slot = _as_used(slot[: len(timeline.measurement_epoch)], arrays)
     if np.isnan(ekf.state.landmarks).any():
         raise InputError(f"{log.name}: the EKF removed point landmarks, which must stay")
     oriented_id = ekf.state.layout.present(POSE)
@@ -151,7 +151,7 @@ def run_ekf(
         pose=departed[:epochs],
         pose_covariance=covariance[:epochs],
         landmark_id=_landmark_ids(
-            log.sightings.landmark[: len(slot)],
+            log.measurements.landmark[: len(slot)],
             slot,
             ekf.state.landmark_count,
             config,
@@ -197,23 +197,23 @@ def _cut_off(ekf: Ekf) -> int:
 
 
 def _check_counts(
-    log: Log, timeline: Timeline, trace: TraceArrays, oriented: OrientedSightings
+    log: Log, timeline: Timeline, trace: TraceArrays, oriented: OrientedMeasurements
 ) -> None:
     """Raise InputError for a filter that made something of data that it was not given."""
-    sightings, frames = (
+    measurements, frames = (
         np.concatenate((trace.measurements[w].number, trace.initialisations[w].number))
         for w in (POINT, POSE)
     )
     for what, made, given in (
         ("predictions", len(trace.departed), len(timeline.control)),
-        ("sightings", int(sightings.max(initial=-1)) + 1, len(timeline.sighting_epoch)),
+        ("measurements", int(measurements.max(initial=-1)) + 1, len(timeline.measurement_epoch)),
         (
             "positions",
             int(trace.positions.number.max(initial=-1)) + 1,
             len(timeline.position_epoch),
         ),
         (
-            "sightings of landmarks with a direction",
+            "measurements of landmarks with a direction",
             int(frames.max(initial=-1)) + 1,
             len(oriented.measured),
         ),

@@ -9,8 +9,12 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.adapters.attributes import sighted_attributes
-from comparisons.adapters.oriented_sightings import NoOrientedSource, OrientedLedger, OrientedSource
+from comparisons.adapters.attributes import measured_attributes
+from comparisons.adapters.oriented_measurements import (
+    NoOrientedSource,
+    OrientedLedger,
+    OrientedSource,
+)
 from comparisons.adapters.timeline import Timeline
 from comparisons.arrays import Array
 from comparisons.logs.log import Log, Positions
@@ -88,8 +92,8 @@ class NoWatcher:
 class Stop:
     """The filter at an epoch, all that was seen there fused.
 
-    time_s: of it. rows: of the log's sightings, slots: (m,) what became of them; `rejected` where
-    the filter broke down first. arrived: (3,) the pose as predicted there. rejected_fixes:
+    time_s: of it. rows: of the log's measurements, slots: (m,) what became of them; `rejected`
+    where the filter broke down first. arrived: (3,) the pose as predicted there. rejected_fixes:
     positions that the gate rejected. fault: what broke the filter down, which ends the drive.
     """
 
@@ -105,8 +109,8 @@ class Stop:
 class Beside:
     """What goes along with a filter.
 
-    watching: observes. source: of sightings of landmarks with a direction, fused last and kept in
-    the ledger. told: what the sightings tell besides places, None for what the log says.
+    watching: observes. source: of measurements of landmarks with a direction, fused last and kept
+    in the ledger. told: what the measurements tell besides places, None for what the log says.
     """
 
     watching: Watcher = field(default_factory=NoWatcher)
@@ -122,18 +126,18 @@ def drive(
     positions: Positions | None = None,
     beside: Beside | None = None,
 ) -> Iterator[Stop]:
-    """Predict, fuse the sightings, fuse the positions, stop; and so on to the end.
+    """Predict, fuse the measurements, fuse the positions, stop; and so on to the end.
 
     positions: to be fused; the timeline is built with the same.
     """
     beside = beside or Beside()
     watching, source, ledger = beside.watching, beside.source, beside.ledger
-    steps, first = timeline.steps_until(), timeline.sightings_until()
+    steps, first = timeline.steps_until(), timeline.measurements_until()
     begins, first_fix = timeline.step_begin_s(), timeline.positions_until()
-    seen, done = log.sightings, 0
+    seen, done = log.measurements, 0
     z = np.column_stack((seen.range_m, seen.bearing_rad))
     sigma = np.column_stack((seen.sigma_range_m, seen.sigma_bearing_rad))
-    told = beside.told or sighted_attributes(log)
+    told = beside.told or measured_attributes(log)
     for k, time_s in enumerate(timeline.epoch_time_s.tolist()):
         for i in range(done, int(steps[k])):
             control, duration = timeline.control[i], float(timeline.step_duration_s[i])

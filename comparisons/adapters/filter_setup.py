@@ -7,7 +7,11 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeVar
 
 from comparisons.adapters.filter_loop import Watcher, Watchers
-from comparisons.adapters.oriented_sightings import GuardedSource, NoOrientedSource, OrientedSource
+from comparisons.adapters.oriented_measurements import (
+    GuardedSource,
+    NoOrientedSource,
+    OrientedSource,
+)
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import POINT
 
@@ -23,8 +27,8 @@ class FilterSetup:
     """Filled before a run of the filter, anew for each.
 
     modify: may replace parts of the filter before it starts. observers: read the filter, in their
-    order. source: of sightings of landmarks with a direction; one that is a Watcher observes, too,
-    after the others. guard: knows where things move, so that the filter ignores these. layer:
+    order. source: of measurements of landmarks with a direction; one that is a Watcher observes,
+    too, after the others. guard: knows where things move, so that the filter ignores these. layer:
     knows what is around landmarks, for attributes of that kind. kinds: of landmarks that maps are
     anchored to, by width. offers: what extensions offer to
     those after them, and to their own checks.

@@ -11,7 +11,7 @@ from comparisons.adapters.timeline import Timeline, build_timeline
 from comparisons.arrays import Array, Index
 from comparisons.errors import InputError, RecordError
 from comparisons.estimates.estimate import Estimate
-from comparisons.logs.log import Log, Sightings
+from comparisons.logs.log import LandmarkMeasurements, Log
 from comparisons.logs.odometry import (
     OdometryNoise,
     RelativePoses,
@@ -139,7 +139,7 @@ def motion_between(log: Log, time_s: Array) -> increments.Samples:
     where the odometry has no poses at those times.
     """
     count = len(time_s)
-    marks = Sightings(
+    marks = LandmarkMeasurements(
         time_s=time_s,
         range_m=np.ones(count),
         bearing_rad=np.zeros(count),
@@ -149,10 +149,10 @@ def motion_between(log: Log, time_s: Array) -> increments.Samples:
         diameter_m=np.full(count, np.nan),
     )
     try:
-        timeline = build_timeline(replace(log, sightings=marks))
+        timeline = build_timeline(replace(log, measurements=marks))
     except RecordError as error:
         raise InputError(f"{log.name}: scans: {error.fault}") from None
-    interval = np.searchsorted(timeline.sighting_epoch, timeline.step_epoch)
+    interval = np.searchsorted(timeline.measurement_epoch, timeline.step_epoch)
     before_last = interval < count
     samples = motion_samples(log, timeline)
     kept = increments.Samples(samples.displacement[before_last], samples.covariance[before_last])

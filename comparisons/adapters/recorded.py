@@ -31,7 +31,7 @@ def recorded(trace: TraceArrays, until: Index) -> LinearProblem:
     """F1: one linear problem from an EKF's own recorded matrices.
 
     until: (K,) steps made when each pose is reached. Landmarks that were put into the map without
-    a sighting come last.
+    a measurement come last.
     """
     fixes = trace.positions
     return recorded_system(
@@ -136,7 +136,7 @@ def _check_spread(slot: Index, covariance: Array) -> None:
     if len(bad):
         least, largest = np.sqrt(np.maximum(squared[bad[0]], 0.0))
         raise InputError(
-            f"sightings: landmark {slot[bad[0]]} of the map was initialised with sigmas of "
+            f"measurements: landmark {slot[bad[0]]} of the map was initialised with sigmas of "
             f"{least:.3g} m and {largest:.3g} m, expected a ratio of at most {_MOST_UNLIKE:g}, "
             "since an EKF's covariance loses the smaller: raise one of sigma_range_m and "
             "sigma_bearing_rad, or lower the other"

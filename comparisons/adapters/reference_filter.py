@@ -149,7 +149,7 @@ def run_reference(
             if stop.fault is not None:
                 return None
             if config.association == "known":
-                names = log.sightings.landmark[stop.rows].tolist()
+                names = log.measurements.landmark[stop.rows].tolist()
                 label |= {s: n for s, n in zip(stop.slots.tolist(), names, strict=True) if s >= 0}
     except (FilterDivergedError, np.linalg.LinAlgError):
         return None

@@ -1,4 +1,4 @@
-"""The smoother's own association of a log's sightings to landmarks, without the filter's."""
+"""The smoother's own association of a log's measurements to landmarks, without the filter's."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from graphslam.smoother import SmootherResult
 
 @dataclass(frozen=True)
 class OwnAssociation:
-    """slot: (M,) landmark of each sighting, negative where unused; surveyed ones take the first.
+    """slot: (M,) landmark of each measurement, negative where unused; surveyed ones take the first.
 
     problem: what is to be smoothed. poses: (K, 3) and landmarks: (L, 2), a start for that.
     """
@@ -32,7 +32,7 @@ class OwnAssociation:
 
 @dataclass(frozen=True)
 class Alternative:
-    """Another association of the same sightings, and the optimum with it.
+    """Another association of the same measurements, and the optimum with it.
 
     name: of the way it was found. slot: (M,). poses: (K, 3). chi2: at that optimum, infinite where
     there is none.
@@ -45,19 +45,19 @@ class Alternative:
 
 
 class OwnAssociator:
-    """Associates the sightings of one log, by position alone, in one way or in several."""
+    """Associates the measurements of one log, by position alone, in one way or in several."""
 
     def __init__(
         self, log: Log, timeline: Timeline, rows: PositionRows, left_out: Index | None = None
     ) -> None:
-        """Sightings of surveyed landmarks go by their ids. left_out: those not to be used.
+        """Measurements of surveyed landmarks go by their ids. left_out: those not to be used.
 
-        time_s: (M,) of the sightings.
+        time_s: (M,) of the measurements.
         """
         self._log, self._timeline, self._rows = log, timeline, rows
-        self.time_s: Array = timeline.epoch_time_s[timeline.sighting_epoch]
+        self.time_s: Array = timeline.epoch_time_s[timeline.measurement_epoch]
         slot_of, self._places, _ = surveyed(log)
-        label = log.sightings.landmark[: len(timeline.sighting_epoch)]
+        label = log.measurements.landmark[: len(timeline.measurement_epoch)]
         self._fixed = np.array([slot_of.get(key, -1) for key in label.tolist()], dtype=np.intp)
         free = self._fixed < 0
         if left_out is not None:
@@ -73,7 +73,7 @@ class OwnAssociator:
         )
 
     def associate(self) -> OwnAssociation:
-        """Decide for every sighting."""
+        """Decide for every measurement."""
         return self._completed(associate(self._problem))
 
     def alternatives(self, own: OwnAssociation, result: SmootherResult) -> Iterator[Alternative]:
@@ -84,13 +84,13 @@ class OwnAssociator:
         """
         from graphslam.association_variants import associate_by, variants
 
-        wild = np.flatnonzero(own.slot >= 0)[result.rejected.sightings]
+        wild = np.flatnonzero(own.slot >= 0)[result.rejected.measurements]
         for variant in variants():
             found = associate_by(self._problem, variant, result.poses[-1])
             yield self._optimised(variant.name, self._completed(found), wild, result)
 
     def _completed(self, found: AssociationResult) -> OwnAssociation:
-        """The same of all sightings, the surveyed landmarks coming first."""
+        """The same of all measurements, the surveyed landmarks coming first."""
         slot, known = self._fixed.copy(), len(self._places)
         slot[self._open] = np.where(found.slot >= 0, found.slot + known, -1)
         problem = assemble(
@@ -102,7 +102,7 @@ class OwnAssociator:
     def _optimised(
         self, name: str, own: OwnAssociation, wild: Index, result: SmootherResult
     ) -> Alternative:
-        """The optimum with an association. wild: rows of sightings that are left out."""
+        """The optimum with an association. wild: rows of measurements that are left out."""
         from graphslam.graph_builder import build_graph, from_values, to_values
         from graphslam.optimisers import levenberg_marquardt
 
@@ -111,7 +111,7 @@ class OwnAssociator:
         fixes = np.ones(len(problem.position_pose), dtype=bool)
         fixes[result.rejected.positions] = False
         problem = problem.keep(kept, fixes)
-        seen = np.union1d(problem.sighting_landmark, np.arange(len(self._places)))
+        seen = np.union1d(problem.measurement_landmark, np.arange(len(self._places)))
         graph = build_graph(problem, result.options.kernel)
         start = to_values(own.poses, own.landmarks, seen, problem.oriented)
         try:

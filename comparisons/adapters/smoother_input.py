@@ -39,7 +39,7 @@ class PositionRows(NamedTuple):
 
 
 def build_problem(log: Log, run: EkfRun) -> SlamProblem:
-    """The log as the smoother's arrays, with the EKF's association of sightings to landmarks."""
+    """The log as the smoother's arrays, with the EKF's association of measurements to landmarks."""
     count = len(run.estimate.landmark)
     problem = assemble(log, run.timeline, run.slot, count, _positions(run), own_axes=run.own_axes)
     return replace(problem, oriented=run.oriented)
@@ -54,9 +54,9 @@ def assemble(
     *,
     own_axes: bool = False,
 ) -> SlamProblem:
-    """The log as the smoother's arrays. slot: (M,) of the timeline's sightings, negative unused."""
+    """The log as arrays. slot: (M,) of the timeline's measurements, negative where unused."""
     used = np.flatnonzero(slot >= 0)
-    seen = log.sightings
+    seen = log.measurements
     composed = composed_motion(log, timeline)
     _, surveyed_place, surveyed_covariance = surveyed(log)
     return SlamProblem(
@@ -64,8 +64,8 @@ def assemble(
         prior_covariance=log.prior.covariance,
         increment=composed.displacement,
         increment_covariance=composed.covariance,
-        sighting_pose=timeline.sighting_epoch[used],
-        sighting_landmark=slot[used],
+        measurement_pose=timeline.measurement_epoch[used],
+        measurement_landmark=slot[used],
         z=np.column_stack((seen.range_m, seen.bearing_rad))[used],
         sigma=np.column_stack((seen.sigma_range_m, seen.sigma_bearing_rad))[used],
         landmark_count=landmark_count,

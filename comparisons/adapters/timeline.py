@@ -1,4 +1,4 @@
-"""A log's streams in the order of time: which control acts how long, which sightings come when.
+"""A log's streams in the order of time: which control acts how long, which measurements come when.
 
 Both estimators are fed from here, so that they read the same log; what they make of it is theirs.
 """
@@ -23,7 +23,7 @@ class Timeline:
 
     epoch_time_s: (K,), the first is the prior's. step_epoch: (N,) the epoch at which the step's
     interval ends, not decreasing. step_duration_s: (N,). control: (N, m) and
-    control_covariance: (N, m, m). sighting_epoch: (M,) epoch of each of the log's sightings.
+    control_covariance: (N, m, m). measurement_epoch: (M,) epoch of each of the log's measurements.
     position_epoch: (G,) epoch of each of the log's positions, when they are to be fused.
     """
 
@@ -32,7 +32,7 @@ class Timeline:
     step_duration_s: Array
     control: Array
     control_covariance: Array
-    sighting_epoch: Index
+    measurement_epoch: Index
     position_epoch: Index
 
     def steps_until(self) -> Index:
@@ -54,13 +54,13 @@ class Timeline:
             step_duration_s=self.step_duration_s[:steps],
             control=self.control[:steps],
             control_covariance=self.control_covariance[:steps],
-            sighting_epoch=self.sighting_epoch[: int(self.sightings_until()[epochs])],
+            measurement_epoch=self.measurement_epoch[: int(self.measurements_until()[epochs])],
             position_epoch=self.position_epoch[: int(self.positions_until()[epochs])],
         )
 
-    def sightings_until(self) -> Index:
-        """(K + 1,) first sighting of each epoch, and the end."""
-        return np.searchsorted(self.sighting_epoch, np.arange(len(self.epoch_time_s) + 1))
+    def measurements_until(self) -> Index:
+        """(K + 1,) first measurement of each epoch, and the end."""
+        return np.searchsorted(self.measurement_epoch, np.arange(len(self.epoch_time_s) + 1))
 
     def positions_until(self) -> Index:
         """(K + 1,) first position of each epoch, and the end."""
@@ -75,14 +75,14 @@ def build_timeline(
     looks: (N,) further times that become epochs, such as those of scans; without wheel odometry
     they must be poses' times, too.
 
-    Wheel odometry: an epoch at every instant with sightings or positions, at the end of the log,
+    Wheel odometry: an epoch at every instant with measurements or positions, at the end of the log,
     and in every half second in which the vehicle drove without either; a sample's control acts
     until the next sample, and is cut where an epoch falls in between; before the first sample the
-    vehicle is taken to stand still. Relative poses: an epoch per record, and sightings and
+    vehicle is taken to stand still. Relative poses: an epoch per record, and measurements and
     positions belong to the pose of their time. Raises InputError for those between poses.
 
-    Times of wheel odometry, sightings and positions are resolved to 0.1 ms: a motion shorter than
-    that is below any clock, but leaves the two poses all but the same and costs digits.
+    Times of wheel odometry, measurements and positions are resolved to 0.1 ms: a motion shorter
+    than that is below any clock, but leaves the two poses all but the same and costs digits.
     """
     fixes = positions.time_s if positions is not None else np.zeros(0)
     looks = np.zeros(0) if looks is None else looks
@@ -90,7 +90,7 @@ def build_timeline(
         return _from_relative_poses(log, log.odometry, fixes, looks)
     odometry, start = log.odometry, resolved(np.array([log.prior.time_s]))
     seen, fixes, sampled = (
-        resolved(times) for times in (log.sightings.time_s, fixes, odometry.time_s)
+        resolved(times) for times in (log.measurements.time_s, fixes, odometry.time_s)
     )
     end = resolved(np.array([log.end_s]))
     epochs = np.unique(np.concatenate((start, seen, fixes, resolved(looks), end)))
@@ -111,7 +111,7 @@ def build_timeline(
         step_duration_s=np.diff(cuts),
         control=control,
         control_covariance=np.broadcast_to(covariance, (len(control), 2, 2)),
-        sighting_epoch=np.searchsorted(epochs, seen),
+        measurement_epoch=np.searchsorted(epochs, seen),
         position_epoch=np.searchsorted(epochs, fixes),
     )
 
@@ -135,7 +135,7 @@ def resolved(time_s: Array) -> Array:
 def _from_relative_poses(log: Log, odometry: RelativePoses, fixes: Array, looks: Array) -> Timeline:
     epochs = np.concatenate(([log.prior.time_s], odometry.time_s))
     places = []
-    streams = (("sightings", log.sightings.time_s), ("positions", fixes), ("scans", looks))
+    streams = (("measurements", log.measurements.time_s), ("positions", fixes), ("scans", looks))
     for stream, times in streams:
         where = np.minimum(np.searchsorted(epochs, times), len(epochs) - 1)
         stray = np.flatnonzero(epochs[where] != times)
@@ -146,13 +146,13 @@ def _from_relative_poses(log: Log, odometry: RelativePoses, fixes: Array, looks:
                 f"time {times[stray[0]]} s is no pose's, expected one of the relative poses'",
             )
         places.append(where)
-    sightings, positions, _ = places
+    measurements, positions, _ = places
     return Timeline(
         epoch_time_s=epochs,
         step_epoch=np.arange(1, len(epochs)),
         step_duration_s=np.diff(epochs),
         control=odometry.displacement,
         control_covariance=odometry.covariance,
-        sighting_epoch=sightings,
+        measurement_epoch=measurements,
         position_epoch=positions,
     )

@@ -1,4 +1,4 @@
-"""Who was seen: a partition of sightings into landmarks against the log's labels."""
+"""Who was seen: a partition of measurements into landmarks against the log's labels."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ CLUSTER_M = 0.35
 
 @dataclass(frozen=True)
 class PartitionScore:
-    """By pairs of sightings. precision: share of the pairs put together that belong together.
+    """By pairs of measurements. precision: share of the pairs put together that belong together.
 
-    recall: share of the pairs that belong together that were put together. Unused sightings are
+    recall: share of the pairs that belong together that were put together. Unused measurements are
     in no pair put together, but in those that belong together.
     """
 
@@ -50,9 +50,9 @@ def score_association(
 ) -> AssociationScore | None:
     """Score an association made without labels; None when the log has none to score it by.
 
-    slot: (M,) of the sightings, negative for unused. landmark: (L, 2) estimated places.
+    slot: (M,) of the measurements, negative for unused. landmark: (L, 2) estimated places.
     """
-    label = log.sightings.landmark[: len(slot)]
+    label = log.measurements.landmark[: len(slot)]
     if not len(label) or (label < 0).any():
         return None
     truth, clusters = log.truth.landmarks, None
@@ -66,7 +66,7 @@ def score_association(
 
 
 def score_partition(slot: NDArray[np.intp], label: Ids) -> PartitionScore:
-    """Pairs of sightings (M,): slots (negative for unused) against labels."""
+    """Pairs of measurements (M,): slots (negative for unused) against labels."""
     used = slot >= 0
     _, true = np.unique(label, return_inverse=True)
     together = _pairs(np.bincount(slot[used])) if used.any() else 0
@@ -88,12 +88,12 @@ def _clusters(place: NDArray[np.float64]) -> NDArray[np.int64]:
 
 @dataclass(frozen=True, kw_only=True)
 class PartitionAgreement:
-    """Two associations of the same sightings, neither being the truth.
+    """Two associations of the same measurements, neither being the truth.
 
-    pairs_both: pairs of sightings that both put together; pairs_first, pairs_second: that only one
-    does. splits: landmarks of the first whose sightings the second gives to several, merges: the
-    reverse; a share below SHARE does not count. only_first, only_second: sightings that only one
-    uses.
+    pairs_both: pairs of measurements that both put together; pairs_first, pairs_second: that only
+    one does. splits: landmarks of the first whose measurements the second gives to several, merges:
+    the reverse; a share below SHARE does not count. only_first, only_second: measurements that only
+    one uses.
     """
 
     pairs_both: int
@@ -112,11 +112,11 @@ class PartitionAgreement:
 
 
 SHARE = 0.1
-"""Of a landmark's sightings; fewer do not make a split or a merge."""
+"""Of a landmark's measurements; fewer do not make a split or a merge."""
 
 
 def compare_partitions(first: NDArray[np.intp], second: NDArray[np.intp]) -> PartitionAgreement:
-    """Slots (M,) of the same sightings by two associations, negative for unused."""
+    """Slots (M,) of the same measurements by two associations, negative for unused."""
     table = _shared(first, second)
     together = _pairs(table.ravel())
     own = [_pairs(np.bincount(slot[slot >= 0])) for slot in (first, second)]
@@ -134,7 +134,7 @@ def compare_partitions(first: NDArray[np.intp], second: NDArray[np.intp]) -> Par
 def counterparts(
     first: NDArray[np.intp], second: NDArray[np.intp]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Landmarks of two associations that share most of each other's sightings, one to one."""
+    """Landmarks of two associations that share most of each other's measurements, one to one."""
     table = _shared(first, second)
     if not table.size:
         return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
@@ -145,7 +145,7 @@ def counterparts(
 
 
 def _shared(first: Slots, second: Slots) -> Ids:
-    """How many sightings each landmark of one association shares with each of another."""
+    """How many measurements each landmark of one association shares with each of another."""
     both = (first >= 0) & (second >= 0)
     table = np.zeros((first.max(initial=-1) + 1, second.max(initial=-1) + 1), dtype=np.int64)
     np.add.at(table, (first[both], second[both]), 1)
@@ -158,11 +158,11 @@ def _divided(table: Ids) -> int:
     return int(np.count_nonzero((table > SHARE * np.maximum(total, 1)).sum(axis=1) > 1))
 
 
-def differing_sightings(first: Slots, second: Slots, matched: Slots) -> Slots:
-    """Which of the sightings (M,) two associations give to landmarks that are no counterparts.
+def differing_measurements(first: Slots, second: Slots, matched: Slots) -> Slots:
+    """Which of the measurements (M,) two associations give to landmarks that are no counterparts.
 
     matched: (L,) the first's counterpart of each of the second's landmarks, -1 for none. A
-    sighting that neither uses does not differ.
+    measurement that neither uses does not differ.
     """
     used = second >= 0
     meant = np.full(len(second), -1, dtype=np.intp)

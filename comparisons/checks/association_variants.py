@@ -1,9 +1,9 @@
 """Whether an association made without labels depends on how it was made.
 
-The same sightings, associated backwards in time, with other borders of the pieces and with other
+The same measurements, associated backwards in time, with other borders of the pieces and with other
 settings, give other partitions and other optima. Two partitions differ where it matters when the
 optima are apart by more than the optimum is uncertain. Such a variant speaks against the
-association, unless it explains the sightings worse; of several that find it elsewhere, none need
+association, unless it explains the measurements worse; of several that find it elsewhere, none need
 explain them better. The figures are chosen by cross-validation over simulated sensors (see
 benchmarks/trust_association.py).
 """
@@ -23,21 +23,21 @@ from comparisons.checks.association import (
     Slots,
     compare_partitions,
     counterparts,
-    differing_sightings,
+    differing_measurements,
 )
 from ekf_reference.core.geometry import wrap_angle
 
 APART = 0.7
 """Root mean square distance of the poses, in sigma, from which a difference matters."""
 SEVERAL = 3
-"""So many variants elsewhere speak against an association however they explain the sightings."""
+"""So many variants elsewhere speak against an association however they explain the measurements."""
 UNUSED_COST = 13.8
-"""Squared misfit that a sighting left out stands for: the gate, beyond which none is used."""
+"""Squared misfit that a measurement left out stands for: the gate, beyond which none is used."""
 LANDMARK_COST = 10.0
 """Squared misfit that one more landmark must spare."""
 _FEWEST_EPOCHS = 2
 _NAMED = 3
-"""Landmarks named whose sightings are in dispute, by each variant."""
+"""Landmarks named whose measurements are in dispute, by each variant."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,9 +45,9 @@ class AssociationVariant:
     """One other way to associate.
 
     partition: the association's first, this one's second. apart_sigma, apart_m: root mean square
-    of the poses' distances. excess: how much worse it explains the sightings, as squared misfit
-    with costs for landmarks and for sightings left out; negative where it does better. disputed:
-    (D,) the sightings that the two do not give to counterparts.
+    of the poses' distances. excess: how much worse it explains the measurements, as squared misfit
+    with costs for landmarks and for measurements left out; negative where it does better. disputed:
+    (D,) the measurements that the two do not give to counterparts.
     """
 
     name: str
@@ -64,13 +64,13 @@ class AssociationVariant:
 
     @property
     def better(self) -> bool:
-        """It is elsewhere, and explains the sightings no worse."""
+        """It is elsewhere, and explains the measurements no worse."""
         return self.elsewhere and self.excess <= 0.0
 
 
 @dataclass(frozen=True)
 class Dispute:
-    """Sightings of one landmark (-1: of none) that a variant gives to others.
+    """Measurements of one landmark (-1: of none) that a variant gives to others.
 
     count: of them, within begin_s to end_s.
     """
@@ -84,7 +84,7 @@ class Dispute:
 
 @dataclass(frozen=True, kw_only=True)
 class AssociationCheck:
-    """All variants of one association. slot: (M,) of it; time_s: (M,) of the sightings."""
+    """All variants of one association. slot: (M,) of it; time_s: (M,) of the measurements."""
 
     slot: Slots
     time_s: Array
@@ -105,7 +105,7 @@ class AssociationCheck:
 
     @property
     def disputes(self) -> tuple[Dispute, ...]:
-        """The sightings in dispute by landmark, most first, of the variants against."""
+        """The measurements in dispute by landmark, most first, of the variants against."""
         found = []
         for one in self.against:
             slot = self.slot[one.disputed]
@@ -131,7 +131,8 @@ class AssociationCheck:
         more = f"; and of {len(found) - _NAMED} more landmarks" if len(found) > _NAMED else ""
         return (
             f"the association depends on how it was made: with {one.name} the poses are "
-            f"{one.apart_m:.2f} m ({one.apart_sigma:.1f} sigma) elsewhere; sightings in dispute: "
+            f"{one.apart_m:.2f} m ({one.apart_sigma:.1f} sigma) elsewhere; measurements in "
+            "dispute: "
             f"{named}{more}"
         )
 
@@ -142,9 +143,9 @@ def check_association(
     optimum: tuple[Array, Array, float, int],
     others: Iterable[Alternative],
 ) -> AssociationCheck:
-    """Compare an association with others of the same sightings.
+    """Compare an association with others of the same measurements.
 
-    slot: (M,) of sightings at time_s: (M,). optimum: poses (K, 3), their covariances (K, 3, 3),
+    slot: (M,) of measurements at time_s: (M,). optimum: poses (K, 3), their covariances (K, 3, 3),
     chi-square and degrees of freedom with it.
     """
     poses, covariance, chi2, dof = optimum
@@ -164,7 +165,7 @@ def check_association(
                 apart_sigma=sigma if finite else math.inf,
                 apart_m=metres,
                 excess=_cost(other.slot, other.chi2, scale) - own,
-                disputed=differing_sightings(slot, other.slot, matched),
+                disputed=differing_measurements(slot, other.slot, matched),
             )
         )
     return AssociationCheck(slot=slot, time_s=time_s, variants=tuple(found))

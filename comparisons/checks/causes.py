@@ -244,7 +244,7 @@ def dropout(dropouts: Dropouts | None) -> list[Cause]:
     worst = None if dropouts is None else dropouts.worst
     if dropouts is None or worst is None or worst.growth < _GREW:
         return []
-    refused = f", {worst.refused} sightings refused" if worst.refused else ""
+    refused = f", {worst.refused} measurements refused" if worst.refused else ""
     before, after = worst.sigma_heading_rad
     return [
         Cause(

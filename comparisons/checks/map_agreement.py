@@ -22,7 +22,7 @@ class Pair:
 
     rms_m: of the differences, and after the rigid motion that fits best. distance_sigma: (L,) root
     of half the squared Mahalanobis distance of each, by the sum of both covariances, which is more
-    than that of the difference where sightings are shared. outside: beyond the 99 % region.
+    than that of the difference where measurements are shared. outside: beyond the 99 % region.
     """
 
     rms_m: float

@@ -1,16 +1,16 @@
-"""How far sightings lie from where an estimate expects them, in units of their own noise."""
+"""How far measurements lie from where an estimate expects them, in units of their own noise."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from comparisons.arrays import Array, Index
-from comparisons.logs.log import Sightings
+from comparisons.logs.log import LandmarkMeasurements
 from ekf_reference.models.range_bearing import RangeBearing
 
 
-def squared_misfit(seen: Sightings, rows: Index, pose: Array, landmark: Array) -> Array:
-    """(m,) of some sightings (m,), each from a pose (m, 3) of a landmark (m, 2); 2 is usual."""
+def squared_misfit(seen: LandmarkMeasurements, rows: Index, pose: Array, landmark: Array) -> Array:
+    """(m,) of some measurements (m,), each from a pose (m, 3) of a landmark (m, 2); 2 is usual."""
     model = RangeBearing()
     z = np.column_stack((seen.range_m, seen.bearing_rad))[rows]
     sigma = np.column_stack((seen.sigma_range_m, seen.sigma_bearing_rad))[rows]

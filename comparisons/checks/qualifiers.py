@@ -21,7 +21,7 @@ from comparisons.checks.consistency.filter_smoother import FilterAgainstSmoother
 from comparisons.checks.consistency.nees import TruthConsistency
 from comparisons.checks.verdict import Verdict
 from comparisons.choices import FailOn
-from comparisons.logs.log import Sightings
+from comparisons.logs.log import LandmarkMeasurements
 
 TRUTH_GAP, UNCHECKED = "truth gap", "association unchecked"
 INCONSISTENT = "filter inconsistent"
@@ -80,26 +80,27 @@ class Distance:
 class TruthGap:
     """S against truth, or against the smoother with the log's labels where there is no truth.
 
-    sighting_m: standard deviation of the place that a single sighting gives, the scale in metres.
+    measurement_m: standard deviation of the place that a single measurement gives, the scale in
+    metres.
     lost: no landmark is near a true one. association: of the filter, against the log's labels.
     reference: where the smoother should be.
     """
 
     distances: tuple[Distance, ...]
-    sighting_m: float
+    measurement_m: float
     lost: bool = False
     association: AssociationScore | None = None
     reference: str = "the truth is"
 
     @property
     def stands(self) -> bool:
-        """Off, and by more than one sighting may err."""
-        return self.lost or any(d.off and d.error_m > self.sighting_m for d in self.distances)
+        """Off, and by more than one measurement may err."""
+        return self.lost or any(d.off and d.error_m > self.measurement_m for d in self.distances)
 
     @property
     def settled(self) -> bool:
         """The log's labels could not make it stand, nor fall: it does, or all errors are small."""
-        return self.stands or all(d.error_m <= self.sighting_m for d in self.distances)
+        return self.stands or all(d.error_m <= self.measurement_m for d in self.distances)
 
     @property
     def rough(self) -> bool:
@@ -111,7 +112,7 @@ def truth_gap(
     accuracy: Accuracy | None,
     consistency: TruthConsistency | None,
     association: AssociationScore | None,
-    sighting_m: float,
+    measurement_m: float,
     landmarks: int,
 ) -> TruthGap | None:
     """Return S against truth, None where the log has none. landmarks: of S."""
@@ -130,14 +131,14 @@ def truth_gap(
     true = accuracy.landmarks_true
     lost = true is not None and not accuracy.landmarks_found and min(true, landmarks) >= _NONE_FOUND
     return TruthGap(
-        distances=tuple(found), sighting_m=sighting_m, lost=lost, association=association
+        distances=tuple(found), measurement_m=measurement_m, lost=lost, association=association
     )
 
 
-def sighting_scale(seen: Sightings, places: Array) -> float:
-    """Median standard deviation [m] of the place that one sighting gives.
+def measurement_scale(seen: LandmarkMeasurements, places: Array) -> float:
+    """Median standard deviation [m] of the place that one measurement gives.
 
-    places: (N, 2, 2) covariances of measured pose landmarks, which count without sightings.
+    places: (N, 2, 2) covariances of measured pose landmarks, which count without measurements.
     """
     if len(seen.time_s):
         spread = np.hypot(seen.sigma_range_m, seen.range_m * seen.sigma_bearing_rad)
@@ -252,7 +253,7 @@ def _cause(gap: TruthGap) -> Cause:
     if gap.association is not None:
         pairs = gap.association.landmarks
         parts.append(
-            f"of the pairs of sightings put together {100.0 * pairs.precision:.1f} % belong "
+            f"of the pairs of measurements put together {100.0 * pairs.precision:.1f} % belong "
             f"together by the log's labels, and {100.0 * pairs.recall:.1f} % of those that do were "
             "put together"
         )
@@ -260,11 +261,11 @@ def _cause(gap: TruthGap) -> Cause:
             "EKF and smoother share the association: take the log's labels, or a stricter "
             "association, and see --smoother-association own"
         )
-    about = "a single sighting errs by" if not gap.lost else "one sighting's sigma is"
+    about = "a single measurement errs by" if not gap.lost else "one measurement's sigma is"
     return Cause(
         "truth",
         f"the smoother is not where {gap.reference}: {'; '.join(parts)}; {about} "
-        f"{gap.sighting_m:.2g} m",
+        f"{gap.measurement_m:.2g} m",
         hint,
     )
 
@@ -273,6 +274,6 @@ def _rough(gap: TruthGap) -> str:
     worst = max(gap.distances, key=lambda d: d.sigma / d.limit)
     return (
         f"the smoother's {worst.what} are {worst.error_m:.2g} m from the truth, less than one "
-        f"sighting errs by ({gap.sighting_m:.2g} m), but {worst.sigma:.1f} times what its "
+        f"measurement errs by ({gap.measurement_m:.2g} m), but {worst.sigma:.1f} times what its "
         "covariance allows for: the stated sigmas are too small"
     )

@@ -146,7 +146,8 @@ def _red(
             Cause(
                 "breakdown",
                 run.breakdown,
-                "gaps are compared up to there; look at the sightings and sigmas of that instant",
+                "gaps are compared up to there; look at the measurements and sigmas of that "
+                "instant",
             )
         )
     return found
@@ -214,7 +215,7 @@ def _remarks(optimality: Optimality, run: EkfRun) -> list[str]:
     unused = {reason: count for reason, count in run.unused.items() if count}
     if unused:
         remarks.append(
-            f"{sum(unused.values())} of {len(run.slot)} sightings were not used: "
+            f"{sum(unused.values())} of {len(run.slot)} measurements were not used: "
             + ", ".join(f"{count} {reason}" for reason, count in unused.items())
         )
     if run.cut_off:

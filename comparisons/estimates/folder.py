@@ -132,7 +132,7 @@ def read_landmarks(path: Path) -> tuple[NDArray[np.int64], Array]:
     except InputError as error:
         if ": id is " not in str(error):
             raise
-        told = "by which the log's sightings.csv names the landmark (labels: in log.toml)"
+        told = "by which the log's measurements.csv names the landmark (labels: in log.toml)"
         raise InputError(f"{error} {told}") from None
 
 

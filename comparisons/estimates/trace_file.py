@@ -37,7 +37,7 @@ _STEPS = {
     **dict.fromkeys(("step_f", "step_q"), (3, 3)),
 }
 _USE = {
-    **dict.fromkeys(("step", "sighting", "landmark"), ()),
+    **dict.fromkeys(("step", "measurement", "landmark"), ()),
     "pose": (3,),
     "point": (2,),
     "jacobian_pose": (2, 3),
@@ -47,8 +47,8 @@ _UPDATES = {f"update_{name}": shape for name, shape in _USE.items()} | {
     "update_innovation": (2,),
     "update_jacobian_landmark": (2, 2),
 }
-_BEGINNINGS = {f"begin_{name}": shape for name, shape in _USE.items()} | {
-    "begin_jacobian_sighting": (2, 2)
+_INITIALISATIONS = {f"initialise_{name}": shape for name, shape in _USE.items()} | {
+    "initialise_jacobian_measurement": (2, 2)
 }
 _POSITIONS = {
     **dict.fromkeys(("position_step", "position_number"), ()),
@@ -57,11 +57,11 @@ _POSITIONS = {
     "position_jacobian_pose": (2, 3),
     "position_noise": (2, 2),
 }
-_WEIGHTS = tuple(f"{part}_weight" for part in ("update", "begin", "position"))
+_WEIGHTS = tuple(f"{part}_weight" for part in ("update", "initialise", "position"))
 _SHAPES: dict[str, tuple[int, ...]] = {
-    **_STEPS, **_UPDATES, **_BEGINNINGS, **_POSITIONS, **dict.fromkeys(_WEIGHTS, ())
+    **_STEPS, **_UPDATES, **_INITIALISATIONS, **_POSITIONS, **dict.fromkeys(_WEIGHTS, ())
 }  # fmt: skip
-_WHOLE = ("step", "sighting", "landmark", "number")
+_WHOLE = ("step", "measurement", "landmark", "number")
 
 
 @dataclass(frozen=True)
@@ -101,11 +101,11 @@ def write_trace(run: EkfRun, path: Path) -> None:
     }
     for part, records, other in (
         ("update", trace.measurements[POINT], "landmark"),
-        ("begin", trace.initialisations[POINT], "sighting"),
+        ("initialise", trace.initialisations[POINT], "measurement"),
     ):
         arrays |= {
             f"{part}_step": records.step,
-            f"{part}_sighting": records.number,
+            f"{part}_measurement": records.number,
             f"{part}_landmark": ids[records.slot],
             f"{part}_pose": records.pose,
             f"{part}_point": records.landmark,
@@ -126,13 +126,14 @@ def read_trace(path: Path, landmark_id: NDArray[np.int64]) -> TraceFile:
     Positions and weights may be absent: none, and one. Raises InputError naming the array.
     """
     names = (*_PRIOR, *_SHAPES)
-    found = read_arrays(path, names)
-    missing = [n for n in (*_PRIOR, *_STEPS, *_UPDATES, *_BEGINNINGS) if n not in found]
+    stored = read_arrays(path, tuple(dict.fromkeys((*names, *map(_former, names)))))
+    found = {_current(name): array for name, array in stored.items()}
+    missing = [n for n in (*_PRIOR, *_STEPS, *_UPDATES, *_INITIALISATIONS) if n not in found]
     if missing:
         raise InputError(f"{path}: holds no {missing[0]}")
     for name, shape in _PRIOR.items():
         _check(path, name, found[name], shape)
-    for part in (_STEPS, _UPDATES, _BEGINNINGS, _POSITIONS):
+    for part in (_STEPS, _UPDATES, _INITIALISATIONS, _POSITIONS):
         first = next(iter(part))
         if part is _POSITIONS and first not in found:
             found |= {name: np.zeros((0, *shape)) for name, shape in part.items()}
@@ -163,7 +164,7 @@ def read_trace(path: Path, landmark_id: NDArray[np.int64]) -> TraceFile:
                 POSE: none_of_poses,
             },
             initialisations={
-                POINT: _records(found, "begin", slot["begin"], "jacobian_sighting"),
+                POINT: _records(found, "initialise", slot["initialise"], "jacobian_measurement"),
                 POSE: none_of_poses,
             },
             positions=_records(found, "position", np.full(count, -1), None),
@@ -172,6 +173,15 @@ def read_trace(path: Path, landmark_id: NDArray[np.int64]) -> TraceFile:
         ),
         rounding,
     )
+
+
+def _former(name: str) -> str:
+    """Return what 0.1 called an array."""
+    return name.replace("initialise_", "begin_").replace("measurement", "measurement")
+
+
+def _current(name: str) -> str:
+    return name.replace("begin_", "initialise_").replace("measurement", "measurement")
 
 
 def _is_figure(name: str) -> bool:
@@ -187,7 +197,7 @@ def _records(
     nothing, none = np.zeros(noise.shape[:2]), noise[:, :, :0]
     return MeasurementRecords(
         step=found[f"{part}_step"].astype(np.intp),
-        number=found[f"{part}_{'number' if jacobian_other is None else 'sighting'}"].astype(
+        number=found[f"{part}_{'number' if jacobian_other is None else 'measurement'}"].astype(
             np.intp
         ),
         slot=slot,
@@ -223,14 +233,20 @@ def _check_contents(path: Path, found: dict[str, Array], rounding: float) -> Non
         raise InputError(f"{path}: holds no steps")
     if (np.diff(found["step_time_s"]) <= 0).any():
         raise InputError(f"{path}: step_time_s runs backwards or repeats")
-    for part in ("update", "begin", "position"):
+    for part in ("update", "initialise", "position"):
         step, weight = found[f"{part}_step"], found[f"{part}_weight"]
         if (np.diff(step) < 0).any() or (step > count).any():
             raise InputError(f"{path}: {part}_step must ascend from 0 to at most {count} steps")
-        smallest = 0.0 if part == "begin" else 1e-9
+        smallest = 0.0 if part == "initialise" else 1e-9
         if not ((weight >= smallest) & (weight <= 1.0)).all():
             raise InputError(f"{path}: {part}_weight holds a value outside {smallest:g} to 1")
-    for name in ("prior_covariance", "step_q", "update_noise", "begin_noise", "position_noise"):
+    for name in (
+        "prior_covariance",
+        "step_q",
+        "update_noise",
+        "initialise_noise",
+        "position_noise",
+    ):
         matrices = found[name].reshape(-1, *found[name].shape[-2:])
         least = np.linalg.eigvalsh(matrices)[:, 0] if len(matrices) else np.zeros(0)
         scale = np.abs(matrices).max(axis=(1, 2), initial=0.0)
@@ -254,7 +270,7 @@ def _unwrap(found: dict[str, Array]) -> None:
     departed[:, 2], arrived[:, 2] = along[1::2], along[2::2]
     found |= {"step_departed": departed, "step_arrived": arrived}
     reached = along[0::2]
-    for part in ("update", "begin", "position"):
+    for part in ("update", "initialise", "position"):
         pose = found[f"{part}_pose"].copy()
         apart = reached[found[f"{part}_step"].astype(np.intp)] - pose[:, 2]
         pose[:, 2] += 2.0 * np.pi * np.round(apart / (2.0 * np.pi))
@@ -262,20 +278,20 @@ def _unwrap(found: dict[str, Array]) -> None:
 
 
 def _slots(path: Path, found: dict[str, Array], landmark_id: NDArray[np.int64]) -> dict[str, Index]:
-    """Places (M,) of the landmarks in the estimate, each begun once before it is updated."""
+    """Places (M,) of the landmarks in the estimate, each initialised once before it is updated."""
     order = np.argsort(landmark_id)
     slots: dict[str, Index] = {}
-    for part in ("update", "begin"):
+    for part in ("update", "initialise"):
         ids = found[f"{part}_landmark"].astype(np.int64)
         stray = ids[~np.isin(ids, landmark_id)]
         if len(stray):
             raise InputError(f"{path}: {part}_landmark holds {stray[0]}, not among landmarks.csv")
         slots[part] = order[np.searchsorted(landmark_id[order], ids)]
-    times_begun = np.bincount(slots["begin"], minlength=len(landmark_id))
-    wrong = np.flatnonzero(times_begun != 1)
+    times = np.bincount(slots["initialise"], minlength=len(landmark_id))
+    wrong = np.flatnonzero(times != 1)
     if len(wrong):
         raise InputError(
-            f"{path}: landmark {landmark_id[wrong[0]]} begins {times_begun[wrong[0]]} times, "
+            f"{path}: landmark {landmark_id[wrong[0]]} is initialised {times[wrong[0]]} times, "
             "expected once"
         )
     return slots

@@ -38,7 +38,7 @@ class Extension:
     name = ""
     """Key in the configuration, in the result and in the report."""
     brings_landmarks = False
-    """The estimators need no sightings of the log's."""
+    """The estimators need no measurements of the log's."""
     brings_motion = False
     """The estimators need no odometry of the log's."""
 

@@ -14,12 +14,12 @@ from comparisons.logs.log import (
     NO_LANDMARK,
     Columns,
     Ids,
+    LandmarkMeasurements,
     Landmarks,
     Log,
     Poses,
     Positions,
     Prior,
-    Sightings,
     Truth,
 )
 from comparisons.logs.odometry import (
@@ -52,7 +52,7 @@ _UNKNOWN = ("", "nan", "na", "none", "null", "unknown")
 """What stands, in either case, for a landmark that is not known."""
 _NOISE = ("variance_rate_position", "variance_rate_heading")
 _VEHICLE = ("wheelbase_m", "encoder_offset_m", "sensor_forward_m", "sensor_left_m")
-_SIGHTINGS = ("time_s", "range_m", "bearing_rad", "sigma_range_m", "sigma_bearing_rad")
+_MEASUREMENTS = ("time_s", "range_m", "bearing_rad", "sigma_range_m", "sigma_bearing_rad")
 
 
 class Motion(NamedTuple):
@@ -65,7 +65,7 @@ class Motion(NamedTuple):
 
 def log_from_arrays(
     odometry: Columns,
-    sightings: Columns,
+    measurements: Columns,
     *,
     positions: Columns | None = None,
     truth: Columns | None = None,
@@ -74,10 +74,12 @@ def log_from_arrays(
     name: str = "arrays",
 ) -> Log:
     """See Log.from_arrays."""
-    for what, given in (("odometry", odometry), ("sightings", sightings)):
+    for what, given in (("odometry", odometry), ("measurements", measurements)):
         if not isinstance(given, Mapping):
             raise InputError(f"{what}: is a {type(given).__name__}, expected columns by name")
-    seen = _columns("sightings", sightings, _SIGHTINGS, ("landmark", "diameter_m", "intensity"))
+    seen = _columns(
+        "measurements", measurements, _MEASUREMENTS, ("landmark", "diameter_m", "intensity")
+    )
     count = len(seen["time_s"])
     numbers = LandmarkNumbers(seen.get("landmark"), (truth_landmarks or {}).get("id"))
     fixes = None if positions is None else _positions(positions)
@@ -85,15 +87,15 @@ def log_from_arrays(
     if truth is not None:
         poses = _poses("truth", _columns("truth", truth, ("time_s", *KINDS["poses"])))
     with_poses = "x_m" in odometry
-    if with_poses:  # a pose is needed at every instant with a sighting or a position
+    if with_poses:  # a pose is needed at every instant with a measurement or a position
         seen["time_s"] = np.round(np.asarray(seen["time_s"], dtype=float), 4)
         if fixes is not None:
             fixes = Positions(np.round(fixes.time_s, 4), fixes.position_m, fixes.covariance)
     time_s, range_m, bearing_rad, sigma_range_m, sigma_bearing_rad = (
-        np.asarray(seen[name], dtype=float) for name in _SIGHTINGS
+        np.asarray(seen[name], dtype=float) for name in _MEASUREMENTS
     )
     names = seen.get("landmark", np.full(count, NO_LANDMARK))
-    stream = Sightings(
+    stream = LandmarkMeasurements(
         time_s=time_s,
         range_m=range_m,
         bearing_rad=bearing_rad,
@@ -116,7 +118,7 @@ def log_from_arrays(
         format="arrays",
         prior=where,
         odometry=motion.odometry,
-        sightings=stream,
+        measurements=stream,
         positions=fixes,
         truth=Truth(
             poses, None if truth_landmarks is None else _landmarks(truth_landmarks, numbers)
@@ -275,7 +277,7 @@ class LandmarkNumbers:
                 if _number(word) != NO_LANDMARK:
                     self.by_text.setdefault(word, len(self.by_text))
 
-    def of(self, column: Any, stream: str = "sightings", name: str = "landmark") -> Ids:
+    def of(self, column: Any, stream: str = "measurements", name: str = "landmark") -> Ids:
         """(N,), NO_LANDMARK for no name. Raises RecordError for fractions."""
         found = [self.by_text.get(word, _number(word)) for word in _words(column)]
         return whole_numbers(stream, name, np.array(found, dtype=float))

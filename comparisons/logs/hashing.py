@@ -6,7 +6,7 @@ import hashlib
 
 import numpy as np
 
-from comparisons.logs.log import Log, Sightings
+from comparisons.logs.log import LandmarkMeasurements, Log
 
 
 def log_hash(log: Log) -> str:
@@ -15,10 +15,10 @@ def log_hash(log: Log) -> str:
     records: tuple[object, ...] = (
         log.prior,
         log.odometry,
-        log.sightings,
+        log.measurements,
         log.positions,
         log.known_landmarks,
-        log.known_sightings,
+        log.known_measurements,
     )
     for record in records + tuple(
         s for s in (log.scans, log.clouds, log.closures) if s is not None
@@ -27,7 +27,11 @@ def log_hash(log: Log) -> str:
             digest.update(b"absent")
             continue
         for name, value in sorted(vars(record).items()):
-            if name == "intensity" and isinstance(record, Sightings) and np.isnan(value).all():
+            if (
+                name == "intensity"
+                and isinstance(record, LandmarkMeasurements)
+                and np.isnan(value).all()
+            ):
                 continue  # as if there were no such column, so that logs without keep their hash
             digest.update(name.encode())
             digest.update(

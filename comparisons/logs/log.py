@@ -1,7 +1,7 @@
 """The records of a log: frozen, validated, SI units, east-north plane, bearings from the heading.
 
 Arrays are float64 and read-only. Every stream is ordered by time. Equal times are allowed for
-sightings (one scan) and for wheel odometry (the later sample holds). Validation raises
+measurements (one scan) and for wheel odometry (the later sample holds). Validation raises
 RecordError naming stream, row, value and expectation.
 """
 
@@ -35,11 +35,11 @@ Columns = Mapping[str, Any]
 """Arrays (N,) by name; a single number holds for all rows."""
 
 NO_LANDMARK = -1
-"""Landmark id of a sighting whose landmark the sensor did not name."""
+"""Landmark id of a measurement whose landmark the sensor did not name."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sightings:
+class LandmarkMeasurements:
     """Range-bearing detections of landmarks, bearings counter-clockwise from straight ahead.
 
     time_s, range_m, bearing_rad, sigma_range_m, sigma_bearing_rad: (M,). landmark: (M,) ids, or
@@ -65,36 +65,36 @@ class Sightings:
         if not len(self.intensity):
             object.__setattr__(self, "intensity", np.full(len(self.time_s), np.nan))
         if not self.label_gate > 0:
-            raise InputError(f"sightings: label_gate is {self.label_gate}, expected above 0")
-        check(self, "sightings", rows="time_s", gaps=("diameter_m", "intensity"))
-        increasing("sightings", self.time_s, equal=True)
-        above_zero("sightings", "range_m", self.range_m)
+            raise InputError(f"measurements: label_gate is {self.label_gate}, expected above 0")
+        check(self, "measurements", rows="time_s", gaps=("diameter_m", "intensity"))
+        increasing("measurements", self.time_s, equal=True)
+        above_zero("measurements", "range_m", self.range_m)
         for name in ("sigma_range_m", "sigma_bearing_rad"):
-            standard_deviation("sightings", name, getattr(self, name))
-        within("sightings", "bearing_rad", self.bearing_rad, -2 * np.pi, 2 * np.pi)
+            standard_deviation("measurements", name, getattr(self, name))
+        within("measurements", "bearing_rad", self.bearing_rad, -2 * np.pi, 2 * np.pi)
         bad = np.flatnonzero(self.landmark < NO_LANDMARK)
         if len(bad):
             raise RecordError(
-                "sightings",
+                "measurements",
                 int(bad[0]),
                 f"landmark is {self.landmark[bad[0]]}, expected an id from 0 or {NO_LANDMARK}",
             )
 
-    def chosen(self, rows: NDArray[np.bool_]) -> Sightings:
+    def chosen(self, rows: NDArray[np.bool_]) -> LandmarkMeasurements:
         """Those in some of the rows (M,)."""
         columns = {
             name: value[rows] for name, value in vars(self).items() if isinstance(value, np.ndarray)
         }
-        return Sightings(**{**vars(self), **columns})
+        return LandmarkMeasurements(**{**vars(self), **columns})
 
     @property
     def labelled(self) -> bool:
-        """Every sighting names its landmark."""
+        """Every measurement names its landmark."""
         return bool((self.landmark != NO_LANDMARK).all())
 
     @property
     def labels_in_order(self) -> Ids:
-        """(L,) ids by first sighting, the order in which a filter that trusts them adds them."""
+        """(L,) ids by first measurement, the order in which a filter that trusts them adds them."""
         labels, first = np.unique(self.landmark, return_index=True)
         return labels[np.argsort(first)]
 
@@ -245,20 +245,20 @@ class Log:
     """One drive: its streams, its prior, and where they come from.
 
     format: the reader's name. provenance: free text by key, for reports. known_landmarks and
-    known_sightings: landmarks surveyed beforehand, and the sightings that refer to their ids.
-    closures: of relative poses, some of which they may stand for. Odometry and sightings may be
-    empty only where there are scans, sightings where there are closures, too.
+    known_measurements: landmarks surveyed beforehand, and the measurements that refer to their ids.
+    closures: of relative poses, some of which they may stand for. Odometry and measurements may be
+    empty only where there are scans, measurements where there are closures, too.
     """
 
     name: str
     format: str
     prior: Prior
     odometry: Odometry
-    sightings: Sightings
+    measurements: LandmarkMeasurements
     positions: Positions | None = None
     closures: Closures | None = None
     known_landmarks: Landmarks | None = None
-    known_sightings: Sightings | None = None
+    known_measurements: LandmarkMeasurements | None = None
     scans: Scans | None = None
     clouds: Clouds | None = None
     truth: Truth = field(default_factory=Truth)
@@ -276,28 +276,28 @@ class Log:
         self._check_closures()
         for stream, times, optional in (
             ("odometry", self.odometry.time_s, scanned),
-            ("sightings", self.sightings.time_s, scanned or self.closures is not None),
+            ("measurements", self.measurements.time_s, scanned or self.closures is not None),
         ):
             if not len(times) and not optional:
                 raise InputError(f"{self.name}: no {stream}, expected at least one record")
             if len(times) and times[0] < start:
                 raise RecordError(stream, 0, f"time {times[0]} s lies before the prior's {start} s")
-        if self.known_sightings is not None:
+        if self.known_measurements is not None:
             ids = np.zeros(0) if self.known_landmarks is None else self.known_landmarks.id
-            unknown = np.flatnonzero(~np.isin(self.known_sightings.landmark, ids))
+            unknown = np.flatnonzero(~np.isin(self.known_measurements.landmark, ids))
             if len(unknown):
                 row = int(unknown[0])
                 raise RecordError(
-                    "known sightings",
+                    "known measurements",
                     row,
-                    f"landmark {self.known_sightings.landmark[row]} is not among the known ones",
+                    f"landmark {self.known_measurements.landmark[row]} is not among the known ones",
                 )
 
     @classmethod
     def from_arrays(
         cls,
         odometry: Columns,
-        sightings: Columns,
+        measurements: Columns,
         *,
         positions: Columns | None = None,
         truth: Columns | None = None,
@@ -314,7 +314,7 @@ class Log:
                 `dx_m`, `dy_m`, `dheading_rad` of motions (both optionally with `sigma_move_m` and
                 `sigma_turn` of each; motions with `cov_00` to `cov_22`). A single number holds for
                 all rows.
-            sightings: `time_s`, `range_m`, `bearing_rad`, `sigma_range_m`, `sigma_bearing_rad`;
+            measurements: `time_s`, `range_m`, `bearing_rad`, `sigma_range_m`, `sigma_bearing_rad`;
                 optionally `landmark` (whole numbers or text; -1 or empty for unknown), `diameter_m`
                 and `intensity`.
             positions: `time_s`, `x_m`, `y_m` and `sigma_m` or `var_x_m2`, `cov_xy_m2`, `var_y_m2`.
@@ -330,7 +330,7 @@ class Log:
 
         return log_from_arrays(
             odometry,
-            sightings,
+            measurements,
             positions=positions,
             truth=truth,
             truth_landmarks=truth_landmarks,
@@ -366,9 +366,9 @@ class Log:
 
     @property
     def end_s(self) -> float:
-        """Time of the last odometry or sighting, or of the last scan where there are neither."""
-        streams: tuple[Odometry | Sightings | Scans | Clouds | None, ...]
-        streams = (self.odometry, self.sightings)
+        """Time of the last odometry or measurement, or of the last scan where there are neither."""
+        streams: tuple[Odometry | LandmarkMeasurements | Scans | Clouds | None, ...]
+        streams = (self.odometry, self.measurements)
         if not any(len(s.time_s) for s in streams if s is not None):
             streams = (self.scans, self.clouds)
         return max(float(s.time_s[-1]) for s in streams if s is not None and len(s.time_s))
@@ -383,10 +383,10 @@ class Log:
         """Number of records in each stream that is present, without those that hold a guess."""
         streams = {
             "odometry": self.odometry,
-            "sightings": self.sightings,
+            "measurements": self.measurements,
             "positions": self.positions,
             "closures": self.closures,
-            "known sightings": self.known_sightings,
+            "known measurements": self.known_measurements,
             "scans": self.scans,
             "clouds": self.clouds,
             "truth poses": self.truth.poses,

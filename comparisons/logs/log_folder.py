@@ -17,21 +17,21 @@ from comparisons.atomic import fresh_folder
 from comparisons.errors import InputError, RecordError
 from comparisons.logs.log import (
     Closures,
+    LandmarkMeasurements,
     Landmarks,
     Log,
     Poses,
     Positions,
     Prior,
-    Sightings,
     Surfaces,
     Truth,
 )
 from comparisons.logs.log_meta import (
     MARK,
     LogModel,
+    MeasurementsModel,
     RelativeModel,
     ScansModel,
-    SightingsModel,
     SteeringModel,
     meta_text,
     read_meta,
@@ -49,7 +49,7 @@ from comparisons.logs.table import Table
 from comparisons.logs.validation import whole_numbers
 
 SEE = "see docs/formats.md"
-_SIGHTINGS = (
+_MEASUREMENTS = (
     "time_s",
     "range_m",
     "bearing_rad",
@@ -100,9 +100,9 @@ def read_log_folder(folder: Path) -> Log:
         _read_landmarks(folder / "truth_landmarks.csv"),
         _read_surfaces(folder / "truth_surfaces.csv"),
     )
-    sightings = _read_sightings(folder / "sightings.csv", meta.sightings)
-    if sightings is None:
-        raise InputError(f"{folder / 'sightings.csv'}: no such file")
+    measurements = _read_measurements(_measurements_file(folder), meta.measurements)
+    if measurements is None:
+        raise InputError(f"{folder / 'measurements.csv'}: no such file")
     try:
         return Log(
             name=meta.name,
@@ -111,11 +111,11 @@ def read_log_folder(folder: Path) -> Log:
                 meta.prior.time_s, np.array(meta.prior.pose), np.array(meta.prior.covariance)
             ),
             odometry=_read_odometry(folder / "odometry.csv", meta),
-            sightings=sightings,
+            measurements=measurements,
             positions=_read_positions(folder / "positions.csv", meta.positions.antenna_m),
             closures=_read_closures(folder / "closures.csv"),
             known_landmarks=_read_landmarks(folder / "known_landmarks.csv"),
-            known_sightings=_read_sightings(folder / "known_sightings.csv"),
+            known_measurements=_read_measurements(_measurements_file(folder, "known_")),
             scans=_read_scans(folder / "scans.npz", meta.scans),
             clouds=_read_clouds(folder / "clouds.npz"),
             truth=truth,
@@ -133,9 +133,9 @@ def write_log_folder(log: Log, folder: Path, remarks: Mapping[str, str] | None =
     """
     with fresh_folder(folder) as work:
         _write_odometry(work / "odometry.csv", log.odometry)
-        _write_sightings(work / "sightings.csv", log.sightings)
-        if log.known_sightings is not None:
-            _write_sightings(work / "known_sightings.csv", log.known_sightings)
+        _write_measurements(work / "measurements.csv", log.measurements)
+        if log.known_measurements is not None:
+            _write_measurements(work / "known_measurements.csv", log.known_measurements)
         if log.positions is not None:
             p = log.positions
             _write_csv(
@@ -206,19 +206,32 @@ def _write_odometry(path: Path, odometry: Odometry) -> None:
         _write_csv(path, _VELOCITY, odometry.time_s, odometry.speed_mps, odometry.yaw_rate_radps)
 
 
-def _read_sightings(path: Path, settings: SightingsModel | None = None) -> Sightings | None:
+def _measurements_file(folder: Path, kind: str = "") -> Path:
+    """Return the file of measurements, which was called measurements.csv in version 0.1.
+
+    Raises InputError where both names are there.
+    """
+    path, former = folder / f"{kind}measurements.csv", folder / f"{kind}measurements.csv"
+    if path.exists() and former.exists():
+        raise InputError(f"{folder}: holds {path.name} and {former.name}, expected one of them")
+    return former if former.exists() else path
+
+
+def _read_measurements(
+    path: Path, settings: MeasurementsModel | None = None
+) -> LandmarkMeasurements | None:
     if not path.exists():
         return None
-    settings = settings or SightingsModel()
-    table = Table(path, _SIGHTINGS, comma=True, header=True, gaps=_GAPS, optional=("intensity",))
+    settings = settings or MeasurementsModel()
+    table = Table(path, _MEASUREMENTS, comma=True, header=True, gaps=_GAPS, optional=("intensity",))
     with table.locating():
-        return Sightings(
+        return LandmarkMeasurements(
             time_s=table["time_s"],
             range_m=table["range_m"],
             bearing_rad=table["bearing_rad"],
             sigma_range_m=table["sigma_range_m"],
             sigma_bearing_rad=table["sigma_bearing_rad"],
-            landmark=whole_numbers("sightings", "landmark", table["landmark"]),
+            landmark=whole_numbers("measurements", "landmark", table["landmark"]),
             diameter_m=table["diameter_m"],
             label_gate=settings.label_gate,
             needs_confirmation=settings.needs_confirmation,
@@ -226,8 +239,8 @@ def _read_sightings(path: Path, settings: SightingsModel | None = None) -> Sight
         )
 
 
-def _write_sightings(path: Path, s: Sightings) -> None:
-    names = _SIGHTINGS if np.isnan(s.intensity).all() else (*_SIGHTINGS, "intensity")
+def _write_measurements(path: Path, s: LandmarkMeasurements) -> None:
+    names = _MEASUREMENTS if np.isnan(s.intensity).all() else (*_MEASUREMENTS, "intensity")
     _write_csv(path, names, *(getattr(s, name) for name in names))
 
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AliasChoices, BaseModel, ConfigDict, Field, ValidationError
 
 from comparisons.errors import InputError, printable
 from comparisons.logs.log import Log
@@ -66,8 +66,8 @@ class RelativeModel(_Model):
     kind: Literal["relative-poses"]
 
 
-class SightingsModel(_Model):
-    """What holds for all sightings."""
+class MeasurementsModel(_Model):
+    """What holds for all measurements."""
 
     label_gate: float = float("inf")
     needs_confirmation: bool = False
@@ -97,7 +97,9 @@ class LogModel(_Model):
     units: str = ""
     prior: _PriorModel
     odometry: Annotated[SteeringModel | VelocityModel | RelativeModel, Field(discriminator="kind")]
-    sightings: SightingsModel = SightingsModel()
+    measurements: MeasurementsModel = Field(
+        default=MeasurementsModel(), validation_alias=AliasChoices("measurements", "measurements")
+    )
     positions: PositionsModel = PositionsModel()
     scans: ScansModel = ScansModel()
     provenance: dict[str, str] = {}
@@ -148,8 +150,8 @@ def meta_text(log: Log, remarks: Mapping[str, str] | None = None) -> str:
         for group, record in groups.items():
             lines += ["", f"[odometry.{group}]"]
             lines += [f"{name} = {float(value)!r}" for name, value in vars(record).items()]
-    lines += ["", "[sightings]", f"label_gate = {log.sightings.label_gate!r}"]
-    lines += [f"needs_confirmation = {json.dumps(log.sightings.needs_confirmation)}"]
+    lines += ["", "[measurements]", f"label_gate = {log.measurements.label_gate!r}"]
+    lines += [f"needs_confirmation = {json.dumps(log.measurements.needs_confirmation)}"]
     if log.positions is not None:
         lines += ["", "[positions]", f"antenna_m = {list(log.positions.antenna_m)}"]
     if log.scans is not None:

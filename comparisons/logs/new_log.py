@@ -14,7 +14,7 @@ from comparisons.logs.log import Log, Prior
 from comparisons.logs.plain_csv import NAMES, SEE, PlainTable, read_plain
 
 _MOTION = tuple(dict.fromkeys(name for needed in KINDS.values() for name in needed))
-_SIGHTINGS = (
+_MEASUREMENTS = (
     "time_s",
     "range_m",
     "bearing_rad",
@@ -79,7 +79,7 @@ def build(files: UserFiles) -> Found:
             raise InputError(f"{OPTIONS[name]} is {value:g}, expected between {least:g} and 1e+06")
     reading = _Reading(files)
     odometry = reading.odometry()
-    sightings, positions = reading.sightings(), reading.positions()
+    measurements, positions = reading.measurements(), reading.positions()
     truth, marks = reading.truth(), reading.truth_landmarks()
     if reading.stated:
         name = next(iter(reading.stated))
@@ -90,7 +90,7 @@ def build(files: UserFiles) -> Found:
     try:
         log = Log.from_arrays(
             odometry,
-            sightings,
+            measurements,
             positions=positions,
             truth=truth,
             truth_landmarks=marks,
@@ -145,9 +145,9 @@ class _Reading:
             stated = {name: self.stated.pop(name) for name in moves}
         return {**table.columns, **stated}
 
-    def sightings(self) -> dict[str, Any]:
+    def measurements(self) -> dict[str, Any]:
         """Columns, within the odometry's time."""
-        table = self._read("measurements", self.files.measurements, _SIGHTINGS)
+        table = self._read("measurements", self.files.measurements, _MEASUREMENTS)
         _need(table, ("time_s", "range_m", "bearing_rad"))
         self._check_angle(table, "bearing_rad")
         table = self._within("measurements", self._once("measurements", table))
@@ -191,7 +191,7 @@ class _Reading:
 
     def located(self, error: RecordError) -> InputError:
         """A record's fault with the file and line that it came from."""
-        streams = {"sightings": "measurements", "relative poses": "odometry"}
+        streams = {"measurements": "measurements", "relative poses": "odometry"}
         stream = streams.get(error.stream, error.stream.split()[-1])
         table = self.tables.get(error.stream) or self.tables.get(stream)
         if table is None:
@@ -204,14 +204,15 @@ class _Reading:
         """Measurements must be at the times of motions told one by one, for nothing is between."""
         if self.kind == "relative-poses":
             times = (log.prior.time_s, *log.odometry.time_s.tolist())
-            stray = np.flatnonzero(~np.isin(log.sightings.time_s, times))
+            stray = np.flatnonzero(~np.isin(log.measurements.time_s, times))
             if len(stray):
                 row = int(stray[0])
                 raise self.located(
                     RecordError(
-                        "sightings",
+                        "measurements",
                         row,
-                        f"time {log.sightings.time_s[row]} s is no motion's, expected one at which "
+                        f"time {log.measurements.time_s[row]} s is no motion's, expected one at "
+                        "which "
                         f"a motion of {self.files.odometry} ends",
                     )
                 )

@@ -14,7 +14,7 @@ from comparisons.checks.agreement import ROUNDING, Agreement
 from comparisons.checks.association import AssociationScore, score_association
 from comparisons.checks.consistency.consistency import Consistency, check_consistency
 from comparisons.checks.diagnosis.bookkeeping import misuses
-from comparisons.checks.qualifiers import TruthGap, qualified, sighting_scale, truth_gap
+from comparisons.checks.qualifiers import TruthGap, measurement_scale, qualified, truth_gap
 from comparisons.checks.verdict import Diagnosis, Verdict, judge
 from comparisons.config import RunConfig
 from comparisons.errors import InputError
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 F = TypeVar("F", bound=Finding)
 
 REQUIRED = Required(
-    sightings="try --features trees, --landmarks scans, or slamcheck odometry for its scans",
+    measurements="try --features trees, --landmarks scans, or slamcheck odometry for its scans",
     odometry="use --motion scan",
 )
 
@@ -187,8 +187,10 @@ def compare_prepared(prepared: Prepared[RunConfig]) -> Comparison:
 def _second_association(compared: Compared, findings: dict[str, Finding]) -> str:
     """Ask the smoother's own where nothing else tells; return why nobody did, if so."""
     log, name = compared.prepared.log, "own_association"
-    told = log.sightings.labelled or log.truth.poses is not None or log.truth.landmarks is not None
-    if compared.prepared.labelled or told or not len(log.sightings.time_s) or name in findings:
+    told = (
+        log.measurements.labelled or log.truth.poses is not None or log.truth.landmarks is not None
+    )
+    if compared.prepared.labelled or told or not len(log.measurements.time_s) or name in findings:
         return ""
     from comparisons.pipeline.second_association import own_association
 
@@ -207,10 +209,10 @@ def _truth_gap(
         assessment.smoother,
         consistency.smoother,
         assessment.association,
-        sighting_scale(prepared.log.sightings, run.oriented.covariance[:, :2, :2]),
+        measurement_scale(prepared.log.measurements, run.oriented.covariance[:, :2, :2]),
         len(smoothed.landmark),
     )
-    if prepared.labelled or not prepared.log.sightings.labelled or (gap and gap.settled):
+    if prepared.labelled or not prepared.log.measurements.labelled or (gap and gap.settled):
         return gap
     from comparisons.pipeline.second_association import labels_gap, with_labels
 

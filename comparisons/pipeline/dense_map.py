@@ -25,7 +25,7 @@ from ekf_reference.dense.layers.layer import Samples
 from ekf_reference.dense.regions_at_map import RegionsAtMap
 
 REQUIRED = Required(
-    sightings="between which the map is kept: try --features trees or --landmarks scans",
+    measurements="between which the map is kept: try --features trees or --landmarks scans",
     odometry="the filter needs it",
 )
 

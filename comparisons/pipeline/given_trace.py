@@ -85,7 +85,7 @@ def check_trace(
         diagnosis = _diagnosis(log, run, gaps, file.rounding, same_steps=theirs is own)
     except np.linalg.LinAlgError:
         raise InputError(
-            f"{file.path}: its noise, composed between sightings, is singular; "
+            f"{file.path}: its noise, composed between measurements, is singular; "
             "add a little to step_q"
         ) from None
     labelled = prepared.labelled
@@ -205,7 +205,7 @@ def _timelines(file: TraceFile, last_s: float, timeline: Timeline) -> tuple[Time
     if reached[kept[-1]] != len(step_s) or len(kept) < 2:
         raise InputError(
             f"{file.path}: the last step ends at {step_s[-1]:.4f} s, expected an instant of "
-            f"a sighting, or the log's end at {epoch_s[-1]:.4f} s"
+            f"a measurement, or the log's end at {epoch_s[-1]:.4f} s"
         )
     if abs(last_s - end_s) > 2 * _CLOCK_S:
         raise InputError(
@@ -217,7 +217,7 @@ def _timelines(file: TraceFile, last_s: float, timeline: Timeline) -> tuple[Time
         cut,
         epoch_time_s=epoch_s[kept],
         step_epoch=np.searchsorted(kept, cut.step_epoch),
-        sighting_epoch=np.searchsorted(kept, cut.sighting_epoch),
+        measurement_epoch=np.searchsorted(kept, cut.measurement_epoch),
         position_epoch=np.searchsorted(kept, cut.position_epoch),
     )
     own_s = own.step_begin_s() + own.step_duration_s
@@ -240,8 +240,8 @@ def _as_run(
     last = _last(given)
     trace = file.trace
     for what, numbers, count in (
-        ("sighting", trace.measurements[POINT].number, len(timeline.sighting_epoch)),
-        ("sighting", trace.initialisations[POINT].number, len(timeline.sighting_epoch)),
+        ("measurement", trace.measurements[POINT].number, len(timeline.measurement_epoch)),
+        ("measurement", trace.initialisations[POINT].number, len(timeline.measurement_epoch)),
         ("position", trace.positions.number, len(timeline.position_epoch)),
     ):
         if int(numbers.max(initial=-1)) >= count:
@@ -254,7 +254,7 @@ def _as_run(
     pose[2] += 2.0 * np.pi * np.round((trace.arrived[-1, 2] - pose[2]) / (2.0 * np.pi))
     departed = np.vstack((trace.departed, pose))[until]
     arrived = np.vstack((trace.prior_pose, trace.arrived))[until]
-    slot = np.full(len(timeline.sighting_epoch), REJECTED, dtype=np.intp)
+    slot = np.full(len(timeline.measurement_epoch), REJECTED, dtype=np.intp)
     for records in (trace.initialisations[POINT], trace.measurements[POINT]):
         slot[records.number] = records.slot
     return EkfRun(
@@ -293,9 +293,9 @@ def _untimely(log: Log, file: TraceFile, run: EkfRun, positions: Positions | Non
     trace, found = run.trace, []
     kinds = [
         (
-            "sightings",
+            "measurements",
             np.concatenate((trace.measurements[POINT].step, trace.initialisations[POINT].step)),
-            log.sightings.time_s[
+            log.measurements.time_s[
                 np.concatenate(
                     (trace.measurements[POINT].number, trace.initialisations[POINT].number)
                 )

@@ -21,7 +21,7 @@ from comparisons.logs.transforms.known_landmarks import (
     SURVEYED,
     slots_by_label,
 )
-from comparisons.logs.transforms.scan_motion import divide, sightings_kept, with_scan_motion
+from comparisons.logs.transforms.scan_motion import divide, measurements_kept, with_scan_motion
 from comparisons.pipeline.prepare import Prepared, Progress, no_progress, prepare
 from graphslam.increments import dead_reckoned
 from graphslam.scan.loop_closure import (
@@ -65,7 +65,7 @@ class FrontEnd:
 
     @property
     def log(self) -> Log:
-        """The log as it was read, surveyed landmarks' sightings among the others."""
+        """The log as it was read, surveyed landmarks' measurements among the others."""
         return self.prepared.log
 
     def map_points(self) -> Array:
@@ -78,7 +78,7 @@ def run_front_end(
 ) -> FrontEnd:
     """Odometry, loops, graph, and how good they are. Raises InputError."""
     config = config or OdometryConfig()
-    how, labelled = config.front_end, log.sightings.labelled
+    how, labelled = config.front_end, log.measurements.labelled
     ekf = EkfConfig(association="known" if labelled else "nn", gps=how.gps)
     prepared = prepare(log, config, ekf, progress)
     log, clock = prepared.log, prepared.clock
@@ -89,7 +89,7 @@ def run_front_end(
             guess=how.guess == "wheels",
         )
     with clock.stage("loops"):
-        named = _with_named_sightings(log, motion, labelled=labelled)
+        named = _with_named_measurements(log, motion, labelled=labelled)
         scanned = replace(prepared, log=with_scan_motion(named, motion, positions=how.gps != "off"))
         slot, ids = slots_by_label(scanned.log)
         timeline = scanned.timeline
@@ -145,12 +145,14 @@ def _driven(log: Log, motion: ScanMotion, time_s: Array) -> Array:
     return divide(motion_between(log, knots[1:]), knots, time_s).displacement
 
 
-def _with_named_sightings(log: Log, motion: ScanMotion, *, labelled: bool) -> Log:
-    """The log with the sightings that the graph can use, which may be none.
+def _with_named_measurements(log: Log, motion: ScanMotion, *, labelled: bool) -> Log:
+    """The log with the measurements that the graph can use, which may be none.
 
     Those of surveyed landmarks name theirs, and all others do when the log is labelled.
     """
-    named = np.full(len(log.sightings.time_s), labelled) | (log.sightings.landmark >= SURVEYED)
-    if not (named & sightings_kept(log, motion)).any():
+    named = np.full(len(log.measurements.time_s), labelled) | (
+        log.measurements.landmark >= SURVEYED
+    )
+    if not (named & measurements_kept(log, motion)).any():
         named[:] = False
-    return replace(log, sightings=log.sightings.chosen(named))
+    return replace(log, measurements=log.measurements.chosen(named))

@@ -21,7 +21,7 @@ from comparisons.extensions.contract import Extension
 from comparisons.extensions.registry import EXTENSIONS
 from comparisons.logs.hashing import log_hash
 from comparisons.logs.log import Log, Positions
-from comparisons.logs.transforms.known_landmarks import join_known_sightings
+from comparisons.logs.transforms.known_landmarks import join_known_measurements
 from graphslam.scan.libraries import require
 
 C = TypeVar("C", bound=JobConfig)
@@ -97,7 +97,7 @@ class Prepared(Generic[C]):
 
     @property
     def labelled(self) -> bool:
-        """The log's labels say which landmark a sighting is of."""
+        """The log's labels say which landmark a measurement is of."""
         return self.ekf.association == "known"
 
     @cached_property
@@ -138,7 +138,7 @@ class Required(NamedTuple):
     closures: the job takes motions between poses that do not follow each other.
     """
 
-    sightings: str | None = None
+    measurements: str | None = None
     odometry: str | None = None
     closures: bool = False
 
@@ -164,7 +164,7 @@ def prepare(
     if ekf is None:
         ekf = EkfConfig() if configured is None else configured.ekf
     prepared = Prepared(
-        log=join_known_sightings(log),
+        log=join_known_measurements(log),
         config=config,
         ekf=settle(ekf, log),
         extensions=(*also, *_extensions(configured)),
@@ -189,8 +189,10 @@ def _check_streams(prepared: Prepared[Any], required: Required) -> None:
     if log.closures is not None and not required.closures:
         raise InputError(f"{log.name}: {_why_no_filter(log)}")
     landmarks = any(one.brings_landmarks for one in extensions)
-    if required.sightings is not None and not landmarks and not len(log.sightings.time_s):
-        raise InputError(f"{log.name}: holds no sightings of landmarks ({required.sightings})")
+    if required.measurements is not None and not landmarks and not len(log.measurements.time_s):
+        raise InputError(
+            f"{log.name}: holds no measurements of landmarks ({required.measurements})"
+        )
     motion = any(one.brings_motion for one in extensions)
     if required.odometry is not None and not motion and not len(log.odometry.time_s):
         raise InputError(f"{log.name}: holds no odometry; {required.odometry}")
@@ -200,9 +202,9 @@ def _why_no_filter(log: Log) -> str:
     """Why a filter of landmarks cannot serve a log with closures."""
     closures = f"holds {log.records['closures']:,} closures from pose to pose"
     takes = "slamcheck solve takes it, and no other job that estimates"
-    if len(log.sightings.time_s):
+    if len(log.measurements.time_s):
         return (
-            f"{closures} beside its sightings; {takes}: a landmark EKF cannot fuse them, and "
+            f"{closures} beside its measurements; {takes}: a landmark EKF cannot fuse them, and "
             "without them it would not read the same log as the smoother"
         )
     return f"{closures} and no landmarks; {takes}: a landmark EKF has nothing to observe"

@@ -16,7 +16,7 @@ from comparisons.arrays import Array
 from comparisons.checks.accuracy import assess_trajectory, match_landmarks
 from comparisons.checks.association import AssociationScore
 from comparisons.checks.association_variants import poses_apart
-from comparisons.checks.qualifiers import Distance, TruthGap, sighting_scale
+from comparisons.checks.qualifiers import Distance, TruthGap, measurement_scale
 from comparisons.errors import InputError
 from comparisons.extensions.contract import Finding
 from comparisons.logs.transforms.known_landmarks import slots_by_label
@@ -55,9 +55,9 @@ def own_association(compared: Compared) -> tuple[Finding | None, str]:
 def own_work(compared: Compared) -> float:
     """Seconds, about, of the smoother's own association and of the optimum with it.
 
-    After each piece all poses so far are solved for anew, every sighting is judged by the map, and
-    in the end the smoother starts again. Coefficients: least squares over six runs, from 430 to
-    2,800 epochs and 1,900 to 23,600 sightings, of processor time on one machine.
+    After each piece all poses so far are solved for anew, every measurement is judged by the map,
+    and in the end the smoother starts again. Coefficients: least squares over six runs, from 430 to
+    2,800 epochs and 1,900 to 23,600 measurements, of processor time on one machine.
     """
     epochs, seen, landmarks, _ = _counts(compared)
     solved = 0.5 * (epochs / Options().piece) * (epochs + seen)
@@ -71,7 +71,7 @@ def run_work(compared: Compared) -> float:
 
 
 def _counts(compared: Compared) -> tuple[int, int, int, int]:
-    """Epochs, sightings, landmarks, and samples of odometry."""
+    """Epochs, measurements, landmarks, and samples of odometry."""
     run = compared.ekf
     timeline = run.timeline
     return (
@@ -123,7 +123,7 @@ def labels_gap(compared: Compared, association: AssociationScore | None) -> Trut
     sigma, metres = poses_apart(gaps.smoothed.pose, labelled.poses, labelled.pose_covariances())
     return TruthGap(
         distances=(Distance("poses", 3, sigma, metres),),
-        sighting_m=sighting_scale(compared.prepared.log.sightings, np.zeros((0, 2, 2))),
+        measurement_m=measurement_scale(compared.prepared.log.measurements, np.zeros((0, 2, 2))),
         association=association,
         reference="the log's labels put it",
     )

@@ -34,8 +34,8 @@ def check_size(prepared: Prepared[Any], available: float | None = None) -> None:
     available: bytes, by default what the machine has free; where unknown, nothing is refused.
     """
     log, timeline = prepared.log, prepared.timeline
-    poses, measurements = len(timeline.epoch_time_s), len(timeline.sighting_epoch)
-    landmarks = len(np.unique(log.sightings.landmark)) if prepared.labelled else 0
+    poses, measurements = len(timeline.epoch_time_s), len(timeline.measurement_epoch)
+    landmarks = len(np.unique(log.measurements.landmark)) if prepared.labelled else 0
     need = needed(poses, measurements, landmarks, full=prepared.ekf.filter == "full")
     room = available_bytes() if available is None else available
     if room is not None and need > room:

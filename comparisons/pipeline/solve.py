@@ -38,8 +38,8 @@ from graphslam.smoother import SmootherOptions, SmootherResult
 class Solution:
     """What the smoother found.
 
-    slot: (M,) landmark of each of the log's sightings, negative where unused. association: how it
-    compares with the log's labels, when it was made without them; association_check: and with
+    slot: (M,) landmark of each of the log's measurements, negative where unused. association: how
+    it compares with the log's labels, when it was made without them; association_check: and with
     others that are made without them.
     """
 
@@ -84,9 +84,11 @@ def solve(
     when there is no solution.
     """
     config = config or SolveConfig()
-    known = log.sightings.labelled if config.association is None else config.association == "known"
+    known = (
+        log.measurements.labelled if config.association is None else config.association == "known"
+    )
     if log.closures is not None and not known:
-        raise InputError(f"{log.name}: holds closures, expected sightings associated by labels")
+        raise InputError(f"{log.name}: holds closures, expected measurements associated by labels")
     ekf = EkfConfig(association="known" if known else "nn", gps=config.gps)
     other = "use slamcheck odometry for its scans"
     required = Required(None if log.closures is not None else other, other, closures=True)
@@ -107,7 +109,9 @@ def solve(
             ids = np.arange(problem.landmark_count)
             guesses["association"] = (own.poses, own.landmarks)
     if not len(ids) and log.closures is None:
-        raise InputError(f"{log.name}: no sighting could be used, so there is no map to solve for")
+        raise InputError(
+            f"{log.name}: no measurement could be used, so there is no map to solve for"
+        )
     with clock.stage("smoother"):
         options = SmootherOptions(**config.smoother.model_dump())
         result = smooth_problem(problem, guesses, lambda stage: progress(stage, 0, 0), options)
@@ -137,7 +141,7 @@ def solve(
 def _check(
     associator: OwnAssociator, own: OwnAssociation, result: SmootherResult, estimate: Estimate
 ) -> AssociationCheck:
-    """Compare the association with others of the same sightings."""
+    """Compare the association with others of the same measurements."""
     problem = result.problem
     dof = problem.residual_dimension - problem.state_dimension
     optimum = (result.poses, estimate.pose_covariance, 2.0 * result.error, dof)

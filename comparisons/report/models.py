@@ -24,12 +24,12 @@ class LogResult(Model):
 class EkfResult(Model):
     """The filter.
 
-    rejected, ambiguous, candidate: sightings that association did not use. dynamic: sightings that
-    were discarded since something moves there; retired: landmarks that are used no more, since they
-    stand in such a place. cut_off: scans in which joint compatibility visited its most nodes and
-    took the best set so far. global_updates: of a compressed filter, and the share of the passive
-    covariance that they left alone (set I). attributes: whether diameters and intensities entered
-    association. fixes_in_streaks: rejected positions that are one of five or more in a row;
+    rejected, ambiguous, candidate: measurements that association did not use. dynamic: measurements
+    that were discarded since something moves there; retired: landmarks that are used no more, since
+    they stand in such a place. cut_off: scans in which joint compatibility visited its most nodes
+    and took the best set so far. global_updates: of a compressed filter, and the share of the
+    passive covariance that they left alone (set I). attributes: whether diameters and intensities
+    entered association. fixes_in_streaks: rejected positions that are one of five or more in a row;
     longest_streak: of rejected positions; fixes_rejected_by_smoother: of the rejected ones, those
     that the same gate rejects at the smoother's optimum.
     """
@@ -81,7 +81,7 @@ class MinimumResult(Model):
 class SmootherResult(Model):
     """The smoother and the evidence for its optimum. See graphslam.optimum.
 
-    distance_sigma: of an incremental estimate from the optimum. rejected: wild sightings and
+    distance_sigma: of an incremental estimate from the optimum. rejected: wild measurements and
     positions that were left out. rank: unknowns that the measurements determine. lacks: why the
     optimum is not verified; empty where it is. minima: the distinct ones found, lowest first.
     hops, random_starts: how many were tried. chance_missed: that the random starts miss a basin as
@@ -91,7 +91,7 @@ class SmootherResult(Model):
     method: str
     optimiser: str
     robust: str
-    rejected_sightings: int
+    rejected_measurements: int
     rejected_positions: int
     distance_sigma: float | None
     rank: int
@@ -177,7 +177,7 @@ class Accuracies(Model):
 
 
 class PartitionResult(Model):
-    """Pairs of sightings put together, against those that belong together."""
+    """Pairs of measurements put together, against those that belong together."""
 
     precision: float
     recall: float
@@ -186,7 +186,7 @@ class PartitionResult(Model):
 class AssociationResult(Model):
     """An association made without labels against the log's. See comparisons.checks.association.
 
-    used: landmarks that have sightings, for as many as are labelled.
+    used: landmarks that have measurements, for as many as are labelled.
     """
 
     landmarks: PartitionResult
@@ -213,14 +213,14 @@ class TruthDistanceResult(Model):
 class TruthGapResult(Model):
     """The smoother against truth, or against labels. See comparisons.checks.qualifiers.TruthGap.
 
-    stands: it is far, by its covariance or by what labels reach, and by more than sighting_m, what
-    one sighting errs by; or it is lost: no landmark is near a true one. reference: where it should
-    be, in words.
+    stands: it is far, by its covariance or by what labels reach, and by more than measurement_m,
+    what one measurement errs by; or it is lost: no landmark is near a true one. reference: where it
+    should be, in words.
     """
 
     stands: bool
     distances: list[TruthDistanceResult]
-    sighting_m: float
+    measurement_m: float
     lost: bool
     reference: str
 
@@ -228,9 +228,9 @@ class TruthGapResult(Model):
 class AssociationVariantResult(Model):
     """An association made in another way. See comparisons.checks.association_variants.
 
-    agreement: share of the pairs of sightings put together by either that both put together.
+    agreement: share of the pairs of measurements put together by either that both put together.
     apart: root mean square distance of the poses at the two optima. excess: how much worse it
-    explains the sightings, as squared misfit. disputed: sightings not given to counterparts.
+    explains the measurements, as squared misfit. disputed: measurements not given to counterparts.
     """
 
     name: str
@@ -247,11 +247,11 @@ class AssociationVariantResult(Model):
 
 
 class DisputeResult(Model):
-    """Sightings of one landmark, -1 for none, that a variant gives to others."""
+    """Measurements of one landmark, -1 for none, that a variant gives to others."""
 
     variant: str
     landmark: int
-    sightings: int
+    measurements: int
     begin_s: float
     end_s: float
 
@@ -445,7 +445,7 @@ class PoseGraphResult(Model):
 
 
 class SolutionResult(Model):
-    """`solution.json`: the smoother alone. sightings_used: of the log's.
+    """`solution.json`: the smoother alone. measurements_used: of the log's.
 
     association_check: of the smoother's own, which must hold for `verified`, too. pose_graph: of a
     log with closures.
@@ -456,7 +456,7 @@ class SolutionResult(Model):
     log: LogResult
     association_by: str
     landmarks: int
-    sightings_used: int
+    measurements_used: int
     gps: str
     smoother: SmootherResult
     accuracy: AccuracyResult | None

@@ -20,7 +20,7 @@ from comparisons.extensions.scan_motion.result import (
     scan_odometry_result,
     scan_odometry_rows,
 )
-from comparisons.logs.transforms.scan_motion import sightings_kept
+from comparisons.logs.transforms.scan_motion import measurements_kept
 from comparisons.pipeline.odometry import FrontEnd
 from comparisons.pipeline.prepare import Clock
 from comparisons.report.figures.odometry import front_end_figure
@@ -155,9 +155,9 @@ def _remarks(f: FrontEnd) -> list[str]:
     beyond = 0 if stream is None else len(stream.time_s) - len(f.motion.source.row)
     if beyond:
         remarks.append(f"{beyond} scans lie outside the time of the odometry and were left out")
-    seen = f.log.sightings
-    beyond = int(np.count_nonzero(~sightings_kept(f.log, f.motion))) if seen.labelled else 0
+    seen = f.log.measurements
+    beyond = int(np.count_nonzero(~measurements_kept(f.log, f.motion))) if seen.labelled else 0
     if beyond:
-        remarks.append(f"{beyond} sightings lie outside the time of the scans and were left out")
+        remarks.append(f"{beyond} measurements lie outside the time of the scans and were left out")
     remarks += f.motion.remarks
     return remarks + increment_remarks(f.increments)

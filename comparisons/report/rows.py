@@ -85,14 +85,14 @@ def ekf_rows(ekf: EkfResult) -> list[Row]:
     rows = [
         Row(
             "EKF",
-            f"{ekf.filter}, {ekf.landmarks} landmarks; sightings {ekf.rejected} rejected, "
+            f"{ekf.filter}, {ekf.landmarks} landmarks; measurements {ekf.rejected} rejected, "
             f"{ekf.ambiguous} ambiguous, {ekf.candidate} of candidates ({ekf.association}"
             + attributes.get(ekf.attributes, "")
             + ")",
         )
     ]
     if ekf.dynamic or ekf.retired:
-        found = f"{ekf.dynamic} sightings discarded, {ekf.retired} landmarks retired"
+        found = f"{ekf.dynamic} measurements discarded, {ekf.retired} landmarks retired"
         rows.append(Row("dynamic", found))
     if ekf.global_updates:
         spared = f"sparing {100 * ekf.global_update_spared:.0f} % of the passive covariance"
@@ -130,7 +130,7 @@ def smoother_rows(smoother: SmootherResult) -> list[Row]:
         rows.append(
             Row(
                 "robust",
-                f"{smoother.robust}: {smoother.rejected_sightings} sightings and "
+                f"{smoother.robust}: {smoother.rejected_measurements} measurements and "
                 f"{smoother.rejected_positions} positions left out",
             )
         )
@@ -169,11 +169,11 @@ def association_rows(association: AssociationResult | None) -> list[Row]:
     if association.clusters is not None:
         parts.append(("clusters", association.clusters))
     scores = (f"{n}: precision {p.precision:.3f}, recall {p.recall:.3f}" for n, p in parts)
-    return [Row("association", "; ".join(scores) + " (pairs of sightings)")]
+    return [Row("association", "; ".join(scores) + " (pairs of measurements)")]
 
 
 def association_check_rows(check: AssociationCheckResult | None) -> list[Row]:
-    """How an association compares with others of the same sightings."""
+    """How an association compares with others of the same measurements."""
     if check is None:
         return []
     parts = (

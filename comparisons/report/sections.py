@@ -96,7 +96,7 @@ def smoother_result(result: smoother.SmootherResult, estimate: Estimate) -> Smoo
         method=options.method,
         optimiser=options.optimiser,
         robust=options.robust,
-        rejected_sightings=len(result.rejected.sightings),
+        rejected_measurements=len(result.rejected.measurements),
         rejected_positions=len(result.rejected.positions),
         distance_sigma=finite(optimality.distance_sigma),
         rank=result.rank,
@@ -176,7 +176,7 @@ def truth_gap_result(gap: TruthGap | None) -> TruthGapResult | None:
             )
             for d in gap.distances
         ],
-        sighting_m=gap.sighting_m,
+        measurement_m=gap.measurement_m,
         lost=gap.lost,
         reference=gap.reference,
     )
@@ -209,7 +209,7 @@ def association_check_result(check: AssociationCheck | None) -> AssociationCheck
             DisputeResult(
                 variant=d.variant,
                 landmark=d.landmark,
-                sightings=d.count,
+                measurements=d.count,
                 begin_s=d.begin_s,
                 end_s=d.end_s,
             )

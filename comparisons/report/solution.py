@@ -51,7 +51,7 @@ def build_solution_result(solution: Solution, read: Clock | None = None) -> Solu
         log=log_result(s.log),
         association_by=s.association_by,
         landmarks=len(s.estimate.landmark),
-        sightings_used=int(np.count_nonzero(s.slot >= 0)),
+        measurements_used=int(np.count_nonzero(s.slot >= 0)),
         gps=s.prepared.ekf.gps,
         smoother=smoother_result(s.result, s.estimate),
         accuracy=accuracy_result(s.accuracy),
@@ -79,13 +79,14 @@ def _pose_graph(solution: Solution) -> PoseGraphResult | None:
 
 def print_solution(result: SolutionResult, console: Console) -> None:
     """Print log, evidence, accuracy and verdict."""
-    total = result.log.records["sightings"]
+    total = result.log.records["measurements"]
     rows = [
         *log_rows(result.log),
         *settings_rows(result.settings),
         Row(
             "map",
-            f"{result.landmarks} landmarks from {result.sightings_used:,} of {total:,} sightings "
+            f"{result.landmarks} landmarks from {result.measurements_used:,} of {total:,} "
+            "measurements "
             f"({result.association_by})",
         ),
         *_pose_graph_rows(result),

@@ -114,7 +114,7 @@ def _landmarks(
     outline = ellipses(estimate.landmark, estimate.landmark_covariances(), _SIGMAS, 32)
     used = np.flatnonzero(slot >= 0)
     seen, first = np.unique(slot[used], return_index=True)
-    epoch = comparison.ekf.timeline.sighting_epoch[used[first]]
+    epoch = comparison.ekf.timeline.measurement_epoch[used[first]]
     for k in np.unique(epoch).tolist():
         known = seen[epoch <= k]
         known = known[np.isfinite(estimate.landmark[known]).all(axis=1)]

@@ -152,7 +152,7 @@ class DelayedInitialisation:
         its transpose, grad h_z R grad h_z^T holds.
 
         view: as `updated` read it. point: (N, 2) [m] in the world, from the vehicle's estimated
-        pose. noise: (N, 2, 2) [m^2] of the sightings, the pose's not included. potential: as of
+        pose. noise: (N, 2, 2) [m^2] of the measurements, the pose's not included. potential: as of
         now; a point joins the frame of the first of them that contains it. origin: (2,) of the
         scanner; the vehicle's place by default.
         """

@@ -29,7 +29,7 @@ class LayerAttributes:
     """One attribute is read from a layer of the dense map, the others are remembered.
 
     The landmark's is what all scans have shown around its place, whatever its seen were
-    taken for; the sighting's, in `column`, is what its own scan shows around it.
+    taken for; the measurement's, in `column`, is what its own scan shows around it.
     """
 
     memory: AttributeEstimates

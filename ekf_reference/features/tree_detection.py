@@ -124,7 +124,7 @@ class TreeTracker:
     """Follows trunks from scan to scan and filters their diameters (Guivant 2002, eq. 16).
 
     join_m: a cluster belongs to the nearest track within this distance, after the vehicle's own
-    motion. silence: scans without a sighting after which a track is given up.
+    motion. silence: scans without a measurement after which a track is given up.
     """
 
     model: TrunkModel = field(default_factory=TrunkModel)

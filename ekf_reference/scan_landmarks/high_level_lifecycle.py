@@ -60,7 +60,7 @@ class HighLevelLandmark:
     slot: int = NEW
 
 
-class Sighting(NamedTuple):
+class PoseMeasurement(NamedTuple):
     """number: of the landmark. z: (3,) its pose in the vehicle's frame. covariance: (3, 3)."""
 
     number: int
@@ -135,12 +135,12 @@ class HighLevelLandmarks:
         there = zip(self.landmark, self.places(ekf), strict=True)
         return np.reshape([to_world(at, one.rectangle) for one, at in there], (-1, 4, 2))
 
-    def look(self, ekf: Ekf, scan: Glimpse) -> list[Sighting]:
-        """Sightings of what should be in view, those within the gate."""
+    def look(self, ekf: Ekf, scan: Glimpse) -> list[PoseMeasurement]:
+        """Measurements of what should be in view, those within the gate."""
         view = FilterView.of(ekf)
         places = self.places(ekf)
         near = np.linalg.norm(places[:, :2] - view.pose[:2], axis=1) <= scan.view.reach_m
-        sightings = []
+        measurements = []
         for number in np.flatnonzero(near).tolist():
             one = self.landmark[number]
             if self._moves(number, places[number]):
@@ -150,11 +150,11 @@ class HighLevelLandmarks:
             if expected is None:
                 self.counts["out of reach"] += 1
                 continue
-            made, reason = self._sight(one, scan, expected)
+            made, reason = self._measure(one, scan, expected)
             self.counts[reason] += 1
             if made is not None:
-                sightings.append(Sighting(number, *made))
-        return sightings
+                measurements.append(PoseMeasurement(number, *made))
+        return measurements
 
     def _moves(self, number: int, place: Array) -> bool:
         """Give up a landmark whose template lies where things move (Nieto 2005, section 6.5)."""
@@ -171,9 +171,9 @@ class HighLevelLandmarks:
         z, covariance = predicted_frames(ekf, np.array([one.slot]))
         return Expected(z[0], covariance[0])
 
-    def begun(self, sightings: list[Sighting], slot: Index) -> None:
-        """The filter has fused sightings and says which of its landmarks (m,) they are."""
-        for one, own in zip(sightings, slot.tolist(), strict=True):
+    def begun(self, measurements: list[PoseMeasurement], slot: Index) -> None:
+        """The filter has fused measurements and says which of its landmarks (m,) they are."""
+        for one, own in zip(measurements, slot.tolist(), strict=True):
             self.landmark[one.number] = replace(self.landmark[one.number], slot=own)
 
     def _passive(self, view: FilterView, one: HighLevelLandmark) -> Expected | None:
@@ -185,7 +185,7 @@ class HighLevelLandmarks:
         spread = by_own @ np.diag(np.square(self.settled)) @ by_own.T
         return Expected(at.z[0], by_vehicle @ covariance @ by_vehicle.T + spread)
 
-    def _sight(
+    def _measure(
         self, one: HighLevelLandmark, scan: Glimpse, expected: Expected
     ) -> tuple[Expected | None, str]:
         there = _OBSERVATION.predict(scan.mount, expected.z[None])

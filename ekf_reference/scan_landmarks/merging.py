@@ -128,7 +128,7 @@ class DuplicateMerging:
 
     def _unite(self, first: int, second: int, known: LocalMap) -> None:
         """Add the second's template to the first's, in the first's frame."""
-        template, seen = self.found.template, self.found.sightings
+        template, seen = self.found.template, self.found.measurements
         template[first] = replace(
             template[first], shape=united(template[first], template.pop(second), known)
         )

@@ -91,7 +91,7 @@ class Predicted(NamedTuple):
 class ScanLandmarks:
     """Templates and counts of a run.
 
-    template: by landmark index. sightings: measurements used, by landmark index. begun: every
+    template: by landmark index. measurements: measurements used, by landmark index. begun: every
     template as it was initialised from one scan. reasons: how often a landmark near the scanner was
     USED, or why it was not. rejected: candidate templates that failed their trial. scans: processed
     so far. dynamic: returns left out because something moves there. moving: landmark indices that
@@ -100,7 +100,7 @@ class ScanLandmarks:
 
     template: dict[int, Template] = field(default_factory=dict)
     begun: dict[int, Template] = field(default_factory=dict)
-    sightings: Counter[int] = field(default_factory=Counter)
+    measurements: Counter[int] = field(default_factory=Counter)
     reasons: Counter[str] = field(default_factory=Counter)
     rejected: int = 0
     scans: int = 0
@@ -243,7 +243,7 @@ class ScanSlam:
         slots = tell.observe(z, r, np.array([slot for slot, *_ in seen], dtype=np.intp))
         for slot in slots.tolist():
             self._last_seen[slot] = self.found.scans
-            self.found.sightings[slot] += 1
+            self.found.measurements[slot] += 1
         return int(slots[-1])
 
     def _out(self) -> Array:

@@ -26,7 +26,7 @@ struct Estimate {
   std::vector<double> time_s;                          // K, increasing
   std::vector<std::array<double, 3>> pose;             // K: x, y, heading
   std::vector<std::array<double, 9>> pose_covariance;  // K, or none
-  std::vector<std::int64_t> landmark_id;               // L, as in the log's sightings.csv
+  std::vector<std::int64_t> landmark_id;               // L, as in the log's measurements.csv
   std::vector<std::array<double, 2>> landmark;         // L: x, y
   std::vector<double> joint_covariance;  // n * n, n = 3 + 2 L: last pose, landmarks; or none
   std::string information = "filtered";  // filtered, smoothed or fixed-lag

@@ -1,7 +1,7 @@
 """An own EKF-SLAM from a log folder to an estimate folder: plain numpy, nothing of slamcheck.
 
-For logs with velocity odometry whose sightings name their landmarks. The notes make trace.npz, in
-which `slamcheck check` finds what is wrong; a filter without them is checked, too.
+For logs with velocity odometry whose measurements name their landmarks. The notes make trace.npz,
+in which `slamcheck check` finds what is wrong; a filter without them is checked, too.
 
 python my_ekf.py LOG OUT
 """
@@ -50,10 +50,10 @@ class MyEkf:
         self.note("step", time_s=end, departed=departed, arrived=self.x[:3], f=f, q=q)
 
     def observe(self, row: int, label: int, z: Array, r: Array) -> None:
-        """Fuse one range and bearing, or begin a landmark with it."""
+        """Fuse one range and bearing, or initialise a landmark with it."""
         n, pose = len(self.x), self.x[:3].copy()
-        seen = {"step": len(self.trace["step_f"]), "sighting": row, "landmark": label}
-        if label not in self.slot:  # begin a landmark
+        seen = {"step": len(self.trace["step_f"]), "measurement": row, "landmark": label}
+        if label not in self.slot:  # initialise a landmark
             c, s = np.cos(pose[2] + z[1]), np.sin(pose[2] + z[1])
             gx = np.array([[1.0, 0.0, -z[0] * s], [0.0, 1.0, z[0] * c]])
             gz = np.array([[c, -z[0] * s], [s, z[0] * c]])
@@ -61,8 +61,8 @@ class MyEkf:
             point = pose[:2] + z[0] * np.array([c, s])
             self.slot[label], self.x, self.p = n, np.append(self.x, point), g @ self.p @ g.T
             self.p[n:, n:] += gz @ r @ gz.T
-            jacobians = {"jacobian_pose": gx, "jacobian_sighting": gz}
-            self.note("begin", **seen, pose=pose, point=point, noise=r, **jacobians)
+            jacobians = {"jacobian_pose": gx, "jacobian_measurement": gz}
+            self.note("initialise", **seen, pose=pose, point=point, noise=r, **jacobians)
             return
         at = slice(self.slot[label], self.slot[label] + 2)
         point = self.x[at].copy()
@@ -91,9 +91,9 @@ def read(path: Path) -> dict[str, Array]:
 def main(log: Path, out: Path) -> None:
     """Run the filter over a log folder; write an estimate folder."""
     meta = tomllib.loads((log / "log.toml").read_text())
-    odometry, seen = read(log / "odometry.csv"), read(log / "sightings.csv")
+    odometry, seen = read(log / "odometry.csv"), read(log / "measurements.csv")
     if "yaw_rate_radps" not in odometry or (seen["landmark"] < 0).any():
-        sys.exit(f"{log}: expected speeds and yaw rates, and a landmark named in each sighting")
+        sys.exit(f"{log}: expected speeds and yaw rates, and a landmark named in each measurement")
     ekf, now = MyEkf(meta["prior"], meta["odometry"]["noise"]), meta["prior"]["time_s"]
     trace = {"prior_pose": ekf.x.copy(), "prior_covariance": ekf.p.copy()}
     path, spread = [], []

@@ -49,11 +49,11 @@ def test_perfect_split_merged_and_unused() -> None:
 
 def test_landmarks_too_near_to_tell_apart_count_as_one_cluster() -> None:
     log = simulated(loop_s=5.0)
-    count = len(log.sightings.time_s)
+    count = len(log.measurements.time_s)
     places = np.array(((0.0, 0.0), (0.3, 0.0), (5.0, 0.0)))
     truth = Truth(landmarks=Landmarks(np.array((1, 2, 3)), places, np.zeros((3, 2, 2))))
     label = np.resize((1, 2, 3), count)
-    log = replace(log, truth=truth, sightings=replace(log.sightings, landmark=label))
+    log = replace(log, truth=truth, measurements=replace(log.measurements, landmark=label))
     swapped = np.resize((1, 0, 2), count)
     swapped[:3] = (0, 1, 2)
     score = score_association(swapped, places + 0.01, log)
@@ -67,11 +67,11 @@ def test_landmarks_too_near_to_tell_apart_count_as_one_cluster() -> None:
 def test_a_clump_taken_for_one_landmark_shows_by_landmarks_alone() -> None:
     """By clusters it scores in full, so these figures alone would hide it."""
     log = simulated(loop_s=5.0)
-    count = len(log.sightings.time_s)
+    count = len(log.measurements.time_s)
     places = np.array(((0.0, 0.0), (0.3, 0.0), (5.0, 0.0)))
     truth = Truth(landmarks=Landmarks(np.array((1, 2, 3)), places, np.zeros((3, 2, 2))))
     label = np.resize((1, 2, 3), count)
-    log = replace(log, truth=truth, sightings=replace(log.sightings, landmark=label))
+    log = replace(log, truth=truth, measurements=replace(log.measurements, landmark=label))
     score = score_association(np.resize((0, 0, 1), count), places[1:], log)
     result = association_result(score)
     assert result is not None
@@ -94,16 +94,16 @@ def test_association_by_position_finds_the_labels_in_simulation(rule: str) -> No
 def test_no_score_with_labels_or_without_any() -> None:
     log = simulated(seed=1, loop_s=5.0)
     assert compared(log).assessment.association is None
-    seen = log.sightings
+    seen = log.measurements
     blank = replace(seen, landmark=np.full(len(seen.time_s), NO_LANDMARK))
-    c = compared(replace(log, sightings=blank))
+    c = compared(replace(log, measurements=blank))
     assert c.prepared.ekf.association == "nn"
     assert c.assessment.association is None
 
 
-def test_codes_of_unused_sightings_index_nothing() -> None:
+def test_codes_of_unused_measurements_index_nothing() -> None:
     log = simulated(loop_s=5.0)
-    slot = np.resize((0, 1, -3), len(log.sightings.time_s))
+    slot = np.resize((0, 1, -3), len(log.measurements.time_s))
     score = score_association(slot, np.array(((0.0, 0.0), (5.0, 0.0))), log)
     assert score is not None
     assert score.clusters is not None
@@ -111,7 +111,7 @@ def test_codes_of_unused_sightings_index_nothing() -> None:
 
 
 def test_partitions_are_compared_pair_by_pair() -> None:
-    """The second splits landmark 0, merges 1 and 2, and leaves out one sighting."""
+    """The second splits landmark 0, merges 1 and 2, and leaves out one measurement."""
     first = np.array([0, 0, 0, 0, 1, 1, 2, 2, 2, -1])
     second = np.array([5, 5, 6, 6, 3, 3, 3, 3, -1, 3])
     found = compare_partitions(first, second)

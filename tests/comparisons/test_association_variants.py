@@ -81,7 +81,7 @@ def test_a_shift_below_the_limit_is_none() -> None:
     assert not checked(Alternative("a", split(), at(1.01 * limit), 0.0)).verified
 
 
-def test_sightings_left_out_cost_something() -> None:
+def test_measurements_left_out_cost_something() -> None:
     """Broken variants of a comparison by chi-square alone would prefer to use nothing."""
     nobody = np.full(30, -1)
     found = checked(Alternative("a", nobody, at(0.5), 0.0))
@@ -115,4 +115,4 @@ def test_a_quiet_log_is_verified_and_a_wrong_association_is_not(tmp_path: Path) 
     assert told.association_check is not None
     assert not told.association_check.verified
     assert told.association_check.disputes
-    assert "sightings in dispute: " in " ".join(done.stdout.split())
+    assert "measurements in dispute: " in " ".join(done.stdout.split())

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from comparisons.adapters.attributes import sighted_attributes
+from comparisons.adapters.attributes import measured_attributes
 from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.filter_setup import FilterSetup
@@ -25,18 +25,18 @@ ON = EkfConfig(association="nn", attributes="on")
 def with_diameters(seed: int = 0, loop_s: float = 20.0) -> tuple[Log, np.ndarray]:
     """A drive without labels, every tree of its own diameter; and the diameters (L,)."""
     log = simulated(seed, loop_s=loop_s)
-    seen, rng = log.sightings, np.random.default_rng(seed)
+    seen, rng = log.measurements, np.random.default_rng(seed)
     diameter = rng.uniform(0.2, 0.8, int(seen.landmark.max()) + 1)
-    log = replace(log, sightings=replace(seen, diameter_m=diameter[seen.landmark]))
-    sigma = np.sqrt(sighted_attributes(log).variance[:, 0])
-    measured = rng.normal(log.sightings.diameter_m, sigma)
+    log = replace(log, measurements=replace(seen, diameter_m=diameter[seen.landmark]))
+    sigma = np.sqrt(measured_attributes(log).variance[:, 0])
+    measured = rng.normal(log.measurements.diameter_m, sigma)
     blank = np.full(len(sigma), NO_LANDMARK)
-    return replace(log, sightings=replace(seen, landmark=blank, diameter_m=measured)), diameter
+    return replace(log, measurements=replace(seen, landmark=blank, diameter_m=measured)), diameter
 
 
-def test_landmarks_remember_what_their_sightings_told() -> None:
+def test_landmarks_remember_what_their_measurements_told() -> None:
     log, diameter = with_diameters()
-    label = simulated(0, loop_s=20.0).sightings.landmark
+    label = simulated(0, loop_s=20.0).measurements.landmark
     kept: list[Ekf] = []
     run = run_ekf(log, build_timeline(log), ON, setup=FilterSetup(modify=[kept.append]))
     rule = kept[0].association
@@ -63,10 +63,10 @@ def test_both_estimators_follow_an_association_by_attributes() -> None:
 
 def test_diameters_that_say_nothing_change_nothing_when_off() -> None:
     log, _ = with_diameters(loop_s=10.0)
-    bare = replace(log.sightings, diameter_m=np.full(len(log.sightings.time_s), np.nan))
+    bare = replace(log.measurements, diameter_m=np.full(len(log.measurements.time_s), np.nan))
     runs = [
         run_ekf(one, build_timeline(one), EkfConfig(association="nn")).estimate
-        for one in (log, replace(log, sightings=bare))
+        for one in (log, replace(log, measurements=bare))
     ]
     assert np.array_equal(runs[0].joint_mean, runs[1].joint_mean)
     assert np.array_equal(runs[0].joint_covariance, runs[1].joint_covariance)
@@ -89,10 +89,12 @@ def test_what_cannot_be_had_is_said(options: dict[str, str], message: str) -> No
 def test_the_unit_of_an_intensity_is_its_own() -> None:
     """Its sigma is a share of the median, so that the sensor's scale does not matter."""
     log = first_seconds(simulated(loop_s=10.0), 5.0)
-    bright = np.random.default_rng(0).uniform(1.0, 4.0, len(log.sightings.time_s))
+    bright = np.random.default_rng(0).uniform(1.0, 4.0, len(log.measurements.time_s))
     bright[0] = np.nan
     told = [
-        sighted_attributes(replace(log, sightings=replace(log.sightings, intensity=unit * bright)))
+        measured_attributes(
+            replace(log, measurements=replace(log.measurements, intensity=unit * bright))
+        )
         for unit in (1.0, 8192.0)
     ]
     share = [(one.value[1:, 1] ** 2) / one.variance[1:, 1] for one in told]

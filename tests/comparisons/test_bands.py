@@ -75,7 +75,7 @@ def test_a_sound_log_states_the_noise_that_it_has() -> None:
     assert not isinstance(log.odometry, RelativePoses)
     assert log.odometry.noise.variance_rate_position == 0.0
     assert log.odometry.noise.sigma_speed_mps == pytest.approx(0.003)
-    assert log.sightings.sigma_range_m[0] == pytest.approx(0.0015)
+    assert log.measurements.sigma_range_m[0] == pytest.approx(0.0015)
 
 
 @pytest.mark.slow
@@ -130,7 +130,7 @@ def by_the_filters_alone(
     [
         (normalised, "mean_band", another_level, "EKF NEES, pose, share inside"),
         (normalised, "mean_band", one_more_dof, "smoother NEES, heading, share inside"),
-        (innovations, "mean_band", as_if_independent, "sightings, NIS of range"),
+        (innovations, "mean_band", as_if_independent, "measurements, NIS of range"),
         (innovations, "mean_band", as_if_independent, "positions, NIS of east"),
         (innovations, "whiteness", narrower, "whiteness of bearing by landmark, share of lags"),
         (innovations, "whiteness", half_the_dof, "by landmark, p-value over 0.05"),

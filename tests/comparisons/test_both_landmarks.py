@@ -33,7 +33,7 @@ from tests.helpers import compared, simulated
 from tests.scenarios import scenario
 
 AREAS = 4.0, 10.0
-"""Small, so that areas are left and landmarks are passive. Sightings of points go no farther."""
+"""Small, so that areas are left and landmarks are passive. Measurements of points go no farther."""
 REACH_M = 18.0
 """The scanner's."""
 
@@ -44,8 +44,8 @@ def log() -> Log:
     made = scenario("scan-loop-fine", seed=3, seconds=20.0)
     assert made.scans is not None
     near = np.where(made.scans.range_m < REACH_M, made.scans.range_m, np.nan)
-    seen = made.sightings.chosen(made.sightings.range_m < AREAS[1])
-    return replace(made, scans=replace(made.scans, range_m=near), sightings=seen)
+    seen = made.measurements.chosen(made.measurements.range_m < AREAS[1])
+    return replace(made, scans=replace(made.scans, range_m=near), measurements=seen)
 
 
 class Areas:

@@ -22,11 +22,11 @@ GAPS = {
 }
 PLANTS = {defect.name: defect.plant for defect in CATALOGUE}
 NAMED_FIRST = {
-    "bearing Jacobian as printed": ("the innovation", "uses of sightings"),
-    "innovation not wrapped": ("the innovation", "uses of sightings"),
-    "sigma squared twice": ("the noise covariance", "uses of sightings"),
+    "bearing Jacobian as printed": ("the innovation", "uses of measurements"),
+    "innovation not wrapped": ("the innovation", "uses of measurements"),
+    "sigma squared twice": ("the noise covariance", "uses of measurements"),
     "steering sign": ("the predicted pose", "steps"),
-    "no heading column": ("the Jacobian by heading", "uses of sightings"),
+    "no heading column": ("the Jacobian by heading", "uses of measurements"),
 }
 
 

@@ -30,9 +30,9 @@ def sound() -> Comparison:
 
 
 def silent(log: Log, begin_s: float, end_s: float) -> Log:
-    """The log without its sightings of some time."""
-    t = log.sightings.time_s
-    return replace(log, sightings=log.sightings.chosen((t <= begin_s) | (t >= end_s)))
+    """The log without its measurements of some time."""
+    t = log.measurements.time_s
+    return replace(log, measurements=log.measurements.chosen((t <= begin_s) | (t >= end_s)))
 
 
 def linearised(landmark: Array, poses: Array) -> tuple[SlamProblem, LinearisationPoints]:
@@ -42,8 +42,8 @@ def linearised(landmark: Array, poses: Array) -> tuple[SlamProblem, Linearisatio
         prior_covariance=np.eye(3),
         increment=np.array([[1.0, 0.0, 0.0]]),
         increment_covariance=np.eye(3)[None],
-        sighting_pose=np.array([0]),
-        sighting_landmark=np.array([0]),
+        measurement_pose=np.array([0]),
+        measurement_landmark=np.array([0]),
         z=np.array([[10.0, 0.0]]),
         sigma=np.array([[0.1, 0.02]]),
         landmark_count=1,
@@ -80,7 +80,7 @@ def test_the_error_of_linearising_is_that_of_the_formula() -> None:
     growth = linearisation_growth(model_system(problem, at_filter), optimum, estimate(poses, off))
     by_range = (np.hypot(10.0, sideways) - 10.0) / 0.1
     by_bearing = (np.arctan2(sideways, 10.0) - sideways / 10.0) / 0.02
-    assert growth.kind == "a sighting"
+    assert growth.kind == "a measurement"
     assert (growth.epoch, growth.slot) == (0, 0)
     assert np.isclose(growth.sigma, np.hypot(by_range, by_bearing), rtol=1e-9)
     assert np.isclose(growth.total, growth.sigma**2, rtol=1e-9)
@@ -193,12 +193,12 @@ def test_a_small_angle_is_not_zero(angle: float, said: str) -> None:
 
 def test_an_understated_sigma_is_named() -> None:
     log = simulated(seed=3, loop_s=30.0)
-    stated = replace(log.sightings, sigma_range_m=log.sightings.sigma_range_m / 3.0)
-    c = compared(replace(log, sightings=stated))
+    stated = replace(log.measurements, sigma_range_m=log.measurements.sigma_range_m / 3.0)
+    c = compared(replace(log, measurements=stated))
     (named,) = causes.noise(c.smoother.optimality.chi_square, c.consistency)
     assert named.gap == "noise"
     assert named.gap not in GAPS
-    assert "sightings' range" in named.hint
+    assert "measurements' range" in named.hint
     factor = float(named.hint.split("about ")[1].split()[0])
     assert abs(factor - 3.0) < 0.6
     assert "bearing" not in named.hint

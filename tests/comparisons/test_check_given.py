@@ -282,7 +282,7 @@ def test_a_map_that_was_lost_is_told(solution: Solution, whole: GivenEstimate) -
     claimed = judge_given(replace(one, estimator="ekf"), solution)
     assert claimed.outcome == "disagree"
     (hint,) = [cause.hint for cause in claimed.causes if cause.gap == "map"]
-    assert hint.endswith("by the ids of the log's sightings")
+    assert hint.endswith("by the ids of the log's measurements")
 
 
 def test_a_map_of_other_ids_is_wrong(solution: Solution, whole: GivenEstimate) -> None:
@@ -375,7 +375,7 @@ def test_folders_and_files_are_read_as_far_as_they_go(tmp_path: Path, right: Est
         (lambda p: (p / "landmarks.csv").write_text("id,x\n"), "expected the header"),
         (
             lambda p: (p / "landmarks.csv").write_text("id,x_m,y_m\ntree_0,1,2\n"),
-            r"landmarks.csv:2: id is 'tree_0', .* by which the log's sightings.csv names",
+            r"landmarks.csv:2: id is 'tree_0', .* by which the log's measurements.csv names",
         ),
     ],
 )

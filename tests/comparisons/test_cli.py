@@ -252,14 +252,14 @@ def test_a_log_called_like_a_path_stays_here(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_damaged_log_leaves_no_report(tmp_path: Path) -> None:
     write_log_folder(simulated(loop_s=5.0), tmp_path / "log")
-    path = tmp_path / "log" / "sightings.csv"
+    path = tmp_path / "log" / "measurements.csv"
     lines = path.read_text().splitlines()
     lines[3] = lines[3].replace(lines[3].split(",")[1], "nan", 1)
     path.write_text("\n".join(lines))
     done = slamcheck("run", "log", "--out", "report", cwd=tmp_path)
     assert done.returncode == 2
     assert done.stderr == (
-        "slamcheck: log/sightings.csv:4: range_m is 'nan', expected a finite number "
+        "slamcheck: log/measurements.csv:4: range_m is 'nan', expected a finite number "
         "(see docs/formats.md)\n"
     )
     assert [p.name for p in tmp_path.iterdir()] == ["log"]
@@ -269,7 +269,7 @@ def test_a_damaged_log_leaves_no_report(tmp_path: Path) -> None:
 def test_known_association_needs_labels(tmp_path: Path) -> None:
     log = simulated(loop_s=5.0)
     write_log_folder(log, tmp_path / "log")
-    path = tmp_path / "log" / "sightings.csv"
+    path = tmp_path / "log" / "measurements.csv"
     header, *rows = path.read_text().splitlines()
     unlabelled = [",".join([*row.split(",")[:5], "-1", "nan"]) for row in rows]
     path.write_text("\n".join([header, *unlabelled]))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from comparisons.errors import InputError
-from comparisons.logs.log import Log, Prior, Sightings
+from comparisons.logs.log import LandmarkMeasurements, Log, Prior
 from comparisons.logs.odometry import OdometryNoise, RelativePoses
 from comparisons.pipeline.compare import Modified
 from ekf_reference.core.ekf import Ekf
@@ -19,12 +19,12 @@ from tests.helpers import compared, first_seconds, simulated
 
 
 @pytest.mark.parametrize("jitter_s", [0.02, 1e-3, 1e-4, 1e-6])
-def test_sightings_that_come_one_by_one(jitter_s: float) -> None:
+def test_measurements_that_come_one_by_one(jitter_s: float) -> None:
     """A millisecond or less between poses costs no digits that matter."""
     log = simulated(loop_s=20.0)
-    shift = np.random.default_rng(0).uniform(0.0, jitter_s, len(log.sightings.time_s))
-    time = np.sort(log.sightings.time_s + shift)
-    c = compared(replace(log, sightings=replace(log.sightings, time_s=time)))
+    shift = np.random.default_rng(0).uniform(0.0, jitter_s, len(log.measurements.time_s))
+    time = np.sort(log.measurements.time_s + shift)
+    c = compared(replace(log, measurements=replace(log.measurements, time_s=time)))
     assert c.agreement.algebra.within(1e-8)
     assert c.agreement.model.within(1e-8)
     assert c.smoother.optimality.verified
@@ -56,7 +56,7 @@ def precise_log() -> Log:
         odometry=RelativePoses(
             np.array(when), displacement, np.broadcast_to(covariance, (steps, 3, 3))
         ),
-        sightings=Sightings(
+        measurements=LandmarkMeasurements(
             time_s=np.array(when),
             range_m=seen[:, 0],
             bearing_rad=seen[:, 1],
@@ -121,7 +121,7 @@ def test_a_filter_that_breaks_down_disagrees(state: type[KalmanState]) -> None:
     assert c.ekf.breakdown is not None
     assert "broke down at 1." in c.ekf.breakdown
     assert c.ekf.timeline.epoch_time_s[-1] < 3.0
-    assert len(c.ekf.slot) < len(log.sightings.time_s)
+    assert len(c.ekf.slot) < len(log.measurements.time_s)
     said = [*(cause.evidence for cause in c.verdict.causes), *c.verdict.remarks]
     assert any("broke down" in line for line in said)
 
@@ -138,14 +138,14 @@ def test_absurd_sigmas_end_in_a_verdict_or_a_line(
     sigmas: tuple[float, float], smoother: str, line: str
 ) -> None:
     log = first_seconds(simulated(), 5.0)
-    count = len(log.sightings.time_s)
+    count = len(log.measurements.time_s)
     of_range, of_bearing = (np.full(count, sigma) for sigma in sigmas)
-    seen = replace(log.sightings, sigma_range_m=of_range, sigma_bearing_rad=of_bearing)
+    seen = replace(log.measurements, sigma_range_m=of_range, sigma_bearing_rad=of_bearing)
     if line:
         with pytest.raises(InputError, match=line):
-            compared(replace(log, sightings=seen), smoother=smoother)
+            compared(replace(log, measurements=seen), smoother=smoother)
     else:
-        found = compared(replace(log, sightings=seen), smoother=smoother)
+        found = compared(replace(log, measurements=seen), smoother=smoother)
         assert np.isfinite(found.agreement.whole.least)
 
 

@@ -142,11 +142,15 @@ def test_wrong_sigmas_of_a_sensor_are_named_with_their_direction(
     """The range's noise is another than the log states; the bearing's is right."""
     log = simulated(seed=0, loop_s=20.0)
     honest = simulated(seed=0, loop_s=20.0, sigma_range_m=0.15 * scale)
-    seen = replace(honest.sightings, sigma_range_m=log.sightings.sigma_range_m)
-    c = compared(replace(log, sightings=seen))
+    seen = replace(honest.measurements, sigma_range_m=log.measurements.sigma_range_m)
+    c = compared(replace(log, measurements=seen))
     both, by_range, bearing = c.consistency.sensors[0].nis
     assert (both.reading, by_range.reading, bearing.reading) == (reading, reading, "plausible")
-    told = [remark for remark in c.verdict.remarks if remark.startswith("NIS of sightings, range")]
+    told = [
+        remark for remark in c.verdict.remarks if remark.startswith("NIS of measurements, range")
+    ]
     assert len(told) == 1
     assert words in told[0]
-    assert not any(remark.startswith("NIS of sightings, bearing") for remark in c.verdict.remarks)
+    assert not any(
+        remark.startswith("NIS of measurements, bearing") for remark in c.verdict.remarks
+    )

@@ -171,7 +171,7 @@ def innovations(runs: Runs) -> SensorInnovations:
     count = len(standard)
     epoch = np.arange(count) // 2
     slot = 2 * (np.arange(count) // (2 * STEPS)) + np.arange(count) % 2
-    return sensor("sightings", ("range", "bearing"), standard, epoch.astype(float), epoch, slot)
+    return sensor("measurements", ("range", "bearing"), standard, epoch.astype(float), epoch, slot)
 
 
 def figures(runs: Runs) -> dict[str, tuple[float | None, tuple[float, float]]]:
@@ -215,10 +215,10 @@ def test_a_filter_that_knows_its_world_lies_within_all_bands() -> None:
 @pytest.mark.parametrize(
     ("belief", "seen", "reading"),
     [
-        ({"noise_scale": 2.0}, {"pose", "sightings", "range", "bearing"}, "too low"),
-        ({"noise_scale": 0.5}, {"pose", "sightings", "range", "bearing"}, "too high"),
-        ({"motion_scale": 0.5}, {"pose", "sightings", "range", "bearing"}, "too high"),
-        ({"spoil": drop_cross_terms}, {"pose", "sightings"}, None),
+        ({"noise_scale": 2.0}, {"pose", "measurements", "range", "bearing"}, "too low"),
+        ({"noise_scale": 0.5}, {"pose", "measurements", "range", "bearing"}, "too high"),
+        ({"motion_scale": 0.5}, {"pose", "measurements", "range", "bearing"}, "too high"),
+        ({"spoil": drop_cross_terms}, {"pose", "measurements"}, None),
     ],
 )
 def test_a_wrong_belief_falls_outside(

@@ -98,7 +98,7 @@ def test_the_trace_holds_s_as_it_was_before_the_update(short: Log) -> None:
 @pytest.mark.parametrize("name", ["compressed", "misono-full"])
 def test_other_filters_tell_the_same_innovations(name: str, short: Log) -> None:
     first, other = (check_innovations(filtered(short, n)) for n in ("full", name))
-    assert [one.sensor for one in other] == ["sightings", "positions"]
+    assert [one.sensor for one in other] == ["measurements", "positions"]
     tolerance = 1e-8 if name == "compressed" else 0.3  # points in own axes are another sensor
     for ours, theirs in zip(first, other, strict=True):
         assert theirs.nis[0].count == ours.nis[0].count
@@ -129,7 +129,7 @@ def test_result_and_rows(comparison: Comparison) -> None:
     found = json.loads(result.model_dump_json(), parse_constant=never)["consistency"]
     assert found["ekf"]["pose"]["dof"] == 3
     assert found["ekf"]["distances"]["dof"] == 60
-    assert [one["sensor"] for one in found["innovations"]] == ["sightings", "positions"]
+    assert [one["sensor"] for one in found["innovations"]] == ["measurements", "positions"]
     assert found["filter_against_smoother"]["epochs"] == len(comparison.ekf.timeline.epoch_time_s)
     console = Console(width=400, record=True)
     print_run(comparison, result, console)

@@ -19,7 +19,7 @@ from comparisons.errors import InputError
 from comparisons.extensions.dense_maps.config import DenseMapsConfig
 from comparisons.extensions.dense_maps.source import DenseRun, DenseWatcher, build_map
 from comparisons.logs.bundled import SimulationChoices, open_log
-from comparisons.logs.log import Log, Sightings
+from comparisons.logs.log import LandmarkMeasurements, Log
 from comparisons.logs.scans import Clouds, Scans
 from ekf_reference.dense.conditions import ellipse_margin, flip_margin
 from ekf_reference.dense.virtual_landmarks import VirtualLandmarks
@@ -154,7 +154,7 @@ def test_scans_at_any_time_are_seen_from_where_the_vehicle_then_is(log: Log) -> 
 def collinear(log: Log, landmarks: int = 6) -> Log:
     """The same drive past landmarks in a row, none hidden, in place of its own."""
     assert log.truth.poses is not None
-    time = np.unique(log.sightings.time_s)
+    time = np.unique(log.measurements.time_s)
     pose = log.truth.poses.at(time)
     east, north, heading = pose[0]
     ahead, left = np.array((np.cos(heading), np.sin(heading))), (-np.sin(heading), np.cos(heading))
@@ -165,7 +165,7 @@ def collinear(log: Log, landmarks: int = 6) -> Log:
     bearing = np.mod(bearing - pose[:, 2:] + np.pi, 2.0 * np.pi) - np.pi
     row, number = np.nonzero((range_m < 25.0) & (np.abs(bearing) < np.pi / 2))
     count = len(row)
-    seen = Sightings(
+    seen = LandmarkMeasurements(
         time_s=time[row],
         range_m=range_m[row, number],
         bearing_rad=bearing[row, number],
@@ -174,7 +174,7 @@ def collinear(log: Log, landmarks: int = 6) -> Log:
         landmark=number,
         diameter_m=np.full(count, np.nan),
     )
-    return replace(log, sightings=seen, truth=replace(log.truth, landmarks=None))
+    return replace(log, measurements=seen, truth=replace(log.truth, landmarks=None))
 
 
 def test_landmarks_in_a_row_have_regions_with_virtual_corners_alone(log: Log) -> None:

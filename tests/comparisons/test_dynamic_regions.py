@@ -118,7 +118,7 @@ def carried() -> list[Log]:
 @pytest.mark.slow
 def test_a_landmark_on_a_vehicle_is_removed_and_the_error_is_smaller(carried: list[Log]) -> None:
     for log in carried:
-        moving = int(log.sightings.landmark.max())
+        moving = int(log.measurements.landmark.max())
         without, within = run(log, guarded=False), run(log, guarded=True)
         assert moving in within.estimate.landmark_id[within.retired]
         assert len(within.retired) <= 3
@@ -137,7 +137,7 @@ def test_a_landmark_that_was_taken_away_leaves_the_map(filter_name: str) -> None
     """Nieto 2005, Fig. 6.20, where it stood on a car that has left."""
     log = simulate(np.random.default_rng(0), dynamic_places(carried=True))
     done = run(log, filter_name, guarded=True)
-    assert done.estimate.landmark_id[done.retired].tolist() == [log.sightings.landmark.max()]
+    assert done.estimate.landmark_id[done.retired].tolist() == [log.measurements.landmark.max()]
 
 
 @pytest.mark.slow

@@ -41,10 +41,10 @@ def test_a_toy_adds_a_source_a_finding_a_row_and_a_figure(tmp_path: Path) -> Non
     found = compare(log, config)
     station = found.find(DockingFinding)
     assert found.verdict.outcome == "agree"
-    assert station.result.sightings > 10
+    assert station.result.measurements > 10
     assert station.result.ekf_m == pytest.approx((30.0, 20.0), abs=0.5)
     result = build_result(found)
-    assert ("docking", f"{station.result.sightings} sightings") in run_rows(found, result)
+    assert ("docking", f"{station.result.measurements} measurements") in run_rows(found, result)
     folder = tmp_path / "run"
     write_job_folder(run_folder(found, result), folder)
     written = json.loads((folder / "result.json").read_text())

@@ -1,4 +1,4 @@
-"""Sightings made from raw scans."""
+"""Measurements made from raw scans."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ def with_scans(log: Log, mount: Mount = Mount()) -> Log:  # noqa: B008 - frozen
 
 def test_trunks_become_landmarks_with_their_diameters() -> None:
     log = with_tree_features(with_scans(simulated(seed=1)))
-    near = log.sightings.range_m < 15.0
-    assert abs(np.median(log.sightings.diameter_m[near]) - 0.4) < 0.03
+    near = log.measurements.range_m < 15.0
+    assert abs(np.median(log.measurements.diameter_m[near]) - 0.4) < 0.03
     c = compared(log, association="nn")
     assert c.agreement.algebra.within(1e-8)
     assert c.agreement.model.within(1e-8)

@@ -71,7 +71,7 @@ def test_tracking_solves_the_raw_detections(shared_data: Path) -> None:
     run = run_ekf(log, build_timeline(log), settle(EkfConfig(filter="compressed"), log))
     given = build_problem(log, run)
     graph = build_graph(given)
-    seen = np.unique(given.sighting_landmark)
+    seen = np.unique(given.measurement_landmark)
     errors = [
         graph.error(optimise(graph, start)[0])
         for start in (

@@ -118,7 +118,7 @@ def test_the_map_as_a_cloud(suffix: str, tmp_path: Path) -> None:
             "'--matcher': 'x' is not one of 'surface', 'kiss'",
         ),
         (("odometry", "scan-loop-fine", "--cloud", "las"), "'--cloud': 'las' is not one of"),
-        (("run", "scan-slam"), "holds no sightings of landmarks"),
+        (("run", "scan-slam"), "holds no measurements of landmarks"),
         (("run", "scan-loop-fine", "--motion", "x"), "'--motion': 'x' is not one of 'wheel'"),
         (("run", "simulated-loop", "--motion", "scan"), "simulated-loop: holds no scans"),
     ],
@@ -175,7 +175,7 @@ def test_three_estimates_agree_when_nothing_is_wrong(scan_loop: Log) -> None:
 
 @pytest.fixture(scope="module")
 def wrong_wheels(scan_loop: Log) -> Comparison:
-    """Both estimators on wheels believe in a wrong scale; sightings are few enough to let them."""
+    """Both estimators on wheels believe in a wrong scale; few measurements contradict it."""
     return compared(with_speed_scaled(scan_loop, 1.1), motion="both")
 
 
@@ -242,14 +242,14 @@ def test_the_car_park_on_wheels_and_on_scans(shared_data: Path) -> None:
 
 @pytest.mark.slow
 def test_scans_alone_make_a_log(tmp_path: Path, scan_loop: Log) -> None:
-    """No wheels, no sightings: the front end works, and the others say what is missing."""
-    seen = scan_loop.sightings
+    """No wheels, no measurements: the front end works, and the others say what is missing."""
+    seen = scan_loop.measurements
     none = np.zeros(0)
     bare = replace(
         scan_loop,
         name="bare",
         odometry=RelativePoses(none, np.zeros((0, 3)), np.zeros((0, 3, 3))),
-        sightings=seen.chosen(np.zeros(len(seen.time_s), dtype=bool)),
+        measurements=seen.chosen(np.zeros(len(seen.time_s), dtype=bool)),
     )
     write_log_folder(bare, tmp_path / "bare")
     done = slamcheck("odometry", "bare", "--out", "out", cwd=tmp_path)

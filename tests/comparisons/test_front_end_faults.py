@@ -24,7 +24,7 @@ from comparisons.extensions.scan_motion.increments import check_increments
 from comparisons.extensions.scan_motion.three_way import ThreeWay
 from comparisons.logs.bundled import open_log
 from comparisons.logs.hashing import log_hash
-from comparisons.logs.log import NO_LANDMARK, Landmarks, Log, Positions, Sightings, Truth
+from comparisons.logs.log import NO_LANDMARK, LandmarkMeasurements, Landmarks, Log, Positions, Truth
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry
 from comparisons.pipeline.compare import Comparison, Modified
 from comparisons.pipeline.gaps import Compared
@@ -60,7 +60,7 @@ def short() -> Log:
                 speed_mps=odometry.speed_mps[rows],
                 steering_rad=odometry.steering_rad[rows],
             ),
-            sightings=picked(log.sightings, log.sightings.time_s <= _END_S),
+            measurements=picked(log.measurements, log.measurements.time_s <= _END_S),
         ),
         log.scans.time_s <= _END_S - 1.0,
     )
@@ -74,8 +74,8 @@ def with_scans(log: Log, rows: Mask | slice) -> Log:
     return replace(log, scans=scans)
 
 
-def picked(seen: Sightings, rows: Mask) -> Sightings:
-    """Some of the sightings only."""
+def picked(seen: LandmarkMeasurements, rows: Mask) -> LandmarkMeasurements:
+    """Some of the measurements only."""
     columns = {n: v[rows] for n, v in vars(seen).items() if isinstance(v, np.ndarray)}
     return replace(seen, **columns)  # type: ignore[arg-type]
 
@@ -99,7 +99,7 @@ def with_positions(log: Log, first_s: float = 0.0) -> Log:
 
 def with_surveyed(log: Log) -> Log:
     """Every third landmark is surveyed, and seen 13 ms after the others; some are never seen."""
-    table, seen = log.truth.landmarks, log.sightings
+    table, seen = log.truth.landmarks, log.measurements
     assert table is not None
     ids = table.id[::3]
     own = np.isin(seen.landmark, ids)
@@ -107,8 +107,8 @@ def with_surveyed(log: Log) -> Log:
     known = picked(seen, own)
     return replace(
         log,
-        sightings=picked(seen, ~own),
-        known_sightings=replace(known, time_s=known.time_s + 0.013),
+        measurements=picked(seen, ~own),
+        known_measurements=replace(known, time_s=known.time_s + 0.013),
         known_landmarks=Landmarks(
             ids, table.position_m[::3], np.tile(1e-4 * np.eye(2), (len(ids), 1, 1))
         ),
@@ -161,15 +161,15 @@ def test_smoother_on_scans_meets_a_filter_that_broke_down() -> None:
     assert three_of(c).estimate.time_s[-1] > c.ekf.estimate.time_s[-1]
 
 
-def test_sightings_of_surveyed_landmarks_between_scans_count() -> None:
-    """Their instants are no scan's and no other sighting's."""
+def test_measurements_of_surveyed_landmarks_between_scans_count() -> None:
+    """Their instants are no scan's and no other measurement's."""
     log = with_surveyed(short())
-    assert log.known_sightings is not None
-    nothing = np.zeros(len(log.sightings.time_s), dtype=bool)
-    for given in (log, replace(log, sightings=picked(log.sightings, nothing))):
+    assert log.known_measurements is not None
+    nothing = np.zeros(len(log.measurements.time_s), dtype=bool)
+    for given in (log, replace(log, measurements=picked(log.measurements, nothing))):
         c = compared(given, motion="scan")
-        within = log.known_sightings.time_s <= c.ekf.timeline.epoch_time_s[-1]
-        instants = np.unique(log.known_sightings.time_s[within])
+        within = log.known_measurements.time_s <= c.ekf.timeline.epoch_time_s[-1]
+        instants = np.unique(log.known_measurements.time_s[within])
         assert np.isin(instants, c.ekf.timeline.epoch_time_s).all()
         assert c.assessment.smoother is not None
         assert c.assessment.smoother.ate_m is not None
@@ -232,9 +232,9 @@ def test_scans_before_the_prior_are_left_out_without_odometry_as_with_it() -> No
     log = without_odometry(short())
     assert log.scans is not None
     begin_s = 1.0
-    later = picked(log.sightings, log.sightings.time_s > begin_s)
+    later = picked(log.measurements, log.measurements.time_s > begin_s)
     front_end = run_front_end(
-        replace(log, prior=replace(log.prior, time_s=begin_s), sightings=later)
+        replace(log, prior=replace(log.prior, time_s=begin_s), measurements=later)
     )
     assert front_end.motion.time_s[0] >= begin_s
     assert front_end.motion.source.row[0] == np.searchsorted(log.scans.time_s, begin_s)
@@ -273,7 +273,7 @@ def test_positions_between_relative_poses_can_be_fused_with_scans() -> None:
     """The wheels' path is then drawn as if the vehicle had moved evenly in between."""
     log = with_positions(short())
     assert log.scans is not None
-    times = np.union1d(log.scans.time_s, log.sightings.time_s)
+    times = np.union1d(log.scans.time_s, log.measurements.time_s)
     times = times[times > log.prior.time_s]
     moved = motion_between(log, times)
     spread = moved.covariance + 1e-10 * np.eye(3)
@@ -285,13 +285,13 @@ def test_positions_between_relative_poses_can_be_fused_with_scans() -> None:
     assert np.abs(paths[0] - paths[1]).max() < 0.1
 
 
-def unlabelled(seen: Sightings) -> Sightings:
+def unlabelled(seen: LandmarkMeasurements) -> LandmarkMeasurements:
     return replace(seen, landmark=np.full(len(seen.landmark), NO_LANDMARK))
 
 
 def test_surveyed_landmarks_hold_the_scan_graph_where_others_have_no_names() -> None:
     log = with_surveyed(short())
-    front_end = run_front_end(replace(log, sightings=unlabelled(log.sightings)))
+    front_end = run_front_end(replace(log, measurements=unlabelled(log.measurements)))
     assert log.known_landmarks is not None
     assert len(front_end.estimate.landmark) == len(log.known_landmarks.id)
     assert len(front_end.graph.problem.z)
@@ -300,12 +300,12 @@ def test_surveyed_landmarks_hold_the_scan_graph_where_others_have_no_names() -> 
     assert front_end.accuracy_graph.ate_m < 0.1
 
 
-def test_scan_odometry_needs_no_sighting_within_the_time_of_the_scans() -> None:
+def test_scan_odometry_needs_no_measurement_within_the_time_of_the_scans() -> None:
     log = without_odometry(with_scans(short(), slice(0, 40)))
     assert log.scans is not None
-    late = picked(log.sightings, log.sightings.time_s > log.scans.time_s[-1])
+    late = picked(log.measurements, log.measurements.time_s > log.scans.time_s[-1])
     for seen in (late, unlabelled(late)):
-        front_end = run_front_end(replace(log, sightings=seen))
+        front_end = run_front_end(replace(log, measurements=seen))
         assert not len(front_end.estimate.landmark)
         assert len(front_end.time_s) == len(front_end.motion.row)
 
@@ -377,13 +377,13 @@ def test_what_was_left_out_is_told() -> None:
     assert log.scans is not None
     last_s = front_end.motion.time_s[-1]
     scans = np.count_nonzero(log.scans.time_s > last_s)
-    seen = np.count_nonzero(log.sightings.time_s > last_s)
+    seen = np.count_nonzero(log.measurements.time_s > last_s)
     assert f"{scans} scans lie outside" in remarks[0]
-    assert f"{seen} sightings lie outside" in remarks[1]
+    assert f"{seen} measurements lie outside" in remarks[1]
 
 
 @pytest.mark.slow
-def test_a_run_on_scans_tells_of_failed_scans_gaps_and_sightings_left_out() -> None:
+def test_a_run_on_scans_tells_of_failed_scans_gaps_and_measurements_left_out() -> None:
     log = with_scans(short(), slice(0, 60))
     assert log.scans is not None
     last_s = log.scans.time_s[-1]
@@ -395,5 +395,5 @@ def test_a_run_on_scans_tells_of_failed_scans_gaps_and_sightings_left_out() -> N
         assert told[0].startswith("10 scans gave no increment; the first, row 20")
         assert told[1] == "1 gaps are bridged by the wheels' motion"
     told = compared(log, motion="scan").verdict.remarks
-    seen = np.count_nonzero(log.sightings.time_s > last_s)
-    assert told[-1].startswith(f"{seen} sightings lie outside")
+    seen = np.count_nonzero(log.measurements.time_s > last_s)
+    assert told[-1].startswith(f"{seen} measurements lie outside")

@@ -9,7 +9,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from comparisons.adapters.oriented_sightings import OrientedLedger
+from comparisons.adapters.oriented_measurements import OrientedLedger
 from comparisons.errors import InputError
 from comparisons.extensions.own_matching.extension import OwnMatchingFinding
 from comparisons.extensions.scan_landmarks.extension import (
@@ -110,7 +110,7 @@ def test_it_is_an_option_and_counted(open3d_library: ModuleType) -> None:
     slam, own = found.find(ScanLandmarksFinding).result, found.find(OwnMatchingFinding).result
     assert slam.fused == len(found.ekf.oriented.merges.first) >= 2
     begun = len(slam.landmarks) + slam.fused
-    assert sum(row.sightings for row in slam.landmarks) == slam.sightings["used"] + begun
+    assert sum(row.measurements for row in slam.landmarks) == slam.measurements["used"] + begun
     assert own.reasons["begun"] == begun
     assert own.ekf.landmarks == len(slam.landmarks)
     with pytest.raises(InputError, match="--fuse-landmarks goes with --landmarks scans or both"):

@@ -36,7 +36,7 @@ def test_as_a_log_it_gives_the_same_optimum(tmp_path: Path) -> None:
     log = open_log(str(path))
     assert log.format == "g2o"
     assert log.records["odometry"] == len(result.problem.increment)
-    assert log.records["sightings"] == len(solution.slot)
+    assert log.records["measurements"] == len(solution.slot)
     comparison = compared(log)
     assert abs(comparison.smoother.error - result.error) < 1e-6 * result.error
     assert comparison.verdict.outcome == "agree"
@@ -65,10 +65,10 @@ def pose_graph(path: Path, text: str = CLOSED_ELSEWHERE) -> Path:
 
 def test_closures_are_a_stream_of_the_log(tmp_path: Path) -> None:
     log = open_log(str(pose_graph(tmp_path / "closed.g2o")))
-    assert log.records == {"odometry": 2, "sightings": 0, "closures": 2}
+    assert log.records == {"odometry": 2, "measurements": 0, "closures": 2}
     assert log.closures is not None
     assert log.closures.from_s.tolist() == [2.0, 0.0]
-    without = replace(log, closures=None, sightings=simulated(3, loop_s=30.0).sightings)
+    without = replace(log, closures=None, measurements=simulated(3, loop_s=30.0).measurements)
     assert log_hash(log) != log_hash(without)
 
 
@@ -76,7 +76,10 @@ def test_closures_are_a_stream_of_the_log(tmp_path: Path) -> None:
     ("more", "why"),
     [
         ("", "2 closures from pose to pose and no landmarks; .* a landmark EKF has nothing to obs"),
-        (LANDMARK, "2 closures from pose to pose beside its sightings; .* a landmark EKF cannot"),
+        (
+            LANDMARK,
+            "2 closures from pose to pose beside its measurements; .* a landmark EKF cannot",
+        ),
     ],
 )
 def test_a_filter_of_landmarks_has_no_use_for_closures(tmp_path: Path, more: str, why: str) -> None:

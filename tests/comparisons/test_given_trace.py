@@ -18,7 +18,7 @@ from comparisons.config import CheckConfig, EkfConfig
 from comparisons.errors import InputError
 from comparisons.estimates.external import read_given
 from comparisons.estimates.folder import write_estimate
-from comparisons.estimates.trace_file import TRACE, write_trace
+from comparisons.estimates.trace_file import TRACE, read_trace, write_trace
 from comparisons.experiments.defects.catalogue import CATALOGUE
 from comparisons.experiments.defects.defect import Defect
 from comparisons.experiments.defects.logs import open_case
@@ -26,6 +26,7 @@ from comparisons.logs.log import Log
 from comparisons.pipeline.check import GivenCheck, check
 from comparisons.pipeline.compare import Comparison
 from ekf_reference.core.ekf import Ekf
+from ekf_reference.core.landmark_types import POINT
 from tests.comparisons.test_cli import slamcheck
 from tests.helpers import Array, compared
 
@@ -115,14 +116,20 @@ def test_a_right_trace_does_not_stand_for_a_path(
 
 def wrapped(arrays: Arrays) -> None:
     """As a filter that keeps every heading between -pi and pi."""
-    for name in ("step_departed", "step_arrived", "update_pose", "begin_pose", "position_pose"):
+    for name in (
+        "step_departed",
+        "step_arrived",
+        "update_pose",
+        "initialise_pose",
+        "position_pose",
+    ):
         arrays[name][:, 2] = np.angle(np.exp(1j * arrays[name][:, 2]))
 
 
 def coarse(arrays: Arrays) -> None:
     """As a filter that predicts once from observation to observation."""
     steps = len(arrays["step_f"])
-    parts = ("update", "begin", "position")
+    parts = ("update", "initialise", "position")
     stops = np.unique(np.concatenate([arrays[f"{part}_step"] for part in parts]))
     stops = np.unique(np.concatenate((stops[stops > 0], [steps]))).astype(int)
     starts = np.concatenate(([0], stops[:-1]))
@@ -150,7 +157,7 @@ def coarse(arrays: Arrays) -> None:
 
 def bare(arrays: Arrays) -> None:
     """Without what may be absent."""
-    for part in ("update", "begin", "position"):
+    for part in ("update", "initialise", "position"):
         del arrays[f"{part}_weight"]
     if not len(arrays["position_step"]):
         for name in [name for name in arrays if name.startswith("position_")]:
@@ -158,6 +165,26 @@ def bare(arrays: Arrays) -> None:
 
 
 @pytest.mark.slow
+def test_former_names_of_arrays_are_read(
+    tmp_path: Path, plain: tuple[Log, EkfConfig, EkfRun]
+) -> None:
+    """Version 0.1 wrote `begin_measurement` for `initialise_measurement`."""
+    _, _, run = plain
+    write_trace(run, tmp_path / TRACE)
+    with np.load(tmp_path / TRACE) as stored:
+        arrays = {
+            n.replace("initialise_", "begin_").replace("measurement", "measurement"): stored[n]
+            for n in stored.files
+        }
+    np.savez(tmp_path / "former.npz", **arrays)
+    assert {"begin_measurement", "begin_jacobian_measurement"} <= set(arrays)
+    ids = run.estimate.landmark_id
+    now, former = (read_trace(tmp_path / name, ids).trace for name in (TRACE, "former.npz"))
+    for kind in ("measurements", "initialisations"):
+        for name, array in vars(getattr(now, kind)[POINT]).items():
+            np.testing.assert_array_equal(array, getattr(getattr(former, kind)[POINT], name))
+
+
 @pytest.mark.parametrize("edit", [wrapped, coarse, bare])
 def test_other_habits_make_no_difference(
     tmp_path: Path, case: tuple[Log, EkfConfig, Comparison], edit: Callable[[Arrays], None]
@@ -190,7 +217,7 @@ def test_a_planted_defect_has_its_cause(tmp_path: Path, defect: Defect) -> None:
 def test_a_coarse_filter_that_fuses_late_is_told(
     tmp_path: Path, case: tuple[Log, EkfConfig, Comparison]
 ) -> None:
-    """No step ends when the sightings are taken: each is fused 25 ms later."""
+    """No step ends when the measurements are taken: each is fused 25 ms later."""
     log, choices, comparison = case
     hand_in(comparison.ekf, tmp_path)
 
@@ -200,7 +227,7 @@ def test_a_coarse_filter_that_fuses_late_is_told(
     change(tmp_path, later)
     found = checked(tmp_path, log, choices)
     assert found.causes[0].gap == "data"
-    assert "uses of sightings come late, by 0.025 s" in found.causes[0].evidence
+    assert "uses of measurements come late, by 0.025 s" in found.causes[0].evidence
 
 
 @pytest.mark.slow
@@ -229,14 +256,18 @@ BAD: dict[str, tuple[Callable[[Arrays], object], str]] = {
     "missing": (lambda a: a.pop("step_f"), "holds no step_f"),
     "shape": (lambda a: a.update(step_q=np.eye(3)), r"step_q has shape \(3, 3\), expected"),
     "nan": (put("update_innovation", 3, np.nan), "update_innovation holds a value that is no"),
-    "fraction": (put("update_sighting", 3, 0.5), "update_sighting holds a value that is no whole"),
+    "fraction": (
+        put("update_measurement", 3, 0.5),
+        "update_measurement holds a value that is no whole",
+    ),
     "backwards": (put("step_time_s", 7, 0.0), "step_time_s runs backwards"),
     "order": (put("update_step", 0, 2000), "update_step must ascend"),
     "beyond": (put("update_step", -1, 1e6), "update_step must ascend"),
     "stranger": (put("update_landmark", 0, 999), "update_landmark holds 999, not among"),
-    "begun twice": (lambda a: a["begin_landmark"].__setitem__(0, a["begin_landmark"][1]),
-                    "begins 0 times|begins 2 times"),
-    "no sighting": (put("update_sighting", 0, 1e9), "uses sighting 1000000000"),
+    "initialised twice": (lambda a: a["initialise_landmark"].__setitem__(
+                              0, a["initialise_landmark"][1]),
+                          "is initialised 0 times|is initialised 2 times"),
+    "no measurement": (put("update_measurement", 0, 1e9), "uses measurement 1000000000"),
     "indefinite": (put("update_noise", 5, -1.0), "update_noise, row 5, is not symmetric"),
     "weight": (put("update_weight", 0, 2.0), "update_weight holds a value outside"),
     "end": (put("step_time_s", -1, 1e3), "the last step ends at"),

@@ -25,8 +25,8 @@ SLIP_S, SLIP_M = 20.0, 10.0
 
 
 def blind_after(log: Log, time_s: float) -> Log:
-    """A log without sightings from some time on."""
-    return replace(log, sightings=log.sightings.chosen(log.sightings.time_s < time_s))
+    """A log without measurements from some time on."""
+    return replace(log, measurements=log.measurements.chosen(log.measurements.time_s < time_s))
 
 
 def slipped() -> Log:

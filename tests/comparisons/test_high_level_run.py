@@ -13,7 +13,7 @@ import pytest
 from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.filter_setup import FilterSetup
-from comparisons.adapters.oriented_sightings import NoOrientedSource, OrientedSource
+from comparisons.adapters.oriented_measurements import NoOrientedSource, OrientedSource
 from comparisons.adapters.timeline import build_timeline
 from comparisons.config import EkfConfig, RunConfig
 from comparisons.errors import InputError

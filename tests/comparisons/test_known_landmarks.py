@@ -1,4 +1,4 @@
-"""Landmarks surveyed beforehand: absolute information through sightings (Guivant 2002, 4.2)."""
+"""Landmarks surveyed beforehand: absolute information through measurements (Guivant 2002, 4.2)."""
 
 from __future__ import annotations
 
@@ -8,27 +8,27 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from comparisons.logs.log import Landmarks, Log, Sightings
+from comparisons.logs.log import LandmarkMeasurements, Landmarks, Log
 from comparisons.logs.log_folder import read_log_folder, write_log_folder
-from comparisons.logs.transforms.known_landmarks import SURVEYED, join_known_sightings
+from comparisons.logs.transforms.known_landmarks import SURVEYED, join_known_measurements
 from tests.helpers import compared, simulated
 
 SIGMA = 0.05
 
 
 def with_survey(log: Log, every: int = 6) -> Log:
-    """Every sixth landmark is surveyed to 5 cm, and its sightings refer to the survey."""
+    """Every sixth landmark is surveyed to 5 cm, and its measurements refer to the survey."""
     truth = log.truth.landmarks
     assert truth is not None
     rng = np.random.default_rng(1)
     ids = truth.id[::every]
     place = truth.position_m[::every] + SIGMA * rng.standard_normal((len(ids), 2))
     covariance = np.broadcast_to(SIGMA**2 * np.eye(2), (len(ids), 2, 2))
-    is_known = np.isin(log.sightings.landmark, ids)
+    is_known = np.isin(log.measurements.landmark, ids)
 
-    def part(rows: np.ndarray) -> Sightings:
-        s = log.sightings
-        return Sightings(
+    def part(rows: np.ndarray) -> LandmarkMeasurements:
+        s = log.measurements
+        return LandmarkMeasurements(
             time_s=s.time_s[rows],
             range_m=s.range_m[rows],
             bearing_rad=s.bearing_rad[rows],
@@ -40,9 +40,9 @@ def with_survey(log: Log, every: int = 6) -> Log:
 
     return replace(
         log,
-        sightings=part(~is_known),
+        measurements=part(~is_known),
         known_landmarks=Landmarks(ids, place, covariance),
-        known_sightings=part(is_known),
+        known_measurements=part(is_known),
     )
 
 
@@ -71,9 +71,9 @@ def test_the_survey_bounds_the_error() -> None:
 def test_a_surveyed_landmark_never_seen_keeps_its_prior() -> None:
     log = with_survey(simulated(seed=2, loop_s=10.0))
     c = compared(log)
-    assert log.known_sightings is not None
+    assert log.known_measurements is not None
     assert log.known_landmarks is not None
-    unseen = np.flatnonzero(~np.isin(log.known_landmarks.id, log.known_sightings.landmark))
+    unseen = np.flatnonzero(~np.isin(log.known_landmarks.id, log.known_measurements.landmark))
     assert len(unseen)
     for estimate in (c.ekf.estimate, c.smoothed):
         k = 3 + 2 * int(unseen[0])
@@ -82,21 +82,21 @@ def test_a_surveyed_landmark_never_seen_keeps_its_prior() -> None:
         assert np.allclose(estimate.landmark[unseen[0]], log.known_landmarks.position_m[unseen[0]])
 
 
-def test_a_wrong_sighting_of_a_surveyed_landmark_is_rejected() -> None:
+def test_a_wrong_measurement_of_a_surveyed_landmark_is_rejected() -> None:
     log = with_survey(simulated(seed=2))
-    known = log.known_sightings
+    known = log.known_measurements
     assert known is not None
     distance = known.range_m.copy()
     distance[40] += 8.0
-    c = compared(replace(log, known_sightings=replace(known, range_m=distance)))
+    c = compared(replace(log, known_measurements=replace(known, range_m=distance)))
     assert c.ekf.unused["rejected"] == 1
 
 
 def test_streams_join_in_order_of_time_and_survive_the_disk(tmp_path: Path) -> None:
     log = with_survey(simulated(seed=2, loop_s=20.0))
-    joined = join_known_sightings(log).sightings
+    joined = join_known_measurements(log).measurements
     assert np.all(np.diff(joined.time_s) >= 0)
-    assert len(joined.time_s) == len(simulated(seed=2, loop_s=20.0).sightings.time_s)
+    assert len(joined.time_s) == len(simulated(seed=2, loop_s=20.0).measurements.time_s)
     write_log_folder(log, tmp_path / "log")
     again = compared(read_log_folder(tmp_path / "log"))
     assert np.array_equal(again.ekf.estimate.joint_mean, compared(log).ekf.estimate.joint_mean)

@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import chi2
 
 from benchmarks.layer_values import COLOURS, SIGMA_COLOUR, coloured_poles
-from comparisons.adapters.attributes import AROUND_M, BRIGHTNESS, sighted_attributes
+from comparisons.adapters.attributes import AROUND_M, BRIGHTNESS, measured_attributes
 from comparisons.adapters.ekf_factory import build_association, settle
 from comparisons.adapters.ekf_run import run_ekf
 from comparisons.adapters.filter_setup import FilterSetup
@@ -67,7 +67,7 @@ def told_by(layer: Painted) -> LayerAttributes:
 
 
 def two_poles_in_one_gate(value: float, nearer: int) -> tuple[KalmanState, Measurements]:
-    """Nieto 2005, section 6.4: a sighting between two poles, a little nearer to one of them."""
+    """Nieto 2005, section 6.4: a measurement between two poles, a little nearer to one of them."""
     state = KalmanState(np.zeros(3), np.diag((0.3**2, 0.3**2, 0.02**2)))
     for y in (-0.3, 0.3):
         point = np.array(((10.0, y),))
@@ -105,7 +105,9 @@ def test_a_landmark_that_the_layer_does_not_know_stands_with_the_others() -> Non
 
 
 @pytest.mark.parametrize(("kind", "holds"), [(Painted, True), (SureOfItself, False)])
-def test_what_a_sighting_shows_scatters_as_it_is_said_to(kind: type[Painted], holds: bool) -> None:
+def test_what_a_measurement_shows_scatters_as_it_is_said_to(
+    kind: type[Painted], holds: bool
+) -> None:
     """Colours of one pole differ from side to side, more than one return is noisy."""
     rng, side, trials = np.random.default_rng(2), 0.8, 2000
     told = told_by(kind(np.zeros(1), np.full(1, side**2)))
@@ -119,17 +121,17 @@ def test_what_a_sighting_shows_scatters_as_it_is_said_to(kind: type[Painted], ho
     assert (low < total < high) == holds
 
 
-def test_sightings_are_told_what_their_scan_shows_around_them() -> None:
+def test_measurements_are_told_what_their_scan_shows_around_them() -> None:
     log = drive()
-    told = sighted_attributes(log, "layer")
+    told = measured_attributes(log, "layer")
     value = told.value[:, BRIGHTNESS]
     known = np.isfinite(value)
     assert known.mean() > 0.9
     assert 0.5 < np.sqrt(told.variance[0, BRIGHTNESS]) / SIGMA_COLOUR < 2.0
     off = np.abs(value[known, None] - COLOURS).min(axis=1)
     assert (off < 3.0 * SIGMA_COLOUR).mean() > 0.95
-    farther = replace(log.sightings, range_m=log.sightings.range_m + 3.0 * AROUND_M)
-    beside = sighted_attributes(replace(log, sightings=farther), "layer").value[:, BRIGHTNESS]
+    farther = replace(log.measurements, range_m=log.measurements.range_m + 3.0 * AROUND_M)
+    beside = measured_attributes(replace(log, measurements=farther), "layer").value[:, BRIGHTNESS]
     assert np.isfinite(beside).mean() < 0.5
 
 
@@ -146,7 +148,7 @@ def test_the_layer_holds_the_poles_colours_while_the_filter_drives() -> None:
     blind = DenseWatcher(log, DenseMapsConfig(layers=("values",)))
     unled = FilterSetup(observers=[blind])
     off_run = run_ekf(log, build_timeline(log), EkfConfig(association="nn"), setup=unled)
-    label = log.sightings.landmark
+    label = log.measurements.landmark
     wrong = [_wrong(one.slot, label[: len(one.slot)]) for one in (run, off_run)]
     assert wrong[0] <= wrong[1]
 

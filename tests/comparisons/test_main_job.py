@@ -80,8 +80,8 @@ def test_mrclam_with_its_labels_hidden(shared_data: Path, robot: int, recall: fl
 
 def test_victoria_park_detections_read_whole(shared_data: Path) -> None:
     log = open_log(str(shared_data / "victoria_park"))
-    assert log.records == {"odometry": 61945, "sightings": 52974, "positions": 4466}
-    straight_ahead = np.abs(log.sightings.bearing_rad) <= np.pi / 2 + 1e-9
+    assert log.records == {"odometry": 61945, "measurements": 52974, "positions": 4466}
+    straight_ahead = np.abs(log.measurements.bearing_rad) <= np.pi / 2 + 1e-9
     assert straight_ahead.all()
 
 

@@ -54,7 +54,7 @@ def test_the_report_names_the_missing_columns(published: Comparison) -> None:
     [cause] = published.verdict.causes
     assert cause.gap == "model"
     assert "the Jacobian by heading is missing in" in cause.evidence
-    assert "uses of sightings" in cause.evidence
+    assert "uses of measurements" in cause.evidence
     assert "the Jacobian by heading" in cause.hint
 
 
@@ -75,7 +75,7 @@ def test_other_ways_back_to_the_circle_are_rejected(log: Log, state: type[Kalman
 
 @pytest.mark.parametrize(("name", "gated"), [("misono", False), ("misono-full", True)])
 def test_the_published_filter_has_no_gate(log: Log, name: str, gated: bool) -> None:
-    log = replace(log, sightings=replace(log.sightings, label_gate=50.0))
+    log = replace(log, measurements=replace(log.measurements, label_gate=50.0))
     ekf = build_ekf(log, EkfConfig(filter=name, association="known"), Trace())
     assert isinstance(ekf.association, KnownAssociation)
     assert np.isfinite([ekf.association.gate, ekf.fixes.gate]).tolist() == [gated, gated]

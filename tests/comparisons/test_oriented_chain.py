@@ -19,7 +19,7 @@ from graphslam.graph_builder import right_perturbation
 from graphslam.linear_problem import LinearProblem, solve
 from graphslam.marginals import Marginal
 from graphslam.model_system import LinearisationPoints, model_system
-from graphslam.problem import Merges, OrientedSightings, SlamProblem
+from graphslam.problem import Merges, OrientedMeasurements, SlamProblem
 from graphslam.smoother import SmootherOptions, smooth
 from tests.ekf_reference.both_kinds import (
     CONTROL,
@@ -94,7 +94,7 @@ def problem_of(made: Made) -> SlamProblem:
     if made.fused:
         epoch, first, second, where, r = (np.array(c) for c in zip(*made.fused, strict=True))
         merges = Merges(epoch, first, second, where, right_perturbation(where, r))
-    oriented = OrientedSightings(
+    oriented = OrientedMeasurements(
         np.array([k for k, _, _, _ in made.seen]),
         np.array([s for _, s, _, _ in made.seen]),
         measured,
@@ -108,8 +108,8 @@ def problem_of(made: Made) -> SlamProblem:
         increment_covariance=np.tile(
             right_perturbation(at.pose[None], spread[None]), (steps, 1, 1)
         ),
-        sighting_pose=node,
-        sighting_landmark=slot,
+        measurement_pose=node,
+        measurement_landmark=slot,
         z=z,
         sigma=np.tile(SIGMA, (len(z), 1)),
         landmark_count=int(slot.max()) + 1,

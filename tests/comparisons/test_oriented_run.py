@@ -12,7 +12,7 @@ import pytest
 from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.filter_setup import FilterSetup
-from comparisons.adapters.oriented_sightings import OrientedLedger
+from comparisons.adapters.oriented_measurements import OrientedLedger
 from comparisons.adapters.smoother_input import (
     build_problem,
     model_system_at,
@@ -136,7 +136,7 @@ def test_a_flipped_jacobian_is_a_model_gap_and_named() -> None:
     causes = broken.verdict.causes
     assert [cause.gap for cause in causes] == ["model"]
     assert "the Jacobian by heading differs" in causes[0].evidence
-    assert "sightings of scan landmarks" in causes[0].evidence
+    assert "measurements of scan landmarks" in causes[0].evidence
 
 
 def test_the_whole_job_agrees() -> None:
@@ -197,5 +197,5 @@ def test_broken_algebra_is_named() -> None:
 def test_what_goes_by_the_ledger_is_told() -> None:
     chosen = settle(EkfConfig(filter="full", association="known"), log())
     setup = FilterSetup(source=Frames(by_ledger=False))
-    with pytest.raises(InputError, match=r"sightings of landmarks with a direction, expected 0"):
+    with pytest.raises(InputError, match=r"measurements of landmarks with a direction, expected 0"):
         run_ekf(log(), build_timeline(log()), chosen, setup=setup)

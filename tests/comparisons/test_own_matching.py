@@ -32,7 +32,7 @@ from ekf_reference.scan_matching.alignment_covariance import ScanAlignment, scan
 from ekf_reference.scan_matching.sog import SumOfGaussians
 from graphslam.graph_builder import to_tangent
 from graphslam.optimum import ChiSquareTest, Optimality, Stationarity
-from graphslam.problem import OrientedSightings
+from graphslam.problem import OrientedMeasurements
 from tests.helpers import Array, compared, first_seconds, simulated
 from tests.scenarios import scenario
 
@@ -82,7 +82,7 @@ def test_a_sound_matcher_is_confirmed(open3d_library: ModuleType) -> None:
     assert c.verdict.outcome == "agree"
     assert own.agrees
     assert own.optimality.verified
-    assert own.sightings[2] > 0.7 * own.sightings[0]
+    assert own.measurements[2] > 0.7 * own.measurements[0]
     # Sharing template and scan they differ by much less than both covariances.
     assert np.mean(own.squared) / 3.0 < 0.5
     assert own.accuracy is not None
@@ -97,7 +97,7 @@ def test_joined_segments_are_seen_by_both(open3d_library: ModuleType) -> None:
     own = c.find(OwnMatchingFinding).own
     assert c.verdict.outcome == "agree"
     assert own.agrees
-    assert own.sightings[2] > 0.7 * own.sightings[0]
+    assert own.measurements[2] > 0.7 * own.measurements[0]
     assert np.mean(own.squared) / 3.0 < 1.0
 
 
@@ -236,11 +236,11 @@ def test_frames_are_compared_by_both_covariances_and_round_the_circle() -> None:
 
 
 def test_alignments_are_compared_where_both_have_one_and_none_has_begun() -> None:
-    def told(rows: list[tuple[int, int, float]], sigma: float) -> OrientedSightings:
+    def told(rows: list[tuple[int, int, float]], sigma: float) -> OrientedMeasurements:
         z = np.array([(x, 0.0, np.pi / 2) for *_, x in rows])
         spread = np.tile(np.diag((sigma, 10.0 * sigma, sigma)) ** 2, (len(rows), 1, 1))
         pose, landmark = (np.array([row[i] for row in rows], dtype=np.intp) for i in (0, 1))
-        return OrientedSightings(pose, landmark, z, spread)
+        return OrientedMeasurements(pose, landmark, z, spread)
 
     filters_ = told([(0, 0, 1.0), (1, 0, 2.0), (2, 0, 3.0), (2, 1, 9.0), (3, 0, 4.0)], 0.3)
     own = told([(0, 0, 7.0), (1, 0, 2.5), (3, 0, 4.0), (2, 1, 9.0), (4, 0, 1.0)], 0.4)
@@ -253,7 +253,7 @@ def test_alignments_are_compared_where_both_have_one_and_none_has_begun() -> Non
     )
     some = frames(np.zeros((2, 3)), 1.0)
     found = check_own_matching((filters_, own), some, some, some, optimality)
-    assert found.sightings == (3, 3, 2)
+    assert found.measurements == (3, 3, 2)
     (one,) = found.landmarks
     assert one.common == 2
     assert one.worst_epoch == 1

@@ -64,7 +64,7 @@ def test_positions_reduce_the_covariance_of_vehicle_and_map() -> None:
 
 
 def test_split_updates_are_replayed_part_by_part() -> None:
-    """Bounds on every step, sightings included: the frozen smoothers follow the weights."""
+    """Bounds on every step, measurements included: the frozen smoothers follow the weights."""
     log = with_fixes(simulated(seed=3, loop_s=30.0), (0.0, 0.0))
 
     def gradual(ekf: Ekf) -> None:
@@ -109,12 +109,12 @@ def parts_of_first_fix(run: EkfRun) -> tuple[Array, Array]:
 def test_a_loop_is_closed_by_a_position_in_parts() -> None:
     """Guivant 2002, Fig. 9: after a blind stretch, one fix counts as a sequence of weaker ones."""
     log = with_fixes(simulated(seed=3), (0.0, 0.0))
-    seen = log.sightings
+    seen = log.measurements
     rows = np.flatnonzero((seen.time_s < 10.0) | (seen.time_s > 70.0))
     columns: dict[str, Any] = {
         k: v[rows] for k, v in vars(seen).items() if isinstance(v, np.ndarray)
     }
-    run = closing_by_positions(replace(log, sightings=replace(seen, **columns)), 60.0, 62.0)
+    run = closing_by_positions(replace(log, measurements=replace(seen, **columns)), 60.0, 62.0)
     innovation, weight = parts_of_first_fix(run)
     assert innovation[0] > 1.5
     assert len(weight) > 2

@@ -22,7 +22,7 @@ from tests.helpers import first_seconds, simulated
 def has_table_a_1(log: Log) -> bool:
     """Nieto 2005, Table A.1."""
     assert isinstance(log.odometry, SteeringOdometry)
-    noise, seen = log.odometry.noise, log.sightings
+    noise, seen = log.odometry.noise, log.measurements
     wheels = (noise.sigma_speed_mps, np.rad2deg(noise.sigma_turn))
     laser = np.column_stack((seen.sigma_range_m, np.rad2deg(seen.sigma_bearing_rad)))
     return bool(np.allclose(wheels, (0.2, 2.0)) and np.allclose(laser, (0.15, 1.5)))
@@ -34,9 +34,9 @@ def test_a_log_of_the_vehicle_gets_all_of_the_table(name: str) -> None:
     found = with_published_sigmas(log)
     assert has_table_a_1(found)
     assert not has_table_a_1(log)
-    assert not has_table_a_1(replace(found, odometry=log.odometry)), "of the sightings alone"
-    assert not has_table_a_1(replace(found, sightings=log.sightings)), "of the wheels alone"
-    assert np.array_equal(found.sightings.range_m, log.sightings.range_m)
+    assert not has_table_a_1(replace(found, odometry=log.odometry)), "of the measurements alone"
+    assert not has_table_a_1(replace(found, measurements=log.measurements)), "of the wheels alone"
+    assert np.array_equal(found.measurements.range_m, log.measurements.range_m)
     assert isinstance(found.odometry, SteeringOdometry)
     assert isinstance(log.odometry, SteeringOdometry)
     noise, old = found.odometry.noise, log.odometry.noise
@@ -64,6 +64,6 @@ def test_the_car_park_with_either(shared_data: Path) -> None:
     source = str(shared_data / "acfr_car_park")
     usual = load_log(LogSection(source=source))
     kept = read_log(Path(source))
-    assert np.array_equal(usual.sightings.sigma_range_m, kept.sightings.sigma_range_m)
+    assert np.array_equal(usual.measurements.sigma_range_m, kept.measurements.sigma_range_m)
     assert not has_table_a_1(usual)
     assert has_table_a_1(load_log(LogSection(source=source, sigmas="published")))

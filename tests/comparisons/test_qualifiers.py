@@ -20,8 +20,8 @@ from comparisons.checks.qualifiers import (
     TruthGap,
     inconsistencies,
     limit,
+    measurement_scale,
     qualified,
-    sighting_scale,
     truth_gap,
 )
 from comparisons.checks.verdict import Outcome, Verdict
@@ -40,8 +40,8 @@ from tests.helpers import compared, first_seconds, simulated
 AGREE = Verdict(outcome="agree", causes=(), remarks=())
 
 
-def gap(sigma: float, error_m: float, sighting_m: float = 0.15) -> TruthGap:
-    return TruthGap(distances=(Distance("poses", 3, sigma, error_m),), sighting_m=sighting_m)
+def gap(sigma: float, error_m: float, measurement_m: float = 0.15) -> TruthGap:
+    return TruthGap(distances=(Distance("poses", 3, sigma, error_m),), measurement_m=measurement_m)
 
 
 @pytest.fixture(scope="module")
@@ -50,13 +50,13 @@ def sound() -> Comparison:
 
 
 def blind(log: Log) -> Log:
-    nobody = np.full(len(log.sightings.time_s), NO_LANDMARK)
-    return replace(log, sightings=replace(log.sightings, landmark=nobody), truth=Truth())
+    nobody = np.full(len(log.measurements.time_s), NO_LANDMARK)
+    return replace(log, measurements=replace(log.measurements, landmark=nobody), truth=Truth())
 
 
 def between(log: Log, begin_s: float, end_s: float) -> Log:
     """A stretch of a log with velocity odometry, its prior from the true poses."""
-    odometry, seen, poses = log.odometry, log.sightings, log.truth.poses
+    odometry, seen, poses = log.odometry, log.measurements, log.truth.poses
     assert isinstance(odometry, VelocityOdometry)
     assert poses is not None
     rows = (odometry.time_s >= begin_s) & (odometry.time_s <= end_s)
@@ -69,7 +69,7 @@ def between(log: Log, begin_s: float, end_s: float) -> Log:
             speed_mps=odometry.speed_mps[rows],
             yaw_rate_radps=odometry.yaw_rate_radps[rows],
         ),
-        sightings=seen.chosen((seen.time_s > begin_s) & (seen.time_s <= end_s)),
+        measurements=seen.chosen((seen.time_s > begin_s) & (seen.time_s <= end_s)),
     )
 
 
@@ -94,16 +94,16 @@ def test_a_gap_is_far_by_sigma_and_in_metres() -> None:
     fine = gap(2.0, 5.0)  # and one by metres alone this
     assert not fine.stands
     assert not fine.rough
-    assert TruthGap(distances=(), sighting_m=0.1, lost=True).stands
+    assert TruthGap(distances=(), measurement_m=0.1, lost=True).stands
 
 
 def test_twice_the_error_with_labels_is_a_gap_however_sure_the_smoother_is() -> None:
     """An association shared by both makes sigmas that fit it: NEES alone would miss this."""
     assert not gap(1.4, 0.4).stands
-    off = TruthGap(distances=(Distance("poses", 3, 1.4, 0.4, 0.13),), sighting_m=0.15)
+    off = TruthGap(distances=(Distance("poses", 3, 1.4, 0.4, 0.13),), measurement_m=0.15)
     assert off.stands
-    assert not TruthGap(distances=(Distance("poses", 3, 1.4, 0.4, 0.3),), sighting_m=0.15).stands
-    assert not replace(off, sighting_m=0.5).stands
+    assert not TruthGap(distances=(Distance("poses", 3, 1.4, 0.4, 0.3),), measurement_m=0.15).stands
+    assert not replace(off, measurement_m=0.5).stands
     assert off.settled
     assert gap(1.4, 0.1).settled
     assert not gap(1.4, 0.4).settled
@@ -141,7 +141,7 @@ def off_the_band(c: Consistency, factor: float) -> Consistency:
 
 def test_an_inconsistent_filter_is_said_and_fails_only_when_asked(sound: Comparison) -> None:
     off = off_the_band(sound.consistency, 10.0)
-    told = "NIS of sightings 10 per degree of freedom, band "
+    told = "NIS of measurements 10 per degree of freedom, band "
     for asked in ((), ("consistency",)):
         found = qualified(AGREE, None, unchecked="", consistency=off, fail_on=asked)
         assert found.outcome == "agree"
@@ -168,7 +168,7 @@ def drawn(rng: np.random.Generator) -> Consistency:
             np.arange(200),
             None,
         )
-        for name in ("sightings", "positions")
+        for name in ("measurements", "positions")
     )
     return Consistency(None, None, sensors, None, gated=False)
 
@@ -196,7 +196,7 @@ def test_a_wrong_sigma_is_still_said(factor: float) -> None:
     found = replace(found, sensors=(replace(wrong, nis=nis), found.sensors[1]))
     word = "larger" if factor > 1.0 else "smaller"
     assert [one.split(":")[0] for one in found.remarks] == [
-        one.split(":")[0] for one in found.remarks if one.startswith("NIS of sightings, ")
+        one.split(":")[0] for one in found.remarks if one.startswith("NIS of measurements, ")
     ]
     assert len(found.remarks) == 2
     assert all(f"they are {word} than the filter expects" in one for one in found.remarks)
@@ -301,9 +301,9 @@ def test_labels_stand_for_the_truth() -> None:
 def test_labels_that_do_not_fit_are_no_truth(monkeypatch: pytest.MonkeyPatch) -> None:
     """And no lower minimum is searched for: that took twenty times the run."""
     log = replace(first_seconds(simulated(0), 30.0), truth=Truth())
-    label = log.sightings.landmark.copy()
+    label = log.measurements.landmark.copy()
     label[::7] = label[3]
-    misread = replace(log, sightings=replace(log.sightings, landmark=label))
+    misread = replace(log, measurements=replace(log.measurements, landmark=label))
     monkeypatch.setattr(second_association, "smooth", None)
     assert compared(misread, association="nn").assessment.truth_gap is None
     with pytest.raises(TypeError):  # with the right labels it is asked
@@ -324,11 +324,11 @@ def test_an_unknown_word_is_one_line() -> None:
 
 
 def test_a_log_of_templates_has_their_scale() -> None:
-    seen = simulated(0, loop_s=2.0).sightings
-    assert 0.1 < sighting_scale(seen, np.zeros((0, 2, 2))) < 0.5
+    seen = simulated(0, loop_s=2.0).measurements
+    assert 0.1 < measurement_scale(seen, np.zeros((0, 2, 2))) < 0.5
     none = seen.chosen(np.zeros(len(seen.time_s), dtype=bool))
-    assert sighting_scale(none, np.tile(0.02 * np.eye(2), (3, 1, 1))) == pytest.approx(0.2)
-    assert sighting_scale(none, np.zeros((0, 2, 2))) == 0.0
+    assert measurement_scale(none, np.tile(0.02 * np.eye(2), (3, 1, 1))) == pytest.approx(0.2)
+    assert measurement_scale(none, np.zeros((0, 2, 2))) == 0.0
 
 
 @pytest.mark.slow

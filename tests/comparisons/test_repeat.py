@@ -105,8 +105,8 @@ def test_a_log_that_has_changed_is_refused(tmp_path: Path) -> None:
     write_log_folder(simulated(loop_s=10.0), tmp_path / "log")
     assert slamcheck("run", "log", "--out", "a", cwd=tmp_path).returncode == 0
     write_log_folder(simulated(seed=1, loop_s=10.0), tmp_path / "other")
-    (tmp_path / "log" / "sightings.csv").write_bytes(
-        (tmp_path / "other" / "sightings.csv").read_bytes()
+    (tmp_path / "log" / "measurements.csv").write_bytes(
+        (tmp_path / "other" / "measurements.csv").read_bytes()
     )
     done = slamcheck("run", "a/config.toml", "--out", "b", cwd=tmp_path)
     assert done.returncode == 2

@@ -57,7 +57,7 @@ def test_the_map_shows_both_estimates_and_truth(comparison: Comparison) -> None:
     assert np.array_equal(comparison.ekf.estimate.landmark_covariances()[3], joint[9:11, 9:11])
 
 
-@pytest.mark.parametrize("stream", ["prior", "odometry", "sightings", "positions"])
+@pytest.mark.parametrize("stream", ["prior", "odometry", "measurements", "positions"])
 def test_the_hash_sees_every_stream(stream: str) -> None:
     log = simulated(loop_s=5.0)
     changed = {
@@ -66,8 +66,8 @@ def test_the_hash_sees_every_stream(stream: str) -> None:
         "positions": replace(
             log, positions=Positions(np.zeros(1), np.zeros((1, 2)), np.eye(2)[None])
         ),
-        "sightings": replace(
-            log, sightings=replace(log.sightings, range_m=log.sightings.range_m + 1e-9)
+        "measurements": replace(
+            log, measurements=replace(log.measurements, range_m=log.measurements.range_m + 1e-9)
         ),
     }[stream]
     assert log_hash(changed) != log_hash(log)

@@ -120,5 +120,5 @@ def test_what_cannot_be_asked_for_is_said_in_a_line() -> None:
         InputError, match=r"scan_landmarks\.landmarks is 'walls': .*'scans' or 'both'"
     ):
         asked("walls")
-    with pytest.raises(InputError, match="holds no sightings of landmarks"):
+    with pytest.raises(InputError, match="holds no measurements of landmarks"):
         map_log(log(), asked("both"))

@@ -177,7 +177,7 @@ def test_both_estimators_move_by_scans() -> None:
     motion = run_scan_odometry(log)
     moved = with_scan_motion(log, motion)
     assert isinstance(moved.odometry, RelativePoses)
-    assert np.isin(moved.sightings.time_s, moved.odometry.time_s).all()
+    assert np.isin(moved.measurements.time_s, moved.odometry.time_s).all()
     by_wheels, by_scans = compared(log), compared(log, motion="scan")
     assert by_scans.verdict.outcome == "agree"
     assert by_scans.agreement.algebra.sigma < 1e-9

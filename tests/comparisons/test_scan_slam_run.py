@@ -151,7 +151,7 @@ def test_it_is_reported_and_drawn(tmp_path: Path) -> None:
     assert slam.scans == len(LogScans(log()))
     assert len(slam.landmarks) == len(c.ekf.estimate.oriented)
     begun = len(slam.landmarks)
-    assert sum(row.sightings for row in slam.landmarks) == slam.sightings["used"] + begun
+    assert sum(row.measurements for row in slam.landmarks) == slam.measurements["used"] + begun
     write_job_folder(run_folder(c, result), tmp_path / "out")
     page = (tmp_path / "out" / "report.html").read_text()
     assert "EKF scan landmarks, 3 sigma" in page
@@ -308,7 +308,7 @@ def test_what_cannot_be_used_is_said_in_a_line() -> None:
         InputError, match="--landmarks is 'walls', expected points or scans or both"
     ):
         compared(log(), landmarks="walls")
-    with pytest.raises(InputError, match="holds no sightings of landmarks"):
+    with pytest.raises(InputError, match="holds no measurements of landmarks"):
         compared(log())
     with pytest.raises(InputError, match="use --landmarks both"):
         compared(log(), landmarks="scans", smoother_association="own")

@@ -11,7 +11,7 @@ import pytest
 from comparisons.adapters.smoother_association import OwnAssociator
 from comparisons.adapters.smoother_input import position_rows
 from comparisons.adapters.timeline import build_timeline
-from comparisons.checks.association import counterparts, differing_sightings
+from comparisons.checks.association import counterparts, differing_measurements
 from comparisons.config import SmootherConfig, SolveConfig
 from comparisons.errors import InputError
 from comparisons.estimates.folder import read_estimate
@@ -26,7 +26,7 @@ from comparisons.extensions.own_association.extension import (
 from comparisons.extensions.own_association.page import association_differences
 from comparisons.logs.bundled import open_log
 from comparisons.logs.log import NO_LANDMARK, Log
-from comparisons.logs.readers.scan_odometry import no_sightings
+from comparisons.logs.readers.scan_odometry import no_measurements
 from comparisons.logs.scans import Scans
 from comparisons.pipeline.solve import solve
 from comparisons.report.folder import write_job_folder
@@ -40,8 +40,8 @@ from tests.helpers import compared, first_seconds, simulated
 
 
 def without_labels(log: Log) -> Log:
-    blank = np.full(len(log.sightings.landmark), NO_LANDMARK)
-    return replace(log, sightings=replace(log.sightings, landmark=blank))
+    blank = np.full(len(log.measurements.landmark), NO_LANDMARK)
+    return replace(log, measurements=replace(log.measurements, landmark=blank))
 
 
 @pytest.mark.slow
@@ -128,7 +128,7 @@ def test_own_association_needs_no_labels() -> None:
 
 
 def test_too_little_to_make_a_map_of_is_said() -> None:
-    with pytest.raises(InputError, match="no sighting could be used"):
+    with pytest.raises(InputError, match="no measurement could be used"):
         solve(without_labels(first_seconds(simulated(1), 1.0)))
 
 
@@ -140,8 +140,8 @@ def test_a_log_of_scans_alone_is_sent_to_odometry() -> None:
         range_m=np.ones((3, 2)),
         intensity=np.zeros((3, 2)),
     )
-    bare = replace(log, sightings=no_sightings(), scans=scans)
-    with pytest.raises(InputError, match="no sightings of landmarks"):
+    bare = replace(log, measurements=no_measurements(), scans=scans)
+    with pytest.raises(InputError, match="no measurements of landmarks"):
         solve(bare)
 
 
@@ -159,10 +159,10 @@ def test_surveyed_landmarks_keep_their_places() -> None:
 
 @pytest.mark.slow
 def test_misread_labels_are_left_out(shared_data: Path) -> None:
-    """MR.CLAM's robot 3 has four sightings under a wrong barcode."""
+    """MR.CLAM's robot 3 has four measurements under a wrong barcode."""
     log = open_log(str(shared_data / "mrclam" / "MRCLAM_Dataset6"), robot=3)
     solution = solve(log, SolveConfig(association="known", smoother=SmootherConfig(robust="gnc")))
-    assert 4 <= len(solution.result.rejected.sightings) < 20
+    assert 4 <= len(solution.result.rejected.measurements) < 20
     assert solution.accuracy is not None
     assert solution.accuracy.landmark_rmse_aligned_m is not None
     assert solution.accuracy.landmark_rmse_aligned_m < 0.06
@@ -188,8 +188,8 @@ def test_what_a_wrong_association_costs() -> None:
     row = int(np.flatnonzero(wrong >= 0)[50])
     wrong[row] = (wrong[row] + 1) % len(smoothed.landmark)
     found = check_own_association(
-        comparison.log.sightings,
-        run.timeline.sighting_epoch,
+        comparison.log.measurements,
+        run.timeline.measurement_epoch,
         (wrong, run.slot),
         smoothed,
         smoothed,
@@ -198,19 +198,19 @@ def test_what_a_wrong_association_costs() -> None:
     assert found.differing.tolist() == [row]
     assert found.cost[0, 0] > 1e3 > 20.0 > found.cost[0, 1]
     told = association_cause(found, replace(run, slot=wrong)).evidence
-    assert f"sighting {row} at " in told
+    assert f"measurement {row} at " in told
     assert f"by {found.cost[0, 0] ** 0.5:.1f} sigma" in told
 
 
 @pytest.mark.slow
 def test_a_wrong_association_of_the_filter_is_named() -> None:
-    """Labels that send a tenth of the sightings to the wrong landmarks, all of one loop's end."""
+    """Labels that send a tenth of the measurements, all at one loop's end, to wrong landmarks."""
     log = simulated(2)
-    seen = log.sightings
+    seen = log.measurements
     wrong = seen.landmark.copy()
     late = seen.time_s > 70.0
     wrong[late] = (wrong[late] + 1) % 60
-    spoilt = replace(log, sightings=replace(seen, landmark=wrong))
+    spoilt = replace(log, measurements=replace(seen, landmark=wrong))
     comparison = compared(spoilt, association="known", smoother_association="own")
     assert comparison.verdict.outcome == "disagree"
     causes = {cause.gap: cause for cause in comparison.verdict.causes}
@@ -220,22 +220,22 @@ def test_a_wrong_association_of_the_filter_is_named() -> None:
     table = association_differences(own, comparison.ekf)
     assert table.count("<tr data-key") == 200
     more = len(own.differing) - 200
-    assert f"{len(own.differing):,} of {len(seen.time_s):,} sightings differ" in table
+    assert f"{len(own.differing):,} of {len(seen.time_s):,} measurements differ" in table
     assert f"{more:,} more are not" in table
 
 
-def test_sightings_differ_where_their_landmarks_are_no_counterparts() -> None:
+def test_measurements_differ_where_their_landmarks_are_no_counterparts() -> None:
     """Landmarks 0 and 1 swap their numbers, which is no difference; the rest is."""
     filters = np.array([0, 0, 1, 1, 1, -1, -1, 0, 2])
     own = np.array([1, 1, 0, 0, 1, 0, -1, -1, 3])
     first, second = counterparts(filters, own)
     matched = np.full(4, -1)
     matched[second] = first
-    assert differing_sightings(filters, own, matched).tolist() == [4, 5, 7]
+    assert differing_measurements(filters, own, matched).tolist() == [4, 5, 7]
     assert np.flatnonzero(filters != own).tolist() != [4, 5, 7]  # a broken variant: the numbers
 
 
-def test_sightings_that_are_left_out_make_no_landmark() -> None:
+def test_measurements_that_are_left_out_make_no_landmark() -> None:
     log = simulated(0, loop_s=10.0)
     timeline, few = build_timeline(log), np.arange(0, 20)
     rows = position_rows(timeline, None)

@@ -35,7 +35,7 @@ def with_rates(log: Log, position: float = 0.0, heading: float = 0.0) -> Log:
 
 
 def standing(log: Log, begin_s: float, end_s: float) -> Log:
-    """The same with a stop, as its wheels would tell it; sightings there are left out."""
+    """The same with a stop, as its wheels would tell it; measurements there are left out."""
     odometry = log.odometry
     assert isinstance(odometry, SteeringOdometry)
     still = (odometry.time_s >= begin_s) & (odometry.time_s < end_s)
@@ -44,7 +44,7 @@ def standing(log: Log, begin_s: float, end_s: float) -> Log:
 
 
 def with_velocities(log: Log) -> Log:
-    """The same drive by speed and yaw rate; sightings from the rear axle are not needed here."""
+    """The same drive by speed and yaw rate; measurements from the rear axle are not needed here."""
     odometry = log.odometry
     assert isinstance(odometry, SteeringOdometry)
     turn = odometry.speed_mps * np.tan(odometry.steering_rad) / odometry.vehicle.wheelbase_m
@@ -160,8 +160,8 @@ def test_the_car_park() -> None:
 
 
 def window(log: Log, begin_s: float, end_s: float) -> Log:
-    """A piece of a log with steering odometry, from a sample on to a sighting."""
-    odometry, seen = log.odometry, log.sightings
+    """A piece of a log with steering odometry, from a sample on to a measurement."""
+    odometry, seen = log.odometry, log.measurements
     assert isinstance(odometry, SteeringOdometry)
     sampled = (odometry.time_s >= begin_s) & (odometry.time_s < end_s)
     last_s = float(seen.time_s[seen.time_s <= odometry.time_s[sampled][-1]][-1])
@@ -173,7 +173,7 @@ def window(log: Log, begin_s: float, end_s: float) -> Log:
         log,
         prior=Prior(float(time_s[0]), np.zeros(3), 1e-6 * np.eye(3)),
         odometry=replace(odometry, time_s=time_s, speed_mps=speed, steering_rad=steering),
-        sightings=seen.chosen((seen.time_s > time_s[0]) & (seen.time_s <= last_s)),
+        measurements=seen.chosen((seen.time_s > time_s[0]) & (seen.time_s <= last_s)),
         positions=None,
         scans=None,
     )

@@ -66,7 +66,7 @@ def relative(base: Array, frame: Array) -> Array:
 
 
 def covariance_of(rng: np.random.Generator) -> Array:
-    """A sighting's, correlated."""
+    """A measurement's, correlated."""
     root = np.diag((0.03, 0.04, 0.004)) @ (np.eye(3) + 0.4 * rng.uniform(-1.0, 1.0, (3, 3)))
     spread: Array = root @ root.T
     return spread

@@ -42,7 +42,7 @@ def replay(trace: TraceArrays) -> Gaussian:
             (trace.measurements[POINT], False),
         ):
             for row in np.flatnonzero(records.step == k):
-                root.add(*_sighting(records, int(row), size, begins=begins))
+                root.add(*_measurement(records, int(row), size, begins=begins))
         fixes = trace.positions
         for row in np.flatnonzero(fixes.step == k):
             jacobian = np.zeros((POINT, size))
@@ -76,7 +76,7 @@ def eigenvalue_range(first: Array, second: Array) -> tuple[float, float]:
     return float(values[0]), float(values[-1])
 
 
-def _sighting(
+def _measurement(
     records: MeasurementRecords, row: int, size: int, *, begins: bool
 ) -> tuple[Array, Array, Array]:
     """Jacobian (2, n), value (2,) and covariance (2, 2) of a record."""

@@ -117,7 +117,13 @@ def check_log(log: Log) -> None:
     if log.closures is not None:
         assert np.isfinite(log.closures.covariance).all()
         gaps.append("covariance")
-    for stream in (log.odometry, log.sightings, log.positions, log.known_sightings, log.scans):
+    for stream in (
+        log.odometry,
+        log.measurements,
+        log.positions,
+        log.known_measurements,
+        log.scans,
+    ):
         for name, value in vars(stream).items() if stream is not None else ():
             if isinstance(value, np.ndarray) and name not in gaps:
                 assert np.isfinite(value).all(), name

@@ -122,7 +122,7 @@ def test_hostile_values(name: str) -> None:
     ("name", "file"),
     [
         ("log folder", "scans.npz"),
-        ("log folder", "sightings.csv"),
+        ("log folder", "measurements.csv"),
         ("aa3", "aa3_lsr2.mat"),
         ("g2o", "graph.g2o"),
         ("estimate folder", "trace.npz"),

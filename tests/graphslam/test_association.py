@@ -28,7 +28,7 @@ POSTS = np.array([(6.0, -2.0), (6.0, 2.0), (9.0, 5.0)])
 def unlabelled(problem: SlamProblem) -> SlamProblem:
     """Every measurement, nothing decided."""
     nobody = np.zeros(len(problem.z), dtype=np.intp)
-    return replace(problem, sighting_landmark=nobody, landmark_count=1)
+    return replace(problem, measurement_landmark=nobody, landmark_count=1)
 
 
 def belief(heading_sigma: float, posts: Array = POSTS) -> Belief:
@@ -42,7 +42,7 @@ def seen(*points: tuple[float, float], heading: float = 0.0) -> tuple[Array, Arr
     return z, np.tile((0.05**2, 0.01**2), (len(z), 1))
 
 
-def test_expected_sightings_have_the_right_jacobian() -> None:
+def test_expected_measurements_have_the_right_jacobian() -> None:
     state = np.concatenate((np.array([1.0, -2.0, 2.5]), POSTS.ravel()))
 
     def of(x: Array) -> Array:
@@ -113,7 +113,7 @@ def test_two_together_decide_what_one_cannot() -> None:
 
 
 def test_what_stands_together_is_one_piece_of_evidence() -> None:
-    """Three sightings of one clump narrow the belief as one does."""
+    """Three measurements of one clump narrow the belief as one does."""
     o = Options()
     one, three = belief(0.2), belief(0.2)
     recognise(one, *seen((6.0, 2.0)), o)
@@ -138,7 +138,7 @@ def score(slot: Index, true: Index) -> tuple[float, float]:
 def nearest_by_dead_reckoning(world: World) -> Index:
     """The landmark (M,) that each measurement comes nearest to without any correction."""
     problem = world.problem
-    at = dead_reckoned(problem.prior_pose, problem.increment)[problem.sighting_pose]
+    at = dead_reckoned(problem.prior_pose, problem.increment)[problem.measurement_pose]
     bearing = at[:, 2] + problem.z[:, 1]
     ray = problem.z[:, :1] * np.column_stack((np.cos(bearing), np.sin(bearing)))
     apart = (at[:, :2] + ray)[:, None] - world.landmarks
@@ -149,7 +149,7 @@ def nearest_by_dead_reckoning(world: World) -> Index:
 @pytest.mark.parametrize(("seed", "loops"), [(1, 1), (3, 2)])
 def test_loops_are_closed_without_labels(seed: int, loops: int) -> None:
     world = worlds.loop(seed, poses=loops * worlds.LOOP + 40)
-    true = world.problem.sighting_landmark
+    true = world.problem.measurement_landmark
     precision, recall = score(associate(unlabelled(world.problem)).slot, true)
     assert precision > 0.995
     assert recall > 0.99
@@ -167,14 +167,16 @@ def test_clutter_becomes_no_landmark() -> None:
     z = rng.uniform((3.0, -1.5), (20.0, 1.5), (count, 2))
     cluttered = replace(
         everything,
-        sighting_pose=np.concatenate((everything.sighting_pose, everything.sighting_pose[rows])),
-        sighting_landmark=np.zeros(len(everything.z) + count, dtype=np.intp),
+        measurement_pose=np.concatenate(
+            (everything.measurement_pose, everything.measurement_pose[rows])
+        ),
+        measurement_landmark=np.zeros(len(everything.z) + count, dtype=np.intp),
         z=np.vstack((everything.z, z)),
         sigma=np.vstack((everything.sigma, everything.sigma[rows])),
     )
     found = associate(cluttered)
     assert np.mean(found.slot[len(everything.z) :] < 0) > 0.8
-    precision, _ = score(found.slot[: len(everything.z)], problem.sighting_landmark)
+    precision, _ = score(found.slot[: len(everything.z)], problem.measurement_landmark)
     assert precision > 0.98
     assert found.landmark_count < 1.25 * problem.landmark_count
 

@@ -49,16 +49,16 @@ def test_reversed_odometry_leads_back() -> None:
     again = dead_reckoned(back.prior_pose, back.increment)
     assert np.allclose(again[::-1], there, atol=1e-9)
     assert np.array_equal(back.z, problem.z)
-    assert np.array_equal(back.sighting_pose, problem.pose_count - 1 - problem.sighting_pose)
+    assert np.array_equal(back.measurement_pose, problem.pose_count - 1 - problem.measurement_pose)
 
 
 @pytest.mark.slow
 def test_all_ways_to_associate_a_quiet_world_end_alike() -> None:
     world = worlds.loop(seed=2, poses=120)
     nobody = np.zeros(len(world.problem.z), dtype=np.intp)
-    problem = replace(world.problem, sighting_landmark=nobody, landmark_count=1)
+    problem = replace(world.problem, measurement_landmark=nobody, landmark_count=1)
     own = associate(problem)
-    label = world.problem.sighting_landmark
+    label = world.problem.measurement_landmark
     for variant in variants():
         found = associate_by(problem, variant, own.poses[-1])
         used = found.slot >= 0

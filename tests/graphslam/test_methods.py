@@ -14,7 +14,7 @@ from graphslam.incremental import run_fixed_lag, run_isam2
 from graphslam.initialisation import extension
 from graphslam.marginals import SingularProblemError
 from graphslam.optimisers import OPTIMISERS
-from graphslam.problem import OrientedSightings, SlamProblem
+from graphslam.problem import OrientedMeasurements, SlamProblem
 from graphslam.singular import explain_singularity
 from graphslam.smoother import SmootherOptions, smooth
 from tests.graphslam import worlds
@@ -27,7 +27,7 @@ def problem() -> SlamProblem:
 
 
 def wild(problem: SlamProblem, share: float) -> tuple[SlamProblem, NDArray[np.bool_]]:
-    """Some sightings replaced by anything; which."""
+    """Some measurements replaced by anything; which."""
     rng = np.random.default_rng(0)
     rows = rng.random(len(problem.z)) < share
     z = problem.z.copy()
@@ -101,25 +101,25 @@ def test_fixed_lag_keeps_every_pose(problem: SlamProblem) -> None:
 
 
 @pytest.mark.slow
-def test_wild_sightings_are_found_and_left_out(problem: SlamProblem) -> None:
+def test_wild_measurements_are_found_and_left_out(problem: SlamProblem) -> None:
     """30 % of them; what is left is the problem without them."""
     spoilt, rows = wild(problem, 0.3)
     plain = smooth(spoilt, {})
     assert plain.optimality.chi_square.reading == "too high"
     result = smooth(spoilt, {}, options=SmootherOptions(robust="gnc"))
     rejected = np.zeros(len(rows), dtype=bool)
-    rejected[result.rejected.sightings] = True
+    rejected[result.rejected.measurements] = True
     assert np.mean(rejected[rows]) > 0.98
     assert np.mean(rejected[~rows]) < 0.02
     mean, covariance = smooth(problem, {}).marginal()
     apart = result.landmarks.ravel() - mean[3:]
     assert np.max(np.abs(apart) / np.sqrt(covariance.diagonal()[3:])) < 3.0
-    assert len(result.problem.z) == len(problem.z) - len(result.rejected.sightings)
+    assert len(result.problem.z) == len(problem.z) - len(result.rejected.measurements)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kernel", ["huber", "cauchy"])
-def test_kernels_resist_a_few_wild_sightings(problem: SlamProblem, kernel: str) -> None:
+def test_kernels_resist_a_few_wild_measurements(problem: SlamProblem, kernel: str) -> None:
     spoilt, _ = wild(problem, 0.05)
     clean = smooth(problem, {}).landmarks
     plain = np.linalg.norm(smooth(spoilt, {}).landmarks - clean, axis=1)
@@ -164,10 +164,10 @@ def test_checkpoints_equal_the_batch_of_their_prefix(problem: SlamProblem) -> No
     stop = problem.pose_count // 2
     [checkpoint] = run_isam2(problem, build_graph(problem), [stop]).checkpoints
     part = problem.prefix(stop + 1)
-    slot = np.unique(part.sighting_landmark)
+    slot = np.unique(part.measurement_landmark)
     part = replace(
         part,
-        sighting_landmark=np.searchsorted(slot, part.sighting_landmark),
+        measurement_landmark=np.searchsorted(slot, part.measurement_landmark),
         landmark_count=len(slot),
     )
     batch = smooth(part, {}).marginal()
@@ -194,7 +194,7 @@ def test_what_is_not_determined_is_named(problem: SlamProblem) -> None:
         loose.push_back(graph.at(row))
     assert "no prior" in singular(problem, loose)
     of_landmark = set(
-        (np.flatnonzero(problem.sighting_landmark == 3) + problem.pose_count).tolist()
+        (np.flatnonzero(problem.measurement_landmark == 3) + problem.pose_count).tolist()
     )
     kept = gtsam.NonlinearFactorGraph()
     for row in set(range(graph.size())) - of_landmark:
@@ -203,15 +203,15 @@ def test_what_is_not_determined_is_named(problem: SlamProblem) -> None:
 
 
 def test_a_landmark_seen_by_bearing_only_is_named(problem: SlamProblem) -> None:
-    """One sighting whose range says nothing."""
-    once = problem.sighting_landmark != 5
+    """One measurement whose range says nothing."""
+    once = problem.measurement_landmark != 5
     once[np.flatnonzero(~once)[0]] = True
     sigma = problem.sigma.copy()
-    sigma[problem.sighting_landmark == 5, 0] = 1e9
+    sigma[problem.measurement_landmark == 5, 0] = 1e9
     lone = replace(
         problem,
-        sighting_pose=problem.sighting_pose[once],
-        sighting_landmark=problem.sighting_landmark[once],
+        measurement_pose=problem.measurement_pose[once],
+        measurement_landmark=problem.measurement_landmark[once],
         z=problem.z[once],
         sigma=sigma[once],
     )
@@ -251,7 +251,7 @@ def test_oriented_landmarks_are_solved_for(problem: SlamProblem) -> None:
         seen = gtsam.Pose2(*plain.poses[k]).between(gtsam.Pose2(*true[j]))
         measured.append((seen.x(), seen.y(), seen.theta()))
     covariance = np.broadcast_to(np.diag((0.01, 0.01, 1e-4)), (30, 3, 3))
-    oriented = OrientedSightings(pose, which, np.array(measured), covariance)
+    oriented = OrientedMeasurements(pose, which, np.array(measured), covariance)
     more = replace(problem, oriented=oriented)
     result = smooth(more, {})
     assert result.optimality.verified
@@ -269,7 +269,8 @@ def test_a_blind_stretch_may_be_longer_than_the_lag(lag: int) -> None:
     """What leaves the lag has come in before."""
     problem = worlds.loop(1, poses=40).problem
     blind = problem.keep(
-        (problem.sighting_pose < 8) | (problem.sighting_pose > 30), np.zeros(0, dtype=np.bool_)
+        (problem.measurement_pose < 8) | (problem.measurement_pose > 30),
+        np.zeros(0, dtype=np.bool_),
     )
     result = smooth(blind, {}, options=SmootherOptions("fixed-lag", lag=lag))
     assert np.isfinite(result.poses).all()

@@ -11,7 +11,7 @@ from graphslam.graph_builder import POINT, POSE_LANDMARK, right_perturbation
 from graphslam.linear_problem import solve
 from graphslam.marginals import Marginal
 from graphslam.model_system import LinearisationPoints, RelationPoints, model_system
-from graphslam.problem import Merges, OrientedSightings, SlamProblem
+from graphslam.problem import Merges, OrientedMeasurements, SlamProblem
 from graphslam.smoother import SmootherOptions, SmootherResult, smooth
 from tests.graphslam import worlds
 from tests.graphslam.numerics import Array, Index, angle, central_difference, relative_error
@@ -34,8 +34,8 @@ def linearised(problem: SlamProblem, poses: Array, landmarks: Array, frames: Arr
             POINT: RelationPoints(
                 rows,
                 np.ones(len(rows)),
-                poses[problem.sighting_pose],
-                landmarks[problem.sighting_landmark],
+                poses[problem.measurement_pose],
+                landmarks[problem.measurement_landmark],
             ),
             POSE_LANDMARK: RelationPoints(
                 np.arange(len(seen.pose)),
@@ -149,14 +149,16 @@ def test_a_frame_in_a_frame_by_central_differences() -> None:
     unit = right_perturbation(measured, np.eye(3)[None])
     nothing = np.zeros(0, dtype=np.intp)
     at = RelationPoints(np.zeros(1, dtype=np.intp), np.ones(1), first, second)
-    seen = OrientedSightings(np.zeros(1, dtype=np.intp), np.zeros(1, dtype=np.intp), measured, unit)
+    seen = OrientedMeasurements(
+        np.zeros(1, dtype=np.intp), np.zeros(1, dtype=np.intp), measured, unit
+    )
     problem = SlamProblem(
         prior_pose=np.zeros(3),
         prior_covariance=np.eye(3),
         increment=np.zeros((0, 3)),
         increment_covariance=np.zeros((0, 3, 3)),
-        sighting_pose=nothing,
-        sighting_landmark=nothing,
+        measurement_pose=nothing,
+        measurement_landmark=nothing,
         z=np.zeros((0, 2)),
         sigma=np.zeros((0, 2)),
         landmark_count=0,

@@ -45,8 +45,8 @@ def two_sided(seed: int) -> tuple[SlamProblem, Array, Array]:
         prior_covariance=np.diag((0.01, 0.01, 0.002)) ** 2,
         increment=np.diff(poses, axis=0) + step * rng.standard_normal((39, 3)),
         increment_covariance=np.tile(np.diag(step**2), (39, 1, 1)),
-        sighting_pose=pose,
-        sighting_landmark=post,
+        measurement_pose=pose,
+        measurement_landmark=post,
         z=z + sigma * rng.standard_normal(z.shape),
         sigma=np.tile(sigma, (len(z), 1)),
         landmark_count=6,
@@ -122,7 +122,7 @@ def test_a_landmark_may_stand_on_the_other_side() -> None:
 
 def test_a_sure_bearing_leaves_no_alternative() -> None:
     problem, poses, posts = two_sided(1)
-    offset = posts[problem.sighting_landmark] - poses[problem.sighting_pose, :2]
+    offset = posts[problem.measurement_landmark] - poses[problem.measurement_pose, :2]
     sure = replace(
         problem,
         sigma=np.tile((0.02, 0.02), (len(problem.z), 1)),
@@ -150,8 +150,8 @@ def blind_loop(sigma_turn: float) -> tuple[SlamProblem, Array, Array]:
         prior_covariance=np.eye(3) * 1e-6,
         increment=increment,
         increment_covariance=np.array([np.diag(v) for v in variance]),
-        sighting_pose=pose,
-        sighting_landmark=post,
+        measurement_pose=pose,
+        measurement_landmark=post,
         z=np.column_stack((np.hypot(x, y), angle(np.arctan2(y, x) - poses[pose, 2]))),
         sigma=np.tile((0.05, 0.02), (24, 1)),
         landmark_count=3,
@@ -179,7 +179,7 @@ def test_a_path_may_be_mirrored_where_directions_are_loose() -> None:
     problem, poses, posts = two_sided(0)
     line = posts * (1.0, 0.0)
     beside = poses + (0.0, 2.0, 0.0)
-    offset = line[problem.sighting_landmark] - beside[problem.sighting_pose, :2]
+    offset = line[problem.measurement_landmark] - beside[problem.measurement_pose, :2]
     told = replace(
         problem,
         prior_pose=beside[0],
@@ -239,13 +239,13 @@ def test_starts_of_one_kind_are_one_start() -> None:
 def test_a_mirrored_world_is_not_verified() -> None:
     """A straight path, one post, and bearings that tell nothing of its side."""
     problem, poses, posts = two_sided(0)
-    ahead = problem.sighting_landmark == 0
-    offset = posts[0] - poses[problem.sighting_pose[ahead], :2]
+    ahead = problem.measurement_landmark == 0
+    offset = posts[0] - poses[problem.measurement_pose[ahead], :2]
     alone = replace(
         problem,
         increment=np.tile((1.0, 0.0, 0.0), (39, 1)),
-        sighting_pose=problem.sighting_pose[ahead],
-        sighting_landmark=problem.sighting_landmark[ahead],
+        measurement_pose=problem.measurement_pose[ahead],
+        measurement_landmark=problem.measurement_landmark[ahead],
         z=np.column_stack((np.hypot(*offset.T), np.where(offset[:, 0] > 0.0, 0.0, np.pi))),
         sigma=np.tile((0.02, 3.0), (int(ahead.sum()), 1)),
         landmark_count=1,
@@ -306,7 +306,7 @@ def test_a_nearby_trial_that_leads_below_is_followed(monkeypatch: pytest.MonkeyP
 
 
 def test_surroundings_hold_every_factor_of_the_poses_that_saw_a_landmark() -> None:
-    """Prior, increments, sightings and positions; what is pinned adds nothing where it stands."""
+    """Prior, increments, measurements and positions; a pinned variable adds nothing."""
     world = worlds.loop(2)
     some = np.arange(0, world.problem.pose_count, 3)
     problem = replace(
@@ -316,8 +316,8 @@ def test_surroundings_hold_every_factor_of_the_poses_that_saw_a_landmark() -> No
         position_covariance=np.tile(0.04 * np.eye(2), (len(some), 1, 1)),
     )
     graph, values = build_graph(problem), relaxed_values(problem)
-    for landmark in (problem.sighting_landmark[0], problem.sighting_landmark[-1]):
-        saw = POSE_KEY + problem.sighting_pose[problem.sighting_landmark == landmark]
+    for landmark in (problem.measurement_landmark[0], problem.measurement_landmark[-1]):
+        saw = POSE_KEY + problem.measurement_pose[problem.measurement_landmark == landmark]
         factors = [graph.at(i) for i in range(graph.size())]
         touching = [f for f in factors if set(saw.tolist()).intersection(f.keys())]
         near = Surroundings(problem, graph, values, int(landmark))
@@ -335,8 +335,8 @@ def test_a_step_that_nothing_measured_is_no_blind_stretch() -> None:
         prior_covariance=tight,
         increment=np.tile((1.0, 0.0, 0.0), (7, 1)),
         increment_covariance=spread,
-        sighting_pose=np.zeros(0, dtype=np.intp),
-        sighting_landmark=np.zeros(0, dtype=np.intp),
+        measurement_pose=np.zeros(0, dtype=np.intp),
+        measurement_landmark=np.zeros(0, dtype=np.intp),
         z=np.zeros((0, 2)),
         sigma=np.zeros((0, 2)),
         landmark_count=0,

@@ -57,9 +57,9 @@ def residuals(problem: SlamProblem, poses: Array, landmarks: Array) -> Array:
         s, q = (np.sin(w) / w, (1 - np.cos(w)) / w) if abs(w) > 1e-12 else (1.0, 0.0)
         v = np.linalg.solve(np.array(((s, -q), (q, s))), shift)
         parts.append(np.linalg.solve(np.linalg.cholesky(c), np.array((*v, w))))
-    offset = landmarks[problem.sighting_landmark] - poses[problem.sighting_pose, :2]
+    offset = landmarks[problem.measurement_landmark] - poses[problem.measurement_pose, :2]
     r = np.hypot(*offset.T) - problem.z[:, 0]
-    bearing = np.arctan2(offset[:, 1], offset[:, 0]) - poses[problem.sighting_pose, 2]
+    bearing = np.arctan2(offset[:, 1], offset[:, 0]) - poses[problem.measurement_pose, 2]
     beta = angle(bearing - problem.z[:, 1])
     parts.append((np.column_stack((r, beta)) / problem.sigma).ravel())
     return np.concatenate(parts)
@@ -89,7 +89,7 @@ def test_every_start_reaches_the_same_optimum(problem: SlamProblem) -> None:
 def test_a_point_beside_the_optimum_is_no_stationary_point(problem: SlamProblem) -> None:
     result = smooth(problem, {})
     beside = to_values(
-        result.poses + (1e-3, 0.0, 0.0), result.landmarks, np.unique(problem.sighting_landmark)
+        result.poses + (1e-3, 0.0, 0.0), result.landmarks, np.unique(problem.measurement_landmark)
     )
     found = stationarity(result.graph, beside)
     assert found.definite
@@ -98,7 +98,7 @@ def test_a_point_beside_the_optimum_is_no_stationary_point(problem: SlamProblem)
 
 
 def test_whole_turns_between_poses_are_counted(problem: SlamProblem) -> None:
-    """A robot that spins once between two sightings keeps a continuous heading."""
+    """A robot that spins once between two measurements keeps a continuous heading."""
     spun = problem.increment.copy()
     spun[10, 2] += 2.0 * np.pi
     plain, turned = smooth(problem, {}), smooth(replace(problem, increment=spun), {})
@@ -167,7 +167,7 @@ def test_missing_information_is_reported(
 
 
 def test_frozen_smoother_on_one_step_equals_the_kalman_filter() -> None:
-    """By hand: prior, one step, one sighting of a landmark that a first sighting placed."""
+    """By hand: prior, one step, one measurement of a landmark that a first measurement placed."""
     rng = np.random.default_rng(2)
     p0, q, r = np.diag((0.1, 0.2, 0.01)), np.diag((0.05, 0.04, 0.002)), np.diag((0.01, 0.02))
     f, gx = np.eye(3) + 0.1 * rng.standard_normal((3, 3)), rng.standard_normal((2, 3))
@@ -185,7 +185,7 @@ def test_frozen_smoother_on_one_step_equals_the_kalman_filter() -> None:
     gain = predicted @ h.T @ np.linalg.inv(h @ predicted @ h.T + r)
     mean = np.concatenate((x1, l0)) + gain @ nu
     covariance = predicted - gain @ h @ predicted
-    sightings = RecordedRelations(
+    measurements = RecordedRelations(
         first=np.array((0, 1)),
         second=np.array((0, 0)),
         first_point=np.array((x0, x1)),
@@ -204,7 +204,7 @@ def test_frozen_smoother_on_one_step_equals_the_kalman_filter() -> None:
         np.zeros((0, 2, 2)),
     )
     linear = recorded_system(
-        RecordedPrior(x0, p0), motion, np.array((0, 1)), {2: sightings}, {}, nothing
+        RecordedPrior(x0, p0), motion, np.array((0, 1)), {2: measurements}, {}, nothing
     )
     frozen = solve(linear, np.array((x0, x1)), l0[None])
     assert relative_error(frozen.mean, mean) < 1e-10
@@ -217,7 +217,7 @@ def test_the_limit_on_the_decrement_is_tight(problem: SlamProblem) -> None:
     sigma = float(np.sqrt(result.pose_covariances()[-1, 0, 0]))
     poses = result.poses.copy()
     poses[-1, 0] += 1e-2 * sigma
-    beside = to_values(poses, result.landmarks, np.unique(problem.sighting_landmark))
+    beside = to_values(poses, result.landmarks, np.unique(problem.measurement_landmark))
     found = stationarity(result.graph, beside)
     assert 1e-6 < found.decrement < 0.1
     assert not found.holds

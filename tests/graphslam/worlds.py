@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from graphslam.graph_builder import right_perturbation
-from graphslam.problem import Merges, OrientedSightings, SlamProblem
+from graphslam.problem import Merges, OrientedMeasurements, SlamProblem
 from tests.graphslam.numerics import Array, Index, angle, exponential, product, quotient
 
 LOOP = 425
@@ -70,8 +70,8 @@ def loop(seed: int, poses: int = LOOP, noise: float = 1.0) -> World:
         prior_covariance=PRIOR,
         increment=np.array(increment),
         increment_covariance=np.tile(STEP, (poses - 1, 1, 1)),
-        sighting_pose=node,
-        sighting_landmark=np.argsort(order)[slot],
+        measurement_pose=node,
+        measurement_landmark=np.argsort(order)[slot],
         z=z + noise * SIGMA * rng.standard_normal(z.shape),
         sigma=np.tile(SIGMA, (len(z), 1)),
         landmark_count=len(seen),
@@ -107,7 +107,7 @@ def with_frames(world: World, seed: int, noise: float = 1.0) -> World:
     where[:, 2] = angle(where[:, 2])
     one = np.zeros(1, dtype=np.intp)
     merges = Merges(one + found, one, one + 1, where, right_perturbation(where, beside))
-    oriented = OrientedSightings(node, slot, z, right_perturbation(z, spread), merges)
+    oriented = OrientedMeasurements(node, slot, z, right_perturbation(z, spread), merges)
     return replace(world, problem=replace(world.problem, oriented=oriented), frames=frames)
 
 

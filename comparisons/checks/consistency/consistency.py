@@ -89,7 +89,7 @@ class Consistency:
             "sure",
             "too low": "smaller than the filter expects: a sigma is too large",
         }[reading]
-        if self.gated and reading == "too low" and sensor == "sightings":
+        if self.gated and reading == "too low" and sensor == "measurements":
             meaning += ", or association left out the large ones"
         return (
             f"NIS of {of} is {nis.mean:.3g} of {nis.dof} (band {band.low:.3g} to {band.high:.3g}, "

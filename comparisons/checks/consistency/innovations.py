@@ -1,10 +1,10 @@
 """Normalised innovations squared, and whether innovations are white, per sensor.
 
-Sightings of one instant share the pose's error, so the filter whitens them together: with
+Measurements of one instant share the pose's error, so the filter whitens them together: with
 S = L L^T of the stacked innovation nu, L^-1 nu holds independent standard normal numbers if the
-filter is consistent, within an instant and over time. A sighting's range is then judged given the
-sightings fused before it at that instant, and its bearing given its range as well. Each squared
-has one degree of freedom, and the averages over a whole run have an exact band.
+filter is consistent, within an instant and over time. A measurement's range is then judged given
+the measurements fused before it at that instant, and its bearing given its range as well. Each
+squared has one degree of freedom, and the averages over a whole run have an exact band.
 
 What a gate rejects is missing: with a gate at 99 % the average of a consistent filter is 4 % low.
 Association by distance shortens innovations, too.
@@ -65,8 +65,9 @@ class Whiteness:
 
     order: `time`, one number per instant, the sum of its n numbers over root n: correlated when
     something lasts, a bias of the sensor, coloured noise of the motion, a wrong heading.
-    `landmark`, from one sighting of a landmark to the next, with all landmarks pooled: correlated
-    when the filter is surer of landmarks than it may be, for each then has a lasting error.
+    `landmark`, from one measurement of a landmark to the next, with all landmarks pooled:
+    correlated when the filter is surer of landmarks than it may be, for each then has a lasting
+    error.
     coefficient, band: (k,), the band being two standard deviations of a white series, root of
     n / (m (n + 2)) with m products of n numbers. p_value: of the Ljung-Box statistic over the k
     lags, which are as many as the numbers allow. mean: 0 is right, within mean_band of it.
@@ -103,10 +104,10 @@ class SensorInnovations:
 
 
 def check_innovations(run: EkfRun) -> tuple[SensorInnovations, ...]:
-    """Of all sightings of mapped landmarks, and of the positions fused, where there are any.
+    """Of all measurements of mapped landmarks, and of the positions fused, where there are any.
 
     What was fused in parts is judged by its first part, with the whole observation's S, and
-    alone. A sighting that began its landmark predicts nothing.
+    alone. A measurement that began its landmark predicts nothing.
     """
     time_s = run.timeline.epoch_time_s
     u, fixes = run.trace.measurements[POINT], run.trace.positions
@@ -122,9 +123,9 @@ def check_innovations(run: EkfRun) -> tuple[SensorInnovations, ...]:
     standard = np.where(split, alone, u.whitened[rows])[kept]
     seen = u.number[rows][kept]
     names = ("forward", "left") if run.own_axes else ("range", "bearing")
-    epoch = run.timeline.sighting_epoch[seen]
+    epoch = run.timeline.measurement_epoch[seen]
     slot = u.slot[rows][kept]
-    made = [sensor("sightings", names, standard, time_s[epoch], epoch, slot, int((~kept).sum()))]
+    made = [sensor("measurements", names, standard, time_s[epoch], epoch, slot, int((~kept).sum()))]
     first = np.sort(np.unique(fixes.number, return_index=True)[1])
     spread = fixes.spread[first] + (fixes.weight[first, None, None] - 1.0) * fixes.noise[first]
     standard, bad = whiten(fixes.innovation[first], spread)

@@ -22,9 +22,9 @@ from ekf_reference.core.measurements import REJECTED
 _WHOLE = 1e-9
 """Weights that add up to one do so to this."""
 _FITS = float(chi2.ppf(0.99, 2))
-"""A sighting whose residual at the optimum is within this had no reason to be rejected."""
+"""A measurement whose residual at the optimum is within this had no reason to be rejected."""
 _ALLOWED = 0.01
-"""Share of fitting sightings that a gate may cost; the usual gates cost 0.1 %."""
+"""Share of fitting measurements that a gate may cost; the usual gates cost 0.1 %."""
 _SURE = 1e-6
 
 
@@ -47,7 +47,7 @@ def misuses(log: Log, run: EkfRun, smoothed: Estimate, *, labelled: bool) -> tup
     seen = number >= 0
     fixes = trace.positions
     kinds = (
-        ("sightings", number[seen], step[seen], weight[seen], timeline.sighting_epoch),
+        ("measurements", number[seen], step[seen], weight[seen], timeline.measurement_epoch),
         ("positions", fixes.number, fixes.step, fixes.weight, timeline.position_epoch),
     )
     found = []
@@ -55,7 +55,7 @@ def misuses(log: Log, run: EkfRun, smoothed: Estimate, *, labelled: bool) -> tup
         found += _late(kind, when, timeline.steps_until()[epoch[which]])
         found += _counted(kind, which, share)
     if labelled:
-        found += _labels(log.sightings.landmark[: len(run.slot)], run.slot)
+        found += _labels(log.measurements.landmark[: len(run.slot)], run.slot)
         found += _gated(log, run, smoothed)
     return tuple(found)
 
@@ -102,8 +102,8 @@ def _labels(label: NDArray[np.int64], slot: Index) -> list[Misuse]:
         stray = int(count[np.isin(pairs[:, 1], mixed)].sum()) - usual
         found.append(
             Misuse(
-                f"sightings of different labels are put into one landmark: {len(mixed)} of "
-                f"{len(slots[0])} landmarks, {stray} sightings",
+                f"measurements of different labels are put into one landmark: {len(mixed)} of "
+                f"{len(slots[0])} landmarks, {stray} measurements",
                 "look at what turns a label into a place in the map",
             )
         )
@@ -111,7 +111,7 @@ def _labels(label: NDArray[np.int64], slot: Index) -> list[Misuse]:
         worst = int(labels[1].argmax())
         found.append(
             Misuse(
-                f"sightings of {np.count_nonzero(labels[1] > 1)} of {len(labels[0])} labels are "
+                f"measurements of {np.count_nonzero(labels[1] > 1)} of {len(labels[0])} labels are "
                 f"put into several landmarks, of label {labels[0][worst]} into {labels[1][worst]}",
                 "look for landmarks that are begun anew although they are in the map",
             )
@@ -120,22 +120,23 @@ def _labels(label: NDArray[np.int64], slot: Index) -> list[Misuse]:
 
 
 def _gated(log: Log, run: EkfRun, smoothed: Estimate) -> list[Misuse]:
-    """Labelled sightings that were rejected, although they fit the optimum."""
-    label = log.sightings.landmark[: len(run.slot)]
+    """Labelled measurements that were rejected, although they fit the optimum."""
+    label = log.measurements.landmark[: len(run.slot)]
     rows = np.flatnonzero((run.slot == REJECTED) & np.isin(label, smoothed.landmark_id))
     if not len(rows):
         return []
     order = np.argsort(smoothed.landmark_id)
     place = order[np.searchsorted(smoothed.landmark_id[order], label[rows])]
-    pose = smoothed.pose[run.timeline.sighting_epoch[rows]]
-    squared = squared_misfit(log.sightings, rows, pose, smoothed.landmark[place])
+    pose = smoothed.pose[run.timeline.measurement_epoch[rows]]
+    squared = squared_misfit(log.measurements, rows, pose, smoothed.landmark[place])
     fitting = int(np.count_nonzero(squared <= _FITS))
     total = len(rows) + int(np.count_nonzero(run.slot >= 0))
     if binom.sf(fitting - 1, total, _ALLOWED) > _SURE:
         return []
     return [
         Misuse(
-            f"{fitting} of {total} labelled sightings were rejected although they fit the optimum "
+            f"{fitting} of {total} labelled measurements were rejected although they fit the "
+            "optimum "
             "within their own noise",
             "look at the gate: squared distances against a bound of chi-square, not of sigmas; "
             "or at a filter that is too sure of itself",

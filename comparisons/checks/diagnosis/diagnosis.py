@@ -57,7 +57,7 @@ _FRAME_HINT = (
     "first landmarks"
 )
 _TIME_HINT = (
-    "look at the clocks: stamps of odometry against sightings, the interval of a prediction"
+    "look at the clocks: stamps of odometry against measurements, the interval of a prediction"
 )
 _SCALE_HINT = "look at units and scale: metres, the speed's calibration, the wheel's radius"
 _MIRROR_HINT = "look at the sense of steering, yaw rate or bearing, and at the order of the axes"

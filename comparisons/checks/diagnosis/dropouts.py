@@ -18,7 +18,7 @@ _LEAST_S = 1.0
 class Dropout:
     """One stretch, from the last observation used to the next one, or to the log's end.
 
-    way_m: driven meanwhile. refused: sightings that came and were not used. sigma_m,
+    way_m: driven meanwhile. refused: measurements that came and were not used. sigma_m,
     sigma_heading_rad: at its begin and as predicted for its end: of the position (root of the sum
     of the variances of x and y) and of the heading. error_m: of the predicted pose at its end, from
     the smoother.
@@ -57,7 +57,7 @@ class Dropouts:
 
 
 def find_dropouts(run: EkfRun, smoothed: Estimate) -> Dropouts:
-    """Stretches without sightings or positions used. smoothed: S, at the same epochs."""
+    """Stretches without measurements or positions used. smoothed: S, at the same epochs."""
     time_s, until = run.estimate.time_s, run.timeline.steps_until()
     trace = run.trace
     records = *trace.measurements.values(), *trace.initialisations.values(), trace.positions
@@ -93,7 +93,7 @@ def _stretch(run: EkfRun, smoothed: Estimate, first: int, last: int) -> Dropout:
     turn = np.zeros(own)
     turn[2:] = (-np.sin(run.arrived[last, 2]), np.cos(run.arrived[last, 2])) if own == 4 else 1.0
     way = np.linalg.norm(run.trace.arrived[steps, :2] - run.trace.departed[steps, :2], axis=1).sum()
-    epoch = run.timeline.sighting_epoch
+    epoch = run.timeline.measurement_epoch
     return Dropout(
         begin_s=float(run.estimate.time_s[first]),
         end_s=float(run.estimate.time_s[last]),

@@ -24,7 +24,7 @@ from comparisons.checks.grade import (
 )
 from comparisons.estimates.external import GivenEstimate
 
-_MAP_HINT = "hand in the whole map, by the ids of the log's sightings"
+_MAP_HINT = "hand in the whole map, by the ids of the log's measurements"
 _SWAPPED = 3.0
 """Names are taken for exchanged where another landmark is so many times nearer."""
 _AT_M = 0.5
@@ -178,7 +178,7 @@ def _covariances(given: GivenEstimate, found: Likeness, clues: Clues) -> list[Ca
     at, pairs = reference.known, _pairs(given, found)
     hint = (
         "look at the noise: a sigma where a variance is meant, a factor on R or Q, a dropped "
-        "cross-covariance, sightings used twice; and at the export: frame, units, order, time"
+        "cross-covariance, measurements used twice; and at the export: frame, units, order, time"
     )
     fits = [signatures.fit(*pair) for pair in pairs.values()]
     factors = [one.factor for one in fits if one is not None and not one.exceptions.any()]
@@ -239,5 +239,5 @@ def _swapped(given: GivenEstimate, found: Likeness) -> Cause | None:
     return Cause(
         "association",
         f"{len(other)} landmarks lie where another is: {pairs}",
-        "look at the names: ids exchanged, or sightings given to the wrong landmark",
+        "look at the names: ids exchanged, or measurements given to the wrong landmark",
     )

@@ -19,8 +19,8 @@ from comparisons.checks.diagnosis.hypotheses import (
     says,
     times,
 )
+from comparisons.checks.diagnosis.measurement_hypotheses import measurement_hints
 from comparisons.checks.diagnosis.motion_hypotheses import motion_hints
-from comparisons.checks.diagnosis.sighting_hypotheses import sighting_hints
 from comparisons.logs.log import Log
 from ekf_reference.core.geometry import wrap_angle
 from ekf_reference.core.trace import MeasurementRecords
@@ -46,7 +46,7 @@ def explain(
     return (
         *_prior(log, run, rounding),
         *(motion_hints(log, run, rounding) if same_steps else ()),
-        *sighting_hints(log, run, rounding),
+        *measurement_hints(log, run, rounding),
         *_positions(run, rounding),
     )
 

@@ -68,8 +68,8 @@ def linearisation_growth(
     steps = _relations("a prediction", frozen.motion, optimum.motion, poses, poses)
     every = [replace(steps, epoch=frozen.motion.second, slot=np.full(len(steps.epoch), -1))]
     for width, kind, landmarks in (
-        (POINT, "a sighting", smoothed.landmark),
-        (POSE_LANDMARK, "a template's sighting", smoothed.oriented),
+        (POINT, "a measurement", smoothed.landmark),
+        (POSE_LANDMARK, "a template's measurement", smoothed.oriented),
     ):
         if width in frozen.measurements:
             seen = frozen.measurements[width], optimum.measurements[width]

@@ -1,7 +1,7 @@
 """Which part of a filter's model differs from the smoother's: the recorded relations, one by one.
 
 A relation may be multiplied by anything invertible without saying something else, so both sides
-are solved for what they place: a sighting for its landmark, a step for the pose it arrives at.
+are solved for what they place: a measurement for its landmark, a step for the pose it arrives at.
 What is compared is then the place, its Jacobian and its covariance, at the same linearisation
 points. Differences are relative to the smoother's figures: Jacobians to the largest entry of their
 columns, places to their sigma, covariances as generalised eigenvalues.
@@ -72,8 +72,8 @@ def model_differences(
 
     stored: by relation and quantity, what storing the records explains besides.
 
-    begun: so many sightings, the last ones, begin a landmark; they are named apart where the others
-    do not differ.
+    begun: so many measurements, the last ones, begin a landmark; they are named apart where the
+    others do not differ.
     """
     steps = _of_relations(recorded.motion), _of_relations(own.motion)
     measurements = {
@@ -90,9 +90,9 @@ def model_differences(
     }
     kinds = (
         ("steps", "the predicted pose", *steps),
-        ("uses of sightings", "the innovation", *measurements[POINT]),
+        ("uses of measurements", "the innovation", *measurements[POINT]),
         ("uses of positions", "the innovation", *positions),
-        ("sightings of scan landmarks", "the innovation", *measurements[POSE_LANDMARK]),
+        ("measurements of scan landmarks", "the innovation", *measurements[POSE_LANDMARK]),
         ("fusions of scan landmarks", "the innovation", *merges[POSE_LANDMARK]),
     )
     found = _priors(recorded.prior, own.prior, tolerance)
@@ -102,7 +102,7 @@ def model_differences(
             off = ~(difference <= limit)
             if off.any():
                 uses = len(off) - begun
-                if relation == "uses of sightings" and not off[:uses].any():
+                if relation == "uses of measurements" and not off[:uses].any():
                     relation, off, absent = "beginnings of landmarks", off[uses:], absent[uses:]
                 found.append(
                     ModelDifference(

@@ -115,7 +115,7 @@ class FixedTwice(Ekf):
 
 
 class SeenTwice(Ekf):
-    """Every sighting is fused twice."""
+    """Every measurement is fused twice."""
 
     def observe(
         self,
@@ -139,16 +139,16 @@ class BegunAnew(KnownAssociation):
     last_seen_s: dict[int, float] = field(default_factory=dict)
 
     def assign(
-        self, state: KalmanState, observation: MeasurementModel, sightings: Measurements
+        self, state: KalmanState, observation: MeasurementModel, measurements: Measurements
     ) -> Index:
         """New slots for labels unseen for 5 s."""
-        for label in sightings.identity.tolist():
-            if sightings.time_s - self.last_seen_s.get(label, sightings.time_s) > 5.0:
+        for label in measurements.identity.tolist():
+            if measurements.time_s - self.last_seen_s.get(label, measurements.time_s) > 5.0:
                 self.slot_of.pop(label, None)
-            self.last_seen_s[label] = sightings.time_s
-        slots = sightings.identity.astype(np.intp)
+            self.last_seen_s[label] = measurements.time_s
+        slots = measurements.identity.astype(np.intp)
         added = state.landmark_count
-        for i, label in enumerate(sightings.identity.tolist()):
+        for i, label in enumerate(measurements.identity.tolist()):
             if label not in self.slot_of:
                 self.slot_of[label] = added
                 added += 1
@@ -163,10 +163,10 @@ class SwappedLabels(KnownAssociation):
     scans: int = 0
 
     def assign(
-        self, state: KalmanState, observation: MeasurementModel, sightings: Measurements
+        self, state: KalmanState, observation: MeasurementModel, measurements: Measurements
     ) -> Index:
         """Exchange, where both landmarks are known."""
-        slots = super().assign(state, observation, sightings)
+        slots = super().assign(state, observation, measurements)
         self.scans += 1
         if self.scans % 10 == 0 and len(slots) > 1 and slots[:2].max() < state.landmark_count:
             slots[:2] = slots[1::-1]
@@ -213,15 +213,15 @@ DEFECTS = (
         with_motion(AppliedHalf),
     ),
     Defect(
-        "sighting one scan late",
-        "sightings are fused at the time of the next scan",
-        ("data", "sightings", "late"),
+        "measurement one scan late",
+        "measurements are fused at the time of the next scan",
+        ("data", "measurements", "late"),
         with_steps(OneScanLate),
     ),
     Defect(
-        "sighting one step late",
-        "sightings are fused after the next prediction",
-        ("data", "sightings", "late"),
+        "measurement one step late",
+        "measurements are fused after the next prediction",
+        ("data", "measurements", "late"),
         with_steps(OneStepLate),
     ),
     Defect(
@@ -232,9 +232,9 @@ DEFECTS = (
         "positions",
     ),
     Defect(
-        "sighting fused twice",
-        "every sighting is used two times",
-        ("data", "sightings", "more than once"),
+        "measurement fused twice",
+        "every measurement is used two times",
+        ("data", "measurements", "more than once"),
         with_steps(SeenTwice),
     ),
     Defect(

@@ -53,7 +53,7 @@ class OtherObservation:
         return self.sound.range_m(z)
 
     def predict(self, pose: Array, landmarks: Array) -> PredictedMeasurements:
-        """Expected sightings."""
+        """Expected measurements."""
         return self.sound.predict(pose, landmarks)
 
     def innovation(self, z: Array, predicted: Array) -> Array:

@@ -294,27 +294,27 @@ EXPORTS: dict[str, Export] = {
 """What exports do to a sound filter's estimate."""
 
 
-def sightings(**columns: Callable[[Array], Array]) -> Feed:
-    """Other columns of the sightings."""
+def measurements(**columns: Callable[[Array], Array]) -> Feed:
+    """Other columns of the measurements."""
 
     def change(log: Log) -> Log:
         own: dict[str, Any] = {
-            name: of(getattr(log.sightings, name)) for name, of in columns.items()
+            name: of(getattr(log.measurements, name)) for name, of in columns.items()
         }
-        return replace(log, sightings=replace(log.sightings, **own))
+        return replace(log, measurements=replace(log.measurements, **own))
 
     return change
 
 
 def kept(rows: Callable[[Log], NDArray[Any]]) -> Feed:
-    """Some of the sightings only."""
+    """Some of the measurements only."""
 
     def change(log: Log) -> Log:
-        which, seen = rows(log), vars(log.sightings)
+        which, seen = rows(log), vars(log.measurements)
         own: dict[str, Any] = {
             name: column[which] for name, column in seen.items() if isinstance(column, np.ndarray)
         }
-        return replace(log, sightings=replace(log.sightings, **own))
+        return replace(log, measurements=replace(log.measurements, **own))
 
     return change
 
@@ -346,7 +346,7 @@ def noise(**factors: float) -> Feed:
 
 
 def _of_one(log: Log) -> NDArray[np.bool_]:
-    landmark = log.sightings.landmark
+    landmark = log.measurements.landmark
     others: NDArray[np.bool_] = landmark != np.unique(landmark)[0]
     return others
 
@@ -356,24 +356,26 @@ def _delayed(column: Array) -> Array:
 
 
 FEEDS: dict[str, Feed] = {
-    "R 3 times": sightings(
+    "R 3 times": measurements(
         sigma_range_m=lambda s: 3.0**0.5 * s, sigma_bearing_rad=lambda s: 3.0**0.5 * s
     ),
-    "R a third": sightings(
+    "R a third": measurements(
         sigma_range_m=lambda s: s / 3.0**0.5, sigma_bearing_rad=lambda s: s / 3.0**0.5
     ),
-    "the range's sigma doubled": sightings(sigma_range_m=lambda s: 2.0 * s),
+    "the range's sigma doubled": measurements(sigma_range_m=lambda s: 2.0 * s),
     "Q 3 times": noise(sigma_speed_mps=3.0**0.5, sigma_turn=3.0**0.5),
     "Q a third": noise(sigma_speed_mps=3.0**-0.5, sigma_turn=3.0**-0.5),
-    "every second sighting left out": kept(lambda log: np.arange(len(log.sightings.time_s))[::2]),
-    "one landmark ignored": kept(_of_one),
-    "sightings of the last 5 s left out": kept(
-        lambda log: log.sightings.time_s < log.sightings.time_s[-1] - 5.0
+    "every second measurement left out": kept(
+        lambda log: np.arange(len(log.measurements.time_s))[::2]
     ),
-    "sightings beyond 15 m left out": kept(lambda log: log.sightings.range_m < 15.0),
-    "range 1 % too long": sightings(range_m=lambda r: 1.01 * r),
-    "range 5 cm too long": sightings(range_m=lambda r: r + 0.05),
-    "bearing off by 0.5 degrees": sightings(bearing_rad=lambda b: b + np.deg2rad(0.5)),
+    "one landmark ignored": kept(_of_one),
+    "measurements of the last 5 s left out": kept(
+        lambda log: log.measurements.time_s < log.measurements.time_s[-1] - 5.0
+    ),
+    "measurements beyond 15 m left out": kept(lambda log: log.measurements.range_m < 15.0),
+    "range 1 % too long": measurements(range_m=lambda r: 1.01 * r),
+    "range 5 cm too long": measurements(range_m=lambda r: r + 0.05),
+    "bearing off by 0.5 degrees": measurements(bearing_rad=lambda b: b + np.deg2rad(0.5)),
     "speed 1 % too high": odometry(speed=lambda v: 1.01 * v),
     "turn 2 % too strong": odometry(turn=lambda t: 1.02 * t),
     "turn off by 0.2 degrees": odometry(turn=lambda t: t + np.deg2rad(0.2)),

@@ -1,4 +1,4 @@
-"""Defects of the models: predictions, expected sightings, their Jacobians, new landmarks."""
+"""Defects of the models: predictions, expected measurements, their Jacobians, new landmarks."""
 
 from __future__ import annotations
 
@@ -203,7 +203,7 @@ DEFECTS = (
     ),
     Defect(
         "no heading column",
-        "the sighting's Jacobian has zeros where the heading belongs",
+        "the measurement's Jacobian has zeros where the heading belongs",
         ("model", "the Jacobian by heading is missing"),
         with_observation(NoHeadingColumn),
     ),

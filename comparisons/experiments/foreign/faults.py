@@ -40,7 +40,7 @@ class Fault(NamedTuple):
 
 
 def seen(change: Callable[[Foreign, int, Array], Array]) -> Plant:
-    """What is taken for a sighting, begun landmarks included."""
+    """What is taken for a measurement, begun landmarks included."""
     return lambda f: replace(f, measured=lambda f, i: f.cast(change(f, i, own.measured(f, i))))
 
 
@@ -118,7 +118,7 @@ def lagged(f: Foreign, k: int, lag: int) -> Array:
 
 
 def sensor_at(forward: float, left: float) -> Plant:
-    """Sightings are expected from a place beside the pose, H with them."""
+    """Measurements are expected from a place beside the pose, H with them."""
 
     def moved(pose: Array) -> Array:
         c, s = np.cos(pose[2]), np.sin(pose[2])
@@ -142,13 +142,13 @@ def at_first(f: Foreign, pose: Array, point: Array) -> Array:
 
 
 def shifted(f: Foreign, i: int, z: Array) -> Array:
-    """The bearing of the sighting before."""
-    return np.array([z[0], f.log.sightings.bearing_rad[max(i - 1, 0)]])
+    """The bearing of the measurement before."""
+    return np.array([z[0], f.log.measurements.bearing_rad[max(i - 1, 0)]])
 
 
 def time_of(f: Foreign, i: int) -> float:
-    """Of a sighting, since the start [s]."""
-    return float(f.log.sightings.time_s[i] - f.log.prior.time_s)
+    """Of a measurement, since the start [s]."""
+    return float(f.log.measurements.time_s[i] - f.log.prior.time_s)
 
 
 def middle(part: float, shrunk: bool = False) -> Plant:
@@ -255,7 +255,7 @@ FAULTS = (
         "bearing bias later on", r"bearing.*0\.05.*(from|since|time).*30",
         seen(lambda f, i, z: z + (0.0, 0.05 * (time_of(f, i) > 30.0))), "landmarks",
     ),
-    Fault("bearing of the sighting before", r"bearing.*before", seen(shifted), "landmarks"),
+    Fault("bearing of the measurement before", r"bearing.*before", seen(shifted), "landmarks"),
     Fault(
         "expected from the departing pose", r"expected.*before the (last )?prediction",
         lambda f: replace(f, expected=lambda f, x, m: own.expected(f, f.before, m)),
@@ -424,7 +424,7 @@ FAULTS = (
 
 
 def extrapolated(seconds: float) -> Plant:
-    """Sightings are expected from where the vehicle will be."""
+    """Measurements are expected from where the vehicle will be."""
 
     def expected(f: Foreign, pose: Array, at: Array) -> Array:
         last = f.timeline.step_duration_s[max(f.step - 1, 0)]
@@ -439,7 +439,7 @@ def mixed_rows(f: Foreign, pose: Array, at: Array) -> Array:
 
 
 def at_seen(f: Foreign, pose: Array, at: Array) -> Array:
-    """Return H where the sighting puts the landmark."""
+    """Return H where the measurement puts the landmark."""
     return own.by_state(f, pose, own.point(f, pose, own.measured(f, f.now[0])))
 
 
@@ -456,8 +456,8 @@ HELD_OUT = (
           seen(added(0.0, np.radians(0.5))), "landmarks"),
     Fault("steering scaled with a bias", r"steering is 1\.1 times.*-0\.02",
           driven(lambda f, k, u: u * (1.0, 1.1) - (0.0, 0.02)), Q_ALSO),
-    Fault("sightings 50 ms late", r"0\.05 s", extrapolated(0.05)),
-    Fault("H where it was seen", r"H.*sighting puts", lambda f: replace(f, by_state=at_seen)),
+    Fault("measurements 50 ms late", r"0\.05 s", extrapolated(0.05)),
+    Fault("H where it was seen", r"H.*measurement puts", lambda f: replace(f, by_state=at_seen)),
     Fault("bearing row of the old pose", r"bearing row.*before the last prediction",
           lambda f: replace(f, by_state=mixed_rows)),
     Fault("half the range for new ones", r"landmarks' range is 0\.5 times",

@@ -109,14 +109,14 @@ def stabilisation(f: Foreign) -> Array:
 
 
 def measured(f: Foreign, i: int) -> Array:
-    """(2,) range and bearing of sighting i."""
-    seen = f.log.sightings
+    """(2,) range and bearing of measurement i."""
+    seen = f.log.measurements
     return f.cast([seen.range_m[i], seen.bearing_rad[i]])
 
 
 def noise(f: Foreign, i: int) -> Array:
-    """R (2, 2) of sighting i."""
-    seen = f.log.sightings
+    """R (2, 2) of measurement i."""
+    seen = f.log.measurements
     return f.cast(np.diag([seen.sigma_range_m[i] ** 2, seen.sigma_bearing_rad[i] ** 2]))
 
 
@@ -186,9 +186,9 @@ def arm(f: Foreign, pose: Array) -> Array:
 
 @dataclass(kw_only=True)
 class Foreign:
-    """The filter. slot: (M,) which landmark each sighting is of, negative to leave it out.
+    """The filter. slot: (M,) which landmark each measurement is of, negative to leave it out.
 
-    before, arrived: where the last step led from and to. now: the sighting at hand, and its
+    before, arrived: where the last step led from and to. now: the measurement at hand, and its
     landmark. scan: the pose of the scan before. first: where each landmark began.
     """
 
@@ -248,7 +248,7 @@ class Foreign:
         """Drive through the log, and write the estimate with its trace."""
         self.begin()
         t, poses, spreads = self.timeline, [], []
-        until, seen = t.steps_until(), t.sightings_until()
+        until, seen = t.steps_until(), t.measurements_until()
         fixed = t.positions_until()
         for k in range(len(t.epoch_time_s)):
             while self.step < until[k]:
@@ -328,8 +328,8 @@ class Foreign:
         p[:n, n:] = p[n:, :n].T
         p[n:, n:] = g[:, :3] @ self.p[:3, :3] @ g[:, :3].T + g[:, 3:] @ r @ g[:, 3:].T
         self.x, self.p = np.concatenate((self.x, landmark)), self.keep(self, p, n)
-        self._record("begin", i, slot, pose, landmark, g[:, :3], r)
-        self.rows["begin_jacobian_sighting"].append(g[:, 3:])
+        self._record("initialise", i, slot, pose, landmark, g[:, :3], r)
+        self.rows["initialise_jacobian_measurement"].append(g[:, 3:])
 
     def _fix(self, g: int) -> None:
         pose, n = self.x[:3].copy(), len(self.x)
@@ -347,13 +347,13 @@ class Foreign:
     def _record(self, part: str, i: int, slot: int, pose: Array, at: Array, h: Array,
                 r: Array) -> None:  # fmt: skip
         for name, value in (
-            ("step", self.step), ("sighting", i), ("landmark", slot), ("pose", pose),
+            ("step", self.step), ("measurement", i), ("landmark", slot), ("pose", pose),
             ("point", at), ("jacobian_pose", h), ("noise", r.copy()),
         ):  # fmt: skip
             self.rows[f"{part}_{name}"].append(value)
 
     def _write(self, folder: Path, poses: Array, spreads: Array) -> None:
-        whole = ("step", "sighting", "landmark", "number")
+        whole = ("step", "measurement", "landmark", "number")
         arrays = {
             name: np.array(values, np.int64 if name.partition("_")[2] in whole else None)
             for name, values in self.rows.items()

@@ -47,12 +47,12 @@ def rightmost(log: Log) -> Cast:
     estimate, so all drives through one world have the same cast. The distant landmark is the one
     nearest to DISTANT_M away from the point, of those seen until then.
     """
-    true, sightings = truth_in_order(log)[1], log.sightings
-    order = sightings.labels_in_order
-    time_s, scan = np.unique(sightings.time_s, return_inverse=True)
+    true, measurements = truth_in_order(log)[1], log.measurements
+    order = measurements.labels_in_order
+    time_s, scan = np.unique(measurements.time_s, return_inverse=True)
     view = np.zeros((len(time_s), len(order)), dtype=bool)
     rank = np.argsort(order)
-    view[scan, rank[np.searchsorted(order[rank], sightings.landmark)]] = True
+    view[scan, rank[np.searchsorted(order[rank], measurements.landmark)]] = True
     for point in np.argsort(-true[:, 0]).tolist():
         base = _around(point, true, view)
         if base is None:
@@ -117,7 +117,7 @@ class DecorrelationExample:
 
 def decorrelation_example(log: Log) -> DecorrelationExample:
     """Drive a labelled log and follow its cast. Raises InputError where there is none."""
-    cast, order = rightmost(log), log.sightings.labels_in_order
+    cast, order = rightmost(log), log.measurements.labels_in_order
     seen = list(fused_until(log, cast))
     triangle = np.stack([now.landmark[list(cast.base)] for now in seen])
     point = np.stack([now.landmark[cast.point] for now in seen])
@@ -144,9 +144,9 @@ def decorrelation_example(log: Log) -> DecorrelationExample:
 
 def fused_until(log: Log, cast: Cast) -> Iterator[Snapshot]:
     """The filter from when the point, like a dense one, has got its last look."""
-    sightings = log.sightings
-    label = sightings.labels_in_order[cast.point]
-    keep = (sightings.landmark != label) | (sightings.time_s <= cast.fused_s)
-    for time, ekf in watched_run(replace(log, sightings=sightings.chosen(keep))):
+    measurements = log.measurements
+    label = measurements.labels_in_order[cast.point]
+    keep = (measurements.landmark != label) | (measurements.time_s <= cast.fused_s)
+    for time, ekf in watched_run(replace(log, measurements=measurements.chosen(keep))):
         if time >= cast.fused_s:
             yield Snapshot(time, ekf.state.landmarks, ekf.state.covariance.copy())

@@ -19,10 +19,10 @@ from ekf_reference.models.motion import RelativePoseModel
 class FilterNavigator:
     """A filter with a relative-pose motion model, as Navigator of the waypoint run."""
 
-    def __init__(self, ekf: Ekf, *, use_sightings: bool = True, use_fixes: bool = True) -> None:
-        """ekf: at its prior. Without sightings and fixes it is dead reckoning."""
+    def __init__(self, ekf: Ekf, *, use_measurements: bool = True, use_fixes: bool = True) -> None:
+        """ekf: at its prior. Without measurements and fixes it is dead reckoning."""
         self.ekf = ekf
-        self.use_sightings = use_sightings
+        self.use_measurements = use_measurements
         self.use_fixes = use_fixes
         self.path: list[Array] = [self.pose()]
 
@@ -33,7 +33,7 @@ class FilterNavigator:
 
     def saw(self, z: Array, sigma: Array, landmark: NDArray[np.int64]) -> None:
         """Associate and update."""
-        if self.use_sightings and len(z):
+        if self.use_measurements and len(z):
             self.ekf.observe(z, sigma, landmark)
             self.path[-1] = self.pose()
 
@@ -67,4 +67,4 @@ def direction_cosine_navigator(
     )
     if not complete:
         ekf.fixes = replace(ekf.fixes, gate=NO_GATE)
-    return FilterNavigator(ekf, use_sightings=slam, use_fixes=slam and aided)
+    return FilterNavigator(ekf, use_measurements=slam, use_fixes=slam and aided)

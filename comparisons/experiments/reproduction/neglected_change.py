@@ -121,7 +121,7 @@ def neglected_change(
         regions.extend(view.landmark, near, view.joint(near)[3:, 3:])
         waiting = np.setdiff1d(np.arange(len(regions.base)), _regions(looks))
         centre = true_landmark[regions.base[waiting]].mean(axis=1)
-        exact = _sighted(true_pose.at(np.array([time]))[0], centre)
+        exact = _measured(true_pose.at(np.array([time]))[0], centre)
         ahead = (exact[:, 0] <= reach_m) & (np.abs(exact[:, 1]) <= np.pi / 2)
         region, exact, centre = waiting[ahead], exact[ahead], centre[ahead]
         if not len(region):
@@ -153,7 +153,7 @@ def neglected_change(
     )
 
 
-def _sighted(pose: Array, point: Array) -> Array:
+def _measured(pose: Array, point: Array) -> Array:
     """Exact range and bearing (k, 2) of points (k, 2) from pose (3,)."""
     z = RangeBearing().predict(pose, point).z
     return np.column_stack((z[:, 0], wrap_angle(z[:, 1])))

@@ -260,7 +260,7 @@ def claims_6_5(found: HighLevelDrives) -> list[Claim]:
             float(np.mean(kept)),
             FIRST + LATER,
             why="a search at 120 s comes when half of the last loop is over, and a landmark is "
-            "used from the first sighting that fixes its heading, too",
+            "used from the first measurement that fixes its heading, too",
         ),
     ]  # fmt: skip
 

@@ -35,7 +35,7 @@ _DRAWS = 2
 _SCANS = 2
 _APART_M = 6.0
 """Least way between the scan of a template and one that it is aligned with."""
-_SIGHTED = RelativePose()
+_MEASURED = RelativePose()
 _NEAR_M = 0.5
 _MARK_M = 0.5
 
@@ -129,7 +129,7 @@ def cases_of(one: ScanMap) -> list[Seen]:
         reach = np.linalg.norm(scanner[:, :2] - true[:2], axis=1) <= scans.view.reach_m
         seen = []
         for number in np.flatnonzero((away > _APART_M) & reach)[::5].tolist():
-            z = _SIGHTED.predict(scanner[number], true[None]).z[0]
+            z = _MEASURED.predict(scanner[number], true[None]).z[0]
             scan = scans.shape(number)
             if len(scan) and share_in_view(template, scan, z, scans.view) >= scans.view.share:
                 seen.append(Seen(template, around, scan, z))
@@ -142,7 +142,7 @@ def _around(one: ScanMap, slot: int) -> SumOfGaussians | None:
     return LocalContext(one.mapping.dense.dense).around(one.found.template[slot], place)
 
 
-def _first_sighting(one: ScanMap, slot: int) -> int:
+def _first_measurement(one: ScanMap, slot: int) -> int:
     return int(np.flatnonzero(one.mapping.ekf.oriented.landmark == slot)[0])
 
 
@@ -151,7 +151,7 @@ def _born_at(one: ScanMap, slot: int) -> Array:
     run, truth = one.mapping.ekf, one.mapping.log.truth.poses
     if truth is None:
         raise InputError(f"{one.mapping.log.name}: true poses are needed")
-    epoch = run.oriented.pose[_first_sighting(one, slot)]
+    epoch = run.oriented.pose[_first_measurement(one, slot)]
     pose: Array = truth.at(run.estimate.time_s[[epoch]])[0]
     return pose
 
@@ -160,14 +160,14 @@ def _true_places(one: ScanMap) -> list[Array]:
     """(3,) of each landmark's axis: where the true vehicle saw its template."""
     measured = one.mapping.ekf.oriented.measured
     return [
-        _SIGHTED.invert(_born_at(one, slot), measured[[_first_sighting(one, slot)]]).landmark[0]
+        _MEASURED.invert(_born_at(one, slot), measured[[_first_measurement(one, slot)]]).landmark[0]
         for slot in range(one.mapping.ekf.oriented.count)
     ]
 
 
 def _composed(vehicle: Array, mount: Array) -> Array:
     """(N, 3) of a scanner on vehicles (N, 3)."""
-    return np.array([_SIGHTED.invert(pose, mount[None]).landmark[0] for pose in vehicle])
+    return np.array([_MEASURED.invert(pose, mount[None]).landmark[0] for pose in vehicle])
 
 
 def _shown(one: ScanMap) -> Surrounded:
@@ -177,7 +177,7 @@ def _shown(one: ScanMap) -> Surrounded:
         raise InputError(f"{one.mapping.log.name}: the map holds nothing around its landmarks")
     best = max(held, key=lambda slot: len(held[slot]))
     template, true = one.found.template[best], _true_places(one)[best]
-    ends = _SIGHTED.predict(true, _with_heading(one.segment.reshape(-1, 2))).z[:, :2]
+    ends = _MEASURED.predict(true, _with_heading(one.segment.reshape(-1, 2))).z[:, :2]
     return Surrounded(
         template.shape.mean,
         held[best].mean,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.adapters.filter_setup import FilterSetup
-from comparisons.adapters.oriented_sightings import OrientedLedger
+from comparisons.adapters.oriented_measurements import OrientedLedger
 from comparisons.adapters.smoother_input import build_problem
 from comparisons.arrays import Array, Index
 from comparisons.checks.accuracy import assess, assess_trajectory
@@ -269,7 +269,7 @@ def seen_again(run: EkfRun) -> int:
 def scan_map(
     found: ScanLandmarks, run: EkfRun, true: Array, slot: Index, place: Array, covariance: Array
 ) -> ScanMap:
-    """Landmarks with where their axes are. true: (N, 3) the vehicle's poses at all sightings."""
+    """Landmarks with where their axes are. true: (N, 3) the vehicle's poses at all measurements."""
     first = np.unique(run.oriented.landmark, return_index=True)[1][slot]
     seen = zip(true[first], run.oriented.measured[first], strict=True)
     return ScanMap(

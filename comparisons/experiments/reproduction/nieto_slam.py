@@ -200,7 +200,7 @@ FIXED_EXPERIMENT = Experiment("section 2.9 with positions", fixed)
 
 def closing_s(log: Log) -> float:
     """When the first scan's landmarks are seen again after a while."""
-    seen = log.sightings
+    seen = log.measurements
     early = seen.landmark[seen.time_s <= seen.time_s[0]]
     time = seen.time_s[np.isin(seen.landmark, early)]
     return float(time[1:][np.diff(time) > _AWAY_S][0])

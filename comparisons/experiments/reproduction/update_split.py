@@ -46,7 +46,7 @@ class SplitRun:
     """A filter with one splitting of its updates. gap: linearisation gap [smoother's sigma].
 
     optimism: its variance over the smoother's in the worst direction. parts: of an update, mean
-    over the sightings that were fused.
+    over the measurements that were fused.
     """
 
     gap: float

@@ -23,7 +23,7 @@ def watched_run(
     predicted: Callable[[Ekf], None] = lambda ekf: None,
     positions: Positions | None = None,
 ) -> Iterator[tuple[float, Ekf]]:
-    """The filter after every scan with sightings, and the scan's time [s]; one filter throughout.
+    """Yield the one filter after every scan with measurements, and the scan's time [s].
 
     choices: the full filter by default. predicted: shown the filter before it fuses. positions:
     to be fused. Surveyed landmarks are not used. Raises FilterDivergedError.
@@ -43,9 +43,9 @@ def truth_in_order(log: Log) -> tuple[Poses, Array]:
     Raises InputError for a log without truth or labels.
     """
     poses, true = log.truth.poses, log.truth.landmarks
-    if poses is None or true is None or not log.sightings.labelled:
+    if poses is None or true is None or not log.measurements.labelled:
         raise InputError(f"{log.name}: true poses, true landmarks and labels are needed")
-    return poses, true.places_of(log.sightings.labels_in_order)
+    return poses, true.places_of(log.measurements.labels_in_order)
 
 
 class _Shown(NoWatcher):

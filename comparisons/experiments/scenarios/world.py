@@ -29,7 +29,7 @@ from comparisons.experiments.variants.batch_models import (
     Sensor,
     unicycle,
 )
-from comparisons.logs.log import Log, Prior, Sightings
+from comparisons.logs.log import LandmarkMeasurements, Log, Prior
 from comparisons.logs.odometry import OdometryNoise, VelocityOdometry
 from comparisons.logs.simulate.worlds import nieto_loop
 from ekf_reference.core.geometry import wrap_angle
@@ -44,7 +44,7 @@ _STABILISATION = (1e-12, 0.0)
 class World:
     """Truth. pose: (K + 1, 3). control: (K, 2). landmark: (L, 2), of those that are ever seen.
 
-    seen: per step the landmarks (m,) sighted after it. sigma: per step their sigmas (m, 2).
+    seen: per step the landmarks (m,) measured after it. sigma: per step their sigmas (m, 2).
     """
 
     robot: Robot
@@ -114,7 +114,7 @@ def measure(world: World, runs: range) -> Measurements:
     ends = np.cumsum(counts)
     where = np.repeat(world.pose[1:], counts, axis=0)
     offset = world.landmark[np.concatenate(world.seen)] - where[:, :2]
-    exact = world.robot.sensor.sight(where[:, 2], offset)
+    exact = world.robot.sensor.predict(where[:, 2], offset)
     sigma = np.concatenate(world.sigma)
     control = np.empty((len(runs), *world.control.shape))
     z = np.empty((len(runs), *exact.shape))
@@ -155,7 +155,7 @@ def log_of_run(world: World, run: int, name: str) -> Log:
             control[:, 1],
             OdometryNoise(sigma_speed_mps, sigma_turn, *_STABILISATION),
         ),
-        sightings=Sightings(
+        measurements=LandmarkMeasurements(
             time_s=time_s[step[real]],
             range_m=z[real, 0],
             bearing_rad=wrap_angle(z[real, 1]),
@@ -174,7 +174,7 @@ def _sensor(scenario: Scenario) -> Sensor:
 
 
 def _sigma(scenario: Scenario, distance: Array) -> Array:
-    """(K, L, 2) sigmas of sightings; a sensor tells its own noise, so they are known exactly."""
+    """(K, L, 2) sigmas of measurements; a sensor tells its own noise, so they are known exactly."""
     sensor = scenario.sensor
     if isinstance(sensor, RelativePositionSensor):
         along = sensor.sigma_m + sensor.sigma_share * distance

@@ -45,7 +45,7 @@ class BatchFilter(Protocol):
         ...
 
     def observe(self, z: Array, sigma: Array, label: Index) -> None:
-        """Fuse one instant's sightings (B, m, 2), sigmas (m, 2), of landmarks (m,), all unlike."""
+        """Fuse one instant's measurements (B, m, 2), sigmas (m, 2), of distinct landmarks (m,)."""
         ...
 
 
@@ -99,8 +99,8 @@ class BatchEkf:
     def _update(self, z: Array, sigma: Array, slot: Index) -> None:
         sensor, pose = self._robot.sensor, self.state.pose
         offset = self.state.landmarks[:, slot] - pose[:, None, :2]
-        innovation = sensor.innovation(z, sensor.sight(pose[:, 2:], offset))
-        at = self._points.sighted(self.state, self.label[slot], slot)
+        innovation = sensor.innovation(z, sensor.predict(pose[:, 2:], offset))
+        at = self._points.measured(self.state, self.label[slot], slot)
         matrix = sensor.by_offset(at.heading[:, None], at.offset)
         self.state.update(slot, matrix, at.offset, innovation, sigma**2)
 
@@ -108,8 +108,8 @@ class BatchEkf:
         sensor, pose = self._robot.sensor, self.state.pose
         point = pose[:, None, :2] + sensor.offset(pose[:, 2:], z)
         at = self._points.begun(self.state, label, point)
-        by_sighting = np.linalg.inv(sensor.by_offset(at.heading[:, None], at.offset))
-        spread = (by_sighting * sigma[:, None] ** 2) @ by_sighting.transpose(0, 1, 3, 2)
+        by_measurement = np.linalg.inv(sensor.by_offset(at.heading[:, None], at.offset))
+        spread = (by_measurement * sigma[:, None] ** 2) @ by_measurement.transpose(0, 1, 3, 2)
         self.state.augment(point, at.offset, spread)
         self._labels.add(label)
 
@@ -149,13 +149,13 @@ class InvariantEkf:
         if len(old):
             offset = state.landmarks[:, slot] - state.pose[:, None, :2]
             heading = state.pose[:, 2:]
-            innovation = sensor.innovation(z[:, old], sensor.sight(heading, offset))
+            innovation = sensor.innovation(z[:, old], sensor.predict(heading, offset))
             matrix = sensor.by_offset(heading, offset)
             state.update(slot, matrix, None, innovation, sigma[old] ** 2)
         if len(new):
             heading = state.pose[:, 2:]
             offset = sensor.offset(heading, z[:, new])
-            by_sighting = np.linalg.inv(sensor.by_offset(heading, offset))
-            spread = (by_sighting * sigma[new, None] ** 2) @ by_sighting.transpose(0, 1, 3, 2)
+            by_measurement = np.linalg.inv(sensor.by_offset(heading, offset))
+            spread = (by_measurement * sigma[new, None] ** 2) @ by_measurement.transpose(0, 1, 3, 2)
             state.augment(state.pose[:, None, :2] + offset, np.zeros_like(offset), spread)
             self._labels.add(label[new])

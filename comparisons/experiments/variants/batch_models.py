@@ -56,12 +56,12 @@ def control_jacobian(heading: Array, control: Array, step_s: float) -> Array:
 class Sensor(Protocol):
     """Contract of the sensors. Offsets (..., 2) are landmark minus robot, in the world's axes."""
 
-    def sight(self, heading: Array, offset: Array) -> Array:
+    def predict(self, heading: Array, offset: Array) -> Array:
         """Noise-free z (..., 2) at headings (...)."""
         ...
 
     def offset(self, heading: Array, z: Array) -> Array:
-        """The inverse: offsets (..., 2) of sightings."""
+        """The inverse: offsets (..., 2) of measurements."""
         ...
 
     def innovation(self, z: Array, predicted: Array) -> Array:
@@ -76,12 +76,12 @@ class Sensor(Protocol):
 class RelativePosition:
     """Where the landmark is in the robot's own frame: z = R(heading)^T offset [m, m]."""
 
-    def sight(self, heading: Array, offset: Array) -> Array:
+    def predict(self, heading: Array, offset: Array) -> Array:
         """The offset, in the robot's axes."""
         return rotated(-heading, offset)
 
     def offset(self, heading: Array, z: Array) -> Array:
-        """The sighting, in the world's axes."""
+        """The measurement, in the world's axes."""
         return rotated(heading, z)
 
     def innovation(self, z: Array, predicted: Array) -> Array:
@@ -100,7 +100,7 @@ class RelativePosition:
 class RangeBearing:
     """Range [m] and bearing from straight ahead [rad]."""
 
-    def sight(self, heading: Array, offset: Array) -> Array:
+    def predict(self, heading: Array, offset: Array) -> Array:
         """Range and bearing, the latter not wrapped."""
         x, y = offset[..., 0], offset[..., 1]
         return np.stack((np.hypot(x, y), np.arctan2(y, x) - heading), axis=-1)

@@ -14,7 +14,7 @@ from comparisons.experiments.variants.batch_models import rotated, turned
 from ekf_reference.core.geometry import wrap_angle
 
 
-def sighted(matrix: Array, lever: Array | None, slot: Index, x: Array) -> Array:
+def measured(matrix: Array, lever: Array | None, slot: Index, x: Array) -> Array:
     """H X (B, 2 m, c) for X (B, n, c), with H = M [-I, -J lever, I] of each landmark.
 
     matrix: (B, m, 2, 2) M. lever: (B, m, 2), or None where the heading has no part.
@@ -75,14 +75,14 @@ class BatchState:
     def update(
         self, slot: Index, matrix: Array, lever: Array | None, innovation: Array, noise: Array
     ) -> None:
-        """Fuse the sightings of one instant; H as of `sighted`.
+        """Fuse the measurements of one instant; H as of `measured`.
 
         innovation: (B, m, 2). noise: (m, 2) variances. With S = L L^T the term W S W^T is U^T U,
         U = L^-1 H P, as in ekf_reference.core.state.
         """
         p = self.covariance
-        hp = sighted(matrix, lever, slot, p)
-        s = sighted(matrix, lever, slot, hp.transpose(0, 2, 1))
+        hp = measured(matrix, lever, slot, p)
+        s = measured(matrix, lever, slot, hp.transpose(0, 2, 1))
         rows = np.arange(s.shape[1])
         s[:, rows, rows] += noise.ravel()
         inverse_root = np.linalg.inv(self._root(s))

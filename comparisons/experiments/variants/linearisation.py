@@ -23,7 +23,7 @@ class StepPoints(NamedTuple):
     control: Array
 
 
-class SightPoints(NamedTuple):
+class MeasuredPoints(NamedTuple):
     """heading: (B,). offset: (B, m, 2), landmark minus robot."""
 
     heading: Array
@@ -41,11 +41,11 @@ class Linearisation(Protocol):
         """The state departs; it will arrive at (B, 3)."""
         ...
 
-    def sighted(self, state: BatchState, label: Index, slot: Index) -> SightPoints:
+    def measured(self, state: BatchState, label: Index, slot: Index) -> MeasuredPoints:
         """Landmarks (m,) of the map are seen."""
         ...
 
-    def begun(self, state: BatchState, label: Index, point: Array) -> SightPoints:
+    def begun(self, state: BatchState, label: Index, point: Array) -> MeasuredPoints:
         """Landmarks at (B, k, 2) will be appended."""
         ...
 
@@ -60,15 +60,15 @@ class AtEstimate:
         """From the updated to the predicted position."""
         return StepPoints(arrival[:, :2] - state.pose[:, :2], state.pose[:, 2], control)
 
-    def sighted(self, state: BatchState, label: Index, slot: Index) -> SightPoints:
+    def measured(self, state: BatchState, label: Index, slot: Index) -> MeasuredPoints:
         """As it is believed now."""
-        return SightPoints(
+        return MeasuredPoints(
             state.pose[:, 2].copy(), state.landmarks[:, slot] - state.pose[:, None, :2]
         )
 
-    def begun(self, state: BatchState, label: Index, point: Array) -> SightPoints:
+    def begun(self, state: BatchState, label: Index, point: Array) -> MeasuredPoints:
         """As it is believed now."""
-        return SightPoints(state.pose[:, 2].copy(), point - state.pose[:, None, :2])
+        return MeasuredPoints(state.pose[:, 2].copy(), point - state.pose[:, None, :2])
 
 
 class AtFirstEstimate:
@@ -85,14 +85,14 @@ class AtFirstEstimate:
         self._before = arrival
         return StepPoints(travel, state.pose[:, 2], control)
 
-    def sighted(self, state: BatchState, label: Index, slot: Index) -> SightPoints:
+    def measured(self, state: BatchState, label: Index, slot: Index) -> MeasuredPoints:
         """The first estimates of the landmarks, from the predicted pose."""
-        return SightPoints(self._before[:, 2], self._first[:, slot] - self._before[:, None, :2])
+        return MeasuredPoints(self._before[:, 2], self._first[:, slot] - self._before[:, None, :2])
 
-    def begun(self, state: BatchState, label: Index, point: Array) -> SightPoints:
-        """From the predicted pose, like the sightings of this instant."""
+    def begun(self, state: BatchState, label: Index, point: Array) -> MeasuredPoints:
+        """From the predicted pose, like the measurements of this instant."""
         self._first = np.concatenate((self._first, point), axis=1)
-        return SightPoints(self._before[:, 2], point - self._before[:, None, :2])
+        return MeasuredPoints(self._before[:, 2], point - self._before[:, None, :2])
 
 
 class ObservabilityConstrained:
@@ -100,7 +100,7 @@ class ObservabilityConstrained:
 
     The points of the robot p* and of the landmarks l* at one time may all be moved by a common
     shift u against c and l. The shift is the least-squares one: the mean of what robot and all
-    mapped landmarks have moved by; u comes with each prediction, for the sightings that follow.
+    mapped landmarks have moved by; u comes with each prediction, for the measurements that follow.
     """
 
     def start(self, state: BatchState) -> None:
@@ -117,17 +117,17 @@ class ObservabilityConstrained:
         self._anchor = arrival[:, :2] - shift
         return StepPoints(travel, state.pose[:, 2], control)
 
-    def sighted(self, state: BatchState, label: Index, slot: Index) -> SightPoints:
+    def measured(self, state: BatchState, label: Index, slot: Index) -> MeasuredPoints:
         """L* - p*, which is l - c."""
         offset = self._first[:, slot] - self._anchor[:, None]
-        return SightPoints(state.pose[:, 2].copy(), offset)
+        return MeasuredPoints(state.pose[:, 2].copy(), offset)
 
-    def begun(self, state: BatchState, label: Index, point: Array) -> SightPoints:
+    def begun(self, state: BatchState, label: Index, point: Array) -> MeasuredPoints:
         """As it is believed now; l is put where that offset is right from c."""
         offset = point - state.pose[:, None, :2]
         first = self._anchor[:, None] + offset
         self._first = np.concatenate((self._first, first), axis=1)
-        return SightPoints(state.pose[:, 2].copy(), offset)
+        return MeasuredPoints(state.pose[:, 2].copy(), offset)
 
 
 class AtTruth:
@@ -153,15 +153,15 @@ class AtTruth:
             np.tile(steps, (runs, 1)),
         )
 
-    def sighted(self, state: BatchState, label: Index, slot: Index) -> SightPoints:
+    def measured(self, state: BatchState, label: Index, slot: Index) -> MeasuredPoints:
         """Where the landmarks are."""
         return self._offset(label, len(state.pose))
 
-    def begun(self, state: BatchState, label: Index, point: Array) -> SightPoints:
+    def begun(self, state: BatchState, label: Index, point: Array) -> MeasuredPoints:
         """Where the landmarks are."""
         return self._offset(label, len(state.pose))
 
-    def _offset(self, label: Index, runs: int) -> SightPoints:
+    def _offset(self, label: Index, runs: int) -> MeasuredPoints:
         x, y, heading = self._pose[self._now]
         offset = self._landmark[label] - (x, y)
-        return SightPoints(np.full(runs, heading), np.tile(offset, (runs, 1, 1)))
+        return MeasuredPoints(np.full(runs, heading), np.tile(offset, (runs, 1, 1)))

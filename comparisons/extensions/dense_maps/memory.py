@@ -110,7 +110,7 @@ class Demand:
         """Ground [m^2] that regions may have cells on, and the window that holds them."""
         reach_m, corner = self._config.bounds.reach_m, pose[:, :2]
         if points:
-            s = log.sightings
+            s = log.measurements
             at = pose[np.clip(np.searchsorted(time_s, s.time_s), 0, len(pose) - 1)]
             turn, near = at[:, 2] + s.bearing_rad, s.range_m <= reach_m
             ray = s.range_m[:, None] * np.column_stack((np.cos(turn), np.sin(turn)))

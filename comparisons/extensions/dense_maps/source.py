@@ -41,7 +41,7 @@ MARGINS = {"joint": flip_margin, "ellipses": ellipse_margin}
 _TELLING_M = 0.05
 """Least shift of the regions by one update that is worth a picture (root mean square)."""
 _MARGIN_M = 0.5
-"""So near to a dynamic cell a sighting or a landmark counts as dynamic: both may be off."""
+"""So near to a dynamic cell a measurement or a landmark counts as dynamic: both may be off."""
 _CLEARLY = 1.2
 """A later update must move the regions, all together, so many times as far to take its place."""
 

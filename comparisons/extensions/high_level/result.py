@@ -31,7 +31,7 @@ def high_level_text(made: HighLevelResult) -> str:
         f"{made.pairs} pairs, {made.poor} with too few Gaussians), {made.kept} kept"
         + (f", {made.deactivated} deactivated where something moves" if made.deactivated else "")
         + "; "
-        + f"{made.looks.get('seen', 0)} sightings"
+        + f"{made.looks.get('seen', 0)} measurements"
         + (f" ({rest})" if rest else "")
     )
 

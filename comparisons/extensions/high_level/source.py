@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.adapters.filter_loop import NoWatcher, Watcher
-from comparisons.adapters.oriented_sightings import OrientedLedger
+from comparisons.adapters.oriented_measurements import OrientedLedger
 from comparisons.adapters.planar_scans import PlanarScans, view_to
 from comparisons.arrays import Array
 from comparisons.choices import Layer

@@ -15,12 +15,12 @@ from comparisons.checks.association import (
     PartitionAgreement,
     compare_partitions,
     counterparts,
-    differing_sightings,
+    differing_measurements,
 )
 from comparisons.checks.causes import Cause
 from comparisons.checks.misfit import squared_misfit
 from comparisons.estimates.estimate import Estimate
-from comparisons.logs.log import Sightings
+from comparisons.logs.log import LandmarkMeasurements
 from graphslam.optimum import Optimality
 
 
@@ -29,9 +29,9 @@ class OwnAssociationCheck:
     """The association gap, S - S'.
 
     partition: the filter's association first, the smoother's own second. pose: S against S' in the
-    last pose. landmark_rms_m: between landmarks that share most of their sightings, None without
-    any. slot: (M,) the smoother's own landmarks of the sightings, negative for unused. matched:
-    (L,) the filter's counterpart of each of its landmarks, -1 for none. differing: the sightings
+    last pose. landmark_rms_m: between landmarks that share most of their measurements, None without
+    any. slot: (M,) the smoother's own landmarks of the measurements, negative for unused. matched:
+    (L,) the filter's counterpart of each of its landmarks, -1 for none. differing: the measurements
     that the two do not give to counterparts. cost: (D, 2) squared misfit of each of these, in units
     of its noise, at S with the filter's landmark and at S' with its own, NaN where it is unused.
     estimate, optimality, accuracy, score: of S'.
@@ -51,14 +51,14 @@ class OwnAssociationCheck:
 
 
 def check_own_association(
-    seen: Sightings,
+    seen: LandmarkMeasurements,
     epoch: Index,
     slots: tuple[Index, Index],
     smoothed: Estimate,
     estimate: Estimate,
     optimality: Optimality,
 ) -> OwnAssociationCheck:
-    """Compare. seen, epoch: the sightings, of which the first M are told, and their epochs.
+    """Compare. seen, epoch: the measurements, of which the first M are told, and their epochs.
 
     slots: (M,) landmarks of each by the filter, and by the smoother. smoothed: S. estimate,
     optimality: of S'.
@@ -69,7 +69,7 @@ def check_own_association(
     poses = [Gaussian(e.pose[-1], e.joint_covariance[:3, :3]) for e in (smoothed, estimate)]
     matched = np.full(len(estimate.landmark), -1, dtype=np.intp)
     matched[second] = first
-    differing = differing_sightings(filters, own, matched)
+    differing = differing_measurements(filters, own, matched)
     cost = np.full((len(differing), 2), np.nan)
     for column, (slot, e) in enumerate(((filters, smoothed), (own, estimate))):
         used = np.flatnonzero(slot[differing] >= 0)
@@ -94,26 +94,26 @@ def association_cause(own: OwnAssociationCheck, run: EkfRun) -> Cause:
     return Cause(
         "association",
         f"with its own association the smoother's last pose is {own.pose.difference_m:.2f} m "
-        f"({own.pose.distance:.1f} sigma) elsewhere; of the pairs of sightings put together "
+        f"({own.pose.distance:.1f} sigma) elsewhere; of the pairs of measurements put together "
         f"{100.0 * p.agreement:.0f} % are the same, {p.splits} of the filter's landmarks are split "
         f"and {p.merges} of the smoother's" + _costliest(own, run),
-        "look at the sightings where the two differ: a wrong closure, or landmarks too near to "
+        "look at the measurements where the two differ: a wrong closure, or landmarks too near to "
         "tell apart",
         alone=True,
     )
 
 
 def _costliest(own: OwnAssociationCheck, run: EkfRun) -> str:
-    """The sighting that fits the filter's landmark the least, of those that differ."""
+    """The measurement that fits the filter's landmark the least, of those that differ."""
     with_both = np.flatnonzero(np.isfinite(own.cost).all(axis=1))
     if not len(with_both):
         return ""
     worst = with_both[np.argmax(own.cost[with_both, 0])]
     row = own.differing[worst]
-    t = run.estimate.time_s[run.timeline.sighting_epoch[row]]
+    t = run.estimate.time_s[run.timeline.measurement_epoch[row]]
     theirs, ours = own.cost[worst]
     return (
-        f"; sighting {row} at {t:.1f} s misses the filter's landmark "
+        f"; measurement {row} at {t:.1f} s misses the filter's landmark "
         f"{run.estimate.landmark_id[run.slot[row]]} by {theirs**0.5:.1f} sigma of its noise, the "
         f"smoother's own by {ours**0.5:.1f}"
     )

@@ -75,13 +75,13 @@ class OwnAssociationFinding(Finding):
         ]
 
     def layers(self, drawing: Drawing) -> None:
-        """Add a line from the pose to the landmark for each sighting that differs."""
+        """Add a line from the pose to the landmark for each measurement that differs."""
         from comparisons.extensions.own_association.page import differing_lines
 
         differing_lines(drawing, self.own, self._compared.ekf)
 
     def sections(self) -> Sequence[str]:
-        """Return the table of sightings that differ."""
+        """Return the table of measurements that differ."""
         from comparisons.extensions.own_association.page import association_differences
 
         return [association_differences(self.own, self._compared.ekf)]
@@ -90,7 +90,7 @@ class OwnAssociationFinding(Finding):
 def solve_with_own_association(compared: Compared) -> OwnAssociationCheck:
     """Return S' and how it compares with S.
 
-    Only points are associated anew: sightings of landmarks with a direction stay as they are.
+    Only points are associated anew: measurements of landmarks with a direction stay as they are.
     """
     log, run, gaps = compared.prepared.log, compared.ekf, compared.gaps
     rows = position_rows(run.timeline, run.positions)
@@ -104,8 +104,8 @@ def solve_with_own_association(compared: Compared) -> OwnAssociationCheck:
     ids = np.arange(found.problem.landmark_count)
     estimate = smoothed_estimate(result, run.timeline.epoch_time_s, ids, "its own")
     own = check_own_association(
-        log.sightings,
-        run.timeline.sighting_epoch,
+        log.measurements,
+        run.timeline.measurement_epoch,
         (run.slot, found.slot),
         gaps.smoothed,
         estimate,
@@ -140,7 +140,7 @@ def _result(own: OwnAssociationCheck) -> OwnAssociationResult:
 class OwnAssociationResult(Model):
     """The smoother with its own association. See comparisons.extensions.own_association.check.
 
-    agreement: share of the pairs of sightings put together by either that both put together.
+    agreement: share of the pairs of measurements put together by either that both put together.
     pose_distance_sigma: between the last poses with the one and the other association.
     """
 

@@ -19,8 +19,8 @@ _UNUSED = {
 
 
 def differing_lines(drawing: Drawing, own: OwnAssociationCheck, run: EkfRun) -> None:
-    """Add lines from poses to the landmarks that the filter and the smoother gave sightings to."""
-    row, epoch = own.differing[:MOST_LINES], run.timeline.sighting_epoch
+    """Add lines from poses to the landmarks that filter and smoother assigned measurements to."""
+    row, epoch = own.differing[:MOST_LINES], run.timeline.measurement_epoch
     for name, colour, estimate, slots in (
         ("associations that differ: EKF", EKF_COLOUR, run.estimate, run.slot),
         ("associations that differ: smoother", SMOOTHER_COLOUR, own.estimate, own.slot),
@@ -30,9 +30,9 @@ def differing_lines(drawing: Drawing, own: OwnAssociationCheck, run: EkfRun) -> 
 
 
 def association_differences(own: OwnAssociationCheck, run: EkfRun) -> str:
-    """Return a table of the sightings that filter and smoother give to different landmarks."""
+    """Return a table of the measurements that filter and smoother give to different landmarks."""
     slot, ids = run.slot, run.estimate.landmark_id
-    time_s = run.timeline.epoch_time_s[run.timeline.sighting_epoch]
+    time_s = run.timeline.epoch_time_s[run.timeline.measurement_epoch]
     rows = []
     listed = zip(own.differing[:_MOST_ROWS].tolist(), own.cost.tolist(), strict=False)
     for row, cost in listed:
@@ -47,10 +47,10 @@ def association_differences(own: OwnAssociationCheck, run: EkfRun) -> str:
         misses = (number(squared**0.5) for squared in cost)
         rows.append((key, (str(row), f"{time_s[row]:.3f}", filters, smoothers, *misses)))
     count, more = len(own.differing), len(own.differing) - len(rows)
-    told = f"{count:,} of {len(own.slot):,} sightings differ"
+    told = f"{count:,} of {len(own.slot):,} measurements differ"
     told += f"; the first {len(rows):,} are listed, {more:,} more are not." if more else "."
     head = (
-        "sighting",
+        "measurement",
         "time [s]",
         "filter's landmark",
         "smoother's own",

@@ -23,7 +23,7 @@ from comparisons.estimates.estimate import Estimate
 from ekf_reference.core.geometry import wrap_angle
 from graphslam.graph_builder import to_tangent
 from graphslam.optimum import Optimality
-from graphslam.problem import OrientedSightings
+from graphslam.problem import OrientedMeasurements
 
 GATE = float(chi2.ppf(0.99, 3))
 """A landmark's alignments contradict when their mean squared distance is more: as the filter's own
@@ -66,9 +66,9 @@ class LandmarkMatching:
 class OwnMatchingCheck:
     """The matching gap, S - S''.
 
-    sightings: alignments, begun landmarks left out: the filter's, the smoother's own, and those of
-    one landmark in one scan that both made. squared: (C,) squared distances of these by the sum of
-    both covariances. landmarks: farthest apart first. shift: (3,) what all differences have in
+    measurements: alignments, begun landmarks left out: the filter's, the smoother's own, and those
+    of one landmark in one scan that both made. squared: (C,) squared distances of these by the sum
+    of both covariances. landmarks: farthest apart first. shift: (3,) what all differences have in
     common, few landmarks that contradict left out; shift_squared: its squared distance, 0 for
     fewer than three landmarks; shift_freedom: degrees of freedom of the scatter that this is by.
     ekf, smoother: each of the two against S'', all scan landmarks that
@@ -77,7 +77,7 @@ class OwnMatchingCheck:
     alignments: the own ones, as the matcher made them. reasons: what became of the own matches.
     """
 
-    sightings: tuple[int, int, int]
+    measurements: tuple[int, int, int]
     squared: Array
     landmarks: tuple[LandmarkMatching, ...]
     shift: Array
@@ -89,7 +89,7 @@ class OwnMatchingCheck:
     path_rms_m: tuple[float, float]
     estimate: Estimate
     optimality: Optimality
-    alignments: OrientedSightings
+    alignments: OrientedMeasurements
     accuracy: Accuracy | None = None
     reasons: Counter[str] = field(default_factory=Counter)
 
@@ -116,14 +116,14 @@ class OwnMatchingCheck:
 
 
 def check_own_matching(
-    sightings: tuple[OrientedSightings, OrientedSightings],
+    measurements: tuple[OrientedMeasurements, OrientedMeasurements],
     ekf: Estimate,
     smoothed: Estimate,
     estimate: Estimate,
     optimality: Optimality,
 ) -> OwnMatchingCheck:
-    """Compare. sightings: what S and what S'' were given. estimate, optimality: of S''."""
-    filters, own = sightings
+    """Compare. measurements: what S and what S'' were given. estimate, optimality: of S''."""
+    filters, own = measurements
     used = (_later(filters), _later(own))
     common = sorted(used[0].keys() & used[1].keys())
     rows = [np.array([one[pair] for pair in common], dtype=np.intp) for one in used]
@@ -146,7 +146,7 @@ def check_own_matching(
     both = Gaussian(last[1].mean, last[0].covariance + last[1].covariance)
     shift, squared_shift, freedom = common_shift(slot[sound], difference[sound], information[sound])
     return OwnMatchingCheck(
-        sightings=(
+        measurements=(
             len(filters.measured) - begun[0],
             len(own.measured) - begun[1],
             len(common),
@@ -223,8 +223,8 @@ def _of_landmark(
     )
 
 
-def _later(seen: OrientedSightings) -> dict[tuple[int, int], int]:
-    """Rows of sightings by pose and landmark, but for those in which a landmark begins."""
+def _later(seen: OrientedMeasurements) -> dict[tuple[int, int], int]:
+    """Rows of measurements by pose and landmark, but for those in which a landmark begins."""
     rows: dict[tuple[int, int], int] = {}
     begun: set[int] = set()
     for row in np.argsort(seen.pose, kind="stable").tolist():
@@ -235,7 +235,7 @@ def _later(seen: OrientedSightings) -> dict[tuple[int, int], int]:
     return rows
 
 
-def _in_poses_frame(seen: OrientedSightings, rows: Index) -> Array:
+def _in_poses_frame(seen: OrientedMeasurements, rows: Index) -> Array:
     """(C, 3, 3) covariances in the frame of the pose that sees, not of the landmark."""
     turn = to_tangent(seen.measured[rows, 2])
     turned: Array = turn.transpose(0, 2, 1) @ seen.covariance[rows] @ turn
@@ -253,7 +253,10 @@ _NAMED = 3
 
 def matching_cause(own: OwnMatchingCheck, run: EkfRun) -> Cause:
     """S against S''."""
-    parts, hint = [], "look at sightings that only one of both made: loops, places that look alike"
+    parts, hint = (
+        [],
+        "look at measurements that only one of both made: loops, places that look alike",
+    )
     if own.shifted:
         x, y, turn = own.shift
         parts.append(
@@ -272,7 +275,7 @@ def matching_cause(own: OwnMatchingCheck, run: EkfRun) -> Cause:
                 "place that looks alike"
             )
     if not own.estimates_agree:
-        pair, (theirs, ours, both) = own.smoother, own.sightings
+        pair, (theirs, ours, both) = own.smoother, own.measurements
         if own.landmarks and not (own.contradicting or own.shifted):
             parts.append(f"the farthest apart: {_apart_for(own.landmarks[0], run)}")
         parts.append(

@@ -14,7 +14,7 @@ from comparisons.extensions.own_matching.check import (
     matching_cause,
 )
 from comparisons.extensions.own_matching.result import own_matching_result, own_matching_rows
-from comparisons.extensions.own_matching.source import own_sightings
+from comparisons.extensions.own_matching.source import own_measurements
 from comparisons.extensions.scan_landmarks.source import ScanSlamSource
 from comparisons.pipeline.gaps import Compared
 from graphslam.smoother import smooth
@@ -65,11 +65,11 @@ class OwnMatchingFinding(Finding):
 def solve_with_own_matching(compared: Compared, slam: ScanSlamSource) -> OwnMatchingCheck:
     """Return S'' and how it compares with S.
 
-    Its sightings take the place of the filter's, so that no scan counts twice.
+    Its measurements take the place of the filter's, so that no scan counts twice.
     """
     prepared, run, gaps = compared.prepared, compared.ekf, compared.gaps
     progress = prepared.stage_progress("own matcher")
-    problem, found = own_sightings(prepared.log, run, slam.found.begun, progress)
+    problem, found = own_measurements(prepared.log, run, slam.found.begun, progress)
     result = smooth(problem, {}, options=gaps.result.options)
     ids = run.estimate.landmark_id
     estimate = smoothed_estimate(result, run.timeline.epoch_time_s, ids, "the EKF's")

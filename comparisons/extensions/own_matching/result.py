@@ -20,9 +20,9 @@ def own_matching_result(own: OwnMatchingCheck, time_s: Array) -> OwnMatchingResu
     test, several = own.optimality.chi_square, own.shift_squared > 0.0
     return OwnMatchingResult(
         matcher=MATCHER,
-        filter=own.sightings[0],
-        own=own.sightings[1],
-        common=own.sightings[2],
+        filter=own.measurements[0],
+        own=own.measurements[1],
+        common=own.measurements[2],
         distance_sigma=_sigma(own.squared.mean()) if len(own.squared) else None,
         shift_m=_place(own.shift),
         shift_rad=float(own.shift[2]),

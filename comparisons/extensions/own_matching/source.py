@@ -20,20 +20,20 @@ from graphslam.problem import SlamProblem
 from graphslam.scan import planar
 from graphslam.scan.open3d_matchers import GeneralisedMatcher
 from graphslam.scan.template_matchers import Template, TemplateMatchers
-from graphslam.scan.template_sightings import (
+from graphslam.scan.template_measurements import (
+    TemplateMeasurements,
     TemplateOptions,
-    TemplateSightings,
-    sight_templates,
+    measure_templates,
 )
 
 
-def own_sightings(
+def own_measurements(
     log: Log,
     run: EkfRun,
     templates: Mapping[int, FiltersTemplate],
     progress: Callable[[int, int], None] = lambda done, total: None,
-) -> tuple[SlamProblem, TemplateSightings]:
-    """What the smoother is to solve, its scan landmarks sighted by Open3D's generalised ICP.
+) -> tuple[SlamProblem, TemplateMeasurements]:
+    """What the smoother is to solve, its scan landmarks measured by Open3D's generalised ICP.
 
     Of the filter it takes which returns of which scan a template was made of, and where its axis
     was put; none of its alignments, no pose, and not which landmarks it fused. templates: by slot,
@@ -54,7 +54,7 @@ def own_sightings(
         row = cKDTree(returns).query(planar.moved(place, shape))[1]
         own = planar.moved(planar.between(place, np.zeros(3)), returns[row])
         taken[slot] = Template(epoch, place, own)
-    found = sight_templates(
+    found = measure_templates(
         problem,
         taken,
         CloudsAt(source, scan_of, settings),

@@ -19,7 +19,7 @@ class ScanLandmarksConfig(ExtensionConfig):
     """Landmarks made of raw scans (Scan-SLAM, Nieto 2005, chapter 5)."""
 
     landmarks: Literal["scans", "both"] = Field(
-        "scans", description="in place of the log's sightings, or beside them"
+        "scans", description="in place of the log's measurements, or beside them"
     )
     pieces: Pieces | None = Field(
         None,

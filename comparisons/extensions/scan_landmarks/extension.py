@@ -1,4 +1,4 @@
-"""Scan-SLAM: the log's scans, one by one, as sightings of landmarks made of scans."""
+"""Scan-SLAM: the log's scans, one by one, as measurements of landmarks made of scans."""
 
 from __future__ import annotations
 
@@ -52,8 +52,8 @@ class ScanLandmarksExtension(Extension):
         log = prepared.log
         self._scans = LogScans(log)
         if self.brings_landmarks:
-            none = log.sightings.chosen(np.zeros(len(log.sightings.time_s), dtype=bool))
-            log = replace(log, sightings=none)
+            none = log.measurements.chosen(np.zeros(len(log.measurements.time_s), dtype=bool))
+            log = replace(log, measurements=none)
         return replace(prepared, log=log, epochs=self._scans.time_s)
 
     def attach(self, setup: FilterSetup, prepared: Prepared[Any]) -> None:
@@ -75,7 +75,7 @@ class ScanLandmarksExtension(Extension):
 
 
 class ScanLandmarksFinding(Finding):
-    """source: with the templates, and what became of their sightings."""
+    """source: with the templates, and what became of their measurements."""
 
     def __init__(self, compared: Compared, source: ScanSlamSource) -> None:
         """No causes: whether the landmarks agree is part of the agreement."""
@@ -84,7 +84,7 @@ class ScanLandmarksFinding(Finding):
         self.entries = {"scan_slam": self.result}
 
     def rows(self) -> Sequence[Row]:
-        """Return how many agree, and what became of the sightings."""
+        """Return how many agree, and what became of the measurements."""
         return scan_slam_rows(self.result)
 
     def landmarks(self) -> Sequence[ScanLandmarkResult]:

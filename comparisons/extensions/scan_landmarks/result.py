@@ -28,7 +28,7 @@ def scan_slam_result(source: ScanSlamSource, ekf: Estimate, gaps: Gaps) -> ScanS
                 smoother_m=tuple(smoothed.oriented[i, :2].tolist()),
                 ekf_heading_rad=float(ekf.oriented[i, 2]),
                 smoother_heading_rad=float(smoothed.oriented[i, 2]),
-                sightings=found.sightings[slot],
+                measurements=found.measurements[slot],
                 points=len(found.template[slot].shape),
                 **block_fields(b),
             )
@@ -41,7 +41,7 @@ def scan_slam_result(source: ScanSlamSource, ekf: Estimate, gaps: Gaps) -> ScanS
         enriched=source.enriched,
         pieces=source.options.extraction.name,
         rule=template_rule(source.options),
-        sightings=dict(found.reasons),
+        measurements=dict(found.reasons),
     )
 
 
@@ -72,9 +72,9 @@ def published_rule() -> TemplateRule:
 
 
 def scan_slam_rows(result: ScanSlamResult) -> list[Row]:
-    """Return how many agree, and what became of the sightings."""
+    """Return how many agree, and what became of the measurements."""
     agreeing = sum(row.agrees for row in result.landmarks)
-    told = (f"{count:,} {reason}" for reason, count in result.sightings.items() if count)
+    told = (f"{count:,} {reason}" for reason, count in result.measurements.items() if count)
     return [
         Row(
             "scan landmarks",
@@ -86,7 +86,7 @@ def scan_slam_rows(result: ScanSlamResult) -> list[Row]:
             + (f", {result.enriched:,} alignments enriched" if result.enriched else ""),
         ),
         *([Row("their templates", rule_text(result.rule))] if result.rule else ()),
-        Row("their sightings", ", ".join(told) or "none"),
+        Row("their measurements", ", ".join(told) or "none"),
     ]
 
 
@@ -112,11 +112,11 @@ def in_words(rule: TemplateRule) -> str:
 
 
 class ScanLandmarkResult(LandmarkResult):
-    """The same of a scan landmark. sightings: used of it. points: of its template."""
+    """The same of a scan landmark. measurements: used of it. points: of its template."""
 
     ekf_heading_rad: float
     smoother_heading_rad: float
-    sightings: int
+    measurements: int
     points: int
 
 
@@ -149,7 +149,7 @@ class ScanSlamResult(Model):
     no more, since their template lies there.
     pieces: whether all segments of a scan are one landmark, or each its own. rule: of templates.
     fused: landmarks found to be others. enriched: alignments that began where what stands around
-    fits. sightings: how often a landmark near the scanner was used, or why not.
+    fits. measurements: how often a landmark near the scanner was used, or why not.
     """
 
     scans: int
@@ -161,4 +161,4 @@ class ScanSlamResult(Model):
     enriched: int = 0
     pieces: str = "single"
     rule: TemplateRule | None = None
-    sightings: dict[str, int]
+    measurements: dict[str, int]

@@ -1,4 +1,4 @@
-"""Scan-SLAM over a log: its scans, one by one, as sightings of scan landmarks."""
+"""Scan-SLAM over a log: its scans, one by one, as measurements of scan landmarks."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from comparisons.adapters.beam_noise import sensor_of
-from comparisons.adapters.oriented_sightings import OrientedLedger
+from comparisons.adapters.oriented_measurements import OrientedLedger
 from comparisons.adapters.planar_scans import PlanarScans, view_to
 from comparisons.adapters.timeline import resolved
 from comparisons.arrays import Array, Index, Mask
@@ -182,7 +182,7 @@ class ScanSlamSource:
 
     @property
     def found(self) -> ScanLandmarks:
-        """Templates, and what became of their sightings."""
+        """Templates, and what became of their measurements."""
         return self._slam.found
 
     @property

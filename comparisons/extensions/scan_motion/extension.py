@@ -85,7 +85,7 @@ class ScanMotionFinding(Finding):
         remarks = list(motion.remarks)
         if beyond := log.provenance.get(BEYOND):
             remarks.append(
-                f"{beyond} sightings lie outside the time of the scans and were left out"
+                f"{beyond} measurements lie outside the time of the scans and were left out"
             )
         if three is not None:
             self._three = entries["three_way"] = three_way_result(three)

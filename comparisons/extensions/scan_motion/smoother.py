@@ -15,7 +15,7 @@ from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log, Positions
 from comparisons.logs.transforms.known_landmarks import surveyed
-from comparisons.logs.transforms.scan_motion import sightings_kept, with_scan_motion
+from comparisons.logs.transforms.scan_motion import measurements_kept, with_scan_motion
 from graphslam.scan.loop_closure import LoopCloser
 from graphslam.smoother import SmootherOptions, SmootherResult, smooth
 
@@ -34,14 +34,14 @@ def smooth_on_scans(
     """Solve with the scans' motion and the EKF's association. Raises InputError.
 
     Landmarks that were only seen outside the time of the scans are left out, but for surveyed
-    ones. The positions are those that the filter fused. Sightings after a breakdown of the filter
-    have no association and only mark poses.
+    ones. The positions are those that the filter fused. Measurements after a breakdown of the
+    filter have no association and only mark poses.
     """
     log = replace(log, positions=_fused(run))
     scanned = with_scan_motion(log, motion, positions=True)
     positions = scanned.positions
     timeline = build_timeline(scanned, positions)
-    kept = sightings_kept(log, motion)
+    kept = measurements_kept(log, motion)
     slot = np.full(len(kept), -1, dtype=np.intp)
     slot[: len(run.slot)] = run.slot
     slot = slot[kept]

@@ -1,6 +1,6 @@
 """EKF on wheels, smoother on wheels, smoother on scans: do they agree on the landmarks?
 
-The smoother on scans shares the sightings with the other two, but not what the vehicle's motion
+The smoother on scans shares the measurements with the other two, but not what the vehicle's motion
 rests on. A difference that the stated sigmas do not cover says that one of the two kinds of
 motion is not what it says of itself; which one, its own chi-square or the truth tells.
 """
@@ -50,7 +50,8 @@ class ThreeWay:
         if test.reading == "too high":
             remarks.append(
                 f"on scans, chi-square {test.chi2:.0f} for {test.dof} degrees of freedom is too "
-                "high: the increments are surer than they may be, or scans and sightings contradict"
+                "high: the increments are surer than they may be, or scans and measurements "
+                "contradict"
             )
         return remarks
 

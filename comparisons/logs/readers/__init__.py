@@ -68,7 +68,7 @@ READERS: dict[str, Reader] = {
         topics=True,
     ),
     "rawlog": Reader(
-        f"{_HERE}.rawlog", "MRPT .rawlog: range-bearing sightings, planar scans, 2D odometry"
+        f"{_HERE}.rawlog", "MRPT .rawlog: range-bearing measurements, planar scans, 2D odometry"
     ),
 }
 

@@ -1,8 +1,9 @@
 """Victoria Park as recorded: `aa3_dr.mat`, `aa3_lsr2.mat` and, where present, `aa3_gpsx.mat`.
 
-The scans are raw, so sightings come from them only (`--features trees`). The GPS has a map's frame,
-turned against the start by some 36 degrees; it is brought into the frame of the vehicle's start by
-laying the first seconds of dead reckoning onto it. Fewer hold too little motion, more the drift of
+The scans are raw, so measurements come from them only (`--features trees`). The GPS has a map's
+frame, turned against the start by some 36 degrees; it is brought into the frame of the vehicle's
+start by laying the first seconds of dead reckoning onto it. Fewer hold too little motion, more the
+drift of
 dead reckoning: against the whole drive's smoothed trajectory laid onto the GPS, 10 s of wheel
 samples err by 0.8 degrees and 1 m, 5 s and 60 s by 2 to 4 degrees. (The rotation of 33 degrees in
 `gps.dat` differs by 3.) The antenna behaves as if at the laser.
@@ -20,7 +21,7 @@ from comparisons.logs.log import Log, Positions, Prior
 from comparisons.logs.odometry import SteeringOdometry
 from comparisons.logs.readers.gps_start import start_from_gps
 from comparisons.logs.readers.matlab import load_matlab
-from comparisons.logs.readers.scan_odometry import no_sightings
+from comparisons.logs.readers.scan_odometry import no_measurements
 from comparisons.logs.readers.victoria_park import NOISE, SIGMA_GPS_M, UTE
 from comparisons.logs.scans import Scans
 
@@ -79,7 +80,7 @@ def read(path: Path) -> Log:
             float(min(odometry.time_s[0], scans.time_s[0])), np.zeros(3), np.diag(_START_SIGMA**2)
         ),
         odometry=odometry,
-        sightings=no_sightings(),
+        measurements=no_measurements(),
         positions=positions,
         scans=scans,
         provenance={

@@ -1,6 +1,6 @@
 """The ACFR car park: `data_set.mat` (wheel, steering, scans, GPS) and `beac_juan3.mat` (beacons).
 
-Reflectors light up in the scans' intensity; a run of lit beams is one sighting. The prior's
+Reflectors light up in the scans' intensity; a run of lit beams is one measurement. The prior's
 position and heading come from laying the first seconds of dead reckoning onto the RTK GPS.
 """
 
@@ -13,11 +13,11 @@ import numpy as np
 from comparisons.errors import InputError
 from comparisons.logs.log import (
     NO_LANDMARK,
+    LandmarkMeasurements,
     Landmarks,
     Log,
     Positions,
     Prior,
-    Sightings,
     Truth,
 )
 from comparisons.logs.odometry import OdometryNoise, SteeringOdometry
@@ -73,7 +73,7 @@ def read(path: Path) -> Log:
         position = np.column_stack((data["GPSLon"].ravel(), data["GPSLat"].ravel()))
         covariance = np.broadcast_to(_SIGMA_GPS_M**2 * np.eye(2), (len(position), 2, 2))
         positions = Positions(time["TimeGPS"] - start, position, covariance)
-        sightings = reflector_sightings(scans)
+        measurements = reflector_measurements(scans)
         start_pose = start_from_gps(odometry, positions, _ALIGNED_S)
     except InputError as error:
         raise InputError(f"{path / _FILES[0]}: {error}") from None
@@ -82,7 +82,7 @@ def read(path: Path) -> Log:
         format="acfr-car-park",
         prior=Prior(0.0, start_pose, np.diag(_START_SIGMA**2)),
         odometry=odometry,
-        sightings=sightings,
+        measurements=measurements,
         positions=positions,
         scans=scans,
         truth=Truth(
@@ -96,8 +96,8 @@ def read(path: Path) -> Log:
     )
 
 
-def reflector_sightings(scans: Scans) -> Sightings:
-    """One sighting per run of lit beams: mean range, bearing and intensity of the run.
+def reflector_measurements(scans: Scans) -> LandmarkMeasurements:
+    """One measurement per run of lit beams: mean range, bearing and intensity of the run.
 
     Beams belong to one run when at most two dark beams lie between them and their ranges differ
     by less than half a metre.
@@ -112,7 +112,7 @@ def reflector_sightings(scans: Scans) -> Sightings:
     run = np.cumsum(fresh) - 1
     size = np.bincount(run)
     count = len(size)
-    return Sightings(
+    return LandmarkMeasurements(
         time_s=scans.time_s[scan[fresh]],
         range_m=np.bincount(run, distance) / size,
         bearing_rad=np.bincount(run, angle) / size,

@@ -11,7 +11,7 @@ import numpy as np
 
 from comparisons.errors import InputError
 from comparisons.files import check_regular
-from comparisons.logs.log import Closures, Log, Positions, Prior, Sightings
+from comparisons.logs.log import Closures, LandmarkMeasurements, Log, Positions, Prior
 from comparisons.logs.odometry import RelativePoses
 from graphslam.g2o import read_g2o
 from graphslam.g2o import recognises as knows
@@ -45,7 +45,7 @@ def read(path: Path) -> Log:
         )
     if len(problem.surveyed):
         raise InputError(f"{path}: EDGE_PRIOR_XY lines can be solved, but not read as a log")
-    order = np.argsort(problem.sighting_pose, kind="stable")
+    order = np.argsort(problem.measurement_pose, kind="stable")
     fixes = np.argsort(problem.position_pose, kind="stable")
     return Log(
         name=path.stem,
@@ -54,13 +54,13 @@ def read(path: Path) -> Log:
         odometry=RelativePoses(
             np.arange(1.0, problem.pose_count), problem.increment, problem.increment_covariance
         ),
-        sightings=Sightings(
-            time_s=problem.sighting_pose[order].astype(float),
+        measurements=LandmarkMeasurements(
+            time_s=problem.measurement_pose[order].astype(float),
             range_m=problem.z[order, 0],
             bearing_rad=problem.z[order, 1],
             sigma_range_m=problem.sigma[order, 0],
             sigma_bearing_rad=problem.sigma[order, 1],
-            landmark=problem.sighting_landmark[order].astype(np.int64),
+            landmark=problem.measurement_landmark[order].astype(np.int64),
             diameter_m=np.full(len(order), np.nan),
         ),
         positions=Positions(

@@ -16,7 +16,7 @@ import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.errors import InputError
-from comparisons.logs.log import Log, Prior, Sightings
+from comparisons.logs.log import LandmarkMeasurements, Log, Prior
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.table import locate_rows, number_or_fail, read_text, shorten
 
@@ -81,13 +81,13 @@ def read(path: Path) -> Log:
     with locate_rows(path, move_line.__getitem__):
         odometry = _odometry(np.array(moves))
     with locate_rows(path, lambda row: seen_line[order[row]]):
-        sightings = _sightings(np.array(seen)[order])
+        measurements = _measurements(np.array(seen)[order])
     return Log(
         name=path.stem.replace("_", "-"),
         format="gtsam-2d",
         prior=Prior(0.0, np.zeros(3), _PRIOR_SIGMA**2 * np.eye(3)),
         odometry=odometry,
-        sightings=sightings,
+        measurements=measurements,
         provenance={"file": path.name, "times": "pose numbers in place of seconds"},
     )
 
@@ -124,11 +124,11 @@ def _odometry(moves: Array) -> RelativePoses:
     return RelativePoses(np.arange(1.0, len(moves) + 1), moves[:, :3], covariance)
 
 
-def _sightings(seen: Array) -> Sightings:
+def _measurements(seen: Array) -> LandmarkMeasurements:
     pose, landmark, x, y, variance = seen.T
     distance, sigma = np.hypot(x, y), np.sqrt(variance)
     safe = np.where(distance > 0, distance, np.nan)  # a zero range is reported as such
-    return Sightings(
+    return LandmarkMeasurements(
         time_s=pose,
         range_m=distance,
         bearing_rad=np.arctan2(y, x),

@@ -1,6 +1,6 @@
-"""UTIAS MR.CLAM folders: one robot's odometry and sightings, motion capture as truth.
+"""UTIAS MR.CLAM folders: one robot's odometry and measurements, motion capture as truth.
 
-Subjects 1 to 5 are robots, the others landmarks; sightings carry barcodes, which `Barcodes.dat`
+Subjects 1 to 5 are robots, the others landmarks; measurements carry barcodes, which `Barcodes.dat`
 maps to subjects. Barcodes are now and then misread, hence the gate on labels.
 
 What motion capture shows of these sensors, the same for all robots of the data set: the odometry
@@ -18,7 +18,7 @@ import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.errors import InputError
-from comparisons.logs.log import Landmarks, Log, Poses, Prior, Sightings, Truth
+from comparisons.logs.log import LandmarkMeasurements, Landmarks, Log, Poses, Prior, Truth
 from comparisons.logs.odometry import OdometryNoise, VelocityOdometry
 from comparisons.logs.table import Table
 from comparisons.logs.validation import whole_numbers, within
@@ -42,7 +42,7 @@ def recognises(path: Path) -> bool:
 def read(path: Path, robot: int) -> Log:
     """Read one robot's log; times count from its first odometry record.
 
-    The prior is the motion capture's pose then. Sightings of other robots and of unlisted
+    The prior is the motion capture's pose then. Measurements of other robots and of unlisted
     barcodes are left out, and the provenance says how many. Raises InputError.
     """
     odometry = Table(path / f"Robot{robot}_Odometry.dat", ("time", "v", "omega"))
@@ -67,11 +67,11 @@ def read(path: Path, robot: int) -> Log:
     subject = np.array([subject_of.get(code, 0.0) for code in measured["barcode"].tolist()])
     early = measured["time"] < start
     with measured.locating():
-        everything = _sightings(measured, start, subject)
+        everything = _measurements(measured, start, subject)
     kept = (subject > _ROBOTS) & ~early
     bearing = everything.bearing_rad[kept]
     slant = everything.range_m[kept] / (_DEPTH_GAIN * np.cos(bearing))
-    sightings = Sightings(
+    measurements = LandmarkMeasurements(
         time_s=everything.time_s[kept],
         range_m=slant,
         bearing_rad=bearing,
@@ -96,30 +96,30 @@ def read(path: Path, robot: int) -> Log:
         format="mrclam",
         prior=Prior(0.0, first, np.diag(_PRIOR_SIGMA**2)),
         odometry=motion,
-        sightings=sightings,
+        measurements=measurements,
         truth=Truth(truth, landmarks),
         provenance={
             "folder": path.name,
             "robot": str(robot),
             "time_origin_s": f"{start:.3f}",
-            "left_out": f"{np.count_nonzero((subject > 0) & (subject <= _ROBOTS))} sightings of "
+            "left_out": f"{np.count_nonzero((subject > 0) & (subject <= _ROBOTS))} measurements of "
             f"robots, {np.count_nonzero(subject == 0)} of unlisted barcodes, "
             f"{np.count_nonzero(early)} before the odometry",
         },
     )
 
 
-def _sightings(measured: Table, start: float, landmark: Array) -> Sightings:
+def _measurements(measured: Table, start: float, landmark: Array) -> LandmarkMeasurements:
     """All records as recorded, robots included, so that a fault is reported by its line."""
     count = len(measured)
-    within("sightings", "bearing_rad", measured["bearing"], -1.5, 1.5)
-    return Sightings(
+    within("measurements", "bearing_rad", measured["bearing"], -1.5, 1.5)
+    return LandmarkMeasurements(
         time_s=measured["time"] - start,
         range_m=measured["range"],
         bearing_rad=measured["bearing"],
         sigma_range_m=np.ones(count),
         sigma_bearing_rad=np.full(count, _SIGMA_BEARING_RAD),
-        landmark=whole_numbers("sightings", "subject", landmark),
+        landmark=whole_numbers("measurements", "subject", landmark),
         diameter_m=np.full(count, np.nan),
     )
 

@@ -1,4 +1,4 @@
-"""MRPT rawlogs (`.rawlog`): sightings, planar scans and odometry of a robot in the plane.
+"""MRPT rawlogs (`.rawlog`): measurements, planar scans and odometry of a robot in the plane.
 
 Two kinds are read. Actions and sensory frames in turns: each motion with the covariance of the
 model it was recorded with (MRPT's Gaussian or Thrun's), each frame one instant. Or observations
@@ -22,14 +22,22 @@ import numpy as np
 
 from comparisons.arrays import Array
 from comparisons.errors import InputError, RecordError
-from comparisons.logs.log import NO_LANDMARK, Landmarks, Log, Poses, Prior, Sightings, Truth
+from comparisons.logs.log import (
+    NO_LANDMARK,
+    LandmarkMeasurements,
+    Landmarks,
+    Log,
+    Poses,
+    Prior,
+    Truth,
+)
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.readers import rawlog_stream as stream
 from comparisons.logs.readers.scan_odometry import (
     NOISE_TEXT,
     PRIOR_SIGMA,
     displacements,
-    no_sightings,
+    no_measurements,
     poses_at,
 )
 from comparisons.logs.scans import Mount, Scans
@@ -51,7 +59,7 @@ _TRUTH_LANDMARK = ("x", "y", "z", "type", "times seen", "time", "id")
 
 @dataclass(frozen=True)
 class _Drive:
-    """Instants (K,) with sightings or scans, what was observed then, and the motion between.
+    """Instants (K,) with measurements or scans, what was observed then, and the motion between.
 
     first_ticks: the first instant, where times are the file's.
     """
@@ -78,7 +86,7 @@ def read(path: Path) -> Log:
     every = [o for item in found if isinstance(item, stream.Frame) for o in item.observations]
     passed = Counter(o.name for o in every if isinstance(o, stream.Passed))
     passed_over = ", ".join(f"{count} {name}" for name, count in passed.items())
-    if not any(isinstance(o, stream.Sweep) or _sights(o) for o in every):
+    if not any(isinstance(o, stream.Sweep) or _measures(o) for o in every):
         raise InputError(
             f"{path}: no CObservationBearingRange or CObservation2DRangeScan with readings, "
             f"expected at least one (it holds {passed_over or 'no other observations'})"
@@ -86,7 +94,7 @@ def read(path: Path) -> Log:
     stepwise = any(isinstance(item, stream.Movement) for item in found)
     drive = _stepwise(path, found) if stepwise else _timed(path, found)
     scans, scanned = _scans(path, drive)
-    sightings = _sightings(path, drive)
+    measurements = _measurements(path, drive)
     truth = _truth(path, drive) if stepwise else Truth()
     start = np.zeros(3)
     if truth.poses is not None and len(truth.poses.time_s):
@@ -96,7 +104,7 @@ def read(path: Path) -> Log:
         format="rawlog",
         prior=Prior(float(drive.time_s[0]), start, PRIOR_SIGMA**2 * np.eye(3)),
         odometry=drive.odometry,
-        sightings=sightings,
+        measurements=measurements,
         scans=scans,
         truth=truth,
         provenance={
@@ -108,7 +116,7 @@ def read(path: Path) -> Log:
     )
 
 
-def _sights(item: stream.Record) -> bool:
+def _measures(item: stream.Record) -> bool:
     return isinstance(item, stream.Seen) and len(item.polar) > 0
 
 
@@ -195,7 +203,8 @@ def _timed(path: Path, found: Sequence[stream.Movement | stream.Frame]) -> _Driv
         ticks = [tick for tick in ticks if sampled[0] <= tick <= sampled[-1]]
     if not ticks:
         raise InputError(
-            f"{path}: no sightings or scans within the time of the odometry, expected at least one"
+            f"{path}: no measurements or scans within the time of the odometry, expected at least "
+            "one"
         )
     time_s = np.array([tick - ticks[0] for tick in ticks], dtype=float) / _TICKS_PER_S
     frames = [stream.Frame(at=seen[tick][0].at, observations=tuple(seen[tick])) for tick in ticks]
@@ -216,16 +225,16 @@ def _timed(path: Path, found: Sequence[stream.Movement | stream.Frame]) -> _Driv
     return _Drive(time_s, frames, odometry, provenance, ticks[0])
 
 
-def _sightings(path: Path, drive: _Drive) -> Sightings:
+def _measurements(path: Path, drive: _Drive) -> LandmarkMeasurements:
     """All of the plane, in the robot's frame. Raises InputError for others."""
     found = [
         (time, item)
         for time, frame in zip(drive.time_s, drive.frames, strict=True)
         for item in frame.observations
-        if isinstance(item, stream.Seen) and _sights(item)
+        if isinstance(item, stream.Seen) and _measures(item)
     ]
     if not found:
-        return no_sightings()
+        return no_measurements()
     for _, item in found:
         _check_planar(path, item)
     times, items = zip(*found, strict=True)
@@ -236,7 +245,7 @@ def _sightings(path: Path, drive: _Drive) -> Sightings:
     sigma = np.array([item.sigma for item in items])
     bearing = polar[:, 1] + np.repeat(turned, counts)
     with _locating(path, lambda row: int(np.repeat(offset, counts)[row])):
-        return Sightings(
+        return LandmarkMeasurements(
             time_s=np.repeat(times, counts),
             range_m=polar[:, 0],
             bearing_rad=np.where(np.abs(bearing) > np.pi, np.angle(np.exp(1j * bearing)), bearing),
@@ -248,7 +257,7 @@ def _sightings(path: Path, drive: _Drive) -> Sightings:
 
 
 def _check_planar(path: Path, item: stream.Seen) -> None:
-    """Sightings must lie in the plane and be seen from the robot's own pose."""
+    """Measurements must lie in the plane and be seen from the robot's own pose."""
     place = f"{path}: byte {item.at}: CObservationBearingRange"
     pitch = item.polar[:, 2]
     if not (np.abs(pitch) <= _FLAT_RAD).all():

@@ -61,7 +61,8 @@ class Movement(Record):
 class Seen(Record):
     """CObservationBearingRange. sensor: (4, 4) its place on the robot.
 
-    sigma: range [m], yaw and pitch [rad]. polar: (M, 3) the same of each sighting. landmark: (M,).
+    sigma: range [m], yaw and pitch [rad]. polar: (M, 3) the same of each measurement. landmark:
+    (M,).
     """
 
     sensor: Array
@@ -356,13 +357,14 @@ def _frame(stream: _Stream, start: int, version: int) -> Frame:
 
 
 def _bearing_range(stream: _Stream, start: int, version: int) -> Seen:
-    """Least and most range, fields of view, place, time, sigmas, sightings, label."""
+    """Least and most range, fields of view, place, time, sigmas, measurements, label."""
     del version
     stream.numbers("4f")
     sensor, ticks = stream.read(_POSES_3D), stream.number("Q")
     if stream.number("B"):
         raise stream.fault(
-            start, "CObservationBearingRange with a covariance for each sighting, expected sigmas"
+            start,
+            "CObservationBearingRange with a covariance for each measurement, expected sigmas",
         )
     sigma = stream.numbers("3f")
     count = stream.number("I")

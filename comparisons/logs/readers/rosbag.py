@@ -1,6 +1,6 @@
 """ROS bags: MCAP files, rosbag2 folders and `.bag` files, through the extra `ros`.
 
-LaserScan messages become scans, PointCloud2 messages clouds, detections and markers sightings,
+LaserScan messages become scans, PointCloud2 messages clouds, detections and markers measurements,
 fixes positions, and the poses of Odometry messages one displacement from each of their times to the
 next. Poses rather than velocities, since every driver fills them in, in a known frame. Of several
 topics of one type the one that was asked for is read, else the one with the most messages. Markers
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from comparisons.arrays import Array
 from comparisons.errors import InputError
 from comparisons.logs.from_arrays import LandmarkNumbers
-from comparisons.logs.log import Log, Positions, Prior, Sightings
+from comparisons.logs.log import LandmarkMeasurements, Log, Positions, Prior
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.readers import ros_points
 from comparisons.logs.readers.gps_start import Reckoned, Start, east_north, lay_reckoned
@@ -57,7 +57,7 @@ from comparisons.logs.readers.scan_odometry import (
     PRIOR_SIGMA,
     displacements,
     instants_of,
-    no_sightings,
+    no_measurements,
     poses_at,
 )
 from comparisons.logs.scans import Clouds, Mount, Scans
@@ -110,14 +110,14 @@ def read(path: Path, topics: tuple[str, ...] = ()) -> Log:
         read = {
             "scans": _scan_stream(bag, provenance),
             "clouds": _cloud_stream(bag, provenance),
-            "sightings": _point_stream(bag, provenance),
+            "measurements": _point_stream(bag, provenance),
             "positions": _stream(bag, FIX, ros_points.fix, lambda m: m.header.frame_id, provenance),
         }
         moved = _stream(bag, ODOMETRY, ros_points.moved, lambda m: m.child_frame_id, provenance)
         transforms = _static_transforms(bag)
     found = {name: stream for name, stream in read.items() if stream is not None}
     if moved is None:  # nothing says where the vehicle was
-        for name in ("sightings", "positions"):
+        for name in ("measurements", "positions"):
             if found.pop(name, None) is not None:
                 provenance[name] = f"left out: no messages of type {ODOMETRY}"
     if not found.keys() - {"positions"}:
@@ -147,7 +147,7 @@ def _instants(
     if not kept.keys() - {"positions"}:
         raise InputError(f"{path}: no scan lies within the time of the odometry")
     instants = np.unique(np.concatenate([stream.time_ns for stream in kept.values()]))
-    if moved is not None and "sightings" in kept:  # may be rare, while the vehicle drives on
+    if moved is not None and "measurements" in kept:  # may be rare, while the vehicle drives on
         start = int(moved.time_ns[0])
         wanted, sampled = ((ns - start) / 1e9 for ns in (instants, moved.time_ns))
         told = instants_of(wanted, sampled)
@@ -165,16 +165,16 @@ def _instants(
 
 def _check_placed(kept: dict[str, _Stream], where: _Frame, topics: tuple[str, ...]) -> None:
     """Leave out points that nothing places on the vehicle; refuse those that were asked for."""
-    if (stream := kept.get("sightings")) is None or where.knows(stream):
+    if (stream := kept.get("measurements")) is None or where.knows(stream):
         return
     fault = (
         f"{stream.topic.name}: frame is {stream.frame or 'empty'}, expected the vehicle's "
         f"{where.base or 'frame'} or one that /tf_static places on it"
     )
-    if stream.topic.name in topics or not kept.keys() - {"sightings", "positions"}:
+    if stream.topic.name in topics or not kept.keys() - {"measurements", "positions"}:
         raise InputError(fault)
-    del kept["sightings"]
-    where.provenance["sightings"] = f"left out: {fault}"
+    del kept["measurements"]
+    where.provenance["measurements"] = f"left out: {fault}"
 
 
 @dataclass(frozen=True)
@@ -240,15 +240,15 @@ def _log(path: Path, kept: dict[str, _Stream], where: _Frame, drive: _Drive) -> 
     odometry, noise = drive.motion(where.start)
     prior = Prior(0.0, np.zeros(3), PRIOR_SIGMA**2 * np.eye(3))
     scans = clouds = positions = None
-    sightings = no_sightings()
+    measurements = no_measurements()
     if "scans" in kept:
         place = where.place(kept["scans"], "scans_mount")
         scans = _scans(kept["scans"], where.start, place)
     if "clouds" in kept:
         place = where.place(kept["clouds"], "clouds_mount")
         clouds = _clouds(kept["clouds"], where.start, place)
-    if "sightings" in kept:
-        sightings = _sightings(kept["sightings"], where)
+    if "measurements" in kept:
+        measurements = _measurements(kept["measurements"], where)
     if "positions" in kept:
         prior, positions = _positions(kept["positions"], where, drive, prior)
     return Log(
@@ -256,7 +256,7 @@ def _log(path: Path, kept: dict[str, _Stream], where: _Frame, drive: _Drive) -> 
         format="rosbag",
         prior=prior,
         odometry=odometry,
-        sightings=sightings,
+        measurements=measurements,
         positions=positions,
         scans=scans,
         clouds=clouds,
@@ -264,9 +264,9 @@ def _log(path: Path, kept: dict[str, _Stream], where: _Frame, drive: _Drive) -> 
     )
 
 
-def _sightings(stream: _Stream, where: _Frame) -> Sightings:
+def _measurements(stream: _Stream, where: _Frame) -> LandmarkMeasurements:
     """Points as ranges and bearings from the pose, with labels as whole numbers."""
-    place = where.place(stream, "sightings_mount")
+    place = where.place(stream, "measurements_mount")
     messages: list[ros_points.Points] = stream.items
     try:
         found, sigma = zip(*(ros_points.range_bearing(one, place) for one in messages), strict=True)
@@ -276,7 +276,7 @@ def _sightings(stream: _Stream, where: _Frame) -> Sightings:
     stated = np.isnan(sigmas[:, 0])
     sigmas[stated] = (ros_points.SIGMA_RANGE_M, ros_points.SIGMA_BEARING_RAD)
     if stated.any():
-        where.provenance["sightings_noise"] = (
+        where.provenance["measurements_noise"] = (
             f"stated for {int(stated.sum())} of {len(z)}: {ros_points.SIGMA_RANGE_M:g} m and "
             f"{ros_points.SIGMA_BEARING_RAD:.4g} rad"
         )
@@ -284,7 +284,7 @@ def _sightings(stream: _Stream, where: _Frame) -> Sightings:
     numbers = LandmarkNumbers(labels)
     if numbers.by_text:
         where.provenance["labels"] = numbers.text()
-    return Sightings(
+    return LandmarkMeasurements(
         time_s=where.seconds(stream)[message],
         range_m=z[:, 0],
         bearing_rad=z[:, 1],
@@ -452,7 +452,7 @@ def _point_stream(bag: Bag, provenance: dict[str, str]) -> _Stream | None:
             fault = f"{bag.topics(kind)[0].name}: the bag holds no usable definition of {kind}"
             if kind in chosen:
                 raise InputError(f"{bag.path}: {fault}, expected one, as .mcap files have it")
-            provenance["sightings"] = f"left out: {fault}"
+            provenance["measurements"] = f"left out: {fault}"
             return None
         found = _stream(
             bag,

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from comparisons.arrays import Array
-from comparisons.logs.log import Log, Prior, Sightings
+from comparisons.logs.log import LandmarkMeasurements, Log, Prior
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.scans import Clouds, Scans
 
@@ -67,10 +67,10 @@ def instants_of(wanted_s: Array, sample_s: Array) -> Array:
     return np.unique(np.concatenate((wanted_s, sample_s[[0, -1]], sample_s[first[empty]])))
 
 
-def no_sightings() -> Sightings:
+def no_measurements() -> LandmarkMeasurements:
     """What a log of scans alone brings."""
     none = np.zeros(0)
-    return Sightings(
+    return LandmarkMeasurements(
         time_s=none,
         range_m=none,
         bearing_rad=none,
@@ -106,7 +106,7 @@ def scan_log(
         format=format_name,
         prior=Prior(float(time_s[0]), np.zeros(3), PRIOR_SIGMA**2 * np.eye(3)),
         odometry=odometry,
-        sightings=no_sightings(),
+        measurements=no_measurements(),
         scans=scans,
         clouds=clouds,
         provenance={**provenance, "odometry_noise": noise},

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from comparisons.errors import InputError
-from comparisons.logs.log import NO_LANDMARK, Log, Positions, Prior, Sightings
+from comparisons.logs.log import NO_LANDMARK, LandmarkMeasurements, Log, Positions, Prior
 from comparisons.logs.odometry import Ackermann, OdometryNoise, SteeringOdometry
 from comparisons.logs.table import Table
 
@@ -44,7 +44,7 @@ def read(path: Path) -> Log:
     with inputs.locating():
         odometry = SteeringOdometry(inputs["time"], inputs["speed"], inputs["steering"], UTE, NOISE)
     with seen.locating():
-        sightings = Sightings(
+        measurements = LandmarkMeasurements(
             time_s=seen["time"],
             range_m=seen["range"],
             bearing_rad=seen["bearing"] - STRAIGHT_AHEAD_RAD,
@@ -60,13 +60,13 @@ def read(path: Path) -> Log:
         covariance = np.broadcast_to(SIGMA_GPS_M**2 * np.eye(2), (len(gps), 2, 2))
         with gps.locating():
             positions = Positions(gps["time"], gps.data[:, 1:], covariance)
-    start = float(min(odometry.time_s[0], sightings.time_s[0]))
+    start = float(min(odometry.time_s[0], measurements.time_s[0]))
     return Log(
         name="victoria-park-detections",
         format="victoria-park",
         prior=Prior(start, np.zeros(3), np.diag(_START_SIGMA**2)),
         odometry=odometry,
-        sightings=sightings,
+        measurements=measurements,
         positions=positions,
         provenance={"folder": path.name, "vehicle": "UTE, Nieto 2005, Appendix A"},
     )

@@ -1,7 +1,7 @@
 """Drive the car-like vehicle of Nieto 2005, Appendix A, around a world and record a log.
 
 The truth is the model itself (A.3, A.4) under the true controls, so a filter with the same model
-has no model error at all; the recorded controls and sightings carry the noise.
+has no model error at all; the recorded controls and measurements carry the noise.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.arrays import Array
-from comparisons.logs.log import Landmarks, Log, Poses, Prior, Sightings, Truth
+from comparisons.logs.log import LandmarkMeasurements, Landmarks, Log, Poses, Prior, Truth
 from comparisons.logs.odometry import Ackermann, OdometryNoise, SteeringOdometry
 from comparisons.logs.readers.victoria_park import UTE
 from comparisons.logs.simulate.pursuit import pursue
@@ -67,13 +67,13 @@ def simulate(
     time, control, pose = true_drive(drive, world)
     odometry = wheel_odometry(rng, drive, time, control)
     scans = drive.scan_samples(len(control))
-    sightings = point_sightings(rng, drive, world.landmark, time[scans], pose[scans])
+    measurements = point_measurements(rng, drive, world.landmark, time[scans], pose[scans])
     return Log(
         name="simulated-loop",
         format="simulated",
         prior=known_start(pose, drive.noise_scale),
         odometry=odometry,
-        sightings=sightings,
+        measurements=measurements,
         truth=Truth(Poses(time, pose), exact_landmarks(world.landmark)),
         provenance={
             "source": "Nieto 2005, section 2.9, Table 2.2",
@@ -122,14 +122,14 @@ def exact_landmarks(landmark: Array) -> Landmarks:
     return Landmarks(np.arange(len(landmark)), landmark, np.zeros((len(landmark), 2, 2)))
 
 
-def point_sightings(
+def point_measurements(
     rng: np.random.Generator,
     drive: Drive,
     landmark: Array,
     time: Array,
     pose: Array,
     hidden: NDArray[np.bool_] | None = None,
-) -> Sightings:
+) -> LandmarkMeasurements:
     """All landmarks in view of every scan (N,), with noise; hidden: (N, L) are left out.
 
     landmark: (L, 2), or (N, L, 2) where they are in each scan, NaN for nowhere.
@@ -147,7 +147,7 @@ def point_sightings(
     scan, which, distance, bearing = (np.concatenate(column) for column in zip(*parts, strict=True))
     count = len(scan)
     noise, scale = drive.added_scale * rng.standard_normal((count, 2)), drive.noise_scale
-    return Sightings(
+    return LandmarkMeasurements(
         time_s=time[scan],
         range_m=distance + drive.sigma_range_m * noise[:, 0],
         bearing_rad=bearing + drive.sigma_bearing_rad * noise[:, 1],

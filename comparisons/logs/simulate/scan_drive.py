@@ -1,4 +1,4 @@
-"""Drives that record raw scans, with odometry, sightings and exact truth (Nieto 2005, chs. 3-5)."""
+"""Drives that record raw scans, odometry, measurements and exact truth (Nieto 2005, chs. 3-5)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from comparisons.logs.simulate.drive import (
     Drive,
     exact_landmarks,
     known_start,
-    point_sightings,
+    point_measurements,
     true_drive,
     wheel_odometry,
 )
@@ -38,8 +38,8 @@ _OVERLAP_M = 30.0
 class ScanExperiment:
     """Everything that a simulated log of scans depends on but the seed.
 
-    drive: vehicle, sampling times and sightings. Scans are taken at the same instants as
-    sightings; those whose sweep would outlast the log are left out.
+    drive: vehicle, sampling times and measurements. Scans are taken at the same instants as
+    measurements; those whose sweep would outlast the log are left out.
     """
 
     name: str
@@ -62,7 +62,7 @@ def simulate(rng: np.random.Generator, experiment: ScanExperiment) -> Log:
     samples = drive.scan_samples(len(control))
     landmark = world.landmarks_at(time[samples])
     hidden = _hidden(world, drive, pose[samples], landmark)
-    sightings = point_sightings(rng, drive, landmark, time[samples], pose[samples], hidden)
+    measurements = point_measurements(rng, drive, landmark, time[samples], pose[samples], hidden)
 
     def pose_at(instant: Array) -> Array:
         return np.column_stack([np.interp(instant, time, column) for column in pose.T])
@@ -75,7 +75,7 @@ def simulate(rng: np.random.Generator, experiment: ScanExperiment) -> Log:
         format="simulated",
         prior=known_start(pose, drive.noise_scale),
         odometry=odometry,
-        sightings=sightings,
+        measurements=measurements,
         scans=record if isinstance(record, Scans) else None,
         clouds=record if isinstance(record, Clouds) else None,
         truth=Truth(
@@ -92,7 +92,7 @@ def simulate(rng: np.random.Generator, experiment: ScanExperiment) -> Log:
 
 
 def dense_slam(loops: int = 1, noise_scale: float = 1.0) -> ScanExperiment:
-    """Nieto 2005, section 3.9, Fig. 3.17, Table 3.1: its sigmas are of sightings and of beams."""
+    """Nieto 2005, section 3.9, Fig. 3.17, Table 3.1, with sigmas of measurements and of beams."""
     world = dense_slam_world()
     drive = replace(
         _drive(world, loops, noise_scale),
@@ -107,9 +107,9 @@ def dense_slam(loops: int = 1, noise_scale: float = 1.0) -> ScanExperiment:
 
 
 def dense_slam_fine(loops: int = 1, noise_scale: float = 1.0) -> ScanExperiment:
-    """The same drive with a laser as exact as a Sick's, which is ours; sightings as in the table.
+    """The same drive with our laser, as exact as a Sick's; measurements as in the table.
 
-    With the same generator state odometry and sightings are those of `dense_slam` to the bit.
+    With the same generator state odometry and measurements are those of `dense_slam` to the bit.
     """
     table = dense_slam(loops, noise_scale)
     source = f"{table.source}, and so is a laser as exact as a Sick's"

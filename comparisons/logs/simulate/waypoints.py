@@ -16,7 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.arrays import Array
-from comparisons.logs.log import Landmarks, Log, Poses, Positions, Prior, Sightings, Truth
+from comparisons.logs.log import (
+    LandmarkMeasurements,
+    Landmarks,
+    Log,
+    Poses,
+    Positions,
+    Prior,
+    Truth,
+)
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.scans import Scans
 from comparisons.logs.simulate.ray_casting import Solids, cast
@@ -31,7 +39,7 @@ class Navigator(Protocol):
         ...
 
     def saw(self, z: Array, sigma: Array, landmark: NDArray[np.int64]) -> None:
-        """Sightings of one instant: range and bearing (m, 2) with sigmas, ids (m,)."""
+        """Measurements of one instant: range and bearing (m, 2) with sigmas, ids (m,)."""
         ...
 
     def fixed(self, position: Array, covariance: Array) -> None:
@@ -139,7 +147,7 @@ def simulate(
         navigator.departed(move, spread, pose)
         time = k * run.sample_s
         if k % run.scan_every == 0:
-            z, landmark = _sightings(rng, run, pose, place)
+            z, landmark = _measurements(rng, run, pose, place)
             sigma = run.noise_scale * np.tile(
                 (run.sigma_range_m, run.sigma_bearing_rad), (len(z), 1)
             )
@@ -160,7 +168,7 @@ def simulate(
         format="simulated",
         prior=Prior(0.0, np.zeros(3), stated * _PRIOR * np.eye(3)),
         odometry=RelativePoses(time_s[1:], np.array(moves), np.array(spreads)),
-        sightings=Sightings(
+        measurements=LandmarkMeasurements(
             time_s=stamp,
             range_m=z[:, 0],
             bearing_rad=z[:, 1],
@@ -237,7 +245,7 @@ def _obstacles(rng: np.random.Generator, run: WaypointRun) -> tuple[Array, Array
     return np.array(place), rng.uniform(0.2, 0.6, run.obstacles)
 
 
-def _sightings(
+def _measurements(
     rng: np.random.Generator, run: WaypointRun, pose: Array, place: Array
 ) -> tuple[Array, NDArray[np.int64]]:
     """Range and bearing (m, 2) of the obstacles ahead within reach, and which they are."""

@@ -1,4 +1,4 @@
-"""Sightings of surveyed landmarks join the other sightings, under labels of their own."""
+"""Measurements of surveyed landmarks join the other measurements, under labels of their own."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.arrays import Array
-from comparisons.logs.log import Log, Sightings
+from comparisons.logs.log import LandmarkMeasurements, Log
 
 SURVEYED = 10**9
 """Added to a surveyed landmark's id, so that it meets no other landmark's."""
 
 
-def join_known_sightings(log: Log) -> Log:
-    """The log with one stream of sightings, in order of time; ids of surveyed ones raised."""
-    known = log.known_sightings
+def join_known_measurements(log: Log) -> Log:
+    """The log with one stream of measurements, in order of time; ids of surveyed ones raised."""
+    known = log.known_measurements
     if known is None or not len(known.time_s):
         return log
-    seen = log.sightings
+    seen = log.measurements
     order = np.argsort(np.concatenate((seen.time_s, known.time_s)), kind="stable")
     raised = replace(known, landmark=known.landmark + SURVEYED)
     columns = {
@@ -27,10 +27,10 @@ def join_known_sightings(log: Log) -> Log:
         for name, value in vars(seen).items()
         if isinstance(value, np.ndarray)
     }
-    joined = Sightings(
+    joined = LandmarkMeasurements(
         **columns, label_gate=seen.label_gate, needs_confirmation=seen.needs_confirmation
     )
-    return replace(log, sightings=joined, known_sightings=None)
+    return replace(log, measurements=joined, known_measurements=None)
 
 
 def surveyed(log: Log) -> tuple[dict[int, int], Array, Array]:
@@ -47,8 +47,8 @@ def surveyed(log: Log) -> tuple[dict[int, int], Array, Array]:
 
 
 def slots_by_label(log: Log) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
-    """Slots (M,) of the sightings and ids (L,) of the landmarks, surveyed ones first."""
-    slots, label = dict(surveyed(log)[0]), log.sightings.landmark
+    """Slots (M,) of the measurements and ids (L,) of the landmarks, surveyed ones first."""
+    slots, label = dict(surveyed(log)[0]), log.measurements.landmark
     for key in label[label >= 0].tolist():
         slots.setdefault(key, len(slots))
     slot = np.array([slots.get(key, -1) for key in label.tolist()], dtype=np.intp)

@@ -35,12 +35,12 @@ def with_published_sigmas(log: Log, table: SensorSigmas | None = None) -> Log:
     noise = replace(
         log.odometry.noise, sigma_speed_mps=table.speed_mps, sigma_turn=table.steering_rad
     )
-    count = len(log.sightings.time_s)
+    count = len(log.measurements.time_s)
     return replace(
         log,
         odometry=replace(log.odometry, noise=noise),
-        sightings=replace(
-            log.sightings,
+        measurements=replace(
+            log.measurements,
             sigma_range_m=np.full(count, table.range_m),
             sigma_bearing_rad=np.full(count, table.bearing_rad),
         ),

@@ -13,11 +13,11 @@ from comparisons.arrays import Array
 from comparisons.errors import InputError
 from comparisons.logs.log import Log, Prior
 from comparisons.logs.odometry import RelativePoses
-from comparisons.logs.transforms.known_landmarks import join_known_sightings
+from comparisons.logs.transforms.known_landmarks import join_known_measurements
 from graphslam.increments import Samples
 
-BEYOND = "sightings_beyond_scans"
-"""Key of a log's provenance: how many sightings were left out."""
+BEYOND = "measurements_beyond_scans"
+"""Key of a log's provenance: how many measurements were left out."""
 _LEAST = 1e-10
 """Variance added to every increment, so that none is singular."""
 
@@ -25,13 +25,13 @@ _LEAST = 1e-10
 def with_scan_motion(log: Log, motion: ScanMotion, *, positions: bool = False) -> Log:
     """The log with relative poses from scan odometry in place of its odometry.
 
-    A pose for every scan and for every sighting in between, and, when asked, for every position:
+    A pose for every scan and for every measurement in between, and, when asked, for every position:
     there the increment is divided as if the vehicle had moved evenly. The first scan is reached
     by the wheels; without them the prior holds there. What was seen before the first scan or
-    after the last is left out; sightings of surveyed landmarks have joined the others. Raises
-    InputError where no sighting is left.
+    after the last is left out; measurements of surveyed landmarks have joined the others. Raises
+    InputError where no measurement is left.
     """
-    log = join_known_sightings(log)
+    log = join_known_measurements(log)
     start = float(motion.time_s[0])
     prior, lead = log.prior, None
     begin = _begin(log, motion)
@@ -44,12 +44,12 @@ def with_scan_motion(log: Log, motion: ScanMotion, *, positions: bool = False) -
     if lead is not None:
         moves = np.vstack((lead.displacement, moves))
         spreads = np.concatenate((lead.covariance, spreads))
-    seen = sightings_kept(log, motion)
+    seen = measurements_kept(log, motion)
     fixes = log.positions
     if fixes is not None:
         reached = (fixes.time_s >= begin) & (fixes.time_s <= knots[-1])
         fixes = fixes.chosen(reached) if reached.any() else None
-    wanted = [knots, log.sightings.time_s[seen]]
+    wanted = [knots, log.measurements.time_s[seen]]
     if positions and fixes is not None:
         wanted.append(fixes.time_s)
     times = np.unique(np.concatenate(wanted))
@@ -60,23 +60,23 @@ def with_scan_motion(log: Log, motion: ScanMotion, *, positions: bool = False) -
     if left_out:
         provenance[BEYOND] = str(left_out)
     if not seen.any() and len(seen):
-        raise InputError(f"{log.name}: no sighting lies within the time of the usable scans")
+        raise InputError(f"{log.name}: no measurement lies within the time of the usable scans")
     return replace(
         log,
         prior=prior,
         odometry=RelativePoses(times[1:], pieces.displacement, spread),
-        sightings=log.sightings.chosen(seen),
+        measurements=log.measurements.chosen(seen),
         positions=fixes,
         provenance=provenance,
     )
 
 
-def sightings_kept(log: Log, motion: ScanMotion) -> NDArray[np.bool_]:
-    """(M,) which sightings fall between where the motion begins and the last scan.
+def measurements_kept(log: Log, motion: ScanMotion) -> NDArray[np.bool_]:
+    """(M,) which measurements fall between where the motion begins and the last scan.
 
     Those of surveyed landmarks must have joined the others.
     """
-    time_s = log.sightings.time_s
+    time_s = log.measurements.time_s
     kept: NDArray[np.bool_] = (time_s >= _begin(log, motion)) & (time_s <= motion.time_s[-1])
     return kept
 

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from comparisons.adapters.motion import motion_between
 from comparisons.errors import InputError
-from comparisons.logs.log import Closures, Log, Poses, Positions, Prior, Sightings
+from comparisons.logs.log import Closures, LandmarkMeasurements, Log, Poses, Positions, Prior
 from comparisons.logs.odometry import Odometry, RelativePoses
 from comparisons.logs.scans import Clouds, Scans
 from graphslam.scan.planar import compose, rotation
 
 Rows = NDArray[np.bool_] | NDArray[np.intp]
-S = TypeVar("S", bound=Sightings | Positions | Scans | Odometry)
+S = TypeVar("S", bound=LandmarkMeasurements | Positions | Scans | Odometry)
 
 
 def cut_log(log: Log, start_s: float | None = None, end_s: float | None = None) -> Log:
@@ -53,9 +53,10 @@ def _part(log: Log, first_s: float, last_s: float, *, cut_s: float) -> Log:
         log,
         prior=_prior(log, first_s),
         odometry=_odometry(log.odometry, cut_s, last_s),
-        sightings=_chosen(log.sightings, cut_s, last_s),
+        measurements=_chosen(log.measurements, cut_s, last_s),
         positions=log.positions and _chosen(log.positions, cut_s, last_s),
-        known_sightings=log.known_sightings and _chosen(log.known_sightings, cut_s, last_s),
+        known_measurements=log.known_measurements
+        and _chosen(log.known_measurements, cut_s, last_s),
         closures=log.closures and _closures(log.closures, cut_s, last_s),
         scans=log.scans and _chosen(log.scans, cut_s, last_s),
         clouds=log.clouds and _clouds(log.clouds, cut_s, last_s),

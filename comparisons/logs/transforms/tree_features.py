@@ -1,4 +1,4 @@
-"""Sightings made from a log's raw scans, in place of those that the log brings."""
+"""Measurements made from a log's raw scans, in place of those that the log brings."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from comparisons.adapters.motion import motion_between
 from comparisons.errors import InputError
-from comparisons.logs.log import NO_LANDMARK, Log, Sightings
+from comparisons.logs.log import NO_LANDMARK, LandmarkMeasurements, Log
 from comparisons.logs.scans import Scans
 from ekf_reference.features.tree_detection import ROUNDNESS, TreeTracker
 from graphslam.scan import planar
@@ -18,16 +18,16 @@ SIGMA_BEARING_RAD = np.deg2rad(1.0)
 
 
 def with_tree_features(log: Log) -> Log:
-    """Return the log with trunks found in its scans in place of its sightings.
+    """Return the log with trunks found in its scans in place of its measurements.
 
     Raises InputError for a log without scans, or without trunks in them.
     """
     if log.scans is None:
         raise InputError(f"{log.name}: holds no scans to find trees in; use --features log")
-    return with_tree_sightings(log, log.scans)
+    return with_tree_measurements(log, log.scans)
 
 
-def with_tree_sightings(log: Log, scans: Scans) -> Log:
+def with_tree_measurements(log: Log, scans: Scans) -> Log:
     """Range, bearing and diameter of tracked trunks (Guivant 2002, section 3.1).
 
     The vehicle's motion between scans, which the tracks need, is dead reckoned. Trunks are found
@@ -55,7 +55,7 @@ def with_tree_sightings(log: Log, scans: Scans) -> Log:
     time, distance, bearing, sigma, diameter = (
         np.concatenate(column) for column in zip(*parts, strict=True)
     )
-    sightings = Sightings(
+    measurements = LandmarkMeasurements(
         time_s=time,
         range_m=distance,
         bearing_rad=bearing,
@@ -66,4 +66,4 @@ def with_tree_sightings(log: Log, scans: Scans) -> Log:
         needs_confirmation=True,
     )
     provenance = {**log.provenance, "features": "tree trunks from the scans"}
-    return replace(log, sightings=sightings, provenance=provenance)
+    return replace(log, measurements=measurements, provenance=provenance)

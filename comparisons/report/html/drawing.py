@@ -144,6 +144,6 @@ def kept(count: int) -> NDArray[np.intp]:
 def association_lines(
     drawing: Drawing, look: tuple[str, str], estimate: Estimate, epoch: Index, slot: Index
 ) -> None:
-    """Add a line from the pose to the landmark of each sighting. look: name and colour."""
+    """Add a line from the pose to the landmark of each measurement. look: name and colour."""
     start, end = estimate.pose[epoch, :2], estimate.landmark[slot]
     drawing.links(*look, start, end, shown=False, faint=True)

@@ -211,9 +211,9 @@ def _decades(ratio: Array) -> float:
 
 
 def associations(estimate: Estimate, epoch: Index, slot: Index) -> Draws:
-    """A line from the pose to the landmark for each sighting that is used.
+    """A line from the pose to the landmark for each measurement that is used.
 
-    epoch, slot: (M,) of the sightings; a slot below 0 is not used.
+    epoch, slot: (M,) of the measurements; a slot below 0 is not used.
     """
     used = np.flatnonzero(slot >= 0)
     row = used[np.round(np.linspace(0, len(used) - 1, min(len(used), MOST_LINES))).astype(int)]

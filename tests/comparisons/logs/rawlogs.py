@@ -119,7 +119,7 @@ MOVES = ((0.5, 0.02, 0.1), (0.4, -0.01, 0.3), (0.0, 0.0, 0.0))
 
 
 def drive(ticks: int = 0, labelled: bool = True) -> bytes:
-    """Frames with a scan and actions in turns, sightings without noise.
+    """Frames with a scan and actions in turns, measurements without noise.
 
     ticks: from frame to frame.
     """

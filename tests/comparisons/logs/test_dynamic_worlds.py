@@ -57,7 +57,7 @@ def test_a_carried_landmark_is_seen_where_its_vehicle_is() -> None:
     """And is not among the truth's, which has one place for each."""
     experiment = exact(dynamic_lanes(carried=True))
     log = simulate(np.random.default_rng(0), experiment)
-    seen, world = log.sightings, experiment.world
+    seen, world = log.measurements, experiment.world
     label = len(world.landmark)
     rows = np.flatnonzero(seen.landmark == label)
     assert len(rows) > 50
@@ -69,7 +69,7 @@ def test_a_carried_landmark_is_seen_where_its_vehicle_is() -> None:
     place = pose[:, :2] + seen.range_m[rows, None] * np.column_stack((np.cos(angle), np.sin(angle)))
     assert np.allclose(place, world.movers[world.carrier[0]].place(seen.time_s[rows]), atol=1e-9)
     without = simulate(np.random.default_rng(0), exact(dynamic_lanes()))
-    assert without.sightings.landmark.max() == label - 1
+    assert without.measurements.landmark.max() == label - 1
 
 
 def test_three_places_change_between_two_passes() -> None:

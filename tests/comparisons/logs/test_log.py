@@ -8,7 +8,7 @@ import pytest
 
 from comparisons.adapters.timeline import build_timeline
 from comparisons.errors import InputError
-from comparisons.logs.log import Landmarks, Log, Positions, Prior, Sightings
+from comparisons.logs.log import LandmarkMeasurements, Landmarks, Log, Positions, Prior
 from comparisons.logs.odometry import Ackermann, OdometryNoise, RelativePoses, SteeringOdometry
 from comparisons.logs.scans import Scans
 from tests.helpers import simulated
@@ -16,7 +16,7 @@ from tests.helpers import simulated
 EYE = np.eye(2)
 
 
-def sightings(**changes: object) -> Sightings:
+def measurements(**changes: object) -> LandmarkMeasurements:
     base: dict[str, object] = {
         "time_s": np.array((1.0, 1.0, 2.0)),
         "range_m": np.array((3.0, 4.0, 5.0)),
@@ -26,44 +26,47 @@ def sightings(**changes: object) -> Sightings:
         "landmark": np.array((0, 1, -1)),
         "diameter_m": np.full(3, np.nan),
     }
-    return Sightings(**{**base, **changes})  # type: ignore[arg-type]
+    return LandmarkMeasurements(**{**base, **changes})  # type: ignore[arg-type]
 
 
 FAULTS: dict[str, tuple[Callable[[], object], str]] = {
     "nan": (
-        lambda: sightings(range_m=np.array((3.0, np.nan, 5.0))),
-        "sightings, row 1: range_m is nan, expected a finite number",
+        lambda: measurements(range_m=np.array((3.0, np.nan, 5.0))),
+        "measurements, row 1: range_m is nan, expected a finite number",
     ),
     "infinite diameter": (
-        lambda: sightings(diameter_m=np.array((1.0, np.inf, np.nan))),
+        lambda: measurements(diameter_m=np.array((1.0, np.inf, np.nan))),
         "row 1: diameter_m is inf",
     ),
     "infinite intensity": (
-        lambda: sightings(intensity=np.array((1.0, np.nan, np.inf))),
+        lambda: measurements(intensity=np.array((1.0, np.nan, np.inf))),
         "row 2: intensity is inf",
     ),
     "time backwards": (
-        lambda: sightings(time_s=np.array((1.0, 2.0, 1.5))),
-        "sightings, row 2: time 1.500000 s follows 2.000000 s",
+        lambda: measurements(time_s=np.array((1.0, 2.0, 1.5))),
+        "measurements, row 2: time 1.500000 s follows 2.000000 s",
     ),
-    "zero range": (lambda: sightings(range_m=np.zeros(3)), "row 0: range_m is 0.0, expected above"),
+    "zero range": (
+        lambda: measurements(range_m=np.zeros(3)),
+        "row 0: range_m is 0.0, expected above",
+    ),
     "degrees": (
-        lambda: sightings(bearing_rad=np.array((0.0, 45.0, 0.0))),
+        lambda: measurements(bearing_rad=np.array((0.0, 45.0, 0.0))),
         "row 1: bearing_rad is 45.0, expected between",
     ),
-    "bad id": (lambda: sightings(landmark=np.array((0, -7, 1))), "row 1: landmark is -7"),
-    "length": (lambda: sightings(range_m=np.ones(2)), r"range_m has shape \(2,\), expected"),
-    "huge": (lambda: sightings(range_m=np.array((3.0, 1e300, 5.0))), "row 1: range_m is 1e.300"),
+    "bad id": (lambda: measurements(landmark=np.array((0, -7, 1))), "row 1: landmark is -7"),
+    "length": (lambda: measurements(range_m=np.ones(2)), r"range_m has shape \(2,\), expected"),
+    "huge": (lambda: measurements(range_m=np.array((3.0, 1e300, 5.0))), "row 1: range_m is 1e.300"),
     "tiny sigma": (
-        lambda: sightings(sigma_range_m=np.full(3, 1e-200)),
+        lambda: measurements(sigma_range_m=np.full(3, 1e-200)),
         "row 0: sigma_range_m is 1e-200, expected between",
     ),
     "fractional id": (
-        lambda: sightings(landmark=np.array((0.0, 1.5, 2.0))),
+        lambda: measurements(landmark=np.array((0.0, 1.5, 2.0))),
         "row 1: landmark is 1.5, expected a whole number",
     ),
     "id beyond 2^53": (
-        lambda: sightings(landmark=np.array((0, 2**60, 1))),
+        lambda: measurements(landmark=np.array((0, 2**60, 1))),
         "row 1: landmark is 11",
     ),
     "negative landmark covariance": (
@@ -80,7 +83,7 @@ FAULTS: dict[str, tuple[Callable[[], object], str]] = {
         lambda: Positions(np.zeros(0), np.zeros((0, 2)), np.zeros((0, 2, 2)), (0.0, float("inf"))),
         "antenna_m is",
     ),
-    "label gate": (lambda: sightings(label_gate=float("nan")), "label_gate is nan"),
+    "label gate": (lambda: measurements(label_gate=float("nan")), "label_gate is nan"),
     "indefinite prior": (
         lambda: Prior(0.0, np.zeros(3), np.diag((1.0, 1.0, -1.0))),
         "prior, row 0: covariance is not positive definite",
@@ -137,7 +140,7 @@ def test_names_cannot_command_a_terminal() -> None:
 
 def test_records_are_frozen_copies() -> None:
     source = np.array((3.0, 4.0, 5.0))
-    record = sightings(range_m=source)
+    record = measurements(range_m=source)
     source[0] = 99.0
     assert record.range_m[0] == 3.0
     with pytest.raises(ValueError, match="read-only"):
@@ -147,50 +150,52 @@ def test_records_are_frozen_copies() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda log: {"sightings": sightings(time_s=np.full(3, -1.0))}, "before the prior's"),
+        (lambda log: {"measurements": measurements(time_s=np.full(3, -1.0))}, "before the prior's"),
         (
-            lambda log: {"known_sightings": sightings(landmark=np.array((1, 2, 99)))},
-            "known sightings, row 0: landmark 1 is not among the known ones",
+            lambda log: {"known_measurements": measurements(landmark=np.array((1, 2, 99)))},
+            "known measurements, row 0: landmark 1 is not among the known ones",
         ),
         (
-            lambda log: {"sightings": sightings(**{k: np.zeros(0) for k in (
+            lambda log: {"measurements": measurements(**{k: np.zeros(0) for k in (
                 "time_s", "range_m", "bearing_rad", "sigma_range_m", "sigma_bearing_rad",
                 "landmark", "diameter_m")})},
-            "no sightings",
+            "no measurements",
         ),
     ],
 )  # fmt: skip
 def test_streams_are_checked_against_each_other(
-    change: Callable[[Log], dict[str, Sightings]], message: str
+    change: Callable[[Log], dict[str, LandmarkMeasurements]], message: str
 ) -> None:
     log = simulated(loop_s=5.0)
     with pytest.raises(InputError, match=message):
         replace(log, **change(log))  # type: ignore[arg-type]
 
 
-def test_timeline_cuts_samples_where_sightings_fall() -> None:
+def test_timeline_cuts_samples_where_measurements_fall() -> None:
     """Durations add up, and every piece carries the control that held then."""
     log = simulated(loop_s=10.0)
-    shifted = replace(log, sightings=replace(log.sightings, time_s=log.sightings.time_s - 0.011))
+    shifted = replace(
+        log, measurements=replace(log.measurements, time_s=log.measurements.time_s - 0.011)
+    )
     timeline = build_timeline(shifted)
     assert np.isclose(timeline.step_duration_s.sum(), shifted.duration_s)
     begin = np.cumsum(np.concatenate(([0.0], timeline.step_duration_s[:-1])))
     sample = np.searchsorted(log.odometry.time_s, begin + 1e-9, side="right") - 1
     assert np.array_equal(timeline.control[:, 0], log.odometry.speed_mps[sample])  # type: ignore[union-attr]
-    epoch_of = timeline.epoch_time_s[timeline.sighting_epoch]
-    assert np.array_equal(epoch_of, np.round(shifted.sightings.time_s, 4))
+    epoch_of = timeline.epoch_time_s[timeline.measurement_epoch]
+    assert np.array_equal(epoch_of, np.round(shifted.measurements.time_s, 4))
     ends = np.cumsum(timeline.step_duration_s)[timeline.steps_until()[1:] - 1]
     assert np.allclose(ends, timeline.epoch_time_s[1:], rtol=0, atol=1e-9)
 
 
 def test_a_blind_drive_keeps_its_corners() -> None:
-    """Without sightings there is still an epoch every half second, at odometry samples."""
+    """Without measurements there is still an epoch every half second, at odometry samples."""
     log = simulated(loop_s=20.0)
-    seen = log.sightings
+    seen = log.measurements
     early = seen.time_s < 5.0
     names = ("time_s", "range_m", "bearing_rad", "sigma_range_m", "sigma_bearing_rad", "landmark")
     columns = {name: getattr(seen, name)[early] for name in (*names, "diameter_m")}
-    blind = build_timeline(replace(log, sightings=Sightings(**columns)))
+    blind = build_timeline(replace(log, measurements=LandmarkMeasurements(**columns)))
     assert np.max(np.diff(blind.epoch_time_s)) < 1.0
     assert np.isin(blind.epoch_time_s[:-1], np.round(log.odometry.time_s, 4)).all()
     assert len(blind.epoch_time_s) < 80
@@ -215,12 +220,12 @@ def test_of_two_samples_at_one_instant_the_later_holds() -> None:
     assert np.all(doubled.step_duration_s > 0)
 
 
-def test_sightings_between_relative_poses_are_refused(victoria_park: object) -> None:
+def test_measurements_between_relative_poses_are_refused(victoria_park: object) -> None:
     from comparisons.pipeline.compare import Comparison
 
     assert isinstance(victoria_park, Comparison)
     log = victoria_park.log
-    time = log.sightings.time_s.copy()
+    time = log.measurements.time_s.copy()
     time[3] += 0.5
-    with pytest.raises(InputError, match=r"sightings, row 3: time .* is no pose's"):
-        build_timeline(replace(log, sightings=replace(log.sightings, time_s=np.sort(time))))
+    with pytest.raises(InputError, match=r"measurements, row 3: time .* is no pose's"):
+        build_timeline(replace(log, measurements=replace(log.measurements, time_s=np.sort(time))))

@@ -26,12 +26,12 @@ def full_log() -> Log:
         log,
         name='odd "name" 日本 😀 \x7f',
         format="log-folder",
-        sightings=replace(log.sightings, label_gate=50.0),
+        measurements=replace(log.measurements, label_gate=50.0),
         positions=Positions(np.arange(3.0), rng.standard_normal((3, 2)), covariance),
         known_landmarks=Landmarks(
             np.arange(60), rng.standard_normal((60, 2)), np.tile(0.1 * np.eye(2), (60, 1, 1))
         ),
-        known_sightings=log.sightings,
+        known_measurements=log.measurements,
         scans=Scans(
             time_s=np.arange(2.0),
             angle_rad=np.arange(3.0) / 7,
@@ -85,18 +85,32 @@ def test_round_trip_is_exact(kind: str, tmp_path: Path) -> None:
     assert log_hash(log) == log_hash(again)
 
 
+def test_former_names_of_measurements_are_read(tmp_path: Path) -> None:
+    """Version 0.1 wrote measurements.csv and [measurements]; both names together are refused."""
+    log, folder = full_log(), tmp_path / "log"
+    write_log_folder(log, folder)
+    for kind in ("", "known_"):
+        (folder / f"{kind}measurements.csv").rename(folder / f"{kind}measurements.csv")
+    meta = folder / "log.toml"
+    meta.write_text(meta.read_text("utf-8").replace("[measurements]", "[measurements]"), "utf-8")
+    assert_same(log, read_log_folder(folder))
+    (folder / "measurements.csv").write_text("")
+    with pytest.raises(InputError, match=r"measurements\.csv and measurements\.csv"):
+        read_log_folder(folder)
+
+
 def test_intensities_are_one_more_column(tmp_path: Path) -> None:
     """A folder without the column is as it was, and so is its log's hash."""
     log = replace(simulated(loop_s=5.0), format="log-folder")
-    bright = np.arange(float(len(log.sightings.time_s))) / 7
+    bright = np.arange(float(len(log.measurements.time_s))) / 7
     bright[2] = np.nan
-    lit = replace(log, sightings=replace(log.sightings, intensity=bright))
+    lit = replace(log, measurements=replace(log.measurements, intensity=bright))
     for name, one in (("log", log), ("lit", lit)):
         write_log_folder(one, tmp_path / name)
         assert_same(one, read_log_folder(tmp_path / name))
-    header = (tmp_path / "log" / "sightings.csv").read_text().splitlines()[0]
+    header = (tmp_path / "log" / "measurements.csv").read_text().splitlines()[0]
     assert header.endswith(",diameter_m")
-    path = tmp_path / "lit" / "sightings.csv"
+    path = tmp_path / "lit" / "measurements.csv"
     assert path.read_text().splitlines()[0] == header + ",intensity"
     assert log_hash(log) != log_hash(lit)
     path.write_text(path.read_text().replace(",intensity", ",colour", 1))
@@ -117,7 +131,7 @@ def test_writing_replaces_nothing(tmp_path: Path) -> None:
     write_log_folder(simulated(seed=1, loop_s=5.0), folder)
     with pytest.raises(InputError, match=r"already holds log\.toml; give a new folder"):
         write_log_folder(simulated(seed=2, loop_s=5.0), folder)
-    assert_same(read_log_folder(folder).sightings, simulated(seed=1, loop_s=5.0).sightings)
+    assert_same(read_log_folder(folder).measurements, simulated(seed=1, loop_s=5.0).measurements)
     assert [p.name for p in tmp_path.iterdir()] == ["log"]
 
 
@@ -129,9 +143,9 @@ FAULTS = {
     "kind": ("log.toml", 'kind = "steering"', 'kind = "sail"', "odometry: input tag 'sail'"),
     "wheelbase": ("log.toml", "wheelbase_m = 2.83", "wheelbase_m = 0", "wheelbase_m is 0"),
     "prior": ("log.toml", "covariance = [[1e-10", "covariance = [[-1.0", "not positive definite"),
-    "header": ("sightings.csv", "range_m", "r", "sightings.csv:1: expected the header"),
-    "value": ("sightings.csv", "0.15,", "a,", "sightings.csv:2: sigma_range_m is 'a'"),
-    "id": ("sightings.csv", ",nan", ".5,nan", "expected a whole number below 2^53"),
+    "header": ("measurements.csv", "range_m", "r", "measurements.csv:1: expected the header"),
+    "value": ("measurements.csv", "0.15,", "a,", "measurements.csv:2: sigma_range_m is 'a'"),
+    "id": ("measurements.csv", ",nan", ".5,nan", "expected a whole number below 2^53"),
     "time": ("odometry.csv", "\n0.05,", "\n0.0,", "odometry.csv"),
 }
 
@@ -182,6 +196,6 @@ def test_a_damaged_archive_is_one_line(tmp_path: Path) -> None:
 
 def test_missing_streams(tmp_path: Path) -> None:
     write_log_folder(simulated(loop_s=5.0), tmp_path / "log")
-    (tmp_path / "log" / "sightings.csv").unlink()
-    with pytest.raises(InputError, match=r"sightings\.csv: no such file"):
+    (tmp_path / "log" / "measurements.csv").unlink()
+    with pytest.raises(InputError, match=r"measurements\.csv: no such file"):
         read_log_folder(tmp_path / "log")

@@ -34,7 +34,7 @@ def datasets() -> Path:
 def test_the_demo_of_kf_slam(datasets: Path) -> None:
     """MRPT 0.9's simulation runs to a verdict; the filter finds the true map to millimetres."""
     log = read_log(datasets / "kf-slam_demo.rawlog")
-    assert log.records == {"odometry": 249, "sightings": 3607, "truth poses": 250}
+    assert log.records == {"odometry": 249, "measurements": 3607, "truth poses": 250}
     assert log.truth.landmarks is not None
     assert len(log.truth.landmarks.id) == 70
     compared = compare(log)
@@ -66,7 +66,7 @@ def test_the_filter_of_mrpt(datasets: Path) -> None:
         whole,
         prior=replace(whole.prior, time_s=1.0),
         odometry=RelativePoses(whole.odometry.time_s[1:], *moves),
-        sightings=whole.sightings.chosen(whole.sightings.time_s > 0),
+        measurements=whole.measurements.chosen(whole.measurements.time_s > 0),
     )
     estimate = run_ekf(log, build_timeline(log), settle(EkfConfig(), log)).estimate
     apart = np.array([*estimate.pose[-1, :2], np.angle(np.exp(1j * estimate.pose[-1, 2]))]) - last

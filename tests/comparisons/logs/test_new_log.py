@@ -44,9 +44,9 @@ def test_columns_in_any_order_and_text_labels(tmp_path: Path) -> None:
     log, _, notes = build(files(tmp_path))
     assert isinstance(log.odometry, VelocityOdometry)
     assert log.odometry.yaw_rate_radps.tolist() == [0.1, 0.1, 0.1]
-    assert log.sightings.landmark.tolist() == [0, -1, 1]
+    assert log.measurements.landmark.tolist() == [0, -1, 1]
     assert json.loads(log.provenance["labels"]) == {"tree_7": 0, "tree_2": 1}
-    assert log.sightings.sigma_range_m.tolist() == [0.1, 0.1, 0.1]
+    assert log.measurements.sigma_range_m.tolist() == [0.1, 0.1, 0.1]
     assert (log.prior.time_s, log.prior.pose.tolist()) == (0.0, [0.0, 0.0, 0.0])
     assert any(note.endswith("not used: note") for note in notes)
 
@@ -65,7 +65,7 @@ def test_decimal_commas_beside_other_separators(tmp_path: Path) -> None:
 def test_repeated_records_are_no_further_information(tmp_path: Path) -> None:
     trees = "id,range,bearing,t\n1,5,0,0.1\n1,5,0,0.1\n1,5,0.01,0.1\n"
     log, _, notes = build(files(tmp_path, trees=trees))
-    assert log.sightings.bearing_rad.tolist() == [0.0, 0.01]
+    assert log.measurements.bearing_rad.tolist() == [0.0, 0.01]
     assert "left out: 1 of 3 measurements, told before (first at line 3)" in notes
     (tmp_path / "gps.csv").write_text("t,x,y\n0,1,2\n0,1,2\n1,2,2\n")
     stated = SIGMAS | WHEELS | {"sigma_m": 0.5}
@@ -77,7 +77,7 @@ def test_repeated_records_are_no_further_information(tmp_path: Path) -> None:
 def test_words_for_unknown_and_commas_at_the_end(tmp_path: Path) -> None:
     trees = "id,range,bearing,t\nNA,5,0,0.1,\nUnknown,5,1,0.1,,\noak,4,0,0.2\n"
     log = build(files(tmp_path, trees=trees)).log
-    assert log.sightings.landmark.tolist() == [-1, -1, 0]
+    assert log.measurements.landmark.tolist() == [-1, -1, 0]
 
 
 def test_a_header_behind_a_hash_as_numpy_writes_it(tmp_path: Path) -> None:
@@ -98,9 +98,11 @@ def test_units_by_header(delimiter: str, tmp_path: Path) -> None:
     assert np.allclose(log.odometry.speed_mps, 1.0)
     assert np.allclose(log.odometry.yaw_rate_radps, np.pi / 2)
     assert log.odometry.time_s.tolist() == [1700000000.0, 1700000000.5, 1700000001.0]
-    assert log.sightings.time_s.tolist() == [1700000000.25]
-    assert np.allclose((log.sightings.range_m, log.sightings.bearing_rad), [[2.5], [-np.pi / 2]])
-    assert log.sightings.landmark.tolist() == [3]
+    assert log.measurements.time_s.tolist() == [1700000000.25]
+    assert np.allclose(
+        (log.measurements.range_m, log.measurements.bearing_rad), [[2.5], [-np.pi / 2]]
+    )
+    assert log.measurements.landmark.tolist() == [3]
     assert "labels" not in log.provenance
 
 
@@ -109,7 +111,7 @@ def test_degrees_by_option(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"trees.csv:2: 'bearing' is 45 in radians, .* --degrees"):
         build(files(tmp_path, trees=trees))
     log = build(files(tmp_path, trees=trees, degrees=True)).log
-    assert np.allclose(log.sightings.bearing_rad, np.pi / 4)
+    assert np.allclose(log.measurements.bearing_rad, np.pi / 4)
     assert isinstance(log.odometry, VelocityOdometry)
     assert np.allclose(log.odometry.yaw_rate_radps, np.deg2rad(0.1))
 
@@ -243,8 +245,8 @@ def test_sigmas_are_stated_once_and_where_they_are_needed(tmp_path: Path) -> Non
             build(files(tmp_path, stated=SIGMAS | WHEELS | {"sigma_range_m": value}))
     told = "id,range,bearing,t,sigma_range,sigma_bearing_deg\n1,5,0,0.1,0.2,1\n"
     log = build(files(tmp_path, trees=told, stated=WHEELS)).log
-    assert log.sightings.sigma_range_m.tolist() == [0.2]
-    assert np.allclose(log.sightings.sigma_bearing_rad, np.deg2rad(1.0))
+    assert log.measurements.sigma_range_m.tolist() == [0.2]
+    assert np.allclose(log.measurements.sigma_bearing_rad, np.deg2rad(1.0))
 
 
 def test_noise_is_raised_until_the_log_is_accepted() -> None:
@@ -265,30 +267,32 @@ SEEN = {"time_s": [0.5], "range_m": [5.0], "bearing_rad": [0.1], **SIGMAS}
 
 def test_from_arrays() -> None:
     log = Log.from_arrays(ARRAYS, {**SEEN, "landmark": ["a"]}, name="drive")
-    assert (log.name, log.sightings.landmark.tolist()) == ("drive", [0])
+    assert (log.name, log.measurements.landmark.tolist()) == ("drive", [0])
     truth = {"time_s": [-1.0, 1.0], "x_m": [0.0, 2.0], "y_m": 3.0, "heading_rad": 0.0}
     assert Log.from_arrays(ARRAYS, SEEN, truth=truth).prior.pose.tolist() == [1.0, 3.0, 0.0]
 
 
 @pytest.mark.parametrize(
-    ("odometry", "sightings", "message"),
+    ("odometry", "measurements", "message"),
     [
         ({"speed": [1.0]}, {}, "odometry: speed is unknown, expected some of"),
-        ({}, {"range": 1.0}, "sightings: range is unknown, expected some of time_s"),
+        ({}, {"range": 1.0}, "measurements: range is unknown, expected some of time_s"),
         ({"speed_mps": [1.0]}, {}, r"odometry: speed_mps has shape \(1,\), expected \(2,\)"),
-        ({}, {"range_m": [-1.0]}, "sightings, row 0: range_m is -1.0, expected above 0"),
-        ({}, {"bearing_rad": ["a"]}, "sightings: bearing_rad is not numeric"),
-        ({}, {"landmark": [0.5]}, "sightings, row 0: landmark is 0.5, expected a whole number"),
+        ({}, {"range_m": [-1.0]}, "measurements, row 0: range_m is -1.0, expected above 0"),
+        ({}, {"bearing_rad": ["a"]}, "measurements: bearing_rad is not numeric"),
+        ({}, {"landmark": [0.5]}, "measurements, row 0: landmark is 0.5, expected a whole number"),
         ({"x_m": 0.0, "y_m": 0.0, "heading_rad": 0.0}, {}, "holds velocity and poses"),
     ],
 )
-def test_arrays_refused(odometry: dict[str, Any], sightings: dict[str, Any], message: str) -> None:
+def test_arrays_refused(
+    odometry: dict[str, Any], measurements: dict[str, Any], message: str
+) -> None:
     with pytest.raises(InputError, match=message):
-        Log.from_arrays({**ARRAYS, **odometry}, {**SEEN, **sightings})
+        Log.from_arrays({**ARRAYS, **odometry}, {**SEEN, **measurements})
 
 
 def test_arrays_that_are_no_columns() -> None:
-    with pytest.raises(InputError, match="sightings: is a list, expected columns by name"):
+    with pytest.raises(InputError, match="measurements: is a list, expected columns by name"):
         Log.from_arrays(ARRAYS, [1.0])  # type: ignore[arg-type]
     with pytest.raises(InputError, match="odometry: speed_mps is no column of 2 values"):
         Log.from_arrays({**ARRAYS, "speed_mps": [[1.0], [1.0, 2.0]]}, SEEN)

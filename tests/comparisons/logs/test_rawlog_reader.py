@@ -38,7 +38,7 @@ RANGES = [2.0, 3.0, 90.0, 0.0, 5.0]
 
 
 @pytest.mark.parametrize("packed", [True, False])
-def test_sightings_and_motions(packed: bool, tmp_path: Path) -> None:
+def test_measurements_and_motions(packed: bool, tmp_path: Path) -> None:
     """Frames without usable times count as seconds, and the log says so."""
     log = read_log(rawlog(tmp_path, packed=packed))
     assert (log.name, log.format) == ("drive", "rawlog")
@@ -47,13 +47,13 @@ def test_sightings_and_motions(packed: bool, tmp_path: Path) -> None:
     assert log.odometry.time_s.tolist() == [1.0, 2.0, 3.0]
     assert log.provenance["times"].startswith("frame numbers in place of seconds")
     assert log.provenance["passed_over"] == "4 CObservationComment, 4 CObservationBeaconRanges"
-    sightings = log.sightings
-    assert sightings.landmark.tolist() == [*LANDMARKS] * 4
-    assert np.allclose(sightings.sigma_range_m, 0.02)
-    assert np.allclose(sightings.sigma_bearing_rad, 0.003)
-    pose = dead_reckoned(np.zeros(3), log.odometry.displacement)[sightings.time_s.astype(int)]
+    measurements = log.measurements
+    assert measurements.landmark.tolist() == [*LANDMARKS] * 4
+    assert np.allclose(measurements.sigma_range_m, 0.02)
+    assert np.allclose(measurements.sigma_bearing_rad, 0.003)
+    pose = dead_reckoned(np.zeros(3), log.odometry.displacement)[measurements.time_s.astype(int)]
     place = pose[:, 0] + 1j * pose[:, 1]
-    place = place + sightings.range_m * np.exp(1j * (pose[:, 2] + sightings.bearing_rad))
+    place = place + measurements.range_m * np.exp(1j * (pose[:, 2] + measurements.bearing_rad))
     assert np.allclose(place, [*LANDMARKS.values()] * 4, atol=1e-6)
 
 
@@ -66,8 +66,8 @@ def test_times_of_frames(tmp_path: Path) -> None:
 
 def test_unknown_landmarks(tmp_path: Path) -> None:
     log = read_log(rawlog(tmp_path, drive(labelled=False)))
-    assert set(log.sightings.landmark.tolist()) == {-1}
-    assert not log.sightings.labelled
+    assert set(log.measurements.landmark.tolist()) == {-1}
+    assert not log.measurements.labelled
 
 
 def sampled(draw: np.ndarray, moved: tuple[float, float, float], model: int) -> np.ndarray:
@@ -127,7 +127,7 @@ def test_a_turn_on_the_spot_has_no_direction_of_way(tmp_path: Path) -> None:
     assert np.array_equal(spreads[0], spreads[1])
 
 
-def test_frames_without_sightings_are_bridged(tmp_path: Path) -> None:
+def test_frames_without_measurements_are_bridged(tmp_path: Path) -> None:
     one = [(1.0, 0.5, 0.0, 1)]
     content = frame(seen(one)) + action((1, 0, 0.5)) + frame(beacons()) + action((1, 0, 0.5))
     log = read_log(rawlog(tmp_path, action((9, 9, 1)) + content + frame(seen(one))))
@@ -171,7 +171,7 @@ def test_a_scanner_upside_down_and_eyes_that_look_aside(tmp_path: Path) -> None:
     assert other.scans is not None
     assert np.allclose(other.scans.angle_rad, -upright.scans.angle_rad)
     assert other.scans.mount.heading_rad == pytest.approx(0.5)
-    assert other.sightings.bearing_rad[0] == pytest.approx(3.5 - 2.0 * np.pi)
+    assert other.measurements.bearing_rad[0] == pytest.approx(3.5 - 2.0 * np.pi)
 
 
 def test_observations_alone(tmp_path: Path) -> None:
@@ -252,8 +252,11 @@ BAD: dict[str, tuple[bytes, str]] = {
         f"byte {len(frame(ONE))}: no motion since the frame before it",
     ),
     "offset": (frame(seen([(1.0, 0.5, 0.0, 1)], sensor=pose_3d(0.3))), "a sensor at 0.3, 0 m with"),
-    "covariances": (frame(seen([], covariances=True)), "with a covariance for each sighting"),
-    "range": (frame(seen([(-1.0, 0.5, 0.0, 1)])), "byte 19: sightings: range_m is -1.0, expected"),
+    "covariances": (frame(seen([], covariances=True)), "with a covariance for each measurement"),
+    "range": (
+        frame(seen([(-1.0, 0.5, 0.0, 1)])),
+        "byte 19: measurements: range_m is -1.0, expected",
+    ),
     "timeless": (sweep(RANGES, 0), "byte 0: an observation without a time"),
 }  # fmt: skip
 

@@ -12,7 +12,7 @@ from scipy.io import loadmat, savemat
 from comparisons.errors import InputError
 from comparisons.logs.odometry import RelativePoses, SteeringOdometry, VelocityOdometry
 from comparisons.logs.readers import READERS, read_log
-from comparisons.logs.readers.acfr_car_park import reflector_sightings
+from comparisons.logs.readers.acfr_car_park import reflector_measurements
 from comparisons.logs.readers.matlab import load_matlab
 from comparisons.logs.scans import Scans
 
@@ -77,34 +77,34 @@ def test_graph(tmp_path: Path) -> None:
     assert isinstance(log.odometry, RelativePoses)
     expected = [[0.01, 0, 0], [0, 0.02, 0.0001], [0, 0.0001, 0.001]]
     assert np.allclose(log.odometry.covariance[1], expected)
-    assert np.allclose(log.sightings.range_m, (5.0, np.sqrt(10.0)))
-    assert np.allclose(log.sightings.bearing_rad, (np.arctan2(4, 3), np.arctan2(3, 1)))
-    assert np.allclose(log.sightings.sigma_range_m, 0.2)
-    assert np.allclose(log.sightings.sigma_bearing_rad, 0.2 / log.sightings.range_m)
-    assert log.sightings.time_s.tolist() == [0.0, 2.0]
-    assert log.sightings.landmark.tolist() == [2, 2]
+    assert np.allclose(log.measurements.range_m, (5.0, np.sqrt(10.0)))
+    assert np.allclose(log.measurements.bearing_rad, (np.arctan2(4, 3), np.arctan2(3, 1)))
+    assert np.allclose(log.measurements.sigma_range_m, 0.2)
+    assert np.allclose(log.measurements.sigma_bearing_rad, 0.2 / log.measurements.range_m)
+    assert log.measurements.time_s.tolist() == [0.0, 2.0]
+    assert log.measurements.landmark.tolist() == [2, 2]
 
 
 def test_mrclam(tmp_path: Path) -> None:
     log = read_log(mrclam(tmp_path))
     assert isinstance(log.odometry, VelocityOdometry)
     assert np.allclose(log.odometry.time_s, (0.18, 0.68, 2.18))
-    assert log.sightings.landmark.tolist() == [6, 7]
-    depth = log.sightings.range_m * np.cos(log.sightings.bearing_rad)
+    assert log.measurements.landmark.tolist() == [6, 7]
+    depth = log.measurements.range_m * np.cos(log.measurements.bearing_rad)
     assert np.allclose(1.036 * depth, (2.0, 3.0))
-    assert np.allclose(log.sightings.time_s, (1.0, 1.5))
+    assert np.allclose(log.measurements.time_s, (1.0, 1.5))
     assert log.truth.poses is not None
     assert np.isclose(log.truth.poses.pose[1, 2], 2 * np.pi - 3.1)
     turned = 3.1 + 0.25 * (2 * np.pi - 6.2)
     assert np.allclose(log.prior.pose, (0.25, 0.0, turned))
-    assert log.provenance["left_out"].startswith("1 sightings of robots, 1 of unlisted")
+    assert log.provenance["left_out"].startswith("1 measurements of robots, 1 of unlisted")
 
 
 def test_victoria_park_detections(tmp_path: Path) -> None:
     log = read_log(victoria(tmp_path))
     assert isinstance(log.odometry, SteeringOdometry)
-    assert np.allclose(log.sightings.bearing_rad, (0.0, 2.0 - np.pi / 2))
-    assert not log.sightings.labelled
+    assert np.allclose(log.measurements.bearing_rad, (0.0, 2.0 - np.pi / 2))
+    assert not log.measurements.labelled
     assert log.prior.time_s == 0.5
     assert log.positions is not None
 
@@ -113,9 +113,9 @@ def test_car_park(tmp_path: Path) -> None:
     log = read_log(car_park(tmp_path))
     assert log.scans is not None
     assert np.isnan(log.scans.range_m[0, 300])
-    assert log.sightings.range_m.tolist() == [10.0, 10.0]
-    assert np.allclose(log.sightings.bearing_rad, np.deg2rad(0.5))
-    assert log.sightings.intensity.tolist() == [1.0, 1.0]
+    assert log.measurements.range_m.tolist() == [10.0, 10.0]
+    assert np.allclose(log.measurements.bearing_rad, np.deg2rad(0.5))
+    assert log.measurements.intensity.tolist() == [1.0, 1.0]
     # North along the GPS track, one metre per second, from y = 0.
     assert np.allclose(log.prior.pose, (5.0, 0.0, np.pi / 2), atol=1e-9)
 
@@ -126,7 +126,7 @@ def test_reflector_runs_part_at_gaps_and_at_range_jumps() -> None:
     distance = np.full((1, 12), 8.0)
     lit[0, [0, 1, 4, 8, 9]] = 1.0  # a gap of two dark beams, then of three
     distance[0, 9] = 9.0
-    found = reflector_sightings(
+    found = reflector_measurements(
         Scans(time_s=np.zeros(1), angle_rad=angle, range_m=distance, intensity=lit)
     )
     assert found.range_m.tolist() == [8.0, 8.0, 9.0]

@@ -56,12 +56,12 @@ def test_markers_are_read_when_asked_for(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="MarkerArray is read when asked for by --topic"):
         read_log(path)
     log = read_log(path, topics=("/markers",))
-    assert log.sightings.time_s.tolist() == [0.5, 0.5, 2.0, 2.0]
-    assert log.sightings.landmark.tolist() == [3, 7, 3, 7]
-    assert np.allclose(log.sightings.range_m, (2, 4, 2, 4))
-    assert np.allclose(log.sightings.bearing_rad, (0, np.pi / 2, 0, np.pi / 2))
+    assert log.measurements.time_s.tolist() == [0.5, 0.5, 2.0, 2.0]
+    assert log.measurements.landmark.tolist() == [3, 7, 3, 7]
+    assert np.allclose(log.measurements.range_m, (2, 4, 2, 4))
+    assert np.allclose(log.measurements.bearing_rad, (0, np.pi / 2, 0, np.pi / 2))
     assert log.odometry.time_s.tolist() == [0.5, 1.0, 2.0, 3.0, 4.0]  # no corner is cut
-    assert log.provenance["sightings_noise"] == "stated for 4 of 4: 0.1 m and 0.01745 rad"
+    assert log.provenance["measurements_noise"] == "stated for 4 of 4: 0.1 m and 0.01745 rad"
     assert "1 that hold nothing" in log.provenance["MarkerArray"]
     assert_survives_a_folder(log, tmp_path / "again")
 
@@ -71,15 +71,15 @@ def test_markers_in_a_sensors_frame(tmp_path: Path) -> None:
     mounted = T.static(("base", "camera", 1.0, 0.0, np.pi / 2, 0.0))
     seen = T.markers(EPOCH + 1.0, (-4, 2.0, 0.0), ns="tag", frame="camera")
     log = read_log(T.write(tmp_path / "bag", [mounted, *moves(), seen]), topics=("/markers",))
-    assert np.allclose(log.sightings.range_m, np.sqrt(5))
-    assert np.allclose(log.sightings.bearing_rad, np.arctan2(2, 1))
+    assert np.allclose(log.measurements.range_m, np.sqrt(5))
+    assert np.allclose(log.measurements.bearing_rad, np.arctan2(2, 1))
     assert json.loads(log.provenance["labels"]) == {"tag/-4": 0}
 
 
 def test_points_in_the_map_are_no_measurements(tmp_path: Path) -> None:
     seen = T.markers(EPOCH + 1.0, (4, 2.0, 0.0), frame="map")
     path = T.write(tmp_path / "bag", [*moves(), seen, T.laser(EPOCH + 1.0)])
-    assert not len(read_log(path).sightings.time_s)
+    assert not len(read_log(path).measurements.time_s)
     with pytest.raises(InputError, match="frame is map, expected the vehicle's base or one that"):
         read_log(path, topics=("/markers",))
 
@@ -94,14 +94,14 @@ def test_detections(kind: str, tmp_path: Path) -> None:
                          covariance=covariance),
     ]  # fmt: skip
     path = types.write(tmp_path / f"tags.{kind}", [*moves(types=types), *tags])
-    seen = read_log(path).sightings
+    seen = read_log(path).measurements
     assert seen.landmark.tolist() == [5, 6]
     assert np.allclose(seen.range_m, (3, 2))
     assert np.allclose(seen.sigma_range_m, (0.2, 0.1))
     assert np.allclose(seen.sigma_bearing_rad, (0.1 / 3, 0.2 / 2))
     trees = types.detections(EPOCH + 2.0, ("5", "", 3.0, 0.0), ("5", "", 0.0, 2.0))
     path = types.write(tmp_path / f"trees.{kind}", [*moves(types=types), *tags, trees])
-    assert read_log(path).sightings.landmark.tolist() == [-1, -1, -1, -1]
+    assert read_log(path).measurements.landmark.tolist() == [-1, -1, -1, -1]
     if kind == "mcap":
         named = types.detections(EPOCH + 2.0, ("5", "t1", 3.0, 0.0), ("5", "t2", 0.0, 2.0))
         path = types.write(tmp_path / "tracked", [*moves(types=types), named])
@@ -282,14 +282,16 @@ def test_definitions_that_are_none_are_not_run(
     seen = types.detections(EPOCH + 1.0, ("5", "", 3.0, 0.0))
     scans = [types.laser(EPOCH + t) for t in (0.0, 1.0)]
     path = types.write(tmp_path / "bag", [*moves(), seen, *scans])
-    assert len(read_log(path).sightings.time_s) == 1
+    assert len(read_log(path).measurements.time_s) == 1
 
     def brought(text: str, kind: str) -> dict[str, Any]:
         return {kind: ([], [(name, (1, ("string", 0)))])}
 
     monkeypatch.setattr("rosbags.typesys.get_types_from_msg", brought)
     log = read_log(path)
-    assert not len(log.sightings.time_s)
-    assert log.provenance["sightings"].startswith("left out: /detections: the bag holds no usable")
+    assert not len(log.measurements.time_s)
+    assert log.provenance["measurements"].startswith(
+        "left out: /detections: the bag holds no usable"
+    )
     with pytest.raises(InputError, match="no usable definition of vision_msgs/msg/Detection3DArr"):
         read_log(path, topics=("/detections",))

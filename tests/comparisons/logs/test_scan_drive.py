@@ -1,4 +1,4 @@
-"""Drives that record scans: settings, truth, sightings, and the logs that have a name."""
+"""Drives that record scans: settings, truth, measurements, and the logs that have a name."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ from tests.comparisons.logs.test_scanners import exact, in_bounds, log_of, short
 Array = NDArray[np.float64]
 
 
-def test_odometry_and_sightings_are_as_uncertain_as_stated() -> None:
+def test_odometry_and_measurements_are_as_uncertain_as_stated() -> None:
     noisy, quiet = log_of(occupancy()), log_of(exact(occupancy()))
     wheels, true_wheels = noisy.odometry, quiet.odometry
     assert isinstance(wheels, SteeringOdometry)
     assert isinstance(true_wheels, SteeringOdometry)
     assert wheels.noise == true_wheels.noise
-    seen, true = noisy.sightings, quiet.sightings
+    seen, true = noisy.measurements, quiet.measurements
     assert np.array_equal(seen.landmark, true.landmark)
     for difference, sigma in (
         (wheels.speed_mps - true_wheels.speed_mps, 0.5),
@@ -67,7 +67,7 @@ def test_truth_is_there_at_every_sample_and_obeys_the_model() -> None:
 
 
 def test_objects_hide_landmarks() -> None:
-    """A landmark is sighted if, and only if, no side of an object crosses the line of sight."""
+    """A landmark is measured if, and only if, no side of an object crosses the line of sight."""
     experiment = exact(dense_slam())
     drive = replace(experiment.drive, max_range_m=60.0)
     world, log = experiment.world, log_of(replace(experiment, drive=drive))
@@ -76,7 +76,7 @@ def test_objects_hide_landmarks() -> None:
     hidden = 0
     for k in samples[::5]:
         pose, time = log.truth.poses.pose[k], log.truth.poses.time_s[k]
-        seen = set(log.sightings.landmark[log.sightings.time_s == time].tolist())
+        seen = set(log.measurements.landmark[log.measurements.time_s == time].tolist())
         for i, place in enumerate(world.landmark):
             way = place - pose[:2]
             ahead = np.cos(np.arctan2(way[1], way[0]) - pose[2]) >= 0.0
@@ -171,7 +171,7 @@ def test_logs_by_name(name: str) -> None:
     assert log.name == name
     assert "--seed" in NAMED[name].takes
     assert log.truth.surfaces is not None
-    assert len(log.sightings.time_s) == 0 if name == "scan-slam" else log.sightings.labelled
+    assert len(log.measurements.time_s) == 0 if name == "scan-slam" else log.measurements.labelled
     record = log.clouds if name == "scan-loop-3d" else log.scans
     assert isinstance(record, Clouds if name == "scan-loop-3d" else Scans)
     assert len(record.time_s) > 200

@@ -73,7 +73,7 @@ def test_the_trio(tmp_path: Path) -> None:
     assert np.allclose(log.scans.range_m[:, 170:190], 10.0)
     assert np.isnan(log.scans.range_m[1, [5, 6, 300]]).all()
     assert log.scans.intensity[0, [170, 0]].tolist() == [3.0, 0.0]
-    assert not len(log.sightings.time_s)
+    assert not len(log.measurements.time_s)
     assert (log.prior.time_s, log.prior.pose.tolist()) == (0.0, [0.0, 0.0, 0.0])
     # Along the vehicle's first heading, one metre per second from its start.
     expected = np.column_stack((log.positions.time_s, np.zeros(100)))
@@ -93,7 +93,7 @@ def test_trunks_are_found_in_the_trio(tmp_path: Path) -> None:
     words[:, 178:183] = 1000
     times = (22000 + 214 * np.arange(30)).astype(np.int32)
     log = read_log(trio(tmp_path, speed=np.zeros(800), TLsr=times, LASER=words, **NO_GPS))
-    found = with_tree_features(log).sightings
+    found = with_tree_features(log).measurements
     assert len(found.time_s) > 10
     assert np.allclose(found.range_m, 10.2, atol=0.2)
     assert np.allclose(found.bearing_rad, 0.0, atol=0.01)

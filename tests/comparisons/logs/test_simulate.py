@@ -32,11 +32,11 @@ def test_truth_obeys_the_models_exactly_when_there_is_no_noise() -> None:
         control = np.array((odometry.speed_mps[k], odometry.steering_rad[k]))
         step = model.step(pose[k], control, Drive().sample_s)
         assert np.allclose(step.pose, pose[k + 1], rtol=0, atol=1e-12)
-    at = pose[np.searchsorted(truth.poses.time_s, log.sightings.time_s)]
-    landmark = truth.landmarks.position_m[log.sightings.landmark]
+    at = pose[np.searchsorted(truth.poses.time_s, log.measurements.time_s)]
+    landmark = truth.landmarks.position_m[log.measurements.landmark]
     for k in range(0, len(at), 41):
         expected = RangeBearing().predict(at[k], landmark[k : k + 1]).z
-        seen = np.array([[log.sightings.range_m[k], log.sightings.bearing_rad[k]]])
+        seen = np.array([[log.measurements.range_m[k], log.measurements.bearing_rad[k]]])
         assert np.allclose(RangeBearing().innovation(seen, expected), 0.0, atol=1e-12)
 
 
@@ -55,7 +55,7 @@ def test_noise_has_the_stated_sigmas(scale: float) -> None:
     quiet, noisy = simulated(exact=True), simulated(noise_scale=scale)
     assert isinstance(quiet.odometry, SteeringOdometry)
     assert isinstance(noisy.odometry, SteeringOdometry)
-    noise, seen, true = noisy.odometry.noise, noisy.sightings, quiet.sightings
+    noise, seen, true = noisy.odometry.noise, noisy.measurements, quiet.measurements
     for difference, sigma, setting in (
         (noisy.odometry.speed_mps - quiet.odometry.speed_mps, noise.sigma_speed_mps, 0.3),
         (
@@ -75,5 +75,5 @@ def test_noise_has_the_stated_sigmas(scale: float) -> None:
 def test_a_seed_is_a_log() -> None:
     first, again = (simulate(np.random.default_rng(3)) for _ in range(2))
     other = simulate(np.random.default_rng(4))
-    assert np.array_equal(first.sightings.range_m, again.sightings.range_m)
+    assert np.array_equal(first.measurements.range_m, again.measurements.range_m)
     assert not np.array_equal(first.odometry.speed_mps, other.odometry.speed_mps)  # type: ignore[union-attr]

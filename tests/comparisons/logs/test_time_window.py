@@ -39,7 +39,9 @@ def test_what_lies_before_the_start_is_cut_by_a_start_alone(loop: Log) -> None:
 
 
 def test_an_empty_part_is_named(loop: Log) -> None:
-    with pytest.raises(InputError, match=r"no sightings, .* in the part from 10.01 s to 10.011 s$"):
+    with pytest.raises(
+        InputError, match=r"no measurements, .* in the part from 10.01 s to 10.011 s$"
+    ):
         cut_log(loop, 10.01, 10.011)
 
 
@@ -51,8 +53,8 @@ def test_a_part_of_wheel_odometry(loop: Log) -> None:
     held = np.searchsorted(loop.odometry.time_s, 10.013) - 1  # began before, and holds at 10.013
     assert part.odometry.speed_mps[0] == loop.odometry.speed_mps[held]
     assert part.odometry.time_s[-1] < 20.0
-    assert part.sightings.time_s.min() >= 10.013
-    assert part.sightings.time_s.max() < 20.0
+    assert part.measurements.time_s.min() >= 10.013
+    assert part.measurements.time_s.max() < 20.0
     assert loop.truth.poses is not None
     assert np.allclose(part.prior.pose, loop.truth.poses.at(np.array([10.013]))[0])
     assert part.provenance["part"] == "10.013 to 20 s of the log"

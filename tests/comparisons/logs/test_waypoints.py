@@ -45,14 +45,14 @@ def test_the_truth_passes_all_waypoints_and_ends_at_the_base() -> None:
     assert log.provenance["goals_reached"] == "10 of 10"
 
 
-def test_without_noise_odometry_sightings_and_positions_are_exact() -> None:
+def test_without_noise_odometry_measurements_and_positions_are_exact() -> None:
     log = run_of(1, exact=True)
     assert isinstance(log.odometry, RelativePoses)
     assert log.truth.poses is not None
     assert log.truth.landmarks is not None
     pose = log.truth.poses.pose
     assert np.allclose(dead_reckoned(log.prior.pose, log.odometry.displacement), pose, atol=1e-9)
-    seen = log.sightings
+    seen = log.measurements
     at = np.rint(seen.time_s / RUN.sample_s).astype(int)
     for k in np.unique(at)[::40]:
         rows = at == k
@@ -87,9 +87,9 @@ def test_obstacles_of_the_range_profile() -> None:
     log = with_tree_features(run_of(3))
     assert log.truth.poses is not None
     assert log.truth.landmarks is not None
-    pose = log.truth.poses.pose[np.rint(log.sightings.time_s / RUN.sample_s).astype(int)]
-    angle = pose[:, 2] + log.sightings.bearing_rad
-    place = pose[:, :2] + log.sightings.range_m[:, None] * np.column_stack(
+    pose = log.truth.poses.pose[np.rint(log.measurements.time_s / RUN.sample_s).astype(int)]
+    angle = pose[:, 2] + log.measurements.bearing_rad
+    place = pose[:, :2] + log.measurements.range_m[:, None] * np.column_stack(
         (np.cos(angle), np.sin(angle))
     )
     true = log.truth.landmarks.position_m

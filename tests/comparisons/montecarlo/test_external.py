@@ -140,7 +140,7 @@ def test_the_log_handed_out_holds_no_truth(tmp_path: Path) -> None:
     assert seen[0].truth == Truth()
     write_log_folder(seen[0], tmp_path / "given")
     files = {p.name for p in (tmp_path / "given").iterdir()}
-    assert files == {"log.toml", "odometry.csv", "sightings.csv"}
+    assert files == {"log.toml", "odometry.csv", "measurements.csv"}
     assert truths(tmp_path / "given") == []
     told = replace(seen[0], truth=Truth(Poses(np.array([0.0]), np.zeros((1, 3)))))
     write_log_folder(told, tmp_path / "told")
@@ -154,7 +154,7 @@ def test_a_command_sees_a_folder_without_truth(
     done = study(scenario, tmp_path / "out", "--runs", "1", "--command", program(body))
     assert done.returncode == 0, done.stderr
     found = {p.relative_to(tmp_path / "seen").as_posix() for p in (tmp_path / "seen").rglob("*")}
-    assert found == {"log", "log/log.toml", "log/odometry.csv", "log/sightings.csv", "stderr"}
+    assert found == {"log", "log/log.toml", "log/odometry.csv", "log/measurements.csv", "stderr"}
     assert "mine: no covariances, so no NEES, of pose, position, heading, landmarks" in done.stdout
     result = json.loads((tmp_path / "out" / "montecarlo.json").read_text())
     assert result["filters"]["mine"]["consistency"]["pose"]["place"] == "not given"

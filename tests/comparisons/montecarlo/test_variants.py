@@ -11,14 +11,14 @@ from comparisons.experiments.montecarlo.runs import FILTERS, run_filter
 from comparisons.experiments.scenarios.world import Measurements, World, measure
 from comparisons.experiments.variants.batch_ekf import BatchEkf
 from comparisons.experiments.variants.batch_models import RelativePosition, Sensor
-from comparisons.experiments.variants.batch_state import BatchState, InvariantState, sighted
+from comparisons.experiments.variants.batch_state import BatchState, InvariantState, measured
 from comparisons.experiments.variants.linearisation import (
     AtEstimate,
     AtFirstEstimate,
     AtTruth,
     Linearisation,
+    MeasuredPoints,
     ObservabilityConstrained,
-    SightPoints,
     StepPoints,
 )
 from ekf_reference.association.known import KnownAssociation
@@ -108,7 +108,7 @@ def test_without_noise_every_filter_is_exact() -> None:
     exact = Measurements(
         world.control[None],
         tuple(
-            world.robot.sensor.sight(np.full(len(o), p[2]), o)[None]
+            world.robot.sensor.predict(np.full(len(o), p[2]), o)[None]
             for o, p in zip(offset, world.pose[1:], strict=True)
         ),
     )
@@ -124,38 +124,38 @@ def sensor_of(scenario: str) -> Sensor:
 
 
 @pytest.mark.parametrize("scenario", SENSORS)
-def test_sighting_jacobian_by_central_differences(scenario: str) -> None:
+def test_measurement_jacobian_by_central_differences(scenario: str) -> None:
     sensor, rng = sensor_of(scenario), np.random.default_rng(1)
     for _ in range(5):
         x, slot = 4.0 * rng.standard_normal(9), np.array([2, 0])
 
-        def sight(x: Array, slot: Array = slot) -> Array:
-            return sensor.sight(x[2:3], x[3:].reshape(-1, 2)[slot] - x[:2]).ravel()
+        def predict(x: Array, slot: Array = slot) -> Array:
+            return sensor.predict(x[2:3], x[3:].reshape(-1, 2)[slot] - x[:2]).ravel()
 
         offset = x[3:].reshape(-1, 2)[slot] - x[:2]
         matrix = sensor.by_offset(x[2:3], offset)
-        h = sighted(matrix[None], offset[None], slot, np.eye(9)[None])[0]
-        assert np.allclose(h, central_difference(sight, x), atol=1e-7)
-        assert np.allclose(sensor.offset(x[2:3], sensor.sight(x[2:3], offset)), offset)
-        flipped = sighted(matrix[None], -offset[None], slot, np.eye(9)[None])[0]
-        assert not np.allclose(flipped, central_difference(sight, x), atol=1e-3)
+        h = measured(matrix[None], offset[None], slot, np.eye(9)[None])[0]
+        assert np.allclose(h, central_difference(predict, x), atol=1e-7)
+        assert np.allclose(sensor.offset(x[2:3], sensor.predict(x[2:3], offset)), offset)
+        flipped = measured(matrix[None], -offset[None], slot, np.eye(9)[None])[0]
+        assert not np.allclose(flipped, central_difference(predict, x), atol=1e-3)
 
 
 @pytest.mark.parametrize("scenario", SENSORS)
-def test_invariant_sighting_jacobian_by_central_differences(scenario: str) -> None:
+def test_invariant_measurement_jacobian_by_central_differences(scenario: str) -> None:
     sensor, rng = sensor_of(scenario), np.random.default_rng(2)
     slot = np.array([2, 0])
     for _ in range(5):
         x = 4.0 * rng.standard_normal(9)
 
-        def sight(xi: Array, x: Array = x) -> Array:
+        def predict(xi: Array, x: Array = x) -> Array:
             moved = invariant_state(x).moved(xi)
             offset = moved[3:].reshape(-1, 2)[slot] - moved[:2]
-            return sensor.sight(moved[2:3], offset).ravel()
+            return sensor.predict(moved[2:3], offset).ravel()
 
         offset = x[3:].reshape(-1, 2)[slot] - x[:2]
-        h = sighted(sensor.by_offset(x[2:3], offset)[None], None, slot, np.eye(9)[None])[0]
-        assert np.allclose(h, central_difference(sight, np.zeros(9)), atol=1e-7)
+        h = measured(sensor.by_offset(x[2:3], offset)[None], None, slot, np.eye(9)[None])[0]
+        assert np.allclose(h, central_difference(predict, np.zeros(9)), atol=1e-7)
 
 
 class Moved(InvariantState):
@@ -192,7 +192,7 @@ def test_prediction_and_beginning_by_central_differences(name: str, scenario: st
     for k in range(12):
         filter_.predict(world.control[None, k])
         if len(world.seen[k]):
-            z = world.robot.sensor.sight(
+            z = world.robot.sensor.predict(
                 np.full(len(world.seen[k]), world.pose[k + 1, 2]),
                 world.landmark[world.seen[k]] - world.pose[k + 1, :2],
             )
@@ -215,7 +215,7 @@ def test_prediction_and_beginning_by_central_differences(name: str, scenario: st
     new = np.array([max(filter_.label) + 1])
     sensor, mean = world.robot.sensor, filter_.state.mean[0].copy()
     offset = world.landmark[new] - mean[:2]
-    z = sensor.sight(mean[2:3], offset)
+    z = sensor.predict(mean[2:3], offset)
     sigma = np.array([[0.3, 0.2]])
     held = additive(filter_.state)
     filter_.observe(z[None], sigma, new)
@@ -263,12 +263,12 @@ class Noted:
         self.events.append((None, points.travel[0].copy()))
         return points
 
-    def sighted(self, state: BatchState, label: Any, slot: Any) -> SightPoints:
-        points = self.inner.sighted(state, label, slot)
-        self.events.append((slot, SightPoints(points.heading.copy(), points.offset.copy())))
+    def measured(self, state: BatchState, label: Any, slot: Any) -> MeasuredPoints:
+        points = self.inner.measured(state, label, slot)
+        self.events.append((slot, MeasuredPoints(points.heading.copy(), points.offset.copy())))
         return points
 
-    def begun(self, state: BatchState, label: Any, point: Array) -> SightPoints:
+    def begun(self, state: BatchState, label: Any, point: Array) -> MeasuredPoints:
         return self.inner.begun(state, label, point)
 
 
@@ -300,7 +300,7 @@ def test_the_frame_of_the_map_is_unobservable(name: str, nullity: int, scenario:
             phi[:2] += np.array((-points[1], points[0]))[:, None] * phi[2]
         else:
             matrix = world.robot.sensor.by_offset(points.heading[:, None], points.offset)
-            rows.append(sighted(matrix, points.offset, slot, phi[None])[0])
+            rows.append(measured(matrix, points.offset, slot, phi[None])[0])
     seen = np.unique(np.concatenate([s for s, _ in noted.events if s is not None]))
     columns = np.concatenate((np.arange(3), *((3 + 2 * s, 4 + 2 * s) for s in seen)))
     values = np.linalg.svd(np.concatenate(rows)[:, columns], compute_uv=False)

@@ -99,7 +99,7 @@ def all_left(point: Array, *corner: Array) -> bool:
 
 
 def labels(log: Log, cast: Cast) -> tuple[int, set[int], float]:
-    order = log.sightings.labels_in_order
+    order = log.measurements.labels_in_order
     return int(order[cast.point]), set(order[list(cast.base)].tolist()), cast.fused_s
 
 
@@ -113,7 +113,9 @@ def test_the_cast_is_what_the_geometry_gives_in_every_drive() -> None:
 def test_another_view_or_another_world_gives_another_cast() -> None:
     log = driven(0)
     point, base, _ = by_hand()
-    hidden = replace(log, sightings=log.sightings.chosen(log.sightings.landmark != min(base)))
+    hidden = replace(
+        log, measurements=log.measurements.chosen(log.measurements.landmark != min(base))
+    )
     assert labels(hidden, rightmost(hidden))[1] != base
     true = log.truth.landmarks
     assert true is not None

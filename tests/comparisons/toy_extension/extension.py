@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from comparisons.adapters.filter_setup import FilterSetup
-from comparisons.adapters.oriented_sightings import OrientedLedger
+from comparisons.adapters.oriented_measurements import OrientedLedger
 from comparisons.errors import InputError
 from comparisons.extensions.contract import Extension, Finding, Row
 from comparisons.logs.log import Poses
@@ -28,7 +28,7 @@ NOISE = np.diag((0.05, 0.05, 0.01)) ** 2
 class DockingResult(BaseModel):
     """The entry of `result.json`."""
 
-    sightings: int
+    measurements: int
     ekf_m: tuple[float, float]
     smoother_m: tuple[float, float]
 
@@ -39,7 +39,7 @@ class DockingSource:
     def __init__(self, config: DockingConfig, truth: Poses) -> None:
         self._config, self._truth = config, truth
         self._slot = NEW
-        self.sightings = 0
+        self.measurements = 0
 
     def look(self, ekf: Ekf, epoch: int, time_s: float, ledger: OrientedLedger) -> None:
         pose = self._truth.at(np.array([time_s]))[0]
@@ -48,9 +48,9 @@ class DockingSource:
             return
         c, s = np.cos(pose[2]), np.sin(pose[2])
         z = np.array((c * away[0] + s * away[1], c * away[1] - s * away[0], -pose[2]))
-        z[0] += self._config.bias_m * (self.sightings % 2)
+        z[0] += self._config.bias_m * (self.measurements % 2)
         found = ledger.observe(ekf, epoch, z[None], NOISE[None], np.array([self._slot]))
-        self._slot, self.sightings = int(found[0]), self.sightings + 1
+        self._slot, self.measurements = int(found[0]), self.measurements + 1
 
 
 class Docking(Extension):
@@ -69,7 +69,9 @@ class Docking(Extension):
 
     def check(self, compared: Compared) -> DockingFinding | None:
         source = compared.setup.find(DockingSource)
-        return None if source is None or not source.sightings else DockingFinding(compared, source)
+        return (
+            None if source is None or not source.measurements else DockingFinding(compared, source)
+        )
 
 
 class DockingFinding(Finding):
@@ -78,13 +80,13 @@ class DockingFinding(Finding):
     def __init__(self, compared: Compared, source: DockingSource) -> None:
         ekf, smoother = (e.oriented[0, :2] for e in (compared.ekf.estimate, compared.gaps.smoothed))
         self.result = DockingResult(
-            sightings=source.sightings, ekf_m=_pair(ekf), smoother_m=_pair(smoother)
+            measurements=source.measurements, ekf_m=_pair(ekf), smoother_m=_pair(smoother)
         )
         self.entries = {"docking": self.result}
-        self.remarks = [f"the station was seen {source.sightings} times"]
+        self.remarks = [f"the station was seen {source.measurements} times"]
 
     def rows(self) -> Sequence[Row]:
-        return [Row("docking", f"{self.result.sightings} sightings")]
+        return [Row("docking", f"{self.result.measurements} measurements")]
 
     def draw(self, axis: Axes) -> None:
         axis.plot(*self.result.ekf_m, "P", color="purple", label="docking station")

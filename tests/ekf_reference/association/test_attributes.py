@@ -78,7 +78,7 @@ def test_a_constant_is_filtered() -> None:
     assert np.isnan(memory.mean[:2]).all()
 
 
-def test_repeated_sightings_are_worth_less_but_never_less_than_one() -> None:
+def test_repeated_measurements_are_worth_less_but_never_less_than_one() -> None:
     memory = AttributeEstimates(np.array([10.0]))
     sigmas = []
     for _ in range(40):
@@ -138,8 +138,8 @@ class LeftOut:
 
     memory: AttributeEstimates
 
-    def distances(self, slot: np.ndarray, sightings: Measurements) -> AttributeDistances:
-        found = self.memory.distances(slot, sightings)
+    def distances(self, slot: np.ndarray, measurements: Measurements) -> AttributeDistances:
+        found = self.memory.distances(slot, measurements)
         return found._replace(n=np.where(found.dof > 0, found.n, 0.0))
 
 
@@ -201,8 +201,8 @@ class Unnormalised:
 
     memory: AttributeEstimates
 
-    def distances(self, slot: np.ndarray, sightings: Measurements) -> AttributeDistances:
-        found = self.memory.distances(slot, sightings)
+    def distances(self, slot: np.ndarray, measurements: Measurements) -> AttributeDistances:
+        found = self.memory.distances(slot, measurements)
         return found._replace(n=found.nis)
 
 
@@ -241,19 +241,19 @@ def test_the_gate_holds_what_it_says() -> None:
     for _ in range(TRIALS):
         pose = rng.multivariate_normal(np.zeros(3), state.pose_covariance)
         z = MODEL.predict(pose, np.array([(10.0, 0.0)])).z + rng.normal(0.0, SIGMA)
-        sighting = seen(z, np.array([[rng.normal(0.4, np.hypot(0.1, 0.1))]]), 0.1)
-        passed += rule.assign(state, MODEL, sighting).tolist() == [0]
-        nis = memory.distances(np.zeros(1, dtype=np.intp), sighting).nis[0, 0]
-        misgated += nis + position_nis(state, sighting) <= gate
+        measurement = seen(z, np.array([[rng.normal(0.4, np.hypot(0.1, 0.1))]]), 0.1)
+        passed += rule.assign(state, MODEL, measurement).tolist() == [0]
+        nis = memory.distances(np.zeros(1, dtype=np.intp), measurement).nis[0, 0]
+        misgated += nis + position_nis(state, measurement) <= gate
     assert expected_share(0.9, passed)
     assert not expected_share(0.9, misgated)
 
 
-def position_nis(state: KalmanState, sighting: Measurements) -> float:
+def position_nis(state: KalmanState, measurement: Measurements) -> float:
     local = state.local_map(1e3)
     zero = np.zeros(1, dtype=np.intp)
-    spread = pair_covariance(local, MODEL, sighting, zero, zero)
-    nu = MODEL.innovation(sighting.z, MODEL.predict(local.pose, local.landmark).z)[0]
+    spread = pair_covariance(local, MODEL, measurement, zero, zero)
+    nu = MODEL.innovation(measurement.z, MODEL.predict(local.pose, local.landmark).z)[0]
     return float(nu @ np.linalg.solve(spread, nu))
 
 
@@ -268,7 +268,7 @@ def test_bounds_of_one_probability() -> None:
 def test_joint_compatibility_equals_exhaustive_search(seed: int) -> None:
     """The largest set that passes the gate of its own dof, the least in cost: found by trying all.
 
-    Some sightings and landmarks lack the attribute.
+    Some measurements and landmarks lack the attribute.
     """
     rng = np.random.default_rng(seed)
     points = np.array([(10.0, 0.5 * k) for k in range(5)])
@@ -279,11 +279,11 @@ def test_joint_compatibility_equals_exhaustive_search(seed: int) -> None:
     pose = rng.multivariate_normal(np.zeros(3), state.pose_covariance)
     z = MODEL.predict(pose, points[which]).z + rng.normal(0.0, SIGMA, (4, 2))
     value = np.where(rng.random((4, 1)) < 0.2, np.nan, rng.normal(diameter[which], 0.1))
-    sightings = seen(z, value, 0.1)
+    measurements = seen(z, value, 0.1)
     local = state.local_map(1e3)
-    beside = memory.distances(local.slot, sightings)
+    beside = memory.distances(local.slot, measurements)
     single = {
-        (i, j): pair(local, sightings, [(i, j)]) + beside.nis[i, j]
+        (i, j): pair(local, measurements, [(i, j)]) + beside.nis[i, j]
         for i, j in product(range(4), range(5))
     }
     allowed = {k: v <= chi2.ppf(0.999, 2 + beside.dof[k]) for k, v in single.items()}
@@ -297,23 +297,23 @@ def test_joint_compatibility_equals_exhaustive_search(seed: int) -> None:
             continue
         if not all(allowed[p] for p in pairs):
             continue
-        position = pair(local, sightings, pairs)
+        position = pair(local, measurements, pairs)
         dof = 2 * len(pairs) + sum(int(beside.dof[p]) for p in pairs)
         if position + sum(beside.nis[p] for p in pairs) > chi2.ppf(0.999, dof):
             continue
         cost = position + sum(beside.n[i, j] - least[i] for i, j in pairs)
         best = max(best, (len(pairs), -cost, slots))
     rule = JointCompatibility(new_gate=ANYTHING, attributes=memory)
-    found = rule.assign(state, MODEL, sightings)
+    found = rule.assign(state, MODEL, measurements)
     assert np.where(found == AMBIGUOUS, -1, found).tolist() == list(best[2])
 
 
-def pair(local: object, sightings: Measurements, pairs: list[tuple[int, int]]) -> float:
+def pair(local: object, measurements: Measurements, pairs: list[tuple[int, int]]) -> float:
     """Joint nis of the positions of some pairs."""
     i, j = np.array(pairs).T
-    spread = pair_covariance(local, MODEL, sightings, i, j)  # type: ignore[arg-type]
+    spread = pair_covariance(local, MODEL, measurements, i, j)  # type: ignore[arg-type]
     predicted = MODEL.predict(local.pose, local.landmark)  # type: ignore[attr-defined]
-    nu = MODEL.innovation(sightings.z[i], predicted.z[j]).ravel()
+    nu = MODEL.innovation(measurements.z[i], predicted.z[j]).ravel()
     return float(nu @ np.linalg.solve(spread, nu))
 
 
@@ -330,12 +330,12 @@ def test_nothing_told_changes_nothing(kind: type) -> None:
         bare = Measurements(z, unknown.noise, unknown.identity)
         assert bare.take(np.array([1, 0])).attributes is NOT_MEASURED
         plain = kind().assign(state, MODEL, bare)
-        for sightings in (bare, unknown):
-            found = kind(attributes=memory).assign(state, MODEL, sightings)
+        for measurements in (bare, unknown):
+            found = kind(attributes=memory).assign(state, MODEL, measurements)
             assert np.array_equal(found, plain)
 
 
-def test_only_used_sightings_are_remembered() -> None:
+def test_only_used_measurements_are_remembered() -> None:
     memory = AttributeEstimates(np.ones(1))
     state = mapped([(10.0, 0.0)], 1e-6 * np.eye(3))
     rule = RememberedAttributes(NearestNeighbour(attributes=memory), memory)

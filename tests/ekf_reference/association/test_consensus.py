@@ -43,7 +43,7 @@ def test_a_clump_is_one_landmark() -> None:
     assert len(set(NearestNeighbour().assign(mapped(), MODEL, scan).tolist())) == 4
 
 
-def test_a_sighting_that_fits_two_landmarks_is_ambiguous() -> None:
+def test_a_measurement_that_fits_two_landmarks_is_ambiguous() -> None:
     """Turned by half the spacing with a heading that allows for it: either post could be meant."""
     lost, one = mapped(heading_sigma=0.2), seen((5.0, 1.0))
     assert ConsensusAssociation().assign(lost, MODEL, one).tolist() == [AMBIGUOUS]

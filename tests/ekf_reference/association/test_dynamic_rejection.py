@@ -113,7 +113,7 @@ def test_a_landmark_that_is_merely_not_asked_about_is_not_retired() -> None:
 
 
 def test_nothing_is_matched_with_a_retired_landmark() -> None:
-    """A sighting beside the yard that the nearest neighbour would give to what stands in it."""
+    """A measurement beside the yard that the nearest neighbour would give to what stands in it."""
     yard = Yard(LANDMARK[2], 0.05)
     ekf, guarded, _ = drive("full", NearestNeighbour(), None)
     place = ekf.state.landmarks

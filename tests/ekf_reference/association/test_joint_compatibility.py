@@ -88,7 +88,7 @@ def test_new_and_ambiguous_as_with_the_nearest_neighbour() -> None:
 
 
 def test_a_crowded_scan_ends_within_its_bound() -> None:
-    """Thirty sightings that fit every post: the search gives its best set, not an eternity."""
+    """Thirty measurements that fit every post: the search gives its best set, not an eternity."""
     state = row_of_posts(0.3)
     seen = seen_from(0.0, [(10.0, 0.02 * k) for k in range(30)])
     rule = JointCompatibility(most_nodes=500)
@@ -114,7 +114,7 @@ def _cut(rule: JointCompatibility, state: KalmanState, seen: Measurements) -> in
     return rule.counts["cut off"]
 
 
-def test_the_order_of_sightings_does_not_matter() -> None:
+def test_the_order_of_measurements_does_not_matter() -> None:
     """A set that passes its own gate counts, even where a part of it would not pass a smaller one.
 
     Three posts far apart and a certain pose: nis 10, 10 and 0 are each within 13.8, and 20

@@ -41,7 +41,7 @@ def test_a_stable_feature_becomes_a_landmark_once_it_is_old_enough() -> None:
     assert tracks.dropped == 0
 
 
-def test_too_few_sightings_never_suffice() -> None:
+def test_too_few_measurements_never_suffice() -> None:
     tracks = managed(measurements=4, age_s=0.5, silence_s=10.0)
     assert feed(tracks, [0.0, 1.0, 2.0], (8.0, 1.0)) == [[CANDIDATE]] * 3
 
@@ -61,7 +61,7 @@ def test_a_feature_that_wanders_is_not_stable() -> None:
     assert tracks.promoted == 0
 
 
-def test_two_sightings_of_one_candidate_make_one_landmark() -> None:
+def test_two_measurements_of_one_candidate_make_one_landmark() -> None:
     tracks = managed(measurements=4, age_s=0.0)
     feed(tracks, [0.0], (8.0, 1.0))
     feed(tracks, [0.1], (8.0, 1.0), (8.05, 1.0))

@@ -24,7 +24,7 @@ def state_with(points: list[tuple[float, float]], sigmas: list[float]) -> Kalman
     return state
 
 
-def sightings(points: list[tuple[float, float]], labels: tuple[int, ...] = ()) -> Measurements:
+def measurements(points: list[tuple[float, float]], labels: tuple[int, ...] = ()) -> Measurements:
     z = MODEL.predict(np.zeros(3), np.array(points)).z
     identity = np.array(labels or [-1] * len(z))
     return Measurements(z, diagonal_noise(np.tile((0.1, 0.01), (len(z), 1))), identity)
@@ -41,7 +41,7 @@ def test_distances_equal_the_textbook_for_every_pair() -> None:
     state.augment(
         np.array([[7.0, 7.0]]), rng.standard_normal((1, 2, 3)), np.eye(2)[None], np.eye(2)[None]
     )
-    seen = sightings([(10.2, 3.1), (-4.1, 9.3)])
+    seen = measurements([(10.2, 3.1), (-4.1, 9.3)])
     nis, distance, innovation = distances(state, seen)
     predicted = MODEL.predict(state.pose, state.landmarks)
     for i in range(len(seen)):
@@ -60,7 +60,7 @@ def test_distances_equal_the_textbook_for_every_pair() -> None:
 def test_nearest_by_n_not_by_nis() -> None:
     """Between a vague and a sharp landmark, N of eq. 2.60 prefers the sharp one."""
     state = state_with([(10.0, 0.0), (10.45, 0.0)], [3.0, 0.12])
-    seen = sightings([(10.15, 0.0)])
+    seen = measurements([(10.15, 0.0)])
     nis, distance, _ = distances(state, seen)
     assert nis[0, 0] < nis[0, 1] < 9.0
     assert distance[0, 1] < distance[0, 0]
@@ -71,7 +71,7 @@ def test_gate_ambiguity_and_new_landmarks() -> None:
     state = state_with([(10.0, 0.0), (0.0, 12.0)], [0.1, 0.1])
     rule = NearestNeighbour()
     inside, between, far = (10.2, 0.0), (10.62, 0.0), (10.0, 8.0)
-    seen = sightings([inside, between, far])
+    seen = measurements([inside, between, far])
     nis = distances(state, seen).nis
     assert rule.gate < nis[1].min() < rule.new_gate < nis[2].min()
     assert rule.assign(state, MODEL, seen).tolist() == [0, AMBIGUOUS, 2]
@@ -79,26 +79,26 @@ def test_gate_ambiguity_and_new_landmarks() -> None:
 
 def test_each_landmark_is_taken_once_in_a_scan() -> None:
     state = state_with([(10.0, 0.0)], [0.2])
-    slots = NearestNeighbour().assign(state, MODEL, sightings([(10.25, 0.0), (10.05, 0.0)]))
+    slots = NearestNeighbour().assign(state, MODEL, measurements([(10.25, 0.0), (10.05, 0.0)]))
     assert slots.tolist() == [AMBIGUOUS, 0]
 
 
 def test_empty_map_makes_everything_new() -> None:
     state = KalmanState(np.zeros(3), np.eye(3))
-    seen = sightings([(1, 1), (2, 2)])
+    seen = measurements([(1, 1), (2, 2)])
     assert NearestNeighbour().assign(state, MODEL, seen).tolist() == [0, 1]
 
 
 def test_labels_map_to_slots_in_order_of_arrival() -> None:
     state = KalmanState(np.zeros(3), np.eye(3))
-    seen = sightings([(1, 1), (2, 2), (3, 3), (1, 1)], (40, 7, -1, 40))
+    seen = measurements([(1, 1), (2, 2), (3, 3), (1, 1)], (40, 7, -1, 40))
     slots = KnownAssociation().assign(state, MODEL, seen)
     assert slots.tolist() == [0, 1, REJECTED, 0]
 
 
 def test_a_misread_label_is_rejected_by_the_gate_only() -> None:
     state = state_with([(10.0, 0.0)], [0.1])
-    seen = sightings([(-10.0, 1.0)], (5,))
+    seen = measurements([(-10.0, 1.0)], (5,))
     for gate, expected in ((60.0, REJECTED), (float("inf"), 0)):
         rule = KnownAssociation(gate, {5: 0})
         assert rule.assign(state, MODEL, seen).tolist() == [expected]
@@ -107,7 +107,7 @@ def test_a_misread_label_is_rejected_by_the_gate_only() -> None:
 def test_euclidean_distance_decides() -> None:
     """Misono 2007, eq. 17: within d_min or new, whatever the covariances say."""
     state = state_with([(10.0, 0.0), (10.0, 3.0)], [5.0, 0.01])
-    seen = sightings([(10.6, 0.0), (10.0, 3.9), (10.0, -1.2), (10.3, 0.3)])
+    seen = measurements([(10.6, 0.0), (10.0, 3.9), (10.0, -1.2), (10.3, 0.3)])
     slots = EuclideanNeighbour(d_min_m=1.0).assign(state, MODEL, seen)
     assert slots.tolist() == [AMBIGUOUS, 1, 2, 0]  # the fourth is nearer to the first landmark
     assert NearestNeighbour().assign(state, MODEL, seen).tolist()[1] != 1
@@ -131,5 +131,5 @@ def test_a_lost_vehicle_searches_farther() -> None:
     state.augment(
         np.array([[28.0, 0.0]]), np.zeros((1, 2, 3)), np.eye(2)[None], 1e-4 * np.eye(2)[None]
     )
-    seen = sightings([(10.0, 0.0)])  # 18 m short: 1.2 sigma
+    seen = measurements([(10.0, 0.0)])  # 18 m short: 1.2 sigma
     assert NearestNeighbour().assign(state, MODEL, seen).tolist() == [0]

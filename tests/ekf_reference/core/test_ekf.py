@@ -78,7 +78,7 @@ def test_the_trace_changes_nothing() -> None:
     assert np.array_equal(traced.state.covariance, plain.state.covariance)
 
 
-def test_trace_counts_every_step_and_sighting_once() -> None:
+def test_trace_counts_every_step_and_measurement_once() -> None:
     trace = RecordedTrace()
     drive(build(trace))
     arrays = trace.arrays()
@@ -90,7 +90,7 @@ def test_trace_counts_every_step_and_sighting_once() -> None:
     assert used.step.tolist() == [s for s in range(2, 7) for _ in range(2)]
 
 
-def test_second_sighting_of_a_new_landmark_is_fused_too() -> None:
+def test_second_measurement_of_a_new_landmark_is_fused_too() -> None:
     """In one scan: the first adds the landmark, the second updates it, as two scans would."""
     together, apart = build(), build()
     z = np.array(((8.0, 0.5), (8.2, 0.51)))

@@ -128,7 +128,7 @@ def test_the_gate_is_the_normalised_innovation() -> None:
 
 
 def test_a_large_update_at_loop_closing_is_split_too() -> None:
-    """Sightings with bounds on the step: parts in the trace, weights adding up per sighting."""
+    """Measurements with bounds on the step: parts in the trace, whose weights add up to one."""
     ekf = ekf_at(np.zeros(3), np.diag((0.01, 0.01, 1e-4)), PositionFixes())
     ekf.observe(np.array(((10.0, 0.3),)), np.array(((0.1, 0.01),)), np.array([7]))
     ekf.predict(np.array((1.0, 0.0)), np.diag((4.0, 0.5)), 1.0)

@@ -74,7 +74,7 @@ def test_printed_gain_without_transpose_fails() -> None:
 
 
 def test_augmentation_is_the_limit_of_a_boundless_prior() -> None:
-    """Eq. 2.53 equals 2.56 with P_LL* growing: one sighting of a landmark nothing is known of."""
+    """Eq. 2.53 equals 2.56 with P_LL* growing: one measurement of an unknown landmark."""
     rng = np.random.default_rng(4)
     state = mapped_state(rng, 2)
     gx, gz = rng.standard_normal((1, 2, 3)), np.eye(2)[None] + 0.1 * rng.standard_normal((1, 2, 2))

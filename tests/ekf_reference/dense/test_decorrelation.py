@@ -170,20 +170,20 @@ def seen_once(rng: np.random.Generator) -> KalmanState:
     return state
 
 
-def sighted(state: KalmanState, slot: int) -> Array:
-    """Jacobian (2, 5) of a sighting by the pose and the landmark."""
+def measured(state: KalmanState, slot: int) -> Array:
+    """Jacobian (2, 5) of a measurement by the pose and the landmark."""
     predicted = RangeBearing().predict(state.pose, state.landmarks[[slot]])
     return np.hstack((predicted.jacobian_pose[0], predicted.jacobian_landmark[0]))
 
 
 def observed(rng: np.random.Generator) -> tuple[KalmanState, Array, Array, Array]:
-    """Landmarks seen from two places; Jacobian, S and innovation of a sighting of the first."""
+    """Landmarks seen from two places; Jacobian, S and innovation of a measurement of the first."""
     state = seen_once(rng)
     state.predict(state.pose + (3.0, 1.0, 0.2), np.eye(3), np.diag((0.2, 0.3, 0.01)))
     for slot in range(1, 5):
         columns = point_columns(np.array([slot]))
-        state.update(columns, sighted(state, slot), 0.1 * rng.standard_normal(2), NOISE)
-    jacobian = sighted(state, 0)
+        state.update(columns, measured(state, slot), 0.1 * rng.standard_normal(2), NOISE)
+    jacobian = measured(state, 0)
     spread = jacobian @ state.covariance[:5, :5] @ jacobian.T + NOISE
     return state, jacobian, spread, np.array((0.3, -0.02))
 

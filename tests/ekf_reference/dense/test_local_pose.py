@@ -40,7 +40,7 @@ def test_jacobian_equals_central_differences(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_a_point_is_the_local_pose_composed_with_the_sighting(seed: int) -> None:
+def test_a_point_is_the_local_pose_composed_with_the_measurement(seed: int) -> None:
     """Equation 3.29 in metric coordinates: exact, and without the landmarks."""
     x = state(seed)
     z = np.random.default_rng(100 + seed).uniform((1.0, -3.0), (20.0, 3.0), (5, 2))

@@ -47,7 +47,7 @@ def centres() -> tuple[FilterView, Index, Array]:
 
 
 def test_it_is_the_covariance_of_alpha_and_beta_in_metres() -> None:
-    """J P J^T by the Jacobians of Appendix C and of the sighting, one region after another."""
+    """J P J^T by the Jacobians of Appendix C and of the measurement, one region after another."""
     view, base, point = centres()
     found = neglected_covariance(view, carriers_of(view, base, point), point)
     for slot, at, spread in zip(base, point, found, strict=True):

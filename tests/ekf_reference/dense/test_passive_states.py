@@ -60,7 +60,7 @@ def drive(look: Callable[[Ekf, int, Array], None], start: Callable[[Ekf], None])
 
 @cache
 def carried() -> Outcome:
-    """Points in the filter's state, sighted once and never again."""
+    """Points in the filter's state, measured once and never again."""
 
     def look(ekf: Ekf, k: int, z: Array) -> None:
         ekf.observe(z, np.tile(SIGMA, (3, 1)), FIRST_LABEL + 3 * k + np.arange(3))

@@ -40,7 +40,7 @@ def outcome(passive: type[PassiveStates] | None) -> tuple[Array, Array, Array]:
 
 
 class Forgetful(PassiveStates):
-    """Broken: sightings of landmarks with a direction tell it nothing."""
+    """Broken: measurements of landmarks with a direction tell it nothing."""
 
     def measurement(self, used: MeasurementRecord) -> None:
         if used.landmark.shape[1] == POSE and used.origin == VEHICLE:

@@ -39,7 +39,7 @@ class Errors(NamedTuple):
     lead: Array
 
 
-def dense_sightings(
+def dense_measurements(
     rng: np.random.Generator, true_pose: Array, pose: Array, count: int
 ) -> tuple[Array, Array, Array]:
     """Points seen once by a precise sensor, 3 to 20 m ahead, and by nobody else.
@@ -105,7 +105,7 @@ def waited(seed: int) -> dict[str, Errors]:
         if pair is None or pair in taken:
             continue
         taken.add(pair)
-        there, point, noise = dense_sightings(rng, drive.pose[done], view.pose, 5)
+        there, point, noise = dense_measurements(rng, drive.pose[done], view.pose, 5)
         true, first = np.vstack((true, there)), [*first, True, False, False, False, False]
         for room in rooms:
             number = room.add(view, point, noise, scan, anywhere(pair))
@@ -203,7 +203,7 @@ def driven(*, dense: bool) -> Driven:
                 for p in (point, uncorrected)
             ]
             errors.append(np.array([off]))
-        true, point, noise = dense_sightings(rng, drive.pose[done], view.pose, 10)
+        true, point, noise = dense_measurements(rng, drive.pose[done], view.pose, 10)
         outside = placed.locate(point).region < 0
         true, point, noise = true[outside], point[outside], noise[outside]
         potential = regions.potential(view.landmark, slot, view.pose, joint)
@@ -253,7 +253,7 @@ def waiting_points(make: type[Ekf]) -> tuple[DelayedInitialisation, Array]:
         room.updated(view)
         pair = newest_pair(view)
         if pair is not None:
-            _, point, noise = dense_sightings(rng, drive.pose[done], view.pose, 3)
+            _, point, noise = dense_measurements(rng, drive.pose[done], view.pose, 3)
             room.add(view, point, noise, len(room.points.scan), anywhere(pair))
     return room, ekf.state.landmarks.ravel()
 

@@ -50,8 +50,8 @@ def run(
     arrays = trace.arrays()
     used = [(r.number, r.slot) for r in (arrays.measurements[POINT], arrays.initialisations[POINT])]
     slot = np.full(sum(len(scan.z) for scan in drive.scan), -1)
-    for sighting, which in used:
-        slot[sighting] = which
+    for measurement, which in used:
+        slot[measurement] = which
     return Run(pose, Gaussian(ekf.state.mean.copy(), ekf.state.covariance.copy()), slot, arrays)
 
 

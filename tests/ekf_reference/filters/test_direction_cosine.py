@@ -1,4 +1,4 @@
-"""Misono's models: motion, sightings and positions on x, y, cosine, sine."""
+"""Misono's models: motion, measurements and positions on x, y, cosine, sine."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def test_observation_jacobians() -> None:
         assert np.allclose(np.einsum("mij,mj->mi", h, state), as_printed.z, atol=1e-12)  # 12
 
 
-def test_sightings_are_range_and_bearing_in_other_axes() -> None:
+def test_measurements_are_range_and_bearing_in_other_axes() -> None:
     """What range and bearing predict, turned into the vehicle's axes, is what this predicts."""
     polar = RangeBearing().predict(POSE, LANDMARKS).z
     sigma = np.tile((0.1, 0.02), (3, 1))

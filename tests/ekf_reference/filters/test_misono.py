@@ -25,7 +25,7 @@ from tests.ekf_reference.worlds import build, circuit, follow
 
 
 class OwnAxesOfHeading(OwnAxesObservation):
-    """The same sightings for a pose x, y, heading."""
+    """The same measurements for a pose x, y, heading."""
 
     def predict(self, pose: Array, landmarks: Array) -> PredictedMeasurements:
         own = from_heading(pose)
@@ -34,12 +34,12 @@ class OwnAxesOfHeading(OwnAxesObservation):
 
     def invert(self, pose: Array, z: Array) -> NewLandmarks:
         own = from_heading(pose)
-        point, by_pose, by_sighting = super().invert(own, z)
-        return NewLandmarks(point, by_pose @ along_circle(own), by_sighting)
+        point, by_pose, by_measurement = super().invert(own, z)
+        return NewLandmarks(point, by_pose @ along_circle(own), by_measurement)
 
 
 def drive(ekf: Ekf, rng: np.random.Generator) -> None:
-    """Some steps, sightings and positions."""
+    """Some steps, measurements and positions."""
     landmarks = rng.uniform(-8.0, 8.0, (6, 2))
     for k in range(60):
         ekf.predict(np.array([1.0, 0.4]), np.diag((0.05, 0.03)), 0.2)

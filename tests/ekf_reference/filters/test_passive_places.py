@@ -18,7 +18,7 @@ WIDTHS = (POINT, POSE)
 
 
 class Reading(RelativePose):
-    """Asks a filter, whenever it predicts a sighting, for all its places and who is near."""
+    """Asks a filter, whenever it predicts a measurement, for all its places and who is near."""
 
     def __init__(self, ekf: Ekf) -> None:
         self.ekf = ekf

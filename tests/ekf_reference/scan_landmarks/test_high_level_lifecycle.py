@@ -116,11 +116,11 @@ def test_the_prior_of_a_match_is_the_covariance_carried_through() -> None:
     one, view = landmarks.landmark[0], FilterView.of(ekf)
     expected = landmarks.expected(ekf, view, one)
     assert expected is not None
-    sighted = RelativePose()
+    measured = RelativePose()
 
     def way(x: Array) -> Array:
         vehicle = local_pose(x[:3], x[3:5], x[5:7])
-        return np.asarray(sighted.predict(vehicle, x[None, 7:]).z[0])
+        return np.asarray(measured.predict(vehicle, x[None, 7:]).z[0])
 
     first, second = view.landmark[one.base]
     x = np.concatenate((view.pose, first, second, one.held))

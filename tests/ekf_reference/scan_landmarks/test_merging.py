@@ -82,7 +82,7 @@ def begun_twice(wrong: Array, scene: Solids = STAR) -> tuple[ScanSlam, Telling, 
         z = composed(MOUNT, template.pose)
         slot = int(tell.observe(z[None], R[None], np.array([NEW]))[0])
         slam.found.template[slot] = template
-        slam.found.sightings[slot] += 1
+        slam.found.measurements[slot] += 1
         frames.append(composed(vehicle, z))
     return slam, tell, np.array(frames)
 
@@ -108,7 +108,7 @@ def test_one_object_begun_twice_becomes_one_landmark() -> None:
     kept = int(np.argmax([len(template[k].shape) for k in range(2)]))
     assert kept == 1
     assert ekf.state.layout.present(POSE).tolist() == [kept] == list(slam.found.template)
-    assert slam.found.sightings == {kept: 2}
+    assert slam.found.measurements == {kept: 2}
     shape, own = slam.found.template[kept].shape, len(template[kept].shape)
     assert len(shape) == own + len(template[1 - kept].shape)
     # The filter's error is in the frame's place in the world, and not between the points.

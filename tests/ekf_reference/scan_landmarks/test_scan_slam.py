@@ -152,7 +152,7 @@ def test_segments_too_small_for_a_heading_begin_nothing(points: int) -> None:
     assert not slam.found.template
 
 
-def test_of_two_identical_templates_each_keeps_its_own_sightings() -> None:
+def test_of_two_identical_templates_each_keeps_its_own_measurements() -> None:
     slam, ekf, told = begun()
     template = slam.found.template[0]
     far = template.pose + (30.0, 0.0, 0.0)
@@ -162,7 +162,7 @@ def test_of_two_identical_templates_each_keeps_its_own_sightings() -> None:
     slam.step(ekf, scan_from(np.zeros(3), 2), told)
     assert told.slot == [NEW, 0]
     assert USED in slam.found.reasons
-    assert slam.found.sightings == {0: 2}
+    assert slam.found.measurements == {0: 2}
 
 
 @pytest.mark.parametrize(("aligned", "seen"), [(1, 1), (5, 2), (0, 2)])

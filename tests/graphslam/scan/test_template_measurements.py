@@ -14,13 +14,13 @@ from graphslam.scan.matchers import SurfaceMatcher
 from graphslam.scan.odometry import OdometryOptions
 from graphslam.scan.open3d_matchers import GeneralisedMatcher
 from graphslam.scan.template_matchers import Template, TemplateMatchers, lever_m
-from graphslam.scan.template_sightings import (
+from graphslam.scan.template_measurements import (
     BEGUN,
     GATED,
     USED,
+    TemplateMeasurements,
     TemplateOptions,
-    TemplateSightings,
-    sight_templates,
+    measure_templates,
 )
 from graphslam.smoother import smooth
 from tests.graphslam.numerics import Array
@@ -57,8 +57,8 @@ def problem(seed: int = 1, scale: float = 1.0) -> SlamProblem:
         prior_covariance=np.diag((0.01, 0.01, 0.001)) ** 2,
         increment=MOTION + scale * noise,
         increment_covariance=np.tile(SPREAD, (STEPS, 1, 1)),
-        sighting_pose=no,
-        sighting_landmark=no,
+        measurement_pose=no,
+        measurement_landmark=no,
         z=np.zeros((0, 2)),
         sigma=np.zeros((0, 2)),
         landmark_count=0,
@@ -75,7 +75,7 @@ def template(cloud: Array, pose: int, middle: tuple[float, float], reach_m: floa
 
 def seen(
     seen_clouds: dict[int, Array], given: SlamProblem, shared_m: float = 0.0
-) -> TemplateSightings:
+) -> TemplateMeasurements:
     first = seen_clouds[0]
     templates = {
         0: template(first, 0, (2.7, 2.2), 1.6),
@@ -85,11 +85,11 @@ def seen(
     }
     matchers = TemplateMatchers(OdometryOptions.for_noise(SIGMA_M), GeneralisedMatcher)
     options = TemplateOptions(shared_m=shared_m)
-    return sight_templates(given, templates, seen_clouds, matchers, options)
+    return measure_templates(given, templates, seen_clouds, matchers, options)
 
 
-def errors(found: TemplateSightings) -> tuple[Array, Array]:
-    """Of later sightings (n, 3), in the axes, and their covariances."""
+def errors(found: TemplateMeasurements) -> tuple[Array, Array]:
+    """Of later measurements (n, 3), in the axes, and their covariances."""
     ones = found.alignments
     at = dict[int, Array]()
     wrong, spread = [], []

@@ -2,7 +2,7 @@
 
 A template is a piece of one scan. Which landmarks there are, and which returns each was made of,
 is data; where it is in later scans is found here: predicted from the joint covariance of all that
-was sighted so far, matched, and believed only within a gate. After each piece of the drive
+was measured so far, matched, and believed only within a gate. After each piece of the drive
 everything is solved anew.
 
 All alignments of one template share the noise of its points, which no factor between a pose and a
@@ -27,7 +27,7 @@ from graphslam.graph_builder import POSE_KEY, POSE_LANDMARK_KEY, build_graph, or
 from graphslam.initialisation import extension
 from graphslam.marginals import joint_marginal, to_global
 from graphslam.optimisers import levenberg_marquardt
-from graphslam.problem import OrientedSightings, SlamProblem
+from graphslam.problem import OrientedMeasurements, SlamProblem
 from graphslam.scan import planar
 from graphslam.scan.loop_closure import starts
 from graphslam.scan.odometry import OdometryOptions
@@ -74,8 +74,8 @@ class TemplateOptions:
         return cls(most_residual_m=residual_m, shared_m=sigma_m)
 
 
-class Sighting(NamedTuple):
-    """One, as in OrientedSightings."""
+class PoseMeasurement(NamedTuple):
+    """One, as in OrientedMeasurements."""
 
     pose: int
     landmark: int
@@ -84,33 +84,33 @@ class Sighting(NamedTuple):
 
 
 @dataclass(frozen=True)
-class TemplateSightings:
+class TemplateMeasurements:
     """What was found. alignments: of templates by number, the first of each being its beginning.
 
     factors: the same, wide enough to be taken as independent. reasons: how often a template near
     the scanner was USED, or why not.
     """
 
-    alignments: OrientedSightings
-    factors: OrientedSightings
+    alignments: OrientedMeasurements
+    factors: OrientedMeasurements
     reasons: Counter[str] = field(default_factory=Counter)
 
 
-def sight_templates(
+def measure_templates(
     problem: SlamProblem,
     templates: Mapping[int, Template],
     clouds: Mapping[int, Array],
     matchers: TemplateMatchers,
     options: TemplateOptions | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
-) -> TemplateSightings:
+) -> TemplateMeasurements:
     """Look for all templates in all scans, in the order of the drive.
 
     problem: whose landmarks with a direction are not read. templates: by number, all from 0 on.
     clouds: (M, 3) by the pose that they were seen from. progress: told of poses done, of all.
     Raises graphslam.marginals.SingularProblemError.
     """
-    drive = _Drive(replace(problem, oriented=OrientedSightings()), templates, matchers, options)
+    drive = _Drive(replace(problem, oriented=OrientedMeasurements()), templates, matchers, options)
     begun: dict[int, list[int]] = {}
     for number, template in templates.items():
         begun.setdefault(template.pose, []).append(number)
@@ -124,7 +124,7 @@ def sight_templates(
                 cloud = np.zeros((0, 3))
             drive.look(cloud)
             drive.begin(sorted(begun.get(pose, [])), cloud)
-    return TemplateSightings(drive.alignments(), drive.factors(), drive.reasons)
+    return TemplateMeasurements(drive.alignments(), drive.factors(), drive.reasons)
 
 
 class _Drive:
@@ -140,7 +140,7 @@ class _Drive:
         self._problem, self._templates, self._matchers = problem, templates, matchers
         self._options = options or TemplateOptions()
         self.reasons: Counter[str] = Counter()
-        self._seen: list[Sighting] = []
+        self._seen: list[PoseMeasurement] = []
         self._last: dict[int, int] = {}
         self._pose = 0
         self._belief = Belief(problem.prior_pose, problem.prior_covariance)
@@ -148,8 +148,8 @@ class _Drive:
         self._values = gtsam.Values()
         self._solved, self._since = 0, 0
 
-    def factors(self) -> OrientedSightings:
-        """All sightings so far, as they are told to the smoother."""
+    def factors(self) -> OrientedMeasurements:
+        """All measurements so far, as they are told to the smoother."""
         seen = self.alignments()
         levers = {n: lever_m(self._templates[n].points) for n in np.unique(seen.landmark).tolist()}
         wider = np.array([levers[n] for n in seen.landmark.tolist()])
@@ -159,10 +159,10 @@ class _Drive:
         shared[np.unique(seen.landmark, return_index=True)[1]] = 0.0
         return replace(seen, covariance=seen.covariance + shared)
 
-    def alignments(self) -> OrientedSightings:
-        """All sightings so far, as they were matched, in order."""
+    def alignments(self) -> OrientedMeasurements:
+        """All measurements so far, as they were matched, in order."""
         seen = self._seen
-        return OrientedSightings(
+        return OrientedMeasurements(
             np.array([s.pose for s in seen], dtype=np.intp),
             np.array([s.landmark for s in seen], dtype=np.intp),
             np.array([s.measured for s in seen]).reshape(-1, 3),
@@ -181,7 +181,7 @@ class _Drive:
         for number in numbers:
             t = self._templates[number]
             spread = self._matchers.begun(t, cloud, self._options.begun_m)
-            self._take(Sighting(self._pose, number, t.place, spread), BEGUN)
+            self._take(PoseMeasurement(self._pose, number, t.place, spread), BEGUN)
 
     def look(self, cloud: Array) -> None:
         """Match what may be in view with the scan from here (N, 3)."""
@@ -205,11 +205,13 @@ class _Drive:
             if isinstance(found, str):
                 self.reasons[found] += 1
             else:
-                self._take(Sighting(self._pose, number, found.motion, found.covariance), USED)
+                self._take(
+                    PoseMeasurement(self._pose, number, found.motion, found.covariance), USED
+                )
 
-    def _take(self, sighting: Sighting, reason: str) -> None:
-        self._seen.append(sighting)
-        self._last[sighting.landmark] = self._pose
+    def _take(self, measurement: PoseMeasurement, reason: str) -> None:
+        self._seen.append(measurement)
+        self._last[measurement.landmark] = self._pose
         self.reasons[reason] += 1
 
     def _expected(self, number: int) -> tuple[Array, Array]:

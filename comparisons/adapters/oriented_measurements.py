@@ -1,6 +1,6 @@
-"""Sightings of landmarks with a direction, made while the filter runs: fused, and kept.
+"""Measurements of landmarks with a direction, made while the filter runs: fused, and kept.
 
-Unlike a log's sightings they depend on the filter, as what a scan is matched with does. Whoever
+Unlike a log's measurements they depend on the filter, as what a scan is matched with does. Whoever
 makes them hands them to the filter by way of a ledger, from which the smoother is told the same.
 """
 
@@ -14,7 +14,7 @@ from comparisons.arrays import Array, Index
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.state import LocalMap
 from graphslam.graph_builder import right_perturbation
-from graphslam.problem import Merges, OrientedSightings
+from graphslam.problem import Merges, OrientedMeasurements
 
 if TYPE_CHECKING:
     from ekf_reference.association.dynamic_rejection import DynamicGuard
@@ -29,7 +29,7 @@ class OrientedLedger:
         self._merges: list[tuple[int, int, int, Array, Array]] = []
 
     def observe(self, ekf: Ekf, epoch: int, z: Array, covariance: Array, slot: Index) -> Index:
-        """Fuse sightings (m, 3) with covariances (m, 3, 3); see Ekf.observe_known."""
+        """Fuse measurements (m, 3) with covariances (m, 3, 3); see Ekf.observe_known."""
         found = ekf.observe_known(z, covariance, slot)
         self._seen += [
             (epoch, int(s), at, r) for s, at, r in zip(found, z, covariance, strict=True)
@@ -46,9 +46,9 @@ class OrientedLedger:
         self._merges.append((epoch, first, second, z, covariance))
         return known
 
-    def told(self) -> OrientedSightings:
+    def told(self) -> OrientedMeasurements:
         """All of it, as the smoother takes it."""
-        return OrientedSightings(
+        return OrientedMeasurements(
             np.array([epoch for epoch, *_ in self._seen], dtype=np.intp),
             np.array([slot for _, slot, *_ in self._seen], dtype=np.intp),
             *_measured([row[-2:] for row in self._seen]),

@@ -1,4 +1,4 @@
-"""What a filter may have made of its sightings: values, Jacobians, noise, new landmarks."""
+"""What a filter may have made of its measurements: values, Jacobians, noise, new landmarks."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _BEARING: NDArray[np.bool_] = np.array([False, True])
 
 @dataclass(frozen=True, kw_only=True)
 class _Seen:
-    """Uses of sightings, (M,) each.
+    """Uses of measurements, (M,) each.
 
     z, sigma: (M, 2) as the log has them. z_hat, by_pose, by_landmark: what is to be expected.
     slack: (M, 2) what storing explains, in range and bearing. poses, points: by where, other
@@ -57,14 +57,14 @@ class _Seen:
     features: Mapping[str, Array | Index]
 
 
-def sighting_hints(log: Log, run: EkfRun, rounding: float) -> Iterator[str]:
-    """Yield what was done to sightings of point landmarks, those that begin them included."""
+def measurement_hints(log: Log, run: EkfRun, rounding: float) -> Iterator[str]:
+    """Yield what was done to measurements of point landmarks, those that begin them included."""
     told: list[str] = []
     updates, starts = run.trace.measurements[POINT], run.trace.initialisations[POINT]
     if len(updates.step):
         seen = _seen(log, run, updates, rounding)
         yield from _innovations(seen)
-        told = list(noise_hints("R", *_noise(seen), "sightings", seen.features))
+        told = list(noise_hints("R", *_noise(seen), "measurements", seen.features))
         yield from told
         yield from _jacobians(seen)
     starts = starts.rows(np.flatnonzero((starts.number >= 0) & (starts.weight > 0.0)))
@@ -79,9 +79,9 @@ def sighting_hints(log: Log, run: EkfRun, rounding: float) -> Iterator[str]:
 
 
 def _seen(log: Log, run: EkfRun, r: MeasurementRecords, rounding: float) -> _Seen:
-    sightings, trace = log.sightings, run.trace
-    every = np.column_stack((sightings.range_m, sightings.bearing_rad))
-    sigma = np.column_stack((sightings.sigma_range_m, sightings.sigma_bearing_rad))
+    measurements, trace = log.measurements, run.trace
+    every = np.column_stack((measurements.range_m, measurements.bearing_rad))
+    sigma = np.column_stack((measurements.sigma_range_m, measurements.sigma_bearing_rad))
     z_hat, by_pose, by_landmark = rays(r.pose, r.landmark)
     last = np.maximum(r.step - 1, 0)
     scans, which = np.unique(r.step, return_inverse=True)
@@ -105,8 +105,8 @@ def _seen(log: Log, run: EkfRun, r: MeasurementRecords, rounding: float) -> _See
         by_landmark=by_landmark,
         slack=np.column_stack((np.full(len(z_hat), place), place / z_hat[:, 0] + angle)),
         others={
-            "of the sighting before": every[np.maximum(r.number - 1, 0)],
-            "of the sighting after": every[np.minimum(r.number + 1, len(every) - 1)],
+            "of the measurement before": every[np.maximum(r.number - 1, 0)],
+            "of the measurement after": every[np.minimum(r.number + 1, len(every) - 1)],
         },
         poses={
             "at the pose of the scan before": before,
@@ -117,11 +117,11 @@ def _seen(log: Log, run: EkfRun, r: MeasurementRecords, rounding: float) -> _See
         },
         points={
             "where the landmark began": first[r.slot],
-            "where the sighting puts the landmark": r.pose[:, :2] + ray,
+            "where the measurement puts the landmark": r.pose[:, :2] + ray,
         },
         velocity=velocity / run.timeline.step_duration_s[last, None],
         features={
-            "a time [s]": sightings.time_s[r.number],
+            "a time [s]": measurements.time_s[r.number],
             "a range [m]": every[r.number, 0],
             "a bearing [rad]": every[r.number, 1],
             "landmark": run.estimate.landmark_id[r.slot].astype(np.int64),
@@ -130,7 +130,7 @@ def _seen(log: Log, run: EkfRun, r: MeasurementRecords, rounding: float) -> _See
 
 
 def rays(pose: Array, landmark: Array) -> tuple[Array, Array, Array]:
-    """Return expected sightings (N, 2), H_v (N, 2, 3) and H_l (N, 2, 2)."""
+    """Return expected measurements (N, 2), H_v (N, 2, 3) and H_l (N, 2, 2)."""
     dx, dy = (landmark - pose[:, :2]).T
     q = dx * dx + dy * dy
     root = np.sqrt(q)
@@ -168,7 +168,7 @@ def _innovations(seen: _Seen) -> Iterator[str]:
         have=r.innovation,
         meant=nu,
         tolerance=EQUAL * np.maximum(1.0, np.abs(nu)) + seen.slack,
-        records="sightings",
+        records="measurements",
         angle=_BEARING,
         features=seen.features,
     )
@@ -176,7 +176,8 @@ def _innovations(seen: _Seen) -> Iterator[str]:
     if found is not None:
         yield found
         return
-    # What was taken for the sighting, if the expected one is right; the bearing up to whole turns.
+    # What was taken for the measurement, if the expected one is right; the bearing up to whole
+    # turns.
     yield from _by_column(replace(both, have=r.innovation + seen.z_hat, meant=seen.z), seen, "the")
 
 
@@ -185,9 +186,9 @@ def _of_both(seen: _Seen, nu: Array) -> Iterator[Hypothesis]:
     yield instead("the innovation is expected minus measured", -nu)
     r = seen.r
     for where, pose in seen.poses.items():
-        yield instead(f"the sighting is expected {where}", seen.z - rays(pose, r.landmark)[0])
+        yield instead(f"the measurement is expected {where}", seen.z - rays(pose, r.landmark)[0])
     for where, point in seen.points.items():
-        yield instead(f"the sighting is expected {where}", seen.z - rays(r.pose, point)[0])
+        yield instead(f"the measurement is expected {where}", seen.z - rays(r.pose, point)[0])
     for which, other in seen.others.items():
         yield instead(f"the range and the bearing are those {which}", other - seen.z_hat)
     yield instead("range and bearing are exchanged", seen.z[:, ::-1] - seen.z_hat)
@@ -202,7 +203,7 @@ def _of_both(seen: _Seen, nu: Array) -> Iterator[Hypothesis]:
         z: Array = seen.z[rows] - rays(pose, r.landmark[rows])[0]
         return z
 
-    yield Hypothesis(says("the sighting is expected {0:.4g} s after its time"), late, (0.0,))
+    yield Hypothesis(says("the measurement is expected {0:.4g} s after its time"), late, (0.0,))
     yield Hypothesis(
         says("the sensor is taken to stand ({0:.4g}, {1:.4g}) m ahead and left of the pose"),
         from_place,
@@ -396,7 +397,7 @@ def _jacobians(seen: _Seen) -> Iterator[str]:
         meant=want,
         tolerance=EQUAL * np.maximum(1e-6, np.abs(want).max(axis=(0, 2), keepdims=True))
         + 4.0 * seen.slack[:, :, None] / seen.z_hat[:, :1, None],
-        records="sightings",
+        records="measurements",
         features=seen.features,
     )
     found = named(quantity, _of_jacobians(seen, want))
