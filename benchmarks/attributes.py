@@ -35,7 +35,7 @@ from ekf_reference.association.attributes import RememberedAttributes
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.trace import Trace
 
-Slots = NDArray[np.intp]
+LandmarkIndices = NDArray[np.intp]
 APART_M = 0.6
 DIAMETERS_M = (0.15, 0.9)
 LONG_S = 60.0
@@ -77,7 +77,9 @@ def simulated(seeds: int, loops: float) -> None:
             for seed in range(seeds):
                 log = paired_trees(seed, loops)
                 done = run(log, "compressed", association, attributes)
-                score = score_partition(done.slot, log.measurements.landmark[: len(done.slot)])
+                score = score_partition(
+                    done.landmark_index, log.measurements.landmark[: len(done.landmark_index)]
+                )
                 accuracy = assess(done.estimate, log, labelled=False)
                 ate = np.nan if accuracy is None else accuracy.ate_m
                 rows.append((score.precision, score.recall, len(done.estimate.landmark), ate))
@@ -89,12 +91,12 @@ def simulated(seeds: int, loops: float) -> None:
             )
 
 
-def scatter(log: Log, slot: Slots) -> None:
+def scatter(log: Log, landmark_index: LandmarkIndices) -> None:
     """Diameter errors over pairs of distant measurements of one landmark (Guivant 2002, eq. 15)."""
-    rng, used = np.random.default_rng(0), np.flatnonzero(slot >= 0)
+    rng, used = np.random.default_rng(0), np.flatnonzero(landmark_index >= 0)
     first, second = [], []
-    for landmark in range(int(slot.max()) + 1):
-        rows = used[slot[used] == landmark]
+    for landmark in range(int(landmark_index.max()) + 1):
+        rows = used[landmark_index[used] == landmark]
         a, b = rng.choice(rows, (2, 400))
         apart = np.abs(log.measurements.time_s[a] - log.measurements.time_s[b]) > LONG_S
         first.append(a[apart])
@@ -112,12 +114,14 @@ def scatter(log: Log, slot: Slots) -> None:
         f"{width:.4f} rad and {shape:.3f} m; as stated, mean square {share.mean():.2f}, median "
         f"{np.median(share):.2f} (0.45 of a Gaussian)"
     )
-    order = used[np.lexsort((seen.time_s[used], slot[used]))]
-    mean = np.bincount(slot[used], seen.diameter_m[used]) / np.bincount(slot[used])
-    off = seen.diameter_m[order] - mean[slot[order]]
+    order = used[np.lexsort((seen.time_s[used], landmark_index[used]))]
+    mean = np.bincount(landmark_index[used], seen.diameter_m[used]) / np.bincount(
+        landmark_index[used]
+    )
+    off = seen.diameter_m[order] - mean[landmark_index[order]]
     alike = []
     for lag in range(1, FARTHEST_LAG + 1):
-        same = slot[order[lag:]] == slot[order[:-lag]]
+        same = landmark_index[order[lag:]] == landmark_index[order[:-lag]]
         same &= seen.time_s[order[lag:]] - seen.time_s[order[:-lag]] < LAG_S * lag
         alike.append(float(np.corrcoef(off[lag:][same], off[:-lag][same])[0, 1]))
     print(
@@ -135,7 +139,7 @@ def withheld(log: Log, length_s: float, period_s: float, phase_s: float) -> NDAr
 
 def park(log: Log, blind_s: list[float], phases_s: list[float]) -> None:
     """Victoria Park without and with diameters."""
-    reference = run(log, "compressed", "nn", "off").slot
+    reference = run(log, "compressed", "nn", "off").landmark_index
     scatter(log, reference)
     print("Victoria Park, blind for, phase, attributes: pairs' precision and recall, landmarks, ")
     print("  ambiguous, candidates, GPS median and RMS (aligned)")
@@ -146,9 +150,9 @@ def park(log: Log, blind_s: list[float], phases_s: list[float]) -> None:
             for association in ("nn", "jcbb"):
                 for attributes in ("off", "on"):
                     done = run(part, "compressed", association, attributes)
-                    true = reference[kept][: len(done.slot)]
+                    true = reference[kept][: len(done.landmark_index)]
                     both = true >= 0
-                    score = score_partition(done.slot[both], true[both])
+                    score = score_partition(done.landmark_index[both], true[both])
                     accuracy = assess(done.estimate, log, labelled=False)
                     assert accuracy is not None
                     print(
@@ -173,7 +177,7 @@ class Course:
         self._sigma = np.column_stack((seen.sigma_range_m, seen.sigma_bearing_rad))
         self._label, self._told = seen.landmark, measured_attributes(log)
 
-    def rows(self, epoch: int) -> Slots:
+    def rows(self, epoch: int) -> LandmarkIndices:
         """The measurements of an epoch."""
         return np.arange(self._until[1][epoch], self._until[1][epoch + 1])
 
@@ -184,7 +188,7 @@ class Course:
             duration = float(line.step_duration_s[i])
             ekf.predict(line.control[i], line.control_covariance[i], duration)
 
-    def look(self, ekf: Ekf, epoch: int) -> Slots:
+    def look(self, ekf: Ekf, epoch: int) -> LandmarkIndices:
         """Fuse what is seen there."""
         rows = self.rows(epoch)
         if not len(rows):
@@ -202,19 +206,21 @@ class Stretch(NamedTuple):
     """A blind stretch, and what was made of the measurements (S,) after it.
 
     attributes: `on` or `off`, for them. known: landmarks in the map before. rows: the measurements'
-    numbers. slots: the landmarks they were taken for, or -1.
+    numbers. landmark_indices: the landmarks they were taken for, or -1.
     """
 
     length_s: float
     attributes: str
     known: int
-    rows: Slots
-    slots: Slots
+    rows: LandmarkIndices
+    landmark_indices: LandmarkIndices
 
 
-def blindly(course: Course, ekf: Ekf, epoch: int, length_s: float) -> tuple[Slots, Slots]:
-    """Drive a filter on from an epoch without measurements, then look: their rows and slots."""
-    slots, rows = [], []
+def blindly(
+    course: Course, ekf: Ekf, epoch: int, length_s: float
+) -> tuple[LandmarkIndices, LandmarkIndices]:
+    """Run a filter on from an epoch without measurements; return rows and landmark indices."""
+    landmark_indices, rows = [], []
     for j in range(epoch + 1, len(course.time_s)):
         since = course.time_s[j] - course.time_s[epoch]
         if since > length_s + AFTER_S:
@@ -222,8 +228,8 @@ def blindly(course: Course, ekf: Ekf, epoch: int, length_s: float) -> tuple[Slot
         course.move(ekf, j)
         if since > length_s:
             rows.append(course.rows(j))
-            slots.append(course.look(ekf, j))
-    return np.concatenate(rows), np.concatenate(slots)
+            landmark_indices.append(course.look(ekf, j))
+    return np.concatenate(rows), np.concatenate(landmark_indices)
 
 
 def lost(log: Log, association: str, blind_s: list[float], every_s: float) -> None:
@@ -261,7 +267,7 @@ def lost(log: Log, association: str, blind_s: list[float], every_s: float) -> No
 
 
 def print_stretches(
-    log: Log, association: str, blind_s: list[float], found: list[Stretch], true: Slots
+    log: Log, association: str, blind_s: list[float], found: list[Stretch], true: LandmarkIndices
 ) -> None:
     """How the measurements after blind stretches were taken, by length and use of attributes.
 
@@ -279,7 +285,7 @@ def print_stretches(
                 known = (true[one.rows] >= 0) & (true[one.rows] < one.known)
                 if one[:2] != (length, attributes) or not known.any():
                     continue
-                said, meant = one.slots[known], true[one.rows][known]
+                said, meant = one.landmark_indices[known], true[one.rows][known]
                 counts += [(said == meant).sum(), ((said >= 0) & (said != meant)).sum(),
                            (said < 0).sum()]  # fmt: skip
                 right[attributes].append(float((said == meant).mean()))
@@ -300,7 +306,7 @@ def car_park(folder: Path) -> None:
     assert truth is not None
     for attributes in ("off", "on"):
         done = run(log, "full", "nn", attributes)
-        place, slot = done.estimate.landmark, done.slot
+        place, landmark_index = done.estimate.landmark, done.landmark_index
         away = np.linalg.norm(place[:, None] - truth.position_m[None], axis=2).min(axis=1)
         beacon = away <= 0.5
         accuracy = assess(done.estimate, log, labelled=False)
@@ -312,12 +318,12 @@ def car_park(folder: Path) -> None:
         )
         if attributes == "on":
             continue
-        used = slot >= 0
-        of_beacon = np.zeros(len(slot), dtype=bool)
-        of_beacon[used] = beacon[slot[used]]
+        used = landmark_index >= 0
+        of_beacon = np.zeros(len(landmark_index), dtype=bool)
+        of_beacon[used] = beacon[landmark_index[used]]
         distance, lit = (
-            log.measurements.range_m[: len(slot)],
-            log.measurements.intensity[: len(slot)],
+            log.measurements.range_m[: len(landmark_index)],
+            log.measurements.intensity[: len(landmark_index)],
         )
         for low, high in ((0.0, 5.0), (5.0, 10.0), (10.0, 20.0)):
             near = used & (distance >= low) & (distance < high)
@@ -327,22 +333,25 @@ def car_park(folder: Path) -> None:
                 if rows.any()
             ]
             print(f"  intensity at {low:g} to {high:g} m: {', '.join(cells)}")
-        mean = np.bincount(slot[used], lit[used]) / np.bincount(slot[used])
-        within = lit[used] - mean[slot[used]]
+        mean = np.bincount(landmark_index[used], lit[used]) / np.bincount(landmark_index[used])
+        within = lit[used] - mean[landmark_index[used]]
         print(
             f"  within landmarks {within.std():.0f}, between beacons {mean[beacon].std():.0f}, "
             f"median of all {np.median(lit):.0f}"
         )
 
-    reference, times = run(log, "full", "nn", "off").slot, np.unique(log.measurements.time_s)
+    reference, times = (
+        run(log, "full", "nn", "off").landmark_index,
+        np.unique(log.measurements.time_s),
+    )
     scan = np.searchsorted(times, log.measurements.time_s)
     for every in (5, 10, 20, 40):
         kept = scan % every == 0
         part, told = replace(log, measurements=log.measurements.chosen(kept)), []
         for attributes in ("off", "on"):
-            slot = run(part, "full", "nn", attributes).slot
-            true = reference[kept][: len(slot)]
-            score = score_partition(slot[true >= 0], true[true >= 0])
+            landmark_index = run(part, "full", "nn", attributes).landmark_index
+            true = reference[kept][: len(landmark_index)]
+            score = score_partition(landmark_index[true >= 0], true[true >= 0])
             told.append(f"{attributes} {score.precision:.3f} {score.recall:.3f}")
         print(f"  every {every} scans, pairs' precision and recall: {', '.join(told)}")
 

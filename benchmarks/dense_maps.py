@@ -92,15 +92,15 @@ def grid_of_landmarks(east: int, north: int, step_m: float) -> Array:
     return places
 
 
-def view_of(pose: Array, landmark: Array, slot: NDArray[np.intp]) -> FilterView:
+def view_of(pose: Array, landmark: Array, landmark_index: NDArray[np.intp]) -> FilterView:
     """A filter that knows landmarks well against each other and the vehicle, less in the world."""
-    m = len(slot)
+    m = len(landmark_index)
     common = np.zeros((3 + 2 * m, 2))
     common[:2], common[3:] = np.eye(2), np.tile(np.eye(2), (m, 1))
     own = np.full(3 + 2 * m, LANDMARK_SIGMA_M**2)
     own[2] = 1e-6
     covariance = COMMON_SIGMA_M**2 * common @ common.T + np.diag(own)
-    return FilterView(pose, landmark, slot, covariance)
+    return FilterView(pose, landmark, landmark_index, covariance)
 
 
 def circling(count: int, radius_m: float) -> Iterator[Array]:
@@ -215,10 +215,10 @@ class Patches:
         for number in range(count):
             corner = APART_M * np.array((number % side, number // side), dtype=float)
             made.landmark = np.vstack((made.landmark, corner + one))
-            slot = len(one) * number + made.patch
+            landmark_index = len(one) * number + made.patch
             for pose in (np.zeros(3), np.array((12.0, 0.0, 1.0)), np.array((-12.0, 0.0, 2.0))):
                 there = pose + (*corner, 0.0)
-                view = view_of(there, made.landmark, slot)
+                view = view_of(there, made.landmark, landmark_index)
                 timed(made.dense, view, replace(seen(rng, cls.hall, pose), pose=there))
         return made
 

@@ -77,8 +77,8 @@ def value_of_landmarks(seeds: int, loops: int, every_s: float) -> None:
         made = source.run()
         pairs.append(pair)
         looks.update(made.looks)
-        found.append(len(made.slot))
-        kept.append(int(np.count_nonzero(made.slot >= 0)))
+        found.append(len(made.landmark_index))
+        kept.append(int(np.count_nonzero(made.landmark_index >= 0)))
         print(f"{seed:4d}  {found[-1]:5d}  {kept[-1]:4d}   " + shown(*pair), flush=True)
     both = np.array(pairs)
     change = both[:, 1] - both[:, 0]

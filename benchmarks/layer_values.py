@@ -98,7 +98,9 @@ def simulated(seeds: int, loops: float) -> None:
             for seed in range(seeds):
                 log = coloured_poles(seed, loops, mixed=name == "mixed")
                 done, watcher = run(log, association, attributes)
-                score = score_partition(done.slot, log.measurements.landmark[: len(done.slot)])
+                score = score_partition(
+                    done.landmark_index, log.measurements.landmark[: len(done.landmark_index)]
+                )
                 accuracy = assess(done.estimate, log, labelled=False)
                 assert accuracy is not None
                 count = len(done.estimate.landmark)
@@ -143,15 +145,15 @@ def car_park(folder: Path) -> None:
                     f"  {name}: {rows.sum()} in the layer, intensity {mean.mean():.2f} +- "
                     f"{mean.std():.2f} between them, {within.mean():.2f} within"
                 )
-    reference, times = run(log, "nn", "off")[0].slot, np.unique(log.measurements.time_s)
+    reference, times = run(log, "nn", "off")[0].landmark_index, np.unique(log.measurements.time_s)
     scan = np.searchsorted(times, log.measurements.time_s)
     for every in (5, 10, 20, 40):
         kept = scan % every == 0
         part, told = replace(log, measurements=log.measurements.chosen(kept)), []
         for attributes in ("off", "layer"):
-            slot = run(part, "nn", attributes)[0].slot
-            true = reference[kept][: len(slot)]
-            score = score_partition(slot[true >= 0], true[true >= 0])
+            landmark_index = run(part, "nn", attributes)[0].landmark_index
+            true = reference[kept][: len(landmark_index)]
+            score = score_partition(landmark_index[true >= 0], true[true >= 0])
             told.append(f"{attributes} {score.precision:.3f} {score.recall:.3f}")
         print(f"  every {every} scans, pairs' precision and recall: {', '.join(told)}", flush=True)
 

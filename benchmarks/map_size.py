@@ -83,9 +83,9 @@ def measure(kind: str, count: int, scans: int) -> tuple[float, float]:
         z = np.column_stack((np.hypot(*offset.T), np.arctan2(offset[:, 1], offset[:, 0])))
         z += rng.standard_normal((8, 2)) * sigma * 0.3
         begin = time.perf_counter()
-        slots = ekf.observe(z, sigma, labels)
+        landmark_indices = ekf.observe(z, sigma, labels)
         spent.append(middle - start + time.perf_counter() - begin)
-        if (slots < 0).any() or (slots >= count).any():
+        if (landmark_indices < 0).any() or (landmark_indices >= count).any():
             raise SystemExit(f"{kind}, {count}: a measurement was not recognised")
     start = time.perf_counter()
     _ = ekf.state.mean

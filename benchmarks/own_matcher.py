@@ -98,10 +98,10 @@ def measurement_nees(
 ) -> float:
     """Mean over 3 of all measurements but each landmark's first, which `begun` holds."""
     axis: dict[int, Array] = {}
-    for pose, slot, z in zip(
+    for pose, landmark_index, z in zip(
         begun.pose.tolist(), begun.landmark.tolist(), begun.measured, strict=True
     ):
-        axis.setdefault(slot, planar.compose(truth[pose], z))
+        axis.setdefault(landmark_index, planar.compose(truth[pose], z))
     later = np.setdiff1d(np.arange(len(seen.pose)), np.unique(seen.landmark, return_index=True)[1])
     true = [planar.between(truth[seen.pose[i]], axis[int(seen.landmark[i])]) for i in later]
     error = np.array(

@@ -112,10 +112,10 @@ def _map_errors(c: Comparison) -> Iterator[float]:
     if closing is None or c.log.truth.surfaces is None:
         raise ValueError("no scan moved a landmark, or there are no true surfaces")
     # Templates of landmarks that were fused later are other landmarks' by now.
-    kept = np.isin(closing.slot, c.ekf.estimate.oriented_id)
-    slots = closing.slot[kept]
-    for place in (closing.before[kept], c.ekf.oriented_places[slots]):
-        points = template_points(found, slots, place)
+    kept = np.isin(closing.landmark_index, c.ekf.estimate.oriented_id)
+    landmark_indices = closing.landmark_index[kept]
+    for place in (closing.before[kept], c.ekf.oriented_places[landmark_indices]):
+        points = template_points(found, landmark_indices, place)
         yield error_of_points(points, c.log.truth.surfaces.segment).median_m
 
 

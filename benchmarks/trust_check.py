@@ -171,11 +171,11 @@ class EarlyInitialising(Ekf):
         """As `Ekf.observe`, in another order."""
         own = self.models[POINT].measured(z, sigma)
         seen = Measurements(*own, identity, time_s=time_s, attributes=attributes)
-        slots = self.associate(seen)
-        known = slots < self.state.landmark_count
-        self.augment(seen, slots)
-        self.update(seen, np.where(known, slots, REJECTED))
-        return slots
+        landmark_indices = self.associate(seen)
+        known = landmark_indices < self.state.landmark_count
+        self.augment(seen, landmark_indices)
+        self.update(seen, np.where(known, landmark_indices, REJECTED))
+        return landmark_indices
 
 
 class Cases:

@@ -57,11 +57,13 @@ def case(name: str, log: Log, choices: EkfConfig, *kinds: str) -> Case:
     """With the reference filter's association."""
     prepared: Prepared[SolveConfig] = prepare(log, CheckConfig(gps=choices.gps), choices)
     p = prepared
-    slot = run_ekf(p.log, p.timeline, p.ekf, p.positions).slot
+    landmark_index = run_ekf(p.log, p.timeline, p.ekf, p.positions).landmark_index
     return Case(
         name,
         p,
-        Foreign(log=p.log, timeline=p.timeline, slot=slot, positions=p.positions),
+        Foreign(
+            log=p.log, timeline=p.timeline, landmark_index=landmark_index, positions=p.positions
+        ),
         ("any", *kinds),
     )
 

@@ -38,7 +38,7 @@ class MyEkf:
         self.bug, self.motion = bug, AckermannModel(**vars(log.odometry.vehicle))
         self.noise = log.odometry.noise
         self.x, self.p = log.prior.pose.copy(), log.prior.covariance.copy()
-        self.slot: dict[int, int] = {}
+        self.landmark_index: dict[int, int] = {}
         self.trace: dict[str, list[Array]] = defaultdict(list)
 
     def predict(self, control: Array, covariance: Array, duration_s: float, end_s: float) -> None:
@@ -59,19 +59,19 @@ class MyEkf:
         r = np.diag(sigma if self.bug == BUGS[2] else sigma**2)
         seen = {"step": len(self.trace["step_f"]), "measurement": row, "landmark": label}
         pose = self.x[:3].copy()
-        if label not in self.slot:
+        if label not in self.landmark_index:
             c, s = math.cos(pose[2] + z[1]), math.sin(pose[2] + z[1])
             point = pose[:2] + z[0] * np.array((c, s))
             g_z = np.array(((c, -z[0] * s), (s, z[0] * c)))
             g_x = np.column_stack((np.eye(2), g_z[:, 1]))
             new = np.vstack((self.p, g_x @ self.p[:3]))
             own = g_x @ self.p[:3, :3] @ g_x.T + g_z @ r @ g_z.T
-            self.slot[label], self.x = len(self.x), np.append(self.x, point)
+            self.landmark_index[label], self.x = len(self.x), np.append(self.x, point)
             self.p = np.hstack((new, np.vstack((self.p[:, :3] @ g_x.T, own))))
             jacobians = {"jacobian_pose": g_x, "jacobian_measurement": g_z}
             self.note("initialise", **seen, pose=pose, point=point, noise=r, **jacobians)
             return
-        i = self.slot[label]
+        i = self.landmark_index[label]
         point = self.x[i : i + 2].copy()
         dx, dy = point - pose[:2]
         q, d = dx * dx + dy * dy, math.hypot(dx, dy)
@@ -115,7 +115,7 @@ def run(log: Log, timeline: Timeline, bug: str, folder: Path) -> None:
         time_s=timeline.epoch_time_s,
         pose=np.array(poses),
         pose_covariance=np.array(spreads),
-        landmark_id=np.array(list(ekf.slot)),
+        landmark_id=np.array(list(ekf.landmark_index)),
         landmark=ekf.x[3:].reshape(-1, 2),
         joint_covariance=ekf.p,
         information="filtered",

@@ -207,10 +207,10 @@ def landmark_modes(problem: SlamProblem, poses: Array, landmarks: Array) -> Land
     own[free] = np.arange(len(free))
     order = np.argsort(problem.measurement_landmark, kind="stable")
     rows = order[own[problem.measurement_landmark[order]] >= 0]
-    slot = own[problem.measurement_landmark[rows]]
+    landmark_index = own[problem.measurement_landmark[rows]]
     found = []
-    for block in _blocks(np.bincount(slot, minlength=len(free))):
-        own_rows = rows[slice(*np.searchsorted(slot, (block.start, block.stop)))]
+    for block in _blocks(np.bincount(landmark_index, minlength=len(free))):
+        own_rows = rows[slice(*np.searchsorted(landmark_index, (block.start, block.stop)))]
         which = own[problem.measurement_landmark[own_rows]] - block.start
         pose = poses[problem.measurement_pose[own_rows]]
         seen = _Seen(pose, problem.z[own_rows], problem.sigma[own_rows], which)
@@ -233,13 +233,13 @@ def _modes(free: Index, place: Array, present: Array, seen: _Seen) -> LandmarkMo
     place, error = _refine(seen, place)
     now = seen.linearise(present[:, None])[0][:, 0]
     sigma = np.full(len(free), np.inf)
-    np.minimum.at(sigma, seen.slot, seen.sigma[:, 0])
+    np.minimum.at(sigma, seen.landmark_index, seen.sigma[:, 0])
     return _distinct(free, place, error - now[:, None], present, sigma, seen)
 
 
 @dataclass(frozen=True)
 class _Seen:
-    """M measurements of F landmarks: poses (M, 3), z and sigma (M, 2), slot (M,) of a landmark.
+    """M measurements of F landmarks: poses (M, 3), z and sigma (M, 2), landmark index (M,).
 
     Sorted by landmark.
     """
@@ -247,11 +247,11 @@ class _Seen:
     pose: Array
     z: Array
     sigma: Array
-    slot: Index
+    landmark_index: Index
 
     def linearise(self, place: Array) -> tuple[Array, Array, Array]:
         """Error (F, D), gradient (F, D, 2) and information (F, D, 2, 2) of places (F, D, 2)."""
-        offset = place[self.slot] - self.pose[:, None, :2]
+        offset = place[self.landmark_index] - self.pose[:, None, :2]
         dx, dy = offset[..., 0], offset[..., 1]
         distance = np.maximum(np.hypot(dx, dy), 1e-9)
         bearing = np.arctan2(dy, dx) - self.pose[:, 2:]
@@ -267,7 +267,7 @@ class _Seen:
             along[1] * along[1] + across[1] * across[1],
         ]
         # Measurements are sorted by landmark.
-        first = np.flatnonzero(np.diff(self.slot, prepend=-1))
+        first = np.flatnonzero(np.diff(self.landmark_index, prepend=-1))
         error, gx, gy, xx, xy, yy = np.add.reduceat(np.stack(terms), first, axis=1)
         information = np.stack((np.stack((xx, xy), axis=-1), np.stack((xy, yy), axis=-1)), axis=-2)
         return error, np.stack((gx, gy), axis=-1), information
@@ -306,7 +306,7 @@ def _distinct(
         apart = np.linalg.norm(place[:, :i] - place[:, i : i + 1], axis=2) > limit
         new[:, i] &= (apart | ~new[:, :i]).all(axis=1)
     row, column = np.nonzero(new)
-    count = np.bincount(seen.slot, minlength=len(free))
+    count = np.bincount(seen.landmark_index, minlength=len(free))
     return LandmarkModes(free[row], place[row, column], excess[row, column], count[row])
 
 

@@ -35,12 +35,12 @@ from graphslam.recognition import PENDING, UNSEEN, Options, extent, recognise
 
 @dataclass(frozen=True)
 class AssociationResult:
-    """slot: (M,) landmark of each measurement, by first measurement, negative where unused.
+    """landmark_index: (M,) of each measurement, by first measurement, negative where unused.
 
     poses: (K, 3) and landmarks: (L, 2), where the association left them: a start for smoothing.
     """
 
-    slot: Index
+    landmark_index: Index
     landmark_count: int
     poses: Array
     landmarks: Array
@@ -50,14 +50,14 @@ class AssociationResult:
 class _Draft:
     """What is decided so far.
 
-    slot: (M,). values, graph: the smoother's, up to pose `solved`, with the measurements
+    landmark_index: (M,). values, graph: the smoother's, up to pose `solved`, with the measurements
     `included`. belief: at the last pose known. count: landmarks.
     """
 
     problem: SlamProblem
     options: Options
     order: Index
-    slot: Index
+    landmark_index: Index
     values: gtsam.Values
     belief: Belief
     included: Mask
@@ -82,7 +82,7 @@ def associate(problem: SlamProblem, options: Options | None = None) -> Associati
         problem=problem,
         options=options,
         order=np.argsort(problem.measurement_pose, kind="stable"),
-        slot=np.full(len(problem.z), UNSEEN, dtype=np.intp),
+        landmark_index=np.full(len(problem.z), UNSEEN, dtype=np.intp),
         values=values,
         belief=Belief(problem.prior_pose, problem.prior_covariance),
         included=np.zeros(len(problem.z), dtype=bool),
@@ -114,7 +114,7 @@ def _see(draft: _Draft, pose: int) -> None:
     rows = _rows(draft, pose)
     if len(rows):
         z, variance = draft.problem.z[rows], draft.problem.sigma[rows] ** 2
-        draft.slot[rows] = recognise(draft.belief, z, variance, draft.options)
+        draft.landmark_index[rows] = recognise(draft.belief, z, variance, draft.options)
 
 
 def _solve(draft: _Draft) -> None:
@@ -141,11 +141,13 @@ def _extend_graph(draft: _Draft) -> None:
     new: list[gtsam.NonlinearFactor] = list(
         increment_factors(departures, [key + 1 for key in departures], step)
     )
-    rows = np.flatnonzero((draft.slot >= 0) & ~draft.included & (p.measurement_pose < draft.known))
+    rows = np.flatnonzero(
+        (draft.landmark_index >= 0) & ~draft.included & (p.measurement_pose < draft.known)
+    )
     draft.included[rows] = True
     seen = replace(p, z=p.z[rows], sigma=p.sigma[rows])
     poses = (POSE_KEY + p.measurement_pose[rows]).tolist()
-    new += measurement_factors(poses, (LANDMARK_KEY + draft.slot[rows]).tolist(), seen)
+    new += measurement_factors(poses, (LANDMARK_KEY + draft.landmark_index[rows]).tolist(), seen)
     fixes = np.flatnonzero((p.position_pose >= first) & (p.position_pose < draft.known))
     new += [
         position_factor(
@@ -173,8 +175,8 @@ def _promote(draft: _Draft) -> None:
     """Make landmarks of what is pending and seen often enough."""
     o, p = draft.options, draft.problem
     old = draft.known - 3 * o.piece
-    draft.slot[(draft.slot == PENDING) & (p.measurement_pose < old)] = UNSEEN
-    rows = np.flatnonzero((draft.slot == PENDING) & (p.measurement_pose < draft.known))
+    draft.landmark_index[(draft.landmark_index == PENDING) & (p.measurement_pose < old)] = UNSEEN
+    rows = np.flatnonzero((draft.landmark_index == PENDING) & (p.measurement_pose < draft.known))
     if len(rows) < o.measurements:
         return
     places = _places(draft, rows)
@@ -186,7 +188,7 @@ def _promote(draft: _Draft) -> None:
         instants = len(np.unique(p.measurement_pose[rows[inside]]))
         if instants < o.measurements or spread > o.spread_m:
             continue
-        draft.slot[rows[inside]] = draft.count
+        draft.landmark_index[rows[inside]] = draft.count
         draft.values.insert(LANDMARK_KEY + draft.count, centre)
         draft.count += 1
 
@@ -195,18 +197,18 @@ def _finish(draft: _Draft) -> AssociationResult:
     """Merge, judge all measurements once more by the finished map, drop what is rare, number."""
     _merge(draft)
     _judge_again(draft)
-    counts = np.bincount(draft.slot[draft.slot >= 0], minlength=draft.count)
+    counts = np.bincount(draft.landmark_index[draft.landmark_index >= 0], minlength=draft.count)
     rare = np.flatnonzero(counts < draft.options.measurements)
-    draft.slot[np.isin(draft.slot, rare)] = UNSEEN
-    used = draft.order[draft.slot[draft.order] >= 0]
-    _, first = np.unique(draft.slot[used], return_index=True)
-    numbers = draft.slot[used][np.sort(first)]
+    draft.landmark_index[np.isin(draft.landmark_index, rare)] = UNSEEN
+    used = draft.order[draft.landmark_index[draft.order] >= 0]
+    _, first = np.unique(draft.landmark_index[used], return_index=True)
+    numbers = draft.landmark_index[used][np.sort(first)]
     renumber = np.empty(draft.count, dtype=np.intp)
     renumber[numbers] = np.arange(len(numbers))
-    slot = np.full(len(draft.slot), UNSEEN, dtype=np.intp)
-    slot[used] = renumber[draft.slot[used]]
+    landmark_index = np.full(len(draft.landmark_index), UNSEEN, dtype=np.intp)
+    landmark_index[used] = renumber[draft.landmark_index[used]]
     poses, landmarks = draft.solution()
-    return AssociationResult(slot, len(numbers), poses, landmarks[numbers])
+    return AssociationResult(landmark_index, len(numbers), poses, landmarks[numbers])
 
 
 def _merge(draft: _Draft) -> None:
@@ -226,12 +228,12 @@ def _merge(draft: _Draft) -> None:
     kept, renumber = np.unique(group, return_inverse=True)
     if len(kept) == draft.count:
         return
-    used = draft.slot >= 0
-    draft.slot[used] = renumber[draft.slot[used]]
-    for slot in range(draft.count):
-        draft.values.erase(LANDMARK_KEY + slot)
-    for slot, old in enumerate(kept.tolist()):
-        draft.values.insert(LANDMARK_KEY + slot, belief.landmarks[old])
+    used = draft.landmark_index >= 0
+    draft.landmark_index[used] = renumber[draft.landmark_index[used]]
+    for landmark_index in range(draft.count):
+        draft.values.erase(LANDMARK_KEY + landmark_index)
+    for landmark_index, old in enumerate(kept.tolist()):
+        draft.values.insert(LANDMARK_KEY + landmark_index, belief.landmarks[old])
     draft.count, draft.solved = len(kept), 0
     draft.graph, draft.included[:] = gtsam.NonlinearFactorGraph(), False
     _solve(draft)
@@ -250,7 +252,7 @@ def _judge_again(draft: _Draft) -> None:
         rows = _rows(draft, pose)
         at = Belief(np.concatenate((poses[pose], landmarks.ravel())), np.zeros((0, 0)))
         near = at.near(float(p.z[rows, 0].max()) + 5.0)
-        draft.slot[rows] = UNSEEN
+        draft.landmark_index[rows] = UNSEEN
         if not len(near):
             continue
         nu = wrapped(p.z[rows][:, None] - at.expect(near).z[None])
@@ -260,4 +262,4 @@ def _judge_again(draft: _Draft) -> None:
         least = nis[np.arange(len(rows)), best]
         nis[np.arange(len(rows)), best] = np.inf
         sure = (least <= o.gate) & (nis.min(axis=1) - least > 2.0 * math.log(o.odds))
-        draft.slot[rows[sure]] = near[best[sure]]
+        draft.landmark_index[rows[sure]] = near[best[sure]]

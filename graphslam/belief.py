@@ -58,9 +58,9 @@ class Belief:
         distance = np.linalg.norm(self.landmarks - self.pose[:2], axis=1)
         return np.flatnonzero(distance <= reach_m)
 
-    def expect(self, slots: Index) -> Expected:
+    def expect(self, landmark_indices: Index) -> Expected:
         """What landmarks (n,) would look like from here."""
-        offset = self.landmarks[slots] - self.pose[:2]
+        offset = self.landmarks[landmark_indices] - self.pose[:2]
         r = np.hypot(offset[:, 0], offset[:, 1])
         z = np.column_stack((r, np.arctan2(offset[:, 1], offset[:, 0]) - self.pose[2]))
         along, across = offset / r[:, None], offset[:, ::-1] * (-1.0, 1.0) / r[:, None] ** 2
@@ -70,12 +70,12 @@ class Belief:
         jacobian[:, 1, 2] = -1.0
         return Expected(z, jacobian)
 
-    def spread(self, slots: Index, jacobian: Array) -> Array:
+    def spread(self, landmark_indices: Index, jacobian: Array) -> Array:
         """(2 n, 2 n) covariance of the expected measurements of landmarks (n,), noise left out."""
-        columns = np.concatenate(([0, 1, 2], (3 + 2 * slots[:, None] + (0, 1)).ravel()))
-        stacked = np.zeros((len(slots), 2, len(columns)))
+        columns = np.concatenate(([0, 1, 2], (3 + 2 * landmark_indices[:, None] + (0, 1)).ravel()))
+        stacked = np.zeros((len(landmark_indices), 2, len(columns)))
         stacked[:, :, :3] = jacobian[:, :, :3]
-        which = np.arange(len(slots))
+        which = np.arange(len(landmark_indices))
         stacked[which, :, 3 + 2 * which], stacked[which, :, 4 + 2 * which] = (
             jacobian[:, :, 3],
             jacobian[:, :, 4],
@@ -84,14 +84,14 @@ class Belief:
         result: Array = flat @ self.covariance[np.ix_(columns, columns)] @ flat.T
         return result
 
-    def learn(self, slots: Index, z: Array, variance: Array) -> None:
+    def learn(self, landmark_indices: Index, z: Array, variance: Array) -> None:
         """Narrow by measurements (m, 2) with variances (m, 2) of landmarks (m,)."""
-        expected = self.expect(slots)
-        h = np.zeros((len(slots), 2, len(self.mean)))
-        which = np.arange(len(slots))
+        expected = self.expect(landmark_indices)
+        h = np.zeros((len(landmark_indices), 2, len(self.mean)))
+        which = np.arange(len(landmark_indices))
         h[:, :, :3] = expected.jacobian[:, :, :3]
-        h[which, :, 3 + 2 * slots] = expected.jacobian[:, :, 3]
-        h[which, :, 4 + 2 * slots] = expected.jacobian[:, :, 4]
+        h[which, :, 3 + 2 * landmark_indices] = expected.jacobian[:, :, 3]
+        h[which, :, 4 + 2 * landmark_indices] = expected.jacobian[:, :, 4]
         flat = h.reshape(-1, len(self.mean))
         nu = wrapped(z - expected.z).ravel()
         left = self.covariance @ flat.T

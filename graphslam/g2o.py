@@ -218,10 +218,10 @@ def read_g2o(path: Path) -> G2oContents:
     increment[step], covariance[step] = motion[chain], spread[chain]
     prior_pose, prior_covariance = _prior(path, found, start, nodes)
     fixes, survey = found["EDGE_PRIOR_SE2_XY"], found["EDGE_PRIOR_XY"]
-    slots = marks.of(survey, 0)
-    if sorted(slots) != list(range(len(slots))):
+    landmark_indices = marks.of(survey, 0)
+    if sorted(landmark_indices) != list(range(len(landmark_indices))):
         raise ValueError(f"{path}: EDGE_PRIOR_XY must hold the first landmarks, each once")
-    survey = [survey[i] for i in np.argsort(slots)]
+    survey = [survey[i] for i in np.argsort(landmark_indices)]
     polar = _polar(path, seen)
     problem = SlamProblem(
         prior_pose=prior_pose,

@@ -130,10 +130,12 @@ def build_graph(problem: SlamProblem, kernel: str = "none") -> gtsam.NonlinearFa
         strict=True,
     ):
         graph.push_back(position_factor(key, z, covariance, problem.lever_m, kernel))
-    for slot, (place, covariance) in enumerate(
+    for landmark_index, (place, covariance) in enumerate(
         zip(problem.surveyed, problem.surveyed_covariance, strict=True)
     ):
-        graph.push_back(gtsam.PriorFactorPoint2(LANDMARK_KEY + slot, place, gaussian(covariance)))
+        graph.push_back(
+            gtsam.PriorFactorPoint2(LANDMARK_KEY + landmark_index, place, gaussian(covariance))
+        )
     seen, closed = problem.oriented, problem.closures
     poses_seen, places_seen = POSE_KEY + seen.pose, POSE_LANDMARK_KEY + seen.landmark
     for factor in (
@@ -206,8 +208,8 @@ def to_values(
     values = gtsam.Values()
     for key, pose in enumerate(poses.tolist(), start=POSE_KEY):
         values.insert(key, gtsam.Pose2(*pose))
-    for slot in seen.tolist():
-        values.insert(LANDMARK_KEY + slot, landmarks[slot])
+    for landmark_index in seen.tolist():
+        values.insert(LANDMARK_KEY + landmark_index, landmarks[landmark_index])
     measured = oriented or OrientedMeasurements()
     for row in np.argsort(measured.pose, kind="stable").tolist():
         key = POSE_LANDMARK_KEY + int(measured.landmark[row])
@@ -238,9 +240,9 @@ def from_values(values: gtsam.Values, problem: SlamProblem) -> tuple[Array, Arra
     )
     unwrap(poses, problem)
     landmarks = np.full((problem.landmark_count, 2), np.nan)
-    for slot in range(problem.landmark_count):
-        if values.exists(LANDMARK_KEY + slot):
-            landmarks[slot] = values.atPoint2(LANDMARK_KEY + slot)
+    for landmark_index in range(problem.landmark_count):
+        if values.exists(LANDMARK_KEY + landmark_index):
+            landmarks[landmark_index] = values.atPoint2(LANDMARK_KEY + landmark_index)
     return poses, landmarks
 
 

@@ -32,11 +32,12 @@ RELINEARISE_EVERY = 10
 class Checkpoint:
     """What was known at a pose: the joint mean and covariance of this pose and the landmarks.
 
-    slot: (L',) the landmarks seen so far. marginal: of the pose and these, additive global error.
+    landmark_index: (L',) the landmarks seen so far. marginal: of the pose and these, additive
+    global error.
     """
 
     pose: int
-    slot: Index
+    landmark_index: Index
     marginal: Marginal
 
 
@@ -178,11 +179,13 @@ def _checkpoint(
         prefix.push_back(graph.at(row))
     part = problem.prefix(end)
     poses, landmarks = from_values(values, part)
-    slot = np.flatnonzero(np.isfinite(landmarks[:, 0]))
-    kept = [POSE_KEY + end - 1, *(LANDMARK_KEY + slot).tolist()]
-    local = joint_marginal(prefix.linearize(values), kept, 3 + 2 * len(slot))
-    mean = np.concatenate((poses[-1], landmarks[slot].ravel()))
-    return Checkpoint(end - 1, slot, Marginal(mean, to_global(local.covariance, poses[-1, 2])))
+    landmark_index = np.flatnonzero(np.isfinite(landmarks[:, 0]))
+    kept = [POSE_KEY + end - 1, *(LANDMARK_KEY + landmark_index).tolist()]
+    local = joint_marginal(prefix.linearize(values), kept, 3 + 2 * len(landmark_index))
+    mean = np.concatenate((poses[-1], landmarks[landmark_index].ravel()))
+    return Checkpoint(
+        end - 1, landmark_index, Marginal(mean, to_global(local.covariance, poses[-1, 2]))
+    )
 
 
 def run_fixed_lag(problem: SlamProblem, graph: gtsam.NonlinearFactorGraph, lag: int) -> LagEnd:
@@ -246,8 +249,8 @@ def run_fixed_lag(problem: SlamProblem, graph: gtsam.NonlinearFactorGraph, lag: 
     linear = factors.linearize(smoother.getLinearizationPoint())
     kept, size = [POSE_KEY + count - 1, *seen, *turned], 3 + 2 * len(seen) + oriented.size
     local = joint_marginal(linear, kept, size)
-    slots = np.array(seen, dtype=np.int64) - LANDMARK_KEY
-    mean = np.concatenate((poses[-1], places[slots].ravel(), oriented.ravel()))
+    landmark_indices = np.array(seen, dtype=np.int64) - LANDMARK_KEY
+    mean = np.concatenate((poses[-1], places[landmark_indices].ravel(), oriented.ravel()))
     return LagEnd(
         poses=poses,
         pose_covariance=turn @ covariance @ turn.transpose(0, 2, 1),

@@ -86,8 +86,8 @@ def extension(problem: SlamProblem, values: Placed, known: int, count: int) -> g
         pose = gtsam.Pose2(*problem.prior_pose)
         new.insert(POSE_KEY, pose)
         poses[0] = pose
-        for slot, place in enumerate(problem.surveyed):
-            new.insert(LANDMARK_KEY + slot, place)
+        for landmark_index, place in enumerate(problem.surveyed):
+            new.insert(LANDMARK_KEY + landmark_index, place)
     for k in range(max(known, 1), count):
         pose = pose.compose(gtsam.Pose2(*problem.increment[k - 1]))
         new.insert(POSE_KEY + k, pose)

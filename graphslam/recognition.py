@@ -39,7 +39,7 @@ class Options:
 
 
 def recognise(belief: Belief, z: Array, variance: Array, o: Options) -> Index:
-    """Slot (m,) of each measurement (m, 2) with variances (m, 2), else UNSEEN or PENDING.
+    """Landmark index (m,) of each measurement (m, 2) with variances (m, 2), else UNSEEN or PENDING.
 
     The belief is narrowed by what is recognised. Measurements within the resolution of each other
     count as one, with the noise of one: what puts one of them wrong puts the next one wrong, too.

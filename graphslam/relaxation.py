@@ -155,8 +155,8 @@ def _absolute(equations: _Equations, problem: SlamProblem, turned: Complex | Non
     else:
         equations.add(weight, [(pose, 1.0)], place - turned[pose] * lever)
     known = problem.surveyed[:, 0] + 1j * problem.surveyed[:, 1]
-    slot = shift + nodes + np.arange(len(known))
-    equations.add(_isotropic(problem.surveyed_covariance), [(slot, 1.0)], known)
+    landmark_index = shift + nodes + np.arange(len(known))
+    equations.add(_isotropic(problem.surveyed_covariance), [(landmark_index, 1.0)], known)
 
 
 def _isotropic(covariance: Array) -> Array:

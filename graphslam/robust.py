@@ -51,8 +51,10 @@ def reject_wild(
     weight = np.asarray(optimiser.getWeights())[first : first + count]
     kept = weight[: len(problem.z)] > 0.5
     error = np.array([graph.at(first + row).error(end) for row in range(len(problem.z))])
-    for slot in np.setdiff1d(problem.measurement_landmark, problem.measurement_landmark[kept]):
-        rows = np.flatnonzero(problem.measurement_landmark == slot)
+    for landmark_index in np.setdiff1d(
+        problem.measurement_landmark, problem.measurement_landmark[kept]
+    ):
+        rows = np.flatnonzero(problem.measurement_landmark == landmark_index)
         kept[rows[np.argmin(error[rows])]] = True
     fixed = weight[len(problem.z) :] > 0.5
     rejected = Rejected(np.flatnonzero(~kept), np.flatnonzero(~fixed))

@@ -181,7 +181,7 @@ def build_association(
     no gate for labels. layer: of the map that is kept beside the filter.
     Raises ValueError where attributes are to come from one and there is none.
     """
-    slot_of, _, _ = surveyed(log)
+    index_of, _, _ = surveyed(log)
     rule: Association
     memory = no_estimates() if choices.attributes != "off" else None
     told: Attributes = memory or NO_ATTRIBUTES
@@ -193,16 +193,16 @@ def build_association(
         told = LayerAttributes(memory, layer, BRIGHTNESS)
     if choices.association == "known":
         gate = NO_GATE if choices.filter == "misono" else log.measurements.label_gate
-        rule = KnownAssociation(gate, first_slot=len(slot_of))
+        rule = KnownAssociation(gate, first_index=len(index_of))
     else:
         rule = _rule(choices, told, log)
         if log.measurements.needs_confirmation:
             from ekf_reference.association.landmark_initiation import LandmarkInitiation
 
             rule = LandmarkInitiation(rule=rule)
-    if slot_of:
+    if index_of:
         gate = NO_GATE if choices.filter == "misono" else SurveyedLandmarks.gate
-        rule = SurveyedLandmarks(rule, slot_of, gate)
+        rule = SurveyedLandmarks(rule, index_of, gate)
     return rule if memory is None else RememberedAttributes(rule, memory)
 
 

@@ -40,8 +40,8 @@ class EkfRun:
     positions: those that were given. fix_number: (G,) which of them were fused. rejected_fixes:
     how many the gate rejected. retired: (R,) landmarks that were found to stand where things move;
     they stay in the state, and nothing is matched with them any more.
-    slot: (M,) landmark of each of the timeline's measurements, a negative code where unused (see
-    ekf_reference.core.measurements).
+    landmark_index: (M,) landmark of each of the timeline's measurements, a negative code where
+    unused (see ekf_reference.core.measurements).
     departed: (K, 3) the pose when each epoch was done. arrived: (K, 3) as predicted there.
     final: the last pose, against the trace's. own_axes: the filter fuses measurements as points in
     the vehicle's axes, not as range and bearing.
@@ -49,13 +49,13 @@ class EkfRun:
     spared: what the global updates of a compressed filter left alone: (updates, mean share of the
     passive covariance). breakdown: what stopped the filter, None when it reached the end.
     oriented: measurements of landmarks with a direction, as the smoother takes them; their ids in
-    the estimate are their slots.
+    the estimate are their landmark indices.
     """
 
     estimate: Estimate
     timeline: Timeline
     trace: TraceArrays
-    slot: NDArray[np.intp]
+    landmark_index: NDArray[np.intp]
     departed: Array
     arrived: Array
     final: PoseReading
@@ -71,7 +71,7 @@ class EkfRun:
 
     @property
     def oriented_places(self) -> Array:
-        """(Q, 3) of the estimate by slot, NaN for those that were fused with others."""
+        """(Q, 3) of the estimate by landmark index, NaN for those that were fused with others."""
         places = np.full((self.oriented.count, 3), np.nan)
         places[self.estimate.oriented_id] = self.estimate.oriented
         return places
@@ -85,7 +85,9 @@ class EkfRun:
             "candidate": CANDIDATE,
             "dynamic": DYNAMIC,
         }
-        return {name: int(np.count_nonzero(self.slot == code)) for name, code in codes.items()}
+        return {
+            name: int(np.count_nonzero(self.landmark_index == code)) for name, code in codes.items()
+        }
 
 
 def run_ekf(
@@ -110,12 +112,12 @@ def run_ekf(
     epochs = len(timeline.epoch_time_s)
     departed, arrived = np.empty((epochs, 3)), np.empty((epochs, 3))
     covariance = np.empty((epochs, 3, 3))
-    slot = np.full(len(log.measurements.time_s), REJECTED, dtype=np.intp)
+    landmark_index = np.full(len(log.measurements.time_s), REJECTED, dtype=np.intp)
     breakdown, rejected_fixes = None, 0
     told = measured_attributes(log, config.attributes)
     stops = drive(ekf, log, timeline, positions, Beside(watching, beside.source, ledger, told))
     for k, stop in enumerate(stops):
-        slot[stop.rows], arrived[k] = stop.slots, stop.arrived
+        landmark_index[stop.rows], arrived[k] = stop.landmark_indices, stop.arrived
         rejected_fixes += stop.rejected_fixes
         departed[k], _, read = ekf.read_pose()
         covariance[k] = read @ ekf.state.pose_covariance @ read.T
@@ -142,7 +144,7 @@ def run_ekf(
     arrays = trace.arrays()
     oriented = ledger.told()
     _check_counts(log, timeline, arrays, oriented)
-    slot = _as_used(slot[: len(timeline.measurement_epoch)], arrays)
+    landmark_index = _as_used(landmark_index[: len(timeline.measurement_epoch)], arrays)
     if np.isnan(ekf.state.landmarks).any():
         raise InputError(f"{log.name}: the EKF removed point landmarks, which must stay")
     oriented_id = ekf.state.layout.present(POSE)
@@ -151,8 +153,8 @@ def run_ekf(
         pose=departed[:epochs],
         pose_covariance=covariance[:epochs],
         landmark_id=_landmark_ids(
-            log.measurements.landmark[: len(slot)],
-            slot,
+            log.measurements.landmark[: len(landmark_index)],
+            landmark_index,
             ekf.state.landmark_count,
             config,
             surveyed(log)[0],
@@ -172,7 +174,7 @@ def run_ekf(
         estimate=estimate,
         timeline=timeline,
         trace=arrays,
-        slot=slot,
+        landmark_index=landmark_index,
         departed=departed[:epochs],
         arrived=arrived[:epochs],
         final=ekf.read_recorded_pose(),
@@ -245,26 +247,26 @@ def _spared(ekf: Ekf) -> tuple[int, float]:
     return len(updates), float(np.mean([u.saved for u in updates])) if updates else 0.0
 
 
-def _as_used(slot: NDArray[np.intp], trace: TraceArrays) -> NDArray[np.intp]:
-    """Slots as recorded: a breakdown in the midst of a scan leaves part of it used."""
-    used = np.where(slot >= 0, REJECTED, slot)
+def _as_used(landmark_index: NDArray[np.intp], trace: TraceArrays) -> NDArray[np.intp]:
+    """Landmark indices as recorded: a breakdown in the midst of a scan leaves part of it used."""
+    used = np.where(landmark_index >= 0, REJECTED, landmark_index)
     for records in (trace.measurements[POINT], trace.initialisations[POINT]):
         seen = records.number >= 0
-        used[records.number[seen]] = records.slot[seen]
+        used[records.number[seen]] = records.landmark_index[seen]
     return used
 
 
 def _landmark_ids(
     label: NDArray[np.int64],
-    slot: NDArray[np.intp],
+    landmark_index: NDArray[np.intp],
     count: int,
     config: EkfConfig,
-    slot_of: dict[int, int],
+    index_of: dict[int, int],
 ) -> NDArray[np.int64]:
-    """The log's labels where they were trusted, else the slots themselves."""
+    """The log's labels where they were trusted, else the landmark indices themselves."""
     ids = np.arange(count)
-    ids[list(slot_of.values())] = list(slot_of)
+    ids[list(index_of.values())] = list(index_of)
     if config.association == "known":
-        used = slot >= 0
-        ids[slot[used]] = label[used]
+        used = landmark_index >= 0
+        ids[landmark_index[used]] = label[used]
     return ids

@@ -92,14 +92,15 @@ class NoWatcher:
 class Stop:
     """The filter at an epoch, all that was seen there fused.
 
-    time_s: of it. rows: of the log's measurements, slots: (m,) what became of them; `rejected`
-    where the filter broke down first. arrived: (3,) the pose as predicted there. rejected_fixes:
-    positions that the gate rejected. fault: what broke the filter down, which ends the drive.
+    time_s: of it. rows: of the log's measurements, landmark_indices: (m,) what became of them;
+    `rejected` where the filter broke down first. arrived: (3,) the pose as predicted there.
+    rejected_fixes: positions that the gate rejected. fault: what broke the filter down, which ends
+    the drive.
     """
 
     time_s: float
     rows: slice
-    slots: NDArray[np.intp]
+    landmark_indices: NDArray[np.intp]
     arrived: Array
     rejected_fixes: int
     fault: str | None
@@ -147,12 +148,12 @@ def drive(
         arrived = ekf.read_pose().pose
         watching.arrived(ekf)
         rows = slice(int(first[k]), int(first[k + 1]))
-        slots = np.full(rows.stop - rows.start, REJECTED, dtype=np.intp)
+        landmark_indices = np.full(rows.stop - rows.start, REJECTED, dtype=np.intp)
         rejected, fault = 0, None
         try:
             if rows.start < rows.stop:
                 which = np.arange(rows.start, rows.stop)
-                slots = ekf.observe(
+                landmark_indices = ekf.observe(
                     z[rows], sigma[rows], seen.landmark[rows], time_s, told.take(which)
                 )
             if positions is not None:
@@ -166,7 +167,7 @@ def drive(
         yield Stop(
             time_s=time_s,
             rows=rows,
-            slots=slots,
+            landmark_indices=landmark_indices,
             arrived=arrived,
             rejected_fixes=rejected,
             fault=fault,

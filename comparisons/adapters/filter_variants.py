@@ -38,12 +38,12 @@ class SequentialEkf(Ekf):
         attributes: MeasuredAttributes = NOT_MEASURED,
     ) -> Index:
         """Do a cycle for each measurement. Arguments and result as of `Ekf.observe`."""
-        slots = np.empty(len(z), dtype=np.intp)
+        landmark_indices = np.empty(len(z), dtype=np.intp)
         for i in range(len(z))[:: self.order]:
             row = np.array([i])
             own = attributes.take(row)
-            slots[row] = super().observe(z[row], sigma[row], identity[row], time_s, own)
-        return slots
+            landmark_indices[row] = super().observe(z[row], sigma[row], identity[row], time_s, own)
+        return landmark_indices
 
 
 class BackwardEkf(SequentialEkf):
@@ -57,14 +57,19 @@ class IteratedEkf(Ekf):
 
     most_iterations: ClassVar[int] = 20
 
-    def _fuse(self, seen: Measurements, slots: Index, rows: Index) -> None:
+    def _fuse(self, seen: Measurements, landmark_indices: Index, rows: Index) -> None:
         if not len(rows):
             return
-        slot, z, noise, model = slots[rows], seen.z[rows], seen.noise[rows], self.models[seen.width]
+        landmark_index, z, noise, model = (
+            landmark_indices[rows],
+            seen.z[rows],
+            seen.noise[rows],
+            self.models[seen.width],
+        )
         r = block_diagonal(noise)
 
         def linearise() -> Linearised:
-            local = self.state.map_of(slot, seen.width)
+            local = self.state.map_of(landmark_index, seen.width)
             p, prior = local.covariance, np.concatenate((local.pose, local.landmark.ravel()))
             sigma, at, v = np.sqrt(np.diag(p)), prior, len(local.pose)
             for _ in range(self.most_iterations):
@@ -77,7 +82,7 @@ class IteratedEkf(Ekf):
                     break
             return Linearised(local, jacobian, innovation)
 
-        self.fuse(linearise, noise, self._count[seen.width] + rows, slot)
+        self.fuse(linearise, noise, self._count[seen.width] + rows, landmark_index)
 
 
 class UnscentedEkf(Ekf):
@@ -103,15 +108,17 @@ class UnscentedEkf(Ekf):
         noise = b @ covariance @ b.T + y.rest + self.stabilisation.covariance(duration_s, y.mean)
         self.state.predict(y.mean, y.slope, noise)
 
-    def _fuse(self, seen: Measurements, slots: Index, rows: Index) -> None:
-        if len(np.unique(slots[rows])) < len(rows):  # two of one landmark have one set of entries
+    def _fuse(self, seen: Measurements, landmark_indices: Index, rows: Index) -> None:
+        if len(np.unique(landmark_indices[rows])) < len(
+            rows
+        ):  # two of one landmark have one set of entries
             for row in rows:
-                self._fuse(seen, slots, np.array([row]))
+                self._fuse(seen, landmark_indices, np.array([row]))
             return
         if not len(rows):
             return
-        slot, z, model = slots[rows], seen.z[rows], self.models[seen.width]
-        local = self.state.map_of(slot, seen.width)
+        landmark_index, z, model = landmark_indices[rows], seen.z[rows], self.models[seen.width]
+        local = self.state.map_of(landmark_index, seen.width)
         v = len(local.pose)
 
         def measured(points: Array) -> Array:
@@ -128,7 +135,7 @@ class UnscentedEkf(Ekf):
         noise = block_diagonal(seen.noise[rows]) + y.rest
         self.state.update(local.columns, y.slope, innovation, noise)
 
-    def _initialise(self, seen: Measurements, slots: Index, rows: Index) -> None:
+    def _initialise(self, seen: Measurements, landmark_indices: Index, rows: Index) -> None:
         pose, model, p = self.state.pose, self.models[seen.width], self.state.pose_covariance
         found = []
         for row in rows:
@@ -146,7 +153,7 @@ class UnscentedEkf(Ekf):
         noise = by_z @ seen.noise[rows] @ by_z.transpose(0, 2, 1) + rest
         own = np.broadcast_to(np.eye(seen.width), rest.shape)
         new = NewLandmarks(np.array([y.mean for y in found]), slope[:, :, : len(p)], own)
-        self._append(self._count[seen.width] + rows, slots[rows], new, noise, 1.0)
+        self._append(self._count[seen.width] + rows, landmark_indices[rows], new, noise, 1.0)
 
 
 class Transformed(NamedTuple):

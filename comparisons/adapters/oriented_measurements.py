@@ -28,9 +28,11 @@ class OrientedLedger:
         self._seen: list[tuple[int, int, Array, Array]] = []
         self._merges: list[tuple[int, int, int, Array, Array]] = []
 
-    def observe(self, ekf: Ekf, epoch: int, z: Array, covariance: Array, slot: Index) -> Index:
+    def observe(
+        self, ekf: Ekf, epoch: int, z: Array, covariance: Array, landmark_index: Index
+    ) -> Index:
         """Fuse measurements (m, 3) with covariances (m, 3, 3); see Ekf.observe_known."""
-        found = ekf.observe_known(z, covariance, slot)
+        found = ekf.observe_known(z, covariance, landmark_index)
         self._seen += [
             (epoch, int(s), at, r) for s, at, r in zip(found, z, covariance, strict=True)
         ]
@@ -50,7 +52,7 @@ class OrientedLedger:
         """All of it, as the smoother takes it."""
         return OrientedMeasurements(
             np.array([epoch for epoch, *_ in self._seen], dtype=np.intp),
-            np.array([slot for _, slot, *_ in self._seen], dtype=np.intp),
+            np.array([landmark_index for _, landmark_index, *_ in self._seen], dtype=np.intp),
             *_measured([row[-2:] for row in self._seen]),
             Merges(
                 np.array([epoch for epoch, *_ in self._merges], dtype=np.intp),

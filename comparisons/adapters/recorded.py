@@ -96,7 +96,7 @@ def _joined(first: RecordedRelations, second: RecordedRelations) -> RecordedRela
 def _measured(r: MeasurementRecords, until: Index) -> RecordedRelations:
     return RecordedRelations(
         first=np.searchsorted(until, r.step),
-        second=r.slot,
+        second=r.landmark_index,
         first_point=r.pose,
         second_point=r.landmark,
         residual=r.innovation,
@@ -114,10 +114,10 @@ def _initialised(r: MeasurementRecords, until: Index) -> RecordedRelations:
     r = r.rows(np.argsort(r.weight <= 0.0, kind="stable"))
     covariance = r.jacobian_other @ r.noise @ r.jacobian_other.transpose(0, 2, 1)
     measured = r.weight > 0.0
-    _check_spread(r.slot[measured], covariance[measured])
+    _check_spread(r.landmark_index[measured], covariance[measured])
     return RecordedRelations(
         first=np.searchsorted(until, r.step),
-        second=r.slot,
+        second=r.landmark_index,
         first_point=r.pose,
         second_point=r.landmark,
         residual=r.innovation,
@@ -127,7 +127,7 @@ def _initialised(r: MeasurementRecords, until: Index) -> RecordedRelations:
     )
 
 
-def _check_spread(slot: Index, covariance: Array) -> None:
+def _check_spread(landmark_index: Index, covariance: Array) -> None:
     """Raise InputError where a point was initialised with sigmas of too large a ratio."""
     if covariance.shape[-1] != POINT:
         return
@@ -136,7 +136,8 @@ def _check_spread(slot: Index, covariance: Array) -> None:
     if len(bad):
         least, largest = np.sqrt(np.maximum(squared[bad[0]], 0.0))
         raise InputError(
-            f"measurements: landmark {slot[bad[0]]} of the map was initialised with sigmas of "
+            f"measurements: landmark {landmark_index[bad[0]]} of the map was initialised with "
+            "sigmas of "
             f"{least:.3g} m and {largest:.3g} m, expected a ratio of at most {_MOST_UNLIKE:g}, "
             "since an EKF's covariance loses the smaller: raise one of sigma_range_m and "
             "sigma_bearing_rad, or lower the other"

@@ -117,11 +117,14 @@ class _Recorder:
         self.stepping(ekf, time_s, np.zeros(0), 0.0)
 
     def known_map(self, label: dict[int, int]) -> KnownMap:
-        """Return the map; label: landmarks' ids by slot."""
+        """Return the map; label: landmarks' ids by landmark index."""
         if self.map is None:
             raise ValueError("the filter has not finished")
         time_s, landmark, joint = self.map
-        ids = np.array([label.get(slot, slot) for slot in range(len(landmark))], dtype=np.int64)
+        ids = np.array(
+            [label.get(landmark_index, landmark_index) for landmark_index in range(len(landmark))],
+            dtype=np.int64,
+        )
         return KnownMap(time_s, ids, landmark, joint)
 
 
@@ -141,16 +144,20 @@ def run_reference(
     plain = build_ekf(log, config, Trace())
     ekf = kind(plain.motion, plain.association, log.prior.pose, log.prior.covariance)
     ekf.stabilisation, ekf.fixes, ekf.splitter = plain.stabilisation, plain.fixes, plain.splitter
-    slot_of, *known = surveyed(log)
+    index_of, *known = surveyed(log)
     ekf.insert_surveyed(*known)
-    recorder, label = _Recorder(map_s), dict(zip(slot_of.values(), slot_of, strict=True))
+    recorder, label = _Recorder(map_s), dict(zip(index_of.values(), index_of, strict=True))
     try:
         for stop in drive(ekf, log, timeline, positions, Beside(recorder)):
             if stop.fault is not None:
                 return None
             if config.association == "known":
                 names = log.measurements.landmark[stop.rows].tolist()
-                label |= {s: n for s, n in zip(stop.slots.tolist(), names, strict=True) if s >= 0}
+                label |= {
+                    s: n
+                    for s, n in zip(stop.landmark_indices.tolist(), names, strict=True)
+                    if s >= 0
+                }
     except (FilterDivergedError, np.linalg.LinAlgError):
         return None
     recorder.finished(ekf, float(timeline.epoch_time_s[-1]))

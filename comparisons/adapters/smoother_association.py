@@ -19,12 +19,12 @@ from graphslam.smoother import SmootherResult
 
 @dataclass(frozen=True)
 class OwnAssociation:
-    """slot: (M,) landmark of each measurement, negative where unused; surveyed ones take the first.
+    """landmark_index: (M,) of each measurement, negative where unused; surveyed ones first.
 
     problem: what is to be smoothed. poses: (K, 3) and landmarks: (L, 2), a start for that.
     """
 
-    slot: Index
+    landmark_index: Index
     problem: SlamProblem
     poses: Array
     landmarks: Array
@@ -34,12 +34,12 @@ class OwnAssociation:
 class Alternative:
     """Another association of the same measurements, and the optimum with it.
 
-    name: of the way it was found. slot: (M,). poses: (K, 3). chi2: at that optimum, infinite where
-    there is none.
+    name: of the way it was found. landmark_index: (M,). poses: (K, 3). chi2: at that optimum,
+    infinite where there is none.
     """
 
     name: str
-    slot: Index
+    landmark_index: Index
     poses: Array
     chi2: float
 
@@ -56,9 +56,9 @@ class OwnAssociator:
         """
         self._log, self._timeline, self._rows = log, timeline, rows
         self.time_s: Array = timeline.epoch_time_s[timeline.measurement_epoch]
-        slot_of, self._places, _ = surveyed(log)
+        index_of, self._places, _ = surveyed(log)
         label = log.measurements.landmark[: len(timeline.measurement_epoch)]
-        self._fixed = np.array([slot_of.get(key, -1) for key in label.tolist()], dtype=np.intp)
+        self._fixed = np.array([index_of.get(key, -1) for key in label.tolist()], dtype=np.intp)
         free = self._fixed < 0
         if left_out is not None:
             self._fixed[left_out], free[left_out] = -1, False
@@ -84,20 +84,22 @@ class OwnAssociator:
         """
         from graphslam.association_variants import associate_by, variants
 
-        wild = np.flatnonzero(own.slot >= 0)[result.rejected.measurements]
+        wild = np.flatnonzero(own.landmark_index >= 0)[result.rejected.measurements]
         for variant in variants():
             found = associate_by(self._problem, variant, result.poses[-1])
             yield self._optimised(variant.name, self._completed(found), wild, result)
 
     def _completed(self, found: AssociationResult) -> OwnAssociation:
         """The same of all measurements, the surveyed landmarks coming first."""
-        slot, known = self._fixed.copy(), len(self._places)
-        slot[self._open] = np.where(found.slot >= 0, found.slot + known, -1)
+        landmark_index, known = self._fixed.copy(), len(self._places)
+        landmark_index[self._open] = np.where(
+            found.landmark_index >= 0, found.landmark_index + known, -1
+        )
         problem = assemble(
-            self._log, self._timeline, slot, known + found.landmark_count, self._rows
+            self._log, self._timeline, landmark_index, known + found.landmark_count, self._rows
         )
         places = np.vstack((self._places, found.landmarks))
-        return OwnAssociation(slot, problem, found.poses, places)
+        return OwnAssociation(landmark_index, problem, found.poses, places)
 
     def _optimised(
         self, name: str, own: OwnAssociation, wild: Index, result: SmootherResult
@@ -106,8 +108,8 @@ class OwnAssociator:
         from graphslam.graph_builder import build_graph, from_values, to_values
         from graphslam.optimisers import levenberg_marquardt
 
-        problem, slot = own.problem, own.slot
-        kept = ~np.isin(np.flatnonzero(slot >= 0), wild)
+        problem, landmark_index = own.problem, own.landmark_index
+        kept = ~np.isin(np.flatnonzero(landmark_index >= 0), wild)
         fixes = np.ones(len(problem.position_pose), dtype=bool)
         fixes[result.rejected.positions] = False
         problem = problem.keep(kept, fixes)
@@ -117,5 +119,7 @@ class OwnAssociator:
         try:
             end, *_ = levenberg_marquardt(graph, start, 1e-6)
         except RuntimeError:  # gtsam's indeterminate linear system
-            return Alternative(name, slot, own.poses, float("inf"))
-        return Alternative(name, slot, from_values(end, problem)[0], 2.0 * float(graph.error(end)))
+            return Alternative(name, landmark_index, own.poses, float("inf"))
+        return Alternative(
+            name, landmark_index, from_values(end, problem)[0], 2.0 * float(graph.error(end))
+        )

@@ -41,21 +41,23 @@ class PositionRows(NamedTuple):
 def build_problem(log: Log, run: EkfRun) -> SlamProblem:
     """The log as the smoother's arrays, with the EKF's association of measurements to landmarks."""
     count = len(run.estimate.landmark)
-    problem = assemble(log, run.timeline, run.slot, count, _positions(run), own_axes=run.own_axes)
+    problem = assemble(
+        log, run.timeline, run.landmark_index, count, _positions(run), own_axes=run.own_axes
+    )
     return replace(problem, oriented=run.oriented)
 
 
 def assemble(
     log: Log,
     timeline: Timeline,
-    slot: Index,
+    landmark_index: Index,
     landmark_count: int,
     fixes: PositionRows,
     *,
     own_axes: bool = False,
 ) -> SlamProblem:
-    """The log as arrays. slot: (M,) of the timeline's measurements, negative where unused."""
-    used = np.flatnonzero(slot >= 0)
+    """Return the log as arrays. landmark_index: (M,) of the measurements, negative where unused."""
+    used = np.flatnonzero(landmark_index >= 0)
     seen = log.measurements
     composed = composed_motion(log, timeline)
     _, surveyed_place, surveyed_covariance = surveyed(log)
@@ -65,7 +67,7 @@ def assemble(
         increment=composed.displacement,
         increment_covariance=composed.covariance,
         measurement_pose=timeline.measurement_epoch[used],
-        measurement_landmark=slot[used],
+        measurement_landmark=landmark_index[used],
         z=np.column_stack((seen.range_m, seen.bearing_rad))[used],
         sigma=np.column_stack((seen.sigma_range_m, seen.sigma_bearing_rad))[used],
         landmark_count=landmark_count,
@@ -130,7 +132,7 @@ def model_system_at(problem: SlamProblem, run: EkfRun, optimum: Estimate) -> Lin
 
 def _points(problem: SlamProblem, run: EkfRun) -> LinearisationPoints:
     trace = run.trace
-    problem_row = np.cumsum(run.slot >= 0) - 1  # of a log's measurement
+    problem_row = np.cumsum(run.landmark_index >= 0) - 1  # of a log's measurement
     fix_row = np.zeros(int(run.fix_number.max(initial=-1)) + 1, dtype=np.intp)
     fix_row[run.fix_number] = np.arange(len(run.fix_number))
     seen = measurement_points(trace, lambda pose, step: _as_headings(run, pose, step))

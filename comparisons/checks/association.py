@@ -11,7 +11,7 @@ from scipy.cluster.hierarchy import fcluster, linkage
 from comparisons.logs.log import Log
 
 Ids = NDArray[np.int64]
-Slots = NDArray[np.intp]
+LandmarkIndices = NDArray[np.intp]
 
 CLUSTER_M = 0.35
 """True landmarks nearer than this to each other are told apart by no sensor of ours."""
@@ -33,9 +33,9 @@ class PartitionScore:
 class AssociationScore:
     """An association made without labels, scored by them.
 
-    landmarks: slots against labels; used landmarks stand for as many as are labelled. clusters: the
-    same after merging, among the true landmarks and among the estimated ones, those within
-    CLUSTER_M of each other; None where the true places are not known. A clump taken for one
+    landmarks: landmark indices against labels; used landmarks stand for as many as are labelled.
+    clusters: the same after merging, among the true landmarks and among the estimated ones, those
+    within CLUSTER_M of each other; None where the true places are not known. A clump taken for one
     landmark scores in full by clusters, so both are reported.
     """
 
@@ -46,31 +46,32 @@ class AssociationScore:
 
 
 def score_association(
-    slot: NDArray[np.intp], landmark: NDArray[np.float64], log: Log
+    landmark_index: NDArray[np.intp], landmark: NDArray[np.float64], log: Log
 ) -> AssociationScore | None:
     """Score an association made without labels; None when the log has none to score it by.
 
-    slot: (M,) of the measurements, negative for unused. landmark: (L, 2) estimated places.
+    landmark_index: (M,) of the measurements, negative for unused. landmark: (L, 2) estimated
+    places.
     """
-    label = log.measurements.landmark[: len(slot)]
+    label = log.measurements.landmark[: len(landmark_index)]
     if not len(label) or (label < 0).any():
         return None
     truth, clusters = log.truth.landmarks, None
     if truth is not None and len(truth.id) > 1 and len(landmark) > 1:
         group = dict(zip(truth.id.tolist(), _clusters(truth.position_m).tolist(), strict=True))
-        merged, used = slot.copy(), slot >= 0
-        merged[used] = _clusters(landmark)[slot[used]]
+        merged, used = landmark_index.copy(), landmark_index >= 0
+        merged[used] = _clusters(landmark)[landmark_index[used]]
         clusters = score_partition(merged, np.array([group.get(i, -1 - i) for i in label.tolist()]))
-    counts = len(np.unique(slot[slot >= 0])), len(np.unique(label))
-    return AssociationScore(score_partition(slot, label), clusters, *counts)
+    counts = len(np.unique(landmark_index[landmark_index >= 0])), len(np.unique(label))
+    return AssociationScore(score_partition(landmark_index, label), clusters, *counts)
 
 
-def score_partition(slot: NDArray[np.intp], label: Ids) -> PartitionScore:
-    """Pairs of measurements (M,): slots (negative for unused) against labels."""
-    used = slot >= 0
+def score_partition(landmark_index: NDArray[np.intp], label: Ids) -> PartitionScore:
+    """Pairs of measurements (M,): landmark indices (negative for unused) against labels."""
+    used = landmark_index >= 0
     _, true = np.unique(label, return_inverse=True)
-    together = _pairs(np.bincount(slot[used])) if used.any() else 0
-    joint = slot[used].astype(np.int64) * (int(true.max()) + 1) + true[used]
+    together = _pairs(np.bincount(landmark_index[used])) if used.any() else 0
+    joint = landmark_index[used].astype(np.int64) * (int(true.max()) + 1) + true[used]
     right = _pairs(np.unique(joint, return_counts=True)[1])
     belong = _pairs(np.bincount(true))
     return PartitionScore(right / together if together else 1.0, right / belong if belong else 1.0)
@@ -116,10 +117,13 @@ SHARE = 0.1
 
 
 def compare_partitions(first: NDArray[np.intp], second: NDArray[np.intp]) -> PartitionAgreement:
-    """Slots (M,) of the same measurements by two associations, negative for unused."""
+    """Landmark indices (M,) of the same measurements by two associations, negative for unused."""
     table = _shared(first, second)
     together = _pairs(table.ravel())
-    own = [_pairs(np.bincount(slot[slot >= 0])) for slot in (first, second)]
+    own = [
+        _pairs(np.bincount(landmark_index[landmark_index >= 0]))
+        for landmark_index in (first, second)
+    ]
     return PartitionAgreement(
         pairs_both=together,
         pairs_first=own[0] - together,
@@ -144,7 +148,7 @@ def counterparts(
     return rows[mutual], best[mutual]
 
 
-def _shared(first: Slots, second: Slots) -> Ids:
+def _shared(first: LandmarkIndices, second: LandmarkIndices) -> Ids:
     """How many measurements each landmark of one association shares with each of another."""
     both = (first >= 0) & (second >= 0)
     table = np.zeros((first.max(initial=-1) + 1, second.max(initial=-1) + 1), dtype=np.int64)
@@ -158,7 +162,9 @@ def _divided(table: Ids) -> int:
     return int(np.count_nonzero((table > SHARE * np.maximum(total, 1)).sum(axis=1) > 1))
 
 
-def differing_measurements(first: Slots, second: Slots, matched: Slots) -> Slots:
+def differing_measurements(
+    first: LandmarkIndices, second: LandmarkIndices, matched: LandmarkIndices
+) -> LandmarkIndices:
     """Which of the measurements (M,) two associations give to landmarks that are no counterparts.
 
     matched: (L,) the first's counterpart of each of the second's landmarks, -1 for none. A

@@ -19,8 +19,8 @@ import numpy as np
 from comparisons.adapters.smoother_association import Alternative
 from comparisons.arrays import Array
 from comparisons.checks.association import (
+    LandmarkIndices,
     PartitionAgreement,
-    Slots,
     compare_partitions,
     counterparts,
     differing_measurements,
@@ -55,7 +55,7 @@ class AssociationVariant:
     apart_sigma: float
     apart_m: float
     excess: float
-    disputed: Slots
+    disputed: LandmarkIndices
 
     @property
     def elsewhere(self) -> bool:
@@ -84,9 +84,9 @@ class Dispute:
 
 @dataclass(frozen=True, kw_only=True)
 class AssociationCheck:
-    """All variants of one association. slot: (M,) of it; time_s: (M,) of the measurements."""
+    """All variants of one association. landmark_index, time_s: (M,) of the measurements."""
 
-    slot: Slots
+    landmark_index: LandmarkIndices
     time_s: Array
     variants: tuple[AssociationVariant, ...]
 
@@ -108,9 +108,9 @@ class AssociationCheck:
         """The measurements in dispute by landmark, most first, of the variants against."""
         found = []
         for one in self.against:
-            slot = self.slot[one.disputed]
-            for landmark in np.unique(slot).tolist():
-                rows = one.disputed[slot == landmark]
+            landmark_index = self.landmark_index[one.disputed]
+            for landmark in np.unique(landmark_index).tolist():
+                rows = one.disputed[landmark_index == landmark]
                 time_s = self.time_s[rows]
                 begin, end = float(time_s.min()), float(time_s.max())
                 found.append(Dispute(one.name, max(landmark, -1), len(rows), begin, end))
@@ -138,43 +138,45 @@ class AssociationCheck:
 
 
 def check_association(
-    slot: Slots,
+    landmark_index: LandmarkIndices,
     time_s: Array,
     optimum: tuple[Array, Array, float, int],
     others: Iterable[Alternative],
 ) -> AssociationCheck:
     """Compare an association with others of the same measurements.
 
-    slot: (M,) of measurements at time_s: (M,). optimum: poses (K, 3), their covariances (K, 3, 3),
-    chi-square and degrees of freedom with it.
+    landmark_index: (M,) of measurements at time_s: (M,). optimum: poses (K, 3), their covariances
+    (K, 3, 3), chi-square and degrees of freedom with it.
     """
     poses, covariance, chi2, dof = optimum
     scale = max(1.0, chi2 / dof) if dof > 0 else 1.0
-    own = _cost(slot, chi2, scale)
+    own = _cost(landmark_index, chi2, scale)
     found = []
     for other in others:
         sigma, metres = poses_apart(other.poses, poses, covariance)
         finite = math.isfinite(other.chi2)
-        matched = np.full(int(other.slot.max(initial=-1)) + 1, -1, dtype=np.intp)
-        first, second = counterparts(slot, other.slot)
+        matched = np.full(int(other.landmark_index.max(initial=-1)) + 1, -1, dtype=np.intp)
+        first, second = counterparts(landmark_index, other.landmark_index)
         matched[second] = first
         found.append(
             AssociationVariant(
                 name=other.name,
-                partition=compare_partitions(slot, other.slot),
+                partition=compare_partitions(landmark_index, other.landmark_index),
                 apart_sigma=sigma if finite else math.inf,
                 apart_m=metres,
-                excess=_cost(other.slot, other.chi2, scale) - own,
-                disputed=differing_measurements(slot, other.slot, matched),
+                excess=_cost(other.landmark_index, other.chi2, scale) - own,
+                disputed=differing_measurements(landmark_index, other.landmark_index, matched),
             )
         )
-    return AssociationCheck(slot=slot, time_s=time_s, variants=tuple(found))
+    return AssociationCheck(landmark_index=landmark_index, time_s=time_s, variants=tuple(found))
 
 
-def _cost(slot: Slots, chi2: float, scale: float) -> float:
+def _cost(landmark_index: LandmarkIndices, chi2: float, scale: float) -> float:
     """What an association leaves unexplained; scale: by which the noise is larger than stated."""
-    landmarks = len(np.unique(slot[slot >= 0]))
-    return chi2 / scale + UNUSED_COST * float(np.sum(slot < 0)) + LANDMARK_COST * landmarks
+    landmarks = len(np.unique(landmark_index[landmark_index >= 0]))
+    return (
+        chi2 / scale + UNUSED_COST * float(np.sum(landmark_index < 0)) + LANDMARK_COST * landmarks
+    )
 
 
 def poses_apart(poses: Array, reference: Array, covariance: Array) -> tuple[float, float]:

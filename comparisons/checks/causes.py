@@ -202,9 +202,10 @@ def _grew(growth: LinearisationGrowth, run: EkfRun, sigma: Array) -> str:
     """When, by which relation, at which uncertainty of the heading (K,)."""
     time_s, at = run.estimate.time_s, growth.epoch
     seen = ""
-    if growth.slot >= 0:
-        template = "template" in growth.kind  # whose landmark's id is its slot
-        seen = f" of landmark {growth.slot if template else run.estimate.landmark_id[growth.slot]}"
+    if growth.landmark_index >= 0:
+        template = "template" in growth.kind  # whose landmark's id is its landmark index
+        index = growth.landmark_index
+        seen = f" of landmark {index if template else run.estimate.landmark_id[index]}"
     around = _degrees(sigma[max(at - 1, 0) : at + 1].max())
     return (
         f"its equations miss the optimum's the most by {growth.kind}{seen} at {time_s[at]:.1f} s "

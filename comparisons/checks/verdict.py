@@ -215,7 +215,7 @@ def _remarks(optimality: Optimality, run: EkfRun) -> list[str]:
     unused = {reason: count for reason, count in run.unused.items() if count}
     if unused:
         remarks.append(
-            f"{sum(unused.values())} of {len(run.slot)} measurements were not used: "
+            f"{sum(unused.values())} of {len(run.landmark_index)} measurements were not used: "
             + ", ".join(f"{count} {reason}" for reason, count in unused.items())
         )
     if run.cut_off:

@@ -68,8 +68,9 @@ _WHOLE = ("step", "measurement", "landmark", "number")
 class TraceFile:
     """A filter's trace with the time (N,) at which each step ends, and where it was read.
 
-    Slots are places in the estimate's list of landmarks. Headings are unwrapped along the trace;
-    `spread` and `whitened` are zero, for no gap needs them. rounding: what storing has done to
+    Landmark indices are places in the estimate's list of landmarks. Headings are unwrapped along
+    the trace; `spread` and `whitened` are zero, for no gap needs them. rounding: what storing has
+    done to
     the numbers, relative to them: 2^-24 where all are of single precision, else nothing.
     """
 
@@ -106,7 +107,7 @@ def write_trace(run: EkfRun, path: Path) -> None:
         arrays |= {
             f"{part}_step": records.step,
             f"{part}_measurement": records.number,
-            f"{part}_landmark": ids[records.slot],
+            f"{part}_landmark": ids[records.landmark_index],
             f"{part}_pose": records.pose,
             f"{part}_point": records.landmark,
             f"{part}_jacobian_pose": records.jacobian_pose,
@@ -147,7 +148,7 @@ def read_trace(path: Path, landmark_id: NDArray[np.int64]) -> TraceFile:
     rounding = stored_rounding(*(array for name, array in found.items() if _is_figure(name)))
     _check_contents(path, found, rounding)
     _unwrap(found)
-    slot, count = _slots(path, found, landmark_id), len(found["position_step"])
+    landmark_index, count = _landmark_indices(path, found, landmark_id), len(found["position_step"])
     none_of_poses = stack_records([], POSE, POSE)
     return TraceFile(
         path,
@@ -160,11 +161,13 @@ def read_trace(path: Path, landmark_id: NDArray[np.int64]) -> TraceFile:
             f=found["step_f"],
             q=found["step_q"],
             measurements={
-                POINT: _records(found, "update", slot["update"], "jacobian_landmark"),
+                POINT: _records(found, "update", landmark_index["update"], "jacobian_landmark"),
                 POSE: none_of_poses,
             },
             initialisations={
-                POINT: _records(found, "initialise", slot["initialise"], "jacobian_measurement"),
+                POINT: _records(
+                    found, "initialise", landmark_index["initialise"], "jacobian_measurement"
+                ),
                 POSE: none_of_poses,
             },
             positions=_records(found, "position", np.full(count, -1), None),
@@ -190,7 +193,7 @@ def _is_figure(name: str) -> bool:
 
 
 def _records(
-    found: dict[str, Array], part: str, slot: Index, jacobian_other: str | None
+    found: dict[str, Array], part: str, landmark_index: Index, jacobian_other: str | None
 ) -> MeasurementRecords:
     """Return the records of one part of the file; without landmarks where it names none."""
     noise = found[f"{part}_noise"]
@@ -200,7 +203,7 @@ def _records(
         number=found[f"{part}_{'number' if jacobian_other is None else 'measurement'}"].astype(
             np.intp
         ),
-        slot=slot,
+        landmark_index=landmark_index,
         pose=found[f"{part}_pose"],
         landmark=found.get(f"{part}_point", nothing[:, :0]),
         innovation=found.get(f"{part}_innovation", nothing),
@@ -277,21 +280,23 @@ def _unwrap(found: dict[str, Array]) -> None:
         found[f"{part}_pose"] = pose
 
 
-def _slots(path: Path, found: dict[str, Array], landmark_id: NDArray[np.int64]) -> dict[str, Index]:
+def _landmark_indices(
+    path: Path, found: dict[str, Array], landmark_id: NDArray[np.int64]
+) -> dict[str, Index]:
     """Places (M,) of the landmarks in the estimate, each initialised once before it is updated."""
     order = np.argsort(landmark_id)
-    slots: dict[str, Index] = {}
+    landmark_indices: dict[str, Index] = {}
     for part in ("update", "initialise"):
         ids = found[f"{part}_landmark"].astype(np.int64)
         stray = ids[~np.isin(ids, landmark_id)]
         if len(stray):
             raise InputError(f"{path}: {part}_landmark holds {stray[0]}, not among landmarks.csv")
-        slots[part] = order[np.searchsorted(landmark_id[order], ids)]
-    times = np.bincount(slots["initialise"], minlength=len(landmark_id))
+        landmark_indices[part] = order[np.searchsorted(landmark_id[order], ids)]
+    times = np.bincount(landmark_indices["initialise"], minlength=len(landmark_id))
     wrong = np.flatnonzero(times != 1)
     if len(wrong):
         raise InputError(
             f"{path}: landmark {landmark_id[wrong[0]]} is initialised {times[wrong[0]]} times, "
             "expected once"
         )
-    return slots
+    return landmark_indices

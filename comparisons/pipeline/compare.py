@@ -301,7 +301,7 @@ def _assess(
     judged, labelled = prepared.judged, prepared.labelled
     score = None
     if not labelled:
-        score = score_association(run.slot, run.estimate.landmark, prepared.log)
+        score = score_association(run.landmark_index, run.estimate.landmark, prepared.log)
     return Assessment(
         ekf=assess(run.estimate, judged, labelled=labelled),
         smoother=assess(smoothed, judged, labelled=labelled),

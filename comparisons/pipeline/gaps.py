@@ -66,7 +66,7 @@ class Gaps:
         """Return where linearising cost something."""
         from comparisons.checks.diagnosis.linearisation_growth import linearisation_growth
 
-        # All landmarks with a direction by slot, merged ones among them.
+        # All landmarks with a direction by landmark index, merged ones among them.
         whole = replace(self.smoothed, oriented=self.result.oriented())
         return linearisation_growth(
             self.model, model_system_at(self.problem, self.run, whole), whole

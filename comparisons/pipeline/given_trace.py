@@ -254,9 +254,9 @@ def _as_run(
     pose[2] += 2.0 * np.pi * np.round((trace.arrived[-1, 2] - pose[2]) / (2.0 * np.pi))
     departed = np.vstack((trace.departed, pose))[until]
     arrived = np.vstack((trace.prior_pose, trace.arrived))[until]
-    slot = np.full(len(timeline.measurement_epoch), REJECTED, dtype=np.intp)
+    landmark_index = np.full(len(timeline.measurement_epoch), REJECTED, dtype=np.intp)
     for records in (trace.initialisations[POINT], trace.measurements[POINT]):
-        slot[records.number] = records.slot
+        landmark_index[records.number] = records.landmark_index
     return EkfRun(
         estimate=replace(
             last,
@@ -266,7 +266,7 @@ def _as_run(
         ),
         timeline=timeline,
         trace=trace,
-        slot=slot,
+        landmark_index=landmark_index,
         departed=departed,
         arrived=arrived,
         final=PoseReading(pose, pose, np.eye(3)),

@@ -19,7 +19,7 @@ from comparisons.logs.log import Log
 from comparisons.logs.odometry import RelativePoses
 from comparisons.logs.transforms.known_landmarks import (
     SURVEYED,
-    slots_by_label,
+    indices_by_label,
 )
 from comparisons.logs.transforms.scan_motion import divide, measurements_kept, with_scan_motion
 from comparisons.pipeline.prepare import Prepared, Progress, no_progress, prepare
@@ -91,10 +91,10 @@ def run_front_end(
     with clock.stage("loops"):
         named = _with_named_measurements(log, motion, labelled=labelled)
         scanned = replace(prepared, log=with_scan_motion(named, motion, positions=how.gps != "off"))
-        slot, ids = slots_by_label(scanned.log)
+        landmark_index, ids = indices_by_label(scanned.log)
         timeline = scanned.timeline
         rows = position_rows(timeline, scanned.positions)
-        problem = assemble(scanned.log, timeline, slot, len(ids), rows)
+        problem = assemble(scanned.log, timeline, landmark_index, len(ids), rows)
         clouds = motion.clouds(timeline.epoch_time_s)
         closer: LoopCloser = NoLoopClosure()
         if how.loop_closure:

@@ -19,7 +19,7 @@ from comparisons.checks.association_variants import poses_apart
 from comparisons.checks.qualifiers import Distance, TruthGap, measurement_scale
 from comparisons.errors import InputError
 from comparisons.extensions.contract import Finding
-from comparisons.logs.transforms.known_landmarks import slots_by_label
+from comparisons.logs.transforms.known_landmarks import indices_by_label
 from comparisons.pipeline.gaps import Compared
 from graphslam.graph_builder import build_graph, from_values
 from graphslam.initialisation import track
@@ -76,7 +76,7 @@ def _counts(compared: Compared) -> tuple[int, int, int, int]:
     timeline = run.timeline
     return (
         len(timeline.epoch_time_s),
-        len(run.slot),
+        len(run.landmark_index),
         len(run.estimate.landmark),
         len(timeline.step_epoch),
     )
@@ -132,9 +132,9 @@ def labels_gap(compared: Compared, association: AssociationScore | None) -> Trut
 def _labelled(compared: Compared) -> tuple[SlamProblem, NDArray[np.int64]]:
     """Return the filter's observations with the log's labels, and the landmarks' ids (L,)."""
     log, run = compared.prepared.log, compared.ekf
-    slot, ids = slots_by_label(log)
+    landmark_index, ids = indices_by_label(log)
     rows = position_rows(run.timeline, run.positions)
-    problem = assemble(log, run.timeline, slot[: len(run.slot)], len(ids), rows)
+    problem = assemble(log, run.timeline, landmark_index[: len(run.landmark_index)], len(ids), rows)
     return replace(problem, oriented=run.oriented), ids
 
 

@@ -21,7 +21,7 @@ from comparisons.config import EkfConfig, SolveConfig
 from comparisons.errors import InputError
 from comparisons.estimates.estimate import Estimate
 from comparisons.logs.log import Log
-from comparisons.logs.transforms.known_landmarks import slots_by_label
+from comparisons.logs.transforms.known_landmarks import indices_by_label
 from comparisons.pipeline.prepare import (
     Prepared,
     Progress,
@@ -38,13 +38,13 @@ from graphslam.smoother import SmootherOptions, SmootherResult
 class Solution:
     """What the smoother found.
 
-    slot: (M,) landmark of each of the log's measurements, negative where unused. association: how
-    it compares with the log's labels, when it was made without them; association_check: and with
-    others that are made without them.
+    landmark_index: (M,) landmark of each of the log's measurements, negative where unused.
+    association: how it compares with the log's labels, when it was made without them;
+    association_check: and with others that are made without them.
     """
 
     prepared: Prepared[SolveConfig]
-    slot: Index
+    landmark_index: Index
     result: SmootherResult
     estimate: Estimate
     dead_reckoned: Array
@@ -99,13 +99,13 @@ def solve(
     with clock.stage("association"):
         rows = position_rows(timeline, prepared.positions)
         if known:
-            slot, ids = slots_by_label(log)
-            problem = assemble(log, timeline, slot, len(ids), rows)
+            landmark_index, ids = indices_by_label(log)
+            problem = assemble(log, timeline, landmark_index, len(ids), rows)
         else:
             progress("association", 0, 0)
             associator = OwnAssociator(log, timeline, rows)
             own = associator.associate()
-            slot, problem = own.slot, own.problem
+            landmark_index, problem = own.landmark_index, own.problem
             ids = np.arange(problem.landmark_count)
             guesses["association"] = (own.poses, own.landmarks)
     if not len(ids) and log.closures is None:
@@ -127,13 +127,13 @@ def solve(
     reckoned = dead_reckoned(problem.prior_pose, problem.increment)
     return Solution(
         prepared=prepared,
-        slot=slot,
+        landmark_index=landmark_index,
         result=result,
         estimate=estimate,
         dead_reckoned=reckoned,
         accuracy=assess(estimate, prepared.judged, labelled=known),
         accuracy_dead_reckoned=assess_trajectory(timeline.epoch_time_s, reckoned, prepared.judged),
-        association=None if known else score_association(slot, result.landmarks, log),
+        association=None if known else score_association(landmark_index, result.landmarks, log),
         association_check=checked,
     )
 
@@ -146,5 +146,5 @@ def _check(
     dof = problem.residual_dimension - problem.state_dimension
     optimum = (result.poses, estimate.pose_covariance, 2.0 * result.error, dof)
     return check_association(
-        own.slot, associator.time_s, optimum, associator.alternatives(own, result)
+        own.landmark_index, associator.time_s, optimum, associator.alternatives(own, result)
     )

@@ -212,7 +212,9 @@ def _map(check: GivenCheck, ours: Index, theirs: Index) -> tuple[MapContent, Ind
             f"{block.distance:.2g} sigma"
         )
     beneath = [
-        associations(smoothed, solution.prepared.timeline.measurement_epoch, solution.slot),
+        associations(
+            smoothed, solution.prepared.timeline.measurement_epoch, solution.landmark_index
+        ),
         *all_landmarks("all landmarks", smoothed.landmark, marked),
     ]
     own = Track(name="given", colour=EKF_COLOUR, dashes="5 3", time_s=given.time_s, pose=given.pose)

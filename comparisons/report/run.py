@@ -128,7 +128,7 @@ def _map(c: Comparison, marked: Index) -> MapContent:
             for place in (one.pose[:, :2], one.landmark, one.oriented[:, :2])
         ],
         beneath=[
-            associations(ekf, c.ekf.timeline.measurement_epoch, c.ekf.slot),
+            associations(ekf, c.ekf.timeline.measurement_epoch, c.ekf.landmark_index),
             *all_landmarks("all landmarks", ekf.landmark, marked),
         ],
         above=[one.layers for one in c.findings.values()],

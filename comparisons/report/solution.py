@@ -51,7 +51,7 @@ def build_solution_result(solution: Solution, read: Clock | None = None) -> Solu
         log=log_result(s.log),
         association_by=s.association_by,
         landmarks=len(s.estimate.landmark),
-        measurements_used=int(np.count_nonzero(s.slot >= 0)),
+        measurements_used=int(np.count_nonzero(s.landmark_index >= 0)),
         gps=s.prepared.ekf.gps,
         smoother=smoother_result(s.result, s.estimate),
         accuracy=accuracy_result(s.accuracy),

@@ -110,10 +110,10 @@ def _poses(stream: Any, name: str, colour: str, estimate: Estimate) -> None:
 def _landmarks(
     stream: Any, name: str, colour: str, estimate: Estimate, comparison: Comparison
 ) -> None:
-    rr, slot = load_rerun(), comparison.ekf.slot
+    rr, landmark_index = load_rerun(), comparison.ekf.landmark_index
     outline = ellipses(estimate.landmark, estimate.landmark_covariances(), _SIGMAS, 32)
-    used = np.flatnonzero(slot >= 0)
-    seen, first = np.unique(slot[used], return_index=True)
+    used = np.flatnonzero(landmark_index >= 0)
+    seen, first = np.unique(landmark_index[used], return_index=True)
     epoch = comparison.ekf.timeline.measurement_epoch[used[first]]
     for k in np.unique(epoch).tolist():
         known = seen[epoch <= k]

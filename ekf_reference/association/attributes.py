@@ -31,16 +31,16 @@ class AttributeDistances(NamedTuple):
 class Attributes(Protocol):
     """Contract of what an association rule asks about attributes."""
 
-    def distances(self, slot: Index, seen: Measurements) -> AttributeDistances:
-        """Return the distances from all measurements (m) to landmarks by slot (L,)."""
+    def distances(self, landmark_index: Index, seen: Measurements) -> AttributeDistances:
+        """Return the distances from all measurements (m) to landmarks by landmark index (L,)."""
 
 
 class NoAttributes:
     """Landmarks are told apart by position alone."""
 
-    def distances(self, slot: Index, seen: Measurements) -> AttributeDistances:
+    def distances(self, landmark_index: Index, seen: Measurements) -> AttributeDistances:
         """Add nothing."""
-        nothing = np.zeros((len(seen), len(slot)))
+        nothing = np.zeros((len(seen), len(landmark_index)))
         return AttributeDistances(nothing, nothing, nothing.astype(np.intp))
 
 
@@ -71,31 +71,36 @@ class AttributeEstimates:
         pooled = self.repeats / np.where(self.count > 0, self._information, np.nan)
         return np.where(pooled > self._least, self._least, pooled)
 
-    def distances(self, slot: Index, seen: Measurements) -> AttributeDistances:
+    def distances(self, landmark_index: Index, seen: Measurements) -> AttributeDistances:
         """Return the distances by what both have; nis and dof of nothing else.
 
         In n a landmark that lacks what was measured stands with the mean and spread of all that
         have it: without the term a density per unit of the attribute would be weighed against one
         without, and the unit would decide.
         """
-        self._reach(slot)
+        self._reach(landmark_index)
         if not seen.attributes.value.shape[1]:
-            return NO_ATTRIBUTES.distances(slot, seen)
+            return NO_ATTRIBUTES.distances(landmark_index, seen)
         mean, variance = self.mean, self.variance
-        return compared(seen.attributes, mean[slot], variance[slot], population(mean, variance))
+        return compared(
+            seen.attributes,
+            mean[landmark_index],
+            variance[landmark_index],
+            population(mean, variance),
+        )
 
-    def note(self, slots: Index, measured: MeasuredAttributes) -> None:
+    def note(self, landmark_indices: Index, measured: MeasuredAttributes) -> None:
         """Average in the attributes of measurements that were given to landmarks (m,)."""
-        row, column = np.nonzero(np.isfinite(measured.value) & (slots >= 0)[:, None])
-        slot, variance = slots[row], measured.variance[row, column]
-        self._reach(slot)
-        np.add.at(self.count, (slot, column), 1)
-        np.add.at(self._information, (slot, column), 1.0 / variance)
-        np.add.at(self._weighted, (slot, column), measured.value[row, column] / variance)
-        np.minimum.at(self._least, (slot, column), variance)
+        row, column = np.nonzero(np.isfinite(measured.value) & (landmark_indices >= 0)[:, None])
+        landmark_index, variance = landmark_indices[row], measured.variance[row, column]
+        self._reach(landmark_index)
+        np.add.at(self.count, (landmark_index, column), 1)
+        np.add.at(self._information, (landmark_index, column), 1.0 / variance)
+        np.add.at(self._weighted, (landmark_index, column), measured.value[row, column] / variance)
+        np.minimum.at(self._least, (landmark_index, column), variance)
 
-    def _reach(self, slot: Index) -> None:
-        more = int(slot.max(initial=-1)) + 1 - len(self.count)
+    def _reach(self, landmark_index: Index) -> None:
+        more = int(landmark_index.max(initial=-1)) + 1 - len(self.count)
         if more > 0:
             below = ((0, more), (0, 0))
             self.count = np.pad(self.count, below)
@@ -113,9 +118,9 @@ class RememberedAttributes:
 
     def assign(self, state: KalmanState, model: MeasurementModel, seen: Measurements) -> Index:
         """Assign by the rule."""
-        slots = self.rule.assign(state, model, seen)
-        self.memory.note(slots, seen.attributes)
-        return slots
+        landmark_indices = self.rule.assign(state, model, seen)
+        self.memory.note(landmark_indices, seen.attributes)
+        return landmark_indices
 
 
 def compared(

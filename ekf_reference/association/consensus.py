@@ -51,14 +51,16 @@ class ConsensusAssociation:
         noise += self.resolution_m**2 / 16.0 * h @ h.transpose(0, 2, 1)
         merged = Measurements(predicted.z, noise, np.full(len(share), -1), closed=seen.closed)
         local = landmarks_around(state, model, merged)
-        slots = np.full(len(seen), AMBIGUOUS, dtype=np.intp)
+        landmark_indices = np.full(len(seen), AMBIGUOUS, dtype=np.intp)
         added = state.landmark_count
         for place, choices in enumerate(zip(*self._likely(local, model, merged), strict=True)):
             landmark, *others = set(choices)
             if not others:
-                slots[group == place] = added if landmark == _NEW else local.slot[landmark]
+                landmark_indices[group == place] = (
+                    added if landmark == _NEW else local.landmark_index[landmark]
+                )
                 added += landmark == _NEW
-        return slots
+        return landmark_indices
 
     def _likely(
         self, local: LocalMap, model: MeasurementModel, merged: Measurements

@@ -31,7 +31,7 @@ def landmarks_around(state: KalmanState, model: MeasurementModel, seen: Measurem
     longest, variance = float(model.range_m(seen.z).max()), state.pose_covariance.diagonal()
     sigma = math.sqrt(variance[:2].sum()) + longest * math.sqrt(variance[2:].sum())
     local = state.local_map(longest + max(SEARCH_MARGIN_M, SEARCH_SIGMAS * sigma))
-    closed = np.isin(local.slot, seen.closed)
+    closed = np.isin(local.landmark_index, seen.closed)
     return local.take(np.flatnonzero(~closed)) if closed.any() else local
 
 
@@ -65,11 +65,11 @@ def match_in_order(cost: Array, allowed: Mask) -> Index:
     return column
 
 
-def slots_of(column: Index, far: Mask, local_slot: Index, count: int) -> Index:
-    """Return slots (m,) by column of a local map; one far (m, L) from all is new from `count`."""
-    slots = np.full(len(column), AMBIGUOUS, dtype=np.intp)
+def indices_of(column: Index, far: Mask, local_index: Index, count: int) -> Index:
+    """Return landmark indices (m,) by local column; one far (m, L) from all is new from `count`."""
+    landmark_indices = np.full(len(column), AMBIGUOUS, dtype=np.intp)
     matched = column >= 0
-    slots[matched] = local_slot[column[matched]]
+    landmark_indices[matched] = local_index[column[matched]]
     new = np.logical_and.reduce(far, axis=1)
-    slots[new] = count + np.arange(np.count_nonzero(new))
-    return slots
+    landmark_indices[new] = count + np.arange(np.count_nonzero(new))
+    return landmark_indices

@@ -1,8 +1,8 @@
 """Reject measurements of what moves, and landmarks there (Nieto 2005, section 6.5).
 
-Measurements from dynamic regions are discarded, and landmarks in them are deactivated: their slots
-are closed for good. The other states are estimated as if these had been marginalised out. They
-stay in the state, so that the compressed filter still equals the full one.
+Measurements from dynamic regions are discarded, and landmarks in them are deactivated: their
+landmark indices are closed for good. The other states are estimated as if these had been
+marginalised out. They stay in the state, so that the compressed filter still equals the full one.
 """
 
 from __future__ import annotations
@@ -30,9 +30,10 @@ class DynamicGuard(Protocol):
 class DynamicRejection:
     """Wraps an association rule: it sees neither dynamic measurements nor deactivated landmarks.
 
-    retired: slots that are closed. What was fused before a region was found to be dynamic stays
-    fused. Only landmarks within reach of the measurements are asked about, so that a compressed
-    filter, whose other landmarks are not up to date, deactivates the same ones at the same time.
+    retired: landmark indices that are closed. What was fused before a region was found to be
+    dynamic stays fused. Only landmarks within reach of the measurements are asked about, so that a
+    compressed filter, whose other landmarks are not up to date, deactivates the same ones at the
+    same time.
     """
 
     rule: Association
@@ -40,16 +41,16 @@ class DynamicRejection:
     retired: set[int] = field(default_factory=set)
 
     def assign(self, state: KalmanState, model: MeasurementModel, seen: Measurements) -> Index:
-        """Assign by the rule; DYNAMIC is what is in a dynamic region or of a closed slot."""
-        slots = np.full(len(seen), DYNAMIC, dtype=np.intp)
+        """Assign by the rule; DYNAMIC: in a dynamic region, or of a closed landmark index."""
+        landmark_indices = np.full(len(seen), DYNAMIC, dtype=np.intp)
         if not len(seen):
-            return slots
+            return landmark_indices
         around = landmarks_around(state, model, seen)
-        self.retired.update(around.slot[self.guard.is_dynamic(around.landmark)].tolist())
+        self.retired.update(around.landmark_index[self.guard.is_dynamic(around.landmark)].tolist())
         closed = tuple(sorted(self.retired))
         still = np.flatnonzero(~self.guard.is_dynamic(model.invert(around.pose, seen.z).landmark))
         if len(still):
             rest = replace(seen.take(still), closed=closed)
-            slots[still] = self.rule.assign(state, model, rest)
-            slots[np.isin(slots, closed)] = DYNAMIC
-        return slots
+            landmark_indices[still] = self.rule.assign(state, model, rest)
+            landmark_indices[np.isin(landmark_indices, closed)] = DYNAMIC
+        return landmark_indices

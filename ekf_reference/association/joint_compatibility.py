@@ -15,10 +15,10 @@ from scipy.special import gammaincinv
 
 from ekf_reference.association.attributes import NO_ATTRIBUTES, Attributes, same_tail
 from ekf_reference.association.distances import (
+    indices_of,
     landmarks_around,
     match_in_order,
     normalised_distances,
-    slots_of,
 )
 from ekf_reference.core.blocks import block_diagonal, stack
 from ekf_reference.core.geometry import Array, Index
@@ -49,7 +49,7 @@ class JointCompatibility:
         """Assign by position and attributes, all measurements of the scan together."""
         local = landmarks_around(state, model, seen)
         distances = normalised_distances(local, model, seen)
-        added = self.attributes.distances(local.slot, seen)
+        added = self.attributes.distances(local.landmark_index, seen)
         nis, n, dof = distances.nis + added.nis, distances.n + added.n, 2 + added.dof
         upward = np.arange(int(dof.max(initial=2)) * len(dof) + 1)
         gates = 2.0 * gammaincinv(0.5 * np.maximum(upward, 2), self.probability)
@@ -77,7 +77,7 @@ class JointCompatibility:
             self.counts["cut off"] += search.cut_off
             column[row[chosen]] = landmark[chosen]
         far = nis > same_tail(self.new_gate, dof)
-        return slots_of(column, far, local.slot, state.landmark_count)
+        return indices_of(column, far, local.landmark_index, state.landmark_count)
 
 
 def pair_covariance(

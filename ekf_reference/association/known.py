@@ -19,55 +19,63 @@ class KnownAssociation:
     """Takes the labels that the log carries; the n-th new label becomes the n-th landmark.
 
     gate: nis beyond which a label is taken for a misread (Nieto 2005, section 2.4.1); infinite
-    where labels are certain. first_slot: where landmarks by label begin in the map.
+    where labels are certain. first_index: where landmarks by label begin in the map.
     """
 
     gate: float = float("inf")
-    slot_of: dict[int, int] = field(default_factory=dict)
-    first_slot: int = 0
+    index_of: dict[int, int] = field(default_factory=dict)
+    first_index: int = 0
 
     def assign(self, state: KalmanState, model: MeasurementModel, seen: Measurements) -> Index:
-        """Look the labels up, giving new ones the next slots. Unlabelled are rejected."""
-        slots = np.full(len(seen), REJECTED, dtype=np.intp)
+        """Look the labels up; new ones take the next landmark indices. Unlabelled are rejected."""
+        landmark_indices = np.full(len(seen), REJECTED, dtype=np.intp)
         for k, label in enumerate(seen.identity.tolist()):
             if label >= 0:
-                slots[k] = self.slot_of.setdefault(label, self.first_slot + len(self.slot_of))
-        return reject_beyond(self.gate, slots, state, model, seen)
+                landmark_indices[k] = self.index_of.setdefault(
+                    label, self.first_index + len(self.index_of)
+                )
+        return reject_beyond(self.gate, landmark_indices, state, model, seen)
 
 
 @dataclass(frozen=True)
 class SurveyedLandmarks:
     """Surveyed landmarks go by label, others by a rule (Guivant 2002, section 4.2).
 
-    slot_of: of the surveyed, by label. gate: as in KnownAssociation; a wrong measurement of a
+    index_of: of the surveyed, by label. gate: as in KnownAssociation; a wrong measurement of a
     landmark that is known for certain does the most harm.
     """
 
     rule: Association
-    slot_of: dict[int, int]
+    index_of: dict[int, int]
     gate: float = 30.0
 
     def assign(self, state: KalmanState, model: MeasurementModel, seen: Measurements) -> Index:
         """Assign surveyed landmarks first, then the rest by the rule."""
         labels = seen.identity.tolist()
-        slots = np.array([self.slot_of.get(label, REJECTED) for label in labels], dtype=np.intp)
-        others = np.flatnonzero(slots < 0)
-        slots = reject_beyond(self.gate, slots, state, model, seen)
+        landmark_indices = np.array(
+            [self.index_of.get(label, REJECTED) for label in labels], dtype=np.intp
+        )
+        others = np.flatnonzero(landmark_indices < 0)
+        landmark_indices = reject_beyond(self.gate, landmark_indices, state, model, seen)
         if len(others):
-            slots[others] = self.rule.assign(state, model, seen.take(others))
-        return slots
+            landmark_indices[others] = self.rule.assign(state, model, seen.take(others))
+        return landmark_indices
 
 
 def reject_beyond(
-    gate: float, slots: Index, state: KalmanState, model: MeasurementModel, seen: Measurements
+    gate: float,
+    landmark_indices: Index,
+    state: KalmanState,
+    model: MeasurementModel,
+    seen: Measurements,
 ) -> Index:
-    """Return the slots, REJECTED where a landmark was removed or its nis exceeds the gate."""
-    slots = slots.copy()
-    mapped = np.flatnonzero((slots >= 0) & (slots < state.landmark_count))
-    gone = state.layout.first[seen.width][slots[mapped]] == ABSENT
-    slots[mapped[gone]], mapped = REJECTED, mapped[~gone]
+    """Return the landmark indices, REJECTED where removed or where the nis exceeds the gate."""
+    landmark_indices = landmark_indices.copy()
+    mapped = np.flatnonzero((landmark_indices >= 0) & (landmark_indices < state.landmark_count))
+    gone = state.layout.first[seen.width][landmark_indices[mapped]] == ABSENT
+    landmark_indices[mapped[gone]], mapped = REJECTED, mapped[~gone]
     if np.isfinite(gate) and len(mapped):
-        local = state.map_of(slots[mapped])
+        local = state.map_of(landmark_indices[mapped])
         nis = normalised_distances(local, model, seen.take(mapped)).nis.diagonal()
-        slots[mapped[nis > gate]] = REJECTED
-    return slots
+        landmark_indices[mapped[nis > gate]] = REJECTED
+    return landmark_indices

@@ -67,7 +67,8 @@ class _Candidate:
 class LandmarkInitiation:
     """Wraps an association rule; its new landmarks have to pass as candidates first.
 
-    rule: one that goes by the state alone. KnownAssociation is none: it keeps slots of its own.
+    rule: one that goes by the state alone. KnownAssociation is none: it keeps landmark indices of
+    its own.
     promoted, dropped: how many candidates became landmarks, and how many never did.
     """
 
@@ -80,15 +81,15 @@ class LandmarkInitiation:
     def __post_init__(self) -> None:
         """Raise TypeError for KnownAssociation."""
         if isinstance(self.rule, KnownAssociation):
-            raise TypeError("labels give slots away before a landmark is confirmed")
+            raise TypeError("labels give landmark indices away before a landmark is confirmed")
 
     def assign(self, state: KalmanState, model: MeasurementModel, seen: Measurements) -> Index:
         """Assign by the rule, but new landmarks are CANDIDATE until they are reliable."""
-        slots = self.rule.assign(state, model, seen)
+        landmark_indices = self.rule.assign(state, model, seen)
         silence_s, before = self.reliability.silence_s, len(self._candidates)
         self._candidates = [c for c in self._candidates if seen.time_s - c.last_s <= silence_s]
         self.dropped += before - len(self._candidates)
-        new = np.flatnonzero(slots >= state.landmark_count)
+        new = np.flatnonzero(landmark_indices >= state.landmark_count)
         place = model.invert(state.pose, seen.z[new]).landmark
         joined = [self._nearest(point) or _Candidate(seen.time_s) for point in place]
         self._candidates += [one for one in joined if not one.count]
@@ -100,9 +101,9 @@ class LandmarkInitiation:
                 done.setdefault(candidate, k)
         self._candidates = [one for one in self._candidates if one not in done]
         self.promoted += len(done)
-        slots[new] = CANDIDATE
-        slots[list(done.values())] = state.landmark_count + np.arange(len(done))
-        return slots
+        landmark_indices[new] = CANDIDATE
+        landmark_indices[list(done.values())] = state.landmark_count + np.arange(len(done))
+        return landmark_indices
 
     def _nearest(self, point: Array) -> _Candidate | None:
         """The candidate within reach of a place (2,) that is nearest to it."""

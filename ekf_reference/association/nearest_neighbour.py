@@ -8,10 +8,10 @@ import numpy as np
 
 from ekf_reference.association.attributes import NO_ATTRIBUTES, Attributes, same_tail
 from ekf_reference.association.distances import (
+    indices_of,
     landmarks_around,
     match_in_order,
     normalised_distances,
-    slots_of,
 )
 from ekf_reference.core.geometry import Index
 from ekf_reference.core.landmark_types import MeasurementModel
@@ -37,11 +37,11 @@ class NearestNeighbour:
         """Assign by position and attributes."""
         local = landmarks_around(state, model, seen)
         distances = normalised_distances(local, model, seen)
-        added = self.attributes.distances(local.slot, seen)
+        added = self.attributes.distances(local.landmark_index, seen)
         nis, dof = distances.nis + added.nis, 2 + added.dof
         column = match_in_order(distances.n + added.n, nis <= same_tail(self.gate, dof))
         far = nis > same_tail(self.new_gate, dof)
-        return slots_of(column, far, local.slot, state.landmark_count)
+        return indices_of(column, far, local.landmark_index, state.landmark_count)
 
 
 @dataclass(frozen=True)
@@ -60,4 +60,6 @@ class EuclideanNeighbour:
         place = model.invert(local.pose, seen.z).landmark
         distance = np.linalg.norm(place[:, None] - local.landmark[None], axis=2)  # 17
         column = match_in_order(distance, distance < self.d_min_m)
-        return slots_of(column, distance >= self.d_min_m, local.slot, state.landmark_count)
+        return indices_of(
+            column, distance >= self.d_min_m, local.landmark_index, state.landmark_count
+        )

@@ -28,7 +28,7 @@ from ekf_reference.models.range_bearing import RangeBearing
 from ekf_reference.models.relative_pose import RelativePose
 
 NEW = -1
-"""The slot of a measurement of a landmark that is not in the state yet, for `observe_known`."""
+"""Landmark index of a landmark that is not in the state yet, for `observe_known`."""
 NO_LANDMARKS: Index = np.zeros(0, dtype=np.intp)
 
 
@@ -102,12 +102,12 @@ class Ekf:
         self.trace.prior(prior_pose, prior_covariance)
 
     def step(self, control: Control, seen: Measurements) -> Index:
-        """Do one cycle (Nieto 2005, section 2.3); return the slots (m,), negative where unused."""
+        """Do one cycle (Nieto 2005, 2.3); return landmark indices (m,), negative where unused."""
         self.predict(*control)
-        slots = self.associate(seen)
-        self.update(seen, slots)
-        self.augment(seen, slots)
-        return slots
+        landmark_indices = self.associate(seen)
+        self.update(seen, landmark_indices)
+        self.augment(seen, landmark_indices)
+        return landmark_indices
 
     def predict(self, control: Array, covariance: Array, duration_s: float) -> None:
         """Move under a control (m,) with covariance (m, m) for a time.
@@ -121,29 +121,33 @@ class Ekf:
         self.trace.step(StepRecord(departed, pose, f, noise))
 
     def associate(self, seen: Measurements) -> Index:
-        """Return the slots (m,) of points (Nieto 2005, section 2.4); ValueError for poses."""
+        """Return the landmark indices (m,) of points (Nieto 2005, 2.4); ValueError for poses."""
         if seen.width != POINT:
             raise ValueError(f"measurements of {seen.width} entries, expected {POINT}: of points")
         if not len(seen):
             return NO_LANDMARKS
         return self.association.assign(self.state, self.models[seen.width], seen)
 
-    def update(self, seen: Measurements, slots: Index) -> None:
+    def update(self, seen: Measurements, landmark_indices: Index) -> None:
         """Fuse the measurements of landmarks that are in the state (Nieto 2005, 2.37 to 2.47)."""
         mapped = len(self.state.layout.first[seen.width])
-        self._fuse(seen, slots, np.flatnonzero((slots >= 0) & (slots < mapped)))
+        self._fuse(
+            seen,
+            landmark_indices,
+            np.flatnonzero((landmark_indices >= 0) & (landmark_indices < mapped)),
+        )
 
-    def augment(self, seen: Measurements, slots: Index) -> None:
+    def augment(self, seen: Measurements, landmark_indices: Index) -> None:
         """Initialise the landmarks that are not in the state yet (Nieto 2005, 2.48 to 2.56).
 
         Follows `update`. Fuses second measurements of a new landmark; counts all for the trace.
         """
-        new = np.flatnonzero(slots >= len(self.state.layout.first[seen.width]))
+        new = np.flatnonzero(landmark_indices >= len(self.state.layout.first[seen.width]))
         if len(new):
-            first = np.sort(new[np.unique(slots[new], return_index=True)[1]])
-            self._initialise(seen, slots, first)
-            self._fuse(seen, slots, np.setdiff1d(new, first))
-        self.take_numbers(seen.width, len(slots))
+            first = np.sort(new[np.unique(landmark_indices[new], return_index=True)[1]])
+            self._initialise(seen, landmark_indices, first)
+            self._fuse(seen, landmark_indices, np.setdiff1d(new, first))
+        self.take_numbers(seen.width, len(landmark_indices))
 
     def observe(
         self,
@@ -159,25 +163,29 @@ class Ekf:
         """
         own = self.models[POINT].measured(z, sigma)
         seen = Measurements(*own, identity, time_s=time_s, attributes=attributes)
-        slots = self.associate(seen)
-        self.update(seen, slots)
-        self.augment(seen, slots)
-        return slots
+        landmark_indices = self.associate(seen)
+        self.update(seen, landmark_indices)
+        self.augment(seen, landmark_indices)
+        return landmark_indices
 
-    def observe_known(self, z: Array, noise: Array, slot: Index) -> Index:
-        """Update and augment with measurements (m, w), R (m, w, w), whose slots (m,) are known.
+    def observe_known(self, z: Array, noise: Array, landmark_index: Index) -> Index:
+        """Update and augment with measurements (m, w), R (m, w, w), of known landmark indices (m,).
 
-        NEW stands for a new landmark; the slots returned have its own. Raises ValueError for a
-        landmark that is not in the state.
+        NEW stands for a new landmark; the landmark indices returned have its own. Raises ValueError
+        for a landmark that is not in the state.
         """
-        seen = Measurements(z, noise, slot)
+        seen = Measurements(z, noise, landmark_index)
         mapped = len(self.state.layout.first[seen.width])
-        if ((slot < NEW) | (slot >= mapped)).any():
-            raise ValueError(f"slots {slot.tolist()}, expected {NEW} or less than {mapped}")
-        slots = np.where(slot == NEW, mapped + np.cumsum(slot == NEW) - 1, slot)
-        self.update(seen, slots)
-        self.augment(seen, slots)
-        return slots
+        if ((landmark_index < NEW) | (landmark_index >= mapped)).any():
+            raise ValueError(
+                f"landmark indices {landmark_index.tolist()}, expected {NEW} or less than {mapped}"
+            )
+        landmark_indices = np.where(
+            landmark_index == NEW, mapped + np.cumsum(landmark_index == NEW) - 1, landmark_index
+        )
+        self.update(seen, landmark_indices)
+        self.augment(seen, landmark_indices)
+        return landmark_indices
 
     def fix_position(self, z: Array, covariance: Array) -> bool:
         """Fuse an absolute position (2,) with covariance (2, 2); False when it is rejected."""
@@ -194,8 +202,8 @@ class Ekf:
             length = self._beyond.length_with(at.innovation, covariance, fixes.gate)
             fused = length > fixes.recovery
         if fused:
-            slot = np.array([VEHICLE])
-            self.fuse(linearise, covariance[None], number, slot, splitter=fixes.splitter)
+            landmark_index = np.array([VEHICLE])
+            self.fuse(linearise, covariance[None], number, landmark_index, splitter=fixes.splitter)
         if fixes.recovery is not None:
             self._beyond = Streak(length, linearise().innovation, covariance)
         return fused
@@ -205,14 +213,15 @@ class Ekf:
         linearise: Callable[[], Linearised],
         noise: Array,
         number: Index,
-        slot: Index,
+        landmark_index: Index,
         origin: int = VEHICLE,
         splitter: UpdateSplitter | None = None,
     ) -> None:
         """Fuse m measurements together, in as many parts as the splitter asks for, and record each.
 
         linearise: the measurements at the state as it then is. noise: (m, r, r), R of each.
-        number, slot, origin: as in MeasurementRecord. splitter: the filter's own unless told.
+        number, landmark index, origin: as in MeasurementRecord. splitter: the filter's own unless
+        told.
         """
         m, r = len(noise), block_diagonal(noise)
         for weight, at in (splitter or self.splitter).split(linearise, r):
@@ -224,7 +233,7 @@ class Ekf:
             p = len(frame)
             record = MeasurementRecord(
                 number=number,
-                slot=slot,
+                landmark_index=landmark_index,
                 pose=frame,
                 landmark=landmark.reshape(m, -1),
                 jacobian_pose=jacobian[:, :p].reshape(m, -1, p),
@@ -250,14 +259,14 @@ class Ekf:
         """
         if m := len(point):
             new = _independent(point, len(self.state.pose))
-            slots = self.state.landmark_count + np.arange(m)
-            self._append(np.full(m, -1), slots, new, covariance, weight=0.0)
+            landmark_indices = self.state.landmark_count + np.arange(m)
+            self._append(np.full(m, -1), landmark_indices, new, covariance, weight=0.0)
 
-    def remove(self, slot: Index, width: int = POINT) -> None:
+    def remove(self, landmark_index: Index, width: int = POINT) -> None:
         """Marginalise landmarks (m,) of a kind out. Raises ValueError for removed ones."""
-        entries = self.state.layout.columns(slot, width)[len(self.state.pose) :]
-        self.state.remove(slot, width)
-        self.trace.removal(RemovalRecord(slot, width, entries))
+        entries = self.state.layout.columns(landmark_index, width)[len(self.state.pose) :]
+        self.state.remove(landmark_index, width)
+        self.trace.removal(RemovalRecord(landmark_index, width, entries))
 
     def read_pose(self) -> PoseReading:
         """Return the pose now, with the Jacobian by the pose in the state."""
@@ -267,33 +276,35 @@ class Ekf:
         """Return the pose now, with the Jacobian by the pose in the trace."""
         return self.read_pose()
 
-    def _fuse(self, seen: Measurements, slots: Index, rows: Index) -> None:
+    def _fuse(self, seen: Measurements, landmark_indices: Index, rows: Index) -> None:
         if not len(rows):
             return
-        slot, z, model = slots[rows], seen.z[rows], self.models[seen.width]
+        landmark_index, z, model = landmark_indices[rows], seen.z[rows], self.models[seen.width]
 
         def linearise() -> Linearised:
-            local = self.state.map_of(slot, seen.width)
+            local = self.state.map_of(landmark_index, seen.width)
             expected, *jacobians = model.predict(local.pose, local.landmark)
             return Linearised(local, stack(*jacobians), model.innovation(z, expected).ravel())
 
-        self.fuse(linearise, seen.noise[rows], self._count[seen.width] + rows, slot)
+        self.fuse(linearise, seen.noise[rows], self._count[seen.width] + rows, landmark_index)
 
-    def _initialise(self, seen: Measurements, slots: Index, rows: Index) -> None:
-        slot, number = slots[rows], self._count[seen.width] + rows
+    def _initialise(self, seen: Measurements, landmark_indices: Index, rows: Index) -> None:
+        landmark_index, number = landmark_indices[rows], self._count[seen.width] + rows
         new = self.models[seen.width].invert(self.state.pose, seen.z[rows])
         if self.boundless_variance is None:
-            self._append(number, slot, new, seen.noise[rows], 1.0)
+            self._append(number, landmark_index, new, seen.noise[rows], 1.0)
         else:  # 2.56: know nothing, then fuse
             new = _independent(new.landmark, len(self.state.pose))
-            self._append(number, slot, new, self.boundless_variance * new.jacobian_z, 0.0)
-            self._fuse(seen, slots, rows)
+            self._append(number, landmark_index, new, self.boundless_variance * new.jacobian_z, 0.0)
+            self._fuse(seen, landmark_indices, rows)
 
     def _append(
-        self, number: Index, slot: Index, new: NewLandmarks, noise: Array, weight: float
+        self, number: Index, landmark_index: Index, new: NewLandmarks, noise: Array, weight: float
     ) -> None:
         zeros = np.zeros(new.landmark.shape), np.zeros(new.landmark.shape), np.zeros(noise.shape)
-        record = MeasurementRecord(number, slot, self.state.pose, *new, noise, *zeros, weight)
+        record = MeasurementRecord(
+            number, landmark_index, self.state.pose, *new, noise, *zeros, weight
+        )
         self.state.augment(*new, noise)
         self.trace.initialisation(record)
 

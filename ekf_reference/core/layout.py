@@ -1,7 +1,7 @@
 """Where in a filter's state the pose and the landmarks lie.
 
-A landmark has a slot among those of its kind, by order of incorporation. A slot is for good: one
-whose landmark was removed, or is not in this part of the state, is ABSENT.
+A landmark has a landmark index among those of its kind, by order of incorporation. A landmark index
+is for good: one whose landmark was removed, or is not in this part of the state, is ABSENT.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class Layout:
     """The entries of a state: the pose, then the landmarks in order of incorporation.
 
     pose_size: entries of the pose. size: of all. first: (L,) first entry of each landmark by its
-    slot, for each kind by its width; ABSENT where there is none.
+    landmark index, for each kind by its width; ABSENT where there is none.
     """
 
     pose_size: int
@@ -36,24 +36,24 @@ class Layout:
         return cls(pose_size, pose_size, {width: np.zeros(0, dtype=np.intp) for width in WIDTHS})
 
     def present(self, width: int = POINT) -> Index:
-        """Return the slots of a kind that are in the state, ascending."""
+        """Return the landmark indices of a kind that are in the state, ascending."""
         return np.flatnonzero(self.first[width] != ABSENT)
 
-    def columns(self, slot: Index, width: int = POINT) -> Index:
+    def columns(self, landmark_index: Index, width: int = POINT) -> Index:
         """Return the entries (p + w m,) of the pose and some landmarks (m,) of a kind.
 
         Source: Guivant 2002, eq. 4; Misono 2007, eq. 7; Nieto 2005, eqs. 2.2, 2.12, 2.25, 5.3, 6.1.
         Raises ValueError for a landmark that is absent.
         """
-        first = self.first[width][slot]
+        first = self.first[width][landmark_index]
         if first.min(initial=0) < 0:
-            gone = np.asarray(slot)[first == ABSENT].tolist()
+            gone = np.asarray(landmark_index)[first == ABSENT].tolist()
             raise ValueError(f"landmarks {gone} of {width} entries were removed from the state")
         entries = (first[:, None] + np.arange(width)).ravel()
         return np.concatenate((np.arange(self.pose_size), entries))
 
     def by_kind(self) -> Index:
-        """Return all entries: the pose's, then those of each kind by slot."""
+        """Return all entries: the pose's, then those of each kind by landmark index."""
         p = self.pose_size
         entries = [self.columns(self.present(width), width)[p:] for width in WIDTHS]
         return np.concatenate((np.arange(p), *entries))

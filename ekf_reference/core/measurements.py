@@ -48,7 +48,8 @@ class Measurements:
 
     z: (m, w), of points range [m] and bearing [rad], of poses x, y [m] and heading [rad] in the
     vehicle's frame. noise: (m, w, w), R. identity: (m,) labels, negative where the sensor gave
-    none. time_s: when. attributes: what else was measured. closed: slots they cannot be of.
+    none. time_s: when. attributes: what else was measured. closed: landmark indices they cannot be
+    of.
     """
 
     z: Array
@@ -78,7 +79,7 @@ class Association(Protocol):
     """Contract of all association rules."""
 
     def assign(self, state: KalmanState, model: MeasurementModel, seen: Measurements) -> Index:
-        """Return the slots (m,) of landmarks in the state, or negative codes.
+        """Return the landmark indices (m,) of landmarks in the state, or negative codes.
 
-        Slots from the present landmark count upward name new landmarks, in order.
+        Landmark indices from the present landmark count upward name new landmarks, in order.
         """

@@ -42,12 +42,12 @@ class FilterDivergedError(ArithmeticError):
 class LocalMap:
     """The pose and some landmarks of one kind, such as those that may be seen from here.
 
-    pose: (p,). slot: (L,). landmark: (L, w). covariance: (p + w L, p + w L) of all. columns:
-    (p + w L,) their state entries.
+    pose: (p,). landmark_index: (L,). landmark: (L, w). covariance: (p + w L, p + w L) of all.
+    columns: (p + w L,) their state entries.
     """
 
     pose: Array
-    slot: Index
+    landmark_index: Index
     landmark: Array
     covariance: Array
     columns: Index
@@ -76,14 +76,16 @@ class LocalMap:
         p, width = len(self.pose), self.landmark.shape[1]
         entry = np.concatenate((np.arange(p), (p + width * rows[:, None] + range(width)).ravel()))
         covariance, columns = self.covariance[entry[:, None], entry], self.columns[entry]
-        return LocalMap(self.pose, self.slot[rows], self.landmark[rows], covariance, columns)
+        return LocalMap(
+            self.pose, self.landmark_index[rows], self.landmark[rows], covariance, columns
+        )
 
 
 class MapSnapshot(NamedTuple):
-    """Landmarks (L, w) of a kind, NaN where removed, and the sorted slots (m,) of current ones."""
+    """Landmarks (L, w) of a kind, NaN where removed; ascending indices (m,) of current ones."""
 
     place: Array
-    slot: Index
+    landmark_index: Index
 
 
 class KalmanState:
@@ -132,7 +134,7 @@ class KalmanState:
 
     @property
     def landmark_count(self) -> int:
-        """Number of points that were ever in the state: the next one's slot."""
+        """Number of points that were ever in the state: the next one's landmark index."""
         return len(self.layout.first[POINT])
 
     def places(self, width: int) -> Array:
@@ -153,7 +155,7 @@ class KalmanState:
         return np.sort(np.concatenate((np.arange(p), *near)))
 
     def within(self, reach_m: float, width: int = POINT) -> Index:
-        """Return the slots of the landmarks of a kind at most `reach_m` from the vehicle."""
+        """Return the landmark indices of a kind at most `reach_m` from the vehicle."""
         offset = self.places(width)[:, :2] - self.pose[:2]
         return np.flatnonzero(np.hypot(*offset.T) <= reach_m)
 
@@ -161,11 +163,11 @@ class KalmanState:
         offset = self.places(width)[:, :2] - self.pose[:2]
         return np.flatnonzero(np.abs(offset).max(axis=1) <= reach_m)
 
-    def map_of(self, slot: Index, width: int = POINT) -> LocalMap:
+    def map_of(self, landmark_index: Index, width: int = POINT) -> LocalMap:
         """Return some landmarks (m,) of a kind. Raises ValueError for removed ones."""
-        columns = self._layout.columns(slot, width)
+        columns = self._layout.columns(landmark_index, width)
         landmark = self._mean[columns[self._layout.pose_size :]].reshape(-1, width)
-        return LocalMap(self.pose, slot, landmark, self.covariance_of(columns), columns)
+        return LocalMap(self.pose, landmark_index, landmark, self.covariance_of(columns), columns)
 
     def snapshot(self, width: int = POINT) -> MapSnapshot:
         """Return all landmarks of a kind, all of them current."""
@@ -235,16 +237,16 @@ class KalmanState:
         self._mean[new] = landmark.ravel()
         self._layout = self._layout.appended(*landmark.shape)
 
-    def remove(self, slot: Index, width: int = POINT) -> None:
-        """Marginalise landmarks (m,) out; slots stay empty. Raises ValueError for removed ones."""
-        gone = self._layout.columns(slot, width)[self._layout.pose_size :]
+    def remove(self, landmark_index: Index, width: int = POINT) -> None:
+        """Marginalise landmarks (m,) out; indices stay empty. ValueError for removed ones."""
+        gone = self._layout.columns(landmark_index, width)[self._layout.pose_size :]
         kept = np.setdiff1d(np.arange(self._layout.size), gone)
         self._layout, n = self._layout.part(kept), len(kept)
         self._mean[:n] = self._mean[kept]
         self._covariance[:n, :n] = self._covariance[kept[:, None], kept]
 
     def part(self, columns: Index) -> KalmanState:
-        """Return the marginal of some state entries (c,), the pose's first; slots are the same."""
+        """Return the marginal of some state entries (c,), the pose first, with equal indices."""
         chosen = KalmanState(self._mean[columns], self._covariance[columns[:, None], columns])
         chosen._layout = self._layout.part(columns)
         return chosen

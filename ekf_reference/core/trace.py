@@ -38,18 +38,20 @@ class MeasurementRecord(NamedTuple):
     poses, and 0 none, as by an absolute position.
 
     number: (m,) in the order of arrival of the measurements of this kind, from 0; parts of an
-    update share it. -1 for a landmark put into the map without one. slot: (m,). landmark: (m, w).
+    update share it. -1 for a landmark put into the map without one. landmark_index: (m,). landmark:
+    (m, w).
     jacobian_pose: (m, r, p). jacobian_other: (m, r, w). noise: (m, r, r), R / weight. innovation:
     (m, r). whitened: (m, r), its part of L^-1 innovation, S = L L^T of all that were fused
     together, in their order. spread: (m, r, r), its own block of S = H P H^T + R / weight. The last
     three are zero for initialisations. weight: the share of the measurement's information: one,
     less for parts of an update, zero for a landmark that is surveyed or initialised with a
     boundless prior, whose noise is that prior's covariance. origin: VEHICLE, or for
-    a merge of two landmarks that are one the first's slot; `pose` is then that landmark's place.
+    a merge of two landmarks that are one the first's landmark index; `pose` is then that landmark's
+    place.
     """
 
     number: Index
-    slot: Index
+    landmark_index: Index
     pose: Array
     landmark: Array
     jacobian_pose: Array
@@ -65,7 +67,7 @@ class MeasurementRecord(NamedTuple):
 class RemovalRecord(NamedTuple):
     """Landmarks (m,) of a kind that were marginalised out. entries: (w m,) of the state before."""
 
-    slot: Index
+    landmark_index: Index
     width: int
     entries: Index
 
@@ -98,7 +100,7 @@ class MeasurementRecords:
 
     step: Index
     number: Index
-    slot: Index
+    landmark_index: Index
     pose: Array
     landmark: Array
     jacobian_pose: Array
@@ -117,11 +119,11 @@ class MeasurementRecords:
 
 @dataclass(frozen=True)
 class RemovalRecords:
-    """D landmarks that were marginalised out. step: (D,) steps made before. width, slot: (D,)."""
+    """D landmarks marginalised out. step: (D,) steps made before. width, landmark_index: (D,)."""
 
     step: Index
     width: Index
-    slot: Index
+    landmark_index: Index
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -241,18 +243,27 @@ def stack_records(records: Kept, p: int, width: int, size: int = 0) -> Measureme
     r = size or width
     shapes = {"pose": (p,), "landmark": (width,), "jacobian_pose": (r, p), "noise": (r, r)}
     shapes |= {"jacobian_other": (r, width), "innovation": (r,), "whitened": (r,), "weight": ()}
-    shapes |= {"spread": (r, r), "step": (), "number": (), "slot": (), "origin": ()}
+    shapes |= {"spread": (r, r), "step": (), "number": (), "landmark_index": (), "origin": ()}
     found: dict[str, list[Any]] = {name: [np.zeros((0, *shape))] for name, shape in shapes.items()}
     for step, one in records:
         for name, value in {"step": step, **one._asdict()}.items():
             once = np.ndim(value) == len(shapes[name])
-            found[name].append(np.full((len(one.slot), *shapes[name]), value) if once else value)
+            found[name].append(
+                np.full((len(one.landmark_index), *shapes[name]), value) if once else value
+            )
     joined = {name: np.concatenate(values) for name, values in found.items()}
-    whole = {name: joined[name].astype(np.intp) for name in ("step", "number", "slot", "origin")}
+    whole = {
+        name: joined[name].astype(np.intp)
+        for name in ("step", "number", "landmark_index", "origin")
+    }
     return MeasurementRecords(**(joined | whole))
 
 
 def removal_records(removals: Sequence[tuple[int, RemovalRecord]]) -> RemovalRecords:
     """Return one row per landmark. removals: with the steps made before each."""
-    rows = [(step, gone.width, slot) for step, gone in removals for slot in gone.slot.tolist()]
+    rows = [
+        (step, gone.width, landmark_index)
+        for step, gone in removals
+        for landmark_index in gone.landmark_index.tolist()
+    ]
     return RemovalRecords(*np.array(rows, dtype=np.intp).reshape(-1, 3).T)

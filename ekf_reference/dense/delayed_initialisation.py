@@ -264,7 +264,7 @@ class DelayedInitialisation:
 def _current(view: FilterView, axis: Index) -> Mask:
     """Which axes (G, 2) have both landmarks among those whose covariance is current; (G,)."""
     known = np.zeros(len(view.landmark), dtype=bool)
-    known[view.slot] = True
+    known[view.landmark_index] = True
     return np.logical_and(known[axis[:, 0]], known[axis[:, 1]])
 
 

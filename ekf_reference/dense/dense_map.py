@@ -91,14 +91,16 @@ class DenseMap:
             return
         self._sought_among = there
         self._sought_until = self.tally.scans + self.seek_every
-        slot = view.near(self.reach_m)
-        made = self.regions.extend(self.landmark, slot, view.joint(slot)[3:, 3:])
+        landmark_index = view.near(self.reach_m)
+        made = self.regions.extend(
+            self.landmark, landmark_index, view.joint(landmark_index)[3:, 3:]
+        )
         if self.waiting is not None:
-            behind = self._make_virtual(view, slot, self.waiting)
+            behind = self._make_virtual(view, landmark_index, self.waiting)
             if len(made) or len(behind):
                 self._fuse_late(view, self.waiting)
             self._potential = self.regions.potential(
-                self.landmark, slot, view.pose, view.joint(slot)
+                self.landmark, landmark_index, view.pose, view.joint(landmark_index)
             )
 
     def insert(self, view: FilterView, scan: Scan, time_s: float = 0.0) -> None:
@@ -142,8 +144,8 @@ class DenseMap:
     def _known(self, view: FilterView, placed: RegionsAtMap, near: Index, sigma_m: float) -> Index:
         """Those of the regions whose middle is known so well from here, all within reach."""
         middle, known = placed.triangle[near].mean(axis=1), replace(view, landmark=self.landmark)
-        slot = self.neglected.carriers(known, near, middle).slot
-        close = np.isin(slot, view.near(self.reach_m)).all(axis=1)
+        landmark_index = self.neglected.carriers(known, near, middle).landmark_index
+        close = np.isin(landmark_index, view.near(self.reach_m)).all(axis=1)
         sigma = self.neglected.sigma_now(known, near, middle)
         return near[close & (sigma <= sigma_m)]
 
@@ -178,7 +180,9 @@ class DenseMap:
             kept = number >= 0
             self._value[number[kept]] = scan.value[outside[kept]]
 
-    def _make_virtual(self, view: FilterView, slot: Index, waiting: DelayedInitialisation) -> Index:
+    def _make_virtual(
+        self, view: FilterView, landmark_index: Index, waiting: DelayedInitialisation
+    ) -> Index:
         """Regions with virtual corners for what has waited too long."""
         none = np.empty(0, dtype=np.intp)
         if not self.virtual:
@@ -187,7 +191,12 @@ class DenseMap:
         if len(overdue) < self.least_points:
             return none
         return self.regions.extend_virtual(
-            self.landmark, slot, view.pose, view.joint(slot), overdue, self.least_points
+            self.landmark,
+            landmark_index,
+            view.pose,
+            view.joint(landmark_index),
+            overdue,
+            self.least_points,
         )
 
     def _fuse_late(self, view: FilterView, waiting: DelayedInitialisation) -> None:

@@ -20,8 +20,8 @@ from ekf_reference.core.measurements import MeasuredAttributes, Measurements
 class LayerValues(Protocol):
     """Whoever keeps a layer of the dense map, which the landmarks lie in."""
 
-    def values_at(self, slot: Index) -> tuple[Array, Array, Array]:
-        """Return mean, variance (NaN: none) and count of returns around landmarks by slot (L,)."""
+    def values_at(self, landmark_index: Index) -> tuple[Array, Array, Array]:
+        """Return mean, variance (NaN: none) and count of returns around landmarks (L,) by index."""
 
 
 @dataclass(frozen=True)
@@ -36,14 +36,14 @@ class LayerAttributes:
     layer: LayerValues
     column: int
 
-    def distances(self, slot: Index, seen: Measurements) -> AttributeDistances:
+    def distances(self, landmark_index: Index, seen: Measurements) -> AttributeDistances:
         """Return the distances; a return scatters as the layer's do, beside its noise."""
         own, column = seen.attributes, self.column
         others = own.value.copy()
         others[:, column] = np.nan
         remembered = MeasuredAttributes(others, own.variance)
-        first = self.memory.distances(slot, replace(seen, attributes=remembered))
-        mean, scatter, count = self.layer.values_at(slot)
+        first = self.memory.distances(landmark_index, replace(seen, attributes=remembered))
+        mean, scatter, count = self.layer.values_at(landmark_index)
         noise = own.variance[:, column].mean()  # of one return, in the layer as here
         variance = scatter + noise / np.maximum(count, 1.0)
         shown = MeasuredAttributes(own.value[:, [column]], own.variance[:, [column]])

@@ -73,10 +73,10 @@ def local_pose_jacobian(pose: Array, first: Array, second: Array) -> Array:
 def read_local_poses(view: FilterView, axis: Index) -> tuple[Array, Array]:
     """Mean (G, 3) and covariance (G, 3, 3) of the vehicle in the frames of axes (G, 2).
 
-    axis: places in the map of L1 and L2, which must be among the view's `slot`.
+    axis: places in the map of L1 and L2, which must be among the view's `landmark_index`.
     """
     first, second = view.landmark[axis[:, 0]], view.landmark[axis[:, 1]]
-    place = 3 + 2 * np.searchsorted(view.slot, axis)
+    place = 3 + 2 * np.searchsorted(view.landmark_index, axis)
     columns = np.empty((len(axis), 7), dtype=np.intp)
     columns[:, :3] = np.arange(3)
     columns[:, 3::2], columns[:, 4::2] = place, place + 1

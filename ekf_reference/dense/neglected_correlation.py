@@ -21,10 +21,11 @@ from ekf_reference.dense.view import FilterView
 class Carriers(NamedTuple):
     """What points that keep their local coordinates follow: a linear function of landmarks.
 
-    slot: (k, m) landmarks, of which one may come twice. share: (k, 2, 2 m) of each in the point.
+    landmark_index: (k, m) landmarks, of which one may come twice. share: (k, 2, 2 m) of each in the
+    point.
     """
 
-    slot: Index
+    landmark_index: Index
     share: Array
 
 
@@ -37,10 +38,16 @@ def neglected_covariance(view: FilterView, carriers: Carriers, point: Array) -> 
 
     point: (k, 2) [m]. NaN where a carrier's covariance is not current (compressed filters).
     """
-    slot, share = carriers
-    k, m = slot.shape
-    place = np.minimum(np.searchsorted(view.slot, slot), max(len(view.slot) - 1, 0))
-    current = (view.slot[place] == slot).all(axis=1) if len(view.slot) else np.zeros(k, bool)
+    landmark_index, share = carriers
+    k, m = landmark_index.shape
+    place = np.minimum(
+        np.searchsorted(view.landmark_index, landmark_index), max(len(view.landmark_index) - 1, 0)
+    )
+    current = (
+        (view.landmark_index[place] == landmark_index).all(axis=1)
+        if len(view.landmark_index)
+        else np.zeros(k, bool)
+    )
     columns = np.empty((k, 3 + 2 * m), dtype=np.intp)
     columns[:, :3] = np.arange(3)
     columns[:, 3::2] = 3 + 2 * place
@@ -77,9 +84,9 @@ class NeglectedCorrelation:
         """
         base = self.regions.base[region]
         triangle = self.regions.corners(view.landmark)[base]
-        slot, lift = self.regions.virtual.lift(base)
+        landmark_index, lift = self.regions.virtual.lift(base)
         by_corners = global_jacobians(triangle, to_local(triangle, point)).by_landmarks
-        return Carriers(slot, by_corners @ lift)
+        return Carriers(landmark_index, by_corners @ lift)
 
     def note(
         self, view: FilterView, region: Index, point: Array, weight: Array | None = None

@@ -29,12 +29,12 @@ from ekf_reference.dense.triangles import local_jacobians, to_local
 class Watched(NamedTuple):
     """Pairs of states x = x0 + J (state - state0) + w, w ~ N(0, noise), all at one instant.
 
-    value: (k, 2). slot: (k, m) the landmarks that each depends on. jacobian: (k, 2, 3 + 2 m) by
-    the pose and these. noise: (k, 2, 2).
+    value: (k, 2). landmark_index: (k, m) the landmarks that each depends on. jacobian: (k, 2, 3 + 2
+    m) by the pose and these. noise: (k, 2, 2).
     """
 
     value: Array
-    slot: Index
+    landmark_index: Index
     jacobian: Array
     noise: Array
 
@@ -72,7 +72,9 @@ class PassiveStates(Trace):
     def watch(self, new: Watched) -> Index:
         """Append pairs of states, correlated through the filter's (3.2); returns numbers (k,)."""
         p = self._ekf.state.covariance
-        columns = [self._ekf.state.layout.columns(slot) for slot in new.slot]
+        columns = [
+            self._ekf.state.layout.columns(landmark_index) for landmark_index in new.landmark_index
+        ]
         cross = [j @ p[c] for j, c in zip(new.jacobian, columns, strict=True)]
         own = [x[:, c] @ j.T for x, c, j in zip(cross, columns, new.jacobian, strict=True)]
         first = len(self.value)
@@ -94,9 +96,9 @@ class PassiveStates(Trace):
     def measurement(self, used: MeasurementRecord) -> None:
         """Fused measurements, whatever they are of."""
         layout, width = self._ekf.state.layout, used.landmark.shape[1]
-        columns = layout.columns(used.slot, width) if width else np.arange(3)
+        columns = layout.columns(used.landmark_index, width) if width else np.arange(3)
         if used.origin != VEHICLE:
-            both = np.append(used.origin, used.slot)
+            both = np.append(used.origin, used.landmark_index)
             columns = layout.columns(both, width)[3:]
         jacobian = stack(used.jacobian_pose, used.jacobian_other)
         self._receive(columns, jacobian, used.innovation.ravel(), block_diagonal(used.noise))

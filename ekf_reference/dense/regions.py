@@ -75,23 +75,25 @@ class LocalRegions:
         self._last = landmark.copy(), self.base, placed
         return placed
 
-    def extend(self, landmark: Array, slot: Index, covariance: Array) -> Index:
+    def extend(self, landmark: Array, landmark_index: Index, covariance: Array) -> Index:
         """Append the regions that landmarks near the vehicle now permit; returns their numbers.
 
-        landmark: (L, 2) [m], the whole map. slot: (m,) the landmarks to consider. covariance:
-        (2 m, 2 m) [m^2] of these with each other.
+        landmark: (L, 2) [m], the whole map. landmark_index: (m,) the landmarks to consider.
+        covariance: (2 m, 2 m) [m^2] of these with each other.
         """
-        slot, covariance = _in_the_map(landmark, slot, covariance)
-        pair = self._open(landmark, slot, self.conditions.pairs(landmark[slot], covariance))
-        base = self._triples(landmark, slot, covariance, pair)
+        landmark_index, covariance = _in_the_map(landmark, landmark_index, covariance)
+        pair = self._open(
+            landmark, landmark_index, self.conditions.pairs(landmark[landmark_index], covariance)
+        )
+        base = self._triples(landmark, landmark_index, covariance, pair)
         base = base[_apart(landmark[base])]
         alike = self.conditions.highly_correlated(covariance)
-        return self._append(base, landmark, _all_pairs(alike, slot, base))
+        return self._append(base, landmark, _all_pairs(alike, landmark_index, base))
 
     def extend_virtual(
         self,
         landmark: Array,
-        slot: Index,
+        landmark_index: Index,
         pose: Array,
         covariance: Array,
         point: Array,
@@ -103,16 +105,21 @@ class LocalRegions:
         correlated with the other two landmarks", so the first condition is asked of the vehicle's
         position too. Triangles that contain more of the points come first.
 
-        landmark: (L, 2) [m], the whole map. slot: (m,) the landmarks to consider. pose: (3,).
+        landmark: (L, 2) [m], the whole map. landmark_index: (m,) the landmarks to consider. pose:
+        (3,).
         covariance: (3 + 2 m, 3 + 2 m) of the pose and these. point: (N, 2) [m] what is to be
         covered. least_points: how many of them a new region must contain.
         """
-        slot, covariance = _in_the_map(landmark, slot, covariance)
+        landmark_index, covariance = _in_the_map(landmark, landmark_index, covariance)
         position = np.delete(np.arange(len(covariance)), 2)
         alike = self.conditions.correlated(covariance[position[:, None], position])
         allowed = alike[1:, 1:] & alike[0, 1:, None] & alike[0, 1:]
-        pair = self._open(landmark, slot, self.conditions.within_reach(landmark[slot]) & allowed)
-        new, triangle = self._behind(landmark, slot, pose, covariance, pair)
+        pair = self._open(
+            landmark,
+            landmark_index,
+            self.conditions.within_reach(landmark[landmark_index]) & allowed,
+        )
+        new, triangle = self._behind(landmark, landmark_index, pose, covariance, pair)
         near = BoxTree.pack(boxes(triangle), np.arange(len(triangle))).meeting(np.tile(point, 2))
         within = contains(solve(triangle[near.item], point[near.query]))
         inside = np.bincount(near.item[within], minlength=len(triangle))
@@ -123,34 +130,40 @@ class LocalRegions:
         base = np.column_stack((new.pair[chosen], -1 - number))
         alike = self.conditions.highly_correlated(covariance[position[:, None], position])
         with_vehicle = np.column_stack((new.pair[chosen], np.full(len(chosen), -1)))
-        by_correlation = _all_pairs(alike, np.append(-1, slot), with_vehicle)
+        by_correlation = _all_pairs(alike, np.append(-1, landmark_index), with_vehicle)
         base = _counter_clockwise(base, self.corners(landmark))
         return self._append(base, landmark, by_correlation)
 
-    def potential(self, landmark: Array, slot: Index, pose: Array, covariance: Array) -> Potential:
+    def potential(
+        self, landmark: Array, landmark_index: Index, pose: Array, covariance: Array
+    ) -> Potential:
         """Triangles that meet the second and third condition, whether or not the first.
 
         Called after `extend`, it lists what waits for correlation (Nieto 2005, section 3.7.3).
         They may overlap each other. Arguments as of `extend_virtual`.
         """
-        slot, covariance = _in_the_map(landmark, slot, covariance)
-        pair = self._open(landmark, slot, self.conditions.within_reach(landmark[slot]))
-        base = self._triples(landmark, slot, covariance[3:, 3:], pair)
+        landmark_index, covariance = _in_the_map(landmark, landmark_index, covariance)
+        pair = self._open(
+            landmark, landmark_index, self.conditions.within_reach(landmark[landmark_index])
+        )
+        base = self._triples(landmark, landmark_index, covariance[3:, 3:], pair)
         ahead = np.roll(base, -1, axis=1)
         longest = np.linalg.norm(landmark[base] - landmark[ahead], axis=2).argmax(axis=1)[:, None]
         axis = np.column_stack(
             (np.take_along_axis(base, longest, 1), np.take_along_axis(ahead, longest, 1))
         )
-        new, triangle = self._behind(landmark, slot, pose, covariance, pair)
+        new, triangle = self._behind(landmark, landmark_index, pose, covariance, pair)
         roundest = np.argsort(circumradius(triangle), kind="stable")
         axis = np.sort(np.concatenate((axis, new.pair[roundest])), axis=1)
         triangle = np.concatenate((landmark[base], triangle[roundest]))
         tree = BoxTree.pack(boxes(triangle), tiled(triangle.mean(axis=1)))
         return Potential(axis, RegionsAtMap(triangle, tree))
 
-    def _triples(self, landmark: Array, slot: Index, covariance: Array, pair: Mask) -> Index:
+    def _triples(
+        self, landmark: Array, landmark_index: Index, covariance: Array, pair: Mask
+    ) -> Index:
         """Triples (C, 3) of `_open` pairs that meet the last two conditions, roundest first."""
-        local = landmark[slot]
+        local = landmark[landmark_index]
         first, second = np.nonzero(pair)
         edge, third = np.nonzero(pair[first] & pair[second])
         triple = np.stack((first[edge], second[edge], third), axis=1)
@@ -158,14 +171,14 @@ class LocalRegions:
         columns = (2 * triple[..., None] + np.arange(2)).reshape(-1, 6)
         joint = covariance[columns[:, :, None], columns[:, None, :]]
         fit = self._fit(landmark, local[triple], joint)
-        base = _counter_clockwise(slot[triple[fit]], landmark)
+        base = _counter_clockwise(landmark_index[triple[fit]], landmark)
         return base[np.argsort(circumradius(landmark[base]), kind="stable")]
 
     def _behind(
-        self, landmark: Array, slot: Index, pose: Array, covariance: Array, pair: Mask
+        self, landmark: Array, landmark_index: Index, pose: Array, covariance: Array, pair: Mask
     ) -> tuple[VirtualLandmarks, Array]:
         """Virtual landmarks behind `_open` pairs, and triangles (C, 3, 2) that fit."""
-        local = landmark[slot]
+        local = landmark[landmark_index]
         new = VirtualLandmarks()
         for depth in self.depths:
             new = new.joined(behind(np.argwhere(pair), local, pose[:2], depth))
@@ -175,13 +188,15 @@ class LocalRegions:
         lift = np.concatenate((real, new.jacobian()), axis=1)
         joint = covariance[columns[:, :, None], columns[:, None, :]]
         fit = self._fit(landmark, triangle, lift @ joint @ np.swapaxes(lift, 1, 2))
-        return VirtualLandmarks(slot[new.pair[fit]], new.depth[fit]), triangle[fit]
+        return VirtualLandmarks(landmark_index[new.pair[fit]], new.depth[fit]), triangle[fit]
 
-    def _open(self, landmark: Array, slot: Index, pair: Mask) -> Mask:
+    def _open(self, landmark: Array, landmark_index: Index, pair: Mask) -> Mask:
         """The pairs (m, m), each once, that may be a new region's edge: no region lies between."""
         pair = np.triu(pair)
         first, second = np.nonzero(pair)
-        between = self.placed(landmark).crossed(landmark[np.stack((slot[first], slot[second]), 1)])
+        between = self.placed(landmark).crossed(
+            landmark[np.stack((landmark_index[first], landmark_index[second]), 1)]
+        )
         pair[first[between], second[between]] = False
         return pair
 
@@ -215,25 +230,25 @@ def _counter_clockwise(base: Index, landmark: Array) -> Index:
     return np.where(clockwise[:, None], base[:, (0, 2, 1)], base)
 
 
-def _all_pairs(alike: Mask, slot: Index, triple: Index) -> Mask:
-    """(C,) whether all pairs of triples (C, 3) of slots (m,) are among `alike` (m, m)."""
-    order = np.argsort(slot)
-    row = order[np.searchsorted(slot[order], triple)]
+def _all_pairs(alike: Mask, landmark_index: Index, triple: Index) -> Mask:
+    """(C,) whether all pairs of triples (C, 3) of indices (m,) are among `alike` (m, m)."""
+    order = np.argsort(landmark_index)
+    row = order[np.searchsorted(landmark_index[order], triple)]
     every: Mask = np.all(alike[row, np.roll(row, 1, axis=1)], axis=1)
     return every
 
 
-def _in_the_map(landmark: Array, slot: Index, covariance: Array) -> tuple[Index, Array]:
+def _in_the_map(landmark: Array, landmark_index: Index, covariance: Array) -> tuple[Index, Array]:
     """The landmarks (m,) that are still in the map, and the covariance that goes with them.
 
     covariance: (k + 2 m, k + 2 m), any k states before the landmarks.
     """
-    there = np.isfinite(landmark[slot]).all(axis=1)
+    there = np.isfinite(landmark[landmark_index]).all(axis=1)
     if there.all():
-        return slot, covariance
-    before = np.ones(len(covariance) - 2 * len(slot), dtype=bool)
+        return landmark_index, covariance
+    before = np.ones(len(covariance) - 2 * len(landmark_index), dtype=bool)
     kept = np.concatenate((before, np.repeat(there, 2)))
-    return slot[there], covariance[kept][:, kept]
+    return landmark_index[there], covariance[kept][:, kept]
 
 
 def _apart(triangle: Array) -> Index:

@@ -18,8 +18,8 @@ class FilterView:
     """A filter at one instant (Nieto 2005, section 3.7: information flows one way).
 
     pose: (3,) x, y, heading. landmark: (L, 2) [m] all of the map; one that has left the map, or
-    is not there yet, is NaN, since places in the map are for good. slot: (m,) landmarks whose
-    covariance is current, ascending; of a compressed filter the active ones. covariance:
+    is not there yet, is NaN, since places in the map are for good. landmark_index: (m,) landmarks
+    whose covariance is current, ascending; of a compressed filter the active ones. covariance:
     (3 + 2 m, 3 + 2 m) of the pose and these. All are copies.
 
     Of landmarks with a direction these are the places: x and y of the state, with what of its
@@ -29,7 +29,7 @@ class FilterView:
 
     pose: Array
     landmark: Array
-    slot: Index
+    landmark_index: Index
     covariance: Array
 
     @classmethod
@@ -37,7 +37,7 @@ class FilterView:
         """The filter as it is now, whatever it keeps its pose as. kinds: of landmarks, by width."""
         reading = ekf.read_pose()
         seen = [ekf.state.snapshot(width) for width in kinds]
-        number, first = numbered(ekf.state.layout, kinds, [each.slot for each in seen])
+        number, first = numbered(ekf.state.layout, kinds, [each.landmark_index for each in seen])
         p = len(reading.own)
         entry = np.concatenate((np.arange(p), (first[:, None] + np.arange(2)).ravel()))
         covariance = ekf.state.covariance_of(entry)
@@ -50,27 +50,32 @@ class FilterView:
 
     def near(self, reach_m: float) -> Index:
         """(k,) landmarks with a current covariance, at most so far east-west and north-south."""
-        apart = np.abs(self.landmark[self.slot] - self.pose[:2])
+        apart = np.abs(self.landmark[self.landmark_index] - self.pose[:2])
         close = np.flatnonzero(apart.max(axis=1, initial=0.0) <= reach_m)
-        return self.slot[close]
+        return self.landmark_index[close]
 
-    def joint(self, slot: Index) -> Array:
-        """(3 + 2 k, 3 + 2 k) covariance of the pose and some landmarks (k,) among `slot`."""
-        place = 3 + 2 * np.searchsorted(self.slot, slot)
+    def joint(self, landmark_index: Index) -> Array:
+        """(3 + 2 k, 3 + 2 k) covariance of the pose and landmarks (k,) among `landmark_index`."""
+        place = 3 + 2 * np.searchsorted(self.landmark_index, landmark_index)
         columns = np.concatenate((np.arange(3), (place[:, None] + np.arange(2)).ravel()))
         part: Array = self.covariance[columns[:, None], columns]
         return part
 
 
-def numbered(layout: Layout, kinds: Sequence[int], slots: Sequence[Index]) -> tuple[Index, Index]:
+def numbered(
+    layout: Layout, kinds: Sequence[int], landmark_indices: Sequence[Index]
+) -> tuple[Index, Index]:
     """Return numbers (m,), ascending, and first state entries (m,) of landmarks of some kinds.
 
-    slots: of each kind. Landmark `slot` of the k-th of n kinds has the number n slot + k, for
-    good: with one kind numbers are slots.
+    landmark_indices: of each kind. Landmark `landmark_index` of the k-th of n kinds has the number
+    n landmark index + k, for
+    good: with one kind numbers are landmark indices.
     """
-    number = np.concatenate([len(kinds) * slot + k for k, slot in enumerate(slots)])
-    each = zip(kinds, slots, strict=True)
-    first = np.concatenate([layout.first[width][slot] for width, slot in each])
+    number = np.concatenate(
+        [len(kinds) * landmark_index + k for k, landmark_index in enumerate(landmark_indices)]
+    )
+    each = zip(kinds, landmark_indices, strict=True)
+    first = np.concatenate([layout.first[width][landmark_index] for width, landmark_index in each])
     order = np.argsort(number)
     return number[order], first[order]
 

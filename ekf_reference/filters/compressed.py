@@ -140,14 +140,14 @@ class CompressedState(KalmanState):
             self.leave(reach_m)
         return self.map_of(self._local._near(reach_m, POINT))
 
-    def map_of(self, slot: Index, width: int = POINT) -> LocalMap:
+    def map_of(self, landmark_index: Index, width: int = POINT) -> LocalMap:
         """Return some landmarks of a kind, made active if they are not."""
-        columns = self._present.columns(slot, width)
+        columns = self._present.columns(landmark_index, width)
         self._local_entries(columns)  # may replace the local state
-        return replace(self._local.map_of(slot, width), columns=columns)
+        return replace(self._local.map_of(landmark_index, width), columns=columns)
 
     def within(self, reach_m: float, width: int = POINT) -> Index:
-        """Return the slots at most `reach_m` away, exactly; later areas reach at least so far."""
+        """Return the landmark indices at most `reach_m` away; later areas reach at least so far."""
         self._reach_m = max(self._reach_m, reach_m)
         return super().within(reach_m, width)
 
@@ -183,12 +183,12 @@ class CompressedState(KalmanState):
         self._entry = np.concatenate((self._entry, entries))
         self._fresh = False
 
-    def remove(self, slot: Index, width: int = POINT) -> None:
+    def remove(self, landmark_index: Index, width: int = POINT) -> None:
         """Marginalise landmarks of a kind out, after a global update; the area stays."""
         self._global_update()
-        gone = np.unique(self._layout.columns(slot, width)[self._layout.pose_size :])
+        gone = np.unique(self._layout.columns(landmark_index, width)[self._layout.pose_size :])
         active = np.setdiff1d(self._columns, gone)
-        super().remove(slot, width)
+        super().remove(landmark_index, width)
         self._activate(active - np.searchsorted(gone, active), self._centre, self._extent)
 
     def leave(self, reach_m: float = 0.0, *wanted: Index) -> None:

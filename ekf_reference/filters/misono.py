@@ -277,9 +277,9 @@ class DirectionCosineEkf(Ekf):
         read = self.read_pose()
         return PoseReading(read.pose, read.pose, np.eye(3)) if self.renormalise else read
 
-    def _fuse(self, seen: Measurements, slots: Index, rows: Index) -> None:
+    def _fuse(self, seen: Measurements, landmark_indices: Index, rows: Index) -> None:
         for some in [rows] if self.stacked else rows[:, None]:  # 12 to 15, repeated M times
-            super()._fuse(seen, slots, some)
+            super()._fuse(seen, landmark_indices, some)
 
 
 @dataclass(frozen=True)

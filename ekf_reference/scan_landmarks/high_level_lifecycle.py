@@ -48,8 +48,8 @@ class HighLevelLandmark:
     """One of them.
 
     rectangle: (4, 2) in its axis. base: (2,) landmarks L1 and L2, and held: (3,) its pose in their
-    frame when it was found. belief: in maxima of its correlation. slot: among the filter's
-    landmarks with a direction; NEW while passive.
+    frame when it was found. belief: in maxima of its correlation. landmark_index: among the
+    filter's landmarks with a direction; NEW while passive.
     """
 
     template: Template
@@ -57,7 +57,7 @@ class HighLevelLandmark:
     base: Index
     held: Array
     belief: CovarianceOptions
-    slot: int = NEW
+    landmark_index: int = NEW
 
 
 class PoseMeasurement(NamedTuple):
@@ -125,7 +125,7 @@ class HighLevelLandmarks:
         """(K, 3) of all axes in the world now; NaN where what they hang on has left the map."""
         point, oriented = FilterView.of(ekf).landmark, ekf.state.places(POSE)
         rows = [
-            oriented[one.slot] if one.slot != NEW else _in_the_world(one, point)
+            oriented[one.landmark_index] if one.landmark_index != NEW else _in_the_world(one, point)
             for one in self.landmark
         ]
         return np.reshape(rows, (-1, 3))
@@ -166,18 +166,18 @@ class HighLevelLandmarks:
 
     def expected(self, ekf: Ekf, view: FilterView, one: HighLevelLandmark) -> Expected | None:
         """Its pose in the vehicle's frame; None where the covariance of what it hangs on is old."""
-        if one.slot == NEW:
+        if one.landmark_index == NEW:
             return self._passive(view, one)
-        z, covariance = predicted_frames(ekf, np.array([one.slot]))
+        z, covariance = predicted_frames(ekf, np.array([one.landmark_index]))
         return Expected(z[0], covariance[0])
 
-    def begun(self, measurements: list[PoseMeasurement], slot: Index) -> None:
+    def begun(self, measurements: list[PoseMeasurement], landmark_index: Index) -> None:
         """The filter has fused measurements and says which of its landmarks (m,) they are."""
-        for one, own in zip(measurements, slot.tolist(), strict=True):
-            self.landmark[one.number] = replace(self.landmark[one.number], slot=own)
+        for one, own in zip(measurements, landmark_index.tolist(), strict=True):
+            self.landmark[one.number] = replace(self.landmark[one.number], landmark_index=own)
 
     def _passive(self, view: FilterView, one: HighLevelLandmark) -> Expected | None:
-        if not np.isin(one.base, view.slot).all():
+        if not np.isin(one.base, view.landmark_index).all():
             return None
         vehicle, covariance = (part[0] for part in read_local_poses(view, one.base[None]))
         at = _OBSERVATION.predict(vehicle, one.held[None])
@@ -196,7 +196,7 @@ class HighLevelLandmarks:
         seen = observe(one.template, scan.shape, there.z[0], prior, matching)
         if not seen.usable or seen.alignment is None:
             return None, _COUNTED_AS.get(seen.reason, seen.reason)
-        if one.slot == NEW and seen.alignment.open_directions:
+        if one.landmark_index == NEW and seen.alignment.open_directions:
             return None, "a direction is open"
         back = _OBSERVATION.invert(scan.mount, seen.alignment.pose[None])
         turn = back.jacobian_z[0]

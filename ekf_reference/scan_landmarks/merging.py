@@ -93,7 +93,9 @@ class DuplicateMerging:
         away = np.hypot(*(place[:, None, :2] - place[None, :, :2]).transpose(2, 0, 1))
         pairs = []
         for i, j in np.argwhere(np.triu(away <= o.within_m, k=1)).tolist():
-            both = sorted((int(near[i]), int(near[j])), key=lambda slot: -size[slot])
+            both = sorted(
+                (int(near[i]), int(near[j])), key=lambda landmark_index: -size[landmark_index]
+            )
             last = self._tried.get((both[0], both[1]))
             if last is not None and self.found.scans - last < o.again_after:
                 continue

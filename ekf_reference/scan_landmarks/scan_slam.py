@@ -56,7 +56,7 @@ _BELIEF = CovarianceOptions(neighbourhood_m=1.0, beyond_chance=3.0)
 class MeasurementSink(Protocol):
     """Receives measurements of pose landmarks for a filter."""
 
-    def observe(self, z: Array, covariance: Array, slot: Index) -> Index:
+    def observe(self, z: Array, covariance: Array, landmark_index: Index) -> Index:
         """See Ekf.observe_known."""
         ...
 
@@ -82,7 +82,7 @@ class ScanSlamOptions:
 class Predicted(NamedTuple):
     """Predicted measurements z^ (m, 3) of landmarks, in the scanner's frame, with H P H^T."""
 
-    slot: Index
+    landmark_index: Index
     z: Array
     covariance: Array
 
@@ -145,7 +145,7 @@ class ScanSlam:
         """Process a scan, in the scanner's frame: predict, align, gate, update, augment."""
         self.found.scans += 1
         predicted = self._predict(ekf)
-        self._deactivate(ekf, predicted.slot)
+        self._deactivate(ekf, predicted.landmark_index)
         used = self._update(ekf, predicted, scan, tell)
         if self.options.extraction.due(self.found.scans, self._begun, used):
             self._augment(ekf, scan, tell)
@@ -155,9 +155,9 @@ class ScanSlam:
         if self.guard is None:
             return
         place = ekf.state.places(POSE)
-        for slot in set(near.tolist()) - self.found.moving:
-            if self.found.template[slot].moves(place[slot], self.guard):
-                self.found.moving.add(slot)
+        for landmark_index in set(near.tolist()) - self.found.moving:
+            if self.found.template[landmark_index].moves(place[landmark_index], self.guard):
+                self.found.moving.add(landmark_index)
 
     def _predict(self, ekf: Ekf) -> Predicted:
         """Z^ and H P H^T of all landmarks that may be within reach (Nieto 2005, eq. 5.15)."""
@@ -174,10 +174,13 @@ class ScanSlam:
         """Fuse [z, R] = scan_align(G_L, G_o, z^) of those in view and gate; returns how many."""
         seen: list[tuple[int, Array, Array]] = []
         for row in self._in_view(predicted, scan):
-            slot, z = int(predicted.slot[row]), predicted.z[row]
+            landmark_index, z = int(predicted.landmark_index[row]), predicted.z[row]
             spread, o = predicted.covariance[row], self.options
             wide = spread + np.diag((o.floor_m, o.floor_m, o.floor_rad)) ** 2
-            template, place = self.found.template[slot], ekf.state.places(POSE)[slot]
+            template, place = (
+                self.found.template[landmark_index],
+                ekf.state.places(POSE)[landmark_index],
+            )
             what = self._observer.observe(template, place, scan, z, wide, self._matching)
             reason = what.reason or USED
             if what.usable and what.alignment is not None:
@@ -185,7 +188,7 @@ class ScanSlam:
                 innovation = what.alignment.pose - z
                 innovation[2] = np.mod(innovation[2] + np.pi, 2.0 * np.pi) - np.pi
                 if innovation @ np.linalg.solve(spread + r, innovation) <= o.gate:
-                    seen.append((slot, z + innovation, r))
+                    seen.append((landmark_index, z + innovation, r))
                 else:
                     reason = GATED
             self.found.reasons[reason] += 1
@@ -196,21 +199,25 @@ class ScanSlam:
     def _in_view(self, predicted: Predicted, scan: SumOfGaussians) -> list[int]:
         """Rows of the predicted that are in view, the longest unobserved first."""
         o, rows = self.options, []
-        for row, slot in enumerate(predicted.slot.tolist()):
-            if slot in self.found.moving:
+        for row, landmark_index in enumerate(predicted.landmark_index.tolist()):
+            if landmark_index in self.found.moving:
                 self.found.reasons[MOVES] += 1
-            elif self._share(slot, predicted.z[row], scan) >= self.view.share:
+            elif self._share(landmark_index, predicted.z[row], scan) >= self.view.share:
                 rows.append(row)
             else:
                 self.found.reasons[OUT_OF_VIEW if len(scan) else BLANK] += 1
-        rows.sort(key=lambda row: self._last_seen[int(predicted.slot[row])])
+        rows.sort(key=lambda row: self._last_seen[int(predicted.landmark_index[row])])
         most = o.aligned or len(rows)
         self.found.reasons[LEFT_OUT] += max(len(rows) - most, 0)
         return rows[:most]
 
-    def _share(self, slot: int, z: Array, scan: SumOfGaussians) -> float:
+    def _share(self, landmark_index: int, z: Array, scan: SumOfGaussians) -> float:
         """Of a landmark's template that should be seen; of a blank scan nothing is."""
-        return share_in_view(self.found.template[slot], scan, z, self.view) if len(scan) else 0.0
+        return (
+            share_in_view(self.found.template[landmark_index], scan, z, self.view)
+            if len(scan)
+            else 0.0
+        )
 
     def _augment(self, ekf: Ekf, scan: SumOfGaussians, tell: MeasurementSink) -> None:
         """Initialise landmarks of those candidate templates that align with themselves."""
@@ -219,9 +226,9 @@ class ScanSlam:
         def known() -> list[Known]:
             near = zip(*self._predict(ekf), strict=True)
             return [
-                Known(self.found.template[int(slot)], z, spread)
-                for slot, z, spread in near
-                if self._share(int(slot), z, scan) >= self.view.share
+                Known(self.found.template[int(landmark_index)], z, spread)
+                for landmark_index, z, spread in near
+                if self._share(int(landmark_index), z, scan) >= self.view.share
             ]
 
         for rows in o.extraction.found(scan, self.view, self._out()[0, :2], known):
@@ -231,8 +238,8 @@ class ScanSlam:
                 self.found.rejected += 1
                 continue
             template = Template.of_segment(scan, rows)
-            slot = self._told(tell, [(NEW, template.pose, found.covariance)])
-            self.found.template[slot] = self.found.begun[slot] = template
+            landmark_index = self._told(tell, [(NEW, template.pose, found.covariance)])
+            self.found.template[landmark_index] = self.found.begun[landmark_index] = template
             self._begun = self.found.scans
 
     def _told(self, tell: MeasurementSink, seen: list[tuple[int, Array, Array]]) -> int:
@@ -240,11 +247,13 @@ class ScanSlam:
         out = self._out()
         z = np.array([at for _, at, _ in seen]) @ out.T + self.mount
         r = np.array([out @ spread @ out.T for *_, spread in seen])
-        slots = tell.observe(z, r, np.array([slot for slot, *_ in seen], dtype=np.intp))
-        for slot in slots.tolist():
-            self._last_seen[slot] = self.found.scans
-            self.found.measurements[slot] += 1
-        return int(slots[-1])
+        landmark_indices = tell.observe(
+            z, r, np.array([landmark_index for landmark_index, *_ in seen], dtype=np.intp)
+        )
+        for landmark_index in landmark_indices.tolist():
+            self._last_seen[landmark_index] = self.found.scans
+            self.found.measurements[landmark_index] += 1
+        return int(landmark_indices[-1])
 
     def _out(self) -> Array:
         """(3, 3) from the scanner's axes to the vehicle's."""
@@ -253,16 +262,16 @@ class ScanSlam:
         return out
 
 
-def predicted_frames(ekf: Ekf, slot: Index) -> tuple[Array, Array]:
+def predicted_frames(ekf: Ekf, landmark_index: Index) -> tuple[Array, Array]:
     """Predict the frames of landmarks (m,) in the vehicle's (Nieto 2005, eq. 5.15).
 
     Returns z^ (m, 3) and H P H^T (m, 3, 3) of the vehicle, the landmark, and what they share.
     """
-    local = ekf.state.map_of(slot, POSE)
+    local = ekf.state.map_of(landmark_index, POSE)
     at = ekf.models[POSE].predict(local.pose, local.landmark)
     h = np.concatenate((at.jacobian_pose, at.jacobian_landmark), axis=2)
     p = len(local.pose)
-    joint = np.empty((len(slot), p + POSE, p + POSE))
+    joint = np.empty((len(landmark_index), p + POSE, p + POSE))
     joint[:, :p, :p], joint[:, p:, p:] = local.vehicle, local.own
     joint[:, :p, p:], joint[:, p:, :p] = local.cross, local.cross.transpose(0, 2, 1)
     return at.z, h @ joint @ h.transpose(0, 2, 1)

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 class MyEkf:
-    """x: pose (x, y, heading), then landmarks; p: its covariance; slot: a landmark's first row."""
+    """x: pose (x, y, heading), landmarks; p: covariance; landmark_index: first row by label."""
 
     def __init__(self, prior: dict[str, list[float]], noise: dict[str, float]) -> None:
         """Start from the log's prior, with its odometry's noise."""
@@ -28,7 +28,7 @@ class MyEkf:
         self.rate = np.diag(
             [noise["variance_rate_position"]] * 2 + [noise["variance_rate_heading"]]
         )
-        self.slot: dict[int, int] = {}
+        self.landmark_index: dict[int, int] = {}
         self.trace: dict[str, list[Array]] = defaultdict(list)
 
     def note(self, part: str, **values: Array | float) -> None:
@@ -53,18 +53,22 @@ class MyEkf:
         """Fuse one range and bearing, or initialise a landmark with it."""
         n, pose = len(self.x), self.x[:3].copy()
         seen = {"step": len(self.trace["step_f"]), "measurement": row, "landmark": label}
-        if label not in self.slot:  # initialise a landmark
+        if label not in self.landmark_index:  # initialise a landmark
             c, s = np.cos(pose[2] + z[1]), np.sin(pose[2] + z[1])
             gx = np.array([[1.0, 0.0, -z[0] * s], [0.0, 1.0, z[0] * c]])
             gz = np.array([[c, -z[0] * s], [s, z[0] * c]])
             g = np.vstack((np.eye(n), np.hstack((gx, np.zeros((2, n - 3))))))
             point = pose[:2] + z[0] * np.array([c, s])
-            self.slot[label], self.x, self.p = n, np.append(self.x, point), g @ self.p @ g.T
+            self.landmark_index[label], self.x, self.p = (
+                n,
+                np.append(self.x, point),
+                g @ self.p @ g.T,
+            )
             self.p[n:, n:] += gz @ r @ gz.T
             jacobians = {"jacobian_pose": gx, "jacobian_measurement": gz}
             self.note("initialise", **seen, pose=pose, point=point, noise=r, **jacobians)
             return
-        at = slice(self.slot[label], self.slot[label] + 2)
+        at = slice(self.landmark_index[label], self.landmark_index[label] + 2)
         point = self.x[at].copy()
         dx, dy = point - pose[:2]
         d = np.hypot(dx, dy)
@@ -110,7 +114,9 @@ def main(log: Path, out: Path) -> None:
         spread.append(ekf.p[:3, :3].copy())
     out.mkdir(parents=True, exist_ok=True)
     np.savetxt(out / "trajectory.tum", path, "%.17g")
-    places = "".join(f"{label},{ekf.x[i]},{ekf.x[i + 1]}\n" for label, i in ekf.slot.items())
+    places = "".join(
+        f"{label},{ekf.x[i]},{ekf.x[i + 1]}\n" for label, i in ekf.landmark_index.items()
+    )
     (out / "landmarks.csv").write_text("id,x_m,y_m\n" + places)
     np.savez(out / "covariances.npz", pose=np.array(spread), last_pose_and_landmarks=ekf.p)
     (out / "estimate.toml").write_text('version = 1\ninformation = "filtered"\nestimator = "ekf"\n')

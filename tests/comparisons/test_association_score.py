@@ -26,11 +26,11 @@ from tests.helpers import compared, simulated
 @pytest.mark.parametrize("seed", range(5))
 def test_pairs_equal_counting_them_all(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    slot, label = rng.integers(-2, 4, 40), rng.integers(0, 4, 40)
+    landmark_index, label = rng.integers(-2, 4, 40), rng.integers(0, 4, 40)
     pairs = list(combinations(range(40), 2))
-    together = {p for p in pairs if slot[p[0]] == slot[p[1]] >= 0}
+    together = {p for p in pairs if landmark_index[p[0]] == landmark_index[p[1]] >= 0}
     belong = {p for p in pairs if label[p[0]] == label[p[1]]}
-    score = score_partition(slot, label)
+    score = score_partition(landmark_index, label)
     assert np.isclose(score.precision, len(together & belong) / len(together))
     assert np.isclose(score.recall, len(together & belong) / len(belong))
 
@@ -103,8 +103,8 @@ def test_no_score_with_labels_or_without_any() -> None:
 
 def test_codes_of_unused_measurements_index_nothing() -> None:
     log = simulated(loop_s=5.0)
-    slot = np.resize((0, 1, -3), len(log.measurements.time_s))
-    score = score_association(slot, np.array(((0.0, 0.0), (5.0, 0.0))), log)
+    landmark_index = np.resize((0, 1, -3), len(log.measurements.time_s))
+    score = score_association(landmark_index, np.array(((0.0, 0.0), (5.0, 0.0))), log)
     assert score is not None
     assert score.clusters is not None
     assert 0.0 <= score.clusters.recall < 1.0

@@ -24,7 +24,7 @@ from comparisons.report.solution import build_solution_result
 from tests.comparisons.test_cli import slamcheck
 from tests.helpers import simulated
 
-SLOT = np.repeat(np.arange(3), 10)
+LANDMARK_INDEX = np.repeat(np.arange(3), 10)
 TIME = np.arange(30.0)
 POSES = np.column_stack((np.arange(5.0), np.zeros(5), np.zeros(5)))
 COVARIANCE = np.tile(0.01 * np.eye(3), (5, 1, 1))
@@ -32,9 +32,9 @@ COVARIANCE = np.tile(0.01 * np.eye(3), (5, 1, 1))
 
 def split() -> Index:
     """The second landmark's later half becomes a fourth."""
-    slot = SLOT.copy()
-    slot[15:20] = 3
-    return slot
+    landmark_index = LANDMARK_INDEX.copy()
+    landmark_index[15:20] = 3
+    return landmark_index
 
 
 def at(metres: float) -> Array:
@@ -43,7 +43,7 @@ def at(metres: float) -> Array:
 
 
 def checked(*others: Alternative) -> AssociationCheck:
-    return check_association(SLOT, TIME, (POSES, COVARIANCE, 30.0, 30), others)
+    return check_association(LANDMARK_INDEX, TIME, (POSES, COVARIANCE, 30.0, 30), others)
 
 
 def test_another_partition_with_the_same_optimum_does_not_matter() -> None:

@@ -42,9 +42,11 @@ def test_landmarks_remember_what_their_measurements_told() -> None:
     rule = kept[0].association
     assert isinstance(rule, RememberedAttributes)
     memory = rule.memory
-    used = run.slot >= 0
-    assert memory.count[:, 0].tolist() == np.bincount(run.slot[used]).tolist()
-    first = [int(label[np.flatnonzero(run.slot == k)[0]]) for k in range(len(memory.count))]
+    used = run.landmark_index >= 0
+    assert memory.count[:, 0].tolist() == np.bincount(run.landmark_index[used]).tolist()
+    first = [
+        int(label[np.flatnonzero(run.landmark_index == k)[0]]) for k in range(len(memory.count))
+    ]
     off = (memory.mean[:, 0] - diameter[first]) / np.sqrt(memory.variance[:, 0])
     assert (np.abs(off) < 4.0).all()
     assert (memory.count[:, 1] == 0).all()

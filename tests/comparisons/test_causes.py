@@ -81,7 +81,7 @@ def test_the_error_of_linearising_is_that_of_the_formula() -> None:
     by_range = (np.hypot(10.0, sideways) - 10.0) / 0.1
     by_bearing = (np.arctan2(sideways, 10.0) - sideways / 10.0) / 0.02
     assert growth.kind == "a measurement"
-    assert (growth.epoch, growth.slot) == (0, 0)
+    assert (growth.epoch, growth.landmark_index) == (0, 0)
     assert np.isclose(growth.sigma, np.hypot(by_range, by_bearing), rtol=1e-9)
     assert np.isclose(growth.total, growth.sigma**2, rtol=1e-9)
 

@@ -36,7 +36,7 @@ def run(log: Log, areas: LocalAreas | None) -> EkfRun:
 
 def assert_equal(first: EkfRun, second: EkfRun) -> None:
     """Means to 1e-9 of their size and covariances to 1e-9 of theirs, entry by entry in sigmas."""
-    assert np.array_equal(first.slot, second.slot)
+    assert np.array_equal(first.landmark_index, second.landmark_index)
     p, q = first.estimate.joint_covariance, second.estimate.joint_covariance
     sigma = np.sqrt(np.diag(q))
     assert np.max(np.abs(p - q) / np.outer(sigma, sigma)) < 1e-9

@@ -121,7 +121,7 @@ def test_a_filter_that_breaks_down_disagrees(state: type[KalmanState]) -> None:
     assert c.ekf.breakdown is not None
     assert "broke down at 1." in c.ekf.breakdown
     assert c.ekf.timeline.epoch_time_s[-1] < 3.0
-    assert len(c.ekf.slot) < len(log.measurements.time_s)
+    assert len(c.ekf.landmark_index) < len(log.measurements.time_s)
     said = [*(cause.evidence for cause in c.verdict.causes), *c.verdict.remarks]
     assert any("broke down" in line for line in said)
 

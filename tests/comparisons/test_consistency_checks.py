@@ -170,8 +170,10 @@ def innovations(runs: Runs) -> SensorInnovations:
     standard = runs.standard.transpose(1, 0, 2).reshape(-1, 2)
     count = len(standard)
     epoch = np.arange(count) // 2
-    slot = 2 * (np.arange(count) // (2 * STEPS)) + np.arange(count) % 2
-    return sensor("measurements", ("range", "bearing"), standard, epoch.astype(float), epoch, slot)
+    landmark_index = 2 * (np.arange(count) // (2 * STEPS)) + np.arange(count) % 2
+    return sensor(
+        "measurements", ("range", "bearing"), standard, epoch.astype(float), epoch, landmark_index
+    )
 
 
 def figures(runs: Runs) -> dict[str, tuple[float | None, tuple[float, float]]]:

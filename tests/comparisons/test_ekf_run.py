@@ -40,7 +40,9 @@ def test_stops_tell_what_was_seen_and_a_fault_is_the_last() -> None:
     timeline, choices = build_timeline(log), settle(EkfConfig(), log)
     run = run_ekf(log, timeline, choices)
     stops = list(drive(build_ekf(log, choices, Trace()), log, timeline))
-    assert np.array_equal(np.concatenate([stop.slots for stop in stops]), run.slot)
+    assert np.array_equal(
+        np.concatenate([stop.landmark_indices for stop in stops]), run.landmark_index
+    )
     assert np.array_equal([stop.arrived for stop in stops], run.arrived)
     broken = build_ekf(log, choices, Trace())
     stops = []

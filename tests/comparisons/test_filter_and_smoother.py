@@ -55,7 +55,7 @@ def test_the_filter_at_k_agrees_with_the_smoother_up_to_k(seed: int) -> None:
     for checkpoint in end.checkpoints:
         run = run_ekf(log, timeline.prefix(checkpoint.pose + 1), settle(EkfConfig(), log))
         mean, covariance = checkpoint.marginal
-        assert len(run.estimate.landmark) == len(checkpoint.slot)
+        assert len(run.estimate.landmark) == len(checkpoint.landmark_index)
         apart = run.estimate.joint_mean - mean
         sigma = np.sqrt(covariance.diagonal())
         assert np.max(np.abs(apart) / sigma) < 0.5

@@ -28,8 +28,10 @@ Ready = tuple[Prepared[SolveConfig], Foreign]
 def ready() -> Ready:
     log, choices = open_case("positions", seed=4, loop_s=30.0)
     p: Prepared[SolveConfig] = prepare(log, CheckConfig(gps=choices.gps), choices)
-    slot = run_ekf(p.log, p.timeline, p.ekf, p.positions).slot
-    return p, Foreign(log=p.log, timeline=p.timeline, slot=slot, positions=p.positions)
+    landmark_index = run_ekf(p.log, p.timeline, p.ekf, p.positions).landmark_index
+    return p, Foreign(
+        log=p.log, timeline=p.timeline, landmark_index=landmark_index, positions=p.positions
+    )
 
 
 def checked(one: Foreign, ready: Ready, folder: Path, *, stored: bool = False) -> TraceCheck:

@@ -36,7 +36,7 @@ def test_as_a_log_it_gives_the_same_optimum(tmp_path: Path) -> None:
     log = open_log(str(path))
     assert log.format == "g2o"
     assert log.records["odometry"] == len(result.problem.increment)
-    assert log.records["measurements"] == len(solution.slot)
+    assert log.records["measurements"] == len(solution.landmark_index)
     comparison = compared(log)
     assert abs(comparison.smoother.error - result.error) < 1e-6 * result.error
     assert comparison.verdict.outcome == "agree"

@@ -70,14 +70,14 @@ def bits(run: EkfRun) -> list[Array]:
 def test_at_least_three_are_found_and_kept_and_the_estimates_agree(seed: int) -> None:
     found = with_them(seed)
     made = found.find(HighLevelFinding).made
-    assert np.count_nonzero(made.slot >= 0) >= 3
-    assert len(found.ekf.estimate.oriented) == np.count_nonzero(made.slot >= 0)
+    assert np.count_nonzero(made.landmark_index >= 0) >= 3
+    assert len(found.ekf.estimate.oriented) == np.count_nonzero(made.landmark_index >= 0)
     assert made.looks["seen"] > 20
     assert found.agreement.algebra.within(1e-6)
     assert found.agreement.model.within(1e-6)
     result = found.find(HighLevelFinding).result
     assert (build_result(found).model_extra or {})["high_level"] == result
-    assert result.kept <= result.found == len(made.slot)
+    assert result.kept <= result.found == len(made.landmark_index)
 
 
 @pytest.mark.slow
@@ -119,7 +119,7 @@ def test_blank_scans_show_no_landmark_and_leave_the_filter_alone() -> None:
     seeing: list[OrientedSource] = [*sources, NoOrientedSource()]
     setups = [FilterSetup(source=source) for source in seeing]
     runs = [run_ekf(short, timeline, choices, setup=setup) for setup in setups]
-    found = [len(source.run().slot) for source in sources]
+    found = [len(source.run().landmark_index) for source in sources]
     assert found[0] == 0 < found[1]
     assert sources[0].run().searches == sources[1].run().searches > 1
     for ours, theirs in zip(bits(runs[0]), bits(runs[2]), strict=True):

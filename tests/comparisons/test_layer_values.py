@@ -45,16 +45,20 @@ class Painted:
     variance: Array
     count: float = 30.0
 
-    def values_at(self, slot: np.ndarray) -> tuple[Array, Array, Array]:
-        return self.mean[slot], self.variance[slot], np.full(len(slot), self.count)
+    def values_at(self, landmark_index: np.ndarray) -> tuple[Array, Array, Array]:
+        return (
+            self.mean[landmark_index],
+            self.variance[landmark_index],
+            np.full(len(landmark_index), self.count),
+        )
 
 
 class SureOfItself(Painted):
     """Wrong: what the layer says there has no scatter."""
 
-    def values_at(self, slot: np.ndarray) -> tuple[Array, Array, Array]:
-        mean, _, count = super().values_at(slot)
-        return mean, np.zeros(len(slot)), 1e12 * count
+    def values_at(self, landmark_index: np.ndarray) -> tuple[Array, Array, Array]:
+        mean, _, count = super().values_at(landmark_index)
+        return mean, np.zeros(len(landmark_index)), 1e12 * count
 
 
 @cache
@@ -87,11 +91,13 @@ def test_colour_decides_between_two_poles_in_one_gate(
 ) -> None:
     """By position the nearer one wins, by colour the right one; colours exchanged, the other."""
     state, seen = two_poles_in_one_gate(COLOURS[right], nearer=1 - right)
-    slots = []
+    landmark_indices = []
     for colours in (COLOURS, COLOURS[::-1]):
         layer = Painted(np.array(colours), np.full(2, SIGMA_COLOUR**2))
-        slots.append(rule(attributes=told_by(layer)).assign(state, RangeBearing(), seen)[0])
-    assert slots == [right, 1 - right]
+        landmark_indices.append(
+            rule(attributes=told_by(layer)).assign(state, RangeBearing(), seen)[0]
+        )
+    assert landmark_indices == [right, 1 - right]
     assert rule().assign(state, RangeBearing(), seen)[0] != right
 
 
@@ -149,15 +155,15 @@ def test_the_layer_holds_the_poles_colours_while_the_filter_drives() -> None:
     unled = FilterSetup(observers=[blind])
     off_run = run_ekf(log, build_timeline(log), EkfConfig(association="nn"), setup=unled)
     label = log.measurements.landmark
-    wrong = [_wrong(one.slot, label[: len(one.slot)]) for one in (run, off_run)]
+    wrong = [_wrong(one.landmark_index, label[: len(one.landmark_index)]) for one in (run, off_run)]
     assert wrong[0] <= wrong[1]
 
 
-def _wrong(slot: np.ndarray, label: np.ndarray) -> int:
+def _wrong(landmark_index: np.ndarray, label: np.ndarray) -> int:
     """Measurements that are unused, or not given to the landmark most of their label are."""
-    wrong = int((slot < 0).sum())
-    for one in np.unique(label[slot >= 0]):
-        used = slot[(label == one) & (slot >= 0)]
+    wrong = int((landmark_index < 0).sum())
+    for one in np.unique(label[landmark_index >= 0]):
+        used = landmark_index[(label == one) & (landmark_index >= 0)]
         wrong += len(used) - int(np.bincount(used).max())
     return wrong
 
@@ -170,8 +176,8 @@ def test_a_map_on_both_kinds_of_landmarks_tells_the_same_of_points() -> None:
         watcher = DenseWatcher(log, DenseMapsConfig(layers=("values",)), kinds=kinds)
         setup = FilterSetup(observers=[watcher], layer=watcher)
         run = run_ekf(log, build_timeline(log), settle(LAYER, log), setup=setup)
-        slot = np.arange(len(run.estimate.landmark))
-        found.append((run.slot, *watcher.values_at(slot)))
+        landmark_index = np.arange(len(run.estimate.landmark))
+        found.append((run.landmark_index, *watcher.values_at(landmark_index)))
     assert np.isfinite(found[0][1]).sum() >= 5
     for alone, both in zip(*found, strict=True):
         np.testing.assert_array_equal(alone, both)

@@ -87,7 +87,7 @@ def problem_of(made: Made) -> SlamProblem:
     drift = np.diag((1e-8, 1e-8, 1e-10)) * STEP_S
     spread = at.jacobian_control @ Q @ at.jacobian_control.T + drift
     steps = made.steps
-    node, slot, z = (np.array(c) for c in zip(*made.points_seen, strict=True))
+    node, landmark_index, z = (np.array(c) for c in zip(*made.points_seen, strict=True))
     covariance = np.array([r for _, _, _, r in made.seen])
     measured = np.array([z for _, _, z, _ in made.seen])
     merges = Merges()
@@ -109,10 +109,10 @@ def problem_of(made: Made) -> SlamProblem:
             right_perturbation(at.pose[None], spread[None]), (steps, 1, 1)
         ),
         measurement_pose=node,
-        measurement_landmark=slot,
+        measurement_landmark=landmark_index,
         z=z,
         sigma=np.tile(SIGMA, (len(z), 1)),
-        landmark_count=int(slot.max()) + 1,
+        landmark_count=int(landmark_index.max()) + 1,
         oriented=oriented,
     )
 
@@ -143,7 +143,7 @@ def test_the_filter_equals_both_frozen_smoothers(kind: str, order: str) -> None:
     """Two laps with a fusion and removals; the compressed filter replays like the full one."""
     chain = run(kind, replace(SCRIPT, order=order))
     assert len(chain.trace.merges.step) == 1
-    assert len(chain.trace.removals.slot) == 3
+    assert len(chain.trace.removals.landmark_index) == 3
     expected, f1 = chain.expected, chain.recorded()
     assert len(f1.mean) == len(expected.mean) == chain.ekf.state.layout.size
     assert gap(expected, f1) < 1e-9
@@ -175,12 +175,12 @@ class NoCross(KalmanState):
 class Conditioned(KalmanState):
     """Removal as if the place of what is removed were known."""
 
-    def remove(self, slot: np.ndarray, width: int = 2) -> None:
-        local = self.map_of(slot, width)
+    def remove(self, landmark_index: np.ndarray, width: int = 2) -> None:
+        local = self.map_of(landmark_index, width)
         own = local.columns[3:]
         rows = np.eye(len(local.columns))[3:]
         self.update(local.columns, rows, np.zeros(len(own)), 1e-8 * np.eye(len(own)))
-        super().remove(slot, width)
+        super().remove(landmark_index, width)
 
 
 @pytest.mark.parametrize("model", [Flipped, Unwrapped])

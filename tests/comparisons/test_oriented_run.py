@@ -56,7 +56,7 @@ class Frames:
         assert poses is not None
         self.poses, self.rng = poses, np.random.default_rng(0)
         self.frames = poses.at(np.linspace(poses.time_s[0] + 1.0, 38.0, 8)) + (1.0, 2.0, 2.0)
-        self.slot: dict[int, int] = {}
+        self.landmark_index: dict[int, int] = {}
         self.gone: set[int] = set()
         self.by_ledger = by_ledger
 
@@ -69,16 +69,18 @@ class Frames:
         which = [i for i in np.flatnonzero(away < 15.0).tolist() if i not in self.gone]
         if which:
             z = np.array([self.measured(truth, self.frames[i]) for i in which])
-            slot = np.array([self.slot.get(i, NEW) for i in which], dtype=np.intp)
+            landmark_index = np.array(
+                [self.landmark_index.get(i, NEW) for i in which], dtype=np.intp
+            )
             r = np.tile(R, (len(z), 1, 1))
             if self.by_ledger:
-                slot = ledger.observe(ekf, epoch, z, r, slot)
+                landmark_index = ledger.observe(ekf, epoch, z, r, landmark_index)
             else:
-                slot = ekf.observe_known(z, r, slot)
-            self.slot.update(zip(which, slot.tolist(), strict=True))
+                landmark_index = ekf.observe_known(z, r, landmark_index)
+            self.landmark_index.update(zip(which, landmark_index.tolist(), strict=True))
         if epoch == FUSE_AT:
             z = self.measured(self.frames[0], self.frames[1])
-            ledger.fuse(ekf, epoch, self.slot[0], self.slot[1], z, R)
+            ledger.fuse(ekf, epoch, self.landmark_index[0], self.landmark_index[1], z, R)
             self.gone.add(1)
 
 
@@ -159,7 +161,7 @@ def test_where_linearising_cost_something_is_found_with_fused_landmarks() -> Non
     meant = model_system_of(problem, run)
     found = linearisation_growth(meant, there, whole)
     assert found.squared.max() < 1.0
-    # Broken: what is left of fused landmarks moves up into their slots.
+    # Broken: what is left of fused landmarks moves up into their landmark indices.
     moved = np.vstack((smoothed.oriented, smoothed.oriented[-1:]))
     shifted = replace(smoothed, oriented=moved)
     wrong = linearisation_growth(meant, model_system_at(problem, run, shifted), shifted)

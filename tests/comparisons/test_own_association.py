@@ -27,7 +27,7 @@ def test_mrclam_with_its_labels_hidden(
     log = open_log(str(shared_data / "mrclam" / "MRCLAM_Dataset6"), robot=robot)
     timeline = build_timeline(log)
     found = OwnAssociator(log, timeline, position_rows(timeline, None)).associate()
-    clusters = score_association(found.slot, found.landmarks, log)
+    clusters = score_association(found.landmark_index, found.landmarks, log)
     assert clusters is not None
     assert clusters.clusters is not None
     assert clusters.clusters.precision > precision
@@ -42,6 +42,6 @@ def test_raw_detections_as_the_filter_sees_them(shared_data: Path) -> None:
     timeline = whole.prefix(int(np.searchsorted(whole.epoch_time_s, 300.0)))
     run = run_ekf(log, timeline, settle(EkfConfig(filter="compressed"), log))
     found = OwnAssociator(log, timeline, position_rows(timeline, None)).associate()
-    agreement = compare_partitions(run.slot, found.slot)
+    agreement = compare_partitions(run.landmark_index, found.landmark_index)
     assert agreement.agreement > 0.9
     assert 0.8 < found.problem.landmark_count / len(run.estimate.landmark) < 1.25

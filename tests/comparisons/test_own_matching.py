@@ -68,11 +68,11 @@ def planted(
 def best_seen() -> tuple[int, Array]:
     """The landmark that both saw the most, and which way (2,) its alignments are the surest."""
     own = matched().find(OwnMatchingFinding).own
-    slot = max(own.landmarks, key=lambda one: one.common).slot
-    rows = np.flatnonzero(own.alignments.landmark == slot)[1:]
+    landmark_index = max(own.landmarks, key=lambda one: one.common).landmark_index
+    rows = np.flatnonzero(own.alignments.landmark == landmark_index)[1:]
     turn = to_tangent(own.alignments.measured[rows, 2])
     seen = np.linalg.inv(turn.transpose(0, 2, 1) @ own.alignments.covariance[rows] @ turn)
-    return slot, np.linalg.eigh(seen.mean(axis=0)[:2, :2])[1][:, -1]
+    return landmark_index, np.linalg.eigh(seen.mean(axis=0)[:2, :2])[1][:, -1]
 
 
 @pytest.mark.slow
@@ -129,9 +129,9 @@ def test_an_offset_of_one_landmark_is_named(
     assert [cause.gap for cause in c.verdict.causes] == ["matching"]
     assert not own.shifted
     (worst,) = own.contradicting
-    assert worst.slot == which
+    assert worst.landmark_index == which
     assert worst.shift[:2] @ way == pytest.approx(MOVED_M, rel=0.3)
-    assert f"scan landmark {worst.slot} are 0." in c.verdict.causes[0].evidence
+    assert f"scan landmark {worst.landmark_index} are 0." in c.verdict.causes[0].evidence
     table = matching_differences(c.find(OwnMatchingFinding).result)
     assert table.count("contradicts") == 1
 
@@ -179,10 +179,10 @@ def differences(
     rng: np.random.Generator, shift: Array, landmarks: int
 ) -> tuple[Index, Array, Array]:
     """Those of one landmark alike but for little, as shared noise makes them."""
-    slot: Index = np.repeat(np.arange(landmarks), 12)
+    landmark_index: Index = np.repeat(np.arange(landmarks), 12)
     of_landmark = 0.04 * rng.standard_normal((landmarks, 3))
-    own = of_landmark[slot] + 0.01 * rng.standard_normal((len(slot), 3))
-    return slot, own + shift, np.tile(np.eye(3) / 0.1**2, (len(slot), 1, 1))
+    own = of_landmark[landmark_index] + 0.01 * rng.standard_normal((len(landmark_index), 3))
+    return landmark_index, own + shift, np.tile(np.eye(3) / 0.1**2, (len(landmark_index), 1, 1))
 
 
 @pytest.mark.parametrize("landmarks", [3, 8])
@@ -205,8 +205,8 @@ def test_a_common_shift_is_found_and_no_other(landmarks: int) -> None:
 
 
 def test_two_landmarks_have_nothing_in_common() -> None:
-    slot, d, information = differences(np.random.default_rng(0), np.full(3, 0.5), 8)
-    assert common_shift(slot % 2, d, information)[1:] == (0.0, 0)
+    landmark_index, d, information = differences(np.random.default_rng(0), np.full(3, 0.5), 8)
+    assert common_shift(landmark_index % 2, d, information)[1:] == (0.0, 0)
 
 
 def frames(place: Array, sigma: float) -> Estimate:

@@ -94,7 +94,7 @@ def test_it_is_told_by_the_scan_landmarks_names() -> None:
     rows = regions_csv(mapped()).splitlines()[1:]
     assert len(rows) == result.regions
     names = {name for row in rows for corner in row.split(",")[1:4] for name in corner.split("+")}
-    assert names <= {f"s{slot}" for slot in range(result.scan_landmarks)}
+    assert names <= {f"s{landmark_index}" for landmark_index in range(result.scan_landmarks)}
     assert len(names) > 2
 
 

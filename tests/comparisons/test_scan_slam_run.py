@@ -269,8 +269,8 @@ def test_landmarks_where_something_moves_are_deactivated() -> None:
     place = dict(zip(run.estimate.oriented_id.tolist(), run.estimate.oriented, strict=True))
     north = {s: (t.placed(place[s])[:, 1] > 2.0).mean() for s, t in found.template.items()}
     assert found.moving
-    assert all(north[slot] > 0.1 for slot in found.moving)
-    assert all(north[slot] < 0.3 for slot in set(north) - found.moving)
+    assert all(north[landmark_index] > 0.1 for landmark_index in found.moving)
+    assert all(north[landmark_index] < 0.3 for landmark_index in set(north) - found.moving)
     assert found.reasons[MOVES] > 0
 
 

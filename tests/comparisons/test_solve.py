@@ -120,7 +120,7 @@ def test_own_association_needs_no_labels() -> None:
     blind = solve(without_labels(log))
     assert blind.association_by == "own"
     seen = solve(log, SolveConfig(association="own"))
-    assert np.array_equal(blind.slot, seen.slot)
+    assert np.array_equal(blind.landmark_index, seen.landmark_index)
     assert seen.association is not None
     assert seen.association.landmarks.precision > 0.99
     assert seen.association.landmarks.recall > 0.97
@@ -184,20 +184,20 @@ def test_both_associations_are_compared() -> None:
 def test_what_a_wrong_association_costs() -> None:
     comparison = compared(simulated(1))
     run, smoothed = comparison.ekf, comparison.smoothed
-    wrong = run.slot.copy()
+    wrong = run.landmark_index.copy()
     row = int(np.flatnonzero(wrong >= 0)[50])
     wrong[row] = (wrong[row] + 1) % len(smoothed.landmark)
     found = check_own_association(
         comparison.log.measurements,
         run.timeline.measurement_epoch,
-        (wrong, run.slot),
+        (wrong, run.landmark_index),
         smoothed,
         smoothed,
         comparison.smoother.optimality,
     )
     assert found.differing.tolist() == [row]
     assert found.cost[0, 0] > 1e3 > 20.0 > found.cost[0, 1]
-    told = association_cause(found, replace(run, slot=wrong)).evidence
+    told = association_cause(found, replace(run, landmark_index=wrong)).evidence
     assert f"measurement {row} at " in told
     assert f"by {found.cost[0, 0] ** 0.5:.1f} sigma" in told
 
@@ -240,6 +240,6 @@ def test_measurements_that_are_left_out_make_no_landmark() -> None:
     timeline, few = build_timeline(log), np.arange(0, 20)
     rows = position_rows(timeline, None)
     found = OwnAssociator(log, timeline, rows, few).associate()
-    assert (found.slot[few] == -1).all()
-    assert (np.delete(found.slot, few) >= 0).any()
-    assert (OwnAssociator(log, timeline, rows).associate().slot[few] >= 0).any()
+    assert (found.landmark_index[few] == -1).all()
+    assert (np.delete(found.landmark_index, few) >= 0).any()
+    assert (OwnAssociator(log, timeline, rows).associate().landmark_index[few] >= 0).any()

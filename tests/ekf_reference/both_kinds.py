@@ -48,7 +48,7 @@ class Script:
 
 @dataclass
 class Made:
-    """What a drive led to. known: the slot of each frame. The rest is what a smoother is told."""
+    """What a drive led to. known: landmark index of each frame. The rest is a smoother's input."""
 
     truth: Array
     steps: int
@@ -134,9 +134,9 @@ class _Tour:
         bearing = np.arctan2(d[:, 1], d[:, 0]) - self.made.truth[2]
         z = np.column_stack((np.hypot(*d.T), bearing))
         z += self.script.noise * SIGMA * self.rng.standard_normal(z.shape)
-        slots = self.ekf.observe(z, np.tile(SIGMA, (len(z), 1)), label).tolist()
-        self.made.points_seen += [(k, s, at) for s, at in zip(slots, z, strict=True)]
-        self.made.label_of.update(zip(slots, label.tolist(), strict=True))
+        landmark_indices = self.ekf.observe(z, np.tile(SIGMA, (len(z), 1)), label).tolist()
+        self.made.points_seen += [(k, s, at) for s, at in zip(landmark_indices, z, strict=True)]
+        self.made.label_of.update(zip(landmark_indices, label.tolist(), strict=True))
 
     def frames(self, k: int) -> None:
         near = np.flatnonzero(np.hypot(*(FRAMES[:, :2] - self.made.truth[:2]).T) < RANGE_M).tolist()
@@ -146,8 +146,8 @@ class _Tour:
         r = np.array([covariance_of(self.rng) for _ in which])
         places = [relative(self.made.truth, FRAMES[i]) for i in which]
         z = np.array([at + self.draw(c) for at, c in zip(places, r, strict=True)])
-        slot = np.array([self.made.known.get(i, NEW) for i in which], dtype=np.intp)
-        found = self.ekf.observe_known(z, r, slot).tolist()
+        landmark_index = np.array([self.made.known.get(i, NEW) for i in which], dtype=np.intp)
+        found = self.ekf.observe_known(z, r, landmark_index).tolist()
         self.made.known.update(zip(which, found, strict=True))
         self.made.seen += [(k, s, at, c) for s, at, c in zip(found, z, r, strict=True)]
 
@@ -163,9 +163,9 @@ class _Tour:
         self.gone.add(0)
         self.ekf.remove(np.array([self.made.known[0]]), POSE)
         if self.script.order != "frames only":
-            slot = sorted(self.made.label_of)[1]
-            self.gone_points.add(self.made.label_of[slot])
-            self.ekf.remove(np.array([slot]))
+            landmark_index = sorted(self.made.label_of)[1]
+            self.gone_points.add(self.made.label_of[landmark_index])
+            self.ekf.remove(np.array([landmark_index]))
 
 
 def error(ekf: Ekf, made: Made) -> Array:
@@ -173,14 +173,14 @@ def error(ekf: Ekf, made: Made) -> Array:
     layout, mean = ekf.state.layout, ekf.state.mean
     off = np.empty(len(mean))
     off[:3] = ekf.state.pose - made.truth
-    for slot in layout.present():
-        at = layout.first[POINT][slot]
-        off[at : at + 2] = mean[at : at + 2] - POINTS[made.label_of[int(slot)]]
+    for landmark_index in layout.present():
+        at = layout.first[POINT][landmark_index]
+        off[at : at + 2] = mean[at : at + 2] - POINTS[made.label_of[int(landmark_index)]]
     angles = [2]
-    frame_of = {slot: frame for frame, slot in made.known.items()}
-    for slot in layout.present(POSE):
-        at = layout.first[POSE][slot]
-        off[at : at + 3] = mean[at : at + 3] - FRAMES[frame_of[int(slot)]]
+    frame_of = {landmark_index: frame for frame, landmark_index in made.known.items()}
+    for landmark_index in layout.present(POSE):
+        at = layout.first[POSE][landmark_index]
+        off[at : at + 3] = mean[at : at + 3] - FRAMES[frame_of[int(landmark_index)]]
         angles.append(int(at) + 2)
     off[angles] = np.angle(np.exp(1j * off[angles]))
     return off

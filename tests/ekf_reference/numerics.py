@@ -31,10 +31,10 @@ def random_covariance(rng: np.random.Generator, n: int) -> Array:
     return a @ a.T + n * np.eye(n)
 
 
-def point_columns(slot: Index, pose_size: int = 3) -> Index:
+def point_columns(landmark_index: Index, pose_size: int = 3) -> Index:
     """Return the entries (p + 2 m,) of the pose and some points (m,) of a map of points alone."""
-    columns = np.empty(pose_size + 2 * len(slot), dtype=np.intp)
+    columns = np.empty(pose_size + 2 * len(landmark_index), dtype=np.intp)
     columns[:pose_size] = np.arange(pose_size)
-    columns[pose_size::2] = pose_size + 2 * slot
-    columns[pose_size + 1 :: 2] = pose_size + 1 + 2 * slot
+    columns[pose_size::2] = pose_size + 2 * landmark_index
+    columns[pose_size + 1 :: 2] = pose_size + 1 + 2 * landmark_index
     return columns

@@ -27,7 +27,7 @@ def replay(trace: TraceArrays) -> Gaussian:
     covariance is formed before the end. Landmarks must not have been removed.
     """
     p, steps = len(trace.prior_pose), len(trace.departed)
-    size = p + POINT * len(np.unique(trace.initialisations[POINT].slot))
+    size = p + POINT * len(np.unique(trace.initialisations[POINT].landmark_index))
     root = _Root(size)
     root.add(np.eye(p, size), trace.prior_pose, trace.prior_covariance)
     for k in range(steps + 1):
@@ -86,7 +86,7 @@ def _measurement(
     by_landmark = other
     if begins:  # l - G_x x = landmark - G_x pose + G_z v
         by_pose, by_landmark, noise = -by_pose, np.eye(POINT), other @ noise @ other.T
-    columns: Index = len(pose) + POINT * records.slot[row] + np.arange(POINT)
+    columns: Index = len(pose) + POINT * records.landmark_index[row] + np.arange(POINT)
     jacobian = np.zeros((POINT, size))
     jacobian[:, : len(pose)], jacobian[:, columns] = by_pose, by_landmark
     return jacobian, value + by_pose @ pose + by_landmark @ landmark, noise

@@ -77,17 +77,19 @@ def test_the_belief_is_moved_and_narrowed_as_a_gaussian() -> None:
     assert np.allclose(it.mean, moved(np.concatenate((mean, np.zeros(3)))))
     assert relative_error(it.covariance, jacobian @ joint @ jacobian.T) < 1e-7
 
-    before, slots = Belief(it.mean, it.covariance), np.array([2, 0])
-    z = before.expect(slots).z + rng.normal(0.0, 0.05, (2, 2))
+    before, landmark_indices = Belief(it.mean, it.covariance), np.array([2, 0])
+    z = before.expect(landmark_indices).z + rng.normal(0.0, 0.05, (2, 2))
     variance = np.array([[0.01, 1e-4], [0.02, 2e-4]])
-    h = central_difference(lambda x: Belief(x, np.eye(9)).expect(slots).z.ravel(), before.mean)
+    h = central_difference(
+        lambda x: Belief(x, np.eye(9)).expect(landmark_indices).z.ravel(), before.mean
+    )
     information = np.linalg.inv(before.covariance) + h.T @ np.diag(1.0 / variance.ravel()) @ h
-    it.learn(slots, z, variance)
+    it.learn(landmark_indices, z, variance)
     assert relative_error(it.covariance, np.linalg.inv(information)) < 1e-6
-    nu = wrapped(z - before.expect(slots).z).ravel()
+    nu = wrapped(z - before.expect(landmark_indices).z).ravel()
     shift = it.covariance @ h.T @ (nu / variance.ravel())
     assert relative_error(it.mean - before.mean, shift) < 1e-6
-    spread = before.spread(slots, before.expect(slots).jacobian)
+    spread = before.spread(landmark_indices, before.expect(landmark_indices).jacobian)
     assert relative_error(spread, h @ before.covariance @ h.T) < 1e-6
 
 
@@ -117,8 +119,8 @@ def test_what_stands_together_is_one_piece_of_evidence() -> None:
     o = Options()
     one, three = belief(0.2), belief(0.2)
     recognise(one, *seen((6.0, 2.0)), o)
-    slots = recognise(three, *seen((6.0, 2.0), (6.1, 2.1), (5.9, 1.9)), o)
-    assert slots.tolist() == [1, 1, 1]
+    landmark_indices = recognise(three, *seen((6.0, 2.0), (6.1, 2.1), (5.9, 1.9)), o)
+    assert landmark_indices.tolist() == [1, 1, 1]
     assert relative_error(three.covariance, one.covariance) < 0.02
 
 
@@ -128,10 +130,10 @@ def pairs(*labels: Index) -> int:
     return int(np.sum(counts * (counts - 1) // 2))
 
 
-def score(slot: Index, true: Index) -> tuple[float, float]:
+def score(landmark_index: Index, true: Index) -> tuple[float, float]:
     """By pairs of measurements: precision and recall of a partition (M,), negative unused."""
-    used = slot >= 0
-    together, right = pairs(slot[used]), pairs(slot[used], true[used])
+    used = landmark_index >= 0
+    together, right = pairs(landmark_index[used]), pairs(landmark_index[used], true[used])
     return right / together, right / pairs(true)
 
 
@@ -150,7 +152,7 @@ def nearest_by_dead_reckoning(world: World) -> Index:
 def test_loops_are_closed_without_labels(seed: int, loops: int) -> None:
     world = worlds.loop(seed, poses=loops * worlds.LOOP + 40)
     true = world.problem.measurement_landmark
-    precision, recall = score(associate(unlabelled(world.problem)).slot, true)
+    precision, recall = score(associate(unlabelled(world.problem)).landmark_index, true)
     assert precision > 0.995
     assert recall > 0.99
     # Odometry alone would not do.
@@ -175,15 +177,15 @@ def test_clutter_becomes_no_landmark() -> None:
         sigma=np.vstack((everything.sigma, everything.sigma[rows])),
     )
     found = associate(cluttered)
-    assert np.mean(found.slot[len(everything.z) :] < 0) > 0.8
-    precision, _ = score(found.slot[: len(everything.z)], problem.measurement_landmark)
+    assert np.mean(found.landmark_index[len(everything.z) :] < 0) > 0.8
+    precision, _ = score(found.landmark_index[: len(everything.z)], problem.measurement_landmark)
     assert precision > 0.98
     assert found.landmark_count < 1.25 * problem.landmark_count
 
 
 def test_landmarks_are_numbered_by_first_measurement() -> None:
     found = associate(unlabelled(worlds.loop(2, poses=150).problem))
-    used = found.slot[found.slot >= 0]
+    used = found.landmark_index[found.landmark_index >= 0]
     _, first = np.unique(used, return_index=True)
     assert np.all(np.diff(first) > 0)
     assert used.max() + 1 == found.landmark_count == len(found.landmarks)

@@ -61,9 +61,9 @@ def test_all_ways_to_associate_a_quiet_world_end_alike() -> None:
     label = world.problem.measurement_landmark
     for variant in variants():
         found = associate_by(problem, variant, own.poses[-1])
-        used = found.slot >= 0
+        used = found.landmark_index >= 0
         assert np.mean(used) > 0.8, variant.name
-        pairs = set(zip(found.slot[used].tolist(), label[used].tolist(), strict=True))
+        pairs = set(zip(found.landmark_index[used].tolist(), label[used].tolist(), strict=True))
         assert len(pairs) == found.landmark_count, variant.name
         assert np.abs(found.poses - world.poses)[:, :2].max() < 1.0, variant.name
         assert np.abs(found.poses[0] - problem.prior_pose).max() < 0.1, variant.name

@@ -148,7 +148,7 @@ def test_checkpoints_are_as_sure_as_they_should_be() -> None:
         stops = [int(f * (problem.pose_count - 1)) for f in fractions]
         end = run_isam2(problem, build_graph(problem), stops)
         for i, checkpoint in enumerate(end.checkpoints):
-            places = world.landmarks[checkpoint.slot].ravel()
+            places = world.landmarks[checkpoint.landmark_index].ravel()
             true = np.concatenate((world.poses[checkpoint.pose], places))
             error = checkpoint.marginal.mean - true
             error[2] = angle(error[2])
@@ -164,14 +164,14 @@ def test_checkpoints_equal_the_batch_of_their_prefix(problem: SlamProblem) -> No
     stop = problem.pose_count // 2
     [checkpoint] = run_isam2(problem, build_graph(problem), [stop]).checkpoints
     part = problem.prefix(stop + 1)
-    slot = np.unique(part.measurement_landmark)
+    landmark_index = np.unique(part.measurement_landmark)
     part = replace(
         part,
-        measurement_landmark=np.searchsorted(slot, part.measurement_landmark),
-        landmark_count=len(slot),
+        measurement_landmark=np.searchsorted(landmark_index, part.measurement_landmark),
+        landmark_count=len(landmark_index),
     )
     batch = smooth(part, {}).marginal()
-    assert np.array_equal(checkpoint.slot, slot)
+    assert np.array_equal(checkpoint.landmark_index, landmark_index)
     sigma = np.sqrt(batch.covariance.diagonal())
     assert np.max(np.abs(checkpoint.marginal.mean - batch.mean) / sigma) < 0.01
     assert np.allclose(

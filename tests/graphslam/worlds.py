@@ -63,7 +63,7 @@ def loop(seed: int, poses: int = LOOP, noise: float = 1.0) -> World:
         product(quotient(here, there), exponential(draw(STEP))) for here, there in pairwise(true)
     ]
     node, label, z = _measured(true, posts())
-    seen, first, slot = np.unique(label, return_index=True, return_inverse=True)
+    seen, first, landmark_index = np.unique(label, return_index=True, return_inverse=True)
     order = np.argsort(first)
     problem = SlamProblem(
         prior_pose=true[0] + draw(PRIOR),
@@ -71,7 +71,7 @@ def loop(seed: int, poses: int = LOOP, noise: float = 1.0) -> World:
         increment=np.array(increment),
         increment_covariance=np.tile(STEP, (poses - 1, 1, 1)),
         measurement_pose=node,
-        measurement_landmark=np.argsort(order)[slot],
+        measurement_landmark=np.argsort(order)[landmark_index],
         z=z + noise * SIGMA * rng.standard_normal(z.shape),
         sigma=np.tile(SIGMA, (len(z), 1)),
         landmark_count=len(seen),
@@ -97,17 +97,17 @@ def with_frames(world: World, seed: int, noise: float = 1.0) -> World:
         return quotient(first, second) + off, spread
 
     node, label, _ = _measured(world.poses, place)
-    seen, slot = np.unique(label, return_inverse=True)
+    seen, landmark_index = np.unique(label, return_inverse=True)
     frames = frames[seen]
-    pairs = [measured(world.poses[k], frames[j]) for k, j in zip(node, slot, strict=True)]
+    pairs = [measured(world.poses[k], frames[j]) for k, j in zip(node, landmark_index, strict=True)]
     z, spread = (np.array(column) for column in zip(*pairs, strict=True))
     z[:, 2] = angle(z[:, 2])
-    found = max(node[slot == 0].min(), node[slot == 1].min()) + 20
+    found = max(node[landmark_index == 0].min(), node[landmark_index == 1].min()) + 20
     where, beside = (np.array([value]) for value in measured(frames[0], frames[1]))
     where[:, 2] = angle(where[:, 2])
     one = np.zeros(1, dtype=np.intp)
     merges = Merges(one + found, one, one + 1, where, right_perturbation(where, beside))
-    oriented = OrientedMeasurements(node, slot, z, right_perturbation(z, spread), merges)
+    oriented = OrientedMeasurements(node, landmark_index, z, right_perturbation(z, spread), merges)
     return replace(world, problem=replace(world.problem, oriented=oriented), frames=frames)
 
 

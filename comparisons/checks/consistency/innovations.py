@@ -124,8 +124,18 @@ def check_innovations(run: EkfRun) -> tuple[SensorInnovations, ...]:
     seen = u.number[rows][kept]
     names = ("forward", "left") if run.own_axes else ("range", "bearing")
     epoch = run.timeline.measurement_epoch[seen]
-    slot = u.slot[rows][kept]
-    made = [sensor("measurements", names, standard, time_s[epoch], epoch, slot, int((~kept).sum()))]
+    landmark_index = u.landmark_index[rows][kept]
+    made = [
+        sensor(
+            "measurements",
+            names,
+            standard,
+            time_s[epoch],
+            epoch,
+            landmark_index,
+            int((~kept).sum()),
+        )
+    ]
     first = np.sort(np.unique(fixes.number, return_index=True)[1])
     spread = fixes.spread[first] + (fixes.weight[first, None, None] - 1.0) * fixes.noise[first]
     standard, bad = whiten(fixes.innovation[first], spread)
@@ -143,12 +153,12 @@ def sensor(
     standard: Array,
     time_s: Array,
     epoch: Index,
-    slot: Index | None,
+    landmark_index: Index | None,
     unusable: int = 0,
 ) -> SensorInnovations:
     """Of standardised innovations (n, 2) at times (n,), in the order of their fusion.
 
-    epoch, slot: (n,) instants and landmarks, if it sees landmarks.
+    epoch, landmark_index: (n,) instants and landmarks, if it sees landmarks.
     """
     squared = standard**2
     rows = ((name, slice(0, 2)), (components[0], slice(0, 1)), (components[1], slice(1, 2)))
@@ -158,9 +168,11 @@ def sensor(
         _, instant, count = np.unique(epoch, return_inverse=True, return_counts=True)
         summed = np.bincount(instant, standard[:, i]) / np.sqrt(count)
         white.append(whiteness(component, "time", summed))
-        if slot is not None:
-            order = np.argsort(slot, kind="stable")
-            white.append(whiteness(component, "landmark", standard[order, i], slot[order]))
+        if landmark_index is not None:
+            order = np.argsort(landmark_index, kind="stable")
+            white.append(
+                whiteness(component, "landmark", standard[order, i], landmark_index[order])
+            )
     drawn = tuple(w for w in white if w is not None)
     return SensorInnovations(name, tuple(nis), drawn, _windows(squared, time_s), unusable)
 

@@ -92,12 +92,12 @@ class WatchedState:
         self._state.augment(landmark, jacobian_pose, jacobian_z, noise)
         self._compare("the augmentation", sound, v, n)
 
-    def remove(self, slot: Index, width: int = POINT) -> None:
+    def remove(self, landmark_index: Index, width: int = POINT) -> None:
         """Marginalise landmarks out, and compare with the marginal."""
-        v, gone = len(self._state.pose), self._state.layout.columns(slot, width)
+        v, gone = len(self._state.pose), self._state.layout.columns(landmark_index, width)
         kept = np.setdiff1d(np.arange(len(self._state.mean)), gone[v:])
         sound = self._state.part(kept)
-        self._state.remove(slot, width)
+        self._state.remove(landmark_index, width)
         self._compare("the removal", sound, v, len(kept))
 
     def differences(self) -> tuple[AlgebraDifference, ...]:

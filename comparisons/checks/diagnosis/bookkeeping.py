@@ -55,7 +55,7 @@ def misuses(log: Log, run: EkfRun, smoothed: Estimate, *, labelled: bool) -> tup
         found += _late(kind, when, timeline.steps_until()[epoch[which]])
         found += _counted(kind, which, share)
     if labelled:
-        found += _labels(log.measurements.landmark[: len(run.slot)], run.slot)
+        found += _labels(log.measurements.landmark[: len(run.landmark_index)], run.landmark_index)
         found += _gated(log, run, smoothed)
     return tuple(found)
 
@@ -90,20 +90,22 @@ def _counted(kind: str, number: Index, weight: Array) -> list[Misuse]:
     ]
 
 
-def _labels(label: NDArray[np.int64], slot: Index) -> list[Misuse]:
+def _labels(label: NDArray[np.int64], landmark_index: Index) -> list[Misuse]:
     """One landmark per label, one label per landmark."""
-    used = slot >= 0
-    pairs, count = np.unique(np.column_stack((label[used], slot[used])), axis=0, return_counts=True)
+    used = landmark_index >= 0
+    pairs, count = np.unique(
+        np.column_stack((label[used], landmark_index[used])), axis=0, return_counts=True
+    )
     found = []
-    labels, slots = (np.unique(pairs[:, k], return_counts=True) for k in (0, 1))
-    if (slots[1] > 1).any():
-        mixed = slots[0][slots[1] > 1]
+    labels, landmark_indices = (np.unique(pairs[:, k], return_counts=True) for k in (0, 1))
+    if (landmark_indices[1] > 1).any():
+        mixed = landmark_indices[0][landmark_indices[1] > 1]
         usual = sum(int(count[pairs[:, 1] == one].max()) for one in mixed)
         stray = int(count[np.isin(pairs[:, 1], mixed)].sum()) - usual
         found.append(
             Misuse(
                 f"measurements of different labels are put into one landmark: {len(mixed)} of "
-                f"{len(slots[0])} landmarks, {stray} measurements",
+                f"{len(landmark_indices[0])} landmarks, {stray} measurements",
                 "look at what turns a label into a place in the map",
             )
         )
@@ -121,8 +123,8 @@ def _labels(label: NDArray[np.int64], slot: Index) -> list[Misuse]:
 
 def _gated(log: Log, run: EkfRun, smoothed: Estimate) -> list[Misuse]:
     """Labelled measurements that were rejected, although they fit the optimum."""
-    label = log.measurements.landmark[: len(run.slot)]
-    rows = np.flatnonzero((run.slot == REJECTED) & np.isin(label, smoothed.landmark_id))
+    label = log.measurements.landmark[: len(run.landmark_index)]
+    rows = np.flatnonzero((run.landmark_index == REJECTED) & np.isin(label, smoothed.landmark_id))
     if not len(rows):
         return []
     order = np.argsort(smoothed.landmark_id)
@@ -130,7 +132,7 @@ def _gated(log: Log, run: EkfRun, smoothed: Estimate) -> list[Misuse]:
     pose = smoothed.pose[run.timeline.measurement_epoch[rows]]
     squared = squared_misfit(log.measurements, rows, pose, smoothed.landmark[place])
     fitting = int(np.count_nonzero(squared <= _FITS))
-    total = len(rows) + int(np.count_nonzero(run.slot >= 0))
+    total = len(rows) + int(np.count_nonzero(run.landmark_index >= 0))
     if binom.sf(fitting - 1, total, _ALLOWED) > _SURE:
         return []
     return [

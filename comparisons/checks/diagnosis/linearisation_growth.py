@@ -21,14 +21,14 @@ from graphslam.linear_problem import LinearProblem, LinearRelations, times
 
 @dataclass(frozen=True)
 class LinearisationError:
-    """Per relation of one kind: its epoch (M,), landmark slot (M,) or -1, and error (M,) [sigma].
+    """Per relation of one kind: its epoch (M,), landmark index (M,) or -1, and error (M,) [sigma].
 
     The error is the length of the whitened vector.
     """
 
     kind: str
     epoch: Index
-    slot: Index
+    landmark_index: Index
     sigma: Array
 
 
@@ -36,13 +36,14 @@ class LinearisationError:
 class LinearisationGrowth:
     """Over the epochs (K,): squared errors of all relations there, summed [sigma^2].
 
-    kind, epoch, slot, sigma: of the worst relation. slot: -1 where it sees no landmark.
+    kind, epoch, landmark index, sigma: of the worst relation. landmark_index: -1 where it sees no
+    landmark.
     """
 
     squared: Array
     kind: str
     epoch: int
-    slot: int
+    landmark_index: int
     sigma: float
 
     @property
@@ -62,11 +63,14 @@ def linearisation_growth(
     """Of one problem's relations, linearised by the filter and at the optimum.
 
     frozen: F2. optimum: the same relations, in the same order, linearised at S, smoothed,
-    which has all landmarks by slot. That two are one belongs to no instant, and is left out.
+    which has all landmarks by landmark index. That two are one belongs to no instant, and is left
+    out.
     """
     poses = smoothed.pose
     steps = _relations("a prediction", frozen.motion, optimum.motion, poses, poses)
-    every = [replace(steps, epoch=frozen.motion.second, slot=np.full(len(steps.epoch), -1))]
+    every = [
+        replace(steps, epoch=frozen.motion.second, landmark_index=np.full(len(steps.epoch), -1))
+    ]
     for width, kind, landmarks in (
         (POINT, "a measurement", smoothed.landmark),
         (POSE_LANDMARK, "a template's measurement", smoothed.oriented),
@@ -83,7 +87,11 @@ def linearisation_growth(
         return LinearisationGrowth(squared, "nothing", 0, -1, 0.0)
     row = int(np.argmax(worst.sigma))
     return LinearisationGrowth(
-        squared, worst.kind, int(worst.epoch[row]), int(worst.slot[row]), float(worst.sigma[row])
+        squared,
+        worst.kind,
+        int(worst.epoch[row]),
+        int(worst.landmark_index[row]),
+        float(worst.sigma[row]),
     )
 
 
@@ -109,5 +117,5 @@ def _from(point: Array, place: Array) -> Array:
     return apart
 
 
-def _error(kind: str, epoch: Index, slot: Index, whitened: Array) -> LinearisationError:
-    return LinearisationError(kind, epoch, slot, np.linalg.norm(whitened, axis=1))
+def _error(kind: str, epoch: Index, landmark_index: Index, whitened: Array) -> LinearisationError:
+    return LinearisationError(kind, epoch, landmark_index, np.linalg.norm(whitened, axis=1))

@@ -87,8 +87,8 @@ def _seen(log: Log, run: EkfRun, r: MeasurementRecords, rounding: float) -> _See
     scans, which = np.unique(r.step, return_inverse=True)
     before = r.pose[np.searchsorted(r.step, scans)][np.maximum(which - 1, 0)]
     updates, starts = trace.measurements[POINT], trace.initialisations[POINT]
-    first = np.zeros((int(starts.slot.max(initial=0)) + 1, 2))
-    first[starts.slot] = starts.landmark
+    first = np.zeros((int(starts.landmark_index.max(initial=0)) + 1, 2))
+    first[starts.landmark_index] = starts.landmark
     towards = r.pose[:, 2] + every[r.number, 1]
     ray = every[r.number, :1] * np.column_stack((np.cos(towards), np.sin(towards)))
     updated = {int(step): pose for step, pose in zip(updates.step[::-1], updates.pose[::-1],
@@ -116,7 +116,7 @@ def _seen(log: Log, run: EkfRun, r: MeasurementRecords, rounding: float) -> _See
             ),
         },
         points={
-            "where the landmark began": first[r.slot],
+            "where the landmark began": first[r.landmark_index],
             "where the measurement puts the landmark": r.pose[:, :2] + ray,
         },
         velocity=velocity / run.timeline.step_duration_s[last, None],
@@ -124,7 +124,7 @@ def _seen(log: Log, run: EkfRun, r: MeasurementRecords, rounding: float) -> _See
             "a time [s]": measurements.time_s[r.number],
             "a range [m]": every[r.number, 0],
             "a bearing [rad]": every[r.number, 1],
-            "landmark": run.estimate.landmark_id[r.slot].astype(np.int64),
+            "landmark": run.estimate.landmark_id[r.landmark_index].astype(np.int64),
         },
     )
 

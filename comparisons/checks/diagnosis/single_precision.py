@@ -140,8 +140,8 @@ def replay(trace: TraceArrays, until: Index, landmarks: int, dtype: type) -> Rep
 
 
 def _updated(x: Array, p: Array, r: MeasurementRecords, row: int) -> tuple[Array, Array]:
-    at = 3 + 2 * int(r.slot[row])
-    columns = np.array([0, 1, 2, at, at + 1] if r.slot[row] >= 0 else [0, 1, 2])
+    at = 3 + 2 * int(r.landmark_index[row])
+    columns = np.array([0, 1, 2, at, at + 1] if r.landmark_index[row] >= 0 else [0, 1, 2])
     point = np.concatenate((r.pose[row], r.landmark[row])).astype(x.dtype)
     h = np.concatenate((r.jacobian_pose[row], r.jacobian_other[row]), axis=1).astype(x.dtype)
     nu = r.innovation[row].astype(x.dtype) - h @ (x[columns] - point)
@@ -152,7 +152,7 @@ def _updated(x: Array, p: Array, r: MeasurementRecords, row: int) -> tuple[Array
 
 
 def _augmented(x: Array, p: Array, r: MeasurementRecords, row: int) -> tuple[Array, Array]:
-    at = 3 + 2 * int(r.slot[row])
+    at = 3 + 2 * int(r.landmark_index[row])
     new = slice(at, at + 2)
     g_x, g_z, noise = (
         array[row].astype(x.dtype) for array in (r.jacobian_pose, r.jacobian_other, r.noise)

@@ -126,10 +126,10 @@ class SeenTwice(Ekf):
         attributes: MeasuredAttributes = NOT_MEASURED,
     ) -> Index:
         """Once, and again."""
-        slots = super().observe(z, sigma, identity, time_s, attributes)
-        self.take_numbers(POINT, -len(slots))
+        landmark_indices = super().observe(z, sigma, identity, time_s, attributes)
+        self.take_numbers(POINT, -len(landmark_indices))
         super().observe(z, sigma, identity, time_s, attributes)
-        return slots
+        return landmark_indices
 
 
 @dataclass
@@ -141,19 +141,19 @@ class BegunAnew(KnownAssociation):
     def assign(
         self, state: KalmanState, observation: MeasurementModel, measurements: Measurements
     ) -> Index:
-        """New slots for labels unseen for 5 s."""
+        """New landmark indices for labels unseen for 5 s."""
         for label in measurements.identity.tolist():
             if measurements.time_s - self.last_seen_s.get(label, measurements.time_s) > 5.0:
-                self.slot_of.pop(label, None)
+                self.index_of.pop(label, None)
             self.last_seen_s[label] = measurements.time_s
-        slots = measurements.identity.astype(np.intp)
+        landmark_indices = measurements.identity.astype(np.intp)
         added = state.landmark_count
         for i, label in enumerate(measurements.identity.tolist()):
-            if label not in self.slot_of:
-                self.slot_of[label] = added
+            if label not in self.index_of:
+                self.index_of[label] = added
                 added += 1
-            slots[i] = self.slot_of[label]
-        return slots
+            landmark_indices[i] = self.index_of[label]
+        return landmark_indices
 
 
 @dataclass
@@ -166,11 +166,15 @@ class SwappedLabels(KnownAssociation):
         self, state: KalmanState, observation: MeasurementModel, measurements: Measurements
     ) -> Index:
         """Exchange, where both landmarks are known."""
-        slots = super().assign(state, observation, measurements)
+        landmark_indices = super().assign(state, observation, measurements)
         self.scans += 1
-        if self.scans % 10 == 0 and len(slots) > 1 and slots[:2].max() < state.landmark_count:
-            slots[:2] = slots[1::-1]
-        return slots
+        if (
+            self.scans % 10 == 0
+            and len(landmark_indices) > 1
+            and landmark_indices[:2].max() < state.landmark_count
+        ):
+            landmark_indices[:2] = landmark_indices[1::-1]
+        return landmark_indices
 
 
 def _begin_anew(ekf: Ekf) -> None:

@@ -249,7 +249,7 @@ FAULTS = (
     ),
     Fault(
         "one landmark's range", r"range.*0\.5.*landmark 3\b",
-        seen(lambda f, i, z: z + (0.5 * (f.slot[i] == 3), 0.0)), "landmarks",
+        seen(lambda f, i, z: z + (0.5 * (f.landmark_index[i] == 3), 0.0)), "landmarks",
     ),
     Fault(
         "bearing bias later on", r"bearing.*0\.05.*(from|since|time).*30",
@@ -491,7 +491,7 @@ HELD_OUT = (
           lambda f: replace(f, place_noise=lambda f, g: own.place_noise(f, g)
                             @ np.array([[1.0, 0.5], [0.5, 1.0]])), log="positions"),
     Fault("a few labels' bearing", r"bearing.*0\.1\b",
-          seen(lambda f, i, z: z + (0.0, 0.1 * (f.slot[i] < 5))), "landmarks"),
+          seen(lambda f, i, z: z + (0.0, 0.1 * (f.landmark_index[i] < 5))), "landmarks"),
     Fault("ranges logarithmic", r"range.*(log|curv)",
           seen(lambda f, i, z: np.array([10.0 * np.log1p(z[0] / 10.0), z[1]])), "landmarks"),
     Fault("noise in the range", r"range.*(random|noise)",

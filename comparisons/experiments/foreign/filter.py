@@ -186,7 +186,7 @@ def arm(f: Foreign, pose: Array) -> Array:
 
 @dataclass(kw_only=True)
 class Foreign:
-    """The filter. slot: (M,) which landmark each measurement is of, negative to leave it out.
+    """The filter. landmark_index: (M,) of each measurement, negative to leave it out.
 
     before, arrived: where the last step led from and to. now: the measurement at hand, and its
     landmark. scan: the pose of the scan before. first: where each landmark began.
@@ -194,7 +194,7 @@ class Foreign:
 
     log: Log
     timeline: Timeline
-    slot: Index
+    landmark_index: Index
     positions: Positions | None = None
     dtype: type = np.float64
     prior_pose: Array = field(default_factory=lambda: np.zeros(0))
@@ -254,8 +254,8 @@ class Foreign:
             while self.step < until[k]:
                 self._predict()
             rows = np.arange(seen[k], seen[k + 1])
-            rows = rows[self.slot[rows] >= 0]
-            known = np.array([self.slot[i] in self.at for i in rows], bool)
+            rows = rows[self.landmark_index[rows] >= 0]
+            known = np.array([self.landmark_index[i] in self.at for i in rows], bool)
             if known.any():
                 self._update(rows[known])
             for i in rows[~known].tolist():
@@ -300,9 +300,9 @@ class Foreign:
         h, nu, r = (self.cast(np.zeros(s)) for s in ((2 * m, n), 2 * m, (2 * m, 2 * m)))
         pose = self.x[:3].copy()
         for j, i in enumerate(rows.tolist()):
-            slot = int(self.slot[i])
-            at, part = self.at[slot], slice(2 * j, 2 * j + 2)
-            self.now = i, slot
+            landmark_index = int(self.landmark_index[i])
+            at, part = self.at[landmark_index], slice(2 * j, 2 * j + 2)
+            self.now = i, landmark_index
             landmark = self.x[at : at + 2].copy()
             row = self.by_state(self, pose, landmark)
             nu[part] = self.innovation(
@@ -310,25 +310,25 @@ class Foreign:
             )
             r[part, part] = self.noise(self, i)
             h[part, :3], h[part, at : at + 2] = row[:, :3], row[:, 3:]
-            self._record("update", i, slot, pose, landmark, row[:, :3], r[part, part])
+            self._record("update", i, landmark_index, pose, landmark, row[:, :3], r[part, part])
             self.rows["update_innovation"].append(nu[part].copy())
             self.rows["update_jacobian_landmark"].append(row[:, 3:])
         self._correct(h, nu, r)
 
     def _augment(self, i: int) -> None:
-        slot, n, pose = int(self.slot[i]), len(self.x), self.x[:3].copy()
-        self.now = i, slot
+        landmark_index, n, pose = int(self.landmark_index[i]), len(self.x), self.x[:3].copy()
+        self.now = i, landmark_index
         z = (self.measured_new or self.measured)(self, i)
         r = (self.noise_new or self.noise)(self, i)
         landmark, g = self.point(self, pose, z), self.by_new(self, pose, z)
-        self.at[slot], self.first[slot] = n, landmark
+        self.at[landmark_index], self.first[landmark_index] = n, landmark
         p = self.cast(np.zeros((n + 2, n + 2)))
         p[:n, :n] = self.p
         p[n:, :n] = g[:, :3] @ self.p[:3]
         p[:n, n:] = p[n:, :n].T
         p[n:, n:] = g[:, :3] @ self.p[:3, :3] @ g[:, :3].T + g[:, 3:] @ r @ g[:, 3:].T
         self.x, self.p = np.concatenate((self.x, landmark)), self.keep(self, p, n)
-        self._record("initialise", i, slot, pose, landmark, g[:, :3], r)
+        self._record("initialise", i, landmark_index, pose, landmark, g[:, :3], r)
         self.rows["initialise_jacobian_measurement"].append(g[:, 3:])
 
     def _fix(self, g: int) -> None:
@@ -344,10 +344,10 @@ class Foreign:
             self.rows[f"position_{name}"].append(value)
         self._correct(h, nu, r)
 
-    def _record(self, part: str, i: int, slot: int, pose: Array, at: Array, h: Array,
+    def _record(self, part: str, i: int, landmark_index: int, pose: Array, at: Array, h: Array,
                 r: Array) -> None:  # fmt: skip
         for name, value in (
-            ("step", self.step), ("measurement", i), ("landmark", slot), ("pose", pose),
+            ("step", self.step), ("measurement", i), ("landmark", landmark_index), ("pose", pose),
             ("point", at), ("jacobian_pose", h), ("noise", r.copy()),
         ):  # fmt: skip
             self.rows[f"{part}_{name}"].append(value)
@@ -372,9 +372,9 @@ class Foreign:
             tum_text(self.timeline.epoch_time_s, poses.astype(np.float64)), encoding="utf-8"
         )
         lines = ["id,x_m,y_m"]
-        for slot, at in self.at.items():
+        for landmark_index, at in self.at.items():
             x, y = self.x[at : at + 2].tolist()
-            lines.append(f"{slot},{x!r},{y!r}")
+            lines.append(f"{landmark_index},{x!r},{y!r}")
         (folder / "landmarks.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 

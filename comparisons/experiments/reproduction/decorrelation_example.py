@@ -88,9 +88,9 @@ class Snapshot:
     landmark: Array
     covariance: Array
 
-    def among(self, *slot: int) -> Array:
+    def among(self, *landmark_index: int) -> Array:
         """(2 k, 2 k) covariance of k landmarks, in this order."""
-        columns = (3 + 2 * np.array(slot)[:, None] + np.arange(2)).ravel()
+        columns = (3 + 2 * np.array(landmark_index)[:, None] + np.arange(2)).ravel()
         return self.covariance[np.ix_(columns, columns)]
 
 

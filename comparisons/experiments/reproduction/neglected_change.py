@@ -175,6 +175,6 @@ def _in_the_state(log: Log, looks: list[Look], sigma: tuple[float, float], base:
             look = at[time]
             stated = np.tile(sigma, (len(look.z), 1))
             dense.append(ekf.observe(look.z, stated, _FIRST_LABEL + look.region, time))
-    slot, landmark = np.concatenate(dense), ekf.state.landmarks
-    own = np.setdiff1d(np.arange(len(landmark)), slot)
-    return to_local(landmark[own][base], landmark[slot])
+    landmark_index, landmark = np.concatenate(dense), ekf.state.landmarks
+    own = np.setdiff1d(np.arange(len(landmark)), landmark_index)
+    return to_local(landmark[own][base], landmark[landmark_index])

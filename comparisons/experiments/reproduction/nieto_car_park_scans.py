@@ -156,15 +156,15 @@ def _scan_slam(
     if source is None or run.breakdown is not None:
         raise InputError(f"{log.name}: {run.breakdown or 'no scan was looked at'}")
     estimate = run.estimate
-    slots = np.asarray(estimate.oriented_id, dtype=np.intp)
+    landmark_indices = np.asarray(estimate.oriented_id, dtype=np.intp)
     true = reference.at(estimate.time_s[run.oriented.pose])
     covariance = place_covariances(estimate)
-    first = np.unique(run.oriented.landmark, return_index=True)[1][slots]
+    first = np.unique(run.oriented.landmark, return_index=True)[1][landmark_indices]
     return CarParkRun(
         templates=in_words(template_rule(source.options)),
         path=estimate.pose[:, :2],
         path_gps=off_gps(log, estimate.time_s, estimate.pose),
-        held=scan_map(source.found, run, true, slots, estimate.oriented, covariance),
+        held=scan_map(source.found, run, true, landmark_indices, estimate.oriented, covariance),
         first_s=estimate.time_s[run.oriented.pose[first]],
         aligned=_aligned(run, scans, source),
     )
@@ -184,7 +184,7 @@ def _aligned(run: EkfRun, scans: LogScans, source: ScanSlamSource) -> tuple[Alig
 
 def claims_5_10(found: CarParkScans) -> list[Claim]:
     """How many landmarks, and how far the paths are from GPS."""
-    count = len(found.published.held.slot)
+    count = len(found.published.held.landmark_index)
     thesis, ours, feature = (
         float(np.median(away))
         for away in (found.published.path_gps, found.joined.path_gps, found.feature_gps)
@@ -232,13 +232,14 @@ def claims_5_11(found: CarParkScans) -> list[Claim]:
 
 def _consistent(text: str, run: CarParkRun) -> Claim:
     held, early = run.held, run.first_s < TURN_S
-    share = float(np.mean(held.within)) if len(held.slot) else float("nan")
+    share = float(np.mean(held.within)) if len(held.landmark_index) else float("nan")
     sigma = np.sqrt(np.trace(held.covariance, axis1=1, axis2=2) / 2.0)
     return at_least(
         f"{text} (share of landmarks within 3 sigma of where SLAM with GPS saw them first)",
         share,
         SHARE_WITHIN_3_SIGMA,
-        why=f"{OTHER_PART}: {np.count_nonzero(held.within)} of {len(held.slot)} landmarks, off by "
+        why=f"{OTHER_PART}: {np.count_nonzero(held.within)} of {len(held.landmark_index)} "
+        "landmarks, off by "
         f"{held.rms_m:.2f} m (RMS) with a sigma of {np.sqrt(np.mean(sigma**2)):.2f} m; of those "
         f"first seen before {TURN_S:.0f} s, when a turn begins in which the steering reading "
         f"saturates, {np.count_nonzero(held.within[early])} of {np.count_nonzero(early)}",

@@ -48,7 +48,9 @@ def draw_5_10(canvas: Canvas, found: CarParkScans) -> None:
         )  # fmt: skip
         axis.add_collection(outline)
         off = np.median(run.path_gps)
-        plan(axis, f"{form}: {len(run.held.slot)} landmarks, {off:.2f} m from GPS (median)")
+        plan(
+            axis, f"{form}: {len(run.held.landmark_index)} landmarks, {off:.2f} m from GPS (median)"
+        )
     canvas.axes[0].legend(fontsize=8, loc="lower left")
 
 
@@ -63,7 +65,7 @@ def draw_5_11(canvas: Canvas, found: CarParkScans) -> None:
         frames = LineCollection(list(axes_at(run.held.place, 3.0)), colors=EKF_COLOUR)
         frames.set(label="axes", linewidths=1.0, zorder=4)
         axis.add_collection(frames)
-        plan(axis, f"{form}: {len(run.held.slot)} landmarks")
+        plan(axis, f"{form}: {len(run.held.landmark_index)} landmarks")
     canvas.axes[0].legend(fontsize=8, loc="lower left")
 
 

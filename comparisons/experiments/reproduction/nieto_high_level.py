@@ -97,7 +97,8 @@ class HighLevelDrive:
     """A drive with high level landmarks.
 
     searches: all. run: what became of them; templates: (K,) points (N, 2) in their axes. sigma:
-    (Q, 2, 2) [m^2] places of those in the state, by slot. path, true_path: (K, 2), (T, 2).
+    (Q, 2, 2) [m^2] places of those in the state, by landmark index. path, true_path: (K, 2), (T,
+    2).
     landmark, true: (L, 2) point landmarks. error_m, without_m: root mean square of the vehicle's
     position after the first loop, with them and without.
     """
@@ -116,8 +117,10 @@ class HighLevelDrive:
 
     @property
     def placed(self) -> tuple[Array, ...]:
-        """Points (N, 2) [m] of the templates of those that are in the state, by slot."""
-        order = [int(np.flatnonzero(self.run.slot == s)[0]) for s in range(len(self.sigma))]
+        """Points (N, 2) [m] of the templates of those that are in the state, by landmark index."""
+        order = [
+            int(np.flatnonzero(self.run.landmark_index == s)[0]) for s in range(len(self.sigma))
+        ]
         return tuple(to_world(self.run.place[k], self.templates[k]) for k in order)
 
 
@@ -236,8 +239,8 @@ def claims_6_5(found: HighLevelDrives) -> list[Claim]:
     first = [d.searches[0] for d in found.each]
     shown = [len(one.search.candidate) for one in first]
     taken = [int(one.accepted.sum()) for one in first]
-    later = [len(d.run.slot) - n for d, n in zip(found.each, taken, strict=True)]
-    kept = [int(np.count_nonzero(d.run.slot >= 0)) for d in found.each]
+    later = [len(d.run.landmark_index) - n for d, n in zip(found.each, taken, strict=True)]
+    kept = [int(np.count_nonzero(d.run.landmark_index >= 0)) for d in found.each]
     return [
         at_least("the first search has three candidates (fewest of the drives)", min(shown),
                  CANDIDATES, why="ours depends on where objects stand, which is not told"),

@@ -56,7 +56,9 @@ def draw_6_5(canvas: Canvas, found: HighLevelDrives) -> None:
     left.legend(fontsize=8, loc="lower right")
     _draw_end(right, d)
     right.plot(*d.landmark.T, "+", color=TRUTH_COLOUR, markersize=5, label="point landmarks")
-    places = d.run.place[d.run.slot >= 0][np.argsort(d.run.slot[d.run.slot >= 0]), :2]
+    places = d.run.place[d.run.landmark_index >= 0][
+        np.argsort(d.run.landmark_index[d.run.landmark_index >= 0]), :2
+    ]
     outline = LineCollection(list(ellipses(places, d.sigma, 1.0)), colors=EKF_COLOUR)
     outline.set_label("1 sigma")
     right.add_collection(outline)

@@ -121,11 +121,11 @@ def cases_of(one: ScanMap) -> list[Seen]:
         raise InputError(f"{log.name}: true poses are needed")
     vehicle = truth.at(scans.time_s)
     scanner = _composed(vehicle, scans.mount)
-    for slot, true in enumerate(_true_places(one)):
-        template, around = one.found.template[slot], _around(one, slot)
+    for landmark_index, true in enumerate(_true_places(one)):
+        template, around = one.found.template[landmark_index], _around(one, landmark_index)
         if around is None:
             continue
-        away = np.linalg.norm(vehicle[:, :2] - _born_at(one, slot)[:2], axis=1)
+        away = np.linalg.norm(vehicle[:, :2] - _born_at(one, landmark_index)[:2], axis=1)
         reach = np.linalg.norm(scanner[:, :2] - true[:2], axis=1) <= scans.view.reach_m
         seen = []
         for number in np.flatnonzero((away > _APART_M) & reach)[::5].tolist():
@@ -137,21 +137,21 @@ def cases_of(one: ScanMap) -> list[Seen]:
     return cases
 
 
-def _around(one: ScanMap, slot: int) -> SumOfGaussians | None:
-    place = one.mapping.ekf.oriented_places[slot]
-    return LocalContext(one.mapping.dense.dense).around(one.found.template[slot], place)
+def _around(one: ScanMap, landmark_index: int) -> SumOfGaussians | None:
+    place = one.mapping.ekf.oriented_places[landmark_index]
+    return LocalContext(one.mapping.dense.dense).around(one.found.template[landmark_index], place)
 
 
-def _first_measurement(one: ScanMap, slot: int) -> int:
-    return int(np.flatnonzero(one.mapping.ekf.oriented.landmark == slot)[0])
+def _first_measurement(one: ScanMap, landmark_index: int) -> int:
+    return int(np.flatnonzero(one.mapping.ekf.oriented.landmark == landmark_index)[0])
 
 
-def _born_at(one: ScanMap, slot: int) -> Array:
+def _born_at(one: ScanMap, landmark_index: int) -> Array:
     """(3,) the vehicle's true pose when the template was taken."""
     run, truth = one.mapping.ekf, one.mapping.log.truth.poses
     if truth is None:
         raise InputError(f"{one.mapping.log.name}: true poses are needed")
-    epoch = run.oriented.pose[_first_measurement(one, slot)]
+    epoch = run.oriented.pose[_first_measurement(one, landmark_index)]
     pose: Array = truth.at(run.estimate.time_s[[epoch]])[0]
     return pose
 
@@ -160,8 +160,10 @@ def _true_places(one: ScanMap) -> list[Array]:
     """(3,) of each landmark's axis: where the true vehicle saw its template."""
     measured = one.mapping.ekf.oriented.measured
     return [
-        _MEASURED.invert(_born_at(one, slot), measured[[_first_measurement(one, slot)]]).landmark[0]
-        for slot in range(one.mapping.ekf.oriented.count)
+        _MEASURED.invert(
+            _born_at(one, landmark_index), measured[[_first_measurement(one, landmark_index)]]
+        ).landmark[0]
+        for landmark_index in range(one.mapping.ekf.oriented.count)
     ]
 
 
@@ -171,11 +173,15 @@ def _composed(vehicle: Array, mount: Array) -> Array:
 
 
 def _shown(one: ScanMap) -> Surrounded:
-    slots = range(one.mapping.ekf.oriented.count)
-    held = {slot: there for slot in slots if (there := _around(one, slot)) is not None}
+    landmark_indices = range(one.mapping.ekf.oriented.count)
+    held = {
+        landmark_index: there
+        for landmark_index in landmark_indices
+        if (there := _around(one, landmark_index)) is not None
+    }
     if not held:
         raise InputError(f"{one.mapping.log.name}: the map holds nothing around its landmarks")
-    best = max(held, key=lambda slot: len(held[slot]))
+    best = max(held, key=lambda landmark_index: len(held[landmark_index]))
     template, true = one.found.template[best], _true_places(one)[best]
     ends = _MEASURED.predict(true, _with_heading(one.segment.reshape(-1, 2))).z[:, :2]
     return Surrounded(

@@ -58,12 +58,12 @@ CORNER_M = (-22.0, 90.0)
 class ScanMap:
     """Scan landmarks at one instant, each row one of them.
 
-    slot: (Q,) among the filter's landmarks with a direction. place: (Q, 3) of the axes.
+    landmark_index: (Q,) among the filter's landmarks with a direction. place: (Q, 3) of the axes.
     covariance: (Q, 2, 2) of their places. true: (Q, 3) where the axes are, had the vehicle been
     where it was when it first saw them. points: of the templates, in their axes.
     """
 
-    slot: Index
+    landmark_index: Index
     place: Array
     covariance: Array
     true: Array
@@ -98,7 +98,11 @@ class ScanMap:
         """Some of them (Q,)."""
         points = tuple(p for p, chosen in zip(self.points, rows, strict=True) if chosen)
         return ScanMap(
-            self.slot[rows], self.place[rows], self.covariance[rows], self.true[rows], points
+            self.landmark_index[rows],
+            self.place[rows],
+            self.covariance[rows],
+            self.true[rows],
+            points,
         )
 
     @property
@@ -140,7 +144,7 @@ class ScanDrive:
     @property
     def errors_m(self) -> tuple[float, float]:
         """Root mean squares of the landmarks that there were before; then, and in the end."""
-        old = self.after.at(np.isin(self.after.slot, self.before.slot))
+        old = self.after.at(np.isin(self.after.landmark_index, self.before.landmark_index))
         return self.before.rms_m, old.rms_m
 
 
@@ -172,10 +176,10 @@ class _Remembering:
 
     def look(self, ekf: Ekf, epoch: int, time_s: float, ledger: OrientedLedger) -> None:
         """See ScanSlamSource.look."""
-        slots = ekf.state.layout.present(POSE)
+        landmark_indices = ekf.state.layout.present(POSE)
         before, known = np.full((len(ekf.state.places(POSE)), 3, 3), np.nan), self.slam.closing
-        if len(slots):
-            before[slots] = ekf.state.map_of(slots, POSE).own
+        if len(landmark_indices):
+            before[landmark_indices] = ekf.state.map_of(landmark_indices, POSE).own
         self.slam.look(ekf, epoch, time_s, ledger)
         if self.slam.closing is not known:
             self.covariance = before
@@ -237,8 +241,8 @@ def of_log(log: Log, seed: int = 0, settings: ScanLandmarksConfig | None = None)
     )
     ate_m, wheels_m = (float("nan") if e is None or e.ate_m is None else e.ate_m for e in errors)
     true = log.truth.poses.at(run.estimate.time_s[run.oriented.pose])
-    slots = np.asarray(estimate.oriented_id, dtype=np.intp)
-    old = slots[slots < len(closing.before)]
+    landmark_indices = np.asarray(estimate.oriented_id, dtype=np.intp)
+    old = landmark_indices[landmark_indices < len(closing.before)]
     then = estimate.time_s < closing.time_s
     off = estimate.pose[-1] - log.truth.poses.at(estimate.time_s[-1:])[0]
     return ScanDrive(
@@ -249,7 +253,9 @@ def of_log(log: Log, seed: int = 0, settings: ScanLandmarksConfig | None = None)
         closing_s=closing.time_s,
         before=scan_map(found, run, true, old, closing.before[old], source.covariance[old, :2, :2]),
         path_before=estimate.pose[then, :2],
-        after=scan_map(found, run, true, slots, estimate.oriented, place_covariances(estimate)),
+        after=scan_map(
+            found, run, true, landmark_indices, estimate.oriented, place_covariances(estimate)
+        ),
         ate_m=ate_m,
         wheels_m=wheels_m,
         end_m=float(np.hypot(*off[:2])),
@@ -267,17 +273,22 @@ def seen_again(run: EkfRun) -> int:
 
 
 def scan_map(
-    found: ScanLandmarks, run: EkfRun, true: Array, slot: Index, place: Array, covariance: Array
+    found: ScanLandmarks,
+    run: EkfRun,
+    true: Array,
+    landmark_index: Index,
+    place: Array,
+    covariance: Array,
 ) -> ScanMap:
     """Landmarks with where their axes are. true: (N, 3) the vehicle's poses at all measurements."""
-    first = np.unique(run.oriented.landmark, return_index=True)[1][slot]
+    first = np.unique(run.oriented.landmark, return_index=True)[1][landmark_index]
     seen = zip(true[first], run.oriented.measured[first], strict=True)
     return ScanMap(
-        slot,
+        landmark_index,
         place,
         covariance,
         np.array([planar.compose(pose, z) for pose, z in seen]).reshape(-1, 3),
-        tuple(found.template[k].shape.mean for k in slot.tolist()),
+        tuple(found.template[k].shape.mean for k in landmark_index.tolist()),
     )
 
 
@@ -339,7 +350,7 @@ def _closed(text: str, drives: Sequence[ScanDrive]) -> Claim:
 def _by_the_thesis(drives: Sequence[ScanDrive]) -> list[Claim]:
     """What comes of the settings that the thesis states, on the same logs."""
     ratio = [d.ate_m / d.wheels_m for d in drives]
-    landmarks = [len(d.after.slot) for d in drives]
+    landmarks = [len(d.after.landmark_index) for d in drives]
     few = (
         f"by drive {_each(ratio)}: {min(landmarks)} to {max(landmarks)} segments have 100 returns, "
         "which section 5.7 asks for on its car park (5.6 gives no number for this drive), and "
@@ -384,7 +395,7 @@ def _left_top(templates: str, axes: str, drives: Sequence[ScanDrive]) -> list[Cl
     off = [
         float(np.median(distance_to_segments(m.truly_placed, d.segment)))
         for m, d in zip(maps, drives, strict=True)
-        if len(m.slot)
+        if len(m.landmark_index)
     ]
     return [
         at_most(
@@ -403,7 +414,7 @@ def _left_top(templates: str, axes: str, drives: Sequence[ScanDrive]) -> list[Cl
 
 def _within(maps: list[ScanMap]) -> tuple[float, float, str, str]:
     """Of all landmarks: the share within 3 sigma, its limit, no unit, and the shares by map."""
-    each = [m.within for m in maps if len(m.slot)]
+    each = [m.within for m in maps if len(m.landmark_index)]
     if not each:
         return float("nan"), SHARE_WITHIN_3_SIGMA, "", "there are none"
     why = f"by drive {_each([float(np.mean(one)) for one in each])}: where the filter has drifted "

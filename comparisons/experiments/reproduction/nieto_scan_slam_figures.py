@@ -38,7 +38,7 @@ def draw_5_8(canvas: Canvas, found: ScanDrives) -> None:
     ends = "closed" if other.closed else "missed"
     plan(
         thesis,
-        f"(c) by the thesis' settings, {len(other.after.slot)} landmarks, loop {ends}; "
+        f"(c) by the thesis' settings, {len(other.after.landmark_index)} landmarks, loop {ends}; "
         f"off by {other.after.rms_m:.1f} m",
     )
     canvas.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=6,

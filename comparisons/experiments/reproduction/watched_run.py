@@ -33,7 +33,7 @@ def watched_run(
     for stop in drive(ekf, log, build_timeline(log, positions), positions, beside):
         if stop.fault is not None:
             raise FilterDivergedError(stop.fault)
-        if len(stop.slots):
+        if len(stop.landmark_indices):
             yield stop.time_s, ekf
 
 

@@ -56,7 +56,7 @@ class _Labelled:
         self.label = np.zeros(0, dtype=np.intp)
 
     def split(self, label: Index) -> tuple[Index, Index, Index]:
-        """Rows seen before, their slots, and rows that are new."""
+        """Rows seen before, their landmark_indices, and rows that are new."""
         same = label[:, None] == self.label
         known = same.any(axis=1)
         return np.flatnonzero(known), np.nonzero(same)[1], np.flatnonzero(~known)
@@ -90,19 +90,19 @@ class BatchEkf:
 
     def observe(self, z: Array, sigma: Array, label: Index) -> None:
         """Update with what is known, then begin what is new, at the updated pose."""
-        old, slot, new = self._labels.split(label)
+        old, landmark_index, new = self._labels.split(label)
         if len(old):
-            self._update(z[:, old], sigma[old], slot)
+            self._update(z[:, old], sigma[old], landmark_index)
         if len(new):
             self._augment(z[:, new], sigma[new], label[new])
 
-    def _update(self, z: Array, sigma: Array, slot: Index) -> None:
+    def _update(self, z: Array, sigma: Array, landmark_index: Index) -> None:
         sensor, pose = self._robot.sensor, self.state.pose
-        offset = self.state.landmarks[:, slot] - pose[:, None, :2]
+        offset = self.state.landmarks[:, landmark_index] - pose[:, None, :2]
         innovation = sensor.innovation(z, sensor.predict(pose[:, 2:], offset))
-        at = self._points.measured(self.state, self.label[slot], slot)
+        at = self._points.measured(self.state, self.label[landmark_index], landmark_index)
         matrix = sensor.by_offset(at.heading[:, None], at.offset)
-        self.state.update(slot, matrix, at.offset, innovation, sigma**2)
+        self.state.update(landmark_index, matrix, at.offset, innovation, sigma**2)
 
     def _augment(self, z: Array, sigma: Array, label: Index) -> None:
         sensor, pose = self._robot.sensor, self.state.pose
@@ -145,13 +145,13 @@ class InvariantEkf:
     def observe(self, z: Array, sigma: Array, label: Index) -> None:
         """Update with what is known, then begin what is new, at the updated pose."""
         sensor, state = self._robot.sensor, self.state
-        old, slot, new = self._labels.split(label)
+        old, landmark_index, new = self._labels.split(label)
         if len(old):
-            offset = state.landmarks[:, slot] - state.pose[:, None, :2]
+            offset = state.landmarks[:, landmark_index] - state.pose[:, None, :2]
             heading = state.pose[:, 2:]
             innovation = sensor.innovation(z[:, old], sensor.predict(heading, offset))
             matrix = sensor.by_offset(heading, offset)
-            state.update(slot, matrix, None, innovation, sigma[old] ** 2)
+            state.update(landmark_index, matrix, None, innovation, sigma[old] ** 2)
         if len(new):
             heading = state.pose[:, 2:]
             offset = sensor.offset(heading, z[:, new])

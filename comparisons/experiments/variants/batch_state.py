@@ -14,13 +14,13 @@ from comparisons.experiments.variants.batch_models import rotated, turned
 from ekf_reference.core.geometry import wrap_angle
 
 
-def measured(matrix: Array, lever: Array | None, slot: Index, x: Array) -> Array:
+def measured(matrix: Array, lever: Array | None, landmark_index: Index, x: Array) -> Array:
     """H X (B, 2 m, c) for X (B, n, c), with H = M [-I, -J lever, I] of each landmark.
 
     matrix: (B, m, 2, 2) M. lever: (B, m, 2), or None where the heading has no part.
     """
     runs, _, columns = x.shape
-    landmark = x[:, 3:].reshape(runs, -1, 2, columns)[:, slot]
+    landmark = x[:, 3:].reshape(runs, -1, 2, columns)[:, landmark_index]
     seen = landmark - x[:, None, :2]
     if lever is not None:
         seen -= turned(lever)[..., None] * x[:, None, None, 2]
@@ -73,7 +73,12 @@ class BatchState:
         self._mean[:, :3] = pose
 
     def update(
-        self, slot: Index, matrix: Array, lever: Array | None, innovation: Array, noise: Array
+        self,
+        landmark_index: Index,
+        matrix: Array,
+        lever: Array | None,
+        innovation: Array,
+        noise: Array,
     ) -> None:
         """Fuse the measurements of one instant; H as of `measured`.
 
@@ -81,8 +86,8 @@ class BatchState:
         U = L^-1 H P, as in ekf_reference.core.state.
         """
         p = self.covariance
-        hp = measured(matrix, lever, slot, p)
-        s = measured(matrix, lever, slot, hp.transpose(0, 2, 1))
+        hp = measured(matrix, lever, landmark_index, p)
+        s = measured(matrix, lever, landmark_index, hp.transpose(0, 2, 1))
         rows = np.arange(s.shape[1])
         s[:, rows, rows] += noise.ravel()
         inverse_root = np.linalg.inv(self._root(s))

@@ -41,7 +41,7 @@ class Linearisation(Protocol):
         """The state departs; it will arrive at (B, 3)."""
         ...
 
-    def measured(self, state: BatchState, label: Index, slot: Index) -> MeasuredPoints:
+    def measured(self, state: BatchState, label: Index, landmark_index: Index) -> MeasuredPoints:
         """Landmarks (m,) of the map are seen."""
         ...
 
@@ -60,10 +60,10 @@ class AtEstimate:
         """From the updated to the predicted position."""
         return StepPoints(arrival[:, :2] - state.pose[:, :2], state.pose[:, 2], control)
 
-    def measured(self, state: BatchState, label: Index, slot: Index) -> MeasuredPoints:
+    def measured(self, state: BatchState, label: Index, landmark_index: Index) -> MeasuredPoints:
         """As it is believed now."""
         return MeasuredPoints(
-            state.pose[:, 2].copy(), state.landmarks[:, slot] - state.pose[:, None, :2]
+            state.pose[:, 2].copy(), state.landmarks[:, landmark_index] - state.pose[:, None, :2]
         )
 
     def begun(self, state: BatchState, label: Index, point: Array) -> MeasuredPoints:
@@ -85,9 +85,11 @@ class AtFirstEstimate:
         self._before = arrival
         return StepPoints(travel, state.pose[:, 2], control)
 
-    def measured(self, state: BatchState, label: Index, slot: Index) -> MeasuredPoints:
+    def measured(self, state: BatchState, label: Index, landmark_index: Index) -> MeasuredPoints:
         """The first estimates of the landmarks, from the predicted pose."""
-        return MeasuredPoints(self._before[:, 2], self._first[:, slot] - self._before[:, None, :2])
+        return MeasuredPoints(
+            self._before[:, 2], self._first[:, landmark_index] - self._before[:, None, :2]
+        )
 
     def begun(self, state: BatchState, label: Index, point: Array) -> MeasuredPoints:
         """From the predicted pose, like the measurements of this instant."""
@@ -117,9 +119,9 @@ class ObservabilityConstrained:
         self._anchor = arrival[:, :2] - shift
         return StepPoints(travel, state.pose[:, 2], control)
 
-    def measured(self, state: BatchState, label: Index, slot: Index) -> MeasuredPoints:
+    def measured(self, state: BatchState, label: Index, landmark_index: Index) -> MeasuredPoints:
         """L* - p*, which is l - c."""
-        offset = self._first[:, slot] - self._anchor[:, None]
+        offset = self._first[:, landmark_index] - self._anchor[:, None]
         return MeasuredPoints(state.pose[:, 2].copy(), offset)
 
     def begun(self, state: BatchState, label: Index, point: Array) -> MeasuredPoints:
@@ -153,7 +155,7 @@ class AtTruth:
             np.tile(steps, (runs, 1)),
         )
 
-    def measured(self, state: BatchState, label: Index, slot: Index) -> MeasuredPoints:
+    def measured(self, state: BatchState, label: Index, landmark_index: Index) -> MeasuredPoints:
         """Where the landmarks are."""
         return self._offset(label, len(state.pose))
 

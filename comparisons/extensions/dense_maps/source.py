@@ -150,9 +150,9 @@ class DenseRun:
         return place
 
     def name_of(self, number: int, point_id: NDArray[np.int64]) -> str:
-        """Of a landmark of the map: a point's id (L,), or s and the slot of a scan landmark."""
-        slot, kind = divmod(int(number), len(self.kinds))
-        return str(point_id[slot]) if self.kinds[kind] == POINT else f"s{slot}"
+        """Name a landmark of the map: a point's id (L,), or s and a scan landmark's index."""
+        landmark_index, kind = divmod(int(number), len(self.kinds))
+        return str(point_id[landmark_index]) if self.kinds[kind] == POINT else f"s{landmark_index}"
 
 
 class DenseWatcher:
@@ -253,14 +253,16 @@ class DenseWatcher:
         """(N,) which points (N, 2) [m] are where something was seen to move."""
         return _is_dynamic(self._dense, self._dense.landmark, point)
 
-    def values_at(self, slot: NDArray[np.intp]) -> PlaceValues:
-        """What the layer of values holds around points by slot (L,), for the filter's association.
+    def values_at(self, landmark_index: NDArray[np.intp]) -> PlaceValues:
+        """Return the values around points by landmark index (L,), for the filter's association.
 
         Raises KeyError without that layer.
         """
         layer, landmark = self._dense.layers["values"], self._dense.landmark
         placed = self._dense.regions.placed(landmark)
-        number = len(self._kinds) * slot + self._kinds.index(POINT)  # see dense.view.numbered
+        number = len(self._kinds) * landmark_index + self._kinds.index(
+            POINT
+        )  # see dense.view.numbered
         return cast(Values, layer).around(landmark[number], placed, AROUND_M)
 
     @property

@@ -17,8 +17,8 @@ def draw_high_level(axis: Axes, made: HighLevelRun) -> None:
     """Rectangles of high level landmarks, dashed where never seen again, and their axes."""
     closed = np.concatenate((made.rectangle, made.rectangle[:, :1]), axis=1)
     for style, name, chosen in (
-        ("solid", "high level landmarks", made.slot >= 0),
-        ("dashed", "found, not seen again", made.slot < 0),
+        ("solid", "high level landmarks", made.landmark_index >= 0),
+        ("dashed", "found, not seen again", made.landmark_index < 0),
     ):
         lines = LineCollection(list(closed[chosen]), linestyles=style, linewidths=0.9, label=name)
         lines.set_color(HIGH_LEVEL_COLOUR)
@@ -29,6 +29,6 @@ def draw_high_level(axis: Axes, made: HighLevelRun) -> None:
 
 def high_level_layers(drawing: Drawing, made: HighLevelRun) -> None:
     """Add rectangles and axes."""
-    labels = [f"high level landmark, {_SEEN[s >= 0]}" for s in made.slot.tolist()]
+    labels = [f"high level landmark, {_SEEN[s >= 0]}" for s in made.landmark_index.tolist()]
     drawing.outlines("high level landmarks", HIGH_LEVEL_COLOUR, made.rectangle, labels)
     drawing.links("their axes", HIGH_LEVEL_COLOUR, *made.axes)

@@ -16,8 +16,8 @@ def high_level_result(run: HighLevelRun) -> HighLevelResult:
         pairs=run.pairs,
         candidates=run.candidates,
         poor=run.poor,
-        found=len(run.slot),
-        kept=int(np.count_nonzero(run.slot >= 0)),
+        found=len(run.landmark_index),
+        kept=int(np.count_nonzero(run.landmark_index >= 0)),
         deactivated=run.moving,
         looks=dict(sorted(run.looks.items())),
     )

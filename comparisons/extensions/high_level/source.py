@@ -79,9 +79,9 @@ class HighLevelRun:
 
     searches: made. corners: in all of these, and pairs of them. candidates: rectangles that
     overlapped nothing known; poor: of these, with too few Gaussians. looks: at landmarks
-    within reach, by outcome, `seen` among them. slot: (K,) of all that were found, among the
-    filter's landmarks with a direction; negative where one was never seen again. moving: how many
-    are used no more, since their template lies where something moves. place: (K, 3) and
+    within reach, by outcome, `seen` among them. landmark_index: (K,) of all that were found, among
+    the filter's landmarks with a direction; negative where one was never seen again. moving: how
+    many are used no more, since their template lies where something moves. place: (K, 3) and
     rectangle: (K, 4, 2), at the end, NaN where what it hung on has left the map.
     """
 
@@ -91,7 +91,7 @@ class HighLevelRun:
     candidates: int
     poor: int
     looks: Mapping[str, int]
-    slot: NDArray[np.intp]
+    landmark_index: NDArray[np.intp]
     moving: int
     place: Array
     rectangle: Array
@@ -162,9 +162,9 @@ class HighLevelSource:
         shape = of_scan(scan.bearing_rad, scan.range_m, scan.sensor)
         seen = self.landmarks.look(ekf, Glimpse(shape, scan.pose, self._view))
         if seen:
-            slot = [self.landmarks.landmark[one.number].slot for one in seen]
+            landmark_index = [self.landmarks.landmark[one.number].landmark_index for one in seen]
             z, noise = np.array([one.z for one in seen]), np.array([s.covariance for s in seen])
-            which = np.array(slot, dtype=np.intp)
+            which = np.array(landmark_index, dtype=np.intp)
             self.landmarks.begun(seen, ledger.observe(ekf, epoch, z, noise, which))
 
     def keep_from(self, guard: DynamicGuard) -> None:
@@ -180,7 +180,9 @@ class HighLevelSource:
             candidates=sum(len(one.candidate) for one in self._searches),
             poor=sum(one.poor for one in self._searches),
             looks=dict(self.landmarks.counts),
-            slot=np.array([one.slot for one in self.landmarks.landmark], dtype=np.intp),
+            landmark_index=np.array(
+                [one.landmark_index for one in self.landmarks.landmark], dtype=np.intp
+            ),
             moving=len(self.landmarks.moving),
             place=self._place,
             rectangle=self._rectangle,

@@ -30,14 +30,15 @@ class OwnAssociationCheck:
 
     partition: the filter's association first, the smoother's own second. pose: S against S' in the
     last pose. landmark_rms_m: between landmarks that share most of their measurements, None without
-    any. slot: (M,) the smoother's own landmarks of the measurements, negative for unused. matched:
-    (L,) the filter's counterpart of each of its landmarks, -1 for none. differing: the measurements
-    that the two do not give to counterparts. cost: (D, 2) squared misfit of each of these, in units
-    of its noise, at S with the filter's landmark and at S' with its own, NaN where it is unused.
+    any. landmark_index: (M,) the smoother's own landmarks of the measurements, negative for unused.
+    matched: (L,) the filter's counterpart of each of its landmarks, -1 for none. differing: the
+    measurements that the two do not give to counterparts. cost: (D, 2) squared misfit of each of
+    these, in units of its noise, at S with the filter's landmark and at S' with its own, NaN where
+    it is unused.
     estimate, optimality, accuracy, score: of S'.
     """
 
-    slot: Index
+    landmark_index: Index
     matched: Index
     differing: Index
     cost: Array
@@ -53,17 +54,18 @@ class OwnAssociationCheck:
 def check_own_association(
     seen: LandmarkMeasurements,
     epoch: Index,
-    slots: tuple[Index, Index],
+    landmark_indices: tuple[Index, Index],
     smoothed: Estimate,
     estimate: Estimate,
     optimality: Optimality,
 ) -> OwnAssociationCheck:
     """Compare. seen, epoch: the measurements, of which the first M are told, and their epochs.
 
-    slots: (M,) landmarks of each by the filter, and by the smoother. smoothed: S. estimate,
+    landmark_indices: (M,) landmarks of each by the filter, and by the smoother. smoothed: S.
+    estimate,
     optimality: of S'.
     """
-    filters, own = slots
+    filters, own = landmark_indices
     first, second = counterparts(filters, own)
     apart = smoothed.landmark[first] - estimate.landmark[second]
     poses = [Gaussian(e.pose[-1], e.joint_covariance[:3, :3]) for e in (smoothed, estimate)]
@@ -71,12 +73,14 @@ def check_own_association(
     matched[second] = first
     differing = differing_measurements(filters, own, matched)
     cost = np.full((len(differing), 2), np.nan)
-    for column, (slot, e) in enumerate(((filters, smoothed), (own, estimate))):
-        used = np.flatnonzero(slot[differing] >= 0)
+    for column, (landmark_index, e) in enumerate(((filters, smoothed), (own, estimate))):
+        used = np.flatnonzero(landmark_index[differing] >= 0)
         rows = differing[used]
-        cost[used, column] = squared_misfit(seen, rows, e.pose[epoch[rows]], e.landmark[slot[rows]])
+        cost[used, column] = squared_misfit(
+            seen, rows, e.pose[epoch[rows]], e.landmark[landmark_index[rows]]
+        )
     return OwnAssociationCheck(
-        slot=own,
+        landmark_index=own,
         matched=matched,
         differing=differing,
         cost=cost,
@@ -114,6 +118,7 @@ def _costliest(own: OwnAssociationCheck, run: EkfRun) -> str:
     theirs, ours = own.cost[worst]
     return (
         f"; measurement {row} at {t:.1f} s misses the filter's landmark "
-        f"{run.estimate.landmark_id[run.slot[row]]} by {theirs**0.5:.1f} sigma of its noise, the "
+        f"{run.estimate.landmark_id[run.landmark_index[row]]} by {theirs**0.5:.1f} sigma of its "
+        "noise, the "
         f"smoother's own by {ours**0.5:.1f}"
     )

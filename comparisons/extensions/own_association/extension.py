@@ -94,7 +94,7 @@ def solve_with_own_association(compared: Compared) -> OwnAssociationCheck:
     """
     log, run, gaps = compared.prepared.log, compared.ekf, compared.gaps
     rows = position_rows(run.timeline, run.positions)
-    left_out = np.flatnonzero(run.slot == DYNAMIC)
+    left_out = np.flatnonzero(run.landmark_index == DYNAMIC)
     found = OwnAssociator(log, run.timeline, rows, left_out).associate()
     if not found.problem.landmark_count:
         raise InputError(f"{log.name}: the smoother's own association found no landmark")
@@ -106,7 +106,7 @@ def solve_with_own_association(compared: Compared) -> OwnAssociationCheck:
     own = check_own_association(
         log.measurements,
         run.timeline.measurement_epoch,
-        (run.slot, found.slot),
+        (run.landmark_index, found.landmark_index),
         gaps.smoothed,
         estimate,
         result.optimality,
@@ -114,7 +114,7 @@ def solve_with_own_association(compared: Compared) -> OwnAssociationCheck:
     return replace(
         own,
         accuracy=assess(estimate, compared.prepared.judged, labelled=False),
-        score=score_association(found.slot, result.landmarks, log),
+        score=score_association(found.landmark_index, result.landmarks, log),
     )
 
 

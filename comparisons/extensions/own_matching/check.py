@@ -41,14 +41,14 @@ _SHIFTED = 0.999
 class LandmarkMatching:
     """How the alignments of one template differ, the filter's minus the smoother's own.
 
-    slot: of the landmark. common: scans that both aligned it with. squared: mean squared distance
-    by the sum of both covariances, 3 if they were independent. shift: (3,) the weighted mean
-    difference, in the vehicle's frame. worst_epoch: of the scan where they are farthest apart;
+    landmark_index: of the landmark. common: scans that both aligned it with. squared: mean squared
+    distance by the sum of both covariances, 3 if they were independent. shift: (3,) the weighted
+    mean difference, in the vehicle's frame. worst_epoch: of the scan where they are farthest apart;
     worst: the difference (3,) there, and worst_squared its squared distance. Of differences only
     what the shape fixes is told.
     """
 
-    slot: int
+    landmark_index: int
     common: int
     squared: float
     shift: Array
@@ -132,19 +132,23 @@ def check_own_matching(
     spread = _in_poses_frame(filters, rows[0]) + _in_poses_frame(own, rows[1])
     information = np.linalg.inv(spread).astype(np.float64)
     squared = np.einsum("ni,nij,nj->n", difference, information, difference)
-    epoch, slot = np.array(common, dtype=np.intp).reshape(-1, 2).T
+    epoch, landmark_index = np.array(common, dtype=np.intp).reshape(-1, 2).T
     landmarks = [
-        _of_landmark(s, np.flatnonzero(slot == s), epoch, difference, information, squared)
-        for s in np.unique(slot).tolist()
+        _of_landmark(
+            s, np.flatnonzero(landmark_index == s), epoch, difference, information, squared
+        )
+        for s in np.unique(landmark_index).tolist()
     ]
-    wrong = [one.slot for one in landmarks if one.contradicts]
+    wrong = [one.landmark_index for one in landmarks if one.contradicts]
     # Of a shift that all share, all speak; a few that contradict are no part of it.
-    sound = ~np.isin(slot, wrong if 2 * len(wrong) < len(landmarks) else [])
+    sound = ~np.isin(landmark_index, wrong if 2 * len(wrong) < len(landmarks) else [])
     begun = tuple(ones.count for ones in (filters, own))
     path = [e.pose[:, :2] - estimate.pose[:, :2] for e in (ekf, smoothed)]
     last = [Gaussian(e.pose[-1], e.joint_covariance[:3, :3]) for e in (smoothed, estimate)]
     both = Gaussian(last[1].mean, last[0].covariance + last[1].covariance)
-    shift, squared_shift, freedom = common_shift(slot[sound], difference[sound], information[sound])
+    shift, squared_shift, freedom = common_shift(
+        landmark_index[sound], difference[sound], information[sound]
+    )
     return OwnMatchingCheck(
         measurements=(
             len(filters.measured) - begun[0],
@@ -166,21 +170,26 @@ def check_own_matching(
     )
 
 
-def common_shift(slot: Index, difference: Array, information: Array) -> tuple[Array, float, int]:
+def common_shift(
+    landmark_index: Index, difference: Array, information: Array
+) -> tuple[Array, float, int]:
     """What differences (C, 3) have in common, (3,), its squared distance, the scatter's freedom.
 
-    slot: (C,) whose they are. information: (C, 3, 3) of each. A template's differences count as
+    landmark_index: (C,) whose they are. information: (C, 3, 3) of each. A template's differences
+    count as
     one, and the scatter about the shift is measured: it is less than stated, as the noise of scan
     and template is shared. Fewer than three landmarks have nothing in common: 0, 0.
     """
-    slots, which, count = np.unique(slot, return_inverse=True, return_counts=True)
-    if len(slots) < LEAST_SEEN:
+    landmark_indices, which, count = np.unique(
+        landmark_index, return_inverse=True, return_counts=True
+    )
+    if len(landmark_indices) < LEAST_SEEN:
         return np.zeros(3), 0.0, 0
     weight = information / count[which][:, None, None]
     total = weight.sum(axis=0)
     shift = np.linalg.solve(total, np.einsum("nij,nj->i", weight, difference))
     rest = difference - shift
-    freedom = 3 * (len(slots) - 1)
+    freedom = 3 * (len(landmark_indices) - 1)
     scatter = float(np.einsum("ni,nij,nj->", rest, weight, rest)) / freedom
     return shift, float(shift @ total @ shift) / max(scatter, np.finfo(float).tiny), freedom
 
@@ -206,14 +215,19 @@ def compare_frames(first: Estimate, second: Estimate) -> Pair:
 
 
 def _of_landmark(
-    slot: int, rows: Index, epoch: Index, difference: Array, information: Array, squared: Array
+    landmark_index: int,
+    rows: Index,
+    epoch: Index,
+    difference: Array,
+    information: Array,
+    squared: Array,
 ) -> LandmarkMatching:
     weight, worst = information[rows], int(rows[np.argmax(squared[rows])])
     mean = np.einsum("nij,nj->i", weight, difference[rows]) / len(rows)
     shift = np.linalg.solve(weight.mean(axis=0) + _NOTHING, mean)
     there = information[worst]
     return LandmarkMatching(
-        slot=slot,
+        landmark_index=landmark_index,
         common=len(rows),
         squared=float(squared[rows].mean()),
         shift=shift,
@@ -228,10 +242,10 @@ def _later(seen: OrientedMeasurements) -> dict[tuple[int, int], int]:
     rows: dict[tuple[int, int], int] = {}
     begun: set[int] = set()
     for row in np.argsort(seen.pose, kind="stable").tolist():
-        slot = int(seen.landmark[row])
-        if slot in begun:
-            rows[int(seen.pose[row]), slot] = row
-        begun.add(slot)
+        landmark_index = int(seen.landmark[row])
+        if landmark_index in begun:
+            rows[int(seen.pose[row]), landmark_index] = row
+        begun.add(landmark_index)
     return rows
 
 
@@ -292,7 +306,7 @@ def _apart_for(one: LandmarkMatching, run: EkfRun) -> str:
     """How two matchers differ on a landmark, and in which scan the most."""
     place, worst = np.hypot(*one.shift[:2]), np.hypot(*one.worst[:2])
     return (
-        f"the filter's alignments of scan landmark {one.slot} are {place:.2f} m and "
+        f"the filter's alignments of scan landmark {one.landmark_index} are {place:.2f} m and "
         f"{np.degrees(one.shift[2]):.1f} degrees from the smoother's own "
         f"({np.sqrt(one.squared / 3.0):.1f} sigma over {one.common} scans; in the scan at "
         f"{run.estimate.time_s[one.worst_epoch]:.1f} s {worst:.2f} m and "

@@ -73,7 +73,7 @@ def own_matching_rows(result: OwnMatchingResult) -> list[Row]:
 
 def _landmark(one: LandmarkMatching, time_s: Array) -> LandmarkMatchingResult:
     return LandmarkMatchingResult(
-        id=one.slot,
+        id=one.landmark_index,
         common=one.common,
         distance_sigma=_sigma(one.squared),
         shift_m=_place(one.shift),

@@ -36,8 +36,8 @@ def own_measurements(
     """What the smoother is to solve, its scan landmarks measured by Open3D's generalised ICP.
 
     Of the filter it takes which returns of which scan a template was made of, and where its axis
-    was put; none of its alignments, no pose, and not which landmarks it fused. templates: by slot,
-    as they were begun. Raises ValueError for a log without planar scans, and
+    was put; none of its alignments, no pose, and not which landmarks it fused. templates: by
+    landmark index, as they were begun. Raises ValueError for a log without planar scans, and
     graphslam.scan.libraries.MissingLibraryError.
     """
     if log.scans is None:
@@ -46,14 +46,14 @@ def own_measurements(
     settings = source.suited_options()
     scan_of = _scan_of_epoch(log, source, run)
     taken = {}
-    for slot, template in templates.items():
-        epoch = int(problem.oriented.pose[problem.oriented.landmark == slot].min())
+    for landmark_index, template in templates.items():
+        epoch = int(problem.oriented.pose[problem.oriented.landmark == landmark_index].min())
         place = planar.compose(log.scans.mount.pose, template.pose)
         returns = source.points(scan_of[epoch])
         shape = np.column_stack((template.shape.mean, np.zeros(len(template.shape))))
         row = cKDTree(returns).query(planar.moved(place, shape))[1]
         own = planar.moved(planar.between(place, np.zeros(3)), returns[row])
-        taken[slot] = Template(epoch, place, own)
+        taken[landmark_index] = Template(epoch, place, own)
     found = measure_templates(
         problem,
         taken,

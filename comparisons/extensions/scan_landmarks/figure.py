@@ -59,11 +59,11 @@ def _both(c: Compared) -> tuple[tuple[str, str, Estimate], ...]:
     )
 
 
-def template_points(found: ScanLandmarks, slot: Index, place: Array) -> Array:
+def template_points(found: ScanLandmarks, landmark_index: Index, place: Array) -> Array:
     """(P, 2) the points of templates with their axes at places (Q, 3) [m]."""
     placed = [
         found.template[s].shape.transformed(pose).mean
-        for s, pose in zip(slot.tolist(), place, strict=True)
+        for s, pose in zip(landmark_index.tolist(), place, strict=True)
     ]
     return np.vstack([np.zeros((0, 2)), *placed])
 

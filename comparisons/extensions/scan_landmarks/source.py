@@ -59,9 +59,9 @@ class _Telling:
     ekf: Ekf
     epoch: int
 
-    def observe(self, z: Array, covariance: Array, slot: Index) -> Index:
+    def observe(self, z: Array, covariance: Array, landmark_index: Index) -> Index:
         """See OrientedLedger.observe."""
-        return self.ledger.observe(self.ekf, self.epoch, z, covariance, slot)
+        return self.ledger.observe(self.ekf, self.epoch, z, covariance, landmark_index)
 
     def fuse(self, first: int, second: int, z: Array, covariance: Array) -> LocalMap:
         """See OrientedLedger.fuse."""
@@ -143,13 +143,14 @@ class LogScans:
 class Closing:
     """The scan whose fusion moved the scan landmarks the most, as a rule a loop's closing.
 
-    shift_m: root mean square over the landmarks. slot: (Q,) those that were there and still are.
+    shift_m: root mean square over the landmarks. landmark_index: (Q,) those that were there and
+    still are.
     before, after: (Q, 3).
     """
 
     time_s: float
     shift_m: float
-    slot: Index
+    landmark_index: Index
     before: Array
     after: Array
 

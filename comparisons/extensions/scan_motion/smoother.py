@@ -42,18 +42,18 @@ def smooth_on_scans(
     positions = scanned.positions
     timeline = build_timeline(scanned, positions)
     kept = measurements_kept(log, motion)
-    slot = np.full(len(kept), -1, dtype=np.intp)
-    slot[: len(run.slot)] = run.slot
-    slot = slot[kept]
-    used = np.unique(slot[slot >= 0])
+    landmark_index = np.full(len(kept), -1, dtype=np.intp)
+    landmark_index[: len(run.landmark_index)] = run.landmark_index
+    landmark_index = landmark_index[kept]
+    used = np.unique(landmark_index[landmark_index >= 0])
     if not len(used):
         raise InputError(f"{log.name}: no landmark was seen while scans were taken")
     used = np.union1d(used, np.arange(len(surveyed(log)[1])))
     compact = np.full(len(run.estimate.landmark), -1, dtype=np.intp)
     compact[used] = np.arange(len(used))
-    slot = np.where(slot >= 0, compact[slot], -1)
+    landmark_index = np.where(landmark_index >= 0, compact[landmark_index], -1)
     rows = position_rows(timeline, positions)
-    problem = assemble(scanned, timeline, slot, len(used), rows)
+    problem = assemble(scanned, timeline, landmark_index, len(used), rows)
     closed = closer.close(problem, motion.clouds(timeline.epoch_time_s))
     result = smooth(replace(problem, closures=closed.closures), {}, options=options)
     ids = run.estimate.landmark_id[used]

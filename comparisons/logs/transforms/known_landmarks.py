@@ -34,22 +34,26 @@ def join_known_measurements(log: Log) -> Log:
 
 
 def surveyed(log: Log) -> tuple[dict[int, int], Array, Array]:
-    """Slot by raised id, positions (K, 2) and covariances (K, 2, 2) of the surveyed landmarks.
+    """Index by raised id, positions (K, 2) and covariances (K, 2, 2) of surveyed landmarks.
 
-    They take the first slots. A covariance of zero becomes a tenth of a millimetre, so that the
-    state's stays regular.
+    They take the first landmark indices. A covariance of zero becomes a tenth of a millimetre, so
+    that the state's stays regular.
     """
     table = log.known_landmarks
     if table is None:
         return {}, np.zeros((0, 2)), np.zeros((0, 2, 2))
-    slots = {SURVEYED + i: slot for slot, i in enumerate(table.id.tolist())}
-    return slots, table.position_m, table.covariance + 1e-8 * np.eye(2)
+    landmark_indices = {
+        SURVEYED + i: landmark_index for landmark_index, i in enumerate(table.id.tolist())
+    }
+    return landmark_indices, table.position_m, table.covariance + 1e-8 * np.eye(2)
 
 
-def slots_by_label(log: Log) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
-    """Slots (M,) of the measurements and ids (L,) of the landmarks, surveyed ones first."""
-    slots, label = dict(surveyed(log)[0]), log.measurements.landmark
+def indices_by_label(log: Log) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+    """Landmark indices (M,) of the measurements and ids (L,), surveyed landmarks first."""
+    landmark_indices, label = dict(surveyed(log)[0]), log.measurements.landmark
     for key in label[label >= 0].tolist():
-        slots.setdefault(key, len(slots))
-    slot = np.array([slots.get(key, -1) for key in label.tolist()], dtype=np.intp)
-    return slot, np.array(list(slots), dtype=np.int64)
+        landmark_indices.setdefault(key, len(landmark_indices))
+    landmark_index = np.array(
+        [landmark_indices.get(key, -1) for key in label.tolist()], dtype=np.intp
+    )
+    return landmark_index, np.array(list(landmark_indices), dtype=np.int64)

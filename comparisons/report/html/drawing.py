@@ -142,8 +142,8 @@ def kept(count: int) -> NDArray[np.intp]:
 
 
 def association_lines(
-    drawing: Drawing, look: tuple[str, str], estimate: Estimate, epoch: Index, slot: Index
+    drawing: Drawing, look: tuple[str, str], estimate: Estimate, epoch: Index, landmark_index: Index
 ) -> None:
     """Add a line from the pose to the landmark of each measurement. look: name and colour."""
-    start, end = estimate.pose[epoch, :2], estimate.landmark[slot]
+    start, end = estimate.pose[epoch, :2], estimate.landmark[landmark_index]
     drawing.links(*look, start, end, shown=False, faint=True)

@@ -210,15 +210,17 @@ def _decades(ratio: Array) -> float:
     return min(max(float(np.ceil(2.0 * most)) / 2.0, _LEAST_DECADES), _MOST_DECADES)
 
 
-def associations(estimate: Estimate, epoch: Index, slot: Index) -> Draws:
+def associations(estimate: Estimate, epoch: Index, landmark_index: Index) -> Draws:
     """A line from the pose to the landmark for each measurement that is used.
 
-    epoch, slot: (M,) of the measurements; a slot below 0 is not used.
+    epoch, landmark_index: (M,) of the measurements; a landmark index below 0 is not used.
     """
-    used = np.flatnonzero(slot >= 0)
+    used = np.flatnonzero(landmark_index >= 0)
     row = used[np.round(np.linspace(0, len(used) - 1, min(len(used), MOST_LINES))).astype(int)]
     look = ("associations", "#8a8a8a")
-    return lambda drawing: association_lines(drawing, look, estimate, epoch[row], slot[row])
+    return lambda drawing: association_lines(
+        drawing, look, estimate, epoch[row], landmark_index[row]
+    )
 
 
 def all_landmarks(name: str, place: Array, marked: Index) -> Sequence[Draws]:

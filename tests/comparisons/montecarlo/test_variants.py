@@ -127,34 +127,36 @@ def sensor_of(scenario: str) -> Sensor:
 def test_measurement_jacobian_by_central_differences(scenario: str) -> None:
     sensor, rng = sensor_of(scenario), np.random.default_rng(1)
     for _ in range(5):
-        x, slot = 4.0 * rng.standard_normal(9), np.array([2, 0])
+        x, landmark_index = 4.0 * rng.standard_normal(9), np.array([2, 0])
 
-        def predict(x: Array, slot: Array = slot) -> Array:
-            return sensor.predict(x[2:3], x[3:].reshape(-1, 2)[slot] - x[:2]).ravel()
+        def predict(x: Array, landmark_index: Array = landmark_index) -> Array:
+            return sensor.predict(x[2:3], x[3:].reshape(-1, 2)[landmark_index] - x[:2]).ravel()
 
-        offset = x[3:].reshape(-1, 2)[slot] - x[:2]
+        offset = x[3:].reshape(-1, 2)[landmark_index] - x[:2]
         matrix = sensor.by_offset(x[2:3], offset)
-        h = measured(matrix[None], offset[None], slot, np.eye(9)[None])[0]
+        h = measured(matrix[None], offset[None], landmark_index, np.eye(9)[None])[0]
         assert np.allclose(h, central_difference(predict, x), atol=1e-7)
         assert np.allclose(sensor.offset(x[2:3], sensor.predict(x[2:3], offset)), offset)
-        flipped = measured(matrix[None], -offset[None], slot, np.eye(9)[None])[0]
+        flipped = measured(matrix[None], -offset[None], landmark_index, np.eye(9)[None])[0]
         assert not np.allclose(flipped, central_difference(predict, x), atol=1e-3)
 
 
 @pytest.mark.parametrize("scenario", SENSORS)
 def test_invariant_measurement_jacobian_by_central_differences(scenario: str) -> None:
     sensor, rng = sensor_of(scenario), np.random.default_rng(2)
-    slot = np.array([2, 0])
+    landmark_index = np.array([2, 0])
     for _ in range(5):
         x = 4.0 * rng.standard_normal(9)
 
         def predict(xi: Array, x: Array = x) -> Array:
             moved = invariant_state(x).moved(xi)
-            offset = moved[3:].reshape(-1, 2)[slot] - moved[:2]
+            offset = moved[3:].reshape(-1, 2)[landmark_index] - moved[:2]
             return sensor.predict(moved[2:3], offset).ravel()
 
-        offset = x[3:].reshape(-1, 2)[slot] - x[:2]
-        h = measured(sensor.by_offset(x[2:3], offset)[None], None, slot, np.eye(9)[None])[0]
+        offset = x[3:].reshape(-1, 2)[landmark_index] - x[:2]
+        h = measured(sensor.by_offset(x[2:3], offset)[None], None, landmark_index, np.eye(9)[None])[
+            0
+        ]
         assert np.allclose(h, central_difference(predict, np.zeros(9)), atol=1e-7)
 
 
@@ -263,9 +265,11 @@ class Noted:
         self.events.append((None, points.travel[0].copy()))
         return points
 
-    def measured(self, state: BatchState, label: Any, slot: Any) -> MeasuredPoints:
-        points = self.inner.measured(state, label, slot)
-        self.events.append((slot, MeasuredPoints(points.heading.copy(), points.offset.copy())))
+    def measured(self, state: BatchState, label: Any, landmark_index: Any) -> MeasuredPoints:
+        points = self.inner.measured(state, label, landmark_index)
+        self.events.append(
+            (landmark_index, MeasuredPoints(points.heading.copy(), points.offset.copy()))
+        )
         return points
 
     def begun(self, state: BatchState, label: Any, point: Array) -> MeasuredPoints:
@@ -295,12 +299,12 @@ def test_the_frame_of_the_map_is_unobservable(name: str, nullity: int, scenario:
             filter_.observe(data.z[k], world.sigma[k], world.seen[k])
     assert filter_.state.mean.shape[1] == n
     phi, rows = np.eye(n), []
-    for slot, points in noted.events:
-        if slot is None:
+    for landmark_index, points in noted.events:
+        if landmark_index is None:
             phi[:2] += np.array((-points[1], points[0]))[:, None] * phi[2]
         else:
             matrix = world.robot.sensor.by_offset(points.heading[:, None], points.offset)
-            rows.append(measured(matrix, points.offset, slot, phi[None])[0])
+            rows.append(measured(matrix, points.offset, landmark_index, phi[None])[0])
     seen = np.unique(np.concatenate([s for s, _ in noted.events if s is not None]))
     columns = np.concatenate((np.arange(3), *((3 + 2 * s, 4 + 2 * s) for s in seen)))
     values = np.linalg.svd(np.concatenate(rows)[:, columns], compute_uv=False)

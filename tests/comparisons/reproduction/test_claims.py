@@ -293,7 +293,7 @@ def cornerless_search(s: Any) -> Any:
 
 
 def nothing_found(d: Any) -> Any:
-    run = replace(d.run, slot=d.run.slot[:0], place=d.run.place[:0])
+    run = replace(d.run, landmark_index=d.run.landmark_index[:0], place=d.run.place[:0])
     searches = tuple(cornerless(one) for one in d.searches)
     return replace(d, searches=searches, run=run, sigma=d.sigma[:0])
 
@@ -383,11 +383,11 @@ def both_forms(change: Callable[[Any], Any]) -> Callable[[Any], Any]:
 
 def six_landmarks(run: Any) -> Any:
     """As many as the thesis', where they truly are, on the path of GPS's worse half."""
-    rows = np.resize(np.arange(len(run.held.slot)), 6)
+    rows = np.resize(np.arange(len(run.held.landmark_index)), 6)
     held = run.held
     held = replace(
         held,
-        slot=held.slot[rows],
+        landmark_index=held.landmark_index[rows],
         place=held.true[rows],
         true=held.true[rows],
         covariance=held.covariance[rows],
@@ -412,7 +412,7 @@ def car_park_as_the_thesis_says(c: Any) -> Any:
 def scans_exact(c: Any) -> Any:
     """Scan-SLAM is better than feature SLAM, joined segments are no help; many landmarks."""
     sound = car_park_as_the_thesis_says(c)
-    held = replace(sound.published.held, slot=np.arange(50))
+    held = replace(sound.published.held, landmark_index=np.arange(50))
     thesis = replace(sound.published, path_gps=0.2 * sound.feature_gps, held=held)
     joined = replace(sound.joined, path_gps=0.3 * sound.feature_gps)
     return replace(sound, published=thesis, joined=joined)

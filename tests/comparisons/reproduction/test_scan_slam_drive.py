@@ -34,7 +34,7 @@ def driven() -> ScanDrive:
 @pytest.mark.slow
 def test_templates_lie_on_the_objects_once_their_axes_are_put_where_they_are() -> None:
     d = driven()
-    assert len(d.after.slot) >= len(d.before.slot) > 0
+    assert len(d.after.landmark_index) >= len(d.before.landmark_index) > 0
     truly = distance_to_segments(d.after.truly_placed, d.segment)
     assert np.median(truly) < 0.2
     turned = replace(d.after, true=d.after.true + (0.0, 0.0, 0.5))  # broken: another heading

@@ -38,7 +38,7 @@ class DockingSource:
 
     def __init__(self, config: DockingConfig, truth: Poses) -> None:
         self._config, self._truth = config, truth
-        self._slot = NEW
+        self._landmark_index = NEW
         self.measurements = 0
 
     def look(self, ekf: Ekf, epoch: int, time_s: float, ledger: OrientedLedger) -> None:
@@ -49,8 +49,8 @@ class DockingSource:
         c, s = np.cos(pose[2]), np.sin(pose[2])
         z = np.array((c * away[0] + s * away[1], c * away[1] - s * away[0], -pose[2]))
         z[0] += self._config.bias_m * (self.measurements % 2)
-        found = ledger.observe(ekf, epoch, z[None], NOISE[None], np.array([self._slot]))
-        self._slot, self.measurements = int(found[0]), self.measurements + 1
+        found = ledger.observe(ekf, epoch, z[None], NOISE[None], np.array([self._landmark_index]))
+        self._landmark_index, self.measurements = int(found[0]), self.measurements + 1
 
 
 class Docking(Extension):

@@ -118,18 +118,20 @@ def tree_drive(
     memory: AttributeEstimates,
     unit: float,
 ) -> list[list[int]]:
-    """Slots of some scans by a rule; every other landmark tells nothing of itself."""
+    """Landmark indices of some scans by a rule; every other landmark tells nothing of itself."""
     rng = np.random.default_rng(5)
     points = [(10.0, 0.5 * k) for k in range(-3, 4)]
     state = mapped(points, np.diag((0.2**2, 0.2**2, 0.01**2)))
-    slots = []
+    landmark_indices = []
     for _ in range(40):
         which = rng.choice(7, 3, replace=False)
         pose = rng.multivariate_normal(np.zeros(3), state.pose_covariance)
         z = MODEL.predict(pose, np.array(points)[which]).z + rng.normal(0, SIGMA, (3, 2))
         value = unit * rng.normal(0.3 + 0.05 * which, 0.05)[:, None]
-        slots.append(rule(memory).assign(state, MODEL, seen(z, value, 0.05 * unit)).tolist())
-    return slots
+        landmark_indices.append(
+            rule(memory).assign(state, MODEL, seen(z, value, 0.05 * unit)).tolist()
+        )
+    return landmark_indices
 
 
 @dataclass
@@ -138,8 +140,10 @@ class LeftOut:
 
     memory: AttributeEstimates
 
-    def distances(self, slot: np.ndarray, measurements: Measurements) -> AttributeDistances:
-        found = self.memory.distances(slot, measurements)
+    def distances(
+        self, landmark_index: np.ndarray, measurements: Measurements
+    ) -> AttributeDistances:
+        found = self.memory.distances(landmark_index, measurements)
         return found._replace(n=np.where(found.dof > 0, found.n, 0.0))
 
 
@@ -201,8 +205,10 @@ class Unnormalised:
 
     memory: AttributeEstimates
 
-    def distances(self, slot: np.ndarray, measurements: Measurements) -> AttributeDistances:
-        found = self.memory.distances(slot, measurements)
+    def distances(
+        self, landmark_index: np.ndarray, measurements: Measurements
+    ) -> AttributeDistances:
+        found = self.memory.distances(landmark_index, measurements)
         return found._replace(n=found.nis)
 
 
@@ -281,7 +287,7 @@ def test_joint_compatibility_equals_exhaustive_search(seed: int) -> None:
     value = np.where(rng.random((4, 1)) < 0.2, np.nan, rng.normal(diameter[which], 0.1))
     measurements = seen(z, value, 0.1)
     local = state.local_map(1e3)
-    beside = memory.distances(local.slot, measurements)
+    beside = memory.distances(local.landmark_index, measurements)
     single = {
         (i, j): pair(local, measurements, [(i, j)]) + beside.nis[i, j]
         for i, j in product(range(4), range(5))
@@ -291,8 +297,8 @@ def test_joint_compatibility_equals_exhaustive_search(seed: int) -> None:
         min((beside.n[i, j] for j in range(5) if allowed[i, j]), default=0.0) for i in range(4)
     ]
     best: tuple[int, float, tuple[int, ...]] = (0, 0.0, (-1,) * 4)
-    for slots in product(range(-1, 5), repeat=4):
-        pairs = [(i, j) for i, j in enumerate(slots) if j >= 0]
+    for landmark_indices in product(range(-1, 5), repeat=4):
+        pairs = [(i, j) for i, j in enumerate(landmark_indices) if j >= 0]
         if not pairs or len({j for _, j in pairs}) < len(pairs):
             continue
         if not all(allowed[p] for p in pairs):
@@ -302,7 +308,7 @@ def test_joint_compatibility_equals_exhaustive_search(seed: int) -> None:
         if position + sum(beside.nis[p] for p in pairs) > chi2.ppf(0.999, dof):
             continue
         cost = position + sum(beside.n[i, j] - least[i] for i, j in pairs)
-        best = max(best, (len(pairs), -cost, slots))
+        best = max(best, (len(pairs), -cost, landmark_indices))
     rule = JointCompatibility(new_gate=ANYTHING, attributes=memory)
     found = rule.assign(state, MODEL, measurements)
     assert np.where(found == AMBIGUOUS, -1, found).tolist() == list(best[2])
@@ -340,6 +346,6 @@ def test_only_used_measurements_are_remembered() -> None:
     state = mapped([(10.0, 0.0)], 1e-6 * np.eye(3))
     rule = RememberedAttributes(NearestNeighbour(attributes=memory), memory)
     z = MODEL.predict(np.zeros(3), np.array([(10.0, 0.0), (10.0, 0.25), (10.0, 5.0)])).z
-    slots = rule.assign(state, MODEL, seen(z, np.array([[0.3], [0.4], [0.5]]), 0.1))
-    assert slots.tolist() == [0, AMBIGUOUS, 1]
+    landmark_indices = rule.assign(state, MODEL, seen(z, np.array([[0.3], [0.4], [0.5]]), 0.1))
+    assert landmark_indices.tolist() == [0, AMBIGUOUS, 1]
     assert memory.mean[:, 0].tolist() == pytest.approx([0.3, 0.5], rel=1e-12)

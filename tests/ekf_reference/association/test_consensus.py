@@ -75,6 +75,6 @@ def test_a_crowded_scan_ends_within_its_bound() -> None:
     points = np.array([(8.0, 1.2 * k) for k in range(-6, 6)])
     state = mapped(points, heading_sigma=0.3)
     scan = seen(*[(8.0, y) for _, y in points.tolist()])
-    slots = ConsensusAssociation(most_hypotheses=20).assign(state, MODEL, scan)
-    used = slots[slots >= 0]
+    landmark_indices = ConsensusAssociation(most_hypotheses=20).assign(state, MODEL, scan)
+    used = landmark_indices[landmark_indices >= 0]
     assert len(used) == len(set(used.tolist()))

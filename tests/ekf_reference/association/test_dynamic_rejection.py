@@ -38,7 +38,7 @@ def drive(
     guarded = None if yard is None else DynamicRejection(rule, yard)
     parts = RelativePoseModel(), guarded or rule, np.zeros(3), np.diag((1e-4, 1e-4, 1e-6))
     ekf = Ekf(*parts) if kind == "full" else CompressedEkf(*parts, areas=LocalAreas(4.0, 30.0))
-    noise, slots = np.diag((0.01, 0.01, 1e-4)), []
+    noise, landmark_indices = np.diag((0.01, 0.01, 1e-4)), []
     x = 0.0
     for k in range(20):
         if yard is not None:
@@ -51,21 +51,21 @@ def drive(
         seen = np.flatnonzero(z[:, 0] < 16.0)
         z = z[seen] + SIGMA * rng.standard_normal((len(seen), 2))
         if len(seen):
-            slots.append(ekf.observe(z, np.tile(SIGMA, (len(seen), 1)), seen))
-    return ekf, guarded, slots
+            landmark_indices.append(ekf.observe(z, np.tile(SIGMA, (len(seen), 1)), seen))
+    return ekf, guarded, landmark_indices
 
 
 @pytest.mark.parametrize("rule", [KnownAssociation, NearestNeighbour])
 def test_full_and_compressed_stay_equal(rule: type[Association]) -> None:
-    ekf, guarded, slots = drive("full", rule(), Yard(LANDMARK[2]))
+    ekf, guarded, landmark_indices = drive("full", rule(), Yard(LANDMARK[2]))
     other, also, theirs = drive("compressed", rule(), Yard(LANDMARK[2]))
     assert guarded is not None
     assert also is not None
     assert guarded.retired == also.retired
     assert len(guarded.retired) == 1
-    for a, b in zip(slots, theirs, strict=True):
+    for a, b in zip(landmark_indices, theirs, strict=True):
         assert np.array_equal(a, b)
-    assert sum(int(np.count_nonzero(s == DYNAMIC)) for s in slots) > 3
+    assert sum(int(np.count_nonzero(s == DYNAMIC)) for s in landmark_indices) > 3
     assert np.allclose(ekf.state.mean, other.state.mean, rtol=1e-10, atol=1e-10)
     assert np.allclose(ekf.state.covariance, other.state.covariance, rtol=1e-9, atol=1e-12)
 
@@ -74,8 +74,10 @@ def test_the_rest_is_as_with_the_landmark_marginalised_out() -> None:
     """The oracle: the same drive with the landmark's rows struck out when it is retired."""
     ekf, guarded, _ = drive("full", KnownAssociation(), Yard(LANDMARK[2]))
     assert guarded is not None
-    (slot,) = guarded.retired
-    kept = np.delete(np.arange(len(ekf.state.mean)), (3 + 2 * slot, 4 + 2 * slot))
+    (landmark_index,) = guarded.retired
+    kept = np.delete(
+        np.arange(len(ekf.state.mean)), (3 + 2 * landmark_index, 4 + 2 * landmark_index)
+    )
 
     yard, rule, done = Yard(LANDMARK[2]), KnownAssociation(), False
     watched = DynamicRejection(rule, yard)
@@ -93,7 +95,9 @@ def test_the_rest_is_as_with_the_landmark_marginalised_out() -> None:
         z = z[seen] + SIGMA * rng.standard_normal((len(seen), 2))
         if yard.known and not done:
             state = own.state
-            rest = np.delete(np.arange(len(state.mean)), (3 + 2 * slot, 4 + 2 * slot))
+            rest = np.delete(
+                np.arange(len(state.mean)), (3 + 2 * landmark_index, 4 + 2 * landmark_index)
+            )
             own.state = state.part(rest)
             done = True
         still = seen != 2 if yard.known else np.ones(len(seen), dtype=bool)
@@ -106,10 +110,10 @@ def test_the_rest_is_as_with_the_landmark_marginalised_out() -> None:
 
 
 def test_a_landmark_that_is_merely_not_asked_about_is_not_retired() -> None:
-    _, guarded, slots = drive("full", KnownAssociation(), Yard(np.array((500.0, 0.0))))
+    _, guarded, landmark_indices = drive("full", KnownAssociation(), Yard(np.array((500.0, 0.0))))
     assert guarded is not None
     assert not guarded.retired
-    assert all((s >= 0).all() for s in slots)
+    assert all((s >= 0).all() for s in landmark_indices)
 
 
 def test_nothing_is_matched_with_a_retired_landmark() -> None:
@@ -117,18 +121,18 @@ def test_nothing_is_matched_with_a_retired_landmark() -> None:
     yard = Yard(LANDMARK[2], 0.05)
     ekf, guarded, _ = drive("full", NearestNeighbour(), None)
     place = ekf.state.landmarks
-    slot = int(np.linalg.norm(place - LANDMARK[2], axis=1).argmin())
-    yard.place, yard.known = place[slot].copy(), True
+    landmark_index = int(np.linalg.norm(place - LANDMARK[2], axis=1).argmin())
+    yard.place, yard.known = place[landmark_index].copy(), True
     guarded = DynamicRejection(NearestNeighbour(), yard)
     ekf.association = guarded
-    apart = place[slot] + (0.0, 0.12) - ekf.state.pose[:2]
+    apart = place[landmark_index] + (0.0, 0.12) - ekf.state.pose[:2]
     z = np.array([(np.hypot(*apart), np.arctan2(apart[1], apart[0]) - ekf.state.pose[2])])
     plain = NearestNeighbour()
     ekf.association = plain
-    assert ekf.observe(z, SIGMA[None], np.array([-1])).tolist() == [slot]
-    yard.place = ekf.state.landmarks[slot].copy()
+    assert ekf.observe(z, SIGMA[None], np.array([-1])).tolist() == [landmark_index]
+    yard.place = ekf.state.landmarks[landmark_index].copy()
     ekf.association = guarded
     far = np.array([(np.hypot(*apart) + 0.1, z[0, 1])])
     found = ekf.observe(far, SIGMA[None], np.array([-1]))
-    assert guarded.retired == {slot}
-    assert found[0] != slot
+    assert guarded.retired == {landmark_index}
+    assert found[0] != landmark_index

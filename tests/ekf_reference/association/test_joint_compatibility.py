@@ -44,9 +44,9 @@ def test_a_row_seen_with_a_turned_heading() -> None:
     assert single.tolist() != truth
 
 
-def joint_nis(state: KalmanState, seen: Measurements, slots: list[int]) -> float:
-    rows = [i for i, s in enumerate(slots) if s >= 0]
-    chosen = np.array([slots[i] for i in rows])
+def joint_nis(state: KalmanState, seen: Measurements, landmark_indices: list[int]) -> float:
+    rows = [i for i, s in enumerate(landmark_indices) if s >= 0]
+    chosen = np.array([landmark_indices[i] for i in rows])
     predicted = MODEL.predict(state.pose, state.landmarks[chosen])
     columns = point_columns(chosen)
     h = stack(predicted.jacobian_pose, predicted.jacobian_landmark)
@@ -67,14 +67,14 @@ def test_equals_exhaustive_search(seed: int) -> None:
     nis = normalised_distances(state.local_map(1e3), MODEL, seen).nis
     options = [[-1, *np.flatnonzero(row <= chi2.ppf(0.999, 2)).tolist()] for row in nis]
     best: tuple[int, float, list[int]] = (0, 0.0, [-1] * 4)
-    for slots in product(*options):
-        used = [s for s in slots if s >= 0]
+    for landmark_indices in product(*options):
+        used = [s for s in landmark_indices if s >= 0]
         if len(used) > len(set(used)) or not used:
             continue
-        distance = joint_nis(state, seen, list(slots))
+        distance = joint_nis(state, seen, list(landmark_indices))
         key = (len(used), -distance)
         if distance <= chi2.ppf(0.999, 2 * len(used)) and key > (best[0], -best[1]):
-            best = (len(used), distance, list(slots))
+            best = (len(used), distance, list(landmark_indices))
     found = JointCompatibility(new_gate=1e9).assign(state, MODEL, seen)
     assert np.where(found == AMBIGUOUS, -1, found).tolist() == best[2]
 
@@ -92,8 +92,8 @@ def test_a_crowded_scan_ends_within_its_bound() -> None:
     state = row_of_posts(0.3)
     seen = seen_from(0.0, [(10.0, 0.02 * k) for k in range(30)])
     rule = JointCompatibility(most_nodes=500)
-    slots = rule.assign(state, MODEL, seen)
-    used = slots[(slots >= 0) & (slots < 7)]
+    landmark_indices = rule.assign(state, MODEL, seen)
+    used = landmark_indices[(landmark_indices >= 0) & (landmark_indices < 7)]
     assert len(used) == len(set(used.tolist())) > 0
     assert rule.counts["cut off"] == 1
     rule.assign(state, MODEL, seen_from(0.0, [(10.0, 0.0)]))  # within its bound
@@ -136,5 +136,5 @@ def test_the_order_of_measurements_does_not_matter() -> None:
 def test_a_scan_of_a_thousand_falls_back_to_the_nearest_neighbour() -> None:
     state = row_of_posts(0.3)
     seen = seen_from(0.0, [(10.0, 0.002 * k) for k in range(1100)])
-    slots = JointCompatibility().assign(state, MODEL, seen)
-    assert np.array_equal(slots, NearestNeighbour().assign(state, MODEL, seen))
+    landmark_indices = JointCompatibility().assign(state, MODEL, seen)
+    assert np.array_equal(landmark_indices, NearestNeighbour().assign(state, MODEL, seen))

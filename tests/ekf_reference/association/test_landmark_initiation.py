@@ -56,8 +56,8 @@ def test_a_spurious_detection_is_dropped_after_its_silence() -> None:
 def test_a_feature_that_wanders_is_not_stable() -> None:
     tracks = managed(measurements=3, age_s=0.0, spread_m=0.2, join_m=1.0)
     for k in range(10):
-        slots = tracks.assign(STATE, MODEL, seen(0.1 * k, (8.0, 1.0 + 0.6 * (k % 2))))
-        assert slots.tolist() == [CANDIDATE]
+        landmark_indices = tracks.assign(STATE, MODEL, seen(0.1 * k, (8.0, 1.0 + 0.6 * (k % 2))))
+        assert landmark_indices.tolist() == [CANDIDATE]
     assert tracks.promoted == 0
 
 
@@ -69,7 +69,7 @@ def test_two_measurements_of_one_candidate_make_one_landmark() -> None:
     assert tracks.promoted == 1
 
 
-def test_a_rule_that_keeps_slots_of_its_own_is_refused() -> None:
+def test_a_rule_that_keeps_landmark_indices_of_its_own_is_refused() -> None:
     """It would fuse a landmark's measurements into the one that was confirmed before it."""
     with pytest.raises(TypeError, match="before a landmark is confirmed"):
         LandmarkInitiation(rule=KnownAssociation())

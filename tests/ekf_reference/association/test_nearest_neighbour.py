@@ -79,8 +79,10 @@ def test_gate_ambiguity_and_new_landmarks() -> None:
 
 def test_each_landmark_is_taken_once_in_a_scan() -> None:
     state = state_with([(10.0, 0.0)], [0.2])
-    slots = NearestNeighbour().assign(state, MODEL, measurements([(10.25, 0.0), (10.05, 0.0)]))
-    assert slots.tolist() == [AMBIGUOUS, 0]
+    landmark_indices = NearestNeighbour().assign(
+        state, MODEL, measurements([(10.25, 0.0), (10.05, 0.0)])
+    )
+    assert landmark_indices.tolist() == [AMBIGUOUS, 0]
 
 
 def test_empty_map_makes_everything_new() -> None:
@@ -89,11 +91,11 @@ def test_empty_map_makes_everything_new() -> None:
     assert NearestNeighbour().assign(state, MODEL, seen).tolist() == [0, 1]
 
 
-def test_labels_map_to_slots_in_order_of_arrival() -> None:
+def test_labels_map_to_landmark_indices_in_order_of_arrival() -> None:
     state = KalmanState(np.zeros(3), np.eye(3))
     seen = measurements([(1, 1), (2, 2), (3, 3), (1, 1)], (40, 7, -1, 40))
-    slots = KnownAssociation().assign(state, MODEL, seen)
-    assert slots.tolist() == [0, 1, REJECTED, 0]
+    landmark_indices = KnownAssociation().assign(state, MODEL, seen)
+    assert landmark_indices.tolist() == [0, 1, REJECTED, 0]
 
 
 def test_a_misread_label_is_rejected_by_the_gate_only() -> None:
@@ -108,8 +110,13 @@ def test_euclidean_distance_decides() -> None:
     """Misono 2007, eq. 17: within d_min or new, whatever the covariances say."""
     state = state_with([(10.0, 0.0), (10.0, 3.0)], [5.0, 0.01])
     seen = measurements([(10.6, 0.0), (10.0, 3.9), (10.0, -1.2), (10.3, 0.3)])
-    slots = EuclideanNeighbour(d_min_m=1.0).assign(state, MODEL, seen)
-    assert slots.tolist() == [AMBIGUOUS, 1, 2, 0]  # the fourth is nearer to the first landmark
+    landmark_indices = EuclideanNeighbour(d_min_m=1.0).assign(state, MODEL, seen)
+    assert landmark_indices.tolist() == [
+        AMBIGUOUS,
+        1,
+        2,
+        0,
+    ]  # the fourth is nearer to the first landmark
     assert NearestNeighbour().assign(state, MODEL, seen).tolist()[1] != 1
 
 

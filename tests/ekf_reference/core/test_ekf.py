@@ -54,8 +54,8 @@ def test_a_step_is_predict_associate_update_augment(rule: Callable[[], Associati
     nothing = Measurements(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0, dtype=np.int64))
     z, r = np.array([[8.0, 0.5], [6.0, -0.4]]), diagonal_noise(np.repeat(SIGMA, 2, axis=0))
     for seen in (nothing, Measurements(z, r, np.array((11, 12))), nothing):
-        slots = whole.step(control, seen)
-        assert slots.tolist() == list(range(len(seen)))
+        landmark_indices = whole.step(control, seen)
+        assert landmark_indices.tolist() == list(range(len(seen)))
         parts.predict(*control)
         if len(seen):
             parts.observe(z, np.repeat(SIGMA, 2, axis=0), np.array((11, 12)))
@@ -94,8 +94,8 @@ def test_second_measurement_of_a_new_landmark_is_fused_too() -> None:
     """In one scan: the first adds the landmark, the second updates it, as two scans would."""
     together, apart = build(), build()
     z = np.array(((8.0, 0.5), (8.2, 0.51)))
-    slots = together.observe(z, np.repeat(SIGMA, 2, axis=0), np.array((3, 3)))
-    assert slots.tolist() == [0, 0]
+    landmark_indices = together.observe(z, np.repeat(SIGMA, 2, axis=0), np.array((3, 3)))
+    assert landmark_indices.tolist() == [0, 0]
     for i in range(2):
         apart.observe(z[i : i + 1], SIGMA, np.array([3]))
     assert np.array_equal(together.state.mean, apart.state.mean)

@@ -40,12 +40,15 @@ def test_landmarks_lie_in_the_order_of_their_arrival() -> None:
 
 
 def test_points_alone_lie_where_they_always_did() -> None:
-    layout, slot = Layout.of_pose(4).appended(3, POINT).appended(2, POINT), np.array([4, 0, 0])
-    assert np.array_equal(layout.columns(slot), point_columns(slot, 4))
+    layout, landmark_index = (
+        Layout.of_pose(4).appended(3, POINT).appended(2, POINT),
+        np.array([4, 0, 0]),
+    )
+    assert np.array_equal(layout.columns(landmark_index), point_columns(landmark_index, 4))
     assert np.array_equal(layout.by_kind(), np.arange(14))
 
 
-def test_a_removed_slot_stays_empty() -> None:
+def test_a_removed_landmark_index_stays_empty() -> None:
     layout = mixed().part(np.setdiff1d(np.arange(18), (5, 6, 7, 8, 9)))
     assert layout.first[POINT].tolist() == [3, ABSENT, 5]
     assert layout.first[POSE].tolist() == [ABSENT, 7, 10]
@@ -70,26 +73,30 @@ def test_a_part_and_what_it_gains_go_back_into_the_whole() -> None:
     assert back.size == expected.size
 
 
-@pytest.mark.parametrize(("slot", "width"), [([1], POINT), ([0, 2], POSE), ([0, 2], POINT)])
-def test_removal_is_the_marginal(slot: list[int], width: int) -> None:
+@pytest.mark.parametrize(
+    ("landmark_index", "width"), [([1], POINT), ([0, 2], POSE), ([0, 2], POINT)]
+)
+def test_removal_is_the_marginal(landmark_index: list[int], width: int) -> None:
     made = state(np.random.default_rng(0))
     points, frames = made.landmarks.copy(), made.places(POSE).copy()
-    gone = made.layout.columns(np.array(slot), width)[3:]
+    gone = made.layout.columns(np.array(landmark_index), width)[3:]
     kept = np.setdiff1d(np.arange(18), gone)
     mean, covariance = made.mean[kept].copy(), made.covariance[np.ix_(kept, kept)].copy()
-    made.remove(np.array(slot), width)
+    made.remove(np.array(landmark_index), width)
     assert np.array_equal(made.mean, mean)
     assert np.array_equal(made.covariance, covariance)
-    (points if width == POINT else frames)[slot] = np.nan
+    (points if width == POINT else frames)[landmark_index] = np.nan
     assert np.array_equal(made.landmarks, points, equal_nan=True)
     assert np.array_equal(made.places(POSE), frames, equal_nan=True)
     seen = made.snapshot()
-    assert seen.slot.tolist() == [i for i in range(3) if width != POINT or i not in slot]
-    columns = made.layout.columns(seen.slot)
-    assert np.array_equal(made.covariance_of(columns), made.map_of(seen.slot).covariance)
-    assert seen.slot.tolist() == made.local_map(1e9).slot.tolist()
+    assert seen.landmark_index.tolist() == [
+        i for i in range(3) if width != POINT or i not in landmark_index
+    ]
+    columns = made.layout.columns(seen.landmark_index)
+    assert np.array_equal(made.covariance_of(columns), made.map_of(seen.landmark_index).covariance)
+    assert seen.landmark_index.tolist() == made.local_map(1e9).landmark_index.tolist()
     with pytest.raises(ValueError, match="removed"):
-        made.remove(np.array(slot), width)
+        made.remove(np.array(landmark_index), width)
 
 
 def test_an_informative_landmark_is_not_forgotten_with_its_place() -> None:
@@ -108,7 +115,7 @@ def test_blocks_of_a_local_map() -> None:
     made = state(np.random.default_rng(2))
     local = made.map_of(np.array([2, 0]), POSE)
     assert np.array_equal(local.landmark, made.places(POSE)[[2, 0]])
-    for i, slot in enumerate((2, 0)):
-        own = made.layout.first[POSE][slot] + np.arange(3)
+    for i, landmark_index in enumerate((2, 0)):
+        own = made.layout.first[POSE][landmark_index] + np.arange(3)
         assert np.array_equal(local.own[i], made.covariance[np.ix_(own, own)])
         assert np.array_equal(local.cross[i], made.covariance[np.ix_(range(3), own)])

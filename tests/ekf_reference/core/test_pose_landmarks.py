@@ -73,9 +73,9 @@ class NoRows(CompressedState):
 class AtTheOldPlace(CompressedState):
     """Broken: after a removal the entries behind it are taken for where they were."""
 
-    def remove(self, slot: Index, width: int = 2) -> None:
+    def remove(self, landmark_index: Index, width: int = 2) -> None:
         before = self._entry
-        super().remove(slot, width)
+        super().remove(landmark_index, width)
         self._entry = np.minimum(before[: len(self._entry)], self._local.layout.size - 1)
 
 
@@ -212,11 +212,11 @@ def test_one_after_the_other_equals_stacked() -> None:
     r = np.array([1e-4 * random_covariance(rng, 3) for _ in z])
     for state in (together, apart):
         state.augment(new.landmark, new.jacobian_pose, new.jacobian_z, r)
-    slot, start = np.array([2, 0]), together.mean.copy()
-    at = model.predict(together.pose, together.places(POSE)[slot])
+    landmark_index, start = np.array([2, 0]), together.mean.copy()
+    at = model.predict(together.pose, together.places(POSE)[landmark_index])
     nu = 1e-2 * rng.standard_normal((2, 3))
     jacobian = stack(at.jacobian_pose, at.jacobian_landmark)
-    columns = together.layout.columns(slot, POSE)
+    columns = together.layout.columns(landmark_index, POSE)
     together.update(columns, jacobian, nu.ravel(), block_diagonal(r[:2]))
     for i in range(2):
         rows = jacobian[3 * i : 3 * i + 3]
@@ -238,9 +238,9 @@ def test_a_landmark_seen_twice_at_once_counts_twice() -> None:
     assert relative_error(twice.state.mean, once.state.mean) < 1e-14
 
 
-def test_slots_that_are_not_in_the_map_are_named() -> None:
+def test_landmark_indices_that_are_not_in_the_map_are_named() -> None:
     ekf, z, r = build(), np.ones((1, 3)), np.eye(3)[None]
-    with pytest.raises(ValueError, match=r"slots \[0\], expected -1 or less than 0"):
+    with pytest.raises(ValueError, match=r"landmark indices \[0\], expected -1 or less than 0"):
         ekf.observe_known(z, r, np.array([0]))
     assert ekf.observe_known(z, r, np.array([NEW])).tolist() == [0]
     ekf.remove(np.array([0]), POSE)

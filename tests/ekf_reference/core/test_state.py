@@ -41,14 +41,14 @@ def test_prediction_equals_the_full_product() -> None:
     assert np.array_equal(state.pose, np.arange(3.0))
 
 
-@pytest.mark.parametrize("slots", [[2], [0, 3, 1], [1, 1]])
-def test_update_equals_joseph_form(slots: list[int]) -> None:
-    rng = np.random.default_rng(len(slots))
-    state, m = mapped_state(rng, 4), len(slots)
-    columns = point_columns(np.array(slots))
+@pytest.mark.parametrize("landmark_indices", [[2], [0, 3, 1], [1, 1]])
+def test_update_equals_joseph_form(landmark_indices: list[int]) -> None:
+    rng = np.random.default_rng(len(landmark_indices))
+    state, m = mapped_state(rng, 4), len(landmark_indices)
+    columns = point_columns(np.array(landmark_indices))
     jacobian = stack(rng.standard_normal((m, 2, 3)), rng.standard_normal((m, 2, 2)))
     nu = rng.standard_normal(2 * m)
-    r = block_diagonal(np.array([random_covariance(rng, 2) for _ in slots]))
+    r = block_diagonal(np.array([random_covariance(rng, 2) for _ in landmark_indices]))
     x, p = state.mean.copy(), state.covariance.copy()
     h = dense(columns, jacobian, 11)
     w = p @ h.T @ np.linalg.inv(h @ p @ h.T + r)

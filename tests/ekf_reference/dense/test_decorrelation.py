@@ -42,9 +42,9 @@ class Snapshot(NamedTuple):
     landmark: Array
     covariance: Array
 
-    def among(self, *slot: int) -> Array:
+    def among(self, *landmark_index: int) -> Array:
         """(2 k, 2 k) covariance of k landmarks, in this order."""
-        columns = point_columns(np.array(slot))[3:]
+        columns = point_columns(np.array(landmark_index))[3:]
         return self.covariance[np.ix_(columns, columns)]
 
     @property
@@ -170,9 +170,9 @@ def seen_once(rng: np.random.Generator) -> KalmanState:
     return state
 
 
-def measured(state: KalmanState, slot: int) -> Array:
+def measured(state: KalmanState, landmark_index: int) -> Array:
     """Jacobian (2, 5) of a measurement by the pose and the landmark."""
-    predicted = RangeBearing().predict(state.pose, state.landmarks[[slot]])
+    predicted = RangeBearing().predict(state.pose, state.landmarks[[landmark_index]])
     return np.hstack((predicted.jacobian_pose[0], predicted.jacobian_landmark[0]))
 
 
@@ -180,9 +180,9 @@ def observed(rng: np.random.Generator) -> tuple[KalmanState, Array, Array, Array
     """Landmarks seen from two places; Jacobian, S and innovation of a measurement of the first."""
     state = seen_once(rng)
     state.predict(state.pose + (3.0, 1.0, 0.2), np.eye(3), np.diag((0.2, 0.3, 0.01)))
-    for slot in range(1, 5):
-        columns = point_columns(np.array([slot]))
-        state.update(columns, measured(state, slot), 0.1 * rng.standard_normal(2), NOISE)
+    for landmark_index in range(1, 5):
+        columns = point_columns(np.array([landmark_index]))
+        state.update(columns, measured(state, landmark_index), 0.1 * rng.standard_normal(2), NOISE)
     jacobian = measured(state, 0)
     spread = jacobian @ state.covariance[:5, :5] @ jacobian.T + NOISE
     return state, jacobian, spread, np.array((0.3, -0.02))

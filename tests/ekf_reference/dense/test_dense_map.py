@@ -34,13 +34,13 @@ PATIENCE = 3
 
 def view(landmark: Array, pose: Array = POSE, apart_m: float = 0.05) -> FilterView:
     """Landmarks as uncertain as the pose, and by `apart_m` on their own."""
-    slot = np.flatnonzero(np.isfinite(landmark).all(axis=1))
-    size = 3 + 2 * len(slot)
+    landmark_index = np.flatnonzero(np.isfinite(landmark).all(axis=1))
+    size = 3 + 2 * len(landmark_index)
     common = np.zeros((size, 2))
     common[:2] = np.eye(2)
     common[3::2, 0] = common[4::2, 1] = 1.0
-    own = np.concatenate(((0.02**2, 0.02**2, 1e-4), np.full(2 * len(slot), apart_m**2)))
-    return FilterView(pose, landmark, slot, 0.2**2 * common @ common.T + np.diag(own))
+    own = np.concatenate(((0.02**2, 0.02**2, 1e-4), np.full(2 * len(landmark_index), apart_m**2)))
+    return FilterView(pose, landmark, landmark_index, 0.2**2 * common @ common.T + np.diag(own))
 
 
 def wall(pose: Array = POSE, range_m: float = 12.0) -> Scan:

@@ -69,14 +69,14 @@ def test_frames_go_there_and_back() -> None:
 def test_local_poses_are_read_with_their_covariance() -> None:
     """Of landmarks that lie anywhere in the map, some of them without a current covariance."""
     rng = np.random.default_rng(3)
-    landmark, slot = rng.uniform(-20, 20, (7, 2)), np.array((1, 3, 4, 6))
+    landmark, landmark_index = rng.uniform(-20, 20, (7, 2)), np.array((1, 3, 4, 6))
     pose, joint = np.array((1.0, 2.0, 3.0)), random_covariance(rng, 11)
-    view = FilterView(pose, landmark, slot, joint)
+    view = FilterView(pose, landmark, landmark_index, joint)
     axis = np.array([(1, 3), (6, 4), (3, 6)])
     mean, covariance = read_local_poses(view, axis)
     for k, (i, j) in enumerate(axis):
         columns = [0, 1, 2]
-        for place in np.searchsorted(slot, (i, j)):
+        for place in np.searchsorted(landmark_index, (i, j)):
             columns += [3 + 2 * place, 4 + 2 * place]
         x = np.concatenate((pose, landmark[i], landmark[j]))
         by_state = central_difference(of, x)

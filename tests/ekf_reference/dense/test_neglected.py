@@ -50,18 +50,18 @@ def test_it_is_the_covariance_of_alpha_and_beta_in_metres() -> None:
     """J P J^T by the Jacobians of Appendix C and of the measurement, one region after another."""
     view, base, point = centres()
     found = neglected_covariance(view, carriers_of(view, base, point), point)
-    for slot, at, spread in zip(base, point, found, strict=True):
-        triangle = view.landmark[slot]
+    for landmark_index, at, spread in zip(base, point, found, strict=True):
+        triangle = view.landmark[landmark_index]
         h = local_jacobians(triangle, at)
         offset = at - view.pose[:2]
         bearing = math.atan2(offset[1], offset[0]) - view.pose[2]
         z = np.array([(np.linalg.norm(offset), bearing)])
         by_pose = RangeBearing().invert(view.pose, z).jacobian_pose[0]
-        order = np.argsort(slot)
+        order = np.argsort(landmark_index)
         columns = np.concatenate(
             (np.arange(3), (3 + 2 * order.argsort()[:, None] + (0, 1)).ravel())
         )
-        joint = view.joint(slot[order])[np.ix_(columns, columns)]
+        joint = view.joint(landmark_index[order])[np.ix_(columns, columns)]
         j = np.hstack((h.by_point @ by_pose, h.by_landmarks))
         a, b = axes(triangle)
         metres = np.column_stack((a, b))
@@ -108,8 +108,8 @@ def test_the_worst_direction_is_the_larger_eigenvalue() -> None:
 def test_a_region_whose_covariance_is_not_current_is_left_alone() -> None:
     view, base, point = centres()
     lost = int(base[0, 1])
-    kept = np.delete(view.slot, np.searchsorted(view.slot, lost))
-    part = replace(view, slot=kept, covariance=view.joint(kept))
+    kept = np.delete(view.landmark_index, np.searchsorted(view.landmark_index, lost))
+    part = replace(view, landmark_index=kept, covariance=view.joint(kept))
     layer = over(base)
     sigma = layer.note(part, np.arange(len(base)), point)
     touched = (base == lost).any(axis=1)
@@ -117,18 +117,18 @@ def test_a_region_whose_covariance_is_not_current_is_left_alone() -> None:
     assert np.array_equal(np.isnan(layer.sigma_m(np.arange(len(base)))), touched)
     assert np.allclose(sigma[~touched], over(base).note(
         view, np.flatnonzero(~touched), point[~touched]))  # fmt: skip
-    nothing = replace(view, slot=kept[:0], covariance=view.covariance[:3, :3])
+    nothing = replace(view, landmark_index=kept[:0], covariance=view.covariance[:3, :3])
     assert np.isnan(layer.note(nothing, np.arange(2), point[:2])).all()
 
 
 def test_corners_may_be_linear_functions_of_landmarks() -> None:
     """A landmark may come twice among the carriers, which sums its shares."""
     view, base, point = centres()
-    slot, share = carriers_of(view, base, point)
+    landmark_index, share = carriers_of(view, base, point)
     other = np.roll(base[:, 0], 1)
     half = np.concatenate((0.5 * share[:, :, :2], share[:, :, 2:], 0.5 * share[:, :, :2]), axis=2)
-    split = Carriers(np.column_stack((slot, slot[:, 0])), half)
-    whole = neglected_covariance(view, Carriers(slot, share), point)
+    split = Carriers(np.column_stack((landmark_index, landmark_index[:, 0])), half)
+    whole = neglected_covariance(view, Carriers(landmark_index, share), point)
     assert np.allclose(neglected_covariance(view, split, point), whole, atol=1e-12)
-    moved = Carriers(np.column_stack((slot, other)), half)
+    moved = Carriers(np.column_stack((landmark_index, other)), half)
     assert np.trace(neglected_covariance(view, moved, point), axis1=1, axis2=2).max() > 0.0

@@ -47,7 +47,7 @@ def drive(look: Callable[[Ekf, int, Array], None], start: Callable[[Ekf], None])
             start(ekf)
             ekf.insert_surveyed(np.array([(5.0, 5.0)]), 0.1 * np.eye(2)[None])
             assert isinstance(ekf.association, KnownAssociation)
-            ekf.association.slot_of[FIRST_LABEL - 1] = len(ekf.association.slot_of)
+            ekf.association.index_of[FIRST_LABEL - 1] = len(ekf.association.index_of)
         if k == SPLIT_FROM:
             ekf.splitter = UpdateSplitter(largest_turn_rad=2e-3, largest_move_m=0.05)
         if k % EVERY == 5:
@@ -67,9 +67,9 @@ def carried() -> Outcome:
 
     ekf = drive(look, lambda ekf: None)
     assert isinstance(ekf.association, KnownAssociation)
-    slot = ekf.association.slot_of
-    dense = np.array([s for label, s in slot.items() if label >= FIRST_LABEL])
-    real = np.array([s for label, s in slot.items() if label < FIRST_LABEL])
+    landmark_index = ekf.association.index_of
+    dense = np.array([s for label, s in landmark_index.items() if label >= FIRST_LABEL])
+    real = np.array([s for label, s in landmark_index.items() if label < FIRST_LABEL])
     p, rows = ekf.state.covariance, point_columns(dense)[3:]
     own = np.array([p[np.ix_(r, r)] for r in rows.reshape(-1, 2)])
     columns = point_columns(real)
@@ -155,7 +155,7 @@ def test_local_coordinates_change_as_their_point_and_landmarks_do() -> None:
     for k, (_, ekf) in enumerate(follow(circuit(0, LOOP_S + 10.0))):
         if k == 200:
             passive, then = PassiveStates(ekf), ekf.state.landmarks.copy()
-            near = ekf.state.local_map(20.0).slot
+            near = ekf.state.local_map(20.0).landmark_index
             base = near[[(0, 1, 3), (1, 2, 4)]]
             seen = points(ekf.models[POINT], ekf.state.pose, z, noise)
             world = passive.watch(seen)

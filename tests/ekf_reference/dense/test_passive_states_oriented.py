@@ -78,9 +78,9 @@ def test_a_view_has_the_points_alone() -> None:
         drive(ekf, 4, SCRIPT)
         view, layout = FilterView.of(ekf), ekf.state.layout
         assert np.isnan(view.landmark[1]).all()
-        assert 1 not in view.slot
-        assert len(view.covariance) == 3 + 2 * len(view.slot)
-        chosen = view.slot[[2, 0]]
+        assert 1 not in view.landmark_index
+        assert len(view.covariance) == 3 + 2 * len(view.landmark_index)
+        chosen = view.landmark_index[[2, 0]]
         columns = layout.columns(chosen)
         expected = ekf.state.covariance[np.ix_(columns, columns)]
         assert relative_error(view.joint(chosen), expected) < 1e-12

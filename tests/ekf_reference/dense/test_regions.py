@@ -34,8 +34,8 @@ def grown(landmark: Array, reach_m: float = 30.0) -> LocalRegions:
     regions = LocalRegions()
     for count in range(3, len(landmark) + 1):
         near = np.linalg.norm(landmark[:count] - landmark[count - 1], axis=1) < reach_m
-        slot = np.flatnonzero(near)
-        regions.extend(landmark[:count], slot, shared(3.0, 0.3, len(slot)))
+        landmark_index = np.flatnonzero(near)
+        regions.extend(landmark[:count], landmark_index, shared(3.0, 0.3, len(landmark_index)))
     return regions
 
 
@@ -97,12 +97,16 @@ def test_growing_never_changes_what_there_is() -> None:
     landmark = scattered(np.random.default_rng(6), 50)
     regions, before = LocalRegions(), np.empty((0, 3), dtype=np.intp)
     for count in range(3, len(landmark) + 1):
-        slot = np.flatnonzero(np.linalg.norm(landmark[:count] - landmark[count - 1], axis=1) < 40)
-        new = regions.extend(landmark[:count], slot, shared(3.0, 0.3, len(slot)))
+        landmark_index = np.flatnonzero(
+            np.linalg.norm(landmark[:count] - landmark[count - 1], axis=1) < 40
+        )
+        new = regions.extend(
+            landmark[:count], landmark_index, shared(3.0, 0.3, len(landmark_index))
+        )
         assert np.array_equal(regions.base[: len(before)], before)
         assert np.array_equal(new, np.arange(len(before), len(regions.base)))
         before = regions.base.copy()
-    again = regions.extend(landmark, slot, shared(3.0, 0.3, len(slot)))
+    again = regions.extend(landmark, landmark_index, shared(3.0, 0.3, len(landmark_index)))
     assert len(again) == 0  # all that fits is there
 
 
@@ -166,9 +170,9 @@ def test_a_region_keeps_by_which_form_of_the_first_condition_it_was_made() -> No
     covariance[6:12, 6:12] = loose = shared(0.02, 0.1)
     covariance[14:16, 14:16] += 0.1 * np.eye(2)  # one of three correlates too little
     regions = LocalRegions(conditions=Conditions(known_apart_m=0.5))
-    slot = np.array((3, 0, 1, 2, 5, 4, 8, 7, 6))
-    columns = (2 * slot[:, None] + np.arange(2)).ravel()
-    regions.extend(landmark, slot, covariance[columns[:, None], columns])
+    landmark_index = np.array((3, 0, 1, 2, 5, 4, 8, 7, 6))
+    columns = (2 * landmark_index[:, None] + np.arange(2)).ravel()
+    regions.extend(landmark, landmark_index, covariance[columns[:, None], columns])
     first = (regions.base.min(axis=1) // 3).tolist()
     assert dict(zip(first, regions.by_correlation.tolist(), strict=True)) == {
         0: True,
@@ -180,7 +184,7 @@ def test_a_region_keeps_by_which_form_of_the_first_condition_it_was_made() -> No
     regions.extend(landmark, np.arange(9), np.eye(18))
     assert len(regions.base) == len(regions.by_correlation) == 3
     literal = LocalRegions()
-    literal.extend(landmark, slot, covariance[columns[:, None], columns])
+    literal.extend(landmark, landmark_index, covariance[columns[:, None], columns])
     assert literal.by_correlation.tolist() == [True]
 
 
@@ -270,14 +274,14 @@ def test_leaving_out_pairs_across_regions_changes_no_region(
     monkeypatch: pytest.MonkeyPatch, seed: int
 ) -> None:
     landmark = scattered(np.random.default_rng(seed), 50)
-    slot, pose = np.arange(50), np.array([50.0, 50.0, 0.0])
+    landmark_index, pose = np.arange(50), np.array([50.0, 50.0, 0.0])
     covariance = np.pad(shared(3.0, 0.3, 50), ((3, 0), (3, 0)))
     covariance[:3, :3] = np.diag((0.09, 0.09, 1e-4))
 
     def all_there_is() -> tuple[NDArray[Any], ...]:
         regions = grown(landmark[:40])
-        late = regions.potential(landmark, slot, pose, covariance)
-        made = regions.extend(landmark, slot, covariance[3:, 3:])
+        late = regions.potential(landmark, landmark_index, pose, covariance)
+        made = regions.extend(landmark, landmark_index, covariance[3:, 3:])
         return regions.base, made, late.axis, late.placed.triangle
 
     short = all_there_is()

@@ -20,7 +20,7 @@ def driven(conditions: Conditions | None) -> tuple[LocalRegions, list[int], Arra
     for _, ekf in follow(circuit(0, range_m=25.0)):
         if conditions is not None:
             near = ekf.state.local_map(30.0)
-            regions.extend(ekf.state.landmarks, near.slot, near.covariance[3:, 3:])
+            regions.extend(ekf.state.landmarks, near.landmark_index, near.covariance[3:, 3:])
         count.append(len(regions.base))
     return regions, count, ekf.state.mean.copy(), ekf.state.covariance.copy()
 

@@ -55,7 +55,7 @@ def without_cross(ekf: Ekf) -> FilterView:
     view = as_points(ekf)
     covariance = view.covariance.copy()
     covariance[:3, 3:] = covariance[3:, :3] = 0.0
-    return FilterView(view.pose, view.landmark, view.slot, covariance)
+    return FilterView(view.pose, view.landmark, view.landmark_index, covariance)
 
 
 def shifted(ekf: Ekf) -> FilterView:
@@ -63,7 +63,9 @@ def shifted(ekf: Ekf) -> FilterView:
     first = ekf.state.layout.first[POSE]
     kept = np.concatenate((np.arange(3), (first[:, None] + (1, 2)).ravel()))
     view = as_points(ekf)
-    return FilterView(view.pose, view.landmark, view.slot, ekf.state.covariance[np.ix_(kept, kept)])
+    return FilterView(
+        view.pose, view.landmark, view.landmark_index, ekf.state.covariance[np.ix_(kept, kept)]
+    )
 
 
 @cache
@@ -111,10 +113,10 @@ def test_both_kinds_are_shown_by_number() -> None:
     assert np.array_equal(
         view.landmark[1::2][: len(state.places(POSE))], state.places(POSE)[:, :2], True
     )
-    assert np.isfinite(view.landmark[view.slot]).all()
-    for number in view.slot[[0, 3, -1]].tolist():
-        slot, kind = divmod(number, 2)
-        first = int(state.layout.first[BOTH[kind]][slot])
+    assert np.isfinite(view.landmark[view.landmark_index]).all()
+    for number in view.landmark_index[[0, 3, -1]].tolist():
+        landmark_index, kind = divmod(number, 2)
+        first = int(state.layout.first[BOTH[kind]][landmark_index])
         columns = np.array((0, 1, 2, first, first + 1))
         wanted = state.covariance[np.ix_(columns, columns)]
         assert np.array_equal(view.joint(np.array([number])), wanted)
@@ -126,7 +128,7 @@ def test_numbers_are_for_good() -> None:
 
     def look(ekf: Ekf) -> None:
         view = FilterView.of(ekf, BOTH)
-        for number in view.slot.tolist():
+        for number in view.landmark_index.tolist():
             known = first.setdefault(number, view.landmark[number].copy())
             assert np.hypot(*(known - view.landmark[number])) < 2.0
 
@@ -143,21 +145,23 @@ def test_the_compressed_filter_shows_what_the_full_one_does() -> None:
         driven(kind, SCRIPT, lambda ekf, views=views: views.append(FilterView.of(ekf, BOTH)))  # type: ignore[misc]
     passive = 0
     for full, part in zip(*seen.values(), strict=True):
-        assert (np.diff(part.slot) > 0).all()
-        ours = part.landmark[part.slot]
-        assert np.allclose(ours, full.landmark[part.slot], rtol=0.0, atol=1e-9)
-        assert np.allclose(part.joint(part.slot), full.joint(part.slot), rtol=1e-7, atol=1e-12)
-        passive += len(full.slot) - len(part.slot)
+        assert (np.diff(part.landmark_index) > 0).all()
+        ours = part.landmark[part.landmark_index]
+        assert np.allclose(ours, full.landmark[part.landmark_index], rtol=0.0, atol=1e-9)
+        assert np.allclose(
+            part.joint(part.landmark_index), full.joint(part.landmark_index), rtol=1e-7, atol=1e-12
+        )
+        passive += len(full.landmark_index) - len(part.landmark_index)
     assert passive > 0
 
 
-def test_with_points_alone_numbers_are_slots() -> None:
+def test_with_points_alone_numbers_are_landmark_indices() -> None:
     layout = Layout.of_pose(3).appended(2, POINT).appended(1, POSE).appended(1, POINT)
-    slots = [layout.present(width) for width in BOTH]
-    number, first = numbered(layout, (POINT,), slots[:1])
+    landmark_indices = [layout.present(width) for width in BOTH]
+    number, first = numbered(layout, (POINT,), landmark_indices[:1])
     assert number.tolist() == [0, 1, 2]
     assert first.tolist() == [3, 5, 10]
-    number, first = numbered(layout, BOTH, slots)
+    number, first = numbered(layout, BOTH, landmark_indices)
     assert number.tolist() == [0, 1, 2, 4]
     assert first.tolist() == [3, 7, 5, 10]
     point = np.arange(4.0).reshape(2, 2)

@@ -31,8 +31,10 @@ def at_a_wall(position_m: float, range_m: float) -> KalmanState:
 
 
 def extended(regions: LocalRegions, state: KalmanState, point: Array, least: int = 1) -> Index:
-    slot = np.arange(state.landmark_count)
-    return regions.extend_virtual(state.landmarks, slot, state.pose, state.covariance, point, least)
+    landmark_index = np.arange(state.landmark_count)
+    return regions.extend_virtual(
+        state.landmarks, landmark_index, state.pose, state.covariance, point, least
+    )
 
 
 def test_it_makes_a_region_behind_two_landmarks() -> None:
@@ -201,11 +203,11 @@ def test_regions_of_a_landmark_that_left_the_map_are_empty() -> None:
     landmark = np.array([(0.0, 0.0), (10.0, 0.0), (5.0, 8.0), (15.0, 8.0)])
     covariance = shared(3.0, 0.05, 5)
     covariance = np.insert(np.insert(covariance, 2, 0.0, axis=0), 2, 0.0, axis=1)
-    pose, slot = np.array((4.0, 3.0, 0.0)), np.arange(4)
+    pose, landmark_index = np.array((4.0, 3.0, 0.0)), np.arange(4)
     regions = LocalRegions()
-    assert len(regions.extend(landmark, slot, covariance[3:, 3:])) == 2
+    assert len(regions.extend(landmark, landmark_index, covariance[3:, 3:])) == 2
     below = np.array([(5.0, -2.0)])
-    assert len(regions.extend_virtual(landmark, slot, pose, covariance, below)) == 1
+    assert len(regions.extend_virtual(landmark, landmark_index, pose, covariance, below)) == 1
     point = np.vstack((landmark[:3].mean(axis=0), landmark[1:].mean(axis=0), below))
     assert sorted(regions.placed(landmark).locate(point).region) == [0, 1, 2]
     gone = landmark.copy()
@@ -216,10 +218,10 @@ def test_regions_of_a_landmark_that_left_the_map_are_empty() -> None:
     assert np.array_equal(region >= 0, (False, True, False))
     assert not len(flipped(regions, gone))
     before = len(regions.base)
-    assert len(regions.extend(gone, slot, unknown[3:, 3:])) == 0
-    assert len(regions.extend_virtual(gone, slot, pose, unknown, below)) == 0
-    assert len(regions.potential(gone, slot, pose, unknown).axis) > 0
-    assert (regions.potential(gone, slot, pose, unknown).axis > 0).all()
+    assert len(regions.extend(gone, landmark_index, unknown[3:, 3:])) == 0
+    assert len(regions.extend_virtual(gone, landmark_index, pose, unknown, below)) == 0
+    assert len(regions.potential(gone, landmark_index, pose, unknown).axis) > 0
+    assert (regions.potential(gone, landmark_index, pose, unknown).axis > 0).all()
     found_again = np.vstack((gone, landmark[:1]))
     everyone = np.insert(np.insert(shared(3.0, 0.05, 6), 2, 0.0, axis=0), 2, 0.0, axis=1)
     everyone[3:5] = everyone[:, 3:5] = np.nan
@@ -230,21 +232,21 @@ def test_regions_of_a_landmark_that_left_the_map_are_empty() -> None:
 def test_potential_regions_are_those_that_lack_correlation_alone() -> None:
     landmark = np.array([(0.0, 0.0), (10.0, 0.0), (5.0, 8.0), (15.0, 8.0)])
     loose = np.insert(np.insert(shared(0.01, 0.3, 5), 2, 0.0, axis=0), 2, 0.0, axis=1)
-    pose, slot = np.array((5.0, -5.0, 0.0)), np.arange(4)
+    pose, landmark_index = np.array((5.0, -5.0, 0.0)), np.arange(4)
     regions = LocalRegions()
-    assert len(regions.extend(landmark, slot, loose[3:, 3:])) == 0
-    found = regions.potential(landmark, slot, pose, loose)
+    assert len(regions.extend(landmark, landmark_index, loose[3:, 3:])) == 0
+    found = regions.potential(landmark, landmark_index, pose, loose)
     region = found.placed.locate(np.array([(5.0, 3.0), (10.0, 5.0), (10.0, 14.0)])).region
     assert (region >= 0).all()
     assert (found.axis[:, 0] < found.axis[:, 1]).all()
     assert set(map(tuple, found.axis[region].tolist())) <= {(0, 1), (0, 2), (1, 2), (1, 3), (2, 3)}
     assert tuple(found.axis[region[2]]) == (2, 3)  # behind the far pair there is no landmark
     taken = LocalRegions()
-    taken.extend(landmark, slot, shared(3.0, 0.05, 4))
-    rest = taken.potential(landmark, slot, pose, loose)
+    taken.extend(landmark, landmark_index, shared(3.0, 0.05, 4))
+    rest = taken.potential(landmark, landmark_index, pose, loose)
     inside = np.array([(5.0, 3.0), (10.0, 5.0)])
     assert (taken.placed(landmark).locate(inside).region >= 0).all()
     assert (rest.placed.locate(inside).region == -1).all()
-    alone = taken.potential(landmark, slot[:1], pose, loose[:5, :5])
+    alone = taken.potential(landmark, landmark_index[:1], pose, loose[:5, :5])
     assert alone.axis.shape == (0, 2)
     assert (alone.placed.locate(inside).region == -1).all()

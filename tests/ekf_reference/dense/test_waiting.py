@@ -89,7 +89,7 @@ def test_points_join_the_frame_of_the_region_they_may_belong_to() -> None:
     """Each where it lies; what lies in none, or is no number, is refused and counted."""
     regions = LocalRegions(conditions=Conditions(flip_sigmas=0.0))
     view = view_at(START)
-    potential = regions.potential(view.landmark, view.slot, view.pose, view.covariance)
+    potential = regions.potential(view.landmark, view.landmark_index, view.pose, view.covariance)
     strange = np.array([(500.0, 0.0), (np.nan, 1.0), (3.0, 7.0)])
     spread = noise(6).copy()
     spread[5] = np.nan
@@ -104,7 +104,7 @@ def test_points_join_the_frame_of_the_region_they_may_belong_to() -> None:
     assert again.tolist() == [3, 4, 5]
     assert np.array_equal(room.points.group[3:], room.points.group[2::-1])
     assert len(room.axis) == len(np.unique(room.axis, axis=0))
-    passive = FilterView(view.pose, view.landmark, view.slot[:2], view.covariance[:7, :7])
+    passive = FilterView(view.pose, view.landmark, view.landmark_index[:2], view.covariance[:7, :7])
     assert (room.add(passive, DENSE, noise(3), 9, anywhere((0, 2))) == -1).all()
     assert room.counts.refused == 6
 
@@ -174,10 +174,13 @@ def test_points_whose_frame_turns_passive_stay_as_they_are() -> None:
     room.add(view, DENSE, noise(3), 0, anywhere((0, 1)))
     room.add(view, DENSE, noise(3), 0, anywhere((2, 3)))
     point, variance = room.points.point.copy(), room.points.variance.copy()
-    slot = np.array((2, 3))
-    columns = point_columns(slot)
+    landmark_index = np.array((2, 3))
+    columns = point_columns(landmark_index)
     moved = FilterView(
-        START + (0.3, 0.1, 0.05), LANDMARK, slot, 0.5 * view.covariance[np.ix_(columns, columns)]
+        START + (0.3, 0.1, 0.05),
+        LANDMARK,
+        landmark_index,
+        0.5 * view.covariance[np.ix_(columns, columns)],
     )
     room.predicted(view)
     room.updated(moved)
@@ -199,7 +202,7 @@ def test_what_has_waited_long_gets_a_virtual_region() -> None:
     wall = np.column_stack((np.linspace(3, 7, 20), np.full(20, 1.5)))
     regions = LocalRegions(conditions=Conditions(known_apart_m=0.1))
     room = DelayedInitialisation(patience=10)
-    given = (view.landmark, view.slot, view.pose, view.covariance)
+    given = (view.landmark, view.landmark_index, view.pose, view.covariance)
     potential = regions.potential(*given)
     room.add(view, wall, noise(20), 0, potential)
     assert room.counts.refused == 0
@@ -218,7 +221,7 @@ def test_without_points_nothing_happens() -> None:
     no_landmark = FilterView(START, np.empty((0, 2)), np.arange(0), np.eye(3))
     regions = LocalRegions()
     for now in (no_landmark, view):
-        potential = regions.potential(now.landmark, now.slot, now.pose, now.covariance)
+        potential = regions.potential(now.landmark, now.landmark_index, now.pose, now.covariance)
         room.add(now, nothing, noise(0), 0, potential)
         room.predicted(now)
         room.updated(now)
@@ -230,7 +233,7 @@ def test_without_points_nothing_happens() -> None:
             DENSE,
             noise(3),
             0,
-            regions.potential(no_landmark.landmark, no_landmark.slot, START, np.eye(3)),
+            regions.potential(no_landmark.landmark, no_landmark.landmark_index, START, np.eye(3)),
         )
         == -1
     ).all()
@@ -246,12 +249,14 @@ def test_every_point_is_somewhere() -> None:
         if scan == 20:
             landmark[3] = np.nan
         now = view_at(np.append(rng.uniform(-5, 5, 2), 0.3), landmark, 0.05 if scan % 4 else 0.5)
-        given = (now.landmark, now.slot, now.pose, now.covariance)
+        given = (now.landmark, now.landmark_index, now.pose, now.covariance)
         room.predicted(now)
         room.updated(now)
         if scan % 10 == 9:
             regions.extend(
-                landmark, now.slot[scan % 7 :][:4], now.joint(now.slot[scan % 7 :][:4])[3:, 3:]
+                landmark,
+                now.landmark_index[scan % 7 :][:4],
+                now.joint(now.landmark_index[scan % 7 :][:4])[3:, 3:],
             )
         room.release(now, regions.placed(landmark))
         point = rng.uniform(-25, 25, (10, 2))

@@ -184,11 +184,11 @@ def driven(*, dense: bool) -> Driven:
             continue
         view = FilterView.of(ekf)
         room.updated(view)
-        slot = view.near(30.0)
-        joint = view.joint(slot)
-        regions.extend(view.landmark, slot, joint[3:, 3:])
+        landmark_index = view.near(30.0)
+        joint = view.joint(landmark_index)
+        regions.extend(view.landmark, landmark_index, joint[3:, 3:])
         overdue = room.overdue(view, scan)
-        regions.extend_virtual(view.landmark, slot, view.pose, joint, overdue, 5)
+        regions.extend_virtual(view.landmark, landmark_index, view.pose, joint, overdue, 5)
         placed = regions.placed(view.landmark)
         out = room.release(view, placed)
         corner = regions.corners(landmark)[regions.base]
@@ -206,7 +206,7 @@ def driven(*, dense: bool) -> Driven:
         true, point, noise = dense_measurements(rng, drive.pose[done], view.pose, 10)
         outside = placed.locate(point).region < 0
         true, point, noise = true[outside], point[outside], noise[outside]
-        potential = regions.potential(view.landmark, slot, view.pose, joint)
+        potential = regions.potential(view.landmark, landmark_index, view.pose, joint)
         number = room.add(view, point, noise, scan, potential)
         for row in np.flatnonzero(np.isin(room.points.number, number)):
             k = int(room.points.number[row])

@@ -42,10 +42,12 @@ class Joint:
     @property
     def view(self) -> FilterView:
         """What dense mapping sees: the pose and the landmarks."""
-        slot = np.arange(len(LANDMARK))
-        columns = point_columns(slot)
+        landmark_index = np.arange(len(LANDMARK))
+        columns = point_columns(landmark_index)
         covariance = self.state.covariance[np.ix_(columns, columns)]
-        return FilterView(self.state.pose, self.state.landmarks[: len(LANDMARK)], slot, covariance)
+        return FilterView(
+            self.state.pose, self.state.landmarks[: len(LANDMARK)], landmark_index, covariance
+        )
 
     def see_dense(self, sigma: tuple[float, float] = (0.05, 0.005)) -> None:
         spread = self.scale * np.array(sigma)

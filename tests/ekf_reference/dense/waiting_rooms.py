@@ -62,9 +62,11 @@ BROKEN = [NoCross, NoMotion, WrongSign]
 
 def view_at(pose: Array, landmark: Array = LANDMARK, sigma: float = 0.3) -> FilterView:
     """A filter that knows the pose and the landmarks so well, each on its own."""
-    slot = np.arange(len(landmark))
-    variance = np.concatenate(((sigma**2, sigma**2, 0.01), np.full(2 * len(slot), sigma**2)))
-    return FilterView(pose, landmark, slot, np.diag(variance))
+    landmark_index = np.arange(len(landmark))
+    variance = np.concatenate(
+        ((sigma**2, sigma**2, 0.01), np.full(2 * len(landmark_index), sigma**2))
+    )
+    return FilterView(pose, landmark, landmark_index, np.diag(variance))
 
 
 def noise(count: int, sigma: float = 0.1) -> Array:

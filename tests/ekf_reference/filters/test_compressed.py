@@ -31,11 +31,11 @@ SMALL = LocalAreas(half_m=8.0, reach_m=12.0)
 
 
 class Run(NamedTuple):
-    """pose: (K, 3) after every scan. final: pose and landmarks. slot: of every measurement."""
+    """pose: (K, 3) after every scan. final: pose, landmarks. landmark_index: of measurements."""
 
     pose: Array
     final: Gaussian
-    slot: Index
+    landmark_index: Index
     trace: TraceArrays
 
 
@@ -48,11 +48,16 @@ def run(
     ekf.state = state
     pose = np.array([ekf.state.pose for _, ekf in follow(drive, ekf)])
     arrays = trace.arrays()
-    used = [(r.number, r.slot) for r in (arrays.measurements[POINT], arrays.initialisations[POINT])]
-    slot = np.full(sum(len(scan.z) for scan in drive.scan), -1)
+    used = [
+        (r.number, r.landmark_index)
+        for r in (arrays.measurements[POINT], arrays.initialisations[POINT])
+    ]
+    landmark_index = np.full(sum(len(scan.z) for scan in drive.scan), -1)
     for measurement, which in used:
-        slot[measurement] = which
-    return Run(pose, Gaussian(ekf.state.mean.copy(), ekf.state.covariance.copy()), slot, arrays)
+        landmark_index[measurement] = which
+    return Run(
+        pose, Gaussian(ekf.state.mean.copy(), ekf.state.covariance.copy()), landmark_index, arrays
+    )
 
 
 def full() -> KalmanState:
@@ -67,7 +72,7 @@ def compressed(
 
 def assert_equal(first: Run, second: Run) -> None:
     """Means to 1e-9 of their size and covariances to 1e-9 of theirs, entry by entry in sigmas."""
-    assert np.array_equal(first.slot, second.slot)
+    assert np.array_equal(first.landmark_index, second.landmark_index)
     p, q = first.final.covariance, second.final.covariance
     sigma = np.sqrt(np.diag(q))
     assert np.max(np.abs(p - q) / np.outer(sigma, sigma)) < 1e-9
@@ -79,7 +84,7 @@ def assert_equal(first: Run, second: Run) -> None:
 def test_equals_the_full_filter_in_simulation(association: Association | None) -> None:
     drive = circuit(seed=1, duration_s=2 * LOOP_S)
     found = run(drive, compressed(), association)
-    assert (found.slot >= 0).mean() > 0.9
+    assert (found.landmark_index >= 0).mean() > 0.9
     assert_equal(found, run(drive, full(), association))
 
 
@@ -107,7 +112,7 @@ def test_records_stacked_in_parts_are_those_stacked_at_once(
         assert np.array_equal(getattr(whole, name), getattr(parts, name)), name
     for name in ("measurements", "initialisations"):
         one, other = (vars(getattr(trace, name)[POINT]) for trace in (whole, parts))
-        assert len(one["slot"]) > 14
+        assert len(one["landmark_index"]) > 14
         for field, value in one.items():
             assert np.array_equal(value, other[field]), f"{name}: {field}"
 

@@ -188,10 +188,10 @@ class PredictedOnce(DirectionCosineEkf):
     The covariance goes on, the innovation does not.
     """
 
-    def _fuse(self, seen: Measurements, slots: Index, rows: Index) -> None:
+    def _fuse(self, seen: Measurements, landmark_indices: Index, rows: Index) -> None:
         model, found = self.models[seen.width], []
         for row in rows:
-            local = self.state.map_of(slots[[row]])
+            local = self.state.map_of(landmark_indices[[row]])
             z, by_pose, by_landmark = model.predict(local.pose, local.landmark)
             jacobian = np.concatenate((by_pose[0], by_landmark[0]), axis=1)
             found.append((local.columns, jacobian, (seen.z[row] - z[0]), seen.noise[row]))

@@ -78,14 +78,14 @@ def test_passive_until_seen_then_in_the_state_then_observed(mount: Array) -> Non
     for look in range(2):
         seen = landmarks.look(ekf, glimpse(START, mount, look))
         assert [one.number for one in seen] == [0, 2]  # of the other too little is in view
-        slot = np.array([landmarks.landmark[one.number].slot for one in seen])
-        assert (slot == NEW).all() == (look == 0)
+        landmark_index = np.array([landmarks.landmark[one.number].landmark_index for one in seen])
+        assert (landmark_index == NEW).all() == (look == 0)
         size = len(ekf.state.mean)
         z, noise = np.array([one.z for one in seen]), np.array([one.covariance for one in seen])
-        landmarks.begun(seen, ekf.observe_known(z, noise, slot))
+        landmarks.begun(seen, ekf.observe_known(z, noise, landmark_index))
         assert len(ekf.state.mean) == size + (6 if look == 0 else 0)
     assert landmarks.counts == {"seen": 4, "no counterpart": 2}
-    assert [one.slot for one in landmarks.landmark] == [0, NEW, 1]
+    assert [one.landmark_index for one in landmarks.landmark] == [0, NEW, 1]
     moved = np.abs(landmarks.places(ekf) - before)
     assert moved[:, :2].max() < 0.2
     assert moved[:, 2].max() < 0.05

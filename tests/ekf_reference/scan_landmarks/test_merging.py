@@ -80,9 +80,9 @@ def begun_twice(wrong: Array, scene: Solids = STAR) -> tuple[ScanSlam, Telling, 
             shape = template.shape.transformed(-aside)
             template = Template(shape, template.pose + aside)
         z = composed(MOUNT, template.pose)
-        slot = int(tell.observe(z[None], R[None], np.array([NEW]))[0])
-        slam.found.template[slot] = template
-        slam.found.measurements[slot] += 1
+        landmark_index = int(tell.observe(z[None], R[None], np.array([NEW]))[0])
+        slam.found.template[landmark_index] = template
+        slam.found.measurements[landmark_index] += 1
         frames.append(composed(vehicle, z))
     return slam, tell, np.array(frames)
 
@@ -184,7 +184,7 @@ def alike(options: ScanSlamOptions = SMALL_ONES) -> tuple[ScanSlam, Telling]:
     slam, ekf = ScanSlam(LASER, VIEW, MOUNT, options), filter_at(np.zeros(3))
     tell = Telling(ekf)
     slam.step(ekf, seen_from(ALIKE, np.zeros(3), 0), tell)
-    assert tell.slot == [NEW, NEW]
+    assert tell.landmark_index == [NEW, NEW]
     return slam, tell
 
 
@@ -197,8 +197,8 @@ def test_equal_objects_side_by_side_are_not_fused() -> None:
     assert not tell.fused
     # Were the second begun by a vehicle that may be that far off, only the certainty is left.
     lost, tell = alike()
-    slot = np.array([1])
-    tell.ekf.remove(slot, POSE)
+    landmark_index = np.array([1])
+    tell.ekf.remove(landmark_index, POSE)
     z, r = composed(MOUNT, lost.found.template[1].pose), np.diag((1.5, 1.5, 0.02)) ** 2
     again = int(tell.observe(z[None], r[None], np.array([NEW]))[0])
     lost.found.template[again] = replace(lost.found.template.pop(1), shape=same)
@@ -229,6 +229,13 @@ def seen_alike(options: ScanSlamOptions, off_m: float) -> tuple[ScanSlam, bool]:
     true = np.array((0.0, off_m, 0.0))
     tell.ekf.predict(np.zeros(3), np.diag((0.05, 1.5, 0.02)) ** 2, 1.0)
     slam.step(tell.ekf, seen_from(ALIKE, true, 1), tell)
-    known = [(slot, z) for slot, z in zip(tell.slot, tell.z, strict=True) if slot != NEW]
-    off = [np.abs(z - frame_in_frame(true, tell.z[slot]))[:2].max() for slot, z in known]
+    known = [
+        (landmark_index, z)
+        for landmark_index, z in zip(tell.landmark_index, tell.z, strict=True)
+        if landmark_index != NEW
+    ]
+    off = [
+        np.abs(z - frame_in_frame(true, tell.z[landmark_index]))[:2].max()
+        for landmark_index, z in known
+    ]
     return slam, any(distance > 0.3 for distance in off)

@@ -42,13 +42,13 @@ class Told:
     """Remembers what it is told, and tells the filter."""
 
     ekf: Ekf
-    slot: list[int] = field(default_factory=list)
+    landmark_index: list[int] = field(default_factory=list)
     z: list[Array] = field(default_factory=list)
 
-    def observe(self, z: Array, covariance: Array, slot: Index) -> Index:
-        self.slot += slot.tolist()
+    def observe(self, z: Array, covariance: Array, landmark_index: Index) -> Index:
+        self.landmark_index += landmark_index.tolist()
         self.z += list(z)
-        return self.ekf.observe_known(z, covariance, slot)
+        return self.ekf.observe_known(z, covariance, landmark_index)
 
 
 def filter_at(pose: Array) -> Ekf:
@@ -71,7 +71,7 @@ def begun(
     ekf = filter_at(np.zeros(3))
     told = Told(ekf)
     slam.step(ekf, scan_from(np.zeros(3)), told)
-    assert told.slot == [NEW]
+    assert told.landmark_index == [NEW]
     assert list(slam.found.template) == [0]
     return slam, ekf, told
 
@@ -81,7 +81,7 @@ def test_a_landmark_is_begun_once_and_then_seen_where_it_is() -> None:
     moved = np.array((0.5, 0.2, 0.1))
     ekf.predict(moved, np.diag((0.1, 0.1, 0.02)) ** 2, 1.0)
     slam.step(ekf, scan_from(moved, 1), told)
-    assert told.slot == [NEW, 0]
+    assert told.landmark_index == [NEW, 0]
     assert slam.found.reasons[USED] == 1
     expected = relative(moved, told.z[0])  # the first scan was taken at the origin
     assert np.abs(told.z[1] - expected).max() < 0.12
@@ -119,7 +119,7 @@ def test_a_filter_that_errs_more_than_it_says_is_gated() -> None:
     ekf.predict(np.array((0.5, 0.0, 0.0)), np.eye(3) * 1e-8, 1.0)
     slam.step(ekf, scan_from(np.array((0.1, 0.3, 0.0)), 1), told)
     assert slam.found.reasons[GATED] == 1
-    assert told.slot == [NEW]
+    assert told.landmark_index == [NEW]
 
 
 def test_a_blank_scan_is_counted_and_changes_nothing() -> None:
@@ -138,7 +138,7 @@ def test_a_template_out_of_view_is_not_aligned() -> None:
     slam.step(ekf, scan_from(np.zeros(3), 1), told)
     assert slam.found.reasons[OUT_OF_VIEW] == 1
     assert not slam.found.reasons[USED]
-    assert 0 not in told.slot
+    assert 0 not in told.landmark_index
 
 
 @pytest.mark.parametrize("points", [1, 2])
@@ -160,7 +160,7 @@ def test_of_two_identical_templates_each_keeps_its_own_measurements() -> None:
     slam.found.template[1] = Template(template.shape, far)
     slam._last_seen[1] = 0
     slam.step(ekf, scan_from(np.zeros(3), 2), told)
-    assert told.slot == [NEW, 0]
+    assert told.landmark_index == [NEW, 0]
     assert USED in slam.found.reasons
     assert slam.found.measurements == {0: 2}
 
