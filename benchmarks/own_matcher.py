@@ -22,7 +22,7 @@ from comparisons.logs.simulate.scan_drive import scan_slam, simulate
 from comparisons.pipeline.compare import Comparison, compare
 from comparisons.settings import run_config
 from graphslam.graph_builder import to_tangent
-from graphslam.problem import OrientedMeasurements
+from graphslam.problem import PoseLandmarkMeasurements
 from graphslam.scan import planar
 
 Array = NDArray[np.float64]
@@ -75,7 +75,7 @@ def measured(c: Comparison) -> Row:
         alone,
         pose_nees(c.smoothed, truth),
         pose_nees(own.estimate, truth),
-        measurement_nees(c.ekf.oriented, own.alignments, truth),
+        measurement_nees(c.ekf.pose_landmarks, own.alignments, truth),
         measurement_nees(own.alignments, own.alignments, truth),
         own.measurements[0],
         own.measurements[1],
@@ -94,7 +94,7 @@ def pose_nees(estimate: Estimate, truth: Array) -> float:
 
 
 def measurement_nees(
-    seen: OrientedMeasurements, begun: OrientedMeasurements, truth: Array
+    seen: PoseLandmarkMeasurements, begun: PoseLandmarkMeasurements, truth: Array
 ) -> float:
     """Mean over 3 of all measurements but each landmark's first, which `begun` holds."""
     axis: dict[int, Array] = {}

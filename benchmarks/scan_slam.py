@@ -91,8 +91,10 @@ def measured(seed: int, seconds: float, *, fuse: bool = False) -> tuple[Row, str
         a.linearisation.sigma,
         cpu_s,
     )
-    seen = c.ekf.oriented
-    row = Row(len(c.ekf.estimate.oriented), len(seen.merges.first), len(seen.measured), *figures)
+    seen = c.ekf.pose_landmarks
+    row = Row(
+        len(c.ekf.estimate.pose_landmarks), len(seen.merges.first), len(seen.measured), *figures
+    )
     return row, c.verdict.outcome
 
 
@@ -112,9 +114,9 @@ def _map_errors(c: Comparison) -> Iterator[float]:
     if closing is None or c.log.truth.surfaces is None:
         raise ValueError("no scan moved a landmark, or there are no true surfaces")
     # Templates of landmarks that were fused later are other landmarks' by now.
-    kept = np.isin(closing.landmark_index, c.ekf.estimate.oriented_id)
+    kept = np.isin(closing.landmark_index, c.ekf.estimate.pose_landmark_id)
     landmark_indices = closing.landmark_index[kept]
-    for place in (closing.before[kept], c.ekf.oriented_places[landmark_indices]):
+    for place in (closing.before[kept], c.ekf.pose_landmark_places[landmark_indices]):
         points = template_points(found, landmark_indices, place)
         yield error_of_points(points, c.log.truth.surfaces.segment).median_m
 

@@ -125,7 +125,7 @@ def _stretches(problem: SlamProblem) -> list[tuple[int, int]]:
             (
                 problem.measurement_pose[views[problem.measurement_landmark] > 1],
                 problem.position_pose,
-                problem.oriented.pose,
+                problem.pose_landmarks.pose,
                 problem.closures.first,
                 problem.closures.second,
             )

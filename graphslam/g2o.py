@@ -100,8 +100,8 @@ def write_g2o(path: Path, contents: G2oContents) -> None:
     SingularProblemError that names the edge whose covariance has no inverse.
     """
     problem, poses, landmarks, _ = contents
-    if problem.oriented.count:
-        raise ValueError("oriented landmarks cannot be told from poses in g2o")
+    if problem.pose_landmarks.count:
+        raise ValueError("pose landmarks cannot be told from poses in g2o")
     if not holds(problem):
         raise ValueError("g2o has no edge for positions of an antenna away from the pose")
     count = problem.pose_count

@@ -6,7 +6,7 @@ import gtsam
 import numpy as np
 
 from graphslam.arrays import Array, Index
-from graphslam.problem import OrientedMeasurements, SlamProblem
+from graphslam.problem import PoseLandmarkMeasurements, SlamProblem
 
 POSE_KEY = gtsam.symbol("x", 0)
 LANDMARK_KEY = gtsam.symbol("l", 0)
@@ -136,7 +136,7 @@ def build_graph(problem: SlamProblem, kernel: str = "none") -> gtsam.NonlinearFa
         graph.push_back(
             gtsam.PriorFactorPoint2(LANDMARK_KEY + landmark_index, place, gaussian(covariance))
         )
-    seen, closed = problem.oriented, problem.closures
+    seen, closed = problem.pose_landmarks, problem.closures
     poses_seen, places_seen = POSE_KEY + seen.pose, POSE_LANDMARK_KEY + seen.landmark
     for factor in (
         *_between(
@@ -170,9 +170,9 @@ def last_poses(problem: SlamProblem) -> Index:
             problem.measurement_pose,
             problem.position_pose,
             np.zeros(len(problem.surveyed), dtype=np.intp),
-            problem.oriented.pose,
+            problem.pose_landmarks.pose,
             problem.closures.last,
-            problem.oriented.merges.pose,
+            problem.pose_landmarks.merges.pose,
         )
     )
 
@@ -199,18 +199,21 @@ def right_perturbation(measured: Array, covariance: Array) -> Array:
 
 
 def to_values(
-    poses: Array, landmarks: Array, seen: Index, oriented: OrientedMeasurements | None = None
+    poses: Array,
+    landmarks: Array,
+    seen: Index,
+    pose_landmarks: PoseLandmarkMeasurements | None = None,
 ) -> gtsam.Values:
     """Values of poses (K, 3) and of those landmarks (L, 2) that `seen` lists.
 
-    oriented: measurements of oriented landmarks, which are put where they were first seen.
+    pose_landmarks: measurements of pose landmarks, which are put where they were first seen.
     """
     values = gtsam.Values()
     for key, pose in enumerate(poses.tolist(), start=POSE_KEY):
         values.insert(key, gtsam.Pose2(*pose))
     for landmark_index in seen.tolist():
         values.insert(LANDMARK_KEY + landmark_index, landmarks[landmark_index])
-    measured = oriented or OrientedMeasurements()
+    measured = pose_landmarks or PoseLandmarkMeasurements()
     for row in np.argsort(measured.pose, kind="stable").tolist():
         key = POSE_LANDMARK_KEY + int(measured.landmark[row])
         if not values.exists(key):
@@ -246,7 +249,7 @@ def from_values(values: gtsam.Values, problem: SlamProblem) -> tuple[Array, Arra
     return poses, landmarks
 
 
-def oriented_from(values: gtsam.Values, problem: SlamProblem) -> Array:
-    """(Q, 3) oriented landmarks of a solution: x, y, heading."""
-    poses = [values.atPose2(POSE_LANDMARK_KEY + j) for j in range(problem.oriented.count)]
+def pose_landmarks_from(values: gtsam.Values, problem: SlamProblem) -> Array:
+    """(Q, 3) pose landmarks of a solution: x, y, heading."""
+    poses = [values.atPose2(POSE_LANDMARK_KEY + j) for j in range(problem.pose_landmarks.count)]
     return np.array([(p.x(), p.y(), p.theta()) for p in poses]).reshape(-1, 3)

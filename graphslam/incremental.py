@@ -55,14 +55,14 @@ class LagEnd:
     """What a fixed-lag smoother leaves.
 
     poses: (K, 3) as they were when they left the lag, headings unwrapped; pose_covariance:
-    (K, 3, 3) then. landmarks: (L, 2) points. oriented: (Q, 3). marginal: last pose, points and
-    oriented landmarks at the end. All of the additive global error.
+    (K, 3, 3) then. landmarks: (L, 2) points. pose_landmarks: (Q, 3). marginal: last pose, points
+    and pose landmarks at the end. All of the additive global error.
     """
 
     poses: Array
     pose_covariance: Array
     landmarks: Array
-    oriented: Array
+    pose_landmarks: Array
     marginal: Marginal
     updates: int
 
@@ -245,17 +245,17 @@ def run_fixed_lag(problem: SlamProblem, graph: gtsam.NonlinearFactorGraph, lag: 
     for key in seen:
         places[key - LANDMARK_KEY] = smoother.calculateEstimatePoint2(key)
     frames = [smoother.calculateEstimatePose2(key) for key in turned]
-    oriented = np.array([(at.x(), at.y(), at.theta()) for at in frames]).reshape(-1, 3)
+    pose_landmarks = np.array([(at.x(), at.y(), at.theta()) for at in frames]).reshape(-1, 3)
     linear = factors.linearize(smoother.getLinearizationPoint())
-    kept, size = [POSE_KEY + count - 1, *seen, *turned], 3 + 2 * len(seen) + oriented.size
+    kept, size = [POSE_KEY + count - 1, *seen, *turned], 3 + 2 * len(seen) + pose_landmarks.size
     local = joint_marginal(linear, kept, size)
     landmark_indices = np.array(seen, dtype=np.int64) - LANDMARK_KEY
-    mean = np.concatenate((poses[-1], places[landmark_indices].ravel(), oriented.ravel()))
+    mean = np.concatenate((poses[-1], places[landmark_indices].ravel(), pose_landmarks.ravel()))
     return LagEnd(
         poses=poses,
         pose_covariance=turn @ covariance @ turn.transpose(0, 2, 1),
         landmarks=places,
-        oriented=oriented,
-        marginal=Marginal(mean, to_global(local.covariance, poses[-1, 2], oriented[:, 2])),
+        pose_landmarks=pose_landmarks,
+        marginal=Marginal(mean, to_global(local.covariance, poses[-1, 2], pose_landmarks[:, 2])),
         updates=updates,
     )

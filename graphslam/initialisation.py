@@ -92,7 +92,7 @@ def extension(problem: SlamProblem, values: Placed, known: int, count: int) -> g
         pose = pose.compose(gtsam.Pose2(*problem.increment[k - 1]))
         new.insert(POSE_KEY + k, pose)
         poses[k] = pose
-    seen = problem.oriented
+    seen = problem.pose_landmarks
     for row in np.flatnonzero((seen.pose >= known) & (seen.pose < count)).tolist():
         key = POSE_LANDMARK_KEY + int(seen.landmark[row])
         if not values.exists(key) and not new.exists(key):

@@ -39,15 +39,15 @@ def last_pose_and_landmarks(
     graph: gtsam.GaussianFactorGraph,
     pose_count: int,
     landmark_count: int,
-    oriented_count: int = 0,
+    pose_landmark_count: int = 0,
 ) -> Marginal:
-    """The joint marginal of the last pose, points and oriented landmarks. See joint_marginal."""
+    """The joint marginal of the last pose, points and pose landmarks. See joint_marginal."""
     kept = [
         POSE_KEY + pose_count - 1,
         *range(LANDMARK_KEY, LANDMARK_KEY + landmark_count),
-        *range(POSE_LANDMARK_KEY, POSE_LANDMARK_KEY + oriented_count),
+        *range(POSE_LANDMARK_KEY, POSE_LANDMARK_KEY + pose_landmark_count),
     ]
-    return joint_marginal(graph, kept, 3 + 2 * landmark_count + 3 * oriented_count)
+    return joint_marginal(graph, kept, 3 + 2 * landmark_count + 3 * pose_landmark_count)
 
 
 def joint_marginal(graph: gtsam.GaussianFactorGraph, kept: Sequence[int], size: int) -> Marginal:

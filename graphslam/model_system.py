@@ -161,7 +161,7 @@ def moved_to(
 
 def _measurement_models(problem: SlamProblem) -> dict[int, _Model]:
     """Of each kind of landmark, by its width."""
-    seen = problem.oriented
+    seen = problem.pose_landmarks
     return {
         POINT: _Model(
             problem.measurement_pose, problem.measurement_landmark, partial(_range_bearing, problem)
@@ -174,7 +174,7 @@ def _measurement_models(problem: SlamProblem) -> dict[int, _Model]:
 
 def _merge_models(problem: SlamProblem) -> dict[int, _Model]:
     """Of each kind of landmark that can be merged, by its width."""
-    same = problem.oriented.merges
+    same = problem.pose_landmarks.merges
     return {
         POSE_LANDMARK: _Model(
             same.first, same.second, partial(_pose_in_pose, same.measured, same.covariance)

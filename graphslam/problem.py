@@ -33,7 +33,7 @@ class Merges:
 
 
 @dataclass(frozen=True)
-class OrientedMeasurements:
+class PoseLandmarkMeasurements:
     """N measurements of pose landmarks (place and direction), such as templates of scans.
 
     pose: (N,) and landmark: (N,) indices, these landmarks being numbered apart from the others.
@@ -52,10 +52,10 @@ class OrientedMeasurements:
         """Number of landmarks."""
         return int(self.landmark.max(initial=-1)) + 1
 
-    def before(self, pose_count: int) -> OrientedMeasurements:
+    def before(self, pose_count: int) -> PoseLandmarkMeasurements:
         """Those from the first `pose_count` poses."""
         rows = self.pose < pose_count
-        return OrientedMeasurements(**_of(self, rows), merges=self.merges.before(pose_count))
+        return PoseLandmarkMeasurements(**_of(self, rows), merges=self.merges.before(pose_count))
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ class SlamProblem:
     own_axes: whether the filter fuses measurements as points in the vehicle's axes, not as range
     and bearing; the frozen smoother then does, too, while the smoother keeps to range and bearing.
     surveyed: (S, 2) positions of the first S landmarks, known beforehand with
-    surveyed_covariance: (S, 2, 2). oriented: measurements of landmarks that have a direction, too.
+    surveyed_covariance: (S, 2, 2). pose_landmarks: measurements of pose landmarks, too.
     closures: motions between poses that do not follow each other.
     """
 
@@ -119,7 +119,7 @@ class SlamProblem:
     surveyed: Array = field(default_factory=lambda: np.zeros((0, 2)))
     surveyed_covariance: Array = field(default_factory=lambda: np.zeros((0, 2, 2)))
     own_axes: bool = False
-    oriented: OrientedMeasurements = field(default_factory=OrientedMeasurements)
+    pose_landmarks: PoseLandmarkMeasurements = field(default_factory=PoseLandmarkMeasurements)
     closures: Closures = field(default_factory=Closures)
 
     @property
@@ -141,7 +141,7 @@ class SlamProblem:
     def residual_dimension(self) -> int:
         """Scalar measurements, the prior's three included."""
         pairs = len(self.z) + len(self.position) + len(self.surveyed)
-        seen = self.oriented
+        seen = self.pose_landmarks
         triples = 1 + len(self.steps) + len(self.closures.motion)
         triples += len(seen.measured) + len(seen.merges.measured)
         return 3 * triples + 2 * pairs
@@ -149,7 +149,7 @@ class SlamProblem:
     @property
     def state_dimension(self) -> int:
         """Scalar unknowns."""
-        return 3 * (self.pose_count + self.oriented.count) + 2 * self.landmark_count
+        return 3 * (self.pose_count + self.pose_landmarks.count) + 2 * self.landmark_count
 
     def prefix(self, pose_count: int) -> SlamProblem:
         """The same problem up to its first `pose_count` poses; landmark numbers are kept."""
@@ -157,7 +157,7 @@ class SlamProblem:
             self.keep(self.measurement_pose < pose_count, self.position_pose < pose_count),
             increment=self.increment[: pose_count - 1],
             increment_covariance=self.increment_covariance[: pose_count - 1],
-            oriented=self.oriented.before(pose_count),
+            pose_landmarks=self.pose_landmarks.before(pose_count),
             closures=self.closures.before(pose_count),
         )
 

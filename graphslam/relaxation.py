@@ -75,7 +75,7 @@ class _Equations:
 
 def relax(problem: SlamProblem) -> RelaxedStart:
     """Solve the relaxed problem. Raises RuntimeError where its equations do not fix it."""
-    k, q = problem.pose_count, problem.oriented.count
+    k, q = problem.pose_count, problem.pose_landmarks.count
     nodes = k + q
     unit = problem.prior_pose[2] + np.concatenate(([0.0], np.cumsum(problem.increment[:, 2])))
     headings = _Equations()
@@ -103,7 +103,7 @@ def _relative(equations: _Equations, problem: SlamProblem, turned: Complex | Non
     Unknowns: headings of poses and pose landmarks, unless they are given as `turned` (K + Q,)
     complex; then their places; then landmarks.
     """
-    k, seen, closed = problem.pose_count, problem.oriented, problem.closures
+    k, seen, closed = problem.pose_count, problem.pose_landmarks, problem.closures
     merged = seen.merges
     step = problem.steps
     first = np.concatenate((step, closed.first, seen.pose, k + merged.first))
@@ -137,7 +137,7 @@ def _relative(equations: _Equations, problem: SlamProblem, turned: Complex | Non
 
 def _absolute(equations: _Equations, problem: SlamProblem, turned: Complex | None) -> None:
     """The prior, absolute positions and surveyed landmarks; unknowns as in _relative."""
-    nodes = problem.pose_count + problem.oriented.count
+    nodes = problem.pose_count + problem.pose_landmarks.count
     shift = nodes if turned is None else 0
     x, y, heading = problem.prior_pose
     spread = problem.prior_covariance

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from graphslam.arrays import Array
-from graphslam.problem import Closures, OrientedMeasurements, SlamProblem
+from graphslam.problem import Closures, PoseLandmarkMeasurements, SlamProblem
 
 
 def reversed_problem(problem: SlamProblem, last: Array, covariance: Array) -> SlamProblem:
@@ -36,6 +36,6 @@ def reversed_problem(problem: SlamProblem, last: Array, covariance: Array) -> Sl
         increment_covariance=0.5 * (spread + spread.transpose(0, 2, 1)),
         measurement_pose=end - problem.measurement_pose,
         position_pose=end - problem.position_pose,
-        oriented=OrientedMeasurements(),
+        pose_landmarks=PoseLandmarkMeasurements(),
         closures=Closures(),
     )

@@ -114,7 +114,7 @@ class MinimumSearch:
     def values(self, poses: Array, landmarks: Array) -> gtsam.Values:
         """Of poses (K, 3) and landmarks (L, 2); pose landmarks stand where first measured."""
         problem = self._problem
-        return to_values(poses, landmarks, problem.seen_landmarks, problem.oriented)
+        return to_values(poses, landmarks, problem.seen_landmarks, problem.pose_landmarks)
 
     def attempt_relaxed(self) -> None:
         """Start from the relaxed problem's solution; a problem that it does not fix has none."""
@@ -220,7 +220,7 @@ class MinimumSearch:
         Only of problems of more than LOCAL_POSES: in them a hop over everything takes too long.
         """
         moved = np.flatnonzero(np.abs(other.landmarks - landmarks).max(axis=1) > 0.0)
-        beyond = len(self._problem.closures.first) + self._problem.oriented.count
+        beyond = len(self._problem.closures.first) + self._problem.pose_landmarks.count
         if self._problem.pose_count <= LOCAL_POSES or len(moved) > 1 or beyond:
             return False
         from graphslam.surroundings import Surroundings
@@ -330,7 +330,7 @@ def draw(problem: SlamProblem, rng: np.random.Generator) -> SlamProblem:
         drawn: Array = np.einsum("...ij,...j->...i", vectors, scaled)
         return drawn
 
-    seen, closed = problem.oriented, problem.closures
+    seen, closed = problem.pose_landmarks, problem.closures
     merged = seen.merges
     z = problem.z + problem.sigma * rng.standard_normal(problem.z.shape)
     return replace(
@@ -340,7 +340,7 @@ def draw(problem: SlamProblem, rng: np.random.Generator) -> SlamProblem:
         z=np.column_stack((np.abs(z[:, 0]), z[:, 1])),
         position=problem.position + noise(problem.position_covariance),
         surveyed=problem.surveyed + noise(problem.surveyed_covariance),
-        oriented=replace(
+        pose_landmarks=replace(
             seen,
             measured=seen.measured + noise(seen.covariance),
             merges=replace(merged, measured=merged.measured + noise(merged.covariance)),

@@ -78,4 +78,4 @@ def _name(key: int) -> str:
         return f"pose {key - POSE_KEY}"
     if gtsam.symbolChr(key) == _POINT:
         return f"landmark {key - LANDMARK_KEY}"
-    return f"oriented landmark {key - POSE_LANDMARK_KEY}"
+    return f"pose landmark {key - POSE_LANDMARK_KEY}"

@@ -16,7 +16,7 @@ from graphslam.graph_builder import (
     POSE_LANDMARK_KEY,
     build_graph,
     from_values,
-    oriented_from,
+    pose_landmarks_from,
 )
 from graphslam.incremental import LagEnd, run_fixed_lag, run_isam2
 from graphslam.initialisation import extension, track
@@ -119,23 +119,23 @@ class SmootherResult:
         start = extension(self.problem, gtsam.Values(), 0, self.problem.pose_count)
         return float(self.graph.error(start))
 
-    def oriented(self) -> Array:
-        """(Q, 3) oriented landmarks: x, y, heading."""
+    def pose_landmarks(self) -> Array:
+        """(Q, 3) pose landmarks: x, y, heading."""
         if self.lagged is not None:
-            return self.lagged.oriented
-        return oriented_from(self.values, self.problem)
+            return self.lagged.pose_landmarks
+        return pose_landmarks_from(self.values, self.problem)
 
     def joint(
-        self, poses: Sequence[int], landmarks: Sequence[int], oriented: Sequence[int] = ()
+        self, poses: Sequence[int], landmarks: Sequence[int], pose_landmarks: Sequence[int] = ()
     ) -> Array:
-        """Joint covariance (n, n) of any poses, points and oriented landmarks, in this order.
+        """Joint covariance (n, n) of any poses, points and pose landmarks, in this order.
 
         Of the additive global error, at the optimum; n is 3 P + 2 L + 3 Q.
         """
-        frames = [POSE_KEY + k for k in poses], [POSE_LANDMARK_KEY + j for j in oriented]
+        frames = [POSE_KEY + k for k in poses], [POSE_LANDMARK_KEY + j for j in pose_landmarks]
         keys = frames[0] + [LANDMARK_KEY + j for j in landmarks] + frames[1]
         second = 3 * len(poses) + 2 * len(landmarks)
-        size = second + 3 * len(oriented)
+        size = second + 3 * len(pose_landmarks)
         local = joint_marginal(self.graph.linearize(self.values), keys, size).covariance
         headings = [
             np.array([self.values.atPose2(key).theta() for key in group]) for group in frames
@@ -145,16 +145,19 @@ class SmootherResult:
     def marginal(self) -> Marginal:
         """Last pose and all landmarks jointly: mean and covariance, additive global error.
 
-        Oriented landmarks come last; their headings are as gtsam has them, wrapped.
+        pose landmarks come last; their headings are as gtsam has them, wrapped.
         """
         if self.lagged is not None:
             return self.lagged.marginal
-        oriented = self.oriented()
-        mean = np.concatenate((self.poses[-1], self.landmarks.ravel(), oriented.ravel()))
+        pose_landmarks = self.pose_landmarks()
+        mean = np.concatenate((self.poses[-1], self.landmarks.ravel(), pose_landmarks.ravel()))
         local = last_pose_and_landmarks(
-            self.graph.linearize(self.values), len(self.poses), len(self.landmarks), len(oriented)
+            self.graph.linearize(self.values),
+            len(self.poses),
+            len(self.landmarks),
+            len(pose_landmarks),
         )
-        return Marginal(mean, to_global(local.covariance, self.poses[-1, 2], oriented[:, 2]))
+        return Marginal(mean, to_global(local.covariance, self.poses[-1, 2], pose_landmarks[:, 2]))
 
     def pose_covariances(self) -> Array:
         """Covariance (K, 3, 3) of every pose, given all it was told; additive global error."""
@@ -256,7 +259,7 @@ class _Followed:
 
     poses: Array
     landmarks: Array
-    oriented: Array
+    pose_landmarks: Array
     lagged: LagEnd | None
 
 
@@ -271,15 +274,15 @@ def _follow(
         end = run_isam2(problem, graph)
         search.attempt("isam2", "sequential", end.values, end.updates)
         return _Followed(
-            *from_values(end.values, problem), oriented_from(end.values, problem), None
+            *from_values(end.values, problem), pose_landmarks_from(end.values, problem), None
         )
     if options.method == "fixed-lag":
         lagged = run_fixed_lag(problem, graph, options.lag)
         start = search.values(lagged.poses, lagged.landmarks)
-        for key, place in enumerate(lagged.oriented, start=POSE_LANDMARK_KEY):
+        for key, place in enumerate(lagged.pose_landmarks, start=POSE_LANDMARK_KEY):
             start.update(key, gtsam.Pose2(*place))
         search.attempt("fixed-lag", "sequential", start, lagged.updates)
-        return _Followed(lagged.poses, lagged.landmarks, lagged.oriented, lagged)
+        return _Followed(lagged.poses, lagged.landmarks, lagged.pose_landmarks, lagged)
     return None
 
 
@@ -294,8 +297,8 @@ def _degrees_of_freedom(problem: SlamProblem, kernel: str) -> int:
 def _distance(optimum: SmootherResult, followed: _Followed) -> float:
     """Largest difference of the last pose and the landmarks from the optimum, in its sigma."""
     mean, covariance = optimum.marginal()
-    oriented = followed.oriented.ravel()
-    apart = np.concatenate((followed.poses[-1], followed.landmarks.ravel(), oriented)) - mean
-    turns = np.concatenate(([2], np.arange(len(mean) - len(oriented) + 2, len(mean), 3)))
+    pose_landmarks = followed.pose_landmarks.ravel()
+    apart = np.concatenate((followed.poses[-1], followed.landmarks.ravel(), pose_landmarks)) - mean
+    turns = np.concatenate(([2], np.arange(len(mean) - len(pose_landmarks) + 2, len(mean), 3)))
     apart[turns] = np.angle(np.exp(1j * apart[turns]))
     return float(np.max(np.abs(apart) / np.sqrt(np.diag(covariance))))

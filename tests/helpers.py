@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.adapters.filter_setup import FilterSetup
-from comparisons.adapters.oriented_measurements import OrientedSource
+from comparisons.adapters.pose_landmark_measurements import PoseLandmarkSource
 from comparisons.config import EkfConfig, RunConfig
 from comparisons.extensions.contract import Extension
 from comparisons.logs.log import Log
@@ -38,11 +38,11 @@ def first_seconds(log: Log, seconds: float) -> Log:
 
 
 class Source(Extension):
-    """Puts a source of measurements of landmarks with a direction beside the filter."""
+    """Puts a source of measurements of pose landmarks beside the filter."""
 
     name = "source"
 
-    def __init__(self, make: Callable[[], OrientedSource]) -> None:
+    def __init__(self, make: Callable[[], PoseLandmarkSource]) -> None:
         self._make = make
 
     def attach(self, setup: FilterSetup, prepared: Prepared[Any]) -> None:

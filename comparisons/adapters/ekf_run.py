@@ -13,7 +13,7 @@ from comparisons.adapters.attributes import measured_attributes
 from comparisons.adapters.ekf_factory import build_ekf
 from comparisons.adapters.filter_loop import Beside, drive
 from comparisons.adapters.filter_setup import FilterSetup
-from comparisons.adapters.oriented_measurements import OrientedLedger
+from comparisons.adapters.pose_landmark_measurements import PoseLandmarkRecorder
 from comparisons.adapters.timeline import Timeline
 from comparisons.arrays import Array
 from comparisons.config import EkfConfig
@@ -26,7 +26,7 @@ from ekf_reference.core.landmark_types import POINT, POSE
 from ekf_reference.core.measurements import AMBIGUOUS, CANDIDATE, DYNAMIC, REJECTED
 from ekf_reference.core.trace import RecordedTrace, TraceArrays
 from ekf_reference.filters.compressed import CompressedState
-from graphslam.problem import OrientedMeasurements
+from graphslam.problem import PoseLandmarkMeasurements
 
 _FARTHEST_M = 1e6
 """A pose so far from the start has diverged; what follows is not worth comparing."""
@@ -48,7 +48,7 @@ class EkfRun:
     cut_off: scans in which joint compatibility visited its most nodes, and took the best set.
     spared: what the global updates of a compressed filter left alone: (updates, mean share of the
     passive covariance). breakdown: what stopped the filter, None when it reached the end.
-    oriented: measurements of landmarks with a direction, as the smoother takes them; their ids in
+    pose_landmarks: measurements of pose landmarks, as the smoother takes them; their ids in
     the estimate are their landmark indices.
     """
 
@@ -66,14 +66,14 @@ class EkfRun:
     cut_off: int = 0
     spared: tuple[int, float] = (0, 0.0)
     breakdown: str | None = None
-    oriented: OrientedMeasurements = field(default_factory=OrientedMeasurements)
+    pose_landmarks: PoseLandmarkMeasurements = field(default_factory=PoseLandmarkMeasurements)
     retired: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
 
     @property
-    def oriented_places(self) -> Array:
+    def pose_landmark_places(self) -> Array:
         """(Q, 3) of the estimate by landmark index, NaN for those that were fused with others."""
-        places = np.full((self.oriented.count, 3), np.nan)
-        places[self.estimate.oriented_id] = self.estimate.oriented
+        places = np.full((self.pose_landmarks.count, 3), np.nan)
+        places[self.estimate.pose_landmark_id] = self.estimate.pose_landmarks
         return places
 
     @property
@@ -104,7 +104,7 @@ def run_ekf(
     stands beside the filter. progress: called with epochs done and in all.
     """
     beside = setup or FilterSetup()
-    trace, ledger = RecordedTrace(), OrientedLedger()
+    trace, recorder = RecordedTrace(), PoseLandmarkRecorder()
     ekf = build_ekf(log, config, trace, beside.layer)
     retired = beside.apply(ekf)
     watching = beside.watcher()
@@ -115,7 +115,7 @@ def run_ekf(
     landmark_index = np.full(len(log.measurements.time_s), REJECTED, dtype=np.intp)
     breakdown, rejected_fixes = None, 0
     told = measured_attributes(log, config.attributes)
-    stops = drive(ekf, log, timeline, positions, Beside(watching, beside.source, ledger, told))
+    stops = drive(ekf, log, timeline, positions, Beside(watching, beside.source, recorder, told))
     for k, stop in enumerate(stops):
         landmark_index[stop.rows], arrived[k] = stop.landmark_indices, stop.arrived
         rejected_fixes += stop.rejected_fixes
@@ -142,12 +142,12 @@ def run_ekf(
         breakdown = "the EKF broke down: its covariance is not finite at the end"
     timeline = timeline.prefix(epochs)
     arrays = trace.arrays()
-    oriented = ledger.told()
-    _check_counts(log, timeline, arrays, oriented)
+    pose_landmarks = recorder.told()
+    _check_counts(log, timeline, arrays, pose_landmarks)
     landmark_index = _as_used(landmark_index[: len(timeline.measurement_epoch)], arrays)
     if np.isnan(ekf.state.landmarks).any():
         raise InputError(f"{log.name}: the EKF removed point landmarks, which must stay")
-    oriented_id = ekf.state.layout.present(POSE)
+    pose_landmark_id = ekf.state.layout.present(POSE)
     estimate = Estimate(
         time_s=timeline.epoch_time_s,
         pose=departed[:epochs],
@@ -166,8 +166,8 @@ def run_ekf(
             "estimator": f"ekf_reference, {config.filter} EKF",
             "association": str(config.association),
         },
-        oriented_id=oriented_id,
-        oriented=ekf.state.places(POSE)[oriented_id],
+        pose_landmark_id=pose_landmark_id,
+        pose_landmarks=ekf.state.places(POSE)[pose_landmark_id],
     )
     fused = np.unique(arrays.positions.number)
     return EkfRun(
@@ -185,7 +185,7 @@ def run_ekf(
         cut_off=_cut_off(ekf),
         spared=_spared(ekf),
         breakdown=breakdown,
-        oriented=oriented,
+        pose_landmarks=pose_landmarks,
         retired=np.array(sorted(retired), dtype=np.intp),
     )
 
@@ -199,7 +199,7 @@ def _cut_off(ekf: Ekf) -> int:
 
 
 def _check_counts(
-    log: Log, timeline: Timeline, trace: TraceArrays, oriented: OrientedMeasurements
+    log: Log, timeline: Timeline, trace: TraceArrays, pose_landmarks: PoseLandmarkMeasurements
 ) -> None:
     """Raise InputError for a filter that made something of data that it was not given."""
     measurements, frames = (
@@ -215,9 +215,9 @@ def _check_counts(
             len(timeline.position_epoch),
         ),
         (
-            "measurements of landmarks with a direction",
+            "measurements of pose landmarks",
             int(frames.max(initial=-1)) + 1,
-            len(oriented.measured),
+            len(pose_landmarks.measured),
         ),
     ):
         if made > given or (what == "predictions" and made < given):

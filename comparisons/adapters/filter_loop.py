@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.adapters.attributes import measured_attributes
-from comparisons.adapters.oriented_measurements import (
-    NoOrientedSource,
-    OrientedLedger,
-    OrientedSource,
+from comparisons.adapters.pose_landmark_measurements import (
+    NoPoseLandmarkSource,
+    PoseLandmarkRecorder,
+    PoseLandmarkSource,
 )
 from comparisons.adapters.timeline import Timeline
 from comparisons.arrays import Array
@@ -110,13 +110,13 @@ class Stop:
 class Beside:
     """What goes along with a filter.
 
-    watching: observes. source: of measurements of landmarks with a direction, fused last and kept
-    in the ledger. told: what the measurements tell besides places, None for what the log says.
+    watching: observes. source: of measurements of pose landmarks, fused last and kept
+    in the recorder. told: what the measurements tell besides places, None for what the log says.
     """
 
     watching: Watcher = field(default_factory=NoWatcher)
-    source: OrientedSource = field(default_factory=NoOrientedSource)
-    ledger: OrientedLedger = field(default_factory=OrientedLedger)
+    source: PoseLandmarkSource = field(default_factory=NoPoseLandmarkSource)
+    recorder: PoseLandmarkRecorder = field(default_factory=PoseLandmarkRecorder)
     told: MeasuredAttributes | None = None
 
 
@@ -132,7 +132,7 @@ def drive(
     positions: to be fused; the timeline is built with the same.
     """
     beside = beside or Beside()
-    watching, source, ledger = beside.watching, beside.source, beside.ledger
+    watching, source, recorder = beside.watching, beside.source, beside.recorder
     steps, first = timeline.steps_until(), timeline.measurements_until()
     begins, first_fix = timeline.step_begin_s(), timeline.positions_until()
     seen, done = log.measurements, 0
@@ -160,7 +160,7 @@ def drive(
                 for g in range(int(first_fix[k]), int(first_fix[k + 1])):
                     fix = positions.position_m[g], positions.covariance[g]
                     rejected += not ekf.fix_position(*fix)
-            source.look(ekf, k, time_s, ledger)
+            source.look(ekf, k, time_s, recorder)
         except FilterDivergedError as error:
             fault = str(error)
         watching.updated(ekf)

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeVar
 
 from comparisons.adapters.filter_loop import Watcher, Watchers
-from comparisons.adapters.oriented_measurements import (
+from comparisons.adapters.pose_landmark_measurements import (
     GuardedSource,
-    NoOrientedSource,
-    OrientedSource,
+    NoPoseLandmarkSource,
+    PoseLandmarkSource,
 )
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.landmark_types import POINT
@@ -27,7 +27,7 @@ class FilterSetup:
     """Filled before a run of the filter, anew for each.
 
     modify: may replace parts of the filter before it starts. observers: read the filter, in their
-    order. source: of measurements of landmarks with a direction; one that is a Watcher observes,
+    order. source: of measurements of pose landmarks; one that is a Watcher observes,
     too, after the others. guard: knows where things move, so that the filter ignores these. layer:
     knows what is around landmarks, for attributes of that kind. kinds: of landmarks that maps are
     anchored to, by width. offers: what extensions offer to
@@ -36,7 +36,7 @@ class FilterSetup:
 
     modify: list[Callable[[Ekf], None]] = field(default_factory=list)
     observers: list[Watcher] = field(default_factory=list)
-    source: OrientedSource = field(default_factory=NoOrientedSource)
+    source: PoseLandmarkSource = field(default_factory=NoPoseLandmarkSource)
     guard: DynamicGuard | None = None
     layer: LayerValues | None = None
     kinds: tuple[int, ...] = (POINT,)

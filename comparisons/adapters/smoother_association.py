@@ -115,7 +115,7 @@ class OwnAssociator:
         problem = problem.keep(kept, fixes)
         seen = np.union1d(problem.measurement_landmark, np.arange(len(self._places)))
         graph = build_graph(problem, result.options.kernel)
-        start = to_values(own.poses, own.landmarks, seen, problem.oriented)
+        start = to_values(own.poses, own.landmarks, seen, problem.pose_landmarks)
         try:
             end, *_ = levenberg_marquardt(graph, start, 1e-6)
         except RuntimeError:  # gtsam's indeterminate linear system

@@ -44,7 +44,7 @@ def build_problem(log: Log, run: EkfRun) -> SlamProblem:
     problem = assemble(
         log, run.timeline, run.landmark_index, count, _positions(run), own_axes=run.own_axes
     )
-    return replace(problem, oriented=run.oriented)
+    return replace(problem, pose_landmarks=run.pose_landmarks)
 
 
 def assemble(
@@ -125,7 +125,7 @@ def model_system_at(problem: SlamProblem, run: EkfRun, optimum: Estimate) -> Lin
 
     optimum: with all pose landmarks by index, those that were merged with others, too.
     """
-    places = {POINT: optimum.landmark, POSE_LANDMARK: optimum.oriented}
+    places = {POINT: optimum.landmark, POSE_LANDMARK: optimum.pose_landmarks}
     there = moved_to(_points(problem, run), problem, optimum.pose, places)
     return model_system(problem, there)
 
@@ -150,9 +150,9 @@ def _points(problem: SlamProblem, run: EkfRun) -> LinearisationPoints:
 def solve_recorded(linear: LinearProblem, run: EkfRun) -> Marginal:
     """F1's estimate of the last pose, as x, y, heading, and all landmarks."""
     final, estimate = run.final, run.estimate
-    size = estimate.landmark.size + estimate.oriented.size
+    size = estimate.landmark.size + estimate.pose_landmarks.size
     own = np.vstack((run.trace.departed, final.own))[run.timeline.steps_until()]
-    found = solve(linear, own, estimate.landmark, run.oriented_places)
+    found = solve(linear, own, estimate.landmark, run.pose_landmark_places)
     p = len(final.own)
     read = np.zeros((3 + size, p + size))
     read[:3, :p], read[3:, p:] = final.jacobian, np.eye(size)
@@ -163,7 +163,7 @@ def solve_recorded(linear: LinearProblem, run: EkfRun) -> Marginal:
 
 def solve_model(linear: LinearProblem, run: EkfRun) -> Marginal:
     """F2's estimate of the last pose and all landmarks."""
-    return solve(linear, run.departed, run.estimate.landmark, run.oriented_places)
+    return solve(linear, run.departed, run.estimate.landmark, run.pose_landmark_places)
 
 
 def run_smoother(
@@ -199,10 +199,10 @@ def smoothed_estimate(
 ) -> Estimate:
     """The smoother's result with its marginals, at times (K,), for landmarks with ids (L,).
 
-    Of two landmarks with a direction that are one, the first stands for both.
+    Of two pose landmarks that are one, the first stands for both.
     """
-    oriented = result.oriented()
-    kept = np.setdiff1d(np.arange(len(oriented)), result.problem.oriented.merges.second)
+    pose_landmarks = result.pose_landmarks()
+    kept = np.setdiff1d(np.arange(len(pose_landmarks)), result.problem.pose_landmarks.merges.second)
     covariance, points = result.marginal().covariance, 3 + result.landmarks.size
     rows = np.concatenate((np.arange(points), points + (3 * kept[:, None] + (0, 1, 2)).ravel()))
     return Estimate(
@@ -216,8 +216,8 @@ def smoothed_estimate(
         else covariance,
         information="fixed-lag" if result.lagged else "smoothed",
         provenance={"estimator": f"graphslam, {result.options.method}", "association": association},
-        oriented_id=kept,
-        oriented=oriented[kept],
+        pose_landmark_id=kept,
+        pose_landmarks=pose_landmarks[kept],
     )
 
 

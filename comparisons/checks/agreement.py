@@ -30,17 +30,17 @@ sigma), nor above the inverse share."""
 class Gaussian:
     """mean: (n,), pose first, heading unwrapped, then landmarks. covariance: (n, n).
 
-    oriented: so many landmarks, the last ones, have x, y, heading; the others x, y.
+    pose_landmarks: so many landmarks, the last ones, have x, y, heading; the others x, y.
     """
 
     mean: Array
     covariance: Array
-    oriented: int = 0
+    pose_landmarks: int = 0
 
     @property
     def headings(self) -> NDArray[np.intp]:
         """Entries of the mean that are headings."""
-        first = len(self.mean) - 3 * self.oriented
+        first = len(self.mean) - 3 * self.pose_landmarks
         return np.concatenate(([2], np.arange(first + 2, len(self.mean), 3)))
 
 
@@ -113,8 +113,8 @@ class BlockAgreement:
 class Agreement:
     """All gaps, and E against S for the pose, every landmark and the whole.
 
-    landmark_difference_rms_m: root mean square distance of all landmarks. oriented: those that have
-    a direction, too; `landmarks` are the others.
+    landmark_difference_rms_m: root mean square distance of all landmarks. pose_landmarks: those
+    that have a direction, too; `landmarks` are the others.
     """
 
     algebra: Gap
@@ -124,7 +124,7 @@ class Agreement:
     landmarks: tuple[BlockAgreement, ...]
     whole: BlockAgreement
     landmark_difference_rms_m: float
-    oriented: tuple[BlockAgreement, ...] = ()
+    pose_landmarks: tuple[BlockAgreement, ...] = ()
 
 
 def block_agrees(block: BlockAgreement) -> bool:
@@ -139,14 +139,14 @@ def block_agrees(block: BlockAgreement) -> bool:
 def compare(ekf: Gaussian, recorded: Gaussian, own: Gaussian, smoother: Gaussian) -> Agreement:
     """Compare E, F1, F2 and S. Raises LinAlgError when S's covariance is not positive definite."""
     sigma = np.sqrt(np.diag(smoother.covariance))
-    difference, points = _difference(ekf, smoother), len(sigma) - 3 * smoother.oriented
+    difference, points = _difference(ekf, smoother), len(sigma) - 3 * smoother.pose_landmarks
     landmarks = tuple(
         _block(ekf, smoother, difference, slice(i, i + 2)) for i in range(3, points, 2)
     )
-    oriented = tuple(
+    pose_landmarks = tuple(
         _block(ekf, smoother, difference, slice(i, i + 3)) for i in range(points, len(sigma), 3)
     )
-    distances = [block.difference_m for block in (*landmarks, *oriented)]
+    distances = [block.difference_m for block in (*landmarks, *pose_landmarks)]
     return Agreement(
         algebra=gap(ekf, recorded, sigma),
         model=gap(recorded, own, sigma),
@@ -157,7 +157,7 @@ def compare(ekf: Gaussian, recorded: Gaussian, own: Gaussian, smoother: Gaussian
         landmark_difference_rms_m=float(np.sqrt(np.mean([d**2 for d in distances])))
         if distances
         else 0.0,
-        oriented=oriented,
+        pose_landmarks=pose_landmarks,
     )
 
 
@@ -241,8 +241,8 @@ def _positive(covariance: Array) -> bool:
 
 def _difference(first: Gaussian, second: Gaussian) -> Array:
     """Of the means, headings wrapped. Raises ValueError where they mean different things."""
-    if first.oriented != second.oriented:
-        raise ValueError(f"{first.oriented} landmarks with a direction against {second.oriented}")
+    if first.pose_landmarks != second.pose_landmarks:
+        raise ValueError(f"{first.pose_landmarks} pose landmarks against {second.pose_landmarks}")
     difference, turns = first.mean - second.mean, second.headings
     difference[turns] = wrap_angle(difference[turns])
     return difference

@@ -137,8 +137,8 @@ def linearisation(
 ) -> Cause:
     """The gap between F2 and S. growth: where it arose, if that was looked for."""
     names = [f"landmark {i}" for i in run.estimate.landmark_id]
-    names += [f"scan landmark {i}" for i in run.estimate.oriented_id]
-    blocks = (*agreement.landmarks, *agreement.oriented)
+    names += [f"scan landmark {i}" for i in run.estimate.pose_landmark_id]
+    blocks = (*agreement.landmarks, *agreement.pose_landmarks)
     off = [i for i, block in enumerate(blocks) if not block_agrees(block)]
     parts = []
     far = [i for i in off if blocks[i].distance > LARGEST_DISTANCE]

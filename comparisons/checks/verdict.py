@@ -164,7 +164,7 @@ def _by_optimum(
     if not optimality.verified:
         alone = [one for one in causes if one.alone]
         return ("disagree" if alone else "unverified"), [*alone, cause.unverified(optimality)]
-    blocks = (agreement.pose, *agreement.landmarks, *agreement.oriented, agreement.whole)
+    blocks = (agreement.pose, *agreement.landmarks, *agreement.pose_landmarks, agreement.whole)
     found = []
     if not all(map(block_agrees, blocks)):
         found.append(cause.linearisation(agreement, run, diagnosis.growth()))

@@ -24,7 +24,7 @@ FILES = ("trajectory.tum", "landmarks.csv", SCAN_LANDMARKS, "covariances.npz", "
 
 _TUM = ("time_s", "x", "y", "z", "qx", "qy", "qz", "qw")
 _LANDMARKS = ("id", "x_m", "y_m")
-_ORIENTED = (*_LANDMARKS, "heading_rad")
+_POSE_LANDMARKS = (*_LANDMARKS, "heading_rad")
 
 
 class Meta(BaseModel):
@@ -47,9 +47,11 @@ def write_estimate(estimate: Estimate, folder: Path) -> None:
         ",".join(_LANDMARKS) + "\n" + "".join(f"{i},{x!r},{y!r}\n" for i, (x, y) in rows),
         encoding="utf-8",
     )
-    if len(estimate.oriented_id):
-        rows = zip(estimate.oriented_id.tolist(), estimate.oriented.tolist(), strict=True)
-        lines = [",".join(_ORIENTED), *(",".join(map(repr, (i, *at))) for i, at in rows)]
+    if len(estimate.pose_landmark_id):
+        rows = zip(
+            estimate.pose_landmark_id.tolist(), estimate.pose_landmarks.tolist(), strict=True
+        )
+        lines = [",".join(_POSE_LANDMARKS), *(",".join(map(repr, (i, *at))) for i, at in rows)]
         (folder / SCAN_LANDMARKS).write_text("\n".join(lines) + "\n", encoding="utf-8")
     np.savez_compressed(
         folder / "covariances.npz",
@@ -79,8 +81,8 @@ def read_estimate(folder: Path) -> Estimate:
     archive_path = folder / "covariances.npz"
     pose, joint = read_archive(archive_path, ("pose", "last_pose_and_landmarks"))
     ids, landmark = read_landmarks(folder / "landmarks.csv")
-    oriented_id, oriented = read_scan_landmarks(folder / SCAN_LANDMARKS)
-    size = 3 + 2 * len(ids) + 3 * len(oriented_id)
+    pose_landmark_id, pose_landmarks = read_scan_landmarks(folder / SCAN_LANDMARKS)
+    size = 3 + 2 * len(ids) + 3 * len(pose_landmark_id)
     if pose.shape != (len(poses), 3, 3) or joint.shape != (size, size):
         raise InputError(
             f"{archive_path}: shapes {pose.shape} and {joint.shape}, expected "
@@ -97,8 +99,8 @@ def read_estimate(folder: Path) -> Estimate:
         joint_covariance=joint,
         information=meta.information,
         provenance=meta.provenance,
-        oriented_id=oriented_id,
-        oriented=oriented,
+        pose_landmark_id=pose_landmark_id,
+        pose_landmarks=pose_landmarks,
     )
 
 
@@ -143,7 +145,7 @@ def read_scan_landmarks(path: Path) -> tuple[NDArray[np.int64], Array]:
     """
     if not path.exists():
         return np.zeros(0, dtype=np.int64), np.zeros((0, 3))
-    return _read_table(path, "scan_landmarks", _ORIENTED)
+    return _read_table(path, "scan_landmarks", _POSE_LANDMARKS)
 
 
 def _read_table(path: Path, name: str, columns: tuple[str, ...]) -> tuple[NDArray[np.int64], Array]:

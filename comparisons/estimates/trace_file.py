@@ -83,12 +83,12 @@ class TraceFile:
 def write_trace(run: EkfRun, path: Path) -> None:
     """Write a run's trace. Raises InputError for filters that keep no x, y and heading.
 
-    Also for runs with landmarks that have a direction: without these a filter's algebra is wrong.
+    Also for runs with pose landmarks: without these a filter's algebra is wrong.
     """
     trace, ids = run.trace, run.estimate.landmark_id
     if trace.prior_pose.shape != (3,) or run.own_axes:
         raise InputError("--trace is for filters of x, y and heading, range and bearing")
-    if len(run.oriented.measured):
+    if len(run.pose_landmarks.measured):
         raise InputError("--trace is for landmarks that are points; its file holds no others")
     begin_s = run.timeline.step_begin_s()
     arrays: dict[str, Array | NDArray[np.integer]] = {

@@ -209,7 +209,7 @@ def _truth_gap(
         assessment.smoother,
         consistency.smoother,
         assessment.association,
-        measurement_scale(prepared.log.measurements, run.oriented.covariance[:, :2, :2]),
+        measurement_scale(prepared.log.measurements, run.pose_landmarks.covariance[:, :2, :2]),
         len(smoothed.landmark),
     )
     if prepared.labelled or not prepared.log.measurements.labelled or (gap and gap.settled):
@@ -246,7 +246,7 @@ def run_filter(prepared: Prepared[Any]) -> tuple[EkfRun, FilterSetup]:
         beside,
         prepared.stage_progress("EKF"),
     )
-    if not len(run.estimate.landmark) + len(run.estimate.oriented):
+    if not len(run.estimate.landmark) + len(run.estimate.pose_landmarks):
         raise InputError(
             f"{prepared.log.name}: nothing that was observed could be used, so there is no map to "
             "compare"

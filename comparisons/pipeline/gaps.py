@@ -66,8 +66,8 @@ class Gaps:
         """Return where linearising cost something."""
         from comparisons.checks.diagnosis.linearisation_growth import linearisation_growth
 
-        # All landmarks with a direction by landmark index, merged ones among them.
-        whole = replace(self.smoothed, oriented=self.result.oriented())
+        # All pose landmarks by landmark index, merged ones among them.
+        whole = replace(self.smoothed, pose_landmarks=self.result.pose_landmarks())
         return linearisation_growth(
             self.model, model_system_at(self.problem, self.run, whole), whole
         )
@@ -102,7 +102,7 @@ def compute_gaps(
         progress("marginals", 0, 0)
         ids = run.estimate.landmark_id
         smoothed = smoothed_estimate(result, own.epoch_time_s, ids, "the EKF's")
-    frames = len(run.estimate.oriented)
+    frames = len(run.estimate.pose_landmarks)
     f1 = Gaussian(*first, frames)
     return Gaps(
         run=run,
@@ -121,7 +121,7 @@ def compute_gaps(
 
 
 def _gaussian(estimate: Estimate) -> Gaussian:
-    return Gaussian(estimate.joint_mean, estimate.joint_covariance, len(estimate.oriented))
+    return Gaussian(estimate.joint_mean, estimate.joint_covariance, len(estimate.pose_landmarks))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -135,7 +135,7 @@ def _labelled(compared: Compared) -> tuple[SlamProblem, NDArray[np.int64]]:
     landmark_index, ids = indices_by_label(log)
     rows = position_rows(run.timeline, run.positions)
     problem = assemble(log, run.timeline, landmark_index[: len(run.landmark_index)], len(ids), rows)
-    return replace(problem, oriented=run.oriented), ids
+    return replace(problem, pose_landmarks=run.pose_landmarks), ids
 
 
 def _tracked_optimum(

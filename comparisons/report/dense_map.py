@@ -132,7 +132,7 @@ def build_map_result(mapping: DenseMapping, read: Clock | None = None) -> MapRes
         log=log_result(m.log),
         ekf=ekf_result(m.ekf, m.prepared.ekf),
         accuracy=accuracy_result(assess(m.ekf.estimate, m.log, labelled=m.prepared.labelled)),
-        scan_landmarks=len(m.ekf.estimate.oriented),
+        scan_landmarks=len(m.ekf.estimate.pose_landmarks),
         regions=len(m.placed.triangle),
         first_condition=first_condition_result(m.dense),
         resolution_m=m.dense.options.resolution_m,

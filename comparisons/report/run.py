@@ -125,7 +125,7 @@ def _map(c: Comparison, marked: Index) -> MapContent:
         view=[
             place
             for one in (ekf, smoothed, *(estimate for _, _, estimate in more))
-            for place in (one.pose[:, :2], one.landmark, one.oriented[:, :2])
+            for place in (one.pose[:, :2], one.landmark, one.pose_landmarks[:, :2])
         ],
         beneath=[
             associations(ekf, c.ekf.timeline.measurement_epoch, c.ekf.landmark_index),

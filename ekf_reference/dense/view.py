@@ -22,7 +22,7 @@ class FilterView:
     whose covariance is current, ascending; of a compressed filter the active ones. covariance:
     (3 + 2 m, 3 + 2 m) of the pose and these. All are copies.
 
-    Of landmarks with a direction these are the places: x and y of the state, with what of its
+    Of pose landmarks these are the places: x and y of the state, with what of its
     covariance belongs to them (Nieto 2005, section 6.2). With several kinds a place in the map is
     a number as of `numbered`.
     """

@@ -49,7 +49,7 @@ class HighLevelLandmark:
 
     rectangle: (4, 2) in its axis. base: (2,) landmarks L1 and L2, and held: (3,) its pose in their
     frame when it was found. belief: in maxima of its correlation. landmark_index: among the
-    filter's landmarks with a direction; NEW while passive.
+    filter's pose landmarks; NEW while passive.
     """
 
     template: Template
@@ -123,9 +123,11 @@ class HighLevelLandmarks:
 
     def places(self, ekf: Ekf) -> Array:
         """(K, 3) of all axes in the world now; NaN where what they hang on has left the map."""
-        point, oriented = FilterView.of(ekf).landmark, ekf.state.places(POSE)
+        point, pose_landmarks = FilterView.of(ekf).landmark, ekf.state.places(POSE)
         rows = [
-            oriented[one.landmark_index] if one.landmark_index != NEW else _in_the_world(one, point)
+            pose_landmarks[one.landmark_index]
+            if one.landmark_index != NEW
+            else _in_the_world(one, point)
             for one in self.landmark
         ]
         return np.reshape(rows, (-1, 3))

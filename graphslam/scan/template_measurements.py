@@ -23,11 +23,11 @@ from scipy.spatial import cKDTree
 
 from graphslam.arrays import Array, Mask
 from graphslam.belief import Belief
-from graphslam.graph_builder import POSE_KEY, POSE_LANDMARK_KEY, build_graph, oriented_from
+from graphslam.graph_builder import POSE_KEY, POSE_LANDMARK_KEY, build_graph, pose_landmarks_from
 from graphslam.initialisation import extension
 from graphslam.marginals import joint_marginal, to_global
 from graphslam.optimisers import levenberg_marquardt
-from graphslam.problem import OrientedMeasurements, SlamProblem
+from graphslam.problem import PoseLandmarkMeasurements, SlamProblem
 from graphslam.scan import planar
 from graphslam.scan.loop_closure import starts
 from graphslam.scan.odometry import OdometryOptions
@@ -75,7 +75,7 @@ class TemplateOptions:
 
 
 class PoseMeasurement(NamedTuple):
-    """One, as in OrientedMeasurements."""
+    """One, as in PoseLandmarkMeasurements."""
 
     pose: int
     landmark: int
@@ -91,8 +91,8 @@ class TemplateMeasurements:
     the scanner was USED, or why not.
     """
 
-    alignments: OrientedMeasurements
-    factors: OrientedMeasurements
+    alignments: PoseLandmarkMeasurements
+    factors: PoseLandmarkMeasurements
     reasons: Counter[str] = field(default_factory=Counter)
 
 
@@ -106,11 +106,13 @@ def measure_templates(
 ) -> TemplateMeasurements:
     """Look for all templates in all scans, in the order of the drive.
 
-    problem: whose landmarks with a direction are not read. templates: by number, all from 0 on.
+    problem: whose pose landmarks are not read. templates: by number, all from 0 on.
     clouds: (M, 3) by the pose that they were seen from. progress: told of poses done, of all.
     Raises graphslam.marginals.SingularProblemError.
     """
-    drive = _Drive(replace(problem, oriented=OrientedMeasurements()), templates, matchers, options)
+    drive = _Drive(
+        replace(problem, pose_landmarks=PoseLandmarkMeasurements()), templates, matchers, options
+    )
     begun: dict[int, list[int]] = {}
     for number, template in templates.items():
         begun.setdefault(template.pose, []).append(number)
@@ -148,7 +150,7 @@ class _Drive:
         self._values = gtsam.Values()
         self._solved, self._since = 0, 0
 
-    def factors(self) -> OrientedMeasurements:
+    def factors(self) -> PoseLandmarkMeasurements:
         """All measurements so far, as they are told to the smoother."""
         seen = self.alignments()
         levers = {n: lever_m(self._templates[n].points) for n in np.unique(seen.landmark).tolist()}
@@ -159,10 +161,10 @@ class _Drive:
         shared[np.unique(seen.landmark, return_index=True)[1]] = 0.0
         return replace(seen, covariance=seen.covariance + shared)
 
-    def alignments(self) -> OrientedMeasurements:
+    def alignments(self) -> PoseLandmarkMeasurements:
         """All measurements so far, as they were matched, in order."""
         seen = self._seen
-        return OrientedMeasurements(
+        return PoseLandmarkMeasurements(
             np.array([s.pose for s in seen], dtype=np.intp),
             np.array([s.landmark for s in seen], dtype=np.intp),
             np.array([s.measured for s in seen]).reshape(-1, 3),
@@ -264,7 +266,7 @@ class _Drive:
     def _solve(self) -> None:
         """Everything up to the last pose anew, and the belief from it."""
         known = len(self._last)
-        part = replace(self._problem, oriented=self.factors()).prefix(self._pose + 1)
+        part = replace(self._problem, pose_landmarks=self.factors()).prefix(self._pose + 1)
         graph = build_graph(part)
         for s in self._seen:  # begun where everything was solved the last time, after that
             if s.pose < self._solved and not self._values.exists(POSE_LANDMARK_KEY + s.landmark):
@@ -276,7 +278,7 @@ class _Drive:
         here = self._values.atPose2(POSE_KEY + self._pose)
         keys = [POSE_KEY + self._pose, *range(POSE_LANDMARK_KEY, POSE_LANDMARK_KEY + known)]
         local = joint_marginal(graph.linearize(self._values), keys, 3 + 3 * known).covariance
-        places = oriented_from(self._values, part)
+        places = pose_landmarks_from(self._values, part)
         mean = np.concatenate(([here.x(), here.y(), here.theta()], places.ravel()))
         self._belief = Belief(mean, to_global(local, here.theta(), places[:, 2]))
         self._known, self._solved, self._since = known, self._pose + 1, 0

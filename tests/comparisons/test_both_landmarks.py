@@ -76,7 +76,7 @@ def by_filter(name: str) -> Comparison:
 def test_every_filter_agrees_with_both_kinds_of_landmarks(name: str) -> None:
     c = by_filter(name)
     assert len(c.agreement.landmarks) == len(c.ekf.estimate.landmark) > 5
-    assert len(c.agreement.oriented) == len(c.ekf.estimate.oriented) >= 3
+    assert len(c.agreement.pose_landmarks) == len(c.ekf.estimate.pose_landmarks) >= 3
     a = c.agreement.algebra
     if c.prepared.ekf.conservative:  # not exact, and never too sure
         assert a.sigma < 1e-6 < a.covariance < 0.01
@@ -114,7 +114,7 @@ def apart(one: EkfRun, other: EkfRun) -> float:
 
 
 class NoRows(CompressedState):
-    """Broken: new landmarks with a direction know nothing of passive ones."""
+    """Broken: new pose landmarks know nothing of passive ones."""
 
     def augment(self, point: Array, jacobian_pose: Array, jacobian_z: Array, noise: Array) -> None:
         super().augment(point, jacobian_pose, jacobian_z, noise)

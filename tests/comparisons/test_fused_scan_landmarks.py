@@ -9,7 +9,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from comparisons.adapters.oriented_measurements import OrientedLedger
+from comparisons.adapters.pose_landmark_measurements import PoseLandmarkRecorder
 from comparisons.errors import InputError
 from comparisons.extensions.own_matching.extension import OwnMatchingFinding
 from comparisons.extensions.scan_landmarks.extension import (
@@ -57,9 +57,9 @@ def by_filter(name: str) -> Comparison:
 @pytest.mark.parametrize("name", ["full", "compressed", "misono-full"])
 def test_the_smoother_is_told_of_the_fused(name: str) -> None:
     c = by_filter(name)
-    merges = c.ekf.oriented.merges
+    merges = c.ekf.pose_landmarks.merges
     assert len(merges.first) > 3
-    assert len(c.agreement.oriented) == c.ekf.oriented.count - len(merges.first)
+    assert len(c.agreement.pose_landmarks) == c.ekf.pose_landmarks.count - len(merges.first)
     assert c.agreement.algebra.within(1e-6)
     assert c.agreement.model.within(1e-6)
     assert c.verdict.outcome == "agree"
@@ -69,7 +69,7 @@ def test_the_smoother_is_told_of_the_fused(name: str) -> None:
 def test_the_compressed_filter_fuses_as_the_full_one_does() -> None:
     full, compressed = (by_filter(name).ekf.estimate for name in ("full", "compressed"))
     sigma = np.sqrt(np.diag(full.joint_covariance))
-    assert np.array_equal(full.oriented_id, compressed.oriented_id)
+    assert np.array_equal(full.pose_landmark_id, compressed.pose_landmark_id)
     assert np.abs((full.joint_mean - compressed.joint_mean) / sigma).max() < 1e-9
     apart = full.joint_covariance - compressed.joint_covariance
     assert np.abs(apart / np.outer(sigma, sigma)).max() < 1e-9
@@ -78,7 +78,7 @@ def test_the_compressed_filter_fuses_as_the_full_one_does() -> None:
 @pytest.mark.slow
 def test_what_the_smoother_is_not_told_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     def halved(
-        self: OrientedLedger,
+        self: PoseLandmarkRecorder,
         ekf: Ekf,
         epoch: int,
         first: int,
@@ -90,7 +90,7 @@ def test_what_the_smoother_is_not_told_is_found(monkeypatch: pytest.MonkeyPatch)
         self._merges.append((epoch, first, second, z, covariance))
         return known
 
-    monkeypatch.setattr(OrientedLedger, "fuse", halved)
+    monkeypatch.setattr(PoseLandmarkRecorder, "fuse", halved)
     broken = compared(log(), Source(source), filter="full")
     assert [cause.gap for cause in broken.verdict.causes] == ["model"]
 
@@ -108,7 +108,7 @@ def test_it_is_an_option_and_counted(open3d_library: ModuleType) -> None:
             one.options = CARELESS
     found = compare_prepared(prepared)
     slam, own = found.find(ScanLandmarksFinding).result, found.find(OwnMatchingFinding).result
-    assert slam.fused == len(found.ekf.oriented.merges.first) >= 2
+    assert slam.fused == len(found.ekf.pose_landmarks.merges.first) >= 2
     begun = len(slam.landmarks) + slam.fused
     assert sum(row.measurements for row in slam.landmarks) == slam.measurements["used"] + begun
     assert own.reasons["begun"] == begun

@@ -13,7 +13,7 @@ import pytest
 from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.filter_setup import FilterSetup
-from comparisons.adapters.oriented_measurements import NoOrientedSource, OrientedSource
+from comparisons.adapters.pose_landmark_measurements import NoPoseLandmarkSource, PoseLandmarkSource
 from comparisons.adapters.timeline import build_timeline
 from comparisons.config import EkfConfig, RunConfig
 from comparisons.errors import InputError
@@ -43,7 +43,7 @@ def log(seed: int) -> Log:
 
 def driven(seed: int, source: HighLevelSource | None = None) -> EkfRun:
     choices = settle(EkfConfig(), log(seed))
-    setup = FilterSetup(source=source or NoOrientedSource())
+    setup = FilterSetup(source=source or NoPoseLandmarkSource())
     return run_ekf(log(seed), build_timeline(log(seed)), choices, setup=setup)
 
 
@@ -71,7 +71,7 @@ def test_at_least_three_are_found_and_kept_and_the_estimates_agree(seed: int) ->
     found = with_them(seed)
     made = found.find(HighLevelFinding).made
     assert np.count_nonzero(made.landmark_index >= 0) >= 3
-    assert len(found.ekf.estimate.oriented) == np.count_nonzero(made.landmark_index >= 0)
+    assert len(found.ekf.estimate.pose_landmarks) == np.count_nonzero(made.landmark_index >= 0)
     assert made.looks["seen"] > 20
     assert found.agreement.algebra.within(1e-6)
     assert found.agreement.model.within(1e-6)
@@ -116,7 +116,7 @@ def test_blank_scans_show_no_landmark_and_leave_the_filter_alone() -> None:
     blank = replace(short.scans, range_m=np.full_like(short.scans.range_m, np.nan))
     choices, timeline = settle(EkfConfig(), short), build_timeline(short)
     sources = [HighLevelSource(replace(short, scans=s)) for s in (blank, short.scans)]
-    seeing: list[OrientedSource] = [*sources, NoOrientedSource()]
+    seeing: list[PoseLandmarkSource] = [*sources, NoPoseLandmarkSource()]
     setups = [FilterSetup(source=source) for source in seeing]
     runs = [run_ekf(short, timeline, choices, setup=setup) for setup in setups]
     found = [len(source.run().landmark_index) for source in sources]

@@ -32,7 +32,7 @@ from ekf_reference.scan_matching.alignment_covariance import ScanAlignment, scan
 from ekf_reference.scan_matching.sog import SumOfGaussians
 from graphslam.graph_builder import to_tangent
 from graphslam.optimum import ChiSquareTest, Optimality, Stationarity
-from graphslam.problem import OrientedMeasurements
+from graphslam.problem import PoseLandmarkMeasurements
 from tests.helpers import Array, compared, first_seconds, simulated
 from tests.scenarios import scenario
 
@@ -142,7 +142,7 @@ def test_it_is_reported(tmp_path: Path, open3d_library: ModuleType) -> None:
     result, own = build_result(c), c.find(OwnMatchingFinding).result
     assert (result.model_extra or {})["own_matching"] == own
     assert own.agrees
-    assert own.reasons["begun"] == len(c.ekf.estimate.oriented)
+    assert own.reasons["begun"] == len(c.ekf.estimate.pose_landmarks)
     assert own.reasons["used"] == own.own
     assert sum(row.common for row in own.landmarks) == own.common
     write_job_folder(run_folder(c, result), tmp_path / "out")
@@ -220,8 +220,8 @@ def frames(place: Array, sigma: float) -> Estimate:
         joint_covariance=sigma**2 * np.eye(size),
         information="smoothed",
         provenance={},
-        oriented_id=np.arange(len(place)),
-        oriented=place,
+        pose_landmark_id=np.arange(len(place)),
+        pose_landmarks=place,
     )
 
 
@@ -236,11 +236,11 @@ def test_frames_are_compared_by_both_covariances_and_round_the_circle() -> None:
 
 
 def test_alignments_are_compared_where_both_have_one_and_none_has_begun() -> None:
-    def told(rows: list[tuple[int, int, float]], sigma: float) -> OrientedMeasurements:
+    def told(rows: list[tuple[int, int, float]], sigma: float) -> PoseLandmarkMeasurements:
         z = np.array([(x, 0.0, np.pi / 2) for *_, x in rows])
         spread = np.tile(np.diag((sigma, 10.0 * sigma, sigma)) ** 2, (len(rows), 1, 1))
         pose, landmark = (np.array([row[i] for row in rows], dtype=np.intp) for i in (0, 1))
-        return OrientedMeasurements(pose, landmark, z, spread)
+        return PoseLandmarkMeasurements(pose, landmark, z, spread)
 
     filters_ = told([(0, 0, 1.0), (1, 0, 2.0), (2, 0, 3.0), (2, 1, 9.0), (3, 0, 4.0)], 0.3)
     own = told([(0, 0, 7.0), (1, 0, 2.5), (3, 0, 4.0), (2, 1, 9.0), (4, 0, 1.0)], 0.4)

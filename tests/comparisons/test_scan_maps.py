@@ -57,7 +57,7 @@ def test_the_filter_does_not_feel_the_map() -> None:
     ours = with_map().ekf
     for a, b in (
         (alone.departed, ours.departed),
-        (alone.estimate.oriented, ours.estimate.oriented),
+        (alone.estimate.pose_landmarks, ours.estimate.pose_landmarks),
         (alone.estimate.joint_covariance, ours.estimate.joint_covariance),
     ):
         assert np.array_equal(a, b)
@@ -71,8 +71,8 @@ def test_regions_hang_on_scan_landmarks_and_agree_with_the_smoother() -> None:
     assert agreement is not None
     assert dense.kinds == (POSE,)
     assert len(dense.dense.regions.base) > 0
-    assert np.array_equal(dense.landmark, c.ekf.estimate.oriented[:, :2])
-    assert np.array_equal(dense.landmarks_of(c.smoothed), c.smoothed.oriented[:, :2])
+    assert np.array_equal(dense.landmark, c.ekf.estimate.pose_landmarks[:, :2])
+    assert np.array_equal(dense.landmarks_of(c.smoothed), c.smoothed.pose_landmarks[:, :2])
     assert agreement.median_m < 0.3
     assert c.verdict.outcome == "agree"
 
@@ -87,7 +87,7 @@ def test_map_and_run_keep_the_same_map() -> None:
 @pytest.mark.slow
 def test_it_is_told_by_the_scan_landmarks_names() -> None:
     result = build_map_result(mapped())
-    assert result.scan_landmarks == len(mapped().ekf.estimate.oriented)
+    assert result.scan_landmarks == len(mapped().ekf.estimate.pose_landmarks)
     median_m = result.surface_errors["occupancy"].median_m
     assert median_m is not None
     assert median_m < 0.4

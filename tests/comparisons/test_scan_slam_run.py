@@ -132,7 +132,7 @@ def test_the_short_drive_agrees_to_rounding_and_is_honest() -> None:
     assert c.verdict.outcome == "agree"
     assert c.agreement.algebra.within(1e-6)
     assert c.agreement.model.within(1e-6)
-    assert len(c.ekf.estimate.oriented) > 3
+    assert len(c.ekf.estimate.pose_landmarks) > 3
     assert c.assessment.ekf is not None
     assert c.assessment.dead_reckoned is not None
     ours, wheels = c.assessment.ekf.ate_m, c.assessment.dead_reckoned.ate_m
@@ -149,7 +149,7 @@ def test_it_is_reported_and_drawn(tmp_path: Path) -> None:
     result, slam = build_result(c), c.find(ScanLandmarksFinding).result
     assert (result.model_extra or {})["scan_slam"] == slam
     assert slam.scans == len(LogScans(log()))
-    assert len(slam.landmarks) == len(c.ekf.estimate.oriented)
+    assert len(slam.landmarks) == len(c.ekf.estimate.pose_landmarks)
     begun = len(slam.landmarks)
     assert sum(row.measurements for row in slam.landmarks) == slam.measurements["used"] + begun
     write_job_folder(run_folder(c, result), tmp_path / "out")
@@ -245,7 +245,7 @@ def test_returns_from_where_something_moves_are_left_out_and_counted() -> None:
     for guard in (NorthMoves(), None):
         run, found = driven(short, *(() if guard is None else (Guarded(guard),)))
         held[guard is None] = template_points(
-            found, run.estimate.oriented_id, run.estimate.oriented
+            found, run.estimate.pose_landmark_id, run.estimate.pose_landmarks
         )
         assert (found.dynamic > 100) == (guard is not None)
     assert held[False][:, 1].max() < 3.0 < held[True][:, 1].max()
@@ -266,7 +266,9 @@ class NorthMovesLater(NorthMoves):
 def test_landmarks_where_something_moves_are_deactivated() -> None:
     """Nieto 2005, section 6.5: those that were made before it was known are matched no more."""
     run, found = driven(first_seconds(log(), 5.0), Guarded(NorthMovesLater()))
-    place = dict(zip(run.estimate.oriented_id.tolist(), run.estimate.oriented, strict=True))
+    place = dict(
+        zip(run.estimate.pose_landmark_id.tolist(), run.estimate.pose_landmarks, strict=True)
+    )
     north = {s: (t.placed(place[s])[:, 1] > 2.0).mean() for s, t in found.template.items()}
     assert found.moving
     assert all(north[landmark_index] > 0.1 for landmark_index in found.moving)

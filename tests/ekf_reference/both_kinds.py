@@ -1,4 +1,4 @@
-"""A drive past points and landmarks with a direction, the latter associated by hand."""
+"""A drive past points and pose landmarks, the latter associated by hand."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ FIXED = np.diag((1e-2, 1e-2, 1e-3)) ** 2
 def error(problem: SlamProblem, poses: Array, landmarks: Array) -> float:
     """Of increments and measurements, the prior left out."""
     graph = build_graph(problem)
-    values = to_values(poses, landmarks, np.arange(len(landmarks)), problem.oriented)
+    values = to_values(poses, landmarks, np.arange(len(landmarks)), problem.pose_landmarks)
     prior = graph.at(0)
     assert isinstance(prior, gtsam.PriorFactorPose2)
     return float(graph.error(values) - prior.error(values))

@@ -14,7 +14,7 @@ from graphslam.incremental import run_fixed_lag, run_isam2
 from graphslam.initialisation import extension
 from graphslam.marginals import SingularProblemError
 from graphslam.optimisers import OPTIMISERS
-from graphslam.problem import OrientedMeasurements, SlamProblem
+from graphslam.problem import PoseLandmarkMeasurements, SlamProblem
 from graphslam.singular import explain_singularity
 from graphslam.smoother import SmootherOptions, smooth
 from tests.graphslam import worlds
@@ -239,7 +239,7 @@ def test_any_block_has_a_covariance(problem: SlamProblem) -> None:
     assert relative_error(joint[:3, 8:], marginal[:3, 3:5]) < 1e-8
 
 
-def test_oriented_landmarks_are_solved_for(problem: SlamProblem) -> None:
+def test_pose_landmarks_are_solved_for(problem: SlamProblem) -> None:
     """Landmarks with a place and a direction, seen without error, are found and tighten the map."""
     rng = np.random.default_rng(0)
     plain = smooth(problem, {})
@@ -251,17 +251,17 @@ def test_oriented_landmarks_are_solved_for(problem: SlamProblem) -> None:
         seen = gtsam.Pose2(*plain.poses[k]).between(gtsam.Pose2(*true[j]))
         measured.append((seen.x(), seen.y(), seen.theta()))
     covariance = np.broadcast_to(np.diag((0.01, 0.01, 1e-4)), (30, 3, 3))
-    oriented = OrientedMeasurements(pose, which, np.array(measured), covariance)
-    more = replace(problem, oriented=oriented)
+    pose_landmarks = PoseLandmarkMeasurements(pose, which, np.array(measured), covariance)
+    more = replace(problem, pose_landmarks=pose_landmarks)
     result = smooth(more, {})
     assert result.optimality.verified
     assert result.rank == more.state_dimension == problem.state_dimension + 9
-    found = result.oriented()
+    found = result.pose_landmarks()
     assert np.abs(found[:, :2] - true[:, :2]).max() < 0.01
     assert np.abs(angle(found[:, 2] - true[:, 2])).max() < 0.001
     before, after = (r.pose_covariances()[:, 2, 2] for r in (plain, result))
     assert np.all(after < before * (1.0 + 1e-9))
-    assert len(more.prefix(50).oriented.pose) == np.count_nonzero(pose < 50)
+    assert len(more.prefix(50).pose_landmarks.pose) == np.count_nonzero(pose < 50)
 
 
 @pytest.mark.parametrize("lag", [1, 5])

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from graphslam.graph_builder import right_perturbation
-from graphslam.problem import Merges, OrientedMeasurements, SlamProblem
+from graphslam.problem import Merges, PoseLandmarkMeasurements, SlamProblem
 from tests.graphslam.numerics import Array, Index, angle, exponential, product, quotient
 
 LOOP = 425
@@ -107,8 +107,12 @@ def with_frames(world: World, seed: int, noise: float = 1.0) -> World:
     where[:, 2] = angle(where[:, 2])
     one = np.zeros(1, dtype=np.intp)
     merges = Merges(one + found, one, one + 1, where, right_perturbation(where, beside))
-    oriented = OrientedMeasurements(node, landmark_index, z, right_perturbation(z, spread), merges)
-    return replace(world, problem=replace(world.problem, oriented=oriented), frames=frames)
+    pose_landmarks = PoseLandmarkMeasurements(
+        node, landmark_index, z, right_perturbation(z, spread), merges
+    )
+    return replace(
+        world, problem=replace(world.problem, pose_landmarks=pose_landmarks), frames=frames
+    )
 
 
 def _measured(poses: Array, places: Array) -> tuple[Index, Index, Array]:

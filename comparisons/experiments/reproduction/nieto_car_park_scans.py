@@ -156,22 +156,24 @@ def _scan_slam(
     if source is None or run.breakdown is not None:
         raise InputError(f"{log.name}: {run.breakdown or 'no scan was looked at'}")
     estimate = run.estimate
-    landmark_indices = np.asarray(estimate.oriented_id, dtype=np.intp)
-    true = reference.at(estimate.time_s[run.oriented.pose])
+    landmark_indices = np.asarray(estimate.pose_landmark_id, dtype=np.intp)
+    true = reference.at(estimate.time_s[run.pose_landmarks.pose])
     covariance = place_covariances(estimate)
-    first = np.unique(run.oriented.landmark, return_index=True)[1][landmark_indices]
+    first = np.unique(run.pose_landmarks.landmark, return_index=True)[1][landmark_indices]
     return CarParkRun(
         templates=in_words(template_rule(source.options)),
         path=estimate.pose[:, :2],
         path_gps=off_gps(log, estimate.time_s, estimate.pose),
-        held=scan_map(source.found, run, true, landmark_indices, estimate.oriented, covariance),
-        first_s=estimate.time_s[run.oriented.pose[first]],
+        held=scan_map(
+            source.found, run, true, landmark_indices, estimate.pose_landmarks, covariance
+        ),
+        first_s=estimate.time_s[run.pose_landmarks.pose[first]],
         aligned=_aligned(run, scans, source),
     )
 
 
 def _aligned(run: EkfRun, scans: LogScans, source: ScanSlamSource) -> tuple[Aligned, ...]:
-    seen, found = run.oriented, []
+    seen, found = run.pose_landmarks, []
     number = np.searchsorted(scans.time_s, run.estimate.time_s[seen.pose])
     first = np.unique(seen.landmark, return_index=True)[1]
     for row in np.setdiff1d(np.arange(len(seen.landmark)), first).tolist():

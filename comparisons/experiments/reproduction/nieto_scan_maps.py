@@ -57,7 +57,7 @@ class ScanMap:
     def template_point(self) -> Array:
         """(P, 2) of all templates, where their landmarks lie in the end."""
         estimate = self.mapping.ekf.estimate
-        return template_points(self.found, estimate.oriented_id, estimate.oriented)
+        return template_points(self.found, estimate.pose_landmark_id, estimate.pose_landmarks)
 
     def covered(self, point: Array) -> float:
         """Share of the true surfaces that some of the points (N, 2) lie beside."""
@@ -138,12 +138,12 @@ def cases_of(one: ScanMap) -> list[Seen]:
 
 
 def _around(one: ScanMap, landmark_index: int) -> SumOfGaussians | None:
-    place = one.mapping.ekf.oriented_places[landmark_index]
+    place = one.mapping.ekf.pose_landmark_places[landmark_index]
     return LocalContext(one.mapping.dense.dense).around(one.found.template[landmark_index], place)
 
 
 def _first_measurement(one: ScanMap, landmark_index: int) -> int:
-    return int(np.flatnonzero(one.mapping.ekf.oriented.landmark == landmark_index)[0])
+    return int(np.flatnonzero(one.mapping.ekf.pose_landmarks.landmark == landmark_index)[0])
 
 
 def _born_at(one: ScanMap, landmark_index: int) -> Array:
@@ -151,19 +151,19 @@ def _born_at(one: ScanMap, landmark_index: int) -> Array:
     run, truth = one.mapping.ekf, one.mapping.log.truth.poses
     if truth is None:
         raise InputError(f"{one.mapping.log.name}: true poses are needed")
-    epoch = run.oriented.pose[_first_measurement(one, landmark_index)]
+    epoch = run.pose_landmarks.pose[_first_measurement(one, landmark_index)]
     pose: Array = truth.at(run.estimate.time_s[[epoch]])[0]
     return pose
 
 
 def _true_places(one: ScanMap) -> list[Array]:
     """(3,) of each landmark's axis: where the true vehicle saw its template."""
-    measured = one.mapping.ekf.oriented.measured
+    measured = one.mapping.ekf.pose_landmarks.measured
     return [
         _MEASURED.invert(
             _born_at(one, landmark_index), measured[[_first_measurement(one, landmark_index)]]
         ).landmark[0]
-        for landmark_index in range(one.mapping.ekf.oriented.count)
+        for landmark_index in range(one.mapping.ekf.pose_landmarks.count)
     ]
 
 
@@ -173,7 +173,7 @@ def _composed(vehicle: Array, mount: Array) -> Array:
 
 
 def _shown(one: ScanMap) -> Surrounded:
-    landmark_indices = range(one.mapping.ekf.oriented.count)
+    landmark_indices = range(one.mapping.ekf.pose_landmarks.count)
     held = {
         landmark_index: there
         for landmark_index in landmark_indices

@@ -132,7 +132,7 @@ def _landmarks(axis: Axes, one: ScanMap) -> None:
     axis.plot(*one.template_point.T, ".", color=DENSE_COLOUR, markersize=2)
     for ends in axes_of(estimate):
         axis.plot(*ends.T, "-", color=_AXIS_COLOUR, linewidth=1.2)
-    for outline in ellipses(estimate.oriented[:, :2], place_covariances(estimate), SIGMAS):
+    for outline in ellipses(estimate.pose_landmarks[:, :2], place_covariances(estimate), SIGMAS):
         axis.plot(*outline.T, "-", color=EKF_COLOUR, linewidth=0.7)
     plan(axis, "(b) scan landmarks, axes and 3 sigma")
 

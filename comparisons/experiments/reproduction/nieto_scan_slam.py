@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from comparisons.adapters.ekf_run import EkfRun
 from comparisons.adapters.filter_setup import FilterSetup
-from comparisons.adapters.oriented_measurements import OrientedLedger
+from comparisons.adapters.pose_landmark_measurements import PoseLandmarkRecorder
 from comparisons.adapters.smoother_input import build_problem
 from comparisons.arrays import Array, Index
 from comparisons.checks.accuracy import assess, assess_trajectory
@@ -58,7 +58,7 @@ CORNER_M = (-22.0, 90.0)
 class ScanMap:
     """Scan landmarks at one instant, each row one of them.
 
-    landmark_index: (Q,) among the filter's landmarks with a direction. place: (Q, 3) of the axes.
+    landmark_index: (Q,) among the filter's pose landmarks. place: (Q, 3) of the axes.
     covariance: (Q, 2, 2) of their places. true: (Q, 3) where the axes are, had the vehicle been
     where it was when it first saw them. points: of the templates, in their axes.
     """
@@ -174,13 +174,13 @@ class _Remembering:
         self.slam = slam
         self.covariance = np.zeros((0, 3, 3))
 
-    def look(self, ekf: Ekf, epoch: int, time_s: float, ledger: OrientedLedger) -> None:
+    def look(self, ekf: Ekf, epoch: int, time_s: float, recorder: PoseLandmarkRecorder) -> None:
         """See ScanSlamSource.look."""
         landmark_indices = ekf.state.layout.present(POSE)
         before, known = np.full((len(ekf.state.places(POSE)), 3, 3), np.nan), self.slam.closing
         if len(landmark_indices):
             before[landmark_indices] = ekf.state.map_of(landmark_indices, POSE).own
-        self.slam.look(ekf, epoch, time_s, ledger)
+        self.slam.look(ekf, epoch, time_s, recorder)
         if self.slam.closing is not known:
             self.covariance = before
 
@@ -240,8 +240,8 @@ def of_log(log: Log, seed: int = 0, settings: ScanLandmarksConfig | None = None)
         assess_trajectory(estimate.time_s, wheels, log),
     )
     ate_m, wheels_m = (float("nan") if e is None or e.ate_m is None else e.ate_m for e in errors)
-    true = log.truth.poses.at(run.estimate.time_s[run.oriented.pose])
-    landmark_indices = np.asarray(estimate.oriented_id, dtype=np.intp)
+    true = log.truth.poses.at(run.estimate.time_s[run.pose_landmarks.pose])
+    landmark_indices = np.asarray(estimate.pose_landmark_id, dtype=np.intp)
     old = landmark_indices[landmark_indices < len(closing.before)]
     then = estimate.time_s < closing.time_s
     off = estimate.pose[-1] - log.truth.poses.at(estimate.time_s[-1:])[0]
@@ -254,7 +254,7 @@ def of_log(log: Log, seed: int = 0, settings: ScanLandmarksConfig | None = None)
         before=scan_map(found, run, true, old, closing.before[old], source.covariance[old, :2, :2]),
         path_before=estimate.pose[then, :2],
         after=scan_map(
-            found, run, true, landmark_indices, estimate.oriented, place_covariances(estimate)
+            found, run, true, landmark_indices, estimate.pose_landmarks, place_covariances(estimate)
         ),
         ate_m=ate_m,
         wheels_m=wheels_m,
@@ -266,9 +266,9 @@ def of_log(log: Log, seed: int = 0, settings: ScanLandmarksConfig | None = None)
 
 def seen_again(run: EkfRun) -> int:
     """Measurements of landmarks that were out of sight for CLOSED_S."""
-    time_s = run.estimate.time_s[run.oriented.pose]
-    order = np.lexsort((time_s, run.oriented.landmark))
-    gap, same = np.diff(time_s[order]), np.diff(run.oriented.landmark[order]) == 0
+    time_s = run.estimate.time_s[run.pose_landmarks.pose]
+    order = np.lexsort((time_s, run.pose_landmarks.landmark))
+    gap, same = np.diff(time_s[order]), np.diff(run.pose_landmarks.landmark[order]) == 0
     return int(np.count_nonzero(same & (gap >= CLOSED_S)))
 
 
@@ -281,8 +281,8 @@ def scan_map(
     covariance: Array,
 ) -> ScanMap:
     """Landmarks with where their axes are. true: (N, 3) the vehicle's poses at all measurements."""
-    first = np.unique(run.oriented.landmark, return_index=True)[1][landmark_index]
-    seen = zip(true[first], run.oriented.measured[first], strict=True)
+    first = np.unique(run.pose_landmarks.landmark, return_index=True)[1][landmark_index]
+    seen = zip(true[first], run.pose_landmarks.measured[first], strict=True)
     return ScanMap(
         landmark_index,
         place,

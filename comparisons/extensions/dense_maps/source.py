@@ -141,9 +141,9 @@ class DenseRun:
 
     def landmarks_of(self, estimate: Estimate) -> Array:
         """(L, 2) [m] the map's landmarks as an estimate has them, NaN where it has them not."""
-        oriented = np.full((int(estimate.oriented_id.max(initial=-1)) + 1, POSE), np.nan)
-        oriented[estimate.oriented_id] = estimate.oriented
-        each = {POINT: estimate.landmark, POSE: oriented}
+        pose_landmarks = np.full((int(estimate.pose_landmark_id.max(initial=-1)) + 1, POSE), np.nan)
+        pose_landmarks[estimate.pose_landmark_id] = estimate.pose_landmarks
+        each = {POINT: estimate.landmark, POSE: pose_landmarks}
         known = by_number([each[width] for width in self.kinds])
         place = np.full_like(self.landmark, np.nan)
         place[: len(known)] = known[: len(place)]

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.adapters.filter_loop import NoWatcher, Watcher
-from comparisons.adapters.oriented_measurements import OrientedLedger
 from comparisons.adapters.planar_scans import PlanarScans, view_to
+from comparisons.adapters.pose_landmark_measurements import PoseLandmarkRecorder
 from comparisons.arrays import Array
 from comparisons.choices import Layer
 from comparisons.extensions.dense_maps.config import BARE, DenseMapsConfig
@@ -80,7 +80,7 @@ class HighLevelRun:
     searches: made. corners: in all of these, and pairs of them. candidates: rectangles that
     overlapped nothing known; poor: of these, with too few Gaussians. looks: at landmarks
     within reach, by outcome, `seen` among them. landmark_index: (K,) of all that were found, among
-    the filter's landmarks with a direction; negative where one was never seen again. moving: how
+    the filter's pose landmarks; negative where one was never seen again. moving: how
     many are used no more, since their template lies where something moves. place: (K, 3) and
     rectangle: (K, 4, 2), at the end, NaN where what it hung on has left the map.
     """
@@ -148,7 +148,7 @@ class HighLevelSource:
         self._watcher.finished(ekf, time_s)
         self._place, self._rectangle = self.landmarks.places(ekf), self.landmarks.rectangles(ekf)
 
-    def look(self, ekf: Ekf, epoch: int, time_s: float, ledger: OrientedLedger) -> None:
+    def look(self, ekf: Ekf, epoch: int, time_s: float, recorder: PoseLandmarkRecorder) -> None:
         """Match the scan of the epoch, if there is one; search before that when it is time to."""
         if time_s >= self._next_s:
             self._next_s = time_s + self.options.every_s
@@ -165,7 +165,7 @@ class HighLevelSource:
             landmark_index = [self.landmarks.landmark[one.number].landmark_index for one in seen]
             z, noise = np.array([one.z for one in seen]), np.array([s.covariance for s in seen])
             which = np.array(landmark_index, dtype=np.intp)
-            self.landmarks.begun(seen, ledger.observe(ekf, epoch, z, noise, which))
+            self.landmarks.begun(seen, recorder.observe(ekf, epoch, z, noise, which))
 
     def keep_from(self, guard: DynamicGuard) -> None:
         """Landmarks whose template lies where something moves are used no more."""

@@ -90,7 +90,7 @@ class OwnAssociationFinding(Finding):
 def solve_with_own_association(compared: Compared) -> OwnAssociationCheck:
     """Return S' and how it compares with S.
 
-    Only points are associated anew: measurements of landmarks with a direction stay as they are.
+    Only points are associated anew: measurements of pose landmarks stay as they are.
     """
     log, run, gaps = compared.prepared.log, compared.ekf, compared.gaps
     rows = position_rows(run.timeline, run.positions)
@@ -98,7 +98,7 @@ def solve_with_own_association(compared: Compared) -> OwnAssociationCheck:
     found = OwnAssociator(log, run.timeline, rows, left_out).associate()
     if not found.problem.landmark_count:
         raise InputError(f"{log.name}: the smoother's own association found no landmark")
-    problem = replace(found.problem, oriented=run.oriented)
+    problem = replace(found.problem, pose_landmarks=run.pose_landmarks)
     guesses = {"association": (found.poses, found.landmarks)}
     result = smooth(problem, guesses, options=gaps.result.options)
     ids = np.arange(found.problem.landmark_count)

@@ -23,7 +23,7 @@ from comparisons.estimates.estimate import Estimate
 from ekf_reference.core.geometry import wrap_angle
 from graphslam.graph_builder import to_tangent
 from graphslam.optimum import Optimality
-from graphslam.problem import OrientedMeasurements
+from graphslam.problem import PoseLandmarkMeasurements
 
 GATE = float(chi2.ppf(0.99, 3))
 """A landmark's alignments contradict when their mean squared distance is more: as the filter's own
@@ -89,7 +89,7 @@ class OwnMatchingCheck:
     path_rms_m: tuple[float, float]
     estimate: Estimate
     optimality: Optimality
-    alignments: OrientedMeasurements
+    alignments: PoseLandmarkMeasurements
     accuracy: Accuracy | None = None
     reasons: Counter[str] = field(default_factory=Counter)
 
@@ -116,7 +116,7 @@ class OwnMatchingCheck:
 
 
 def check_own_matching(
-    measurements: tuple[OrientedMeasurements, OrientedMeasurements],
+    measurements: tuple[PoseLandmarkMeasurements, PoseLandmarkMeasurements],
     ekf: Estimate,
     smoothed: Estimate,
     estimate: Estimate,
@@ -197,14 +197,14 @@ def common_shift(
 def compare_frames(first: Estimate, second: Estimate) -> Pair:
     """Scan landmarks that both have, x, y and heading, by the sum of both covariances."""
     _, i, j = np.intersect1d(
-        first.oriented_id, second.oriented_id, assume_unique=True, return_indices=True
+        first.pose_landmark_id, second.pose_landmark_id, assume_unique=True, return_indices=True
     )
     if not len(i):
         return Pair(0.0, 0.0, np.zeros(0), 0)
-    a, b = first.oriented[i], second.oriented[j]
+    a, b = first.pose_landmarks[i], second.pose_landmarks[j]
     apart = a - b
     apart[:, 2] = wrap_angle(apart[:, 2])
-    total = first.oriented_covariances()[i] + second.oriented_covariances()[j]
+    total = first.pose_landmark_covariances()[i] + second.pose_landmark_covariances()[j]
     squared = np.einsum("ni,ni->n", apart, np.linalg.solve(total, apart[:, :, None])[:, :, 0])
     return Pair(
         _rms(apart[:, :2]),
@@ -237,7 +237,7 @@ def _of_landmark(
     )
 
 
-def _later(seen: OrientedMeasurements) -> dict[tuple[int, int], int]:
+def _later(seen: PoseLandmarkMeasurements) -> dict[tuple[int, int], int]:
     """Rows of measurements by pose and landmark, but for those in which a landmark begins."""
     rows: dict[tuple[int, int], int] = {}
     begun: set[int] = set()
@@ -249,7 +249,7 @@ def _later(seen: OrientedMeasurements) -> dict[tuple[int, int], int]:
     return rows
 
 
-def _in_poses_frame(seen: OrientedMeasurements, rows: Index) -> Array:
+def _in_poses_frame(seen: PoseLandmarkMeasurements, rows: Index) -> Array:
     """(C, 3, 3) covariances in the frame of the pose that sees, not of the landmark."""
     turn = to_tangent(seen.measured[rows, 2])
     turned: Array = turn.transpose(0, 2, 1) @ seen.covariance[rows] @ turn

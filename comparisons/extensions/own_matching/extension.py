@@ -74,7 +74,11 @@ def solve_with_own_matching(compared: Compared, slam: ScanSlamSource) -> OwnMatc
     ids = run.estimate.landmark_id
     estimate = smoothed_estimate(result, run.timeline.epoch_time_s, ids, "the EKF's")
     own = check_own_matching(
-        (run.oriented, found.alignments), run.estimate, gaps.smoothed, estimate, result.optimality
+        (run.pose_landmarks, found.alignments),
+        run.estimate,
+        gaps.smoothed,
+        estimate,
+        result.optimality,
     )
     accuracy = assess(estimate, prepared.judged, labelled=False)
     return replace(own, accuracy=accuracy, reasons=found.reasons)

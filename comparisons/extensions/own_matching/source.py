@@ -47,7 +47,9 @@ def own_measurements(
     scan_of = _scan_of_epoch(log, source, run)
     taken = {}
     for landmark_index, template in templates.items():
-        epoch = int(problem.oriented.pose[problem.oriented.landmark == landmark_index].min())
+        epoch = int(
+            problem.pose_landmarks.pose[problem.pose_landmarks.landmark == landmark_index].min()
+        )
         place = planar.compose(log.scans.mount.pose, template.pose)
         returns = source.points(scan_of[epoch])
         shape = np.column_stack((template.shape.mean, np.zeros(len(template.shape))))
@@ -62,7 +64,7 @@ def own_measurements(
         TemplateOptions.suited(settings, sensor_of(log.scans).sigma_range_m),
         progress,
     )
-    return replace(problem, oriented=found.factors), found
+    return replace(problem, pose_landmarks=found.factors), found
 
 
 def _scan_of_epoch(log: Log, source: ScanSource, run: EkfRun) -> dict[int, int]:

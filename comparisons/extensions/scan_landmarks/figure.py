@@ -22,10 +22,10 @@ def draw_scan_landmarks(axis: Axes, c: Compared, found: ScanLandmarks) -> None:
     if surfaces is not None:
         segment = surfaces.segment.reshape(-1, 2, 2)
         axis.add_collection(LineCollection(list(segment), colors="#bbbbbb", linewidths=1.5))
-    points = template_points(found, ekf.oriented_id, ekf.oriented)
+    points = template_points(found, ekf.pose_landmark_id, ekf.pose_landmarks)
     axis.plot(*points.T, ".", color="#222222", markersize=1.2, label="EKF's templates", zorder=1)
     for name, colour, estimate in _both(c):
-        outline = ellipses(estimate.oriented[:, :2], place_covariances(estimate), _SIGMAS)
+        outline = ellipses(estimate.pose_landmarks[:, :2], place_covariances(estimate), _SIGMAS)
         axis.add_collection(LineCollection(list(outline), colors=colour, linewidths=0.7))
         label = f"{name} scan landmarks, 3 sigma"
         frames = LineCollection(list(axes_of(estimate)), colors=colour, linewidths=1.2, label=label)
@@ -35,16 +35,16 @@ def draw_scan_landmarks(axis: Axes, c: Compared, found: ScanLandmarks) -> None:
 def scan_landmark_layers(drawing: Drawing, c: Compared, found: ScanLandmarks) -> None:
     """Add templates, ellipses and axes; their keys tell them from points."""
     ekf = c.ekf.estimate
-    points = template_points(found, ekf.oriented_id, ekf.oriented)
+    points = template_points(found, ekf.pose_landmark_id, ekf.pose_landmarks)
     drawing.dots("templates", "#333333", points)
-    keys = [f"s{i}" for i in ekf.oriented_id.tolist()]
-    blocks = c.gaps.agreement.oriented
+    keys = [f"s{i}" for i in ekf.pose_landmark_id.tolist()]
+    blocks = c.gaps.agreement.pose_landmarks
     for name, colour, estimate in _both(c):
         labels = [
             f"{name}, scan landmark {i}: {b.difference_m:.3f} m apart, {b.distance:.2g} sigma"
-            for i, b in zip(ekf.oriented_id.tolist(), blocks, strict=True)
+            for i, b in zip(ekf.pose_landmark_id.tolist(), blocks, strict=True)
         ]
-        place, ends = estimate.oriented[:, :2], axes_of(estimate)
+        place, ends = estimate.pose_landmarks[:, :2], axes_of(estimate)
         outline = ellipses(place, place_covariances(estimate), _SIGMAS, 32)
         drawing.outlines(f"{name} scan landmarks, 3 sigma", colour, outline, labels)
         start, end = np.repeat(place, 2, axis=0), ends[:, ::2].reshape(-1, 2)
@@ -70,7 +70,7 @@ def template_points(found: ScanLandmarks, landmark_index: Index, place: Array) -
 
 def axes_of(estimate: Estimate, length_m: float = 2.0) -> Array:
     """(Q, 3, 2) the ends of each landmark's two axes, left's, origin, ahead's."""
-    place, heading = estimate.oriented[:, :2], estimate.oriented[:, 2]
+    place, heading = estimate.pose_landmarks[:, :2], estimate.pose_landmarks[:, 2]
     ahead = np.stack((np.cos(heading), np.sin(heading)), axis=1)
     left = np.stack((-ahead[:, 1], ahead[:, 0]), axis=1)
     return np.stack((place + length_m * left, place, place + length_m * ahead), axis=1)
@@ -78,4 +78,4 @@ def axes_of(estimate: Estimate, length_m: float = 2.0) -> Array:
 
 def place_covariances(estimate: Estimate) -> Array:
     """(Q, 2, 2) of the places of scan landmarks."""
-    return estimate.oriented_covariances()[:, :2, :2]
+    return estimate.pose_landmark_covariances()[:, :2, :2]

@@ -23,16 +23,16 @@ def scan_slam_result(source: ScanSlamSource, ekf: Estimate, gaps: Gaps) -> ScanS
         scans=found.scans,
         landmarks=[
             ScanLandmarkResult(
-                id=(landmark_index := int(ekf.oriented_id[i])),
-                ekf_m=tuple(ekf.oriented[i, :2].tolist()),
-                smoother_m=tuple(smoothed.oriented[i, :2].tolist()),
-                ekf_heading_rad=float(ekf.oriented[i, 2]),
-                smoother_heading_rad=float(smoothed.oriented[i, 2]),
+                id=(landmark_index := int(ekf.pose_landmark_id[i])),
+                ekf_m=tuple(ekf.pose_landmarks[i, :2].tolist()),
+                smoother_m=tuple(smoothed.pose_landmarks[i, :2].tolist()),
+                ekf_heading_rad=float(ekf.pose_landmarks[i, 2]),
+                smoother_heading_rad=float(smoothed.pose_landmarks[i, 2]),
                 measurements=found.measurements[landmark_index],
                 points=len(found.template[landmark_index].shape),
                 **block_fields(b),
             )
-            for i, b in enumerate(gaps.agreement.oriented)
+            for i, b in enumerate(gaps.agreement.pose_landmarks)
         ],
         rejected=found.rejected,
         dynamic=found.dynamic,

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from comparisons.adapters.beam_noise import sensor_of
-from comparisons.adapters.oriented_measurements import OrientedLedger
 from comparisons.adapters.planar_scans import PlanarScans, view_to
+from comparisons.adapters.pose_landmark_measurements import PoseLandmarkRecorder
 from comparisons.adapters.timeline import resolved
 from comparisons.arrays import Array, Index, Mask
 from comparisons.errors import InputError
@@ -53,19 +53,19 @@ _MARGIN_M = 0.01
 
 @dataclass(frozen=True)
 class _Telling:
-    """The ledger, at one epoch."""
+    """The recorder, at one epoch."""
 
-    ledger: OrientedLedger
+    recorder: PoseLandmarkRecorder
     ekf: Ekf
     epoch: int
 
     def observe(self, z: Array, covariance: Array, landmark_index: Index) -> Index:
-        """See OrientedLedger.observe."""
-        return self.ledger.observe(self.ekf, self.epoch, z, covariance, landmark_index)
+        """See PoseLandmarkRecorder.observe."""
+        return self.recorder.observe(self.ekf, self.epoch, z, covariance, landmark_index)
 
     def fuse(self, first: int, second: int, z: Array, covariance: Array) -> LocalMap:
-        """See OrientedLedger.fuse."""
-        return self.ledger.fuse(self.ekf, self.epoch, first, second, z, covariance)
+        """See PoseLandmarkRecorder.fuse."""
+        return self.recorder.fuse(self.ekf, self.epoch, first, second, z, covariance)
 
 
 def scan_slam_options(config: ScanLandmarksConfig, *, mapped: bool) -> ScanSlamOptions:
@@ -156,7 +156,7 @@ class Closing:
 
 
 class ScanSlamSource:
-    """An OrientedSource: scans of a log at their times. See ScanSlam and DuplicateMerging."""
+    """An PoseLandmarkSource: scans of a log at their times. See ScanSlam and DuplicateMerging."""
 
     def __init__(
         self,
@@ -232,7 +232,7 @@ class ScanSlamSource:
     def finished(self, ekf: Ekf, time_s: float) -> None:
         """No template is enriched any more."""
 
-    def look(self, ekf: Ekf, epoch: int, time_s: float, ledger: OrientedLedger) -> None:
+    def look(self, ekf: Ekf, epoch: int, time_s: float, recorder: PoseLandmarkRecorder) -> None:
         """The scan of this epoch, if there is one. Raises FilterDivergedError."""
         times = self._scans.time_s
         while self._next < len(times) and times[self._next] < time_s:
@@ -241,7 +241,7 @@ class ScanSlamSource:
             if not np.isfinite(ekf.state.pose_covariance).all():
                 raise FilterDivergedError("the pose's covariance is not finite")
             before = ekf.state.places(POSE).copy()
-            telling = _Telling(ledger, ekf, epoch)
+            telling = _Telling(recorder, ekf, epoch)
             self._slam.step(ekf, self._scan(ekf), telling)
             if self._twins is not None:
                 self._twins.step(ekf, telling)

@@ -87,7 +87,7 @@ def draw_estimate(axis: Axes, name: str, estimate: Estimate) -> None:
     colour, marker, style = _LOOK[name]
     draw_trajectory(axis, estimate.pose[:, :2], colour, f"{name} trajectory", style)
     outline = ellipses(estimate.landmark, estimate.landmark_covariances(), 3.0)
-    if len(estimate.landmark) or not len(estimate.oriented):
+    if len(estimate.landmark) or not len(estimate.pose_landmarks):
         label = f"{name} landmarks, 3 sigma"
         draw_landmarks(axis, estimate.landmark, outline, colour, marker, label)
 

@@ -72,8 +72,8 @@ def test_a_landmark_is_seen_again_after_a_minute_out_of_sight() -> None:
     landmark = np.array((0, 0, 1, 1, 0, 0, 1))
     run: Any = SimpleNamespace(
         estimate=SimpleNamespace(time_s=time_s),
-        oriented=SimpleNamespace(pose=np.arange(7), landmark=landmark),
+        pose_landmarks=SimpleNamespace(pose=np.arange(7), landmark=landmark),
     )
     assert seen_again(run) == 1
-    run.oriented.landmark = np.zeros(7, dtype=int)
+    run.pose_landmarks.landmark = np.zeros(7, dtype=int)
     assert seen_again(run) == 0

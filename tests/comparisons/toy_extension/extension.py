@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from comparisons.adapters.filter_setup import FilterSetup
-from comparisons.adapters.oriented_measurements import OrientedLedger
+from comparisons.adapters.pose_landmark_measurements import PoseLandmarkRecorder
 from comparisons.errors import InputError
 from comparisons.extensions.contract import Extension, Finding, Row
 from comparisons.logs.log import Poses
@@ -41,7 +41,7 @@ class DockingSource:
         self._landmark_index = NEW
         self.measurements = 0
 
-    def look(self, ekf: Ekf, epoch: int, time_s: float, ledger: OrientedLedger) -> None:
+    def look(self, ekf: Ekf, epoch: int, time_s: float, recorder: PoseLandmarkRecorder) -> None:
         pose = self._truth.at(np.array([time_s]))[0]
         away = np.array((self._config.x_m, self._config.y_m)) - pose[:2]
         if np.hypot(*away) > self._config.reach_m:
@@ -49,7 +49,7 @@ class DockingSource:
         c, s = np.cos(pose[2]), np.sin(pose[2])
         z = np.array((c * away[0] + s * away[1], c * away[1] - s * away[0], -pose[2]))
         z[0] += self._config.bias_m * (self.measurements % 2)
-        found = ledger.observe(ekf, epoch, z[None], NOISE[None], np.array([self._landmark_index]))
+        found = recorder.observe(ekf, epoch, z[None], NOISE[None], np.array([self._landmark_index]))
         self._landmark_index, self.measurements = int(found[0]), self.measurements + 1
 
 
@@ -78,7 +78,9 @@ class DockingFinding(Finding):
     """Where both estimators have the station."""
 
     def __init__(self, compared: Compared, source: DockingSource) -> None:
-        ekf, smoother = (e.oriented[0, :2] for e in (compared.ekf.estimate, compared.gaps.smoothed))
+        ekf, smoother = (
+            e.pose_landmarks[0, :2] for e in (compared.ekf.estimate, compared.gaps.smoothed)
+        )
         self.result = DockingResult(
             measurements=source.measurements, ekf_m=_pair(ekf), smoother_m=_pair(smoother)
         )

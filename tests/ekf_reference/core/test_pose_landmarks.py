@@ -62,7 +62,7 @@ def test_compressed_equals_full(order: str) -> None:
 
 
 class NoRows(CompressedState):
-    """Broken: landmarks with a direction are added as if they knew nothing of the passive ones."""
+    """Broken: pose landmarks are added as if they knew nothing of the passive ones."""
 
     def augment(self, point: Array, jacobian_pose: Array, jacobian_z: Array, noise: Array) -> None:
         super().augment(point, jacobian_pose, jacobian_z, noise)
@@ -153,7 +153,7 @@ class NoLever(RelativePose):
 
 
 class NoCross(KalmanState):
-    """New landmarks with a direction know nothing of the vehicle."""
+    """New pose landmarks know nothing of the vehicle."""
 
     def augment(self, point: Array, jacobian_pose: Array, jacobian_z: Array, noise: Array) -> None:
         n = self._layout.size

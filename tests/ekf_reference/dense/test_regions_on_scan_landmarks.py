@@ -38,7 +38,7 @@ def driven(kind: str, script: Script, look: Callable[[Ekf], None]) -> Ekf:
 
 
 def as_points(ekf: Ekf) -> FilterView:
-    """The definition, by whole state: landmarks with a direction, their x and y alone."""
+    """The definition, by whole state: pose landmarks, their x and y alone."""
     first = ekf.state.layout.first[POSE]
     entries = (first[:, None] + (0, 1)).ravel()
     kept = np.concatenate((np.arange(3), entries))
@@ -70,7 +70,7 @@ def shifted(ekf: Ekf) -> FilterView:
 
 @cache
 def mapped(read: Callable[[Ekf], FilterView]) -> tuple[DenseMap, FilterView]:
-    """A dense map kept beside a drive among landmarks with a direction."""
+    """A dense map kept beside a drive among pose landmarks."""
     dense, rng = dense_map(*LAYERS, waiting=room()), np.random.default_rng(2)
 
     def look(ekf: Ekf) -> None:

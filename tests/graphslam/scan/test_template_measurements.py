@@ -121,7 +121,7 @@ def test_with_noise_the_covariance_is_honest_and_the_drive_is_found(
         found = seen(clouds(YARD, SIGMA_M, seed), given, SIGMA_M)
         wrong, spread = errors(found)
         normalised += np.einsum("ni,nij,nj->n", wrong, np.linalg.inv(spread), wrong).tolist()
-        factors = SlamProblem(**{**vars(given), "oriented": found.factors})
+        factors = SlamProblem(**{**vars(given), "pose_landmarks": found.factors})
         result = smooth(factors, {})
         assert result.optimality.verified
         reckoned = [given.prior_pose]

@@ -19,7 +19,7 @@ from graphslam.graph_builder import right_perturbation
 from graphslam.linear_problem import LinearProblem, solve
 from graphslam.marginals import Marginal
 from graphslam.model_system import LinearisationPoints, model_system
-from graphslam.problem import Merges, OrientedMeasurements, SlamProblem
+from graphslam.problem import Merges, PoseLandmarkMeasurements, SlamProblem
 from graphslam.smoother import SmootherOptions, smooth
 from tests.ekf_reference.both_kinds import (
     CONTROL,
@@ -50,7 +50,7 @@ class Chain:
 
     @property
     def expected(self) -> Marginal:
-        """E, points before oriented landmarks."""
+        """E, points before pose landmarks."""
         state = self.ekf.state
         packed = state.layout.by_kind()
         return Marginal(state.mean[packed], state.covariance[np.ix_(packed, packed)])
@@ -94,7 +94,7 @@ def problem_of(made: Made) -> SlamProblem:
     if made.fused:
         epoch, first, second, where, r = (np.array(c) for c in zip(*made.fused, strict=True))
         merges = Merges(epoch, first, second, where, right_perturbation(where, r))
-    oriented = OrientedMeasurements(
+    pose_landmarks = PoseLandmarkMeasurements(
         np.array([k for k, _, _, _ in made.seen]),
         np.array([s for _, s, _, _ in made.seen]),
         measured,
@@ -113,7 +113,7 @@ def problem_of(made: Made) -> SlamProblem:
         z=z,
         sigma=np.tile(SIGMA, (len(z), 1)),
         landmark_count=int(landmark_index.max()) + 1,
-        oriented=oriented,
+        pose_landmarks=pose_landmarks,
     )
 
 
@@ -162,7 +162,7 @@ def test_parts_of_an_update_are_replayed() -> None:
 
 
 class NoCross(KalmanState):
-    """New landmarks with a direction know the vehicle but not the map."""
+    """New pose landmarks know the vehicle but not the map."""
 
     def augment(self, point: Array, jacobian_pose: Array, jacobian_z: Array, noise: Array) -> None:
         n = self._layout.size
@@ -216,9 +216,9 @@ def test_the_smoother_is_near_and_its_marginal_has_both_kinds() -> None:
     assert result.optimality.verified
     assert {start.name for start in result.starts if np.isfinite(start.error)} >= {"ekf"}
     mean, covariance = result.marginal()
-    points, frames = problem.landmark_count, problem.oriented.count
+    points, frames = problem.landmark_count, problem.pose_landmarks.count
     assert len(mean) == 3 + 2 * points + 3 * frames == len(covariance)
-    removed = problem.oriented.merges.second[0]
+    removed = problem.pose_landmarks.merges.second[0]
     kept = np.setdiff1d(np.arange(len(mean)), 3 + 2 * points + 3 * removed + np.arange(3))
     own = chain.own()
     sigma = np.sqrt(np.diag(own.covariance))

@@ -11,7 +11,7 @@ from graphslam.graph_builder import POINT, POSE_LANDMARK, right_perturbation
 from graphslam.linear_problem import solve
 from graphslam.marginals import Marginal
 from graphslam.model_system import LinearisationPoints, RelationPoints, model_system
-from graphslam.problem import Merges, OrientedMeasurements, SlamProblem
+from graphslam.problem import Merges, PoseLandmarkMeasurements, SlamProblem
 from graphslam.smoother import SmootherOptions, SmootherResult, smooth
 from tests.graphslam import worlds
 from tests.graphslam.numerics import Array, Index, angle, central_difference, relative_error
@@ -26,7 +26,11 @@ def drive(noise: float = 1.0) -> World:
 
 def linearised(problem: SlamProblem, poses: Array, landmarks: Array, frames: Array) -> Marginal:
     """F2 at poses (K, 3), points (L, 2) and pose landmarks (Q, 3)."""
-    rows, seen, merges = np.arange(len(problem.z)), problem.oriented, problem.oriented.merges
+    rows, seen, merges = (
+        np.arange(len(problem.z)),
+        problem.pose_landmarks,
+        problem.pose_landmarks.merges,
+    )
     points = LinearisationPoints(
         departed=poses,
         arrived=poses,
@@ -62,7 +66,7 @@ def linearised(problem: SlamProblem, poses: Array, landmarks: Array, frames: Arr
 def headings(result: SmootherResult) -> Index:
     """Where headings are in the marginal's mean."""
     first = 3 + result.landmarks.size
-    return np.concatenate(([2], np.arange(first + 2, first + result.oriented().size, 3)))
+    return np.concatenate(([2], np.arange(first + 2, first + result.pose_landmarks().size, 3)))
 
 
 def gap(result: SmootherResult, other: Marginal) -> tuple[float, float]:
@@ -85,10 +89,10 @@ def test_without_noise_the_frozen_smoother_is_the_smoother() -> None:
     assert mean < 1e-4
     assert spread < 1e-6
     # Blind to the merges, or with the frames' noise in the axes of who sees them, it is not.
-    seen = problem.oriented
+    seen = problem.pose_landmarks
     turned = right_perturbation(seen.measured * (1.0, 1.0, -1.0), seen.covariance)
     for wrong in (replace(seen, merges=Merges()), replace(seen, covariance=turned)):
-        assert gap(result, linearised(replace(problem, oriented=wrong), *truth))[1] > 1e-2
+        assert gap(result, linearised(replace(problem, pose_landmarks=wrong), *truth))[1] > 1e-2
 
 
 def test_with_noise_they_are_near_and_the_marginal_has_both_kinds() -> None:
@@ -99,7 +103,7 @@ def test_with_noise_they_are_near_and_the_marginal_has_both_kinds() -> None:
     assert result.optimality.verified
     assert {start.name for start in result.starts if np.isfinite(start.error)} >= {"truth"}
     mean, covariance = result.marginal()
-    points, frames = problem.landmark_count, problem.oriented.count
+    points, frames = problem.landmark_count, problem.pose_landmarks.count
     assert frames == len(world.frames) > 2
     assert len(mean) == 3 + 2 * points + 3 * frames == len(covariance)
     own = linearised(problem, world.poses, world.landmarks, world.frames)
@@ -134,10 +138,10 @@ def test_errors_are_as_large_as_the_covariance_says() -> None:
 
 def test_prefixes_keep_what_was_known() -> None:
     problem = drive().problem
-    [found] = problem.oriented.merges.pose.tolist()
+    [found] = problem.pose_landmarks.merges.pose.tolist()
     early, late = problem.prefix(found), problem.prefix(found + 1)
-    assert len(early.oriented.merges.pose) == 0
-    assert len(late.oriented.merges.pose) == 1
+    assert len(early.pose_landmarks.merges.pose) == 0
+    assert len(late.pose_landmarks.merges.pose) == 1
     assert late.residual_dimension - early.residual_dimension > 6
     assert smooth(late, {}).optimality.verified
 
@@ -149,7 +153,7 @@ def test_a_frame_in_a_frame_by_central_differences() -> None:
     unit = right_perturbation(measured, np.eye(3)[None])
     nothing = np.zeros(0, dtype=np.intp)
     at = RelationPoints(np.zeros(1, dtype=np.intp), np.ones(1), first, second)
-    seen = OrientedMeasurements(
+    seen = PoseLandmarkMeasurements(
         np.zeros(1, dtype=np.intp), np.zeros(1, dtype=np.intp), measured, unit
     )
     problem = SlamProblem(
@@ -162,7 +166,7 @@ def test_a_frame_in_a_frame_by_central_differences() -> None:
         z=np.zeros((0, 2)),
         sigma=np.zeros((0, 2)),
         landmark_count=0,
-        oriented=seen,
+        pose_landmarks=seen,
     )
     points = LinearisationPoints(
         departed=first,

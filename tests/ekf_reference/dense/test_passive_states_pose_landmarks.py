@@ -1,4 +1,4 @@
-"""Dense maps and passive states beside a filter that has landmarks with a direction, too."""
+"""Dense maps and passive states beside a filter that has pose landmarks, too."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def outcome(passive: type[PassiveStates] | None) -> tuple[Array, Array, Array]:
 
 
 class Forgetful(PassiveStates):
-    """Broken: measurements of landmarks with a direction tell it nothing."""
+    """Broken: measurements of pose landmarks tell it nothing."""
 
     def measurement(self, used: MeasurementRecord) -> None:
         if used.landmark.shape[1] == POSE and used.origin == VEHICLE:

@@ -1,7 +1,7 @@
-"""Measurements of landmarks with a direction, made while the filter runs: fused, and kept.
+"""Measurements of pose landmarks, made while the filter runs: fused, and kept.
 
 Unlike a log's measurements they depend on the filter, as what a scan is matched with does. Whoever
-makes them hands them to the filter by way of a ledger, from which the smoother is told the same.
+makes them hands them to the filter by way of a recorder, from which the smoother is told the same.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from comparisons.arrays import Array, Index
 from ekf_reference.core.ekf import Ekf
 from ekf_reference.core.state import LocalMap
 from graphslam.graph_builder import right_perturbation
-from graphslam.problem import Merges, OrientedMeasurements
+from graphslam.problem import Merges, PoseLandmarkMeasurements
 
 if TYPE_CHECKING:
     from ekf_reference.association.dynamic_rejection import DynamicGuard
 
 
-class OrientedLedger:
-    """What a filter was told of landmarks with a direction, in the order of its telling."""
+class PoseLandmarkRecorder:
+    """What a filter was told of pose landmarks, in the order of its telling."""
 
     def __init__(self) -> None:
         """Start empty."""
@@ -48,9 +48,9 @@ class OrientedLedger:
         self._merges.append((epoch, first, second, z, covariance))
         return known
 
-    def told(self) -> OrientedMeasurements:
+    def told(self) -> PoseLandmarkMeasurements:
         """All of it, as the smoother takes it."""
-        return OrientedMeasurements(
+        return PoseLandmarkMeasurements(
             np.array([epoch for epoch, *_ in self._seen], dtype=np.intp),
             np.array([landmark_index for _, landmark_index, *_ in self._seen], dtype=np.intp),
             *_measured([row[-2:] for row in self._seen]),
@@ -63,27 +63,27 @@ class OrientedLedger:
         )
 
 
-class OrientedSource(Protocol):
-    """Someone who sees landmarks with a direction, such as a matcher of scans."""
+class PoseLandmarkSource(Protocol):
+    """Someone who sees pose landmarks, such as a matcher of scans."""
 
-    def look(self, ekf: Ekf, epoch: int, time_s: float, ledger: OrientedLedger) -> None:
+    def look(self, ekf: Ekf, epoch: int, time_s: float, recorder: PoseLandmarkRecorder) -> None:
         """What is seen at an epoch, all else that was seen there being fused."""
         ...
 
 
 @runtime_checkable
 class GuardedSource(Protocol):
-    """An OrientedSource that can leave out what moves."""
+    """An PoseLandmarkSource that can leave out what moves."""
 
     def keep_from(self, guard: DynamicGuard) -> None:
         """What lies where something moves is left out from now on."""
         ...
 
 
-class NoOrientedSource:
+class NoPoseLandmarkSource:
     """Sees none."""
 
-    def look(self, ekf: Ekf, epoch: int, time_s: float, ledger: OrientedLedger) -> None:
+    def look(self, ekf: Ekf, epoch: int, time_s: float, recorder: PoseLandmarkRecorder) -> None:
         """Nothing."""
 
 

@@ -1,4 +1,4 @@
-"""A run with landmarks that have a direction, from the log to the agreement of its estimates."""
+"""A run with pose landmarks, from the log to the agreement of its estimates."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 from comparisons.adapters.ekf_factory import settle
 from comparisons.adapters.ekf_run import EkfRun, run_ekf
 from comparisons.adapters.filter_setup import FilterSetup
-from comparisons.adapters.oriented_measurements import OrientedLedger
+from comparisons.adapters.pose_landmark_measurements import PoseLandmarkRecorder
 from comparisons.adapters.smoother_input import (
     build_problem,
     model_system_at,
@@ -63,7 +63,7 @@ class Frames:
     def measured(self, base: Array, frame: Array) -> Array:
         return relative(base, frame) + np.linalg.cholesky(R) @ self.rng.standard_normal(3)
 
-    def look(self, ekf: Ekf, epoch: int, time_s: float, ledger: OrientedLedger) -> None:
+    def look(self, ekf: Ekf, epoch: int, time_s: float, recorder: PoseLandmarkRecorder) -> None:
         truth = self.poses.at(np.array([time_s]))[0]
         away = np.hypot(*(self.frames[:, :2] - truth[:2]).T)
         which = [i for i in np.flatnonzero(away < 15.0).tolist() if i not in self.gone]
@@ -74,13 +74,13 @@ class Frames:
             )
             r = np.tile(R, (len(z), 1, 1))
             if self.by_ledger:
-                landmark_index = ledger.observe(ekf, epoch, z, r, landmark_index)
+                landmark_index = recorder.observe(ekf, epoch, z, r, landmark_index)
             else:
                 landmark_index = ekf.observe_known(z, r, landmark_index)
             self.landmark_index.update(zip(which, landmark_index.tolist(), strict=True))
         if epoch == FUSE_AT:
             z = self.measured(self.frames[0], self.frames[1])
-            ledger.fuse(ekf, epoch, self.landmark_index[0], self.landmark_index[1], z, R)
+            recorder.fuse(ekf, epoch, self.landmark_index[0], self.landmark_index[1], z, R)
             self.gone.add(1)
 
 
@@ -96,8 +96,8 @@ def chain(choices: EkfConfig, modify: Callable[[Ekf], None]) -> tuple[EkfRun, Ag
     assert result.optimality.chi_square.reading == "plausible"
     ids = run.estimate.landmark_id
     smoothed = smoothed_estimate(result, run.timeline.epoch_time_s, ids, "the EKF's")
-    assert np.array_equal(smoothed.oriented_id, run.estimate.oriented_id)
-    count = len(smoothed.oriented)
+    assert np.array_equal(smoothed.pose_landmark_id, run.estimate.pose_landmark_id)
+    count = len(smoothed.pose_landmarks)
     ends = [Gaussian(e.joint_mean, e.joint_covariance, count) for e in (run.estimate, smoothed)]
     return run, compare(ends[0], Gaussian(*recorded, count), Gaussian(*own, count), ends[1])
 
@@ -118,10 +118,10 @@ def test_the_estimates_agree_along_the_chain(
     choices: EkfConfig, modify: Callable[[Ekf], None]
 ) -> None:
     run, found = chain(choices, modify)
-    assert len(found.oriented) == run.oriented.count - 1 > 4
+    assert len(found.pose_landmarks) == run.pose_landmarks.count - 1 > 4
     assert found.algebra.within(1e-6)
     assert found.model.within(1e-6)
-    assert max(block.distance for block in found.oriented) < 1.0
+    assert max(block.distance for block in found.pose_landmarks) < 1.0
 
 
 class Flipped(RelativePose):
@@ -145,7 +145,7 @@ def test_the_whole_job_agrees() -> None:
     """Compared, written and read: scan landmarks are in both estimates."""
     found = compared(log(), Source(Frames), filter="full", association="known")
     assert found.verdict.outcome == "agree"
-    assert len(found.agreement.oriented) == len(found.smoothed.oriented) > 4
+    assert len(found.agreement.pose_landmarks) == len(found.smoothed.pose_landmarks) > 4
 
 
 def test_where_linearising_cost_something_is_found_with_fused_landmarks() -> None:
@@ -155,15 +155,15 @@ def test_where_linearising_cost_something_is_found_with_fused_landmarks() -> Non
     result = run_smoother(problem, run, SmootherOptions())
     ids = run.estimate.landmark_id
     smoothed = smoothed_estimate(result, run.timeline.epoch_time_s, ids, "the EKF's")
-    whole = replace(smoothed, oriented=result.oriented())
+    whole = replace(smoothed, pose_landmarks=result.pose_landmarks())
     there = model_system_at(problem, run, whole)
     assert linearisation_growth(there, there, whole).total == 0.0
     meant = model_system_of(problem, run)
     found = linearisation_growth(meant, there, whole)
     assert found.squared.max() < 1.0
     # Broken: what is left of fused landmarks moves up into their landmark indices.
-    moved = np.vstack((smoothed.oriented, smoothed.oriented[-1:]))
-    shifted = replace(smoothed, oriented=moved)
+    moved = np.vstack((smoothed.pose_landmarks, smoothed.pose_landmarks[-1:]))
+    shifted = replace(smoothed, pose_landmarks=moved)
     wrong = linearisation_growth(meant, model_system_at(problem, run, shifted), shifted)
     assert wrong.squared.max() > 1.0
 
@@ -177,7 +177,7 @@ def test_the_smoothers_own_association_is_told_of_frames_too() -> None:
 
 
 class Half(KalmanState):
-    """Broken: the gain of a landmark with a direction is halved where the mean is concerned."""
+    """Broken: the gain of a pose landmark is halved where the mean is concerned."""
 
     def update(
         self, columns: Index, jacobian: Array, innovation: Array, noise: Array
@@ -199,5 +199,5 @@ def test_broken_algebra_is_named() -> None:
 def test_what_goes_by_the_ledger_is_told() -> None:
     chosen = settle(EkfConfig(filter="full", association="known"), log())
     setup = FilterSetup(source=Frames(by_ledger=False))
-    with pytest.raises(InputError, match=r"measurements of landmarks with a direction, expected 0"):
+    with pytest.raises(InputError, match=r"measurements of pose landmarks, expected 0"):
         run_ekf(log(), build_timeline(log()), chosen, setup=setup)

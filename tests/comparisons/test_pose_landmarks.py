@@ -16,7 +16,7 @@ from comparisons.estimates.estimate import Estimate
 from comparisons.estimates.external import read_given
 from comparisons.estimates.folder import read_estimate, write_estimate
 from ekf_reference.core.state import KalmanState
-from tests.comparisons.test_oriented_chain import Conditioned, NoCross
+from tests.comparisons.test_pose_landmark_chain import Conditioned, NoCross
 from tests.ekf_reference.both_kinds import PRIOR, Script, build, drive
 from tests.helpers import random_covariance
 
@@ -33,8 +33,8 @@ def estimate() -> Estimate:
         joint_covariance=covariance,
         information="filtered",
         provenance={},
-        oriented_id=np.array([3, 5]),
-        oriented=rng.uniform(-10.0, 10.0, (2, 3)),
+        pose_landmark_id=np.array([3, 5]),
+        pose_landmarks=rng.uniform(-10.0, 10.0, (2, 3)),
     )
 
 
@@ -43,7 +43,13 @@ def test_an_estimate_survives_its_folder(tmp_path: Path) -> None:
     write_estimate(before, tmp_path)
     assert (tmp_path / "scan_landmarks.csv").read_text().startswith("id,x_m,y_m,heading_rad\n3,")
     after = read_estimate(tmp_path)
-    for name in ("landmark_id", "landmark", "oriented_id", "oriented", "joint_covariance"):
+    for name in (
+        "landmark_id",
+        "landmark",
+        "pose_landmark_id",
+        "pose_landmarks",
+        "joint_covariance",
+    ):
         assert np.array_equal(getattr(after, name), getattr(before, name)), name
     assert len(before.joint_mean) == len(before.joint_covariance)
     assert np.array_equal(after.landmark_covariances()[1], before.joint_covariance[5:7, 5:7])
@@ -57,12 +63,12 @@ def test_without_scan_landmarks_there_is_no_such_file(tmp_path: Path) -> None:
     plain = replace(
         whole,
         joint_covariance=whole.joint_covariance[:7, :7],
-        oriented_id=np.zeros(0, dtype=np.int64),
-        oriented=np.zeros((0, 3)),
+        pose_landmark_id=np.zeros(0, dtype=np.int64),
+        pose_landmarks=np.zeros((0, 3)),
     )
     write_estimate(plain, tmp_path)
     assert not (tmp_path / "scan_landmarks.csv").exists()
-    assert len(read_estimate(tmp_path).oriented) == 0
+    assert len(read_estimate(tmp_path).pose_landmarks) == 0
 
 
 def test_a_file_without_its_covariance_is_told(tmp_path: Path) -> None:
@@ -81,25 +87,27 @@ def test_landmarks_with_a_direction_are_blocks_of_three() -> None:
     turned = replace(e, mean=e.mean + 2.0 * np.pi * (np.eye(13)[9] - np.eye(13)[12]))
     same = compare(e, turned, e, turned)
     assert len(same.landmarks) == 2
-    assert len(same.oriented) == 2
+    assert len(same.pose_landmarks) == 2
     assert max(g.sigma for g in (same.algebra, same.model, same.linearisation)) < 1e-12
     off = replace(e, mean=e.mean + 0.5 * np.eye(13)[12])
     found = compare(off, e, e, e)
-    assert found.oriented[1].distance > 0.01
-    assert found.oriented[1].difference_m == 0.0
-    assert found.oriented[0].distance == 0.0
+    assert found.pose_landmarks[1].distance > 0.01
+    assert found.pose_landmarks[1].difference_m == 0.0
+    assert found.pose_landmarks[0].distance == 0.0
     assert max(block.distance for block in found.landmarks) == 0.0
     own = covariance[10:, 10:]
     d = np.array([0.0, 0.0, 0.5])
-    assert found.oriented[1].distance == pytest.approx(np.sqrt(d @ np.linalg.solve(own, d) / 3.0))
+    assert found.pose_landmarks[1].distance == pytest.approx(
+        np.sqrt(d @ np.linalg.solve(own, d) / 3.0)
+    )
     shifted = compare(replace(e, mean=e.mean + 3.0 * np.eye(13)[7]), e, e, e)
     assert shifted.landmark_difference_rms_m == pytest.approx(1.5)
 
 
 def test_different_kinds_are_not_compared() -> None:
     e = Gaussian(np.zeros(9), np.eye(9))
-    with pytest.raises(ValueError, match="0 landmarks with a direction against 2"):
-        compare(e, e, e, replace(e, oriented=2))
+    with pytest.raises(ValueError, match="0 pose landmarks against 2"):
+        compare(e, e, e, replace(e, pose_landmarks=2))
 
 
 @pytest.mark.parametrize(
